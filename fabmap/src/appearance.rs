@@ -1,0 +1,172 @@
+//! What a place looks like: how often each word was seen there.
+
+use crate::codec::{DecodeError, Reader, Writer};
+use crate::observation::{Observation, WordId};
+
+/// Number of a place within its map, counted from 0 in order of creation.
+pub type PlaceId = u32;
+
+/// The appearance of a place L_i: n looks, and for each word the k of them that showed it.
+///
+/// p(e_q = 1 | L_i) follows from the word, k and n alone. The counts are bounded: at
+/// [`Appearance::MAX_LOOKS`] all are halved before the next look, so that the place goes on learning
+/// and a (k, n) fits one byte. A word once seen keeps k ≥ 1.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Appearance {
+    looks: u8,
+    words: Vec<WordId>,
+    hits: Vec<u8>,
+}
+
+impl Appearance {
+    /// Most looks that are told apart.
+    pub const MAX_LOOKS: u8 = 15;
+
+    /// The appearance after a single look.
+    #[must_use]
+    pub fn of(observation: &Observation) -> Self {
+        let mut appearance = Self::default();
+        appearance.observe(observation);
+        appearance
+    }
+
+    /// Takes one more look at the place.
+    pub fn observe(&mut self, observation: &Observation) {
+        if self.looks == Self::MAX_LOOKS {
+            self.looks /= 2;
+            self.hits.iter_mut().for_each(|k| *k = (*k / 2).max(1));
+        }
+        self.looks += 1;
+        let seen = observation.words();
+        let mut words = Vec::with_capacity(self.words.len() + seen.len());
+        let mut hits = Vec::with_capacity(words.capacity());
+        let mut next = 0;
+        for (&word, &k) in self.words.iter().zip(&self.hits) {
+            while next < seen.len() && seen[next] < word {
+                words.push(seen[next]);
+                hits.push(1);
+                next += 1;
+            }
+            let again = seen.get(next) == Some(&word);
+            next += usize::from(again);
+            words.push(word);
+            hits.push(k + u8::from(again));
+        }
+        words.extend_from_slice(&seen[next..]);
+        hits.resize(words.len(), 1);
+        (self.words, self.hits) = (words, hits);
+    }
+
+    /// n: how often the place was looked at, 0 to [`Appearance::MAX_LOOKS`].
+    #[must_use]
+    pub fn looks(&self) -> u8 {
+        self.looks
+    }
+
+    /// The words ever seen here, ascending, each with its k in 1..=n.
+    pub fn word_hits(&self) -> impl ExactSizeIterator<Item = (WordId, u8)> + '_ {
+        self.words.iter().copied().zip(self.hits.iter().copied())
+    }
+
+    /// k of a word; 0 if it was never seen here.
+    #[must_use]
+    pub fn hits(&self, word: WordId) -> u8 {
+        self.words.binary_search(&word).map_or(0, |index| self.hits[index])
+    }
+
+    /// Appends the byte form: n, number of words, then each word's distance from the one before
+    /// and, where it is not 1, its k.
+    pub fn encode(&self, writer: &mut Writer) {
+        writer.u8(self.looks);
+        writer.varint(self.words.len() as u64);
+        let mut previous = 0;
+        for (word, k) in self.word_hits() {
+            writer.varint(u64::from(word - previous) << 1 | u64::from(k > 1));
+            if k > 1 {
+                writer.u8(k);
+            }
+            previous = word;
+        }
+    }
+
+    /// Reads what [`Appearance::encode`] wrote.
+    ///
+    /// # Errors
+    /// [`DecodeError`] if the bytes are cut, name a word not below `vocabulary_len` or twice, or hold
+    /// counts that no looks give.
+    pub fn decode(reader: &mut Reader<'_>, vocabulary_len: usize) -> Result<Self, DecodeError> {
+        let looks = reader.u8()?;
+        if looks > Self::MAX_LOOKS {
+            return Err(DecodeError::invalid(format_args!("{looks} looks at a place")));
+        }
+        let len = reader.count(1)?;
+        let mut appearance = Self { looks, words: Vec::with_capacity(len), hits: Vec::with_capacity(len) };
+        let mut previous = 0u64;
+        for index in 0..len {
+            let step = reader.varint()?;
+            let word = previous.saturating_add(step >> 1);
+            if (index > 0 && word == previous) || word >= vocabulary_len as u64 {
+                return Err(DecodeError::invalid(format_args!("word {word} of a place")));
+            }
+            let k = if step & 1 == 1 { reader.u8()? } else { 1 };
+            if k == 0 || k > looks {
+                return Err(DecodeError::invalid(format_args!("a word seen in {k} of {looks} looks")));
+            }
+            appearance.words.push(word as WordId);
+            appearance.hits.push(k);
+            previous = word;
+        }
+        Ok(appearance)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn looks() -> impl Strategy<Value = Vec<Vec<WordId>>> {
+        proptest::collection::vec(proptest::collection::vec(0..20u32, 0..8), 0..40)
+    }
+
+    proptest! {
+        #[test]
+        fn counts_are_those_of_a_plain_tally(looks in looks()) {
+            let mut appearance = Appearance::default();
+            let (mut n, mut tally) = (0u8, [0u8; 20]);
+            for look in &looks {
+                appearance.observe(&Observation::from_words(look.iter().copied(), 20).unwrap());
+                if n == 15 {
+                    n = 7;
+                    tally.iter_mut().filter(|k| **k > 0).for_each(|k| *k = (*k / 2).max(1));
+                }
+                n += 1;
+                (0..20).filter(|word| look.contains(word)).for_each(|word| tally[word as usize] += 1);
+            }
+            prop_assert_eq!(appearance.looks(), n);
+            for word in 0..20u32 {
+                prop_assert_eq!(appearance.hits(word), tally[word as usize]);
+                prop_assert!(appearance.hits(word) <= n);
+            }
+        }
+
+        #[test]
+        fn bytes_give_the_appearance_back(looks in looks()) {
+            let mut appearance = Appearance::default();
+            for look in &looks {
+                appearance.observe(&Observation::from_words(look.iter().copied(), 20).unwrap());
+            }
+            let mut writer = Writer::default();
+            appearance.encode(&mut writer);
+            let bytes = writer.into_bytes();
+            prop_assert_eq!(Appearance::decode(&mut Reader::new(&bytes), 20), Ok(appearance));
+        }
+
+        #[test]
+        fn foreign_bytes_never_make_impossible_counts(bytes in proptest::collection::vec(any::<u8>(), 0..60)) {
+            if let Ok(appearance) = Appearance::decode(&mut Reader::new(&bytes), 300) {
+                prop_assert!(appearance.word_hits().all(|(word, k)| word < 300 && (1..=appearance.looks()).contains(&k)));
+            }
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! p(Z | L_i), term by term: the observation model and its plain, dense evaluation.
+//!
+//! [`ObservationModel::dense_log_likelihood`] is the oracle: written straight from the equations,
+//! over all words, in f64. Every faster path is held to it.
+
+use crate::appearance::Appearance;
+use crate::chow_liu::ChowLiuTree;
+use crate::detector::DetectorModel;
+use crate::observation::{Observation, WordId};
+
+/// Whether words depend on each other.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Dependence {
+    /// Each word depends on its parent in the Chow-Liu tree.
+    #[default]
+    ChowLiu,
+    /// Words are independent of each other: naive Bayes.
+    NaiveBayes,
+}
+
+/// How a place makes an observation: Chow-Liu tree and detector model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ObservationModel {
+    tree: ChowLiuTree,
+    detector: DetectorModel,
+    /// Σ_q ln p(z_q = 0 | z_pq = 0, k_q = 0, n) for n = 0..=MAX_LOOKS: the log-likelihood that
+    /// nothing is seen at a place where nothing was seen in n looks.
+    nothing_seen: Vec<f64>,
+}
+
+/// What an observation says of one word: z_q and z_pq. A root has no parent; its `parent_seen` is
+/// false and does not matter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WordState {
+    /// The word q.
+    pub word: WordId,
+    /// z_q.
+    pub seen: bool,
+    /// z_pq.
+    pub parent_seen: bool,
+}
+
+impl ObservationModel {
+    /// Joins tree and detector; with [`Dependence::NaiveBayes`] the tree's edges are left out.
+    #[must_use]
+    pub fn new(tree: &ChowLiuTree, detector: DetectorModel, dependence: Dependence) -> Self {
+        let tree = match dependence {
+            Dependence::ChowLiu => tree.clone(),
+            Dependence::NaiveBayes => tree.independent(),
+        };
+        let mut model = Self { tree, detector, nothing_seen: Vec::new() };
+        model.nothing_seen = (0..=Appearance::MAX_LOOKS)
+            .map(|looks| model.unseen_words().map(|unseen| model.log_term(unseen, 0, looks)).sum())
+            .collect();
+        model
+    }
+
+    /// Number of words.
+    #[must_use]
+    pub fn vocabulary_len(&self) -> usize {
+        self.tree.len()
+    }
+
+    /// The tree in use: without edges under naive Bayes.
+    #[must_use]
+    pub fn tree(&self) -> &ChowLiuTree {
+        &self.tree
+    }
+
+    /// ln p(Z | L_i) = ln p(z_r | L_i) + Σ_q ln p(z_q | z_pq, L_i) over all words, Cummins &
+    /// Newman 2008, eq. (9). Slow on purpose: time grows with the vocabulary.
+    #[must_use]
+    pub fn dense_log_likelihood(&self, observation: &Observation, place: &Appearance) -> f64 {
+        (0..self.vocabulary_len() as WordId)
+            .map(|word| self.log_term(self.word_state(word, observation), place.hits(word), place.looks()))
+            .sum()
+    }
+
+    /// ln p(Z | L_avg): the mean-field approximation of a place nobody has seen, Cummins & Newman
+    /// 2008, eq. (16). The average place is one with no looks at all.
+    #[must_use]
+    pub fn dense_log_likelihood_of_average_place(&self, observation: &Observation) -> f64 {
+        self.dense_log_likelihood(observation, &Appearance::default())
+    }
+
+    /// ln p(z_q | z_pq, L_i) = ln Σ_s p(z_q | e_q = s, z_pq) p(e_q = s | L_i) at a place where the word
+    /// was seen in `hits` of `looks`. Cummins & Newman 2008, eq. (10).
+    #[must_use]
+    pub fn log_term(&self, state: WordState, hits: u8, looks: u8) -> f64 {
+        let belief = self.detector.belief(self.tree.marginal(state.word, true), hits, looks);
+        let given_element = self.word_probability(state, true);
+        let given_no_element = self.word_probability(state, false);
+        (given_element * belief + given_no_element * (1.0 - belief)).ln()
+    }
+
+    /// p(z_q = a | e_q = s, z_pq = b) = β / (α + β) with
+    /// α = p(z_q = a) p(z_q = ¬a | e_q = s) p(z_q = ¬a | z_pq = b) and
+    /// β = p(z_q = ¬a) p(z_q = a | e_q = s) p(z_q = a | z_pq = b).
+    /// Cummins & Newman 2008, eqs. (13), (14). For a root it is p(z_q = a | e_q = s).
+    fn word_probability(&self, WordState { word, seen, parent_seen }: WordState, exists: bool) -> f64 {
+        let alpha = self.tree.marginal(word, seen)
+            * self.detector.probability(!seen, exists)
+            * self.tree.conditional(word, !seen, parent_seen);
+        let beta = self.tree.marginal(word, !seen)
+            * self.detector.probability(seen, exists)
+            * self.tree.conditional(word, seen, parent_seen);
+        beta / (alpha + beta)
+    }
+
+    /// What `observation` says of `word`.
+    #[must_use]
+    pub fn word_state(&self, word: WordId, observation: &Observation) -> WordState {
+        let parent_seen = self.tree.parent(word).is_some_and(|parent| observation.contains(parent));
+        WordState { word, seen: observation.contains(word), parent_seen }
+    }
+
+    /// The words of which `observation` says more than "neither the word nor its parent is seen",
+    /// ascending: the words seen, and the unseen children of words seen.
+    #[must_use]
+    pub fn informative_words(&self, observation: &Observation) -> Vec<WordState> {
+        let seen_words = observation.words().iter();
+        let mut words: Vec<WordId> = seen_words
+            .flat_map(|&word| std::iter::once(word).chain(self.tree.children(word).iter().copied()))
+            .collect();
+        words.sort_unstable();
+        words.dedup();
+        words.into_iter().map(|word| self.word_state(word, observation)).collect()
+    }
+
+    /// ln p(Z | a place where nothing was seen in `looks` looks), from the informative words of Z
+    /// alone: C_n(Z). With `looks` = 0 it is the mean-field term ln p(Z | L_avg).
+    #[must_use]
+    pub fn log_likelihood_of_empty_place(&self, informative: &[WordState], looks: u8) -> f64 {
+        let more: f64 = informative
+            .iter()
+            .map(|&state| self.log_term(state, 0, looks) - self.log_term(unseen(state.word), 0, looks))
+            .sum();
+        self.nothing_seen[usize::from(looks)] + more
+    }
+
+    /// ln p(Z | L_i) of one place from its own words and the informative words of Z: what an inverted
+    /// index of this one place would say.
+    #[must_use]
+    pub fn sparse_log_likelihood(&self, observation: &Observation, place: &Appearance) -> f64 {
+        let looks = place.looks();
+        let gains = place.word_hits().map(|(word, hits)| {
+            let state = self.word_state(word, observation);
+            self.log_term(state, hits, looks) - self.log_term(state, 0, looks)
+        });
+        self.log_likelihood_of_empty_place(&self.informative_words(observation), looks) + gains.sum::<f64>()
+    }
+
+    fn unseen_words(&self) -> impl Iterator<Item = WordState> {
+        (0..self.vocabulary_len() as WordId).map(unseen)
+    }
+}
+
+/// Neither the word nor its parent is seen.
+pub(crate) fn unseen(word: WordId) -> WordState {
+    WordState { word, seen: false, parent_seen: false }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_worlds::{self, World};
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_sparse_average_place_is_the_dense_one(world in test_worlds::worlds(30, 4)) {
+            let World { model, observations, .. } = world;
+            for z in &observations {
+                let dense = model.dense_log_likelihood_of_average_place(z);
+                let sparse = model.log_likelihood_of_empty_place(&model.informative_words(z), 0);
+                prop_assert!((dense - sparse).abs() <= 1e-9 * dense.abs(), "{dense} {sparse}");
+            }
+        }
+
+        #[test]
+        fn the_sparse_place_is_the_dense_one(world in test_worlds::worlds(30, 4)) {
+            let World { model, observations, appearances } = world;
+            for (z, place) in observations.iter().zip(&appearances) {
+                let (dense, sparse) = (model.dense_log_likelihood(z, place), model.sparse_log_likelihood(z, place));
+                prop_assert!((dense - sparse).abs() <= 1e-9 * dense.abs(), "{dense} {sparse}");
+            }
+        }
+
+        /// Σ_Z p(Z | L) over all observations of a small vocabulary. Naive Bayes is a distribution; the
+        /// Chow-Liu form is one too, because each factor sums to 1 over z_q whatever the parent.
+        #[test]
+        fn likelihoods_are_probabilities(world in test_worlds::worlds(7, 3)) {
+            let World { model, appearances, .. } = world;
+            for place in &appearances {
+                let total: f64 = (0..1u32 << 7)
+                    .map(|bits| Observation::from_words((0..7).filter(|q| bits >> q & 1 == 1), 7).unwrap())
+                    .map(|z| model.dense_log_likelihood(&z, place).exp())
+                    .sum();
+                prop_assert!((total - 1.0).abs() < 1e-9, "{total}");
+            }
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! Training a model from the descriptors of training images.
+
+use std::ops::ControlFlow;
+
+use super::{Model, ModelError};
+use crate::chow_liu::{ChowLiuTree, TreeTrainingError, TreeTrainingSettings};
+use crate::descriptor::{DescriptorError, Descriptors};
+use crate::detector::DetectorModel;
+use crate::observation::Observation;
+use crate::vocabulary::{Vocabulary, VocabularyError, VocabularySettings};
+
+/// Settings of [`Model::train`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelTrainingSettings {
+    /// Number of words and how they are found.
+    pub vocabulary: VocabularySettings,
+    /// How the tree is smoothed.
+    pub tree: TreeTrainingSettings,
+    /// The detector model to store.
+    pub detector: DetectorModel,
+}
+
+impl ModelTrainingSettings {
+    /// Descriptors per word that k-means sees, taken evenly over all images: more cost time and
+    /// hardly move a centre.
+    pub const DESCRIPTORS_PER_WORD: usize = 50;
+    /// Observations kept as the sampling set, taken evenly over all images.
+    pub const MAX_SAMPLES: usize = 3000;
+}
+
+/// What training is busy with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum TrainingStage {
+    /// Finding the words.
+    Vocabulary,
+    /// Turning every image into words.
+    Quantization,
+    /// Learning the tree.
+    Tree,
+}
+
+/// How far training has come.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ModelTrainingProgress {
+    /// What is being done.
+    pub stage: TrainingStage,
+    /// How much of that stage is done, in [0, 1].
+    pub fraction: f64,
+}
+
+/// Why no model was trained.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ModelTrainingError {
+    /// No image with features.
+    #[error("none of {images} training images shows a feature; give textured, well-lit images")]
+    NoDescriptors {
+        /// Images given.
+        images: usize,
+    },
+    /// Images of different features were mixed.
+    #[error(transparent)]
+    Descriptors(#[from] DescriptorError),
+    /// The vocabulary could not be made.
+    #[error(transparent)]
+    Vocabulary(VocabularyError),
+    /// The tree could not be learnt.
+    #[error(transparent)]
+    Tree(TreeTrainingError),
+    /// The parts do not fit.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The observer asked to stop.
+    #[error("training was cancelled")]
+    Cancelled,
+}
+
+impl From<VocabularyError> for ModelTrainingError {
+    fn from(error: VocabularyError) -> Self {
+        if error == VocabularyError::Cancelled { Self::Cancelled } else { Self::Vocabulary(error) }
+    }
+}
+
+impl From<TreeTrainingError> for ModelTrainingError {
+    fn from(error: TreeTrainingError) -> Self {
+        if error == TreeTrainingError::Cancelled { Self::Cancelled } else { Self::Tree(error) }
+    }
+}
+
+impl Model {
+    /// Vocabulary, tree and sampling set from the descriptors of training images, one set an image.
+    /// `extractor` names how they were made. `observer` hears of the progress and may cancel.
+    ///
+    /// # Errors
+    /// [`ModelTrainingError`].
+    pub fn train(
+        extractor: &str,
+        images: &[Descriptors],
+        settings: &ModelTrainingSettings,
+        observer: &mut dyn FnMut(ModelTrainingProgress) -> ControlFlow<()>,
+    ) -> Result<Self, ModelTrainingError> {
+        let ModelTrainingSettings { vocabulary, tree, detector } = settings;
+        let wanted = vocabulary.words as usize * ModelTrainingSettings::DESCRIPTORS_PER_WORD;
+        let sample = evenly_taken_descriptors(images, wanted)?;
+        let vocabulary = Vocabulary::train(&sample, vocabulary, &mut |progress| {
+            observer(ModelTrainingProgress { stage: TrainingStage::Vocabulary, fraction: progress.fraction })
+        })?;
+        let observations = observe_all(&vocabulary, images, observer)?;
+        let tree = ChowLiuTree::train(&observations, vocabulary.len(), *tree, &mut |fraction| {
+            observer(ModelTrainingProgress { stage: TrainingStage::Tree, fraction })
+        })?;
+        let sampling_set = evenly_taken(&observations, ModelTrainingSettings::MAX_SAMPLES);
+        Ok(Self::new(extractor.to_owned(), vocabulary, tree, *detector, sampling_set)?)
+    }
+}
+
+fn observe_all(
+    vocabulary: &Vocabulary,
+    images: &[Descriptors],
+    observer: &mut dyn FnMut(ModelTrainingProgress) -> ControlFlow<()>,
+) -> Result<Vec<Observation>, ModelTrainingError> {
+    let mut observations = Vec::with_capacity(images.len());
+    for (done, descriptors) in images.iter().enumerate() {
+        let fraction = done as f64 / images.len() as f64;
+        if observer(ModelTrainingProgress { stage: TrainingStage::Quantization, fraction }).is_break() {
+            return Err(ModelTrainingError::Cancelled);
+        }
+        observations.push(vocabulary.observe(descriptors)?);
+    }
+    Ok(observations)
+}
+
+/// At most `wanted` descriptors, every so-manieth of all in order.
+fn evenly_taken_descriptors(
+    images: &[Descriptors],
+    wanted: usize,
+) -> Result<Descriptors, ModelTrainingError> {
+    let none = ModelTrainingError::NoDescriptors { images: images.len() };
+    let Some(first) = images.iter().find(|descriptors| !descriptors.is_empty()) else { return Err(none) };
+    let mut rows = Vec::new();
+    for descriptors in images {
+        first.check_matches(descriptors)?;
+        rows.extend(descriptors.rows());
+    }
+    let taken: Vec<u8> = every_nth(rows.len(), wanted).flat_map(|row| rows[row]).copied().collect();
+    Ok(Descriptors::new(first.kind(), first.width(), taken)?)
+}
+
+fn evenly_taken(observations: &[Observation], wanted: usize) -> Vec<Observation> {
+    every_nth(observations.len(), wanted).map(|index| observations[index].clone()).collect()
+}
+
+/// At most `wanted` of the numbers below `len`, evenly spread.
+fn every_nth(len: usize, wanted: usize) -> impl Iterator<Item = usize> {
+    let taken = len.min(wanted);
+    (0..taken).map(move |index| (index as u128 * len as u128 / taken as u128) as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_are_spread_over_all() {
+        assert_eq!(every_nth(10, 4).collect::<Vec<_>>(), [0, 2, 5, 7]);
+        assert_eq!(every_nth(3, 9).collect::<Vec<_>>(), [0, 1, 2]);
+        assert_eq!(every_nth(0, 9).count(), 0);
+    }
+}

@@ -1,0 +1,164 @@
+//! An observation Z: which words of the vocabulary an image shows, and how often.
+
+use crate::codec::{DecodeError, Reader, Writer};
+
+/// Number of a visual word, counted from 0.
+pub type WordId = u32;
+
+/// An observation Z: the words seen in one image, ascending, each with how often it was seen.
+///
+/// FAB-MAP's z_q is 1 for the words listed and 0 for all others; the counts serve the tf-idf
+/// baseline alone.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Observation {
+    words: Vec<WordId>,
+    counts: Vec<u32>,
+}
+
+/// Why words are not an observation.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ObservationError {
+    /// A word that the vocabulary does not have.
+    #[error(
+        "word {word} is not in a vocabulary of {vocabulary_len} words; quantize with the map's own model"
+    )]
+    UnknownWord {
+        /// The word.
+        word: WordId,
+        /// Words in the vocabulary.
+        vocabulary_len: usize,
+    },
+}
+
+impl Observation {
+    /// Collects words in any order, repeated as often as they were seen.
+    ///
+    /// # Errors
+    /// [`ObservationError::UnknownWord`] if a word is not below `vocabulary_len`.
+    pub fn from_words(
+        words: impl IntoIterator<Item = WordId>,
+        vocabulary_len: usize,
+    ) -> Result<Self, ObservationError> {
+        let mut sorted: Vec<WordId> = words.into_iter().collect();
+        sorted.sort_unstable();
+        if let Some(&word) = sorted.last().filter(|&&last| last as usize >= vocabulary_len) {
+            return Err(ObservationError::UnknownWord { word, vocabulary_len });
+        }
+        let mut observation = Self::default();
+        for run in sorted.chunk_by(|a, b| a == b) {
+            observation.words.push(run[0]);
+            observation.counts.push(u32::try_from(run.len()).unwrap_or(u32::MAX));
+        }
+        Ok(observation)
+    }
+
+    /// The words seen, ascending, each once.
+    #[must_use]
+    pub fn words(&self) -> &[WordId] {
+        &self.words
+    }
+
+    /// Words with how often each was seen (at least once), ascending by word.
+    pub fn word_counts(&self) -> impl Iterator<Item = (WordId, u32)> + '_ {
+        self.words.iter().copied().zip(self.counts.iter().copied())
+    }
+
+    /// Number of different words seen.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.words.len()
+    }
+
+    /// True if no word was seen.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.words.is_empty()
+    }
+
+    /// z_q: whether `word` was seen.
+    #[must_use]
+    pub fn contains(&self, word: WordId) -> bool {
+        self.words.binary_search(&word).is_ok()
+    }
+
+    /// Appends the byte form: number of words, then for each the distance from the word before
+    /// and, where it is not 1, its count. About 1.5 bytes a word at 10,000 words.
+    pub fn encode(&self, writer: &mut Writer) {
+        writer.varint(self.words.len() as u64);
+        let mut previous = 0;
+        for (word, count) in self.word_counts() {
+            let repeated = u64::from(count > 1);
+            writer.varint(u64::from(word - previous) << 1 | repeated);
+            if count > 1 {
+                writer.varint(u64::from(count));
+            }
+            previous = word;
+        }
+    }
+
+    /// Reads what [`Observation::encode`] wrote.
+    ///
+    /// # Errors
+    /// [`DecodeError`] if the bytes are cut or hold a word not below `vocabulary_len`, a word
+    /// twice, or a count of 0.
+    pub fn decode(reader: &mut Reader<'_>, vocabulary_len: usize) -> Result<Self, DecodeError> {
+        let len = reader.count(1)?;
+        let mut observation = Self { words: Vec::with_capacity(len), counts: Vec::with_capacity(len) };
+        let mut previous = 0u64;
+        for index in 0..len {
+            let step = reader.varint()?;
+            let word = previous.saturating_add(step >> 1);
+            if (index > 0 && word == previous) || word >= vocabulary_len as u64 {
+                return Err(DecodeError::invalid(format_args!("word {word} of an observation")));
+            }
+            let count = if step & 1 == 1 { reader.varint_u32()? } else { 1 };
+            if count == 0 {
+                return Err(DecodeError::invalid("a word counted 0 times"));
+            }
+            observation.words.push(word as WordId);
+            observation.counts.push(count);
+            previous = word;
+        }
+        Ok(observation)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn bytes_give_the_observation_back(words in proptest::collection::vec(0..5000u32, 0..400)) {
+            let observation = Observation::from_words(words, 5000).unwrap();
+            let mut writer = Writer::default();
+            observation.encode(&mut writer);
+            let bytes = writer.into_bytes();
+            let mut reader = Reader::new(&bytes);
+            prop_assert_eq!(Observation::decode(&mut reader, 5000), Ok(observation));
+            prop_assert_eq!(reader.end(), Ok(()));
+        }
+
+        #[test]
+        fn foreign_bytes_never_make_an_unsorted_observation(bytes in proptest::collection::vec(any::<u8>(), 0..60)) {
+            if let Ok(observation) = Observation::decode(&mut Reader::new(&bytes), 300) {
+                prop_assert!(observation.words().is_sorted_by(|a, b| a < b));
+                prop_assert!(observation.words().iter().all(|&word| word < 300));
+            }
+        }
+    }
+
+    #[test]
+    fn words_are_counted_and_sorted() {
+        let observation = Observation::from_words([7, 2, 7, 0], 8).unwrap();
+        assert_eq!(observation.word_counts().collect::<Vec<_>>(), [(0, 1), (2, 1), (7, 2)]);
+        assert!(observation.contains(2) && !observation.contains(3));
+    }
+
+    #[test]
+    fn a_word_beyond_the_vocabulary_is_refused() {
+        let refused = Observation::from_words([1, 8], 8);
+        assert_eq!(refused, Err(ObservationError::UnknownWord { word: 8, vocabulary_len: 8 }));
+    }
+}

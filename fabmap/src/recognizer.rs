@@ -1,0 +1,211 @@
+//! The story: an observation comes in, a belief about where the robot is comes out.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::appearance::{Appearance, PlaceId};
+use crate::detector::DetectorModel;
+use crate::explanation::Explanation;
+use crate::inverted_index::InvertedIndex;
+use crate::likelihood::{Dependence, ObservationModel};
+use crate::model::Model;
+use crate::new_place::{NewPlace, NewPlaceMethod, NoSamplesError};
+use crate::observation::Observation;
+use crate::place_filter::{FilterError, FilterSettings, MotionPrior, PlaceDistribution, PlaceFilter};
+
+/// FAB-MAP over a growing set of places.
+#[derive(Clone, Debug)]
+pub struct Recognizer {
+    index: InvertedIndex,
+    new_place: NewPlace,
+    filter: PlaceFilter,
+    scorer: Scorer,
+}
+
+/// The paper's choices, all in one place.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RecognizerSettings {
+    /// Words coupled by the tree, or independent.
+    pub dependence: Dependence,
+    /// How places nobody has seen are stood in for.
+    pub new_place: NewPlaceMethod,
+    /// Which evaluation of the likelihood is used; both give the same values.
+    pub scorer: Scorer,
+    /// The model's own detector is used where this is `None`.
+    pub detector: Option<DetectorModel>,
+    /// Settings of the Bayes filter.
+    pub filter: FilterSettings,
+}
+
+/// How likelihoods are evaluated.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Scorer {
+    /// The inverted index.
+    #[default]
+    Index,
+    /// Every word of every place: the oracle, for comparison.
+    Dense,
+}
+
+/// Settings and model do not make a recognizer.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum RecognizerError {
+    /// A setting of the filter is out of range.
+    #[error(transparent)]
+    Filter(#[from] FilterError),
+    /// The sampled new-place term needs a sampling set.
+    #[error(transparent)]
+    NoSamples(#[from] NoSamplesError),
+}
+
+/// What one observation says about where the robot is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recognition {
+    /// ln p(Z | L_i) per place, in nats.
+    pub log_likelihoods: Vec<f64>,
+    /// ln p(Z | L_new), in nats.
+    pub new_place_log_likelihood: f64,
+    /// Before the observation.
+    pub prior: PlaceDistribution,
+    /// After it.
+    pub posterior: PlaceDistribution,
+}
+
+/// Which place an observation belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Association {
+    /// A place that is not on the map.
+    New,
+    /// A place that is.
+    Seen(PlaceId),
+}
+
+/// A step of the work on one frame, for whoever measures time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Stage {
+    /// ln p(Z | L_i) of all places.
+    Likelihood,
+    /// ln p(Z | L_new).
+    NewPlace,
+    /// Prior, Bayes' rule, normalisation.
+    Filter,
+}
+
+/// Hears when a stage is completed. This crate has no clock; `()` ignores it.
+pub trait StageObserver {
+    /// `stage` has just been completed.
+    fn completed(&mut self, stage: Stage);
+}
+
+impl StageObserver for () {
+    fn completed(&mut self, _stage: Stage) {}
+}
+
+impl Recognizer {
+    /// A recognizer that knows no place yet.
+    ///
+    /// # Errors
+    /// [`RecognizerError`] if a setting is out of range, or the model lacks what it asks for.
+    pub fn new(model: &Model, settings: RecognizerSettings) -> Result<Self, RecognizerError> {
+        let RecognizerSettings { dependence, new_place, scorer, detector, filter } = settings;
+        let detector = detector.unwrap_or(*model.detector());
+        let observation_model = Arc::new(ObservationModel::new(model.tree(), detector, dependence));
+        Ok(Self {
+            new_place: NewPlace::new(new_place, &observation_model, model.sampling_set())?,
+            index: InvertedIndex::new(observation_model),
+            filter: PlaceFilter::new(filter)?,
+            scorer,
+        })
+    }
+
+    /// Where the robot is, given what it sees and where motion puts it.
+    #[must_use]
+    pub fn recognize(
+        &self,
+        observation: &Observation,
+        motion: &MotionPrior,
+        observer: &mut dyn StageObserver,
+    ) -> Recognition {
+        let log_likelihoods = self.log_likelihoods(observation);
+        observer.completed(Stage::Likelihood);
+        let new_place_log_likelihood = self.new_place.log_likelihood(observation);
+        observer.completed(Stage::NewPlace);
+        let prior = self.filter.prior(motion, log_likelihoods.len());
+        let posterior = self.filter.update(&log_likelihoods, new_place_log_likelihood, &prior);
+        observer.completed(Stage::Filter);
+        Recognition { log_likelihoods, new_place_log_likelihood, prior, posterior }
+    }
+
+    /// Number of places.
+    #[must_use]
+    pub fn places(&self) -> usize {
+        self.index.len()
+    }
+
+    /// The places and the index over them.
+    #[must_use]
+    pub fn index(&self) -> &InvertedIndex {
+        &self.index
+    }
+
+    /// Adds a place and returns its id.
+    ///
+    /// # Panics
+    /// If the appearance is of another vocabulary.
+    pub fn add_place(&mut self, appearance: Appearance) -> PlaceId {
+        self.index.add(appearance)
+    }
+
+    /// Takes one more look at a place.
+    ///
+    /// # Panics
+    /// If there is no such place, or the observation is of another vocabulary.
+    pub fn observe_place(&mut self, place: PlaceId, observation: &Observation) {
+        self.index.observe(place, observation);
+    }
+
+    /// Why `place` got its posterior; `None` if there is no such place. Lists at most `words` words
+    /// for and as many against.
+    #[must_use]
+    pub fn explain(
+        &self,
+        observation: &Observation,
+        recognition: &Recognition,
+        place: PlaceId,
+        words: usize,
+    ) -> Option<Explanation> {
+        let appearance = self.index.appearance(place)?;
+        Explanation::new(
+            self.index.model(),
+            self.new_place.method(),
+            observation,
+            recognition,
+            place,
+            appearance,
+            words,
+        )
+    }
+
+    fn log_likelihoods(&self, observation: &Observation) -> Vec<f64> {
+        match self.scorer {
+            Scorer::Index => self.index.log_likelihoods(observation),
+            Scorer::Dense => {
+                let model = self.index.model();
+                let dense = |place| model.dense_log_likelihood(observation, place);
+                self.index.appearances().par_iter().map(dense).collect()
+            }
+        }
+    }
+}
+
+impl Recognition {
+    /// The largest of the posterior, "somewhere new" included; a known place wins a tie.
+    #[must_use]
+    pub fn association(&self) -> Association {
+        match self.posterior.best_place() {
+            Some((place, probability)) if probability >= self.posterior.new_place => Association::Seen(place),
+            Some(_) | None => Association::New,
+        }
+    }
+}

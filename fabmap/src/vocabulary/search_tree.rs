@@ -1,0 +1,189 @@
+//! A vocabulary too large to compare with every word: words in cells, searched best cell first.
+
+use super::centres::Centres;
+use super::kmeans::{self, Cancelled, Clusters, Step};
+use super::training_set::TrainingSet;
+use crate::codec::{DecodeError, Reader, Writer};
+use crate::descriptor::DescriptorKind;
+use crate::observation::WordId;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::ops::ControlFlow;
+
+/// Cells are visited, nearest first, until a descriptor was compared with this many words. A search
+/// then costs about as much as the largest exact one, and on real images it finds a word as near as the
+/// nearest for 99.9% of SIFT and 99.7% of ORB descriptors (40,000 to 100,000 words).
+const WORDS_COMPARED: usize = 8192;
+
+/// Cells trained between two calls of the observer.
+const CELLS_PER_STEP: usize = 16;
+
+/// A tree of two levels: about √W cells, found by k-means over all descriptors, and in each cell
+/// its words, found by k-means over the cell's descriptors.
+///
+/// A descriptor's nearest word often lies across the border of its nearest cell, so more cells are
+/// searched, best first. What is found is the nearest word of the cells visited.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct SearchTree {
+    cells: Centres,
+    /// Words of each cell. Words are numbered through all cells in order.
+    words: Vec<Centres>,
+    /// Number of the first word of each cell.
+    first_words: Vec<WordId>,
+}
+
+/// How far training has come.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum TreeStep {
+    /// Clustering into cells.
+    Cells(Step),
+    /// Clustering each cell into words.
+    Words { trained: u32, cells: u32 },
+}
+
+impl SearchTree {
+    /// Trains a tree of exactly `words` words, at most as many as the set has rows.
+    pub(super) fn train(
+        set: &TrainingSet<'_>,
+        words: usize,
+        iterations: u32,
+        seed: u64,
+        observer: &mut dyn FnMut(TreeStep) -> ControlFlow<()>,
+    ) -> Result<Self, Cancelled> {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let cells = kmeans::cluster(set, words.isqrt(), iterations, &mut random, &mut |step| {
+            observer(TreeStep::Cells(step))
+        })?;
+        let members = cells.members(set.width);
+        let shares = shares(&members, set.len(), words);
+        let mut centres = Vec::with_capacity(members.len());
+        for (step, (members, shares)) in
+            members.chunks(CELLS_PER_STEP).zip(shares.chunks(CELLS_PER_STEP)).enumerate()
+        {
+            let (trained, cells) = (centres.len() as u32, cells.centres.len() / set.width);
+            Cancelled::unless_continued(observer(TreeStep::Words { trained, cells: cells as u32 }))?;
+            let trained: Result<Vec<Clusters>, Cancelled> = members
+                .par_iter()
+                .zip(shares)
+                .enumerate()
+                .map(|(index, (members, &share))| {
+                    let mut random = ChaCha8Rng::seed_from_u64(seed);
+                    random.set_stream((step * CELLS_PER_STEP + index + 1) as u64);
+                    let continued = &mut |_| ControlFlow::Continue(());
+                    kmeans::cluster(&set.subset(members), share, iterations, &mut random, continued)
+                })
+                .collect();
+            centres.extend(
+                trained?.into_iter().map(|clusters| Centres::pack(set.kind, set.width, &clusters.centres)),
+            );
+        }
+        Ok(Self::new(Centres::pack(set.kind, set.width, &cells.centres), centres))
+    }
+
+    fn new(cells: Centres, words: Vec<Centres>) -> Self {
+        let mut next = 0;
+        let first_words = words
+            .iter()
+            .map(|words| {
+                let first = next;
+                next += words.len() as WordId;
+                first
+            })
+            .collect();
+        Self { cells, words, first_words }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.words.iter().map(Centres::len).sum()
+    }
+
+    /// The nearest word of the cells visited, the lowest number among equals.
+    pub(super) fn word(&self, descriptor: &[u8]) -> WordId {
+        let distances = self.cells.distances(descriptor);
+        let mut nearest_cells: BinaryHeap<Reverse<(u32, usize)>> =
+            distances.into_iter().zip(0..).map(Reverse).collect();
+        let mut compared = 0;
+        let mut best = (u32::MAX, WordId::MAX);
+        while compared < WORDS_COMPARED
+            && let Some(Reverse((_, cell))) = nearest_cells.pop()
+        {
+            let nearest = self.words[cell].nearest_one(descriptor);
+            best = best.min((nearest.distance, self.first_words[cell] + nearest.id));
+            compared += self.words[cell].len();
+        }
+        best.1
+    }
+
+    /// All words in the order of their numbers.
+    #[cfg(test)]
+    pub(super) fn word_rows(&self) -> Vec<u8> {
+        self.words.iter().flat_map(Centres::rows).collect()
+    }
+
+    /// Cells, then the words of each.
+    pub(super) fn encode(&self, writer: &mut Writer) {
+        self.cells.encode(writer);
+        for words in &self.words {
+            words.encode(writer);
+        }
+    }
+
+    /// Reads what [`SearchTree::encode`] wrote.
+    pub(super) fn decode(
+        kind: DescriptorKind,
+        width: usize,
+        reader: &mut Reader<'_>,
+    ) -> Result<Self, DecodeError> {
+        let cells = Centres::decode(kind, width, reader)?;
+        let mut len = 0;
+        let mut words = Vec::with_capacity(cells.len());
+        for _ in 0..cells.len() {
+            let of_cell = Centres::decode(kind, width, reader)?;
+            len += of_cell.len();
+            words.push(of_cell);
+        }
+        WordId::try_from(len).map_err(|_| DecodeError::invalid(format_args!("{len} words")))?;
+        Ok(Self::new(cells, words))
+    }
+}
+
+/// How many of the words each cell gets: one, and of the rest a share in proportion to its distinct
+/// rows (largest remainders, the first cell among equals). With n rows in all, a cell of n_c rows
+/// gets at most n_c words, since W ≤ n.
+fn shares(members: &[Vec<usize>], rows: usize, words: usize) -> Vec<usize> {
+    let cells = members.len();
+    let (spare_words, spare_rows) = ((words - cells) as u128, ((rows - cells) as u128).max(1));
+    let claims = || members.iter().map(|members| spare_words * (members.len() - 1) as u128);
+    let mut shares: Vec<usize> = claims().map(|claim| 1 + (claim / spare_rows) as usize).collect();
+    let mut remainders: Vec<(Reverse<u128>, usize)> =
+        claims().map(|claim| Reverse(claim % spare_rows)).zip(0..).collect();
+    remainders.sort_unstable();
+    let left = words - shares.iter().sum::<usize>();
+    for (_, cell) in &remainders[..left] {
+        shares[*cell] += 1;
+    }
+    shares
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn shares_add_up_and_no_cell_gets_more_words_than_rows(
+            sizes in proptest::collection::vec(prop_oneof![1..5usize, 1..500usize], 1..60), part in 0.0..=1.0f64,
+        ) {
+            let members: Vec<Vec<usize>> = sizes.iter().map(|&size| vec![0; size]).collect();
+            let rows: usize = sizes.iter().sum();
+            let words = sizes.len() + ((rows - sizes.len()) as f64 * part) as usize;
+            let shares = shares(&members, rows, words);
+            prop_assert_eq!(shares.iter().sum::<usize>(), words);
+            prop_assert!(shares.iter().zip(&sizes).all(|(share, size)| (1..=*size).contains(share)));
+        }
+    }
+}
