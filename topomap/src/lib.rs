@@ -1,0 +1,9 @@
+//! How are places joined? The map as a pure fold of its log, and the story of one frame.
+//!
+//! Pure: no I/O, no async, no pixels. Begin with [`mapper`], which tells the story.
+
+pub mod event;
+pub mod map;
+pub mod mapper;
+pub mod motion;
+pub mod odometry;

@@ -1,0 +1,355 @@
+//! The map: what the log adds up to.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use fabmap::appearance::{Appearance, PlaceId};
+use fabmap::codec::{DecodeError, Reader, Writer};
+use fabmap::model::ContentHash;
+use fabmap::place_filter::Belief;
+use sha2::{Digest, Sha256};
+
+use crate::event::{
+    FrameEvent, FrameId, Link, SessionId, decode_belief, decode_option, encode_belief, encode_option,
+};
+use crate::odometry::Odometry;
+
+/// Places, links and sessions; appearances live in the recognizer's index, under the same ids.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Map {
+    places: Vec<Place>,
+    links: Vec<Link>,
+    /// Per place: the places it is linked with, ascending.
+    linked: Vec<Vec<PlaceId>>,
+    sessions: BTreeMap<SessionId, Session>,
+    /// Events folded in; the next event's position in the log.
+    events: u64,
+}
+
+/// A place, as the frames that it learnt from.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Place {
+    /// Oldest first.
+    pub frames: Vec<PlaceFrame>,
+}
+
+/// A frame that a place learnt from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PlaceFrame {
+    /// The frame.
+    pub frame: FrameId,
+    /// The session it came from.
+    pub session: SessionId,
+    /// The how-manieth frame of that session it was, from 0.
+    pub number: u64,
+}
+
+/// One run of one robot, as far as it has come.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Session {
+    /// Frames so far.
+    pub frames: u64,
+    /// Sequence number of the last frame.
+    pub last_sequence: Option<u64>,
+    /// Stamp of the last frame.
+    pub last_stamp_ns: Option<i64>,
+    /// The last odometry, with its frame's stamp.
+    pub last_odometry: Option<(i64, Odometry)>,
+    /// Where the session is.
+    pub stay: Option<Stay>,
+    /// Places left a short while ago.
+    pub left: VecDeque<LeftPlace>,
+    /// What the next frame starts from.
+    pub belief: Belief,
+}
+
+/// Consecutive frames at one place.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stay {
+    /// The place.
+    pub place: PlaceId,
+    /// Looks that the place has learnt from this stay.
+    pub looks: u32,
+    /// Odometry of the stay's last frame.
+    pub odometry: Option<Odometry>,
+}
+
+/// A place that a session has just left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LeftPlace {
+    /// The place.
+    pub place: PlaceId,
+    /// The number of the session's first frame elsewhere.
+    pub number: u64,
+    /// Looks learnt there; coming back soon continues the stay.
+    pub looks: u32,
+}
+
+impl Map {
+    /// All places, in order of id.
+    #[must_use]
+    pub fn places(&self) -> &[Place] {
+        &self.places
+    }
+
+    /// All links, in order of creation; two places have at most one.
+    #[must_use]
+    pub fn links(&self) -> &[Link] {
+        &self.links
+    }
+
+    /// The places linked with `place`, ascending; none for a place that does not exist.
+    #[must_use]
+    pub fn linked(&self, place: PlaceId) -> &[PlaceId] {
+        self.linked.get(place as usize).map_or(&[], Vec::as_slice)
+    }
+
+    /// A session, if it was opened.
+    #[must_use]
+    pub fn session(&self, session: SessionId) -> Option<&Session> {
+        self.sessions.get(&session)
+    }
+
+    /// All sessions with their numbers, ascending.
+    pub fn sessions(&self) -> impl Iterator<Item = (SessionId, &Session)> {
+        self.sessions.iter().map(|(&id, session)| (id, session))
+    }
+
+    /// The number that the next session gets.
+    #[must_use]
+    pub fn next_session(&self) -> SessionId {
+        self.sessions.last_key_value().map_or(0, |(last, _)| last + 1)
+    }
+
+    /// Events folded in so far: the position of the next.
+    #[must_use]
+    pub fn events(&self) -> u64 {
+        self.events
+    }
+
+    pub(crate) fn open_session(&mut self, session: SessionId) {
+        self.sessions.insert(session, Session::new());
+        self.events += 1;
+    }
+
+    /// Folds a frame in, except for appearances. `guard_frames` bounds what a session remembers of
+    /// the places it left.
+    pub(crate) fn fold_frame(&mut self, event: &FrameEvent, guard_frames: u64) {
+        let session = self.sessions.entry(event.session).or_insert_with(Session::new);
+        if let Some(place) = event.decision.place {
+            if place as usize >= self.places.len() {
+                self.places.resize_with(place as usize + 1, Place::default);
+                self.linked.resize_with(place as usize + 1, Vec::new);
+            }
+            if event.learnt {
+                let learnt =
+                    PlaceFrame { frame: event.frame, session: event.session, number: session.frames };
+                self.places[place as usize].frames.push(learnt);
+            }
+            session.arrive(place, event.learnt, event.odometry.clone(), guard_frames);
+        }
+        session.frames += 1;
+        session.last_sequence = Some(event.sequence);
+        session.last_stamp_ns = Some(event.stamp_ns);
+        if let Some(odometry) = &event.odometry {
+            session.last_odometry = Some((event.stamp_ns, odometry.clone()));
+        }
+        session.belief = event.belief.clone();
+        if let Some(link) = event.link {
+            self.add_link(link);
+        }
+        self.events = event.frame + 1;
+    }
+
+    fn add_link(&mut self, link: Link) {
+        self.links.push(link);
+        for (place, other) in [(link.from, link.to), (link.to, link.from)] {
+            let linked = &mut self.linked[place as usize];
+            if let Err(position) = linked.binary_search(&other) {
+                linked.insert(position, other);
+            }
+        }
+    }
+
+    /// SHA-256 of all that the log decided: counts, frames of places, links with their measurements,
+    /// sessions with their beliefs. Equal logs give equal hashes, whatever happened in between.
+    #[must_use]
+    pub fn state_hash(&self, appearances: &[Appearance]) -> ContentHash {
+        let mut hasher = Sha256::new();
+        for (place, appearance) in self.places.iter().zip(appearances) {
+            hasher.update(encode_place(place, appearance));
+        }
+        hasher.update(self.encode_graph());
+        ContentHash::from_bytes(hasher.finalize().into())
+    }
+
+    /// Links, sessions and the number of events: all but the places.
+    #[must_use]
+    pub fn encode_graph(&self) -> Vec<u8> {
+        let Self { places, links, linked: _, sessions, events } = self;
+        let mut writer = Writer::default();
+        writer.u64(*events);
+        writer.varint(places.len() as u64);
+        writer.varint(links.len() as u64);
+        links.iter().for_each(|link| link.encode(&mut writer));
+        writer.varint(sessions.len() as u64);
+        for (id, session) in sessions {
+            writer.u32(*id);
+            session.encode(&mut writer);
+        }
+        writer.into_bytes()
+    }
+
+    /// Puts a map together from [`Map::encode_graph`] and its places in order.
+    ///
+    /// # Errors
+    /// [`DecodeError`] if the bytes are no graph, or not one of these places.
+    pub fn decode_graph(bytes: &[u8], places: Vec<Place>) -> Result<Self, DecodeError> {
+        let mut reader = Reader::new(bytes);
+        let events = reader.u64()?;
+        let expected = reader.varint()?;
+        if expected != places.len() as u64 {
+            return Err(DecodeError::invalid(format_args!(
+                "{} places where {expected} should be",
+                places.len()
+            )));
+        }
+        let linked = vec![Vec::new(); places.len()];
+        let mut map = Self { places, links: Vec::new(), linked, sessions: BTreeMap::new(), events };
+        for _ in 0..reader.count(9)? {
+            let link = Link::decode(&mut reader)?;
+            let known = |place: PlaceId| (place as usize) < map.places.len();
+            if !known(link.from) || !known(link.to) {
+                return Err(DecodeError::invalid("a link to a place that does not exist"));
+            }
+            map.add_link(link);
+        }
+        for _ in 0..reader.count(4)? {
+            map.sessions.insert(reader.u32()?, Session::decode(&mut reader)?);
+        }
+        reader.end()?;
+        Ok(map)
+    }
+}
+
+/// A place with its appearance, as a checkpoint keeps it.
+#[must_use]
+pub fn encode_place(place: &Place, appearance: &Appearance) -> Vec<u8> {
+    let mut writer = Writer::default();
+    appearance.encode(&mut writer);
+    writer.varint(place.frames.len() as u64);
+    for PlaceFrame { frame, session, number } in &place.frames {
+        writer.varint(*frame);
+        writer.varint(u64::from(*session));
+        writer.varint(*number);
+    }
+    writer.into_bytes()
+}
+
+/// Reads what [`encode_place`] wrote, for a vocabulary of `vocabulary_len` words.
+///
+/// # Errors
+/// [`DecodeError`] if the bytes are no place.
+pub fn decode_place(bytes: &[u8], vocabulary_len: usize) -> Result<(Place, Appearance), DecodeError> {
+    let mut reader = Reader::new(bytes);
+    let appearance = Appearance::decode(&mut reader, vocabulary_len)?;
+    let frames = (0..reader.count(3)?)
+        .map(|_| {
+            Ok(PlaceFrame {
+                frame: reader.varint()?,
+                session: reader.varint_u32()?,
+                number: reader.varint()?,
+            })
+        })
+        .collect::<Result<Vec<_>, DecodeError>>()?;
+    reader.end()?;
+    Ok((Place { frames }, appearance))
+}
+
+impl Session {
+    fn new() -> Self {
+        Self {
+            frames: 0,
+            last_sequence: None,
+            last_stamp_ns: None,
+            last_odometry: None,
+            stay: None,
+            left: VecDeque::new(),
+            belief: Belief::unknown(),
+        }
+    }
+
+    /// The place the session is at, or one that it left fewer than `guard_frames` frames ago.
+    #[must_use]
+    pub fn is_near(&self, place: PlaceId, guard_frames: u64) -> bool {
+        let is_here = self.stay.as_ref().is_some_and(|stay| stay.place == place);
+        is_here || self.left_lately(guard_frames).any(|left| left.place == place)
+    }
+
+    /// Looks that `place` has learnt from the stay there that is going on or was just interrupted.
+    #[must_use]
+    pub fn looks_of_stay(&self, place: PlaceId, guard_frames: u64) -> u32 {
+        match &self.stay {
+            Some(stay) if stay.place == place => stay.looks,
+            Some(_) | None => {
+                self.left_lately(guard_frames).find(|left| left.place == place).map_or(0, |left| left.looks)
+            }
+        }
+    }
+
+    fn left_lately(&self, guard_frames: u64) -> impl Iterator<Item = &LeftPlace> {
+        self.left.iter().filter(move |left| self.frames - left.number < guard_frames)
+    }
+
+    fn arrive(&mut self, place: PlaceId, learnt: bool, odometry: Option<Odometry>, guard_frames: u64) {
+        let number = self.frames;
+        let looks = self.looks_of_stay(place, guard_frames) + u32::from(learnt);
+        let before = self.stay.replace(Stay { place, looks, odometry });
+        if let Some(before) = before.filter(|before| before.place != place) {
+            self.left.retain(|left| left.place != place && number - left.number < guard_frames);
+            self.left.push_back(LeftPlace { place: before.place, number, looks: before.looks });
+        }
+    }
+
+    fn encode(&self, writer: &mut Writer) {
+        let Self { frames, last_sequence, last_stamp_ns, last_odometry, stay, left, belief } = self;
+        writer.u64(*frames);
+        encode_option(last_sequence.as_ref(), writer, |sequence, writer| writer.u64(*sequence));
+        encode_option(last_stamp_ns.as_ref(), writer, |stamp_ns, writer| writer.i64(*stamp_ns));
+        encode_option(last_odometry.as_ref(), writer, |(stamp_ns, odometry), writer| {
+            writer.i64(*stamp_ns);
+            odometry.encode(writer);
+        });
+        encode_option(stay.as_ref(), writer, |Stay { place, looks, odometry }, writer| {
+            writer.u32(*place);
+            writer.u32(*looks);
+            encode_option(odometry.as_ref(), writer, Odometry::encode);
+        });
+        writer.varint(left.len() as u64);
+        for &LeftPlace { place, number, looks } in left {
+            writer.u32(place);
+            writer.u64(number);
+            writer.u32(looks);
+        }
+        encode_belief(belief, writer);
+    }
+
+    fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        Ok(Self {
+            frames: reader.u64()?,
+            last_sequence: decode_option(reader, Reader::u64)?,
+            last_stamp_ns: decode_option(reader, Reader::i64)?,
+            last_odometry: decode_option(reader, |reader| Ok((reader.i64()?, Odometry::decode(reader)?)))?,
+            stay: decode_option(reader, |reader| {
+                Ok(Stay {
+                    place: reader.u32()?,
+                    looks: reader.u32()?,
+                    odometry: decode_option(reader, Odometry::decode)?,
+                })
+            })?,
+            left: (0..reader.count(16)?)
+                .map(|_| Ok(LeftPlace { place: reader.u32()?, number: reader.u64()?, looks: reader.u32()? }))
+                .collect::<Result<_, DecodeError>>()?,
+            belief: decode_belief(reader)?,
+        })
+    }
+}

@@ -1,0 +1,290 @@
+//! The story of a frame: recognise, propose, decide, link; then fold what was decided into the map.
+
+mod errors;
+mod settings;
+mod state;
+
+pub use errors::{ArchiveError, FoldError, FrameError, MapperError, RestoreError};
+pub use settings::MapperSettings;
+
+use fabmap::appearance::{Appearance, PlaceId};
+use fabmap::model::Model;
+use fabmap::observation::Observation;
+use fabmap::recognizer::{Association, Recognition, Recognizer, StageObserver};
+
+use crate::event::{Decision, FrameEvent, FrameId, Link, LinkKind, Match, Reason, SessionId};
+use crate::map::{Map, PlaceFrame, Session};
+use crate::motion::spread_over_links;
+use crate::odometry::Odometry;
+
+/// A map that grows: recognizer and place graph, driven by events.
+///
+/// [`Mapper::decide`] changes nothing; [`Mapper::apply`] is the fold. Whoever holds the log commits
+/// between the two, or after both and before anyone is told.
+#[derive(Clone, Debug)]
+pub struct Mapper {
+    recognizer: Recognizer,
+    map: Map,
+    settings: MapperSettings,
+    vocabulary_len: usize,
+}
+
+/// A frame as it comes from a robot, in words.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameInput {
+    /// The session, which must be open.
+    pub session: SessionId,
+    /// The robot's number of the frame.
+    pub sequence: u64,
+    /// When the image was taken, by the robot's clock, in nanoseconds.
+    pub stamp_ns: i64,
+    /// Where the wheels put the robot then.
+    pub odometry: Option<Odometry>,
+    /// What was seen.
+    pub observation: Observation,
+}
+
+/// Gives back what earlier frames showed; whoever keeps the log implements it.
+pub trait FrameArchive {
+    /// The observation of a frame that a place learnt from.
+    ///
+    /// # Errors
+    /// [`ArchiveError`] if it cannot be read now.
+    fn observation(&self, frame: FrameId) -> Result<Observation, ArchiveError>;
+}
+
+/// What is known of a frame besides its decision, for those who ask why.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Decided {
+    /// What is to be logged.
+    pub event: FrameEvent,
+    /// Likelihoods, prior and posterior behind it.
+    pub recognition: Recognition,
+}
+
+impl Mapper {
+    /// An empty map over `model`.
+    ///
+    /// # Errors
+    /// [`MapperError`] if a setting is out of range.
+    pub fn new(model: &Model, settings: MapperSettings) -> Result<Self, MapperError> {
+        let MapperSettings { closure_threshold, looks_per_stay, max_speed_m_per_s, .. } = settings;
+        if !(closure_threshold > 0.0 && closure_threshold <= 1.0) {
+            return Err(MapperError::ClosureThreshold { value: closure_threshold });
+        }
+        if looks_per_stay == 0 {
+            return Err(MapperError::LooksPerStay);
+        }
+        if max_speed_m_per_s.is_nan() || max_speed_m_per_s <= 0.0 {
+            return Err(MapperError::MaxSpeed { value: max_speed_m_per_s });
+        }
+        Ok(Self {
+            recognizer: Recognizer::new(model, settings.recognizer)?,
+            map: Map::default(),
+            settings,
+            vocabulary_len: model.vocabulary().len(),
+        })
+    }
+
+    /// Decides what a frame is: the story, from the observation to the event that the log keeps.
+    ///
+    /// # Errors
+    /// [`FrameError`] if the frame cannot be taken; nothing changes either way.
+    pub fn decide(
+        &self,
+        input: FrameInput,
+        archive: &dyn FrameArchive,
+        observer: &mut dyn StageObserver,
+    ) -> Result<Decided, FrameError> {
+        let session = self.accept(&input)?;
+        let motion = spread_over_links(&session.belief, |place| self.map.linked(place));
+        let recognition = self.recognizer.recognize(&input.observation, &motion, observer);
+        let proposal = self.propose(&input, session, &recognition, archive)?;
+        let decision = self.associate(&input, session, &recognition, archive)?;
+        let learnt = self.learns(session, &decision);
+        let link = self.link(session, &decision, input.odometry.as_ref());
+        let created = decision.place.filter(|&place| place as usize == self.recognizer.places());
+        let belief = match decision.reason {
+            Reason::TooFewWords => session.belief.clone(),
+            Reason::NewPlace | Reason::SamePlace | Reason::LoopClosure | Reason::BelowThreshold => {
+                recognition.posterior.carry(created)
+            }
+        };
+        let FrameInput { session, sequence, stamp_ns, odometry, observation } = input;
+        let new_place_posterior = recognition.posterior.new_place;
+        let frame = self.map.events();
+        let event = FrameEvent {
+            frame,
+            session,
+            sequence,
+            stamp_ns,
+            odometry,
+            observation,
+            decision,
+            new_place_posterior,
+            proposal,
+            learnt,
+            link,
+            belief,
+        };
+        Ok(Decided { event, recognition })
+    }
+
+    /// What can be said against a frame before looking at it.
+    fn accept(&self, input: &FrameInput) -> Result<&Session, FrameError> {
+        let session =
+            self.map.session(input.session).ok_or(FrameError::UnknownSession { session: input.session })?;
+        if let Some(last) = session.last_sequence.filter(|&last| input.sequence <= last) {
+            return Err(FrameError::SequenceNotRising { sequence: input.sequence, last });
+        }
+        if let Some(last_ns) = session.last_stamp_ns.filter(|&last| input.stamp_ns <= last) {
+            return Err(FrameError::StampNotRising { stamp_ns: input.stamp_ns, last_ns });
+        }
+        let vocabulary_len = self.vocabulary_len;
+        if let Some(&word) = input.observation.words().last().filter(|&&word| word as usize >= vocabulary_len)
+        {
+            return Err(FrameError::ForeignWord { word, vocabulary_len });
+        }
+        if let (Some((then_ns, before)), Some(now)) = (&session.last_odometry, &input.odometry) {
+            let distance_m = now.distance_m(before);
+            let elapsed_s = (input.stamp_ns.saturating_sub(*then_ns)) as f64 * 1e-9;
+            let max_speed_m_per_s = self.settings.max_speed_m_per_s;
+            if distance_m > JUMP_SLACK_M + max_speed_m_per_s * elapsed_s {
+                return Err(FrameError::OdometryJump { distance_m, elapsed_s, max_speed_m_per_s });
+            }
+        }
+        Ok(session)
+    }
+
+    /// Of the most probable place known from before the guard, the frame that matches best.
+    fn propose(
+        &self,
+        input: &FrameInput,
+        session: &Session,
+        recognition: &Recognition,
+        archive: &dyn FrameArchive,
+    ) -> Result<Option<Match>, FrameError> {
+        if self.shows_too_little(input) {
+            return Ok(None);
+        }
+        let mut best: Option<(PlaceId, f64)> = None;
+        for (place, &posterior) in (0..).zip(&recognition.posterior.places) {
+            if best.is_none_or(|(_, best)| posterior > best)
+                && self.frames_before_guard(place, input.session, session).next().is_some()
+            {
+                best = Some((place, posterior));
+            }
+        }
+        match best {
+            Some((place, _)) => self.best_match(place, recognition, input, session, archive),
+            None => Ok(None),
+        }
+    }
+
+    /// Data association: the most probable of all places and "somewhere new".
+    fn associate(
+        &self,
+        input: &FrameInput,
+        session: &Session,
+        recognition: &Recognition,
+        archive: &dyn FrameArchive,
+    ) -> Result<Decision, FrameError> {
+        let posterior = &recognition.posterior;
+        let next_place = self.recognizer.places() as PlaceId;
+        let new_place = Decision {
+            reason: Reason::NewPlace,
+            place: Some(next_place),
+            posterior: posterior.new_place,
+            closure: None,
+        };
+        if self.shows_too_little(input) {
+            return Ok(Decision { reason: Reason::TooFewWords, place: None, ..new_place });
+        }
+        let Association::Seen(place) = recognition.association() else { return Ok(new_place) };
+        let probability = posterior.places[place as usize];
+        if session.is_near(place, self.settings.guard_frames) {
+            return Ok(Decision {
+                reason: Reason::SamePlace,
+                place: Some(place),
+                posterior: probability,
+                closure: None,
+            });
+        }
+        let closure = self.best_match(place, recognition, input, session, archive)?;
+        if probability < self.settings.closure_threshold {
+            return Ok(Decision { reason: Reason::BelowThreshold, closure, ..new_place });
+        }
+        Ok(Decision { reason: Reason::LoopClosure, place: Some(place), posterior: probability, closure })
+    }
+
+    /// Whether the place learns this look. A new place always does, or it would have no appearance.
+    fn learns(&self, session: &Session, decision: &Decision) -> bool {
+        decision.place.is_some_and(|place| {
+            session.looks_of_stay(place, self.settings.guard_frames) < self.settings.looks_per_stay
+        })
+    }
+
+    /// The way here from the place the session was at, unless the two are linked already.
+    fn link(&self, session: &Session, decision: &Decision, odometry: Option<&Odometry>) -> Option<Link> {
+        let (stay, to) = (session.stay.as_ref()?, decision.place?);
+        if stay.place == to || self.map.linked(stay.place).binary_search(&to).is_ok() {
+            return None;
+        }
+        let kind = match (&stay.odometry, odometry) {
+            (Some(from), Some(to)) => LinkKind::Odometry(from.pose().inv_mul(to.pose())),
+            (Some(_) | None, _) => LinkKind::Session,
+        };
+        Some(Link { from: stay.place, to, kind })
+    }
+
+    fn shows_too_little(&self, input: &FrameInput) -> bool {
+        input.observation.len() < self.settings.min_words
+    }
+
+    /// Of the frames that `place` learnt from, but for the latest, the one that matches best.
+    fn best_match(
+        &self,
+        place: PlaceId,
+        recognition: &Recognition,
+        input: &FrameInput,
+        session: &Session,
+        archive: &dyn FrameArchive,
+    ) -> Result<Option<Match>, FrameError> {
+        let model = self.recognizer.index().model();
+        let mut best: Option<(f64, FrameId)> = None;
+        for frame in self.frames_before_guard(place, input.session, session).take(MAX_COMPARED_FRAMES) {
+            let seen = Appearance::of(&archive.observation(frame)?);
+            let log_likelihood = model.sparse_log_likelihood(&input.observation, &seen);
+            if best.is_none_or(|(best, _)| log_likelihood > best) {
+                best = Some((log_likelihood, frame));
+            }
+        }
+        let posterior = &recognition.posterior;
+        Ok(best.map(|(_, frame)| Match {
+            place,
+            posterior: posterior.places[place as usize],
+            log_odds: posterior.log_odds(place),
+            frame,
+        }))
+    }
+
+    /// Frames that a place learnt from, latest first, but for those the session has just sent.
+    fn frames_before_guard(
+        &self,
+        place: PlaceId,
+        current: SessionId,
+        session: &Session,
+    ) -> impl Iterator<Item = FrameId> {
+        let (guard_frames, frames) = (self.settings.guard_frames, session.frames);
+        let is_earlier =
+            move |frame: &&PlaceFrame| frame.session != current || frames - frame.number >= guard_frames;
+        let of_place = self.map.places().get(place as usize).map_or(&[][..], |place| &place.frames);
+        of_place.iter().rev().filter(is_earlier).map(|frame| frame.frame)
+    }
+}
+
+/// Frames of a place that one frame is compared with, the latest: a place learns a few a visit.
+const MAX_COMPARED_FRAMES: usize = 32;
+
+/// Distance that odometry may move in no time: stamps and poses are never quite of one instant.
+const JUMP_SLACK_M: f64 = 1.0;

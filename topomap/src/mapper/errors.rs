@@ -1,0 +1,142 @@
+//! What can go wrong with a map's settings, frames and log.
+
+use fabmap::appearance::PlaceId;
+use fabmap::codec::DecodeError;
+use fabmap::recognizer::RecognizerError;
+
+use crate::event::{FrameId, SessionId};
+
+/// Why a frame was not taken. Nothing has changed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FrameError {
+    /// The session was never opened here.
+    #[error("session {session} is not open in this map; open a session first")]
+    UnknownSession {
+        /// The session.
+        session: SessionId,
+    },
+    /// The frame's number is not above the last one.
+    #[error("sequence number {sequence} is not above {last}, the last one committed; number frames upwards")]
+    SequenceNotRising {
+        /// The number given.
+        sequence: u64,
+        /// The last one committed.
+        last: u64,
+    },
+    /// The frame is older than the one before.
+    #[error(
+        "the stamp {stamp_ns} ns is not after {last_ns} ns, the previous frame's; send frames in the order they were \
+         taken, with the robot's own steady clock"
+    )]
+    StampNotRising {
+        /// The stamp given.
+        stamp_ns: i64,
+        /// The stamp of the frame before.
+        last_ns: i64,
+    },
+    /// The odometry moved faster than any robot.
+    #[error(
+        "the odometry jumped {distance_m:.1} m in {elapsed_s:.3} s, faster than {max_speed_m_per_s} m/s; if the odom frame \
+         was reset, open a new session; if not, check units (metres, nanoseconds)"
+    )]
+    OdometryJump {
+        /// How far it moved.
+        distance_m: f64,
+        /// In which time.
+        elapsed_s: f64,
+        /// The highest speed allowed.
+        max_speed_m_per_s: f64,
+    },
+    /// The observation is of another vocabulary.
+    #[error(
+        "the frame has word {word}, this map's vocabulary {vocabulary_len} words; use the map's own model"
+    )]
+    ForeignWord {
+        /// The word.
+        word: u32,
+        /// Words in the map's vocabulary.
+        vocabulary_len: usize,
+    },
+    /// An earlier frame could not be read back.
+    #[error(transparent)]
+    Archive(#[from] ArchiveError),
+}
+
+/// An earlier frame could not be read back.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("frame {frame} of the map could not be read back: {why}; send the frame again")]
+pub struct ArchiveError {
+    /// The frame.
+    pub frame: FrameId,
+    /// What happened.
+    pub why: String,
+}
+
+/// Settings and model do not make a map.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum MapperError {
+    /// A setting of the recognizer.
+    #[error(transparent)]
+    Recognizer(#[from] RecognizerError),
+    /// The threshold is no probability.
+    #[error("the closure threshold must be above 0 and at most 1, not {value}; leave it out for the default")]
+    ClosureThreshold {
+        /// The value given.
+        value: f64,
+    },
+    /// A stay that teaches nothing would leave new places empty.
+    #[error("a place must learn at least 1 look from a stay; 3 is a good start")]
+    LooksPerStay,
+    /// The speed is not positive.
+    #[error("the highest speed must be above 0 m/s, not {value}; 100 is a good start")]
+    MaxSpeed {
+        /// The value given.
+        value: f64,
+    },
+}
+
+/// An event that is not the next of a map's log: the log is damaged, or of another map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FoldError {
+    /// It stands elsewhere in the log.
+    #[error(
+        "event {found} of the log stands where {expected} should; the log is damaged, restore it from a copy"
+    )]
+    Position {
+        /// The position that comes next.
+        expected: u64,
+        /// The event's own.
+        found: u64,
+    },
+    /// It names a session that cannot be.
+    #[error("the log names session {session} out of order; the log is damaged, restore it from a copy")]
+    Session {
+        /// The session.
+        session: SessionId,
+    },
+    /// It names a place that does not exist.
+    #[error("the log names place {place}, which does not exist; the log is damaged, restore it from a copy")]
+    Place {
+        /// The place.
+        place: PlaceId,
+    },
+    /// It has a word that the map's vocabulary does not.
+    #[error(
+        "the log has word {word} of another vocabulary; the map's model was exchanged, bring back the original"
+    )]
+    Word {
+        /// The word.
+        word: u32,
+    },
+}
+
+/// A map could not be opened from its checkpoint.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum RestoreError {
+    /// Bytes that are no checkpoint.
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
+    /// Settings that the model does not bear.
+    #[error(transparent)]
+    Mapper(#[from] MapperError),
+}

@@ -1,0 +1,297 @@
+//! A map is the fold of its log: live, replayed, and restored from a checkpoint it is the same.
+#![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
+
+use std::ops::ControlFlow;
+
+use fabmap::chow_liu::{ChowLiuTree, TreeTrainingSettings};
+use fabmap::descriptor::{DescriptorKind, Descriptors};
+use fabmap::detector::DetectorModel;
+use fabmap::model::Model;
+use fabmap::observation::Observation;
+use fabmap::vocabulary::{Vocabulary, VocabularySettings};
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use topomap::event::{FrameId, LinkKind, MapEvent, Reason};
+use topomap::mapper::{
+    ArchiveError, FoldError, FrameArchive, FrameError, FrameInput, Mapper, MapperError, MapperSettings,
+};
+use topomap::odometry::Odometry;
+
+const WORDS: u32 = 1000;
+
+/// The log itself answers for earlier frames.
+struct Log(Vec<MapEvent>);
+
+impl FrameArchive for Log {
+    fn observation(&self, frame: FrameId) -> Result<Observation, ArchiveError> {
+        match &self.0[frame as usize] {
+            MapEvent::Frame(event) => Ok(event.observation.clone()),
+            MapEvent::SessionOpened { .. } => Err(ArchiveError { frame, why: "not a frame".to_owned() }),
+        }
+    }
+}
+
+/// A place shows about 40 words of its own choice; a view of it most of these and some others.
+fn view(place: u64, noise: &mut ChaCha8Rng) -> Observation {
+    let mut own = ChaCha8Rng::seed_from_u64(place);
+    let mut words: Vec<u32> = (0..40).map(|_| own.random_range(0..WORDS)).collect();
+    words.retain(|_| noise.random_bool(0.8));
+    words.extend((0..6).map(|_| noise.random_range(0..WORDS)));
+    Observation::from_words(words, WORDS as usize).unwrap()
+}
+
+fn model() -> Model {
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let rows: Vec<u8> = (0..WORDS as usize * 32).map(|_| random.random()).collect();
+    let descriptors = Descriptors::new(DescriptorKind::Binary, 32, rows).unwrap();
+    let settings = VocabularySettings { words: WORDS, seed: 1, iterations: 1 };
+    let vocabulary = Vocabulary::train(&descriptors, &settings, &mut |_| ControlFlow::Continue(())).unwrap();
+    let training: Vec<Observation> = (1000..1200).map(|place| view(place, &mut random)).collect();
+    let tree = ChowLiuTree::train(&training, WORDS as usize, TreeTrainingSettings::default(), &mut |_| {
+        ControlFlow::Continue(())
+    });
+    Model::new("test".to_owned(), vocabulary, tree.unwrap(), DetectorModel::default(), training).unwrap()
+}
+
+fn settings() -> MapperSettings {
+    MapperSettings { guard_frames: 4, ..MapperSettings::default() }
+}
+
+fn odometry(step: u64) -> Odometry {
+    let angle = step as f64 * 0.1;
+    Odometry::new([step as f64 * 0.5, 0.0, 0.0], [0.0, 0.0, angle.sin(), angle.cos()], None).unwrap()
+}
+
+/// Drives sessions through places; every third frame has odometry.
+fn drive(mapper: &mut Mapper, log: &mut Log, steps: &[(u32, u64)], seed: u64) {
+    let mut noise = ChaCha8Rng::seed_from_u64(seed);
+    for (step, &(session, place)) in (1u64..).zip(steps) {
+        while mapper.map().session(session).is_none() {
+            let opened = MapEvent::SessionOpened { session: mapper.map().next_session() };
+            mapper.apply(&opened).unwrap();
+            log.0.push(opened);
+        }
+        let input = FrameInput {
+            session,
+            sequence: step * 2,
+            stamp_ns: step as i64 * 1_000_000_000,
+            odometry: step.is_multiple_of(3).then(|| odometry(step)),
+            observation: view(place, &mut noise),
+        };
+        let event = MapEvent::Frame(Box::new(mapper.decide(input, log, &mut ()).unwrap().event));
+        mapper.apply(&event).unwrap();
+        log.0.push(event);
+    }
+}
+
+fn replay<'a>(mapper: &mut Mapper, events: impl IntoIterator<Item = &'a MapEvent>) {
+    for event in events {
+        // Through the byte form: what the log keeps must be all there is.
+        let stored = MapEvent::from_bytes(&event.to_bytes(), WORDS as usize).unwrap();
+        assert_eq!(&stored, event);
+        mapper.apply(&stored).unwrap();
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn fold_replay_and_restore_agree(
+        steps in proptest::collection::vec((0..3u32, 0..12u64), 1..60), cut in any::<prop::sample::Index>(), seed in any::<u64>(),
+    ) {
+        let model = model();
+        let mut live = Mapper::new(&model, settings()).unwrap();
+        let mut log = Log(Vec::new());
+        drive(&mut live, &mut log, &steps, seed);
+
+        let mut replayed = Mapper::new(&model, settings()).unwrap();
+        replay(&mut replayed, &log.0);
+        prop_assert_eq!(replayed.state_hash(), live.state_hash());
+        prop_assert_eq!(replayed.map(), live.map());
+
+        let checkpoint = cut.index(log.0.len() + 1);
+        let mut half = Mapper::new(&model, settings()).unwrap();
+        replay(&mut half, &log.0[..checkpoint]);
+        let places: Vec<Vec<u8>> = (0..half.recognizer().places() as u32).map(|place| half.encode_place(place).unwrap()).collect();
+        let graph = half.map().encode_graph();
+        let mut restored = Mapper::restore(&model, settings(), places.iter().map(Vec::as_slice), &graph).unwrap();
+        prop_assert_eq!(restored.state_hash(), half.state_hash());
+        replay(&mut restored, &log.0[checkpoint..]);
+        prop_assert_eq!(restored.state_hash(), live.state_hash());
+        prop_assert_eq!(restored.map(), live.map());
+
+        // And all three decide the next frame alike, to the bit.
+        let next = FrameInput { session: steps[0].0, sequence: 10_000, stamp_ns: i64::MAX, odometry: None, observation: view(3, &mut ChaCha8Rng::seed_from_u64(seed)) };
+        let decided = live.decide(next.clone(), &log, &mut ()).unwrap();
+        prop_assert_eq!(&replayed.decide(next.clone(), &log, &mut ()).unwrap(), &decided);
+        prop_assert_eq!(&restored.decide(next, &log, &mut ()).unwrap(), &decided);
+    }
+
+    #[test]
+    fn damaged_events_are_refused_or_folded_but_never_panic(flip in any::<prop::sample::Index>(), bit in 0..8u8) {
+        let model = model();
+        let mut mapper = Mapper::new(&model, settings()).unwrap();
+        let mut log = Log(Vec::new());
+        drive(&mut mapper, &mut log, &[(0, 1), (0, 2), (0, 1)], 5);
+        let mut bytes = log.0.last().unwrap().to_bytes();
+        let position = flip.index(bytes.len());
+        bytes[position] ^= 1 << bit;
+        let mut replayed = Mapper::new(&model, settings()).unwrap();
+        replay(&mut replayed, &log.0[..log.0.len() - 1]);
+        if let Ok(event) = MapEvent::from_bytes(&bytes, WORDS as usize) {
+            let _ = replayed.apply(&event);
+        }
+    }
+}
+
+fn one_frame(session: u32, sequence: u64, stamp_ns: i64, place: u64) -> FrameInput {
+    let observation = view(place, &mut ChaCha8Rng::seed_from_u64(stamp_ns as u64));
+    FrameInput { session, sequence, stamp_ns, odometry: None, observation }
+}
+
+/// A mapper with a log and an open session, one call a frame.
+struct Robot {
+    mapper: Mapper,
+    log: Log,
+}
+
+impl Robot {
+    fn new() -> Self {
+        let mut robot = Self { mapper: Mapper::new(&model(), settings()).unwrap(), log: Log(Vec::new()) };
+        robot.fold(MapEvent::SessionOpened { session: 0 });
+        robot
+    }
+
+    fn fold(&mut self, event: MapEvent) {
+        self.mapper.apply(&event).unwrap();
+        self.log.0.push(event);
+    }
+
+    fn see(&mut self, input: FrameInput) -> topomap::event::FrameEvent {
+        let event = self.mapper.decide(input, &self.log, &mut ()).unwrap().event;
+        self.fold(MapEvent::Frame(Box::new(event.clone())));
+        event
+    }
+
+    fn refusal(&self, input: FrameInput) -> FrameError {
+        let before = self.mapper.state_hash();
+        let refused = self.mapper.decide(input, &self.log, &mut ()).unwrap_err();
+        assert_eq!(self.mapper.state_hash(), before);
+        refused
+    }
+}
+
+#[test]
+fn a_round_closes_where_it_began() {
+    let mut robot = Robot::new();
+    let mut reasons = Vec::new();
+    for (step, place) in (1..).zip([1, 2, 3, 4, 5, 6, 1, 1, 1, 1, 1, 2]) {
+        reasons.push(robot.see(one_frame(0, step, step as i64, place)).decision.reason);
+    }
+    assert_eq!(reasons[..6], [Reason::NewPlace; 6]);
+    assert_eq!(reasons[6], Reason::LoopClosure);
+    assert_eq!(reasons[7..11], [Reason::SamePlace; 4]);
+    assert_eq!(reasons[11], Reason::LoopClosure);
+    let map = robot.mapper.map();
+    assert_eq!(map.links().len(), 6, "the chain of six places and the link that closes it");
+    assert_eq!(map.linked(0), [1, 5]);
+    // Two visits: one look of the first, at most three of the second.
+    assert_eq!(robot.mapper.recognizer().index().appearance(0).unwrap().looks(), 4);
+}
+
+#[test]
+fn a_closure_names_the_frame_that_matched() {
+    let mut robot = Robot::new();
+    for (step, place) in (1..).zip([1, 2, 3, 4, 5, 6]) {
+        robot.see(one_frame(0, step, step as i64, place));
+    }
+    let event = robot.see(one_frame(0, 7, 7, 2));
+    let closure = event.decision.closure.unwrap();
+    // Position 0 of the log is the session's opening, so the second frame is at 2.
+    assert_eq!((event.decision.reason, closure.place, closure.frame), (Reason::LoopClosure, 1, 2));
+    assert_eq!(event.proposal, Some(closure));
+    assert!(closure.posterior > 0.999 && closure.log_odds > 7.0);
+}
+
+#[test]
+fn a_frame_without_words_changes_no_place_and_no_belief() {
+    let mut robot = Robot::new();
+    let first = robot.see(one_frame(0, 1, 1, 1));
+    let dark = FrameInput { observation: Observation::default(), ..one_frame(0, 2, 2, 1) };
+    let event = robot.see(dark);
+    assert_eq!(
+        (event.decision.reason, event.decision.place, event.proposal),
+        (Reason::TooFewWords, None, None)
+    );
+    assert_eq!(event.belief, first.belief);
+    assert_eq!(robot.mapper.recognizer().places(), 1);
+    assert_eq!(robot.see(one_frame(0, 3, 3, 1)).decision.reason, Reason::SamePlace);
+}
+
+#[test]
+fn another_robot_closes_on_the_first_ones_places_at_once() {
+    let mut robot = Robot::new();
+    for (step, place) in (1..).zip([1, 2, 3]) {
+        robot.see(one_frame(0, step, step as i64, place));
+    }
+    robot.fold(MapEvent::SessionOpened { session: 1 });
+    assert_eq!(robot.see(one_frame(1, 1, 1, 2)).decision.reason, Reason::LoopClosure);
+}
+
+#[test]
+fn odometry_measures_the_links_it_saw() {
+    let mut robot = Robot::new();
+    let with = |step: u64| FrameInput {
+        odometry: Some(odometry(step)),
+        ..one_frame(0, step, step as i64 * 1_000_000_000, step)
+    };
+    robot.see(with(1));
+    let link = robot.see(with(2)).link.unwrap();
+    let LinkKind::Odometry(relative) = link.kind else { panic!("{link:?}") };
+    assert!((relative.translation.vector.norm() - 0.5).abs() < 1e-12);
+    let without = FrameInput { odometry: None, ..with(3) };
+    assert_eq!(robot.see(without).link.unwrap().kind, LinkKind::Session);
+}
+
+#[test]
+fn frames_out_of_order_or_out_of_this_world_are_refused() {
+    let mut robot = Robot::new();
+    let at = |step: u64, x_m: f64| {
+        let odometry = Odometry::new([x_m, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], None).unwrap();
+        FrameInput { odometry: Some(odometry), ..one_frame(0, step, step as i64 * 1_000_000_000, 1) }
+    };
+    robot.see(at(5, 0.0));
+    assert!(matches!(robot.refusal(at(5, 0.0)), FrameError::SequenceNotRising { sequence: 5, last: 5 }));
+    let early = FrameInput { stamp_ns: 4_000_000_000, ..at(6, 0.0) };
+    assert!(matches!(robot.refusal(early), FrameError::StampNotRising { .. }));
+    assert!(matches!(robot.refusal(at(6, 500.0)), FrameError::OdometryJump { .. }));
+    assert!(matches!(robot.refusal(one_frame(9, 6, 6, 1)), FrameError::UnknownSession { session: 9 }));
+    let foreign = Observation::from_words([WORDS], WORDS as usize + 1).unwrap();
+    let foreign = FrameInput { observation: foreign, ..at(6, 0.0) };
+    assert!(matches!(robot.refusal(foreign), FrameError::ForeignWord { word: WORDS, .. }));
+    robot.see(at(6, 0.5));
+}
+
+#[test]
+fn events_that_are_not_next_are_refused() {
+    let mut robot = Robot::new();
+    let event = robot.see(one_frame(0, 1, 1, 1));
+    let again = MapEvent::Frame(Box::new(event));
+    assert_eq!(robot.mapper.apply(&again), Err(FoldError::Position { expected: 2, found: 1 }));
+    let skipped = MapEvent::SessionOpened { session: 5 };
+    assert_eq!(robot.mapper.apply(&skipped), Err(FoldError::Session { session: 5 }));
+}
+
+#[test]
+fn settings_out_of_range_are_refused() {
+    let model = model();
+    let refused = |settings| Mapper::new(&model, settings).unwrap_err();
+    for value in [0.0, 1.5, f64::NAN] {
+        let threshold = MapperSettings { closure_threshold: value, ..settings() };
+        assert!(matches!(refused(threshold), MapperError::ClosureThreshold { .. }));
+    }
+    assert_eq!(refused(MapperSettings { looks_per_stay: 0, ..settings() }), MapperError::LooksPerStay);
+    let still = MapperSettings { max_speed_m_per_s: 0.0, ..settings() };
+    assert_eq!(refused(still), MapperError::MaxSpeed { value: 0.0 });
+}
