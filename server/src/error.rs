@@ -1,0 +1,121 @@
+//! What a request can come to, besides success.
+
+use topomap::mapper::FrameError;
+
+use crate::storage::StorageError;
+
+/// Why a request was not served. The message is for the one who asked and says how to mend it; what
+/// only the operator can mend is logged where it happened.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ServiceError {
+    /// The request itself is wrong and will stay so.
+    #[error("{message}")]
+    InvalidArgument {
+        /// What is wrong and how to mend it.
+        message: String,
+    },
+    /// What it names does not exist.
+    #[error("{message}")]
+    NotFound {
+        /// What is wrong and how to mend it.
+        message: String,
+    },
+    /// What it would make is there already.
+    #[error("{message}")]
+    AlreadyExists {
+        /// What is wrong and how to mend it.
+        message: String,
+    },
+    /// It is right, but not now.
+    #[error("{message}")]
+    FailedPrecondition {
+        /// What is wrong and how to mend it.
+        message: String,
+    },
+    /// Another request took its place.
+    #[error("{message}")]
+    Aborted {
+        /// What is wrong and how to mend it.
+        message: String,
+    },
+    /// It would take more than there is.
+    #[error("{message}")]
+    ResourceExhausted {
+        /// What is wrong and how to mend it.
+        message: String,
+    },
+    /// The same request may succeed a little later.
+    #[error("{message}")]
+    Unavailable {
+        /// What is wrong and how to mend it.
+        message: String,
+    },
+    /// The server is at fault.
+    #[error("the server failed on this request; its log says more")]
+    Internal,
+}
+
+impl ServiceError {
+    pub(crate) fn invalid(message: impl std::fmt::Display) -> Self {
+        Self::InvalidArgument { message: message.to_string() }
+    }
+
+    pub(crate) fn not_found(message: impl std::fmt::Display) -> Self {
+        Self::NotFound { message: message.to_string() }
+    }
+
+    pub(crate) fn precondition(message: impl std::fmt::Display) -> Self {
+        Self::FailedPrecondition { message: message.to_string() }
+    }
+
+    pub(crate) fn unavailable(message: impl std::fmt::Display) -> Self {
+        Self::Unavailable { message: message.to_string() }
+    }
+
+    /// A fault of the server: `cause` goes to the log, not to the user.
+    pub(crate) fn internal(cause: impl std::fmt::Display) -> Self {
+        tracing::error!(%cause, "internal error");
+        Self::Internal
+    }
+
+    /// The server is going down in good order.
+    pub(crate) fn stopping() -> Self {
+        Self::unavailable(
+            "the server is stopping; connect again in a moment and send what was not acknowledged",
+        )
+    }
+}
+
+impl From<StorageError> for ServiceError {
+    fn from(error: StorageError) -> Self {
+        match error {
+            StorageError::DiskFull(_) => {
+                tracing::error!(%error, "disk full");
+                Self::unavailable(
+                    "the server's disk is full and nothing was stored; free some space there, then send again",
+                )
+            }
+            StorageError::Exists
+            | StorageError::InUse
+            | StorageError::Directory { .. }
+            | StorageError::Locked { .. }
+            | StorageError::Newer { .. }
+            | StorageError::Damaged(_)
+            | StorageError::Sqlite(_)
+            | StorageError::Migration(_) => Self::internal(error),
+        }
+    }
+}
+
+impl From<FrameError> for ServiceError {
+    fn from(error: FrameError) -> Self {
+        match error {
+            FrameError::UnknownSession { .. } => Self::not_found(error),
+            FrameError::SequenceNotRising { .. } | FrameError::StampNotRising { .. } => {
+                Self::precondition(error)
+            }
+            FrameError::OdometryJump { .. } | FrameError::ForeignWord { .. } => Self::invalid(error),
+            FrameError::Archive(_) => Self::unavailable(error),
+        }
+    }
+}

@@ -1,0 +1,89 @@
+//! Messages to the service's values. Every field is named, so that none is forgotten.
+
+use topomap::odometry::Odometry;
+use waypost_proto::v1;
+use waypost_proto::v1::camera::Model;
+use waypost_proto::v1::panorama::Projection;
+
+use crate::error::ServiceError;
+use crate::service::camera::{Camera, CameraModel};
+
+pub(super) fn odometry(message: v1::Odometry) -> Result<Odometry, ServiceError> {
+    let v1::Odometry { pose, covariance } = message;
+    let missing = "the odometry has no pose; send position and orientation, or leave the odometry out";
+    let pose = pose.ok_or_else(|| ServiceError::invalid(missing))?;
+    let (position_m, orientation) = self::pose(pose, "the odometry")?;
+    let covariance: Option<[f64; 36]> = match covariance.len() {
+        0 => None,
+        36 => covariance.try_into().ok(),
+        other => {
+            return Err(ServiceError::invalid(format_args!(
+                "the odometry's covariance has {other} values; send 36, row by row, or none"
+            )));
+        }
+    };
+    Odometry::new(position_m, orientation, covariance.as_ref()).map_err(ServiceError::invalid)
+}
+
+fn pose(message: v1::Pose, whose: &str) -> Result<([f64; 3], [f64; 4]), ServiceError> {
+    let v1::Pose { position_m, orientation } = message;
+    let (Some(position), Some(orientation)) = (position_m, orientation) else {
+        return Err(ServiceError::invalid(format_args!(
+            "the pose of {whose} needs both position and orientation"
+        )));
+    };
+    let v1::Vector3 { x, y, z } = position;
+    let position = [x, y, z];
+    let v1::Quaternion { x, y, z, w } = orientation;
+    Ok((position, [x, y, z, w]))
+}
+
+pub(super) fn camera(message: v1::Camera) -> Result<Camera, ServiceError> {
+    let v1::Camera { model, image_width_px, image_height_px, base_to_camera } = message;
+    let camera = Camera {
+        model: model.map(camera_model).transpose()?,
+        image_size_px: ((image_width_px, image_height_px) != (0, 0))
+            .then_some((image_width_px, image_height_px)),
+        base_to_camera: base_to_camera.map(|message| pose(message, "the camera")).transpose()?,
+    };
+    camera.check()?;
+    Ok(camera)
+}
+
+fn camera_model(model: Model) -> Result<CameraModel, ServiceError> {
+    Ok(match model {
+        Model::Pinhole(v1::Pinhole { fx_px, fy_px, cx_px, cy_px, distortion }) => {
+            CameraModel::Pinhole { focal_px: [fx_px, fy_px], center_px: [cx_px, cy_px], distortion }
+        }
+        Model::FieldOfView(v1::FieldOfView { horizontal_rad }) => CameraModel::FieldOfView { horizontal_rad },
+        Model::Fisheye(v1::Fisheye { fx_px, fy_px, cx_px, cy_px, distortion }) => {
+            CameraModel::Fisheye { focal_px: [fx_px, fy_px], center_px: [cx_px, cy_px], distortion }
+        }
+        Model::Panorama(panorama) => {
+            let projection = panorama.projection();
+            let v1::Panorama { projection: _, vertical_rad } = panorama;
+            match projection {
+                Projection::Cylindrical => CameraModel::Cylindrical { vertical_rad },
+                Projection::Equirectangular => CameraModel::Equirectangular {
+                    vertical_rad: (vertical_rad != 0.0).then_some(vertical_rad),
+                },
+                Projection::Unspecified => {
+                    return Err(ServiceError::invalid(
+                        "say whether the panorama is cylindrical or equirectangular",
+                    ));
+                }
+            }
+        }
+        Model::HyperbolicMirror(mirror) => {
+            let v1::HyperbolicMirror {
+                center_x_px,
+                center_y_px,
+                inner_radius_px,
+                outer_radius_px,
+                eccentricity,
+            } = mirror;
+            let center_px = [center_x_px, center_y_px];
+            CameraModel::HyperbolicMirror { center_px, inner_radius_px, outer_radius_px, eccentricity }
+        }
+    })
+}

@@ -1,0 +1,179 @@
+use fabmap::detector::DetectorModel;
+use fabmap::likelihood::Dependence;
+use fabmap::new_place::NewPlaceMethod;
+use fabmap::place_filter::FilterSettings;
+use fabmap::recognizer::RecognizerSettings;
+use tonic::{Request, Response, Status};
+use topomap::mapper::MapperSettings;
+use waypost_proto::v1;
+use waypost_proto::v1::map_service_server::MapService;
+use waypost_proto::v1::map_settings;
+
+use super::Adapter;
+use crate::service::maps::{Detail, FrameReference, LoopClosureView, MapSettingsRequest, MapView, PlaceView};
+use crate::service::models::Page;
+use crate::service::names::{map_in, map_name, model_name, place_name};
+use crate::storage::MapCounts;
+
+#[tonic::async_trait]
+impl MapService for Adapter {
+    async fn create_map(&self, request: Request<v1::CreateMapRequest>) -> Result<Response<v1::Map>, Status> {
+        let v1::CreateMapRequest { map_id, model, settings } = request.into_inner();
+        let settings = settings_request(settings.unwrap_or_default());
+        Ok(Response::new(map(self.service.create_map(&map_id, &model, settings).await?)))
+    }
+
+    async fn list_maps(
+        &self,
+        request: Request<v1::ListMapsRequest>,
+    ) -> Result<Response<v1::ListMapsResponse>, Status> {
+        let v1::ListMapsRequest { page_size, page_token } = request.into_inner();
+        let Page { items, next } = self.service.list_maps(page_size, &page_token).await?;
+        let maps = items.into_iter().map(map).collect();
+        Ok(Response::new(v1::ListMapsResponse { maps, next_page_token: next }))
+    }
+
+    async fn get_map(&self, request: Request<v1::GetMapRequest>) -> Result<Response<v1::Map>, Status> {
+        let request = request.into_inner();
+        let detail = match request.view() {
+            v1::MapView::Unspecified => Detail::Basic,
+            v1::MapView::Full => Detail::Full,
+        };
+        let v1::GetMapRequest { name, view: _ } = request;
+        Ok(Response::new(map(self.service.map(&name, detail).await?)))
+    }
+
+    async fn delete_map(
+        &self,
+        request: Request<v1::DeleteMapRequest>,
+    ) -> Result<Response<v1::DeleteMapResponse>, Status> {
+        let v1::DeleteMapRequest { name } = request.into_inner();
+        self.service.delete_map(&name).await?;
+        Ok(Response::new(v1::DeleteMapResponse {}))
+    }
+
+    async fn list_places(
+        &self,
+        request: Request<v1::ListPlacesRequest>,
+    ) -> Result<Response<v1::ListPlacesResponse>, Status> {
+        let v1::ListPlacesRequest { map, page_size, page_token } = request.into_inner();
+        let Page { items, next } = self.service.list_places(&map, page_size, &page_token).await?;
+        let map = map_in(&map)?;
+        let places = items.into_iter().map(|view| place(map, view)).collect();
+        Ok(Response::new(v1::ListPlacesResponse { places, next_page_token: next }))
+    }
+
+    async fn list_matches(
+        &self,
+        request: Request<v1::ListMatchesRequest>,
+    ) -> Result<Response<v1::ListMatchesResponse>, Status> {
+        let v1::ListMatchesRequest { map, page_size, page_token } = request.into_inner();
+        let Page { items, next } = self.service.list_matches(&map, page_size, &page_token).await?;
+        let matches = items.into_iter().map(loop_closure).collect();
+        Ok(Response::new(v1::ListMatchesResponse { matches, next_page_token: next }))
+    }
+}
+
+fn settings_request(settings: v1::MapSettings) -> MapSettingsRequest {
+    let (dependence, new_place) = (settings.dependence(), settings.new_place());
+    let v1::MapSettings {
+        dependence: _,
+        new_place: _,
+        closure_threshold,
+        guard_frames,
+        new_place_prior,
+        true_positive_rate,
+        false_positive_rate,
+    } = settings;
+    MapSettingsRequest {
+        dependence: match dependence {
+            map_settings::Dependence::Unspecified => None,
+            map_settings::Dependence::ChowLiu => Some(Dependence::ChowLiu),
+            map_settings::Dependence::NaiveBayes => Some(Dependence::NaiveBayes),
+        },
+        new_place: match new_place {
+            map_settings::NewPlace::Unspecified => None,
+            map_settings::NewPlace::MeanField => Some(NewPlaceMethod::MeanField),
+            map_settings::NewPlace::Sampled => Some(NewPlaceMethod::Sampled),
+        },
+        closure_threshold,
+        guard_frames,
+        new_place_prior,
+        true_positive_rate,
+        false_positive_rate,
+    }
+}
+
+fn map(view: MapView) -> v1::Map {
+    let MapView { map, model, settings, created_ns, places, links, counts, state_hash } = view;
+    let MapCounts { sessions, frames, loop_closures } = counts;
+    v1::Map {
+        name: map_name(&map),
+        model: model_name(&model),
+        settings: Some(settings_message(&settings)),
+        create_time_ns: created_ns,
+        places,
+        links,
+        sessions,
+        frames,
+        loop_closures,
+        state_hash: state_hash.unwrap_or_default(),
+    }
+}
+
+fn settings_message(settings: &MapperSettings) -> v1::MapSettings {
+    let MapperSettings {
+        recognizer,
+        closure_threshold,
+        guard_frames,
+        looks_per_stay: _,
+        min_words: _,
+        max_speed_m_per_s: _,
+    } = *settings;
+    let RecognizerSettings { dependence, new_place, scorer: _, detector, filter } = recognizer;
+    let FilterSettings { new_place_prior, even_share: _, likelihood_smoothing: _ } = filter;
+    let rate = |exists| move |detector: DetectorModel| detector.probability(true, exists);
+    v1::MapSettings {
+        dependence: match dependence {
+            Dependence::ChowLiu => map_settings::Dependence::ChowLiu,
+            Dependence::NaiveBayes => map_settings::Dependence::NaiveBayes,
+        }
+        .into(),
+        new_place: match new_place {
+            NewPlaceMethod::MeanField => map_settings::NewPlace::MeanField,
+            NewPlaceMethod::Sampled => map_settings::NewPlace::Sampled,
+        }
+        .into(),
+        closure_threshold: Some(closure_threshold),
+        guard_frames: Some(u32::try_from(guard_frames).unwrap_or(u32::MAX)),
+        new_place_prior: Some(new_place_prior),
+        true_positive_rate: detector.map(rate(true)),
+        false_positive_rate: detector.map(rate(false)),
+    }
+}
+
+fn place(map: &str, view: PlaceView) -> v1::Place {
+    let PlaceView { place, looks, words, frames, linked } = view;
+    v1::Place {
+        name: place_name(map, place),
+        looks: u32::from(looks),
+        words: u32::try_from(words).unwrap_or(u32::MAX),
+        frames: frames.into_iter().map(frame_reference).collect(),
+        linked,
+    }
+}
+
+fn loop_closure(view: LoopClosureView) -> v1::LoopClosure {
+    let LoopClosureView { frame, matched, place, posterior } = view;
+    v1::LoopClosure {
+        frame: Some(frame_reference(frame)),
+        matched_frame: Some(frame_reference(matched)),
+        place,
+        posterior,
+    }
+}
+
+pub(super) fn frame_reference(reference: FrameReference) -> v1::FrameReference {
+    let FrameReference { session, sequence, stamp_ns } = reference;
+    v1::FrameReference { session, sequence, stamp_ns }
+}

@@ -1,0 +1,215 @@
+use std::time::Duration;
+
+use bytes::Bytes;
+use futures::stream::{self, BoxStream, StreamExt};
+use prost::Message;
+use tonic::{Request, Response, Status, Streaming};
+use topomap::event::Reason;
+use waypost_proto::v1;
+use waypost_proto::v1::session_service_server::SessionService;
+use waypost_proto::v1::{frame, stream_request, stream_response};
+
+use super::Adapter;
+use super::convert::{camera, odometry};
+use super::maps::frame_reference;
+use super::status::as_message;
+use crate::error::ServiceError;
+use crate::service::names::model_name;
+use crate::service::sessions::{Frame, FrameAnswer, FrameOutcome, FrameTimings, MatchView, SessionStream};
+
+/// Frames of one stream that are turned into words side by side.
+const PREPARED_AHEAD: usize = 2;
+
+/// Frames of one stream that wait for their commit.
+const SUBMITTED_AHEAD: usize = 8;
+
+#[tonic::async_trait]
+impl SessionService for Adapter {
+    type StreamStream = BoxStream<'static, Result<v1::StreamResponse, Status>>;
+
+    async fn stream(
+        &self,
+        request: Request<Streaming<v1::StreamRequest>>,
+    ) -> Result<Response<Self::StreamStream>, Status> {
+        let mut requests = request.into_inner();
+        let first = requests.message().await?.and_then(|first| first.content);
+        let Some(stream_request::Content::Open(open)) = first else {
+            return Err(Status::invalid_argument("the first message of a stream must open a session"));
+        };
+        let session = self.open(open).await?;
+        let opened = Ok(opened(&session));
+        let stopping = self.service.stopping().clone();
+        let frames = frames(session, requests).take_until(stopping.clone().cancelled_owned());
+        // Without this last word a client could take the end of the stream for its own.
+        let stopped =
+            stream::once(
+                async move { stopping.is_cancelled().then(|| Err(ServiceError::stopping().into())) },
+            );
+        let responses = stream::iter([opened]).chain(frames).chain(stopped.filter_map(std::future::ready));
+        Ok(Response::new(responses.boxed()))
+    }
+}
+
+impl Adapter {
+    async fn open(&self, message: v1::OpenSession) -> Result<SessionStream, ServiceError> {
+        let mode = message.mode();
+        let v1::OpenSession { map, session_id, mode: _, camera: declared } = message;
+        match mode {
+            v1::SessionMode::Map => {}
+            v1::SessionMode::Unspecified => {
+                return Err(ServiceError::invalid(
+                    "say which mode the session has; SESSION_MODE_MAP lets the map grow",
+                ));
+            }
+        }
+        let encoded = match declared {
+            Some(declared) => {
+                let encoded = declared.encode_to_vec();
+                camera(declared)?;
+                Some(encoded)
+            }
+            None => None,
+        };
+        self.service.open_session(&map, &session_id, encoded).await
+    }
+}
+
+/// Frames in, outcomes out, in the order they were sent; at most a few are under way at once.
+fn frames(
+    session: SessionStream,
+    requests: Streaming<v1::StreamRequest>,
+) -> impl futures::Stream<Item = Result<v1::StreamResponse, Status>> + Send {
+    let (submitting, waiting) = (session.clone(), session.clone());
+    requests
+        .map(move |request| {
+            let session = session.clone();
+            async move {
+                match request?.content {
+                    Some(stream_request::Content::Frame(message)) => {
+                        Ok(session.prepare(frame(message)).await)
+                    }
+                    Some(stream_request::Content::Open(_)) | None => Err(Status::invalid_argument(
+                        "after the first message of a stream, each must be a frame",
+                    )),
+                }
+            }
+        })
+        .buffered(PREPARED_AHEAD)
+        .then(move |prepared| {
+            let session = submitting.clone();
+            async move {
+                match prepared {
+                    Ok(prepared) => Ok(session.submit(prepared).await),
+                    Err(status) => Err(status),
+                }
+            }
+        })
+        .map(move |pending| {
+            let session = waiting.clone();
+            async move { outcome(session.outcome(pending?).await) }
+        })
+        .buffered(SUBMITTED_AHEAD)
+}
+
+/// A frame, or its number and what is wrong with it.
+fn frame(message: v1::Frame) -> Result<Frame, (u64, ServiceError)> {
+    let v1::Frame { sequence, stamp_ns, content, odometry: moved } = message;
+    let invalid = |message: &str| (sequence, ServiceError::invalid(message));
+    if i64::try_from(sequence).is_err() {
+        return Err(invalid("the sequence number must be below 2^63"));
+    }
+    if stamp_ns <= 0 {
+        return Err(invalid("the frame has no stamp; send when the image was taken, in nanoseconds above 0"));
+    }
+    let Some(frame::Content::Image(image)) = content else {
+        return Err(invalid("the frame has no image; send a JPEG or PNG"));
+    };
+    let moved = moved.map(odometry).transpose().map_err(|error| (sequence, error))?;
+    Ok(Frame { sequence, stamp_ns, image: Bytes::from(image), odometry: moved })
+}
+
+fn opened(session: &SessionStream) -> v1::StreamResponse {
+    respond(stream_response::Content::Opened(v1::SessionOpened {
+        session: session.name().to_owned(),
+        last_committed_sequence: session.last_committed(),
+        model: model_name(session.model_hash()),
+    }))
+}
+
+fn outcome(outcome: FrameOutcome) -> Result<v1::StreamResponse, Status> {
+    match outcome {
+        FrameOutcome::Answered(answered) => Ok(respond(stream_response::Content::Answer(answer(*answered)))),
+        FrameOutcome::Refused { sequence, error } => {
+            let status = Some(as_message(&error));
+            let refusal = v1::FrameRefusal { sequence, last_committed_sequence: None, status };
+            Ok(respond(stream_response::Content::Refusal(refusal)))
+        }
+        FrameOutcome::Ended(error) => Err(error.into()),
+    }
+}
+
+fn respond(content: stream_response::Content) -> v1::StreamResponse {
+    v1::StreamResponse { content: Some(content) }
+}
+
+fn answer(answer: FrameAnswer) -> v1::FrameAnswer {
+    let FrameAnswer {
+        sequence,
+        last_committed,
+        reason,
+        place,
+        posterior,
+        new_place_posterior,
+        places,
+        closure,
+        proposal,
+        words,
+        timings,
+    } = answer;
+    v1::FrameAnswer {
+        sequence,
+        last_committed_sequence: last_committed,
+        reason: reason_code(reason).into(),
+        place,
+        posterior,
+        new_place_posterior,
+        places: places
+            .into_iter()
+            .map(|(place, posterior)| v1::PlaceProbability { place, posterior })
+            .collect(),
+        closure: closure.map(found),
+        proposal: proposal.map(found),
+        words: u32::try_from(words).unwrap_or(u32::MAX),
+        resent: timings.is_none(),
+        timings: timings.map(timings_message),
+    }
+}
+
+fn reason_code(reason: Reason) -> v1::Reason {
+    match reason {
+        Reason::NewPlace => v1::Reason::NewPlace,
+        Reason::SamePlace => v1::Reason::SamePlace,
+        Reason::LoopClosure => v1::Reason::LoopClosure,
+        Reason::BelowThreshold => v1::Reason::BelowThreshold,
+        Reason::TooFewWords => v1::Reason::TooFewWords,
+    }
+}
+
+fn found(found: MatchView) -> v1::Match {
+    let MatchView { place, posterior, log_odds, frame } = found;
+    v1::Match { place, posterior, log_odds, frame: Some(frame_reference(frame)) }
+}
+
+fn timings_message(timings: FrameTimings) -> v1::Timings {
+    let FrameTimings { extract, quantize, likelihood, new_place, filter, commit, total } = timings;
+    let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
+    v1::Timings {
+        extract_ms: ms(extract),
+        quantize_ms: ms(quantize),
+        likelihood_ms: ms(likelihood),
+        new_place_ms: ms(new_place),
+        filter_ms: ms(filter),
+        commit_ms: ms(commit),
+        total_ms: ms(total),
+    }
+}

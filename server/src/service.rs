@@ -1,0 +1,115 @@
+//! What Waypost does for those who ask, whatever protocol they speak: gRPC and REST are thin
+//! adapters over this.
+
+pub(crate) mod camera;
+pub(crate) mod jobs;
+mod map_settings;
+mod map_writer;
+pub(crate) mod maps;
+pub(crate) mod models;
+pub(crate) mod names;
+pub(crate) mod sessions;
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use tokio_util::sync::CancellationToken;
+
+use crate::error::ServiceError;
+use crate::extraction::{Extraction, LoadedModel};
+use crate::service::jobs::Jobs;
+use crate::service::map_writer::OpenMaps;
+use crate::storage::{Storage, StorageError};
+
+/// All that the server can do. Shared by every adapter.
+#[derive(Debug)]
+pub(crate) struct Service {
+    storage: Storage,
+    extraction: Extraction,
+    /// Models in use, by hash; they are immutable.
+    models: Mutex<HashMap<String, Arc<LoadedModel>>>,
+    open_maps: OpenMaps,
+    jobs: Jobs,
+    /// Numbers streams, so that a later one on the same session is known from an earlier.
+    next_stream: AtomicU64,
+    stopping: CancellationToken,
+}
+
+impl Service {
+    pub(crate) fn new(storage: Storage) -> Self {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Self {
+            storage,
+            extraction: Extraction::new(cores),
+            models: Mutex::default(),
+            open_maps: OpenMaps::default(),
+            jobs: Jobs::default(),
+            next_stream: AtomicU64::new(0),
+            stopping: CancellationToken::new(),
+        }
+    }
+
+    /// Cancelled when the server begins to stop: streams end then.
+    pub(crate) fn stopping(&self) -> &CancellationToken {
+        &self.stopping
+    }
+
+    /// Ends streams and jobs, commits and checkpoints every map, closes the database.
+    pub(crate) async fn stop(&self) {
+        self.stopping.cancel();
+        self.jobs.cancel_all();
+        self.open_maps.close_all().await;
+        self.storage.close().await;
+    }
+
+    /// Whether the database answers.
+    pub(crate) async fn check(&self) -> Result<(), ServiceError> {
+        self.storage.maps("", 1).await?;
+        Ok(())
+    }
+
+    fn new_stream(&self) -> u64 {
+        self.next_stream.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// A model ready for work, read from the database if need be.
+    async fn loaded_model(&self, hash: &str) -> Result<Arc<LoadedModel>, ServiceError> {
+        if let Some(model) = self.cached_models().get(hash) {
+            return Ok(model.clone());
+        }
+        let file = self.storage.model_file(hash).await?;
+        let file = file.ok_or_else(|| ServiceError::not_found(format_args!("there is no model {hash}")))?;
+        let decoded = tokio::task::spawn_blocking(move || fabmap::model::Model::from_bytes(&file)).await;
+        let model = decoded.map_err(ServiceError::internal)?.map_err(ServiceError::internal)?;
+        let loaded = Arc::new(LoadedModel::new(model)?);
+        self.cached_models().insert(hash.to_owned(), loaded.clone());
+        Ok(loaded)
+    }
+
+    fn cached_models(&self) -> std::sync::MutexGuard<'_, HashMap<String, Arc<LoadedModel>>> {
+        self.models.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Now, in nanoseconds since 1970.
+fn now_ns() -> i64 {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX)
+}
+
+/// Names what a clash was about.
+fn or_exists(error: StorageError, message: impl FnOnce() -> String) -> ServiceError {
+    match error {
+        StorageError::Exists => ServiceError::AlreadyExists { message: message() },
+        StorageError::InUse
+        | StorageError::DiskFull(_)
+        | StorageError::Directory { .. }
+        | StorageError::Locked { .. }
+        | StorageError::Newer { .. }
+        | StorageError::Damaged(_)
+        | StorageError::Sqlite(_)
+        | StorageError::Migration(_) => error.into(),
+    }
+}

@@ -1,0 +1,220 @@
+//! A map's settings: as asked for, and as stored.
+
+use fabmap::detector::DetectorModel;
+use fabmap::likelihood::Dependence;
+use fabmap::new_place::NewPlaceMethod;
+use fabmap::place_filter::FilterSettings;
+use fabmap::recognizer::{RecognizerSettings, Scorer};
+use serde::{Deserialize, Serialize};
+use topomap::mapper::MapperSettings;
+
+use crate::error::ServiceError;
+
+/// What may be chosen when a map is made; the rest is the default of the day, and stays.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct MapSettingsRequest {
+    pub(crate) dependence: Option<Dependence>,
+    pub(crate) new_place: Option<NewPlaceMethod>,
+    pub(crate) closure_threshold: Option<f64>,
+    pub(crate) guard_frames: Option<u32>,
+    pub(crate) new_place_prior: Option<f64>,
+    pub(crate) true_positive_rate: Option<f64>,
+    pub(crate) false_positive_rate: Option<f64>,
+}
+
+impl MapSettingsRequest {
+    /// Fills in the defaults. Ranges are checked when the map is made.
+    pub(crate) fn with_defaults(self) -> Result<MapperSettings, ServiceError> {
+        let Self {
+            dependence,
+            new_place,
+            closure_threshold,
+            guard_frames,
+            new_place_prior,
+            true_positive_rate,
+            false_positive_rate,
+        } = self;
+        let defaults = MapperSettings::default();
+        let detector = match (true_positive_rate, false_positive_rate) {
+            (None, None) => None,
+            (Some(seen), Some(mistaken)) => {
+                Some(DetectorModel::new(seen, mistaken).map_err(ServiceError::invalid)?)
+            }
+            (Some(_), None) | (None, Some(_)) => {
+                return Err(ServiceError::invalid(
+                    "give both rates of the detector, or neither to use the model's",
+                ));
+            }
+        };
+        let FilterSettings { new_place_prior: prior, even_share, likelihood_smoothing } =
+            defaults.recognizer.filter;
+        Ok(MapperSettings {
+            recognizer: RecognizerSettings {
+                dependence: dependence.unwrap_or(defaults.recognizer.dependence),
+                new_place: new_place.unwrap_or(defaults.recognizer.new_place),
+                scorer: Scorer::Index,
+                detector,
+                filter: FilterSettings {
+                    new_place_prior: new_place_prior.unwrap_or(prior),
+                    even_share,
+                    likelihood_smoothing,
+                },
+            },
+            closure_threshold: closure_threshold.unwrap_or(defaults.closure_threshold),
+            guard_frames: guard_frames.map_or(defaults.guard_frames, u64::from),
+            ..defaults
+        })
+    }
+}
+
+/// The stored form: every setting spelled out, so that a new default changes no old map.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StoredSettings {
+    dependence: StoredDependence,
+    new_place: StoredNewPlace,
+    detector: Option<StoredDetector>,
+    new_place_prior: f64,
+    even_share: f64,
+    likelihood_smoothing: f64,
+    closure_threshold: f64,
+    guard_frames: u64,
+    looks_per_stay: u32,
+    min_words: u64,
+    max_speed_m_per_s: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum StoredDependence {
+    ChowLiu,
+    NaiveBayes,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum StoredNewPlace {
+    MeanField,
+    Sampled,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct StoredDetector {
+    true_positive_rate: f64,
+    false_positive_rate: f64,
+}
+
+/// Settings as the JSON that the database keeps.
+pub(super) fn to_json(settings: &MapperSettings) -> Result<String, ServiceError> {
+    let MapperSettings {
+        recognizer,
+        closure_threshold,
+        guard_frames,
+        looks_per_stay,
+        min_words,
+        max_speed_m_per_s,
+    } = *settings;
+    // Both scorers give the same values, so a map need not remember which was used.
+    let RecognizerSettings { dependence, new_place, scorer: _, detector, filter } = recognizer;
+    let FilterSettings { new_place_prior, even_share, likelihood_smoothing } = filter;
+    let stored = StoredSettings {
+        dependence: match dependence {
+            Dependence::ChowLiu => StoredDependence::ChowLiu,
+            Dependence::NaiveBayes => StoredDependence::NaiveBayes,
+        },
+        new_place: match new_place {
+            NewPlaceMethod::MeanField => StoredNewPlace::MeanField,
+            NewPlaceMethod::Sampled => StoredNewPlace::Sampled,
+        },
+        detector: detector.map(|detector| StoredDetector {
+            true_positive_rate: detector.probability(true, true),
+            false_positive_rate: detector.probability(true, false),
+        }),
+        new_place_prior,
+        even_share,
+        likelihood_smoothing,
+        closure_threshold,
+        guard_frames,
+        looks_per_stay,
+        min_words: min_words as u64,
+        max_speed_m_per_s,
+    };
+    serde_json::to_string(&stored).map_err(ServiceError::internal)
+}
+
+/// Reads what [`to_json`] wrote.
+pub(super) fn from_json(json: &str) -> Result<MapperSettings, ServiceError> {
+    let StoredSettings {
+        dependence,
+        new_place,
+        detector,
+        new_place_prior,
+        even_share,
+        likelihood_smoothing,
+        closure_threshold,
+        guard_frames,
+        looks_per_stay,
+        min_words,
+        max_speed_m_per_s,
+    } = serde_json::from_str(json).map_err(ServiceError::internal)?;
+    let detector = detector.map(|StoredDetector { true_positive_rate, false_positive_rate }| {
+        DetectorModel::new(true_positive_rate, false_positive_rate).map_err(ServiceError::internal)
+    });
+    Ok(MapperSettings {
+        recognizer: RecognizerSettings {
+            dependence: match dependence {
+                StoredDependence::ChowLiu => Dependence::ChowLiu,
+                StoredDependence::NaiveBayes => Dependence::NaiveBayes,
+            },
+            new_place: match new_place {
+                StoredNewPlace::MeanField => NewPlaceMethod::MeanField,
+                StoredNewPlace::Sampled => NewPlaceMethod::Sampled,
+            },
+            scorer: Scorer::Index,
+            detector: detector.transpose()?,
+            filter: FilterSettings { new_place_prior, even_share, likelihood_smoothing },
+        },
+        closure_threshold,
+        guard_frames,
+        looks_per_stay,
+        min_words: usize::try_from(min_words).unwrap_or(usize::MAX),
+        max_speed_m_per_s,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_come_back_from_the_database() {
+        let asked = MapSettingsRequest {
+            dependence: Some(Dependence::NaiveBayes),
+            new_place: Some(NewPlaceMethod::MeanField),
+            closure_threshold: Some(0.7),
+            guard_frames: Some(3),
+            new_place_prior: Some(0.8),
+            true_positive_rate: Some(0.4),
+            false_positive_rate: Some(0.02),
+        };
+        let settings = asked.with_defaults().unwrap();
+        assert_eq!((settings.closure_threshold, settings.guard_frames), (0.7, 3));
+        assert_eq!(from_json(&to_json(&settings).unwrap()), Ok(settings));
+        let defaults = MapSettingsRequest::default().with_defaults().unwrap();
+        assert_eq!(defaults, MapperSettings::default());
+    }
+
+    #[test]
+    fn settings_as_version_0_1_wrote_them_still_open() {
+        let stored = r#"{"dependence":"chow_liu","new_place":"sampled","detector":null,"new_place_prior":0.9,
+            "even_share":0.1,"likelihood_smoothing":0.99,"closure_threshold":0.9,"guard_frames":20,
+            "looks_per_stay":3,"min_words":10,"max_speed_m_per_s":100.0}"#;
+        assert_eq!(from_json(stored).map(|settings| settings.guard_frames), Ok(20));
+    }
+
+    #[test]
+    fn half_a_detector_is_refused() {
+        let asked = MapSettingsRequest { true_positive_rate: Some(0.4), ..MapSettingsRequest::default() };
+        assert!(matches!(asked.with_defaults(), Err(ServiceError::InvalidArgument { .. })));
+    }
+}

@@ -1,0 +1,371 @@
+//! The one writer of a map: a thread that decides, applies, commits in groups, and only then answers.
+
+mod open_maps;
+mod requests;
+
+pub(super) use open_maps::OpenMaps;
+pub(super) use requests::{FrameFailure, FrameRequest, FrameWork, MapHandle, OpenedSession, WriterGone};
+
+use std::collections::{BTreeSet, HashMap};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use fabmap::appearance::PlaceId;
+use fabmap::observation::Observation;
+use fabmap::recognizer::{Stage, StageObserver};
+use tokio::runtime::Handle;
+use tokio::sync::mpsc;
+use topomap::event::{FrameEvent, FrameId, MapEvent, Match, SessionId};
+use topomap::mapper::{ArchiveError, FrameArchive, FrameInput, Mapper};
+
+use self::requests::{FrameReply, MapRequest, MapSummary, PlaceSummary};
+use super::maps::{Detail, reference};
+use super::sessions::{FrameAnswer, FrameTimings, MatchView};
+use super::{now_ns, or_exists};
+use crate::error::ServiceError;
+use crate::extraction::LoadedModel;
+use crate::storage::{LogEntry, MapRow, SessionRow, Storage};
+
+/// Most frames that share one commit.
+const MAX_BATCH: usize = 64;
+
+/// A checkpoint is written after so many events, so that a crash replays no more than these.
+const CHECKPOINT_EVENTS: u64 = 1000;
+
+/// Frames of one place that a list shows.
+const MAX_LISTED_FRAMES: usize = 100;
+
+/// The state of an open map and its way to the disk.
+struct MapWriter {
+    map: MapRow,
+    model: Arc<LoadedModel>,
+    mapper: Mapper,
+    storage: Storage,
+    runtime: Handle,
+    sessions: Vec<SessionRow>,
+    /// The latest stream of each session: frames of an older one are refused.
+    streams: HashMap<SessionId, u64>,
+    /// Decided and applied, but not yet on the disk.
+    pending: Vec<Pending>,
+    /// Places that changed since the checkpoint.
+    changed: BTreeSet<PlaceId>,
+    checkpoint_events: u64,
+}
+
+/// A frame on its way to the disk, and who waits for it.
+struct Pending {
+    entry: LogEntry,
+    reply: FrameReply,
+    timings: FrameTimings,
+    since: Instant,
+}
+
+/// Whether a writer goes on.
+enum Serving {
+    On,
+    Ended,
+}
+
+/// The map in memory is ahead of the disk, or the disk cannot be read: the map must be dropped and
+/// opened anew. Frames that are not answered by then are refused for now.
+struct CommitFailed;
+
+impl MapWriter {
+    /// Serves requests until the map is closed or a commit fails.
+    fn run(mut self, mut requests: mpsc::Receiver<MapRequest>) {
+        while let Some(first) = requests.blocking_recv() {
+            let mut batch = vec![first];
+            while batch.len() < MAX_BATCH
+                && let Ok(next) = requests.try_recv()
+            {
+                batch.push(next);
+            }
+            match self.serve(batch) {
+                Ok(Serving::On) => {}
+                Ok(Serving::Ended) => break,
+                Err(CommitFailed) => {
+                    let map = &self.map.name;
+                    tracing::warn!(map, "the map is dropped from memory and will be opened from the disk");
+                    return;
+                }
+            }
+            if self.mapper.map().events() >= self.checkpoint_events + CHECKPOINT_EVENTS {
+                self.checkpoint();
+            }
+        }
+        self.checkpoint();
+    }
+
+    fn serve(&mut self, batch: Vec<MapRequest>) -> Result<Serving, CommitFailed> {
+        for request in batch {
+            match request {
+                MapRequest::Frame(request) => self.decide(request)?,
+                MapRequest::OpenSession { name, camera, stream, reply } => {
+                    self.commit()?;
+                    let _ = reply.send(self.open_session(&name, camera.as_deref(), stream));
+                }
+                MapRequest::Summary { detail, reply } => {
+                    self.commit()?;
+                    let _ = reply.send(self.summary(detail));
+                }
+                MapRequest::Places { from, count, reply } => {
+                    self.commit()?;
+                    let _ = reply.send(self.places(from, count));
+                }
+                MapRequest::Close => {
+                    self.commit()?;
+                    return Ok(Serving::Ended);
+                }
+            }
+        }
+        self.commit()?;
+        Ok(Serving::On)
+    }
+
+    /// Decides a frame and applies it; the answer waits for the commit.
+    fn decide(&mut self, request: FrameRequest) -> Result<(), CommitFailed> {
+        let FrameRequest { session, stream, work, reply, since } = request;
+        if self.streams.get(&session).is_some_and(|&latest| latest > stream) {
+            let message = "a later stream took this session over; this one is closed".to_owned();
+            let _ = reply.send(Err(FrameFailure::Ended(ServiceError::Aborted { message })));
+            return Ok(());
+        }
+        self.streams.insert(session, stream);
+        let last = self.mapper.map().session(session).and_then(|session| session.last_sequence);
+        if last.is_some_and(|last| work.sequence() <= last) {
+            return self.answer_resend(session, work.sequence(), reply);
+        }
+        let FrameWork::Fresh { input, mut timings } = work else {
+            let message = "the frame was not stored; send it again";
+            let _ = reply.send(Err(FrameFailure::Refused(ServiceError::unavailable(message))));
+            return Ok(());
+        };
+        let mut clock = StageClock { last: Instant::now(), timings: &mut timings };
+        match self.decide_and_apply(*input, &mut clock) {
+            Ok(entry) => self.pending.push(Pending { entry, reply, timings, since }),
+            Err(error) => {
+                let only_for_now = matches!(error, ServiceError::Unavailable { .. });
+                let _ = reply.send(Err(FrameFailure::Refused(error)));
+                // Frames behind it in the queue must not be committed before it comes again.
+                if only_for_now {
+                    return Err(CommitFailed);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn decide_and_apply(
+        &mut self,
+        input: FrameInput,
+        clock: &mut StageClock<'_>,
+    ) -> Result<LogEntry, ServiceError> {
+        let archive = Archive { writer: self };
+        let event = self.mapper.decide(input, &archive, clock)?.event;
+        let (position, touched) = (event.frame, event.decision.place.filter(|_| event.learnt));
+        let event = MapEvent::Frame(Box::new(event));
+        self.mapper.apply(&event).map_err(ServiceError::internal)?;
+        self.changed.extend(touched);
+        Ok(LogEntry { position, event })
+    }
+
+    /// Brings all pending frames to the disk in one transaction, then answers them.
+    fn commit(&mut self) -> Result<(), CommitFailed> {
+        if self.pending.is_empty() {
+            return Ok(());
+        }
+        let pending = std::mem::take(&mut self.pending);
+        let start = Instant::now();
+        let (entries, waiting): (Vec<LogEntry>, Vec<_>) = pending
+            .into_iter()
+            .map(|Pending { entry, reply, timings, since }| (entry, (reply, timings, since)))
+            .unzip();
+        if let Err(error) = self.runtime.block_on(self.storage.append(self.map.id, &entries)) {
+            tracing::error!(map = self.map.name, %error, "commit failed");
+            let error = match ServiceError::from(error) {
+                ServiceError::Internal => {
+                    ServiceError::unavailable("the frame could not be stored; send it again")
+                }
+                other => other,
+            };
+            for (reply, ..) in waiting {
+                let _ = reply.send(Err(FrameFailure::Refused(error.clone())));
+            }
+            return Err(CommitFailed);
+        }
+        let commit = start.elapsed();
+        for (entry, (reply, mut timings, since)) in entries.into_iter().zip(waiting) {
+            timings.commit = commit;
+            timings.total = since.elapsed();
+            if let MapEvent::Frame(event) = entry.event {
+                let _ = reply.send(self.answer(&event, Some(timings)).map_err(FrameFailure::Refused));
+            }
+        }
+        Ok(())
+    }
+
+    fn answer_resend(
+        &mut self,
+        session: SessionId,
+        sequence: u64,
+        reply: FrameReply,
+    ) -> Result<(), CommitFailed> {
+        // The first copy may still be on its way to the disk; an answer must wait for it.
+        self.commit()?;
+        let words = self.model.model.vocabulary().len();
+        let stored = self.storage.event_of_sequence(self.map.id, session, sequence, words);
+        let answer = match self.runtime.block_on(stored) {
+            Ok(Some(MapEvent::Frame(event))) => self.answer(&event, None),
+            Ok(Some(MapEvent::SessionOpened { .. }) | None) => Err(self.never_sent(session, sequence)),
+            Err(error) => Err(error.into()),
+        };
+        let _ = reply.send(answer.map_err(FrameFailure::Refused));
+        Ok(())
+    }
+
+    fn never_sent(&self, session: SessionId, sequence: u64) -> ServiceError {
+        let last = self.mapper.map().session(session).and_then(|session| session.last_sequence).unwrap_or(0);
+        ServiceError::precondition(format_args!(
+            "sequence number {sequence} was skipped and {last} is committed already; number frames upwards from there"
+        ))
+    }
+
+    fn answer(&self, event: &FrameEvent, timings: Option<FrameTimings>) -> Result<FrameAnswer, ServiceError> {
+        let session = self.mapper.map().session(event.session);
+        let found = |found: Option<Match>| {
+            found.map(|found| {
+                let frames = self.runtime.block_on(self.storage.frames_at(self.map.id, &[found.frame]))?;
+                let frame = frames
+                    .first()
+                    .ok_or_else(|| ServiceError::internal("a matched frame is not in the log"))?;
+                let frame = reference(&self.map.name, &self.sessions, frame);
+                let Match { place, posterior, log_odds, frame: _ } = found;
+                Ok::<_, ServiceError>(MatchView { place, posterior, log_odds, frame })
+            })
+        };
+        Ok(FrameAnswer::new(
+            event,
+            session.and_then(|session| session.last_sequence).unwrap_or(event.sequence),
+            found(event.decision.closure).transpose()?,
+            found(event.proposal).transpose()?,
+            timings,
+        ))
+    }
+
+    fn open_session(
+        &mut self,
+        name: &str,
+        camera: Option<&[u8]>,
+        stream: u64,
+    ) -> Result<OpenedSession, ServiceError> {
+        if let Some(session) = self.sessions.iter().find(|session| session.name == name) {
+            let number = session.number;
+            self.streams.insert(number, stream);
+            let last_committed = self.mapper.map().session(number).and_then(|session| session.last_sequence);
+            return Ok(OpenedSession { session: number, last_committed });
+        }
+        let session = SessionRow { number: self.mapper.map().next_session(), name: name.to_owned() };
+        let position = self.mapper.map().events();
+        let opened = self.storage.open_session(self.map.id, position, &session, camera, now_ns());
+        self.runtime
+            .block_on(opened)
+            .map_err(|error| or_exists(error, || format!("there is a session {name} already")))?;
+        let number = session.number;
+        self.mapper.apply(&MapEvent::SessionOpened { session: number }).map_err(ServiceError::internal)?;
+        self.sessions.push(session);
+        self.streams.insert(number, stream);
+        Ok(OpenedSession { session: number, last_committed: None })
+    }
+
+    fn summary(&self, detail: Detail) -> MapSummary {
+        MapSummary {
+            places: self.mapper.recognizer().places() as u64,
+            links: self.mapper.map().links().len() as u64,
+            state_hash: match detail {
+                Detail::Basic => None,
+                Detail::Full => Some(self.mapper.state_hash().to_string()),
+            },
+        }
+    }
+
+    fn places(&self, from: u32, count: u32) -> (Vec<PlaceSummary>, u32) {
+        let map = self.mapper.map();
+        let places = (0..).zip(map.places()).skip(from as usize).take(count as usize);
+        let summaries = places.filter_map(|(place, frames)| {
+            let appearance = self.mapper.recognizer().index().appearance(place)?;
+            let listed = frames.frames.len().saturating_sub(MAX_LISTED_FRAMES);
+            Some(PlaceSummary {
+                place,
+                looks: appearance.looks(),
+                words: appearance.word_hits().len() as u64,
+                frames: frames.frames[listed..].iter().map(|frame| frame.frame).collect(),
+                linked: map.linked(place).to_vec(),
+            })
+        });
+        (summaries.collect(), map.places().len() as u32)
+    }
+
+    /// Writes what changed. A failure costs a slower opening, nothing else.
+    fn checkpoint(&mut self) {
+        let events = self.mapper.map().events();
+        if events == self.checkpoint_events {
+            return;
+        }
+        let changed: Vec<(PlaceId, Vec<u8>)> = self
+            .changed
+            .iter()
+            .filter_map(|&place| Some((place, self.mapper.encode_place(place)?)))
+            .collect();
+        let graph = self.mapper.map().encode_graph();
+        let written = self.storage.put_checkpoint(self.map.id, events, &graph, &changed);
+        match self.runtime.block_on(written) {
+            Ok(()) => {
+                self.changed.clear();
+                self.checkpoint_events = events;
+            }
+            Err(error) => {
+                tracing::warn!(map = self.map.name, %error, "no checkpoint was written; the log has it all");
+            }
+        }
+    }
+}
+
+/// Earlier frames, from those on their way to the disk or from the disk.
+struct Archive<'a> {
+    writer: &'a MapWriter,
+}
+
+impl FrameArchive for Archive<'_> {
+    fn observation(&self, frame: FrameId) -> Result<Observation, ArchiveError> {
+        let MapWriter { pending, storage, map, model, runtime, .. } = self.writer;
+        if let Some(pending) = pending.iter().find(|pending| pending.entry.position == frame)
+            && let MapEvent::Frame(event) = &pending.entry.event
+        {
+            return Ok(event.observation.clone());
+        }
+        let failed = |why: String| ArchiveError { frame, why };
+        match runtime.block_on(storage.event_at(map.id, frame, model.model.vocabulary().len())) {
+            Ok(Some(MapEvent::Frame(event))) => Ok(event.observation),
+            Ok(Some(MapEvent::SessionOpened { .. }) | None) => Err(failed("it is not in the log".to_owned())),
+            Err(error) => Err(failed(error.to_string())),
+        }
+    }
+}
+
+/// Measures the stages of a decision.
+struct StageClock<'a> {
+    last: Instant,
+    timings: &'a mut FrameTimings,
+}
+
+impl StageObserver for StageClock<'_> {
+    fn completed(&mut self, stage: Stage) {
+        let now = Instant::now();
+        let elapsed: Duration = now - std::mem::replace(&mut self.last, now);
+        match stage {
+            Stage::Likelihood => self.timings.likelihood = elapsed,
+            Stage::NewPlace => self.timings.new_place = elapsed,
+            Stage::Filter => self.timings.filter = elapsed,
+        }
+    }
+}

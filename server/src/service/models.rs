@@ -1,0 +1,268 @@
+//! Models: train, list, get, export, import, delete.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use fabmap::chow_liu::TreeTrainingSettings;
+use fabmap::descriptor::Descriptors;
+use fabmap::detector::DetectorModel;
+use fabmap::model::{Model, ModelTrainingError, ModelTrainingSettings, TrainingStage};
+use fabmap::vocabulary::VocabularySettings;
+use waypost_vision::features::Extractor;
+
+use super::jobs::{JobReporter, JobState, JobStatus};
+use super::names::{bad_page_token, id_in, page_size};
+use super::{Service, now_ns};
+use crate::error::ServiceError;
+use crate::extraction::{LoadedModel, extractor};
+use crate::storage::{ModelRow, StorageError};
+
+/// Largest model file that is taken in.
+pub(crate) const MAX_MODEL_BYTES: usize = 1 << 30;
+
+/// Most bytes of descriptors that one training may hold: about 16,000 images of 500 features.
+const MAX_TRAINING_BYTES: usize = 1 << 30;
+
+const MAX_DISPLAY_NAME_CHARS: usize = 100;
+
+/// A page of a list; `next` is the token of the next page, empty on the last.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Page<T> {
+    pub(crate) items: Vec<T>,
+    pub(crate) next: String,
+}
+
+/// Training images as they come in: features are extracted at once, pixels are not kept.
+#[derive(Debug)]
+pub(crate) struct TrainingUpload {
+    display_name: String,
+    extractor: Extractor,
+    settings: ModelTrainingSettings,
+    images: Vec<Descriptors>,
+    bytes: usize,
+    /// How many images the sender said would come: a cancelled upload can look like a complete one.
+    announced: Option<u32>,
+}
+
+impl Service {
+    /// Begins a training: settings first, then images, then [`Service::start_training`].
+    pub(crate) fn begin_training(
+        &self,
+        display_name: &str,
+        extractor_text: &str,
+        words: u32,
+        seed: u64,
+        announced: Option<u32>,
+    ) -> Result<TrainingUpload, ServiceError> {
+        let vocabulary = VocabularySettings { words, seed, ..VocabularySettings::default() };
+        if words < 2 {
+            return Err(ServiceError::invalid(format_args!(
+                "a vocabulary needs at least 2 words, not {words}; 5000 suit a building"
+            )));
+        }
+        Ok(TrainingUpload {
+            display_name: check_display_name(display_name)?,
+            extractor: extractor(extractor_text).map_err(ServiceError::invalid)?,
+            settings: ModelTrainingSettings {
+                vocabulary,
+                tree: TreeTrainingSettings::default(),
+                detector: DetectorModel::default(),
+            },
+            images: Vec::new(),
+            bytes: 0,
+            announced,
+        })
+    }
+
+    /// Takes one more training image.
+    pub(crate) async fn add_training_image(
+        &self,
+        upload: &mut TrainingUpload,
+        image: Bytes,
+    ) -> Result<(), ServiceError> {
+        let number = upload.images.len() + 1;
+        let descriptors =
+            self.extraction.describe(upload.extractor, image).await.map_err(|error| match error {
+                ServiceError::InvalidArgument { message } => {
+                    ServiceError::invalid(format_args!("training image {number}: {message}"))
+                }
+                other => other,
+            })?;
+        upload.bytes += descriptors.as_bytes().len();
+        if upload.bytes > MAX_TRAINING_BYTES {
+            return Err(ServiceError::ResourceExhausted {
+                message: format!(
+                    "{number} images have more features than a training may hold; send fewer images"
+                ),
+            });
+        }
+        upload.images.push(descriptors);
+        Ok(())
+    }
+
+    /// Trains in the background.
+    pub(crate) fn start_training(
+        self: &Arc<Self>,
+        upload: TrainingUpload,
+    ) -> Result<JobStatus, ServiceError> {
+        if upload.images.is_empty() {
+            return Err(ServiceError::invalid("no training image was sent; send the settings, then images"));
+        }
+        let came = upload.images.len();
+        if let Some(announced) = upload.announced.filter(|&announced| announced as usize != came) {
+            return Err(ServiceError::invalid(format_args!(
+                "{announced} images were announced and {came} came; send them all, or announce none"
+            )));
+        }
+        let (status, reporter) = self.jobs.start("waiting for another job");
+        let service = self.clone();
+        tokio::spawn(async move {
+            let state = service.train(upload, &reporter).await;
+            reporter.end(state);
+        });
+        Ok(status)
+    }
+
+    async fn train(&self, upload: TrainingUpload, reporter: &JobReporter) -> JobState {
+        let Some(_turn) = reporter.wait_for_turn().await else { return JobState::Cancelled };
+        let TrainingUpload { display_name, extractor, settings, images, .. } = upload;
+        let progress = reporter.clone();
+        let trained = tokio::task::spawn_blocking(move || {
+            // A pool of its own, one core short: robots want likelihoods meanwhile.
+            let cores = std::thread::available_parallelism().map_or(1, usize::from);
+            let threads = (cores - 1).max(1);
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .map_err(ServiceError::internal)?;
+            let name = extractor.settings().to_string();
+            let mut observer =
+                |p: fabmap::model::ModelTrainingProgress| progress.progress(stage_name(p.stage), p.fraction);
+            let trained = pool.install(|| Model::train(&name, &images, &settings, &mut observer));
+            Ok(trained.map(|model| (model.to_bytes(), model)))
+        })
+        .await;
+        let (file, model) = match trained {
+            Ok(Ok(Ok(trained))) => trained,
+            Ok(Ok(Err(ModelTrainingError::Cancelled))) => return JobState::Cancelled,
+            Ok(Ok(Err(error))) => return JobState::Failed(ServiceError::invalid(error)),
+            Ok(Err(error)) => return JobState::Failed(error),
+            Err(panic) => return JobState::Failed(ServiceError::internal(panic)),
+        };
+        if reporter.progress("storing", 0.0) == ControlFlow::Break(()) {
+            return JobState::Cancelled;
+        }
+        match self.store_model(&display_name, &model, &file).await {
+            Ok(row) => JobState::Succeeded(Box::new(row)),
+            Err(error) => JobState::Failed(error),
+        }
+    }
+
+    /// Takes in a model file.
+    pub(crate) async fn import_model(
+        &self,
+        display_name: &str,
+        file: Vec<u8>,
+    ) -> Result<ModelRow, ServiceError> {
+        let display_name = check_display_name(display_name)?;
+        let decode = move || {
+            let model = Model::from_bytes(&file).map_err(ServiceError::invalid)?;
+            // Refused here rather than at the first frame.
+            LoadedModel::new(model).map(|loaded| (loaded, file))
+        };
+        let (loaded, file) = tokio::task::spawn_blocking(decode).await.map_err(ServiceError::internal)??;
+        self.store_model(&display_name, &loaded.model, &file).await
+    }
+
+    async fn store_model(
+        &self,
+        display_name: &str,
+        model: &Model,
+        file: &[u8],
+    ) -> Result<ModelRow, ServiceError> {
+        let row = ModelRow {
+            hash: model.hash().to_string(),
+            display_name: display_name.to_owned(),
+            extractor: model.extractor().to_owned(),
+            words: model.vocabulary().len() as u64,
+            samples: model.sampling_set().len() as u64,
+            words_hash: model.words_hash().to_string(),
+            size_bytes: file.len() as u64,
+            created_ns: now_ns(),
+        };
+        self.storage.put_model(&row, file).await?;
+        self.find_model(&row.hash).await
+    }
+
+    /// A model by `models/{hash}`, a beginning of its hash, or its display name.
+    pub(crate) async fn find_model(&self, reference: &str) -> Result<ModelRow, ServiceError> {
+        let reference =
+            if reference.starts_with("models/") { id_in("models", reference)? } else { reference };
+        let mut found = self.storage.models_named(reference).await?;
+        match (found.pop(), found.is_empty()) {
+            (Some(model), true) => Ok(model),
+            (Some(_), false) => Err(ServiceError::precondition(format_args!(
+                "more than one model is called {reference:?}; name it by its hash"
+            ))),
+            (None, _) => Err(ServiceError::not_found(format_args!(
+                "there is no model {reference:?}; list the models to see what there is, or train or import one"
+            ))),
+        }
+    }
+
+    pub(crate) async fn list_models(&self, size: u32, token: &str) -> Result<Page<ModelRow>, ServiceError> {
+        let size = page_size(size)?;
+        let after = match token.split_once('.') {
+            Some((created_ns, hash)) => Some((created_ns.parse().map_err(|_| bad_page_token())?, hash)),
+            None if token.is_empty() => None,
+            None => return Err(bad_page_token()),
+        };
+        let mut items = self.storage.models(after, size + 1).await?;
+        let more = items.len() > size as usize;
+        items.truncate(size as usize);
+        let last = items.last().filter(|_| more);
+        let next = last.map_or_else(String::new, |model| format!("{}.{}", model.created_ns, model.hash));
+        Ok(Page { items, next })
+    }
+
+    /// The model file.
+    pub(crate) async fn export_model(&self, reference: &str) -> Result<Vec<u8>, ServiceError> {
+        let model = self.find_model(reference).await?;
+        let file = self.storage.model_file(&model.hash).await?;
+        file.ok_or_else(|| ServiceError::not_found(format_args!("the model {} was just deleted", model.hash)))
+    }
+
+    pub(crate) async fn delete_model(&self, reference: &str) -> Result<(), ServiceError> {
+        let model = self.find_model(reference).await?;
+        match self.storage.delete_model(&model.hash).await {
+            Ok(_) => {
+                self.cached_models().remove(&model.hash);
+                Ok(())
+            }
+            Err(StorageError::InUse) => Err(ServiceError::precondition(format_args!(
+                "a map uses the model {}; delete the map first, or keep the model",
+                model.hash
+            ))),
+            Err(error) => Err(error.into()),
+        }
+    }
+}
+
+fn check_display_name(name: &str) -> Result<String, ServiceError> {
+    let fits = name.chars().count() <= MAX_DISPLAY_NAME_CHARS && !name.chars().any(char::is_control);
+    if fits && !name.contains('/') {
+        return Ok(name.to_owned());
+    }
+    Err(ServiceError::invalid(format_args!(
+        "a display name has at most {MAX_DISPLAY_NAME_CHARS} characters and no slash or control character"
+    )))
+}
+
+fn stage_name(stage: TrainingStage) -> &'static str {
+    match stage {
+        TrainingStage::Vocabulary => "finding words",
+        TrainingStage::Quantization => "turning images into words",
+        TrainingStage::Tree => "learning which words go together",
+    }
+}

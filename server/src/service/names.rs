@@ -1,0 +1,93 @@
+//! Resource names: `maps/{map}/sessions/{session}`, `models/{hash}`, `jobs/{number}`.
+
+use crate::error::ServiceError;
+
+/// Longest identifier that a person or robot may choose.
+const MAX_ID_LEN: usize = 63;
+
+/// Checks a chosen identifier; `what` says of what.
+pub(crate) fn check_id<'a>(what: &str, id: &'a str) -> Result<&'a str, ServiceError> {
+    let first = id.chars().next().is_some_and(|c| c.is_ascii_lowercase() || c.is_ascii_digit());
+    let others = id.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_');
+    if first && others && id.len() <= MAX_ID_LEN {
+        return Ok(id);
+    }
+    Err(ServiceError::invalid(format_args!(
+        "{id:?} is no {what}; use 1 to {MAX_ID_LEN} of a-z, 0-9, - and _, beginning with a letter or digit"
+    )))
+}
+
+/// The identifier in `{collection}/{id}`.
+pub(crate) fn id_in<'a>(collection: &str, name: &'a str) -> Result<&'a str, ServiceError> {
+    match name.strip_prefix(collection).and_then(|rest| rest.strip_prefix('/')) {
+        Some(id) if !id.is_empty() && !id.contains('/') => Ok(id),
+        Some(_) | None => {
+            Err(ServiceError::invalid(format_args!("{name:?} is no name here; write {collection}/…")))
+        }
+    }
+}
+
+/// The map in `maps/{map}`.
+pub(crate) fn map_in(name: &str) -> Result<&str, ServiceError> {
+    check_id("map name", id_in("maps", name)?)
+}
+
+pub(crate) fn map_name(map: &str) -> String {
+    format!("maps/{map}")
+}
+
+pub(crate) fn session_name(map: &str, session: &str) -> String {
+    format!("maps/{map}/sessions/{session}")
+}
+
+pub(crate) fn place_name(map: &str, place: u32) -> String {
+    format!("maps/{map}/places/{place}")
+}
+
+pub(crate) fn model_name(hash: &str) -> String {
+    format!("models/{hash}")
+}
+
+/// Page sizes: 0 asks for the default.
+pub(crate) fn page_size(asked: u32) -> Result<u32, ServiceError> {
+    const DEFAULT: u32 = 100;
+    const MAX: u32 = 1000;
+    match asked {
+        0 => Ok(DEFAULT),
+        1..=MAX => Ok(asked),
+        _ => Err(ServiceError::invalid(format_args!("a page has at most {MAX} entries, not {asked}"))),
+    }
+}
+
+pub(crate) fn bad_page_token() -> ServiceError {
+    ServiceError::invalid("the page token is not one that this server gave; begin again without one")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn identifiers_are_checked() {
+        for good in ["a", "0", "floor-3", "robot_7", &"x".repeat(63)] {
+            assert_eq!(check_id("map name", good), Ok(good));
+        }
+        for bad in ["", "-a", "A", "a b", "ä", "../x", "a/b", &"x".repeat(64)] {
+            assert!(matches!(check_id("map name", bad), Err(ServiceError::InvalidArgument { .. })), "{bad}");
+        }
+    }
+
+    #[test]
+    fn names_are_taken_apart() {
+        assert_eq!(map_in("maps/office"), Ok("office"));
+        for bad in ["office", "maps/", "maps", "map/office", "maps/a/sessions/b", ""] {
+            assert!(map_in(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn page_sizes_have_a_default_and_a_limit() {
+        assert_eq!((page_size(0), page_size(7), page_size(1000)), (Ok(100), Ok(7), Ok(1000)));
+        assert!(page_size(1001).is_err());
+    }
+}

@@ -1,0 +1,138 @@
+//! Models, maps and logs in one SQLite file. All SQL of the project is in this module.
+
+mod checkpoints;
+mod log;
+mod maps;
+mod models;
+
+pub(crate) use checkpoints::Checkpoint;
+pub(crate) use log::{ClosureRow, LogEntry, StoredFrame};
+pub(crate) use maps::{MapCounts, MapId, MapRow, SessionRow};
+pub(crate) use models::ModelRow;
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use sqlx::SqlitePool;
+use sqlx::migrate::MigrateError;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
+
+/// The database of one data directory. Cheap to clone.
+///
+/// There is one connection that writes, and a few that read: in WAL mode readers see a consistent
+/// snapshot and never wait for the writer.
+#[derive(Clone, Debug)]
+pub(crate) struct Storage {
+    writer: SqlitePool,
+    readers: SqlitePool,
+    /// Held for as long as the storage lives; two servers on one directory would each believe
+    /// that they are the one writer.
+    _lock: Arc<File>,
+}
+
+/// What went wrong with the database.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum StorageError {
+    #[error(
+        "cannot use the data directory {directory}: {source}; give a directory that this user may write to"
+    )]
+    Directory { directory: PathBuf, source: std::io::Error },
+    #[error(
+        "the data directory {directory} is used by another waypost-server; stop that one, or give another directory"
+    )]
+    Locked { directory: PathBuf },
+    #[error(
+        "the database was written by a newer Waypost (schema {schema}); update this server, or give another data directory"
+    )]
+    Newer { schema: i64 },
+    #[error("the disk is full; free some space")]
+    DiskFull(#[source] sqlx::Error),
+    #[error("something of this name is there already")]
+    Exists,
+    #[error("it is still in use")]
+    InUse,
+    #[error("the database holds what cannot be read: {0}; restore it from a copy")]
+    Damaged(String),
+    #[error("the database failed: {0}")]
+    Sqlite(sqlx::Error),
+    #[error("the database could not be brought up to date: {0}")]
+    Migration(MigrateError),
+}
+
+const FILE_NAME: &str = "waypost.sqlite";
+const LOCK_NAME: &str = "waypost.lock";
+const READERS: u32 = 4;
+const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
+
+impl Storage {
+    /// Opens the database of `directory`, making both where they are missing.
+    pub(crate) async fn open(directory: &Path) -> Result<Self, StorageError> {
+        let lock = lock_directory(directory)?;
+        let options = SqliteConnectOptions::new()
+            .filename(directory.join(FILE_NAME))
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            // An acknowledged frame must survive a power cut, not the process alone.
+            .synchronous(SqliteSynchronous::Full)
+            .foreign_keys(true)
+            .busy_timeout(BUSY_TIMEOUT);
+        let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await?;
+        sqlx::migrate!("../migrations").run(&writer).await.map_err(|error| match error {
+            MigrateError::VersionMissing(schema) => StorageError::Newer { schema },
+            other => StorageError::Migration(other),
+        })?;
+        let readers =
+            SqlitePoolOptions::new().max_connections(READERS).connect_with(options.read_only(true)).await?;
+        Ok(Self { writer, readers, _lock: Arc::new(lock) })
+    }
+
+    /// Waits for what is being written and folds the write-ahead log into the file.
+    pub(crate) async fn close(&self) {
+        self.readers.close().await;
+        self.writer.close().await;
+    }
+}
+
+fn lock_directory(directory: &Path) -> Result<File, StorageError> {
+    let failed = |source| StorageError::Directory { directory: directory.to_owned(), source };
+    std::fs::create_dir_all(directory).map_err(failed)?;
+    let lock = File::create(directory.join(LOCK_NAME)).map_err(failed)?;
+    match lock.try_lock() {
+        Ok(()) => Ok(lock),
+        Err(std::fs::TryLockError::WouldBlock) => {
+            Err(StorageError::Locked { directory: directory.to_owned() })
+        }
+        Err(std::fs::TryLockError::Error(source)) => Err(failed(source)),
+    }
+}
+
+/// SQLite's primary result code for a full disk.
+const SQLITE_FULL: &str = "13";
+
+impl From<sqlx::Error> for StorageError {
+    fn from(error: sqlx::Error) -> Self {
+        if let Some(database) = error.as_database_error() {
+            if database.is_unique_violation() {
+                return Self::Exists;
+            }
+            if database.is_foreign_key_violation() {
+                return Self::InUse;
+            }
+            if database.code().as_deref() == Some(SQLITE_FULL) {
+                return Self::DiskFull(error);
+            }
+        }
+        Self::Sqlite(error)
+    }
+}
+
+/// SQLite's integers are signed; ours are counts and never reach 2^63.
+fn to_sql(count: u64) -> i64 {
+    i64::try_from(count).unwrap_or(i64::MAX)
+}
+
+fn from_sql(count: i64) -> Result<u64, StorageError> {
+    u64::try_from(count).map_err(|_| StorageError::Damaged(format!("the count {count}")))
+}

@@ -1,0 +1,206 @@
+use futures::TryStreamExt;
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, Sqlite, Transaction};
+use topomap::event::{FrameId, MapEvent, Reason, SessionId};
+
+use super::{MapId, Storage, StorageError, from_sql, to_sql};
+
+/// One row of a map's log.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct LogEntry {
+    pub(crate) position: u64,
+    pub(crate) event: MapEvent,
+}
+
+/// Which frame a log position is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct StoredFrame {
+    pub(crate) session: SessionId,
+    pub(crate) sequence: u64,
+    pub(crate) stamp_ns: i64,
+}
+
+/// A loop closure as the log's columns tell it.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ClosureRow {
+    pub(crate) position: u64,
+    pub(crate) frame: StoredFrame,
+    pub(crate) matched: StoredFrame,
+    pub(crate) place: u32,
+    pub(crate) posterior: f64,
+}
+
+impl Storage {
+    /// Appends events to a map's log, all or none, and returns when they are on the disk.
+    pub(crate) async fn append(&self, map: MapId, entries: &[LogEntry]) -> Result<(), StorageError> {
+        let mut transaction = self.writer.begin().await?;
+        for LogEntry { position, event } in entries {
+            insert_event(&mut transaction, map, to_sql(*position), event).await?;
+        }
+        transaction.commit().await?;
+        Ok(())
+    }
+
+    /// Hands every entry from `from` on to `fold`, in order.
+    pub(crate) async fn replay(
+        &self,
+        map: MapId,
+        from: u64,
+        vocabulary_len: usize,
+        fold: &mut (dyn FnMut(LogEntry) -> Result<(), StorageError> + Send),
+    ) -> Result<(), StorageError> {
+        let mut rows = sqlx::query(
+            "SELECT position, event FROM log WHERE map_id = ? AND position >= ? ORDER BY position",
+        )
+        .bind(map)
+        .bind(to_sql(from))
+        .fetch(&self.readers);
+        while let Some(row) = rows.try_next().await? {
+            let position = from_sql(row.try_get("position")?)?;
+            fold(LogEntry { position, event: event(&row, vocabulary_len)? })?;
+        }
+        Ok(())
+    }
+
+    /// The event at a position of a map's log.
+    pub(crate) async fn event_at(
+        &self,
+        map: MapId,
+        position: FrameId,
+        vocabulary_len: usize,
+    ) -> Result<Option<MapEvent>, StorageError> {
+        let row = sqlx::query("SELECT event FROM log WHERE map_id = ? AND position = ?")
+            .bind(map)
+            .bind(to_sql(position))
+            .fetch_optional(&self.readers)
+            .await?;
+        row.map(|row| event(&row, vocabulary_len)).transpose()
+    }
+
+    /// The frame that a session sent under `sequence`, if it is durable.
+    pub(crate) async fn event_of_sequence(
+        &self,
+        map: MapId,
+        session: SessionId,
+        sequence: u64,
+        vocabulary_len: usize,
+    ) -> Result<Option<MapEvent>, StorageError> {
+        let row = sqlx::query("SELECT event FROM log WHERE map_id = ? AND session = ? AND sequence = ?")
+            .bind(map)
+            .bind(session)
+            .bind(to_sql(sequence))
+            .fetch_optional(&self.readers)
+            .await?;
+        row.map(|row| event(&row, vocabulary_len)).transpose()
+    }
+
+    /// Which session and sequence number the frames at these positions have, in the same order;
+    /// positions that are not frames are left out.
+    pub(crate) async fn frames_at(
+        &self,
+        map: MapId,
+        positions: &[FrameId],
+    ) -> Result<Vec<StoredFrame>, StorageError> {
+        let mut frames = Vec::with_capacity(positions.len());
+        for &position in positions {
+            let row = sqlx::query(
+                "SELECT session, sequence, stamp_ns FROM log WHERE map_id = ? AND position = ? AND sequence IS NOT NULL",
+            )
+            .bind(map)
+            .bind(to_sql(position))
+            .fetch_optional(&self.readers)
+            .await?;
+            if let Some(row) = row {
+                frames.push(stored_frame(&row, ["session", "sequence", "stamp_ns"])?);
+            }
+        }
+        Ok(frames)
+    }
+
+    /// Loop closures after log position `after` (all if `None`), oldest first.
+    pub(crate) async fn loop_closures(
+        &self,
+        map: MapId,
+        after: Option<u64>,
+        limit: u32,
+    ) -> Result<Vec<ClosureRow>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT f.position, f.session, f.sequence, f.stamp_ns, f.place, f.posterior, \
+             m.session AS matched_session, m.sequence AS matched_sequence, m.stamp_ns AS matched_stamp_ns \
+             FROM log AS f JOIN log AS m ON m.map_id = f.map_id AND m.position = f.matched_frame \
+             WHERE f.map_id = ? AND f.reason = 'loop_closure' AND f.position > ? ORDER BY f.position LIMIT ?",
+        )
+        .bind(map)
+        .bind(after.map_or(-1, to_sql))
+        .bind(limit)
+        .fetch_all(&self.readers)
+        .await?;
+        rows.iter()
+            .map(|row| {
+                Ok(ClosureRow {
+                    position: from_sql(row.try_get("position")?)?,
+                    frame: stored_frame(row, ["session", "sequence", "stamp_ns"])?,
+                    matched: stored_frame(row, ["matched_session", "matched_sequence", "matched_stamp_ns"])?,
+                    place: row.try_get("place")?,
+                    posterior: row.try_get("posterior")?,
+                })
+            })
+            .collect()
+    }
+}
+
+pub(super) async fn insert_event(
+    transaction: &mut Transaction<'_, Sqlite>,
+    map: MapId,
+    position: i64,
+    event: &MapEvent,
+) -> Result<(), StorageError> {
+    let frame = match event {
+        MapEvent::SessionOpened { .. } => None,
+        MapEvent::Frame(frame) => Some(frame),
+    };
+    let decision = frame.map(|frame| &frame.decision);
+    sqlx::query(
+        "INSERT INTO log (map_id, position, session, sequence, stamp_ns, reason, place, posterior, matched_frame, event) \
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(map)
+    .bind(position)
+    .bind(event.session())
+    .bind(frame.map(|frame| to_sql(frame.sequence)))
+    .bind(frame.map(|frame| frame.stamp_ns))
+    .bind(decision.map(|decision| reason_name(decision.reason)))
+    .bind(decision.and_then(|decision| decision.place))
+    .bind(decision.map(|decision| decision.posterior))
+    .bind(decision.and_then(|decision| decision.closure).map(|closure| to_sql(closure.frame)))
+    .bind(event.to_bytes())
+    .execute(&mut **transaction)
+    .await?;
+    Ok(())
+}
+
+fn reason_name(reason: Reason) -> &'static str {
+    match reason {
+        Reason::NewPlace => "new_place",
+        Reason::SamePlace => "same_place",
+        Reason::LoopClosure => "loop_closure",
+        Reason::BelowThreshold => "below_threshold",
+        Reason::TooFewWords => "too_few_words",
+    }
+}
+
+fn event(row: &SqliteRow, vocabulary_len: usize) -> Result<MapEvent, StorageError> {
+    let bytes: &[u8] = row.try_get("event")?;
+    MapEvent::from_bytes(bytes, vocabulary_len).map_err(|error| StorageError::Damaged(error.to_string()))
+}
+
+fn stored_frame(
+    row: &SqliteRow,
+    [session, sequence, stamp_ns]: [&str; 3],
+) -> Result<StoredFrame, StorageError> {
+    Ok(StoredFrame {
+        session: row.try_get(session)?,
+        sequence: from_sql(row.try_get(sequence)?)?,
+        stamp_ns: row.try_get(stamp_ns)?,
+    })
+}

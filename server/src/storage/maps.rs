@@ -1,0 +1,141 @@
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+use topomap::event::{MapEvent, SessionId};
+
+use super::{Storage, StorageError, from_sql, to_sql};
+use crate::storage::log::insert_event;
+
+/// Number of a map in the database; never used twice.
+pub(crate) type MapId = i64;
+
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct MapRow {
+    pub(crate) id: MapId,
+    pub(crate) name: String,
+    /// Hash of its model.
+    pub(crate) model: String,
+    /// JSON.
+    pub(crate) settings: String,
+    pub(crate) created_ns: i64,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct SessionRow {
+    pub(crate) number: SessionId,
+    pub(crate) name: String,
+}
+
+/// What a map holds, by its log.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct MapCounts {
+    pub(crate) sessions: u64,
+    pub(crate) frames: u64,
+    pub(crate) loop_closures: u64,
+}
+
+impl Storage {
+    pub(crate) async fn create_map(
+        &self,
+        name: &str,
+        model: &str,
+        settings: &str,
+        created_ns: i64,
+    ) -> Result<MapRow, StorageError> {
+        let done = sqlx::query("INSERT INTO maps (name, model, settings, created_ns) VALUES (?, ?, ?, ?)")
+            .bind(name)
+            .bind(model)
+            .bind(settings)
+            .bind(created_ns)
+            .execute(&self.writer)
+            .await?;
+        let (name, model, settings) = (name.to_owned(), model.to_owned(), settings.to_owned());
+        Ok(MapRow { id: done.last_insert_rowid(), name, model, settings, created_ns })
+    }
+
+    pub(crate) async fn map(&self, name: &str) -> Result<Option<MapRow>, StorageError> {
+        let row = sqlx::query("SELECT id, name, model, settings, created_ns FROM maps WHERE name = ?")
+            .bind(name)
+            .fetch_optional(&self.readers)
+            .await?;
+        row.as_ref().map(map).transpose()
+    }
+
+    /// Maps whose name comes after `after`, by name.
+    pub(crate) async fn maps(&self, after: &str, limit: u32) -> Result<Vec<MapRow>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT id, name, model, settings, created_ns FROM maps WHERE name > ? ORDER BY name LIMIT ?",
+        )
+        .bind(after)
+        .bind(limit)
+        .fetch_all(&self.readers)
+        .await?;
+        rows.iter().map(map).collect()
+    }
+
+    pub(crate) async fn map_counts(&self, map: MapId) -> Result<MapCounts, StorageError> {
+        let row = sqlx::query(
+            "SELECT (SELECT count(*) FROM sessions WHERE map_id = ?1) AS sessions, \
+             (SELECT count(*) FROM log WHERE map_id = ?1 AND sequence IS NOT NULL) AS frames, \
+             (SELECT count(*) FROM log WHERE map_id = ?1 AND reason = 'loop_closure') AS loop_closures",
+        )
+        .bind(map)
+        .fetch_one(&self.readers)
+        .await?;
+        Ok(MapCounts {
+            sessions: from_sql(row.try_get("sessions")?)?,
+            frames: from_sql(row.try_get("frames")?)?,
+            loop_closures: from_sql(row.try_get("loop_closures")?)?,
+        })
+    }
+
+    /// Whether there was one. Sessions, log and checkpoint go with it.
+    pub(crate) async fn delete_map(&self, name: &str) -> Result<bool, StorageError> {
+        let done = sqlx::query("DELETE FROM maps WHERE name = ?").bind(name).execute(&self.writer).await?;
+        Ok(done.rows_affected() > 0)
+    }
+
+    /// All sessions of a map, by number.
+    pub(crate) async fn sessions(&self, map: MapId) -> Result<Vec<SessionRow>, StorageError> {
+        let rows = sqlx::query("SELECT number, name FROM sessions WHERE map_id = ? ORDER BY number")
+            .bind(map)
+            .fetch_all(&self.readers)
+            .await?;
+        rows.iter()
+            .map(|row| Ok(SessionRow { number: row.try_get("number")?, name: row.try_get("name")? }))
+            .collect()
+    }
+
+    /// Adds a session and its event at `position` of the map's log, in one transaction.
+    pub(crate) async fn open_session(
+        &self,
+        map: MapId,
+        position: u64,
+        session: &SessionRow,
+        camera: Option<&[u8]>,
+        opened_ns: i64,
+    ) -> Result<(), StorageError> {
+        let mut transaction = self.writer.begin().await?;
+        sqlx::query("INSERT INTO sessions (map_id, number, name, camera, opened_ns) VALUES (?, ?, ?, ?, ?)")
+            .bind(map)
+            .bind(session.number)
+            .bind(&session.name)
+            .bind(camera)
+            .bind(opened_ns)
+            .execute(&mut *transaction)
+            .await?;
+        let event = MapEvent::SessionOpened { session: session.number };
+        insert_event(&mut transaction, map, to_sql(position), &event).await?;
+        transaction.commit().await?;
+        Ok(())
+    }
+}
+
+fn map(row: &SqliteRow) -> Result<MapRow, StorageError> {
+    Ok(MapRow {
+        id: row.try_get("id")?,
+        name: row.try_get("name")?,
+        model: row.try_get("model")?,
+        settings: row.try_get("settings")?,
+        created_ns: row.try_get("created_ns")?,
+    })
+}

@@ -1,0 +1,100 @@
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+use super::{Storage, StorageError, from_sql, to_sql};
+
+/// What is known of a model without reading its file.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ModelRow {
+    pub(crate) hash: String,
+    pub(crate) display_name: String,
+    pub(crate) extractor: String,
+    pub(crate) words: u64,
+    pub(crate) samples: u64,
+    pub(crate) words_hash: String,
+    pub(crate) size_bytes: u64,
+    pub(crate) created_ns: i64,
+}
+
+impl Storage {
+    /// Stores a model file; one that is there already stays as it is.
+    pub(crate) async fn put_model(&self, row: &ModelRow, file: &[u8]) -> Result<(), StorageError> {
+        let ModelRow { hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns } =
+            row;
+        sqlx::query(
+            "INSERT INTO models (hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns, file) \
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (hash) DO NOTHING",
+        )
+        .bind(hash)
+        .bind(display_name)
+        .bind(extractor)
+        .bind(to_sql(*words))
+        .bind(to_sql(*samples))
+        .bind(words_hash)
+        .bind(to_sql(*size_bytes))
+        .bind(created_ns)
+        .bind(file)
+        .execute(&self.writer)
+        .await?;
+        Ok(())
+    }
+
+    /// Models after `after` (creation time and hash of the last one seen), newest first.
+    pub(crate) async fn models(
+        &self,
+        after: Option<(i64, &str)>,
+        limit: u32,
+    ) -> Result<Vec<ModelRow>, StorageError> {
+        let (created_ns, hash) = after.unwrap_or((i64::MAX, ""));
+        let rows = sqlx::query(
+            "SELECT hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns FROM models \
+             WHERE created_ns < ?1 OR (created_ns = ?1 AND hash > ?2) ORDER BY created_ns DESC, hash LIMIT ?3",
+        )
+        .bind(created_ns)
+        .bind(hash)
+        .bind(limit)
+        .fetch_all(&self.readers)
+        .await?;
+        rows.iter().map(model).collect()
+    }
+
+    /// Models whose hash begins with `reference` or whose display name is it; at most two, which is
+    /// enough to see that it is ambiguous.
+    pub(crate) async fn models_named(&self, reference: &str) -> Result<Vec<ModelRow>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns FROM models \
+             WHERE display_name = ?1 OR (length(?1) >= 6 AND substr(hash, 1, length(?1)) = ?1) ORDER BY hash LIMIT 2",
+        )
+        .bind(reference)
+        .fetch_all(&self.readers)
+        .await?;
+        rows.iter().map(model).collect()
+    }
+
+    pub(crate) async fn model_file(&self, hash: &str) -> Result<Option<Vec<u8>>, StorageError> {
+        let row = sqlx::query("SELECT file FROM models WHERE hash = ?")
+            .bind(hash)
+            .fetch_optional(&self.readers)
+            .await?;
+        Ok(row.map(|row| row.try_get("file")).transpose()?)
+    }
+
+    /// Whether there was one. [`StorageError::InUse`] while a map uses it.
+    pub(crate) async fn delete_model(&self, hash: &str) -> Result<bool, StorageError> {
+        let done = sqlx::query("DELETE FROM models WHERE hash = ?").bind(hash).execute(&self.writer).await?;
+        Ok(done.rows_affected() > 0)
+    }
+}
+
+fn model(row: &SqliteRow) -> Result<ModelRow, StorageError> {
+    Ok(ModelRow {
+        hash: row.try_get("hash")?,
+        display_name: row.try_get("display_name")?,
+        extractor: row.try_get("extractor")?,
+        words: from_sql(row.try_get("words")?)?,
+        samples: from_sql(row.try_get("samples")?)?,
+        words_hash: row.try_get("words_hash")?,
+        size_bytes: from_sql(row.try_get("size_bytes")?)?,
+        created_ns: row.try_get("created_ns")?,
+    })
+}
