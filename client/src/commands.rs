@@ -1,0 +1,7 @@
+//! One file per command.
+
+pub(crate) mod demo;
+pub(crate) mod job;
+pub(crate) mod map;
+pub(crate) mod model;
+pub(crate) mod stream;

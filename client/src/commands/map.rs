@@ -1,0 +1,285 @@
+//! `waypost map`: places joined by links.
+
+use std::io::{self, Write};
+
+use clap::{Subcommand, ValueEnum};
+use serde_json::json;
+use waypost_client::{Client, v1};
+
+use super::model::short;
+use crate::failure::Failure;
+use crate::output::{Output, table};
+use crate::views::{ClosureView, FrameView, MapSummary, PlaceView, SettingsView};
+
+#[derive(Subcommand)]
+pub(crate) enum Command {
+    /// Create a map
+    Create(Creation),
+    /// List maps by name
+    Ls,
+    /// Show a map and its settings
+    Show {
+        /// Name of the map
+        name: String,
+        /// With the hash over all that was decided; takes time
+        #[arg(long)]
+        full: bool,
+    },
+    /// List the loop closures of a map, oldest first
+    Matches {
+        /// Name of the map
+        name: String,
+    },
+    /// List the places of a map, oldest first
+    Places {
+        /// Name of the map
+        name: String,
+    },
+    /// Delete a map with all its sessions
+    Rm {
+        /// Name of the map
+        name: String,
+    },
+}
+
+/// What is left out has the server's default; `waypost map show` shows what is in force.
+#[derive(clap::Args)]
+pub(crate) struct Creation {
+    /// 1 to 63 of a-z, 0-9, - and _, beginning with a letter or digit
+    name: String,
+    /// Hash of the model, its beginning, or a display name that only one model has
+    #[arg(long)]
+    model: String,
+    /// Whether words depend on each other
+    #[arg(long, value_enum)]
+    dependence: Option<Dependence>,
+    /// How being somewhere new is judged
+    #[arg(long, value_enum)]
+    new_place: Option<NewPlace>,
+    /// Posterior from which a loop closure is accepted, above 0 and at most 1
+    #[arg(long, value_name = "P")]
+    closure_threshold: Option<f64>,
+    /// A place that the session left fewer frames ago is not a loop closure
+    #[arg(long, value_name = "N")]
+    guard_frames: Option<u32>,
+    /// Prior probability of being somewhere new, between 0 and 1
+    #[arg(long, value_name = "P")]
+    new_place_prior: Option<f64>,
+    /// How probably a word that is there is seen, in place of the model's
+    #[arg(long, value_name = "P", requires = "false_positive_rate")]
+    true_positive_rate: Option<f64>,
+    /// How probably a word that is not there is seen, in place of the model's
+    #[arg(long, value_name = "P", requires = "true_positive_rate")]
+    false_positive_rate: Option<f64>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Dependence {
+    /// Each word on its parent in the Chow-Liu tree
+    ChowLiu,
+    /// No word on any other
+    NaiveBayes,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum NewPlace {
+    /// By the average place
+    MeanField,
+    /// By the model's sampling set
+    Sampled,
+}
+
+impl Creation {
+    fn request(self) -> v1::CreateMapRequest {
+        let Creation {
+            name,
+            model,
+            dependence,
+            new_place,
+            closure_threshold,
+            guard_frames,
+            new_place_prior,
+            true_positive_rate,
+            false_positive_rate,
+        } = self;
+        let dependence = match dependence {
+            None => v1::map_settings::Dependence::Unspecified,
+            Some(Dependence::ChowLiu) => v1::map_settings::Dependence::ChowLiu,
+            Some(Dependence::NaiveBayes) => v1::map_settings::Dependence::NaiveBayes,
+        };
+        let new_place = match new_place {
+            None => v1::map_settings::NewPlace::Unspecified,
+            Some(NewPlace::MeanField) => v1::map_settings::NewPlace::MeanField,
+            Some(NewPlace::Sampled) => v1::map_settings::NewPlace::Sampled,
+        };
+        let settings = v1::MapSettings {
+            dependence: dependence.into(),
+            new_place: new_place.into(),
+            closure_threshold,
+            guard_frames,
+            new_place_prior,
+            true_positive_rate,
+            false_positive_rate,
+        };
+        let map_id = name.strip_prefix("maps/").unwrap_or(&name).to_owned();
+        v1::CreateMapRequest { map_id, model, settings: Some(settings) }
+    }
+}
+
+pub(crate) async fn run(command: Command, server: &str, output: Output) -> Result<(), Failure> {
+    let client = Client::connect(server).await?;
+    match command {
+        Command::Create(creation) => show(client.create_map(creation.request()).await?, output),
+        Command::Ls => list(client.maps().await?, output),
+        Command::Show { name, full } => {
+            let view = if full { v1::MapView::Full } else { v1::MapView::Unspecified };
+            show(client.map(&name, view).await?, output)
+        }
+        Command::Matches { name } => matches(client.matches(&name).await?, output),
+        Command::Places { name } => places(client.places(&name).await?, output),
+        Command::Rm { name } => {
+            client.delete_map(&name).await?;
+            output.result(&json!({ "deleted": name }), |out| writeln!(out, "deleted {name}"))
+        }
+    }
+}
+
+fn list(maps: Vec<v1::Map>, output: Output) -> Result<(), Failure> {
+    let maps: Vec<MapSummary> = maps.into_iter().map(MapSummary::from).collect();
+    output.result(&json!({ "maps": maps }), |out| {
+        let rows = maps.iter().map(|map| {
+            [
+                short_map(&map.name).to_owned(),
+                short(&map.model).to_owned(),
+                map.places.to_string(),
+                map.links.to_string(),
+                map.sessions.to_string(),
+                map.frames.to_string(),
+                map.loop_closures.to_string(),
+            ]
+        });
+        table(out, ["MAP", "MODEL", "PLACES", "LINKS", "SESSIONS", "FRAMES", "CLOSURES"], rows)
+    })
+}
+
+fn show(map: v1::Map, output: Output) -> Result<(), Failure> {
+    let map = MapSummary::from(map);
+    output.result(&map, |out| {
+        writeln!(out, "{}", map.name)?;
+        writeln!(out, "  model                {}", map.model)?;
+        writeln!(out, "  places               {}", map.places)?;
+        writeln!(out, "  links                {}", map.links)?;
+        writeln!(out, "  sessions             {}", map.sessions)?;
+        writeln!(out, "  frames               {}", map.frames)?;
+        writeln!(out, "  loop closures        {}", map.loop_closures)?;
+        show_settings(&map.settings, out)?;
+        map.state_hash.as_ref().map_or(Ok(()), |hash| writeln!(out, "  state hash           {hash}"))
+    })
+}
+
+fn show_settings(settings: &SettingsView, out: &mut dyn Write) -> io::Result<()> {
+    let SettingsView {
+        dependence,
+        new_place,
+        closure_threshold,
+        guard_frames,
+        new_place_prior,
+        true_positive_rate,
+        false_positive_rate,
+    } = settings;
+    let or_default = |value: &Option<f64>| value.map_or("the model's".to_owned(), |value| value.to_string());
+    writeln!(out, "  dependence           {dependence}")?;
+    writeln!(out, "  new place            {new_place}")?;
+    writeln!(out, "  new place prior      {}", or_default(new_place_prior))?;
+    writeln!(out, "  closure threshold    {}", or_default(closure_threshold))?;
+    writeln!(out, "  guard                {} frames", guard_frames.unwrap_or_default())?;
+    writeln!(out, "  true positive rate   {}", or_default(true_positive_rate))?;
+    writeln!(out, "  false positive rate  {}", or_default(false_positive_rate))
+}
+
+fn matches(closures: Vec<v1::LoopClosure>, output: Output) -> Result<(), Failure> {
+    let closures: Vec<ClosureView> = closures.into_iter().map(ClosureView::from).collect();
+    output.result(&json!({ "matches": closures }), |out| {
+        let rows = closures.iter().map(|closure| {
+            let ClosureView { frame, matched_frame, place, posterior } = closure;
+            [frame_words(frame), frame_words(matched_frame), place.to_string(), format!("{posterior:.4}")]
+        });
+        table(out, ["FRAME", "MATCHED FRAME", "PLACE", "POSTERIOR"], rows)
+    })
+}
+
+fn places(places: Vec<v1::Place>, output: Output) -> Result<(), Failure> {
+    let places: Vec<PlaceView> = places.into_iter().map(PlaceView::from).collect();
+    output.result(&json!({ "places": places }), |out| {
+        let rows = places.iter().map(|place| {
+            let PlaceView { name, looks, words, frames, linked } = place;
+            let linked: Vec<String> = linked.iter().map(u32::to_string).collect();
+            [
+                name.rsplit('/').next().unwrap_or(name).to_owned(),
+                looks.to_string(),
+                words.to_string(),
+                frames.len().to_string(),
+                linked.join(" "),
+            ]
+        });
+        table(out, ["PLACE", "LOOKS", "WORDS", "FRAMES", "LINKED WITH"], rows)
+    })
+}
+
+fn frame_words(frame: &Option<FrameView>) -> String {
+    match frame {
+        Some(FrameView { session, sequence, stamp_ns: _ }) => {
+            format!("{}#{sequence}", session.rsplit('/').next().unwrap_or(session))
+        }
+        None => "-".to_owned(),
+    }
+}
+
+fn short_map(name: &str) -> &str {
+    name.strip_prefix("maps/").unwrap_or(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        creation: Creation,
+    }
+
+    fn request(arguments: &str) -> v1::CreateMapRequest {
+        Line::parse_from(format!("create {arguments}").split(' ')).creation.request()
+    }
+
+    #[test]
+    fn what_is_left_out_is_left_to_the_server() {
+        let request = request("maps/office --model abcdef");
+        assert_eq!((request.map_id.as_str(), request.model.as_str()), ("office", "abcdef"));
+        assert_eq!(request.settings, Some(v1::MapSettings::default()));
+    }
+
+    #[test]
+    fn what_is_given_is_passed_on() {
+        let settings = request(
+            "a --model m --dependence naive-bayes --new-place mean-field --closure-threshold 0.9 \
+             --guard-frames 0 --true-positive-rate 0.4 --false-positive-rate 0.01",
+        )
+        .settings
+        .unwrap();
+        assert_eq!(settings.dependence(), v1::map_settings::Dependence::NaiveBayes);
+        assert_eq!(settings.new_place(), v1::map_settings::NewPlace::MeanField);
+        assert_eq!((settings.closure_threshold, settings.guard_frames), (Some(0.9), Some(0)));
+        assert_eq!((settings.true_positive_rate, settings.false_positive_rate), (Some(0.4), Some(0.01)));
+    }
+
+    #[test]
+    fn one_rate_without_the_other_is_wrong_usage() {
+        assert!(
+            Line::try_parse_from(["create", "a", "--model", "m", "--true-positive-rate", "0.4"]).is_err()
+        );
+    }
+}

@@ -1,0 +1,129 @@
+//! What can go wrong between an application and the server.
+
+use std::error::Error as _;
+use std::time::Duration;
+
+use tonic::{Code, Status};
+
+/// What went wrong, and what to do about it.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The address of the server cannot be read.
+    #[error("`{endpoint}` is not the address of a server ({reason}); write it as http://HOST:PORT")]
+    Endpoint {
+        /// The address as given.
+        endpoint: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The server was not reached, or the connection broke in the middle of a call.
+    #[error(
+        "no connection to {endpoint} ({reason}); check that waypost-server runs there and that the address is right"
+    )]
+    Connection {
+        /// The address of the server.
+        endpoint: String,
+        /// What the network said.
+        reason: String,
+    },
+    /// The server refused. Its message says how to mend it.
+    #[error("{message}")]
+    Status {
+        /// What kind of refusal.
+        code: Code,
+        /// What is wrong and how to mend it, from the server.
+        message: String,
+    },
+    /// A session could not be brought back within [`give_up_after`](crate::Reconnection::give_up_after).
+    #[error(
+        "lost the server for {} s with {unacknowledged} frames unacknowledged ({reason}); \
+         once it is back, open the same session again and send them again",
+        waited.as_secs()
+    )]
+    SessionLost {
+        /// Frames that were given to the session and have no outcome.
+        unacknowledged: usize,
+        /// Time since the server last made progress.
+        waited: Duration,
+        /// The latest failure.
+        reason: String,
+    },
+    /// The server came back without frames that it had acknowledged as durable.
+    #[error(
+        "the server had acknowledged frame {acknowledged} of this session, but now knows it only up to \
+         {}; its data was replaced by older data: restore that, or start a new session",
+        last_committed.map_or("no frame at all".to_owned(), |sequence| format!("frame {sequence}"))
+    )]
+    SessionRewound {
+        /// The last frame that was acknowledged.
+        acknowledged: u64,
+        /// The last one that the server now knows.
+        last_committed: Option<u64>,
+    },
+    /// The session has ended; [`Outcomes::next`](crate::Outcomes::next) told why.
+    #[error("the session has ended, so frame {sequence} was not sent; see the last outcome for why")]
+    SessionEnded {
+        /// The frame that was not sent.
+        sequence: u64,
+    },
+    /// Sequence numbers have to rise.
+    #[error("frame {sequence} follows frame {last}; number frames so that every number is above the last")]
+    SequenceNotRising {
+        /// The number given.
+        sequence: u64,
+        /// The number before.
+        last: u64,
+    },
+    /// What was to be uploaded could not be read; nothing was changed at the server.
+    #[error("cannot read what to upload: {0}")]
+    Read(std::io::Error),
+    /// What was downloaded could not be written.
+    #[error("cannot write what was downloaded: {0}")]
+    Write(std::io::Error),
+    /// The server answered with something that the contract does not allow.
+    #[error("the server broke the protocol: {0}; use a server and a client of the same version")]
+    Protocol(&'static str),
+}
+
+impl Error {
+    /// A call's status: the server's own, or one that stands for a broken connection.
+    pub(crate) fn from_status(status: &Status, endpoint: &str) -> Self {
+        match broken_connection(status) {
+            Some(reason) => Error::Connection { endpoint: endpoint.to_owned(), reason },
+            None => Error::Status { code: status.code(), message: status.message().to_owned() },
+        }
+    }
+}
+
+/// The reason, if a status was not sent by the server but made up here when the connection broke.
+pub(crate) fn broken_connection(status: &Status) -> Option<String> {
+    status.source().map(innermost)
+}
+
+/// The innermost cause is what the operating system said; what is around it says "transport error".
+pub(crate) fn innermost(error: &(dyn std::error::Error + 'static)) -> String {
+    let mut cause = error;
+    while let Some(deeper) = cause.source() {
+        cause = deeper;
+    }
+    cause.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_status_of_the_server_keeps_code_and_message() {
+        let error = Error::from_status(&Status::not_found("no map `a`; create it"), "http://h:1");
+        let Error::Status { code, message } = error else { panic!("{error:?}") };
+        assert_eq!((code, message.as_str()), (Code::NotFound, "no map `a`; create it"));
+    }
+
+    #[test]
+    fn a_broken_connection_names_the_innermost_cause() {
+        let cause = std::io::Error::new(std::io::ErrorKind::ConnectionReset, "reset by peer");
+        let error = Error::from_status(&Status::from_error(Box::new(cause)), "http://h:1");
+        assert!(matches!(&error, Error::Connection { reason, .. } if reason == "reset by peer"), "{error:?}");
+    }
+}

@@ -1,0 +1,328 @@
+//! What `--json` prints of the server's messages. Names are stable.
+
+use serde::Serialize;
+use waypost_client::{Code, v1};
+
+#[derive(Serialize)]
+pub(crate) struct ModelView {
+    pub(crate) name: String,
+    pub(crate) display_name: String,
+    pub(crate) extractor: String,
+    pub(crate) words: u32,
+    pub(crate) samples: u32,
+    pub(crate) words_hash: String,
+    pub(crate) size_bytes: u64,
+    pub(crate) create_time_ns: i64,
+}
+
+impl From<v1::Model> for ModelView {
+    fn from(model: v1::Model) -> Self {
+        let v1::Model {
+            name,
+            display_name,
+            extractor,
+            words,
+            samples,
+            words_hash,
+            size_bytes,
+            create_time_ns,
+        } = model;
+        Self { name, display_name, extractor, words, samples, words_hash, size_bytes, create_time_ns }
+    }
+}
+
+#[derive(Serialize)]
+pub(crate) struct JobView {
+    pub(crate) name: String,
+    pub(crate) state: &'static str,
+    pub(crate) stage: String,
+    pub(crate) fraction: f64,
+    pub(crate) error: String,
+    pub(crate) model: Option<ModelView>,
+}
+
+impl From<v1::Job> for JobView {
+    fn from(job: v1::Job) -> Self {
+        let state = match job.state() {
+            v1::job::State::Unspecified => "unspecified",
+            v1::job::State::Running => "running",
+            v1::job::State::Succeeded => "succeeded",
+            v1::job::State::Failed => "failed",
+            v1::job::State::Cancelled => "cancelled",
+        };
+        let v1::Job { name, state: _, stage, fraction, error, model } = job;
+        Self { name, state, stage, fraction, error, model: model.map(ModelView::from) }
+    }
+}
+
+#[derive(Serialize)]
+pub(crate) struct MapSummary {
+    pub(crate) name: String,
+    pub(crate) model: String,
+    pub(crate) settings: SettingsView,
+    pub(crate) create_time_ns: i64,
+    pub(crate) places: u64,
+    pub(crate) links: u64,
+    pub(crate) sessions: u64,
+    pub(crate) frames: u64,
+    pub(crate) loop_closures: u64,
+    /// Null unless the full view was asked for.
+    pub(crate) state_hash: Option<String>,
+}
+
+impl From<v1::Map> for MapSummary {
+    fn from(map: v1::Map) -> Self {
+        let v1::Map {
+            name,
+            model,
+            settings,
+            create_time_ns,
+            places,
+            links,
+            sessions,
+            frames,
+            loop_closures,
+            state_hash,
+        } = map;
+        Self {
+            name,
+            model,
+            settings: settings.unwrap_or_default().into(),
+            create_time_ns,
+            places,
+            links,
+            sessions,
+            frames,
+            loop_closures,
+            state_hash: Some(state_hash).filter(|hash| !hash.is_empty()),
+        }
+    }
+}
+
+#[derive(Serialize)]
+pub(crate) struct SettingsView {
+    pub(crate) dependence: &'static str,
+    pub(crate) new_place: &'static str,
+    pub(crate) closure_threshold: Option<f64>,
+    pub(crate) guard_frames: Option<u32>,
+    pub(crate) new_place_prior: Option<f64>,
+    pub(crate) true_positive_rate: Option<f64>,
+    pub(crate) false_positive_rate: Option<f64>,
+}
+
+impl From<v1::MapSettings> for SettingsView {
+    fn from(settings: v1::MapSettings) -> Self {
+        let dependence = match settings.dependence() {
+            v1::map_settings::Dependence::Unspecified => "unspecified",
+            v1::map_settings::Dependence::ChowLiu => "chow-liu",
+            v1::map_settings::Dependence::NaiveBayes => "naive-bayes",
+        };
+        let new_place = match settings.new_place() {
+            v1::map_settings::NewPlace::Unspecified => "unspecified",
+            v1::map_settings::NewPlace::MeanField => "mean-field",
+            v1::map_settings::NewPlace::Sampled => "sampled",
+        };
+        let v1::MapSettings {
+            dependence: _,
+            new_place: _,
+            closure_threshold,
+            guard_frames,
+            new_place_prior,
+            true_positive_rate,
+            false_positive_rate,
+        } = settings;
+        Self {
+            dependence,
+            new_place,
+            closure_threshold,
+            guard_frames,
+            new_place_prior,
+            true_positive_rate,
+            false_positive_rate,
+        }
+    }
+}
+
+#[derive(Serialize)]
+pub(crate) struct FrameView {
+    pub(crate) session: String,
+    pub(crate) sequence: u64,
+    pub(crate) stamp_ns: i64,
+}
+
+impl From<v1::FrameReference> for FrameView {
+    fn from(frame: v1::FrameReference) -> Self {
+        let v1::FrameReference { session, sequence, stamp_ns } = frame;
+        Self { session, sequence, stamp_ns }
+    }
+}
+
+#[derive(Serialize)]
+pub(crate) struct PlaceView {
+    pub(crate) name: String,
+    pub(crate) looks: u32,
+    pub(crate) words: u32,
+    pub(crate) frames: Vec<FrameView>,
+    pub(crate) linked: Vec<u32>,
+}
+
+impl From<v1::Place> for PlaceView {
+    fn from(place: v1::Place) -> Self {
+        let v1::Place { name, looks, words, frames, linked } = place;
+        let frames = frames.into_iter().map(FrameView::from).collect();
+        Self { name, looks, words, frames, linked }
+    }
+}
+
+#[derive(Serialize)]
+pub(crate) struct ClosureView {
+    pub(crate) frame: Option<FrameView>,
+    pub(crate) matched_frame: Option<FrameView>,
+    pub(crate) place: u32,
+    pub(crate) posterior: f64,
+}
+
+impl From<v1::LoopClosure> for ClosureView {
+    fn from(closure: v1::LoopClosure) -> Self {
+        let v1::LoopClosure { frame, matched_frame, place, posterior } = closure;
+        Self {
+            frame: frame.map(FrameView::from),
+            matched_frame: matched_frame.map(FrameView::from),
+            place,
+            posterior,
+        }
+    }
+}
+
+/// One frame of a stream: a row of `--csv`, an entry of `frames` in `--json`.
+#[derive(Clone, Debug, Default, Serialize)]
+pub(crate) struct FrameRow {
+    pub(crate) sequence: u64,
+    pub(crate) image: String,
+    pub(crate) stamp_ns: i64,
+    /// Null for a frame that was refused, as everything up to `total_ms`.
+    pub(crate) reason: Option<&'static str>,
+    pub(crate) place: Option<u32>,
+    pub(crate) posterior: Option<f64>,
+    pub(crate) new_place_posterior: Option<f64>,
+    pub(crate) words: Option<u32>,
+    pub(crate) resent: Option<bool>,
+    pub(crate) closure_place: Option<u32>,
+    pub(crate) closure_posterior: Option<f64>,
+    pub(crate) closure_log_odds: Option<f64>,
+    pub(crate) closure_session: Option<String>,
+    pub(crate) closure_sequence: Option<u64>,
+    pub(crate) proposal_place: Option<u32>,
+    pub(crate) proposal_posterior: Option<f64>,
+    pub(crate) proposal_log_odds: Option<f64>,
+    pub(crate) proposal_session: Option<String>,
+    pub(crate) proposal_sequence: Option<u64>,
+    pub(crate) extract_ms: Option<f64>,
+    pub(crate) quantize_ms: Option<f64>,
+    pub(crate) likelihood_ms: Option<f64>,
+    pub(crate) new_place_ms: Option<f64>,
+    pub(crate) filter_ms: Option<f64>,
+    pub(crate) commit_ms: Option<f64>,
+    pub(crate) total_ms: Option<f64>,
+    pub(crate) refusal_code: Option<&'static str>,
+    pub(crate) refusal_message: Option<String>,
+}
+
+impl FrameRow {
+    pub(crate) fn answered(image: &str, stamp_ns: i64, answer: v1::FrameAnswer) -> Self {
+        let reason = reason_name(answer.reason());
+        let v1::FrameAnswer {
+            sequence,
+            last_committed_sequence: _,
+            reason: _,
+            place,
+            posterior,
+            new_place_posterior,
+            places: _,
+            closure,
+            proposal,
+            words,
+            timings,
+            resent,
+        } = answer;
+        let closure_frame = closure.as_ref().and_then(|closure| closure.frame.as_ref());
+        let proposal_frame = proposal.as_ref().and_then(|proposal| proposal.frame.as_ref());
+        Self {
+            sequence,
+            image: image.to_owned(),
+            stamp_ns,
+            reason: Some(reason),
+            place,
+            posterior: Some(posterior),
+            new_place_posterior: Some(new_place_posterior),
+            words: Some(words),
+            resent: Some(resent),
+            closure_place: closure.as_ref().map(|closure| closure.place),
+            closure_posterior: closure.as_ref().map(|closure| closure.posterior),
+            closure_log_odds: closure.as_ref().map(|closure| closure.log_odds),
+            closure_session: closure_frame.map(|frame| frame.session.clone()),
+            closure_sequence: closure_frame.map(|frame| frame.sequence),
+            proposal_place: proposal.as_ref().map(|proposal| proposal.place),
+            proposal_posterior: proposal.as_ref().map(|proposal| proposal.posterior),
+            proposal_log_odds: proposal.as_ref().map(|proposal| proposal.log_odds),
+            proposal_session: proposal_frame.map(|frame| frame.session.clone()),
+            proposal_sequence: proposal_frame.map(|frame| frame.sequence),
+            extract_ms: timings.map(|timings| timings.extract_ms),
+            quantize_ms: timings.map(|timings| timings.quantize_ms),
+            likelihood_ms: timings.map(|timings| timings.likelihood_ms),
+            new_place_ms: timings.map(|timings| timings.new_place_ms),
+            filter_ms: timings.map(|timings| timings.filter_ms),
+            commit_ms: timings.map(|timings| timings.commit_ms),
+            total_ms: timings.map(|timings| timings.total_ms),
+            refusal_code: None,
+            refusal_message: None,
+        }
+    }
+
+    pub(crate) fn refused(image: &str, stamp_ns: i64, refusal: v1::FrameRefusal) -> Self {
+        let v1::FrameRefusal { sequence, last_committed_sequence: _, status } = refusal;
+        let status = status.unwrap_or_default();
+        Self {
+            sequence,
+            image: image.to_owned(),
+            stamp_ns,
+            refusal_code: Some(code_name(Code::from(status.code))),
+            refusal_message: Some(status.message),
+            ..Self::default()
+        }
+    }
+}
+
+fn reason_name(reason: v1::Reason) -> &'static str {
+    match reason {
+        v1::Reason::Unspecified => "unspecified",
+        v1::Reason::NewPlace => "new_place",
+        v1::Reason::SamePlace => "same_place",
+        v1::Reason::LoopClosure => "loop_closure",
+        v1::Reason::BelowThreshold => "below_threshold",
+        v1::Reason::TooFewWords => "too_few_words",
+    }
+}
+
+/// The canonical name of a status code.
+fn code_name(code: Code) -> &'static str {
+    match code {
+        Code::Ok => "OK",
+        Code::Cancelled => "CANCELLED",
+        Code::Unknown => "UNKNOWN",
+        Code::InvalidArgument => "INVALID_ARGUMENT",
+        Code::DeadlineExceeded => "DEADLINE_EXCEEDED",
+        Code::NotFound => "NOT_FOUND",
+        Code::AlreadyExists => "ALREADY_EXISTS",
+        Code::PermissionDenied => "PERMISSION_DENIED",
+        Code::ResourceExhausted => "RESOURCE_EXHAUSTED",
+        Code::FailedPrecondition => "FAILED_PRECONDITION",
+        Code::Aborted => "ABORTED",
+        Code::OutOfRange => "OUT_OF_RANGE",
+        Code::Unimplemented => "UNIMPLEMENTED",
+        Code::Internal => "INTERNAL",
+        Code::Unavailable => "UNAVAILABLE",
+        Code::DataLoss => "DATA_LOSS",
+        Code::Unauthenticated => "UNAUTHENTICATED",
+    }
+}
