@@ -1,0 +1,80 @@
+//! The names under which the command line and the summaries know the choices of the paper.
+
+use fabmap::likelihood::Dependence;
+use fabmap::new_place::NewPlaceMethod;
+use fabmap::recognizer::Scorer;
+use topomap::event::Reason;
+
+use crate::dataset::Verdict;
+
+/// The values of a choice with their names.
+pub type Choices<T> = &'static [(&'static str, T)];
+
+/// Whether words depend on each other.
+pub const DEPENDENCES: Choices<Dependence> =
+    &[("chow-liu", Dependence::ChowLiu), ("naive-bayes", Dependence::NaiveBayes)];
+
+/// How places nobody has seen are stood in for.
+pub const NEW_PLACE_METHODS: Choices<NewPlaceMethod> =
+    &[("mean-field", NewPlaceMethod::MeanField), ("sampled", NewPlaceMethod::Sampled)];
+
+/// How likelihoods are evaluated.
+pub const SCORERS: Choices<Scorer> = &[("index", Scorer::Index), ("dense", Scorer::Dense)];
+
+/// Which system ranks earlier frames.
+pub const RANKINGS: Choices<RankingName> =
+    &[("fab-map", RankingName::FabMap), ("tf-idf", RankingName::TfIdf)];
+
+/// Why a frame was decided as it was.
+pub const REASONS: Choices<Reason> = &[
+    ("new-place", Reason::NewPlace),
+    ("same-place", Reason::SamePlace),
+    ("loop-closure", Reason::LoopClosure),
+    ("below-threshold", Reason::BelowThreshold),
+    ("too-few-words", Reason::TooFewWords),
+];
+
+/// What the truth says of a proposal, if there is one.
+pub const VERDICTS: Choices<Option<Verdict>> = &[
+    ("true", Some(Verdict::True)),
+    ("false", Some(Verdict::False)),
+    ("neutral", Some(Verdict::Neutral)),
+    ("none", None),
+];
+
+/// A system, by name alone.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RankingName {
+    /// FAB-MAP with its map and filter.
+    #[default]
+    FabMap,
+    /// The baseline.
+    TfIdf,
+}
+
+/// Name of a value; empty if the list lacks it.
+#[must_use]
+pub fn name_of<T: PartialEq>(choices: Choices<T>, value: &T) -> &'static str {
+    choices.iter().find(|(_, choice)| choice == value).map_or("", |(name, _)| name)
+}
+
+/// Value of a name.
+#[must_use]
+pub fn value_of<T: Copy>(choices: Choices<T>, name: &str) -> Option<T> {
+    choices.iter().find(|(choice, _)| *choice == name).map(|&(_, value)| value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_values_lead_to_each_other() {
+        for &(name, reason) in REASONS {
+            assert_eq!(name_of(REASONS, &reason), name);
+            assert_eq!(value_of(REASONS, name), Some(reason));
+        }
+        assert_eq!(value_of(DEPENDENCES, "chow liu"), None);
+        assert_eq!(name_of(VERDICTS, &None), "none");
+    }
+}

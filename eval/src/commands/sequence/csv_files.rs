@@ -1,0 +1,157 @@
+//! The tables of a run, as CSV with a header.
+
+use serde::Serialize;
+
+use super::JudgedFrame;
+use crate::choices::{REASONS, VERDICTS, name_of};
+use crate::dataset::Sequence;
+use crate::precision_recall::{OperatingPoint, PrecisionRecall};
+
+/// One row per frame; the same input gives the same bytes.
+pub(super) fn frames(sequence: &Sequence, frames: &[JudgedFrame]) -> csv::Result<Vec<u8>> {
+    let rows = frames.iter().zip(&sequence.images).enumerate().map(|(index, (frame, image))| {
+        let JudgedFrame { ranked, proposal_verdict, closure_verdict } = frame;
+        let decision = ranked.decision.as_ref();
+        FrameRow {
+            index,
+            image: image.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
+            words: ranked.words,
+            reason: decision.map_or("", |decision| name_of(REASONS, &decision.reason)),
+            place: decision.and_then(|decision| decision.place),
+            posterior: decision.map(|decision| decision.posterior),
+            p_new: decision.map(|decision| decision.new_place_posterior),
+            proposal_frame: ranked.proposal.map(|proposal| proposal.frame),
+            proposal_score: ranked.proposal.map(|proposal| proposal.score),
+            proposal_posterior: ranked.proposal.and_then(|proposal| proposal.posterior),
+            verdict: name_of(VERDICTS, proposal_verdict),
+            closure_frame: decision.and_then(|decision| decision.closure).map(|closure| closure.frame),
+            closure_verdict: name_of(VERDICTS, closure_verdict),
+        }
+    });
+    table(&FRAME_COLUMNS, rows)
+}
+
+const FRAME_COLUMNS: [&str; 13] = [
+    "index",
+    "image",
+    "words",
+    "reason",
+    "place",
+    "posterior",
+    "p_new",
+    "proposal_frame",
+    "proposal_score",
+    "proposal_posterior",
+    "verdict",
+    "closure_frame",
+    "closure_verdict",
+];
+
+/// Fields in the order of [`FRAME_COLUMNS`].
+#[derive(Serialize)]
+struct FrameRow {
+    index: usize,
+    image: String,
+    words: usize,
+    reason: &'static str,
+    place: Option<u32>,
+    posterior: Option<f64>,
+    p_new: Option<f64>,
+    proposal_frame: Option<usize>,
+    proposal_score: Option<f64>,
+    proposal_posterior: Option<f64>,
+    verdict: &'static str,
+    closure_frame: Option<usize>,
+    closure_verdict: &'static str,
+}
+
+/// One row per operating point, highest threshold first.
+pub(super) fn curve(curve: &PrecisionRecall) -> csv::Result<Vec<u8>> {
+    let rows = curve.points().iter().map(|point| {
+        let OperatingPoint { threshold, true_proposals, false_proposals, neutral_proposals } = *point;
+        let (recall, precision) = (curve.recall(point), point.precision());
+        CurveRow { threshold, recall, precision, true_proposals, false_proposals, neutral_proposals }
+    });
+    table(&CURVE_COLUMNS, rows)
+}
+
+const CURVE_COLUMNS: [&str; 6] =
+    ["threshold", "recall", "precision", "true_proposals", "false_proposals", "neutral_proposals"];
+
+/// Fields in the order of [`CURVE_COLUMNS`].
+#[derive(Serialize)]
+struct CurveRow {
+    threshold: f64,
+    recall: Option<f64>,
+    precision: f64,
+    true_proposals: usize,
+    false_proposals: usize,
+    neutral_proposals: usize,
+}
+
+/// Header and rows; the header also where there are no rows.
+fn table<Row: Serialize>(columns: &[&str], rows: impl Iterator<Item = Row>) -> csv::Result<Vec<u8>> {
+    let mut writer = csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new());
+    writer.write_record(columns)?;
+    for row in rows {
+        writer.serialize(row)?;
+    }
+    writer.into_inner().map_err(|error| error.into_error().into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::Verdict;
+    use crate::precision_recall::JudgedProposal;
+
+    /// Where rows carry their own header, it is the one that is written.
+    #[test]
+    fn columns_are_the_fields() {
+        let row = CurveRow {
+            threshold: 0.5,
+            recall: None,
+            precision: 1.0,
+            true_proposals: 0,
+            false_proposals: 0,
+            neutral_proposals: 2,
+        };
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        writer.serialize(&row).unwrap();
+        let with_own_header = writer.into_inner().unwrap();
+        assert_eq!(table(&CURVE_COLUMNS, [row].into_iter()).unwrap(), with_own_header);
+
+        let row = FrameRow {
+            index: 0,
+            image: "a, b.jpg".to_owned(),
+            words: 7,
+            reason: "new-place",
+            place: Some(0),
+            posterior: Some(1.0),
+            p_new: Some(1.0),
+            proposal_frame: None,
+            proposal_score: None,
+            proposal_posterior: None,
+            verdict: "none",
+            closure_frame: None,
+            closure_verdict: "none",
+        };
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        writer.serialize(&row).unwrap();
+        let with_own_header = writer.into_inner().unwrap();
+        assert_eq!(table(&FRAME_COLUMNS, [row].into_iter()).unwrap(), with_own_header);
+    }
+
+    #[test]
+    fn a_curve_has_a_row_per_score() {
+        let proposals = vec![
+            JudgedProposal { score: 0.75, verdict: Verdict::True },
+            JudgedProposal { score: 0.5, verdict: Verdict::False },
+        ];
+        let text = String::from_utf8(curve(&PrecisionRecall::sweep(proposals, 2)).unwrap()).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines, [CURVE_COLUMNS.join(",").as_str(), "0.75,0.5,1.0,1,0,0", "0.5,0.5,0.5,1,1,0"]);
+        let empty = curve(&PrecisionRecall::sweep(Vec::new(), 2)).unwrap();
+        assert_eq!(empty, format!("{}\n", CURVE_COLUMNS.join(",")).into_bytes());
+    }
+}

@@ -1,0 +1,157 @@
+//! `waypost-eval train`: a model from folders of images.
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use fabmap::chow_liu::TreeTrainingSettings;
+use fabmap::descriptor::Descriptors;
+use fabmap::detector::DetectorModel;
+use fabmap::model::{Model, ModelTrainingError, ModelTrainingProgress, ModelTrainingSettings, TrainingStage};
+use fabmap::vocabulary::VocabularySettings;
+use indicatif::ProgressBar;
+use rayon::prelude::*;
+use serde::Serialize;
+use waypost_vision::features::{ExtractError, Extractor, FeatureSettings};
+
+use crate::dataset;
+use crate::error::EvalError;
+use crate::{files, progress};
+
+/// What to train, from what.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrainOptions {
+    /// Folders of images, or folders with a subfolder `images/` of them.
+    pub images: Vec<PathBuf>,
+    /// The features that words are made of.
+    pub features: FeatureSettings,
+    /// Number of words, seed and iterations.
+    pub vocabulary: VocabularySettings,
+    /// The model file to write.
+    pub out: PathBuf,
+}
+
+/// What came out.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TrainReport {
+    /// Training images.
+    pub images: usize,
+    /// Descriptors found in them.
+    pub descriptors: usize,
+    /// Words of the vocabulary.
+    pub words: usize,
+    /// How long it took, in seconds.
+    pub seconds: TrainSeconds,
+    /// Hash of the model's content, its name.
+    pub model_hash: String,
+    /// Size of the model file.
+    pub bytes: usize,
+}
+
+/// How long training took, in seconds of wall time.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct TrainSeconds {
+    /// Decoding images and extracting features.
+    pub extract: f64,
+    /// Vocabulary, quantization and tree.
+    pub train: f64,
+}
+
+/// Trains a model and writes it.
+///
+/// # Errors
+/// [`EvalError`]; no file is written then.
+pub fn run(options: &TrainOptions) -> Result<TrainReport, EvalError> {
+    let TrainOptions { images, features, vocabulary, out } = options;
+    let began = Instant::now();
+    let mut paths = Vec::new();
+    for folder in images {
+        paths.extend(dataset::image_files(folder)?);
+    }
+    let descriptors = extract_all(&paths, Extractor::new(*features))?;
+    let extracted = Instant::now();
+    let model = train(*features, vocabulary, &descriptors)?;
+    let trained = Instant::now();
+    let bytes = model.to_bytes();
+    files::write(out, &bytes)?;
+    let report = TrainReport {
+        images: paths.len(),
+        descriptors: descriptors.iter().map(Descriptors::len).sum(),
+        words: model.vocabulary().len(),
+        seconds: TrainSeconds {
+            extract: extracted.duration_since(began).as_secs_f64(),
+            train: trained.duration_since(extracted).as_secs_f64(),
+        },
+        model_hash: model.hash().to_string(),
+        bytes: bytes.len(),
+    };
+    eprint!("{}", table(&report, *features, out));
+    Ok(report)
+}
+
+/// The descriptors of each image, in order of the paths; one image per thread.
+fn extract_all(paths: &[PathBuf], extractor: Extractor) -> Result<Vec<Descriptors>, EvalError> {
+    let bar = progress::bar("features", paths.len());
+    let extracted: Result<Vec<Descriptors>, EvalError> = paths
+        .par_iter()
+        .map(|path| {
+            let descriptors = extract(path, extractor);
+            bar.inc(1);
+            descriptors
+        })
+        .collect();
+    bar.finish_and_clear();
+    extracted
+}
+
+fn extract(path: &Path, extractor: Extractor) -> Result<Descriptors, EvalError> {
+    let unusable = |reason: ExtractError| EvalError::Image { path: path.to_owned(), reason };
+    let (_image, features) = extractor.extract_encoded(&files::read(path)?).map_err(unusable)?;
+    Ok(features.descriptors)
+}
+
+fn train(
+    features: FeatureSettings,
+    vocabulary: &VocabularySettings,
+    descriptors: &[Descriptors],
+) -> Result<Model, ModelTrainingError> {
+    let settings = ModelTrainingSettings {
+        vocabulary: vocabulary.clone(),
+        tree: TreeTrainingSettings::default(),
+        detector: DetectorModel::default(),
+    };
+    let bar = progress::bar("", PER_MILLE);
+    let model =
+        Model::train(&features.to_string(), descriptors, &settings, &mut |progress| show(progress, &bar));
+    bar.finish_and_clear();
+    model
+}
+
+/// Steps of the bar of one stage.
+const PER_MILLE: usize = 1000;
+
+fn show(progress: ModelTrainingProgress, bar: &ProgressBar) -> ControlFlow<()> {
+    let ModelTrainingProgress { stage, fraction } = progress;
+    bar.set_message(match stage {
+        TrainingStage::Vocabulary => "vocabulary",
+        TrainingStage::Quantization => "words",
+        TrainingStage::Tree => "Chow-Liu tree",
+    });
+    bar.set_position((fraction.clamp(0.0, 1.0) * PER_MILLE as f64) as u64);
+    ControlFlow::Continue(())
+}
+
+fn table(report: &TrainReport, features: FeatureSettings, out: &Path) -> String {
+    let TrainReport { images, descriptors, words, seconds, model_hash, bytes } = report;
+    let TrainSeconds { extract, train } = seconds;
+    format!(
+        "model        {model_hash}\n\
+         file         {out} ({bytes} bytes)\n\
+         features     {features}\n\
+         images       {images}\n\
+         descriptors  {descriptors}\n\
+         words        {words}\n\
+         time         {extract:.1} s features, {train:.1} s training\n",
+        out = out.display(),
+    )
+}

@@ -1,0 +1,132 @@
+//! Why a command failed, in words for the person at the keyboard.
+
+use std::io;
+use std::path::PathBuf;
+
+use fabmap::codec::DecodeError;
+use fabmap::detector::DetectorError;
+use fabmap::model::ModelTrainingError;
+use fabmap::vocabulary::VocabularyError;
+use topomap::mapper::{FoldError, FrameError, MapperError};
+use waypost_vision::features::{ExtractError, SettingsError};
+
+use crate::dataset::DatasetError;
+
+/// Why a command failed.
+#[derive(Debug, thiserror::Error)]
+pub enum EvalError {
+    /// The images or the truth cannot be used.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// A feature setting is out of range.
+    #[error(transparent)]
+    FeatureSettings(SettingsError),
+    /// A rate of the detector model is out of range.
+    #[error(transparent)]
+    Detector(#[from] DetectorError),
+    /// A setting of the recognizer or the mapper is out of range.
+    #[error(transparent)]
+    Mapper(#[from] MapperError),
+    /// An image cannot be decoded or has no place for features.
+    #[error("{path}: {reason}")]
+    Image {
+        /// The image.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: ExtractError,
+    },
+    /// No model came out of the training images.
+    #[error(transparent)]
+    Training(#[from] ModelTrainingError),
+    /// The model file is not a whole one.
+    #[error("{path}: {reason}")]
+    Model {
+        /// The model file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: DecodeError,
+    },
+    /// The model's words are made with an extractor that this program does not have.
+    #[error(
+        "{path}: the model's words are made with an extractor that this program does not know ({reason}); use the \
+         version of Waypost that trained it, or train it anew with `waypost-eval train`"
+    )]
+    UnknownExtractor {
+        /// The model file.
+        path: PathBuf,
+        /// What about it is not known.
+        reason: SettingsError,
+    },
+    /// Descriptors that the model's vocabulary does not quantize.
+    #[error(
+        "{path}: the model's vocabulary does not fit its own extractor ({reason}); train the model anew with \
+         `waypost-eval train`"
+    )]
+    ForeignVocabulary {
+        /// The model file.
+        path: PathBuf,
+        /// How they differ.
+        reason: VocabularyError,
+    },
+    /// The mapper refused a frame of the sequence.
+    #[error("frame {index}: {reason}")]
+    Frame {
+        /// Index of the frame.
+        index: usize,
+        /// Why.
+        reason: FrameError,
+    },
+    /// The mapper refused its own decision: a fault of the program.
+    #[error("frame {index}: {reason}; this is a fault of Waypost, please report it")]
+    Fold {
+        /// Index of the frame.
+        index: usize,
+        /// Why.
+        reason: FoldError,
+    },
+    /// A file or folder cannot be read.
+    #[error("{path} cannot be read ({reason}); check the path and its permissions")]
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        reason: io::Error,
+    },
+    /// A file or folder cannot be written.
+    #[error("{path} cannot be written ({reason}); check that the folder may be written to and has room")]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        reason: io::Error,
+    },
+    /// A plot could not be drawn.
+    #[error("{path} could not be drawn ({reason}); this is a fault of Waypost, please report it")]
+    Plot {
+        /// The plot's file.
+        path: PathBuf,
+        /// What the plotting library says.
+        reason: String,
+    },
+}
+
+impl EvalError {
+    /// Exit code of the program: 2 if the command line asks for what cannot be, 1 for all else.
+    #[must_use]
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            EvalError::FeatureSettings(_) | EvalError::Detector(_) | EvalError::Mapper(_) => 2,
+            EvalError::Dataset(_)
+            | EvalError::Image { .. }
+            | EvalError::Training(_)
+            | EvalError::Model { .. }
+            | EvalError::UnknownExtractor { .. }
+            | EvalError::ForeignVocabulary { .. }
+            | EvalError::Frame { .. }
+            | EvalError::Fold { .. }
+            | EvalError::Read { .. }
+            | EvalError::Write { .. }
+            | EvalError::Plot { .. } => 1,
+        }
+    }
+}

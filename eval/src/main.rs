@@ -1,0 +1,259 @@
+//! `waypost-eval`: the command line of the evaluation.
+
+use std::fmt::Display;
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::error::ErrorKind;
+use clap::{Args, CommandFactory, Parser, Subcommand};
+use fabmap::likelihood::Dependence;
+use fabmap::new_place::NewPlaceMethod;
+use fabmap::place_filter::FilterSettings;
+use fabmap::recognizer::{RecognizerSettings, Scorer};
+use fabmap::vocabulary::VocabularySettings;
+use serde::Serialize;
+use topomap::mapper::MapperSettings;
+use waypost_eval::choices::{
+    Choices, DEPENDENCES, NEW_PLACE_METHODS, RANKINGS, RankingName, SCORERS, name_of, value_of,
+};
+use waypost_eval::commands::sequence::{self, Knobs, SequenceOptions, System};
+use waypost_eval::commands::train::{self, TrainOptions};
+use waypost_eval::error::EvalError;
+use waypost_vision::features::{Feature, FeatureSettings};
+
+fn main() -> ExitCode {
+    let outcome = match Cli::parse().command {
+        Command::Train(arguments) => arguments.run(),
+        Command::Sequence(arguments) => arguments.run(),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+/// Measures Waypost: trains models, runs sequences in process and judges what is recognised.
+///
+/// Tables and progress go to stderr. Exit codes: 0 done, 1 failed, 2 wrong arguments.
+#[derive(Parser)]
+#[command(name = "waypost-eval", version)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Train(TrainArguments),
+    Sequence(Box<SequenceArguments>),
+}
+
+/// Train a model (vocabulary, Chow-Liu tree, sampling set) from folders of images.
+#[derive(Args)]
+struct TrainArguments {
+    /// Folders of JPEG or PNG images, or folders with a subfolder images/ of them.
+    #[arg(long, required = true, num_args = 1.., value_name = "DIR")]
+    images: Vec<PathBuf>,
+    /// The local feature that words are made of.
+    #[arg(long, default_value = FeatureSettings::default().feature().name(), value_parser = features())]
+    feature: Feature,
+    /// Number of words of the vocabulary.
+    #[arg(long, value_name = "N", default_value_t = VocabularySettings::default().words)]
+    words: u32,
+    /// Seed of the random choices; the same images and seed give the same model.
+    #[arg(long, value_name = "S", default_value_t = VocabularySettings::default().seed)]
+    seed: u64,
+    /// The model file to write.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Most features taken from an image.
+    #[arg(long, value_name = "N", default_value_t = FeatureSettings::default().max_features())]
+    max_features: u32,
+    /// Width that larger images are shrunk to, in pixels.
+    #[arg(long, value_name = "PX", default_value_t = FeatureSettings::default().image_width())]
+    image_width: u32,
+    /// Print one JSON object on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Stream a sequence with known loops once, in order, and judge the earlier frame proposed for each.
+///
+/// Writes precision_recall.csv and .svg, match_matrix.png, frames.csv and summary.json.
+#[derive(Args)]
+struct SequenceArguments {
+    /// Folder with images/, loops.csv and optionally ignore.csv (query_index,match_index).
+    #[arg(long, value_name = "DIR")]
+    sequence: PathBuf,
+    /// Frames closer than this many are not loops.
+    #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..))]
+    gap: u32,
+    /// The model file, as `train` writes it.
+    #[arg(long, value_name = "FILE")]
+    model: PathBuf,
+    /// Folder for the results; made if it does not exist.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    #[arg(long, value_name = "P", help = with_default(
+        "Posterior (with tf-idf: cosine) from which a loop closure is accepted",
+        MapperSettings::default().closure_threshold,
+    ))]
+    threshold: Option<f64>,
+    /// Seed of random choices. No stage of a run draws at random at present, so it changes nothing.
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    seed: u64,
+    /// The system to judge.
+    #[arg(long, value_parser = choice(RANKINGS), default_value = name_of(RANKINGS, &RankingName::default()))]
+    ranking: RankingName,
+    #[command(flatten)]
+    knobs: KnobArguments,
+    /// Print one JSON object on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+/// The paper's choices; of FAB-MAP alone.
+#[derive(Args)]
+#[command(next_help_heading = "FAB-MAP")]
+struct KnobArguments {
+    #[arg(long, value_parser = choice(DEPENDENCES), help = with_default(
+        "Whether words depend on each other",
+        name_of(DEPENDENCES, &RecognizerSettings::default().dependence),
+    ))]
+    dependence: Option<Dependence>,
+    #[arg(long, value_parser = choice(NEW_PLACE_METHODS), help = with_default(
+        "What stands in for places nobody has seen",
+        name_of(NEW_PLACE_METHODS, &RecognizerSettings::default().new_place),
+    ))]
+    new_place: Option<NewPlaceMethod>,
+    #[arg(long, value_parser = choice(SCORERS), help = with_default(
+        "How likelihoods are evaluated; the values are the same",
+        name_of(SCORERS, &RecognizerSettings::default().scorer),
+    ))]
+    scorer: Option<Scorer>,
+    /// p(z=1|e=1): how often a scene element that exists is seen [default: the model's].
+    #[arg(long, value_name = "P")]
+    true_positive_rate: Option<f64>,
+    /// p(z=1|e=0): how often one is seen that does not exist [default: the model's].
+    #[arg(long, value_name = "P")]
+    false_positive_rate: Option<f64>,
+    #[arg(long, value_name = "P", help = with_default(
+        "p(new): prior probability of a place never seen",
+        FilterSettings::default().new_place_prior,
+    ))]
+    new_place_prior: Option<f64>,
+    #[arg(long, value_name = "SIGMA", help = with_default(
+        "Weight of the normalised likelihoods against an even distribution; 1 is no smoothing",
+        FilterSettings::default().likelihood_smoothing,
+    ))]
+    smoothing: Option<f64>,
+    #[arg(long, value_name = "EPSILON", help = with_default(
+        "Share of the prior that is spread evenly over all places whatever the motion",
+        FilterSettings::default().even_share,
+    ))]
+    even_share: Option<f64>,
+}
+
+impl TrainArguments {
+    fn run(self) -> Result<(), EvalError> {
+        let Self { images, feature, words, seed, out, max_features, image_width, json } = self;
+        let features =
+            FeatureSettings::new(feature, max_features, image_width).map_err(EvalError::FeatureSettings)?;
+        let vocabulary = VocabularySettings { words, seed, ..VocabularySettings::default() };
+        let report = train::run(&TrainOptions { images, features, vocabulary, out })?;
+        print_if(json, &report)
+    }
+}
+
+impl SequenceArguments {
+    fn run(self) -> Result<(), EvalError> {
+        let Self { sequence, gap, model, out, threshold, seed: _, ranking, knobs, json } = self;
+        let system = match ranking {
+            RankingName::FabMap => System::FabMap(knobs.with_threshold(threshold)),
+            RankingName::TfIdf if knobs.are_untouched() => System::TfIdf { threshold },
+            RankingName::TfIdf => refuse(
+                "with --ranking tf-idf there are no FAB-MAP settings to make; leave out --dependence, --new-place, \
+                 --scorer, the rates, --new-place-prior, --smoothing and --even-share",
+            ),
+        };
+        let report = sequence::run(&SequenceOptions { sequence, gap: gap as usize, model, system, out })?;
+        print_if(json, &report)
+    }
+}
+
+impl KnobArguments {
+    fn with_threshold(self, closure_threshold: Option<f64>) -> Knobs {
+        let Self {
+            dependence,
+            new_place,
+            scorer,
+            true_positive_rate,
+            false_positive_rate,
+            new_place_prior,
+            smoothing,
+            even_share,
+        } = self;
+        Knobs {
+            closure_threshold,
+            dependence,
+            new_place,
+            scorer,
+            true_positive_rate,
+            false_positive_rate,
+            new_place_prior,
+            even_share,
+            likelihood_smoothing: smoothing,
+        }
+    }
+
+    fn are_untouched(&self) -> bool {
+        let Self {
+            dependence,
+            new_place,
+            scorer,
+            true_positive_rate,
+            false_positive_rate,
+            new_place_prior,
+            smoothing,
+            even_share,
+        } = self;
+        let rates = [true_positive_rate, false_positive_rate, new_place_prior, smoothing, even_share];
+        dependence.is_none()
+            && new_place.is_none()
+            && scorer.is_none()
+            && rates.iter().all(|rate| rate.is_none())
+    }
+}
+
+/// The one object on stdout.
+fn print_if(json: bool, report: &impl Serialize) -> Result<(), EvalError> {
+    if !json {
+        return Ok(());
+    }
+    let not_printed = |reason: io::Error| EvalError::Write { path: PathBuf::from("stdout"), reason };
+    let mut stdout = io::stdout().lock();
+    serde_json::to_writer(&mut stdout, report).map_err(|error| not_printed(error.into()))?;
+    writeln!(stdout).map_err(not_printed)
+}
+
+fn refuse(message: &str) -> ! {
+    Cli::command().error(ErrorKind::ArgumentConflict, message).exit()
+}
+
+fn with_default(text: &str, default: impl Display) -> String {
+    format!("{text} [default: {default}]")
+}
+
+fn choice<T: Copy + Send + Sync + 'static>(choices: Choices<T>) -> impl TypedValueParser<Value = T> {
+    PossibleValuesParser::new(choices.iter().map(|(name, _)| *name))
+        .try_map(|name| value_of(choices, &name).ok_or("not one of the choices"))
+}
+
+fn features() -> impl TypedValueParser<Value = Feature> {
+    PossibleValuesParser::new(Feature::ALL.map(Feature::name)).try_map(|name| name.parse::<Feature>())
+}

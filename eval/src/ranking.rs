@@ -1,0 +1,73 @@
+//! Systems under test: each is shown the frames in order and proposes one earlier frame for each.
+
+mod fab_map;
+mod tf_idf;
+
+pub use fab_map::FabMap;
+pub use tf_idf::TfIdfRanking;
+
+use fabmap::appearance::PlaceId;
+use fabmap::observation::Observation;
+use topomap::event::Reason;
+
+use crate::error::EvalError;
+use crate::timing::{FrameTimes, FrameWatch};
+
+/// A system that recognises places.
+pub trait Ranking {
+    /// Takes the next frame, number `index`, and answers which earlier one shows the same place.
+    ///
+    /// # Errors
+    /// [`EvalError::Frame`] or [`EvalError::Fold`].
+    fn rank(
+        &mut self,
+        index: usize,
+        observation: Observation,
+        watch: FrameWatch,
+    ) -> Result<Ranked, EvalError>;
+
+    /// Places on the map; `None` for a system that has none.
+    fn places(&self) -> Option<usize>;
+}
+
+/// The answer to one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Ranked {
+    /// Different words that the frame shows.
+    pub words: usize,
+    /// The earlier frame that is most likely a loop, whatever was decided.
+    pub proposal: Option<Proposal>,
+    /// What was made of the frame; `None` for a system that only ranks.
+    pub decision: Option<RankedDecision>,
+    /// How well each frame before this one matches, in [0, 1]: the posterior of its place, or its
+    /// cosine.
+    pub similarities: Vec<f64>,
+    /// How long it took.
+    pub times: FrameTimes,
+}
+
+/// An earlier frame with how sure the system is of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Proposal {
+    /// Index of the earlier frame.
+    pub frame: usize,
+    /// What proposals are ordered by: the log-odds of the place's posterior, in nats, or the cosine.
+    pub score: f64,
+    /// The posterior probability of its place; `None` for a system without probabilities.
+    pub posterior: Option<f64>,
+}
+
+/// What a system that maps decided about a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RankedDecision {
+    /// Why.
+    pub reason: Reason,
+    /// The place that the frame belongs to.
+    pub place: Option<PlaceId>,
+    /// Posterior probability of what was decided.
+    pub posterior: f64,
+    /// p(new | Z).
+    pub new_place_posterior: f64,
+    /// For a loop closure, accepted or not: the frame that it closes with.
+    pub closure: Option<Proposal>,
+}

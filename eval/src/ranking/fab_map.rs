@@ -1,0 +1,136 @@
+//! FAB-MAP with its map, through the very function that the server calls.
+
+use fabmap::appearance::PlaceId;
+use fabmap::model::Model;
+use fabmap::observation::Observation;
+use fabmap::recognizer::Recognition;
+use topomap::event::{Decision, FrameEvent, FrameId, MapEvent, Match, SessionId};
+use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameInput, Mapper, MapperSettings};
+
+use super::{Proposal, Ranked, RankedDecision, Ranking};
+use crate::error::EvalError;
+use crate::timing::FrameWatch;
+
+/// FAB-MAP over a map that grows with the sequence, in one session.
+#[derive(Clone, Debug)]
+pub struct FabMap {
+    mapper: Mapper,
+    log: Log,
+}
+
+/// The map's log, in memory.
+#[derive(Clone, Debug, Default)]
+struct Log(Vec<MapEvent>);
+
+/// The one session that a sequence is run in.
+const SESSION: SessionId = 0;
+
+/// Sequences have no stamps; frames are held to be this far apart. Without odometry only their
+/// order matters.
+const FRAME_INTERVAL_NS: i64 = 1_000_000_000;
+
+impl FabMap {
+    /// An empty map with an open session.
+    ///
+    /// # Errors
+    /// [`EvalError::Mapper`] if a setting is out of range.
+    pub fn new(model: &Model, settings: MapperSettings) -> Result<Self, EvalError> {
+        let mut mapper = Mapper::new(model, settings)?;
+        let opened = MapEvent::SessionOpened { session: SESSION };
+        mapper.apply(&opened).map_err(|reason| EvalError::Fold { index: 0, reason })?;
+        Ok(Self { mapper, log: Log(vec![opened]) })
+    }
+
+    /// The map so far.
+    #[must_use]
+    pub fn mapper(&self) -> &Mapper {
+        &self.mapper
+    }
+}
+
+impl Ranking for FabMap {
+    fn rank(
+        &mut self,
+        index: usize,
+        observation: Observation,
+        mut watch: FrameWatch,
+    ) -> Result<Ranked, EvalError> {
+        let words = observation.len();
+        let input = FrameInput {
+            session: SESSION,
+            sequence: index as u64,
+            stamp_ns: FRAME_INTERVAL_NS.saturating_mul(i64::try_from(index).unwrap_or(i64::MAX)),
+            odometry: None,
+            observation,
+        };
+        let Decided { event, recognition } = self
+            .mapper
+            .decide(input, &self.log, &mut watch)
+            .map_err(|reason| EvalError::Frame { index, reason })?;
+        let (decision, proposal, new_place_posterior) =
+            (event.decision, event.proposal, event.new_place_posterior);
+        let event = MapEvent::Frame(Box::new(event));
+        self.mapper.apply(&event).map_err(|reason| EvalError::Fold { index, reason })?;
+        let times = watch.stop();
+
+        let Decision { reason, place, posterior, closure } = decision;
+        let closure = closure.and_then(|matched| self.log.proposal(matched));
+        let ranked = Ranked {
+            words,
+            proposal: proposal.and_then(|matched| self.log.proposal(matched)),
+            decision: Some(RankedDecision { reason, place, posterior, new_place_posterior, closure }),
+            similarities: self
+                .log
+                .frames()
+                .map(|earlier| posterior_of(earlier.decision.place, &recognition))
+                .collect(),
+            times,
+        };
+        self.log.0.push(event);
+        Ok(ranked)
+    }
+
+    fn places(&self) -> Option<usize> {
+        Some(self.mapper.map().places().len())
+    }
+}
+
+/// The posterior of the place that an earlier frame was assigned to; 0 if it was to none.
+fn posterior_of(place: Option<PlaceId>, recognition: &Recognition) -> f64 {
+    place.and_then(|place| recognition.posterior.places.get(place as usize)).copied().unwrap_or(0.0)
+}
+
+impl Log {
+    /// The frames, in order.
+    fn frames(&self) -> impl Iterator<Item = &FrameEvent> {
+        self.0.iter().filter_map(|event| match event {
+            MapEvent::SessionOpened { .. } => None,
+            MapEvent::Frame(event) => Some(event.as_ref()),
+        })
+    }
+
+    /// A frame by its position in the log, which is not its index in the sequence: opening the
+    /// session took the first position.
+    fn frame(&self, frame: FrameId) -> Option<&FrameEvent> {
+        match self.0.get(usize::try_from(frame).ok()?)? {
+            MapEvent::SessionOpened { .. } => None,
+            MapEvent::Frame(event) => Some(event),
+        }
+    }
+
+    /// The index in the sequence is the sequence number that the frame was sent with.
+    fn proposal(&self, matched: Match) -> Option<Proposal> {
+        let Match { place: _, posterior, log_odds, frame } = matched;
+        let index = usize::try_from(self.frame(frame)?.sequence).ok()?;
+        Some(Proposal { frame: index, score: log_odds, posterior: Some(posterior) })
+    }
+}
+
+impl FrameArchive for Log {
+    fn observation(&self, frame: FrameId) -> Result<Observation, ArchiveError> {
+        match self.frame(frame) {
+            Some(event) => Ok(event.observation.clone()),
+            None => Err(ArchiveError { frame, why: "it is not in the log".to_owned() }),
+        }
+    }
+}

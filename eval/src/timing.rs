@@ -1,0 +1,170 @@
+//! How long the stages of a frame take.
+
+use std::time::Instant;
+
+use fabmap::recognizer::{Stage, StageObserver};
+use serde::Serialize;
+
+/// Wall time of one frame's stages, in milliseconds; `None` for a stage that it did not go through.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FrameTimes {
+    /// Decoding the image, features and their descriptors.
+    pub extract: Option<f64>,
+    /// Descriptors to words.
+    pub quantize: Option<f64>,
+    /// ln p(Z | L_i) of all places, or the similarity with all frames.
+    pub likelihood: Option<f64>,
+    /// ln p(Z | L_new).
+    pub new_place: Option<f64>,
+    /// Prior and posterior.
+    pub filter: Option<f64>,
+    /// Geometric verification.
+    pub verify: Option<f64>,
+    /// From the encoded image to the map that has the frame in it.
+    pub total: Option<f64>,
+}
+
+/// Medians of the stages over all frames, in milliseconds; null for a stage that no frame went
+/// through.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MedianTimes {
+    /// See [`FrameTimes::extract`].
+    pub extract: Option<f64>,
+    /// See [`FrameTimes::quantize`].
+    pub quantize: Option<f64>,
+    /// See [`FrameTimes::likelihood`].
+    pub likelihood: Option<f64>,
+    /// See [`FrameTimes::new_place`].
+    pub new_place: Option<f64>,
+    /// See [`FrameTimes::filter`].
+    pub filter: Option<f64>,
+    /// See [`FrameTimes::verify`].
+    pub verify: Option<f64>,
+    /// See [`FrameTimes::total`].
+    pub total: Option<f64>,
+}
+
+/// A watch that runs along with one frame: each stage is the time since the one before ended.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameWatch {
+    started: Instant,
+    stage_began: Instant,
+    times: FrameTimes,
+}
+
+impl MedianTimes {
+    /// The medians of each stage by itself.
+    #[must_use]
+    pub fn of(frames: &[FrameTimes]) -> Self {
+        let median_of =
+            |stage: fn(&FrameTimes) -> Option<f64>| median(frames.iter().filter_map(stage).collect());
+        Self {
+            extract: median_of(|times| times.extract),
+            quantize: median_of(|times| times.quantize),
+            likelihood: median_of(|times| times.likelihood),
+            new_place: median_of(|times| times.new_place),
+            filter: median_of(|times| times.filter),
+            verify: median_of(|times| times.verify),
+            total: median_of(|times| times.total),
+        }
+    }
+
+    /// The stages in order, with their names.
+    #[must_use]
+    pub fn stages(&self) -> [(&'static str, Option<f64>); 7] {
+        let Self { extract, quantize, likelihood, new_place, filter, verify, total } = *self;
+        [
+            ("extract", extract),
+            ("quantize", quantize),
+            ("likelihood", likelihood),
+            ("new_place", new_place),
+            ("filter", filter),
+            ("verify", verify),
+            ("total", total),
+        ]
+    }
+}
+
+impl FrameWatch {
+    /// The frame's image has been read and its work begins.
+    #[must_use]
+    pub fn start() -> Self {
+        let now = Instant::now();
+        Self { started: now, stage_began: now, times: FrameTimes::default() }
+    }
+
+    /// The features have been extracted.
+    pub fn extracted(&mut self) {
+        self.times.extract = Some(self.end_stage_ms());
+    }
+
+    /// The words have been found.
+    pub fn quantized(&mut self) {
+        self.times.quantize = Some(self.end_stage_ms());
+    }
+
+    /// The frame is decided and on the map.
+    #[must_use]
+    pub fn stop(self) -> FrameTimes {
+        FrameTimes { total: Some(self.started.elapsed().as_secs_f64() * 1e3), ..self.times }
+    }
+
+    fn end_stage_ms(&mut self) -> f64 {
+        let now = Instant::now();
+        let stage = now.duration_since(std::mem::replace(&mut self.stage_began, now));
+        stage.as_secs_f64() * 1e3
+    }
+}
+
+impl StageObserver for FrameWatch {
+    fn completed(&mut self, stage: Stage) {
+        let milliseconds = Some(self.end_stage_ms());
+        match stage {
+            Stage::Likelihood => self.times.likelihood = milliseconds,
+            Stage::NewPlace => self.times.new_place = milliseconds,
+            Stage::Filter => self.times.filter = milliseconds,
+        }
+    }
+}
+
+/// The middle value, or the mean of the two in the middle; `None` of none.
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let upper = *values.get(values.len() / 2)?;
+    let lower = *values.get(values.len().checked_sub(1)? / 2)?;
+    Some((lower + upper) / 2.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn medians_by_hand() {
+        assert_eq!(median(vec![]), None);
+        assert_eq!(median(vec![4.0]), Some(4.0));
+        assert_eq!(median(vec![9.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!(median(vec![9.0, 1.0, 2.0, 4.0]), Some(3.0));
+    }
+
+    #[test]
+    fn stages_are_taken_apart_and_missing_ones_left_out() {
+        let frame = |extract, filter| FrameTimes { extract: Some(extract), filter, ..FrameTimes::default() };
+        let medians = MedianTimes::of(&[frame(1.0, None), frame(3.0, Some(7.0)), frame(8.0, None)]);
+        assert_eq!((medians.extract, medians.filter, medians.verify), (Some(3.0), Some(7.0), None));
+    }
+
+    #[test]
+    fn a_watch_fills_the_stages_it_hears_of() {
+        let mut watch = FrameWatch::start();
+        watch.extracted();
+        watch.quantized();
+        watch.completed(Stage::Likelihood);
+        watch.completed(Stage::Filter);
+        let times = watch.stop();
+        let stages = [times.extract, times.quantize, times.likelihood, times.filter];
+        let sum: f64 = stages.iter().map(|stage| stage.unwrap()).sum();
+        assert!(stages.iter().all(|stage| stage.unwrap() >= 0.0) && sum <= times.total.unwrap());
+        assert_eq!((times.new_place, times.verify), (None, None));
+    }
+}

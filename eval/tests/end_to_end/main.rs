@@ -1,0 +1,8 @@
+//! The built program, run as people run it.
+
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking, helpers included")]
+
+mod errors;
+mod real_data;
+mod synthetic;
+mod tool;
