@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use fabmap::codec::DecodeError;
 use fabmap::detector::DetectorError;
 use fabmap::model::ModelTrainingError;
-use fabmap::vocabulary::VocabularyError;
+use fabmap::vocabulary::{OrbVocabularyError, VocabularyError};
 use topomap::mapper::{FoldError, FrameError, MapperError};
 use waypost_vision::features::{ExtractError, SettingsError};
 
@@ -38,6 +38,14 @@ pub enum EvalError {
     /// No model came out of the training images.
     #[error(transparent)]
     Training(#[from] ModelTrainingError),
+    /// The ORB vocabulary cannot be read.
+    #[error("{path}: {reason}")]
+    OrbVocabulary {
+        /// The vocabulary file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: OrbVocabularyError,
+    },
     /// The model file is not a whole one.
     #[error("{path}: {reason}")]
     Model {
@@ -118,6 +126,7 @@ impl EvalError {
             EvalError::FeatureSettings(_) | EvalError::Detector(_) | EvalError::Mapper(_) => 2,
             EvalError::Dataset(_)
             | EvalError::Image { .. }
+            | EvalError::OrbVocabulary { .. }
             | EvalError::Training(_)
             | EvalError::Model { .. }
             | EvalError::UnknownExtractor { .. }

@@ -19,7 +19,7 @@ use waypost_eval::choices::{
     Choices, DEPENDENCES, NEW_PLACE_METHODS, RANKINGS, RankingName, SCORERS, name_of, value_of,
 };
 use waypost_eval::commands::sequence::{self, Knobs, SequenceOptions, System};
-use waypost_eval::commands::train::{self, TrainOptions};
+use waypost_eval::commands::train::{self, TrainOptions, VocabularySource};
 use waypost_eval::error::EvalError;
 use waypost_vision::features::{Feature, FeatureSettings};
 
@@ -68,6 +68,10 @@ struct TrainArguments {
     /// Seed of the random choices; the same images and seed give the same model.
     #[arg(long, value_name = "S", default_value_t = VocabularySettings::default().seed)]
     seed: u64,
+    /// Take the words from an ORB vocabulary as text (ORBvoc.txt, as DBoW2 writes it) instead of the
+    /// images; needs --feature orb.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["words", "seed"])]
+    orb_vocabulary: Option<PathBuf>,
     /// The model file to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -161,10 +165,19 @@ struct KnobArguments {
 
 impl TrainArguments {
     fn run(self) -> Result<(), EvalError> {
-        let Self { images, feature, words, seed, out, max_features, image_width, json } = self;
+        let Self { images, feature, words, seed, orb_vocabulary, out, max_features, image_width, json } =
+            self;
         let features =
             FeatureSettings::new(feature, max_features, image_width).map_err(EvalError::FeatureSettings)?;
-        let vocabulary = VocabularySettings { words, seed, ..VocabularySettings::default() };
+        let vocabulary = match orb_vocabulary {
+            Some(_) if feature != Feature::Orb => {
+                refuse("an ORB vocabulary has words of ORB; add --feature orb")
+            }
+            Some(path) => VocabularySource::OrbText(path),
+            None => {
+                VocabularySource::Images(VocabularySettings { words, seed, ..VocabularySettings::default() })
+            }
+        };
         let report = train::run(&TrainOptions { images, features, vocabulary, out })?;
         print_if(json, &report)
     }

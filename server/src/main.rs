@@ -1,5 +1,6 @@
 //! Wiring: configuration, logging, sockets, signals.
 
+use std::io::IsTerminal;
 use std::path::Path;
 
 use anyhow::Context;
@@ -15,7 +16,8 @@ use waypost_server::config::Config;
 async fn main() -> anyhow::Result<()> {
     let Config { data_dir, grpc_address, http_address, ready_file } = Config::parse();
     let filter = EnvFilter::try_from_env("WAYPOST_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let ansi = std::io::stderr().is_terminal();
+    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(ansi).with_writer(std::io::stderr).init();
 
     let server = Server::open(data_dir.clone()).await?;
     let grpc = bind(grpc_address, "--grpc-address").await?;

@@ -187,6 +187,7 @@ impl Map {
     pub fn encode_graph(&self) -> Vec<u8> {
         let Self { places, links, linked: _, sessions, events } = self;
         let mut writer = Writer::default();
+        writer.u8(CHECKPOINT_VERSION);
         writer.u64(*events);
         writer.varint(places.len() as u64);
         writer.varint(links.len() as u64);
@@ -205,6 +206,10 @@ impl Map {
     /// [`DecodeError`] if the bytes are no graph, or not one of these places.
     pub fn decode_graph(bytes: &[u8], places: Vec<Place>) -> Result<Self, DecodeError> {
         let mut reader = Reader::new(bytes);
+        let version = reader.u8()?;
+        if version != CHECKPOINT_VERSION {
+            return Err(DecodeError::Version { found: version.into(), newest: CHECKPOINT_VERSION.into() });
+        }
         let events = reader.u64()?;
         let expected = reader.varint()?;
         if expected != places.len() as u64 {
@@ -230,6 +235,9 @@ impl Map {
         Ok(map)
     }
 }
+
+/// Version of the byte forms of graph and places together; the graph's first byte.
+const CHECKPOINT_VERSION: u8 = 1;
 
 /// A place with its appearance, as a checkpoint keeps it.
 #[must_use]

@@ -7,8 +7,8 @@ use std::time::Instant;
 use fabmap::chow_liu::TreeTrainingSettings;
 use fabmap::descriptor::Descriptors;
 use fabmap::detector::DetectorModel;
-use fabmap::model::{Model, ModelTrainingError, ModelTrainingProgress, ModelTrainingSettings, TrainingStage};
-use fabmap::vocabulary::VocabularySettings;
+use fabmap::model::{Model, ModelTrainingProgress, ModelTrainingSettings, TrainingStage};
+use fabmap::vocabulary::{Vocabulary, VocabularySettings};
 use indicatif::ProgressBar;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -25,10 +25,20 @@ pub struct TrainOptions {
     pub images: Vec<PathBuf>,
     /// The features that words are made of.
     pub features: FeatureSettings,
-    /// Number of words, seed and iterations.
-    pub vocabulary: VocabularySettings,
+    /// Where the words come from.
+    pub vocabulary: VocabularySource,
     /// The model file to write.
     pub out: PathBuf,
+}
+
+/// Where a model's words come from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum VocabularySource {
+    /// Clustered from the training images: number of words, seed and iterations.
+    Images(VocabularySettings),
+    /// Imported from an ORB vocabulary as text, as DBoW2 writes it; tree and sampling set are still
+    /// learnt from the training images.
+    OrbText(PathBuf),
 }
 
 /// What came out.
@@ -112,19 +122,31 @@ fn extract(path: &Path, extractor: Extractor) -> Result<Descriptors, EvalError> 
 
 fn train(
     features: FeatureSettings,
-    vocabulary: &VocabularySettings,
+    vocabulary: &VocabularySource,
     descriptors: &[Descriptors],
-) -> Result<Model, ModelTrainingError> {
-    let settings = ModelTrainingSettings {
-        vocabulary: vocabulary.clone(),
-        tree: TreeTrainingSettings::default(),
-        detector: DetectorModel::default(),
-    };
+) -> Result<Model, EvalError> {
+    let (tree, detector) = (TreeTrainingSettings::default(), DetectorModel::default());
+    let extractor = features.to_string();
     let bar = progress::bar("", PER_MILLE);
-    let model =
-        Model::train(&features.to_string(), descriptors, &settings, &mut |progress| show(progress, &bar));
+    let mut observer = |progress| show(progress, &bar);
+    let model = match vocabulary {
+        VocabularySource::Images(vocabulary) => {
+            let settings = ModelTrainingSettings { vocabulary: vocabulary.clone(), tree, detector };
+            Model::train(&extractor, descriptors, &settings, &mut observer)
+        }
+        VocabularySource::OrbText(path) => {
+            let vocabulary = orb_vocabulary(path)?;
+            Model::train_over(vocabulary, &extractor, descriptors, tree, detector, &mut observer)
+        }
+    };
     bar.finish_and_clear();
-    model
+    Ok(model?)
+}
+
+fn orb_vocabulary(path: &Path) -> Result<Vocabulary, EvalError> {
+    let text = String::from_utf8_lossy(&files::read(path)?).into_owned();
+    Vocabulary::from_orb_text(&text)
+        .map_err(|reason| EvalError::OrbVocabulary { path: path.to_owned(), reason })
 }
 
 /// Steps of the bar of one stage.

@@ -28,7 +28,7 @@ fn wrong_arguments_exit_with_2() {
     assert_says(waypost_eval(&["sequence"]).refusal(2), &["--sequence", "--gap", "--model", "--out"]);
     assert_says(
         sequence(&world, "model", &["--threshold", "1.5"]).refusal(2),
-        &["1.5", "0.9 is a good start"],
+        &["1.5", "leave it out for the default"],
     );
     assert_says(sequence(&world, "model", &["--new-place-prior", "1"]).refusal(2), &["between 0 and 1"]);
     assert_says(sequence(&world, "model", &["--false-positive-rate", "0.5"]).refusal(2), &["below the true"]);

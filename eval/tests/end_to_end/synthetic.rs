@@ -208,3 +208,28 @@ fn without_json_stdout_stays_empty_and_people_get_a_table() {
     assert_eq!((run.exit_code, run.stdout.as_str()), (Some(0), ""));
     assert!(run.stderr.contains("recall at 100 % precision"), "{}", run.stderr);
 }
+
+/// One level of twenty words of 32 bytes, as DBoW2 writes them.
+fn orb_text() -> String {
+    let word = |word: u32| {
+        let bytes: Vec<String> =
+            (0..32).map(|byte| ((word * 37 + byte * 101 + word * byte) % 256).to_string()).collect();
+        format!("0 1 {} 0.5\n", bytes.join(" "))
+    };
+    "20 1 0 0\n".to_owned() + &(0..20).map(word).collect::<String>()
+}
+
+#[test]
+fn words_can_come_from_an_orb_vocabulary() {
+    let world = World::new();
+    std::fs::write(world.path("orb.txt"), orb_text()).unwrap();
+    let (images, text, out) = (world.text("sequence"), world.text("orb.txt"), world.text("orb.waypost"));
+    let train = ["train", "--images", &images, "--orb-vocabulary", &text, "--out", &out, "--json"];
+    let refusal = waypost_eval(&train);
+    assert!(refusal.refusal(2).contains("--feature orb"));
+    let trained = waypost_eval(&[&train[..], &["--feature", "orb"]].concat()).json();
+    assert_eq!(trained["words"], 20);
+    let report = world.run("orb.waypost", "orb", &[]);
+    assert_eq!(report["frames"], 2 * PLACES);
+    assert!(report["places"].as_u64().unwrap() >= 1);
+}

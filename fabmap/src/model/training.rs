@@ -104,12 +104,30 @@ impl Model {
         let vocabulary = Vocabulary::train(&sample, vocabulary, &mut |progress| {
             observer(ModelTrainingProgress { stage: TrainingStage::Vocabulary, fraction: progress.fraction })
         })?;
+        Self::train_over(vocabulary, extractor, images, *tree, *detector, observer)
+    }
+
+    /// Tree and sampling set over a vocabulary that is there already, an imported one for example.
+    ///
+    /// # Errors
+    /// [`ModelTrainingError`].
+    pub fn train_over(
+        vocabulary: Vocabulary,
+        extractor: &str,
+        images: &[Descriptors],
+        tree: TreeTrainingSettings,
+        detector: DetectorModel,
+        observer: &mut dyn FnMut(ModelTrainingProgress) -> ControlFlow<()>,
+    ) -> Result<Self, ModelTrainingError> {
+        if images.iter().all(Descriptors::is_empty) {
+            return Err(ModelTrainingError::NoDescriptors { images: images.len() });
+        }
         let observations = observe_all(&vocabulary, images, observer)?;
-        let tree = ChowLiuTree::train(&observations, vocabulary.len(), *tree, &mut |fraction| {
+        let tree = ChowLiuTree::train(&observations, vocabulary.len(), tree, &mut |fraction| {
             observer(ModelTrainingProgress { stage: TrainingStage::Tree, fraction })
         })?;
         let sampling_set = evenly_taken(&observations, ModelTrainingSettings::MAX_SAMPLES);
-        Ok(Self::new(extractor.to_owned(), vocabulary, tree, *detector, sampling_set)?)
+        Ok(Self::new(extractor.to_owned(), vocabulary, tree, detector, sampling_set)?)
     }
 }
 

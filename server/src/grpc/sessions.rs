@@ -139,9 +139,9 @@ fn opened(session: &SessionStream) -> v1::StreamResponse {
 fn outcome(outcome: FrameOutcome) -> Result<v1::StreamResponse, Status> {
     match outcome {
         FrameOutcome::Answered(answered) => Ok(respond(stream_response::Content::Answer(answer(*answered)))),
-        FrameOutcome::Refused { sequence, error } => {
+        FrameOutcome::Refused { sequence, last_committed, error } => {
             let status = Some(as_message(&error));
-            let refusal = v1::FrameRefusal { sequence, last_committed_sequence: None, status };
+            let refusal = v1::FrameRefusal { sequence, last_committed_sequence: last_committed, status };
             Ok(respond(stream_response::Content::Refusal(refusal)))
         }
         FrameOutcome::Ended(error) => Err(error.into()),

@@ -39,7 +39,12 @@ enum View {
 type Asked<T> = Result<Query<T>, QueryRejection>;
 
 fn asked<T>(query: Asked<T>) -> Result<T, ServiceError> {
-    query.map(|Query(asked)| asked).map_err(|rejection| ServiceError::invalid(rejection.body_text()))
+    query.map(|Query(asked)| asked).map_err(|rejection| {
+        ServiceError::invalid(format_args!(
+            "{}; lists take page_size=NUMBER and page_token=TOKEN, a map takes view=basic or view=full",
+            rejection.body_text()
+        ))
+    })
 }
 
 pub(super) async fn list(

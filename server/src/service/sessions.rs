@@ -92,6 +92,7 @@ struct Order {
     submitted: BTreeSet<u64>,
     /// The frame that must come next, because it was refused only for now.
     resend_from: Option<u64>,
+    last_committed: Option<u64>,
 }
 
 /// A frame in words, on its way to the map's writer.
@@ -107,6 +108,7 @@ pub(crate) enum FrameOutcome {
     Answered(Box<FrameAnswer>),
     Refused {
         sequence: u64,
+        last_committed: Option<u64>,
         error: ServiceError,
     },
     /// The stream is over.
@@ -130,7 +132,8 @@ impl Service {
         let id = if session.is_empty() { self.new_session_id(&open).await? } else { session.to_owned() };
         check_id("session name", &id)?;
         let session = open.open_session(id.clone(), camera, stream).await?;
-        let order = Order { map: open, submitted: BTreeSet::new(), resend_from: None };
+        let last_committed = session.last_committed;
+        let order = Order { map: open, submitted: BTreeSet::new(), resend_from: None, last_committed };
         Ok(SessionStream {
             order: Arc::new(Mutex::new(order)),
             service: self.clone(),
@@ -139,7 +142,7 @@ impl Service {
             model,
             session: session.session,
             stream,
-            last_committed: session.last_committed,
+            last_committed,
         })
     }
 
@@ -197,7 +200,7 @@ impl SessionStream {
         let PreparedFrame { sequence, work, since } = prepared;
         let work = match work {
             Ok(work) => work,
-            Err(error) => return PendingOutcome::Known(FrameOutcome::Refused { sequence, error }),
+            Err(error) => return PendingOutcome::Known(self.refused(sequence, error)),
         };
         let map = match self.writer_for(sequence).await {
             Ok(map) => map,
@@ -220,16 +223,15 @@ impl SessionStream {
         };
         match answer {
             Ok(Ok(answer)) => {
-                self.order().submitted.remove(&sequence);
+                let mut order = self.order();
+                order.submitted.remove(&sequence);
+                order.last_committed = order.last_committed.max(Some(answer.last_committed));
                 FrameOutcome::Answered(Box::new(answer))
             }
             Ok(Err(FrameFailure::Refused(error @ ServiceError::Unavailable { .. }))) => {
                 self.refused_for_now(sequence, error)
             }
-            Ok(Err(FrameFailure::Refused(error))) => {
-                self.order().submitted.remove(&sequence);
-                FrameOutcome::Refused { sequence, error }
-            }
+            Ok(Err(FrameFailure::Refused(error))) => self.refused(sequence, error),
             Ok(Err(FrameFailure::Ended(error))) => FrameOutcome::Ended(error),
             Err(_) => self.writer_gone(sequence).await,
         }
@@ -257,7 +259,7 @@ impl SessionStream {
             let error = ServiceError::unavailable(format_args!(
                 "frame {resend_from} must be sent again first, then this one"
             ));
-            return Err(FrameOutcome::Refused { sequence, error });
+            return Err(self.refused(sequence, error));
         }
         match self.service.open_map(&self.map).await {
             Ok(map) => {
@@ -266,8 +268,14 @@ impl SessionStream {
                 Ok(map)
             }
             Err(error @ ServiceError::NotFound { .. }) => Err(FrameOutcome::Ended(error)),
-            Err(error) => Err(FrameOutcome::Refused { sequence, error }),
+            Err(error) => Err(self.refused(sequence, error)),
         }
+    }
+
+    fn refused(&self, sequence: u64, error: ServiceError) -> FrameOutcome {
+        let mut order = self.order();
+        order.submitted.remove(&sequence);
+        FrameOutcome::Refused { sequence, last_committed: order.last_committed, error }
     }
 
     /// Refuses a frame that may succeed later, and all after it until it has come again.
@@ -275,8 +283,8 @@ impl SessionStream {
         let mut order = self.order();
         let first = order.submitted.first().map_or(sequence, |&first| first.min(sequence));
         order.resend_from = Some(order.resend_from.map_or(first, |before| before.min(first)));
-        order.submitted.remove(&sequence);
-        FrameOutcome::Refused { sequence, error }
+        drop(order);
+        self.refused(sequence, error)
     }
 
     fn order(&self) -> MutexGuard<'_, Order> {
