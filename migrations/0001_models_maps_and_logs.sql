@@ -49,6 +49,9 @@ CREATE TABLE log (
     place         INTEGER,
     posterior     REAL,
     matched_frame INTEGER,
+    -- The link that this frame added, if it did.
+    link_from     INTEGER,
+    link_to       INTEGER,
     event         BLOB    NOT NULL,
     PRIMARY KEY (map_id, position)
 ) STRICT;
@@ -58,6 +61,10 @@ CREATE UNIQUE INDEX log_by_sequence ON log (map_id, session, sequence) WHERE seq
 
 -- Loop closures are few among many frames.
 CREATE INDEX log_loop_closures ON log (map_id, position) WHERE reason = 'loop_closure';
+
+-- How many places and links a map has is asked whenever maps are listed.
+CREATE INDEX log_places ON log (map_id, place) WHERE place IS NOT NULL;
+CREATE INDEX log_links ON log (map_id, position) WHERE link_to IS NOT NULL;
 
 -- A checkpoint is the fold of the log up to `events`, so that a map opens without replaying it. It
 -- can be deleted at any time. Places are rows of their own: only those that changed are written.

@@ -100,6 +100,9 @@ impl Appearance {
             return Err(DecodeError::invalid(format_args!("{looks} looks at a place")));
         }
         let len = reader.count(1)?;
+        if len > vocabulary_len {
+            return Err(DecodeError::invalid(format_args!("{len} words of {vocabulary_len}")));
+        }
         let mut appearance = Self { looks, words: Vec::with_capacity(len), hits: Vec::with_capacity(len) };
         let mut previous = 0u64;
         for index in 0..len {

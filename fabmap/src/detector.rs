@@ -31,6 +31,10 @@ pub enum DetectorError {
 }
 
 impl DetectorModel {
+    /// How far the true positive rate must stay from 0 and 1: fifteen looks to its power are then
+    /// still numbers.
+    const MARGIN: f64 = 1e-6;
+
     /// `true_positive_rate` = p(z=1|e=1) in (0, 1); `false_positive_rate` = p(z=1|e=0) in
     /// [0, true_positive_rate). With a false positive rate of 0, as in the papers, a word once seen
     /// at a place is believed for ever.
@@ -38,7 +42,7 @@ impl DetectorModel {
     /// # Errors
     /// [`DetectorError`] if a rate is out of range or not a number.
     pub fn new(true_positive_rate: f64, false_positive_rate: f64) -> Result<Self, DetectorError> {
-        if !(true_positive_rate > 0.0 && true_positive_rate < 1.0) {
+        if !(Self::MARGIN..=1.0 - Self::MARGIN).contains(&true_positive_rate) {
             return Err(DetectorError::TruePositiveRate { rate: true_positive_rate });
         }
         if !(0.0..true_positive_rate).contains(&false_positive_rate) {

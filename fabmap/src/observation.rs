@@ -103,6 +103,9 @@ impl Observation {
     /// twice, or a count of 0.
     pub fn decode(reader: &mut Reader<'_>, vocabulary_len: usize) -> Result<Self, DecodeError> {
         let len = reader.count(1)?;
+        if len > vocabulary_len {
+            return Err(DecodeError::invalid(format_args!("{len} words of {vocabulary_len}")));
+        }
         let mut observation = Self { words: Vec::with_capacity(len), counts: Vec::with_capacity(len) };
         let mut previous = 0u64;
         for index in 0..len {

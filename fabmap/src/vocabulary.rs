@@ -61,6 +61,13 @@ pub struct VocabularySettings {
     pub iterations: u32,
 }
 
+impl VocabularySettings {
+    /// Fewest words of a vocabulary.
+    pub const MIN_WORDS: u32 = 2;
+    /// Most words of a vocabulary.
+    pub const MAX_WORDS: u32 = 1_000_000;
+}
+
 impl Default for VocabularySettings {
     fn default() -> Self {
         Self { words: 5_000, seed: 0, iterations: 12 }
@@ -133,7 +140,7 @@ pub enum VocabularyError {
     Descriptors(#[from] DescriptorError),
 }
 
-const WORDS: RangeInclusive<u32> = 2..=1_000_000;
+const WORDS: RangeInclusive<u32> = VocabularySettings::MIN_WORDS..=VocabularySettings::MAX_WORDS;
 const ITERATIONS: RangeInclusive<u32> = 1..=1_000;
 
 impl Vocabulary {

@@ -100,6 +100,7 @@ impl From<StorageError> for ServiceError {
             | StorageError::Directory { .. }
             | StorageError::Locked { .. }
             | StorageError::Newer { .. }
+            | StorageError::NoDatabase { .. }
             | StorageError::Damaged(_)
             | StorageError::Sqlite(_)
             | StorageError::Migration(_) => Self::internal(error),

@@ -8,6 +8,7 @@ use fabmap::descriptor::Descriptors;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
 use tokio::sync::Semaphore;
+use tokio_util::task::AbortOnDropHandle;
 use waypost_vision::features::{ExtractError, Extractor, FeatureError, FeatureSettings, SettingsError};
 use waypost_vision::image::ImageError;
 
@@ -40,6 +41,14 @@ impl LoadedModel {
         let extractor = extractor(model.extractor()).map_err(|error| {
             ServiceError::invalid(format_args!("the model's extractor is not known here: {error}"))
         })?;
+        let (feature, vocabulary) = (extractor.settings().feature(), model.vocabulary());
+        if (feature.descriptor_kind(), feature.descriptor_width()) != (vocabulary.kind(), vocabulary.width())
+        {
+            return Err(ServiceError::invalid(format_args!(
+                "the model's vocabulary is not of {} descriptors, which its extractor makes; train it anew",
+                feature.name()
+            )));
+        }
         Ok(Self { hash: model.hash().to_string(), extractor, model })
     }
 }
@@ -85,12 +94,18 @@ impl Extraction {
         &self,
         work: impl FnOnce() -> Result<T, ServiceError> + Send + 'static,
     ) -> Result<T, ServiceError> {
-        let core = self.cores.clone().acquire_owned().await.map_err(|_| ServiceError::stopping())?;
-        let task = tokio::task::spawn_blocking(move || {
-            let result = work();
-            drop(core);
-            result
-        });
+        let cores = self.cores.clone();
+        // A task of its own: a stream that is not polled, because its client does not read, must not
+        // sit on a core that it was given.
+        let task = AbortOnDropHandle::new(tokio::spawn(async move {
+            let core = cores.acquire_owned().await.map_err(|_| ServiceError::stopping())?;
+            let blocking = tokio::task::spawn_blocking(move || {
+                let result = work();
+                drop(core);
+                result
+            });
+            blocking.await.map_err(ServiceError::internal)?
+        }));
         task.await.map_err(ServiceError::internal)?
     }
 }

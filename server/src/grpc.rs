@@ -13,12 +13,14 @@ use std::time::Duration;
 
 use tokio::net::TcpListener;
 use tokio_stream::wrappers::TcpListenerStream;
+use tonic::{Status, Streaming};
 use waypost_proto::FILE_DESCRIPTOR_SET;
 use waypost_proto::v1::job_service_server::JobServiceServer;
 use waypost_proto::v1::map_service_server::MapServiceServer;
 use waypost_proto::v1::model_service_server::ModelServiceServer;
 use waypost_proto::v1::session_service_server::SessionServiceServer;
 
+use crate::error::ServiceError;
 use crate::service::Service;
 
 /// Largest message taken in: an image of 4 MiB is refused with an answer, not by ending the stream,
@@ -46,6 +48,11 @@ pub(crate) async fn serve(
     let adapter = || Adapter { service: service.clone() };
     let (health_reporter, health) = tonic_health::server::health_reporter();
     health_reporter.set_serving::<SessionServiceServer<Adapter>>().await;
+    let stopping = service.stopping().clone();
+    tokio::spawn(async move {
+        stopping.cancelled().await;
+        health_reporter.set_not_serving::<SessionServiceServer<Adapter>>().await;
+    });
     let reflection = tonic_reflection::server::Builder::configure()
         .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
@@ -69,4 +76,15 @@ pub(crate) async fn serve(
 #[derive(Clone, Debug)]
 struct Adapter {
     service: Arc<Service>,
+}
+
+impl Adapter {
+    /// The next message of a client, or UNAVAILABLE once the server stops: a client that pauses must
+    /// not hold it up.
+    async fn next<T>(&self, requests: &mut Streaming<T>) -> Result<Option<T>, Status> {
+        tokio::select! {
+            message = requests.message() => message,
+            () = self.service.stopping().cancelled() => Err(ServiceError::stopping().into()),
+        }
+    }
 }

@@ -13,11 +13,15 @@ mod storage;
 use std::future::Future;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 
 use tokio::net::TcpListener;
 
 use crate::service::Service;
 use crate::storage::Storage;
+
+/// How long connections may take to end once the server stops.
+const GRACE: Duration = Duration::from_secs(5);
 
 /// A server whose database is open.
 #[derive(Debug)]
@@ -54,13 +58,26 @@ impl Server {
             shutdown.await;
             signal.cancel();
         });
-        let served = tokio::try_join!(
-            async { grpc::serve(service.clone(), grpc, stopping.clone().cancelled_owned()).await },
-            async { http::serve(service.clone(), http, stopping.clone().cancelled_owned()).await },
-        );
+        let serving = async {
+            tokio::try_join!(
+                grpc::serve(service.clone(), grpc, stopping.clone().cancelled_owned()),
+                http::serve(service.clone(), http, stopping.clone().cancelled_owned()),
+            )
+        };
+        let patience = async {
+            stopping.cancelled().await;
+            tokio::time::sleep(GRACE).await;
+        };
+        let served = tokio::select! {
+            served = serving => served.map(drop),
+            () = patience => {
+                tracing::warn!("some connections did not end in time and were cut");
+                Ok(())
+            }
+        };
         watch.abort();
         service.stop().await;
-        served.map(drop)
+        served
     }
 }
 

@@ -15,6 +15,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use crate::error::ServiceError;
@@ -32,6 +33,7 @@ pub(crate) struct Service {
     models: Mutex<HashMap<String, Arc<LoadedModel>>>,
     open_maps: OpenMaps,
     jobs: Jobs,
+    uploads: Arc<Semaphore>,
     /// Numbers streams, so that a later one on the same session is known from an earlier.
     next_stream: AtomicU64,
     stopping: CancellationToken,
@@ -46,6 +48,7 @@ impl Service {
             models: Mutex::default(),
             open_maps: OpenMaps::default(),
             jobs: Jobs::default(),
+            uploads: Arc::new(Semaphore::new(models::MAX_UPLOADS)),
             next_stream: AtomicU64::new(0),
             stopping: CancellationToken::new(),
         }
@@ -81,9 +84,12 @@ impl Service {
         }
         let file = self.storage.model_file(hash).await?;
         let file = file.ok_or_else(|| ServiceError::not_found(format_args!("there is no model {hash}")))?;
-        let decoded = tokio::task::spawn_blocking(move || fabmap::model::Model::from_bytes(&file)).await;
-        let model = decoded.map_err(ServiceError::internal)?.map_err(ServiceError::internal)?;
-        let loaded = Arc::new(LoadedModel::new(model)?);
+        let load = move || {
+            let model = fabmap::model::Model::from_bytes(&file).map_err(ServiceError::internal)?;
+            LoadedModel::new(model)
+        };
+        let loaded = tokio::task::spawn_blocking(load).await.map_err(ServiceError::internal)??;
+        let loaded = Arc::new(loaded);
         self.cached_models().insert(hash.to_owned(), loaded.clone());
         Ok(loaded)
     }
@@ -108,6 +114,7 @@ fn or_exists(error: StorageError, message: impl FnOnce() -> String) -> ServiceEr
         | StorageError::Directory { .. }
         | StorageError::Locked { .. }
         | StorageError::Newer { .. }
+        | StorageError::NoDatabase { .. }
         | StorageError::Damaged(_)
         | StorageError::Sqlite(_)
         | StorageError::Migration(_) => error.into(),

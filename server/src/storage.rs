@@ -15,9 +15,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use sqlx::SqlitePool;
 use sqlx::migrate::MigrateError;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::{Connection, Sqlite, SqlitePool, Transaction};
 
 /// The database of one data directory. Cheap to clone.
 ///
@@ -47,6 +47,8 @@ pub(crate) enum StorageError {
         "the database was written by a newer Waypost (schema {schema}); update this server, or give another data directory"
     )]
     Newer { schema: i64 },
+    #[error("{path} is no database of Waypost; restore it from a copy, or give another data directory")]
+    NoDatabase { path: PathBuf },
     #[error("the disk is full; free some space")]
     DiskFull(#[source] sqlx::Error),
     #[error("something of this name is there already")]
@@ -78,14 +80,38 @@ impl Storage {
             .synchronous(SqliteSynchronous::Full)
             .foreign_keys(true)
             .busy_timeout(BUSY_TIMEOUT);
-        let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await?;
+        let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await;
+        let writer = writer.map_err(|error| or_no_database(error, directory))?;
         sqlx::migrate!("../migrations").run(&writer).await.map_err(|error| match error {
             MigrateError::VersionMissing(schema) => StorageError::Newer { schema },
+            MigrateError::Execute(error) => or_no_database(error, directory),
             other => StorageError::Migration(other),
         })?;
         let readers =
             SqlitePoolOptions::new().max_connections(READERS).connect_with(options.read_only(true)).await?;
         Ok(Self { writer, readers, _lock: Arc::new(lock) })
+    }
+
+    /// One transaction: all of `work`, or nothing.
+    ///
+    /// After a failure the connection is closed: a commit that fails, on a full disk for example, can
+    /// leave its transaction open, and the next one would be nested in it and never reach the disk.
+    async fn write<T>(
+        &self,
+        work: impl AsyncFnOnce(&mut Transaction<'_, Sqlite>) -> Result<T, StorageError>,
+    ) -> Result<T, StorageError> {
+        let mut connection = self.writer.acquire().await?;
+        let written = async {
+            let mut transaction = connection.begin().await?;
+            let value = work(&mut transaction).await?;
+            transaction.commit().await?;
+            Ok(value)
+        }
+        .await;
+        if written.is_err() {
+            connection.close_on_drop();
+        }
+        written
     }
 
     /// Waits for what is being written and folds the write-ahead log into the file.
@@ -108,8 +134,17 @@ fn lock_directory(directory: &Path) -> Result<File, StorageError> {
     }
 }
 
-/// SQLite's primary result code for a full disk.
+/// SQLite's primary result codes for a full disk, and for a file that is no database.
 const SQLITE_FULL: &str = "13";
+const SQLITE_NOTADB: &str = "26";
+
+fn or_no_database(error: sqlx::Error, directory: &Path) -> StorageError {
+    let code = error.as_database_error().and_then(sqlx::error::DatabaseError::code);
+    if code.as_deref() == Some(SQLITE_NOTADB) {
+        return StorageError::NoDatabase { path: directory.join(FILE_NAME) };
+    }
+    error.into()
+}
 
 impl From<sqlx::Error> for StorageError {
     fn from(error: sqlx::Error) -> Self {

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use fabmap::appearance::{Appearance, PlaceId};
-use fabmap::codec::{DecodeError, Reader, Writer};
+use fabmap::codec::{Container, DecodeError, Reader, Writer};
 use fabmap::model::ContentHash;
 use fabmap::place_filter::Belief;
 use sha2::{Digest, Sha256};
@@ -187,7 +187,6 @@ impl Map {
     pub fn encode_graph(&self) -> Vec<u8> {
         let Self { places, links, linked: _, sessions, events } = self;
         let mut writer = Writer::default();
-        writer.u8(CHECKPOINT_VERSION);
         writer.u64(*events);
         writer.varint(places.len() as u64);
         writer.varint(links.len() as u64);
@@ -197,7 +196,7 @@ impl Map {
             writer.u32(*id);
             session.encode(&mut writer);
         }
-        writer.into_bytes()
+        GRAPH.seal(&writer.into_bytes())
     }
 
     /// Puts a map together from [`Map::encode_graph`] and its places in order.
@@ -205,11 +204,8 @@ impl Map {
     /// # Errors
     /// [`DecodeError`] if the bytes are no graph, or not one of these places.
     pub fn decode_graph(bytes: &[u8], places: Vec<Place>) -> Result<Self, DecodeError> {
-        let mut reader = Reader::new(bytes);
-        let version = reader.u8()?;
-        if version != CHECKPOINT_VERSION {
-            return Err(DecodeError::Version { found: version.into(), newest: CHECKPOINT_VERSION.into() });
-        }
+        let (_version, payload) = GRAPH.open(bytes)?;
+        let mut reader = Reader::new(payload);
         let events = reader.u64()?;
         let expected = reader.varint()?;
         if expected != places.len() as u64 {
@@ -236,8 +232,11 @@ impl Map {
     }
 }
 
-/// Version of the byte forms of graph and places together; the graph's first byte.
-const CHECKPOINT_VERSION: u8 = 1;
+/// The graph of a checkpoint; its version is that of the places beside it too.
+const GRAPH: Container = Container { magic: *b"WPGRAPH\n", name: "Waypost checkpoint", version: 1 };
+
+/// Bytes of SHA-256 that each place carries: enough to notice damage.
+const PLACE_CHECKSUM_BYTES: usize = 8;
 
 /// A place with its appearance, as a checkpoint keeps it.
 #[must_use]
@@ -250,7 +249,10 @@ pub fn encode_place(place: &Place, appearance: &Appearance) -> Vec<u8> {
         writer.varint(u64::from(*session));
         writer.varint(*number);
     }
-    writer.into_bytes()
+    let mut bytes = writer.into_bytes();
+    let checksum = Sha256::digest(&bytes);
+    bytes.extend_from_slice(&checksum[..PLACE_CHECKSUM_BYTES]);
+    bytes
 }
 
 /// Reads what [`encode_place`] wrote, for a vocabulary of `vocabulary_len` words.
@@ -258,7 +260,13 @@ pub fn encode_place(place: &Place, appearance: &Appearance) -> Vec<u8> {
 /// # Errors
 /// [`DecodeError`] if the bytes are no place.
 pub fn decode_place(bytes: &[u8], vocabulary_len: usize) -> Result<(Place, Appearance), DecodeError> {
-    let mut reader = Reader::new(bytes);
+    let (content, checksum) = bytes
+        .split_last_chunk::<PLACE_CHECKSUM_BYTES>()
+        .ok_or(DecodeError::Truncated { needed: PLACE_CHECKSUM_BYTES.saturating_sub(bytes.len()) })?;
+    if Sha256::digest(content)[..PLACE_CHECKSUM_BYTES] != checksum[..] {
+        return Err(DecodeError::Checksum);
+    }
+    let mut reader = Reader::new(content);
     let appearance = Appearance::decode(&mut reader, vocabulary_len)?;
     let frames = (0..reader.count(3)?)
         .map(|_| {

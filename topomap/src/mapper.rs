@@ -46,11 +46,12 @@ pub struct FrameInput {
 
 /// Gives back what earlier frames showed; whoever keeps the log implements it.
 pub trait FrameArchive {
-    /// The observation of a frame that a place learnt from.
+    /// The observation of a frame that a place learnt from; `None` if it is lost for good: the frame
+    /// is then left out of the comparison.
     ///
     /// # Errors
     /// [`ArchiveError`] if it cannot be read now.
-    fn observation(&self, frame: FrameId) -> Result<Observation, ArchiveError>;
+    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError>;
 }
 
 /// What is known of a frame besides its decision, for those who ask why.
@@ -111,7 +112,12 @@ impl Mapper {
             }
         };
         let FrameInput { session, sequence, stamp_ns, odometry, observation } = input;
-        let new_place_posterior = recognition.posterior.new_place;
+        let new_place_posterior = match decision.reason {
+            Reason::TooFewWords => belief.new_place,
+            Reason::NewPlace | Reason::SamePlace | Reason::LoopClosure | Reason::BelowThreshold => {
+                recognition.posterior.new_place
+            }
+        };
         let frame = self.map.events();
         let event = FrameEvent {
             frame,
@@ -198,7 +204,8 @@ impl Mapper {
             closure: None,
         };
         if self.shows_too_little(input) {
-            return Ok(Decision { reason: Reason::TooFewWords, place: None, ..new_place });
+            let posterior = session.belief.new_place;
+            return Ok(Decision { reason: Reason::TooFewWords, place: None, posterior, closure: None });
         }
         let Association::Seen(place) = recognition.association() else { return Ok(new_place) };
         let probability = posterior.places[place as usize];
@@ -241,7 +248,8 @@ impl Mapper {
         input.observation.len() < self.settings.min_words
     }
 
-    /// Of the frames that `place` learnt from, but for the latest, the one that matches best.
+    /// Of the frames that `place` learnt from, but for those this session has just sent, the one that
+    /// matches best.
     fn best_match(
         &self,
         place: PlaceId,
@@ -253,7 +261,8 @@ impl Mapper {
         let model = self.recognizer.index().model();
         let mut best: Option<(f64, FrameId)> = None;
         for frame in self.frames_before_guard(place, input.session, session).take(MAX_COMPARED_FRAMES) {
-            let seen = Appearance::of(&archive.observation(frame)?);
+            let Some(seen) = archive.observation(frame)? else { continue };
+            let seen = Appearance::of(&seen);
             let log_likelihood = model.sparse_log_likelihood(&input.observation, &seen);
             if best.is_none_or(|(best, _)| log_likelihood > best) {
                 best = Some((log_likelihood, frame));

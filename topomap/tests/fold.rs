@@ -24,9 +24,9 @@ const WORDS: u32 = 1000;
 struct Log(Vec<MapEvent>);
 
 impl FrameArchive for Log {
-    fn observation(&self, frame: FrameId) -> Result<Observation, ArchiveError> {
+    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
         match &self.0[frame as usize] {
-            MapEvent::Frame(event) => Ok(event.observation.clone()),
+            MapEvent::Frame(event) => Ok(Some(event.observation.clone())),
             MapEvent::SessionOpened { .. } => Err(ArchiveError { frame, why: "not a frame".to_owned() }),
         }
     }

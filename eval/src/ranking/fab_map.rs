@@ -127,9 +127,9 @@ impl Log {
 }
 
 impl FrameArchive for Log {
-    fn observation(&self, frame: FrameId) -> Result<Observation, ArchiveError> {
+    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
         match self.frame(frame) {
-            Some(event) => Ok(event.observation.clone()),
+            Some(event) => Ok(Some(event.observation.clone())),
             None => Err(ArchiveError { frame, why: "it is not in the log".to_owned() }),
         }
     }

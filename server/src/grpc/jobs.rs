@@ -1,5 +1,5 @@
 use futures::StreamExt;
-use futures::stream::BoxStream;
+use futures::stream::{self, BoxStream};
 use tokio_stream::wrappers::WatchStream;
 use tonic::{Request, Response, Status};
 use waypost_proto::v1;
@@ -7,6 +7,7 @@ use waypost_proto::v1::job_service_server::JobService;
 
 use super::Adapter;
 use super::models::model;
+use crate::error::ServiceError;
 use crate::service::jobs::{JobState, JobStatus};
 
 #[tonic::async_trait]
@@ -24,13 +25,17 @@ impl JobService for Adapter {
     ) -> Result<Response<Self::WatchJobStream>, Status> {
         let v1::WatchJobRequest { name } = request.into_inner();
         let statuses = WatchStream::new(self.service.watch_job(&name)?);
-        let stopping = self.service.stopping().clone().cancelled_owned();
+        let stopping = self.service.stopping().clone();
+        let stopped = stopping.clone();
+        let stopped =
+            stream::once(async move { stopped.is_cancelled().then(|| Err(ServiceError::stopping().into())) });
         // The watch goes on for as long as the job's last word has not been said.
         let until_the_end = statuses.scan(false, |ended, status| {
             let before = std::mem::replace(ended, status.state != JobState::Running);
             std::future::ready((!before).then_some(Ok(job(status))))
         });
-        Ok(Response::new(until_the_end.take_until(stopping).boxed()))
+        let statuses = until_the_end.take_until(stopping.cancelled_owned());
+        Ok(Response::new(statuses.chain(stopped.filter_map(std::future::ready)).boxed()))
     }
 
     async fn cancel_job(&self, request: Request<v1::CancelJobRequest>) -> Result<Response<v1::Job>, Status> {

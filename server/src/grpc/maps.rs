@@ -105,8 +105,8 @@ fn settings_request(settings: v1::MapSettings) -> MapSettingsRequest {
 }
 
 fn map(view: MapView) -> v1::Map {
-    let MapView { map, model, settings, created_ns, places, links, counts, state_hash } = view;
-    let MapCounts { sessions, frames, loop_closures } = counts;
+    let MapView { map, model, settings, created_ns, counts, state_hash } = view;
+    let MapCounts { sessions, frames, loop_closures, places, links } = counts;
     v1::Map {
         name: map_name(&map),
         model: model_name(&model),

@@ -21,14 +21,14 @@ impl ModelService for Adapter {
         request: Request<Streaming<v1::TrainModelRequest>>,
     ) -> Result<Response<v1::Job>, Status> {
         let mut requests = request.into_inner();
-        let first = requests.message().await?.and_then(|first| first.content);
+        let first = self.next(&mut requests).await?.and_then(|first| first.content);
         let Some(Content::Settings(settings)) = first else {
             return Err(Status::invalid_argument("the first message of a training must be its settings"));
         };
         let v1::TrainModelSettings { display_name, extractor, words, seed, image_count } = settings;
         let announced = (image_count > 0).then_some(image_count);
         let mut upload = self.service.begin_training(&display_name, &extractor, words, seed, announced)?;
-        while let Some(v1::TrainModelRequest { content }) = requests.message().await? {
+        while let Some(v1::TrainModelRequest { content }) = self.next(&mut requests).await? {
             match content {
                 Some(Content::Image(image)) => {
                     self.service.add_training_image(&mut upload, Bytes::from(image)).await?;
@@ -79,7 +79,7 @@ impl ModelService for Adapter {
     ) -> Result<Response<v1::Model>, Status> {
         let mut requests = request.into_inner();
         let (mut name, mut file) = (None, Vec::new());
-        while let Some(v1::ImportModelRequest { display_name, chunk }) = requests.message().await? {
+        while let Some(v1::ImportModelRequest { display_name, chunk }) = self.next(&mut requests).await? {
             name.get_or_insert(display_name);
             file.extend_from_slice(&chunk);
             if file.len() > MAX_MODEL_BYTES {

@@ -1,7 +1,8 @@
 use std::time::Duration;
 
 use bytes::Bytes;
-use futures::stream::{self, BoxStream, StreamExt};
+use futures::FutureExt;
+use futures::stream::{self, BoxStream, Stream, StreamExt};
 use prost::Message;
 use tonic::{Request, Response, Status, Streaming};
 use topomap::event::Reason;
@@ -32,22 +33,32 @@ impl SessionService for Adapter {
         request: Request<Streaming<v1::StreamRequest>>,
     ) -> Result<Response<Self::StreamStream>, Status> {
         let mut requests = request.into_inner();
-        let first = requests.message().await?.and_then(|first| first.content);
+        let first = self.next(&mut requests).await?.and_then(|first| first.content);
         let Some(stream_request::Content::Open(open)) = first else {
             return Err(Status::invalid_argument("the first message of a stream must open a session"));
         };
         let session = self.open(open).await?;
-        let opened = Ok(opened(&session));
-        let stopping = self.service.stopping().clone();
-        let frames = frames(session, requests).take_until(stopping.clone().cancelled_owned());
-        // Without this last word a client could take the end of the stream for its own.
-        let stopped =
-            stream::once(
-                async move { stopping.is_cancelled().then(|| Err(ServiceError::stopping().into())) },
-            );
-        let responses = stream::iter([opened]).chain(frames).chain(stopped.filter_map(std::future::ready));
+        let opened = stream::iter([Ok(opened(&session))]);
+        let responses = opened.chain(until_over(session.clone(), frames(session, requests)));
         Ok(Response::new(responses.boxed()))
     }
+}
+
+/// `frames`, until the session is over; then why.
+fn until_over(
+    session: SessionStream,
+    frames: impl Stream<Item = Result<v1::StreamResponse, Status>> + Send + 'static,
+) -> impl Stream<Item = Result<v1::StreamResponse, Status>> + Send {
+    let over = async move { session.over().await }.boxed();
+    stream::unfold(Some((frames.boxed(), over)), |state| async {
+        let (mut frames, mut over) = state?;
+        tokio::select! {
+            // What was answered before the end is still said.
+            biased;
+            response = frames.next() => response.map(|response| (response, Some((frames, over)))),
+            error = &mut over => Some((Err(error.into()), None)),
+        }
+    })
 }
 
 impl Adapter {
@@ -78,7 +89,7 @@ impl Adapter {
 fn frames(
     session: SessionStream,
     requests: Streaming<v1::StreamRequest>,
-) -> impl futures::Stream<Item = Result<v1::StreamResponse, Status>> + Send {
+) -> impl Stream<Item = Result<v1::StreamResponse, Status>> + Send {
     let (submitting, waiting) = (session.clone(), session.clone());
     requests
         .map(move |request| {

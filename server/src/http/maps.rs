@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::rejection::QueryRejection;
+use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::{Path, Query, State};
 use serde::{Deserialize, Serialize};
 
@@ -36,6 +36,15 @@ enum View {
     Full,
 }
 
+/// The `{map}` of a path.
+type Named = Result<Path<String>, PathRejection>;
+
+fn named(path: Named) -> Result<String, ServiceError> {
+    path.map(|Path(map)| map).map_err(|rejection| {
+        ServiceError::invalid(format_args!("{}; a map name is plain ASCII", rejection.body_text()))
+    })
+}
+
 type Asked<T> = Result<Query<T>, QueryRejection>;
 
 fn asked<T>(query: Asked<T>) -> Result<T, ServiceError> {
@@ -58,9 +67,10 @@ pub(super) async fn list(
 
 pub(super) async fn map(
     State(service): State<Arc<Service>>,
-    Path(map): Path<String>,
+    path: Named,
     query: Asked<Viewing>,
 ) -> Result<Json<Map>, HttpError> {
+    let map = named(path)?;
     let detail = match asked(query)?.view {
         View::Basic => Detail::Basic,
         View::Full => Detail::Full,
@@ -70,9 +80,10 @@ pub(super) async fn map(
 
 pub(super) async fn places(
     State(service): State<Arc<Service>>,
-    Path(map): Path<String>,
+    path: Named,
     query: Asked<Paging>,
 ) -> Result<Json<PlaceList>, HttpError> {
+    let map = named(path)?;
     let Paging { page_size, page_token } = asked(query)?;
     let Page { items, next } = service.list_places(&map_name(&map), page_size, &page_token).await?;
     let places = items.into_iter().map(|view| Place::new(&map, view)).collect();
@@ -81,9 +92,10 @@ pub(super) async fn places(
 
 pub(super) async fn matches(
     State(service): State<Arc<Service>>,
-    Path(map): Path<String>,
+    path: Named,
     query: Asked<Paging>,
 ) -> Result<Json<MatchList>, HttpError> {
+    let map = named(path)?;
     let Paging { page_size, page_token } = asked(query)?;
     let Page { items, next } = service.list_matches(&map_name(&map), page_size, &page_token).await?;
     Ok(Json(MatchList { matches: items.into_iter().map(LoopClosure::from).collect(), next_page_token: next }))
@@ -149,8 +161,8 @@ pub(super) struct Frame {
 
 impl From<MapView> for Map {
     fn from(view: MapView) -> Self {
-        let MapView { map, model, settings, created_ns, places, links, counts, state_hash } = view;
-        let MapCounts { sessions, frames, loop_closures } = counts;
+        let MapView { map, model, settings, created_ns, counts, state_hash } = view;
+        let MapCounts { sessions, frames, loop_closures, places, links } = counts;
         Self {
             name: map_name(&map),
             model: model_name(&model),

@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::{Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 
-use super::Service;
 use super::names::id_in;
+use super::{Service, now_ns};
 use crate::error::ServiceError;
 use crate::storage::ModelRow;
 
@@ -35,6 +35,8 @@ pub(crate) enum JobState {
 #[derive(Debug)]
 pub(crate) struct Jobs {
     jobs: Mutex<HashMap<u64, Job>>,
+    /// Number of the first job: by the clock, so that no number is given again after a restart.
+    first: u64,
     /// One heavy job at a time: robots are being served meanwhile.
     turn: Arc<Semaphore>,
 }
@@ -55,7 +57,8 @@ pub(crate) struct JobReporter {
 
 impl Default for Jobs {
     fn default() -> Self {
-        Self { jobs: Mutex::default(), turn: Arc::new(Semaphore::new(1)) }
+        let first = u64::try_from(now_ns() / 1_000_000).unwrap_or_default();
+        Self { jobs: Mutex::default(), first, turn: Arc::new(Semaphore::new(1)) }
     }
 }
 
@@ -80,7 +83,7 @@ impl Service {
 impl Jobs {
     pub(crate) fn start(&self, stage: &'static str) -> (JobStatus, JobReporter) {
         let mut jobs = self.lock();
-        let number = jobs.len() as u64 + 1;
+        let number = self.first + jobs.len() as u64;
         let status = JobStatus { number, state: JobState::Running, stage, fraction: 0.0 };
         let (sender, receiver) = watch::channel(status.clone());
         let cancel = CancellationToken::new();

@@ -15,16 +15,17 @@ use fabmap::observation::Observation;
 use fabmap::recognizer::{Stage, StageObserver};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, MapEvent, Match, SessionId};
 use topomap::mapper::{ArchiveError, FrameArchive, FrameInput, Mapper};
 
-use self::requests::{FrameReply, MapRequest, MapSummary, PlaceSummary};
-use super::maps::{Detail, reference};
-use super::sessions::{FrameAnswer, FrameTimings, MatchView};
-use super::{now_ns, or_exists};
+use self::requests::{FrameReply, MapRequest, PlaceSummary};
+use super::maps::reference;
+use super::now_ns;
+use super::sessions::{FrameAnswer, FrameTimings, MatchView, taken_over};
 use crate::error::ServiceError;
 use crate::extraction::LoadedModel;
-use crate::storage::{LogEntry, MapRow, SessionRow, Storage};
+use crate::storage::{LogEntry, MapRow, SessionRow, Storage, StorageError};
 
 /// Most frames that share one commit.
 const MAX_BATCH: usize = 64;
@@ -43,8 +44,9 @@ struct MapWriter {
     storage: Storage,
     runtime: Handle,
     sessions: Vec<SessionRow>,
-    /// The latest stream of each session: frames of an older one are refused.
-    streams: HashMap<SessionId, u64>,
+    /// The latest stream of each session, and how to tell it that a later one took over: frames of an
+    /// older one are refused.
+    streams: HashMap<SessionId, (u64, CancellationToken)>,
     /// Decided and applied, but not yet on the disk.
     pending: Vec<Pending>,
     /// Places that changed since the checkpoint.
@@ -67,8 +69,11 @@ enum Serving {
 }
 
 /// The map in memory is ahead of the disk, or the disk cannot be read: the map must be dropped and
-/// opened anew. Frames that are not answered by then are refused for now.
-struct CommitFailed;
+/// opened anew. Frames that are not answered by then are refused for now; these hear why.
+#[derive(Default)]
+struct CommitFailed {
+    refused: Vec<(FrameReply, ServiceError)>,
+}
 
 impl MapWriter {
     /// Serves requests until the map is closed or a commit fails.
@@ -83,9 +88,14 @@ impl MapWriter {
             match self.serve(batch) {
                 Ok(Serving::On) => {}
                 Ok(Serving::Ended) => break,
-                Err(CommitFailed) => {
+                Err(CommitFailed { refused }) => {
                     let map = &self.map.name;
                     tracing::warn!(map, "the map is dropped from memory and will be opened from the disk");
+                    // Closed first: who hears of the refusal and asks again must find a new writer.
+                    drop(requests);
+                    for (reply, error) in refused {
+                        let _ = reply.send(Err(FrameFailure::Refused(error)));
+                    }
                     return;
                 }
             }
@@ -100,13 +110,23 @@ impl MapWriter {
         for request in batch {
             match request {
                 MapRequest::Frame(request) => self.decide(request)?,
-                MapRequest::OpenSession { name, camera, stream, reply } => {
+                MapRequest::OpenSession { name, camera, stream, taken_over, reply } => {
                     self.commit()?;
-                    let _ = reply.send(self.open_session(&name, camera.as_deref(), stream));
+                    let opened = self.open_session(name, camera.as_deref());
+                    if let Ok(opened) = &opened {
+                        self.follow(opened.session, stream, taken_over);
+                    }
+                    let failed =
+                        matches!(opened, Err(ServiceError::Internal | ServiceError::Unavailable { .. }));
+                    let _ = reply.send(opened);
+                    // Whether the row is on the disk is not known; a fresh look is.
+                    if failed {
+                        return Err(CommitFailed::default());
+                    }
                 }
-                MapRequest::Summary { detail, reply } => {
+                MapRequest::StateHash { reply } => {
                     self.commit()?;
-                    let _ = reply.send(self.summary(detail));
+                    let _ = reply.send(self.mapper.state_hash().to_string());
                 }
                 MapRequest::Places { from, count, reply } => {
                     self.commit()?;
@@ -125,12 +145,10 @@ impl MapWriter {
     /// Decides a frame and applies it; the answer waits for the commit.
     fn decide(&mut self, request: FrameRequest) -> Result<(), CommitFailed> {
         let FrameRequest { session, stream, work, reply, since } = request;
-        if self.streams.get(&session).is_some_and(|&latest| latest > stream) {
-            let message = "a later stream took this session over; this one is closed".to_owned();
-            let _ = reply.send(Err(FrameFailure::Ended(ServiceError::Aborted { message })));
+        if self.streams.get(&session).is_some_and(|&(latest, _)| latest > stream) {
+            let _ = reply.send(Err(FrameFailure::Ended(taken_over())));
             return Ok(());
         }
-        self.streams.insert(session, stream);
         let last = self.mapper.map().session(session).and_then(|session| session.last_sequence);
         if last.is_some_and(|last| work.sequence() <= last) {
             return self.answer_resend(session, work.sequence(), reply);
@@ -144,12 +162,11 @@ impl MapWriter {
         match self.decide_and_apply(*input, &mut clock) {
             Ok(entry) => self.pending.push(Pending { entry, reply, timings, since }),
             Err(error) => {
-                let only_for_now = matches!(error, ServiceError::Unavailable { .. });
-                let _ = reply.send(Err(FrameFailure::Refused(error)));
                 // Frames behind it in the queue must not be committed before it comes again.
-                if only_for_now {
-                    return Err(CommitFailed);
+                if matches!(error, ServiceError::Unavailable { .. }) {
+                    return Err(CommitFailed { refused: vec![(reply, error)] });
                 }
+                let _ = reply.send(Err(FrameFailure::Refused(error)));
             }
         }
         Ok(())
@@ -175,7 +192,6 @@ impl MapWriter {
             return Ok(());
         }
         let pending = std::mem::take(&mut self.pending);
-        let start = Instant::now();
         let (entries, waiting): (Vec<LogEntry>, Vec<_>) = pending
             .into_iter()
             .map(|Pending { entry, reply, timings, since }| (entry, (reply, timings, since)))
@@ -188,17 +204,19 @@ impl MapWriter {
                 }
                 other => other,
             };
-            for (reply, ..) in waiting {
-                let _ = reply.send(Err(FrameFailure::Refused(error.clone())));
-            }
-            return Err(CommitFailed);
+            let refused = waiting.into_iter().map(|(reply, ..)| (reply, error.clone())).collect();
+            return Err(CommitFailed { refused });
         }
-        let commit = start.elapsed();
         for (entry, (reply, mut timings, since)) in entries.into_iter().zip(waiting) {
-            timings.commit = commit;
             timings.total = since.elapsed();
+            timings.commit = timings.total.saturating_sub(timings.work());
             if let MapEvent::Frame(event) = entry.event {
-                let _ = reply.send(self.answer(&event, Some(timings)).map_err(FrameFailure::Refused));
+                // The frame is durable: whatever fails now, sending it again gets the answer.
+                let answer = self.answer(&event, Some(timings)).map_err(|_| {
+                    let message = "the frame is stored, but its answer could not be read; send it again";
+                    FrameFailure::Refused(ServiceError::unavailable(message))
+                });
+                let _ = reply.send(answer);
             }
         }
         Ok(())
@@ -254,37 +272,44 @@ impl MapWriter {
 
     fn open_session(
         &mut self,
-        name: &str,
+        name: Option<String>,
         camera: Option<&[u8]>,
-        stream: u64,
     ) -> Result<OpenedSession, ServiceError> {
+        let name = name.unwrap_or_else(|| self.unused_session_name());
         if let Some(session) = self.sessions.iter().find(|session| session.name == name) {
             let number = session.number;
-            self.streams.insert(number, stream);
             let last_committed = self.mapper.map().session(number).and_then(|session| session.last_sequence);
-            return Ok(OpenedSession { session: number, last_committed });
+            return Ok(OpenedSession { session: number, name, last_committed });
         }
-        let session = SessionRow { number: self.mapper.map().next_session(), name: name.to_owned() };
+        let session = SessionRow { number: self.mapper.map().next_session(), name: name.clone() };
         let position = self.mapper.map().events();
         let opened = self.storage.open_session(self.map.id, position, &session, camera, now_ns());
-        self.runtime
-            .block_on(opened)
-            .map_err(|error| or_exists(error, || format!("there is a session {name} already")))?;
+        self.runtime.block_on(opened)?;
         let number = session.number;
         self.mapper.apply(&MapEvent::SessionOpened { session: number }).map_err(ServiceError::internal)?;
         self.sessions.push(session);
-        self.streams.insert(number, stream);
-        Ok(OpenedSession { session: number, last_committed: None })
+        Ok(OpenedSession { session: number, name, last_committed: None })
     }
 
-    fn summary(&self, detail: Detail) -> MapSummary {
-        MapSummary {
-            places: self.mapper.recognizer().places() as u64,
-            links: self.mapper.map().links().len() as u64,
-            state_hash: match detail {
-                Detail::Basic => None,
-                Detail::Full => Some(self.mapper.state_hash().to_string()),
-            },
+    fn unused_session_name(&self) -> String {
+        let taken = |name: &String| self.sessions.iter().any(|session| session.name == *name);
+        let mut number = self.sessions.len();
+        loop {
+            let name = format!("session-{number}");
+            if !taken(&name) {
+                return name;
+            }
+            number += 1;
+        }
+    }
+
+    /// From now on frames of `stream` are taken for a session; an earlier stream is told so.
+    fn follow(&mut self, session: SessionId, stream: u64, taken_over: CancellationToken) {
+        let later = self.streams.get(&session).is_some_and(|&(latest, _)| latest > stream);
+        if later {
+            taken_over.cancel();
+        } else if let Some((_, before)) = self.streams.insert(session, (stream, taken_over)) {
+            before.cancel();
         }
     }
 
@@ -336,18 +361,24 @@ struct Archive<'a> {
 }
 
 impl FrameArchive for Archive<'_> {
-    fn observation(&self, frame: FrameId) -> Result<Observation, ArchiveError> {
+    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
         let MapWriter { pending, storage, map, model, runtime, .. } = self.writer;
         if let Some(pending) = pending.iter().find(|pending| pending.entry.position == frame)
             && let MapEvent::Frame(event) = &pending.entry.event
         {
-            return Ok(event.observation.clone());
+            return Ok(Some(event.observation.clone()));
         }
-        let failed = |why: String| ArchiveError { frame, why };
         match runtime.block_on(storage.event_at(map.id, frame, model.model.vocabulary().len())) {
-            Ok(Some(MapEvent::Frame(event))) => Ok(event.observation),
-            Ok(Some(MapEvent::SessionOpened { .. }) | None) => Err(failed("it is not in the log".to_owned())),
-            Err(error) => Err(failed(error.to_string())),
+            Ok(Some(MapEvent::Frame(event))) => Ok(Some(event.observation)),
+            Ok(Some(MapEvent::SessionOpened { .. }) | None) | Err(StorageError::Damaged(_)) => {
+                tracing::error!(
+                    map = map.name,
+                    frame,
+                    "a frame of the log cannot be read; it is no longer matched"
+                );
+                Ok(None)
+            }
+            Err(error) => Err(ArchiveError { frame, why: error.to_string() }),
         }
     }
 }

@@ -1,5 +1,7 @@
 //! Maps: create, list, get, delete; their places and loop closures.
 
+use std::sync::Arc;
+
 use fabmap::appearance::PlaceId;
 use topomap::mapper::{Mapper, MapperSettings};
 
@@ -9,7 +11,7 @@ use super::models::Page;
 use super::names::{bad_page_token, check_id, map_in, page_size, session_name};
 use super::{Service, now_ns, or_exists};
 use crate::error::ServiceError;
-use crate::storage::{MapCounts, MapRow, SessionRow, StoredFrame};
+use crate::storage::{MapCounts, MapRow, SessionRow, StorageError, StoredFrame};
 
 /// A map as people see it.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,8 +20,6 @@ pub(crate) struct MapView {
     pub(crate) model: String,
     pub(crate) settings: MapperSettings,
     pub(crate) created_ns: i64,
-    pub(crate) places: u64,
-    pub(crate) links: u64,
     pub(crate) counts: MapCounts,
     /// Hash of all that the log decided, if asked for.
     pub(crate) state_hash: Option<String>,
@@ -62,7 +62,7 @@ pub(crate) struct LoopClosureView {
 
 impl Service {
     pub(crate) async fn create_map(
-        &self,
+        self: &Arc<Self>,
         map: &str,
         model: &str,
         settings: MapSettingsRequest,
@@ -77,20 +77,25 @@ impl Service {
         checked.map_err(ServiceError::invalid)?;
         let json = map_settings::to_json(&settings)?;
         let created = self.storage.create_map(map, &model.hash, &json, now_ns()).await;
-        let row = created.map_err(|error| {
-            or_exists(error, || {
+        let row = created.map_err(|error| match error {
+            StorageError::InUse => ServiceError::not_found("the model was deleted just now; name another"),
+            error => or_exists(error, || {
                 format!("there is a map {map} already; choose another name, or delete it first")
-            })
+            }),
         })?;
         self.view(row, Detail::Basic).await
     }
 
-    pub(crate) async fn map(&self, name: &str, detail: Detail) -> Result<MapView, ServiceError> {
+    pub(crate) async fn map(self: &Arc<Self>, name: &str, detail: Detail) -> Result<MapView, ServiceError> {
         let row = self.map_row(map_in(name)?).await?;
         self.view(row, detail).await
     }
 
-    pub(crate) async fn list_maps(&self, size: u32, token: &str) -> Result<Page<MapView>, ServiceError> {
+    pub(crate) async fn list_maps(
+        self: &Arc<Self>,
+        size: u32,
+        token: &str,
+    ) -> Result<Page<MapView>, ServiceError> {
         let size = page_size(size)?;
         if !token.is_empty() {
             check_id("page token", token).map_err(|_| bad_page_token())?;
@@ -107,15 +112,15 @@ impl Service {
     }
 
     /// Deletes a map with all it holds. Streams into it end.
-    pub(crate) async fn delete_map(&self, name: &str) -> Result<(), ServiceError> {
+    pub(crate) async fn delete_map(self: &Arc<Self>, name: &str) -> Result<(), ServiceError> {
         let map = map_in(name)?;
         self.map_row(map).await?;
-        let deleted = self.open_maps.while_closed(map, self.storage.delete_map(map)).await?;
+        let deleted = self.close_and_delete_map(map).await?;
         if deleted { Ok(()) } else { Err(no_such_map(map)) }
     }
 
     pub(crate) async fn list_places(
-        &self,
+        self: &Arc<Self>,
         name: &str,
         size: u32,
         token: &str,
@@ -168,22 +173,15 @@ impl Service {
         self.storage.map(map).await?.ok_or_else(|| no_such_map(map))
     }
 
-    async fn view(&self, row: MapRow, detail: Detail) -> Result<MapView, ServiceError> {
+    async fn view(self: &Arc<Self>, row: MapRow, detail: Detail) -> Result<MapView, ServiceError> {
         let settings = map_settings::from_json(&row.settings)?;
-        let open = self.open_map(&row.name).await?;
-        let summary = open.summary(detail).await?;
         let counts = self.storage.map_counts(row.id).await?;
+        let state_hash = match detail {
+            Detail::Basic => None,
+            Detail::Full => Some(self.open_map(&row.name).await?.state_hash().await?),
+        };
         let MapRow { id: _, name, model, settings: _, created_ns } = row;
-        Ok(MapView {
-            map: name,
-            model,
-            settings,
-            created_ns,
-            places: summary.places,
-            links: summary.links,
-            counts,
-            state_hash: summary.state_hash,
-        })
+        Ok(MapView { map: name, model, settings, created_ns, counts, state_hash })
     }
 }
 

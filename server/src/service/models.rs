@@ -9,6 +9,7 @@ use fabmap::descriptor::Descriptors;
 use fabmap::detector::DetectorModel;
 use fabmap::model::{Model, ModelTrainingError, ModelTrainingSettings, TrainingStage};
 use fabmap::vocabulary::VocabularySettings;
+use tokio::sync::OwnedSemaphorePermit;
 use waypost_vision::features::Extractor;
 
 use super::jobs::{JobReporter, JobState, JobStatus};
@@ -19,12 +20,18 @@ use crate::extraction::{LoadedModel, extractor};
 use crate::storage::{ModelRow, StorageError};
 
 /// Largest model file that is taken in.
-pub(crate) const MAX_MODEL_BYTES: usize = 1 << 30;
+pub(crate) const MAX_MODEL_BYTES: usize = 512 << 20;
 
 /// Most bytes of descriptors that one training may hold: about 16,000 images of 500 features.
 const MAX_TRAINING_BYTES: usize = 1 << 30;
 
+/// Trainings that may upload, wait or run at the same time.
+pub(super) const MAX_UPLOADS: usize = 3;
+
 const MAX_DISPLAY_NAME_CHARS: usize = 100;
+
+/// Fewest digits of a hash that name a model.
+const MIN_HASH_DIGITS: usize = 6;
 
 /// A page of a list; `next` is the token of the next page, empty on the last.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,6 +50,8 @@ pub(crate) struct TrainingUpload {
     bytes: usize,
     /// How many images the sender said would come: a cancelled upload can look like a complete one.
     announced: Option<u32>,
+    /// Held until the training ends: there is memory for a few only.
+    room: OwnedSemaphorePermit,
 }
 
 impl Service {
@@ -56,12 +65,18 @@ impl Service {
         announced: Option<u32>,
     ) -> Result<TrainingUpload, ServiceError> {
         let vocabulary = VocabularySettings { words, seed, ..VocabularySettings::default() };
-        if words < 2 {
+        if !(VocabularySettings::MIN_WORDS..=VocabularySettings::MAX_WORDS).contains(&words) {
             return Err(ServiceError::invalid(format_args!(
-                "a vocabulary needs at least 2 words, not {words}; 5000 suit a building"
+                "a vocabulary needs at least {} words, not {words}, and has at most {}; 5000 suit a building",
+                VocabularySettings::MIN_WORDS,
+                VocabularySettings::MAX_WORDS
             )));
         }
+        let room = self.uploads.clone().try_acquire_owned().map_err(|_| ServiceError::ResourceExhausted {
+            message: format!("{MAX_UPLOADS} trainings are under way already; try again when one has ended"),
+        })?;
         Ok(TrainingUpload {
+            room,
             display_name: check_display_name(display_name)?,
             extractor: extractor(extractor_text).map_err(ServiceError::invalid)?,
             settings: ModelTrainingSettings {
@@ -126,7 +141,7 @@ impl Service {
 
     async fn train(&self, upload: TrainingUpload, reporter: &JobReporter) -> JobState {
         let Some(_turn) = reporter.wait_for_turn().await else { return JobState::Cancelled };
-        let TrainingUpload { display_name, extractor, settings, images, .. } = upload;
+        let TrainingUpload { display_name, extractor, settings, images, room: _room, .. } = upload;
         let progress = reporter.clone();
         let trained = tokio::task::spawn_blocking(move || {
             // A pool of its own, one core short: robots want likelihoods meanwhile.
@@ -140,10 +155,13 @@ impl Service {
             let mut observer =
                 |p: fabmap::model::ModelTrainingProgress| progress.progress(stage_name(p.stage), p.fraction);
             let trained = pool.install(|| Model::train(&name, &images, &settings, &mut observer));
-            Ok(trained.map(|model| (model.to_bytes(), model)))
+            Ok(trained.map(|model| {
+                let file = model.to_bytes();
+                (row_of(&model, display_name, &file), file)
+            }))
         })
         .await;
-        let (file, model) = match trained {
+        let (row, file) = match trained {
             Ok(Ok(Ok(trained))) => trained,
             Ok(Ok(Err(ModelTrainingError::Cancelled))) => return JobState::Cancelled,
             Ok(Ok(Err(error))) => return JobState::Failed(ServiceError::invalid(error)),
@@ -153,7 +171,7 @@ impl Service {
         if reporter.progress("storing", 0.0) == ControlFlow::Break(()) {
             return JobState::Cancelled;
         }
-        match self.store_model(&display_name, &model, &file).await {
+        match self.store_model(row, &file).await {
             Ok(row) => JobState::Succeeded(Box::new(row)),
             Err(error) => JobState::Failed(error),
         }
@@ -169,37 +187,33 @@ impl Service {
         let decode = move || {
             let model = Model::from_bytes(&file).map_err(ServiceError::invalid)?;
             // Refused here rather than at the first frame.
-            LoadedModel::new(model).map(|loaded| (loaded, file))
+            let loaded = LoadedModel::new(model)?;
+            Ok::<_, ServiceError>((row_of(&loaded.model, display_name, &file), file))
         };
-        let (loaded, file) = tokio::task::spawn_blocking(decode).await.map_err(ServiceError::internal)??;
-        self.store_model(&display_name, &loaded.model, &file).await
+        let (row, file) = tokio::task::spawn_blocking(decode).await.map_err(ServiceError::internal)??;
+        self.store_model(row, &file).await
     }
 
-    async fn store_model(
-        &self,
-        display_name: &str,
-        model: &Model,
-        file: &[u8],
-    ) -> Result<ModelRow, ServiceError> {
-        let row = ModelRow {
-            hash: model.hash().to_string(),
-            display_name: display_name.to_owned(),
-            extractor: model.extractor().to_owned(),
-            words: model.vocabulary().len() as u64,
-            samples: model.sampling_set().len() as u64,
-            words_hash: model.words_hash().to_string(),
-            size_bytes: file.len() as u64,
-            created_ns: now_ns(),
-        };
+    async fn store_model(&self, row: ModelRow, file: &[u8]) -> Result<ModelRow, ServiceError> {
         self.storage.put_model(&row, file).await?;
         self.find_model(&row.hash).await
     }
 
     /// A model by `models/{hash}`, a beginning of its hash, or its display name.
     pub(crate) async fn find_model(&self, reference: &str) -> Result<ModelRow, ServiceError> {
-        let reference =
-            if reference.starts_with("models/") { id_in("models", reference)? } else { reference };
-        let mut found = self.storage.models_named(reference).await?;
+        let (hash, display_name) = match reference.strip_prefix("models/") {
+            Some(_) => (id_in("models", reference)?, None),
+            None if reference.is_empty() => {
+                let message = "name a model: by its hash, the beginning of it, or its display name";
+                return Err(ServiceError::invalid(message));
+            }
+            None => (reference, Some(reference)),
+        };
+        let is_hash = hash.len() >= MIN_HASH_DIGITS && hash.chars().all(|digit| digit.is_ascii_hexdigit());
+        let mut found = if is_hash { self.storage.models_by_hash(hash).await? } else { Vec::new() };
+        if let (true, Some(name)) = (found.is_empty(), display_name) {
+            found = self.storage.models_by_display_name(name).await?;
+        }
         match (found.pop(), found.is_empty()) {
             (Some(model), true) => Ok(model),
             (Some(_), false) => Err(ServiceError::precondition(format_args!(
@@ -246,6 +260,20 @@ impl Service {
             ))),
             Err(error) => Err(error.into()),
         }
+    }
+}
+
+/// Hashes the model: not for the async threads.
+fn row_of(model: &Model, display_name: String, file: &[u8]) -> ModelRow {
+    ModelRow {
+        hash: model.hash().to_string(),
+        display_name,
+        extractor: model.extractor().to_owned(),
+        words: model.vocabulary().len() as u64,
+        samples: model.sampling_set().len() as u64,
+        words_hash: model.words_hash().to_string(),
+        size_bytes: file.len() as u64,
+        created_ns: now_ns(),
     }
 }
 

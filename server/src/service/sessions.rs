@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use fabmap::appearance::PlaceId;
 use tokio::sync::oneshot;
+use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, Reason, SessionId};
 use topomap::mapper::FrameInput;
 use topomap::odometry::Odometry;
@@ -17,6 +18,9 @@ use super::maps::FrameReference;
 use super::names::{check_id, map_in, session_name};
 use crate::error::ServiceError;
 use crate::extraction::{LoadedModel, Observed};
+
+/// How often a stream whose map was dropped from memory looks whether it still exists.
+const REOPENED_POLL: Duration = Duration::from_millis(500);
 
 /// Most places that an answer lists.
 const ANSWERED_PLACES: usize = 10;
@@ -69,6 +73,13 @@ pub(crate) struct FrameTimings {
     pub(crate) total: Duration,
 }
 
+impl FrameTimings {
+    /// Time spent on the frame itself; the rest of the total is waiting.
+    pub(super) fn work(&self) -> Duration {
+        self.extract + self.quantize + self.likelihood + self.new_place + self.filter
+    }
+}
+
 /// A stream into an open session.
 #[derive(Clone, Debug)]
 pub(crate) struct SessionStream {
@@ -80,6 +91,8 @@ pub(crate) struct SessionStream {
     stream: u64,
     last_committed: Option<u64>,
     order: Arc<Mutex<Order>>,
+    /// Cancelled when a later stream takes the session over.
+    taken_over: CancellationToken,
 }
 
 /// Keeps frames from overtaking one that must be sent again: a later number, once committed, would
@@ -93,6 +106,25 @@ struct Order {
     /// The frame that must come next, because it was refused only for now.
     resend_from: Option<u64>,
     last_committed: Option<u64>,
+    /// How often a new writer was taken: what an earlier one left behind says nothing about order.
+    generation: u64,
+}
+
+impl Order {
+    /// Notes a frame that goes to the writer; returns the writer's generation.
+    fn hand_over(&mut self, sequence: u64) -> u64 {
+        self.submitted.insert(sequence);
+        self.generation
+    }
+
+    /// From now on only `sequence`, or an earlier frame that is still out, may come next.
+    fn wait_for(&mut self, sequence: u64, generation: u64) {
+        if generation != self.generation {
+            return;
+        }
+        let first = self.submitted.first().map_or(sequence, |&first| first.min(sequence));
+        self.resend_from = Some(self.resend_from.map_or(first, |before| before.min(first)));
+    }
 }
 
 /// A frame in words, on its way to the map's writer.
@@ -129,28 +161,26 @@ impl Service {
         let row = self.map_row(map).await?;
         let model = self.loaded_model(&row.model).await?;
         let open = self.open_map(map).await?;
-        let id = if session.is_empty() { self.new_session_id(&open).await? } else { session.to_owned() };
-        check_id("session name", &id)?;
-        let session = open.open_session(id.clone(), camera, stream).await?;
+        let name = match session {
+            "" => None,
+            name => Some(check_id("session name", name)?.to_owned()),
+        };
+        let taken_over = CancellationToken::new();
+        let session = open.open_session(name, camera, stream, taken_over.clone()).await?;
         let last_committed = session.last_committed;
-        let order = Order { map: open, submitted: BTreeSet::new(), resend_from: None, last_committed };
+        let order =
+            Order { map: open, submitted: BTreeSet::new(), resend_from: None, last_committed, generation: 0 };
         Ok(SessionStream {
             order: Arc::new(Mutex::new(order)),
+            taken_over,
             service: self.clone(),
-            session_name: session_name(map, &id),
+            session_name: session_name(map, &session.name),
             map: map.to_owned(),
             model,
             session: session.session,
             stream,
             last_committed,
         })
-    }
-
-    async fn new_session_id(&self, map: &MapHandle) -> Result<String, ServiceError> {
-        let sessions = self.storage.sessions(map.id()).await?;
-        let taken = |id: &String| sessions.iter().any(|session| session.name == *id);
-        let unused = (sessions.len()..).map(|number| format!("session-{number}")).find(|id| !taken(id));
-        unused.ok_or(ServiceError::Internal)
     }
 }
 
@@ -200,6 +230,10 @@ impl SessionStream {
         let PreparedFrame { sequence, work, since } = prepared;
         let work = match work {
             Ok(work) => work,
+            Err(error @ ServiceError::Unavailable { .. }) => {
+                let generation = self.order().generation;
+                return PendingOutcome::Known(self.refused_for_now(sequence, generation, error));
+            }
             Err(error) => return PendingOutcome::Known(self.refused(sequence, error)),
         };
         let map = match self.writer_for(sequence).await {
@@ -208,18 +242,18 @@ impl SessionStream {
         };
         let (reply, answer) = oneshot::channel();
         let request = FrameRequest { session: self.session, stream: self.stream, work, reply, since };
-        self.order().submitted.insert(sequence);
+        let generation = self.order().hand_over(sequence);
         match map.frame(request).await {
-            Ok(()) => PendingOutcome::Waiting { sequence, answer },
-            Err(WriterGone) => PendingOutcome::Known(self.writer_gone(sequence).await),
+            Ok(()) => PendingOutcome::Waiting { sequence, answer, generation },
+            Err(WriterGone) => PendingOutcome::Known(self.writer_gone(sequence, generation).await),
         }
     }
 
     /// Waits for what the writer says.
     pub(crate) async fn outcome(&self, pending: PendingOutcome) -> FrameOutcome {
-        let (sequence, answer) = match pending {
+        let (sequence, generation, answer) = match pending {
             PendingOutcome::Known(outcome) => return outcome,
-            PendingOutcome::Waiting { sequence, answer } => (sequence, answer.await),
+            PendingOutcome::Waiting { sequence, answer, generation } => (sequence, generation, answer.await),
         };
         match answer {
             Ok(Ok(answer)) => {
@@ -229,20 +263,40 @@ impl SessionStream {
                 FrameOutcome::Answered(Box::new(answer))
             }
             Ok(Err(FrameFailure::Refused(error @ ServiceError::Unavailable { .. }))) => {
-                self.refused_for_now(sequence, error)
+                self.refused_for_now(sequence, generation, error)
             }
             Ok(Err(FrameFailure::Refused(error))) => self.refused(sequence, error),
             Ok(Err(FrameFailure::Ended(error))) => FrameOutcome::Ended(error),
-            Err(_) => self.writer_gone(sequence).await,
+            Err(_) => self.writer_gone(sequence, generation).await,
         }
     }
 
     /// The writer went away before the frame was stored: the map was deleted, or dropped from memory.
-    async fn writer_gone(&self, sequence: u64) -> FrameOutcome {
+    async fn writer_gone(&self, sequence: u64, generation: u64) -> FrameOutcome {
+        let map_id = self.order().map.id();
         match self.service.map_row(&self.map).await {
-            Ok(_) => self.refused_for_now(sequence, WriterGone.into()),
+            Ok(row) if row.id != map_id => FrameOutcome::Ended(self.replaced()),
+            Ok(_) => self.refused_for_now(sequence, generation, WriterGone.into()),
             Err(error @ ServiceError::NotFound { .. }) => FrameOutcome::Ended(error),
-            Err(error) => self.refused_for_now(sequence, error),
+            Err(error) => self.refused_for_now(sequence, generation, error),
+        }
+    }
+
+    /// Why the stream is over, when it is: also for a robot that is silent.
+    pub(crate) async fn over(&self) -> ServiceError {
+        loop {
+            let map = self.order().map.clone();
+            tokio::select! {
+                () = self.service.stopping().cancelled() => return ServiceError::stopping(),
+                () = self.taken_over.cancelled() => return taken_over(),
+                () = map.gone() => {}
+            }
+            match self.service.map_row(&self.map).await {
+                Err(error @ ServiceError::NotFound { .. }) => return error,
+                Ok(row) if row.id != map.id() => return self.replaced(),
+                // Dropped from memory: the next frame opens it again.
+                Ok(_) | Err(_) => tokio::time::sleep(REOPENED_POLL).await,
+            }
         }
     }
 
@@ -264,12 +318,24 @@ impl SessionStream {
         match self.service.open_map(&self.map).await {
             Ok(map) => {
                 let mut order = self.order();
+                if map.id() != order.map.id() {
+                    return Err(FrameOutcome::Ended(self.replaced()));
+                }
                 (order.map, order.resend_from) = (map.clone(), None);
+                order.submitted.clear();
+                order.generation += 1;
                 Ok(map)
             }
             Err(error @ ServiceError::NotFound { .. }) => Err(FrameOutcome::Ended(error)),
             Err(error) => Err(self.refused(sequence, error)),
         }
+    }
+
+    fn replaced(&self) -> ServiceError {
+        ServiceError::not_found(format_args!(
+            "there is no map {} any more: it was deleted, and another of its name made; open a new session",
+            self.map
+        ))
     }
 
     fn refused(&self, sequence: u64, error: ServiceError) -> FrameOutcome {
@@ -279,11 +345,8 @@ impl SessionStream {
     }
 
     /// Refuses a frame that may succeed later, and all after it until it has come again.
-    fn refused_for_now(&self, sequence: u64, error: ServiceError) -> FrameOutcome {
-        let mut order = self.order();
-        let first = order.submitted.first().map_or(sequence, |&first| first.min(sequence));
-        order.resend_from = Some(order.resend_from.map_or(first, |before| before.min(first)));
-        drop(order);
+    fn refused_for_now(&self, sequence: u64, generation: u64, error: ServiceError) -> FrameOutcome {
+        self.order().wait_for(sequence, generation);
         self.refused(sequence, error)
     }
 
@@ -292,10 +355,14 @@ impl SessionStream {
     }
 }
 
+pub(super) fn taken_over() -> ServiceError {
+    ServiceError::Aborted { message: "a later stream took this session over; this one is closed".to_owned() }
+}
+
 /// A frame that was handed over.
 pub(crate) enum PendingOutcome {
     Known(FrameOutcome),
-    Waiting { sequence: u64, answer: oneshot::Receiver<Result<FrameAnswer, FrameFailure>> },
+    Waiting { sequence: u64, generation: u64, answer: oneshot::Receiver<Result<FrameAnswer, FrameFailure>> },
 }
 
 impl FrameAnswer {

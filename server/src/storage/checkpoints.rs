@@ -20,29 +20,34 @@ impl Storage {
         graph: &[u8],
         changed: &[(PlaceId, Vec<u8>)],
     ) -> Result<(), StorageError> {
-        let mut transaction = self.writer.begin().await?;
-        for (place, content) in changed {
-            sqlx::query(
-                "INSERT INTO checkpoint_places (map_id, place, content) VALUES (?, ?, ?) \
-                 ON CONFLICT (map_id, place) DO UPDATE SET content = excluded.content",
+        self.write(async |transaction| {
+            // Never backwards: the places of a newer checkpoint are not this one's.
+            let done = sqlx::query(
+                "INSERT INTO checkpoints (map_id, events, graph) VALUES (?, ?, ?) ON CONFLICT (map_id) \
+                 DO UPDATE SET events = excluded.events, graph = excluded.graph WHERE excluded.events > events",
             )
             .bind(map)
-            .bind(place)
-            .bind(content)
-            .execute(&mut *transaction)
+            .bind(to_sql(events))
+            .bind(graph)
+            .execute(&mut **transaction)
             .await?;
-        }
-        sqlx::query(
-            "INSERT INTO checkpoints (map_id, events, graph) VALUES (?, ?, ?) \
-             ON CONFLICT (map_id) DO UPDATE SET events = excluded.events, graph = excluded.graph",
-        )
-        .bind(map)
-        .bind(to_sql(events))
-        .bind(graph)
-        .execute(&mut *transaction)
-        .await?;
-        transaction.commit().await?;
-        Ok(())
+            if done.rows_affected() == 0 {
+                return Err(StorageError::Damaged("a checkpoint newer than the map in memory".to_owned()));
+            }
+            for (place, content) in changed {
+                sqlx::query(
+                    "INSERT INTO checkpoint_places (map_id, place, content) VALUES (?, ?, ?) \
+                     ON CONFLICT (map_id, place) DO UPDATE SET content = excluded.content",
+                )
+                .bind(map)
+                .bind(place)
+                .bind(content)
+                .execute(&mut **transaction)
+                .await?;
+            }
+            Ok(())
+        })
+        .await
     }
 
     pub(crate) async fn checkpoint(&self, map: MapId) -> Result<Option<Checkpoint>, StorageError> {
@@ -73,13 +78,14 @@ impl Storage {
 
     /// Forgets a checkpoint that cannot be used; the log has it all.
     pub(crate) async fn delete_checkpoint(&self, map: MapId) -> Result<(), StorageError> {
-        let mut transaction = self.writer.begin().await?;
-        sqlx::query("DELETE FROM checkpoint_places WHERE map_id = ?")
-            .bind(map)
-            .execute(&mut *transaction)
-            .await?;
-        sqlx::query("DELETE FROM checkpoints WHERE map_id = ?").bind(map).execute(&mut *transaction).await?;
-        transaction.commit().await?;
-        Ok(())
+        self.write(async |transaction| {
+            for delete in
+                ["DELETE FROM checkpoint_places WHERE map_id = ?", "DELETE FROM checkpoints WHERE map_id = ?"]
+            {
+                sqlx::query(delete).bind(map).execute(&mut **transaction).await?;
+            }
+            Ok(())
+        })
+        .await
     }
 }

@@ -1,9 +1,11 @@
-use futures::TryStreamExt;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, Sqlite, Transaction};
 use topomap::event::{FrameId, MapEvent, Reason, SessionId};
 
 use super::{MapId, Storage, StorageError, from_sql, to_sql};
+
+/// Events read at a time when a log is replayed.
+const REPLAY_PAGE: u32 = 1000;
 
 /// One row of a map's log.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,12 +35,13 @@ pub(crate) struct ClosureRow {
 impl Storage {
     /// Appends events to a map's log, all or none, and returns when they are on the disk.
     pub(crate) async fn append(&self, map: MapId, entries: &[LogEntry]) -> Result<(), StorageError> {
-        let mut transaction = self.writer.begin().await?;
-        for LogEntry { position, event } in entries {
-            insert_event(&mut transaction, map, to_sql(*position), event).await?;
-        }
-        transaction.commit().await?;
-        Ok(())
+        self.write(async |transaction| {
+            for LogEntry { position, event } in entries {
+                insert_event(transaction, map, to_sql(*position), event).await?;
+            }
+            Ok(())
+        })
+        .await
     }
 
     /// Hands every entry from `from` on to `fold`, in order.
@@ -49,17 +52,26 @@ impl Storage {
         vocabulary_len: usize,
         fold: &mut (dyn FnMut(LogEntry) -> Result<(), StorageError> + Send),
     ) -> Result<(), StorageError> {
-        let mut rows = sqlx::query(
-            "SELECT position, event FROM log WHERE map_id = ? AND position >= ? ORDER BY position",
-        )
-        .bind(map)
-        .bind(to_sql(from))
-        .fetch(&self.readers);
-        while let Some(row) = rows.try_next().await? {
-            let position = from_sql(row.try_get("position")?)?;
-            fold(LogEntry { position, event: event(&row, vocabulary_len)? })?;
+        // Page by page, so that a long replay does not keep a connection from others.
+        let mut next = to_sql(from);
+        loop {
+            let rows = sqlx::query(
+                "SELECT position, event FROM log WHERE map_id = ? AND position >= ? ORDER BY position LIMIT ?",
+            )
+            .bind(map)
+            .bind(next)
+            .bind(REPLAY_PAGE)
+            .fetch_all(&self.readers)
+            .await?;
+            for row in &rows {
+                let position: i64 = row.try_get("position")?;
+                fold(LogEntry { position: from_sql(position)?, event: event(row, vocabulary_len)? })?;
+                next = position + 1;
+            }
+            if rows.len() < REPLAY_PAGE as usize {
+                return Ok(());
+            }
         }
-        Ok(())
     }
 
     /// The event at a position of a map's log.
@@ -161,8 +173,8 @@ pub(super) async fn insert_event(
     };
     let decision = frame.map(|frame| &frame.decision);
     sqlx::query(
-        "INSERT INTO log (map_id, position, session, sequence, stamp_ns, reason, place, posterior, matched_frame, event) \
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        "INSERT INTO log (map_id, position, session, sequence, stamp_ns, reason, place, posterior, matched_frame, \
+         link_from, link_to, event) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
     )
     .bind(map)
     .bind(position)
@@ -173,6 +185,8 @@ pub(super) async fn insert_event(
     .bind(decision.and_then(|decision| decision.place))
     .bind(decision.map(|decision| decision.posterior))
     .bind(decision.and_then(|decision| decision.closure).map(|closure| to_sql(closure.frame)))
+    .bind(frame.and_then(|frame| frame.link).map(|link| link.from))
+    .bind(frame.and_then(|frame| frame.link).map(|link| link.to))
     .bind(event.to_bytes())
     .execute(&mut **transaction)
     .await?;

@@ -31,6 +31,8 @@ pub(crate) struct MapCounts {
     pub(crate) sessions: u64,
     pub(crate) frames: u64,
     pub(crate) loop_closures: u64,
+    pub(crate) places: u64,
+    pub(crate) links: u64,
 }
 
 impl Storage {
@@ -76,7 +78,9 @@ impl Storage {
         let row = sqlx::query(
             "SELECT (SELECT count(*) FROM sessions WHERE map_id = ?1) AS sessions, \
              (SELECT count(*) FROM log WHERE map_id = ?1 AND sequence IS NOT NULL) AS frames, \
-             (SELECT count(*) FROM log WHERE map_id = ?1 AND reason = 'loop_closure') AS loop_closures",
+             (SELECT count(*) FROM log WHERE map_id = ?1 AND reason = 'loop_closure') AS loop_closures, \
+             (SELECT coalesce(max(place) + 1, 0) FROM log WHERE map_id = ?1 AND place IS NOT NULL) AS places, \
+             (SELECT count(*) FROM log WHERE map_id = ?1 AND link_to IS NOT NULL) AS links",
         )
         .bind(map)
         .fetch_one(&self.readers)
@@ -85,6 +89,8 @@ impl Storage {
             sessions: from_sql(row.try_get("sessions")?)?,
             frames: from_sql(row.try_get("frames")?)?,
             loop_closures: from_sql(row.try_get("loop_closures")?)?,
+            places: from_sql(row.try_get("places")?)?,
+            links: from_sql(row.try_get("links")?)?,
         })
     }
 
@@ -114,19 +120,21 @@ impl Storage {
         camera: Option<&[u8]>,
         opened_ns: i64,
     ) -> Result<(), StorageError> {
-        let mut transaction = self.writer.begin().await?;
-        sqlx::query("INSERT INTO sessions (map_id, number, name, camera, opened_ns) VALUES (?, ?, ?, ?, ?)")
+        self.write(async |transaction| {
+            sqlx::query(
+                "INSERT INTO sessions (map_id, number, name, camera, opened_ns) VALUES (?, ?, ?, ?, ?)",
+            )
             .bind(map)
             .bind(session.number)
             .bind(&session.name)
             .bind(camera)
             .bind(opened_ns)
-            .execute(&mut *transaction)
+            .execute(&mut **transaction)
             .await?;
-        let event = MapEvent::SessionOpened { session: session.number };
-        insert_event(&mut transaction, map, to_sql(position), &event).await?;
-        transaction.commit().await?;
-        Ok(())
+            let event = MapEvent::SessionOpened { session: session.number };
+            insert_event(transaction, map, to_sql(position), &event).await
+        })
+        .await
     }
 }
 

@@ -58,14 +58,26 @@ impl Storage {
         rows.iter().map(model).collect()
     }
 
-    /// Models whose hash begins with `reference` or whose display name is it; at most two, which is
-    /// enough to see that it is ambiguous.
-    pub(crate) async fn models_named(&self, reference: &str) -> Result<Vec<ModelRow>, StorageError> {
+    /// Models whose hash begins with `beginning`; at most two, which is enough to see that it is
+    /// ambiguous.
+    pub(crate) async fn models_by_hash(&self, beginning: &str) -> Result<Vec<ModelRow>, StorageError> {
         let rows = sqlx::query(
             "SELECT hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns FROM models \
-             WHERE display_name = ?1 OR (length(?1) >= 6 AND substr(hash, 1, length(?1)) = ?1) ORDER BY hash LIMIT 2",
+             WHERE substr(hash, 1, length(?1)) = ?1 ORDER BY hash LIMIT 2",
         )
-        .bind(reference)
+        .bind(beginning)
+        .fetch_all(&self.readers)
+        .await?;
+        rows.iter().map(model).collect()
+    }
+
+    /// Models of that display name; at most two.
+    pub(crate) async fn models_by_display_name(&self, name: &str) -> Result<Vec<ModelRow>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns FROM models \
+             WHERE display_name = ? ORDER BY hash LIMIT 2",
+        )
+        .bind(name)
         .fetch_all(&self.readers)
         .await?;
         rows.iter().map(model).collect()

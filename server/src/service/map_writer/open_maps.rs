@@ -1,8 +1,7 @@
 //! Which maps are open, and how one is opened from the disk.
 
 use std::collections::{BTreeSet, HashMap};
-use std::future::Future;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use tokio::runtime::Handle;
@@ -30,29 +29,28 @@ pub(crate) struct OpenMaps {
 }
 
 impl OpenMaps {
-    /// Runs `work` while the map is closed and cannot be opened.
-    pub(crate) async fn while_closed<T>(&self, map: &str, work: impl Future<Output = T>) -> T {
-        let slot = self.slot(map);
-        let mut slot = slot.lock().await;
-        slot.close().await;
-        work.await
-    }
-
     /// Commits, checkpoints and closes every map.
     pub(crate) async fn close_all(&self) {
-        let slots: Vec<_> = self.slots.lock().unwrap_or_else(PoisonError::into_inner).drain().collect();
+        let slots: Vec<_> = self.slots().drain().collect();
         for (_, slot) in slots {
             slot.lock().await.close().await;
         }
     }
 
     fn slot(&self, map: &str) -> Arc<AsyncMutex<Slot>> {
-        let mut slots = self.slots.lock().unwrap_or_else(PoisonError::into_inner);
-        slots.entry(map.to_owned()).or_default().clone()
+        self.slots().entry(map.to_owned()).or_default().clone()
+    }
+
+    fn slots(&self) -> MutexGuard<'_, HashMap<String, Arc<AsyncMutex<Slot>>>> {
+        self.slots.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Slot {
+    fn handle(&self) -> Option<MapHandle> {
+        self.open.as_ref().map(|(handle, _)| handle.clone()).filter(|handle| !handle.is_gone())
+    }
+
     async fn close(&mut self) {
         let Some((handle, thread)) = self.open.take() else { return };
         handle.close().await;
@@ -65,24 +63,44 @@ impl Slot {
 
 impl Service {
     /// A map's writer; opens the map from the disk if need be.
-    pub(crate) async fn open_map(&self, name: &str) -> Result<MapHandle, ServiceError> {
+    pub(crate) async fn open_map(self: &Arc<Self>, name: &str) -> Result<MapHandle, ServiceError> {
+        // Asked first, so that names that are no maps leave nothing behind.
+        let row = self.map_row(name).await?;
+        let mut slot = self.open_maps.slot(name).lock_owned().await;
+        // Looked at under the lock: a map opened later than this would never be closed.
         if self.stopping.is_cancelled() {
             return Err(ServiceError::stopping());
         }
-        let slot = self.open_maps.slot(name);
-        let mut slot = slot.lock().await;
-        if let Some((handle, _)) = slot.open.as_ref().filter(|(handle, _)| !handle.is_gone()) {
-            return Ok(handle.clone());
+        if let Some(handle) = slot.handle().filter(|handle| handle.id() == row.id) {
+            return Ok(handle);
         }
-        slot.close().await;
-        let row = self.map_row(name).await?;
-        let model = self.loaded_model(&row.model).await?;
-        let (storage, runtime) = (self.storage.clone(), Handle::current());
-        let opened = tokio::task::spawn_blocking(move || open(runtime, storage, row, model)).await;
-        let opened = opened.map_err(ServiceError::internal)??;
-        let handle = opened.0.clone();
-        slot.open = Some(opened);
-        Ok(handle)
+        let service = self.clone();
+        // A task of its own: whoever asked may go away, but a map must not be left half open, or a
+        // second writer could be started beside the first.
+        let opening = tokio::spawn(async move {
+            slot.close().await;
+            let model = service.loaded_model(&row.model).await?;
+            let (storage, runtime) = (service.storage.clone(), Handle::current());
+            let opened = tokio::task::spawn_blocking(move || open(runtime, storage, row, model)).await;
+            let opened = opened.map_err(ServiceError::internal)??;
+            let handle = opened.0.clone();
+            slot.open = Some(opened);
+            Ok(handle)
+        });
+        opening.await.map_err(ServiceError::internal)?
+    }
+
+    /// Closes a map and deletes it, whether or not whoever asked is still there. Whether there was one.
+    pub(crate) async fn close_and_delete_map(self: &Arc<Self>, name: &str) -> Result<bool, ServiceError> {
+        let mut slot = self.open_maps.slot(name).lock_owned().await;
+        let (service, name) = (self.clone(), name.to_owned());
+        let deleting = tokio::spawn(async move {
+            slot.close().await;
+            let deleted = service.storage.delete_map(&name).await;
+            service.open_maps.slots().remove(&name);
+            deleted
+        });
+        Ok(deleting.await.map_err(ServiceError::internal)??)
     }
 }
 

@@ -4,11 +4,11 @@ use std::time::Instant;
 
 use fabmap::appearance::PlaceId;
 use tokio::sync::{mpsc, oneshot};
+use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameId, SessionId};
 use topomap::mapper::FrameInput;
 
 use crate::error::ServiceError;
-use crate::service::maps::Detail;
 use crate::service::sessions::{FrameAnswer, FrameTimings};
 use crate::storage::MapId;
 
@@ -18,14 +18,15 @@ pub(super) const QUEUE: usize = 128;
 pub(crate) enum MapRequest {
     Frame(FrameRequest),
     OpenSession {
-        name: String,
+        /// Made up if `None`.
+        name: Option<String>,
         camera: Option<Vec<u8>>,
         stream: u64,
+        taken_over: CancellationToken,
         reply: oneshot::Sender<Result<OpenedSession, ServiceError>>,
     },
-    Summary {
-        detail: Detail,
-        reply: oneshot::Sender<MapSummary>,
+    StateHash {
+        reply: oneshot::Sender<String>,
     },
     Places {
         from: u32,
@@ -73,17 +74,11 @@ pub(crate) enum FrameFailure {
     Ended(ServiceError),
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct OpenedSession {
     pub(crate) session: SessionId,
+    pub(crate) name: String,
     pub(crate) last_committed: Option<u64>,
-}
-
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct MapSummary {
-    pub(crate) places: u64,
-    pub(crate) links: u64,
-    pub(crate) state_hash: Option<String>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -121,6 +116,11 @@ impl MapHandle {
         self.id
     }
 
+    /// Completes when the writer has ended.
+    pub(crate) async fn gone(&self) {
+        self.requests.closed().await;
+    }
+
     pub(crate) fn is_gone(&self) -> bool {
         self.requests.is_closed()
     }
@@ -138,15 +138,17 @@ impl MapHandle {
 
     pub(crate) async fn open_session(
         &self,
-        name: String,
+        name: Option<String>,
         camera: Option<Vec<u8>>,
         stream: u64,
+        taken_over: CancellationToken,
     ) -> Result<OpenedSession, ServiceError> {
-        self.ask(|reply| MapRequest::OpenSession { name, camera, stream, reply }).await?
+        self.ask(|reply| MapRequest::OpenSession { name, camera, stream, taken_over, reply }).await?
     }
 
-    pub(crate) async fn summary(&self, detail: Detail) -> Result<MapSummary, ServiceError> {
-        Ok(self.ask(|reply| MapRequest::Summary { detail, reply }).await?)
+    /// Hash of all that the map's log decided.
+    pub(crate) async fn state_hash(&self) -> Result<String, ServiceError> {
+        Ok(self.ask(|reply| MapRequest::StateHash { reply }).await?)
     }
 
     /// Up to `count` places from `from` on, and how many there are in all.

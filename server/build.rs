@@ -1,0 +1,5 @@
+//! Migrations are compiled in: a change to them must compile the server anew.
+
+fn main() {
+    println!("cargo:rerun-if-changed=../migrations");
+}

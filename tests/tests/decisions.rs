@@ -1,0 +1,188 @@
+//! The server decides as the library does in process: frame by frame, bit by bit.
+
+use topomap::event::{FrameEvent, Match, Reason};
+use waypost_client::v1;
+
+use crate::harness::{Reference, Server, answers, frame, frame_count, in_time, reference, state_hash};
+
+/// Places that an answer lists.
+const LISTED: usize = 10;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn server_decides_as_in_process() {
+    let (server, client) = Server::with_map().await;
+    let answers = answers(&client, "drive", "robot", (1..=frame_count()).map(frame)).await;
+
+    let reference = reference();
+    assert_eq!(answers.len(), reference.events.len());
+    for (index, (answer, event)) in answers.iter().zip(&reference.events).enumerate() {
+        assert_eq!(told(answer), decided(event, reference), "frame {}", event.sequence);
+        if event.decision.reason != Reason::TooFewWords {
+            assert_eq!(listed(answer), probable(index, reference), "frame {}", event.sequence);
+        }
+        // Frames share commits: later ones may be durable by the time this one is answered.
+        assert!(answer.last_committed_sequence >= event.sequence);
+        assert!(!answer.resent);
+        let timings = answer.timings.as_ref().expect("a new answer has timings");
+        assert!(timings.extract_ms > 0.0 && timings.total_ms > timings.extract_ms, "{timings:?}");
+    }
+
+    let map = in_time(client.map("drive", v1::MapView::Full)).await.unwrap();
+    let expected = &reference.maps[answers.len()];
+    assert_eq!(map.state_hash, expected.state_hash);
+    assert_eq!((map.places, map.links), (expected.places, expected.links));
+    assert_eq!((map.frames, map.sessions), (frame_count(), 1));
+    check_loop_closures(&client, reference).await;
+    check_places(&client, map.places).await;
+    server.stop().await;
+}
+
+/// Places and p(new) of an answer are parts of one distribution, also where too little was seen.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_probabilities_of_an_answer_belong_together() {
+    let (server, client) = Server::with_map().await;
+    let black = image::GrayImage::from_pixel(320, 240, image::Luma([9]));
+    let mut nothing_to_see = std::io::Cursor::new(Vec::new());
+    black.write_to(&mut nothing_to_see, image::ImageFormat::Png).unwrap();
+    let mut frames: Vec<_> = (1..=12).map(frame).collect();
+    frames[5].image = nothing_to_see.into_inner();
+    let answers = answers(&client, "drive", "robot", frames).await;
+    assert_eq!(answers[5].reason(), v1::Reason::TooFewWords);
+    assert_eq!(answers[5].place, None);
+    for answer in &answers {
+        let places: f64 = answer.places.iter().map(|place| place.posterior).sum();
+        let sum = places + answer.new_place_posterior;
+        assert!(sum <= 1.0 + 1e-9, "the probabilities add up to {sum}: {answer:?}");
+        assert!(answer.places.is_sorted_by(|a, b| a.posterior >= b.posterior), "{answer:?}");
+    }
+    server.stop().await;
+}
+
+/// Loop closures exist, and the list of them says what the answers said.
+async fn check_loop_closures(client: &waypost_client::Client, reference: &Reference) {
+    let closures = reference.events.iter().filter(|event| event.decision.reason == Reason::LoopClosure);
+    let expected: Vec<(u64, u64, u32, u64)> = closures
+        .map(|event| {
+            let closure = event.decision.closure.expect("a closure has a match");
+            let matched = reference.sequence_of(closure.frame);
+            (event.sequence, matched, closure.place, closure.posterior.to_bits())
+        })
+        .collect();
+    assert!(!expected.is_empty(), "the shipped drive closes no loop");
+    let matches = client.matches("drive").await.unwrap();
+    let listed: Vec<(u64, u64, u32, u64)> = matches
+        .iter()
+        .map(|closure| {
+            let sequence = |frame: &Option<v1::FrameReference>| frame.as_ref().unwrap().sequence;
+            let (frame, matched) = (sequence(&closure.frame), sequence(&closure.matched_frame));
+            (frame, matched, closure.place, closure.posterior.to_bits())
+        })
+        .collect();
+    assert_eq!(listed, expected);
+    let map = client.map("drive", v1::MapView::Unspecified).await.unwrap();
+    assert_eq!(map.loop_closures, expected.len() as u64);
+}
+
+/// Every place has learnt something, and links go both ways.
+async fn check_places(client: &waypost_client::Client, count: u64) {
+    let places = client.places("drive").await.unwrap();
+    assert_eq!(places.len() as u64, count);
+    for (number, place) in (0_u32..).zip(&places) {
+        assert_eq!(place.name, format!("maps/drive/places/{number}"));
+        assert!(place.looks >= 1 && place.words >= 1 && !place.frames.is_empty(), "{place:?}");
+        for &other in &place.linked {
+            assert!(places[other as usize].linked.contains(&number), "{number} and {other}");
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_maps_grow_side_by_side_as_if_alone() {
+    const FRAMES: u64 = 25;
+    let (server, client) = Server::with_map().await;
+    let model = client.model("shipped").await.unwrap();
+    client.create_map(crate::harness::map_request("other", &model.name)).await.unwrap();
+    let drive = async |map: &str| answers(&client, map, "robot", (1..=FRAMES).map(frame)).await;
+    let (one, other) = tokio::join!(drive("drive"), drive("other"));
+    let expected = &reference().maps[FRAMES as usize].state_hash;
+    assert_eq!(&state_hash(&client, "drive").await, expected);
+    assert_eq!(&state_hash(&client, "other").await, expected);
+    assert_eq!((one.len(), other.len()), (FRAMES as usize, FRAMES as usize));
+    server.stop().await;
+}
+
+/// What the answer and the event both say, with the bits of every number.
+#[derive(Debug, PartialEq)]
+struct Told {
+    reason: v1::Reason,
+    place: Option<u32>,
+    posterior_bits: u64,
+    new_place_posterior_bits: u64,
+    words: usize,
+    closure: Option<ToldMatch>,
+    proposal: Option<ToldMatch>,
+}
+
+#[derive(Debug, PartialEq)]
+struct ToldMatch {
+    place: u32,
+    posterior_bits: u64,
+    log_odds_bits: u64,
+    sequence: u64,
+}
+
+fn told(answer: &v1::FrameAnswer) -> Told {
+    let found = |found: &Option<v1::Match>| {
+        found.as_ref().map(|found| ToldMatch {
+            place: found.place,
+            posterior_bits: found.posterior.to_bits(),
+            log_odds_bits: found.log_odds.to_bits(),
+            sequence: found.frame.as_ref().expect("a match is a frame").sequence,
+        })
+    };
+    Told {
+        reason: answer.reason(),
+        place: answer.place,
+        posterior_bits: answer.posterior.to_bits(),
+        new_place_posterior_bits: answer.new_place_posterior.to_bits(),
+        words: answer.words as usize,
+        closure: found(&answer.closure),
+        proposal: found(&answer.proposal),
+    }
+}
+
+fn decided(event: &FrameEvent, reference: &Reference) -> Told {
+    let found = |found: Option<Match>| {
+        found.map(|Match { place, posterior, log_odds, frame }| ToldMatch {
+            place,
+            posterior_bits: posterior.to_bits(),
+            log_odds_bits: log_odds.to_bits(),
+            sequence: reference.sequence_of(frame),
+        })
+    };
+    Told {
+        reason: match event.decision.reason {
+            Reason::NewPlace => v1::Reason::NewPlace,
+            Reason::SamePlace => v1::Reason::SamePlace,
+            Reason::LoopClosure => v1::Reason::LoopClosure,
+            Reason::BelowThreshold => v1::Reason::BelowThreshold,
+            Reason::TooFewWords => v1::Reason::TooFewWords,
+        },
+        place: event.decision.place,
+        posterior_bits: event.decision.posterior.to_bits(),
+        new_place_posterior_bits: event.new_place_posterior.to_bits(),
+        words: event.observation.len(),
+        closure: found(event.decision.closure),
+        proposal: found(event.proposal),
+    }
+}
+
+fn listed(answer: &v1::FrameAnswer) -> Vec<(u32, u64)> {
+    answer.places.iter().map(|place| (place.place, place.posterior.to_bits())).collect()
+}
+
+/// What the answer should list, from the whole posterior.
+fn probable(index: usize, reference: &Reference) -> Vec<(u32, u64)> {
+    let probable = reference.most_probable(index, LISTED).into_iter();
+    probable.map(|(place, posterior)| (place, posterior.to_bits())).collect()
+}

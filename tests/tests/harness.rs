@@ -1,0 +1,49 @@
+//! What every test needs: servers, the shipped drive and model, streams.
+
+mod process;
+mod proxy;
+mod reference;
+mod sequence;
+mod server;
+mod stream;
+
+pub(crate) use process::{Built, ServerProcess, run_to_its_end};
+pub(crate) use proxy::Proxy;
+pub(crate) use reference::{Reference, reference};
+pub(crate) use sequence::{SECOND_NS, first_return, frame, frame_count, images, model_file, workspace};
+pub(crate) use server::{Server, channel, import_model, state_hash};
+pub(crate) use stream::{RawStream, answers, open, session_options, stream, wire};
+
+use std::time::Duration;
+
+use waypost_client::Code;
+use waypost_client::{Error, v1};
+
+/// Far more than anything here takes: only what hangs gets there.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// The result of `work`, unless it hangs.
+pub(crate) async fn in_time<T>(work: impl Future<Output = T>) -> T {
+    tokio::time::timeout(PATIENCE, work).await.expect("this hangs")
+}
+
+/// The status that the server refused with.
+#[track_caller]
+pub(crate) fn refused<T: std::fmt::Debug>(result: Result<T, Error>) -> (Code, String) {
+    match result {
+        Err(Error::Status { code, message }) => (code, message),
+        other => panic!("not refused by the server: {other:?}"),
+    }
+}
+
+/// Whether a status is the one expected: its exact code, and a part of its message.
+#[track_caller]
+pub(crate) fn assert_status(case: &str, (code, message): (Code, &str), expected: Code, fragment: &str) {
+    assert_eq!(code, expected, "{case}: {message}");
+    assert!(message.contains(fragment), "{case}: {message:?} does not say {fragment:?}");
+}
+
+/// A map with the server's default settings.
+pub(crate) fn map_request(map: &str, model: &str) -> v1::CreateMapRequest {
+    v1::CreateMapRequest { map_id: map.to_owned(), model: model.to_owned(), settings: None }
+}

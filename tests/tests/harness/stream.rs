@@ -1,0 +1,130 @@
+//! Streams of frames: through the client library, and message by message.
+
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Status, Streaming};
+use waypost_client::{Client, FrameInput, FrameOutcome, Session, SessionOptions};
+use waypost_proto::v1;
+use waypost_proto::v1::session_service_client::SessionServiceClient;
+use waypost_proto::v1::stream_request::Content as Request;
+use waypost_proto::v1::stream_response::Content as Response;
+
+use super::{channel, in_time};
+
+/// A session of that name.
+pub(crate) fn session_options(map: &str, session: &str) -> SessionOptions {
+    SessionOptions { session_id: session.to_owned(), ..SessionOptions::new(map) }
+}
+
+/// Streams frames to the end of a session; one outcome per frame, in order.
+pub(crate) async fn stream(
+    session: Session,
+    frames: impl IntoIterator<Item = FrameInput>,
+) -> Vec<FrameOutcome> {
+    let (mut sender, mut outcomes) = session.split();
+    let sending = async move {
+        for frame in frames {
+            sender.send(frame).await.expect("the session takes the frame");
+        }
+    };
+    let receiving = async move {
+        let mut received = Vec::new();
+        while let Some(outcome) = outcomes.next().await.expect("the session goes on") {
+            received.push(outcome);
+        }
+        received
+    };
+    in_time(async { tokio::join!(sending, receiving) }).await.1
+}
+
+/// Streams frames into a session that takes them all.
+pub(crate) async fn answers(
+    client: &Client,
+    map: &str,
+    session: &str,
+    frames: impl IntoIterator<Item = FrameInput>,
+) -> Vec<v1::FrameAnswer> {
+    let session = client.open_session(session_options(map, session)).await.unwrap();
+    let answered = |outcome| match outcome {
+        FrameOutcome::Answer(answer) => answer,
+        FrameOutcome::Refusal(refusal) => panic!("refused: {refusal:?}"),
+    };
+    stream(session, frames).await.into_iter().map(answered).collect()
+}
+
+/// A frame as it goes over the wire.
+pub(crate) fn wire(frame: FrameInput) -> v1::Frame {
+    let FrameInput { sequence, stamp_ns, image, odometry } = frame;
+    v1::Frame { sequence, stamp_ns, odometry, content: Some(v1::frame::Content::Image(image)) }
+}
+
+/// The first message of an ordinary stream.
+pub(crate) fn open(map: &str, session: &str) -> v1::OpenSession {
+    v1::OpenSession {
+        map: format!("maps/{map}"),
+        session_id: session.to_owned(),
+        mode: v1::SessionMode::Map.into(),
+        camera: None,
+    }
+}
+
+/// A stream as the contract has it, without the client library's care.
+pub(crate) struct RawStream {
+    requests: mpsc::Sender<v1::StreamRequest>,
+    responses: Streaming<v1::StreamResponse>,
+}
+
+impl RawStream {
+    /// Begins a stream with `first`.
+    pub(crate) async fn begin(endpoint: &str, first: Request) -> Result<Self, Status> {
+        let (requests, receiver) = mpsc::channel(256);
+        requests.send(v1::StreamRequest { content: Some(first) }).await.unwrap();
+        let mut service = SessionServiceClient::new(channel(endpoint).await);
+        let responses = in_time(service.stream(ReceiverStream::new(receiver))).await?.into_inner();
+        Ok(Self { requests, responses })
+    }
+
+    /// Opens a session; gives what the server says to it.
+    pub(crate) async fn open(
+        endpoint: &str,
+        first: v1::OpenSession,
+    ) -> Result<(Self, v1::SessionOpened), Status> {
+        let mut stream = Self::begin(endpoint, Request::Open(first)).await?;
+        match stream.next().await? {
+            Some(Response::Opened(opened)) => Ok((stream, opened)),
+            other => panic!("the session was not opened: {other:?}"),
+        }
+    }
+
+    pub(crate) async fn send(&self, content: Request) {
+        self.requests.send(v1::StreamRequest { content: Some(content) }).await.expect("the stream is open");
+    }
+
+    /// The next response; `None` at the end of the stream.
+    pub(crate) async fn next(&mut self) -> Result<Option<Response>, Status> {
+        let response = in_time(self.responses.message()).await?;
+        Ok(response.map(|response| response.content.expect("a response has a content")))
+    }
+
+    /// Sends a frame and waits for what becomes of it.
+    pub(crate) async fn frame(&mut self, frame: v1::Frame) -> Result<Response, Status> {
+        self.send(Request::Frame(frame)).await;
+        Ok(self.next().await?.expect("the stream goes on"))
+    }
+
+    /// Sends a frame that is taken.
+    pub(crate) async fn answered(&mut self, frame: v1::Frame) -> v1::FrameAnswer {
+        match self.frame(frame).await {
+            Ok(Response::Answer(answer)) => answer,
+            other => panic!("no answer: {other:?}"),
+        }
+    }
+
+    /// Sends a frame that is refused.
+    pub(crate) async fn refused(&mut self, frame: v1::Frame) -> v1::FrameRefusal {
+        match self.frame(frame).await {
+            Ok(Response::Refusal(refusal)) => refusal,
+            other => panic!("not refused: {other:?}"),
+        }
+    }
+}

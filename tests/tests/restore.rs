@@ -1,0 +1,191 @@
+//! Fold equals replay equals restore: a map is the same however it comes into memory.
+
+use std::path::Path;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
+use waypost_client::{FrameInput, v1};
+
+use crate::harness::{
+    Server, ServerProcess, answers, first_return, frame, import_model, map_request, state_hash,
+};
+
+/// A directory with a map of two sessions, one with odometry, that loops; left by SIGTERM.
+struct Stored {
+    directory: tempfile::TempDir,
+    map: v1::Map,
+    places: Vec<v1::Place>,
+    matches: Vec<v1::LoopClosure>,
+}
+
+impl Stored {
+    async fn new() -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let server = ServerProcess::start(directory.path());
+        let client = server.client().await;
+        let model = import_model(&client).await;
+        client.create_map(map_request("drive", &model.name)).await.unwrap();
+        answers(&client, "drive", "first", (1..=25).map(with_odometry)).await;
+        let again = first_return();
+        answers(&client, "drive", "second", (again..again + 20).map(frame)).await;
+        let map = client.map("drive", v1::MapView::Full).await.unwrap();
+        assert!(map.links > 0 && map.loop_closures > 0, "{map:?}");
+        let places = client.places("drive").await.unwrap();
+        let matches = client.matches("drive").await.unwrap();
+        server.stop();
+        Self { directory, map, places, matches }
+    }
+
+    fn path(&self) -> &Path {
+        self.directory.path()
+    }
+
+    /// Opens the map anew: it must be what it was, and go on as it would have.
+    async fn reopens(&self, case: &str) {
+        let server = Server::start_on(self.path()).await;
+        let client = server.client().await;
+        let map =
+            client.map("drive", v1::MapView::Full).await.unwrap_or_else(|error| panic!("{case}: {error}"));
+        assert_eq!(map, self.map, "{case}");
+        assert_eq!(client.places("drive").await.unwrap(), self.places, "{case}");
+        assert_eq!(client.matches("drive").await.unwrap(), self.matches, "{case}");
+        server.stop().await;
+    }
+
+    async fn database(&self) -> SqliteConnection {
+        let file = self.path().join("waypost.sqlite");
+        SqliteConnectOptions::new().filename(file).foreign_keys(true).connect().await.unwrap()
+    }
+
+    async fn sql(&self, statement: &str) {
+        let mut database = self.database().await;
+        let done = sqlx::query(AssertSqlSafe(statement.to_owned())).execute(&mut database).await.unwrap();
+        assert!(done.rows_affected() > 0, "{statement} changed nothing");
+        database.close().await.unwrap();
+    }
+
+    async fn count(&self, query: &str) -> i64 {
+        let mut database = self.database().await;
+        let row = sqlx::query(AssertSqlSafe(query.to_owned())).fetch_one(&mut database).await.unwrap();
+        database.close().await.unwrap();
+        row.get(0)
+    }
+}
+
+fn with_odometry(sequence: u64) -> FrameInput {
+    let odometry = v1::Odometry {
+        pose: Some(v1::Pose {
+            position_m: Some(v1::Vector3 { x: 0.7 * sequence as f64, y: 0.1, z: 0.0 }),
+            orientation: Some(v1::Quaternion { x: 0.0, y: 0.0, z: 0.6, w: 0.8 }),
+        }),
+        covariance: Vec::new(),
+    };
+    FrameInput { odometry: Some(odometry), ..frame(sequence) }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_map_is_the_same_from_checkpoint_and_replay() {
+    let stored = Stored::new().await;
+    let events = stored.count("SELECT count(*) FROM log").await;
+    assert_eq!(stored.count("SELECT events FROM checkpoints").await, events, "SIGTERM wrote no checkpoint");
+    assert_eq!(stored.count("SELECT count(*) FROM checkpoint_places").await, stored.places.len() as i64);
+    stored.reopens("from the checkpoint").await;
+    stored.sql("DELETE FROM checkpoint_places").await;
+    stored.sql("DELETE FROM checkpoints").await;
+    stored.reopens("by full replay").await;
+    // The replay wrote a checkpoint of its own.
+    assert_eq!(stored.count("SELECT events FROM checkpoints").await, events);
+    stored.reopens("from the checkpoint after the replay").await;
+    stored.sql("DELETE FROM checkpoints").await;
+    stored.reopens("by replay beside old checkpoint places").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_damaged_checkpoint_is_replayed() {
+    const DAMAGES: [(&str, &str); 9] = [
+        ("graph cut", "UPDATE checkpoints SET graph = substr(graph, 1, length(graph) / 2)"),
+        ("graph empty", "UPDATE checkpoints SET graph = x''"),
+        ("graph of noise", "UPDATE checkpoints SET graph = randomblob(500)"),
+        ("graph longer", "UPDATE checkpoints SET graph = CAST(graph || x'00' AS BLOB)"),
+        (
+            "place cut",
+            "UPDATE checkpoint_places SET content = substr(content, 1, length(content) / 2) WHERE place = 3",
+        ),
+        ("place empty", "UPDATE checkpoint_places SET content = x'' WHERE place = 0"),
+        ("place missing", "DELETE FROM checkpoint_places WHERE place = 2"),
+        (
+            "last place missing",
+            "DELETE FROM checkpoint_places WHERE place = (SELECT max(place) FROM checkpoint_places)",
+        ),
+        (
+            "place too many",
+            "INSERT INTO checkpoint_places SELECT map_id, max(place) + 1, content FROM checkpoint_places",
+        ),
+    ];
+    let stored = Stored::new().await;
+    for (case, damage) in DAMAGES {
+        stored.sql(damage).await;
+        stored.reopens(case).await;
+        // Mended: the next opening restores again.
+        let places = stored.count("SELECT count(*) FROM checkpoint_places").await;
+        assert_eq!(places, stored.places.len() as i64, "{case}");
+    }
+}
+
+/// A disk that returns one wrong bit must not change what a map knows.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_checkpoint_with_one_wrong_bit_is_replayed() {
+    let stored = Stored::new().await;
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    for round in 0..12 {
+        let (table, column) = [("checkpoints", "graph"), ("checkpoint_places", "content")][round % 2];
+        let mut database = stored.database().await;
+        let select = format!(
+            "SELECT rowid_, {column} FROM (SELECT {column}, row_number() OVER () AS rowid_ FROM {table})"
+        );
+        let rows = sqlx::query(AssertSqlSafe(select)).fetch_all(&mut database).await.unwrap();
+        let row = &rows[random.random_range(0..rows.len())];
+        let before: Vec<u8> = row.get(1);
+        let (byte, bit) = (random.random_range(0..before.len()), random.random_range(0..8_u32));
+        let mut after = before.clone();
+        after[byte] ^= 1 << bit;
+        let update = format!("UPDATE {table} SET {column} = ? WHERE {column} = ?");
+        let done =
+            sqlx::query(AssertSqlSafe(update)).bind(after).bind(before).execute(&mut database).await.unwrap();
+        assert!(done.rows_affected() > 0);
+        database.close().await.unwrap();
+        stored.reopens(&format!("{table}.{column}, byte {byte}, bit {bit}")).await;
+        stored.sql("DELETE FROM checkpoint_places").await;
+        let mut database = stored.database().await;
+        sqlx::query("DELETE FROM checkpoints").execute(&mut database).await.unwrap();
+        database.close().await.unwrap();
+        stored.reopens("afterwards").await;
+    }
+}
+
+/// A checkpoint and what the log has since: SIGTERM, some frames more, then `kill -9`.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_map_is_the_same_from_checkpoint_and_the_rest_of_the_log() {
+    let stored = Stored::new().await;
+    let server = ServerProcess::start(stored.path());
+    let client = server.client().await;
+    answers(&client, "drive", "first", (26..=32).map(with_odometry)).await;
+    answers(&client, "drive", "third", (60..=66).map(frame)).await;
+    let hash = state_hash(&client, "drive").await;
+    assert_ne!(hash, stored.map.state_hash);
+    server.kill();
+
+    let server = ServerProcess::start(stored.path());
+    assert_eq!(state_hash(&server.client().await, "drive").await, hash, "checkpoint and tail");
+    server.kill();
+    let mut database = stored.database().await;
+    for table in ["checkpoint_places", "checkpoints"] {
+        sqlx::query(AssertSqlSafe(format!("DELETE FROM {table}"))).execute(&mut database).await.unwrap();
+    }
+    database.close().await.unwrap();
+    let server = ServerProcess::start(stored.path());
+    assert_eq!(state_hash(&server.client().await, "drive").await, hash, "full replay");
+    server.stop();
+}
