@@ -302,18 +302,18 @@ impl SessionStream {
 
     /// The writer that frame `sequence` may go to, if it is its turn.
     async fn writer_for(&self, sequence: u64) -> Result<MapHandle, FrameOutcome> {
-        let resend_from = {
+        {
             let order = self.order();
             match order.resend_from {
-                None => return Ok(order.map.clone()),
-                Some(resend_from) => resend_from,
+                // With no frame out, a writer that is gone has left nothing to be overtaken.
+                None if !(order.map.is_gone() && order.submitted.is_empty()) => return Ok(order.map.clone()),
+                Some(resend_from) if sequence > resend_from => {
+                    drop(order);
+                    let message = format!("frame {resend_from} must be sent again first, then this one");
+                    return Err(self.refused(sequence, ServiceError::unavailable(message)));
+                }
+                None | Some(_) => {}
             }
-        };
-        if sequence > resend_from {
-            let error = ServiceError::unavailable(format_args!(
-                "frame {resend_from} must be sent again first, then this one"
-            ));
-            return Err(self.refused(sequence, error));
         }
         match self.service.open_map(&self.map).await {
             Ok(map) => {
