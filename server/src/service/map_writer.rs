@@ -211,12 +211,7 @@ impl MapWriter {
             timings.total = since.elapsed();
             timings.commit = timings.total.saturating_sub(timings.work());
             if let MapEvent::Frame(event) = entry.event {
-                // The frame is durable: whatever fails now, sending it again gets the answer.
-                let answer = self.answer(&event, Some(timings)).map_err(|_| {
-                    let message = "the frame is stored, but its answer could not be read; send it again";
-                    FrameFailure::Refused(ServiceError::unavailable(message))
-                });
-                let _ = reply.send(answer);
+                let _ = reply.send(self.answer(&event, Some(timings)).map_err(|_| answer_unreadable()));
             }
         }
         Ok(())
@@ -233,11 +228,17 @@ impl MapWriter {
         let words = self.model.model.vocabulary().len();
         let stored = self.storage.event_of_sequence(self.map.id, session, sequence, words);
         let answer = match self.runtime.block_on(stored) {
-            Ok(Some(MapEvent::Frame(event))) => self.answer(&event, None),
-            Ok(Some(MapEvent::SessionOpened { .. }) | None) => Err(self.never_sent(session, sequence)),
-            Err(error) => Err(error.into()),
+            Ok(Some(MapEvent::Frame(event))) => self.answer(&event, None).map_err(|_| answer_unreadable()),
+            Ok(Some(MapEvent::SessionOpened { .. }) | None) => {
+                Err(FrameFailure::Refused(self.never_sent(session, sequence)))
+            }
+            Err(error @ StorageError::Damaged(_)) => Err(FrameFailure::Refused(error.into())),
+            Err(error) => {
+                tracing::error!(map = self.map.name, %error, "a stored answer could not be read");
+                Err(answer_unreadable())
+            }
         };
-        let _ = reply.send(answer.map_err(FrameFailure::Refused));
+        let _ = reply.send(answer);
         Ok(())
     }
 
@@ -353,6 +354,12 @@ impl MapWriter {
             }
         }
     }
+}
+
+/// The frame is durable: whatever failed after that, sending it again gets the answer.
+fn answer_unreadable() -> FrameFailure {
+    let message = "the frame is stored, but its answer could not be read; send it again";
+    FrameFailure::Refused(ServiceError::unavailable(message))
 }
 
 /// Earlier frames, from those on their way to the disk or from the disk.

@@ -96,9 +96,8 @@ impl Service {
         let (service, name) = (self.clone(), name.to_owned());
         let deleting = tokio::spawn(async move {
             slot.close().await;
-            let deleted = service.storage.delete_map(&name).await;
-            service.open_maps.slots().remove(&name);
-            deleted
+            // The slot stays: whoever waits for its lock must not end up beside a new one.
+            service.storage.delete_map(&name).await
         });
         Ok(deleting.await.map_err(ServiceError::internal)??)
     }
