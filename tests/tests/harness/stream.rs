@@ -97,7 +97,8 @@ impl RawStream {
     }
 
     pub(crate) async fn send(&self, content: Request) {
-        self.requests.send(v1::StreamRequest { content: Some(content) }).await.expect("the stream is open");
+        // A stream that has ended takes nothing more; the next response tells why it did.
+        let _ = self.requests.send(v1::StreamRequest { content: Some(content) }).await;
     }
 
     /// The next response; `None` at the end of the stream.
