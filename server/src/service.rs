@@ -22,7 +22,7 @@ use crate::error::ServiceError;
 use crate::extraction::{Extraction, LoadedModel};
 use crate::service::jobs::Jobs;
 use crate::service::map_writer::OpenMaps;
-use crate::storage::{Storage, StorageError};
+use crate::storage::Storage;
 
 /// All that the server can do. Shared by every adapter.
 #[derive(Debug)]
@@ -103,20 +103,4 @@ impl Service {
 fn now_ns() -> i64 {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX)
-}
-
-/// Names what a clash was about.
-fn or_exists(error: StorageError, message: impl FnOnce() -> String) -> ServiceError {
-    match error {
-        StorageError::Exists => ServiceError::AlreadyExists { message: message() },
-        StorageError::InUse
-        | StorageError::DiskFull(_)
-        | StorageError::Directory { .. }
-        | StorageError::Locked { .. }
-        | StorageError::Newer { .. }
-        | StorageError::NoDatabase { .. }
-        | StorageError::Damaged(_)
-        | StorageError::Sqlite(_)
-        | StorageError::Migration(_) => error.into(),
-    }
 }

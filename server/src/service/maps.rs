@@ -9,7 +9,7 @@ use super::map_settings;
 pub(crate) use super::map_settings::MapSettingsRequest;
 use super::models::Page;
 use super::names::{bad_page_token, check_id, map_in, page_size, session_name};
-use super::{Service, now_ns, or_exists};
+use super::{Service, now_ns};
 use crate::error::ServiceError;
 use crate::storage::{MapCounts, MapRow, SessionRow, StorageError, StoredFrame};
 
@@ -78,10 +78,11 @@ impl Service {
         let json = map_settings::to_json(&settings)?;
         let created = self.storage.create_map(map, &model.hash, &json, now_ns()).await;
         let row = created.map_err(|error| match error {
+            StorageError::Exists => ServiceError::AlreadyExists {
+                message: format!("there is a map {map} already; choose another name, or delete it first"),
+            },
             StorageError::InUse => ServiceError::not_found("the model was deleted just now; name another"),
-            error => or_exists(error, || {
-                format!("there is a map {map} already; choose another name, or delete it first")
-            }),
+            error => error.into(),
         })?;
         self.view(row, Detail::Basic).await
     }

@@ -117,8 +117,10 @@ impl Mapper {
                     decision.place.filter(|&place| !known(place) || (created && !learnt))
                 {
                     Err(FoldError::Place { place })
-                } else if let Some(link) = link.filter(|link| !known(link.from) || !known(link.to)) {
-                    Err(FoldError::Place { place: link.to })
+                } else if let Some(place) =
+                    link.and_then(|link| [link.from, link.to].into_iter().find(|&place| !known(place)))
+                {
+                    Err(FoldError::Place { place })
                 } else if let Some(&word) = foreign_word {
                     Err(FoldError::Word { word })
                 } else {
