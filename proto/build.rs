@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use prost::Message;
 
-const FILES: [&str; 3] = ["waypost/v1/model.proto", "waypost/v1/map.proto", "waypost/v1/session.proto"];
+const FILES: [&str; 4] =
+    ["waypost/v1/model.proto", "waypost/v1/map.proto", "waypost/v1/session.proto", "waypost/v1/token.proto"];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo:rerun-if-changed=waypost");

@@ -50,7 +50,7 @@ impl From<v1::Job> for JobView {
             v1::job::State::Failed => "failed",
             v1::job::State::Cancelled => "cancelled",
         };
-        let v1::Job { name, state: _, stage, fraction, error, model } = job;
+        let v1::Job { name, state: _, stage, fraction, error, model, .. } = job;
         Self { name, state, stage, fraction, error, model: model.map(ModelView::from) }
     }
 }
@@ -83,6 +83,7 @@ impl From<v1::Map> for MapSummary {
             frames,
             loop_closures,
             state_hash,
+            storage: _,
         } = map;
         Self {
             name,
@@ -130,6 +131,7 @@ impl From<v1::MapSettings> for SettingsView {
             new_place_prior,
             true_positive_rate,
             false_positive_rate,
+            keep: _,
         } = settings;
         Self {
             dependence,
@@ -168,7 +170,7 @@ pub(crate) struct PlaceView {
 
 impl From<v1::Place> for PlaceView {
     fn from(place: v1::Place) -> Self {
-        let v1::Place { name, looks, words, frames, linked } = place;
+        let v1::Place { name, looks, words, frames, linked, word_hits: _ } = place;
         let frames = frames.into_iter().map(FrameView::from).collect();
         Self { name, looks, words, frames, linked }
     }

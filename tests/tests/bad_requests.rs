@@ -86,6 +86,7 @@ async fn maps_that_cannot_be_made() {
         new_place_prior: Some(0.8),
         true_positive_rate: Some(0.4),
         false_positive_rate: Some(0.0),
+        keep: 0,
     };
     let made = client.create_map(bare(all)).await.unwrap();
     assert_eq!(made.settings, Some(all));

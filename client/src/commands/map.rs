@@ -120,6 +120,7 @@ impl Creation {
             new_place_prior,
             true_positive_rate,
             false_positive_rate,
+            keep: v1::map_settings::Keep::Unspecified.into(),
         };
         let map_id = name.strip_prefix("maps/").unwrap_or(&name).to_owned();
         v1::CreateMapRequest { map_id, model, settings: Some(settings) }

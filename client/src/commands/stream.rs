@@ -173,7 +173,7 @@ fn conclude(opened: v1::SessionOpened, frames: Vec<FrameRow>, output: Output) ->
     let of_reason = |reasons: &[&str]| {
         frames.iter().filter_map(|row| row.reason).filter(|reason| reasons.contains(reason)).count()
     };
-    let v1::SessionOpened { session, last_committed_sequence, model } = opened;
+    let v1::SessionOpened { session, last_committed_sequence, model, words_hash: _ } = opened;
     let summary = Summary {
         map: session.split("/sessions/").next().unwrap_or_default().to_owned(),
         session,

@@ -155,6 +155,7 @@ impl Exchange {
             session_id: self.options.session_id.clone(),
             mode: v1::SessionMode::Map.into(),
             camera: self.options.camera.clone(),
+            words_hash: String::new(),
         }
     }
 

@@ -181,6 +181,46 @@ impl SessionService for Sessions {
         });
         Ok(Response::new(UnboundedReceiverStream::new(responses)))
     }
+
+    async fn query(&self, _: Request<v1::QueryRequest>) -> Result<Response<v1::QueryResponse>, Status> {
+        Err(Status::unimplemented("this peer streams only"))
+    }
+
+    async fn list_sessions(
+        &self,
+        _: Request<v1::ListSessionsRequest>,
+    ) -> Result<Response<v1::ListSessionsResponse>, Status> {
+        Err(Status::unimplemented("this peer streams only"))
+    }
+
+    async fn get_session(&self, _: Request<v1::GetSessionRequest>) -> Result<Response<v1::Session>, Status> {
+        Err(Status::unimplemented("this peer streams only"))
+    }
+
+    async fn list_frames(
+        &self,
+        _: Request<v1::ListFramesRequest>,
+    ) -> Result<Response<v1::ListFramesResponse>, Status> {
+        Err(Status::unimplemented("this peer streams only"))
+    }
+
+    async fn get_frame(&self, _: Request<v1::GetFrameRequest>) -> Result<Response<v1::FrameRecord>, Status> {
+        Err(Status::unimplemented("this peer streams only"))
+    }
+
+    async fn get_frame_image(
+        &self,
+        _: Request<v1::GetFrameImageRequest>,
+    ) -> Result<Response<v1::GetFrameImageResponse>, Status> {
+        Err(Status::unimplemented("this peer streams only"))
+    }
+
+    async fn explain_frame(
+        &self,
+        _: Request<v1::ExplainFrameRequest>,
+    ) -> Result<Response<v1::FrameExplanation>, Status> {
+        Err(Status::unimplemented("this peer streams only"))
+    }
 }
 
 impl Sessions {
@@ -200,6 +240,7 @@ impl Sessions {
             session: session.clone(),
             last_committed_sequence,
             model: "models/0".to_owned(),
+            words_hash: String::new(),
         };
         tell(answers, Told::Opened(opened));
         session

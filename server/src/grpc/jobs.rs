@@ -12,6 +12,13 @@ use crate::service::jobs::{JobState, JobStatus};
 
 #[tonic::async_trait]
 impl JobService for Adapter {
+    async fn list_jobs(
+        &self,
+        _: Request<v1::ListJobsRequest>,
+    ) -> Result<Response<v1::ListJobsResponse>, Status> {
+        Err(Status::unimplemented("not yet"))
+    }
+
     async fn get_job(&self, request: Request<v1::GetJobRequest>) -> Result<Response<v1::Job>, Status> {
         let v1::GetJobRequest { name } = request.into_inner();
         Ok(Response::new(job(self.service.job(&name)?)))
@@ -60,5 +67,9 @@ pub(super) fn job(status: JobStatus) -> v1::Job {
         fraction,
         error,
         model: made,
+        kind: 0,
+        result: String::new(),
+        create_time_ns: 0,
+        end_time_ns: 0,
     }
 }

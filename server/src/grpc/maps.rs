@@ -3,7 +3,8 @@ use fabmap::likelihood::Dependence;
 use fabmap::new_place::NewPlaceMethod;
 use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::RecognizerSettings;
-use tonic::{Request, Response, Status};
+use futures::stream::BoxStream;
+use tonic::{Request, Response, Status, Streaming};
 use topomap::mapper::MapperSettings;
 use waypost_proto::v1;
 use waypost_proto::v1::map_service_server::MapService;
@@ -72,6 +73,37 @@ impl MapService for Adapter {
         let matches = items.into_iter().map(loop_closure).collect();
         Ok(Response::new(v1::ListMatchesResponse { matches, next_page_token: next }))
     }
+
+    async fn get_place(&self, _: Request<v1::GetPlaceRequest>) -> Result<Response<v1::Place>, Status> {
+        Err(Status::unimplemented("not yet"))
+    }
+
+    async fn list_word_places(
+        &self,
+        _: Request<v1::ListWordPlacesRequest>,
+    ) -> Result<Response<v1::ListWordPlacesResponse>, Status> {
+        Err(Status::unimplemented("not yet"))
+    }
+
+    async fn rebind_map(&self, _: Request<v1::RebindMapRequest>) -> Result<Response<v1::Map>, Status> {
+        Err(Status::unimplemented("not yet"))
+    }
+
+    type ExportMapStream = BoxStream<'static, Result<v1::ExportMapResponse, Status>>;
+
+    async fn export_map(
+        &self,
+        _: Request<v1::ExportMapRequest>,
+    ) -> Result<Response<Self::ExportMapStream>, Status> {
+        Err(Status::unimplemented("not yet"))
+    }
+
+    async fn import_map(
+        &self,
+        _: Request<Streaming<v1::ImportMapRequest>>,
+    ) -> Result<Response<v1::Job>, Status> {
+        Err(Status::unimplemented("not yet"))
+    }
 }
 
 fn settings_request(settings: v1::MapSettings) -> MapSettingsRequest {
@@ -84,6 +116,7 @@ fn settings_request(settings: v1::MapSettings) -> MapSettingsRequest {
         new_place_prior,
         true_positive_rate,
         false_positive_rate,
+        keep: _,
     } = settings;
     MapSettingsRequest {
         dependence: match dependence {
@@ -118,6 +151,7 @@ fn map(view: MapView) -> v1::Map {
         frames,
         loop_closures,
         state_hash: state_hash.unwrap_or_default(),
+        storage: None,
     }
 }
 
@@ -149,6 +183,7 @@ fn settings_message(settings: &MapperSettings) -> v1::MapSettings {
         new_place_prior: Some(new_place_prior),
         true_positive_rate: detector.map(rate(true)),
         false_positive_rate: detector.map(rate(false)),
+        keep: 0,
     }
 }
 
@@ -160,6 +195,7 @@ fn place(map: &str, view: PlaceView) -> v1::Place {
         words: u32::try_from(words).unwrap_or(u32::MAX),
         frames: frames.into_iter().map(frame_reference).collect(),
         linked,
+        word_hits: Vec::new(),
     }
 }
 

@@ -42,6 +42,46 @@ impl SessionService for Adapter {
         let responses = opened.chain(until_over(session.clone(), frames(session, requests)));
         Ok(Response::new(responses.boxed()))
     }
+
+    async fn query(&self, _: Request<v1::QueryRequest>) -> Result<Response<v1::QueryResponse>, Status> {
+        Err(Status::unimplemented("not yet"))
+    }
+
+    async fn list_sessions(
+        &self,
+        _: Request<v1::ListSessionsRequest>,
+    ) -> Result<Response<v1::ListSessionsResponse>, Status> {
+        Err(Status::unimplemented("not yet"))
+    }
+
+    async fn get_session(&self, _: Request<v1::GetSessionRequest>) -> Result<Response<v1::Session>, Status> {
+        Err(Status::unimplemented("not yet"))
+    }
+
+    async fn list_frames(
+        &self,
+        _: Request<v1::ListFramesRequest>,
+    ) -> Result<Response<v1::ListFramesResponse>, Status> {
+        Err(Status::unimplemented("not yet"))
+    }
+
+    async fn get_frame(&self, _: Request<v1::GetFrameRequest>) -> Result<Response<v1::FrameRecord>, Status> {
+        Err(Status::unimplemented("not yet"))
+    }
+
+    async fn get_frame_image(
+        &self,
+        _: Request<v1::GetFrameImageRequest>,
+    ) -> Result<Response<v1::GetFrameImageResponse>, Status> {
+        Err(Status::unimplemented("not yet"))
+    }
+
+    async fn explain_frame(
+        &self,
+        _: Request<v1::ExplainFrameRequest>,
+    ) -> Result<Response<v1::FrameExplanation>, Status> {
+        Err(Status::unimplemented("not yet"))
+    }
 }
 
 /// `frames`, until the session is over; then why.
@@ -64,9 +104,10 @@ fn until_over(
 impl Adapter {
     async fn open(&self, message: v1::OpenSession) -> Result<SessionStream, ServiceError> {
         let mode = message.mode();
-        let v1::OpenSession { map, session_id, mode: _, camera: declared } = message;
+        let v1::OpenSession { map, session_id, mode: _, camera: declared, words_hash: _ } = message;
         match mode {
             v1::SessionMode::Map => {}
+            v1::SessionMode::Localize => return Err(ServiceError::invalid("not yet")),
             v1::SessionMode::Unspecified => {
                 return Err(ServiceError::invalid(
                     "say which mode the session has; SESSION_MODE_MAP lets the map grow",
@@ -144,6 +185,7 @@ fn opened(session: &SessionStream) -> v1::StreamResponse {
         session: session.name().to_owned(),
         last_committed_sequence: session.last_committed(),
         model: model_name(session.model_hash()),
+        words_hash: String::new(),
     }))
 }
 

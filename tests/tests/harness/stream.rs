@@ -65,6 +65,7 @@ pub(crate) fn open(map: &str, session: &str) -> v1::OpenSession {
         session_id: session.to_owned(),
         mode: v1::SessionMode::Map.into(),
         camera: None,
+        words_hash: String::new(),
     }
 }
 
