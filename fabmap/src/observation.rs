@@ -28,6 +28,18 @@ pub enum ObservationError {
         /// Words in the vocabulary.
         vocabulary_len: usize,
     },
+    /// A word that is listed twice.
+    #[error("word {word} is listed twice; list each word once, with how often it was seen")]
+    RepeatedWord {
+        /// The word.
+        word: WordId,
+    },
+    /// A word that was seen no times.
+    #[error("word {word} is listed with a count of 0; leave out words that were not seen")]
+    UnseenWord {
+        /// The word.
+        word: WordId,
+    },
 }
 
 impl Observation {
@@ -50,6 +62,29 @@ impl Observation {
             observation.counts.push(u32::try_from(run.len()).unwrap_or(u32::MAX));
         }
         Ok(observation)
+    }
+
+    /// Collects words with how often each was seen, in any order.
+    ///
+    /// # Errors
+    /// [`ObservationError`] if a word is not below `vocabulary_len`, is there twice, or was seen no times.
+    pub fn from_word_counts(
+        word_counts: impl IntoIterator<Item = (WordId, u32)>,
+        vocabulary_len: usize,
+    ) -> Result<Self, ObservationError> {
+        let mut sorted: Vec<(WordId, u32)> = word_counts.into_iter().collect();
+        sorted.sort_unstable();
+        if let Some(&(word, _)) = sorted.last().filter(|(last, _)| *last as usize >= vocabulary_len) {
+            return Err(ObservationError::UnknownWord { word, vocabulary_len });
+        }
+        if let Some(pair) = sorted.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+            return Err(ObservationError::RepeatedWord { word: pair[0].0 });
+        }
+        if let Some(&(word, _)) = sorted.iter().find(|(_, count)| *count == 0) {
+            return Err(ObservationError::UnseenWord { word });
+        }
+        let (words, counts) = sorted.into_iter().unzip();
+        Ok(Self { words, counts })
     }
 
     /// The words seen, ascending, each once.
@@ -132,6 +167,22 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #[test]
+        fn words_and_counts_say_the_same(words in proptest::collection::vec(0..5000u32, 0..400)) {
+            let observation = Observation::from_words(words, 5000).unwrap();
+            let mut counts: Vec<_> = observation.word_counts().collect();
+            counts.reverse();
+            prop_assert_eq!(Observation::from_word_counts(counts.clone(), 5000), Ok(observation));
+            if let Some(&(word, count)) = counts.first() {
+                let repeated = counts.iter().copied().chain([(word, count)]);
+                prop_assert_eq!(Observation::from_word_counts(repeated, 5000), Err(ObservationError::RepeatedWord { word }));
+                let unknown = Observation::from_word_counts(counts.iter().copied(), word as usize);
+                prop_assert_eq!(unknown, Err(ObservationError::UnknownWord { word, vocabulary_len: word as usize }));
+                let unseen = Observation::from_word_counts([(word, 0)], 5000);
+                prop_assert_eq!(unseen, Err(ObservationError::UnseenWord { word }));
+            }
+        }
+
         #[test]
         fn bytes_give_the_observation_back(words in proptest::collection::vec(0..5000u32, 0..400)) {
             let observation = Observation::from_words(words, 5000).unwrap();

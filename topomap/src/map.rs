@@ -145,15 +145,8 @@ impl Map {
                     PlaceFrame { frame: event.frame, session: event.session, number: session.frames };
                 self.places[place as usize].frames.push(learnt);
             }
-            session.arrive(place, event.learnt, event.odometry.clone(), guard_frames);
         }
-        session.frames += 1;
-        session.last_sequence = Some(event.sequence);
-        session.last_stamp_ns = Some(event.stamp_ns);
-        if let Some(odometry) = &event.odometry {
-            session.last_odometry = Some((event.stamp_ns, odometry.clone()));
-        }
-        session.belief = event.belief.clone();
+        session.follow(event, guard_frames);
         if let Some(link) = event.link {
             self.add_link(link);
         }
@@ -282,7 +275,8 @@ pub fn decode_place(bytes: &[u8], vocabulary_len: usize) -> Result<(Place, Appea
 }
 
 impl Session {
-    fn new() -> Self {
+    /// A session without a frame.
+    pub(crate) fn new() -> Self {
         Self {
             frames: 0,
             last_sequence: None,
@@ -297,8 +291,7 @@ impl Session {
     /// The place the session is at, or one that it left fewer than `guard_frames` frames ago.
     #[must_use]
     pub fn is_near(&self, place: PlaceId, guard_frames: u64) -> bool {
-        let is_here = self.stay.as_ref().is_some_and(|stay| stay.place == place);
-        is_here || self.left_lately(guard_frames).any(|left| left.place == place)
+        self.frames_since(place, guard_frames).is_some()
     }
 
     /// Looks that `place` has learnt from the stay there that is going on or was just interrupted.
@@ -310,6 +303,32 @@ impl Session {
                 self.left_lately(guard_frames).find(|left| left.place == place).map_or(0, |left| left.looks)
             }
         }
+    }
+
+    /// Frames since the session was at `place`, if it is there or left it fewer than `guard_frames` ago.
+    #[must_use]
+    pub fn frames_since(&self, place: PlaceId, guard_frames: u64) -> Option<u64> {
+        match &self.stay {
+            Some(stay) if stay.place == place => Some(0),
+            Some(_) | None => self
+                .left_lately(guard_frames)
+                .find(|left| left.place == place)
+                .map(|left| self.frames - left.number),
+        }
+    }
+
+    /// Folds a frame of this session in.
+    pub(crate) fn follow(&mut self, event: &FrameEvent, guard_frames: u64) {
+        if let Some(place) = event.decision.place {
+            self.arrive(place, event.learnt, event.odometry.clone(), guard_frames);
+        }
+        self.frames += 1;
+        self.last_sequence = Some(event.sequence);
+        self.last_stamp_ns = Some(event.stamp_ns);
+        if let Some(odometry) = &event.odometry {
+            self.last_odometry = Some((event.stamp_ns, odometry.clone()));
+        }
+        self.belief = event.belief.clone();
     }
 
     fn left_lately(&self, guard_frames: u64) -> impl Iterator<Item = &LeftPlace> {

@@ -1,10 +1,14 @@
 //! The story of a frame: recognise, propose, decide, link; then fold what was decided into the map.
 
 mod errors;
+mod gates;
+mod localizer;
 mod settings;
 mod state;
 
 pub use errors::{ArchiveError, FoldError, FrameError, MapperError, RestoreError};
+pub use gates::{Gate, Gates};
+pub use localizer::{Localizer, Queried};
 pub use settings::MapperSettings;
 
 use fabmap::appearance::{Appearance, PlaceId};
@@ -32,7 +36,7 @@ pub struct Mapper {
 /// A frame as it comes from a robot, in words.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameInput {
-    /// The session, which must be open.
+    /// The session, which must be open; [`Localizer::SESSION`] if it is none of the log.
     pub session: SessionId,
     /// The robot's number of the frame.
     pub sequence: u64,
@@ -97,13 +101,31 @@ impl Mapper {
         archive: &dyn FrameArchive,
         observer: &mut dyn StageObserver,
     ) -> Result<Decided, FrameError> {
-        let session = self.accept(&input)?;
+        let session =
+            self.map.session(input.session).ok_or(FrameError::UnknownSession { session: input.session })?;
+        self.decide_within(Growth::Grows, session, input, archive, observer)
+    }
+
+    /// The story, for a session of the log or one that only looks.
+    fn decide_within(
+        &self,
+        growth: Growth,
+        session: &Session,
+        input: FrameInput,
+        archive: &dyn FrameArchive,
+        observer: &mut dyn StageObserver,
+    ) -> Result<Decided, FrameError> {
+        self.accept(&input, session)?;
         let motion = spread_over_links(&session.belief, |place| self.map.linked(place));
         let recognition = self.recognizer.recognize(&input.observation, &motion, observer);
         let proposal = self.propose(&input, session, &recognition, archive)?;
-        let decision = self.associate(&input, session, &recognition, archive)?;
-        let learnt = self.learns(session, &decision);
-        let link = self.link(session, &decision, input.odometry.as_ref());
+        let decision = growth.limit(self.associate(&input, session, &recognition, archive)?);
+        let (learnt, link) = match growth {
+            Growth::Grows => {
+                (self.learns(session, &decision), self.link(session, &decision, input.odometry.as_ref()))
+            }
+            Growth::ReadOnly => (false, None),
+        };
         let created = decision.place.filter(|&place| place as usize == self.recognizer.places());
         let belief = match decision.reason {
             Reason::TooFewWords => session.belief.clone(),
@@ -137,20 +159,14 @@ impl Mapper {
     }
 
     /// What can be said against a frame before looking at it.
-    fn accept(&self, input: &FrameInput) -> Result<&Session, FrameError> {
-        let session =
-            self.map.session(input.session).ok_or(FrameError::UnknownSession { session: input.session })?;
+    fn accept(&self, input: &FrameInput, session: &Session) -> Result<(), FrameError> {
         if let Some(last) = session.last_sequence.filter(|&last| input.sequence <= last) {
             return Err(FrameError::SequenceNotRising { sequence: input.sequence, last });
         }
         if let Some(last_ns) = session.last_stamp_ns.filter(|&last| input.stamp_ns <= last) {
             return Err(FrameError::StampNotRising { stamp_ns: input.stamp_ns, last_ns });
         }
-        let vocabulary_len = self.vocabulary_len;
-        if let Some(&word) = input.observation.words().last().filter(|&&word| word as usize >= vocabulary_len)
-        {
-            return Err(FrameError::ForeignWord { word, vocabulary_len });
-        }
+        self.check_words(&input.observation)?;
         if let (Some((then_ns, before)), Some(now)) = (&session.last_odometry, &input.odometry) {
             let distance_m = now.distance_m(before);
             let elapsed_s = (input.stamp_ns.saturating_sub(*then_ns)) as f64 * 1e-9;
@@ -159,7 +175,15 @@ impl Mapper {
                 return Err(FrameError::OdometryJump { distance_m, elapsed_s, max_speed_m_per_s });
             }
         }
-        Ok(session)
+        Ok(())
+    }
+
+    fn check_words(&self, observation: &Observation) -> Result<(), FrameError> {
+        let vocabulary_len = self.vocabulary_len;
+        match observation.words().last().filter(|&&word| word as usize >= vocabulary_len) {
+            Some(&word) => Err(FrameError::ForeignWord { word, vocabulary_len }),
+            None => Ok(()),
+        }
     }
 
     /// Of the most probable place known from before the guard, the frame that matches best.
@@ -170,7 +194,7 @@ impl Mapper {
         recognition: &Recognition,
         archive: &dyn FrameArchive,
     ) -> Result<Option<Match>, FrameError> {
-        if self.shows_too_little(input) {
+        if self.shows_too_little(&input.observation) {
             return Ok(None);
         }
         let mut best: Option<(PlaceId, f64)> = None;
@@ -182,7 +206,9 @@ impl Mapper {
             }
         }
         match best {
-            Some((place, _)) => self.best_match(place, recognition, input, session, archive),
+            Some((place, _)) => {
+                self.best_match(place, recognition, &input.observation, (input.session, session), archive)
+            }
             None => Ok(None),
         }
     }
@@ -203,7 +229,7 @@ impl Mapper {
             posterior: posterior.new_place,
             closure: None,
         };
-        if self.shows_too_little(input) {
+        if self.shows_too_little(&input.observation) {
             let posterior = session.belief.new_place;
             return Ok(Decision { reason: Reason::TooFewWords, place: None, posterior, closure: None });
         }
@@ -217,7 +243,8 @@ impl Mapper {
                 closure: None,
             });
         }
-        let closure = self.best_match(place, recognition, input, session, archive)?;
+        let closure =
+            self.best_match(place, recognition, &input.observation, (input.session, session), archive)?;
         if probability < self.settings.closure_threshold {
             return Ok(Decision { reason: Reason::BelowThreshold, closure, ..new_place });
         }
@@ -244,8 +271,8 @@ impl Mapper {
         Some(Link { from: stay.place, to, kind })
     }
 
-    fn shows_too_little(&self, input: &FrameInput) -> bool {
-        input.observation.len() < self.settings.min_words
+    fn shows_too_little(&self, observation: &Observation) -> bool {
+        observation.len() < self.settings.min_words
     }
 
     /// Of the frames that `place` learnt from, but for those this session has just sent, the one that
@@ -254,16 +281,16 @@ impl Mapper {
         &self,
         place: PlaceId,
         recognition: &Recognition,
-        input: &FrameInput,
-        session: &Session,
+        observation: &Observation,
+        (current, session): (SessionId, &Session),
         archive: &dyn FrameArchive,
     ) -> Result<Option<Match>, FrameError> {
         let model = self.recognizer.index().model();
         let mut best: Option<(f64, FrameId)> = None;
-        for frame in self.frames_before_guard(place, input.session, session).take(MAX_COMPARED_FRAMES) {
+        for frame in self.frames_before_guard(place, current, session).take(MAX_COMPARED_FRAMES) {
             let Some(seen) = archive.observation(frame)? else { continue };
             let seen = Appearance::of(&seen);
-            let log_likelihood = model.sparse_log_likelihood(&input.observation, &seen);
+            let log_likelihood = model.sparse_log_likelihood(observation, &seen);
             if best.is_none_or(|(best, _)| log_likelihood > best) {
                 best = Some((log_likelihood, frame));
             }
@@ -289,6 +316,26 @@ impl Mapper {
             move |frame: &&PlaceFrame| frame.session != current || frames - frame.number >= guard_frames;
         let of_place = self.map.places().get(place as usize).map_or(&[][..], |place| &place.frames);
         of_place.iter().rev().filter(is_earlier).map(|frame| frame.frame)
+    }
+}
+
+/// Whether a frame may leave something behind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Growth {
+    Grows,
+    ReadOnly,
+}
+
+impl Growth {
+    /// A place that would be created is none where nothing grows.
+    fn limit(self, decision: Decision) -> Decision {
+        match (self, decision.reason) {
+            (Growth::ReadOnly, Reason::NewPlace | Reason::BelowThreshold) => {
+                Decision { place: None, ..decision }
+            }
+            (Growth::ReadOnly, Reason::SamePlace | Reason::LoopClosure | Reason::TooFewWords)
+            | (Growth::Grows, _) => decision,
+        }
     }
 }
 

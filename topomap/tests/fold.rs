@@ -14,7 +14,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use topomap::event::{FrameId, LinkKind, MapEvent, Reason};
 use topomap::mapper::{
-    ArchiveError, FoldError, FrameArchive, FrameError, FrameInput, Mapper, MapperError, MapperSettings,
+    ArchiveError, FoldError, FrameArchive, FrameError, FrameInput, Localizer, Mapper, MapperError,
+    MapperSettings,
 };
 use topomap::odometry::Odometry;
 
@@ -126,6 +127,36 @@ proptest! {
         let decided = live.decide(next.clone(), &log, &mut ()).unwrap();
         prop_assert_eq!(&replayed.decide(next.clone(), &log, &mut ()).unwrap(), &decided);
         prop_assert_eq!(&restored.decide(next, &log, &mut ()).unwrap(), &decided);
+    }
+
+    /// A robot that only looks is told what a new session would be told, and changes nothing.
+    #[test]
+    fn localizing_is_deciding_without_a_trace(
+        steps in proptest::collection::vec((0..2u32, 0..8u64), 1..40), seen in proptest::collection::vec(0..10u64, 1..12), seed in any::<u64>(),
+    ) {
+        let mut mapper = Mapper::new(&model(), settings()).unwrap();
+        let mut log = Log(Vec::new());
+        drive(&mut mapper, &mut log, &steps, seed);
+        let (before, first) = (mapper.state_hash(), seen[0]);
+        let mut localizer = Localizer::new();
+        for (step, place) in (1i64..).zip(seen) {
+            let input = one_frame(Localizer::SESSION, step as u64, step, place);
+            let decided = mapper.localize(&localizer, input, &log, &mut ()).unwrap();
+            prop_assert!(!decided.event.learnt && decided.event.link.is_none());
+            prop_assert!(decided.event.decision.place.is_none_or(|place| (place as usize) < mapper.recognizer().places()));
+            localizer.follow(&decided.event, &mapper);
+            prop_assert_eq!(localizer.last_sequence(), Some(step as u64));
+        }
+        prop_assert_eq!(mapper.state_hash(), before);
+
+        let opened = mapper.map().next_session();
+        let localized = mapper.localize(&Localizer::new(), one_frame(Localizer::SESSION, 1, 1, first), &log, &mut ()).unwrap();
+        mapper.apply(&MapEvent::SessionOpened { session: opened }).unwrap();
+        let mapped = mapper.decide(one_frame(opened, 1, 1, first), &log, &mut ()).unwrap();
+        prop_assert_eq!(&localized.recognition, &mapped.recognition);
+        prop_assert_eq!(localized.event.proposal, mapped.event.proposal);
+        prop_assert_eq!(localized.event.decision.reason, mapped.event.decision.reason);
+        prop_assert_eq!(localized.event.decision.closure, mapped.event.decision.closure);
     }
 
     #[test]
@@ -335,4 +366,34 @@ fn write_fixture() {
     logged().iter().for_each(|event| writer.bytes(&event.to_bytes()));
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/log-v1.bin");
     std::fs::write(file, writer.into_bytes()).unwrap();
+}
+
+#[test]
+fn a_query_finds_the_place_and_its_gates_say_why() {
+    let mut robot = Robot::new();
+    for (step, place) in (1..).zip(1..=6) {
+        robot.see(one_frame(0, step, step as i64, place));
+    }
+    let before = robot.mapper.state_hash();
+    let again = one_frame(0, 100, 100, 2);
+    let queried = robot.mapper.query(&again.observation, &robot.log, &mut ()).unwrap();
+    let matched = queried.matched.unwrap();
+    assert_eq!((matched.place, matched.frame, queried.accepted), (1, 2, true));
+    let decided = robot.mapper.decide(again.clone(), &robot.log, &mut ()).unwrap();
+    let gates = robot.mapper.gates(&again, &decided.recognition, matched.place).unwrap();
+    // Left four frames ago, as the guard asks.
+    assert_eq!((gates.guard.value, gates.guard.required), (6.0, 4.0));
+    assert!(gates.words.passed && gates.known_place.passed && gates.guard.passed && gates.threshold.passed);
+    let near = robot.mapper.gates(&again, &decided.recognition, 4).unwrap();
+    assert_eq!((near.guard.passed, near.guard.value), (false, 1.0));
+    assert!(!near.known_place.passed && !near.threshold.passed);
+    assert_eq!(robot.mapper.gates(&again, &decided.recognition, 99), None);
+
+    let nothing = Observation::from_words([1, 2], WORDS as usize).unwrap();
+    let queried = robot.mapper.query(&nothing, &robot.log, &mut ()).unwrap();
+    assert_eq!((queried.matched, queried.accepted), (None, false));
+    let foreign = Observation::from_words([WORDS], WORDS as usize + 1).unwrap();
+    let refused = robot.mapper.query(&foreign, &robot.log, &mut ());
+    assert_eq!(refused, Err(FrameError::ForeignWord { word: WORDS, vocabulary_len: WORDS as usize }));
+    assert_eq!(robot.mapper.state_hash(), before);
 }

@@ -21,6 +21,10 @@ pub const MAX_PIXELS: u64 = 16_000_000;
 /// Shortest side in which features can be looked for, in pixels.
 pub const MIN_SIDE_PX: u32 = 16;
 
+/// Longest side of an image that is decoded, in pixels: what a JPEG can say, so that a thumbnail can be made
+/// of it.
+pub const MAX_SIDE_PX: u32 = 65_535;
+
 /// Most that a decoder may allocate, in bytes: the largest image as 16-bit RGBA, and an eighth more
 /// for rows, tables and colour profiles.
 const MAX_DECODER_BYTES: u64 = MAX_PIXELS * 8 + MAX_PIXELS;
@@ -216,6 +220,18 @@ pub enum ImageError {
         /// Rows.
         height: u32,
     },
+    /// A side longer than [`MAX_SIDE_PX`].
+    #[error(
+        "the image is {width} x {height}, but no side may have more than {max} pixels; \
+         shrink it, or cut it into several",
+        max = MAX_SIDE_PX
+    )]
+    TooLong {
+        /// Pixels per row, as the header claims.
+        width: u32,
+        /// Rows, as the header claims.
+        height: u32,
+    },
     /// Decoding would take more memory than any image within the limits needs.
     #[error(
         "decoding the image would take more memory than allowed; \
@@ -323,6 +339,9 @@ fn check_size(decoder: &impl ImageDecoder) -> Result<(), ImageError> {
     }
     if width.min(height) < MIN_SIDE_PX {
         return Err(ImageError::TooSmall { width, height });
+    }
+    if width.max(height) > MAX_SIDE_PX {
+        return Err(ImageError::TooLong { width, height });
     }
     Ok(())
 }

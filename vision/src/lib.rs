@@ -19,6 +19,7 @@
 //! This is the only crate that links OpenCV. It holds no state between calls and may be called
 //! from any number of threads; each call stays on the thread it was made from.
 
+pub mod feature_record;
 pub mod features;
 pub mod image;
 mod mat;

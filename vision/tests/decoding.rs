@@ -7,7 +7,9 @@ use std::io::Cursor;
 
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, LumaA, Rgb, Rgba};
 use proptest::prelude::*;
-use waypost_vision::image::{GreyImage, ImageError, MAX_ENCODED_BYTES, MAX_PIXELS, MIN_SIDE_PX, decode};
+use waypost_vision::image::{
+    GreyImage, ImageError, MAX_ENCODED_BYTES, MAX_PIXELS, MAX_SIDE_PX, MIN_SIDE_PX, decode,
+};
 
 #[test]
 fn png_keeps_grey_levels_exactly() {
@@ -136,6 +138,8 @@ fn headers_beyond_the_limits_are_refused_by_name() {
     assert_eq!(decode(&thin), Err(ImageError::TooSmall { width: 200, height: MIN_SIDE_PX - 1 }));
     let smallest = encoded(&DynamicImage::new_luma8(MIN_SIDE_PX, MIN_SIDE_PX), ImageFormat::Png);
     assert!(decode(&smallest).is_ok());
+    let ribbon = encoded(&DynamicImage::new_luma8(MIN_SIDE_PX, MAX_SIDE_PX + 1), ImageFormat::Png);
+    assert_eq!(decode(&ribbon), Err(ImageError::TooLong { width: MIN_SIDE_PX, height: MAX_SIDE_PX + 1 }));
 }
 
 #[test]

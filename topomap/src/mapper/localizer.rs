@@ -1,0 +1,98 @@
+//! Where a robot is, without the map learning anything from it.
+
+use fabmap::observation::Observation;
+use fabmap::place_filter::MotionPrior;
+use fabmap::recognizer::{Association, Recognition, StageObserver};
+
+use super::{Decided, FrameArchive, FrameError, FrameInput, Growth, Mapper};
+use crate::event::{FrameEvent, Match, SessionId};
+use crate::map::Session;
+
+/// A run of a robot that only looks: what is remembered between its frames, outside the log.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Localizer {
+    session: Session,
+}
+
+/// Where one observation was made, if every place is as likely beforehand.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Queried {
+    /// Likelihoods, prior and posterior behind it.
+    pub recognition: Recognition,
+    /// Of the most probable place, the frame that matches best; none if the map is empty or too little
+    /// was seen.
+    pub matched: Option<Match>,
+    /// Whether the match is more probable than a new place and reaches the map's threshold.
+    pub accepted: bool,
+}
+
+impl Localizer {
+    /// Stands for the session of a frame that is none of the log.
+    pub const SESSION: SessionId = SessionId::MAX;
+
+    /// A robot that may be anywhere.
+    #[must_use]
+    pub fn new() -> Self {
+        Self { session: Session::new() }
+    }
+
+    /// Sequence number of the last frame.
+    #[must_use]
+    pub fn last_sequence(&self) -> Option<u64> {
+        self.session.last_sequence
+    }
+
+    /// Takes in what [`Mapper::localize`] decided.
+    pub fn follow(&mut self, event: &FrameEvent, mapper: &Mapper) {
+        self.session.follow(event, mapper.settings().guard_frames);
+    }
+}
+
+impl Default for Localizer {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Mapper {
+    /// Decides what a frame is as [`Mapper::decide`] does, but for a robot that leaves nothing behind: no
+    /// place is created or learnt, no link added. The event is not one for the log; it is what
+    /// [`Localizer::follow`] goes on from.
+    ///
+    /// # Errors
+    /// [`FrameError`] if the frame cannot be taken.
+    pub fn localize(
+        &self,
+        localizer: &Localizer,
+        input: FrameInput,
+        archive: &dyn FrameArchive,
+        observer: &mut dyn StageObserver,
+    ) -> Result<Decided, FrameError> {
+        self.decide_within(Growth::ReadOnly, &localizer.session, input, archive, observer)
+    }
+
+    /// Where one observation was made, by appearance alone.
+    ///
+    /// # Errors
+    /// [`FrameError::ForeignWord`], or [`FrameError::Archive`] if an earlier frame cannot be read.
+    pub fn query(
+        &self,
+        observation: &Observation,
+        archive: &dyn FrameArchive,
+        observer: &mut dyn StageObserver,
+    ) -> Result<Queried, FrameError> {
+        self.check_words(observation)?;
+        let recognition = self.recognizer.recognize(observation, &MotionPrior::even(), observer);
+        let anyone = Session::new();
+        let matched = match recognition.posterior.best_place() {
+            Some((place, _)) if !self.shows_too_little(observation) => {
+                self.best_match(place, &recognition, observation, (Localizer::SESSION, &anyone), archive)?
+            }
+            Some(_) | None => None,
+        };
+        let seen_before = matches!(recognition.association(), Association::Seen(_));
+        let above_threshold =
+            matched.is_some_and(|matched| matched.posterior >= self.settings.closure_threshold);
+        Ok(Queried { recognition, matched, accepted: seen_before && above_threshold })
+    }
+}
