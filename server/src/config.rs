@@ -1,22 +1,501 @@
-//! What a server is told when it starts.
+//! What a server is told when it starts: by flags, environment and one file, in this order of precedence.
 
-use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::ffi::OsString;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
 
-/// Command line and environment; every setting has both.
-#[derive(Clone, Debug, clap::Parser)]
-#[command(name = "waypost-server", version, about = "Tells robots where they have been before")]
+use clap::ValueEnum;
+use figment::providers::{Format, Serialized, Toml};
+use figment::value::{Dict, Map, Value};
+use figment::{Figment, Metadata, Profile, Provider, Source};
+use serde::{Deserialize, Serialize};
+use tracing_subscriber::EnvFilter;
+
+use crate::tls::TlsFiles;
+
+/// Begins the names of variables in the environment.
+const PREFIX: &str = "WAYPOST_";
+
+/// Every setting, with how it is written.
+const KEYS: [(&str, &str); 10] = [
+    ("data_dir", "a directory, as in \"waypost-data\""),
+    ("grpc_address", "an address and a port, as in \"127.0.0.1:7600\""),
+    ("http_address", "an address and a port, as in \"127.0.0.1:7601\""),
+    ("ready_file", "a file, as in \"/run/waypost/ready.json\""),
+    ("log", "a level, or levels by module, as in \"info\" or \"warn,waypost_server=debug\""),
+    ("log_format", "\"text\" or \"json\""),
+    ("allow_anonymous", "true or false"),
+    ("tls_certificate", "a file, as in \"/etc/waypost/server.crt\""),
+    ("tls_key", "a file, as in \"/etc/waypost/server.key\""),
+    ("tls_client_ca", "a file, as in \"/etc/waypost/clients.crt\""),
+];
+
+/// Variables that are not settings: the file itself, and what `waypost` reads.
+const OTHER_VARIABLES: [&str; 6] = ["CONFIG", "SERVER", "TOKEN", "CA", "CLIENT_CERT", "CLIENT_KEY"];
+
+/// All settings. [`Default`] has the defaults.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Config {
     /// Directory of the database; made if it is missing.
-    #[arg(long, env = "WAYPOST_DATA_DIR", default_value = "waypost-data", value_name = "DIR")]
     pub data_dir: PathBuf,
-    /// Where robots connect (gRPC). Port 0 picks a free one.
-    #[arg(long, env = "WAYPOST_GRPC_ADDRESS", default_value = "127.0.0.1:7600", value_name = "ADDRESS")]
+    /// Where robots connect (gRPC).
     pub grpc_address: SocketAddr,
-    /// Where people look (HTTP). Port 0 picks a free one.
-    #[arg(long, env = "WAYPOST_HTTP_ADDRESS", default_value = "127.0.0.1:7601", value_name = "ADDRESS")]
+    /// Where people look (HTTP).
     pub http_address: SocketAddr,
-    /// Once the server listens, its addresses are written to this file as JSON: {"grpc": …, "http": …}.
-    #[arg(long, env = "WAYPOST_READY_FILE", value_name = "FILE")]
+    /// Where the addresses are written once the server listens.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub ready_file: Option<PathBuf>,
+    /// What is logged: a level, or levels by module.
+    pub log: String,
+    /// How it is logged.
+    pub log_format: LogFormat,
+    /// Without any token, everyone who reaches the server is served, from other machines too.
+    pub allow_anonymous: bool,
+    /// The server's certificate and those above it, PEM.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tls_certificate: Option<PathBuf>,
+    /// Private key of the certificate, PEM.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tls_key: Option<PathBuf>,
+    /// Authorities whose certificates clients must have, PEM.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tls_client_ca: Option<PathBuf>,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            data_dir: PathBuf::from("waypost-data"),
+            grpc_address: (Ipv4Addr::LOCALHOST, 7600).into(),
+            http_address: (Ipv4Addr::LOCALHOST, 7601).into(),
+            ready_file: None,
+            log: "info".to_owned(),
+            log_format: LogFormat::Text,
+            allow_anonymous: false,
+            tls_certificate: None,
+            tls_key: None,
+            tls_client_ca: None,
+        }
+    }
+}
+
+/// How log lines are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum LogFormat {
+    /// For people
+    Text,
+    /// One JSON object a line
+    Json,
+}
+
+/// Settings as flags: what is left out comes from the environment, the file or the defaults.
+#[derive(Clone, Debug, Default, Serialize, clap::Args)]
+pub struct Flags {
+    /// Directory of the database; made if it is missing [default: waypost-data]
+    #[arg(long, global = true, value_name = "DIR")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    data_dir: Option<PathBuf>,
+    /// Where robots connect (gRPC); port 0 picks a free one [default: 127.0.0.1:7600]
+    #[arg(long, value_name = "ADDRESS")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    grpc_address: Option<SocketAddr>,
+    /// Where people look (HTTP); port 0 picks a free one [default: 127.0.0.1:7601]
+    #[arg(long, value_name = "ADDRESS")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    http_address: Option<SocketAddr>,
+    /// Once the server listens, its addresses are written to this file as JSON: {"grpc": …, "http": …}
+    #[arg(long, value_name = "FILE")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ready_file: Option<PathBuf>,
+    /// What is logged: a level, or levels by module, as in warn,waypost_server=debug [default: info]
+    #[arg(long, value_name = "FILTER")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    log: Option<String>,
+    /// How it is logged [default: text]
+    #[arg(long, value_name = "FORMAT")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    log_format: Option<LogFormat>,
+    /// Serve everyone who reaches the server while there is no token, on other addresses than loopback too
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    allow_anonymous: Option<bool>,
+    /// The server's certificate and those above it (PEM); both listeners then speak TLS
+    #[arg(long, value_name = "FILE")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tls_certificate: Option<PathBuf>,
+    /// Private key of the certificate (PEM)
+    #[arg(long, value_name = "FILE")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tls_key: Option<PathBuf>,
+    /// Authorities whose certificates clients must have (PEM)
+    #[arg(long, value_name = "FILE")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tls_client_ca: Option<PathBuf>,
+}
+
+/// What is wrong with the settings.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error(
+        "cannot read the settings in {path}: {reason}; name another file with --config or WAYPOST_CONFIG"
+    )]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        reason: String,
+    },
+    /// The file has a key that means nothing.
+    #[error("{path} has the unknown key `{key}`; known are {}", names())]
+    UnknownKey {
+        /// The file.
+        path: PathBuf,
+        /// The key.
+        key: String,
+    },
+    /// A value is of no use.
+    #[error("{key} ({origin}) cannot be used: {reason}; write {form}")]
+    Value {
+        /// The key.
+        key: String,
+        /// Where it was set.
+        origin: String,
+        /// What is wrong.
+        reason: String,
+        /// How to write it.
+        form: &'static str,
+    },
+    /// A setting lacks one that it needs.
+    #[error("{key} ({origin}) needs {missing}, which is not set; set both, or neither")]
+    Lacks {
+        /// The key.
+        key: &'static str,
+        /// Where it was set.
+        origin: String,
+        /// The other key.
+        missing: &'static str,
+    },
+}
+
+impl Config {
+    /// What is in force with these flags, this file, and `environment`, whose other variables are left
+    /// alone. An empty variable counts as none.
+    ///
+    /// # Errors
+    /// If the file cannot be read, has an unknown key, or a value is of no use; the message names the
+    /// key, where it was set, and how to write it.
+    pub fn load(
+        flags: &Flags,
+        file: Option<&Path>,
+        environment: impl IntoIterator<Item = (OsString, OsString)>,
+    ) -> Result<Self, ConfigError> {
+        let mut layers = Figment::from(Serialized::defaults(Self::default()));
+        if let Some(path) = file {
+            check_file(path)?;
+            layers = layers.merge(Toml::file_exact(path));
+        }
+        layers = layers.merge(Environment::of(environment)?).merge(CommandLine(flags));
+        let config: Self = layers.extract().map_err(|error| unusable(&error))?;
+        config.check(&layers)?;
+        Ok(config)
+    }
+
+    /// In TOML, as [`load`](Self::load) reads it.
+    ///
+    /// # Errors
+    /// If a path is not UTF-8.
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        toml::to_string(self)
+    }
+
+    /// Files of the certificates, if there are any.
+    #[must_use]
+    pub fn tls_files(&self) -> Option<TlsFiles> {
+        let (certificate, key) = self.tls_certificate.clone().zip(self.tls_key.clone())?;
+        Some(TlsFiles { certificate, key, client_ca: self.tls_client_ca.clone() })
+    }
+
+    fn check(&self, layers: &Figment) -> Result<(), ConfigError> {
+        let origin_of = |key: &str| origin(layers.find_metadata(key), key);
+        if let Err(error) = EnvFilter::try_new(&self.log) {
+            let (key, reason) = ("log", error.to_string());
+            return Err(ConfigError::Value {
+                key: key.to_owned(),
+                origin: origin_of(key),
+                reason,
+                form: form(key),
+            });
+        }
+        let (certificate, key) = (self.tls_certificate.is_some(), self.tls_key.is_some());
+        let lacks = |key, missing| Err(ConfigError::Lacks { key, origin: origin_of(key), missing });
+        match (certificate, key, self.tls_client_ca.is_some()) {
+            (true, false, _) => lacks("tls_certificate", "tls_key"),
+            (false, true, _) => lacks("tls_key", "tls_certificate"),
+            (false, false, true) => lacks("tls_client_ca", "tls_certificate"),
+            (true, true, _) | (false, false, false) => Ok(()),
+        }
+    }
+}
+
+/// Variables that look like settings and are none, probably misspelt.
+pub fn unknown_variables(environment: impl IntoIterator<Item = (OsString, OsString)>) -> Vec<String> {
+    let names = environment.into_iter().filter_map(|(name, _)| name.into_string().ok());
+    let unknown = |name: &String| {
+        name.strip_prefix(PREFIX).is_some_and(|rest| {
+            let key = rest.to_lowercase();
+            !OTHER_VARIABLES.contains(&rest) && !KEYS.iter().any(|(known, _)| *known == key)
+        })
+    };
+    names.filter(unknown).collect()
+}
+
+/// Reads the file once by itself, so that what is wrong with it is said of the file.
+fn check_file(path: &Path) -> Result<(), ConfigError> {
+    let failed = |reason: String| ConfigError::File { path: path.to_owned(), reason };
+    let text = std::fs::read_to_string(path).map_err(|error| failed(error.to_string()))?;
+    let table: toml::Table =
+        toml::from_str(&text).map_err(|error| failed(error.to_string().trim_end().to_owned()))?;
+    match table.keys().find(|key| !KEYS.iter().any(|(known, _)| known == key)) {
+        Some(key) => Err(ConfigError::UnknownKey { path: path.to_owned(), key: key.clone() }),
+        None => Ok(()),
+    }
+}
+
+fn unusable(error: &figment::Error) -> ConfigError {
+    let key = error.path.join(".");
+    ConfigError::Value {
+        origin: origin(error.metadata.as_ref(), &key),
+        reason: error.kind.to_string(),
+        form: form(&key),
+        key,
+    }
+}
+
+/// Where a setting comes from, in words.
+fn origin(metadata: Option<&Metadata>, key: &str) -> String {
+    let Some(metadata) = metadata else { return "default".to_owned() };
+    match &metadata.source {
+        Some(Source::File(path)) => format!("in {}", path.display()),
+        Some(_) | None if metadata.name == Environment::NAME => {
+            format!("from the environment, {PREFIX}{}", key.to_uppercase())
+        }
+        Some(_) | None if metadata.name == CommandLine::NAME => {
+            format!("from the command line, --{}", key.replace('_', "-"))
+        }
+        Some(_) | None => "default".to_owned(),
+    }
+}
+
+fn form(key: &str) -> &'static str {
+    KEYS.into_iter().find(|(known, _)| *known == key).map_or("it as the README has it", |(_, form)| form)
+}
+
+fn names() -> String {
+    KEYS.map(|(key, _)| key).join(", ")
+}
+
+/// `WAYPOST_…`. Values are taken as they are: a directory may be called 7.
+struct Environment(Dict);
+
+impl Environment {
+    const NAME: &'static str = "environment";
+
+    fn of(variables: impl IntoIterator<Item = (OsString, OsString)>) -> Result<Self, ConfigError> {
+        let mut values = Dict::new();
+        for (name, value) in variables {
+            let Some(name) = name.to_str().and_then(|name| name.strip_prefix(PREFIX)) else { continue };
+            let key = name.to_lowercase();
+            if value.is_empty() || !KEYS.iter().any(|(known, _)| *known == key) {
+                continue;
+            }
+            let Some(value) = value.to_str() else {
+                return Err(ConfigError::Value {
+                    origin: format!("from the environment, {PREFIX}{name}"),
+                    reason: "it is not UTF-8".to_owned(),
+                    form: form(&key),
+                    key,
+                });
+            };
+            let value = match (key.as_str(), value) {
+                ("allow_anonymous", "true" | "1") => Value::from(true),
+                ("allow_anonymous", "false" | "0") => Value::from(false),
+                (_, other) => Value::from(other),
+            };
+            values.insert(key, value);
+        }
+        Ok(Self(values))
+    }
+}
+
+impl Provider for Environment {
+    fn metadata(&self) -> Metadata {
+        Metadata::named(Self::NAME)
+    }
+
+    fn data(&self) -> figment::Result<Map<Profile, Dict>> {
+        Ok(Map::from([(Profile::Default, self.0.clone())]))
+    }
+}
+
+/// The flags that were given.
+struct CommandLine<'a>(&'a Flags);
+
+impl CommandLine<'_> {
+    const NAME: &'static str = "command line";
+}
+
+impl Provider for CommandLine<'_> {
+    fn metadata(&self) -> Metadata {
+        Metadata::named(Self::NAME)
+    }
+
+    fn data(&self) -> figment::Result<Map<Profile, Dict>> {
+        Serialized::defaults(self.0).data()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct OnlyFlags {
+        #[command(flatten)]
+        flags: Flags,
+    }
+
+    fn flags(arguments: &[&str]) -> Flags {
+        OnlyFlags::try_parse_from([&["waypost-server"], arguments].concat()).unwrap().flags
+    }
+
+    fn variables(pairs: &[(&str, &str)]) -> Vec<(OsString, OsString)> {
+        pairs.iter().map(|(name, value)| (name.into(), value.into())).collect()
+    }
+
+    /// A file of that content, kept until dropped.
+    fn file(content: &str) -> tempfile::NamedTempFile {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), content).unwrap();
+        file
+    }
+
+    fn refused(arguments: &[&str], content: &str, environment: &[(&str, &str)]) -> String {
+        let file = file(content);
+        let loaded = Config::load(&flags(arguments), Some(file.path()), variables(environment));
+        let path = file.path().display().to_string();
+        loaded.unwrap_err().to_string().replace(&path, "FILE")
+    }
+
+    #[test]
+    fn flags_go_before_the_environment_and_that_before_the_file() {
+        let file = file("data_dir = \"of-file\"\nlog = \"debug\"\ngrpc_address = \"127.0.0.1:1\"\n");
+        let environment = [("WAYPOST_DATA_DIR", "of-environment"), ("WAYPOST_LOG", "warn")];
+        let flags = flags(&["--data-dir", "of-flags"]);
+        let config = Config::load(&flags, Some(file.path()), variables(&environment)).unwrap();
+        let expected = Config {
+            data_dir: "of-flags".into(),
+            log: "warn".to_owned(),
+            grpc_address: "127.0.0.1:1".parse().unwrap(),
+            ..Config::default()
+        };
+        assert_eq!(config, expected);
+    }
+
+    #[test]
+    fn a_misspelt_variable_is_found() {
+        let environment =
+            variables(&[("WAYPOST_LOGS", "x"), ("WAYPOST_LOG", "x"), ("WAYPOST_TOKEN", "x"), ("HOME", "x")]);
+        assert_eq!(unknown_variables(environment), ["WAYPOST_LOGS"]);
+    }
+
+    #[test]
+    fn nothing_said_means_the_defaults() {
+        let foreign =
+            [("WAYPOST_TOKEN", "of-a-client"), ("WAYPOST_SERVER", "http://x"), ("WAYPOST_READY_FILE", "")];
+        let config = Config::load(&Flags::default(), None, variables(&foreign)).unwrap();
+        assert_eq!(config, Config::default());
+    }
+
+    #[test]
+    fn every_key_is_known_and_every_setting_has_one() {
+        let all = Config {
+            ready_file: Some("ready".into()),
+            tls_certificate: Some("crt".into()),
+            tls_key: Some("key".into()),
+            tls_client_ca: Some("ca".into()),
+            ..Config::default()
+        };
+        let table: toml::Table = toml::from_str(&all.to_toml().unwrap()).unwrap();
+        let mut known = KEYS.map(|(key, _)| key);
+        known.sort_unstable();
+        assert_eq!(table.keys().map(String::as_str).collect::<Vec<_>>(), known);
+        // Each one is a variable, too, and what it says is what a file would.
+        let environment: Vec<(OsString, OsString)> = table
+            .iter()
+            .map(|(key, value)| {
+                let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+                (format!("WAYPOST_{}", key.to_uppercase()).into(), value.into())
+            })
+            .collect();
+        assert_eq!(environment.len(), KEYS.len());
+        assert_eq!(Config::load(&Flags::default(), None, environment).unwrap(), all);
+    }
+
+    #[test]
+    fn a_directory_may_be_called_by_a_number() {
+        let environment = variables(&[("WAYPOST_DATA_DIR", "7"), ("WAYPOST_ALLOW_ANONYMOUS", "1")]);
+        let config = Config::load(&Flags::default(), None, environment).unwrap();
+        assert_eq!((config.data_dir, config.allow_anonymous), (PathBuf::from("7"), true));
+    }
+
+    #[test]
+    fn a_flag_without_a_value_is_a_yes() {
+        for (arguments, expected) in
+            [(&["--allow-anonymous"][..], true), (&["--allow-anonymous=false"], false), (&[], false)]
+        {
+            let config = Config::load(&flags(arguments), None, []).unwrap();
+            assert_eq!(config.allow_anonymous, expected, "{arguments:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_source_and_its_form() {
+        let environment = |key, value| refused(&[], "", &[(key, value)]);
+        let cases = [
+            (refused(&[], "grpc_adress = \"127.0.0.1:1\"", &[]), "FILE has the unknown key `grpc_adress`"),
+            (refused(&[], "grpc_adress = \"127.0.0.1:1\"", &[]), "known are data_dir, grpc_address"),
+            (refused(&[], "grpc_address = \"here\"", &[]), "grpc_address (in FILE) cannot be used"),
+            (refused(&[], "grpc_address = \"here\"", &[]), "as in \"127.0.0.1:7600\""),
+            (refused(&[], "data_dir = 7", &[]), "data_dir (in FILE) cannot be used"),
+            (refused(&[], "[grpc_address]\nport = 1", &[]), "grpc_address (in FILE) cannot be used"),
+            (refused(&[], "data_dir = ", &[]), "cannot read the settings in FILE"),
+            (
+                environment("WAYPOST_HTTP_ADDRESS", "nowhere"),
+                "http_address (from the environment, WAYPOST_HTTP_ADDRESS) cannot be used",
+            ),
+            (environment("WAYPOST_ALLOW_ANONYMOUS", "perhaps"), "write true or false"),
+            (environment("WAYPOST_LOG_FORMAT", "xml"), "write \"text\" or \"json\""),
+            (environment("WAYPOST_LOG", "a=b=c"), "log (from the environment, WAYPOST_LOG) cannot be used"),
+            (
+                refused(&["--tls-key", "k"], "", &[]),
+                "tls_key (from the command line, --tls-key) needs tls_certificate",
+            ),
+            (
+                refused(&[], "tls_certificate = \"c\"", &[]),
+                "tls_certificate (in FILE) needs tls_key, which is not set",
+            ),
+            (environment("WAYPOST_TLS_CLIENT_CA", "c"), "tls_client_ca (from the environment"),
+        ];
+        for (message, says) in cases {
+            assert!(message.contains(says), "{message:?} does not say {says:?}");
+        }
+        let missing = Config::load(&Flags::default(), Some(Path::new("/nowhere/waypost.toml")), []);
+        let message = missing.unwrap_err().to_string();
+        assert!(message.contains("/nowhere/waypost.toml") && message.contains("--config"), "{message}");
+    }
 }

@@ -1,5 +1,7 @@
 //! What a request can come to, besides success.
 
+use std::time::Duration;
+
 use topomap::mapper::FrameError;
 
 use crate::storage::StorageError;
@@ -49,6 +51,26 @@ pub enum ServiceError {
     Unavailable {
         /// What is wrong and how to mend it.
         message: String,
+        /// How long to wait before, where that is known.
+        retry_after: Option<Duration>,
+    },
+    /// Who asks is not known.
+    #[error("{message}")]
+    Unauthenticated {
+        /// What is wrong and how to mend it.
+        message: String,
+    },
+    /// Who asks is known, and may not.
+    #[error("{message}")]
+    PermissionDenied {
+        /// What is wrong and how to mend it.
+        message: String,
+    },
+    /// It took too long.
+    #[error("{message}")]
+    DeadlineExceeded {
+        /// What is wrong and how to mend it.
+        message: String,
     },
     /// The server is at fault.
     #[error("the server failed on this request; its log says more")]
@@ -69,13 +91,55 @@ impl ServiceError {
     }
 
     pub(crate) fn unavailable(message: impl std::fmt::Display) -> Self {
-        Self::Unavailable { message: message.to_string() }
+        Self::Unavailable { message: message.to_string(), retry_after: None }
+    }
+
+    /// More is asked for than can be done now.
+    pub(crate) fn overloaded(retry_after: Duration) -> Self {
+        let message = format!(
+            "the server has more images waiting than it can work off; send this one again in {:.1} s, or send fewer",
+            retry_after.as_secs_f64()
+        );
+        Self::Unavailable { message, retry_after: Some(retry_after) }
+    }
+
+    pub(crate) fn unauthenticated(message: impl std::fmt::Display) -> Self {
+        Self::Unauthenticated { message: message.to_string() }
+    }
+
+    pub(crate) fn deadline(message: impl std::fmt::Display) -> Self {
+        Self::DeadlineExceeded { message: message.to_string() }
+    }
+
+    /// Its kind in one word, as REST and the metrics call it.
+    pub(crate) fn code_name(&self) -> &'static str {
+        match self {
+            Self::InvalidArgument { .. } => "invalid_argument",
+            Self::NotFound { .. } => "not_found",
+            Self::AlreadyExists { .. } => "already_exists",
+            Self::FailedPrecondition { .. } => "failed_precondition",
+            Self::Aborted { .. } => "aborted",
+            Self::ResourceExhausted { .. } => "resource_exhausted",
+            Self::Unavailable { .. } => "unavailable",
+            Self::Unauthenticated { .. } => "unauthenticated",
+            Self::PermissionDenied { .. } => "permission_denied",
+            Self::DeadlineExceeded { .. } => "deadline_exceeded",
+            Self::Internal => "internal",
+        }
     }
 
     /// A fault of the server: `cause` goes to the log, not to the user.
     pub(crate) fn internal(cause: impl std::fmt::Display) -> Self {
         tracing::error!(%cause, "internal error");
         Self::Internal
+    }
+
+    /// There is no room left: `cause` goes to the log.
+    pub(crate) fn disk_full(cause: impl std::fmt::Display) -> Self {
+        tracing::error!(%cause, "disk full");
+        Self::unavailable(
+            "the server's disk is full and nothing was stored; free some space there, then send again",
+        )
     }
 
     /// The server is going down in good order.
@@ -89,14 +153,10 @@ impl ServiceError {
 impl From<StorageError> for ServiceError {
     fn from(error: StorageError) -> Self {
         match error {
-            StorageError::DiskFull(_) => {
-                tracing::error!(%error, "disk full");
-                Self::unavailable(
-                    "the server's disk is full and nothing was stored; free some space there, then send again",
-                )
-            }
+            StorageError::DiskFull(_) => Self::disk_full(error),
             StorageError::Exists
             | StorageError::InUse
+            | StorageError::JobEnded
             | StorageError::Directory { .. }
             | StorageError::Locked { .. }
             | StorageError::Newer { .. }

@@ -1,5 +1,7 @@
 //! Images to words, off the async threads. The only module of the server that calls `vision`.
 
+mod admission;
+
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -9,15 +11,23 @@ use fabmap::model::Model;
 use fabmap::observation::Observation;
 use tokio::sync::Semaphore;
 use tokio_util::task::AbortOnDropHandle;
-use waypost_vision::features::{ExtractError, Extractor, FeatureError, FeatureSettings, SettingsError};
-use waypost_vision::image::ImageError;
+use tracing::Span;
+use waypost_vision::feature_record::FeatureRecord;
+use waypost_vision::features::{
+    ExtractError, Extractor, FeatureError, FeatureSettings, Features, SettingsError,
+};
+use waypost_vision::image::{GreyImage, ImageError};
 
+use self::admission::Admission;
 use crate::error::ServiceError;
+use crate::service::map_settings::Keep;
+use crate::storage::{Medium, MediumKind};
 
-/// Bounds how many images are worked on at once: one a core, whoever sends them.
+/// Bounds how many images are worked on at once, one a core, whoever sends them; and how many wait.
 #[derive(Clone, Debug)]
 pub(crate) struct Extraction {
     cores: Arc<Semaphore>,
+    admission: Admission,
 }
 
 /// A model with the extractor that its words are made by.
@@ -25,6 +35,8 @@ pub(crate) struct Extraction {
 pub(crate) struct LoadedModel {
     pub(crate) model: Model,
     pub(crate) hash: String,
+    /// Hash of extractor and vocabulary.
+    pub(crate) words_hash: String,
     extractor: Extractor,
 }
 
@@ -32,6 +44,8 @@ pub(crate) struct LoadedModel {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Observed {
     pub(crate) observation: Observation,
+    /// What is kept of it beside its words.
+    pub(crate) media: Vec<Medium>,
     pub(crate) extract: Duration,
     pub(crate) quantize: Duration,
 }
@@ -49,7 +63,8 @@ impl LoadedModel {
                 feature.name()
             )));
         }
-        Ok(Self { hash: model.hash().to_string(), extractor, model })
+        let (hash, words_hash) = (model.hash().to_string(), model.words_hash().to_string());
+        Ok(Self { hash, words_hash, extractor, model })
     }
 }
 
@@ -61,22 +76,23 @@ pub(crate) fn extractor(text: &str) -> Result<Extractor, SettingsError> {
 
 impl Extraction {
     pub(crate) fn new(cores: usize) -> Self {
-        Self { cores: Arc::new(Semaphore::new(cores)) }
+        Self { cores: Arc::new(Semaphore::new(cores)), admission: Admission::new(cores) }
     }
 
-    /// Decodes an image and turns it into words.
+    /// Decodes a robot's image and turns it into words, and into what is to be kept of it. Refused, with
+    /// the time to wait, if too many are waiting already: then the next turn is that of its `stream`.
     pub(crate) async fn observe(
         &self,
         model: Arc<LoadedModel>,
         image: Bytes,
+        keep: Keep,
+        stream: Option<u64>,
     ) -> Result<Observed, ServiceError> {
+        let admitted = self.admission.admit(stream, Instant::now()).map_err(ServiceError::overloaded)?;
         self.run(move || {
-            let start = Instant::now();
-            let descriptors = describe(&model.extractor, &image)?;
-            let extract = start.elapsed();
-            let observation =
-                model.model.vocabulary().observe(&descriptors).map_err(ServiceError::internal)?;
-            Ok(Observed { observation, extract, quantize: start.elapsed() - extract })
+            let observed = observe(&model, image, keep);
+            admitted.done(Instant::now());
+            observed
         })
         .await
     }
@@ -87,7 +103,7 @@ impl Extraction {
         extractor: Extractor,
         image: Bytes,
     ) -> Result<Descriptors, ServiceError> {
-        self.run(move || describe(&extractor, &image)).await
+        self.run(move || Ok(extract(&extractor, &image)?.1.descriptors)).await
     }
 
     async fn run<T: Send + 'static>(
@@ -97,10 +113,11 @@ impl Extraction {
         let cores = self.cores.clone();
         // A task of its own: a stream that is not polled, because its client does not read, must not
         // sit on a core that it was given.
+        let span = Span::current();
         let task = AbortOnDropHandle::new(tokio::spawn(async move {
             let core = cores.acquire_owned().await.map_err(|_| ServiceError::stopping())?;
             let blocking = tokio::task::spawn_blocking(move || {
-                let result = work();
+                let result = span.in_scope(work);
                 drop(core);
                 result
             });
@@ -110,9 +127,38 @@ impl Extraction {
     }
 }
 
-fn describe(extractor: &Extractor, image: &[u8]) -> Result<Descriptors, ServiceError> {
+/// Thumbnails are to be recognised by people, not by robots.
+const THUMBNAIL_WIDTH_PX: u32 = 160;
+const THUMBNAIL_QUALITY: u8 = 75;
+
+fn observe(model: &LoadedModel, bytes: Bytes, keep: Keep) -> Result<Observed, ServiceError> {
+    let start = Instant::now();
+    let (image, features) = extract(&model.extractor, &bytes)?;
+    let extracted = start.elapsed();
+    let Features { keypoints, descriptors } = features;
+    let words = model.model.vocabulary().words(&descriptors).map_err(ServiceError::internal)?;
+    let quantize = start.elapsed() - extracted;
+    let observation = Observation::from_words(words.iter().copied(), model.model.vocabulary().len())
+        .map_err(ServiceError::internal)?;
+    let mut media = Vec::new();
+    if keep >= Keep::Features {
+        let size_px = (image.width(), image.height());
+        let record = FeatureRecord::new(size_px, keypoints, words, Some(descriptors));
+        let content = record.map_err(ServiceError::internal)?.to_bytes();
+        media.push(Medium { kind: MediumKind::Features, content });
+        let small = image.resize_to_width(THUMBNAIL_WIDTH_PX).map_err(ServiceError::internal)?;
+        let content = small.encode_jpeg(THUMBNAIL_QUALITY).map_err(ServiceError::internal)?;
+        media.push(Medium { kind: MediumKind::Thumbnail, content });
+    }
+    if keep >= Keep::Images {
+        media.push(Medium { kind: MediumKind::Image, content: bytes.into() });
+    }
+    Ok(Observed { observation, media, extract: start.elapsed() - quantize, quantize })
+}
+
+fn extract(extractor: &Extractor, image: &[u8]) -> Result<(GreyImage, Features), ServiceError> {
     match extractor.extract_encoded(image) {
-        Ok((_, features)) => Ok(features.descriptors),
+        Ok(extracted) => Ok(extracted),
         Err(ExtractError::Image(error)) => Err(image_error(&error)),
         Err(ExtractError::Feature(error)) => Err(feature_error(&error)),
     }
@@ -126,6 +172,7 @@ fn image_error(error: &ImageError) -> ServiceError {
         | ImageError::Unsupported { .. }
         | ImageError::TooLarge { .. }
         | ImageError::TooSmall { .. }
+        | ImageError::TooLong { .. }
         | ImageError::TooMuchMemory
         | ImageError::Truncated
         | ImageError::Damaged { .. } => ServiceError::invalid(error),

@@ -1,11 +1,15 @@
 //! gRPC: `waypost.v1` spoken over the service layer. Conversions here, decisions there.
 
+mod access;
 mod convert;
+mod frames;
 mod jobs;
 mod maps;
 mod models;
+mod requests;
 mod sessions;
 mod status;
+mod tokens;
 
 use std::future::Future;
 use std::sync::Arc;
@@ -13,15 +17,20 @@ use std::time::Duration;
 
 use tokio::net::TcpListener;
 use tokio_stream::wrappers::TcpListenerStream;
+use tonic::transport::{Certificate, Identity, ServerTlsConfig};
 use tonic::{Status, Streaming};
 use waypost_proto::FILE_DESCRIPTOR_SET;
 use waypost_proto::v1::job_service_server::JobServiceServer;
 use waypost_proto::v1::map_service_server::MapServiceServer;
 use waypost_proto::v1::model_service_server::ModelServiceServer;
 use waypost_proto::v1::session_service_server::SessionServiceServer;
+use waypost_proto::v1::token_service_server::TokenServiceServer;
 
 use crate::error::ServiceError;
+use crate::grpc::access::AccessLayer;
+use crate::grpc::requests::RequestLayer;
 use crate::service::Service;
+use crate::tls::Tls;
 
 /// Largest message taken in: an image of 4 MiB is refused with an answer, not by ending the stream,
 /// even if it is a good deal too large.
@@ -33,6 +42,21 @@ const MAX_RESPONSE_BYTES: usize = 16 << 20;
 /// A robot that is gone without a word is noticed after two of these.
 const KEEPALIVE: Duration = Duration::from_secs(20);
 
+/// Calls that one connection may have open at a time: more than any robot needs, but not any number.
+const MAX_STREAMS_PER_CONNECTION: u32 = 256;
+
+/// All headers of a call together.
+const MAX_HEADER_BYTES: u32 = 16 << 10;
+
+/// Who connects and does not finish the TLS handshake is dropped then.
+const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Within which the first message of a stream has to come.
+const FIRST_MESSAGE_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// How long an upload may pause between messages.
+const UPLOAD_PAUSE: Duration = Duration::from_secs(120);
+
 /// The generated servers share no trait that has the limits.
 macro_rules! limited {
     ($server:expr) => {
@@ -43,6 +67,7 @@ macro_rules! limited {
 pub(crate) async fn serve(
     service: Arc<Service>,
     listener: TcpListener,
+    tls: Option<&Tls>,
     shutdown: impl Future<Output = ()> + Send,
 ) -> anyhow::Result<()> {
     let adapter = || Adapter { service: service.clone() };
@@ -53,20 +78,38 @@ pub(crate) async fn serve(
         stopping.cancelled().await;
         health_reporter.set_not_serving::<SessionServiceServer<Adapter>>().await;
     });
-    let reflection = tonic_reflection::server::Builder::configure()
-        .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
-        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-        .build_v1()?;
-    tonic::transport::Server::builder()
+    let reflected = || {
+        tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+    };
+    // Python's reflection client, among others, speaks the older version alone.
+    let (reflection, reflection_alpha) = (reflected().build_v1()?, reflected().build_v1alpha()?);
+    let mut server = tonic::transport::Server::builder();
+    if let Some(Tls { certificate, key, client_ca, .. }) = tls {
+        let identity = Identity::from_pem(certificate, key);
+        let mut config = ServerTlsConfig::new().identity(identity).timeout(HANDSHAKE_TIMEOUT);
+        if let Some(client_ca) = client_ca {
+            config = config.client_ca_root(Certificate::from_pem(client_ca));
+        }
+        server = server.tls_config(config)?;
+    }
+    server
         .http2_keepalive_interval(Some(KEEPALIVE))
         .http2_keepalive_timeout(Some(KEEPALIVE))
         .tcp_nodelay(true)
+        .max_concurrent_streams(MAX_STREAMS_PER_CONNECTION)
+        .http2_max_header_list_size(MAX_HEADER_BYTES)
+        .layer(RequestLayer { service: service.clone() })
+        .layer(AccessLayer { service: service.clone() })
         .add_service(health)
         .add_service(reflection)
+        .add_service(reflection_alpha)
         .add_service(limited!(ModelServiceServer::new(adapter())))
         .add_service(limited!(JobServiceServer::new(adapter())))
         .add_service(limited!(MapServiceServer::new(adapter())))
         .add_service(limited!(SessionServiceServer::new(adapter())))
+        .add_service(limited!(TokenServiceServer::new(adapter())))
         .serve_with_incoming_shutdown(TcpListenerStream::new(listener), shutdown)
         .await?;
     Ok(())
@@ -79,12 +122,86 @@ struct Adapter {
 }
 
 impl Adapter {
-    /// The next message of a client, or UNAVAILABLE once the server stops: a client that pauses must
-    /// not hold it up.
+    /// The first message of a stream; DEADLINE_EXCEEDED if it does not come.
+    async fn first<T>(&self, requests: &mut Streaming<T>) -> Result<Option<T>, Status> {
+        self.next_within(FIRST_MESSAGE_TIMEOUT, requests).await
+    }
+
+    /// The next message of an upload; DEADLINE_EXCEEDED if it pauses for too long.
     async fn next<T>(&self, requests: &mut Streaming<T>) -> Result<Option<T>, Status> {
+        self.next_within(UPLOAD_PAUSE, requests).await
+    }
+
+    /// UNAVAILABLE once the server stops: a client that pauses must not hold it up.
+    async fn next_within<T>(
+        &self,
+        patience: Duration,
+        requests: &mut Streaming<T>,
+    ) -> Result<Option<T>, Status> {
         tokio::select! {
             message = requests.message() => message,
+            () = tokio::time::sleep(patience) => Err(ServiceError::deadline(format_args!(
+                "no message came within {} s; call again, and send without such a pause",
+                patience.as_secs()
+            ))
+            .into()),
             () = self.service.stopping().cancelled() => Err(ServiceError::stopping().into()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
+
+    use bytes::Bytes;
+    use http_body::Frame;
+    use tonic::Code;
+    use tonic::body::Body;
+    use waypost_proto::v1::StreamRequest;
+
+    use super::*;
+    use crate::metrics::Metrics;
+    use crate::service::tokens::Tokens;
+    use crate::storage::Storage;
+
+    /// A client that is connected and says nothing.
+    struct Silent;
+
+    impl http_body::Body for Silent {
+        type Data = Bytes;
+        type Error = Status;
+
+        fn poll_frame(
+            self: std::pin::Pin<&mut Self>,
+            _: &mut std::task::Context<'_>,
+        ) -> std::task::Poll<Option<Result<Frame<Bytes>, Status>>> {
+            std::task::Poll::Pending
+        }
+    }
+
+    fn silent<T: prost::Message + Default + 'static>() -> Streaming<T> {
+        let decoder = tonic_prost::ProstDecoder::<T>::new(tonic::codec::BufferSettings::default());
+        Streaming::new_request(decoder, Body::new(Silent), None, None)
+    }
+
+    #[tokio::test]
+    async fn who_says_nothing_is_not_waited_for_for_ever() {
+        let directory = tempfile::tempdir().unwrap();
+        let storage = Storage::open(directory.path()).await.unwrap();
+        let tokens = Tokens::load(&storage).await.unwrap();
+        let service = Arc::new(Service::new(storage, tokens, Metrics::new().unwrap()));
+        let adapter = Adapter { service: service.clone() };
+        let patience = Duration::from_millis(50);
+        let silent_stream = &mut silent::<StreamRequest>();
+        let (waited, status) =
+            (Instant::now(), adapter.next_within(patience, silent_stream).await.unwrap_err());
+        assert_eq!(status.code(), Code::DeadlineExceeded, "{status}");
+        assert!(waited.elapsed() >= patience && status.message().contains("send without such a pause"));
+        // One that stops does not wait even so long.
+        service.stopping().cancel();
+        let status = adapter.first(silent_stream).await.unwrap_err();
+        assert_eq!(status.code(), Code::Unavailable, "{status}");
+        service.stop().await;
     }
 }

@@ -1,50 +1,181 @@
 //! REST, for people: what the maps hold. Reads only.
 
+mod access;
+mod description;
+mod explanations;
+mod exports;
+mod frames;
+mod geometry;
+mod jobs;
 mod maps;
+mod models;
+mod pages;
+mod parameters;
+mod places;
+mod queries;
+mod requests;
+mod sessions;
 
 use std::future::Future;
+use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Duration;
 
-use axum::extract::State;
-use axum::http::StatusCode;
+use axum::extract::{DefaultBodyLimit, State};
+use axum::http::header::RETRY_AFTER;
+use axum::http::{HeaderValue, StatusCode};
+use axum::middleware::{from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use axum::{Json, Router};
+use axum_server::Handle;
+use axum_server::tls_rustls::RustlsConfig;
+use hyper_util::rt::{TokioExecutor, TokioTimer};
+use hyper_util::server::conn::auto;
 use serde::Serialize;
 use tokio::net::TcpListener;
+use utoipa::ToSchema;
+use utoipa_axum::router::{OpenApiRouter, UtoipaMethodRouterExt};
+use utoipa_axum::routes;
 
 use crate::error::ServiceError;
 use crate::service::Service;
+use crate::tls::Tls;
+
+/// Largest body of a request.
+const MAX_BODY_BYTES: usize = 5 << 20;
+
+/// All headers of a request together.
+const MAX_HEADER_BYTES: u32 = 16 << 10;
+
+/// Within which the headers of a request must come; also how long an idle connection is kept.
+const HEADER_TIMEOUT: Duration = Duration::from_secs(15);
+
+/// Requests that one connection may have open at a time, with HTTP/2.
+const MAX_STREAMS_PER_CONNECTION: u32 = 64;
+
+/// A browser that is gone without a word is noticed after two of these, with HTTP/2.
+const KEEPALIVE: Duration = Duration::from_secs(20);
 
 pub(crate) async fn serve(
     service: Arc<Service>,
     listener: TcpListener,
+    tls: Option<&Tls>,
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> anyhow::Result<()> {
-    axum::serve(listener, router(service)).with_graceful_shutdown(shutdown).await?;
+    let (listener, routes) = (listener.into_std()?, router(service)?.into_make_service());
+    let handle: Handle<SocketAddr> = Handle::new();
+    let stopping = handle.clone();
+    tokio::spawn(async move {
+        shutdown.await;
+        stopping.graceful_shutdown(None);
+    });
+    match tls {
+        Some(tls) => {
+            let config = RustlsConfig::from_config(tls.http.clone());
+            let mut server = axum_server::from_tcp_rustls(listener, config)?.handle(handle);
+            limit(server.http_builder());
+            server.serve(routes).await?;
+        }
+        None => {
+            let mut server = axum_server::from_tcp(listener)?.handle(handle);
+            limit(server.http_builder());
+            server.serve(routes).await?;
+        }
+    }
     Ok(())
 }
 
-fn router(service: Arc<Service>) -> Router {
-    Router::new()
-        .route("/healthz", get(health))
-        .route("/v1/maps", get(maps::list))
-        .route("/v1/maps/{map}", get(maps::map))
-        .route("/v1/maps/{map}/places", get(maps::places))
-        .route("/v1/maps/{map}/matches", get(maps::matches))
-        .fallback(nowhere)
-        .with_state(service)
+fn limit(connections: &mut auto::Builder<TokioExecutor>) {
+    let timer = TokioTimer::new;
+    connections
+        .http1()
+        .timer(timer())
+        .header_read_timeout(HEADER_TIMEOUT)
+        .max_buf_size(MAX_HEADER_BYTES as usize);
+    connections
+        .http2()
+        .timer(timer())
+        .keep_alive_interval(KEEPALIVE)
+        .keep_alive_timeout(KEEPALIVE)
+        .max_concurrent_streams(MAX_STREAMS_PER_CONNECTION)
+        .max_header_list_size(MAX_HEADER_BYTES);
 }
 
-async fn health(State(service): State<Arc<Service>>) -> Result<&'static str, HttpError> {
-    service.check().await?;
-    Ok("ok\n")
+fn router(service: Arc<Service>) -> anyhow::Result<Router> {
+    let (api, description) = api().split_for_parts();
+    Ok(api
+        .merge(description::routes(&description)?)
+        .route("/", get(pages::root))
+        .route("/style.css", get(pages::style))
+        .route("/healthz", get(alive))
+        .route("/readyz", get(ready))
+        .route("/metrics", get(metrics))
+        .fallback(nowhere)
+        .method_not_allowed_fallback(wrong_method)
+        .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
+        .layer(from_fn_with_state(service.clone(), access::guard))
+        .layer(from_fn_with_state(service.clone(), requests::watch))
+        .with_state(service)
+        .layer(map_response(pages::harmless)))
+}
+
+/// The routes and their description at once, so that neither knows what the other does not.
+fn api() -> OpenApiRouter<Arc<Service>> {
+    description::begin()
+        .routes(routes!(maps::list_maps))
+        .routes(routes!(maps::get_map))
+        .routes(routes!(places::list_places))
+        .routes(routes!(places::get_place))
+        .routes(routes!(places::list_word_places))
+        .routes(routes!(maps::list_matches))
+        .routes(routes!(queries::query).layer(DefaultBodyLimit::max(queries::MAX_BODY_BYTES)))
+        .routes(routes!(sessions::list_sessions))
+        .routes(routes!(sessions::get_session))
+        .routes(routes!(sessions::list_frames))
+        .routes(routes!(frames::get_frame))
+        .routes(routes!(frames::get_frame_image))
+        .routes(routes!(explanations::explain_frame))
+        .routes(routes!(exports::export_matches_csv))
+        .routes(routes!(exports::export_matches_json))
+        .routes(routes!(exports::export_posteriors_csv))
+        .routes(routes!(exports::export_posteriors_json))
+        .routes(routes!(models::list_models))
+        .routes(routes!(models::get_model))
+        .routes(routes!(jobs::list_jobs))
+        .routes(routes!(jobs::get_job))
+}
+
+/// That it answers at all is the answer.
+async fn alive() -> &'static str {
+    "ok\n"
+}
+
+async fn ready(State(service): State<Arc<Service>>) -> Result<&'static str, HttpError> {
+    service.ready().await?;
+    Ok("ready\n")
+}
+
+async fn metrics(State(service): State<Arc<Service>>) -> impl IntoResponse {
+    let kind = [(http::header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")];
+    (kind, service.rendered_metrics().await)
 }
 
 async fn nowhere() -> HttpError {
+    nothing_here()
+}
+
+fn nothing_here() -> HttpError {
     HttpError(ServiceError::not_found(
-        "there is nothing here; try /v1/maps, /v1/maps/{map}, /v1/maps/{map}/places or /v1/maps/{map}/matches",
+        "there is nothing here; /v1/maps lists the maps, and /docs says what else there is",
     ))
+}
+
+/// The router itself adds which methods are allowed.
+async fn wrong_method() -> Response {
+    let message = "this route does not take that method: the header Allow says which it takes, and /docs what \
+                   each does; what changes a map goes over gRPC";
+    error_response(StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed", message.to_owned())
 }
 
 /// An error as status and JSON: `{"error": {"code": "not_found", "message": "…"}}`.
@@ -57,30 +188,77 @@ impl From<ServiceError> for HttpError {
     }
 }
 
-#[derive(Serialize)]
+/// What is said when a request is not served.
+#[derive(Serialize, ToSchema)]
+#[schema(example = json!({
+    "error": {
+        "code": "not_found",
+        "message": "there is no map attic; list the maps to see what there is, or create it"
+    }
+}))]
 struct ErrorBody {
     error: ErrorContent,
 }
 
-#[derive(Serialize)]
+#[derive(Serialize, ToSchema)]
 struct ErrorContent {
+    /// The kind of error, for programs: gRPC's status in lower snake case where there is one.
     code: &'static str,
+    /// What is wrong and how to mend it, for people.
     message: String,
+}
+
+fn error_response(status: StatusCode, code: &'static str, message: String) -> Response {
+    (status, Json(ErrorBody { error: ErrorContent { code, message } })).into_response()
 }
 
 impl IntoResponse for HttpError {
     fn into_response(self) -> Response {
-        let (status, code) = match &self.0 {
-            ServiceError::InvalidArgument { .. } => (StatusCode::BAD_REQUEST, "invalid_argument"),
-            ServiceError::NotFound { .. } => (StatusCode::NOT_FOUND, "not_found"),
-            ServiceError::AlreadyExists { .. } => (StatusCode::CONFLICT, "already_exists"),
-            ServiceError::FailedPrecondition { .. } => (StatusCode::CONFLICT, "failed_precondition"),
-            ServiceError::Aborted { .. } => (StatusCode::CONFLICT, "aborted"),
-            ServiceError::ResourceExhausted { .. } => (StatusCode::TOO_MANY_REQUESTS, "resource_exhausted"),
-            ServiceError::Unavailable { .. } => (StatusCode::SERVICE_UNAVAILABLE, "unavailable"),
-            ServiceError::Internal => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
+        let status = match &self.0 {
+            ServiceError::InvalidArgument { .. } => StatusCode::BAD_REQUEST,
+            ServiceError::NotFound { .. } => StatusCode::NOT_FOUND,
+            ServiceError::AlreadyExists { .. }
+            | ServiceError::FailedPrecondition { .. }
+            | ServiceError::Aborted { .. } => StatusCode::CONFLICT,
+            ServiceError::ResourceExhausted { .. } => StatusCode::TOO_MANY_REQUESTS,
+            ServiceError::Unavailable { .. } => StatusCode::SERVICE_UNAVAILABLE,
+            ServiceError::Unauthenticated { .. } => StatusCode::UNAUTHORIZED,
+            ServiceError::PermissionDenied { .. } => StatusCode::FORBIDDEN,
+            ServiceError::DeadlineExceeded { .. } => StatusCode::GATEWAY_TIMEOUT,
+            ServiceError::Internal => StatusCode::INTERNAL_SERVER_ERROR,
         };
-        let error = ErrorContent { code, message: self.0.to_string() };
-        (status, Json(ErrorBody { error })).into_response()
+        let mut response = error_response(status, self.0.code_name(), self.0.to_string());
+        if let ServiceError::Unavailable { retry_after: Some(retry_after), .. } = self.0 {
+            let seconds = HeaderValue::from(retry_after.as_secs_f64().ceil() as u64);
+            response.headers_mut().insert(RETRY_AFTER, seconds);
+        }
+        response
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metrics::Metrics;
+    use crate::service::tokens::Tokens;
+    use crate::storage::Storage;
+
+    #[tokio::test]
+    async fn a_server_that_stops_is_not_ready_but_alive() {
+        let directory = tempfile::tempdir().unwrap();
+        let storage = Storage::open(directory.path()).await.unwrap();
+        let tokens = Tokens::load(&storage).await.unwrap();
+        let service = Arc::new(Service::new(storage.clone(), tokens, Metrics::new().unwrap()));
+        let answered = async || ready(State(service.clone())).await.into_response();
+        assert_eq!(answered().await.status(), StatusCode::OK);
+        storage.close().await;
+        let silent = answered().await;
+        assert_eq!(silent.status(), StatusCode::SERVICE_UNAVAILABLE, "the database is closed");
+        service.stopping().cancel();
+        let stopping = answered().await;
+        assert_eq!(stopping.status(), StatusCode::SERVICE_UNAVAILABLE);
+        let body = axum::body::to_bytes(stopping.into_body(), MAX_BODY_BYTES).await.unwrap();
+        assert!(String::from_utf8_lossy(&body).contains("the server is stopping"));
+        assert_eq!(alive().await, "ok\n");
     }
 }

@@ -7,26 +7,53 @@ mod error;
 mod extraction;
 mod grpc;
 mod http;
+mod metrics;
+pub mod offline;
+mod request_id;
+mod role;
 mod service;
 mod storage;
+mod tls;
 
 use std::future::Future;
-use std::path::PathBuf;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
 
+pub use crate::role::Role;
+pub use crate::tls::{Tls, TlsError, TlsFiles};
+
+use crate::metrics::Metrics;
 use crate::service::Service;
+use crate::service::tokens::{Anonymous, Tokens};
 use crate::storage::Storage;
 
 /// How long connections may take to end once the server stops.
 const GRACE: Duration = Duration::from_secs(5);
 
+/// How often the metrics are summed up.
+const METRICS_UPKEEP: Duration = Duration::from_secs(5);
+
 /// A server whose database is open.
 #[derive(Debug)]
 pub struct Server {
     service: Arc<Service>,
+    tls: Option<Tls>,
+}
+
+/// A server without any token was to listen where others can reach it.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "{address} can be reached from other machines, and there is no token, so everyone who reaches it could do \
+     everything; create a token first (waypost-server token create NAME --role admin), or listen on 127.0.0.1, \
+     or say --allow-anonymous (WAYPOST_ALLOW_ANONYMOUS=true) if all that can reach it may do so"
+)]
+pub struct Exposed {
+    /// Where it was to listen.
+    pub address: SocketAddr,
 }
 
 impl Server {
@@ -36,32 +63,81 @@ impl Server {
     /// If the directory cannot be written to, is used by another server, is of a newer version or is
     /// damaged; the message says which and how to mend it.
     pub async fn open(data_dir: PathBuf) -> anyhow::Result<Self> {
-        let storage = Storage::open(&data_dir).await?;
-        Ok(Self { service: Arc::new(Service::new(storage)) })
+        let service = open(&data_dir).await?;
+        service.settle().await?;
+        Ok(Self { service, tls: None })
+    }
+
+    /// Both listeners speak TLS.
+    #[must_use]
+    pub fn with_tls(self, tls: Tls) -> Self {
+        Self { tls: Some(tls), ..self }
+    }
+
+    /// While there is no token, everyone who reaches the server is served, from other machines too.
+    #[must_use]
+    pub fn allow_anonymous(self) -> Self {
+        self.service.tokens().set_anonymous(Anonymous::Everyone);
+        self
+    }
+
+    /// Refuses to listen at `addresses` if one of them would lay the server open; see [`Exposed`].
+    ///
+    /// # Errors
+    /// [`Exposed`].
+    pub fn check_exposure(&self, addresses: [SocketAddr; 2]) -> Result<(), Exposed> {
+        let Some(address) = exposed(addresses) else { return Ok(()) };
+        let tokens = self.service.tokens();
+        match tokens.anonymous() {
+            Anonymous::Everyone | Anonymous::Refused => Ok(()),
+            Anonymous::Local if tokens.is_empty() => Err(Exposed { address }),
+            Anonymous::Local => {
+                // Also when the last token is gone.
+                tokens.set_anonymous(Anonymous::Refused);
+                Ok(())
+            }
+        }
     }
 
     /// Serves both listeners until `shutdown` completes; then ends streams, commits and checkpoints
     /// every map, and closes the database.
     ///
     /// # Errors
-    /// If a listener fails.
+    /// [`Exposed`], or if a listener fails.
     pub async fn serve(
         self,
         grpc: TcpListener,
         http: TcpListener,
         shutdown: impl Future<Output = ()> + Send + 'static,
     ) -> anyhow::Result<()> {
-        let service = self.service;
+        let addresses = [grpc.local_addr()?, http.local_addr()?];
+        self.check_exposure(addresses)?;
+        if let Some(address) = exposed(addresses).filter(|_| self.tls.is_none()) {
+            tracing::warn!(
+                %address,
+                "without TLS, tokens and images can be read on the way; set tls_certificate and tls_key, or keep \
+                 the network to yourself"
+            );
+        }
+        let Self { service, tls } = self;
+        service.start_removals();
         let stopping = service.stopping().clone();
         let signal = stopping.clone();
         let watch = tokio::spawn(async move {
             shutdown.await;
             signal.cancel();
         });
+        let metrics = service.metrics().clone();
+        let upkeep = tokio::spawn(async move {
+            loop {
+                tokio::time::sleep(METRICS_UPKEEP).await;
+                metrics.sum_up();
+            }
+        });
         let serving = async {
             tokio::try_join!(
-                grpc::serve(service.clone(), grpc, stopping.clone().cancelled_owned()),
-                http::serve(service.clone(), http, stopping.clone().cancelled_owned()),
+                grpc::serve(service.clone(), grpc, tls.as_ref(), stopping.clone().cancelled_owned()),
+                http::serve(service.clone(), http, tls.as_ref(), stopping.clone().cancelled_owned()),
             )
         };
         let patience = async {
@@ -76,9 +152,21 @@ impl Server {
             }
         };
         watch.abort();
+        upkeep.abort();
         service.stop().await;
         served
     }
+}
+
+/// The first address that other machines can reach.
+fn exposed(addresses: [SocketAddr; 2]) -> Option<SocketAddr> {
+    addresses.into_iter().find(|address| !address.ip().to_canonical().is_loopback())
+}
+
+async fn open(data_dir: &Path) -> anyhow::Result<Arc<Service>> {
+    let storage = Storage::open(data_dir).await?;
+    let tokens = Tokens::load(&storage).await?;
+    Ok(Arc::new(Service::new(storage, tokens, Metrics::new()?)))
 }
 
 /// Opens `data_dir` and serves until `shutdown` completes; see [`Server`].
@@ -92,4 +180,47 @@ pub async fn serve(
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> anyhow::Result<()> {
     Server::open(data_dir).await?.serve(grpc, http, shutdown).await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn addresses(grpc: &str, http: &str) -> [SocketAddr; 2] {
+        [grpc.parse().unwrap(), http.parse().unwrap()]
+    }
+
+    #[tokio::test]
+    async fn only_loopback_is_served_without_a_token() {
+        let directory = tempfile::tempdir().unwrap();
+        let server = Server::open(directory.path().to_owned()).await.unwrap();
+        for (grpc, http) in [("127.0.0.1:1", "127.9.9.9:2"), ("[::1]:1", "[::ffff:127.0.0.1]:2")] {
+            assert_eq!(server.check_exposure(addresses(grpc, http)), Ok(()));
+        }
+        let exposed = [
+            ("0.0.0.0:1", "127.0.0.1:2", 0),
+            ("127.0.0.1:1", "[::]:2", 1),
+            ("127.0.0.1:1", "192.0.2.1:2", 1),
+        ];
+        for (grpc, http, wrong) in exposed {
+            let addresses = addresses(grpc, http);
+            assert_eq!(server.check_exposure(addresses), Err(Exposed { address: addresses[wrong] }));
+        }
+        let message = Exposed { address: "0.0.0.0:1".parse().unwrap() }.to_string();
+        assert!(message.contains("token create") && message.contains("--allow-anonymous"), "{message}");
+
+        let server = server.allow_anonymous();
+        assert_eq!(server.check_exposure(addresses("0.0.0.0:1", "0.0.0.0:2")), Ok(()));
+        server.service.stop().await;
+    }
+
+    #[tokio::test]
+    async fn with_a_token_any_address_will_do_and_the_last_one_stays() {
+        let directory = tempfile::tempdir().unwrap();
+        offline::create_token(directory.path(), "operator", Role::Admin).await.unwrap();
+        let server = Server::open(directory.path().to_owned()).await.unwrap();
+        assert_eq!(server.check_exposure(addresses("0.0.0.0:1", "127.0.0.1:2")), Ok(()));
+        assert!(server.service.delete_token("tokens/operator").await.is_err());
+        server.service.stop().await;
+    }
 }

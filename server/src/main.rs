@@ -1,22 +1,71 @@
 //! Wiring: configuration, logging, sockets, signals.
 
-use std::io::IsTerminal;
-use std::path::Path;
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
-use clap::Parser;
+use clap::{Parser, Subcommand};
 use serde::Serialize;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
-use waypost_server::Server;
-use waypost_server::config::Config;
+use waypost_server::config::{Config, Flags, LogFormat, unknown_variables};
+use waypost_server::offline::{self, Finding, ListedToken};
+use waypost_server::{Role, Server, Tls};
+
+/// Tells robots where they have been before
+///
+/// Every setting can be given as a flag, as a variable in the environment (--data-dir is WAYPOST_DATA_DIR) or
+/// in a TOML file (data_dir = "…"); what comes first in this list wins.
+#[derive(Parser)]
+#[command(name = "waypost-server", version)]
+struct Arguments {
+    #[command(flatten)]
+    flags: Flags,
+    /// TOML file with settings (WAYPOST_CONFIG)
+    #[arg(long, global = true, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Print the settings in force as TOML, and end
+    #[arg(long)]
+    print_config: bool,
+    /// Look whether the server could start, say what is wrong, and end
+    #[arg(long, conflicts_with = "print_config")]
+    check: bool,
+    #[command(subcommand)]
+    command: Option<Command>,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Look after tokens while no server runs on the data directory; for a running one, see `waypost token`
+    #[command(subcommand)]
+    Token(TokenCommand),
+}
+
+#[derive(Subcommand)]
+enum TokenCommand {
+    /// Make a token and print its secret, which is kept nowhere
+    Create {
+        /// 1 to 63 of a-z, 0-9, - and _, beginning with a letter or digit
+        name: String,
+        /// What its holder may do
+        #[arg(long)]
+        role: Role,
+    },
+    /// List tokens by name
+    Ls,
+    /// Delete a token
+    Rm {
+        /// Name of the token
+        name: String,
+    },
+}
 
 #[tokio::main]
 async fn main() -> ExitCode {
-    match run().await {
-        Ok(()) => ExitCode::SUCCESS,
+    match run(Arguments::parse()).await {
+        Ok(code) => code,
         Err(error) => {
             eprintln!("waypost-server: {error:#}");
             ExitCode::FAILURE
@@ -24,31 +73,89 @@ async fn main() -> ExitCode {
     }
 }
 
-async fn run() -> anyhow::Result<()> {
-    let Config { data_dir, grpc_address, http_address, ready_file } = Config::parse();
-    let filter = EnvFilter::try_from_env("WAYPOST_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
-    let ansi = std::io::stderr().is_terminal();
-    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(ansi).with_writer(std::io::stderr).init();
+async fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
+    let Arguments { flags, config, print_config, check, command } = arguments;
+    let named = || std::env::var_os("WAYPOST_CONFIG").filter(|path| !path.is_empty()).map(PathBuf::from);
+    let config = Config::load(&flags, config.or_else(named).as_deref(), std::env::vars_os())?;
+    match command {
+        Some(Command::Token(command)) => look_after_tokens(command, &config.data_dir).await,
+        None if print_config => {
+            std::io::stdout().write_all(config.to_toml()?.as_bytes())?;
+            Ok(ExitCode::SUCCESS)
+        }
+        None if check => report(&offline::check(&config).await),
+        None => serve(config).await,
+    }
+}
 
-    let server = Server::open(data_dir.clone()).await?;
+async fn serve(config: Config) -> anyhow::Result<ExitCode> {
+    let tls = config.tls_files().as_ref().map(Tls::load).transpose()?;
+    let Config {
+        data_dir,
+        grpc_address,
+        http_address,
+        ready_file,
+        log,
+        log_format,
+        allow_anonymous,
+        tls_certificate: _,
+        tls_key: _,
+        tls_client_ca: _,
+    } = config;
+    start_log(&log, log_format)?;
+    for variable in unknown_variables(std::env::vars_os()) {
+        tracing::warn!(variable, "no setting has this name; it is left alone");
+    }
+
+    let mut server = Server::open(data_dir.clone()).await?;
+    let encrypted = tls.is_some();
+    if let Some(tls) = tls {
+        server = server.with_tls(tls);
+    }
+    if allow_anonymous {
+        server = server.allow_anonymous();
+    }
+    server.check_exposure([grpc_address, http_address])?;
     let grpc = bind(grpc_address, "--grpc-address").await?;
     let http = bind(http_address, "--http-address").await?;
     let (grpc_at, http_at) = (grpc.local_addr()?, http.local_addr()?);
     if let Some(file) = &ready_file {
         announce(file, &grpc_at.to_string(), &http_at.to_string())?;
     }
-    tracing::info!(grpc = %grpc_at, http = %http_at, data_dir = %data_dir.display(), "serving");
+    tracing::info!(grpc = %grpc_at, http = %http_at, tls = encrypted, data_dir = %data_dir.display(), "serving");
 
     let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+    let mut asked_to_stop = async move || {
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
+        }
+    };
     server
         .serve(grpc, http, async move {
-            tokio::select! {
-                _ = terminate.recv() => {}
-                _ = interrupt.recv() => {}
-            }
+            asked_to_stop().await;
             tracing::info!("stopping");
+            tokio::spawn(async move {
+                asked_to_stop().await;
+                tracing::warn!("asked to stop again: ending at once; what was acknowledged is on the disk");
+                std::process::exit(1);
+            });
         })
-        .await
+        .await?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn start_log(filter: &str, format: LogFormat) -> anyhow::Result<()> {
+    let ansi = std::io::stderr().is_terminal();
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(EnvFilter::try_new(filter)?)
+        .with_ansi(ansi)
+        .with_writer(std::io::stderr);
+    match format {
+        LogFormat::Text => log.init(),
+        LogFormat::Json => log.json().with_current_span(true).with_span_list(false).init(),
+    }
+    Ok(())
 }
 
 async fn bind(address: std::net::SocketAddr, option: &str) -> anyhow::Result<TcpListener> {
@@ -68,4 +175,39 @@ fn announce(file: &Path, grpc: &str, http: &str) -> anyhow::Result<()> {
     let failed = || format!("cannot write the ready file {}", file.display());
     std::fs::write(&partial, serde_json::to_string(&Addresses { grpc, http })?).with_context(failed)?;
     std::fs::rename(&partial, file).with_context(failed)
+}
+
+/// Says what was found; a failure if anything is wrong.
+fn report(findings: &[Finding]) -> anyhow::Result<ExitCode> {
+    let mut stdout = std::io::stdout().lock();
+    let mut code = ExitCode::SUCCESS;
+    writeln!(stdout, "ok     settings: they can be read")?;
+    for Finding { subject, result } in findings {
+        match result {
+            Ok(there) => writeln!(stdout, "ok     {subject}: {there}")?,
+            Err(wrong) => {
+                writeln!(stdout, "wrong  {subject}: {wrong}")?;
+                code = ExitCode::FAILURE;
+            }
+        }
+    }
+    Ok(code)
+}
+
+async fn look_after_tokens(command: TokenCommand, data_dir: &Path) -> anyhow::Result<ExitCode> {
+    let mut stdout = std::io::stdout().lock();
+    match command {
+        TokenCommand::Create { name, role } => {
+            let secret = offline::create_token(data_dir, &name, role).await?;
+            eprintln!("this is the secret of {name}; it is not kept here, so note it now:");
+            writeln!(stdout, "{secret}")?;
+        }
+        TokenCommand::Ls => {
+            for ListedToken { name, role } in offline::list_tokens(data_dir).await? {
+                writeln!(stdout, "{name}  {}", role.name())?;
+            }
+        }
+        TokenCommand::Rm { name } => offline::delete_token(data_dir, &name).await?,
+    }
+    Ok(ExitCode::SUCCESS)
 }

@@ -2,13 +2,19 @@
 //! adapters over this.
 
 pub(crate) mod camera;
+pub(crate) mod content;
+pub(crate) mod frames;
 pub(crate) mod jobs;
-mod map_settings;
+pub(crate) mod map_settings;
 mod map_writer;
 pub(crate) mod maps;
 pub(crate) mod models;
 pub(crate) mod names;
+pub(crate) mod queries;
+mod removal;
 pub(crate) mod sessions;
+pub(crate) mod snapshots;
+pub(crate) mod tokens;
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -20,35 +26,50 @@ use tokio_util::sync::CancellationToken;
 
 use crate::error::ServiceError;
 use crate::extraction::{Extraction, LoadedModel};
+use crate::metrics::{Levels, Metrics};
 use crate::service::jobs::Jobs;
 use crate::service::map_writer::OpenMaps;
+use crate::service::removal::Removals;
+use crate::service::snapshots::Snapshots;
+use crate::service::tokens::Tokens;
 use crate::storage::Storage;
 
 /// All that the server can do. Shared by every adapter.
 #[derive(Debug)]
 pub(crate) struct Service {
     storage: Storage,
+    tokens: Tokens,
+    metrics: Metrics,
     extraction: Extraction,
     /// Models in use, by hash; they are immutable.
     models: Mutex<HashMap<String, Arc<LoadedModel>>>,
     open_maps: OpenMaps,
     jobs: Jobs,
+    snapshots: Snapshots,
+    removals: Removals,
     uploads: Arc<Semaphore>,
+    /// Replays of a map for an explanation.
+    replays: Arc<Semaphore>,
     /// Numbers streams, so that a later one on the same session is known from an earlier.
     next_stream: AtomicU64,
     stopping: CancellationToken,
 }
 
 impl Service {
-    pub(crate) fn new(storage: Storage) -> Self {
+    pub(crate) fn new(storage: Storage, tokens: Tokens, metrics: Metrics) -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
             storage,
+            tokens,
+            metrics,
             extraction: Extraction::new(cores),
             models: Mutex::default(),
             open_maps: OpenMaps::default(),
             jobs: Jobs::default(),
+            snapshots: Snapshots::default(),
+            removals: Removals::default(),
             uploads: Arc::new(Semaphore::new(models::MAX_UPLOADS)),
+            replays: Arc::new(Semaphore::new(1)),
             next_stream: AtomicU64::new(0),
             stopping: CancellationToken::new(),
         }
@@ -59,18 +80,45 @@ impl Service {
         &self.stopping
     }
 
+    /// What an earlier server left unfinished when it went down is settled before anyone asks.
+    pub(crate) async fn settle(&self) -> Result<(), ServiceError> {
+        self.settle_jobs().await?;
+        Ok(self.storage.retire_imports().await?)
+    }
+
     /// Ends streams and jobs, commits and checkpoints every map, closes the database.
     pub(crate) async fn stop(&self) {
         self.stopping.cancel();
-        self.jobs.cancel_all();
+        self.stop_jobs().await;
         self.open_maps.close_all().await;
         self.storage.close().await;
     }
 
-    /// Whether the database answers.
-    pub(crate) async fn check(&self) -> Result<(), ServiceError> {
-        self.storage.maps("", 1).await?;
-        Ok(())
+    /// Fails with the reason while requests are better sent elsewhere: the database does not answer, or
+    /// the server is stopping.
+    pub(crate) async fn ready(&self) -> Result<(), ServiceError> {
+        if self.stopping.is_cancelled() {
+            return Err(ServiceError::stopping());
+        }
+        self.storage.ping().await.map_err(|error| {
+            tracing::error!(%error, "the database does not answer");
+            ServiceError::unavailable("the database does not answer; the server's log says why")
+        })
+    }
+
+    pub(crate) fn tokens(&self) -> &Tokens {
+        &self.tokens
+    }
+
+    pub(crate) fn metrics(&self) -> &Metrics {
+        &self.metrics
+    }
+
+    /// All metrics in Prometheus' text format.
+    pub(crate) async fn rendered_metrics(&self) -> String {
+        let (open_maps, jobs_running) = (self.open_maps.count(), self.jobs.count());
+        let database_bytes = self.storage.size_bytes().await.ok();
+        self.metrics.render(Levels { open_maps, jobs_running, database_bytes })
     }
 
     fn new_stream(&self) -> u64 {

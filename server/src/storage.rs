@@ -1,14 +1,28 @@
 //! Models, maps and logs in one SQLite file. All SQL of the project is in this module.
 
 mod checkpoints;
+mod frames;
+mod inspection;
+mod jobs;
 mod log;
 mod maps;
+mod media;
 mod models;
+mod removal;
+mod snapshots;
+mod tokens;
 
 pub(crate) use checkpoints::Checkpoint;
+pub(crate) use frames::{FrameRow, SessionSummary};
+pub(crate) use inspection::{Inspection, inspect};
+pub(crate) use jobs::{JobEnd, JobKind, JobRow, StoredJobState};
 pub(crate) use log::{ClosureRow, LogEntry, StoredFrame};
 pub(crate) use maps::{MapCounts, MapId, MapRow, SessionRow};
+pub(crate) use media::{MapBytes, Medium, MediumKind};
 pub(crate) use models::ModelRow;
+pub(crate) use removal::Removal;
+pub(crate) use snapshots::{FormerModelRow, ImportedMap, MapView, MediaRow, StoredSession};
+pub(crate) use tokens::{SecretHash, TokenRow};
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -27,6 +41,9 @@ use sqlx::{Connection, Sqlite, SqlitePool, Transaction};
 pub(crate) struct Storage {
     writer: SqlitePool,
     readers: SqlitePool,
+    /// Those that hold a snapshot for long are kept apart: they must not use up the readers.
+    exporters: SqlitePool,
+    directory: PathBuf,
     /// Held for as long as the storage lives; two servers on one directory would each believe
     /// that they are the one writer.
     _lock: Arc<File>,
@@ -55,6 +72,8 @@ pub(crate) enum StorageError {
     Exists,
     #[error("it is still in use")]
     InUse,
+    #[error("the job has ended already")]
+    JobEnded,
     #[error("the database holds what cannot be read: {0}; restore it from a copy")]
     Damaged(String),
     #[error("the database failed: {0}")]
@@ -66,6 +85,8 @@ pub(crate) enum StorageError {
 const FILE_NAME: &str = "waypost.sqlite";
 const LOCK_NAME: &str = "waypost.lock";
 const READERS: u32 = 4;
+/// Snapshots that may be read out at the same time.
+pub(crate) const EXPORTERS: u32 = 2;
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 
 impl Storage {
@@ -87,9 +108,15 @@ impl Storage {
             MigrateError::Execute(error) => or_no_database(error, directory),
             other => StorageError::Migration(other),
         })?;
-        let readers =
-            SqlitePoolOptions::new().max_connections(READERS).connect_with(options.read_only(true)).await?;
-        Ok(Self { writer, readers, _lock: Arc::new(lock) })
+        let options = options.read_only(true);
+        let readers = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.clone()).await?;
+        let exporters = SqlitePoolOptions::new().max_connections(EXPORTERS).connect_lazy_with(options);
+        Ok(Self { writer, readers, exporters, directory: directory.to_owned(), _lock: Arc::new(lock) })
+    }
+
+    /// Where the database lies.
+    pub(crate) fn directory(&self) -> &Path {
+        &self.directory
     }
 
     /// One transaction: all of `work`, or nothing.
@@ -117,6 +144,7 @@ impl Storage {
     /// Waits for what is being written and folds the write-ahead log into the file.
     pub(crate) async fn close(&self) {
         self.readers.close().await;
+        self.exporters.close().await;
         self.writer.close().await;
     }
 }

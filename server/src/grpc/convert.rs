@@ -7,6 +7,43 @@ use waypost_proto::v1::panorama::Projection;
 
 use crate::error::ServiceError;
 use crate::service::camera::{Camera, CameraModel};
+use crate::service::content::{Content, WordList};
+
+/// An enum's value, unless it is one that this server does not know.
+pub(super) fn known<E: TryFrom<i32>>(field: &str, value: i32) -> Result<E, ServiceError> {
+    E::try_from(value).map_err(|_| {
+        ServiceError::invalid(format_args!("{field} has the value {value}, which this server does not know"))
+    })
+}
+
+pub(super) fn histogram(message: v1::WordHistogram) -> Content {
+    let v1::WordHistogram { words, counts } = message;
+    Content::Histogram { words, counts }
+}
+
+pub(super) fn word_list(message: v1::WordList) -> Content {
+    let v1::WordList { words, x_px, y_px, size_px, angle_rad, image_width_px, image_height_px } = message;
+    Content::Words(WordList { words, x_px, y_px, size_px, angle_rad, image_width_px, image_height_px })
+}
+
+pub(super) fn odometry_message(odometry: &Odometry) -> v1::Odometry {
+    let (position, orientation) = (odometry.pose().translation, odometry.pose().rotation);
+    v1::Odometry {
+        pose: Some(v1::Pose {
+            position_m: Some(v1::Vector3 { x: position.x, y: position.y, z: position.z }),
+            orientation: Some(v1::Quaternion {
+                x: orientation.i,
+                y: orientation.j,
+                z: orientation.k,
+                w: orientation.w,
+            }),
+        }),
+        // Stored column by column.
+        covariance: odometry
+            .covariance()
+            .map_or_else(Vec::new, |covariance| covariance.transpose().as_slice().to_vec()),
+    }
+}
 
 pub(super) fn odometry(message: v1::Odometry) -> Result<Odometry, ServiceError> {
     let v1::Odometry { pose, covariance } = message;
@@ -60,9 +97,8 @@ fn camera_model(model: Model) -> Result<CameraModel, ServiceError> {
             CameraModel::Fisheye { focal_px: [fx_px, fy_px], center_px: [cx_px, cy_px], distortion }
         }
         Model::Panorama(panorama) => {
-            let projection = panorama.projection();
-            let v1::Panorama { projection: _, vertical_rad } = panorama;
-            match projection {
+            let v1::Panorama { projection, vertical_rad } = panorama;
+            match known("projection", projection)? {
                 Projection::Cylindrical => CameraModel::Cylindrical { vertical_rad },
                 Projection::Equirectangular => CameraModel::Equirectangular {
                     vertical_rad: (vertical_rad != 0.0).then_some(vertical_rad),

@@ -8,20 +8,25 @@ use waypost_proto::v1::job_service_server::JobService;
 use super::Adapter;
 use super::models::model;
 use crate::error::ServiceError;
-use crate::service::jobs::{JobState, JobStatus};
+use crate::service::jobs::{JobResult, JobState, JobStatus};
+use crate::service::models::Page;
+use crate::storage::JobKind;
 
 #[tonic::async_trait]
 impl JobService for Adapter {
     async fn list_jobs(
         &self,
-        _: Request<v1::ListJobsRequest>,
+        request: Request<v1::ListJobsRequest>,
     ) -> Result<Response<v1::ListJobsResponse>, Status> {
-        Err(Status::unimplemented("not yet"))
+        let v1::ListJobsRequest { page_size, page_token } = request.into_inner();
+        let Page { items, next } = self.service.list_jobs(page_size, &page_token).await?;
+        let jobs = items.into_iter().map(job).collect();
+        Ok(Response::new(v1::ListJobsResponse { jobs, next_page_token: next }))
     }
 
     async fn get_job(&self, request: Request<v1::GetJobRequest>) -> Result<Response<v1::Job>, Status> {
         let v1::GetJobRequest { name } = request.into_inner();
-        Ok(Response::new(job(self.service.job(&name)?)))
+        Ok(Response::new(job(self.service.job(&name).await?)))
     }
 
     type WatchJobStream = BoxStream<'static, Result<v1::Job, Status>>;
@@ -31,7 +36,7 @@ impl JobService for Adapter {
         request: Request<v1::WatchJobRequest>,
     ) -> Result<Response<Self::WatchJobStream>, Status> {
         let v1::WatchJobRequest { name } = request.into_inner();
-        let statuses = WatchStream::new(self.service.watch_job(&name)?);
+        let statuses = WatchStream::new(self.service.watch_job(&name).await?);
         let stopping = self.service.stopping().clone();
         let stopped = stopping.clone();
         let stopped =
@@ -47,29 +52,34 @@ impl JobService for Adapter {
 
     async fn cancel_job(&self, request: Request<v1::CancelJobRequest>) -> Result<Response<v1::Job>, Status> {
         let v1::CancelJobRequest { name } = request.into_inner();
-        Ok(Response::new(job(self.service.cancel_job(&name)?)))
+        Ok(Response::new(job(self.service.cancel_job(&name).await?)))
     }
 }
 
 pub(super) fn job(status: JobStatus) -> v1::Job {
-    use v1::job::State;
-    let JobStatus { number, state, stage, fraction } = status;
+    use v1::job::{Kind, State};
+    let JobStatus { number, kind, state, stage, fraction, created_ns, ended_ns } = status;
     let (state, error, made) = match state {
         JobState::Running => (State::Running, String::new(), None),
-        JobState::Succeeded(made) => (State::Succeeded, String::new(), Some(model(*made))),
-        JobState::Failed(error) => (State::Failed, error.to_string(), None),
+        JobState::Succeeded(made) => (State::Succeeded, String::new(), Some(made)),
+        JobState::Failed(error) => (State::Failed, error, None),
         JobState::Cancelled => (State::Cancelled, String::new(), None),
+    };
+    let (result, made) = made.map_or((String::new(), None), |JobResult { name, model }| (name, model));
+    let kind = match kind {
+        JobKind::TrainModel => Kind::TrainModel,
+        JobKind::ImportMap => Kind::ImportMap,
     };
     v1::Job {
         name: format!("jobs/{number}"),
         state: state.into(),
-        stage: stage.to_owned(),
+        stage,
         fraction,
         error,
-        model: made,
-        kind: 0,
-        result: String::new(),
-        create_time_ns: 0,
-        end_time_ns: 0,
+        model: made.map(|made| model(*made)),
+        kind: kind.into(),
+        result,
+        create_time_ns: created_ns,
+        end_time_ns: ended_ns.unwrap_or_default(),
     }
 }

@@ -3,7 +3,7 @@ use fabmap::likelihood::Dependence;
 use fabmap::new_place::NewPlaceMethod;
 use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::RecognizerSettings;
-use futures::stream::BoxStream;
+use futures::stream::{BoxStream, StreamExt};
 use tonic::{Request, Response, Status, Streaming};
 use topomap::mapper::MapperSettings;
 use waypost_proto::v1;
@@ -11,16 +11,22 @@ use waypost_proto::v1::map_service_server::MapService;
 use waypost_proto::v1::map_settings;
 
 use super::Adapter;
-use crate::service::maps::{Detail, FrameReference, LoopClosureView, MapSettingsRequest, MapView, PlaceView};
+use super::convert::known;
+use super::jobs::job;
+use crate::error::ServiceError;
+use crate::service::maps::{
+    Detail, FrameReference, Keep, LoopClosureView, MapSettings, MapSettingsRequest, MapView, PlaceView,
+    WordPlace,
+};
 use crate::service::models::Page;
-use crate::service::names::{map_in, map_name, model_name, place_name};
-use crate::storage::MapCounts;
+use crate::service::names::{map_in, map_name, model_name, place_in, place_name};
+use crate::storage::{MapBytes, MapCounts};
 
 #[tonic::async_trait]
 impl MapService for Adapter {
     async fn create_map(&self, request: Request<v1::CreateMapRequest>) -> Result<Response<v1::Map>, Status> {
         let v1::CreateMapRequest { map_id, model, settings } = request.into_inner();
-        let settings = settings_request(settings.unwrap_or_default());
+        let settings = settings_request(settings.unwrap_or_default())?;
         Ok(Response::new(map(self.service.create_map(&map_id, &model, settings).await?)))
     }
 
@@ -35,12 +41,11 @@ impl MapService for Adapter {
     }
 
     async fn get_map(&self, request: Request<v1::GetMapRequest>) -> Result<Response<v1::Map>, Status> {
-        let request = request.into_inner();
-        let detail = match request.view() {
+        let v1::GetMapRequest { name, view } = request.into_inner();
+        let detail = match known("view", view)? {
             v1::MapView::Unspecified => Detail::Basic,
             v1::MapView::Full => Detail::Full,
         };
-        let v1::GetMapRequest { name, view: _ } = request;
         Ok(Response::new(map(self.service.map(&name, detail).await?)))
     }
 
@@ -74,57 +79,80 @@ impl MapService for Adapter {
         Ok(Response::new(v1::ListMatchesResponse { matches, next_page_token: next }))
     }
 
-    async fn get_place(&self, _: Request<v1::GetPlaceRequest>) -> Result<Response<v1::Place>, Status> {
-        Err(Status::unimplemented("not yet"))
+    async fn get_place(&self, request: Request<v1::GetPlaceRequest>) -> Result<Response<v1::Place>, Status> {
+        let v1::GetPlaceRequest { name } = request.into_inner();
+        let view = self.service.place(&name).await?;
+        let hits = view.word_hits.iter().map(|&(word, hits)| v1::PlaceWord { word, hits: hits.into() });
+        let word_hits = hits.collect();
+        let (map, _) = place_in(&name)?;
+        Ok(Response::new(v1::Place { word_hits, ..place(map, view) }))
     }
 
     async fn list_word_places(
         &self,
-        _: Request<v1::ListWordPlacesRequest>,
+        request: Request<v1::ListWordPlacesRequest>,
     ) -> Result<Response<v1::ListWordPlacesResponse>, Status> {
-        Err(Status::unimplemented("not yet"))
+        let v1::ListWordPlacesRequest { map, word, page_size, page_token } = request.into_inner();
+        let Page { items, next } = self.service.list_word_places(&map, word, page_size, &page_token).await?;
+        let places = items.into_iter().map(|WordPlace { place, hits, looks }| v1::WordPlace {
+            place,
+            hits: hits.into(),
+            looks: looks.into(),
+        });
+        Ok(Response::new(v1::ListWordPlacesResponse { places: places.collect(), next_page_token: next }))
     }
 
-    async fn rebind_map(&self, _: Request<v1::RebindMapRequest>) -> Result<Response<v1::Map>, Status> {
-        Err(Status::unimplemented("not yet"))
+    async fn rebind_map(&self, request: Request<v1::RebindMapRequest>) -> Result<Response<v1::Map>, Status> {
+        let v1::RebindMapRequest { name, model } = request.into_inner();
+        Ok(Response::new(map(self.service.rebind_map(&name, &model).await?)))
     }
 
     type ExportMapStream = BoxStream<'static, Result<v1::ExportMapResponse, Status>>;
 
     async fn export_map(
         &self,
-        _: Request<v1::ExportMapRequest>,
+        request: Request<v1::ExportMapRequest>,
     ) -> Result<Response<Self::ExportMapStream>, Status> {
-        Err(Status::unimplemented("not yet"))
+        let v1::ExportMapRequest { name } = request.into_inner();
+        let chunks = self.service.export_map(&name).await?;
+        let message = |chunk: Result<Vec<u8>, ServiceError>| Ok(v1::ExportMapResponse { chunk: chunk? });
+        Ok(Response::new(chunks.map(message).boxed()))
     }
 
     async fn import_map(
         &self,
-        _: Request<Streaming<v1::ImportMapRequest>>,
+        request: Request<Streaming<v1::ImportMapRequest>>,
     ) -> Result<Response<v1::Job>, Status> {
-        Err(Status::unimplemented("not yet"))
+        let mut requests = request.into_inner();
+        let first = self.next(&mut requests).await?.unwrap_or_default();
+        let v1::ImportMapRequest { map_id, chunk } = first;
+        let mut upload = self.service.begin_map_import(&map_id).await?;
+        self.service.add_snapshot_bytes(&mut upload, chunk).await?;
+        while let Some(v1::ImportMapRequest { map_id: _, chunk }) = self.next(&mut requests).await? {
+            self.service.add_snapshot_bytes(&mut upload, chunk).await?;
+        }
+        Ok(Response::new(job(self.service.start_map_import(upload).await?)))
     }
 }
 
-fn settings_request(settings: v1::MapSettings) -> MapSettingsRequest {
-    let (dependence, new_place) = (settings.dependence(), settings.new_place());
+fn settings_request(settings: v1::MapSettings) -> Result<MapSettingsRequest, ServiceError> {
     let v1::MapSettings {
-        dependence: _,
-        new_place: _,
+        dependence,
+        new_place,
         closure_threshold,
         guard_frames,
         new_place_prior,
         true_positive_rate,
         false_positive_rate,
-        keep: _,
+        keep,
     } = settings;
-    MapSettingsRequest {
-        dependence: match dependence {
+    Ok(MapSettingsRequest {
+        dependence: match known("dependence", dependence)? {
             map_settings::Dependence::Unspecified => None,
             map_settings::Dependence::ChowLiu => Some(Dependence::ChowLiu),
             map_settings::Dependence::NaiveBayes => Some(Dependence::NaiveBayes),
         },
-        new_place: match new_place {
+        new_place: match known("new_place", new_place)? {
             map_settings::NewPlace::Unspecified => None,
             map_settings::NewPlace::MeanField => Some(NewPlaceMethod::MeanField),
             map_settings::NewPlace::Sampled => Some(NewPlaceMethod::Sampled),
@@ -134,11 +162,17 @@ fn settings_request(settings: v1::MapSettings) -> MapSettingsRequest {
         new_place_prior,
         true_positive_rate,
         false_positive_rate,
-    }
+        keep: match known("keep", keep)? {
+            map_settings::Keep::Unspecified => None,
+            map_settings::Keep::Words => Some(Keep::Words),
+            map_settings::Keep::Features => Some(Keep::Features),
+            map_settings::Keep::Images => Some(Keep::Images),
+        },
+    })
 }
 
 fn map(view: MapView) -> v1::Map {
-    let MapView { map, model, settings, created_ns, counts, state_hash } = view;
+    let MapView { map, model, settings, created_ns, counts, state_hash, bytes } = view;
     let MapCounts { sessions, frames, loop_closures, places, links } = counts;
     v1::Map {
         name: map_name(&map),
@@ -151,11 +185,25 @@ fn map(view: MapView) -> v1::Map {
         frames,
         loop_closures,
         state_hash: state_hash.unwrap_or_default(),
-        storage: None,
+        storage: bytes.map(|bytes| storage(bytes, frames)),
     }
 }
 
-fn settings_message(settings: &MapperSettings) -> v1::MapSettings {
+fn storage(bytes: MapBytes, frames: u64) -> v1::MapStorage {
+    let per_frame = bytes.per_frame(frames);
+    let MapBytes { log, checkpoint, features, thumbnails, images } = bytes;
+    v1::MapStorage {
+        log_bytes: log,
+        checkpoint_bytes: checkpoint,
+        features_bytes: features,
+        thumbnail_bytes: thumbnails,
+        image_bytes: images,
+        bytes_per_frame: per_frame,
+    }
+}
+
+fn settings_message(settings: &MapSettings) -> v1::MapSettings {
+    let MapSettings { mapper, keep } = *settings;
     let MapperSettings {
         recognizer,
         closure_threshold,
@@ -163,7 +211,7 @@ fn settings_message(settings: &MapperSettings) -> v1::MapSettings {
         looks_per_stay: _,
         min_words: _,
         max_speed_m_per_s: _,
-    } = *settings;
+    } = mapper;
     let RecognizerSettings { dependence, new_place, scorer: _, detector, filter } = recognizer;
     let FilterSettings { new_place_prior, even_share: _, likelihood_smoothing: _ } = filter;
     let rate = |exists| move |detector: DetectorModel| detector.probability(true, exists);
@@ -183,16 +231,21 @@ fn settings_message(settings: &MapperSettings) -> v1::MapSettings {
         new_place_prior: Some(new_place_prior),
         true_positive_rate: detector.map(rate(true)),
         false_positive_rate: detector.map(rate(false)),
-        keep: 0,
+        keep: match keep {
+            Keep::Words => map_settings::Keep::Words,
+            Keep::Features => map_settings::Keep::Features,
+            Keep::Images => map_settings::Keep::Images,
+        }
+        .into(),
     }
 }
 
 fn place(map: &str, view: PlaceView) -> v1::Place {
-    let PlaceView { place, looks, words, frames, linked } = view;
+    let PlaceView { place, looks, word_hits, frames, linked } = view;
     v1::Place {
         name: place_name(map, place),
         looks: u32::from(looks),
-        words: u32::try_from(words).unwrap_or(u32::MAX),
+        words: u32::try_from(word_hits.len()).unwrap_or(u32::MAX),
         frames: frames.into_iter().map(frame_reference).collect(),
         linked,
         word_hits: Vec::new(),

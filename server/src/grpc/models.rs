@@ -21,7 +21,7 @@ impl ModelService for Adapter {
         request: Request<Streaming<v1::TrainModelRequest>>,
     ) -> Result<Response<v1::Job>, Status> {
         let mut requests = request.into_inner();
-        let first = self.next(&mut requests).await?.and_then(|first| first.content);
+        let first = self.first(&mut requests).await?.and_then(|first| first.content);
         let Some(Content::Settings(settings)) = first else {
             return Err(Status::invalid_argument("the first message of a training must be its settings"));
         };
@@ -40,7 +40,7 @@ impl ModelService for Adapter {
                 }
             }
         }
-        Ok(Response::new(job(self.service.start_training(upload)?)))
+        Ok(Response::new(job(self.service.start_training(upload).await?)))
     }
 
     async fn list_models(

@@ -8,15 +8,21 @@ use tonic::{Request, Response, Status, Streaming};
 use topomap::event::Reason;
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_server::SessionService;
-use waypost_proto::v1::{frame, stream_request, stream_response};
+use waypost_proto::v1::{frame, query_request, stream_request, stream_response};
 
 use super::Adapter;
-use super::convert::{camera, odometry};
+use super::convert::{camera, histogram, known, odometry, word_list};
+use super::frames;
 use super::maps::frame_reference;
 use super::status::as_message;
 use crate::error::ServiceError;
+use crate::service::content::Content;
+use crate::service::frames::{FrameImage, ImageSize};
+use crate::service::models::Page;
 use crate::service::names::model_name;
-use crate::service::sessions::{Frame, FrameAnswer, FrameOutcome, FrameTimings, MatchView, SessionStream};
+use crate::service::sessions::{
+    Frame, FrameAnswer, FrameOutcome, FrameTimings, MatchView, SessionMode, SessionStream,
+};
 
 /// Frames of one stream that are turned into words side by side.
 const PREPARED_AHEAD: usize = 2;
@@ -33,7 +39,7 @@ impl SessionService for Adapter {
         request: Request<Streaming<v1::StreamRequest>>,
     ) -> Result<Response<Self::StreamStream>, Status> {
         let mut requests = request.into_inner();
-        let first = self.next(&mut requests).await?.and_then(|first| first.content);
+        let first = self.first(&mut requests).await?.and_then(|first| first.content);
         let Some(stream_request::Content::Open(open)) = first else {
             return Err(Status::invalid_argument("the first message of a stream must open a session"));
         };
@@ -43,44 +49,75 @@ impl SessionService for Adapter {
         Ok(Response::new(responses.boxed()))
     }
 
-    async fn query(&self, _: Request<v1::QueryRequest>) -> Result<Response<v1::QueryResponse>, Status> {
-        Err(Status::unimplemented("not yet"))
+    async fn query(&self, request: Request<v1::QueryRequest>) -> Result<Response<v1::QueryResponse>, Status> {
+        let v1::QueryRequest { map, content, words_hash, explained_words } = request.into_inner();
+        let content = match content {
+            Some(query_request::Content::Image(image)) => Content::Image(Bytes::from(image)),
+            Some(query_request::Content::Histogram(words)) => histogram(words),
+            Some(query_request::Content::Words(words)) => word_list(words),
+            None => return Err(Status::invalid_argument("the query shows nothing; send an image or words")),
+        };
+        let answer = self.service.query(&map, content, &words_hash, explained_words).await?;
+        Ok(Response::new(frames::query_response(answer)))
     }
 
     async fn list_sessions(
         &self,
-        _: Request<v1::ListSessionsRequest>,
+        request: Request<v1::ListSessionsRequest>,
     ) -> Result<Response<v1::ListSessionsResponse>, Status> {
-        Err(Status::unimplemented("not yet"))
+        let v1::ListSessionsRequest { map, page_size, page_token } = request.into_inner();
+        let Page { items, next } = self.service.list_sessions(&map, page_size, &page_token).await?;
+        let sessions = items.into_iter().map(frames::session).collect::<Result<_, _>>()?;
+        Ok(Response::new(v1::ListSessionsResponse { sessions, next_page_token: next }))
     }
 
-    async fn get_session(&self, _: Request<v1::GetSessionRequest>) -> Result<Response<v1::Session>, Status> {
-        Err(Status::unimplemented("not yet"))
+    async fn get_session(
+        &self,
+        request: Request<v1::GetSessionRequest>,
+    ) -> Result<Response<v1::Session>, Status> {
+        let v1::GetSessionRequest { name } = request.into_inner();
+        Ok(Response::new(frames::session(self.service.session(&name).await?)?))
     }
 
     async fn list_frames(
         &self,
-        _: Request<v1::ListFramesRequest>,
+        request: Request<v1::ListFramesRequest>,
     ) -> Result<Response<v1::ListFramesResponse>, Status> {
-        Err(Status::unimplemented("not yet"))
+        let v1::ListFramesRequest { session, page_size, page_token } = request.into_inner();
+        let Page { items, next } = self.service.list_frames(&session, page_size, &page_token).await?;
+        let listed = items.into_iter().map(|view| v1::FrameRecord { histogram: None, ..frames::frame(view) });
+        Ok(Response::new(v1::ListFramesResponse { frames: listed.collect(), next_page_token: next }))
     }
 
-    async fn get_frame(&self, _: Request<v1::GetFrameRequest>) -> Result<Response<v1::FrameRecord>, Status> {
-        Err(Status::unimplemented("not yet"))
+    async fn get_frame(
+        &self,
+        request: Request<v1::GetFrameRequest>,
+    ) -> Result<Response<v1::FrameRecord>, Status> {
+        let v1::GetFrameRequest { name } = request.into_inner();
+        Ok(Response::new(frames::frame(self.service.frame(&name).await?)))
     }
 
     async fn get_frame_image(
         &self,
-        _: Request<v1::GetFrameImageRequest>,
+        request: Request<v1::GetFrameImageRequest>,
     ) -> Result<Response<v1::GetFrameImageResponse>, Status> {
-        Err(Status::unimplemented("not yet"))
+        use v1::get_frame_image_request::Size;
+        let v1::GetFrameImageRequest { name, size } = request.into_inner();
+        let size = match known("size", size)? {
+            Size::Unspecified => ImageSize::Best,
+            Size::Original => ImageSize::Original,
+            Size::Thumbnail => ImageSize::Thumbnail,
+        };
+        let FrameImage { content_type, image } = self.service.frame_image(&name, size).await?;
+        Ok(Response::new(v1::GetFrameImageResponse { content_type: content_type.to_owned(), image }))
     }
 
     async fn explain_frame(
         &self,
-        _: Request<v1::ExplainFrameRequest>,
+        request: Request<v1::ExplainFrameRequest>,
     ) -> Result<Response<v1::FrameExplanation>, Status> {
-        Err(Status::unimplemented("not yet"))
+        let v1::ExplainFrameRequest { name, place, words } = request.into_inner();
+        Ok(Response::new(frames::explanation(self.service.explain_frame(&name, place, words).await?)))
     }
 }
 
@@ -103,17 +140,17 @@ fn until_over(
 
 impl Adapter {
     async fn open(&self, message: v1::OpenSession) -> Result<SessionStream, ServiceError> {
-        let mode = message.mode();
-        let v1::OpenSession { map, session_id, mode: _, camera: declared, words_hash: _ } = message;
-        match mode {
-            v1::SessionMode::Map => {}
-            v1::SessionMode::Localize => return Err(ServiceError::invalid("not yet")),
+        let v1::OpenSession { map, session_id, mode, camera: declared, words_hash } = message;
+        let mode = match known("mode", mode)? {
+            v1::SessionMode::Map => SessionMode::Map,
+            v1::SessionMode::Localize => SessionMode::Localize,
             v1::SessionMode::Unspecified => {
                 return Err(ServiceError::invalid(
-                    "say which mode the session has; SESSION_MODE_MAP lets the map grow",
+                    "say which mode the session has: SESSION_MODE_MAP lets the map grow, SESSION_MODE_LOCALIZE \
+                     only looks",
                 ));
             }
-        }
+        };
         let encoded = match declared {
             Some(declared) => {
                 let encoded = declared.encode_to_vec();
@@ -122,7 +159,7 @@ impl Adapter {
             }
             None => None,
         };
-        self.service.open_session(&map, &session_id, encoded).await
+        self.service.open_session(&map, &session_id, mode, encoded, &words_hash).await
     }
 }
 
@@ -158,7 +195,7 @@ fn frames(
         })
         .map(move |pending| {
             let session = waiting.clone();
-            async move { outcome(session.outcome(pending?).await) }
+            async move { outcome(session.counted(session.outcome(pending?).await)) }
         })
         .buffered(SUBMITTED_AHEAD)
 }
@@ -173,11 +210,14 @@ fn frame(message: v1::Frame) -> Result<Frame, (u64, ServiceError)> {
     if stamp_ns <= 0 {
         return Err(invalid("the frame has no stamp; send when the image was taken, in nanoseconds above 0"));
     }
-    let Some(frame::Content::Image(image)) = content else {
-        return Err(invalid("the frame has no image; send a JPEG or PNG"));
+    let content = match content {
+        Some(frame::Content::Image(image)) => Content::Image(Bytes::from(image)),
+        Some(frame::Content::Histogram(words)) => histogram(words),
+        Some(frame::Content::Words(words)) => word_list(words),
+        None => return Err(invalid("the frame has no image and no words; send a JPEG, a PNG, or words")),
     };
     let moved = moved.map(odometry).transpose().map_err(|error| (sequence, error))?;
-    Ok(Frame { sequence, stamp_ns, image: Bytes::from(image), odometry: moved })
+    Ok(Frame { sequence, stamp_ns, content, odometry: moved })
 }
 
 fn opened(session: &SessionStream) -> v1::StreamResponse {
@@ -185,7 +225,7 @@ fn opened(session: &SessionStream) -> v1::StreamResponse {
         session: session.name().to_owned(),
         last_committed_sequence: session.last_committed(),
         model: model_name(session.model_hash()),
-        words_hash: String::new(),
+        words_hash: session.words_hash().to_owned(),
     }))
 }
 
@@ -205,7 +245,7 @@ fn respond(content: stream_response::Content) -> v1::StreamResponse {
     v1::StreamResponse { content: Some(content) }
 }
 
-fn answer(answer: FrameAnswer) -> v1::FrameAnswer {
+pub(super) fn answer(answer: FrameAnswer) -> v1::FrameAnswer {
     let FrameAnswer {
         sequence,
         last_committed,
@@ -238,7 +278,7 @@ fn answer(answer: FrameAnswer) -> v1::FrameAnswer {
     }
 }
 
-fn reason_code(reason: Reason) -> v1::Reason {
+pub(super) fn reason_code(reason: Reason) -> v1::Reason {
     match reason {
         Reason::NewPlace => v1::Reason::NewPlace,
         Reason::SamePlace => v1::Reason::SamePlace,
@@ -248,7 +288,7 @@ fn reason_code(reason: Reason) -> v1::Reason {
     }
 }
 
-fn found(found: MatchView) -> v1::Match {
+pub(super) fn found(found: MatchView) -> v1::Match {
     let MatchView { place, posterior, log_odds, frame } = found;
     v1::Match { place, posterior, log_odds, frame: Some(frame_reference(frame)) }
 }

@@ -1,19 +1,61 @@
 //! Errors of the service as gRPC statuses.
 
+use bytes::Bytes;
+use prost::Message;
 use tonic::{Code, Status};
+use tonic_types::{ErrorDetails, StatusExt};
 use waypost_proto::google::rpc;
 
 use crate::error::ServiceError;
 
 impl From<ServiceError> for Status {
     fn from(error: ServiceError) -> Self {
-        Status::new(code(&error), error.to_string())
+        let (code, message) = (code(&error), fitting(error.to_string()));
+        match error {
+            ServiceError::Unavailable { retry_after: Some(retry_after), .. } => {
+                Status::with_error_details(code, message, ErrorDetails::with_retry_info(Some(retry_after)))
+            }
+            ServiceError::InvalidArgument { .. }
+            | ServiceError::NotFound { .. }
+            | ServiceError::AlreadyExists { .. }
+            | ServiceError::FailedPrecondition { .. }
+            | ServiceError::Aborted { .. }
+            | ServiceError::ResourceExhausted { .. }
+            | ServiceError::Unavailable { retry_after: None, .. }
+            | ServiceError::Unauthenticated { .. }
+            | ServiceError::PermissionDenied { .. }
+            | ServiceError::DeadlineExceeded { .. }
+            | ServiceError::Internal => Status::new(code, message),
+        }
     }
+}
+
+/// A message that may quote what was sent, made to fit into a header: one that is endless would break the
+/// connection. Its end, which says how to mend it, stays.
+fn fitting(message: String) -> String {
+    const HEAD_CHARS: usize = 200;
+    const TAIL_CHARS: usize = 600;
+    let chars = message.chars().count();
+    if chars <= HEAD_CHARS + TAIL_CHARS {
+        return message;
+    }
+    let head: String = message.chars().take(HEAD_CHARS).collect();
+    let tail: String = message.chars().skip(chars - TAIL_CHARS).collect();
+    format!("{head} […] {tail}")
 }
 
 /// A status as a message, for errors about one frame.
 pub(super) fn as_message(error: &ServiceError) -> rpc::Status {
-    rpc::Status { code: code(error) as i32, message: error.to_string(), details: Vec::new() }
+    let status = Status::from(error.clone());
+    // The details of a status are such a message, encoded.
+    match rpc::Status::decode(Bytes::copy_from_slice(status.details())) {
+        Ok(detailed) if detailed.code != 0 => detailed,
+        Ok(_) | Err(_) => rpc::Status {
+            code: status.code() as i32,
+            message: status.message().to_owned(),
+            details: Vec::new(),
+        },
+    }
 }
 
 fn code(error: &ServiceError) -> Code {
@@ -25,6 +67,24 @@ fn code(error: &ServiceError) -> Code {
         ServiceError::Aborted { .. } => Code::Aborted,
         ServiceError::ResourceExhausted { .. } => Code::ResourceExhausted,
         ServiceError::Unavailable { .. } => Code::Unavailable,
+        ServiceError::Unauthenticated { .. } => Code::Unauthenticated,
+        ServiceError::PermissionDenied { .. } => Code::PermissionDenied,
+        ServiceError::DeadlineExceeded { .. } => Code::DeadlineExceeded,
         ServiceError::Internal => Code::Internal,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_endless_message_keeps_its_beginning_and_its_end() {
+        let usual = "there is no map drive; list the maps".to_owned();
+        assert_eq!(fitting(usual.clone()), usual);
+        let endless = format!("{:?} is no map name; use 1 to 63 of a-z", "ä".repeat(100_000));
+        let fitted = fitting(endless);
+        assert!(fitted.starts_with("\"ää") && fitted.ends_with("ä\" is no map name; use 1 to 63 of a-z"));
+        assert!(fitted.chars().count() < 1000);
     }
 }

@@ -1,34 +1,35 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::rejection::{PathRejection, QueryRejection};
-use axum::extract::{Path, Query, State};
+use axum::extract::State;
+use fabmap::detector::DetectorModel;
+use fabmap::likelihood::Dependence;
+use fabmap::new_place::NewPlaceMethod;
+use fabmap::place_filter::FilterSettings;
+use fabmap::recognizer::RecognizerSettings;
 use serde::{Deserialize, Serialize};
+use topomap::mapper::MapperSettings;
+use utoipa::{IntoParams, ToSchema};
 
 use super::HttpError;
-use crate::error::ServiceError;
+use super::description::Refusals;
+use super::parameters::{InPath, InQuery, MapPath, Paging, Parameters};
 use crate::service::Service;
-use crate::service::maps::{Detail, FrameReference, LoopClosureView, MapView, PlaceView};
+use crate::service::maps::{self, Detail, LoopClosureView, MapView};
 use crate::service::models::Page;
-use crate::service::names::{map_name, model_name, place_name};
-use crate::storage::MapCounts;
+use crate::service::names::{map_name, model_name};
+use crate::storage::{MapBytes, MapCounts};
 
-/// `?page_size=…&page_token=…`
-#[derive(Debug, Default, Deserialize)]
+#[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(default, deny_unknown_fields)]
-pub(super) struct Paging {
-    page_size: u32,
-    page_token: String,
-}
-
-/// `?view=full`
-#[derive(Debug, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
 pub(super) struct Viewing {
+    /// `full` adds the state hash and what the map takes on the disk, which takes time.
+    #[param(inline)]
     view: View,
 }
 
-#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 enum View {
     #[default]
@@ -36,154 +37,244 @@ enum View {
     Full,
 }
 
-/// The `{map}` of a path.
-type Named = Result<Path<String>, PathRejection>;
-
-fn named(path: Named) -> Result<String, ServiceError> {
-    path.map(|Path(map)| map).map_err(|rejection| {
-        ServiceError::invalid(format_args!("{}; a map name is plain ASCII", rejection.body_text()))
-    })
+impl Parameters for Viewing {
+    const TAKES: &str = "view=basic or view=full";
 }
 
-type Asked<T> = Result<Query<T>, QueryRejection>;
-
-fn asked<T>(query: Asked<T>) -> Result<T, ServiceError> {
-    query.map(|Query(asked)| asked).map_err(|rejection| {
-        ServiceError::invalid(format_args!(
-            "{}; lists take page_size=NUMBER and page_token=TOKEN, a map takes view=basic or view=full",
-            rejection.body_text()
-        ))
-    })
-}
-
-pub(super) async fn list(
+/// All maps, by name.
+#[utoipa::path(get, path = "/v1/maps", tag = "maps", params(Paging),
+    responses((status = 200, description = "A page of maps.", body = MapList), Refusals))]
+pub(super) async fn list_maps(
     State(service): State<Arc<Service>>,
-    query: Asked<Paging>,
+    InQuery(Paging { page_size, page_token }): InQuery<Paging>,
 ) -> Result<Json<MapList>, HttpError> {
-    let Paging { page_size, page_token } = asked(query)?;
     let Page { items, next } = service.list_maps(page_size, &page_token).await?;
     Ok(Json(MapList { maps: items.into_iter().map(Map::from).collect(), next_page_token: next }))
 }
 
-pub(super) async fn map(
+/// A map with all its settings.
+#[utoipa::path(get, path = "/v1/maps/{map}", tag = "maps", params(MapPath, Viewing),
+    responses((status = 200, description = "The map.", body = Map), Refusals))]
+pub(super) async fn get_map(
     State(service): State<Arc<Service>>,
-    path: Named,
-    query: Asked<Viewing>,
+    InPath(MapPath { map }): InPath<MapPath>,
+    InQuery(Viewing { view }): InQuery<Viewing>,
 ) -> Result<Json<Map>, HttpError> {
-    let map = named(path)?;
-    let detail = match asked(query)?.view {
+    let detail = match view {
         View::Basic => Detail::Basic,
         View::Full => Detail::Full,
     };
     Ok(Json(service.map(&map_name(&map), detail).await?.into()))
 }
 
-pub(super) async fn places(
+/// The loop closures of a map, oldest first.
+#[utoipa::path(get, path = "/v1/maps/{map}/matches", tag = "maps", params(MapPath, Paging),
+    responses((status = 200, description = "A page of loop closures.", body = MatchList), Refusals))]
+pub(super) async fn list_matches(
     State(service): State<Arc<Service>>,
-    path: Named,
-    query: Asked<Paging>,
-) -> Result<Json<PlaceList>, HttpError> {
-    let map = named(path)?;
-    let Paging { page_size, page_token } = asked(query)?;
-    let Page { items, next } = service.list_places(&map_name(&map), page_size, &page_token).await?;
-    let places = items.into_iter().map(|view| Place::new(&map, view)).collect();
-    Ok(Json(PlaceList { places, next_page_token: next }))
-}
-
-pub(super) async fn matches(
-    State(service): State<Arc<Service>>,
-    path: Named,
-    query: Asked<Paging>,
+    InPath(MapPath { map }): InPath<MapPath>,
+    InQuery(Paging { page_size, page_token }): InQuery<Paging>,
 ) -> Result<Json<MatchList>, HttpError> {
-    let map = named(path)?;
-    let Paging { page_size, page_token } = asked(query)?;
     let Page { items, next } = service.list_matches(&map_name(&map), page_size, &page_token).await?;
     Ok(Json(MatchList { matches: items.into_iter().map(LoopClosure::from).collect(), next_page_token: next }))
 }
 
-#[derive(Debug, Serialize)]
+/// A page of maps.
+#[derive(Debug, Serialize, ToSchema)]
 pub(super) struct MapList {
     maps: Vec<Map>,
+    /// Asks for the next page; empty on the last.
     next_page_token: String,
 }
 
-#[derive(Debug, Serialize)]
+/// A map: places joined by links, grown by the sessions of robots.
+#[derive(Debug, Serialize, ToSchema)]
 pub(super) struct Map {
+    /// `maps/{map}`
+    #[schema(example = "maps/demo")]
     name: String,
+    /// `models/{hash}`
+    #[schema(pattern = "^models/[0-9a-f]{64}$")]
     model: String,
+    settings: MapSettings,
+    /// When it was made, in nanoseconds since 1970.
     create_time_ns: i64,
     places: u64,
     links: u64,
     sessions: u64,
     frames: u64,
     loop_closures: u64,
-    closure_threshold: f64,
-    guard_frames: u64,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    /// SHA-256 over all that the map's log decided. Only with `view=full`.
+    #[schema(required, pattern = "^[0-9a-f]{64}$")]
     state_hash: Option<String>,
+    /// What it takes on the disk. Only with `view=full`.
+    #[schema(required)]
+    storage: Option<MapStorage>,
 }
 
-#[derive(Debug, Serialize)]
-pub(super) struct PlaceList {
-    places: Vec<Place>,
-    next_page_token: String,
+/// What a map takes on the disk, in bytes.
+#[derive(Debug, Serialize, ToSchema)]
+struct MapStorage {
+    /// Words, odometry and decisions: what the map is made from.
+    log_bytes: u64,
+    /// The fold of the log, so that the map opens fast.
+    checkpoint_bytes: u64,
+    features_bytes: u64,
+    thumbnail_bytes: u64,
+    image_bytes: u64,
+    /// All of these, divided by the number of frames.
+    bytes_per_frame: f64,
 }
 
-#[derive(Debug, Serialize)]
-pub(super) struct Place {
-    name: String,
-    looks: u8,
-    words: u64,
-    frames: Vec<Frame>,
-    linked: Vec<u32>,
+/// How a map decides.
+#[derive(Debug, Serialize, ToSchema)]
+struct MapSettings {
+    dependence: WordDependence,
+    new_place: NewPlaceTerm,
+    /// Posterior from which a loop closure is accepted.
+    #[schema(exclusive_minimum = 0, maximum = 1)]
+    closure_threshold: f64,
+    /// A place that the session left fewer frames ago is not a loop closure.
+    guard_frames: u64,
+    /// Prior probability of being somewhere new.
+    #[schema(minimum = 0, maximum = 1)]
+    new_place_prior: f64,
+    /// p(z = 1 | e = 1), if it is not the model's.
+    #[schema(required, minimum = 0, maximum = 1)]
+    true_positive_rate: Option<f64>,
+    /// p(z = 1 | e = 0), if it is not the model's.
+    #[schema(required, minimum = 0, maximum = 1)]
+    false_positive_rate: Option<f64>,
+    keep: Keep,
 }
 
-#[derive(Debug, Serialize)]
+/// What is kept of each frame: words and decisions alone; also keypoints, descriptors and a thumbnail; also the
+/// image as it came.
+#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+enum Keep {
+    Words,
+    Features,
+    Images,
+}
+
+/// Whether each word depends on its parent in the Chow-Liu tree, or on none.
+#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+enum WordDependence {
+    ChowLiu,
+    NaiveBayes,
+}
+
+/// How the likelihood of a new place is found: from the average place, or by the model's sampling set.
+#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+enum NewPlaceTerm {
+    MeanField,
+    Sampled,
+}
+
+/// A page of loop closures.
+#[derive(Debug, Serialize, ToSchema)]
 pub(super) struct MatchList {
     matches: Vec<LoopClosure>,
+    /// Asks for the next page; empty on the last.
     next_page_token: String,
 }
 
-#[derive(Debug, Serialize)]
+/// A loop closure: a frame that was found to be at a place seen before.
+#[derive(Debug, Serialize, ToSchema)]
 pub(super) struct LoopClosure {
-    frame: Frame,
-    matched_frame: Frame,
-    place: u32,
-    posterior: f64,
+    pub(super) frame: FrameReference,
+    /// The frame of the place that matched best.
+    pub(super) matched_frame: FrameReference,
+    /// Number of the place.
+    pub(super) place: u32,
+    /// Posterior probability of the place.
+    #[schema(minimum = 0, maximum = 1)]
+    pub(super) posterior: f64,
 }
 
-#[derive(Debug, Serialize)]
-pub(super) struct Frame {
-    session: String,
-    sequence: u64,
-    stamp_ns: i64,
+/// A frame by its session and sequence number.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct FrameReference {
+    /// `maps/{map}/sessions/{session}`
+    #[schema(example = "maps/demo/sessions/monday")]
+    pub(super) session: String,
+    pub(super) sequence: u64,
+    /// When the image was taken, by the robot's clock.
+    pub(super) stamp_ns: i64,
 }
 
 impl From<MapView> for Map {
     fn from(view: MapView) -> Self {
-        let MapView { map, model, settings, created_ns, counts, state_hash } = view;
+        let MapView { map, model, settings, created_ns, counts, state_hash, bytes } = view;
         let MapCounts { sessions, frames, loop_closures, places, links } = counts;
         Self {
             name: map_name(&map),
             model: model_name(&model),
+            settings: settings.into(),
             create_time_ns: created_ns,
             places,
             links,
             sessions,
             frames,
             loop_closures,
-            closure_threshold: settings.closure_threshold,
-            guard_frames: settings.guard_frames,
             state_hash,
+            storage: bytes.map(|bytes| MapStorage::new(bytes, frames)),
         }
     }
 }
 
-impl Place {
-    fn new(map: &str, view: PlaceView) -> Self {
-        let PlaceView { place, looks, words, frames, linked } = view;
-        let frames = frames.into_iter().map(Frame::from).collect();
-        Self { name: place_name(map, place), looks, words, frames, linked }
+impl MapStorage {
+    fn new(bytes: MapBytes, frames: u64) -> Self {
+        let bytes_per_frame = bytes.per_frame(frames);
+        let MapBytes { log, checkpoint, features, thumbnails, images } = bytes;
+        Self {
+            log_bytes: log,
+            checkpoint_bytes: checkpoint,
+            features_bytes: features,
+            thumbnail_bytes: thumbnails,
+            image_bytes: images,
+            bytes_per_frame,
+        }
+    }
+}
+
+impl From<maps::MapSettings> for MapSettings {
+    fn from(settings: maps::MapSettings) -> Self {
+        let maps::MapSettings { mapper, keep } = settings;
+        let MapperSettings {
+            recognizer,
+            closure_threshold,
+            guard_frames,
+            looks_per_stay: _,
+            min_words: _,
+            max_speed_m_per_s: _,
+        } = mapper;
+        let RecognizerSettings { dependence, new_place, scorer: _, detector, filter } = recognizer;
+        let FilterSettings { new_place_prior, even_share: _, likelihood_smoothing: _ } = filter;
+        let rate = |exists| move |detector: DetectorModel| detector.probability(true, exists);
+        Self {
+            dependence: match dependence {
+                Dependence::ChowLiu => WordDependence::ChowLiu,
+                Dependence::NaiveBayes => WordDependence::NaiveBayes,
+            },
+            new_place: match new_place {
+                NewPlaceMethod::MeanField => NewPlaceTerm::MeanField,
+                NewPlaceMethod::Sampled => NewPlaceTerm::Sampled,
+            },
+            closure_threshold,
+            guard_frames,
+            new_place_prior,
+            true_positive_rate: detector.map(rate(true)),
+            false_positive_rate: detector.map(rate(false)),
+            keep: match keep {
+                maps::Keep::Words => Keep::Words,
+                maps::Keep::Features => Keep::Features,
+                maps::Keep::Images => Keep::Images,
+            },
+        }
     }
 }
 
@@ -194,9 +285,9 @@ impl From<LoopClosureView> for LoopClosure {
     }
 }
 
-impl From<FrameReference> for Frame {
-    fn from(reference: FrameReference) -> Self {
-        let FrameReference { session, sequence, stamp_ns } = reference;
+impl From<maps::FrameReference> for FrameReference {
+    fn from(reference: maps::FrameReference) -> Self {
+        let maps::FrameReference { session, sequence, stamp_ns } = reference;
         Self { session, sequence, stamp_ns }
     }
 }

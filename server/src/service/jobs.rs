@@ -1,48 +1,65 @@
-//! Work that takes longer than a call.
+//! Work that takes longer than a call. What became of a job is kept in the database; how far one that
+//! runs has come is kept in memory.
 
 use std::collections::HashMap;
+use std::future::Future;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
 
-use super::names::id_in;
+use super::models::Page;
+use super::names::{bad_page_token, id_in, page_size};
 use super::{Service, now_ns};
 use crate::error::ServiceError;
-use crate::storage::ModelRow;
+use crate::storage::{JobEnd, JobKind, JobRow, ModelRow, StoredJobState};
 
 /// A job as it stands.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct JobStatus {
     pub(crate) number: u64,
+    pub(crate) kind: JobKind,
     pub(crate) state: JobState,
     /// What it is, or was last, busy with.
-    pub(crate) stage: &'static str,
+    pub(crate) stage: String,
     /// How much of the stage is done, in [0, 1].
     pub(crate) fraction: f64,
+    pub(crate) created_ns: i64,
+    pub(crate) ended_ns: Option<i64>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum JobState {
     Running,
-    Succeeded(Box<ModelRow>),
-    Failed(ServiceError),
+    Succeeded(JobResult),
+    /// Why, and how to mend it.
+    Failed(String),
     Cancelled,
 }
 
-/// All jobs since the server started; they do not outlive it.
+/// What a job made.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct JobResult {
+    /// `models/{hash}` or `maps/{map}`.
+    pub(crate) name: String,
+    /// The model that a training made, unless it was deleted since.
+    pub(crate) model: Option<Box<ModelRow>>,
+}
+
+/// The jobs that run; those that have ended are in the database.
 #[derive(Debug)]
 pub(crate) struct Jobs {
-    jobs: Mutex<HashMap<u64, Job>>,
-    /// Number of the first job: by the clock, so that no number is given again after a restart.
-    first: u64,
+    running: Mutex<HashMap<u64, RunningJob>>,
     /// One heavy job at a time: robots are being served meanwhile.
     turn: Arc<Semaphore>,
+    tasks: TaskTracker,
 }
 
 #[derive(Clone, Debug)]
-struct Job {
+struct RunningJob {
     status: watch::Receiver<JobStatus>,
     cancel: CancellationToken,
 }
@@ -50,69 +67,234 @@ struct Job {
 /// What a running job tells the world by.
 #[derive(Clone, Debug)]
 pub(crate) struct JobReporter {
+    number: u64,
     status: watch::Sender<JobStatus>,
     cancel: CancellationToken,
     turn: Arc<Semaphore>,
 }
 
+/// How a job came to its end.
+pub(crate) enum JobOutcome {
+    /// It succeeded, and the database knows it: in the same transaction as what the job made.
+    Stored {
+        end: JobEnd,
+        model: Option<Box<ModelRow>>,
+    },
+    Failed(ServiceError),
+    Cancelled,
+}
+
+/// How long jobs that have ended are kept.
+const KEPT: Duration = Duration::from_secs(30 * 24 * 60 * 60);
+
+/// How long a stop of the server waits for jobs to notice.
+const STOPPING: Duration = Duration::from_secs(5);
+
+const CUT_OFF: &str =
+    "the server was stopped or restarted while this job ran; it has changed nothing, so start it again";
+
 impl Default for Jobs {
     fn default() -> Self {
-        let first = u64::try_from(now_ns() / 1_000_000).unwrap_or_default();
-        Self { jobs: Mutex::default(), first, turn: Arc::new(Semaphore::new(1)) }
+        Self { running: Mutex::default(), turn: Arc::new(Semaphore::new(1)), tasks: TaskTracker::new() }
     }
 }
 
 impl Service {
-    pub(crate) fn job(&self, name: &str) -> Result<JobStatus, ServiceError> {
-        Ok(self.jobs.find(name)?.status.borrow().clone())
+    pub(crate) async fn job(&self, name: &str) -> Result<JobStatus, ServiceError> {
+        Ok(self.watch_job(name).await?.borrow().clone())
     }
 
     /// The job now and whenever it has moved on; the last one is the end.
-    pub(crate) fn watch_job(&self, name: &str) -> Result<watch::Receiver<JobStatus>, ServiceError> {
-        Ok(self.jobs.find(name)?.status)
+    pub(crate) async fn watch_job(&self, name: &str) -> Result<watch::Receiver<JobStatus>, ServiceError> {
+        let number = job_number(name)?;
+        if let Some(job) = self.jobs.running(number) {
+            return Ok(job.status);
+        }
+        // In the database before it is gone from memory, so this finds whatever ended just now.
+        let row = self.storage.job(number).await?.ok_or_else(|| no_such_job(name))?;
+        Ok(watch::channel(self.status_of(row).await?).1)
     }
 
     /// Asks a job to stop; one that has ended stays as it is.
-    pub(crate) fn cancel_job(&self, name: &str) -> Result<JobStatus, ServiceError> {
-        let job = self.jobs.find(name)?;
-        job.cancel.cancel();
-        Ok(job.status.borrow().clone())
+    pub(crate) async fn cancel_job(&self, name: &str) -> Result<JobStatus, ServiceError> {
+        if let Some(job) = self.jobs.running(job_number(name)?) {
+            job.cancel.cancel();
+        }
+        self.job(name).await
+    }
+
+    /// All jobs, newest first.
+    pub(crate) async fn list_jobs(&self, size: u32, token: &str) -> Result<Page<JobStatus>, ServiceError> {
+        let size = page_size(size)?;
+        let before = if token.is_empty() { None } else { Some(token.parse().map_err(|_| bad_page_token())?) };
+        let mut rows = self.storage.jobs(before, size + 1).await?;
+        let more = rows.len() > size as usize;
+        rows.truncate(size as usize);
+        let next = rows.last().filter(|_| more).map_or_else(String::new, |row| row.number.to_string());
+        let mut items = Vec::with_capacity(rows.len());
+        for row in rows {
+            items.push(match self.jobs.running(row.number) {
+                Some(job) => job.status.borrow().clone(),
+                None => self.status_of(row).await?,
+            });
+        }
+        Ok(Page { items, next })
+    }
+
+    /// Starts a job and leaves it to itself: `work` is told where to report to.
+    pub(super) async fn start_job<Work>(
+        self: &Arc<Self>,
+        kind: JobKind,
+        work: impl FnOnce(Arc<Self>, JobReporter) -> Work,
+    ) -> Result<JobStatus, ServiceError>
+    where
+        Work: Future<Output = JobOutcome> + Send + 'static,
+    {
+        let (stage, created_ns) = ("waiting for another job", now_ns());
+        let number = self.storage.insert_job(kind, stage, created_ns).await?;
+        let status = JobStatus {
+            number,
+            kind,
+            state: JobState::Running,
+            stage: stage.to_owned(),
+            fraction: 0.0,
+            created_ns,
+            ended_ns: None,
+        };
+        let reporter = self.jobs.begin(&status);
+        // Looked at after the job can be found: a stop that missed it is noticed here.
+        if self.stopping.is_cancelled() {
+            reporter.cancel.cancel();
+        }
+        let (service, work) = (self.clone(), work(self.clone(), reporter.clone()));
+        self.jobs.tasks.spawn(async move {
+            let outcome = match tokio::spawn(work).await {
+                Ok(outcome) => outcome,
+                Err(panic) => JobOutcome::Failed(ServiceError::internal(panic)),
+            };
+            service.end_job(&reporter, outcome).await;
+        });
+        Ok(status)
+    }
+
+    async fn end_job(&self, reporter: &JobReporter, outcome: JobOutcome) {
+        let ended = |state, error| JobEnd { error, ..reporter.end(state) };
+        let (end, state, stored) = match outcome {
+            JobOutcome::Stored { end, model } => {
+                let name = end.result.clone().unwrap_or_default();
+                (end, JobState::Succeeded(JobResult { name, model }), Ok(()))
+            }
+            // Nobody else cancels jobs when the server stops.
+            JobOutcome::Cancelled if self.stopping.is_cancelled() => {
+                let end = ended(StoredJobState::Failed, Some(CUT_OFF.to_owned()));
+                let stored = self.storage.end_job(&end).await;
+                (end, JobState::Failed(CUT_OFF.to_owned()), stored)
+            }
+            JobOutcome::Cancelled => {
+                let end = ended(StoredJobState::Cancelled, None);
+                let stored = self.storage.end_job(&end).await;
+                (end, JobState::Cancelled, stored)
+            }
+            JobOutcome::Failed(error) => {
+                let end = ended(StoredJobState::Failed, Some(error.to_string()));
+                let stored = self.storage.end_job(&end).await;
+                (end, JobState::Failed(error.to_string()), stored)
+            }
+        };
+        reporter.status.send_modify(|status| {
+            status.fraction = if matches!(state, JobState::Succeeded(_)) { 1.0 } else { 0.0 };
+            (status.state, status.stage, status.ended_ns) = (state, end.stage, Some(end.ended_ns));
+        });
+        // What an import that did not succeed left is taken away once its end is noted.
+        self.removal_wanted();
+        match stored {
+            Ok(()) => {
+                self.jobs.lock().remove(&reporter.number);
+            }
+            // It is told from memory for as long as the server runs.
+            Err(error) => {
+                tracing::warn!(job = reporter.number, %error, "the end of a job could not be stored");
+            }
+        }
+    }
+
+    /// At the start of a server: jobs of an earlier one that still ran were cut off.
+    pub(crate) async fn settle_jobs(&self) -> Result<(), ServiceError> {
+        let cut_off = self.storage.fail_running_jobs(CUT_OFF, now_ns()).await?;
+        if cut_off > 0 {
+            tracing::warn!(jobs = cut_off, "jobs were cut off when the server went down");
+        }
+        let kept_ns = i64::try_from(KEPT.as_nanos()).unwrap_or(i64::MAX);
+        self.storage.delete_jobs_ended_before(now_ns().saturating_sub(kept_ns)).await?;
+        Ok(())
+    }
+
+    /// Cancels every job, waits for them to notice, and notes those that did not.
+    pub(super) async fn stop_jobs(&self) {
+        self.jobs.lock().values().for_each(|job| job.cancel.cancel());
+        self.jobs.tasks.close();
+        if tokio::time::timeout(STOPPING, self.jobs.tasks.wait()).await.is_err() {
+            tracing::warn!("some jobs did not end in time and were cut off");
+            if let Err(error) = self.storage.fail_running_jobs(CUT_OFF, now_ns()).await {
+                tracing::warn!(%error, "that they were cut off could not be stored");
+            }
+        }
+    }
+
+    async fn status_of(&self, row: JobRow) -> Result<JobStatus, ServiceError> {
+        let JobRow { number, kind, state, stage, result, error, created_ns, ended_ns } = row;
+        let (state, fraction) = match state {
+            // Not in memory yet: it has only just begun.
+            StoredJobState::Running => (JobState::Running, 0.0),
+            StoredJobState::Cancelled => (JobState::Cancelled, 0.0),
+            StoredJobState::Failed => (JobState::Failed(error.unwrap_or_default()), 0.0),
+            StoredJobState::Succeeded => {
+                let name = result.unwrap_or_default();
+                let model = match id_in("models", &name) {
+                    Ok(hash) => self.storage.models_by_hash(hash).await?.pop().map(Box::new),
+                    Err(_) => None,
+                };
+                (JobState::Succeeded(JobResult { name, model }), 1.0)
+            }
+        };
+        Ok(JobStatus { number, kind, state, stage, fraction, created_ns, ended_ns })
     }
 }
 
 impl Jobs {
-    pub(crate) fn start(&self, stage: &'static str) -> (JobStatus, JobReporter) {
-        let mut jobs = self.lock();
-        let number = self.first + jobs.len() as u64;
-        let status = JobStatus { number, state: JobState::Running, stage, fraction: 0.0 };
+    fn begin(&self, status: &JobStatus) -> JobReporter {
         let (sender, receiver) = watch::channel(status.clone());
         let cancel = CancellationToken::new();
-        jobs.insert(number, Job { status: receiver, cancel: cancel.clone() });
-        (status, JobReporter { status: sender, cancel, turn: self.turn.clone() })
+        self.lock().insert(status.number, RunningJob { status: receiver, cancel: cancel.clone() });
+        JobReporter { number: status.number, status: sender, cancel, turn: self.turn.clone() }
     }
 
-    pub(crate) fn cancel_all(&self) {
-        self.lock().values().for_each(|job| job.cancel.cancel());
+    /// Lets a task run that a stop of the server waits for.
+    pub(super) fn track(&self, task: impl Future<Output = ()> + Send + 'static) {
+        self.tasks.spawn(task);
     }
 
-    fn find(&self, name: &str) -> Result<Job, ServiceError> {
-        let number = id_in("jobs", name)?.parse::<u64>().ok();
-        let job = number.and_then(|number| self.lock().get(&number).cloned());
-        job.ok_or_else(|| {
-            ServiceError::not_found(format_args!(
-                "there is no job {name}; jobs do not outlive the server, so if it was restarted, start the job again"
-            ))
-        })
+    /// How many have not ended.
+    pub(crate) fn count(&self) -> usize {
+        self.lock().len()
     }
 
-    fn lock(&self) -> MutexGuard<'_, HashMap<u64, Job>> {
-        self.jobs.lock().unwrap_or_else(PoisonError::into_inner)
+    fn running(&self, number: u64) -> Option<RunningJob> {
+        self.lock().get(&number).cloned()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, HashMap<u64, RunningJob>> {
+        self.running.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl JobReporter {
+    pub(crate) fn number(&self) -> u64 {
+        self.number
+    }
+
     /// Waits until no other heavy job runs, or this one is cancelled.
-    pub(crate) async fn wait_for_turn(&self) -> Option<tokio::sync::OwnedSemaphorePermit> {
+    pub(crate) async fn wait_for_turn(&self) -> Option<OwnedSemaphorePermit> {
         tokio::select! {
             permit = self.turn.clone().acquire_owned() => permit.ok(),
             () = self.cancel.cancelled() => None,
@@ -125,20 +307,30 @@ impl JobReporter {
             // A percent at a time is enough for a progress bar.
             let moved = status.stage != stage || (fraction - status.fraction).abs() >= 0.01;
             if moved {
-                (status.stage, status.fraction) = (stage, fraction);
+                (status.stage, status.fraction) = (stage.to_owned(), fraction);
             }
             moved
         });
         if self.cancel.is_cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// The last word.
-    pub(crate) fn end(self, state: JobState) {
-        self.status.send_modify(|status| {
-            if matches!(state, JobState::Succeeded(_)) {
-                status.fraction = 1.0;
-            }
-            status.state = state;
-        });
+    /// The job's end, for the transaction that stores what it made.
+    pub(super) fn succeeded(&self, result: String) -> JobEnd {
+        JobEnd { result: Some(result), ..self.end(StoredJobState::Succeeded) }
     }
+
+    fn end(&self, state: StoredJobState) -> JobEnd {
+        let stage = self.status.borrow().stage.clone();
+        JobEnd { number: self.number, state, stage, result: None, error: None, ended_ns: now_ns() }
+    }
+}
+
+fn job_number(name: &str) -> Result<u64, ServiceError> {
+    id_in("jobs", name)?.parse().map_err(|_| no_such_job(name))
+}
+
+fn no_such_job(name: &str) -> ServiceError {
+    ServiceError::not_found(format_args!(
+        "there is no job {name}; list the jobs to see what there is: those that ended more than 30 days ago are forgotten"
+    ))
 }

@@ -10,6 +10,26 @@ use topomap::mapper::MapperSettings;
 
 use crate::error::ServiceError;
 
+/// How a map decides, and what it keeps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct MapSettings {
+    pub(crate) mapper: MapperSettings,
+    pub(crate) keep: Keep,
+}
+
+/// What a map keeps of each frame; each keeps all of the ones before it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Keep {
+    /// Words and decisions.
+    Words,
+    /// Keypoints, descriptors, a thumbnail.
+    #[default]
+    Features,
+    /// The image as it came.
+    Images,
+}
+
 /// What may be chosen when a map is made; the rest is the default of the day, and stays.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct MapSettingsRequest {
@@ -20,11 +40,12 @@ pub(crate) struct MapSettingsRequest {
     pub(crate) new_place_prior: Option<f64>,
     pub(crate) true_positive_rate: Option<f64>,
     pub(crate) false_positive_rate: Option<f64>,
+    pub(crate) keep: Option<Keep>,
 }
 
 impl MapSettingsRequest {
     /// Fills in the defaults. Ranges are checked when the map is made.
-    pub(crate) fn with_defaults(self) -> Result<MapperSettings, ServiceError> {
+    pub(crate) fn with_defaults(self) -> Result<MapSettings, ServiceError> {
         let Self {
             dependence,
             new_place,
@@ -33,6 +54,7 @@ impl MapSettingsRequest {
             new_place_prior,
             true_positive_rate,
             false_positive_rate,
+            keep,
         } = self;
         let defaults = MapperSettings::default();
         let detector = match (true_positive_rate, false_positive_rate) {
@@ -48,7 +70,7 @@ impl MapSettingsRequest {
         };
         let FilterSettings { new_place_prior: prior, even_share, likelihood_smoothing } =
             defaults.recognizer.filter;
-        Ok(MapperSettings {
+        let mapper = MapperSettings {
             recognizer: RecognizerSettings {
                 dependence: dependence.unwrap_or(defaults.recognizer.dependence),
                 new_place: new_place.unwrap_or(defaults.recognizer.new_place),
@@ -63,7 +85,8 @@ impl MapSettingsRequest {
             closure_threshold: closure_threshold.unwrap_or(defaults.closure_threshold),
             guard_frames: guard_frames.map_or(defaults.guard_frames, u64::from),
             ..defaults
-        })
+        };
+        Ok(MapSettings { mapper, keep: keep.unwrap_or_default() })
     }
 }
 
@@ -82,6 +105,12 @@ struct StoredSettings {
     looks_per_stay: u32,
     min_words: u64,
     max_speed_m_per_s: f64,
+    #[serde(default = "keep_before_it_was_a_setting")]
+    keep: Keep,
+}
+
+fn keep_before_it_was_a_setting() -> Keep {
+    Keep::Words
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -105,7 +134,8 @@ struct StoredDetector {
 }
 
 /// Settings as the JSON that the database keeps.
-pub(super) fn to_json(settings: &MapperSettings) -> Result<String, ServiceError> {
+pub(super) fn to_json(settings: &MapSettings) -> Result<String, ServiceError> {
+    let MapSettings { mapper, keep } = *settings;
     let MapperSettings {
         recognizer,
         closure_threshold,
@@ -113,7 +143,7 @@ pub(super) fn to_json(settings: &MapperSettings) -> Result<String, ServiceError>
         looks_per_stay,
         min_words,
         max_speed_m_per_s,
-    } = *settings;
+    } = mapper;
     // Both scorers give the same values, so a map need not remember which was used.
     let RecognizerSettings { dependence, new_place, scorer: _, detector, filter } = recognizer;
     let FilterSettings { new_place_prior, even_share, likelihood_smoothing } = filter;
@@ -138,12 +168,13 @@ pub(super) fn to_json(settings: &MapperSettings) -> Result<String, ServiceError>
         looks_per_stay,
         min_words: min_words as u64,
         max_speed_m_per_s,
+        keep,
     };
     serde_json::to_string(&stored).map_err(ServiceError::internal)
 }
 
 /// Reads what [`to_json`] wrote.
-pub(super) fn from_json(json: &str) -> Result<MapperSettings, ServiceError> {
+pub(crate) fn from_json(json: &str) -> Result<MapSettings, ServiceError> {
     let StoredSettings {
         dependence,
         new_place,
@@ -156,11 +187,12 @@ pub(super) fn from_json(json: &str) -> Result<MapperSettings, ServiceError> {
         looks_per_stay,
         min_words,
         max_speed_m_per_s,
+        keep,
     } = serde_json::from_str(json).map_err(ServiceError::internal)?;
     let detector = detector.map(|StoredDetector { true_positive_rate, false_positive_rate }| {
         DetectorModel::new(true_positive_rate, false_positive_rate).map_err(ServiceError::internal)
     });
-    Ok(MapperSettings {
+    let mapper = MapperSettings {
         recognizer: RecognizerSettings {
             dependence: match dependence {
                 StoredDependence::ChowLiu => Dependence::ChowLiu,
@@ -179,7 +211,8 @@ pub(super) fn from_json(json: &str) -> Result<MapperSettings, ServiceError> {
         looks_per_stay,
         min_words: usize::try_from(min_words).unwrap_or(usize::MAX),
         max_speed_m_per_s,
-    })
+    };
+    Ok(MapSettings { mapper, keep })
 }
 
 #[cfg(test)]
@@ -196,12 +229,13 @@ mod tests {
             new_place_prior: Some(0.8),
             true_positive_rate: Some(0.4),
             false_positive_rate: Some(0.02),
+            keep: Some(Keep::Images),
         };
         let settings = asked.with_defaults().unwrap();
-        assert_eq!((settings.closure_threshold, settings.guard_frames), (0.7, 3));
+        assert_eq!((settings.mapper.closure_threshold, settings.mapper.guard_frames), (0.7, 3));
         assert_eq!(from_json(&to_json(&settings).unwrap()), Ok(settings));
         let defaults = MapSettingsRequest::default().with_defaults().unwrap();
-        assert_eq!(defaults, MapperSettings::default());
+        assert_eq!(defaults, MapSettings { mapper: MapperSettings::default(), keep: Keep::Features });
     }
 
     #[test]
@@ -209,7 +243,8 @@ mod tests {
         let stored = r#"{"dependence":"chow_liu","new_place":"sampled","detector":null,"new_place_prior":0.9,
             "even_share":0.1,"likelihood_smoothing":0.99,"closure_threshold":0.9,"guard_frames":20,
             "looks_per_stay":3,"min_words":10,"max_speed_m_per_s":100.0}"#;
-        assert_eq!(from_json(stored).map(|settings| settings.guard_frames), Ok(20));
+        let settings = from_json(stored).unwrap();
+        assert_eq!((settings.mapper.guard_frames, settings.keep), (20, Keep::Words));
     }
 
     #[test]

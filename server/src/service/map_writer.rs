@@ -1,10 +1,16 @@
 //! The one writer of a map: a thread that decides, applies, commits in groups, and only then answers.
 
+mod localizers;
 mod open_maps;
+mod reads;
 mod requests;
 
 pub(super) use open_maps::OpenMaps;
-pub(super) use requests::{FrameFailure, FrameRequest, FrameWork, MapHandle, OpenedSession, WriterGone};
+pub(super) use requests::{
+    FrameFailure, FrameRequest, FrameSource, FrameWork, MapHandle, OpenedSession, PlaceSummary,
+    SessionOpening, WriterGone,
+};
+pub(crate) use requests::{QueryAnswer, SessionMode, WordPlace};
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -19,13 +25,15 @@ use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, MapEvent, Match, SessionId};
 use topomap::mapper::{ArchiveError, FrameArchive, FrameInput, Mapper};
 
-use self::requests::{FrameReply, MapRequest, PlaceSummary};
+use self::localizers::Localizers;
+use self::requests::{FrameReply, MapRequest};
 use super::maps::reference;
 use super::now_ns;
 use super::sessions::{FrameAnswer, FrameTimings, MatchView, taken_over};
 use crate::error::ServiceError;
 use crate::extraction::LoadedModel;
-use crate::storage::{LogEntry, MapRow, SessionRow, Storage, StorageError};
+use crate::metrics::Metrics;
+use crate::storage::{LogEntry, MapRow, Medium, SessionRow, Storage, StorageError};
 
 /// Most frames that share one commit.
 const MAX_BATCH: usize = 64;
@@ -33,20 +41,20 @@ const MAX_BATCH: usize = 64;
 /// A checkpoint is written after so many events, so that a crash replays no more than these.
 const CHECKPOINT_EVENTS: u64 = 1000;
 
-/// Frames of one place that a list shows.
-const MAX_LISTED_FRAMES: usize = 100;
-
 /// The state of an open map and its way to the disk.
 struct MapWriter {
     map: MapRow,
     model: Arc<LoadedModel>,
     mapper: Mapper,
     storage: Storage,
+    metrics: Metrics,
     runtime: Handle,
     sessions: Vec<SessionRow>,
     /// The latest stream of each session, and how to tell it that a later one took over: frames of an
     /// older one are refused.
     streams: HashMap<SessionId, (u64, CancellationToken)>,
+    /// Robots that only look.
+    localizers: Localizers,
     /// Decided and applied, but not yet on the disk.
     pending: Vec<Pending>,
     /// Places that changed since the checkpoint.
@@ -107,15 +115,16 @@ impl MapWriter {
     }
 
     fn serve(&mut self, batch: Vec<MapRequest>) -> Result<Serving, CommitFailed> {
+        let mut serving = Serving::On;
+        // Reads see what is on the disk: they wait for the commit of the frames beside them, and so cost
+        // these no commit of their own.
+        let mut reads = Vec::new();
         for request in batch {
             match request {
-                MapRequest::Frame(request) => self.decide(request)?,
-                MapRequest::OpenSession { name, camera, stream, taken_over, reply } => {
+                MapRequest::Frame(session, request) => self.decide(session, request)?,
+                MapRequest::OpenSession { opening, reply } => {
                     self.commit()?;
-                    let opened = self.open_session(name, camera.as_deref());
-                    if let Ok(opened) = &opened {
-                        self.follow(opened.session, stream, taken_over);
-                    }
+                    let opened = self.open(opening);
                     let failed =
                         matches!(opened, Err(ServiceError::Internal | ServiceError::Unavailable { .. }));
                     let _ = reply.send(opened);
@@ -124,27 +133,21 @@ impl MapWriter {
                         return Err(CommitFailed::default());
                     }
                 }
-                MapRequest::StateHash { reply } => {
-                    self.commit()?;
-                    let _ = reply.send(self.mapper.state_hash().to_string());
-                }
-                MapRequest::Places { from, count, reply } => {
-                    self.commit()?;
-                    let _ = reply.send(self.places(from, count));
-                }
+                MapRequest::Read(read) => reads.push(read),
                 MapRequest::Close => {
-                    self.commit()?;
-                    return Ok(Serving::Ended);
+                    serving = Serving::Ended;
+                    break;
                 }
             }
         }
         self.commit()?;
-        Ok(Serving::On)
+        reads.into_iter().for_each(|read| self.read(read));
+        Ok(serving)
     }
 
     /// Decides a frame and applies it; the answer waits for the commit.
-    fn decide(&mut self, request: FrameRequest) -> Result<(), CommitFailed> {
-        let FrameRequest { session, stream, work, reply, since } = request;
+    fn decide(&mut self, session: SessionId, request: FrameRequest) -> Result<(), CommitFailed> {
+        let FrameRequest { stream, work, reply, since } = request;
         if self.streams.get(&session).is_some_and(|&(latest, _)| latest > stream) {
             let _ = reply.send(Err(FrameFailure::Ended(taken_over())));
             return Ok(());
@@ -153,13 +156,12 @@ impl MapWriter {
         if last.is_some_and(|last| work.sequence() <= last) {
             return self.answer_resend(session, work.sequence(), reply);
         }
-        let FrameWork::Fresh { input, mut timings } = work else {
-            let message = "the frame was not stored; send it again";
-            let _ = reply.send(Err(FrameFailure::Refused(ServiceError::unavailable(message))));
+        let FrameWork::Fresh { input, media, mut timings } = work else {
+            let _ = reply.send(Err(not_stored()));
             return Ok(());
         };
         let mut clock = StageClock { last: Instant::now(), timings: &mut timings };
-        match self.decide_and_apply(*input, &mut clock) {
+        match self.decide_and_apply(*input, media, &mut clock) {
             Ok(entry) => self.pending.push(Pending { entry, reply, timings, since }),
             Err(error) => {
                 // Frames behind it in the queue must not be committed before it comes again.
@@ -175,6 +177,7 @@ impl MapWriter {
     fn decide_and_apply(
         &mut self,
         input: FrameInput,
+        media: Vec<Medium>,
         clock: &mut StageClock<'_>,
     ) -> Result<LogEntry, ServiceError> {
         let archive = Archive { writer: self };
@@ -183,7 +186,7 @@ impl MapWriter {
         let event = MapEvent::Frame(Box::new(event));
         self.mapper.apply(&event).map_err(ServiceError::internal)?;
         self.changed.extend(touched);
-        Ok(LogEntry { position, event })
+        Ok(LogEntry { position, event, media })
     }
 
     /// Brings all pending frames to the disk in one transaction, then answers them.
@@ -207,6 +210,8 @@ impl MapWriter {
             let refused = waiting.into_iter().map(|(reply, ..)| (reply, error.clone())).collect();
             return Err(CommitFailed { refused });
         }
+        self.metrics.committed(entries.len());
+        tracing::debug!(map = self.map.name, frames_committed = entries.len(), "committed");
         for (entry, (reply, mut timings, since)) in entries.into_iter().zip(waiting) {
             timings.total = since.elapsed();
             timings.commit = timings.total.saturating_sub(timings.work());
@@ -251,36 +256,50 @@ impl MapWriter {
 
     fn answer(&self, event: &FrameEvent, timings: Option<FrameTimings>) -> Result<FrameAnswer, ServiceError> {
         let session = self.mapper.map().session(event.session);
-        let found = |found: Option<Match>| {
-            found.map(|found| {
-                let frames = self.runtime.block_on(self.storage.frames_at(self.map.id, &[found.frame]))?;
-                let frame = frames
-                    .first()
-                    .ok_or_else(|| ServiceError::internal("a matched frame is not in the log"))?;
-                let frame = reference(&self.map.name, &self.sessions, frame);
-                let Match { place, posterior, log_odds, frame: _ } = found;
-                Ok::<_, ServiceError>(MatchView { place, posterior, log_odds, frame })
-            })
-        };
         Ok(FrameAnswer::new(
             event,
             session.and_then(|session| session.last_sequence).unwrap_or(event.sequence),
-            found(event.decision.closure).transpose()?,
-            found(event.proposal).transpose()?,
+            event.decision.closure.map(|found| self.matched(found)).transpose()?,
+            event.proposal.map(|found| self.matched(found)).transpose()?,
             timings,
         ))
     }
 
-    fn open_session(
-        &mut self,
-        name: Option<String>,
-        camera: Option<&[u8]>,
-    ) -> Result<OpenedSession, ServiceError> {
+    /// A match with its frame as users name it.
+    fn matched(&self, found: Match) -> Result<MatchView, ServiceError> {
+        let frames = self.runtime.block_on(self.storage.frames_at(self.map.id, &[found.frame]))?;
+        let frame =
+            frames.first().ok_or_else(|| ServiceError::internal("a matched frame is not in the log"))?;
+        let frame = reference(&self.map.name, &self.sessions, frame);
+        let Match { place, posterior, log_odds, frame: _ } = found;
+        Ok(MatchView { place, posterior, log_odds, frame })
+    }
+
+    fn open(&mut self, opening: SessionOpening) -> Result<OpenedSession, ServiceError> {
+        let SessionOpening { name, mode, camera, stream, taken_over } = opening;
         let name = name.unwrap_or_else(|| self.unused_session_name());
+        match mode {
+            SessionMode::Map => {
+                let opened = self.open_session(name, camera.as_deref())?;
+                if let FrameSource::Session(session) = opened.source {
+                    self.follow(session, stream, taken_over);
+                }
+                Ok(opened)
+            }
+            SessionMode::Localize => self.open_localizer(name, stream, taken_over),
+        }
+    }
+
+    fn open_session(&mut self, name: String, camera: Option<&[u8]>) -> Result<OpenedSession, ServiceError> {
         if let Some(session) = self.sessions.iter().find(|session| session.name == name) {
             let number = session.number;
             let last_committed = self.mapper.map().session(number).and_then(|session| session.last_sequence);
-            return Ok(OpenedSession { session: number, name, last_committed });
+            return Ok(OpenedSession { source: FrameSource::Session(number), name, last_committed });
+        }
+        if self.localizers.is_taken(&name) {
+            return Err(ServiceError::precondition(format_args!(
+                "a robot is localizing under the name {name}; choose another name for the session"
+            )));
         }
         let session = SessionRow { number: self.mapper.map().next_session(), name: name.clone() };
         let position = self.mapper.map().events();
@@ -289,11 +308,13 @@ impl MapWriter {
         let number = session.number;
         self.mapper.apply(&MapEvent::SessionOpened { session: number }).map_err(ServiceError::internal)?;
         self.sessions.push(session);
-        Ok(OpenedSession { session: number, name, last_committed: None })
+        Ok(OpenedSession { source: FrameSource::Session(number), name, last_committed: None })
     }
 
     fn unused_session_name(&self) -> String {
-        let taken = |name: &String| self.sessions.iter().any(|session| session.name == *name);
+        let taken = |name: &String| {
+            self.localizers.is_taken(name) || self.sessions.iter().any(|session| session.name == *name)
+        };
         let mut number = self.sessions.len();
         loop {
             let name = format!("session-{number}");
@@ -312,23 +333,6 @@ impl MapWriter {
         } else if let Some((_, before)) = self.streams.insert(session, (stream, taken_over)) {
             before.cancel();
         }
-    }
-
-    fn places(&self, from: u32, count: u32) -> (Vec<PlaceSummary>, u32) {
-        let map = self.mapper.map();
-        let places = (0..).zip(map.places()).skip(from as usize).take(count as usize);
-        let summaries = places.filter_map(|(place, frames)| {
-            let appearance = self.mapper.recognizer().index().appearance(place)?;
-            let listed = frames.frames.len().saturating_sub(MAX_LISTED_FRAMES);
-            Some(PlaceSummary {
-                place,
-                looks: appearance.looks(),
-                words: appearance.word_hits().len() as u64,
-                frames: frames.frames[listed..].iter().map(|frame| frame.frame).collect(),
-                linked: map.linked(place).to_vec(),
-            })
-        });
-        (summaries.collect(), map.places().len() as u32)
     }
 
     /// Writes what changed. A failure costs a slower opening, nothing else.
@@ -354,6 +358,11 @@ impl MapWriter {
             }
         }
     }
+}
+
+/// A robot that took a frame for stored may send it again.
+fn not_stored() -> FrameFailure {
+    FrameFailure::Refused(ServiceError::unavailable("the frame was not stored; send it again"))
 }
 
 /// The frame is durable: whatever failed after that, sending it again gets the answer.

@@ -2,6 +2,7 @@
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use fabmap::chow_liu::TreeTrainingSettings;
@@ -12,12 +13,12 @@ use fabmap::vocabulary::VocabularySettings;
 use tokio::sync::OwnedSemaphorePermit;
 use waypost_vision::features::Extractor;
 
-use super::jobs::{JobReporter, JobState, JobStatus};
-use super::names::{bad_page_token, id_in, page_size};
+use super::jobs::{JobOutcome, JobReporter, JobStatus};
+use super::names::{bad_page_token, id_in, model_name, page_size};
 use super::{Service, now_ns};
 use crate::error::ServiceError;
 use crate::extraction::{LoadedModel, extractor};
-use crate::storage::{ModelRow, StorageError};
+use crate::storage::{JobKind, ModelRow, StorageError};
 
 /// Largest model file that is taken in.
 pub(crate) const MAX_MODEL_BYTES: usize = 512 << 20;
@@ -29,6 +30,10 @@ const MAX_TRAINING_BYTES: usize = 1 << 30;
 pub(super) const MAX_UPLOADS: usize = 3;
 
 const MAX_DISPLAY_NAME_CHARS: usize = 100;
+
+/// How long the deletion of a model waits for the rows of deleted maps to go.
+const MAP_REMOVAL: Duration = Duration::from_secs(5);
+const REMOVAL_POLL: Duration = Duration::from_millis(20);
 
 /// Fewest digits of a hash that name a model.
 const MIN_HASH_DIGITS: usize = 6;
@@ -117,7 +122,7 @@ impl Service {
     }
 
     /// Trains in the background.
-    pub(crate) fn start_training(
+    pub(crate) async fn start_training(
         self: &Arc<Self>,
         upload: TrainingUpload,
     ) -> Result<JobStatus, ServiceError> {
@@ -130,17 +135,14 @@ impl Service {
                 "{announced} images were announced and {came} came; send them all, or announce none"
             )));
         }
-        let (status, reporter) = self.jobs.start("waiting for another job");
-        let service = self.clone();
-        tokio::spawn(async move {
-            let state = service.train(upload, &reporter).await;
-            reporter.end(state);
-        });
-        Ok(status)
+        self.start_job(JobKind::TrainModel, |service, reporter| async move {
+            service.train(upload, &reporter).await
+        })
+        .await
     }
 
-    async fn train(&self, upload: TrainingUpload, reporter: &JobReporter) -> JobState {
-        let Some(_turn) = reporter.wait_for_turn().await else { return JobState::Cancelled };
+    async fn train(&self, upload: TrainingUpload, reporter: &JobReporter) -> JobOutcome {
+        let Some(_turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
         let TrainingUpload { display_name, extractor, settings, images, room: _room, .. } = upload;
         let progress = reporter.clone();
         let trained = tokio::task::spawn_blocking(move || {
@@ -163,17 +165,23 @@ impl Service {
         .await;
         let (row, file) = match trained {
             Ok(Ok(Ok(trained))) => trained,
-            Ok(Ok(Err(ModelTrainingError::Cancelled))) => return JobState::Cancelled,
-            Ok(Ok(Err(error))) => return JobState::Failed(ServiceError::invalid(error)),
-            Ok(Err(error)) => return JobState::Failed(error),
-            Err(panic) => return JobState::Failed(ServiceError::internal(panic)),
+            Ok(Ok(Err(ModelTrainingError::Cancelled))) => return JobOutcome::Cancelled,
+            Ok(Ok(Err(error))) => return JobOutcome::Failed(ServiceError::invalid(error)),
+            Ok(Err(error)) => return JobOutcome::Failed(error),
+            Err(panic) => return JobOutcome::Failed(ServiceError::internal(panic)),
         };
         if reporter.progress("storing", 0.0) == ControlFlow::Break(()) {
-            return JobState::Cancelled;
+            return JobOutcome::Cancelled;
         }
-        match self.store_model(row, &file).await {
-            Ok(row) => JobState::Succeeded(Box::new(row)),
-            Err(error) => JobState::Failed(error),
+        let end = reporter.succeeded(model_name(&row.hash));
+        if let Err(error) = self.storage.put_trained_model(&row, &file, &end).await {
+            return JobOutcome::Failed(error.into());
+        }
+        // As it is stored: it may have been there already, under another display name.
+        match self.find_model(&model_name(&row.hash)).await {
+            Ok(row) => JobOutcome::Stored { end, model: Some(Box::new(row)) },
+            // Deleted just now, or not to be read: the job has succeeded all the same.
+            Err(_) => JobOutcome::Stored { end, model: None },
         }
     }
 
@@ -228,9 +236,11 @@ impl Service {
     pub(crate) async fn list_models(&self, size: u32, token: &str) -> Result<Page<ModelRow>, ServiceError> {
         let size = page_size(size)?;
         let after = match token.split_once('.') {
-            Some((created_ns, hash)) => Some((created_ns.parse().map_err(|_| bad_page_token())?, hash)),
+            Some((created_ns, hash)) if is_full_hash(hash) => {
+                Some((created_ns.parse().map_err(|_| bad_page_token())?, hash))
+            }
             None if token.is_empty() => None,
-            None => return Err(bad_page_token()),
+            Some(_) | None => return Err(bad_page_token()),
         };
         let mut items = self.storage.models(after, size + 1).await?;
         let more = items.len() > size as usize;
@@ -249,22 +259,41 @@ impl Service {
 
     pub(crate) async fn delete_model(&self, reference: &str) -> Result<(), ServiceError> {
         let model = self.find_model(reference).await?;
-        match self.storage.delete_model(&model.hash).await {
-            Ok(_) => {
-                self.cached_models().remove(&model.hash);
-                Ok(())
+        let deadline = Instant::now() + MAP_REMOVAL;
+        loop {
+            match self.storage.delete_model(&model.hash).await {
+                Ok(_) => {
+                    self.cached_models().remove(&model.hash);
+                    return Ok(());
+                }
+                // Rows of a map that was deleted just now may still be there.
+                Err(StorageError::InUse) if !self.storage.only_retired_maps_use(&model.hash).await? => {
+                    return Err(ServiceError::precondition(format_args!(
+                        "a map uses the model {}; delete the map first, or keep the model",
+                        model.hash
+                    )));
+                }
+                Err(StorageError::InUse) if Instant::now() < deadline => {
+                    tokio::time::sleep(REMOVAL_POLL).await;
+                }
+                Err(StorageError::InUse) => {
+                    return Err(ServiceError::precondition(format_args!(
+                        "a map that uses the model {} is still being deleted; try again in a moment",
+                        model.hash
+                    )));
+                }
+                Err(error) => return Err(error.into()),
             }
-            Err(StorageError::InUse) => Err(ServiceError::precondition(format_args!(
-                "a map uses the model {}; delete the map first, or keep the model",
-                model.hash
-            ))),
-            Err(error) => Err(error.into()),
         }
     }
 }
 
+fn is_full_hash(text: &str) -> bool {
+    text.len() == 64 && text.bytes().all(|digit| digit.is_ascii_hexdigit())
+}
+
 /// Hashes the model: not for the async threads.
-fn row_of(model: &Model, display_name: String, file: &[u8]) -> ModelRow {
+pub(super) fn row_of(model: &Model, display_name: String, file: &[u8]) -> ModelRow {
     ModelRow {
         hash: model.hash().to_string(),
         display_name,
@@ -277,7 +306,7 @@ fn row_of(model: &Model, display_name: String, file: &[u8]) -> ModelRow {
     }
 }
 
-fn check_display_name(name: &str) -> Result<String, ServiceError> {
+pub(super) fn check_display_name(name: &str) -> Result<String, ServiceError> {
     let fits = name.chars().count() <= MAX_DISPLAY_NAME_CHARS && !name.chars().any(char::is_control);
     if fits && !name.contains('/') {
         return Ok(name.to_owned());

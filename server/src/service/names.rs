@@ -48,6 +48,45 @@ pub(crate) fn model_name(hash: &str) -> String {
     format!("models/{hash}")
 }
 
+/// Map and session in `maps/{map}/sessions/{session}`.
+pub(crate) fn session_in(name: &str) -> Result<(&str, &str), ServiceError> {
+    let (map, session) = name.split_once("/sessions/").ok_or_else(|| {
+        ServiceError::invalid(format_args!("{name:?} is no name here; write maps/…/sessions/…"))
+    })?;
+    Ok((map_in(map)?, check_id("session name", session)?))
+}
+
+/// Map, session and sequence number in `maps/{map}/sessions/{session}/frames/{sequence}`.
+pub(crate) fn frame_in(name: &str) -> Result<(&str, &str, u64), ServiceError> {
+    let malformed = || {
+        ServiceError::invalid(format_args!(
+            "{name:?} is no name here; write maps/…/sessions/…/frames/… with the frame's sequence number"
+        ))
+    };
+    let (session, sequence) = name.split_once("/frames/").ok_or_else(malformed)?;
+    let (map, session) = session_in(session)?;
+    Ok((map, session, number(sequence).ok_or_else(malformed)?))
+}
+
+/// Map and number in `maps/{map}/places/{number}`.
+pub(crate) fn place_in(name: &str) -> Result<(&str, u32), ServiceError> {
+    let malformed =
+        || ServiceError::invalid(format_args!("{name:?} is no name here; write maps/…/places/NUMBER"));
+    let (map, place) = name.split_once("/places/").ok_or_else(malformed)?;
+    let place = number(place).and_then(|place| u32::try_from(place).ok()).ok_or_else(malformed)?;
+    Ok((map_in(map)?, place))
+}
+
+/// Digits alone: no sign, and one way of writing each number.
+fn number(text: &str) -> Option<u64> {
+    let plain = text == "0" || (!text.starts_with('0') && text.bytes().all(|digit| digit.is_ascii_digit()));
+    text.parse().ok().filter(|_| plain)
+}
+
+pub(crate) fn frame_name(session_name: &str, sequence: u64) -> String {
+    format!("{session_name}/frames/{sequence}")
+}
+
 /// Page sizes: 0 asks for the default.
 pub(crate) fn page_size(asked: u32) -> Result<u32, ServiceError> {
     const DEFAULT: u32 = 100;
@@ -57,6 +96,15 @@ pub(crate) fn page_size(asked: u32) -> Result<u32, ServiceError> {
         1..=MAX => Ok(asked),
         _ => Err(ServiceError::invalid(format_args!("a page has at most {MAX} entries, not {asked}"))),
     }
+}
+
+/// The number that a page token stands for; none for the first page.
+pub(crate) fn numbered_page<T: TryFrom<u64>>(token: &str) -> Result<Option<T>, ServiceError> {
+    if token.is_empty() {
+        return Ok(None);
+    }
+    let page = number(token).and_then(|number| T::try_from(number).ok());
+    page.map(Some).ok_or_else(bad_page_token)
 }
 
 pub(crate) fn bad_page_token() -> ServiceError {
@@ -82,6 +130,31 @@ mod tests {
         assert_eq!(map_in("maps/office"), Ok("office"));
         for bad in ["office", "maps/", "maps", "map/office", "maps/a/sessions/b", ""] {
             assert!(map_in(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn frames_and_places_are_named_in_one_way() {
+        assert_eq!(frame_in("maps/a/sessions/b/frames/7"), Ok(("a", "b", 7)));
+        assert_eq!(place_in("maps/a/places/0"), Ok(("a", 0)));
+        for bad in [
+            "maps/a/sessions/b/frames/",
+            "maps/a/sessions/b/frames/+7",
+            "maps/a/sessions/b/frames/07",
+            "maps/a/frames/7",
+        ] {
+            assert!(frame_in(bad).is_err(), "{bad}");
+        }
+        for bad in ["maps/a/places/-1", "maps/a/places/4294967296", "maps/a/places", "maps/A/places/1"] {
+            assert!(place_in(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn page_tokens_are_written_in_one_way() {
+        assert_eq!((numbered_page::<u32>(""), numbered_page("7")), (Ok(None), Ok(Some(7_u32))));
+        for bad in ["+7", "07", "-1", " 7", "7.0", "4294967296", "maps/a"] {
+            assert!(numbered_page::<u32>(bad).is_err(), "{bad}");
         }
     }
 

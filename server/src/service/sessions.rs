@@ -1,19 +1,25 @@
 //! Sessions: a robot's stream of frames into a map.
 
-use std::collections::BTreeSet;
+mod order;
+
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use bytes::Bytes;
 use fabmap::appearance::PlaceId;
 use tokio::sync::oneshot;
 use tokio_util::sync::CancellationToken;
-use topomap::event::{FrameEvent, Reason, SessionId};
-use topomap::mapper::FrameInput;
+use topomap::event::{FrameEvent, Reason};
+use topomap::mapper::{FrameInput, Localizer};
 use topomap::odometry::Odometry;
 
+use self::order::Order;
 use super::Service;
-use super::map_writer::{FrameFailure, FrameRequest, FrameWork, MapHandle, WriterGone};
+use super::content::{Content, Words};
+use super::map_settings::{self, Keep};
+pub(crate) use super::map_writer::SessionMode;
+use super::map_writer::{
+    FrameFailure, FrameRequest, FrameSource, FrameWork, MapHandle, SessionOpening, WriterGone,
+};
 use super::maps::FrameReference;
 use super::names::{check_id, map_in, session_name};
 use crate::error::ServiceError;
@@ -23,14 +29,14 @@ use crate::extraction::{LoadedModel, Observed};
 const REOPENED_POLL: Duration = Duration::from_millis(500);
 
 /// Most places that an answer lists.
-const ANSWERED_PLACES: usize = 10;
+pub(super) const ANSWERED_PLACES: usize = 10;
 
 /// A frame as a robot sends it.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Frame {
     pub(crate) sequence: u64,
     pub(crate) stamp_ns: i64,
-    pub(crate) image: Bytes,
+    pub(crate) content: Content,
     pub(crate) odometry: Option<Odometry>,
 }
 
@@ -86,45 +92,15 @@ pub(crate) struct SessionStream {
     service: Arc<Service>,
     map: String,
     model: Arc<LoadedModel>,
-    session: SessionId,
+    keep: Keep,
+    words: Words,
+    source: FrameSource,
     session_name: String,
     stream: u64,
     last_committed: Option<u64>,
     order: Arc<Mutex<Order>>,
     /// Cancelled when a later stream takes the session over.
     taken_over: CancellationToken,
-}
-
-/// Keeps frames from overtaking one that must be sent again: a later number, once committed, would
-/// shut it out for good.
-#[derive(Debug)]
-struct Order {
-    /// The map's writer that this stream submits to. A new one is taken only to resend.
-    map: MapHandle,
-    /// Handed over and not yet answered.
-    submitted: BTreeSet<u64>,
-    /// The frame that must come next, because it was refused only for now.
-    resend_from: Option<u64>,
-    last_committed: Option<u64>,
-    /// How often a new writer was taken: what an earlier one left behind says nothing about order.
-    generation: u64,
-}
-
-impl Order {
-    /// Notes a frame that goes to the writer; returns the writer's generation.
-    fn hand_over(&mut self, sequence: u64) -> u64 {
-        self.submitted.insert(sequence);
-        self.generation
-    }
-
-    /// From now on only `sequence`, or an earlier frame that is still out, may come next.
-    fn wait_for(&mut self, sequence: u64, generation: u64) {
-        if generation != self.generation {
-            return;
-        }
-        let first = self.submitted.first().map_or(sequence, |&first| first.min(sequence));
-        self.resend_from = Some(self.resend_from.map_or(first, |before| before.min(first)));
-    }
 }
 
 /// A frame in words, on its way to the map's writer.
@@ -154,22 +130,26 @@ impl Service {
         self: &Arc<Self>,
         map: &str,
         session: &str,
+        mode: SessionMode,
         camera: Option<Vec<u8>>,
+        words_hash: &str,
     ) -> Result<SessionStream, ServiceError> {
         let map = map_in(map)?;
         let stream = self.new_stream();
-        let row = self.map_row(map).await?;
-        let model = self.loaded_model(&row.model).await?;
-        let open = self.open_map(map).await?;
         let name = match session {
             "" => None,
             name => Some(check_id("session name", name)?.to_owned()),
         };
+        let row = self.map_row(map).await?;
+        let model = self.loaded_model(&row.model).await?;
+        let words = Words::declared(words_hash, &model)?;
+        let keep = map_settings::from_json(&row.settings)?.keep;
+        let open = self.open_map(map).await?;
         let taken_over = CancellationToken::new();
-        let session = open.open_session(name, camera, stream, taken_over.clone()).await?;
+        let opening = SessionOpening { name, mode, camera, stream, taken_over: taken_over.clone() };
+        let session = open.open_session(opening).await?;
         let last_committed = session.last_committed;
-        let order =
-            Order { map: open, submitted: BTreeSet::new(), resend_from: None, last_committed, generation: 0 };
+        let order = Order::new(open, last_committed);
         Ok(SessionStream {
             order: Arc::new(Mutex::new(order)),
             taken_over,
@@ -177,7 +157,9 @@ impl Service {
             session_name: session_name(map, &session.name),
             map: map.to_owned(),
             model,
-            session: session.session,
+            keep,
+            words,
+            source: session.source,
             stream,
             last_committed,
         })
@@ -193,6 +175,11 @@ impl SessionStream {
     /// Hash of the map's model.
     pub(crate) fn model_hash(&self) -> &str {
         &self.model.hash
+    }
+
+    /// Hash of the words that a robot may send.
+    pub(crate) fn words_hash(&self) -> &str {
+        &self.model.words_hash
     }
 
     /// The last frame that was durable when the stream began.
@@ -213,15 +200,27 @@ impl SessionStream {
     }
 
     async fn work(&self, frame: Frame) -> Result<FrameWork, ServiceError> {
-        let Frame { sequence, stamp_ns, image, odometry } = frame;
+        let Frame { sequence, stamp_ns, content, odometry } = frame;
         if self.last_committed.is_some_and(|last| sequence <= last) {
             return Ok(FrameWork::Resend { sequence });
         }
-        let Observed { observation, extract, quantize } =
-            self.service.extraction.observe(self.model.clone(), image).await?;
-        let input = FrameInput { session: self.session, sequence, stamp_ns, odometry, observation };
+        // Not worth looking at: it would be refused after the work.
+        {
+            let mut order = self.order();
+            if let Some(resend_from) = order.comes_before_its_turn(sequence) {
+                return Err(order.send_first(resend_from));
+            }
+        }
+        let (model, stream) = (self.model.clone(), Some(self.stream));
+        let observed = self.service.observe(model, content, self.words, self.keep, stream).await?;
+        let Observed { observation, media, extract, quantize } = observed;
+        let session = match self.source {
+            FrameSource::Session(session) => session,
+            FrameSource::Localizer(_) => Localizer::SESSION,
+        };
+        let input = FrameInput { session, sequence, stamp_ns, odometry, observation };
         let timings = FrameTimings { extract, quantize, ..FrameTimings::default() };
-        Ok(FrameWork::Fresh { input: Box::new(input), timings })
+        Ok(FrameWork::Fresh { input: Box::new(input), media, timings })
     }
 
     /// Hands a prepared frame to the map's writer, in the order of calls; what comes back waits for
@@ -234,16 +233,16 @@ impl SessionStream {
                 let generation = self.order().generation;
                 return PendingOutcome::Known(self.refused_for_now(sequence, generation, error));
             }
-            Err(error) => return PendingOutcome::Known(self.refused(sequence, error)),
+            Err(error) => return PendingOutcome::Known(self.refused_for_good(sequence, error)),
         };
         let map = match self.writer_for(sequence).await {
             Ok(map) => map,
             Err(outcome) => return PendingOutcome::Known(outcome),
         };
         let (reply, answer) = oneshot::channel();
-        let request = FrameRequest { session: self.session, stream: self.stream, work, reply, since };
+        let request = FrameRequest { stream: self.stream, work, reply, since };
         let generation = self.order().hand_over(sequence);
-        match map.frame(request).await {
+        match map.frame(self.source, request).await {
             Ok(()) => PendingOutcome::Waiting { sequence, answer, generation },
             Err(WriterGone) => PendingOutcome::Known(self.writer_gone(sequence, generation).await),
         }
@@ -265,10 +264,16 @@ impl SessionStream {
             Ok(Err(FrameFailure::Refused(error @ ServiceError::Unavailable { .. }))) => {
                 self.refused_for_now(sequence, generation, error)
             }
-            Ok(Err(FrameFailure::Refused(error))) => self.refused(sequence, error),
+            Ok(Err(FrameFailure::Refused(error))) => self.refused_for_good(sequence, error),
             Ok(Err(FrameFailure::Ended(error))) => FrameOutcome::Ended(error),
             Err(_) => self.writer_gone(sequence, generation).await,
         }
+    }
+
+    /// Counts what became of a frame; gives it back.
+    pub(crate) fn counted(&self, outcome: FrameOutcome) -> FrameOutcome {
+        self.service.metrics.frame(&outcome);
+        outcome
     }
 
     /// The writer went away before the frame was stored: the map was deleted, or dropped from memory.
@@ -304,13 +309,13 @@ impl SessionStream {
     async fn writer_for(&self, sequence: u64) -> Result<MapHandle, FrameOutcome> {
         {
             let order = self.order();
-            match order.resend_from {
+            match order.resend_from() {
                 // With no frame out, a writer that is gone has left nothing to be overtaken.
                 None if !(order.map.is_gone() && order.submitted.is_empty()) => return Ok(order.map.clone()),
                 Some(resend_from) if sequence > resend_from => {
+                    let error = order.send_first(resend_from);
                     drop(order);
-                    let message = format!("frame {resend_from} must be sent again first, then this one");
-                    return Err(self.refused(sequence, ServiceError::unavailable(message)));
+                    return Err(self.refused(sequence, error));
                 }
                 None | Some(_) => {}
             }
@@ -321,9 +326,7 @@ impl SessionStream {
                 if map.id() != order.map.id() {
                     return Err(FrameOutcome::Ended(self.replaced()));
                 }
-                (order.map, order.resend_from) = (map.clone(), None);
-                order.submitted.clear();
-                order.generation += 1;
+                order.begin_anew(map.clone());
                 Ok(map)
             }
             Err(error @ ServiceError::NotFound { .. }) => Err(FrameOutcome::Ended(error)),
@@ -344,9 +347,15 @@ impl SessionStream {
         FrameOutcome::Refused { sequence, last_committed: order.last_committed, error }
     }
 
+    /// Refuses a frame that need not come again: those behind it wait for it no longer.
+    fn refused_for_good(&self, sequence: u64, error: ServiceError) -> FrameOutcome {
+        self.order().give_up(sequence);
+        self.refused(sequence, error)
+    }
+
     /// Refuses a frame that may succeed later, and all after it until it has come again.
     fn refused_for_now(&self, sequence: u64, generation: u64, error: ServiceError) -> FrameOutcome {
-        self.order().wait_for(sequence, generation);
+        self.order().wait_for(sequence, generation, &error);
         self.refused(sequence, error)
     }
 

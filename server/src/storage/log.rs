@@ -1,17 +1,23 @@
+use std::collections::HashMap;
+use std::ops::Range;
+
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, Sqlite, Transaction};
 use topomap::event::{FrameId, MapEvent, Reason, SessionId};
 
-use super::{MapId, Storage, StorageError, from_sql, to_sql};
+use super::media::insert_media;
+use super::{MapId, Medium, Storage, StorageError, from_sql, to_sql};
 
 /// Events read at a time when a log is replayed.
 const REPLAY_PAGE: u32 = 1000;
 
-/// One row of a map's log.
+/// One row of a map's log, and what is kept beside it.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct LogEntry {
     pub(crate) position: u64,
     pub(crate) event: MapEvent,
+    /// Written with the event, and read apart from it.
+    pub(crate) media: Vec<Medium>,
 }
 
 /// Which frame a log position is.
@@ -36,36 +42,39 @@ impl Storage {
     /// Appends events to a map's log, all or none, and returns when they are on the disk.
     pub(crate) async fn append(&self, map: MapId, entries: &[LogEntry]) -> Result<(), StorageError> {
         self.write(async |transaction| {
-            for LogEntry { position, event } in entries {
+            for LogEntry { position, event, media } in entries {
                 insert_event(transaction, map, to_sql(*position), event).await?;
+                insert_media(transaction, map, to_sql(*position), media).await?;
             }
             Ok(())
         })
         .await
     }
 
-    /// Hands every entry from `from` on to `fold`, in order.
+    /// Hands the entries at `positions` to `fold`, in order.
     pub(crate) async fn replay(
         &self,
         map: MapId,
-        from: u64,
+        positions: Range<u64>,
         vocabulary_len: usize,
         fold: &mut (dyn FnMut(LogEntry) -> Result<(), StorageError> + Send),
     ) -> Result<(), StorageError> {
         // Page by page, so that a long replay does not keep a connection from others.
-        let mut next = to_sql(from);
+        let (mut next, end) = (to_sql(positions.start), to_sql(positions.end));
         loop {
             let rows = sqlx::query(
-                "SELECT position, event FROM log WHERE map_id = ? AND position >= ? ORDER BY position LIMIT ?",
+                "SELECT position, event FROM log WHERE map_id = ? AND position >= ? AND position < ? ORDER BY position LIMIT ?",
             )
             .bind(map)
             .bind(next)
+            .bind(end)
             .bind(REPLAY_PAGE)
             .fetch_all(&self.readers)
             .await?;
             for row in &rows {
                 let position: i64 = row.try_get("position")?;
-                fold(LogEntry { position: from_sql(position)?, event: event(row, vocabulary_len)? })?;
+                let event = event(row, vocabulary_len)?;
+                fold(LogEntry { position: from_sql(position)?, event, media: Vec::new() })?;
                 next = position + 1;
             }
             if rows.len() < REPLAY_PAGE as usize {
@@ -113,20 +122,32 @@ impl Storage {
         map: MapId,
         positions: &[FrameId],
     ) -> Result<Vec<StoredFrame>, StorageError> {
-        let mut frames = Vec::with_capacity(positions.len());
-        for &position in positions {
-            let row = sqlx::query(
-                "SELECT session, sequence, stamp_ns FROM log WHERE map_id = ? AND position = ? AND sequence IS NOT NULL",
-            )
-            .bind(map)
-            .bind(to_sql(position))
-            .fetch_optional(&self.readers)
-            .await?;
-            if let Some(row) = row {
-                frames.push(stored_frame(&row, ["session", "sequence", "stamp_ns"])?);
-            }
-        }
-        Ok(frames)
+        let found = self.frames_by_position(map, positions.iter().copied()).await?;
+        Ok(positions.iter().filter_map(|position| found.get(position).copied()).collect())
+    }
+
+    /// The same, each with its position: many cost one query.
+    pub(crate) async fn frames_by_position(
+        &self,
+        map: MapId,
+        positions: impl IntoIterator<Item = FrameId>,
+    ) -> Result<HashMap<FrameId, StoredFrame>, StorageError> {
+        // A list of numbers is JSON already.
+        let positions = format!("{:?}", positions.into_iter().map(to_sql).collect::<Vec<_>>());
+        let rows = sqlx::query(
+            "SELECT position, session, sequence, stamp_ns FROM log \
+             WHERE map_id = ? AND sequence IS NOT NULL AND position IN (SELECT value FROM json_each(?))",
+        )
+        .bind(map)
+        .bind(positions)
+        .fetch_all(&self.readers)
+        .await?;
+        rows.iter()
+            .map(|row| {
+                let position = from_sql(row.try_get("position")?)?;
+                Ok((position, stored_frame(row, ["session", "sequence", "stamp_ns"])?))
+            })
+            .collect()
     }
 
     /// Loop closures after log position `after` (all if `None`), oldest first.
@@ -203,7 +224,7 @@ fn reason_name(reason: Reason) -> &'static str {
     }
 }
 
-fn event(row: &SqliteRow, vocabulary_len: usize) -> Result<MapEvent, StorageError> {
+pub(super) fn event(row: &SqliteRow, vocabulary_len: usize) -> Result<MapEvent, StorageError> {
     let bytes: &[u8] = row.try_get("event")?;
     MapEvent::from_bytes(bytes, vocabulary_len).map_err(|error| StorageError::Damaged(error.to_string()))
 }

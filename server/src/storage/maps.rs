@@ -55,17 +55,20 @@ impl Storage {
     }
 
     pub(crate) async fn map(&self, name: &str) -> Result<Option<MapRow>, StorageError> {
-        let row = sqlx::query("SELECT id, name, model, settings, created_ns FROM maps WHERE name = ?")
-            .bind(name)
-            .fetch_optional(&self.readers)
-            .await?;
+        let row = sqlx::query(
+            "SELECT id, name, model, settings, created_ns FROM maps WHERE name = ? AND state = 'live'",
+        )
+        .bind(name)
+        .fetch_optional(&self.readers)
+        .await?;
         row.as_ref().map(map).transpose()
     }
 
     /// Maps whose name comes after `after`, by name.
     pub(crate) async fn maps(&self, after: &str, limit: u32) -> Result<Vec<MapRow>, StorageError> {
         let rows = sqlx::query(
-            "SELECT id, name, model, settings, created_ns FROM maps WHERE name > ? ORDER BY name LIMIT ?",
+            "SELECT id, name, model, settings, created_ns FROM maps \
+             WHERE name > ? AND state = 'live' ORDER BY name LIMIT ?",
         )
         .bind(after)
         .bind(limit)
@@ -94,10 +97,41 @@ impl Storage {
         })
     }
 
-    /// Whether there was one. Sessions, log and checkpoint go with it.
-    pub(crate) async fn delete_map(&self, name: &str) -> Result<bool, StorageError> {
-        let done = sqlx::query("DELETE FROM maps WHERE name = ?").bind(name).execute(&self.writer).await?;
-        Ok(done.rows_affected() > 0)
+    /// Binds a map to another model, noting which one it had up to now.
+    pub(crate) async fn rebind_map(&self, map: MapId, model: &str) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            sqlx::query(
+                "INSERT INTO map_models (map_id, until_events, model) \
+                 SELECT id, (SELECT coalesce(max(position) + 1, 0) FROM log WHERE map_id = ?1), model FROM maps \
+                 WHERE id = ?1 ON CONFLICT DO NOTHING",
+            )
+            .bind(map)
+            .execute(&mut **transaction)
+            .await?;
+            sqlx::query("UPDATE maps SET model = ? WHERE id = ?")
+                .bind(model)
+                .bind(map)
+                .execute(&mut **transaction)
+                .await?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// The model that a map had when the event at `position` was decided, if it has another now.
+    pub(crate) async fn former_model(
+        &self,
+        map: MapId,
+        position: u64,
+    ) -> Result<Option<String>, StorageError> {
+        let row = sqlx::query(
+            "SELECT model FROM map_models WHERE map_id = ? AND until_events > ? ORDER BY until_events LIMIT 1",
+        )
+        .bind(map)
+        .bind(to_sql(position))
+        .fetch_optional(&self.readers)
+        .await?;
+        Ok(row.map(|row| row.try_get("model")).transpose()?)
     }
 
     /// All sessions of a map, by number.
@@ -138,7 +172,7 @@ impl Storage {
     }
 }
 
-fn map(row: &SqliteRow) -> Result<MapRow, StorageError> {
+pub(super) fn map(row: &SqliteRow) -> Result<MapRow, StorageError> {
     Ok(MapRow {
         id: row.try_get("id")?,
         name: row.try_get("name")?,

@@ -1,6 +1,7 @@
-use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, Sqlite, Transaction};
 
+use super::jobs::{JobEnd, end_job};
 use super::{Storage, StorageError, from_sql, to_sql};
 
 /// What is known of a model without reading its file.
@@ -19,24 +20,25 @@ pub(crate) struct ModelRow {
 impl Storage {
     /// Stores a model file; one that is there already stays as it is.
     pub(crate) async fn put_model(&self, row: &ModelRow, file: &[u8]) -> Result<(), StorageError> {
-        let ModelRow { hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns } =
-            row;
-        sqlx::query(
-            "INSERT INTO models (hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns, file) \
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (hash) DO NOTHING",
-        )
-        .bind(hash)
-        .bind(display_name)
-        .bind(extractor)
-        .bind(to_sql(*words))
-        .bind(to_sql(*samples))
-        .bind(words_hash)
-        .bind(to_sql(*size_bytes))
-        .bind(created_ns)
-        .bind(file)
-        .execute(&self.writer)
-        .await?;
-        Ok(())
+        self.write(async |transaction| {
+            insert_model(transaction, row, file).await?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// Stores the model that a job made, and ends the job: both or neither.
+    pub(crate) async fn put_trained_model(
+        &self,
+        row: &ModelRow,
+        file: &[u8],
+        end: &JobEnd,
+    ) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            insert_model(transaction, row, file).await?;
+            end_job(transaction, end).await
+        })
+        .await
     }
 
     /// Models after `after` (creation time and hash of the last one seen), newest first.
@@ -96,6 +98,31 @@ impl Storage {
         let done = sqlx::query("DELETE FROM models WHERE hash = ?").bind(hash).execute(&self.writer).await?;
         Ok(done.rows_affected() > 0)
     }
+}
+
+/// Whether it was not there yet.
+pub(super) async fn insert_model(
+    transaction: &mut Transaction<'_, Sqlite>,
+    row: &ModelRow,
+    file: &[u8],
+) -> Result<bool, StorageError> {
+    let ModelRow { hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns } = row;
+    let done = sqlx::query(
+        "INSERT INTO models (hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns, file) \
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (hash) DO NOTHING",
+    )
+    .bind(hash)
+    .bind(display_name)
+    .bind(extractor)
+    .bind(to_sql(*words))
+    .bind(to_sql(*samples))
+    .bind(words_hash)
+    .bind(to_sql(*size_bytes))
+    .bind(created_ns)
+    .bind(file)
+    .execute(&mut **transaction)
+    .await?;
+    Ok(done.rows_affected() > 0)
 }
 
 fn model(row: &SqliteRow) -> Result<ModelRow, StorageError> {

@@ -8,11 +8,14 @@ use tokio::runtime::Handle;
 use tokio::sync::{Mutex as AsyncMutex, mpsc};
 use topomap::event::MapEvent;
 use topomap::mapper::Mapper;
+use tracing::Span;
 
 use super::MapWriter;
+use super::localizers::Localizers;
 use super::requests::{MapHandle, QUEUE};
 use crate::error::ServiceError;
 use crate::extraction::LoadedModel;
+use crate::metrics::Metrics;
 use crate::service::{Service, map_settings};
 use crate::storage::{Checkpoint, LogEntry, MapRow, Storage, StorageError};
 
@@ -35,6 +38,13 @@ impl OpenMaps {
         for (_, slot) in slots {
             slot.lock().await.close().await;
         }
+    }
+
+    /// How many maps are in memory. One that is just being opened or closed is not waited for.
+    pub(crate) fn count(&self) -> usize {
+        let slots = self.slots();
+        let open = |slot: &&Arc<AsyncMutex<Slot>>| slot.try_lock().is_ok_and(|slot| slot.handle().is_some());
+        slots.values().filter(open).count()
     }
 
     fn slot(&self, map: &str) -> Arc<AsyncMutex<Slot>> {
@@ -65,23 +75,27 @@ impl Service {
     /// A map's writer; opens the map from the disk if need be.
     pub(crate) async fn open_map(self: &Arc<Self>, name: &str) -> Result<MapHandle, ServiceError> {
         // Asked first, so that names that are no maps leave nothing behind.
-        let row = self.map_row(name).await?;
+        self.map_row(name).await?;
         let mut slot = self.open_maps.slot(name).lock_owned().await;
         // Looked at under the lock: a map opened later than this would never be closed.
         if self.stopping.is_cancelled() {
             return Err(ServiceError::stopping());
         }
+        // Asked again: while the lock was waited for, the map may have been deleted or bound to another model.
+        let row = self.map_row(name).await?;
         if let Some(handle) = slot.handle().filter(|handle| handle.id() == row.id) {
             return Ok(handle);
         }
-        let service = self.clone();
+        let (service, span) = (self.clone(), Span::current());
         // A task of its own: whoever asked may go away, but a map must not be left half open, or a
         // second writer could be started beside the first.
         let opening = tokio::spawn(async move {
             slot.close().await;
             let model = service.loaded_model(&row.model).await?;
             let (storage, runtime) = (service.storage.clone(), Handle::current());
-            let opened = tokio::task::spawn_blocking(move || open(runtime, storage, row, model)).await;
+            let metrics = service.metrics.clone();
+            let opening = move || span.in_scope(|| open(runtime, storage, metrics, row, model));
+            let opened = tokio::task::spawn_blocking(opening).await;
             let opened = opened.map_err(ServiceError::internal)??;
             let handle = opened.0.clone();
             slot.open = Some(opened);
@@ -90,14 +104,40 @@ impl Service {
         opening.await.map_err(ServiceError::internal)?
     }
 
+    /// Closes a map and binds it to another model, whether or not whoever asked is still there. Streams go
+    /// on: their next frame opens it again.
+    pub(crate) async fn close_and_rebind_map(
+        self: &Arc<Self>,
+        name: &str,
+        model: String,
+    ) -> Result<(), ServiceError> {
+        let row = self.map_row(name).await?;
+        let mut slot = self.open_maps.slot(name).lock_owned().await;
+        let service = self.clone();
+        let rebinding = tokio::spawn(async move {
+            slot.close().await;
+            service.storage.rebind_map(row.id, &model).await
+        });
+        match rebinding.await.map_err(ServiceError::internal)? {
+            Ok(()) => Ok(()),
+            Err(StorageError::InUse) => {
+                Err(ServiceError::not_found("the model was deleted just now; name another"))
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
     /// Closes a map and deletes it, whether or not whoever asked is still there. Whether there was one.
+    /// Its name is free at once; its rows are taken away in the background.
     pub(crate) async fn close_and_delete_map(self: &Arc<Self>, name: &str) -> Result<bool, ServiceError> {
         let mut slot = self.open_maps.slot(name).lock_owned().await;
         let (service, name) = (self.clone(), name.to_owned());
         let deleting = tokio::spawn(async move {
             slot.close().await;
             // The slot stays: whoever waits for its lock must not end up beside a new one.
-            service.storage.delete_map(&name).await
+            let retired = service.storage.retire_map(&name).await;
+            service.removal_wanted();
+            retired
         });
         Ok(deleting.await.map_err(ServiceError::internal)??)
     }
@@ -107,35 +147,38 @@ impl Service {
 fn open(
     runtime: Handle,
     storage: Storage,
+    metrics: Metrics,
     map: MapRow,
     model: Arc<LoadedModel>,
 ) -> Result<(MapHandle, JoinHandle<()>), ServiceError> {
     let mut mapper = restore(&runtime, &storage, &map, &model)?;
     let checkpoint_events = mapper.map().events();
     let mut changed = BTreeSet::new();
-    let mut fold = |LogEntry { event, .. }: LogEntry| {
+    let mut fold = |LogEntry { position: _, event, media: _ }: LogEntry| {
         if let MapEvent::Frame(frame) = &event {
             changed.extend(frame.decision.place.filter(|_| frame.learnt));
         }
         mapper.apply(&event).map_err(|error| StorageError::Damaged(error.to_string()))
     };
     let words = model.model.vocabulary().len();
-    runtime.block_on(storage.replay(map.id, checkpoint_events, words, &mut fold))?;
+    runtime.block_on(storage.replay(map.id, checkpoint_events..u64::MAX, words, &mut fold))?;
     let sessions = runtime.block_on(storage.sessions(map.id))?;
     let events = mapper.map().events();
     tracing::info!(map = map.name, events, replayed = events - checkpoint_events, "map opened");
     let (sender, receiver) = mpsc::channel(QUEUE);
     let handle = MapHandle::new(map.id, sender);
     let thread = std::thread::Builder::new().name(format!("map-{}", map.id));
-    let (streams, pending) = (HashMap::new(), Vec::new());
+    let (streams, localizers, pending) = (HashMap::new(), Localizers::default(), Vec::new());
     let writer = MapWriter {
         map,
         model,
         mapper,
         storage,
+        metrics,
         runtime,
         sessions,
         streams,
+        localizers,
         pending,
         changed,
         checkpoint_events,
@@ -151,7 +194,7 @@ fn restore(
     map: &MapRow,
     model: &LoadedModel,
 ) -> Result<Mapper, ServiceError> {
-    let settings = map_settings::from_json(&map.settings)?;
+    let settings = map_settings::from_json(&map.settings)?.mapper;
     let unusable = match runtime.block_on(storage.checkpoint(map.id)) {
         Ok(None) => None,
         Ok(Some(Checkpoint { graph, places })) => {

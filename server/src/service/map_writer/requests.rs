@@ -3,44 +3,97 @@
 use std::time::Instant;
 
 use fabmap::appearance::PlaceId;
+use fabmap::explanation::Explanation;
+use fabmap::observation::{Observation, WordId};
 use tokio::sync::{mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameId, SessionId};
 use topomap::mapper::FrameInput;
 
+use super::localizers::LocalizerId;
 use crate::error::ServiceError;
-use crate::service::sessions::{FrameAnswer, FrameTimings};
-use crate::storage::MapId;
+use crate::service::sessions::{FrameAnswer, FrameTimings, MatchView};
+use crate::storage::{MapId, Medium};
 
 /// Requests that wait for a map's writer, at most; senders wait beyond that.
 pub(super) const QUEUE: usize = 128;
 
 pub(crate) enum MapRequest {
-    Frame(FrameRequest),
+    /// The next frame of a session of the log.
+    Frame(SessionId, FrameRequest),
     OpenSession {
-        /// Made up if `None`.
-        name: Option<String>,
-        camera: Option<Vec<u8>>,
-        stream: u64,
-        taken_over: CancellationToken,
+        opening: SessionOpening,
         reply: oneshot::Sender<Result<OpenedSession, ServiceError>>,
+    },
+    /// Changes nothing, and is answered from what is on the disk.
+    Read(Read),
+    /// Commit, checkpoint, end.
+    Close,
+}
+
+pub(crate) enum Read {
+    /// The next frame of a robot that only looks.
+    Localize(LocalizerId, FrameRequest),
+    Query {
+        observation: Observation,
+        /// 0 if nothing is to be explained.
+        explained_words: usize,
+        reply: oneshot::Sender<Result<QueryAnswer, ServiceError>>,
     },
     StateHash {
         reply: oneshot::Sender<String>,
     },
     Places {
-        from: u32,
+        from: PlaceId,
         count: u32,
         reply: oneshot::Sender<(Vec<PlaceSummary>, u32)>,
     },
-    /// Commit, checkpoint, end.
-    Close,
+    Place {
+        place: PlaceId,
+        reply: oneshot::Sender<Option<PlaceSummary>>,
+    },
+    WordPlaces {
+        word: WordId,
+        from: PlaceId,
+        count: u32,
+        reply: oneshot::Sender<Vec<WordPlace>>,
+    },
+}
+
+/// Which session a stream wants.
+#[derive(Debug)]
+pub(crate) struct SessionOpening {
+    /// Made up if `None`.
+    pub(crate) name: Option<String>,
+    pub(crate) mode: SessionMode,
+    /// As it was encoded.
+    pub(crate) camera: Option<Vec<u8>>,
+    pub(crate) stream: u64,
+    /// Cancelled when a later stream takes the session over.
+    pub(crate) taken_over: CancellationToken,
+}
+
+/// What a session does with the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum SessionMode {
+    /// Lets it grow.
+    Map,
+    /// Looks at it.
+    Localize,
+}
+
+/// Whose frame it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum FrameSource {
+    /// A session of the log.
+    Session(SessionId),
+    /// A robot that only looks.
+    Localizer(LocalizerId),
 }
 
 pub(crate) type FrameReply = oneshot::Sender<Result<FrameAnswer, FrameFailure>>;
 
 pub(crate) struct FrameRequest {
-    pub(crate) session: SessionId,
     pub(crate) stream: u64,
     pub(crate) work: FrameWork,
     pub(crate) reply: FrameReply,
@@ -53,7 +106,7 @@ pub(crate) enum FrameWork {
     /// It was committed before, says its number: find the stored answer.
     Resend { sequence: u64 },
     /// Decide it.
-    Fresh { input: Box<FrameInput>, timings: FrameTimings },
+    Fresh { input: Box<FrameInput>, media: Vec<Medium>, timings: FrameTimings },
 }
 
 impl FrameWork {
@@ -76,7 +129,7 @@ pub(crate) enum FrameFailure {
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct OpenedSession {
-    pub(crate) session: SessionId,
+    pub(crate) source: FrameSource,
     pub(crate) name: String,
     pub(crate) last_committed: Option<u64>,
 }
@@ -85,9 +138,30 @@ pub(crate) struct OpenedSession {
 pub(crate) struct PlaceSummary {
     pub(crate) place: PlaceId,
     pub(crate) looks: u8,
-    pub(crate) words: u64,
+    /// Ascending by word.
+    pub(crate) word_hits: Vec<(WordId, u8)>,
     pub(crate) frames: Vec<FrameId>,
     pub(crate) linked: Vec<PlaceId>,
+}
+
+/// A place that has shown a word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct WordPlace {
+    pub(crate) place: PlaceId,
+    pub(crate) hits: u8,
+    pub(crate) looks: u8,
+}
+
+/// Where one observation was made.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct QueryAnswer {
+    /// The most probable places, most probable first.
+    pub(crate) places: Vec<(PlaceId, f64)>,
+    pub(crate) new_place_posterior: f64,
+    pub(crate) matched: Option<MatchView>,
+    pub(crate) accepted: bool,
+    pub(crate) words: u64,
+    pub(crate) explanation: Option<Explanation>,
 }
 
 /// A way to an open map's writer. Cheap to clone; the writer ends when all are gone.
@@ -108,7 +182,7 @@ impl From<WriterGone> for ServiceError {
 }
 
 impl MapHandle {
-    pub(super) fn new(id: MapId, requests: mpsc::Sender<MapRequest>) -> Self {
+    pub(in crate::service) fn new(id: MapId, requests: mpsc::Sender<MapRequest>) -> Self {
         Self { id, requests }
     }
 
@@ -132,32 +206,57 @@ impl MapHandle {
     }
 
     /// Hands a frame over; the answer comes by the request's reply.
-    pub(crate) async fn frame(&self, request: FrameRequest) -> Result<(), WriterGone> {
-        self.requests.send(MapRequest::Frame(request)).await.map_err(|_| WriterGone)
+    pub(crate) async fn frame(&self, source: FrameSource, request: FrameRequest) -> Result<(), WriterGone> {
+        let request = match source {
+            FrameSource::Session(session) => MapRequest::Frame(session, request),
+            FrameSource::Localizer(localizer) => MapRequest::Read(Read::Localize(localizer, request)),
+        };
+        self.requests.send(request).await.map_err(|_| WriterGone)
     }
 
-    pub(crate) async fn open_session(
+    pub(crate) async fn open_session(&self, opening: SessionOpening) -> Result<OpenedSession, ServiceError> {
+        self.ask(|reply| MapRequest::OpenSession { opening, reply }).await?
+    }
+
+    /// Where an observation was made; explained by up to `explained_words` for and against.
+    pub(crate) async fn query(
         &self,
-        name: Option<String>,
-        camera: Option<Vec<u8>>,
-        stream: u64,
-        taken_over: CancellationToken,
-    ) -> Result<OpenedSession, ServiceError> {
-        self.ask(|reply| MapRequest::OpenSession { name, camera, stream, taken_over, reply }).await?
+        observation: Observation,
+        explained_words: usize,
+    ) -> Result<QueryAnswer, ServiceError> {
+        self.read(|reply| Read::Query { observation, explained_words, reply }).await?
     }
 
     /// Hash of all that the map's log decided.
     pub(crate) async fn state_hash(&self) -> Result<String, ServiceError> {
-        Ok(self.ask(|reply| MapRequest::StateHash { reply }).await?)
+        Ok(self.read(|reply| Read::StateHash { reply }).await?)
     }
 
     /// Up to `count` places from `from` on, and how many there are in all.
     pub(crate) async fn places(
         &self,
-        from: u32,
+        from: PlaceId,
         count: u32,
     ) -> Result<(Vec<PlaceSummary>, u32), ServiceError> {
-        Ok(self.ask(|reply| MapRequest::Places { from, count, reply }).await?)
+        Ok(self.read(|reply| Read::Places { from, count, reply }).await?)
+    }
+
+    pub(crate) async fn place(&self, place: PlaceId) -> Result<Option<PlaceSummary>, ServiceError> {
+        Ok(self.read(|reply| Read::Place { place, reply }).await?)
+    }
+
+    /// Up to `count` places from `from` on that have shown a word.
+    pub(crate) async fn word_places(
+        &self,
+        word: WordId,
+        from: PlaceId,
+        count: u32,
+    ) -> Result<Vec<WordPlace>, ServiceError> {
+        Ok(self.read(|reply| Read::WordPlaces { word, from, count, reply }).await?)
+    }
+
+    async fn read<T>(&self, read: impl FnOnce(oneshot::Sender<T>) -> Read) -> Result<T, WriterGone> {
+        self.ask(|reply| MapRequest::Read(read(reply))).await
     }
 
     async fn ask<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> MapRequest) -> Result<T, WriterGone> {

@@ -1,0 +1,234 @@
+//! Who may call what, checked before a call reaches its service.
+
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+
+use bytes::Bytes;
+use futures::FutureExt;
+use futures::future::BoxFuture;
+use http::{HeaderMap, Request, Response, header};
+use http_body::{Body as HttpBody, Frame, SizeHint};
+use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
+use tonic::Status;
+use tonic::body::Body;
+use tower::{Layer, Service as TowerService};
+
+use crate::service::Service;
+use crate::service::tokens::{Access, no_longer_admitted};
+
+/// Every method, and what it asks of who calls it.
+const METHODS: [(&str, Access); 36] = [
+    ("/waypost.v1.SessionService/Stream", Access::Robot),
+    ("/waypost.v1.SessionService/Query", Access::Robot),
+    ("/waypost.v1.SessionService/ListSessions", Access::Robot),
+    ("/waypost.v1.SessionService/GetSession", Access::Robot),
+    ("/waypost.v1.SessionService/ListFrames", Access::Robot),
+    ("/waypost.v1.SessionService/GetFrame", Access::Robot),
+    ("/waypost.v1.SessionService/GetFrameImage", Access::Robot),
+    ("/waypost.v1.SessionService/ExplainFrame", Access::Robot),
+    ("/waypost.v1.MapService/ListMaps", Access::Robot),
+    ("/waypost.v1.MapService/GetMap", Access::Robot),
+    ("/waypost.v1.MapService/ListPlaces", Access::Robot),
+    ("/waypost.v1.MapService/GetPlace", Access::Robot),
+    ("/waypost.v1.MapService/ListWordPlaces", Access::Robot),
+    ("/waypost.v1.MapService/ListMatches", Access::Robot),
+    ("/waypost.v1.MapService/CreateMap", Access::Admin),
+    ("/waypost.v1.MapService/DeleteMap", Access::Admin),
+    ("/waypost.v1.MapService/RebindMap", Access::Admin),
+    ("/waypost.v1.MapService/ExportMap", Access::Admin),
+    ("/waypost.v1.MapService/ImportMap", Access::Admin),
+    ("/waypost.v1.ModelService/ListModels", Access::Robot),
+    ("/waypost.v1.ModelService/GetModel", Access::Robot),
+    ("/waypost.v1.ModelService/ExportModel", Access::Robot),
+    ("/waypost.v1.ModelService/TrainModel", Access::Admin),
+    ("/waypost.v1.ModelService/ImportModel", Access::Admin),
+    ("/waypost.v1.ModelService/DeleteModel", Access::Admin),
+    ("/waypost.v1.JobService/ListJobs", Access::Robot),
+    ("/waypost.v1.JobService/GetJob", Access::Robot),
+    ("/waypost.v1.JobService/WatchJob", Access::Robot),
+    ("/waypost.v1.JobService/CancelJob", Access::Admin),
+    ("/waypost.v1.TokenService/CreateToken", Access::Admin),
+    ("/waypost.v1.TokenService/ListTokens", Access::Admin),
+    ("/waypost.v1.TokenService/DeleteToken", Access::Admin),
+    // Whatever watches over servers holds no token.
+    ("/grpc.health.v1.Health/Check", Access::Open),
+    ("/grpc.health.v1.Health/Watch", Access::Open),
+    ("/grpc.reflection.v1.ServerReflection/ServerReflectionInfo", Access::Robot),
+    ("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", Access::Robot),
+];
+
+/// Its calls change who may call, and are not ended by what they change themselves.
+const TOKEN_SERVICE: &str = "/waypost.v1.TokenService/";
+
+/// The method of a path, as the table has it.
+pub(super) fn known_method(path: &str) -> Option<(&'static str, Access)> {
+    METHODS.into_iter().find(|(known, _)| *known == path)
+}
+
+/// Lets in who may come in, and ends what they do when their token is deleted.
+#[derive(Clone, Debug)]
+pub(super) struct AccessLayer {
+    pub(super) service: Arc<Service>,
+}
+
+impl<S> Layer<S> for AccessLayer {
+    type Service = Guarded<S>;
+
+    fn layer(&self, inner: S) -> Guarded<S> {
+        Guarded { inner, service: self.service.clone() }
+    }
+}
+
+/// A service behind an [`AccessLayer`].
+#[derive(Clone, Debug)]
+pub(super) struct Guarded<S> {
+    inner: S,
+    service: Arc<Service>,
+}
+
+impl<S> TowerService<Request<Body>> for Guarded<S>
+where
+    S: TowerService<Request<Body>, Response = Response<Body>>,
+    S::Future: Send + 'static,
+    S::Error: Send + 'static,
+{
+    type Response = Response<Body>;
+    type Error = S::Error;
+    type Future = BoxFuture<'static, Result<Response<Body>, S::Error>>;
+
+    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), S::Error>> {
+        self.inner.poll_ready(context)
+    }
+
+    fn call(&mut self, request: Request<Body>) -> Self::Future {
+        // What is in no table may be added to a service one day; until then it is for admins.
+        let access = known_method(request.uri().path()).map_or(Access::Admin, |(_, access)| access);
+        let deleted = match self.service.admit(bearer(request.headers()), access) {
+            // It must hear that it made the first token, or deleted its own.
+            Ok(_) if request.uri().path().starts_with(TOKEN_SERVICE) => CancellationToken::new(),
+            Ok(deleted) => deleted,
+            Err(error) => return std::future::ready(Ok(Status::from(error).into_http())).boxed(),
+        };
+        let answering = self.inner.call(request);
+        async move {
+            tokio::select! {
+                biased;
+                response = answering => Ok(response?.map(|body| Body::new(UntilDeleted::new(body, deleted)))),
+                () = deleted.cancelled() => Ok(Status::from(no_longer_admitted()).into_http()),
+            }
+        }
+        .boxed()
+    }
+}
+
+/// The secret in `authorization: Bearer SECRET`.
+fn bearer(headers: &HeaderMap) -> Option<&str> {
+    let (scheme, secret) = headers.get(header::AUTHORIZATION)?.to_str().ok()?.split_once(' ')?;
+    scheme.eq_ignore_ascii_case("bearer").then(|| secret.trim())
+}
+
+/// An answer that breaks off with UNAUTHENTICATED when its token is deleted.
+struct UntilDeleted {
+    body: Body,
+    deleted: Pin<Box<WaitForCancellationFutureOwned>>,
+    broken_off: bool,
+}
+
+impl UntilDeleted {
+    fn new(body: Body, deleted: CancellationToken) -> Self {
+        Self { body, deleted: Box::pin(deleted.cancelled_owned()), broken_off: false }
+    }
+}
+
+impl HttpBody for UntilDeleted {
+    type Data = Bytes;
+    type Error = Status;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
+        if self.broken_off {
+            return Poll::Ready(None);
+        }
+        if self.deleted.poll_unpin(context).is_pending() {
+            return Pin::new(&mut self.body).poll_frame(context);
+        }
+        self.broken_off = true;
+        let mut trailers = HeaderMap::new();
+        let ended = Status::from(no_longer_admitted()).add_header(&mut trailers);
+        Poll::Ready(Some(ended.map(|()| Frame::trailers(trailers))))
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.broken_off || self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use http::HeaderValue;
+    use prost::Message;
+    use prost_types::FileDescriptorSet;
+
+    use super::*;
+
+    /// All methods that are served, from the descriptors that reflection hands out.
+    fn served() -> BTreeSet<String> {
+        let sets = [
+            waypost_proto::FILE_DESCRIPTOR_SET,
+            tonic_health::pb::FILE_DESCRIPTOR_SET,
+            tonic_reflection::pb::v1::FILE_DESCRIPTOR_SET,
+            tonic_reflection::pb::v1alpha::FILE_DESCRIPTOR_SET,
+        ];
+        let mut paths = BTreeSet::new();
+        for set in sets {
+            for file in FileDescriptorSet::decode(set).unwrap().file {
+                for service in &file.service {
+                    paths.extend(
+                        service.method.iter().map(|method| {
+                            format!("/{}.{}/{}", file.package(), service.name(), method.name())
+                        }),
+                    );
+                }
+            }
+        }
+        paths
+    }
+
+    #[test]
+    fn every_method_says_who_may_call_it() {
+        let listed: BTreeSet<String> = METHODS.iter().map(|(path, _)| (*path).to_owned()).collect();
+        assert_eq!(listed.len(), METHODS.len(), "a method is listed twice");
+        assert_eq!(listed, served());
+    }
+
+    #[test]
+    fn only_health_is_open() {
+        for (path, access) in METHODS {
+            assert_eq!(access == Access::Open, path.starts_with("/grpc.health.v1."), "{path}");
+        }
+    }
+
+    #[test]
+    fn a_secret_is_read_from_its_header() {
+        let of = |value: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::AUTHORIZATION, HeaderValue::from_static(value));
+            bearer(&headers).map(str::to_owned)
+        };
+        assert_eq!(of("Bearer waypost_1").as_deref(), Some("waypost_1"));
+        assert_eq!(of("bearer  waypost_1 ").as_deref(), Some("waypost_1"));
+        for other in ["", "Bearer", "waypost_1", "Basic eDp5"] {
+            assert_eq!(of(other), None, "{other:?}");
+        }
+        assert_eq!(bearer(&HeaderMap::new()), None);
+    }
+}

@@ -1,0 +1,64 @@
+use tonic::{Request, Response, Status};
+use waypost_proto::v1;
+use waypost_proto::v1::token_service_server::TokenService;
+
+use super::Adapter;
+use crate::error::ServiceError;
+use crate::role::Role;
+use crate::service::models::Page;
+use crate::storage::TokenRow;
+
+#[tonic::async_trait]
+impl TokenService for Adapter {
+    async fn create_token(
+        &self,
+        request: Request<v1::CreateTokenRequest>,
+    ) -> Result<Response<v1::CreateTokenResponse>, Status> {
+        let message = request.into_inner();
+        let role = role(message.role)?;
+        let v1::CreateTokenRequest { token_id, role: _ } = message;
+        let (created, secret) = self.service.create_token(&token_id, role).await?;
+        Ok(Response::new(v1::CreateTokenResponse { token: Some(token(created)), secret }))
+    }
+
+    async fn list_tokens(
+        &self,
+        request: Request<v1::ListTokensRequest>,
+    ) -> Result<Response<v1::ListTokensResponse>, Status> {
+        let v1::ListTokensRequest { page_size, page_token } = request.into_inner();
+        let Page { items, next } = self.service.list_tokens(page_size, &page_token)?;
+        let tokens = items.into_iter().map(token).collect();
+        Ok(Response::new(v1::ListTokensResponse { tokens, next_page_token: next }))
+    }
+
+    async fn delete_token(
+        &self,
+        request: Request<v1::DeleteTokenRequest>,
+    ) -> Result<Response<v1::DeleteTokenResponse>, Status> {
+        let v1::DeleteTokenRequest { name } = request.into_inner();
+        self.service.delete_token(&name).await?;
+        Ok(Response::new(v1::DeleteTokenResponse {}))
+    }
+}
+
+fn role(code: i32) -> Result<Role, ServiceError> {
+    match v1::token::Role::try_from(code) {
+        Ok(v1::token::Role::Robot) => Ok(Role::Robot),
+        Ok(v1::token::Role::Admin) => Ok(Role::Admin),
+        Ok(v1::token::Role::Unspecified) => {
+            Err(ServiceError::invalid("say which role the token has: ROLE_ROBOT or ROLE_ADMIN"))
+        }
+        Err(_) => {
+            Err(ServiceError::invalid(format_args!("{code} is no role; write ROLE_ROBOT or ROLE_ADMIN")))
+        }
+    }
+}
+
+fn token(row: TokenRow) -> v1::Token {
+    let TokenRow { name, role, secret_sha256: _, created_ns } = row;
+    let role = match role {
+        Role::Robot => v1::token::Role::Robot,
+        Role::Admin => v1::token::Role::Admin,
+    };
+    v1::Token { name: format!("tokens/{name}"), role: role.into(), create_time_ns: created_ns }
+}

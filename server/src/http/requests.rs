@@ -1,0 +1,69 @@
+//! Every request has an id, a line in the log, its place in the metrics, and an end.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use axum::extract::{MatchedPath, Request, State};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use tracing::Instrument;
+
+use super::HttpError;
+use crate::error::ServiceError;
+use crate::request_id::RequestId;
+use crate::service::Service;
+
+/// Within which an answer begins.
+const TIMEOUT: Duration = Duration::from_secs(30);
+
+/// What machines ask every few seconds is logged for those alone who look for it.
+const POLLED: [&str; 3] = ["/healthz", "/readyz", "/metrics"];
+
+/// Watches over a request; goes around everything else.
+pub(super) async fn watch(State(service): State<Arc<Service>>, request: Request, next: Next) -> Response {
+    let (id, since) = (RequestId::of(request.headers()), Instant::now());
+    let (method, path) = (request.method().clone(), request.uri().path().to_owned());
+    let route = request.extensions().get::<MatchedPath>().map(|route| route.as_str().to_owned());
+    let span = id.span();
+    async move {
+        let mut response = within(TIMEOUT, next.run(request)).await;
+        id.tell(response.headers_mut());
+        let (status, took) = (response.status().as_u16(), since.elapsed());
+        let route = route.as_deref().unwrap_or("unknown");
+        service.metrics().http_request(method.as_str(), route, status, took);
+        let duration_ms = took.as_secs_f64() * 1e3;
+        if POLLED.contains(&path.as_str()) {
+            tracing::debug!(%method, path, status, duration_ms, "answered");
+        } else {
+            tracing::info!(%method, path, status, duration_ms, "answered");
+        }
+        response
+    }
+    .instrument(span)
+    .await
+}
+
+async fn within(patience: Duration, answering: impl Future<Output = Response>) -> Response {
+    tokio::time::timeout(patience, answering).await.unwrap_or_else(|_elapsed| {
+        let message =
+            format!("this took more than {} s; ask for less at a time, or later", patience.as_secs());
+        HttpError(ServiceError::deadline(message)).into_response()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::http::StatusCode;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn an_answer_that_does_not_come_is_given_up() {
+        let answered = within(TIMEOUT, async { "ok".into_response() }).await;
+        assert_eq!(answered.status(), StatusCode::OK);
+        let (began, patience) = (Instant::now(), Duration::from_millis(50));
+        let given_up = within(patience, std::future::pending()).await;
+        assert_eq!(given_up.status(), StatusCode::GATEWAY_TIMEOUT);
+        assert!(began.elapsed() >= patience);
+    }
+}

@@ -1,0 +1,279 @@
+//! What the server counts and times, for Prometheus.
+//!
+//! Each server has a recorder of its own, never the process's: two servers in one process, as in tests,
+//! then count apart, and there is no second installation that could fail.
+
+use std::fmt;
+use std::sync::Arc;
+use std::time::Duration;
+
+use metrics::{
+    Gauge, Histogram, Unit, counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram,
+    with_local_recorder,
+};
+use metrics_exporter_prometheus::{BuildError, Matcher, PrometheusBuilder, PrometheusRecorder};
+use topomap::event::Reason;
+
+use crate::service::sessions::{FrameAnswer, FrameOutcome, FrameTimings};
+
+const GRPC_REQUESTS: &str = "waypost_grpc_requests_total";
+const GRPC_SECONDS: &str = "waypost_grpc_request_duration_seconds";
+const HTTP_REQUESTS: &str = "waypost_http_requests_total";
+const HTTP_SECONDS: &str = "waypost_http_request_duration_seconds";
+const OPEN_STREAMS: &str = "waypost_open_streams";
+const FRAMES: &str = "waypost_frames_total";
+const FRAME_SECONDS: &str = "waypost_frame_duration_seconds";
+const COMMIT_FRAMES: &str = "waypost_commit_frames";
+const OPEN_MAPS: &str = "waypost_open_maps";
+const JOBS_RUNNING: &str = "waypost_jobs_running";
+const DATABASE_BYTES: &str = "waypost_database_bytes";
+const BUILD: &str = "waypost_build_info";
+
+/// Upper bounds of what a stage of a frame takes, from an indexed likelihood to a queue that is full.
+const FRAME_BUCKETS_SECONDS: [f64; 14] =
+    [0.000_1, 0.000_25, 0.000_5, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 5.0];
+
+/// Upper bounds of what a request takes, from a list to a stream of an hour.
+const REQUEST_BUCKETS_SECONDS: [f64; 12] =
+    [0.001, 0.0025, 0.005, 0.01, 0.025, 0.1, 0.25, 1.0, 5.0, 30.0, 300.0, 3600.0];
+
+/// Up to the most frames that share a commit.
+const COMMIT_BUCKETS_FRAMES: [f64; 7] = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0];
+
+/// Counters of one server. Cheap to clone.
+#[derive(Clone)]
+pub(crate) struct Metrics {
+    recorder: Arc<PrometheusRecorder>,
+    open_streams: Gauge,
+    commit_frames: Histogram,
+    stages: Arc<Stages>,
+}
+
+/// How long frames take, stage by stage.
+struct Stages {
+    extract: Histogram,
+    quantize: Histogram,
+    likelihood: Histogram,
+    new_place: Histogram,
+    filter: Histogram,
+    commit: Histogram,
+    total: Histogram,
+}
+
+/// What is looked at when the metrics are read, rather than counted.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Levels {
+    pub(crate) open_maps: usize,
+    pub(crate) jobs_running: usize,
+    /// `None` if the database does not answer.
+    pub(crate) database_bytes: Option<u64>,
+}
+
+impl Metrics {
+    pub(crate) fn new() -> Result<Self, BuildError> {
+        let named = |name: &str| Matcher::Full(name.to_owned());
+        let recorder = PrometheusBuilder::new()
+            .set_buckets_for_metric(named(FRAME_SECONDS), &FRAME_BUCKETS_SECONDS)?
+            .set_buckets_for_metric(named(GRPC_SECONDS), &REQUEST_BUCKETS_SECONDS)?
+            .set_buckets_for_metric(named(HTTP_SECONDS), &REQUEST_BUCKETS_SECONDS)?
+            .set_buckets_for_metric(named(COMMIT_FRAMES), &COMMIT_BUCKETS_FRAMES)?
+            .build_recorder();
+        let recorder = Arc::new(recorder);
+        let (open_streams, commit_frames, stages) = with_local_recorder(&*recorder, || {
+            describe();
+            gauge!(BUILD, "version" => env!("CARGO_PKG_VERSION")).set(1.0);
+            let stage = |name: &'static str| histogram!(FRAME_SECONDS, "stage" => name);
+            let stages = Stages {
+                extract: stage("extract"),
+                quantize: stage("quantize"),
+                likelihood: stage("likelihood"),
+                new_place: stage("new_place"),
+                filter: stage("filter"),
+                commit: stage("commit"),
+                total: stage("total"),
+            };
+            (gauge!(OPEN_STREAMS), histogram!(COMMIT_FRAMES), Arc::new(stages))
+        });
+        Ok(Self { recorder, open_streams, commit_frames, stages })
+    }
+
+    /// A gRPC call that is over.
+    pub(crate) fn grpc_request(&self, method: &'static str, code: &'static str, took: Duration) {
+        let requests = self.local(|| counter!(GRPC_REQUESTS, "method" => method, "code" => code));
+        requests.increment(1);
+        self.local(|| histogram!(GRPC_SECONDS, "method" => method)).record(took);
+    }
+
+    /// An HTTP request that was answered. `route` is the pattern, not the path: names of maps would make
+    /// a metric each.
+    pub(crate) fn http_request(&self, method: &str, route: &str, code: u16, took: Duration) {
+        let (method, route) = (known_method(method), route.to_owned());
+        let requests = self.local(|| {
+            counter!(HTTP_REQUESTS, "method" => method, "route" => route.clone(), "code" => code.to_string())
+        });
+        requests.increment(1);
+        self.local(|| histogram!(HTTP_SECONDS, "method" => method, "route" => route)).record(took);
+    }
+
+    /// Counts a stream of frames for as long as what comes back lives.
+    pub(crate) fn open_stream(&self) -> OpenStream {
+        self.open_streams.increment(1.0);
+        OpenStream(self.open_streams.clone())
+    }
+
+    /// What became of a frame.
+    pub(crate) fn frame(&self, outcome: &FrameOutcome) {
+        let (outcome, timings) = match outcome {
+            FrameOutcome::Answered(answer) => (answer_name(answer), answer.timings),
+            FrameOutcome::Refused { error, .. } | FrameOutcome::Ended(error) => (error.code_name(), None),
+        };
+        self.local(|| counter!(FRAMES, "outcome" => outcome)).increment(1);
+        let Some(timings) = timings else { return };
+        let FrameTimings { extract, quantize, likelihood, new_place, filter, commit, total } = timings;
+        let stages = &self.stages;
+        stages.extract.record(extract);
+        stages.quantize.record(quantize);
+        stages.likelihood.record(likelihood);
+        stages.new_place.record(new_place);
+        stages.filter.record(filter);
+        stages.commit.record(commit);
+        stages.total.record(total);
+    }
+
+    /// Frames that one transaction brought to the disk.
+    pub(crate) fn committed(&self, frames: usize) {
+        self.commit_frames.record(frames as f64);
+    }
+
+    /// All metrics in Prometheus' text format.
+    pub(crate) fn render(&self, levels: Levels) -> String {
+        let Levels { open_maps, jobs_running, database_bytes } = levels;
+        self.local(|| {
+            gauge!(OPEN_MAPS).set(open_maps as f64);
+            gauge!(JOBS_RUNNING).set(jobs_running as f64);
+            gauge!(DATABASE_BYTES).set(database_bytes.map_or(f64::NAN, |bytes| bytes as f64));
+        });
+        self.recorder.handle().render()
+    }
+
+    /// Sorts what was timed into buckets, which reading does too: without it, a server whose metrics
+    /// nobody reads would keep every single time.
+    pub(crate) fn sum_up(&self) {
+        self.recorder.handle().run_upkeep();
+    }
+
+    fn local<T>(&self, work: impl FnOnce() -> T) -> T {
+        with_local_recorder(&*self.recorder, work)
+    }
+}
+
+impl fmt::Debug for Metrics {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.debug_struct("Metrics").finish_non_exhaustive()
+    }
+}
+
+/// See [`Metrics::open_stream`].
+#[derive(Debug)]
+pub(crate) struct OpenStream(Gauge);
+
+impl Drop for OpenStream {
+    fn drop(&mut self) {
+        self.0.decrement(1.0);
+    }
+}
+
+fn answer_name(answer: &FrameAnswer) -> &'static str {
+    if answer.timings.is_none() {
+        return "resent";
+    }
+    match answer.reason {
+        Reason::NewPlace => "new_place",
+        Reason::SamePlace => "same_place",
+        Reason::LoopClosure => "loop_closure",
+        Reason::BelowThreshold => "below_threshold",
+        Reason::TooFewWords => "too_few_words",
+    }
+}
+
+/// Clients may send any word as a method; each would be a metric of its own.
+fn known_method(method: &str) -> &'static str {
+    ["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"]
+        .into_iter()
+        .find(|known| *known == method)
+        .unwrap_or("other")
+}
+
+fn describe() {
+    describe_counter!(GRPC_REQUESTS, "gRPC calls that are over, by method and status code.");
+    describe_histogram!(GRPC_SECONDS, Unit::Seconds, "Time from the begin of a gRPC call to its end.");
+    describe_counter!(HTTP_REQUESTS, "HTTP requests, by method, route and status code.");
+    describe_histogram!(HTTP_SECONDS, Unit::Seconds, "Time from an HTTP request to its answer.");
+    describe_gauge!(OPEN_STREAMS, "Streams of frames that are open.");
+    describe_counter!(
+        FRAMES,
+        "Frames by outcome: the reason of the decision, resent if answered from the store, or why refused."
+    );
+    describe_histogram!(
+        FRAME_SECONDS,
+        Unit::Seconds,
+        "Time of a frame by stage; commit includes waiting, total is from its arrival to its answer."
+    );
+    describe_histogram!(COMMIT_FRAMES, "Frames that shared one commit.");
+    describe_gauge!(OPEN_MAPS, "Maps in memory.");
+    describe_gauge!(JOBS_RUNNING, "Jobs that are running or wait for their turn.");
+    describe_gauge!(DATABASE_BYTES, Unit::Bytes, "Size of the database, without its write-ahead log.");
+    describe_gauge!(BUILD, "Always 1; the version is in the label.");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::error::ServiceError;
+
+    const NOTHING: Levels = Levels { open_maps: 2, jobs_running: 1, database_bytes: Some(4096) };
+
+    #[test]
+    fn two_servers_count_apart() {
+        let (first, second) = (Metrics::new().unwrap(), Metrics::new().unwrap());
+        let error = ServiceError::invalid("no image");
+        first.frame(&FrameOutcome::Refused { sequence: 1, last_committed: None, error });
+        let counted = "waypost_frames_total{outcome=\"invalid_argument\"} 1";
+        assert!(first.render(NOTHING).lines().any(|line| line == counted), "{}", first.render(NOTHING));
+        assert!(!second.render(NOTHING).contains("waypost_frames_total{"));
+    }
+
+    #[test]
+    fn streams_are_counted_while_they_are_open() {
+        let metrics = Metrics::new().unwrap();
+        let stream = metrics.open_stream();
+        assert!(metrics.render(NOTHING).contains("waypost_open_streams 1"));
+        drop(stream);
+        assert!(metrics.render(NOTHING).contains("waypost_open_streams 0"));
+    }
+
+    #[test]
+    fn times_are_in_buckets_of_seconds_and_levels_as_they_are() {
+        let metrics = Metrics::new().unwrap();
+        metrics.grpc_request("/a/B", "ok", Duration::from_millis(20));
+        metrics.http_request("GET", "/v1/maps/{map}", 200, Duration::from_millis(2));
+        metrics.http_request("BREW", "/v1/maps/{map}", 405, Duration::from_millis(2));
+        metrics.committed(3);
+        metrics.sum_up();
+        let text = metrics.render(NOTHING);
+        for line in [
+            "waypost_grpc_requests_total{method=\"/a/B\",code=\"ok\"} 1",
+            "waypost_grpc_request_duration_seconds_bucket{method=\"/a/B\",le=\"0.01\"} 0",
+            "waypost_grpc_request_duration_seconds_bucket{method=\"/a/B\",le=\"0.025\"} 1",
+            "waypost_http_requests_total{method=\"GET\",route=\"/v1/maps/{map}\",code=\"200\"} 1",
+            "waypost_http_requests_total{method=\"other\",route=\"/v1/maps/{map}\",code=\"405\"} 1",
+            "waypost_commit_frames_bucket{le=\"2\"} 0",
+            "waypost_commit_frames_bucket{le=\"4\"} 1",
+            "waypost_open_maps 2",
+            "waypost_jobs_running 1",
+            "waypost_database_bytes 4096",
+        ] {
+            assert!(text.lines().any(|there| there == line), "no {line} in\n{text}");
+        }
+    }
+}

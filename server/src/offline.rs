@@ -1,0 +1,125 @@
+//! What an operator does with a data directory while no server runs on it.
+
+use std::path::Path;
+
+use tokio::net::TcpListener;
+
+use crate::config::Config;
+use crate::role::Role;
+use crate::storage::{Inspection, inspect};
+use crate::tls::Tls;
+use crate::{Exposed, exposed, open};
+
+/// A token as it is listed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ListedToken {
+    /// Name within the server.
+    pub name: String,
+    /// What its holder may do.
+    pub role: Role,
+}
+
+/// Makes a token in `data_dir`; gives its secret, which is kept nowhere.
+///
+/// # Errors
+/// If the directory cannot be used, or the token cannot be; the message says how to mend it.
+pub async fn create_token(data_dir: &Path, name: &str, role: Role) -> anyhow::Result<String> {
+    let service = open(data_dir).await?;
+    let created = service.create_token(name, role).await;
+    service.stop().await;
+    Ok(created?.1)
+}
+
+/// All tokens in `data_dir`, by name.
+///
+/// # Errors
+/// If the directory cannot be used.
+pub async fn list_tokens(data_dir: &Path) -> anyhow::Result<Vec<ListedToken>> {
+    let service = open(data_dir).await?;
+    let listed = service.tokens().list();
+    service.stop().await;
+    Ok(listed.into_iter().map(|token| ListedToken { name: token.name, role: token.role }).collect())
+}
+
+/// Deletes a token in `data_dir`.
+///
+/// # Errors
+/// If the directory cannot be used, or the token must stay; the message says how to mend it.
+pub async fn delete_token(data_dir: &Path, name: &str) -> anyhow::Result<()> {
+    let service = open(data_dir).await?;
+    let deleted = service.delete_token(&format!("tokens/{name}")).await;
+    service.stop().await;
+    Ok(deleted?)
+}
+
+/// One thing that was looked at, and what is wrong with it, if anything is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Finding {
+    /// What was looked at.
+    pub subject: &'static str,
+    /// What is there, or what is wrong and how to mend it.
+    pub result: Result<String, String>,
+}
+
+/// Looks whether a server could serve with `config`, and serves nothing. All is looked at, whatever is
+/// wrong. The data directory is made if it is missing, nothing in it is changed.
+pub async fn check(config: &Config) -> Vec<Finding> {
+    let tls = check_tls(config);
+    let (data, tokens) = check_data(&config.data_dir).await;
+    let mut findings = vec![
+        Finding { subject: "certificates", result: tls },
+        Finding { subject: "data directory", result: data },
+    ];
+    if let Some(tokens) = tokens {
+        findings.push(Finding { subject: "access", result: check_access(config, tokens) });
+        // While a server runs on the directory, the addresses are its own.
+        findings.push(Finding { subject: "addresses", result: check_addresses(config).await });
+    }
+    findings
+}
+
+fn check_tls(config: &Config) -> Result<String, String> {
+    let Some(files) = config.tls_files() else {
+        return Ok("none; connections are not encrypted".to_owned());
+    };
+    match Tls::load(&files) {
+        Ok(Tls { client_ca: Some(_), .. }) => {
+            Ok("certificate and key fit; clients need a certificate, too".to_owned())
+        }
+        Ok(Tls { client_ca: None, .. }) => Ok("certificate and key fit".to_owned()),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+/// Also how many tokens there are, if that can be told.
+async fn check_data(data_dir: &Path) -> (Result<String, String>, Option<u64>) {
+    match inspect(data_dir).await {
+        Ok(None) => (Ok(format!("{} holds no database yet; one will be made", data_dir.display())), Some(0)),
+        Ok(Some(Inspection { maps, tokens, outdated })) => {
+            let update = if outdated { "; the next start brings its database up to date" } else { "" };
+            let there = format!("{} holds {maps} maps and {tokens} tokens{update}", data_dir.display());
+            (Ok(there), Some(tokens))
+        }
+        Err(error) => (Err(error.to_string()), None),
+    }
+}
+
+fn check_access(config: &Config, tokens: u64) -> Result<String, String> {
+    match exposed([config.grpc_address, config.http_address]) {
+        Some(address) if tokens == 0 && !config.allow_anonymous => Err(Exposed { address }.to_string()),
+        Some(_) if tokens == 0 => Ok("no token is asked for, and other machines reach the server".to_owned()),
+        None if tokens == 0 => Ok("no token is asked for; this machine alone reaches the server".to_owned()),
+        Some(_) | None => Ok("a token is asked for".to_owned()),
+    }
+}
+
+async fn check_addresses(config: &Config) -> Result<String, String> {
+    for (address, option) in [(config.grpc_address, "grpc_address"), (config.http_address, "http_address")] {
+        if let Err(error) = TcpListener::bind(address).await {
+            return Err(format!(
+                "cannot listen on {address}: {error}; stop what runs there, or choose another {option}"
+            ));
+        }
+    }
+    Ok(format!("{} and {} are free", config.grpc_address, config.http_address))
+}

@@ -1,0 +1,242 @@
+//! What the log keeps of sessions and their frames.
+
+use std::collections::HashMap;
+
+use fabmap::observation::Observation;
+use topomap::event::{FrameEvent, FrameId, Match};
+use topomap::odometry::Odometry;
+
+use super::Service;
+use super::maps::reference;
+use super::models::Page;
+use super::names::{frame_in, frame_name, map_in, numbered_page, page_size, session_in, session_name};
+use super::sessions::{FrameAnswer, MatchView};
+use crate::error::ServiceError;
+use crate::storage::{FrameRow, MapRow, MediumKind, SessionRow, SessionSummary, StoredFrame};
+
+/// A session as people see it.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct SessionView {
+    /// `maps/{map}/sessions/{session}`.
+    pub(crate) name: String,
+    pub(crate) summary: SessionSummary,
+}
+
+/// A frame as the log keeps it.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct FrameView {
+    /// `maps/{map}/sessions/{session}/frames/{sequence}`.
+    pub(crate) name: String,
+    pub(crate) stamp_ns: i64,
+    /// What was decided, as the robot was told.
+    pub(crate) answer: FrameAnswer,
+    pub(crate) odometry: Option<Odometry>,
+    pub(crate) learnt: bool,
+    pub(crate) observation: Observation,
+    pub(crate) bytes: FrameBytes,
+}
+
+/// What is kept of a frame; 0 where nothing is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct FrameBytes {
+    pub(crate) log: u64,
+    pub(crate) features: u64,
+    pub(crate) thumbnail: u64,
+    pub(crate) image: u64,
+}
+
+/// Which picture of a frame is wanted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum ImageSize {
+    /// The image if it is kept, else the thumbnail.
+    #[default]
+    Best,
+    Original,
+    Thumbnail,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct FrameImage {
+    pub(crate) content_type: &'static str,
+    pub(crate) image: Vec<u8>,
+}
+
+/// A frame on the disk: its map, and where it is in the log.
+pub(super) struct LocatedFrame {
+    pub(super) map: MapRow,
+    pub(super) position: FrameId,
+}
+
+impl Service {
+    /// The sessions of a map, oldest first.
+    pub(crate) async fn list_sessions(
+        &self,
+        name: &str,
+        size: u32,
+        token: &str,
+    ) -> Result<Page<SessionView>, ServiceError> {
+        let (map, size) = (map_in(name)?, page_size(size)?);
+        let row = self.map_row(map).await?;
+        let from = numbered_page(token)?.unwrap_or(0);
+        let mut sessions = self.storage.session_summaries(row.id, from, size + 1).await?;
+        let next = sessions.get(size as usize).map_or_else(String::new, |next| next.number.to_string());
+        sessions.truncate(size as usize);
+        let view = |summary: SessionSummary| SessionView { name: session_name(map, &summary.name), summary };
+        Ok(Page { items: sessions.into_iter().map(view).collect(), next })
+    }
+
+    pub(crate) async fn session(&self, name: &str) -> Result<SessionView, ServiceError> {
+        let (map, session) = session_in(name)?;
+        let row = self.map_row(map).await?;
+        match self.storage.session_summary(row.id, session).await? {
+            Some(summary) => Ok(SessionView { name: name.to_owned(), summary }),
+            None => Err(no_such_session(map, session)),
+        }
+    }
+
+    /// The frames of a session, by sequence number.
+    pub(crate) async fn list_frames(
+        &self,
+        name: &str,
+        size: u32,
+        token: &str,
+    ) -> Result<Page<FrameView>, ServiceError> {
+        let ((map, session), size) = (session_in(name)?, page_size(size)?);
+        let row = self.map_row(map).await?;
+        let number = self.storage.session_number(row.id, session).await?;
+        let number = number.ok_or_else(|| no_such_session(map, session))?;
+        let after = numbered_page(token)?;
+        let words = self.vocabulary_len(&row).await?;
+        let mut frames = self.storage.frames_of_session(row.id, number, after, size + 1, words).await?;
+        let more = frames.len() > size as usize;
+        frames.truncate(size as usize);
+        let next =
+            frames.last().filter(|_| more).map_or_else(String::new, |frame| frame.event.sequence.to_string());
+        Ok(Page { items: self.frame_views(&row, session, frames).await?, next })
+    }
+
+    pub(crate) async fn frame(&self, name: &str) -> Result<FrameView, ServiceError> {
+        let (map, session, sequence) = frame_in(name)?;
+        let row = self.map_row(map).await?;
+        let number = self.storage.session_number(row.id, session).await?;
+        let number = number.ok_or_else(|| no_such_session(map, session))?;
+        let words = self.vocabulary_len(&row).await?;
+        let frame = self.storage.frame_of_sequence(row.id, number, sequence, words).await?;
+        let frame = frame.ok_or_else(|| no_such_frame(map, session, sequence))?;
+        let mut views = self.frame_views(&row, session, vec![frame]).await?;
+        views.pop().ok_or_else(|| ServiceError::internal("a frame without a view"))
+    }
+
+    /// What a frame looked like, as far as the map keeps it.
+    pub(crate) async fn frame_image(&self, name: &str, size: ImageSize) -> Result<FrameImage, ServiceError> {
+        let LocatedFrame { map, position } = self.locate(name).await?;
+        let kinds: &[MediumKind] = match size {
+            ImageSize::Best => &[MediumKind::Image, MediumKind::Thumbnail],
+            ImageSize::Original => &[MediumKind::Image],
+            ImageSize::Thumbnail => &[MediumKind::Thumbnail],
+        };
+        for &kind in kinds {
+            if let Some(image) = self.storage.medium(map.id, position, kind).await? {
+                return Ok(FrameImage { content_type: content_type(&image), image });
+            }
+        }
+        Err(ServiceError::not_found(format_args!(
+            "this image of {name} is not kept: the robot sent words, or the map keeps less; a map that keeps \
+             features has thumbnails, one that keeps images has both"
+        )))
+    }
+
+    pub(super) async fn locate(&self, name: &str) -> Result<LocatedFrame, ServiceError> {
+        let (map, session, sequence) = frame_in(name)?;
+        let row = self.map_row(map).await?;
+        let number = self.storage.session_number(row.id, session).await?;
+        let number = number.ok_or_else(|| no_such_session(map, session))?;
+        let position = self.storage.position_of_sequence(row.id, number, sequence).await?;
+        let position = position.ok_or_else(|| no_such_frame(map, session, sequence))?;
+        Ok(LocatedFrame { map: row, position })
+    }
+
+    pub(super) async fn vocabulary_len(&self, map: &MapRow) -> Result<usize, ServiceError> {
+        Ok(self.loaded_model(&map.model).await?.model.vocabulary().len())
+    }
+
+    /// Views of frames of one session; the frames that they matched are looked up together.
+    async fn frame_views(
+        &self,
+        map: &MapRow,
+        session: &str,
+        frames: Vec<FrameRow>,
+    ) -> Result<Vec<FrameView>, ServiceError> {
+        let matches = |event: &FrameEvent| [event.decision.closure, event.proposal].into_iter().flatten();
+        let positions = frames.iter().flat_map(|row| matches(&row.event)).map(|found| found.frame);
+        let positions: Vec<FrameId> = positions.collect();
+        let matched = self.storage.frames_by_position(map.id, positions.clone()).await?;
+        if positions.iter().any(|position| !matched.contains_key(position)) {
+            // It was deleted since the frames were read, or its log is damaged.
+            self.map_row(&map.name).await?;
+        }
+        let sessions = self.storage.sessions(map.id).await?;
+        let known = Known { map: &map.name, sessions: &sessions, matched: &matched };
+        let session = session_name(&map.name, session);
+        frames.into_iter().map(|row| frame_view(row, &session, &known)).collect()
+    }
+}
+
+/// What the frames of one answer refer to.
+struct Known<'a> {
+    map: &'a str,
+    sessions: &'a [SessionRow],
+    matched: &'a HashMap<FrameId, StoredFrame>,
+}
+
+impl Known<'_> {
+    fn matched(&self, found: Match) -> Result<MatchView, ServiceError> {
+        let Match { place, posterior, log_odds, frame } = found;
+        let frame = self.matched.get(&frame);
+        let frame = frame.ok_or_else(|| ServiceError::internal("a matched frame is not in the log"))?;
+        Ok(MatchView { place, posterior, log_odds, frame: reference(self.map, self.sessions, frame) })
+    }
+}
+
+fn frame_view(row: FrameRow, session: &str, known: &Known<'_>) -> Result<FrameView, ServiceError> {
+    let FrameRow { event, log_bytes, features_bytes, thumbnail_bytes, image_bytes } = row;
+    let answer = FrameAnswer::new(
+        &event,
+        event.sequence,
+        event.decision.closure.map(|found| known.matched(found)).transpose()?,
+        event.proposal.map(|found| known.matched(found)).transpose()?,
+        None,
+    );
+    Ok(FrameView {
+        name: frame_name(session, event.sequence),
+        stamp_ns: event.stamp_ns,
+        answer,
+        odometry: event.odometry,
+        learnt: event.learnt,
+        observation: event.observation,
+        bytes: FrameBytes {
+            log: log_bytes,
+            features: features_bytes,
+            thumbnail: thumbnail_bytes,
+            image: image_bytes,
+        },
+    })
+}
+
+/// JPEG or PNG: nothing else is ever kept.
+fn content_type(image: &[u8]) -> &'static str {
+    if image.starts_with(b"\x89PNG") { "image/png" } else { "image/jpeg" }
+}
+
+fn no_such_session(map: &str, session: &str) -> ServiceError {
+    ServiceError::not_found(format_args!(
+        "the map {map} has no session {session}; list its sessions to see what there is (those that localize \
+         are not kept)"
+    ))
+}
+
+fn no_such_frame(map: &str, session: &str, sequence: u64) -> ServiceError {
+    ServiceError::not_found(format_args!(
+        "the session {session} of the map {map} has no frame {sequence}; list its frames to see what there is"
+    ))
+}

@@ -1,0 +1,169 @@
+//! Robots that only look: kept in memory, never in the log.
+
+use std::collections::{HashMap, VecDeque};
+use std::time::Instant;
+
+use tokio_util::sync::CancellationToken;
+use topomap::mapper::{FrameInput, Localizer};
+
+use super::requests::{FrameFailure, FrameRequest, FrameSource, FrameWork, OpenedSession};
+use super::{Archive, MapWriter, StageClock, not_stored};
+use crate::error::ServiceError;
+use crate::service::sessions::{FrameAnswer, FrameTimings, taken_over};
+
+/// Answers that are kept of each, for frames that are sent again.
+const KEPT_ANSWERS: usize = 100;
+
+/// Robots that may look at one map; beyond that the one that has been silent for longest is forgotten.
+const MAX_LOCALIZERS: usize = 256;
+
+/// Number of a localizer, that of the stream that began it: never given again while the server runs, also
+/// if the map is opened anew.
+pub(crate) type LocalizerId = u64;
+
+/// The robots that look at a map.
+#[derive(Debug, Default)]
+pub(super) struct Localizers {
+    localizers: HashMap<LocalizerId, Localizing>,
+    /// Counts frames and openings: the order in which localizers were last heard of.
+    heard: u64,
+}
+
+#[derive(Debug)]
+struct Localizing {
+    name: String,
+    localizer: Localizer,
+    /// The latest ones, oldest first.
+    answers: VecDeque<FrameAnswer>,
+    /// The latest stream, and how to tell it that a later one took over.
+    stream: u64,
+    taken_over: CancellationToken,
+    last_heard: u64,
+}
+
+impl Localizers {
+    pub(super) fn is_taken(&self, name: &str) -> bool {
+        self.localizers.values().any(|localizing| localizing.name == name)
+    }
+
+    fn by_name(&mut self, name: &str) -> Option<(LocalizerId, &mut Localizing)> {
+        let found = self.localizers.iter_mut().find(|(_, localizing)| localizing.name == name);
+        found.map(|(&id, localizing)| (id, localizing))
+    }
+
+    fn add(&mut self, localizing: Localizing) -> LocalizerId {
+        if self.localizers.len() >= MAX_LOCALIZERS {
+            let silent = self.localizers.iter().min_by_key(|(_, localizing)| localizing.last_heard);
+            if let Some((&id, _)) = silent {
+                self.localizers.remove(&id);
+            }
+        }
+        let id = localizing.stream;
+        self.localizers.insert(id, localizing);
+        id
+    }
+}
+
+impl MapWriter {
+    pub(super) fn open_localizer(
+        &mut self,
+        name: String,
+        stream: u64,
+        taken_over: CancellationToken,
+    ) -> Result<OpenedSession, ServiceError> {
+        if self.sessions.iter().any(|session| session.name == name) {
+            return Err(ServiceError::precondition(format_args!(
+                "the map has a session {name} that let it grow; choose another name for localizing"
+            )));
+        }
+        self.localizers.heard += 1;
+        let last_heard = self.localizers.heard;
+        let (id, last_committed) = match self.localizers.by_name(&name) {
+            Some((id, localizing)) => {
+                if localizing.stream > stream {
+                    taken_over.cancel();
+                } else {
+                    localizing.taken_over.cancel();
+                    (localizing.stream, localizing.taken_over) = (stream, taken_over);
+                }
+                localizing.last_heard = last_heard;
+                (id, localizing.localizer.last_sequence())
+            }
+            None => {
+                let (localizer, answers) = (Localizer::new(), VecDeque::new());
+                let localizing =
+                    Localizing { name: name.clone(), localizer, answers, stream, taken_over, last_heard };
+                (self.localizers.add(localizing), None)
+            }
+        };
+        Ok(OpenedSession { source: FrameSource::Localizer(id), name, last_committed })
+    }
+
+    /// Says where a robot is, and remembers it for the robot's next frame alone.
+    pub(super) fn localize(&mut self, id: LocalizerId, request: FrameRequest) {
+        let FrameRequest { stream, work, reply, since } = request;
+        let answer = self.localized(id, stream, work, since);
+        let _ = reply.send(answer);
+    }
+
+    fn localized(
+        &mut self,
+        id: LocalizerId,
+        stream: u64,
+        work: FrameWork,
+        since: Instant,
+    ) -> Result<FrameAnswer, FrameFailure> {
+        let Some(localizing) = self.localizers.localizers.get(&id) else {
+            let message = "the map was opened anew and localizing begins anew; open the session again";
+            return Err(FrameFailure::Ended(ServiceError::unavailable(message)));
+        };
+        if localizing.stream > stream {
+            return Err(FrameFailure::Ended(taken_over()));
+        }
+        let sequence = work.sequence();
+        if localizing.localizer.last_sequence().is_some_and(|last| sequence <= last) {
+            return localizing.stored(sequence);
+        }
+        let FrameWork::Fresh { input, media: _, mut timings } = work else { return Err(not_stored()) };
+        let answer = self.localize_fresh(id, *input, &mut timings).map_err(FrameFailure::Refused)?;
+        timings.total = since.elapsed();
+        timings.commit = timings.total.saturating_sub(timings.work());
+        Ok(FrameAnswer { timings: Some(timings), ..answer })
+    }
+
+    fn localize_fresh(
+        &mut self,
+        id: LocalizerId,
+        input: FrameInput,
+        timings: &mut FrameTimings,
+    ) -> Result<FrameAnswer, ServiceError> {
+        let gone = || ServiceError::internal("a localizer went away under its frame");
+        let localizer = &self.localizers.localizers.get(&id).ok_or_else(gone)?.localizer;
+        let mut clock = StageClock { last: Instant::now(), timings };
+        let event = self.mapper.localize(localizer, input, &Archive { writer: self }, &mut clock)?.event;
+        let answer = self.answer(&event, None)?;
+        self.localizers.heard += 1;
+        let last_heard = self.localizers.heard;
+        let localizing = self.localizers.localizers.get_mut(&id).ok_or_else(gone)?;
+        localizing.localizer.follow(&event, &self.mapper);
+        localizing.last_heard = last_heard;
+        localizing.answers.push_back(answer.clone());
+        if localizing.answers.len() > KEPT_ANSWERS {
+            localizing.answers.pop_front();
+        }
+        Ok(answer)
+    }
+}
+
+impl Localizing {
+    /// The answer that a frame got.
+    fn stored(&self, sequence: u64) -> Result<FrameAnswer, FrameFailure> {
+        let found = self.answers.iter().find(|answer| answer.sequence == sequence);
+        found.cloned().ok_or_else(|| {
+            FrameFailure::Refused(ServiceError::precondition(format_args!(
+                "sequence number {sequence} is not among the last {KEPT_ANSWERS} that this robot localized by; \
+                 number frames upwards"
+            )))
+        })
+    }
+}

@@ -1,0 +1,238 @@
+//! Where something was seen, and why a frame was decided as it was.
+
+use std::sync::Arc;
+
+use fabmap::appearance::PlaceId;
+use fabmap::explanation::Explanation;
+use fabmap::observation::Observation;
+use tokio::runtime::Handle;
+use tokio_util::sync::CancellationToken;
+use topomap::event::{FrameEvent, FrameId, MapEvent, Reason};
+use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameInput, Gate, Gates, Mapper};
+
+use super::Service;
+use super::content::{Content, Words};
+use super::frames::LocatedFrame;
+use super::map_settings::{self, Keep};
+pub(crate) use super::map_writer::QueryAnswer;
+use super::names::map_in;
+use crate::error::ServiceError;
+use crate::extraction::LoadedModel;
+use crate::storage::{LogEntry, MapRow, Storage, StorageError};
+
+/// Words for, and as many against, that an explanation lists at most.
+const MAX_EXPLAINED_WORDS: u32 = 100;
+
+const DEFAULT_EXPLAINED_WORDS: u32 = 10;
+
+/// Why a frame was decided as it was.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct FrameExplanation {
+    /// `maps/{map}/sessions/{session}/frames/{sequence}`.
+    pub(crate) name: String,
+    pub(crate) reason: Reason,
+    /// In the order of checking; empty if the map had no place yet.
+    pub(crate) gates: Vec<GateView>,
+    pub(crate) place: Option<Explanation>,
+    /// Whether the replay came to the logged posteriors to the bit.
+    pub(crate) reproduced: bool,
+}
+
+/// A condition for a loop closure.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct GateView {
+    pub(crate) name: &'static str,
+    pub(crate) gate: Gate,
+    pub(crate) description: String,
+}
+
+impl Service {
+    /// Where one image, or bag of words, was taken. Nothing is remembered of it.
+    pub(crate) async fn query(
+        self: &Arc<Self>,
+        map: &str,
+        content: Content,
+        words_hash: &str,
+        explained_words: u32,
+    ) -> Result<QueryAnswer, ServiceError> {
+        let map = map_in(map)?;
+        let explained = explained_words_of(explained_words)?;
+        let row = self.map_row(map).await?;
+        let model = self.loaded_model(&row.model).await?;
+        let words = Words::declared(words_hash, &model)?;
+        let observed = self.observe(model, content, words, Keep::Words, None).await?;
+        self.open_map(map).await?.query(observed.observation, explained).await
+    }
+
+    /// Replays the map up to a frame and decides that frame again, this time telling why.
+    pub(crate) async fn explain_frame(
+        self: &Arc<Self>,
+        name: &str,
+        place: Option<PlaceId>,
+        words: u32,
+    ) -> Result<FrameExplanation, ServiceError> {
+        let words = explained_words_of(if words == 0 { DEFAULT_EXPLAINED_WORDS } else { words })?;
+        let LocatedFrame { map, position } = self.locate(name).await?;
+        let model = self.model_then(&map, position).await?;
+        // One at a time: a replay takes as much memory as the map, and a core.
+        let turn = self.replays.clone().acquire_owned().await.map_err(|_| ServiceError::stopping())?;
+        let (abandoned, name) = (CancellationToken::new(), name.to_owned());
+        let _abandon = abandoned.clone().drop_guard();
+        let replay =
+            Replay { storage: self.storage.clone(), runtime: Handle::current(), map, model, abandoned };
+        let explaining = tokio::task::spawn_blocking(move || {
+            let _turn = turn;
+            replay.explain(name, position, place, words)
+        });
+        explaining.await.map_err(ServiceError::internal)?
+    }
+
+    /// The model that a map had when a frame was decided; the present one if that is gone.
+    async fn model_then(&self, map: &MapRow, position: FrameId) -> Result<Arc<LoadedModel>, ServiceError> {
+        if let Some(former) = self.storage.former_model(map.id, position).await? {
+            match self.loaded_model(&former).await {
+                Ok(model) => return Ok(model),
+                Err(ServiceError::NotFound { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        self.loaded_model(&map.model).await
+    }
+}
+
+fn explained_words_of(words: u32) -> Result<usize, ServiceError> {
+    if words > MAX_EXPLAINED_WORDS {
+        return Err(ServiceError::invalid(format_args!(
+            "an explanation lists at most {MAX_EXPLAINED_WORDS} words for and as many against, not {words}"
+        )));
+    }
+    Ok(words as usize)
+}
+
+/// A map as it was when one of its frames came in.
+struct Replay {
+    storage: Storage,
+    runtime: Handle,
+    map: MapRow,
+    model: Arc<LoadedModel>,
+    /// Nobody waits for the answer any more.
+    abandoned: CancellationToken,
+}
+
+impl Replay {
+    /// Blocks.
+    fn explain(
+        &self,
+        name: String,
+        position: FrameId,
+        place: Option<PlaceId>,
+        words: usize,
+    ) -> Result<FrameExplanation, ServiceError> {
+        let (mapper, event) = self.up_to(position)?;
+        let input = FrameInput {
+            session: event.session,
+            sequence: event.sequence,
+            stamp_ns: event.stamp_ns,
+            odometry: event.odometry.clone(),
+            observation: event.observation.clone(),
+        };
+        let decided = mapper.decide(input.clone(), self, &mut ())?;
+        let explained = place.or_else(|| contested_place(&event, &decided));
+        let places = mapper.recognizer().places();
+        if let Some(place) = place.filter(|&place| place as usize >= places) {
+            return Err(ServiceError::not_found(format_args!(
+                "there was no place {place} when {name} came in, there were {places}; ask about an earlier one, \
+                 or leave the place out"
+            )));
+        }
+        let recognition = &decided.recognition;
+        let gates = explained.and_then(|place| mapper.gates(&input, recognition, place));
+        Ok(FrameExplanation {
+            name,
+            reason: event.decision.reason,
+            gates: gates.map(|gates| gate_views(&gates)).unwrap_or_default(),
+            place: explained.and_then(|place| mapper.explain(&input.observation, recognition, place, words)),
+            reproduced: decided.event == event,
+        })
+    }
+
+    /// The map before the event at `position`, and that event.
+    fn up_to(&self, position: FrameId) -> Result<(Mapper, FrameEvent), ServiceError> {
+        let Self { storage, runtime, map, model, abandoned } = self;
+        let settings = map_settings::from_json(&map.settings)?.mapper;
+        let mut mapper = Mapper::new(&model.model, settings).map_err(ServiceError::internal)?;
+        let words = model.model.vocabulary().len();
+        let mut fold = |LogEntry { position: _, event, media: _ }: LogEntry| {
+            if abandoned.is_cancelled() {
+                return Err(StorageError::Damaged("a replay that nobody waits for".to_owned()));
+            }
+            mapper.apply(&event).map_err(|error| StorageError::Damaged(error.to_string()))
+        };
+        runtime.block_on(storage.replay(map.id, 0..position, words, &mut fold))?;
+        match runtime.block_on(storage.event_at(map.id, position, words))? {
+            Some(MapEvent::Frame(event)) => Ok((mapper, *event)),
+            Some(MapEvent::SessionOpened { .. }) | None => {
+                Err(ServiceError::not_found(format_args!("the map {} was deleted just now", map.name)))
+            }
+        }
+    }
+}
+
+impl FrameArchive for Replay {
+    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
+        let words = self.model.model.vocabulary().len();
+        match self.runtime.block_on(self.storage.event_at(self.map.id, frame, words)) {
+            Ok(Some(MapEvent::Frame(event))) => Ok(Some(event.observation)),
+            Ok(Some(MapEvent::SessionOpened { .. }) | None) | Err(StorageError::Damaged(_)) => Ok(None),
+            Err(error) => Err(ArchiveError { frame, why: error.to_string() }),
+        }
+    }
+}
+
+/// The place that was matched, or else the one that came closest to it.
+fn contested_place(event: &FrameEvent, decided: &Decided) -> Option<PlaceId> {
+    let existing = |place: &PlaceId| (*place as usize) < decided.recognition.posterior.places.len();
+    let closure = event.decision.closure.map(|closure| closure.place);
+    let best = || decided.recognition.posterior.best_place().map(|(place, _)| place);
+    closure.or(event.decision.place.filter(existing)).or_else(best)
+}
+
+fn gate_views(gates: &Gates) -> Vec<GateView> {
+    let Gates { place, words, known_place, guard, threshold } = *gates;
+    let enough = if words.passed { "enough" } else { "too few" };
+    let words_text = format!("{} different words are {enough}: {} are needed", words.value, words.required);
+    let compared = if known_place.passed { "at least as probable as" } else { "less probable than" };
+    let known_place_text = format!(
+        "place {place}, posterior {}, is {compared} somewhere new, {}",
+        probability(known_place.value),
+        probability(known_place.required)
+    );
+    let guard_text = match (guard.passed, guard.value) {
+        (true, _) => {
+            format!("the session was not at place {place} within the last {} frames", guard.required)
+        }
+        (false, 0.0) => format!("the session is at place {place}: staying closes no loop"),
+        (false, frames) => format!(
+            "the session left place {place} {frames} frames ago; a loop takes {} or more",
+            guard.required
+        ),
+    };
+    let reaches = if threshold.passed { "reaches" } else { "stays below" };
+    let threshold_text = format!(
+        "the posterior {} {reaches} the map's threshold {}",
+        probability(threshold.value),
+        probability(threshold.required)
+    );
+    let view = |name, gate, description| GateView { name, gate, description };
+    vec![
+        view("words", words, words_text),
+        view("known_place", known_place, known_place_text),
+        view("guard", guard, guard_text),
+        view("threshold", threshold, threshold_text),
+    ]
+}
+
+/// Digits where they tell: near 0 and near 1.
+fn probability(value: f64) -> String {
+    if value < 1e-3 { format!("{value:.1e}") } else { format!("{value:.9}") }
+}

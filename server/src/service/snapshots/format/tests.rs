@@ -1,0 +1,111 @@
+use super::*;
+
+fn records() -> Vec<Record> {
+    let session = |number, camera| {
+        let name = format!("robot-{number}");
+        Record::Session(StoredSession { number, name, camera, opened_ns: 5 })
+    };
+    let medium = |position, kind| Record::Medium(MediaRow { position, kind, content: vec![7; 9] });
+    vec![
+        Record::Map(MapRecord {
+            name: "hall".to_owned(),
+            model: "ab".repeat(32),
+            settings: "{}".to_owned(),
+            created_ns: -3,
+        }),
+        Record::Model { display_name: "office".to_owned(), file: vec![1, 2, 3] },
+        Record::FormerModel(FormerModelRow { until_events: 1, model: "cd".repeat(32) }),
+        session(0, None),
+        session(1, Some(vec![8, 8])),
+        Record::Event { position: 0, event: vec![1] },
+        Record::Event { position: 1, event: vec![] },
+        medium(1, MediumKind::Features),
+        medium(1, MediumKind::Thumbnail),
+    ]
+}
+
+fn write(records: &[Record]) -> Vec<u8> {
+    let mut writer = SnapshotWriter::new();
+    records.iter().for_each(|record| writer.record(record).unwrap());
+    let mut bytes = writer.take();
+    bytes.extend(writer.finish());
+    bytes
+}
+
+fn read(bytes: &[u8]) -> Result<Vec<Record>, DecodeError> {
+    let decode_error = |error| match error {
+        SnapshotError::Decode(error) => error,
+        SnapshotError::Source(error) => panic!("{error}"),
+    };
+    let mut reader = SnapshotReader::open(bytes).map_err(decode_error)?;
+    let mut records = Vec::new();
+    while let Some(record) = reader.next().map_err(decode_error)? {
+        records.push(record);
+    }
+    assert_eq!(reader.bytes(), bytes.len() as u64);
+    Ok(records)
+}
+
+#[test]
+fn what_is_written_is_read() {
+    assert_eq!(read(&write(&records())), Ok(records()));
+    assert_eq!(read(&write(&records()[..2])), Ok(records()[..2].to_vec()));
+}
+
+#[test]
+fn no_flipped_bit_passes() {
+    let whole = write(&records());
+    for position in 0..whole.len() {
+        for bit in 0..8 {
+            let mut flipped = whole.clone();
+            flipped[position] ^= 1 << bit;
+            assert!(read(&flipped).is_err(), "byte {position}, bit {bit}");
+        }
+    }
+}
+
+#[test]
+fn no_cut_passes() {
+    let whole = write(&records());
+    for length in 0..whole.len() {
+        let error = read(&whole[..length]).unwrap_err();
+        assert!(matches!(error, DecodeError::Truncated { .. }), "{length} bytes: {error}");
+    }
+}
+
+#[test]
+fn records_out_of_order_or_there_twice_are_refused() {
+    for (first, second) in (0..records().len()).flat_map(|a| (0..a).map(move |b| (b, a))) {
+        let mut swapped = records();
+        swapped.swap(first, second);
+        assert!(read(&write(&swapped)).is_err(), "{first} and {second} swapped");
+    }
+    for index in 0..records().len() {
+        let mut twice = records();
+        twice.insert(index, records()[index].clone());
+        assert!(read(&write(&twice)).is_err(), "record {index} twice");
+    }
+    for index in [0, 1, 5] {
+        let mut fewer = records();
+        fewer.remove(index);
+        assert!(read(&write(&fewer)).is_err(), "record {index} is missing");
+    }
+}
+
+#[test]
+fn each_damage_has_its_own_name() {
+    let whole = write(&records());
+    let replaced = |at: usize, bytes: &[u8]| {
+        let mut damaged = whole.clone();
+        damaged[at..at + bytes.len()].copy_from_slice(bytes);
+        read(&damaged).unwrap_err()
+    };
+    assert_eq!(read(b"WPMODEL\n and more").unwrap_err(), DecodeError::Magic { expected: "Waypost snapshot" });
+    assert_eq!(replaced(8, &[2]), DecodeError::Version { found: 2, newest: 1 });
+    assert_eq!(replaced(whole.len() - 1, &[0, 0][..1]), DecodeError::Checksum);
+    assert!(matches!(replaced(13, &u32::MAX.to_le_bytes()), DecodeError::Invalid { .. }));
+    assert!(matches!(replaced(13, &(16u32 << 20).to_le_bytes()), DecodeError::Truncated { .. }));
+    let mut longer = whole.clone();
+    longer.extend([0; 3]);
+    assert_eq!(read(&longer).unwrap_err(), DecodeError::Trailing { bytes: 3 });
+}

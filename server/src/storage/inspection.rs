@@ -1,0 +1,79 @@
+//! Looking at a database without serving it, and at one that is served.
+
+use std::path::Path;
+
+use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
+use sqlx::{Row, SqlitePool};
+
+use super::{FILE_NAME, Storage, StorageError, from_sql, lock_directory, or_no_database};
+
+/// What a data directory holds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Inspection {
+    pub(crate) maps: u64,
+    pub(crate) tokens: u64,
+    /// Whether the next server to open it brings it up to date.
+    pub(crate) outdated: bool,
+}
+
+/// Looks at the database of `directory` and changes nothing in it. `None` if there is none yet.
+///
+/// Takes the directory's lock meanwhile: a server that runs on it is an error.
+pub(crate) async fn inspect(directory: &Path) -> Result<Option<Inspection>, StorageError> {
+    let _lock = lock_directory(directory)?;
+    let file = directory.join(FILE_NAME);
+    if !file.exists() {
+        return Ok(None);
+    }
+    let options = SqliteConnectOptions::new().filename(file).read_only(true);
+    let database = SqlitePoolOptions::new().max_connections(1).connect_with(options).await;
+    let database = database.map_err(|error| or_no_database(error, directory))?;
+    let inspected = look_at(&database).await;
+    database.close().await;
+    match inspected {
+        Ok(inspection) => Ok(Some(inspection)),
+        Err(StorageError::Sqlite(error)) => Err(or_no_database(error, directory)),
+        Err(error) => Err(error),
+    }
+}
+
+async fn look_at(database: &SqlitePool) -> Result<Inspection, StorageError> {
+    let problem: String = sqlx::query("PRAGMA quick_check(1)").fetch_one(database).await?.try_get(0)?;
+    if problem != "ok" {
+        return Err(StorageError::Damaged(problem));
+    }
+    let migrator = sqlx::migrate!("../migrations");
+    let known: Vec<i64> = migrator.iter().map(|migration| migration.version).collect();
+    let applied = sqlx::query("SELECT version FROM _sqlx_migrations").fetch_all(database).await?;
+    let applied: Vec<i64> = applied.iter().map(|row| row.try_get(0)).collect::<Result<_, _>>()?;
+    if let Some(&schema) = applied.iter().find(|version| !known.contains(version)) {
+        return Err(StorageError::Newer { schema });
+    }
+    let outdated = applied.len() < known.len();
+    let maps = sqlx::query("SELECT count(*) FROM maps").fetch_one(database).await?.try_get(0)?;
+    // A database of the first version has no tokens.
+    let has_tokens = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = 'tokens'";
+    let tokens = match sqlx::query(has_tokens).fetch_one(database).await?.try_get::<i64, _>(0)? {
+        0 => 0,
+        _ => sqlx::query("SELECT count(*) FROM tokens").fetch_one(database).await?.try_get(0)?,
+    };
+    Ok(Inspection { maps: from_sql(maps)?, tokens: from_sql(tokens)?, outdated })
+}
+
+impl Storage {
+    /// Size of the database, without what is still in the write-ahead log.
+    pub(crate) async fn size_bytes(&self) -> Result<u64, StorageError> {
+        let row = sqlx::query(
+            "SELECT pages.page_count * sizes.page_size FROM pragma_page_count AS pages, pragma_page_size AS sizes",
+        )
+        .fetch_one(&self.readers)
+        .await?;
+        from_sql(row.try_get(0)?)
+    }
+
+    /// Fails if the database does not answer.
+    pub(crate) async fn ping(&self) -> Result<(), StorageError> {
+        sqlx::query("SELECT 1 FROM maps LIMIT 1").fetch_optional(&self.readers).await?;
+        Ok(())
+    }
+}

@@ -1,0 +1,119 @@
+use sqlx::{Row, Sqlite, Transaction};
+use topomap::event::FrameId;
+
+use super::{MapId, Storage, StorageError, from_sql, to_sql};
+
+/// Something that a map keeps of a frame beside its words.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Medium {
+    pub(crate) kind: MediumKind,
+    pub(crate) content: Vec<u8>,
+}
+
+/// In the order of their names, which is the order of the table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum MediumKind {
+    /// A [`waypost_vision::feature_record::FeatureRecord`].
+    Features,
+    /// The image as the robot sent it.
+    Image,
+    /// A small JPEG.
+    Thumbnail,
+}
+
+impl MediumKind {
+    const ALL: [Self; 3] = [Self::Features, Self::Image, Self::Thumbnail];
+
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            MediumKind::Features => "features",
+            MediumKind::Image => "image",
+            MediumKind::Thumbnail => "thumbnail",
+        }
+    }
+
+    pub(super) fn of(name: &str) -> Result<Self, StorageError> {
+        let known = Self::ALL.into_iter().find(|known| known.name() == name);
+        known.ok_or_else(|| StorageError::Damaged(format!("a medium of kind {name}")))
+    }
+}
+
+/// What a map takes on the disk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct MapBytes {
+    pub(crate) log: u64,
+    pub(crate) checkpoint: u64,
+    pub(crate) features: u64,
+    pub(crate) thumbnails: u64,
+    pub(crate) images: u64,
+}
+
+impl MapBytes {
+    /// All of it, divided by the number of frames; 0 if there are none.
+    pub(crate) fn per_frame(self, frames: u64) -> f64 {
+        let Self { log, checkpoint, features, thumbnails, images } = self;
+        match frames {
+            0 => 0.0,
+            frames => (log + checkpoint + features + thumbnails + images) as f64 / frames as f64,
+        }
+    }
+}
+
+impl Storage {
+    /// What is kept of a frame, if it is.
+    pub(crate) async fn medium(
+        &self,
+        map: MapId,
+        frame: FrameId,
+        kind: MediumKind,
+    ) -> Result<Option<Vec<u8>>, StorageError> {
+        let row =
+            sqlx::query("SELECT content FROM frame_media WHERE map_id = ? AND position = ? AND kind = ?")
+                .bind(map)
+                .bind(to_sql(frame))
+                .bind(kind.name())
+                .fetch_optional(&self.readers)
+                .await?;
+        Ok(row.map(|row| row.try_get("content")).transpose()?)
+    }
+
+    /// Adds up what a map takes. SQLite knows the length of a blob without reading it.
+    pub(crate) async fn map_bytes(&self, map: MapId) -> Result<MapBytes, StorageError> {
+        let row = sqlx::query(
+            "SELECT (SELECT coalesce(sum(length(event)), 0) FROM log WHERE map_id = ?1) AS log, \
+             (SELECT coalesce(sum(length(graph)), 0) FROM checkpoints WHERE map_id = ?1) + \
+             (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_places WHERE map_id = ?1) AS checkpoint, \
+             (SELECT coalesce(sum(length(content)), 0) FROM frame_media WHERE map_id = ?1 AND kind = 'features') AS features, \
+             (SELECT coalesce(sum(length(content)), 0) FROM frame_media WHERE map_id = ?1 AND kind = 'thumbnail') AS thumbnails, \
+             (SELECT coalesce(sum(length(content)), 0) FROM frame_media WHERE map_id = ?1 AND kind = 'image') AS images",
+        )
+        .bind(map)
+        .fetch_one(&self.readers)
+        .await?;
+        Ok(MapBytes {
+            log: from_sql(row.try_get("log")?)?,
+            checkpoint: from_sql(row.try_get("checkpoint")?)?,
+            features: from_sql(row.try_get("features")?)?,
+            thumbnails: from_sql(row.try_get("thumbnails")?)?,
+            images: from_sql(row.try_get("images")?)?,
+        })
+    }
+}
+
+pub(super) async fn insert_media(
+    transaction: &mut Transaction<'_, Sqlite>,
+    map: MapId,
+    position: i64,
+    media: &[Medium],
+) -> Result<(), StorageError> {
+    for Medium { kind, content } in media {
+        sqlx::query("INSERT INTO frame_media (map_id, position, kind, content) VALUES (?, ?, ?, ?)")
+            .bind(map)
+            .bind(position)
+            .bind(kind.name())
+            .bind(content)
+            .execute(&mut **transaction)
+            .await?;
+    }
+    Ok(())
+}

@@ -1,0 +1,142 @@
+//! Maps are taken away piece by piece: a large one in one transaction would hold up every other map's
+//! commits.
+
+use sqlx::Row;
+
+use super::{MapId, Storage, StorageError};
+
+/// What belongs to a map, by table: the key within the map, and how many rows are deleted at a time.
+/// Images are large.
+const TABLES: [(&str, &str, u32); 6] = [
+    ("frame_media", "position", 32),
+    ("log", "position", 500),
+    ("checkpoint_places", "place", 500),
+    ("checkpoints", "events", 1),
+    ("map_models", "until_events", 500),
+    ("sessions", "number", 500),
+];
+
+/// How far the deletion of a map is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Removal {
+    /// Some is left.
+    Under,
+    Done,
+}
+
+impl Storage {
+    /// Takes a map out of sight: its name is free, and its rows may be deleted. Whether there was one.
+    pub(crate) async fn retire_map(&self, name: &str) -> Result<bool, StorageError> {
+        self.write(async |transaction| {
+            // Nobody can choose a name with a tilde.
+            let done = sqlx::query(
+                "UPDATE maps SET name = '~' || id, state = 'deleting' WHERE name = ? AND state = 'live'",
+            )
+            .bind(name)
+            .execute(&mut **transaction)
+            .await?;
+            Ok(done.rows_affected() > 0)
+        })
+        .await
+    }
+
+    /// Gives up a map that was being imported.
+    pub(crate) async fn retire_import(&self, map: MapId) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            sqlx::query(
+                "UPDATE maps SET name = '~' || id, state = 'deleting' WHERE id = ? AND state = 'importing'",
+            )
+            .bind(map)
+            .execute(&mut **transaction)
+            .await?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// Gives up all maps that were being imported: for the start of a server, when none is.
+    pub(crate) async fn retire_imports(&self) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            sqlx::query("UPDATE maps SET name = '~' || id, state = 'deleting' WHERE state = 'importing'")
+                .execute(&mut **transaction)
+                .await?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// A map whose rows are to be deleted.
+    pub(crate) async fn retired_map(&self) -> Result<Option<MapId>, StorageError> {
+        let row = sqlx::query("SELECT id FROM maps WHERE state = 'deleting' ORDER BY id LIMIT 1")
+            .fetch_optional(&self.readers)
+            .await?;
+        Ok(row.map(|row| row.try_get("id")).transpose()?)
+    }
+
+    /// Deletes a piece of a retired map, and at last the map itself.
+    pub(crate) async fn delete_piece(&self, map: MapId) -> Result<Removal, StorageError> {
+        self.write(async |transaction| {
+            for (table, key, rows) in TABLES {
+                let delete = format!(
+                    "DELETE FROM {table} WHERE map_id = ?1 AND {key} IN \
+                     (SELECT {key} FROM {table} WHERE map_id = ?1 ORDER BY {key} LIMIT ?2)"
+                );
+                let done = sqlx::query(sqlx::AssertSqlSafe(delete))
+                    .bind(map)
+                    .bind(rows)
+                    .execute(&mut **transaction)
+                    .await?;
+                if done.rows_affected() > 0 {
+                    return Ok(Removal::Under);
+                }
+            }
+            sqlx::query("DELETE FROM maps WHERE id = ? AND state = 'deleting'")
+                .bind(map)
+                .execute(&mut **transaction)
+                .await?;
+            Ok(Removal::Done)
+        })
+        .await
+    }
+
+    /// Whether a map that is being deleted still refers to the model, and no other map does.
+    pub(crate) async fn only_retired_maps_use(&self, model: &str) -> Result<bool, StorageError> {
+        let row = sqlx::query(
+            "SELECT count(*) AS maps, count(*) FILTER (WHERE state = 'deleting') AS retired \
+             FROM maps WHERE model = ?",
+        )
+        .bind(model)
+        .fetch_one(&self.readers)
+        .await?;
+        let (maps, retired): (i64, i64) = (row.try_get("maps")?, row.try_get("retired")?);
+        Ok(maps == retired)
+    }
+
+    /// Deletes a model that an import brought in and did not come to use, if nothing else uses it.
+    /// Whether there was one to look at.
+    pub(crate) async fn drop_unfinished_model(&self) -> Result<bool, StorageError> {
+        self.write(async |transaction| {
+            let row = sqlx::query(
+                "SELECT number, result FROM jobs \
+                 WHERE kind = 'import_map' AND state IN ('failed', 'cancelled') AND result IS NOT NULL LIMIT 1",
+            )
+            .fetch_optional(&mut **transaction)
+            .await?;
+            let Some(row) = row else { return Ok(false) };
+            let (number, result): (i64, String) = (row.try_get("number")?, row.try_get("result")?);
+            sqlx::query(
+                "DELETE FROM models WHERE 'models/' || hash = ?1 \
+                 AND NOT EXISTS (SELECT 1 FROM maps WHERE maps.model = models.hash)",
+            )
+            .bind(result)
+            .execute(&mut **transaction)
+            .await?;
+            sqlx::query("UPDATE jobs SET result = NULL WHERE number = ?")
+                .bind(number)
+                .execute(&mut **transaction)
+                .await?;
+            Ok(true)
+        })
+        .await
+    }
+}

@@ -1,0 +1,246 @@
+//! Maps read out as they stand, and brought in piece by piece.
+
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, Sqlite, Transaction};
+use topomap::event::{MapEvent, SessionId};
+
+use super::jobs::end_job;
+use super::log::insert_event;
+use super::maps::map;
+use super::{JobEnd, MapId, MapRow, MediumKind, ModelRow, Storage, StorageError, from_sql, to_sql};
+
+/// Log events that are read at a time.
+const EVENTS_PAGE: u32 = 500;
+
+/// Media that are read at a time: they may be whole images.
+const MEDIA_PAGE: u32 = 8;
+
+/// A session with all that is stored of it.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct StoredSession {
+    pub(crate) number: SessionId,
+    pub(crate) name: String,
+    /// An encoded `waypost.v1.Camera`.
+    pub(crate) camera: Option<Vec<u8>>,
+    pub(crate) opened_ns: i64,
+}
+
+/// A model that a map was bound to before.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct FormerModelRow {
+    /// The log position from which it no longer was.
+    pub(crate) until_events: u64,
+    /// Its hash.
+    pub(crate) model: String,
+}
+
+/// What a map keeps of a frame beside its words.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct MediaRow {
+    /// The frame's position in the log.
+    pub(crate) position: u64,
+    pub(crate) kind: MediumKind,
+    pub(crate) content: Vec<u8>,
+}
+
+/// A map that is to be brought in, without its log.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ImportedMap {
+    pub(crate) name: String,
+    pub(crate) model: ModelRow,
+    pub(crate) model_file: Vec<u8>,
+    /// JSON.
+    pub(crate) settings: String,
+    pub(crate) created_ns: i64,
+    pub(crate) former_models: Vec<FormerModelRow>,
+    pub(crate) sessions: Vec<StoredSession>,
+}
+
+/// One consistent view of a map, whatever is written meanwhile. Holds one of a few connections.
+#[derive(Debug)]
+pub(crate) struct MapView {
+    map: MapRow,
+    snapshot: Transaction<'static, Sqlite>,
+}
+
+impl Storage {
+    /// A view of the map of that name as it is now.
+    pub(crate) async fn view_map(&self, name: &str) -> Result<Option<MapView>, StorageError> {
+        let mut snapshot = self.exporters.begin().await?;
+        // The first read is what fixes the view.
+        let row = sqlx::query(
+            "SELECT id, name, model, settings, created_ns FROM maps WHERE name = ? AND state = 'live'",
+        )
+        .bind(name)
+        .fetch_optional(&mut *snapshot)
+        .await?;
+        let Some(row) = row else { return Ok(None) };
+        Ok(Some(MapView { map: map(&row)?, snapshot }))
+    }
+
+    /// Begins an import: a map that nobody sees yet, with its sessions, and its model unless that is
+    /// there. [`StorageError::Exists`] if the name is taken. Says in the job's row which model it brought.
+    pub(crate) async fn begin_import(&self, map: &ImportedMap, job: u64) -> Result<MapId, StorageError> {
+        let ImportedMap { name, model, model_file, settings, created_ns, former_models, sessions } = map;
+        self.write(async |transaction| {
+            if super::models::insert_model(transaction, model, model_file).await? {
+                sqlx::query("UPDATE jobs SET result = 'models/' || ? WHERE number = ?")
+                    .bind(&model.hash)
+                    .bind(to_sql(job))
+                    .execute(&mut **transaction)
+                    .await?;
+            }
+            let done = sqlx::query(
+                "INSERT INTO maps (name, model, settings, created_ns, state) VALUES (?, ?, ?, ?, 'importing')",
+            )
+            .bind(name)
+            .bind(&model.hash)
+            .bind(settings)
+            .bind(created_ns)
+            .execute(&mut **transaction)
+            .await?;
+            let map = done.last_insert_rowid();
+            for FormerModelRow { until_events, model } in former_models {
+                sqlx::query("INSERT INTO map_models (map_id, until_events, model) VALUES (?, ?, ?)")
+                    .bind(map)
+                    .bind(to_sql(*until_events))
+                    .bind(model)
+                    .execute(&mut **transaction)
+                    .await?;
+            }
+            for StoredSession { number, name, camera, opened_ns } in sessions {
+                sqlx::query(
+                    "INSERT INTO sessions (map_id, number, name, camera, opened_ns) VALUES (?, ?, ?, ?, ?)",
+                )
+                .bind(map)
+                .bind(number)
+                .bind(name)
+                .bind(camera)
+                .bind(opened_ns)
+                .execute(&mut **transaction)
+                .await?;
+            }
+            Ok(map)
+        })
+        .await
+    }
+
+    /// Adds a piece of an import.
+    pub(crate) async fn import_piece(
+        &self,
+        map: MapId,
+        events: &[(u64, MapEvent)],
+        media: &[MediaRow],
+    ) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            for (position, event) in events {
+                insert_event(transaction, map, to_sql(*position), event).await?;
+            }
+            for MediaRow { position, kind, content } in media {
+                sqlx::query("INSERT INTO frame_media (map_id, position, kind, content) VALUES (?, ?, ?, ?)")
+                    .bind(map)
+                    .bind(to_sql(*position))
+                    .bind(kind.name())
+                    .bind(content)
+                    .execute(&mut **transaction)
+                    .await?;
+            }
+            Ok(())
+        })
+        .await
+    }
+
+    /// Shows an imported map, and ends its job: both or neither.
+    pub(crate) async fn finish_import(&self, map: MapId, end: &JobEnd) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            sqlx::query("UPDATE maps SET state = 'live' WHERE id = ? AND state = 'importing'")
+                .bind(map)
+                .execute(&mut **transaction)
+                .await?;
+            end_job(transaction, end).await
+        })
+        .await
+    }
+}
+
+impl MapView {
+    pub(crate) fn map(&self) -> &MapRow {
+        &self.map
+    }
+
+    /// The model's display name and file.
+    pub(crate) async fn model(&mut self) -> Result<(String, Vec<u8>), StorageError> {
+        let row = sqlx::query("SELECT display_name, file FROM models WHERE hash = ?")
+            .bind(&self.map.model)
+            .fetch_one(&mut *self.snapshot)
+            .await?;
+        Ok((row.try_get("display_name")?, row.try_get("file")?))
+    }
+
+    pub(crate) async fn former_models(&mut self) -> Result<Vec<FormerModelRow>, StorageError> {
+        let rows =
+            sqlx::query("SELECT until_events, model FROM map_models WHERE map_id = ? ORDER BY until_events")
+                .bind(self.map.id)
+                .fetch_all(&mut *self.snapshot)
+                .await?;
+        let former_model = |row: &SqliteRow| {
+            let until_events = from_sql(row.try_get("until_events")?)?;
+            Ok(FormerModelRow { until_events, model: row.try_get("model")? })
+        };
+        rows.iter().map(former_model).collect()
+    }
+
+    pub(crate) async fn sessions(&mut self) -> Result<Vec<StoredSession>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT number, name, camera, opened_ns FROM sessions WHERE map_id = ? ORDER BY number",
+        )
+        .bind(self.map.id)
+        .fetch_all(&mut *self.snapshot)
+        .await?;
+        let session = |row: &SqliteRow| {
+            Ok(StoredSession {
+                number: row.try_get("number")?,
+                name: row.try_get("name")?,
+                camera: row.try_get("camera")?,
+                opened_ns: row.try_get("opened_ns")?,
+            })
+        };
+        rows.iter().map(session).collect()
+    }
+
+    /// The next events as they are stored, from position `from` on; none at the end of the log.
+    pub(crate) async fn events(&mut self, from: u64) -> Result<Vec<(u64, Vec<u8>)>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT position, event FROM log WHERE map_id = ? AND position >= ? ORDER BY position LIMIT ?",
+        )
+        .bind(self.map.id)
+        .bind(to_sql(from))
+        .bind(EVENTS_PAGE)
+        .fetch_all(&mut *self.snapshot)
+        .await?;
+        rows.iter().map(|row| Ok((from_sql(row.try_get("position")?)?, row.try_get("event")?))).collect()
+    }
+
+    /// The next media after that of a position and kind; none after the last.
+    pub(crate) async fn media(
+        &mut self,
+        after: Option<(u64, MediumKind)>,
+    ) -> Result<Vec<MediaRow>, StorageError> {
+        let (position, kind) = after.map_or((-1, ""), |(position, kind)| (to_sql(position), kind.name()));
+        let rows = sqlx::query(
+            "SELECT position, kind, content FROM frame_media WHERE map_id = ? AND (position, kind) > (?, ?) \
+             ORDER BY position, kind LIMIT ?",
+        )
+        .bind(self.map.id)
+        .bind(position)
+        .bind(kind)
+        .bind(MEDIA_PAGE)
+        .fetch_all(&mut *self.snapshot)
+        .await?;
+        let media = |row: &SqliteRow| {
+            let (position, kind) = (from_sql(row.try_get("position")?)?, row.try_get("kind")?);
+            Ok(MediaRow { position, kind: MediumKind::of(kind)?, content: row.try_get("content")? })
+        };
+        rows.iter().map(media).collect()
+    }
+}
