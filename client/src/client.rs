@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use futures::{Stream, StreamExt, TryStreamExt};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Response, Status, Streaming};
 use waypost_proto::v1;
@@ -12,10 +13,12 @@ use waypost_proto::v1::job_service_client::JobServiceClient;
 use waypost_proto::v1::map_service_client::MapServiceClient;
 use waypost_proto::v1::model_service_client::ModelServiceClient;
 use waypost_proto::v1::session_service_client::SessionServiceClient;
+use waypost_proto::v1::token_service_client::TokenServiceClient;
 use waypost_proto::v1::train_model_request::Content;
 
 use crate::MAX_IMAGE_BYTES;
 use crate::error::{Error, innermost};
+use crate::options::{Bearer, ClientOptions};
 use crate::session::{Session, SessionOptions};
 use crate::upload::upload;
 
@@ -27,37 +30,51 @@ const KEEP_ALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 const MAX_REQUEST_BYTES: usize = MAX_IMAGE_BYTES + (64 << 10);
 /// A page of places is the longest answer: 100 places with 100 frames each, about 2 MiB.
 const MAX_ANSWER_BYTES: usize = 16 << 20;
-const PAGE_SIZE: u32 = 100;
+pub(crate) const PAGE_SIZE: u32 = 100;
 const CHUNK_BYTES: usize = 1 << 20;
+
+/// A connection with the token that goes with every call.
+pub(crate) type Transport = InterceptedService<Channel, Bearer>;
 
 /// A connection to a server. Cheap to clone; clones share the connection, which is made again by
 /// itself for the next call when it broke.
 #[derive(Clone, Debug)]
 pub struct Client {
-    channel: Channel,
+    transport: Transport,
     endpoint: String,
 }
 
 impl Client {
-    /// Connects to a server at `http://HOST:PORT`.
+    /// Connects to a server: at an address, or as [`ClientOptions`] say.
     ///
     /// # Errors
-    /// [`Error::Endpoint`] if that is no address, [`Error::Connection`] if nobody answers there.
-    pub async fn connect(endpoint: &str) -> Result<Self, Error> {
-        let channel = configured(endpoint)?.connect().await.map_err(|error| Error::Connection {
-            endpoint: endpoint.to_owned(),
+    /// [`Error::Endpoint`] if that is no address, [`Error::Options`] if token or certificates are of no
+    /// use, [`Error::Connection`] if nobody answers there.
+    pub async fn connect(options: impl Into<ClientOptions>) -> Result<Self, Error> {
+        let options = options.into();
+        let endpoint = configured(&options)?;
+        let channel = endpoint.connect().await.map_err(|error| Error::Connection {
+            endpoint: options.endpoint.clone(),
             reason: innermost(&error),
         })?;
-        Ok(Self { channel, endpoint: endpoint.to_owned() })
+        Self::over(channel, options)
     }
 
     /// A client that connects with its first call: for robots that may boot before the server does.
     /// Call from within a Tokio runtime.
     ///
     /// # Errors
-    /// [`Error::Endpoint`] if that is no address.
-    pub fn lazy(endpoint: &str) -> Result<Self, Error> {
-        Ok(Self { channel: configured(endpoint)?.connect_lazy(), endpoint: endpoint.to_owned() })
+    /// [`Error::Endpoint`] if that is no address, [`Error::Options`] if token or certificates are of no
+    /// use.
+    pub fn lazy(options: impl Into<ClientOptions>) -> Result<Self, Error> {
+        let options = options.into();
+        let channel = configured(&options)?.connect_lazy();
+        Self::over(channel, options)
+    }
+
+    fn over(channel: Channel, options: ClientOptions) -> Result<Self, Error> {
+        let transport = InterceptedService::new(channel, options.bearer()?);
+        Ok(Self { transport, endpoint: options.endpoint })
     }
 
     /// Opens a session, or resumes the one of that name. Waits for an unreachable server as long as
@@ -66,7 +83,7 @@ impl Client {
     /// # Errors
     /// [`Error::Status`] if the server refuses, [`Error::SessionLost`] if it could not be reached.
     pub async fn open_session(&self, options: SessionOptions) -> Result<Session, Error> {
-        Session::open(self.sessions(), options).await
+        Session::open(self.sessions_client(), options).await
     }
 
     /// Trains a model from JPEG or PNG images. The job that comes back goes on at the server; see
@@ -97,10 +114,13 @@ impl Client {
     /// # Errors
     /// As every call: [`Error::Connection`] or [`Error::Status`].
     pub async fn models(&self) -> Result<Vec<v1::Model>, Error> {
-        self.all_pages(async |page_token| {
+        self.all_pages(|page_token| {
+            let mut service = self.models_client();
             let request = v1::ListModelsRequest { page_size: PAGE_SIZE, page_token };
-            let page = self.models_client().list_models(request).await?.into_inner();
-            Ok((page.models, page.next_page_token))
+            async move {
+                let page = service.list_models(request).await?.into_inner();
+                Ok((page.models, page.next_page_token))
+            }
         })
         .await
     }
@@ -158,18 +178,31 @@ impl Client {
         Ok(())
     }
 
+    /// All jobs, newest first. Those that ended more than 30 days ago are forgotten.
+    ///
+    /// # Errors
+    /// As every call: [`Error::Connection`] or [`Error::Status`].
+    pub async fn jobs(&self) -> Result<Vec<v1::Job>, Error> {
+        self.all_pages(|page_token| async move {
+            let request = v1::ListJobsRequest { page_size: PAGE_SIZE, page_token };
+            let page = self.jobs_client().list_jobs(request).await?.into_inner();
+            Ok((page.jobs, page.next_page_token))
+        })
+        .await
+    }
+
     /// How far a job (`jobs/{number}`) is.
     ///
     /// # Errors
-    /// [`Error::Status`] with NOT_FOUND, also after a restart of the server.
+    /// [`Error::Status`] with NOT_FOUND.
     pub async fn job(&self, name: &str) -> Result<v1::Job, Error> {
         self.taken(self.jobs_client().get_job(v1::GetJobRequest { name: name.to_owned() }).await)
     }
 
-    /// Follows a job until it is done.
+    /// Follows a job until it is done. One that a restart of the server cut off has failed.
     ///
     /// # Errors
-    /// [`Error::Status`] with NOT_FOUND, also after a restart of the server.
+    /// [`Error::Status`] with NOT_FOUND.
     pub async fn watch_job(&self, name: &str) -> Result<JobProgress, Error> {
         let request = v1::WatchJobRequest { name: name.to_owned() };
         let jobs = self.taken(self.jobs_client().watch_job(request).await)?;
@@ -197,10 +230,13 @@ impl Client {
     /// # Errors
     /// As every call: [`Error::Connection`] or [`Error::Status`].
     pub async fn maps(&self) -> Result<Vec<v1::Map>, Error> {
-        self.all_pages(async |page_token| {
+        self.all_pages(|page_token| {
+            let mut service = self.maps_client();
             let request = v1::ListMapsRequest { page_size: PAGE_SIZE, page_token };
-            let page = self.maps_client().list_maps(request).await?.into_inner();
-            Ok((page.maps, page.next_page_token))
+            async move {
+                let page = service.list_maps(request).await?.into_inner();
+                Ok((page.maps, page.next_page_token))
+            }
         })
         .await
     }
@@ -229,10 +265,13 @@ impl Client {
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND.
     pub async fn places(&self, map: &str) -> Result<Vec<v1::Place>, Error> {
-        self.all_pages(async |page_token| {
+        self.all_pages(|page_token| {
+            let mut service = self.maps_client();
             let request = v1::ListPlacesRequest { map: map_name(map), page_size: PAGE_SIZE, page_token };
-            let page = self.maps_client().list_places(request).await?.into_inner();
-            Ok((page.places, page.next_page_token))
+            async move {
+                let page = service.list_places(request).await?.into_inner();
+                Ok((page.places, page.next_page_token))
+            }
         })
         .await
     }
@@ -242,18 +281,103 @@ impl Client {
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND.
     pub async fn matches(&self, map: &str) -> Result<Vec<v1::LoopClosure>, Error> {
-        self.all_pages(async |page_token| {
+        self.all_pages(|page_token| {
+            let mut service = self.maps_client();
             let request = v1::ListMatchesRequest { map: map_name(map), page_size: PAGE_SIZE, page_token };
-            let page = self.maps_client().list_matches(request).await?.into_inner();
-            Ok((page.matches, page.next_page_token))
+            async move {
+                let page = service.list_matches(request).await?.into_inner();
+                Ok((page.matches, page.next_page_token))
+            }
         })
         .await
     }
 
-    async fn all_pages<T>(
+    /// Writes a snapshot of a map with its model, as it is now; gives its length in bytes. Robots may
+    /// stream into the map meanwhile.
+    ///
+    /// # Errors
+    /// [`Error::Write`] if it cannot be written; [`Error::Status`] with NOT_FOUND, with RESOURCE_EXHAUSTED
+    /// if too many exports are under way, with ABORTED if nothing was taken for two minutes.
+    pub async fn export_map(&self, name: &str, file: &mut (impl AsyncWrite + Unpin)) -> Result<u64, Error> {
+        let request = v1::ExportMapRequest { name: map_name(name) };
+        let mut chunks = self.taken(self.maps_client().export_map(request).await)?;
+        let mut length_bytes = 0;
+        while let Some(v1::ExportMapResponse { chunk }) = self.met(chunks.message().await)? {
+            file.write_all(&chunk).await.map_err(Error::Write)?;
+            length_bytes += chunk.len() as u64;
+        }
+        file.flush().await.map_err(Error::Write)?;
+        Ok(length_bytes)
+    }
+
+    /// Takes a snapshot to the server, as a new map; an empty name leaves the one in the file. The job
+    /// that comes back checks and stores it; see [`watch_job`](Self::watch_job).
+    ///
+    /// # Errors
+    /// [`Error::Read`] if it cannot be read; [`Error::Status`] with ALREADY_EXISTS if there is a map of that
+    /// name, with INVALID_ARGUMENT if it is no snapshot.
+    pub async fn import_map(
         &self,
-        page: impl AsyncFn(String) -> Result<(Vec<T>, String), Status>,
-    ) -> Result<Vec<T>, Error> {
+        map_id: &str,
+        file: impl AsyncRead + Send + Unpin + 'static,
+    ) -> Result<v1::Job, Error> {
+        let map_id = map_id.strip_prefix("maps/").unwrap_or(map_id).to_owned();
+        // An empty file is for the server to refuse, and needs a message.
+        let named = futures::stream::once(async { Ok(v1::ImportMapRequest { map_id, chunk: Vec::new() }) });
+        let requests =
+            named.chain(chunks(file).map_ok(|chunk| v1::ImportMapRequest { map_id: String::new(), chunk }));
+        let mut maps = self.maps_client().max_encoding_message_size(MAX_REQUEST_BYTES);
+        let unsendable = || v1::ImportMapRequest { map_id: String::new(), chunk: vec![0; MAX_REQUEST_BYTES] };
+        let call = |requests| async move { maps.import_map(requests).await };
+        upload(requests, unsendable, &self.endpoint, call).await
+    }
+
+    /// Makes a token; gives its secret too, which the server does not keep.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with ALREADY_EXISTS or INVALID_ARGUMENT; with FAILED_PRECONDITION if the first
+    /// token is not an admin's.
+    pub async fn create_token(
+        &self,
+        token_id: &str,
+        role: v1::token::Role,
+    ) -> Result<(v1::Token, String), Error> {
+        let request = v1::CreateTokenRequest { token_id: token_id.to_owned(), role: role.into() };
+        let v1::CreateTokenResponse { token, secret } =
+            self.taken(self.tokens_client().create_token(request).await)?;
+        Ok((token.ok_or(Error::Protocol("a new token came without its name"))?, secret))
+    }
+
+    /// All tokens, by name.
+    ///
+    /// # Errors
+    /// As every call: [`Error::Connection`] or [`Error::Status`].
+    pub async fn tokens(&self) -> Result<Vec<v1::Token>, Error> {
+        self.all_pages(|page_token| async move {
+            let request = v1::ListTokensRequest { page_size: PAGE_SIZE, page_token };
+            let page = self.tokens_client().list_tokens(request).await?.into_inner();
+            Ok((page.tokens, page.next_page_token))
+        })
+        .await
+    }
+
+    /// Deletes a token, by `name` or `tokens/name`.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND; with FAILED_PRECONDITION if nobody could administer the server
+    /// without it.
+    pub async fn delete_token(&self, name: &str) -> Result<(), Error> {
+        let name = if name.starts_with("tokens/") { name.to_owned() } else { format!("tokens/{name}") };
+        let request = v1::DeleteTokenRequest { name };
+        let v1::DeleteTokenResponse {} = self.taken(self.tokens_client().delete_token(request).await)?;
+        Ok(())
+    }
+
+    /// Not an `AsyncFn`: calls must be such as can be spawned.
+    pub(crate) async fn all_pages<T, P>(&self, page: impl Fn(String) -> P) -> Result<Vec<T>, Error>
+    where
+        P: Future<Output = Result<(Vec<T>, String), Status>>,
+    {
         let mut all = Vec::new();
         let mut page_token = String::new();
         loop {
@@ -266,7 +390,7 @@ impl Client {
         }
     }
 
-    fn taken<T>(&self, response: Result<Response<T>, Status>) -> Result<T, Error> {
+    pub(crate) fn taken<T>(&self, response: Result<Response<T>, Status>) -> Result<T, Error> {
         self.met(response.map(Response::into_inner))
     }
 
@@ -274,22 +398,28 @@ impl Client {
         result.map_err(|status| Error::from_status(&status, &self.endpoint))
     }
 
-    fn models_client(&self) -> ModelServiceClient<Channel> {
-        ModelServiceClient::new(self.channel.clone())
+    fn models_client(&self) -> ModelServiceClient<Transport> {
+        ModelServiceClient::new(self.transport.clone())
             .max_encoding_message_size(MAX_REQUEST_BYTES)
             .max_decoding_message_size(MAX_ANSWER_BYTES)
     }
 
-    fn jobs_client(&self) -> JobServiceClient<Channel> {
-        JobServiceClient::new(self.channel.clone())
+    fn jobs_client(&self) -> JobServiceClient<Transport> {
+        JobServiceClient::new(self.transport.clone())
     }
 
-    fn maps_client(&self) -> MapServiceClient<Channel> {
-        MapServiceClient::new(self.channel.clone()).max_decoding_message_size(MAX_ANSWER_BYTES)
+    pub(crate) fn maps_client(&self) -> MapServiceClient<Transport> {
+        MapServiceClient::new(self.transport.clone()).max_decoding_message_size(MAX_ANSWER_BYTES)
     }
 
-    fn sessions(&self) -> SessionServiceClient<Channel> {
-        SessionServiceClient::new(self.channel.clone()).max_encoding_message_size(MAX_REQUEST_BYTES)
+    fn tokens_client(&self) -> TokenServiceClient<Transport> {
+        TokenServiceClient::new(self.transport.clone()).max_decoding_message_size(MAX_ANSWER_BYTES)
+    }
+
+    pub(crate) fn sessions_client(&self) -> SessionServiceClient<Transport> {
+        SessionServiceClient::new(self.transport.clone())
+            .max_encoding_message_size(MAX_REQUEST_BYTES)
+            .max_decoding_message_size(MAX_ANSWER_BYTES)
     }
 }
 
@@ -315,12 +445,18 @@ pub(crate) fn map_name(map: &str) -> String {
     if map.starts_with("maps/") { map.to_owned() } else { format!("maps/{map}") }
 }
 
-fn configured(endpoint: &str) -> Result<Endpoint, Error> {
+fn configured(options: &ClientOptions) -> Result<Endpoint, Error> {
+    let endpoint = options.endpoint.as_str();
     let refused = |reason: String| Error::Endpoint { endpoint: endpoint.to_owned(), reason };
-    let configured =
+    let mut configured =
         Endpoint::from_shared(endpoint.to_owned()).map_err(|error| refused(innermost(&error)))?;
     match configured.uri().scheme_str() {
-        Some("http") => {}
+        Some("http") => options.check_plain()?,
+        Some("https") => {
+            let unusable =
+                |error| Error::Options(format!("the certificates cannot be used: {}", innermost(&error)));
+            configured = configured.tls_config(options.tls()?).map_err(unusable)?;
+        }
         Some(other) => return Err(refused(format!("the scheme `{other}` is not served"))),
         None => return Err(refused("it lacks http://".to_owned())),
     }
@@ -354,6 +490,19 @@ mod tests {
         assert_eq!(cut.concat(), file);
     }
 
+    #[tokio::test]
+    async fn calls_can_be_spawned() {
+        let spawnable = |_: &(dyn Future<Output = Result<(), Error>> + Send)| {};
+        let client = Client::lazy("http://127.0.0.1:1").unwrap();
+        spawnable(&async { client.models().await.map(drop) });
+        spawnable(&async { client.maps().await.map(drop) });
+        spawnable(&async { client.places("drive").await.map(drop) });
+        spawnable(&async { client.matches("drive").await.map(drop) });
+        spawnable(&async { client.word_places("drive", 7).await.map(drop) });
+        spawnable(&async { client.sessions("drive").await.map(drop) });
+        spawnable(&async { client.frames("maps/drive/sessions/robot").await.map(drop) });
+    }
+
     #[test]
     fn a_map_is_named_with_or_without_its_collection() {
         assert_eq!(map_name("office"), "maps/office");
@@ -362,10 +511,10 @@ mod tests {
 
     #[test]
     fn addresses_that_no_client_can_use_are_refused() {
-        for endpoint in ["", "127.0.0.1:7600", "https://127.0.0.1:7600", "http://", "http://a b"] {
-            let refused = configured(endpoint);
+        for endpoint in ["", "127.0.0.1:7600", "ftp://127.0.0.1:7600", "http://", "http://a b"] {
+            let refused = configured(&endpoint.into());
             assert!(matches!(refused, Err(Error::Endpoint { .. })), "{endpoint:?}: {refused:?}");
         }
-        assert!(configured("http://127.0.0.1:7600").is_ok());
+        assert!(configured(&"http://127.0.0.1:7600".into()).is_ok());
     }
 }

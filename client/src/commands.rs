@@ -1,7 +1,12 @@
 //! One file per command.
 
 pub(crate) mod demo;
+pub(crate) mod explain;
 pub(crate) mod job;
 pub(crate) mod map;
 pub(crate) mod model;
+pub(crate) mod query;
+pub(crate) mod session;
+pub(crate) mod snapshot;
 pub(crate) mod stream;
+pub(crate) mod token;

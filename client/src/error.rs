@@ -9,13 +9,18 @@ use tonic::{Code, Status};
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The address of the server cannot be read.
-    #[error("`{endpoint}` is not the address of a server ({reason}); write it as http://HOST:PORT")]
+    #[error(
+        "`{endpoint}` is not the address of a server ({reason}); write it as http://HOST:PORT or https://HOST:PORT"
+    )]
     Endpoint {
         /// The address as given.
         endpoint: String,
         /// What is wrong with it.
         reason: String,
     },
+    /// The token or the certificates cannot be used.
+    #[error("{0}")]
+    Options(String),
     /// The server was not reached, or the connection broke in the middle of a call.
     #[error(
         "no connection to {endpoint} ({reason}); check that waypost-server runs there and that the address is right"

@@ -67,6 +67,12 @@ impl Failure {
     /// What to type, where the error itself cannot know.
     pub(crate) fn hint(&self) -> &'static str {
         match self {
+            Failure::Client(Error::Connection { reason, .. })
+                if reason.to_lowercase().contains("certificate") =>
+            {
+                "\nname the authority of the server's certificate with --ca or WAYPOST_CA; \
+                 if the server asks for one of yours, give --client-cert and --client-key"
+            }
             Failure::Client(Error::Connection { .. }) => {
                 "\nstart a server with `make serve`, or name another with --server or WAYPOST_SERVER"
             }
@@ -95,7 +101,7 @@ impl Failure {
 
 fn client_exit_code(error: &Error) -> u8 {
     match error {
-        Error::Endpoint { .. } => 2,
+        Error::Endpoint { .. } | Error::Options(_) => 2,
         Error::Connection { .. } | Error::SessionLost { .. } => 3,
         Error::Status { code, .. } => match code {
             Code::Unavailable | Code::DeadlineExceeded => 3,

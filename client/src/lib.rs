@@ -6,7 +6,7 @@
 //!
 //! ```no_run
 //! # async fn drive(images: Vec<Vec<u8>>) -> Result<(), waypost_client::Error> {
-//! use waypost_client::{Client, FrameInput, FrameOutcome, SessionOptions};
+//! use waypost_client::{Client, FrameContent, FrameInput, FrameOutcome, SessionOptions};
 //!
 //! let client = Client::connect("http://127.0.0.1:7600").await?;
 //! let session = client.open_session(SessionOptions::new("office")).await?;
@@ -14,7 +14,8 @@
 //! tokio::spawn(async move {
 //!     for (sequence, image) in (1..).zip(images) {
 //!         let stamp_ns = 1_000_000_000 * sequence as i64;
-//!         frames.send(FrameInput { sequence, stamp_ns, image, odometry: None }).await?;
+//!         let content = FrameContent::Image(image);
+//!         frames.send(FrameInput { sequence, stamp_ns, content, odometry: None }).await?;
 //!     }
 //!     Ok::<(), waypost_client::Error>(())
 //! });
@@ -30,14 +31,21 @@
 
 pub use client::{Client, JobProgress};
 pub use error::Error;
-pub use session::{FrameInput, FrameOutcome, FrameSender, Outcomes, Reconnection, Session, SessionOptions};
+pub use options::ClientOptions;
+pub use session::{
+    FrameContent, FrameInput, FrameOutcome, FrameSender, Outcomes, Reconnection, Session, SessionOptions,
+};
 pub use tonic::Code;
 pub use waypost_proto::v1;
 
 mod client;
 mod error;
+mod looks;
+mod options;
 mod session;
 mod upload;
+#[cfg(feature = "words")]
+pub mod words;
 
 /// Most bytes of one image; a frame with a longer one is refused.
 pub const MAX_IMAGE_BYTES: usize = 4 << 20;

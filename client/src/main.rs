@@ -1,21 +1,25 @@
 //! The `waypost` command line: models, maps and streams of a Waypost server.
 
 use std::io::Write;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use commands::{demo, job, map, model, stream};
+use commands::{demo, explain, job, map, model, query, session, stream, token};
 use failure::{EXIT_CODES, Failure};
 use output::Output;
+use waypost_client::ClientOptions;
 
 mod commands;
+mod explanations;
 mod failure;
 mod images;
 mod odometry;
 mod output;
 mod progress;
 mod replay;
+mod robot_words;
 mod server_process;
 mod truth;
 mod views;
@@ -42,9 +46,46 @@ struct Globals {
         value_name = "URL"
     )]
     server: String,
+    /// Secret of a token, if the server asks for one
+    #[arg(long, global = true, env = "WAYPOST_TOKEN", hide_env_values = true, value_name = "SECRET")]
+    token: Option<String>,
+    /// Authority that issued the server's certificate (PEM); without it, those that the system trusts
+    #[arg(long, global = true, env = "WAYPOST_CA", value_name = "FILE")]
+    ca: Option<PathBuf>,
+    /// Certificate to show to a server that asks for one (PEM)
+    #[arg(long, global = true, env = "WAYPOST_CLIENT_CERT", value_name = "FILE")]
+    client_cert: Option<PathBuf>,
+    /// Private key of that certificate (PEM)
+    #[arg(long, global = true, env = "WAYPOST_CLIENT_KEY", value_name = "FILE")]
+    client_key: Option<PathBuf>,
     /// Print exactly one JSON object on stdout when done, and nothing else there
     #[arg(long, global = true)]
     json: bool,
+}
+
+impl Globals {
+    /// How to reach the server. A variable that is set to nothing counts as none.
+    fn options(self) -> Result<ClientOptions, Failure> {
+        let Globals { server, token, ca, client_cert, client_key, json: _ } = self;
+        let mut options = ClientOptions::new(server);
+        if let Some(token) = token.filter(|token| !token.is_empty()) {
+            options = options.with_token(token);
+        }
+        if let Some(ca) = ca {
+            options = options.with_ca(read(&ca)?);
+        }
+        match (client_cert, client_key) {
+            (Some(certificate), Some(key)) => Ok(options.with_identity(read(&certificate)?, read(&key)?)),
+            (None, None) => Ok(options),
+            (Some(_), None) | (None, Some(_)) => Err(Failure::Unfit(
+                "a certificate and its key go together; give both --client-cert and --client-key".to_owned(),
+            )),
+        }
+    }
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, Failure> {
+    std::fs::read(path).map_err(Failure::file("read", path))
 }
 
 #[derive(Subcommand)]
@@ -52,13 +93,21 @@ enum Command {
     /// Train, list, show, copy and delete models
     #[command(subcommand, after_help = EXIT_CODES)]
     Model(model::Command),
-    /// Look after training that was started with --detach
+    /// Look after work at the server that takes long: trainings and imports of maps
     #[command(subcommand, after_help = EXIT_CODES)]
     Job(job::Command),
-    /// Create, list, show and delete maps
+    /// Create, list, show, copy and delete maps
     #[command(subcommand, after_help = EXIT_CODES)]
     Map(map::Command),
+    /// List the sessions of a map, and what was decided about their frames
+    #[command(subcommand, after_help = EXIT_CODES)]
+    Session(session::Command),
+    /// Create, list and delete tokens
+    #[command(subcommand, after_help = EXIT_CODES)]
+    Token(token::Command),
     Stream(stream::Arguments),
+    Query(query::Arguments),
+    Explain(explain::Arguments),
     Demo(demo::Arguments),
 }
 
@@ -89,12 +138,17 @@ fn main() -> ExitCode {
     }
 }
 
-async fn run(Arguments { globals: Globals { server, json }, command }: Arguments) -> Result<(), Failure> {
-    let output = if json { Output::Json } else { Output::Text };
+async fn run(Arguments { globals, command }: Arguments) -> Result<(), Failure> {
+    let output = if globals.json { Output::Json } else { Output::Text };
+    let server = globals.options()?;
     match command {
         Command::Model(command) => model::run(command, &server, output).await,
         Command::Job(command) => job::run(command, &server, output).await,
         Command::Map(command) => map::run(command, &server, output).await,
+        Command::Session(command) => session::run(command, &server, output).await,
+        Command::Query(arguments) => query::run(arguments, &server, output).await,
+        Command::Explain(arguments) => explain::run(arguments, &server, output).await,
+        Command::Token(command) => token::run(command, &server, output).await,
         Command::Stream(arguments) => stream::run(arguments, &server, output).await,
         Command::Demo(arguments) => demo::run(arguments, output).await,
     }

@@ -9,12 +9,18 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressFinish, ProgressStyle};
 use crate::output::Output;
 
 const BAR: &str = "{msg:24} [{bar:40}] {pos}/{len} {eta}";
+const BYTES: &str = "{msg:24} [{bar:40}] {bytes}/{total_bytes} {eta}";
 const PERCENT: &str = "{msg:24} [{bar:40}] {percent}%";
 const SPINNER: &str = "{spinner} {msg} {elapsed}";
 
 /// Counts things out of a known number.
 pub(crate) fn counter(output: Output, message: impl Into<Cow<'static, str>>, length: usize) -> ProgressBar {
     bar(output, BAR, length as u64, message)
+}
+
+/// Counts bytes out of a known number.
+pub(crate) fn bytes(output: Output, message: impl Into<Cow<'static, str>>, length: u64) -> ProgressBar {
+    bar(output, BYTES, length, message)
 }
 
 /// Shows a percentage.

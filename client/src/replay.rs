@@ -3,11 +3,12 @@
 use std::time::Duration;
 
 use tokio::time::{MissedTickBehavior, interval};
-use waypost_client::{FrameInput, FrameOutcome, FrameSender, Outcomes, Session};
+use waypost_client::{FrameContent, FrameInput, FrameOutcome, FrameSender, Outcomes, Session};
 
 use crate::failure::Failure;
 use crate::images::ImageFile;
 use crate::odometry::StampedPose;
+use crate::robot_words::ContentMaker;
 use crate::views::FrameRow;
 
 /// What is streamed. Frame numbers are places in the folder, counted from 1.
@@ -16,6 +17,8 @@ pub(crate) struct Replay {
     pub(crate) stamps: Stamps,
     /// Images per second; as fast as they are answered if none.
     pub(crate) pace_hz: Option<f64>,
+    /// What is sent of an image.
+    pub(crate) contents: ContentMaker,
 }
 
 /// When the images were taken.
@@ -26,6 +29,20 @@ pub(crate) enum Stamps {
     Even { rate_hz: f64 },
 }
 
+/// What went to the server.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Sent {
+    pub(crate) frames: usize,
+    /// Of images or words alone.
+    pub(crate) bytes: usize,
+}
+
+impl Sent {
+    pub(crate) fn bytes_per_frame(self) -> Option<f64> {
+        (self.frames > 0).then(|| self.bytes as f64 / self.frames as f64)
+    }
+}
+
 impl Replay {
     /// Streams the frames above a number, and hands a row per frame to `on_row` as outcomes come.
     pub(crate) async fn stream(
@@ -33,7 +50,7 @@ impl Replay {
         session: Session,
         after_sequence: u64,
         on_row: impl FnMut(FrameRow) -> Result<(), Failure>,
-    ) -> Result<(), Failure> {
+    ) -> Result<Sent, Failure> {
         let (frames, outcomes) = session.split();
         let receiving = self.receive(outcomes, on_row);
         let (sent, received) = tokio::join!(self.send(frames, after_sequence), receiving);
@@ -41,19 +58,23 @@ impl Replay {
         received.and(sent)
     }
 
-    async fn send(&self, mut frames: FrameSender, after_sequence: u64) -> Result<(), Failure> {
+    async fn send(&self, mut frames: FrameSender, after_sequence: u64) -> Result<Sent, Failure> {
+        let mut sent = Sent::default();
         let mut pace = self.pace_hz.map(|rate_hz| interval(Duration::from_secs_f64(1.0 / rate_hz)));
         if let Some(pace) = &mut pace {
             pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
         }
         for (sequence, image) in (1..).zip(&self.images).filter(|(sequence, _)| *sequence > after_sequence) {
             let bytes = tokio::fs::read(&image.path).await.map_err(Failure::file("read", &image.path))?;
+            let content = self.contents.content(bytes).await;
+            sent.frames += 1;
+            sent.bytes += content.encoded_len();
             if let Some(pace) = &mut pace {
                 pace.tick().await;
             }
-            frames.send(self.frame(sequence, bytes)).await?;
+            frames.send(self.frame(sequence, content)).await?;
         }
-        Ok(())
+        Ok(sent)
     }
 
     async fn receive(
@@ -73,9 +94,9 @@ impl Replay {
         Ok(())
     }
 
-    fn frame(&self, sequence: u64, image: Vec<u8>) -> FrameInput {
+    fn frame(&self, sequence: u64, content: FrameContent) -> FrameInput {
         let odometry = self.pose(sequence).map(|pose| pose.odometry.clone());
-        FrameInput { sequence, stamp_ns: self.stamp_ns(sequence), image, odometry }
+        FrameInput { sequence, stamp_ns: self.stamp_ns(sequence), content, odometry }
     }
 
     /// Name of the image that was frame `sequence`.
@@ -113,7 +134,12 @@ mod tests {
 
     fn replay(stamps: Stamps) -> Replay {
         let image = |name: &str| ImageFile { name: name.to_owned(), path: PathBuf::from(name) };
-        Replay { images: vec![image("a.jpg"), image("b.jpg")], stamps, pace_hz: None }
+        Replay {
+            images: vec![image("a.jpg"), image("b.jpg")],
+            stamps,
+            pace_hz: None,
+            contents: ContentMaker::Images,
+        }
     }
 
     #[test]
@@ -123,15 +149,15 @@ mod tests {
             [1, 2, 3].map(|sequence| replay.stamp_ns(sequence)),
             [250_000_000, 500_000_000, 750_000_000]
         );
-        assert_eq!(replay.frame(2, vec![7]).odometry, None);
+        assert_eq!(replay.frame(2, FrameContent::Image(vec![7])).odometry, None);
     }
 
     #[test]
     fn frames_take_stamp_and_pose_of_their_row() {
         let poses = odometry::parse("stamp_ns,x_m,y_m,yaw_rad\n100,1,0,0\n230,2,0,0\n").unwrap();
         let replay = replay(Stamps::Odometry(poses));
-        let frame = replay.frame(2, vec![7]);
-        assert_eq!((frame.sequence, frame.stamp_ns, frame.image), (2, 230, vec![7]));
+        let frame = replay.frame(2, FrameContent::Image(vec![7]));
+        assert_eq!((frame.sequence, frame.stamp_ns), (2, 230));
         let position_m = frame.odometry.unwrap().pose.unwrap().position_m.unwrap();
         assert_eq!(position_m.x.to_bits(), 2.0_f64.to_bits());
         assert_eq!((replay.image_name(1), replay.image_name(3)), (Some("a.jpg"), None));

@@ -39,7 +39,14 @@ impl ServerProcess {
         let log = data_dir.join("server.log");
         let log_file = File::create(&log).map_err(Failure::file("write", &log))?;
         let log_again = log_file.try_clone().map_err(Failure::file("write", &log))?;
-        let child = Command::new(program)
+        let mut command = Command::new(program);
+        // What the environment says is meant for another server.
+        for (name, _) in
+            std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("WAYPOST_"))
+        {
+            command.env_remove(name);
+        }
+        let child = command
             .arg("--data-dir")
             .arg(data_dir)
             .args(["--grpc-address", "127.0.0.1:0", "--http-address", "127.0.0.1:0", "--ready-file"])

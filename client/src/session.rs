@@ -6,15 +6,15 @@
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
+use prost::Message;
 use tokio::sync::{Semaphore, mpsc};
 use tokio::task::JoinHandle;
-use tonic::transport::Channel;
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_client::SessionServiceClient;
 
 pub use backoff::Reconnection;
 
-use crate::client::map_name;
+use crate::client::{Transport, map_name};
 use crate::error::Error;
 use exchange::Exchange;
 
@@ -45,6 +45,11 @@ pub struct SessionOptions {
     /// Name of the session within the map. One that is there is resumed. If empty, the server makes
     /// one up.
     pub session_id: String,
+    /// Whether the map grows by the session, or is only looked at.
+    pub mode: v1::SessionMode,
+    /// `words_hash` of the model that the robot makes its words with; empty for one that sends images. See
+    /// [`v1::OpenSession`].
+    pub words_hash: String,
     /// How the robot sees; a session that is resumed keeps the one it began with.
     pub camera: Option<v1::Camera>,
     /// How many frames may have no outcome before sending waits. Each is kept in memory till then.
@@ -54,11 +59,13 @@ pub struct SessionOptions {
 }
 
 impl SessionOptions {
-    /// A new session of a map, with all defaults: 8 frames in flight, no camera.
+    /// A new session that lets a map grow, with all defaults: images, 8 frames in flight, no camera.
     pub fn new(map: &str) -> Self {
         Self {
             map: map_name(map),
             session_id: String::new(),
+            mode: v1::SessionMode::Map,
+            words_hash: String::new(),
             camera: None,
             window_frames: DEFAULT_WINDOW,
             reconnection: Reconnection::default(),
@@ -74,11 +81,33 @@ pub struct FrameInput {
     pub sequence: u64,
     /// When the image was taken, by the robot's own steady clock.
     pub stamp_ns: i64,
-    /// A JPEG or PNG, at most [`MAX_IMAGE_BYTES`](crate::MAX_IMAGE_BYTES); a longer one is refused
-    /// without being sent.
-    pub image: Vec<u8>,
+    /// What was seen.
+    pub content: FrameContent,
     /// Pose of base_link in the session's odom frame at the stamp.
     pub odometry: Option<v1::Odometry>,
+}
+
+/// What a robot saw.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FrameContent {
+    /// A JPEG or PNG, at most [`MAX_IMAGE_BYTES`](crate::MAX_IMAGE_BYTES); a longer one is refused
+    /// without being sent.
+    Image(Vec<u8>),
+    /// How often each word was seen: the fewest bytes.
+    Histogram(v1::WordHistogram),
+    /// The word of each feature and where it is: all that can be verified by geometry.
+    Words(v1::WordList),
+}
+
+impl FrameContent {
+    /// Bytes that it takes on the way to the server.
+    pub fn encoded_len(&self) -> usize {
+        match self {
+            FrameContent::Image(image) => image.len(),
+            FrameContent::Histogram(histogram) => histogram.encoded_len(),
+            FrameContent::Words(words) => words.encoded_len(),
+        }
+    }
 }
 
 /// What became of a frame.
@@ -102,7 +131,7 @@ impl FrameOutcome {
 
 impl Session {
     pub(crate) async fn open(
-        service: SessionServiceClient<Channel>,
+        service: SessionServiceClient<Transport>,
         options: SessionOptions,
     ) -> Result<Self, Error> {
         let slots = Arc::new(Semaphore::new(options.window_frames.get()));

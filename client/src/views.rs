@@ -34,11 +34,17 @@ impl From<v1::Model> for ModelView {
 #[derive(Serialize)]
 pub(crate) struct JobView {
     pub(crate) name: String,
+    pub(crate) kind: &'static str,
     pub(crate) state: &'static str,
     pub(crate) stage: String,
     pub(crate) fraction: f64,
     pub(crate) error: String,
     pub(crate) model: Option<ModelView>,
+    /// What it made; null unless it succeeded.
+    pub(crate) result: Option<String>,
+    pub(crate) create_time_ns: i64,
+    /// Null while it runs.
+    pub(crate) end_time_ns: Option<i64>,
 }
 
 impl From<v1::Job> for JobView {
@@ -50,8 +56,35 @@ impl From<v1::Job> for JobView {
             v1::job::State::Failed => "failed",
             v1::job::State::Cancelled => "cancelled",
         };
-        let v1::Job { name, state: _, stage, fraction, error, model, .. } = job;
-        Self { name, state, stage, fraction, error, model: model.map(ModelView::from) }
+        let kind = match job.kind() {
+            v1::job::Kind::Unspecified => "unspecified",
+            v1::job::Kind::TrainModel => "train_model",
+            v1::job::Kind::ImportMap => "import_map",
+        };
+        let v1::Job {
+            name,
+            state: _,
+            stage,
+            fraction,
+            error,
+            model,
+            kind: _,
+            result,
+            create_time_ns,
+            end_time_ns,
+        } = job;
+        Self {
+            name,
+            kind,
+            state,
+            stage,
+            fraction,
+            error,
+            model: model.map(ModelView::from),
+            result: Some(result).filter(|result| !result.is_empty()),
+            create_time_ns,
+            end_time_ns: Some(end_time_ns).filter(|&end| end != 0),
+        }
     }
 }
 
@@ -68,6 +101,88 @@ pub(crate) struct MapSummary {
     pub(crate) loop_closures: u64,
     /// Null unless the full view was asked for.
     pub(crate) state_hash: Option<String>,
+    /// Null unless the full view was asked for.
+    pub(crate) storage: Option<StorageView>,
+}
+
+/// What a map takes on the server's disk.
+#[derive(Serialize)]
+pub(crate) struct StorageView {
+    pub(crate) log_bytes: u64,
+    pub(crate) checkpoint_bytes: u64,
+    pub(crate) features_bytes: u64,
+    pub(crate) thumbnail_bytes: u64,
+    pub(crate) image_bytes: u64,
+    pub(crate) bytes_per_frame: f64,
+}
+
+impl From<v1::MapStorage> for StorageView {
+    fn from(storage: v1::MapStorage) -> Self {
+        let v1::MapStorage {
+            log_bytes,
+            checkpoint_bytes,
+            features_bytes,
+            thumbnail_bytes,
+            image_bytes,
+            bytes_per_frame,
+        } = storage;
+        Self { log_bytes, checkpoint_bytes, features_bytes, thumbnail_bytes, image_bytes, bytes_per_frame }
+    }
+}
+
+/// One run of one robot.
+#[derive(Serialize)]
+pub(crate) struct SessionView {
+    pub(crate) name: String,
+    pub(crate) create_time_ns: i64,
+    pub(crate) frames: u64,
+    pub(crate) loop_closures: u64,
+    pub(crate) first_sequence: Option<u64>,
+    pub(crate) last_sequence: Option<u64>,
+    pub(crate) first_stamp_ns: Option<i64>,
+    pub(crate) last_stamp_ns: Option<i64>,
+}
+
+impl From<v1::Session> for SessionView {
+    fn from(session: v1::Session) -> Self {
+        let v1::Session {
+            name,
+            create_time_ns,
+            camera: _,
+            frames,
+            loop_closures,
+            first_sequence,
+            last_sequence,
+            first_stamp_ns,
+            last_stamp_ns,
+        } = session;
+        Self {
+            name,
+            create_time_ns,
+            frames,
+            loop_closures,
+            first_sequence,
+            last_sequence,
+            first_stamp_ns,
+            last_stamp_ns,
+        }
+    }
+}
+
+/// A frame that was matched.
+#[derive(Serialize)]
+pub(crate) struct MatchView {
+    pub(crate) place: u32,
+    pub(crate) posterior: f64,
+    pub(crate) log_odds: f64,
+    pub(crate) frame: Option<FrameView>,
+}
+
+impl From<v1::Match> for MatchView {
+    fn from(found: v1::Match) -> Self {
+        let v1::Match { place, posterior, frame, log_odds } = found;
+        Self { place, posterior, log_odds, frame: frame.map(FrameView::from) }
+    }
 }
 
 impl From<v1::Map> for MapSummary {
@@ -83,7 +198,7 @@ impl From<v1::Map> for MapSummary {
             frames,
             loop_closures,
             state_hash,
-            storage: _,
+            storage,
         } = map;
         Self {
             name,
@@ -96,6 +211,7 @@ impl From<v1::Map> for MapSummary {
             frames,
             loop_closures,
             state_hash: Some(state_hash).filter(|hash| !hash.is_empty()),
+            storage: storage.map(StorageView::from),
         }
     }
 }
@@ -109,6 +225,7 @@ pub(crate) struct SettingsView {
     pub(crate) new_place_prior: Option<f64>,
     pub(crate) true_positive_rate: Option<f64>,
     pub(crate) false_positive_rate: Option<f64>,
+    pub(crate) keep: &'static str,
 }
 
 impl From<v1::MapSettings> for SettingsView {
@@ -122,6 +239,12 @@ impl From<v1::MapSettings> for SettingsView {
             v1::map_settings::NewPlace::Unspecified => "unspecified",
             v1::map_settings::NewPlace::MeanField => "mean-field",
             v1::map_settings::NewPlace::Sampled => "sampled",
+        };
+        let keep = match settings.keep() {
+            v1::map_settings::Keep::Unspecified => "unspecified",
+            v1::map_settings::Keep::Words => "words",
+            v1::map_settings::Keep::Features => "features",
+            v1::map_settings::Keep::Images => "images",
         };
         let v1::MapSettings {
             dependence: _,
@@ -141,6 +264,7 @@ impl From<v1::MapSettings> for SettingsView {
             new_place_prior,
             true_positive_rate,
             false_positive_rate,
+            keep,
         }
     }
 }
@@ -295,7 +419,7 @@ impl FrameRow {
     }
 }
 
-fn reason_name(reason: v1::Reason) -> &'static str {
+pub(crate) fn reason_name(reason: v1::Reason) -> &'static str {
     match reason {
         v1::Reason::Unspecified => "unspecified",
         v1::Reason::NewPlace => "new_place",

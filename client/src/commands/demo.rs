@@ -14,6 +14,7 @@ use crate::images::images_of;
 use crate::output::Output;
 use crate::progress;
 use crate::replay::{Replay, Stamps};
+use crate::robot_words::ContentMaker;
 use crate::server_process::ServerProcess;
 use crate::truth::{Truth, Verdict};
 use crate::views::{FrameRow, MapSummary};
@@ -70,7 +71,8 @@ pub(crate) async fn run(arguments: Arguments, output: Output) -> Result<(), Fail
     let sequence = data.join("sequence");
     let truth = truth_of(&sequence)?;
     let images = images_of(&sequence)?;
-    let replay = Replay { images, stamps: Stamps::Even { rate_hz: STAMP_RATE_HZ }, pace_hz: None };
+    let stamps = Stamps::Even { rate_hz: STAMP_RATE_HZ };
+    let replay = Replay { images, stamps, pace_hz: None, contents: ContentMaker::Images };
     let program = server_binary.map_or_else(sibling_server, Ok)?;
     make_data_dir(&keep_data)?;
 

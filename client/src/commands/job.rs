@@ -1,15 +1,18 @@
 //! `waypost job`: work at the server that takes long.
 
 use clap::Subcommand;
-use waypost_client::{Client, v1};
+use serde_json::json;
+use waypost_client::{Client, ClientOptions, v1};
 
 use crate::failure::Failure;
-use crate::output::Output;
+use crate::output::{Output, table};
 use crate::progress;
 use crate::views::JobView;
 
 #[derive(Subcommand)]
 pub(crate) enum Command {
+    /// List jobs, newest first
+    Ls,
     /// Show how far a job is
     Show {
         /// As printed when it was started, as in `jobs/1`
@@ -27,9 +30,10 @@ pub(crate) enum Command {
     },
 }
 
-pub(crate) async fn run(command: Command, server: &str, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output) -> Result<(), Failure> {
     let client = Client::connect(server).await?;
     let job = match command {
+        Command::Ls => return list(client.jobs().await?, output),
         Command::Show { name } => client.job(&name).await?,
         Command::Watch { name } => follow(&client, &name, output).await?,
         Command::Cancel { name } => client.cancel_job(&name).await?,
@@ -40,13 +44,28 @@ pub(crate) async fn run(command: Command, server: &str, output: Output) -> Resul
 pub(crate) fn show(job: v1::Job, output: Output) -> Result<(), Failure> {
     let view = JobView::from(job);
     output.result(&view, |out| {
-        let JobView { name, state, stage, fraction, error, model } = &view;
-        writeln!(out, "{name} {state}")?;
-        match (error.as_str(), model) {
-            ("", Some(model)) => writeln!(out, "  model  {}", model.name),
-            ("", None) => writeln!(out, "  stage  {stage}, {:.0}%", fraction * 100.0),
-            (error, _) => writeln!(out, "  error  {error}"),
+        let JobView { name, kind, state, stage, fraction, error, result, .. } = &view;
+        writeln!(out, "{name} {kind} {state}")?;
+        match (error.as_str(), result) {
+            ("", Some(result)) => writeln!(out, "  result  {result}"),
+            ("", None) => writeln!(out, "  stage   {stage}, {:.0}%", fraction * 100.0),
+            (error, _) => writeln!(out, "  error   {error}"),
         }
+    })
+}
+
+fn list(jobs: Vec<v1::Job>, output: Output) -> Result<(), Failure> {
+    let jobs: Vec<JobView> = jobs.into_iter().map(JobView::from).collect();
+    output.result(&json!({ "jobs": jobs }), |out| {
+        let rows = jobs.iter().map(|job| {
+            let detail = match (&job.result, job.error.as_str()) {
+                (Some(result), _) => result.clone(),
+                (None, "") => format!("{}, {:.0}%", job.stage, job.fraction * 100.0),
+                (None, error) => error.to_owned(),
+            };
+            [job.name.clone(), job.kind.to_owned(), job.state.to_owned(), detail]
+        });
+        table(out, ["JOB", "KIND", "STATE", "RESULT"], rows)
     })
 }
 

@@ -1,15 +1,17 @@
 //! `waypost map`: places joined by links.
 
 use std::io::{self, Write};
+use std::path::PathBuf;
 
 use clap::{Subcommand, ValueEnum};
 use serde_json::json;
-use waypost_client::{Client, v1};
+use waypost_client::{Client, ClientOptions, v1};
 
 use super::model::short;
+use super::snapshot::{self, Replacing};
 use crate::failure::Failure;
 use crate::output::{Output, table};
-use crate::views::{ClosureView, FrameView, MapSummary, PlaceView, SettingsView};
+use crate::views::{ClosureView, FrameView, MapSummary, PlaceView, SettingsView, StorageView};
 
 #[derive(Subcommand)]
 pub(crate) enum Command {
@@ -17,13 +19,18 @@ pub(crate) enum Command {
     Create(Creation),
     /// List maps by name
     Ls,
-    /// Show a map and its settings
+    /// Show a map, its settings, what it weighs, and the hash over all that was decided
     Show {
         /// Name of the map
         name: String,
-        /// With the hash over all that was decided; takes time
+    },
+    /// Go on with another model over the same words, one that was calibrated anew
+    Rebind {
+        /// Name of the map
+        name: String,
+        /// Hash of the model, its beginning, or a display name that only one model has
         #[arg(long)]
-        full: bool,
+        model: String,
     },
     /// List the loop closures of a map, oldest first
     Matches {
@@ -33,6 +40,24 @@ pub(crate) enum Command {
     /// List the places of a map, oldest first
     Places {
         /// Name of the map
+        name: String,
+    },
+    /// Copy a map with its model to a file, as it is now; robots may go on streaming into it
+    Export {
+        /// Name of the map
+        name: String,
+        /// File to write
+        file: PathBuf,
+        /// Replace a file that is there
+        #[arg(long)]
+        force: bool,
+    },
+    /// Make a map from such a file; Ctrl-C cancels
+    Import {
+        /// File to read
+        file: PathBuf,
+        /// Name of the new map, if not the one that it had
+        #[arg(long, default_value = "", hide_default_value = true)]
         name: String,
     },
     /// Delete a map with all its sessions
@@ -71,6 +96,19 @@ pub(crate) struct Creation {
     /// How probably a word that is not there is seen, in place of the model's
     #[arg(long, value_name = "P", requires = "true_positive_rate")]
     false_positive_rate: Option<f64>,
+    /// What is kept of each frame beside its words
+    #[arg(long, value_enum)]
+    keep: Option<Keep>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Keep {
+    /// Nothing
+    Words,
+    /// Keypoints, descriptors, a thumbnail; the server's default
+    Features,
+    /// All of that and the image as it came
+    Images,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -101,6 +139,7 @@ impl Creation {
             new_place_prior,
             true_positive_rate,
             false_positive_rate,
+            keep,
         } = self;
         let dependence = match dependence {
             None => v1::map_settings::Dependence::Unspecified,
@@ -120,24 +159,35 @@ impl Creation {
             new_place_prior,
             true_positive_rate,
             false_positive_rate,
-            keep: v1::map_settings::Keep::Unspecified.into(),
+            keep: match keep {
+                None => v1::map_settings::Keep::Unspecified,
+                Some(Keep::Words) => v1::map_settings::Keep::Words,
+                Some(Keep::Features) => v1::map_settings::Keep::Features,
+                Some(Keep::Images) => v1::map_settings::Keep::Images,
+            }
+            .into(),
         };
         let map_id = name.strip_prefix("maps/").unwrap_or(&name).to_owned();
         v1::CreateMapRequest { map_id, model, settings: Some(settings) }
     }
 }
 
-pub(crate) async fn run(command: Command, server: &str, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output) -> Result<(), Failure> {
     let client = Client::connect(server).await?;
     match command {
         Command::Create(creation) => show(client.create_map(creation.request()).await?, output),
         Command::Ls => list(client.maps().await?, output),
-        Command::Show { name, full } => {
-            let view = if full { v1::MapView::Full } else { v1::MapView::Unspecified };
-            show(client.map(&name, view).await?, output)
-        }
+        Command::Show { name } => show(client.map(&name, v1::MapView::Full).await?, output),
+        Command::Rebind { name, model } => show(client.rebind_map(&name, &model).await?, output),
         Command::Matches { name } => matches(client.matches(&name).await?, output),
         Command::Places { name } => places(client.places(&name).await?, output),
+        Command::Export { name, file, force } => {
+            let replacing = if force { Replacing::Allowed } else { Replacing::Refused };
+            snapshot::export(&client, &name, &file, replacing, output).await
+        }
+        Command::Import { file, name } => {
+            show(snapshot::import(&client, &file, &name, output).await?, output)
+        }
         Command::Rm { name } => {
             client.delete_map(&name).await?;
             output.result(&json!({ "deleted": name }), |out| writeln!(out, "deleted {name}"))
@@ -174,8 +224,33 @@ fn show(map: v1::Map, output: Output) -> Result<(), Failure> {
         writeln!(out, "  frames               {}", map.frames)?;
         writeln!(out, "  loop closures        {}", map.loop_closures)?;
         show_settings(&map.settings, out)?;
+        if let Some(storage) = &map.storage {
+            show_storage(storage, out)?;
+        }
         map.state_hash.as_ref().map_or(Ok(()), |hash| writeln!(out, "  state hash           {hash}"))
     })
+}
+
+fn show_storage(storage: &StorageView, out: &mut dyn Write) -> io::Result<()> {
+    let StorageView {
+        log_bytes,
+        checkpoint_bytes,
+        features_bytes,
+        thumbnail_bytes,
+        image_bytes,
+        bytes_per_frame,
+    } = storage;
+    let parts = [
+        ("words and decisions", log_bytes),
+        ("checkpoint", checkpoint_bytes),
+        ("features", features_bytes),
+        ("thumbnails", thumbnail_bytes),
+        ("images", image_bytes),
+    ];
+    for (part, bytes) in parts {
+        writeln!(out, "  {part:<20} {bytes} bytes")?;
+    }
+    writeln!(out, "  per frame            {bytes_per_frame:.0} bytes")
 }
 
 fn show_settings(settings: &SettingsView, out: &mut dyn Write) -> io::Result<()> {
@@ -187,6 +262,7 @@ fn show_settings(settings: &SettingsView, out: &mut dyn Write) -> io::Result<()>
         new_place_prior,
         true_positive_rate,
         false_positive_rate,
+        keep,
     } = settings;
     let or_default = |value: &Option<f64>| value.map_or("the model's".to_owned(), |value| value.to_string());
     writeln!(out, "  dependence           {dependence}")?;
@@ -195,7 +271,8 @@ fn show_settings(settings: &SettingsView, out: &mut dyn Write) -> io::Result<()>
     writeln!(out, "  closure threshold    {}", or_default(closure_threshold))?;
     writeln!(out, "  guard                {} frames", guard_frames.unwrap_or_default())?;
     writeln!(out, "  true positive rate   {}", or_default(true_positive_rate))?;
-    writeln!(out, "  false positive rate  {}", or_default(false_positive_rate))
+    writeln!(out, "  false positive rate  {}", or_default(false_positive_rate))?;
+    writeln!(out, "  keeps                {keep}")
 }
 
 fn matches(closures: Vec<v1::LoopClosure>, output: Output) -> Result<(), Failure> {
@@ -236,7 +313,7 @@ fn frame_words(frame: &Option<FrameView>) -> String {
     }
 }
 
-fn short_map(name: &str) -> &str {
+pub(crate) fn short_map(name: &str) -> &str {
     name.strip_prefix("maps/").unwrap_or(name)
 }
 

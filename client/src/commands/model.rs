@@ -12,7 +12,7 @@ use serde_json::json;
 use tokio::fs::File;
 use tokio::sync::watch;
 use tokio::time::timeout;
-use waypost_client::{Client, v1};
+use waypost_client::{Client, ClientOptions, v1};
 
 use super::job;
 use crate::failure::Failure;
@@ -21,8 +21,8 @@ use crate::output::{Output, table};
 use crate::progress;
 use crate::views::ModelView;
 
-/// A server that does not take the next image by then is left alone.
-const STOPPING_TIMEOUT: Duration = Duration::from_secs(5);
+/// A server that does not take what comes next by then is left alone.
+pub(crate) const STOPPING_TIMEOUT: Duration = Duration::from_secs(5);
 
 const MODEL_HELP: &str = "Hash, its beginning (6 digits or more), or a display name that only one model has";
 
@@ -81,7 +81,7 @@ pub(crate) struct Training {
     detach: bool,
 }
 
-pub(crate) async fn run(command: Command, server: &str, output: Output) -> Result<(), Failure> {
+pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output) -> Result<(), Failure> {
     match command {
         Command::Train(training) => train(training, server, output).await,
         Command::Ls => list(server, output).await,
@@ -98,7 +98,7 @@ pub(crate) async fn run(command: Command, server: &str, output: Output) -> Resul
     }
 }
 
-async fn train(training: Training, server: &str, output: Output) -> Result<(), Failure> {
+async fn train(training: Training, server: &ClientOptions, output: Output) -> Result<(), Failure> {
     let Training { images: folders, words, seed, extractor, name, detach } = training;
     let mut images = Vec::new();
     for folder in &folders {
@@ -153,7 +153,7 @@ fn read_each(
     })
 }
 
-async fn list(server: &str, output: Output) -> Result<(), Failure> {
+async fn list(server: &ClientOptions, output: Output) -> Result<(), Failure> {
     let models = Client::connect(server).await?.models().await?;
     let models: Vec<ModelView> = models.into_iter().map(ModelView::from).collect();
     output.result(&json!({ "models": models }), |out| {
@@ -184,7 +184,7 @@ fn show(model: v1::Model, output: Output) -> Result<(), Failure> {
 }
 
 /// The file appears under its name only when it is complete.
-async fn export(name: &str, path: &Path, server: &str, output: Output) -> Result<(), Failure> {
+async fn export(name: &str, path: &Path, server: &ClientOptions, output: Output) -> Result<(), Failure> {
     let client = Client::connect(server).await?;
     let model = client.model(name).await?;
     let mut unfinished = path.as_os_str().to_owned();
@@ -229,6 +229,6 @@ pub(crate) fn short(name: &str) -> &str {
     hash.get(..12).unwrap_or(hash)
 }
 
-fn mebibytes(size_bytes: u64) -> String {
+pub(crate) fn mebibytes(size_bytes: u64) -> String {
     format!("{:.1} MiB", size_bytes as f64 / f64::from(1 << 20))
 }

@@ -5,14 +5,15 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use waypost_client::{Client, SessionOptions, v1};
+use waypost_client::{Client, ClientOptions, SessionOptions, v1};
 
 use crate::failure::{EXIT_CODES, Failure};
 use crate::images::{ImageFile, images_of};
 use crate::odometry;
 use crate::output::Output;
 use crate::progress;
-use crate::replay::{Replay, Stamps};
+use crate::replay::{Replay, Sent, Stamps};
+use crate::robot_words::{ContentMaker, WordForm};
 use crate::views::FrameRow;
 
 /// Of stamps that are made up.
@@ -41,6 +42,19 @@ pub(crate) struct Arguments {
     /// made up at 1 Hz
     #[arg(long, value_name = "HZ", value_parser = rate_hz)]
     rate: Option<f64>,
+    /// Send words instead of images: the map's model is downloaded once and kept in the cache directory
+    #[arg(
+        long,
+        value_enum,
+        value_name = "FORM",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "keypoints"
+    )]
+    words: Option<WordForm>,
+    /// Only look where the robot is: the map stays as it is
+    #[arg(long)]
+    localize: bool,
     /// Write a row per frame
     #[arg(long, value_name = "OUT")]
     csv: Option<PathBuf>,
@@ -58,20 +72,25 @@ struct Summary {
     refused: usize,
     places_created: usize,
     loop_closures: usize,
+    /// Mean bytes of image or words sent; null if nothing was.
+    bytes_per_frame: Option<f64>,
     /// Median time of a frame at the server; null if all answers came from the store.
     ms_p50: Option<f64>,
     frames: Vec<FrameRow>,
 }
 
-pub(crate) async fn run(arguments: Arguments, server: &str, output: Output) -> Result<(), Failure> {
-    let Arguments { dir, map, session, odometry, rate, csv } = arguments;
+pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
+    let Arguments { dir, map, session, odometry, rate, words, localize, csv } = arguments;
     let images = images_of(&dir)?;
     let stamps = stamps(&images, odometry.as_deref(), rate)?;
-    let replay = Replay { images, stamps, pace_hz: rate };
     let mut table = csv.as_deref().map(Table::create).transpose()?;
 
     let client = Client::connect(server).await?;
-    let options = SessionOptions { session_id: session, ..SessionOptions::new(&map) };
+    let contents = ContentMaker::new(&client, &map, words).await?;
+    let mode = if localize { v1::SessionMode::Localize } else { v1::SessionMode::Map };
+    let words_hash = contents.words_hash();
+    let options = SessionOptions { session_id: session, mode, words_hash, ..SessionOptions::new(&map) };
+    let replay = Replay { images, stamps, pace_hz: rate, contents };
     let session = client.open_session(options).await?;
     let opened = session.opened().clone();
     let committed = opened.last_committed_sequence;
@@ -94,7 +113,7 @@ pub(crate) async fn run(arguments: Arguments, server: &str, output: Output) -> R
         rows.push(row);
         Ok(())
     });
-    tokio::select! {
+    let sent = tokio::select! {
         streamed = streaming => streamed?,
         interrupt = tokio::signal::ctrl_c() => {
             interrupt.map_err(Failure::Runtime)?;
@@ -102,9 +121,9 @@ pub(crate) async fn run(arguments: Arguments, server: &str, output: Output) -> R
             let id = opened.session.rsplit('/').next().unwrap_or_default();
             return Err(Failure::Interrupted(format!("stopped; go on with --session {id}")));
         }
-    }
+    };
     bar.finish_and_clear();
-    conclude(opened, rows, output)
+    conclude(opened, rows, sent, output)
 }
 
 /// Gives how many frames are to be streamed.
@@ -169,10 +188,12 @@ pub(crate) fn closure_line(row: &FrameRow, replay: &Replay, session: &str) -> St
     format!("{} closes a loop with {matched}  place {place}  posterior {posterior:.4}", row.image)
 }
 
-fn conclude(opened: v1::SessionOpened, frames: Vec<FrameRow>, output: Output) -> Result<(), Failure> {
-    let of_reason = |reasons: &[&str]| {
-        frames.iter().filter_map(|row| row.reason).filter(|reason| reasons.contains(reason)).count()
-    };
+fn conclude(
+    opened: v1::SessionOpened,
+    frames: Vec<FrameRow>,
+    sent: Sent,
+    output: Output,
+) -> Result<(), Failure> {
     let v1::SessionOpened { session, last_committed_sequence, model, words_hash: _ } = opened;
     let summary = Summary {
         map: session.split("/sessions/").next().unwrap_or_default().to_owned(),
@@ -181,8 +202,13 @@ fn conclude(opened: v1::SessionOpened, frames: Vec<FrameRow>, output: Output) ->
         resumed_after_sequence: last_committed_sequence,
         frame_count: frames.len(),
         refused: frames.iter().filter(|row| row.refusal_code.is_some()).count(),
-        places_created: of_reason(&["new_place", "below_threshold"]),
-        loop_closures: of_reason(&["loop_closure"]),
+        // While localizing, frames of these reasons come without a place.
+        places_created: frames
+            .iter()
+            .filter(|row| row.place.is_some() && matches!(row.reason, Some("new_place" | "below_threshold")))
+            .count(),
+        loop_closures: frames.iter().filter(|row| row.reason == Some("loop_closure")).count(),
+        bytes_per_frame: sent.bytes_per_frame(),
         ms_p50: median(frames.iter().filter_map(|row| row.total_ms).collect()),
         frames,
     };
@@ -191,6 +217,9 @@ fn conclude(opened: v1::SessionOpened, frames: Vec<FrameRow>, output: Output) ->
         writeln!(out, "new places     {}", summary.places_created)?;
         writeln!(out, "loop closures  {}", summary.loop_closures)?;
         writeln!(out, "refused        {}", summary.refused)?;
+        if let Some(bytes) = summary.bytes_per_frame {
+            writeln!(out, "bytes a frame  {bytes:.0} (mean, sent)")?;
+        }
         match summary.ms_p50 {
             Some(ms_p50) => writeln!(out, "ms per frame   {ms_p50:.1} (median, at the server)"),
             None => Ok(()),

@@ -10,7 +10,6 @@ use rand_chacha::ChaCha8Rng;
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::transport::Channel;
 use tonic::{Code, Status, Streaming};
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_client::SessionServiceClient;
@@ -20,6 +19,7 @@ use waypost_proto::v1::stream_response::Content as Response;
 use super::backoff::Backoff;
 use super::window::{Settled, Window};
 use super::{FrameInput, FrameOutcome, SessionOptions};
+use crate::client::Transport;
 use crate::error::{Error, broken_connection};
 
 /// Opening a large map takes a server seconds.
@@ -28,7 +28,7 @@ const OPENING_TIMEOUT: Duration = Duration::from_secs(30);
 const CLOSING_TIMEOUT: Duration = Duration::from_secs(2);
 
 pub(super) struct Exchange {
-    service: SessionServiceClient<Channel>,
+    service: SessionServiceClient<Transport>,
     options: SessionOptions,
     /// Gone when the application has been told.
     opened: Option<oneshot::Sender<v1::SessionOpened>>,
@@ -64,7 +64,7 @@ impl Drop for Slots {
 impl Exchange {
     /// Also gives what tells that the session has been opened.
     pub(super) fn new(
-        service: SessionServiceClient<Channel>,
+        service: SessionServiceClient<Transport>,
         options: SessionOptions,
         slots: Arc<Semaphore>,
         frames: mpsc::UnboundedReceiver<FrameInput>,
@@ -153,9 +153,9 @@ impl Exchange {
         v1::OpenSession {
             map: self.options.map.clone(),
             session_id: self.options.session_id.clone(),
-            mode: v1::SessionMode::Map.into(),
+            mode: self.options.mode.into(),
             camera: self.options.camera.clone(),
-            words_hash: String::new(),
+            words_hash: self.options.words_hash.clone(),
         }
     }
 
@@ -165,7 +165,9 @@ impl Exchange {
             return Err(LinkEnd::Final(Error::Protocol("it named a session without its map")));
         };
         self.options.session_id = session_id.to_owned();
-        if let Some(acknowledged) = self.window.last_acknowledged()
+        // A server that was restarted knows nothing of a robot that only looked, and has lost nothing by it.
+        let kept = self.options.mode == v1::SessionMode::Map;
+        if let Some(acknowledged) = self.window.last_acknowledged().filter(|_| kept)
             && opened.last_committed_sequence < Some(acknowledged)
         {
             let last_committed = opened.last_committed_sequence;
@@ -200,7 +202,11 @@ impl Exchange {
                     if let Some((reason, hint)) = self.on_response(response)? {
                         let at = match release_at {
                             Some(at) => at,
-                            None => Instant::now() + self.next_delay(&reason).map_err(LinkEnd::Final)?,
+                            None => {
+                                let delay = self.next_delay(&reason).map_err(LinkEnd::Final)?;
+                                // A server that says when has kept the turn free, for a while.
+                                Instant::now() + if hint.is_zero() { delay } else { hint }
+                            }
                         };
                         release_at = Some(at.max(Instant::now() + hint));
                     }

@@ -9,7 +9,7 @@ use tonic_types::pb::RetryInfo;
 use waypost_proto::google::rpc::Status;
 use waypost_proto::v1;
 
-use super::{FrameInput, FrameOutcome};
+use super::{FrameContent, FrameInput, FrameOutcome};
 use crate::MAX_IMAGE_BYTES;
 use crate::error::Error;
 
@@ -18,6 +18,9 @@ use crate::error::Error;
 pub(super) struct Window {
     entries: VecDeque<Entry>,
     last_acknowledged: Option<u64>,
+    /// Frames that may be on their way at once, since the server refused one for now: those behind a frame
+    /// that is refused again would be sent for nothing.
+    in_flight_limit: Option<usize>,
 }
 
 #[derive(Debug)]
@@ -49,11 +52,11 @@ pub(super) enum Settled {
 impl Window {
     /// Takes a frame. One that no server would take is refused here.
     pub(super) fn push(&mut self, frame: FrameInput) {
-        let progress = match frame.image.len() {
-            length_bytes if length_bytes > MAX_IMAGE_BYTES => {
-                Progress::Done(Box::new(FrameOutcome::Refusal(self.too_long(&frame))))
+        let progress = match &frame.content {
+            FrameContent::Image(image) if image.len() > MAX_IMAGE_BYTES => {
+                Progress::Done(Box::new(FrameOutcome::Refusal(self.too_long(frame.sequence, image.len()))))
             }
-            _ => Progress::Waiting,
+            FrameContent::Image(_) | FrameContent::Histogram(_) | FrameContent::Words(_) => Progress::Waiting,
         };
         self.entries.push_back(Entry { frame, progress });
     }
@@ -61,6 +64,10 @@ impl Window {
     /// The next frame to send, which then counts as sent. Nothing overtakes a postponed frame: once a
     /// later one were durable, it could not be any more.
     pub(super) fn next_to_send(&mut self) -> Option<v1::Frame> {
+        let in_flight = self.entries.iter().filter(|entry| matches!(entry.progress, Progress::InFlight));
+        if self.in_flight_limit.is_some_and(|limit| in_flight.count() >= limit) {
+            return None;
+        }
         for entry in &mut self.entries {
             match entry.progress {
                 Progress::Waiting => {
@@ -86,10 +93,12 @@ impl Window {
             && matches!(Code::from(status.code), Code::Unavailable | Code::ResourceExhausted)
         {
             entry.progress = Progress::Postponed;
+            self.in_flight_limit = Some(1);
             return Ok(Settled::Postponed { message: status.message.clone(), delay: retry_delay(status) });
         }
         if let FrameOutcome::Answer(answer) = &outcome {
             self.last_acknowledged = self.last_acknowledged.max(Some(answer.sequence));
+            self.in_flight_limit = self.in_flight_limit.map(|limit| limit.saturating_mul(2));
         }
         entry.progress = Progress::Done(Box::new(outcome));
         Ok(Settled::Done)
@@ -144,22 +153,22 @@ impl Window {
         self.last_acknowledged
     }
 
-    fn too_long(&self, frame: &FrameInput) -> v1::FrameRefusal {
+    fn too_long(&self, sequence: u64, length_bytes: usize) -> v1::FrameRefusal {
         let message = format!(
-            "the image has {} bytes, more than {MAX_IMAGE_BYTES}; make it smaller or compress it harder",
-            frame.image.len()
+            "the image has {length_bytes} bytes, more than {MAX_IMAGE_BYTES}; make it smaller or compress it harder"
         );
         let status = Status { code: Code::InvalidArgument.into(), message, details: Vec::new() };
-        v1::FrameRefusal {
-            sequence: frame.sequence,
-            last_committed_sequence: self.last_acknowledged,
-            status: Some(status),
-        }
+        v1::FrameRefusal { sequence, last_committed_sequence: self.last_acknowledged, status: Some(status) }
     }
 }
 
-fn wire(FrameInput { sequence, stamp_ns, image, odometry }: FrameInput) -> v1::Frame {
-    v1::Frame { sequence, stamp_ns, odometry, content: Some(v1::frame::Content::Image(image)) }
+fn wire(FrameInput { sequence, stamp_ns, content, odometry }: FrameInput) -> v1::Frame {
+    let content = match content {
+        FrameContent::Image(image) => v1::frame::Content::Image(image),
+        FrameContent::Histogram(histogram) => v1::frame::Content::Histogram(histogram),
+        FrameContent::Words(words) => v1::frame::Content::Words(words),
+    };
+    v1::Frame { sequence, stamp_ns, odometry, content: Some(content) }
 }
 
 /// The delay of a `google.rpc.RetryInfo`, or zero.
@@ -178,7 +187,7 @@ mod tests {
     use super::*;
 
     fn frame(sequence: u64) -> FrameInput {
-        FrameInput { sequence, stamp_ns: 0, image: vec![1], odometry: None }
+        FrameInput { sequence, stamp_ns: 0, content: FrameContent::Image(vec![1]), odometry: None }
     }
 
     fn window(sequences: std::ops::RangeInclusive<u64>) -> Window {
@@ -241,8 +250,28 @@ mod tests {
         window.settle(refusal(2, Code::Unavailable)).unwrap();
         assert!(window.only_postponed_left());
         window.release_postponed();
-        assert_eq!(sent(&mut window), [1, 2, 3]);
         assert!(!window.only_postponed_left());
+        assert_eq!(sent(&mut window), [1]);
+    }
+
+    #[test]
+    fn after_a_refusal_frames_go_one_by_one_and_then_more_and_more() {
+        let mut window = window(1..=9);
+        assert_eq!(sent(&mut window).len(), 9);
+        for sequence in 1..=9 {
+            window.settle(refusal(sequence, Code::Unavailable)).unwrap();
+        }
+        window.release_postponed();
+        assert_eq!(sent(&mut window), [1]);
+        window.settle(answer(1)).unwrap();
+        assert_eq!(sent(&mut window), [2, 3]);
+        // One that is refused for good says nothing of how much the server can take.
+        window.settle(refusal(2, Code::InvalidArgument)).unwrap();
+        assert_eq!(sent(&mut window), [4]);
+        window.settle(answer(3)).unwrap();
+        assert_eq!(sent(&mut window), [5, 6, 7]);
+        window.settle(answer(4)).unwrap();
+        assert_eq!(sent(&mut window), [8, 9]);
     }
 
     #[test]
@@ -268,7 +297,7 @@ mod tests {
     #[test]
     fn an_image_that_is_too_long_is_refused_in_its_turn() {
         let mut window = window(1..=1);
-        window.push(FrameInput { image: vec![0; MAX_IMAGE_BYTES + 1], ..frame(2) });
+        window.push(FrameInput { content: FrameContent::Image(vec![0; MAX_IMAGE_BYTES + 1]), ..frame(2) });
         window.push(frame(3));
         assert_eq!(sent(&mut window), [1, 3]);
         window.settle(answer(1)).unwrap();

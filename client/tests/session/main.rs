@@ -9,7 +9,9 @@ use futures::FutureExt;
 use peer::{BAD_IMAGE_BYTES, Fault, MAP, Peer};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use waypost_client::{Client, Code, Error, FrameInput, FrameOutcome, Reconnection, Session, SessionOptions};
+use waypost_client::{
+    Client, Code, Error, FrameContent, FrameInput, FrameOutcome, Reconnection, Session, SessionOptions,
+};
 
 mod peer;
 
@@ -25,7 +27,12 @@ fn options() -> SessionOptions {
 }
 
 fn frame(sequence: u64) -> FrameInput {
-    FrameInput { sequence, stamp_ns: sequence as i64, image: vec![0xff; 64], odometry: None }
+    FrameInput {
+        sequence,
+        stamp_ns: sequence as i64,
+        content: FrameContent::Image(vec![0xff; 64]),
+        odometry: None,
+    }
 }
 
 async fn open(peer: &Peer, options: SessionOptions) -> Session {
@@ -156,7 +163,7 @@ async fn any_order_of_faults_is_survived() {
 async fn a_frame_refused_for_good_is_handed_over_in_its_turn() {
     let peer = Peer::start([(4, Fault::CrashAfterCommit)]);
     let mut frames: Vec<FrameInput> = (1..=6).map(frame).collect();
-    frames[2].image.truncate(BAD_IMAGE_BYTES);
+    frames[2].content = FrameContent::Image(vec![0xff; BAD_IMAGE_BYTES]);
     let (outcomes, ending) = run(open(&peer, options()).await, frames).await;
     ending.unwrap();
     assert_eq!(sequences(&outcomes), [1, 2, 3, 4, 5, 6]);

@@ -1,0 +1,231 @@
+"""What the server says. Every field of the contract has its place here."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import Union
+
+import numpy as np
+import numpy.typing as npt
+
+from waypost import errors
+from waypost.v1 import map_pb2, session_pb2
+
+
+class Reason(enum.IntEnum):
+    """Why a frame was decided as it was.
+
+    While localizing nothing is created: then NEW_PLACE and BELOW_THRESHOLD come without a place.
+    """
+
+    #: Somewhere new was the most probable: a place was created.
+    NEW_PLACE = session_pb2.REASON_NEW_PLACE
+    #: The place the session is at, or has just left.
+    SAME_PLACE = session_pb2.REASON_SAME_PLACE
+    #: Another place, at or above the map's threshold.
+    LOOP_CLOSURE = session_pb2.REASON_LOOP_CLOSURE
+    #: Another place was the most probable, but below the threshold: a place was created.
+    BELOW_THRESHOLD = session_pb2.REASON_BELOW_THRESHOLD
+    #: Too few different words to say anything: nothing was created or learnt.
+    TOO_FEW_WORDS = session_pb2.REASON_TOO_FEW_WORDS
+
+
+@dataclass(frozen=True)
+class FrameReference:
+    """A frame by its session and sequence number."""
+
+    #: maps/{map}/sessions/{session}
+    session: str
+    sequence: int
+    stamp_ns: int
+
+
+@dataclass(frozen=True)
+class Match:
+    """An earlier frame of a place."""
+
+    place: int
+    posterior: float
+    frame: FrameReference
+    #: ln [posterior / (1 - posterior)], nats: tells apart what rounds to 1.
+    log_odds: float
+
+
+@dataclass(frozen=True)
+class Timings:
+    """Where a frame's time went at the server."""
+
+    extract_ms: float
+    quantize_ms: float
+    likelihood_ms: float
+    new_place_ms: float
+    filter_ms: float
+    #: Waiting for other frames of the map, and for the commit.
+    commit_ms: float
+    total_ms: float
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The answer to a frame. While the map grows, the frame is durable by then."""
+
+    sequence: int
+    #: Last frame of the session that is durable; 0 as well while there is none.
+    last_committed_sequence: int
+    reason: Reason
+    #: The place the frame belongs to; None if too little was seen to say.
+    place: int | None
+    #: Posterior probability of what was decided: of the place, or of a new one.
+    posterior: float
+    #: Probability of being somewhere new.
+    new_place_posterior: float
+    #: The most probable places, most probable first; at most 10.
+    places: npt.NDArray[np.uint32]
+    #: Their posterior probabilities.
+    probabilities: npt.NDArray[np.float64]
+    #: The place and frame that were matched, if the frame closes a loop.
+    closure: Match | None
+    #: The place and frame that would have been matched, had their posterior reached the map's threshold.
+    closure_below_threshold: Match | None
+    #: Whatever was decided: of the most probable place known from before the guard, the frame that matches
+    #: best.
+    proposal: Match | None
+    #: Different words seen.
+    words: int
+    #: None in an answer from the store.
+    timings: Timings | None
+    #: The frame had been committed before; this is the stored answer.
+    resent: bool
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A frame that was not taken: nothing has changed, and the stream goes on."""
+
+    sequence: int
+    #: None before the first frame is durable.
+    last_committed_sequence: int | None
+    #: What is wrong and how to mend it; for those who would rather `raise` it.
+    error: errors.ServerError
+    #: So that every outcome can be asked for its closure.
+    closure: None = None
+
+
+#: What became of a frame.
+Outcome = Union[Answer, Refusal]
+
+
+@dataclass(frozen=True, eq=False)
+class QueryAnswer:
+    """Where an image or a bag of words was taken, every place being as likely beforehand."""
+
+    #: The most probable places, most probable first; at most 10.
+    places: npt.NDArray[np.uint32]
+    #: Their posterior probabilities.
+    probabilities: npt.NDArray[np.float64]
+    new_place_posterior: float
+    #: Of the most probable place, the frame that matches best; None if the map is empty or too few words were
+    #: seen.
+    match: Match | None
+    #: Whether the match reaches the map's threshold, and is more probable than a new place.
+    accepted: bool
+    #: Different words seen.
+    words: int
+    #: As the contract has it, if asked for and there is a place.
+    explanation: session_pb2.PlaceExplanation | None
+
+
+@dataclass(frozen=True)
+class LoopClosure:
+    """A frame that was found to be at a place seen before."""
+
+    frame: FrameReference
+    matched_frame: FrameReference
+    place: int
+    posterior: float
+
+
+def answer(message: session_pb2.FrameAnswer) -> Answer:
+    """An answer from the wire."""
+    closes = message.reason == session_pb2.REASON_LOOP_CLOSURE
+    closure = _match(message.closure) if message.HasField("closure") else None
+    return Answer(
+        sequence=message.sequence,
+        last_committed_sequence=message.last_committed_sequence,
+        reason=_reason(message.reason),
+        place=message.place if message.HasField("place") else None,
+        posterior=message.posterior,
+        new_place_posterior=message.new_place_posterior,
+        places=np.array([place.place for place in message.places], dtype=np.uint32),
+        probabilities=np.array([place.posterior for place in message.places], dtype=np.float64),
+        closure=closure if closes else None,
+        closure_below_threshold=None if closes else closure,
+        proposal=_match(message.proposal) if message.HasField("proposal") else None,
+        words=message.words,
+        timings=_timings(message.timings) if message.HasField("timings") else None,
+        resent=message.resent,
+    )
+
+
+def refusal(message: session_pb2.FrameRefusal) -> Refusal:
+    """A refusal from the wire."""
+    committed = message.HasField("last_committed_sequence")
+    return Refusal(
+        sequence=message.sequence,
+        last_committed_sequence=message.last_committed_sequence if committed else None,
+        error=errors.from_status(message.status),
+    )
+
+
+def query_answer(message: session_pb2.QueryResponse) -> QueryAnswer:
+    """The answer to a query from the wire."""
+    return QueryAnswer(
+        places=np.array([place.place for place in message.places], dtype=np.uint32),
+        probabilities=np.array([place.posterior for place in message.places], dtype=np.float64),
+        new_place_posterior=message.new_place_posterior,
+        match=_match(message.match) if message.HasField("match") else None,
+        accepted=message.accepted,
+        words=message.words,
+        explanation=message.explanation if message.HasField("explanation") else None,
+    )
+
+
+def loop_closure(message: map_pb2.LoopClosure) -> LoopClosure:
+    """A loop closure from the wire."""
+    return LoopClosure(
+        frame=_frame_reference(message.frame),
+        matched_frame=_frame_reference(message.matched_frame),
+        place=message.place,
+        posterior=message.posterior,
+    )
+
+
+def _reason(reason: int) -> Reason:
+    try:
+        return Reason(reason)
+    except ValueError:
+        raise errors.ProtocolError(
+            f"the server gave the reason {reason}, which this client does not know; "
+            "use a client of the server's version"
+        ) from None
+
+
+def _match(message: session_pb2.Match) -> Match:
+    return Match(message.place, message.posterior, _frame_reference(message.frame), message.log_odds)
+
+
+def _frame_reference(message: map_pb2.FrameReference) -> FrameReference:
+    return FrameReference(message.session, message.sequence, message.stamp_ns)
+
+
+def _timings(message: session_pb2.Timings) -> Timings:
+    return Timings(
+        extract_ms=message.extract_ms,
+        quantize_ms=message.quantize_ms,
+        likelihood_ms=message.likelihood_ms,
+        new_place_ms=message.new_place_ms,
+        filter_ms=message.filter_ms,
+        commit_ms=message.commit_ms,
+        total_ms=message.total_ms,
+    )

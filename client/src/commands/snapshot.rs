@@ -1,0 +1,127 @@
+//! `waypost map export` and `import`: a map with its model as one file.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::pin::{Pin, pin};
+use std::task::{Context, Poll, ready};
+
+use indicatif::ProgressBar;
+use serde_json::json;
+use tokio::fs::File;
+use tokio::io::{AsyncRead, ReadBuf};
+use tokio::sync::watch;
+use tokio::time::timeout;
+use waypost_client::{Client, v1};
+
+use super::job;
+use super::map::short_map;
+use super::model::{STOPPING_TIMEOUT, mebibytes};
+use crate::failure::Failure;
+use crate::output::Output;
+use crate::progress;
+
+/// What becomes of a file that is there.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Replacing {
+    Allowed,
+    Refused,
+}
+
+/// The file appears under its name only when it is complete.
+pub(crate) async fn export(
+    client: &Client,
+    name: &str,
+    path: &Path,
+    replacing: Replacing,
+    output: Output,
+) -> Result<(), Failure> {
+    if replacing == Replacing::Refused && path.exists() {
+        return Err(Failure::Unfit(format!(
+            "{} is there already; choose another file, or replace it with --force",
+            path.display()
+        )));
+    }
+    let mut partial = path.as_os_str().to_owned();
+    partial.push(".partial");
+    let partial = PathBuf::from(partial);
+    let mut file = File::create(&partial).await.map_err(Failure::file("write", &partial))?;
+    let spinner = progress::spinner(output, format!("exporting to {}", path.display()));
+    let exported = tokio::select! {
+        exported = client.export_map(name, &mut file) => exported.map_err(Failure::from),
+        interrupt = tokio::signal::ctrl_c() => {
+            Err(interrupt.map_or_else(Failure::Runtime, |()| Failure::Interrupted("export stopped".to_owned())))
+        }
+    };
+    spinner.finish_and_clear();
+    let exported = match exported {
+        Ok(size_bytes) => {
+            file.sync_all().await.map(|()| size_bytes).map_err(Failure::file("write", &partial))
+        }
+        Err(failure) => Err(failure),
+    };
+    drop(file);
+    let size_bytes = match exported {
+        Ok(size_bytes) => size_bytes,
+        Err(failure) => {
+            tokio::fs::remove_file(&partial).await.map_err(Failure::file("remove", &partial))?;
+            return Err(failure);
+        }
+    };
+    tokio::fs::rename(&partial, path).await.map_err(Failure::file("write", path))?;
+    let name = format!("maps/{}", short_map(name));
+    let object = json!({ "name": name, "file": path.to_string_lossy(), "size_bytes": size_bytes });
+    output.result(&object, |out| writeln!(out, "{name} in {} ({})", path.display(), mebibytes(size_bytes)))
+}
+
+/// Uploads the file and follows the job; gives the map.
+pub(crate) async fn import(
+    client: &Client,
+    path: &Path,
+    name: &str,
+    output: Output,
+) -> Result<v1::Map, Failure> {
+    let file = File::open(path).await.map_err(Failure::file("read", path))?;
+    let length = file.metadata().await.map_err(Failure::file("read", path))?.len();
+    let bar = progress::bytes(output, format!("uploading {}", path.display()), length);
+    let (stop, stopped) = watch::channel(false);
+    let mut upload = pin!(client.import_map(name, Upload { file, bar: bar.clone(), stopped }));
+    let job = tokio::select! {
+        job = &mut upload => job?,
+        interrupt = tokio::signal::ctrl_c() => {
+            interrupt.map_err(Failure::Runtime)?;
+            stop.send_replace(true);
+            if let Ok(Ok(job)) = timeout(STOPPING_TIMEOUT, upload).await {
+                // It was complete already.
+                client.cancel_job(&job.name).await?;
+            }
+            return Err(Failure::Interrupted("upload stopped; nothing was imported".to_owned()));
+        }
+    };
+    bar.finish_and_clear();
+    let job = job::follow(client, &job.name, output).await?;
+    Ok(client.map(&job.result, v1::MapView::Unspecified).await?)
+}
+
+/// A file that is read with a progress bar, and fails once it is stopped: an upload that just ended
+/// would look complete.
+struct Upload {
+    file: File,
+    bar: ProgressBar,
+    stopped: watch::Receiver<bool>,
+}
+
+impl AsyncRead for Upload {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        if *self.stopped.borrow() {
+            return Poll::Ready(Err(io::Error::other("stopped")));
+        }
+        let before = buffer.filled().len();
+        ready!(Pin::new(&mut self.file).poll_read(context, buffer))?;
+        self.bar.inc((buffer.filled().len() - before) as u64);
+        Poll::Ready(Ok(()))
+    }
+}
