@@ -1,4 +1,5 @@
 //! One file per command.
 
+pub mod load;
 pub mod sequence;
 pub mod train;

@@ -108,6 +108,54 @@ pub enum EvalError {
         /// What the system says.
         reason: io::Error,
     },
+    /// The server under load failed.
+    #[error("the server under load failed: {problem}; what it logged last:\n{log}")]
+    Server {
+        /// What happened.
+        problem: String,
+        /// Its last lines.
+        log: String,
+    },
+    /// The client library failed.
+    #[error("the server under load was not reached: {0}")]
+    Client(#[from] waypost_client::Error),
+    /// A stream ended under load.
+    #[error("a stream ended under load: {} ({:?})", .0.message(), .0.code())]
+    Stream(Box<tonic::Status>),
+    /// The server did not keep to the contract.
+    #[error("the contract was broken: {0}; use a server of the same version")]
+    Protocol(&'static str),
+    /// Frames that were never answered.
+    #[error(
+        "{frames} frames of one robot were never answered; lower the load, or look for what holds the server up"
+    )]
+    Unanswered {
+        /// How many.
+        frames: usize,
+    },
+    /// A model without a sampling set has nothing to be sent.
+    #[error("{path}: the model remembers no training image; give --images in place of --synthetic")]
+    NoSamplingSet {
+        /// The model file.
+        path: PathBuf,
+    },
+    /// Words could not be made.
+    #[error("{path}: {reason}")]
+    Words {
+        /// The image or the model file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: waypost_client::words::WordsError,
+    },
+    /// No socket to be had.
+    #[error("no connection on the loopback interface ({0}); check that the machine has one")]
+    Socket(io::Error),
+    /// No threads to be had.
+    #[error("no threads can be started ({0}); end other programs")]
+    Runtime(io::Error),
+    /// A robot's task failed: a fault of the program.
+    #[error("a robot failed ({0}); this is a fault of Waypost, please report it")]
+    Robot(#[from] tokio::task::JoinError),
     /// A plot could not be drawn.
     #[error("{path} could not be drawn ({reason}); this is a fault of Waypost, please report it")]
     Plot {
@@ -116,6 +164,12 @@ pub enum EvalError {
         /// What the plotting library says.
         reason: String,
     },
+}
+
+impl From<tonic::Status> for EvalError {
+    fn from(status: tonic::Status) -> Self {
+        Self::Stream(Box::new(status))
+    }
 }
 
 impl EvalError {
@@ -135,6 +189,16 @@ impl EvalError {
             | EvalError::Fold { .. }
             | EvalError::Read { .. }
             | EvalError::Write { .. }
+            | EvalError::Server { .. }
+            | EvalError::Client(_)
+            | EvalError::Stream(_)
+            | EvalError::Protocol(_)
+            | EvalError::Unanswered { .. }
+            | EvalError::NoSamplingSet { .. }
+            | EvalError::Words { .. }
+            | EvalError::Socket(_)
+            | EvalError::Runtime(_)
+            | EvalError::Robot(_)
             | EvalError::Plot { .. } => 1,
         }
     }

@@ -4,6 +4,7 @@ use std::fmt::Display;
 use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::error::ErrorKind;
@@ -18,6 +19,9 @@ use topomap::mapper::MapperSettings;
 use waypost_eval::choices::{
     Choices, DEPENDENCES, NEW_PLACE_METHODS, RANKINGS, RankingName, SCORERS, name_of, value_of,
 };
+use waypost_eval::commands::load::{
+    self, OverloadOptions, RobotsOptions, ServerOptions, WordSource, WordsOptions,
+};
 use waypost_eval::commands::sequence::{self, Knobs, SequenceOptions, System};
 use waypost_eval::commands::train::{self, TrainOptions, VocabularySource};
 use waypost_eval::error::EvalError;
@@ -27,6 +31,7 @@ fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Train(arguments) => arguments.run(),
         Command::Sequence(arguments) => arguments.run(),
+        Command::Load(arguments) => arguments.run(),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -37,7 +42,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Measures Waypost: trains models, runs sequences in process and judges what is recognised.
+/// Measures Waypost: trains models, runs sequences in process and judges what is recognised, puts a server
+/// under load.
 ///
 /// Tables and progress go to stderr. Exit codes: 0 done, 1 failed, 2 wrong arguments.
 #[derive(Parser)]
@@ -51,6 +57,7 @@ struct Cli {
 enum Command {
     Train(TrainArguments),
     Sequence(Box<SequenceArguments>),
+    Load(LoadArguments),
 }
 
 /// Train a model (vocabulary, Chow-Liu tree, sampling set) from folders of images.
@@ -161,6 +168,108 @@ struct KnobArguments {
         FilterSettings::default().even_share,
     ))]
     even_share: Option<f64>,
+}
+
+/// Put a real server under load: it is started on a temporary directory, driven over gRPC, and stopped.
+#[derive(Args)]
+struct LoadArguments {
+    #[command(subcommand)]
+    scenario: Scenario,
+    /// The model that the server's map is made with.
+    #[arg(long, global = true, value_name = "FILE", default_value = "demo/model.waypost")]
+    model: PathBuf,
+    /// The server [default: waypost-server beside this program].
+    #[arg(long, global = true, value_name = "FILE")]
+    server_binary: Option<PathBuf>,
+    /// Print one JSON object on stdout.
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+#[derive(Subcommand)]
+enum Scenario {
+    /// Many word streams into one map: what a frame takes beyond computing.
+    Words {
+        #[command(flatten)]
+        source: WordSourceArguments,
+        /// Robots.
+        #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=1000))]
+        streams: u32,
+        /// Frames a second of each robot.
+        #[arg(long, value_name = "HZ", default_value_t = 2.0, value_parser = positive)]
+        rate_hz: f64,
+        /// How long.
+        #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = positive)]
+        seconds: f64,
+    },
+    /// More images than the server can work off: goodput, memory, recovery.
+    Overload {
+        /// Folder of JPEG or PNG images.
+        #[arg(long, value_name = "DIR")]
+        images: PathBuf,
+        /// How long.
+        #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = positive)]
+        seconds: f64,
+        /// How many times the peak goodput is offered.
+        #[arg(long, value_name = "TIMES", default_value_t = 5.0, value_parser = positive)]
+        factor: f64,
+    },
+    /// Four robots in one map, alone and beside clients that do not read their answers.
+    Robots {
+        #[command(flatten)]
+        source: WordSourceArguments,
+        /// Frames a second of each robot.
+        #[arg(long, value_name = "HZ", default_value_t = 5.0, value_parser = positive)]
+        rate_hz: f64,
+        /// How long, each time.
+        #[arg(long, value_name = "S", default_value_t = 20.0, value_parser = positive)]
+        seconds: f64,
+    },
+}
+
+#[derive(Args)]
+#[group(required = true)]
+struct WordSourceArguments {
+    /// Folder of JPEG or PNG images that words are made of beforehand.
+    #[arg(long, value_name = "DIR")]
+    images: Option<PathBuf>,
+    /// Words of the model's sampling set, so that no images are needed.
+    #[arg(long, conflicts_with = "images")]
+    synthetic: bool,
+}
+
+impl LoadArguments {
+    fn run(self) -> Result<(), EvalError> {
+        let Self { scenario, model, server_binary, json } = self;
+        let server = ServerOptions { binary: server_binary, model };
+        match scenario {
+            Scenario::Words { source, streams, rate_hz, seconds } => {
+                let (source, duration) = (source.source(), Duration::from_secs_f64(seconds));
+                print_if(json, &load::words(&server, &WordsOptions { source, streams, rate_hz, duration })?)
+            }
+            Scenario::Overload { images, seconds, factor } => {
+                let duration = Duration::from_secs_f64(seconds);
+                print_if(json, &load::overload(&server, &OverloadOptions { images, duration, factor })?)
+            }
+            Scenario::Robots { source, rate_hz, seconds } => {
+                let (source, duration) = (source.source(), Duration::from_secs_f64(seconds));
+                print_if(json, &load::robots(&server, &RobotsOptions { source, rate_hz, duration })?)
+            }
+        }
+    }
+}
+
+impl WordSourceArguments {
+    fn source(self) -> WordSource {
+        let Self { images, synthetic: _ } = self;
+        images.map_or(WordSource::SamplingSet, WordSource::Images)
+    }
+}
+
+/// A duration, a rate or a factor.
+fn positive(text: &str) -> Result<f64, String> {
+    let value = text.parse::<f64>().map_err(|error| error.to_string())?;
+    if (0.1..=3600.0).contains(&value) { Ok(value) } else { Err("give a number from 0.1 to 3600".to_owned()) }
 }
 
 impl TrainArguments {

@@ -1,0 +1,72 @@
+//! `waypost-eval load`: a real server in a process of its own, and robots that drive it over gRPC.
+
+mod contents;
+mod overload;
+mod report;
+mod robot;
+mod robots;
+mod server;
+mod stalled;
+mod words;
+
+pub use overload::{OverloadOptions, OverloadReport};
+pub use report::{LatencyReport, ServerUse};
+pub use robots::{RobotsOptions, RobotsReport};
+pub use words::{WordsOptions, WordsReport};
+
+use std::path::PathBuf;
+
+use crate::error::EvalError;
+
+/// The server that is put under load.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ServerOptions {
+    /// The program; `waypost-server` beside this one if `None`.
+    pub binary: Option<PathBuf>,
+    /// The model file that its map is made with.
+    pub model: PathBuf,
+}
+
+/// Where robots take their words from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum WordSource {
+    /// A folder of images: words with keypoints, made beforehand.
+    Images(PathBuf),
+    /// The training images of the model, as its sampling set remembers them: histograms.
+    SamplingSet,
+}
+
+/// Streams of words into one map, and what the server adds to the time of computing.
+///
+/// # Errors
+/// [`EvalError`].
+pub fn words(server: &ServerOptions, options: &WordsOptions) -> Result<WordsReport, EvalError> {
+    let report = block_on(words::run(server, options))?;
+    eprint!("{}", report.table());
+    Ok(report)
+}
+
+/// Several times more images than the server can work off, and how it gets over that.
+///
+/// # Errors
+/// [`EvalError`].
+pub fn overload(server: &ServerOptions, options: &OverloadOptions) -> Result<OverloadReport, EvalError> {
+    let report = block_on(overload::run(server, options))?;
+    eprint!("{}", report.table());
+    Ok(report)
+}
+
+/// Four robots in one map, alone and beside clients that do not read their answers.
+///
+/// # Errors
+/// [`EvalError`].
+pub fn robots(server: &ServerOptions, options: &RobotsOptions) -> Result<RobotsReport, EvalError> {
+    let report = block_on(robots::run(server, options))?;
+    eprint!("{}", report.table());
+    Ok(report)
+}
+
+fn block_on<T>(scenario: impl Future<Output = Result<T, EvalError>>) -> Result<T, EvalError> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
+    runtime.map_err(EvalError::Runtime)?.block_on(scenario)
+}

@@ -1,0 +1,71 @@
+//! Figures that every scenario reports.
+
+use std::time::Duration;
+
+use serde::Serialize;
+
+/// How a time is distributed, in milliseconds; percentiles by nearest rank, null of nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LatencyReport {
+    /// Half are at most this.
+    pub p50_ms: Option<f64>,
+    /// 99 of 100 are at most this.
+    pub p99_ms: Option<f64>,
+    /// The longest.
+    pub max_ms: Option<f64>,
+}
+
+/// What the server took while it was under load.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ServerUse {
+    /// Cores kept busy, on average.
+    pub cpu_cores: f64,
+    /// Memory in RAM at the end, in MiB.
+    pub rss_mib: f64,
+}
+
+impl LatencyReport {
+    pub(super) fn of(times: impl IntoIterator<Item = Duration>) -> Self {
+        let mut sorted: Vec<Duration> = times.into_iter().collect();
+        sorted.sort_unstable();
+        let ms = |time: &Duration| time.as_secs_f64() * 1e3;
+        let percentile = |percent: usize| {
+            let rank = (sorted.len() * percent).div_ceil(100).max(1);
+            sorted.get(rank - 1).map(ms)
+        };
+        Self { p50_ms: percentile(50), p99_ms: percentile(99), max_ms: percentile(100) }
+    }
+
+    /// `p50 1.0  p99 2.0  max 3.0 ms`
+    pub(super) fn text(self) -> String {
+        let Self { p50_ms, p99_ms, max_ms } = self;
+        match (p50_ms, p99_ms, max_ms) {
+            (Some(p50), Some(p99), Some(max)) => format!("p50 {p50:.1}  p99 {p99:.1}  max {max:.1} ms"),
+            _ => "none".to_owned(),
+        }
+    }
+}
+
+/// Whether a figure keeps within its target.
+pub(super) fn verdict(met: bool) -> &'static str {
+    if met { "met" } else { "MISSED" }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(times_ms: impl IntoIterator<Item = u64>) -> [Option<f64>; 3] {
+        let LatencyReport { p50_ms, p99_ms, max_ms } =
+            LatencyReport::of(times_ms.into_iter().map(Duration::from_millis));
+        [p50_ms, p99_ms, max_ms]
+    }
+
+    #[test]
+    fn percentiles_by_hand() {
+        assert_eq!(of([]), [None; 3]);
+        assert_eq!(of([7]), [Some(7.0); 3]);
+        assert_eq!(of((1..=100).rev()), [Some(50.0), Some(99.0), Some(100.0)]);
+        assert_eq!(of(1..=1000), [Some(500.0), Some(990.0), Some(1000.0)]);
+    }
+}

@@ -1,0 +1,187 @@
+//! Many word streams into one map.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+use tokio::time::Instant;
+
+use super::contents::Contents;
+use super::report::{LatencyReport, ServerUse, verdict};
+use super::robot::{Answered, AtTheEnd, Camera, Record, Robot, drive_all};
+use super::server::ServerUnderLoad;
+use super::{ServerOptions, WordSource};
+use crate::error::EvalError;
+
+/// What beyond computing may take, in milliseconds: half of the frames, and 99 of 100.
+const TARGET_MS: [f64; 2] = [5.0, 20.0];
+
+/// All streams are open by then.
+pub(super) const LEAD: Duration = Duration::from_millis(200);
+
+/// How many streams, and how fast.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WordsOptions {
+    /// Where the words come from.
+    pub source: WordSource,
+    /// Robots that stream into the one map.
+    pub streams: u32,
+    /// Frames a second of each.
+    pub rate_hz: f64,
+    /// How long they do.
+    pub duration: Duration,
+}
+
+/// What the robots saw of the server.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct WordsReport {
+    /// Name of the scenario.
+    pub scenario: &'static str,
+    /// See [`WordsOptions::streams`].
+    pub streams: u32,
+    /// See [`WordsOptions::rate_hz`].
+    pub rate_hz: f64,
+    /// See [`WordsOptions::duration`].
+    pub seconds: f64,
+    /// Mean size of a frame's words on the wire.
+    pub bytes_per_frame: f64,
+    /// Frames that robots took.
+    pub offered: u64,
+    /// Frames that were answered.
+    pub answered: usize,
+    /// Refusals, for now or for good.
+    pub refusals: u64,
+    /// Round trip less what the server spent on the frame itself.
+    pub beyond_computing: LatencyReport,
+    /// From when the frame was due to its answer.
+    pub round_trip: LatencyReport,
+    /// What the server spent on the frame itself.
+    pub computing: LatencyReport,
+    /// How late robots were with sending: the load generator's own share, within the round trip.
+    pub send_late: LatencyReport,
+    /// Frames that share a commit, on average; null if the server does not log it.
+    pub frames_per_commit: Option<f64>,
+    /// What the server took meanwhile.
+    pub server: ServerUse,
+    /// Whether half of the frames take at most 5 ms beyond computing, and 99 of 100 at most 20 ms.
+    pub target_met: bool,
+}
+
+pub(super) async fn run(server: &ServerOptions, options: &WordsOptions) -> Result<WordsReport, EvalError> {
+    let WordsOptions { source, streams, rate_hz, duration } = options;
+    let contents = Arc::new(Contents::words(&server.model, source)?);
+    let server = ServerUnderLoad::start(server).await?;
+    let fleet = Fleet { prefix: "robot", robots: *streams, rate_hz: *rate_hz, duration: *duration };
+    let robots = fleet.open(&server.endpoint(), &contents).await?;
+    let (began, cpu_s) = (Instant::now(), server.cpu_s()?);
+    let record = fleet.drive(robots).await?;
+    let cpu_cores = (server.cpu_s()? - cpu_s) / began.elapsed().as_secs_f64();
+    let server_use = ServerUse { cpu_cores, rss_mib: server.rss_mib()? };
+    let frames_per_commit = server.commits()?.frames_per_commit();
+    server.stop().await?;
+
+    let latency = |of: fn(&Answered) -> Duration| LatencyReport::of(record.answered.iter().map(of));
+    let beyond_computing = latency(Answered::beyond_computing);
+    let within = |figure: Option<f64>, target_ms| figure.is_some_and(|figure| figure <= target_ms);
+    Ok(WordsReport {
+        scenario: "words",
+        streams: *streams,
+        rate_hz: *rate_hz,
+        seconds: duration.as_secs_f64(),
+        bytes_per_frame: contents.bytes_per_frame(),
+        offered: record.offered,
+        answered: record.answered.len(),
+        refusals: record.refused_for_now + record.refused,
+        round_trip: latency(|answered| answered.round_trip),
+        computing: latency(|answered| answered.computing),
+        send_late: latency(|answered| answered.send_late),
+        frames_per_commit,
+        server: server_use,
+        target_met: within(beyond_computing.p50_ms, TARGET_MS[0])
+            && within(beyond_computing.p99_ms, TARGET_MS[1]),
+        beyond_computing,
+    })
+}
+
+/// Robots with one frame rate, each out of step with the others.
+pub(super) struct Fleet {
+    pub(super) prefix: &'static str,
+    pub(super) robots: u32,
+    pub(super) rate_hz: f64,
+    pub(super) duration: Duration,
+}
+
+impl Fleet {
+    pub(super) async fn open(
+        &self,
+        endpoint: &str,
+        contents: &Arc<Contents>,
+    ) -> Result<Vec<Robot>, EvalError> {
+        let mut opened = Vec::new();
+        for robot in 0..self.robots {
+            // Spread over what there is to see.
+            let first_content = contents.frames.len() * robot as usize / self.robots as usize;
+            let session = format!("{}-{robot}", self.prefix);
+            opened.push(Robot::open(endpoint, &session, contents.clone(), first_content).await?);
+        }
+        Ok(opened)
+    }
+
+    /// Every frame is sent at its time, whatever became of those before, and all are waited for.
+    pub(super) async fn drive(&self, robots: Vec<Robot>) -> Result<Record, EvalError> {
+        let interval = Duration::from_secs_f64(1.0 / self.rate_hz);
+        let start = Instant::now() + LEAD;
+        // Clocks of robots are not in step; the seed makes runs alike.
+        let mut phase = ChaCha8Rng::seed_from_u64(1);
+        let cameras = robots.into_iter().map(|robot| {
+            let first = start + interval.mul_f64(phase.random_range(0.0..1.0));
+            let (until, backlog_frames) = (start + self.duration, usize::MAX);
+            let at_the_end = AtTheEnd::Wait;
+            (robot, Camera { first, interval, until, backlog_frames, at_the_end })
+        });
+        Ok(Record::together(drive_all(cameras).await?))
+    }
+}
+
+impl WordsReport {
+    pub(super) fn table(&self) -> String {
+        let Self {
+            scenario: _,
+            streams,
+            rate_hz,
+            seconds,
+            bytes_per_frame,
+            offered,
+            answered,
+            refusals,
+            beyond_computing,
+            round_trip,
+            computing,
+            send_late,
+            frames_per_commit,
+            server: ServerUse { cpu_cores, rss_mib },
+            target_met,
+        } = self;
+        let frames_per_commit =
+            frames_per_commit.map_or("unknown".to_owned(), |frames| format!("{frames:.2}"));
+        let [p50, p99] = TARGET_MS;
+        format!(
+            "word streams       {streams} at {rate_hz} Hz for {seconds} s, {bytes_per_frame:.0} bytes a frame\n\
+             frames             {answered} answered of {offered}, {refusals} refusals\n\
+             beyond computing   {}\n\
+             target             p50 {p50} ms, p99 {p99} ms: {}\n\
+             round trip         {}\n\
+             computing          {}\n\
+             sent late by       {}\n\
+             frames per commit  {frames_per_commit}\n\
+             server             {cpu_cores:.2} cores, {rss_mib:.0} MiB\n",
+            beyond_computing.text(),
+            verdict(*target_met),
+            round_trip.text(),
+            computing.text(),
+            send_late.text(),
+        )
+    }
+}
