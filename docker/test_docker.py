@@ -1,0 +1,190 @@
+"""The files of docker/ agree with each other, with scripts/setup and with the server."""
+
+from __future__ import annotations
+
+import re
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+DOCKER = Path(__file__).resolve().parent
+REPOSITORY = DOCKER.parent
+sys.path.insert(0, str(REPOSITORY / "client" / "python" / "tests"))
+
+from conftest import Server, binary, environment  # noqa: E402
+
+Instruction = tuple[str, str]
+
+
+def instructions() -> list[Instruction]:
+    """Of the Dockerfile, with continued lines joined and comments gone."""
+    lines = [line for line in (DOCKER / "Dockerfile").read_text().splitlines() if not line.startswith("#")]
+    joined = re.sub(r"\\\n", " ", "\n".join(lines))
+    split = (line.split(maxsplit=1) for line in joined.splitlines() if line.strip())
+    return [(name, " ".join(arguments.split())) for name, arguments in split]
+
+
+def stages() -> list[list[Instruction]]:
+    """Each begins with its FROM."""
+    stages: list[list[Instruction]] = []
+    for name, arguments in instructions():
+        if name == "FROM":
+            stages.append([])
+        stages[-1].append((name, arguments))
+    return stages
+
+
+def arguments(of: str, stage: list[Instruction]) -> list[str]:
+    return [arguments for name, arguments in stage if name == of]
+
+
+def packages(stage: list[Instruction]) -> set[str]:
+    """What a stage installs."""
+    installed: set[str] = set()
+    for command in arguments("RUN", stage):
+        for step in command.split("&&"):
+            words = step.split()
+            if words[:2] == ["apt-get", "install"]:
+                assert "--no-install-recommends" in words
+                installed |= {word for word in words[2:] if not word.startswith("-")}
+    return installed
+
+
+def settings(stage: list[Instruction]) -> dict[str, str]:
+    pairs = (pair.split("=", 1) for line in arguments("ENV", stage) for pair in line.split())
+    return {name: value for name, value in pairs}  # noqa: C416
+
+
+def compose() -> dict[str, Any]:
+    return yaml.safe_load((DOCKER / "compose.yaml").read_text())
+
+
+def test_the_stages_build_on_what_the_repository_says() -> None:
+    builder, runtime = stages()
+    cargo = (REPOSITORY / "Cargo.toml").read_text()
+    rust = re.search(r'^rust-version = "(.+)"$', cargo, re.MULTILINE)
+    assert rust
+    assert arguments("FROM", builder) == [f"rust:{rust[1]}-bookworm AS builder"]
+    assert arguments("FROM", runtime) == ["debian:bookworm-slim"]
+    setup = re.search(r"^build_packages=\((.+)\)$", (REPOSITORY / "scripts/setup").read_text(), re.MULTILINE)
+    assert setup
+    assert packages(builder) == set(setup[1].split())
+    # As `make build` does.
+    makefile = (REPOSITORY / "Makefile").read_text()
+    features = re.search(r"--bins (--features \S+)", makefile)
+    assert features
+    [build] = [run for run in arguments("RUN", builder) if "cargo build" in run]
+    assert "--release --locked" in build
+    assert features[1] in build
+
+
+def test_the_runtime_has_the_libraries_that_the_binaries_ask_for() -> None:
+    """By the names of Debian's packages: libopencv_core.so.406 is in libopencv-core406."""
+    installed = packages(stages()[1])
+    needed: set[str] = set()
+    for name in ("waypost-server", "waypost"):
+        dynamic = subprocess.run(
+            ["readelf", "-d", binary(name)], stdout=subprocess.PIPE, text=True, check=True
+        )
+        needed |= set(re.findall(r"\(NEEDED\).*\[libopencv_(\w+\.so\.\d+)\]", dynamic.stdout))
+    assert {"libopencv-" + name.replace(".so.", "") for name in needed} <= installed
+    assert "libopencv-core406" in installed
+    for package in installed:
+        assert "-dev" not in package
+
+
+def test_user_volume_ports_and_signal() -> None:
+    _, runtime = stages()
+    env = settings(runtime)
+    [volume] = arguments("VOLUME", runtime)
+    assert volume == env["WAYPOST_DATA_DIR"] == "/var/lib/waypost"
+    [user] = arguments("USER", runtime)
+    uid, gid = user.split(":")
+    [users] = [run for run in arguments("RUN", runtime) if "useradd" in run]
+    assert f"--gid {gid} waypost" in users
+    assert f"--uid {uid} --gid {gid}" in users
+    assert int(uid) > 0
+    assert arguments("STOPSIGNAL", runtime) == ["SIGTERM"]
+    assert arguments("CMD", runtime) == ['["waypost-server"]']
+    # The server's own ports, and every address of the container.
+    helped = subprocess.run(
+        [binary("waypost-server"), "--help"], env=environment(), stdout=subprocess.PIPE, text=True, check=True
+    )
+    ports = re.findall(r"\[default: 127\.0\.0\.1:(\d+)\]", helped.stdout)
+    assert len(ports) == 2
+    [exposed] = arguments("EXPOSE", runtime)
+    assert exposed.split() == ports
+    assert [env["WAYPOST_GRPC_ADDRESS"], env["WAYPOST_HTTP_ADDRESS"]] == [f"0.0.0.0:{port}" for port in ports]
+
+
+def test_compose_runs_what_the_dockerfile_makes() -> None:
+    _, runtime = stages()
+    service = compose()["services"]["waypost"]
+    assert service["build"] == {"context": "..", "dockerfile": "docker/Dockerfile"}
+    [exposed] = arguments("EXPOSE", runtime)
+    assert service["ports"] == [f"127.0.0.1:{port}:{port}" for port in exposed.split()]
+    [volume] = arguments("VOLUME", runtime)
+    assert service["volumes"] == [f"data:{volume}"]
+    assert "data" in compose()["volumes"]
+    assert service["restart"] == "unless-stopped"
+    # The setting that the comment tells of is one that the file is valid with.
+    text = (DOCKER / "compose.yaml").read_text()
+    told = text.replace("    # environment:\n    #   WAYPOST", "    environment:\n      WAYPOST")
+    assert yaml.safe_load(told)["services"]["waypost"]["environment"] == {"WAYPOST_ALLOW_ANONYMOUS": "true"}
+
+
+def test_what_is_copied_is_there_and_not_ignored() -> None:
+    copied = [line for stage in stages() for line in arguments("COPY", stage)]
+    assert "--chmod=0755 docker/health-check /usr/local/bin/health-check" in copied
+    ignored = (REPOSITORY / ".dockerignore").read_text().split("\n")
+    assert "!docker/health-check" in ignored
+    assert {".git", "target", "waypost-data", "demo-data"} <= set(ignored)
+    # Every member of the workspace has to be in the context.
+    members = re.search(r"^members = \[(.+)\]$", (REPOSITORY / "Cargo.toml").read_text(), re.MULTILINE)
+    assert members
+    for member in [*re.findall(r'"(.+?)"', members[1]), "migrations"]:
+        assert (REPOSITORY / member).is_dir()
+        assert member not in ignored
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[Server]:
+    server = Server(tmp_path / "data")
+    server.start()
+    yield server
+    server.kill()
+
+
+def health(http_address: str, **further: str) -> subprocess.CompletedProcess[str]:
+    env = {**environment(), "WAYPOST_HTTP_ADDRESS": http_address, **further}
+    return subprocess.run([DOCKER / "health-check"], env=env, stderr=subprocess.PIPE, text=True, timeout=10)
+
+
+def test_the_health_check_tells_a_living_server_from_a_dead_one(server: Server) -> None:
+    port = server.http_address.rpartition(":")[2]
+    # As in the image: the server's address, of which the port counts.
+    assert health(f"0.0.0.0:{port}").returncode == 0
+    assert health(f"0.0.0.0:{port}", WAYPOST_TLS_CERTIFICATE="server.crt").returncode == 0
+    server.kill()
+    assert health(f"0.0.0.0:{port}").returncode != 0
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.1 503 Service Unavailable\r\n\r\n", b""])
+def test_a_server_that_is_not_well_is_told(answer: bytes) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+        env = {**environment(), "WAYPOST_HTTP_ADDRESS": f"0.0.0.0:{port}"}
+        check = subprocess.Popen([DOCKER / "health-check"], env=env, stderr=subprocess.PIPE)
+        connection, _ = listener.accept()
+        with connection:
+            asked = connection.recv(1000)
+            connection.sendall(answer)
+        assert asked.startswith(b"GET /healthz HTTP/1.1\r\n")
+        check.communicate(timeout=10)
+        assert check.returncode == 1
