@@ -4,23 +4,30 @@ CARGO ?= cargo
 # The map that the demo left behind, if there is one.
 DATA_DIR ?= $(if $(wildcard demo-data),demo-data,waypost-data)
 TARGET := $(or $(CARGO_TARGET_DIR),target)/release
+# Where the Python client is tested in, with every version pinned.
+PYTHON := $(abspath $(or $(CARGO_TARGET_DIR),target)/python)
 
-.PHONY: demo test serve build setup check bench
+.PHONY: demo test test-python serve build setup check bench
 
 # Drive a real recorded sequence through a real server, and compare the loop closures with the truth.
 demo: build
 	$(TARGET)/waypost demo
 
-# All unit, property and end-to-end tests.
+# All unit, property and end-to-end tests, and then those of the Python client and of docker/.
 test: setup
 	$(CARGO) test --release --locked --workspace
+	$(MAKE) --no-print-directory test-python
+
+test-python: build
+	scripts/setup-python $(PYTHON)
+	WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest client/python docker
 
 # Keep a server running: robots on port 7600, people on http://127.0.0.1:7601/v1/maps.
 serve: build
 	$(TARGET)/waypost-server --data-dir $(DATA_DIR)
 
 build: setup
-	$(CARGO) build --release --locked --workspace --bins
+	$(CARGO) build --release --locked --workspace --bins --features waypost-client/words
 
 setup:
 	scripts/setup
@@ -29,6 +36,7 @@ setup:
 check: setup
 	$(CARGO) fmt --all -- --check
 	$(CARGO) clippy --release --locked --workspace --all-targets -- -D warnings
+	$(CARGO) clippy --release --locked -p waypost-client --all-targets -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --locked --workspace --no-deps
 
 bench: setup

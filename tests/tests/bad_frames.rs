@@ -4,7 +4,7 @@
 use std::io::Cursor;
 use std::time::Duration;
 
-use waypost_client::{Client, Code, FrameOutcome};
+use waypost_client::{Client, Code, FrameContent, FrameOutcome};
 use waypost_proto::v1;
 use waypost_proto::v1::frame::Content::Image;
 
@@ -162,12 +162,7 @@ async fn bad_images_are_refused() {
         bad_image("thumbnail", thumbnail(), "at least 16 pixels"),
         bad_image("one byte too long", padded((4 << 20) + 1), "4194305 bytes, more than the 4194304"),
         bad_image("far too long", padded(12 << 20), "shrink it or lower its JPEG quality"),
-        bad(
-            "missing",
-            |frame| frame.content = None,
-            Code::InvalidArgument,
-            "has no image; send a JPEG or PNG",
-        ),
+        bad("missing", |frame| frame.content = None, Code::InvalidArgument, "has no image and no words"),
     ])
     .await;
 }
@@ -305,8 +300,8 @@ async fn a_refusal_tells_the_last_durable_frame() {
 async fn the_client_tells_which_frames_were_refused() {
     let (server, client) = Server::with_map().await;
     let mut frames: Vec<_> = (1..=6).map(frame).collect();
-    frames[1].image = b"no picture".to_vec();
-    frames[2].image = padded((4 << 20) + 1);
+    frames[1].content = FrameContent::Image(b"no picture".to_vec());
+    frames[2].content = FrameContent::Image(padded((4 << 20) + 1));
     frames[4].stamp_ns = 1;
     let session = in_time(client.open_session(session_options("drive", "robot"))).await.unwrap();
     let outcomes = stream(session, frames).await;

@@ -86,7 +86,7 @@ async fn maps_that_cannot_be_made() {
         new_place_prior: Some(0.8),
         true_positive_rate: Some(0.4),
         false_positive_rate: Some(0.0),
-        keep: 0,
+        keep: v1::map_settings::Keep::Images.into(),
     };
     let made = client.create_map(bare(all)).await.unwrap();
     assert_eq!(made.settings, Some(all));
@@ -152,9 +152,9 @@ async fn what_is_not_there_is_not_found() {
             "job",
             client.job("jobs/7").await.map(drop),
             found,
-            "there is no job jobs/7; jobs do not outlive the server",
+            "there is no job jobs/7; list the jobs to see what there is",
         ),
-        ("watch", client.watch_job("jobs/7").await.map(drop), found, "start the job again"),
+        ("watch", client.watch_job("jobs/7").await.map(drop), found, "list the jobs"),
         ("cancel", client.cancel_job("jobs/0").await.map(drop), found, "there is no job"),
         ("job of words", client.job("jobs/first").await.map(drop), found, "there is no job"),
         ("no job", client.job("7").await.map(drop), invalid, "write jobs/"),

@@ -46,7 +46,7 @@ async fn a_session_that_cannot_be_opened_says_why() {
         ("bad map name", map("maps/My Drive"), invalid, "is no map name; use 1 to 63 of a-z"),
         ("a name below the map", map("maps/drive/sessions/robot"), invalid, "write maps/"),
         ("no mode", mode(0), invalid, "SESSION_MODE_MAP"),
-        ("a mode of the future", mode(99), invalid, "SESSION_MODE_MAP"),
+        ("a mode of the future", mode(99), invalid, "does not know"),
         ("capitals", session("Robot"), invalid, "is no session name"),
         ("a path", session("../robot"), invalid, "is no session name"),
         ("too long", session(&"x".repeat(64)), invalid, "1 to 63"),

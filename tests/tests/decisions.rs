@@ -1,9 +1,11 @@
 //! The server decides as the library does in process: frame by frame, bit by bit.
 
-use topomap::event::{FrameEvent, Match, Reason};
-use waypost_client::v1;
+use topomap::event::Reason;
+use waypost_client::{FrameContent, v1};
 
-use crate::harness::{Reference, Server, answers, frame, frame_count, in_time, reference, state_hash};
+use crate::harness::{
+    Reference, Server, answers, decided, frame, frame_count, in_time, reference, state_hash, told,
+};
 
 /// Places that an answer lists.
 const LISTED: usize = 10;
@@ -45,7 +47,7 @@ async fn the_probabilities_of_an_answer_belong_together() {
     let mut nothing_to_see = std::io::Cursor::new(Vec::new());
     black.write_to(&mut nothing_to_see, image::ImageFormat::Png).unwrap();
     let mut frames: Vec<_> = (1..=12).map(frame).collect();
-    frames[5].image = nothing_to_see.into_inner();
+    frames[5].content = FrameContent::Image(nothing_to_see.into_inner());
     let answers = answers(&client, "drive", "robot", frames).await;
     assert_eq!(answers[5].reason(), v1::Reason::TooFewWords);
     assert_eq!(answers[5].place, None);
@@ -109,72 +111,6 @@ async fn two_maps_grow_side_by_side_as_if_alone() {
     assert_eq!(&state_hash(&client, "other").await, expected);
     assert_eq!((one.len(), other.len()), (FRAMES as usize, FRAMES as usize));
     server.stop().await;
-}
-
-/// What the answer and the event both say, with the bits of every number.
-#[derive(Debug, PartialEq)]
-struct Told {
-    reason: v1::Reason,
-    place: Option<u32>,
-    posterior_bits: u64,
-    new_place_posterior_bits: u64,
-    words: usize,
-    closure: Option<ToldMatch>,
-    proposal: Option<ToldMatch>,
-}
-
-#[derive(Debug, PartialEq)]
-struct ToldMatch {
-    place: u32,
-    posterior_bits: u64,
-    log_odds_bits: u64,
-    sequence: u64,
-}
-
-fn told(answer: &v1::FrameAnswer) -> Told {
-    let found = |found: &Option<v1::Match>| {
-        found.as_ref().map(|found| ToldMatch {
-            place: found.place,
-            posterior_bits: found.posterior.to_bits(),
-            log_odds_bits: found.log_odds.to_bits(),
-            sequence: found.frame.as_ref().expect("a match is a frame").sequence,
-        })
-    };
-    Told {
-        reason: answer.reason(),
-        place: answer.place,
-        posterior_bits: answer.posterior.to_bits(),
-        new_place_posterior_bits: answer.new_place_posterior.to_bits(),
-        words: answer.words as usize,
-        closure: found(&answer.closure),
-        proposal: found(&answer.proposal),
-    }
-}
-
-fn decided(event: &FrameEvent, reference: &Reference) -> Told {
-    let found = |found: Option<Match>| {
-        found.map(|Match { place, posterior, log_odds, frame }| ToldMatch {
-            place,
-            posterior_bits: posterior.to_bits(),
-            log_odds_bits: log_odds.to_bits(),
-            sequence: reference.sequence_of(frame),
-        })
-    };
-    Told {
-        reason: match event.decision.reason {
-            Reason::NewPlace => v1::Reason::NewPlace,
-            Reason::SamePlace => v1::Reason::SamePlace,
-            Reason::LoopClosure => v1::Reason::LoopClosure,
-            Reason::BelowThreshold => v1::Reason::BelowThreshold,
-            Reason::TooFewWords => v1::Reason::TooFewWords,
-        },
-        place: event.decision.place,
-        posterior_bits: event.decision.posterior.to_bits(),
-        new_place_posterior_bits: event.new_place_posterior.to_bits(),
-        words: event.observation.len(),
-        closure: found(event.decision.closure),
-        proposal: found(event.proposal),
-    }
 }
 
 fn listed(answer: &v1::FrameAnswer) -> Vec<(u32, u64)> {

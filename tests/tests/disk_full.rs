@@ -12,7 +12,7 @@ use waypost_proto::v1::stream_response::Content as Response;
 
 use crate::harness::{
     RawStream, ServerProcess, assert_status, first_return, frame, import_model, in_time, map_request, open,
-    reference, session_options, state_hash, stream, wire,
+    reference, refused, session_options, state_hash, stream, wire,
 };
 
 /// A small disk of its own. Unmounted when dropped.
@@ -169,6 +169,22 @@ async fn a_session_of_the_client_outlives_a_full_disk() {
     let map = client.map("drive", v1::MapView::Full).await.unwrap();
     assert_eq!(map.frames, frames);
     assert_eq!(map.state_hash, reference().maps[frames as usize].state_hash);
+    server.stop();
+}
+
+/// What is left of a disk is the robots'.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_import_is_refused_before_the_disk_is_full() {
+    let Some(disk) = SmallDisk::mount() else { return };
+    let (server, client) = serving(&disk.data_dir()).await;
+    let mut snapshot = Vec::new();
+    client.export_map("drive", &mut snapshot).await.unwrap();
+    let refusal = client.import_map("copy", std::io::Cursor::new(snapshot)).await;
+    let (code, message) = refused(refusal);
+    assert_status("an import", (code, &message), Code::Unavailable, "disk is full and nothing was stored");
+    assert_eq!(client.maps().await.unwrap().len(), 1);
+    let (mut raw, _) = RawStream::open(&server.endpoint(), open("drive", "robot")).await.unwrap();
+    assert!(!raw.answered(wire(frame(1))).await.resent);
     server.stop();
 }
 

@@ -1,23 +1,32 @@
 //! What every test needs: servers, the shipped drive and model, streams.
 
+mod command_line;
+mod models;
 mod process;
 mod proxy;
 mod reference;
+mod rest;
 mod sequence;
 mod server;
 mod stream;
+mod told;
+mod words;
 
+pub(crate) use command_line::{CommandLine, folder, json_object, path};
+pub(crate) use models::{model_of_other_words, recalibrated_model, take_model};
 pub(crate) use process::{Built, ServerProcess, run_to_its_end};
 pub(crate) use proxy::Proxy;
 pub(crate) use reference::{Reference, reference};
+pub(crate) use rest::{Answer, Surveyed, found, get, http};
 pub(crate) use sequence::{SECOND_NS, first_return, frame, frame_count, images, model_file, workspace};
-pub(crate) use server::{Server, channel, import_model, state_hash};
-pub(crate) use stream::{RawStream, answers, open, session_options, stream, wire};
+pub(crate) use server::{Server, channel, channel_with_window, import_model, state_hash};
+pub(crate) use stream::{RawStream, answers, answers_of, open, session_options, stream, wire};
+pub(crate) use told::{Told, ToldMatch, decided, decided_match, told, told_match};
+pub(crate) use words::{as_histogram, as_words, histogram, mapped, word_maker, words_options};
 
 use std::time::Duration;
 
-use waypost_client::Code;
-use waypost_client::{Error, v1};
+use waypost_client::{Client, Code, Error, v1};
 
 /// Far more than anything here takes: only what hangs gets there.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -41,6 +50,16 @@ pub(crate) fn refused<T: std::fmt::Debug>(result: Result<T, Error>) -> (Code, St
 pub(crate) fn assert_status(case: &str, (code, message): (Code, &str), expected: Code, fragment: &str) {
     assert_eq!(code, expected, "{case}: {message}");
     assert!(message.contains(fragment), "{case}: {message:?} does not say {fragment:?}");
+}
+
+/// Follows a job to its end; all states, the last one included.
+pub(crate) async fn followed(client: &Client, job: &v1::Job) -> Vec<v1::Job> {
+    let mut steps = client.watch_job(&job.name).await.unwrap();
+    let mut states = Vec::new();
+    while let Some(step) = in_time(steps.next()).await.unwrap() {
+        states.push(step);
+    }
+    states
 }
 
 /// A map with the server's default settings.

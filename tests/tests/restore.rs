@@ -48,7 +48,9 @@ impl Stored {
         let client = server.client().await;
         let map =
             client.map("drive", v1::MapView::Full).await.unwrap_or_else(|error| panic!("{case}: {error}"));
-        assert_eq!(map, self.map, "{case}");
+        // What a checkpoint weighs is not what the map is.
+        let expected = v1::Map { storage: map.storage, ..self.map.clone() };
+        assert_eq!(map, expected, "{case}");
         assert_eq!(client.places("drive").await.unwrap(), self.places, "{case}");
         assert_eq!(client.matches("drive").await.unwrap(), self.matches, "{case}");
         server.stop().await;

@@ -13,8 +13,8 @@ use waypost_proto::v1::session_service_client::SessionServiceClient;
 use waypost_proto::v1::train_model_request::Content;
 
 use crate::harness::{
-    RawStream, ServerProcess, assert_status, channel, frame, import_model, in_time, map_request, open,
-    session_options, wire,
+    RawStream, ServerProcess, assert_status, channel, frame, images, import_model, in_time, map_request,
+    open, session_options, wire,
 };
 
 /// Many times what a stop takes.
@@ -102,7 +102,7 @@ async fn an_upload_that_stands_still_does_not_hold_it_up() {
     let (uploading, receiver) = mpsc::channel(4);
     let settings = v1::TrainModelSettings { words: 10, ..v1::TrainModelSettings::default() };
     uploading.send(v1::TrainModelRequest { content: Some(Content::Settings(settings)) }).await.unwrap();
-    let image = Content::Image(frame(1).image);
+    let image = Content::Image(images()[0].clone());
     uploading.send(v1::TrainModelRequest { content: Some(image) }).await.unwrap();
     let mut models = ModelServiceClient::new(channel(&running.server.endpoint()).await);
     let call = tokio::spawn(async move { models.train_model(ReceiverStream::new(receiver)).await.map(drop) });

@@ -4,10 +4,10 @@ use std::io;
 use std::time::Duration;
 
 use futures::{Stream, stream};
-use waypost_client::{Client, Code, v1};
+use waypost_client::{Code, v1};
 
 use crate::harness::{
-    Server, answers, assert_status, frame, images, import_model, in_time, map_request, refused,
+    Server, answers, assert_status, followed, frame, images, import_model, in_time, map_request, refused,
 };
 
 const TRAINING_IMAGES: usize = 40;
@@ -24,16 +24,6 @@ fn settings(display_name: &str, words: u32) -> v1::TrainModelSettings {
 
 fn training_images() -> impl Stream<Item = io::Result<Vec<u8>>> + Send + 'static {
     stream::iter(images().iter().take(TRAINING_IMAGES).cloned().map(Ok))
-}
-
-/// Follows a job to its end; all states, the last one included.
-async fn followed(client: &Client, job: &v1::Job) -> Vec<v1::Job> {
-    let mut steps = client.watch_job(&job.name).await.unwrap();
-    let mut states = Vec::new();
-    while let Some(step) = in_time(steps.next()).await.unwrap() {
-        states.push(step);
-    }
-    states
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -42,6 +42,8 @@ static BUILT: LazyLock<Built> = LazyLock::new(|| {
             "-p",
             "waypost-client",
             "--bins",
+            "--features",
+            "waypost-client/words",
         ])
         .arg("--target-dir")
         .arg(directory.parent().unwrap())
@@ -77,11 +79,17 @@ pub(crate) struct ServerProcess {
 impl ServerProcess {
     /// Starts on free ports and waits until it serves.
     pub(crate) fn start(data_dir: &Path) -> Self {
+        Self::start_with(data_dir, &[])
+    }
+
+    /// Starts with further options.
+    pub(crate) fn start_with(data_dir: &Path, options: &[&str]) -> Self {
         let files = tempfile::tempdir().unwrap();
         let ready = files.path().join("ready.json");
         let log = std::fs::File::create(files.path().join("log")).unwrap();
         let mut child = Built::command("waypost-server")
             .args(["--grpc-address", "127.0.0.1:0", "--http-address", "127.0.0.1:0"])
+            .args(options)
             .arg("--data-dir")
             .arg(data_dir)
             .arg("--ready-file")
@@ -122,6 +130,13 @@ impl ServerProcess {
         Client::connect(&self.endpoint()).await.unwrap()
     }
 
+    /// Memory that it has in RAM.
+    pub(crate) fn rss_bytes(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
+        let kib = status.lines().find_map(|line| line.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB"));
+        1024 * kib.expect("the system tells").parse::<u64>().unwrap()
+    }
+
     /// What it logged so far.
     pub(crate) fn log(&self) -> String {
         std::fs::read_to_string(self.files.path().join("log")).unwrap()
@@ -139,11 +154,16 @@ impl ServerProcess {
 
     /// Asks it to stop in good order (SIGTERM); `None` if it does not within `patience`.
     pub(crate) fn terminate(&mut self, patience: Duration) -> Option<ExitStatus> {
+        self.ask_to_stop();
+        wait(&mut self.child, patience)
+    }
+
+    /// Sends SIGTERM and waits for nothing.
+    pub(crate) fn ask_to_stop(&self) {
         // The shell's own `kill`: a machine need not have the program.
         let sent =
             Command::new("sh").arg("-c").arg(format!("kill -TERM {}", self.child.id())).status().unwrap();
         assert!(sent.success(), "SIGTERM was not sent");
-        wait(&mut self.child, patience)
     }
 
     /// Stops it in good order, as an operator would.

@@ -1,12 +1,15 @@
 //! The shipped drive, mapped in this process without any server.
 
+use std::ops::RangeInclusive;
 use std::sync::LazyLock;
 
 use fabmap::appearance::PlaceId;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
 use topomap::event::{FrameEvent, FrameId, MapEvent};
-use topomap::mapper::{ArchiveError, FrameArchive, FrameInput, Mapper, MapperSettings};
+use topomap::mapper::{
+    ArchiveError, Decided, FrameArchive, FrameInput, Localizer, Mapper, MapperSettings, Queried,
+};
 use waypost_vision::features::Extractor;
 
 use super::{frame, frame_count, images, model_file};
@@ -21,6 +24,7 @@ pub(crate) struct Reference {
     pub(crate) maps: Vec<MapState>,
     /// The log: what a frame number (its position) stands for.
     log: Log,
+    model: Model,
 }
 
 /// What is to be compared of a map.
@@ -53,7 +57,7 @@ static REFERENCE: LazyLock<Reference> = LazyLock::new(|| {
         posteriors.push(decided.recognition.posterior.places);
         maps.push(MapState::of(&mapper));
     }
-    Reference { events, posteriors, maps, log }
+    Reference { events, posteriors, maps, log, model }
 });
 
 /// The shipped drive with the shipped model and default settings.
@@ -65,6 +69,68 @@ impl Reference {
     /// Sequence number of the frame at a position of the log.
     pub(crate) fn sequence_of(&self, frame: FrameId) -> u64 {
         self.log.frame(frame).expect("matches are frames").sequence
+    }
+
+    /// The model that all was decided by.
+    pub(crate) fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// The map after the first `frames`.
+    pub(crate) fn mapper(&self, frames: u64) -> Mapper {
+        let mut mapper = Mapper::new(&self.model, MapperSettings::default()).unwrap();
+        self.fold_into(&mut mapper, frames);
+        mapper
+    }
+
+    /// Folds the first `frames` into an empty map, also one over another model.
+    pub(crate) fn fold_into(&self, mapper: &mut Mapper, frames: u64) {
+        // The log begins with the opening of the session.
+        self.log.0.iter().take(frames as usize + 1).for_each(|event| mapper.apply(event).unwrap());
+    }
+
+    /// What earlier frames showed.
+    pub(crate) fn archive(&self) -> &dyn FrameArchive {
+        &self.log
+    }
+
+    /// What a robot hears that localizes, stage by stage: in the map of the first so many frames, by some
+    /// frames.
+    pub(crate) fn localized(
+        &self,
+        stages: impl IntoIterator<Item = (u64, RangeInclusive<u64>)>,
+    ) -> Vec<FrameEvent> {
+        let (mut localizer, mut events) = (Localizer::new(), Vec::new());
+        for (mapped, sequences) in stages {
+            let mapper = self.mapper(mapped);
+            for sequence in sequences {
+                let Decided { event, recognition: _ } = self.localize(&mapper, &localizer, sequence);
+                localizer.follow(&event, &mapper);
+                events.push(event);
+            }
+        }
+        events
+    }
+
+    fn localize(&self, mapper: &Mapper, localizer: &Localizer, sequence: u64) -> Decided {
+        let input = FrameInput {
+            session: Localizer::SESSION,
+            sequence,
+            stamp_ns: frame(sequence).stamp_ns,
+            odometry: None,
+            observation: self.observation(sequence).clone(),
+        };
+        mapper.localize(localizer, input, &self.log, &mut ()).unwrap()
+    }
+
+    /// Where a frame is in the map of the first `mapped` ones, by its looks alone.
+    pub(crate) fn queried(&self, mapped: u64, sequence: u64) -> Queried {
+        self.mapper(mapped).query(self.observation(sequence), &self.log, &mut ()).unwrap()
+    }
+
+    /// The words of a frame.
+    pub(crate) fn observation(&self, sequence: u64) -> &Observation {
+        &self.events[sequence as usize - 1].observation
     }
 
     /// The most probable places of a frame, most probable first.

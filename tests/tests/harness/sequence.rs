@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-use waypost_client::FrameInput;
+use waypost_client::{FrameContent, FrameInput};
 
 /// Between frames: the stamps are made up.
 pub(crate) const SECOND_NS: i64 = 1_000_000_000;
@@ -42,7 +42,8 @@ pub(crate) fn frame_count() -> u64 {
 /// The frame numbered `sequence`, from 1, of the shipped drive.
 pub(crate) fn frame(sequence: u64) -> FrameInput {
     let image = images()[usize::try_from(sequence).unwrap() - 1].clone();
-    FrameInput { sequence, stamp_ns: SECOND_NS * i64::try_from(sequence).unwrap(), image, odometry: None }
+    let stamp_ns = SECOND_NS * i64::try_from(sequence).unwrap();
+    FrameInput { sequence, stamp_ns, content: FrameContent::Image(image), odometry: None }
 }
 
 /// The first frame of the shipped drive that is at a place seen before, by its truth.

@@ -34,10 +34,19 @@ impl Server {
 
     /// A server on a directory that may hold maps already.
     pub(crate) async fn start_on(directory: &Path) -> Self {
+        Self::start_as(directory, |server| server).await
+    }
+
+    /// A server on a directory, with what `configure` adds to it.
+    pub(crate) async fn start_as(
+        directory: &Path,
+        configure: impl FnOnce(waypost_server::Server) -> waypost_server::Server,
+    ) -> Self {
         let listener = async || TcpListener::bind("127.0.0.1:0").await.unwrap();
         let (grpc, http) = (listener().await, listener().await);
         let (grpc_at, http_at) = (grpc.local_addr().unwrap(), http.local_addr().unwrap());
         let server = waypost_server::Server::open(directory.to_owned()).await.expect("the directory opens");
+        let server = configure(server);
         let (stop, stopped) = oneshot::channel();
         let serving = server.serve(grpc, http, async move {
             // Also when the sender is dropped.
@@ -72,6 +81,11 @@ impl Server {
         format!("http://{}", self.grpc)
     }
 
+    /// Where REST is served.
+    pub(crate) fn http(&self) -> SocketAddr {
+        self.http
+    }
+
     /// A path of the REST API.
     pub(crate) fn url(&self, path: &str) -> String {
         format!("http://{}{path}", self.http)
@@ -99,6 +113,12 @@ pub(crate) async fn state_hash(client: &Client, map: &str) -> String {
     let hash = client.map(map, v1::MapView::Full).await.unwrap().state_hash;
     assert_eq!(hash.len(), 64, "{hash:?} is no SHA-256");
     hash
+}
+
+/// A bare gRPC connection that takes so many bytes of each call before somebody reads them.
+pub(crate) async fn channel_with_window(endpoint: &str, window_bytes: u32) -> Channel {
+    let endpoint = Endpoint::from_shared(endpoint.to_owned()).unwrap();
+    endpoint.initial_stream_window_size(window_bytes).connect().await.unwrap()
 }
 
 /// A bare gRPC connection.

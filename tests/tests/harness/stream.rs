@@ -2,8 +2,9 @@
 
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::Channel;
 use tonic::{Status, Streaming};
-use waypost_client::{Client, FrameInput, FrameOutcome, Session, SessionOptions};
+use waypost_client::{Client, FrameContent, FrameInput, FrameOutcome, Session, SessionOptions};
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_client::SessionServiceClient;
 use waypost_proto::v1::stream_request::Content as Request;
@@ -44,7 +45,16 @@ pub(crate) async fn answers(
     session: &str,
     frames: impl IntoIterator<Item = FrameInput>,
 ) -> Vec<v1::FrameAnswer> {
-    let session = client.open_session(session_options(map, session)).await.unwrap();
+    answers_of(client, session_options(map, session), frames).await
+}
+
+/// Streams frames into a session, opened as `options` say, that takes them all.
+pub(crate) async fn answers_of(
+    client: &Client,
+    options: SessionOptions,
+    frames: impl IntoIterator<Item = FrameInput>,
+) -> Vec<v1::FrameAnswer> {
+    let session = client.open_session(options).await.unwrap();
     let answered = |outcome| match outcome {
         FrameOutcome::Answer(answer) => answer,
         FrameOutcome::Refusal(refusal) => panic!("refused: {refusal:?}"),
@@ -54,8 +64,13 @@ pub(crate) async fn answers(
 
 /// A frame as it goes over the wire.
 pub(crate) fn wire(frame: FrameInput) -> v1::Frame {
-    let FrameInput { sequence, stamp_ns, image, odometry } = frame;
-    v1::Frame { sequence, stamp_ns, odometry, content: Some(v1::frame::Content::Image(image)) }
+    let FrameInput { sequence, stamp_ns, content, odometry } = frame;
+    let content = match content {
+        FrameContent::Image(image) => v1::frame::Content::Image(image),
+        FrameContent::Histogram(histogram) => v1::frame::Content::Histogram(histogram),
+        FrameContent::Words(words) => v1::frame::Content::Words(words),
+    };
+    v1::Frame { sequence, stamp_ns, odometry, content: Some(content) }
 }
 
 /// The first message of an ordinary stream.
@@ -78,9 +93,14 @@ pub(crate) struct RawStream {
 impl RawStream {
     /// Begins a stream with `first`.
     pub(crate) async fn begin(endpoint: &str, first: Request) -> Result<Self, Status> {
+        Self::begin_over(channel(endpoint).await, first).await
+    }
+
+    /// Begins a stream over a connection that is there.
+    pub(crate) async fn begin_over(channel: Channel, first: Request) -> Result<Self, Status> {
         let (requests, receiver) = mpsc::channel(256);
         requests.send(v1::StreamRequest { content: Some(first) }).await.unwrap();
-        let mut service = SessionServiceClient::new(channel(endpoint).await);
+        let mut service = SessionServiceClient::new(channel);
         let responses = in_time(service.stream(ReceiverStream::new(receiver))).await?.into_inner();
         Ok(Self { requests, responses })
     }
@@ -97,9 +117,20 @@ impl RawStream {
         }
     }
 
+    /// A way to send beside reading.
+    pub(crate) fn requests(&self) -> mpsc::Sender<v1::StreamRequest> {
+        self.requests.clone()
+    }
+
     pub(crate) async fn send(&self, content: Request) {
         // A stream that has ended takes nothing more; the next response tells why it did.
         let _ = self.requests.send(v1::StreamRequest { content: Some(content) }).await;
+    }
+
+    /// Sends a message with nothing in it; gives what is said to it.
+    pub(crate) async fn empty_message(mut self) -> Result<Option<Response>, Status> {
+        let _ = self.requests.send(v1::StreamRequest { content: None }).await;
+        self.next().await
     }
 
     /// The next response; `None` at the end of the stream.

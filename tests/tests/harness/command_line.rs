@@ -1,0 +1,92 @@
+//! The real command line against a real server.
+
+use std::path::Path;
+use std::process::Output;
+
+use serde_json::Value;
+
+use super::{Built, ServerProcess, images, model_file, run_to_its_end};
+
+/// The command line, talking to one server.
+pub(crate) struct CommandLine {
+    server: ServerProcess,
+    _directory: tempfile::TempDir,
+    cache: tempfile::TempDir,
+}
+
+impl CommandLine {
+    pub(crate) fn new() -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let cache = tempfile::tempdir().unwrap();
+        Self { server: ServerProcess::start(directory.path()), _directory: directory, cache }
+    }
+
+    pub(crate) fn endpoint(&self) -> String {
+        self.server.endpoint()
+    }
+
+    pub(crate) fn kill_server(self) {
+        self.server.kill();
+    }
+
+    /// Where models are kept between runs.
+    pub(crate) fn cache(&self) -> &Path {
+        self.cache.path()
+    }
+
+    pub(crate) fn run(&self, arguments: &[&str]) -> Output {
+        let mut command = Built::command("waypost");
+        command.args(arguments).args(["--server", &self.endpoint()]).env("XDG_CACHE_HOME", self.cache());
+        run_to_its_end(command)
+    }
+
+    /// What a command that succeeds prints.
+    #[track_caller]
+    pub(crate) fn text(&self, arguments: &[&str]) -> String {
+        let Output { status, stdout, stderr } = self.run(arguments);
+        assert!(status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&stderr));
+        String::from_utf8(stdout).unwrap()
+    }
+
+    /// The one object that a command prints with `--json`.
+    #[track_caller]
+    pub(crate) fn json(&self, arguments: &[&str]) -> Value {
+        json_object(&self.text(&[arguments, &["--json"]].concat()))
+    }
+
+    /// Exit code and stderr of a command that fails; nothing may be on stdout.
+    #[track_caller]
+    pub(crate) fn fails(&self, arguments: &[&str]) -> (i32, String) {
+        let Output { status, stdout, stderr } = self.run(arguments);
+        assert_eq!(String::from_utf8(stdout).unwrap(), "", "{arguments:?}");
+        (status.code().unwrap(), String::from_utf8(stderr).unwrap())
+    }
+
+    /// Imports the shipped model, and makes a map of it.
+    pub(crate) fn prepare(&self) {
+        self.text(&["model", "import", path(&model_file()), "--name", "shipped"]);
+        self.text(&["map", "create", "drive", "--model", "shipped"]);
+    }
+}
+
+/// Exactly one JSON object, and nothing after it.
+#[track_caller]
+pub(crate) fn json_object(text: &str) -> Value {
+    let value: Value = serde_json::from_str(text).unwrap_or_else(|error| panic!("{error}: {text}"));
+    assert!(value.is_object(), "{text}");
+    assert_eq!(text.trim_end().lines().count(), 1, "{text}");
+    value
+}
+
+pub(crate) fn path(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// The first frames of the shipped drive, as a folder.
+pub(crate) fn folder(frames: usize) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for (index, image) in images().iter().take(frames).enumerate() {
+        std::fs::write(folder.path().join(format!("{index:06}.jpg")), image).unwrap();
+    }
+    folder
+}

@@ -1,0 +1,150 @@
+//! The REST API: asking, and a server that has something to tell.
+
+use futures::stream;
+use reqwest::StatusCode;
+use reqwest::header::HeaderMap;
+use serde_json::Value;
+use waypost_client::{Client, FrameInput, FrameOutcome, SessionOptions};
+use waypost_proto::v1;
+
+use super::{
+    Server, answers, first_return, frame, images, in_time, session_options, stream as stream_frames,
+};
+
+/// A client that takes the direct way, whatever the environment says.
+pub(crate) fn http() -> reqwest::Client {
+    reqwest::Client::builder().no_proxy().build().unwrap()
+}
+
+/// What a server answered.
+pub(crate) struct Answer {
+    pub(crate) status: StatusCode,
+    pub(crate) headers: HeaderMap,
+    pub(crate) body: Vec<u8>,
+}
+
+impl Answer {
+    pub(crate) async fn to(request: reqwest::RequestBuilder) -> Self {
+        let response = in_time(request.send()).await.unwrap();
+        let (status, headers) = (response.status(), response.headers().clone());
+        Self { status, headers, body: in_time(response.bytes()).await.unwrap().to_vec() }
+    }
+
+    pub(crate) fn header(&self, name: &str) -> &str {
+        self.headers.get(name).map_or("", |value| value.to_str().unwrap())
+    }
+
+    pub(crate) fn text(&self) -> &str {
+        std::str::from_utf8(&self.body).unwrap()
+    }
+
+    /// The body, if it is JSON and says so.
+    #[track_caller]
+    pub(crate) fn json(&self) -> Value {
+        assert_eq!(self.header("content-type"), "application/json", "{}", self.text());
+        serde_json::from_slice(&self.body).unwrap_or_else(|error| panic!("{error}: {}", self.text()))
+    }
+}
+
+/// What is at a path.
+pub(crate) async fn get(server: &Server, path: &str) -> Answer {
+    Answer::to(http().get(server.url(path))).await
+}
+
+/// The JSON that is at a path.
+pub(crate) async fn found(server: &Server, path: &str) -> Value {
+    let answer = get(server, path).await;
+    assert_eq!(answer.status, StatusCode::OK, "{path}: {}", answer.text());
+    answer.json()
+}
+
+/// A server with something of everything that can be read.
+pub(crate) struct Surveyed {
+    pub(crate) server: Server,
+    /// Number of a training that has ended well.
+    pub(crate) job: String,
+    /// A hash of the words that the maps' model knows.
+    pub(crate) words_hash: String,
+}
+
+impl Surveyed {
+    /// Maps `drive`, which keeps images, and `empty`; in `drive` the sessions `first`, with a camera and odometry,
+    /// and `second`, which comes back to places of the first; a trained model beside the shipped one.
+    pub(crate) async fn start() -> Self {
+        let server = Server::start().await;
+        let client = server.client().await;
+        let model = super::import_model(&client).await;
+        let settings = v1::MapSettings {
+            keep: v1::map_settings::Keep::Images.into(),
+            true_positive_rate: Some(0.4),
+            false_positive_rate: Some(0.01),
+            ..v1::MapSettings::default()
+        };
+        let request = super::map_request("drive", &model.name);
+        client.create_map(v1::CreateMapRequest { settings: Some(settings), ..request }).await.unwrap();
+        client.create_map(super::map_request("empty", &model.name)).await.unwrap();
+
+        let options = SessionOptions { camera: Some(camera()), ..session_options("drive", "first") };
+        let first = client.open_session(options).await.unwrap();
+        let outcomes = stream_frames(first, (1..=15).map(driven)).await;
+        assert!(outcomes.iter().all(|outcome| matches!(outcome, FrameOutcome::Answer(_))), "{outcomes:?}");
+        let again = first_return();
+        answers(&client, "drive", "second", (again..again + 10).map(frame)).await;
+        let matches = client.matches("drive").await.unwrap();
+        assert!(!matches.is_empty(), "no loop was closed");
+        let job = trained(&client).await;
+        Self { server, job, words_hash: model.words_hash }
+    }
+}
+
+fn camera() -> v1::Camera {
+    v1::Camera {
+        model: Some(v1::camera::Model::Pinhole(v1::Pinhole {
+            fx_px: 500.0,
+            fy_px: 501.5,
+            cx_px: 320.0,
+            cy_px: 240.25,
+            distortion: vec![0.1, -0.01, 0.0, 0.001],
+        })),
+        image_width_px: 640,
+        image_height_px: 480,
+        base_to_camera: Some(pose(0.2)),
+    }
+}
+
+fn pose(x: f64) -> v1::Pose {
+    v1::Pose {
+        position_m: Some(v1::Vector3 { x, y: -0.5, z: 0.125 }),
+        orientation: Some(v1::Quaternion { x: 0.0, y: 0.0, z: 0.6, w: 0.8 }),
+    }
+}
+
+/// A frame with odometry; every second one knows how sure it is of it.
+fn driven(sequence: u64) -> FrameInput {
+    let mut covariance = vec![0.0; if sequence.is_multiple_of(2) { 36 } else { 0 }];
+    for (index, value) in covariance.iter_mut().enumerate() {
+        *value = if index % 7 == 0 { 0.01 * (index + 1) as f64 } else { 0.001 };
+    }
+    let odometry = v1::Odometry { pose: Some(pose(0.5 * sequence as f64)), covariance };
+    FrameInput { odometry: Some(odometry), ..frame(sequence) }
+}
+
+/// The number of a small training, once it has ended.
+async fn trained(client: &Client) -> String {
+    let settings = v1::TrainModelSettings {
+        display_name: "small".to_owned(),
+        extractor: "orb features=100 width=320".to_owned(),
+        words: 20,
+        seed: 7,
+        image_count: 8,
+    };
+    let shown = stream::iter(images().iter().take(8).cloned().map(Ok));
+    let job = in_time(client.train_model(settings, shown)).await.unwrap();
+    let mut steps = client.watch_job(&job.name).await.unwrap();
+    let mut last = job;
+    while let Some(step) = in_time(steps.next()).await.unwrap() {
+        last = step;
+    }
+    assert_eq!(last.state(), v1::job::State::Succeeded, "{last:?}");
+    last.name.strip_prefix("jobs/").unwrap().to_owned()
+}

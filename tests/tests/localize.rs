@@ -1,0 +1,279 @@
+//! Localizing: a robot hears where it is, and the map stays as it is.
+
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
+use tonic::Status;
+use waypost_client::{Client, Code, FrameOutcome, SessionOptions, v1};
+use waypost_proto::v1::stream_request::Content::Open;
+
+use crate::harness::{
+    CommandLine, Proxy, RawStream, Server, ServerProcess, answers_of, as_histogram, assert_status, decided,
+    first_return, folder, frame, frame_count, import_model, in_time, map_request, mapped, open, path,
+    reference, state_hash, told, wire, word_maker, words_options,
+};
+
+fn localizing(session: &str) -> SessionOptions {
+    SessionOptions { mode: v1::SessionMode::Localize, ..words_options("drive", session) }
+}
+
+/// The first message of a stream of words.
+fn opening(session: &str, mode: v1::SessionMode) -> v1::OpenSession {
+    let words_hash = word_maker().words_hash().to_owned();
+    v1::OpenSession { mode: mode.into(), words_hash, ..open("drive", session) }
+}
+
+async fn localizer(server: &Server, session: &str) -> (RawStream, v1::SessionOpened) {
+    let opening = opening(session, v1::SessionMode::Localize);
+    RawStream::open(&server.endpoint(), opening).await.unwrap()
+}
+
+async fn refusal_to_open(server: &Server, opening: v1::OpenSession) -> Status {
+    match RawStream::begin(&server.endpoint(), Open(opening)).await {
+        Ok(mut stream) => stream.next().await.expect_err("the session was opened"),
+        Err(status) => status,
+    }
+}
+
+/// Rows of each table that a session could leave something in.
+async fn rows(server: &Server) -> Vec<(&'static str, i64)> {
+    let file = server.directory().join("waypost.sqlite");
+    let mut database = SqliteConnectOptions::new().filename(file).read_only(true).connect().await.unwrap();
+    let mut rows = Vec::new();
+    for table in ["sessions", "log", "frame_media", "map_models", "checkpoint_places"] {
+        let count = format!("SELECT count(*) FROM {table}");
+        let row = sqlx::query(AssertSqlSafe(count)).fetch_one(&mut database).await.unwrap();
+        rows.push((table, row.get(0)));
+    }
+    database.close().await.unwrap();
+    rows
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn localizing_changes_nothing_and_decides_as_in_process() {
+    let (server, client) = Server::with_map().await;
+    let before_return = first_return() - 1;
+    mapped(&client, "mapper", 1..=before_return).await;
+    let before = (client.map("drive", v1::MapView::Full).await.unwrap(), rows(&server).await);
+
+    let returning = first_return()..=frame_count();
+    // Some frames come as images.
+    let form = |sequence| if sequence % 8 == 0 { frame(sequence) } else { as_histogram(sequence) };
+    let answers = answers_of(&client, localizing("looker"), returning.clone().map(form)).await;
+    let events = reference().localized([(before_return, returning)]);
+    assert_eq!(answers.len(), events.len());
+    for (answer, event) in answers.iter().zip(&events) {
+        assert_eq!(told(answer), decided(event, reference()), "frame {}", event.sequence);
+        let grows = matches!(answer.reason(), v1::Reason::NewPlace | v1::Reason::BelowThreshold);
+        assert!(!(grows && answer.place.is_some()), "a place was made: {answer:?}");
+        assert_eq!((answer.last_committed_sequence, answer.resent), (answer.sequence, false));
+    }
+    assert!(answers.iter().any(|answer| answer.reason() == v1::Reason::LoopClosure), "no loop was closed");
+
+    let after = (client.map("drive", v1::MapView::Full).await.unwrap(), rows(&server).await);
+    assert_eq!(after, before);
+    let sessions = client.sessions("drive").await.unwrap();
+    assert_eq!(
+        sessions.iter().map(|session| session.name.as_str()).collect::<Vec<_>>(),
+        ["maps/drive/sessions/mapper"]
+    );
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stream_that_was_cut_is_resumed_with_its_belief_and_answers() {
+    let (server, client) = Server::with_map().await;
+    let before_return = first_return() - 1;
+    mapped(&client, "mapper", 1..=before_return).await;
+    let returning = first_return()..=first_return() + 9;
+    let events = reference().localized([(before_return, returning.clone())]);
+
+    let mut first_answers = Vec::new();
+    for (sequence, event) in returning.clone().zip(&events) {
+        // A new stream for each frame: what the robot was believed to be at is not lost with one.
+        let (mut raw, opened) = localizer(&server, "looker").await;
+        let last = first_answers.last().map(|answer: &v1::FrameAnswer| answer.sequence);
+        assert_eq!(opened.last_committed_sequence, last);
+        let answer = raw.answered(wire(as_histogram(sequence))).await;
+        assert_eq!(told(&answer), decided(event, reference()), "frame {sequence}");
+        first_answers.push(answer);
+    }
+    let (mut raw, _) = localizer(&server, "looker").await;
+    for (sequence, first) in returning.zip(&first_answers) {
+        let again = raw.answered(wire(as_histogram(sequence))).await;
+        assert_eq!(again, v1::FrameAnswer { timings: None, resent: true, ..first.clone() });
+    }
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_last_hundred_answers_are_kept() {
+    const KEPT: u64 = 100;
+    const FRAMES: u64 = KEPT + 5;
+    let (server, client) = Server::with_map().await;
+    mapped(&client, "mapper", 1..=20).await;
+    let (mut raw, _) = localizer(&server, "looker").await;
+    for sequence in 1..=FRAMES {
+        assert!(!raw.answered(wire(as_histogram(sequence))).await.resent);
+    }
+    for forgotten in [1, FRAMES - KEPT] {
+        let status = raw.refused(wire(as_histogram(forgotten))).await.status.unwrap();
+        let said = (Code::from(status.code), status.message.as_str());
+        assert_status("forgotten", said, Code::FailedPrecondition, "number frames upwards");
+    }
+    for kept in [FRAMES - KEPT + 1, FRAMES] {
+        assert!(raw.answered(wire(as_histogram(kept))).await.resent, "frame {kept}");
+    }
+    assert!(!raw.answered(wire(as_histogram(FRAMES + 1))).await.resent);
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_later_stream_takes_a_localizing_session_over() {
+    let (server, client) = Server::with_map().await;
+    mapped(&client, "mapper", 1..=5).await;
+    let (mut first, _) = localizer(&server, "looker").await;
+    first.answered(wire(as_histogram(1))).await;
+    let (mut second, opened) = localizer(&server, "looker").await;
+    assert_eq!(opened.last_committed_sequence, Some(1));
+    // The first hears of it whether it sends anything or not.
+    let status = first.next().await.expect_err("the first stream goes on");
+    assert_status("first", (status.code(), status.message()), Code::Aborted, "took this session over");
+    second.answered(wire(as_histogram(2))).await;
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_name_is_not_for_both_mapping_and_localizing() {
+    use v1::SessionMode::{Localize, Map};
+    let (server, client) = Server::with_map().await;
+    mapped(&client, "mapper", 1..=5).await;
+    let (mut looker, _) = localizer(&server, "looker").await;
+    looker.answered(wire(as_histogram(1))).await;
+    let before = (client.map("drive", v1::MapView::Full).await.unwrap(), rows(&server).await);
+    for (name, mode, fragment) in [
+        ("mapper", Localize, "choose another name for localizing"),
+        ("looker", Map, "choose another name for the session"),
+    ] {
+        let status = refusal_to_open(&server, opening(name, mode)).await;
+        assert_status(name, (status.code(), status.message()), Code::FailedPrecondition, fragment);
+    }
+    assert_eq!((client.map("drive", v1::MapView::Full).await.unwrap(), rows(&server).await), before);
+
+    // Names that are made up clash with neither.
+    let mut names = Vec::new();
+    let mut streams = Vec::new();
+    for mode in [Localize, Map, Localize, Map] {
+        let (raw, opened) = RawStream::open(&server.endpoint(), opening("", mode)).await.unwrap();
+        streams.push(raw);
+        names.push(opened.session);
+    }
+    names.sort();
+    names.dedup();
+    assert_eq!(names.len(), 4, "{names:?}");
+    looker.answered(wire(as_histogram(2))).await;
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_localizer_sees_the_map_grow() {
+    let (server, client) = Server::with_map().await;
+    let stages = [(40, 30..=45), (80, 46..=60), (99, 100..=110)];
+    let (mut looker, _) = localizer(&server, "looker").await;
+    let (mut grown, mut answers) = (0, Vec::new());
+    for (so_far, sequences) in stages.clone() {
+        mapped(&client, "mapper", grown + 1..=so_far).await;
+        grown = so_far;
+        for sequence in sequences {
+            answers.push(looker.answered(wire(as_histogram(sequence))).await);
+        }
+    }
+    for (answer, event) in answers.iter().zip(&reference().localized(stages)) {
+        assert_eq!(told(answer), decided(event, reference()), "frame {}", event.sequence);
+    }
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn robots_that_look_leave_one_that_maps_alone() {
+    let (server, client) = Server::with_map().await;
+    let all = || 1..=frame_count();
+    let looking = async |name: &str| answers_of(&client, localizing(name), all().map(as_histogram)).await;
+    let (answers, one, other) =
+        tokio::join!(mapped(&client, "mapper", all()), looking("one"), looking("other"));
+    assert_eq!((one.len(), other.len()), (answers.len(), answers.len()));
+    for (answer, event) in answers.iter().zip(&reference().events) {
+        assert_eq!(told(answer), decided(event, reference()), "frame {}", event.sequence);
+    }
+    assert_eq!(state_hash(&client, "drive").await, reference().maps[answers.len()].state_hash);
+    server.stop().await;
+}
+
+/// A server that starts anew knows nothing of robots that look: the client library opens again and goes on.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_restart_of_the_server_is_not_noticed() {
+    const FRAMES: u64 = 24;
+    const RESTARTED_AFTER: [u64; 2] = [0, 12];
+    let directory = tempfile::tempdir().unwrap();
+    let proxy = Proxy::start().await;
+    let mut server = ServerProcess::start(directory.path());
+    let client = server.client().await;
+    let model = import_model(&client).await;
+    client.create_map(map_request("drive", &model.name)).await.unwrap();
+    mapped(&client, "mapper", 1..=30).await;
+    let before = state_hash(&client, "drive").await;
+
+    proxy.forward_to(Some(server.grpc()));
+    let robot = Client::connect(&proxy.endpoint()).await.unwrap();
+    let session = robot.open_session(localizing("looker")).await.unwrap();
+    let (mut sender, mut outcomes) = session.split();
+    let sending = tokio::spawn(async move {
+        for sequence in 1..=FRAMES {
+            sender.send(as_histogram(sequence)).await.expect("the session goes on");
+        }
+    });
+    for expected in 1..=FRAMES {
+        if RESTARTED_AFTER.contains(&(expected - 1)) {
+            proxy.forward_to(None);
+            server.stop();
+            server = ServerProcess::start(directory.path());
+            proxy.forward_to(Some(server.grpc()));
+        }
+        match in_time(outcomes.next()).await.unwrap() {
+            Some(FrameOutcome::Answer(answer)) => assert_eq!(answer.sequence, expected),
+            other => panic!("frame {expected}: {other:?}"),
+        }
+    }
+    sending.await.unwrap();
+    assert_eq!(in_time(outcomes.next()).await.unwrap(), None);
+    assert_eq!(state_hash(&server.client().await, "drive").await, before);
+    server.stop();
+}
+
+#[test]
+fn the_command_line_localizes() {
+    const FRAMES: usize = 12;
+    let waypost = CommandLine::new();
+    waypost.prepare();
+    let folder = folder(FRAMES);
+    let stream = ["stream", path(folder.path()), "--map", "drive"];
+    waypost.json(&[&stream[..], &["--session", "mapper", "--words"]].concat());
+    let before = waypost.json(&["map", "show", "drive"]);
+    let localize = [&stream[..], &["--session", "looker", "--localize"]].concat();
+    for words in [&[][..], &["--words=histogram"]] {
+        let summary = waypost.json(&[&localize[..], words].concat());
+        assert_eq!(summary["session"], "maps/drive/sessions/looker");
+        assert_eq!((&summary["refused"], &summary["places_created"]), (&0.into(), &0.into()), "{summary}");
+        let rows = summary["frames"].as_array().unwrap();
+        let events = reference().localized([(FRAMES as u64, 1..=FRAMES as u64)]);
+        for (row, event) in rows.iter().zip(&events) {
+            assert_eq!(row["place"].as_u64(), event.decision.place.map(u64::from), "{row}");
+        }
+        assert_eq!(rows.len(), FRAMES);
+    }
+    assert_eq!(waypost.json(&["map", "show", "drive"]), before);
+    assert_eq!(waypost.json(&["session", "ls", "drive"])["sessions"].as_array().unwrap().len(), 1);
+    // A name that maps cannot look.
+    let (code, stderr) = waypost.fails(&[&stream[..], &["--session", "mapper", "--localize"]].concat());
+    assert_eq!(code, 4, "{stderr}");
+    assert!(stderr.contains("choose another name for localizing"), "{stderr}");
+}

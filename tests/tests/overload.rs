@@ -1,0 +1,48 @@
+//! More images than the server can work off: some are refused at once, with the time to come again.
+
+use std::thread::available_parallelism;
+
+use futures::future::join_all;
+use tonic::{Code, Status};
+use waypost_client::v1;
+use waypost_proto::v1::query_request::Content;
+use waypost_proto::v1::session_service_client::SessionServiceClient;
+
+use crate::harness::{Server, answers, channel, frame, images, in_time, reference, state_hash};
+
+/// More than may wait, whatever the machine: 16 a core beside those being worked on.
+fn too_many() -> usize {
+    3 * 17 * available_parallelism().unwrap().get()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn too_many_images_are_refused_with_a_time_and_robots_get_through() {
+    const FRAMES: u64 = 12;
+    let (server, client) = Server::with_map().await;
+    let service = SessionServiceClient::new(channel(&server.endpoint()).await);
+    let query = |index: usize| {
+        let mut service = service.clone();
+        let content = Some(Content::Image(images()[index % images().len()].clone()));
+        let map = "maps/drive".to_owned();
+        let request = v1::QueryRequest { map, content, words_hash: String::new(), explained_words: 0 };
+        async move { service.query(request).await.map(drop) }
+    };
+    let crowd = join_all((0..too_many()).map(query));
+    let robot = answers(&client, "drive", "robot", (1..=FRAMES).map(frame));
+    let (crowd, answers) = in_time(async { tokio::join!(crowd, robot) }).await;
+
+    let refused: Vec<&Status> = crowd.iter().filter_map(|answer| answer.as_ref().err()).collect();
+    assert!(!refused.is_empty() && refused.len() < crowd.len(), "{} of {}", refused.len(), crowd.len());
+    for status in refused {
+        assert_eq!(status.code(), Code::Unavailable, "{status:?}");
+        assert!(status.message().contains("send this one again in"), "{status:?}");
+        let details = String::from_utf8_lossy(status.details());
+        assert!(details.contains("google.rpc.RetryInfo"), "{details}");
+    }
+    // The client library waits and sends again: its application notices nothing.
+    assert_eq!(answers.len() as u64, FRAMES);
+    assert_eq!(state_hash(&client, "drive").await, reference().maps[FRAMES as usize].state_hash);
+    // Once the crowd is gone there is room again.
+    query(0).await.unwrap();
+    server.stop().await;
+}
