@@ -11,7 +11,7 @@ pub use gates::{Gate, Gates};
 pub use localizer::{Localizer, Queried};
 pub use settings::MapperSettings;
 
-use fabmap::appearance::{Appearance, PlaceId};
+use fabmap::appearance::PlaceId;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
 use fabmap::recognizer::{Association, Recognition, Recognizer, StageObserver};
@@ -285,12 +285,11 @@ impl Mapper {
         (current, session): (SessionId, &Session),
         archive: &dyn FrameArchive,
     ) -> Result<Option<Match>, FrameError> {
-        let model = self.recognizer.index().model();
+        let single_looks = self.recognizer.index().model().single_looks(observation);
         let mut best: Option<(f64, FrameId)> = None;
         for frame in self.frames_before_guard(place, current, session).take(MAX_COMPARED_FRAMES) {
             let Some(seen) = archive.observation(frame)? else { continue };
-            let seen = Appearance::of(&seen);
-            let log_likelihood = model.sparse_log_likelihood(observation, &seen);
+            let log_likelihood = single_looks.log_likelihood(&seen);
             if best.is_none_or(|(best, _)| log_likelihood > best) {
                 best = Some((log_likelihood, frame));
             }

@@ -3,6 +3,7 @@
 mod localizers;
 mod open_maps;
 mod reads;
+mod recent_frames;
 mod requests;
 
 pub(super) use open_maps::OpenMaps;
@@ -12,6 +13,7 @@ pub(super) use requests::{
 };
 pub(crate) use requests::{QueryAnswer, SessionMode, WordPlace};
 
+use std::cell::RefCell;
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -26,6 +28,7 @@ use topomap::event::{FrameEvent, FrameId, MapEvent, Match, SessionId};
 use topomap::mapper::{ArchiveError, FrameArchive, FrameInput, Mapper};
 
 use self::localizers::Localizers;
+use self::recent_frames::RecentFrames;
 use self::requests::{FrameReply, MapRequest};
 use super::maps::reference;
 use super::now_ns;
@@ -57,6 +60,8 @@ struct MapWriter {
     localizers: Localizers,
     /// Decided and applied, but not yet on the disk.
     pending: Vec<Pending>,
+    /// What earlier frames showed, as far as it was asked for lately.
+    recent: RefCell<RecentFrames>,
     /// Places that changed since the checkpoint.
     changed: BTreeSet<PlaceId>,
     checkpoint_events: u64,
@@ -216,6 +221,7 @@ impl MapWriter {
             timings.total = since.elapsed();
             timings.commit = timings.total.saturating_sub(timings.work());
             if let MapEvent::Frame(event) = entry.event {
+                self.recent.get_mut().keep(&event);
                 let _ = reply.send(self.answer(&event, Some(timings)).map_err(|_| answer_unreadable()));
             }
         }
@@ -267,10 +273,15 @@ impl MapWriter {
 
     /// A match with its frame as users name it.
     fn matched(&self, found: Match) -> Result<MatchView, ServiceError> {
-        let frames = self.runtime.block_on(self.storage.frames_at(self.map.id, &[found.frame]))?;
-        let frame =
-            frames.first().ok_or_else(|| ServiceError::internal("a matched frame is not in the log"))?;
-        let frame = reference(&self.map.name, &self.sessions, frame);
+        let recent = self.recent.borrow().get(found.frame).map(|recent| recent.stored);
+        let stored = match recent {
+            Some(stored) => Some(stored),
+            None => {
+                self.runtime.block_on(self.storage.frames_at(self.map.id, &[found.frame]))?.first().copied()
+            }
+        };
+        let stored = stored.ok_or_else(|| ServiceError::internal("a matched frame is not in the log"))?;
+        let frame = reference(&self.map.name, &self.sessions, &stored);
         let Match { place, posterior, log_odds, frame: _ } = found;
         Ok(MatchView { place, posterior, log_odds, frame })
     }
@@ -378,14 +389,20 @@ struct Archive<'a> {
 
 impl FrameArchive for Archive<'_> {
     fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
-        let MapWriter { pending, storage, map, model, runtime, .. } = self.writer;
+        let MapWriter { pending, recent, storage, map, model, runtime, .. } = self.writer;
+        if let Some(recent) = recent.borrow().get(frame) {
+            return Ok(Some(recent.observation.clone()));
+        }
         if let Some(pending) = pending.iter().find(|pending| pending.entry.position == frame)
             && let MapEvent::Frame(event) = &pending.entry.event
         {
             return Ok(Some(event.observation.clone()));
         }
         match runtime.block_on(storage.event_at(map.id, frame, model.model.vocabulary().len())) {
-            Ok(Some(MapEvent::Frame(event))) => Ok(Some(event.observation)),
+            Ok(Some(MapEvent::Frame(event))) => {
+                recent.borrow_mut().keep(&event);
+                Ok(Some(event.observation))
+            }
             Ok(Some(MapEvent::SessionOpened { .. }) | None) | Err(StorageError::Damaged(_)) => {
                 tracing::error!(
                     map = map.name,

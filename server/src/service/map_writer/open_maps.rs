@@ -1,5 +1,6 @@
 //! Which maps are open, and how one is opened from the disk.
 
+use std::cell::RefCell;
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -169,6 +170,7 @@ fn open(
     let handle = MapHandle::new(map.id, sender);
     let thread = std::thread::Builder::new().name(format!("map-{}", map.id));
     let (streams, localizers, pending) = (HashMap::new(), Localizers::default(), Vec::new());
+    let recent = RefCell::default();
     let writer = MapWriter {
         map,
         model,
@@ -180,6 +182,7 @@ fn open(
         streams,
         localizers,
         pending,
+        recent,
         changed,
         checkpoint_events,
     };
