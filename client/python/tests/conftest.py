@@ -67,6 +67,8 @@ class Server:
     data_dir: Path
     address: str = "127.0.0.1:0"
     http_address: str = "127.0.0.1:0"
+    #: What else it is started with.
+    flags: tuple[str, ...] = ()
     process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
@@ -75,7 +77,7 @@ class Server:
         ready.unlink(missing_ok=True)
         command: list[str | Path] = [binary("waypost-server"), "--data-dir", self.data_dir]
         command += ["--ready-file", ready]
-        command += ["--grpc-address", self.address, "--http-address", self.http_address]
+        command += ["--grpc-address", self.address, "--http-address", self.http_address, *self.flags]
         with log.open("wb") as stderr:
             self.process = subprocess.Popen(command, env=environment(), stdout=stderr, stderr=stderr)
         deadline = time.monotonic() + PATIENCE_S

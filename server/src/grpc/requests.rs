@@ -117,7 +117,8 @@ impl Drop for Call {
     fn drop(&mut self) {
         let (status, took) = (code_name(self.ended.unwrap_or(Code::Cancelled)), self.since.elapsed());
         self.service.metrics().grpc_request(self.method, status, took);
-        let duration_ms = took.as_secs_f64() * 1e3;
+        // Whole microseconds: more digits are noise.
+        let duration_ms = took.as_micros() as f64 / 1e3;
         let path = &self.path;
         let _in_call = self.span.enter();
         if path.starts_with("/grpc.health.v1.") {
