@@ -48,6 +48,8 @@ pub(crate) struct Service {
     snapshots: Snapshots,
     removals: Removals,
     uploads: Arc<Semaphore>,
+    /// Room for streams.
+    streams: Arc<Semaphore>,
     /// Replays of a map for an explanation.
     replays: Arc<Semaphore>,
     /// Numbers streams, so that a later one on the same session is known from an earlier.
@@ -69,6 +71,7 @@ impl Service {
             snapshots: Snapshots::default(),
             removals: Removals::default(),
             uploads: Arc::new(Semaphore::new(models::MAX_UPLOADS)),
+            streams: Arc::new(Semaphore::new(sessions::MAX_STREAMS)),
             replays: Arc::new(Semaphore::new(1)),
             next_stream: AtomicU64::new(0),
             stopping: CancellationToken::new(),

@@ -8,7 +8,9 @@ use waypost_client::v1;
 use waypost_proto::v1::query_request::Content;
 use waypost_proto::v1::session_service_client::SessionServiceClient;
 
-use crate::harness::{Server, answers, channel, frame, images, in_time, reference, state_hash};
+use crate::harness::{
+    RawStream, Server, answers, channel, frame, images, in_time, open, reference, state_hash, wire,
+};
 
 /// More than may wait, whatever the machine: 16 a core beside those being worked on.
 fn too_many() -> usize {
@@ -44,5 +46,37 @@ async fn too_many_images_are_refused_with_a_time_and_robots_get_through() {
     assert_eq!(state_hash(&client, "drive").await, reference().maps[FRAMES as usize].state_hash);
     // Once the crowd is gone there is room again.
     query(0).await.unwrap();
+    server.stop().await;
+}
+
+/// Each stream may hold some frames: their number is bounded, and those that are open are none the worse.
+#[tokio::test(flavor = "multi_thread")]
+async fn no_more_streams_are_opened_than_there_is_room_for() {
+    const MOST: usize = 500;
+    let (server, _) = Server::with_map().await;
+    let mut streams = Vec::new();
+    let refusal = loop {
+        assert!(streams.len() <= MOST, "{} streams are open", streams.len());
+        let session = open("drive", &format!("robot-{}", streams.len()));
+        match in_time(RawStream::open(&server.endpoint(), session)).await {
+            Ok((stream, _)) => streams.push(stream),
+            Err(refusal) => break refusal,
+        }
+    };
+    assert_eq!((streams.len(), refusal.code()), (MOST, Code::Unavailable), "{refusal:?}");
+    assert!(refusal.message().contains("end some that are idle, or ask again"), "{refusal:?}");
+    let details = String::from_utf8_lossy(refusal.details());
+    assert!(details.contains("google.rpc.RetryInfo"), "{details}");
+
+    let mut last = streams.pop().unwrap();
+    assert!(!last.answered(wire(frame(1))).await.resent);
+    drop(last);
+    // The server notices in a moment that the stream is gone.
+    in_time(async {
+        while RawStream::open(&server.endpoint(), open("drive", "late")).await.is_err() {
+            tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+        }
+    })
+    .await;
     server.stop().await;
 }

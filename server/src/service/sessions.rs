@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use fabmap::appearance::PlaceId;
-use tokio::sync::oneshot;
+use tokio::sync::{OwnedSemaphorePermit, oneshot};
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, Reason};
 use topomap::mapper::{FrameInput, Localizer};
@@ -30,6 +30,12 @@ const REOPENED_POLL: Duration = Duration::from_millis(500);
 
 /// Most places that an answer lists.
 pub(super) const ANSWERED_PLACES: usize = 10;
+
+/// Streams that may be open at a time: each holds a few frames, of up to 4 MiB each.
+pub(super) const MAX_STREAMS: usize = 500;
+
+/// When to ask again for a stream.
+const STREAM_RETRY: Duration = Duration::from_secs(5);
 
 /// A frame as a robot sends it.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,6 +107,8 @@ pub(crate) struct SessionStream {
     order: Arc<Mutex<Order>>,
     /// Cancelled when a later stream takes the session over.
     taken_over: CancellationToken,
+    /// Room for this stream, given back with the last copy.
+    _room: Arc<OwnedSemaphorePermit>,
 }
 
 /// A frame in words, on its way to the map's writer.
@@ -135,6 +143,7 @@ impl Service {
         words_hash: &str,
     ) -> Result<SessionStream, ServiceError> {
         let map = map_in(map)?;
+        let room = self.streams.clone().try_acquire_owned().map_err(|_| too_many_streams())?;
         let stream = self.new_stream();
         let name = match session {
             "" => None,
@@ -162,7 +171,17 @@ impl Service {
             source: session.source,
             stream,
             last_committed,
+            _room: Arc::new(room),
         })
+    }
+}
+
+fn too_many_streams() -> ServiceError {
+    ServiceError::Unavailable {
+        message: format!(
+            "the server has {MAX_STREAMS} streams open, and no room for more; end some that are idle, or ask again"
+        ),
+        retry_after: Some(STREAM_RETRY),
     }
 }
 
