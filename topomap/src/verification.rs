@@ -114,7 +114,7 @@ impl Default for VerificationSettings {
             max_rotation_rad: 0.5,
             max_ln_scale: 0.8,
             max_translation_widths: 0.5,
-            min_evidence: 100.0,
+            min_evidence: 150.0,
             consistency_frames: 8,
         }
     }

@@ -140,21 +140,21 @@ impl Mapper {
         Ok(view.is_none_or(|view| self.settings.verification.of_one_scene(&view).iter().all(Check::passed)))
     }
 
-    /// Of the candidates that pass, the nearest of those with the most evidence: the smallest |t|, or the most
-    /// evidence where there is no |t|.
+    /// The candidate that is the same place: of those with the most evidence, the nearest that passes, by |t| where
+    /// there is one. Nothing passes that another candidate has far more evidence against: words may be sure of a
+    /// place that merely looks alike.
     pub(super) fn verified<'a>(
         &self,
         session: &Session,
         candidates: &'a [Candidate],
     ) -> Option<&'a Candidate> {
-        let passed: Vec<&Candidate> = candidates
+        let strongest = candidates.iter().map(Candidate::evidence).fold(0.0, f64::max);
+        let passed = candidates
             .iter()
             .filter(|candidate| !session.is_near(candidate.matched.place, self.settings.guard_frames))
-            .filter(|candidate| self.verdict(candidate).is_accepted())
-            .collect();
-        let strongest = passed.iter().map(|candidate| candidate.evidence()).fold(0.0, f64::max);
-        let as_good = passed.into_iter().filter(|candidate| candidate.evidence() >= AS_GOOD * strongest);
-        as_good.min_by(|a, b| {
+            .filter(|candidate| candidate.evidence() >= AS_GOOD * strongest)
+            .filter(|candidate| self.verdict(candidate).is_accepted());
+        passed.min_by(|a, b| {
             let by_distance = distance_widths(a).total_cmp(&distance_widths(b));
             by_distance.then(b.evidence().total_cmp(&a.evidence()))
         })
