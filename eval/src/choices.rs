@@ -4,6 +4,7 @@ use fabmap::likelihood::Dependence;
 use fabmap::new_place::NewPlaceMethod;
 use fabmap::recognizer::Scorer;
 use topomap::event::Reason;
+use topomap::verification::VerificationMethod;
 
 use crate::dataset::Verdict;
 
@@ -21,6 +22,13 @@ pub const NEW_PLACE_METHODS: Choices<NewPlaceMethod> =
 /// How likelihoods are evaluated.
 pub const SCORERS: Choices<Scorer> = &[("index", Scorer::Index), ("dense", Scorer::Dense)];
 
+/// How closures are verified.
+pub const VERIFICATION_METHODS: Choices<VerificationMethod> = &[
+    ("none", VerificationMethod::None),
+    ("similarity", VerificationMethod::Similarity),
+    ("epipolar", VerificationMethod::Epipolar),
+];
+
 /// Which system ranks earlier frames.
 pub const RANKINGS: Choices<RankingName> =
     &[("fab-map", RankingName::FabMap), ("tf-idf", RankingName::TfIdf)];
@@ -32,6 +40,7 @@ pub const REASONS: Choices<Reason> = &[
     ("loop-closure", Reason::LoopClosure),
     ("below-threshold", Reason::BelowThreshold),
     ("too-few-words", Reason::TooFewWords),
+    ("geometry-refused", Reason::GeometryRefused),
 ];
 
 /// What the truth says of a proposal, if there is one.

@@ -16,8 +16,10 @@ use fabmap::recognizer::{RecognizerSettings, Scorer};
 use fabmap::vocabulary::VocabularySettings;
 use serde::Serialize;
 use topomap::mapper::MapperSettings;
+use topomap::verification::VerificationMethod;
 use waypost_eval::choices::{
-    Choices, DEPENDENCES, NEW_PLACE_METHODS, RANKINGS, RankingName, SCORERS, name_of, value_of,
+    Choices, DEPENDENCES, NEW_PLACE_METHODS, RANKINGS, RankingName, SCORERS, VERIFICATION_METHODS, name_of,
+    value_of,
 };
 use waypost_eval::commands::load::{
     self, OverloadOptions, RobotsOptions, ServerOptions, WordSource, WordsOptions,
@@ -115,7 +117,7 @@ struct SequenceArguments {
         MapperSettings::default().closure_threshold,
     ))]
     threshold: Option<f64>,
-    /// Seed of random choices. No stage of a run draws at random at present, so it changes nothing.
+    /// Seed of the random choices, which the verification makes.
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     /// The system to judge.
@@ -132,6 +134,21 @@ struct SequenceArguments {
 #[derive(Args)]
 #[command(next_help_heading = "FAB-MAP")]
 struct KnobArguments {
+    #[arg(long = "verify", value_parser = choice(VERIFICATION_METHODS), help = with_default(
+        "Geometry that has to agree before a loop is closed",
+        name_of(VERIFICATION_METHODS, &MapperSettings::default().verification.method),
+    ))]
+    verification: Option<VerificationMethod>,
+    #[arg(long, value_name = "INLIERS", help = with_default(
+        "Least evidence of a verified closure",
+        MapperSettings::default().verification.min_evidence,
+    ))]
+    min_evidence: Option<f64>,
+    #[arg(long, value_name = "FRAMES", help = with_default(
+        "Earlier frames whose matches speak for those near them",
+        MapperSettings::default().verification.consistency_frames,
+    ))]
+    consistency_frames: Option<u64>,
     #[arg(long, value_parser = choice(DEPENDENCES), help = with_default(
         "Whether words depend on each other",
         name_of(DEPENDENCES, &RecognizerSettings::default().dependence),
@@ -294,16 +311,18 @@ impl TrainArguments {
 
 impl SequenceArguments {
     fn run(self) -> Result<(), EvalError> {
-        let Self { sequence, gap, model, out, threshold, seed: _, ranking, knobs, json } = self;
+        let Self { sequence, gap, model, out, threshold, seed, ranking, knobs, json } = self;
         let system = match ranking {
             RankingName::FabMap => System::FabMap(knobs.with_threshold(threshold)),
             RankingName::TfIdf if knobs.are_untouched() => System::TfIdf { threshold },
             RankingName::TfIdf => refuse(
-                "with --ranking tf-idf there are no FAB-MAP settings to make; leave out --dependence, --new-place, \
+                "with --ranking tf-idf there are no FAB-MAP settings to make; leave out --verify, --min-evidence, \
+                 --consistency-frames, --dependence, --new-place, \
                  --scorer, the rates, --new-place-prior, --smoothing and --even-share",
             ),
         };
-        let report = sequence::run(&SequenceOptions { sequence, gap: gap as usize, model, system, out })?;
+        let gap = gap as usize;
+        let report = sequence::run(&SequenceOptions { sequence, gap, model, system, seed, out })?;
         print_if(json, &report)
     }
 }
@@ -311,6 +330,9 @@ impl SequenceArguments {
 impl KnobArguments {
     fn with_threshold(self, closure_threshold: Option<f64>) -> Knobs {
         let Self {
+            verification,
+            min_evidence,
+            consistency_frames,
             dependence,
             new_place,
             scorer,
@@ -322,6 +344,9 @@ impl KnobArguments {
         } = self;
         Knobs {
             closure_threshold,
+            verification,
+            min_evidence,
+            consistency_frames,
             dependence,
             new_place,
             scorer,
@@ -335,6 +360,9 @@ impl KnobArguments {
 
     fn are_untouched(&self) -> bool {
         let Self {
+            verification,
+            min_evidence,
+            consistency_frames,
             dependence,
             new_place,
             scorer,
@@ -345,7 +373,10 @@ impl KnobArguments {
             even_share,
         } = self;
         let rates = [true_positive_rate, false_positive_rate, new_place_prior, smoothing, even_share];
-        dependence.is_none()
+        verification.is_none()
+            && min_evidence.is_none()
+            && consistency_frames.is_none()
+            && dependence.is_none()
             && new_place.is_none()
             && scorer.is_none()
             && rates.iter().all(|rate| rate.is_none())

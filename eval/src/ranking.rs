@@ -9,6 +9,7 @@ pub use tf_idf::TfIdfRanking;
 use fabmap::appearance::PlaceId;
 use fabmap::observation::Observation;
 use topomap::event::Reason;
+use waypost_vision::feature_record::FeatureRecord;
 
 use crate::error::EvalError;
 use crate::timing::{FrameTimes, FrameWatch};
@@ -23,6 +24,7 @@ pub trait Ranking {
         &mut self,
         index: usize,
         observation: Observation,
+        features: FeatureRecord,
         watch: FrameWatch,
     ) -> Result<Ranked, EvalError>;
 
@@ -51,7 +53,8 @@ pub struct Ranked {
 pub struct Proposal {
     /// Index of the earlier frame.
     pub frame: usize,
-    /// What proposals are ordered by: the log-odds of the place's posterior, in nats, or the cosine.
+    /// What proposals are ordered by: the log-odds of the place's posterior, in nats, or the cosine; with
+    /// geometry, [`topomap::verification::Candidate::score`].
     pub score: f64,
     /// The posterior probability of its place; `None` for a system without probabilities.
     pub posterior: Option<f64>,
@@ -70,4 +73,6 @@ pub struct RankedDecision {
     pub new_place_posterior: f64,
     /// For a loop closure, accepted or not: the frame that it closes with.
     pub closure: Option<Proposal>,
+    /// Inliers of the proposal; `None` without geometry.
+    pub inliers: Option<u32>,
 }

@@ -123,6 +123,7 @@ impl StageObserver for FrameWatch {
             Stage::Likelihood => self.times.likelihood = milliseconds,
             Stage::NewPlace => self.times.new_place = milliseconds,
             Stage::Filter => self.times.filter = milliseconds,
+            Stage::Verification => self.times.verify = milliseconds,
         }
     }
 }

@@ -90,6 +90,8 @@ pub enum Stage {
     NewPlace,
     /// Prior, Bayes' rule, normalisation.
     Filter,
+    /// Geometric verification; it is no work of this crate's.
+    Verification,
 }
 
 /// Hears when a stage is completed. This crate has no clock; `()` ignores it.

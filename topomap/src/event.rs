@@ -7,6 +7,7 @@ use fabmap::place_filter::Belief;
 use nalgebra::Isometry3;
 
 use crate::odometry::{Odometry, decode_pose, encode_pose};
+use crate::verification::{Candidate, VerificationSettings};
 
 /// A frame's number within its map: its position in the log.
 pub type FrameId = u64;
@@ -46,9 +47,12 @@ pub struct FrameEvent {
     /// p(new | Z).
     pub new_place_posterior: f64,
     /// The earlier frame that a judge of loop closures would be shown, whatever was decided: of the
-    /// most probable place known from before the guard, the frame that matches best. None if too
-    /// little was seen to say anything.
+    /// most probable place known from before the guard, the frame that matches best; with geometry, of the
+    /// place that it has most evidence for. None if too little was seen to say anything.
     pub proposal: Option<Match>,
+    /// What geometry was asked about: at most [`VerificationSettings::MAX_CANDIDATES`], each of another place.
+    /// The proposal and a verified closure are among them. Empty where nothing is verified.
+    pub candidates: Vec<Candidate>,
     /// Whether the place takes this look into its appearance.
     pub learnt: bool,
     /// A link that this frame adds.
@@ -90,13 +94,16 @@ pub enum Reason {
     NewPlace,
     /// The place the session is at, or has just left.
     SamePlace,
-    /// Another place, above the threshold.
+    /// Another place, above the threshold; with geometry, one that it verified.
     LoopClosure,
     /// Another place was the most probable, but below the threshold: a place was created, because a
     /// place too many can be fused later and a wrong one cannot be taken apart.
     BelowThreshold,
     /// Too few words to say anything: nothing was created or learnt.
     TooFewWords,
+    /// A known place was above the threshold, the one where the session is or another, but geometry refused it,
+    /// or there were no keypoints to look at: a place was created, as for [`Reason::BelowThreshold`].
+    GeometryRefused,
 }
 
 /// A way from one place to another.
@@ -119,8 +126,9 @@ pub enum LinkKind {
     Odometry(Isometry3<f64>),
 }
 
-/// Version of the byte form of [`MapEvent`].
-const VERSION: u8 = 1;
+/// Version of the byte form of [`MapEvent`]; 2 added the candidates.
+const VERSION: u8 = 2;
+const VERSION_BEFORE_VERIFICATION: u8 = 1;
 const SESSION_OPENED: u8 = 0;
 const FRAME: u8 = 1;
 
@@ -159,12 +167,12 @@ impl MapEvent {
     pub fn from_bytes(bytes: &[u8], vocabulary_len: usize) -> Result<Self, DecodeError> {
         let mut reader = Reader::new(bytes);
         let version = reader.u8()?;
-        if version != VERSION {
+        if !(VERSION_BEFORE_VERIFICATION..=VERSION).contains(&version) {
             return Err(DecodeError::Version { found: version.into(), newest: VERSION.into() });
         }
         let event = match reader.u8()? {
             SESSION_OPENED => MapEvent::SessionOpened { session: reader.u32()? },
-            FRAME => MapEvent::Frame(Box::new(decode_frame(&mut reader, vocabulary_len)?)),
+            FRAME => MapEvent::Frame(Box::new(decode_frame(version, &mut reader, vocabulary_len)?)),
             other => return Err(DecodeError::invalid(format_args!("event kind {other}"))),
         };
         reader.end()?;
@@ -183,6 +191,7 @@ fn encode_frame(event: &FrameEvent, writer: &mut Writer) {
         decision,
         new_place_posterior,
         proposal,
+        candidates,
         learnt,
         link,
         belief,
@@ -200,12 +209,18 @@ fn encode_frame(event: &FrameEvent, writer: &mut Writer) {
     encode_option(closure.as_ref(), writer, Match::encode);
     writer.f64(*new_place_posterior);
     encode_option(proposal.as_ref(), writer, Match::encode);
+    writer.varint(candidates.len() as u64);
+    candidates.iter().for_each(|candidate| candidate.encode(writer));
     writer.u8(u8::from(*learnt));
     encode_option(link.as_ref(), writer, Link::encode);
     encode_belief(belief, writer);
 }
 
-fn decode_frame(reader: &mut Reader<'_>, vocabulary_len: usize) -> Result<FrameEvent, DecodeError> {
+fn decode_frame(
+    version: u8,
+    reader: &mut Reader<'_>,
+    vocabulary_len: usize,
+) -> Result<FrameEvent, DecodeError> {
     Ok(FrameEvent {
         frame: reader.u64()?,
         session: reader.u32()?,
@@ -221,10 +236,26 @@ fn decode_frame(reader: &mut Reader<'_>, vocabulary_len: usize) -> Result<FrameE
         },
         new_place_posterior: reader.f64()?,
         proposal: decode_option(reader, Match::decode)?,
+        candidates: if version > VERSION_BEFORE_VERIFICATION {
+            decode_candidates(reader)?
+        } else {
+            Vec::new()
+        },
         learnt: decode_flag(reader)?,
         link: decode_option(reader, Link::decode)?,
         belief: decode_belief(reader)?,
     })
+}
+
+/// Least bytes of a candidate.
+const CANDIDATE_BYTES: usize = 37;
+
+fn decode_candidates(reader: &mut Reader<'_>) -> Result<Vec<Candidate>, DecodeError> {
+    let count = reader.count(CANDIDATE_BYTES)?;
+    if count > VerificationSettings::MAX_CANDIDATES {
+        return Err(DecodeError::invalid(format_args!("{count} candidates of one frame")));
+    }
+    (0..count).map(|_| Candidate::decode(reader)).collect()
 }
 
 impl Reason {
@@ -235,6 +266,7 @@ impl Reason {
             Reason::LoopClosure => 2,
             Reason::BelowThreshold => 3,
             Reason::TooFewWords => 4,
+            Reason::GeometryRefused => 5,
         }
     }
 
@@ -245,13 +277,14 @@ impl Reason {
             2 => Ok(Reason::LoopClosure),
             3 => Ok(Reason::BelowThreshold),
             4 => Ok(Reason::TooFewWords),
+            5 => Ok(Reason::GeometryRefused),
             other => Err(DecodeError::invalid(format_args!("reason {other}"))),
         }
     }
 }
 
 impl Match {
-    fn encode(&self, writer: &mut Writer) {
+    pub(crate) fn encode(&self, writer: &mut Writer) {
         let Match { place, posterior, log_odds, frame } = self;
         writer.u32(*place);
         writer.f64(*posterior);
@@ -259,7 +292,7 @@ impl Match {
         writer.u64(*frame);
     }
 
-    fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+    pub(crate) fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
         Ok(Match {
             place: reader.u32()?,
             posterior: reader.f64()?,

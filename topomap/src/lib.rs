@@ -7,3 +7,4 @@ pub mod map;
 pub mod mapper;
 pub mod motion;
 pub mod odometry;
+pub mod verification;

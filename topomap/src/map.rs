@@ -11,7 +11,9 @@ use sha2::{Digest, Sha256};
 use crate::event::{
     FrameEvent, FrameId, Link, SessionId, decode_belief, decode_option, encode_belief, encode_option,
 };
+use crate::mapper::MapperSettings;
 use crate::odometry::Odometry;
+use crate::verification::not_negative;
 
 /// Places, links and sessions; appearances live in the recognizer's index, under the same ids.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -60,6 +62,33 @@ pub struct Session {
     pub left: VecDeque<LeftPlace>,
     /// What the next frame starts from.
     pub belief: Belief,
+    /// What geometry found for the last frames, oldest first; empty where nothing is verified.
+    pub sightings: VecDeque<Sighting>,
+}
+
+/// An earlier frame that one of a session's last frames has evidence for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sighting {
+    /// The how-manieth frame of the session saw it.
+    pub number: u64,
+    /// The place that was seen.
+    pub place: PlaceId,
+    /// The frame of it.
+    pub seen: PlaceFrame,
+    /// What the two frames say by themselves.
+    pub evidence: f64,
+    /// What they say with the frames before.
+    pub total_evidence: f64,
+}
+
+impl Sighting {
+    /// Whether it is of `place`, or of a frame that the same session took within `frames` of `other`.
+    #[must_use]
+    pub fn is_near(&self, place: PlaceId, other: PlaceFrame, frames: u64) -> bool {
+        let same_way =
+            self.seen.session == other.session && self.seen.number.abs_diff(other.number) <= frames;
+        self.place == place || same_way
+    }
 }
 
 /// Consecutive frames at one place.
@@ -103,6 +132,14 @@ impl Map {
         self.linked.get(place as usize).map_or(&[], Vec::as_slice)
     }
 
+    /// A frame that `place` learnt from, by its id.
+    #[must_use]
+    pub fn locate(&self, place: PlaceId, frame: FrameId) -> Option<PlaceFrame> {
+        let frames = &self.places.get(place as usize)?.frames;
+        let position = frames.binary_search_by_key(&frame, |learnt| learnt.frame).ok()?;
+        Some(frames[position])
+    }
+
     /// A session, if it was opened.
     #[must_use]
     pub fn session(&self, session: SessionId) -> Option<&Session> {
@@ -131,9 +168,14 @@ impl Map {
         self.events += 1;
     }
 
-    /// Folds a frame in, except for appearances. `guard_frames` bounds what a session remembers of
-    /// the places it left.
-    pub(crate) fn fold_frame(&mut self, event: &FrameEvent, guard_frames: u64) {
+    /// Folds a frame in, except for appearances. The settings bound what a session remembers of the places it
+    /// left and of what it saw.
+    pub(crate) fn fold_frame(
+        &mut self,
+        event: &FrameEvent,
+        settings: &MapperSettings,
+        sightings: Vec<Sighting>,
+    ) {
         let session = self.sessions.entry(event.session).or_insert_with(Session::new);
         if let Some(place) = event.decision.place {
             if place as usize >= self.places.len() {
@@ -146,7 +188,7 @@ impl Map {
                 self.places[place as usize].frames.push(learnt);
             }
         }
-        session.follow(event, guard_frames);
+        session.follow(event, settings, sightings);
         if let Some(link) = event.link {
             self.add_link(link);
         }
@@ -179,6 +221,8 @@ impl Map {
     #[must_use]
     pub fn encode_graph(&self) -> Vec<u8> {
         let Self { places, links, linked: _, sessions, events } = self;
+        let verified = sessions.values().any(|session| !session.sightings.is_empty());
+        let version = if verified { GRAPH.version } else { GRAPH_BEFORE_VERIFICATION };
         let mut writer = Writer::default();
         writer.u64(*events);
         writer.varint(places.len() as u64);
@@ -187,9 +231,9 @@ impl Map {
         writer.varint(sessions.len() as u64);
         for (id, session) in sessions {
             writer.u32(*id);
-            session.encode(&mut writer);
+            session.encode(version, &mut writer);
         }
-        GRAPH.seal(&writer.into_bytes())
+        Container { version, ..GRAPH }.seal(&writer.into_bytes())
     }
 
     /// Puts a map together from [`Map::encode_graph`] and its places in order.
@@ -197,7 +241,7 @@ impl Map {
     /// # Errors
     /// [`DecodeError`] if the bytes are no graph, or not one of these places.
     pub fn decode_graph(bytes: &[u8], places: Vec<Place>) -> Result<Self, DecodeError> {
-        let (_version, payload) = GRAPH.open(bytes)?;
+        let (version, payload) = GRAPH.open(bytes)?;
         let mut reader = Reader::new(payload);
         let events = reader.u64()?;
         let expected = reader.varint()?;
@@ -218,7 +262,7 @@ impl Map {
             map.add_link(link);
         }
         for _ in 0..reader.count(4)? {
-            map.sessions.insert(reader.u32()?, Session::decode(&mut reader)?);
+            map.sessions.insert(reader.u32()?, Session::decode(version, &mut reader)?);
         }
         reader.end()?;
         Ok(map)
@@ -226,7 +270,11 @@ impl Map {
 }
 
 /// The graph of a checkpoint; its version is that of the places beside it too.
-const GRAPH: Container = Container { magic: *b"WPGRAPH\n", name: "Waypost checkpoint", version: 1 };
+const GRAPH: Container = Container { magic: *b"WPGRAPH\n", name: "Waypost checkpoint", version: 2 };
+
+/// The version without sightings. A map that has none is still written so: its state, and the hash of it, are
+/// what they were.
+const GRAPH_BEFORE_VERIFICATION: u32 = 1;
 
 /// Bytes of SHA-256 that each place carries: enough to notice damage.
 const PLACE_CHECKSUM_BYTES: usize = 8;
@@ -285,6 +333,7 @@ impl Session {
             stay: None,
             left: VecDeque::new(),
             belief: Belief::unknown(),
+            sightings: VecDeque::new(),
         }
     }
 
@@ -318,10 +367,13 @@ impl Session {
     }
 
     /// Folds a frame of this session in.
-    pub(crate) fn follow(&mut self, event: &FrameEvent, guard_frames: u64) {
+    pub(crate) fn follow(&mut self, event: &FrameEvent, settings: &MapperSettings, sightings: Vec<Sighting>) {
         if let Some(place) = event.decision.place {
-            self.arrive(place, event.learnt, event.odometry.clone(), guard_frames);
+            self.arrive(place, event.learnt, event.odometry.clone(), settings.guard_frames);
         }
+        let earliest = (self.frames + 1).saturating_sub(settings.verification.consistency_frames.max(1));
+        self.sightings.retain(|sighting| sighting.number >= earliest);
+        self.sightings.extend(sightings);
         self.frames += 1;
         self.last_sequence = Some(event.sequence);
         self.last_stamp_ns = Some(event.stamp_ns);
@@ -345,8 +397,9 @@ impl Session {
         }
     }
 
-    fn encode(&self, writer: &mut Writer) {
-        let Self { frames, last_sequence, last_stamp_ns, last_odometry, stay, left, belief } = self;
+    fn encode(&self, version: u32, writer: &mut Writer) {
+        let Self { frames, last_sequence, last_stamp_ns, last_odometry, stay, left, belief, sightings } =
+            self;
         writer.u64(*frames);
         encode_option(last_sequence.as_ref(), writer, |sequence, writer| writer.u64(*sequence));
         encode_option(last_stamp_ns.as_ref(), writer, |stamp_ns, writer| writer.i64(*stamp_ns));
@@ -366,9 +419,13 @@ impl Session {
             writer.u32(looks);
         }
         encode_belief(belief, writer);
+        if version > GRAPH_BEFORE_VERIFICATION {
+            writer.varint(sightings.len() as u64);
+            sightings.iter().for_each(|sighting| sighting.encode(writer));
+        }
     }
 
-    fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+    fn decode(version: u32, reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
         Ok(Self {
             frames: reader.u64()?,
             last_sequence: decode_option(reader, Reader::u64)?,
@@ -385,6 +442,47 @@ impl Session {
                 .map(|_| Ok(LeftPlace { place: reader.u32()?, number: reader.u64()?, looks: reader.u32()? }))
                 .collect::<Result<_, DecodeError>>()?,
             belief: decode_belief(reader)?,
+            sightings: if version > GRAPH_BEFORE_VERIFICATION {
+                (0..reader.count(SIGHTING_BYTES)?)
+                    .map(|_| Sighting::decode(reader))
+                    .collect::<Result<_, _>>()?
+            } else {
+                VecDeque::new()
+            },
+        })
+    }
+}
+
+/// Least bytes of a sighting.
+const SIGHTING_BYTES: usize = 20;
+
+impl Sighting {
+    fn encode(&self, writer: &mut Writer) {
+        let Self {
+            number,
+            place,
+            seen: PlaceFrame { frame, session, number: of_session },
+            evidence,
+            total_evidence,
+        } = self;
+        for value in [*number, u64::from(*place), *frame, u64::from(*session), *of_session] {
+            writer.varint(value);
+        }
+        writer.f64(*evidence);
+        writer.f64(*total_evidence);
+    }
+
+    fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        Ok(Self {
+            number: reader.varint()?,
+            place: reader.varint_u32()?,
+            seen: PlaceFrame {
+                frame: reader.varint()?,
+                session: reader.varint_u32()?,
+                number: reader.varint()?,
+            },
+            evidence: not_negative(reader.f64()?)?,
+            total_evidence: not_negative(reader.f64()?)?,
         })
     }
 }

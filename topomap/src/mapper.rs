@@ -1,5 +1,6 @@
 //! The story of a frame: recognise, propose, decide, link; then fold what was decided into the map.
 
+mod candidates;
 mod errors;
 mod gates;
 mod localizer;
@@ -14,12 +15,13 @@ pub use settings::MapperSettings;
 use fabmap::appearance::PlaceId;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
-use fabmap::recognizer::{Association, Recognition, Recognizer, StageObserver};
+use fabmap::recognizer::{Association, Recognition, Recognizer, Stage, StageObserver};
 
 use crate::event::{Decision, FrameEvent, FrameId, Link, LinkKind, Match, Reason, SessionId};
 use crate::map::{Map, PlaceFrame, Session};
 use crate::motion::spread_over_links;
 use crate::odometry::Odometry;
+use crate::verification::{Candidate, VerificationMethod, Views};
 
 /// A map that grows: recognizer and place graph, driven by events.
 ///
@@ -83,6 +85,7 @@ impl Mapper {
         if max_speed_m_per_s.is_nan() || max_speed_m_per_s <= 0.0 {
             return Err(MapperError::MaxSpeed { value: max_speed_m_per_s });
         }
+        settings.verification.check()?;
         Ok(Self {
             recognizer: Recognizer::new(model, settings.recognizer)?,
             map: Map::default(),
@@ -99,11 +102,12 @@ impl Mapper {
         &self,
         input: FrameInput,
         archive: &dyn FrameArchive,
+        views: &dyn Views,
         observer: &mut dyn StageObserver,
     ) -> Result<Decided, FrameError> {
         let session =
             self.map.session(input.session).ok_or(FrameError::UnknownSession { session: input.session })?;
-        self.decide_within(Growth::Grows, session, input, archive, observer)
+        self.decide_within(Growth::Grows, session, input, (archive, views), observer)
     }
 
     /// The story, for a session of the log or one that only looks.
@@ -112,14 +116,18 @@ impl Mapper {
         growth: Growth,
         session: &Session,
         input: FrameInput,
-        archive: &dyn FrameArchive,
+        (archive, views): (&dyn FrameArchive, &dyn Views),
         observer: &mut dyn StageObserver,
     ) -> Result<Decided, FrameError> {
         self.accept(&input, session)?;
         let motion = spread_over_links(&session.belief, |place| self.map.linked(place));
         let recognition = self.recognizer.recognize(&input.observation, &motion, observer);
-        let proposal = self.propose(&input, session, &recognition, archive)?;
-        let decision = growth.limit(self.associate(&input, session, &recognition, archive)?);
+        let candidates =
+            self.compare(&input.observation, (input.session, session), &recognition, archive, views)?;
+        observer.completed(Stage::Verification);
+        let proposal = self.propose(&input, session, &recognition, &candidates, archive)?;
+        let decision =
+            growth.limit(self.associate(&input, session, &recognition, &candidates, (archive, views))?);
         let (learnt, link) = match growth {
             Growth::Grows => {
                 (self.learns(session, &decision), self.link(session, &decision, input.odometry.as_ref()))
@@ -129,16 +137,20 @@ impl Mapper {
         let created = decision.place.filter(|&place| place as usize == self.recognizer.places());
         let belief = match decision.reason {
             Reason::TooFewWords => session.belief.clone(),
-            Reason::NewPlace | Reason::SamePlace | Reason::LoopClosure | Reason::BelowThreshold => {
-                recognition.posterior.carry(created)
-            }
+            Reason::NewPlace
+            | Reason::SamePlace
+            | Reason::LoopClosure
+            | Reason::BelowThreshold
+            | Reason::GeometryRefused => recognition.posterior.carry(created),
         };
         let FrameInput { session, sequence, stamp_ns, odometry, observation } = input;
         let new_place_posterior = match decision.reason {
             Reason::TooFewWords => belief.new_place,
-            Reason::NewPlace | Reason::SamePlace | Reason::LoopClosure | Reason::BelowThreshold => {
-                recognition.posterior.new_place
-            }
+            Reason::NewPlace
+            | Reason::SamePlace
+            | Reason::LoopClosure
+            | Reason::BelowThreshold
+            | Reason::GeometryRefused => recognition.posterior.new_place,
         };
         let frame = self.map.events();
         let event = FrameEvent {
@@ -151,6 +163,7 @@ impl Mapper {
             decision,
             new_place_posterior,
             proposal,
+            candidates,
             learnt,
             link,
             belief,
@@ -186,16 +199,21 @@ impl Mapper {
         }
     }
 
-    /// Of the most probable place known from before the guard, the frame that matches best.
+    /// Of the most probable place known from before the guard, the frame that matches best; with geometry, the
+    /// candidate that it has most evidence for.
     fn propose(
         &self,
         input: &FrameInput,
         session: &Session,
         recognition: &Recognition,
+        candidates: &[Candidate],
         archive: &dyn FrameArchive,
     ) -> Result<Option<Match>, FrameError> {
         if self.shows_too_little(&input.observation) {
             return Ok(None);
+        }
+        if let Some(candidate) = candidates::most_likely(candidates) {
+            return Ok(Some(candidate.matched));
         }
         let mut best: Option<(PlaceId, f64)> = None;
         for (place, &posterior) in (0..).zip(&recognition.posterior.places) {
@@ -213,13 +231,14 @@ impl Mapper {
         }
     }
 
-    /// Data association: the most probable of all places and "somewhere new".
+    /// Data association: what geometry verified, or else the most probable of all places and "somewhere new".
     fn associate(
         &self,
         input: &FrameInput,
         session: &Session,
         recognition: &Recognition,
-        archive: &dyn FrameArchive,
+        candidates: &[Candidate],
+        (archive, views): (&dyn FrameArchive, &dyn Views),
     ) -> Result<Decision, FrameError> {
         let posterior = &recognition.posterior;
         let next_place = self.recognizer.places() as PlaceId;
@@ -233,22 +252,38 @@ impl Mapper {
             let posterior = session.belief.new_place;
             return Ok(Decision { reason: Reason::TooFewWords, place: None, posterior, closure: None });
         }
-        let Association::Seen(place) = recognition.association() else { return Ok(new_place) };
-        let probability = posterior.places[place as usize];
-        if session.is_near(place, self.settings.guard_frames) {
-            return Ok(Decision {
-                reason: Reason::SamePlace,
-                place: Some(place),
-                posterior: probability,
-                closure: None,
-            });
+        let association = recognition.association();
+        if let Association::Seen(place) = association
+            && session.is_near(place, self.settings.guard_frames)
+            && self.may_have_stayed(place, input.session, views)?
+        {
+            let posterior = posterior.places[place as usize];
+            let place = Some(place);
+            return Ok(Decision { reason: Reason::SamePlace, place, posterior, closure: None });
         }
+        if let Some(Candidate { matched, .. }) = self.verified(session, candidates) {
+            let Match { place, posterior, .. } = *matched;
+            let (place, closure) = (Some(place), Some(*matched));
+            return Ok(Decision { reason: Reason::LoopClosure, place, posterior, closure });
+        }
+        let Association::Seen(place) = association else { return Ok(new_place) };
+        let probability = posterior.places[place as usize];
         let closure =
             self.best_match(place, recognition, &input.observation, (input.session, session), archive)?;
         if probability < self.settings.closure_threshold {
             return Ok(Decision { reason: Reason::BelowThreshold, closure, ..new_place });
         }
-        Ok(Decision { reason: Reason::LoopClosure, place: Some(place), posterior: probability, closure })
+        match self.settings.verification.method {
+            VerificationMethod::None => Ok(Decision {
+                reason: Reason::LoopClosure,
+                place: Some(place),
+                posterior: probability,
+                closure,
+            }),
+            VerificationMethod::Similarity | VerificationMethod::Epipolar => {
+                Ok(Decision { reason: Reason::GeometryRefused, closure, ..new_place })
+            }
+        }
     }
 
     /// Whether the place learns this look. A new place always does, or it would have no appearance.
@@ -329,7 +364,7 @@ impl Growth {
     /// A place that would be created is none where nothing grows.
     fn limit(self, decision: Decision) -> Decision {
         match (self, decision.reason) {
-            (Growth::ReadOnly, Reason::NewPlace | Reason::BelowThreshold) => {
+            (Growth::ReadOnly, Reason::NewPlace | Reason::BelowThreshold | Reason::GeometryRefused) => {
                 Decision { place: None, ..decision }
             }
             (Growth::ReadOnly, Reason::SamePlace | Reason::LoopClosure | Reason::TooFewWords)

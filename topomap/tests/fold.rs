@@ -18,6 +18,7 @@ use topomap::mapper::{
     MapperSettings,
 };
 use topomap::odometry::Odometry;
+use topomap::verification::NoViews;
 
 const WORDS: u32 = 1000;
 
@@ -80,7 +81,7 @@ fn drive(mapper: &mut Mapper, log: &mut Log, steps: &[(u32, u64)], seed: u64) {
             odometry: step.is_multiple_of(3).then(|| odometry(step)),
             observation: view(place, &mut noise),
         };
-        let event = MapEvent::Frame(Box::new(mapper.decide(input, log, &mut ()).unwrap().event));
+        let event = MapEvent::Frame(Box::new(mapper.decide(input, log, &NoViews, &mut ()).unwrap().event));
         mapper.apply(&event).unwrap();
         log.0.push(event);
     }
@@ -124,9 +125,9 @@ proptest! {
 
         // And all three decide the next frame alike, to the bit.
         let next = FrameInput { session: steps[0].0, sequence: 10_000, stamp_ns: i64::MAX, odometry: None, observation: view(3, &mut ChaCha8Rng::seed_from_u64(seed)) };
-        let decided = live.decide(next.clone(), &log, &mut ()).unwrap();
-        prop_assert_eq!(&replayed.decide(next.clone(), &log, &mut ()).unwrap(), &decided);
-        prop_assert_eq!(&restored.decide(next, &log, &mut ()).unwrap(), &decided);
+        let decided = live.decide(next.clone(), &log, &NoViews, &mut ()).unwrap();
+        prop_assert_eq!(&replayed.decide(next.clone(), &log, &NoViews, &mut ()).unwrap(), &decided);
+        prop_assert_eq!(&restored.decide(next, &log, &NoViews, &mut ()).unwrap(), &decided);
     }
 
     /// A robot that only looks is told what a new session would be told, and changes nothing.
@@ -141,7 +142,7 @@ proptest! {
         let mut localizer = Localizer::new();
         for (step, place) in (1i64..).zip(seen) {
             let input = one_frame(Localizer::SESSION, step as u64, step, place);
-            let decided = mapper.localize(&localizer, input, &log, &mut ()).unwrap();
+            let decided = mapper.localize(&localizer, input, &log, &NoViews, &mut ()).unwrap();
             prop_assert!(!decided.event.learnt && decided.event.link.is_none());
             prop_assert!(decided.event.decision.place.is_none_or(|place| (place as usize) < mapper.recognizer().places()));
             localizer.follow(&decided.event, &mapper);
@@ -150,9 +151,9 @@ proptest! {
         prop_assert_eq!(mapper.state_hash(), before);
 
         let opened = mapper.map().next_session();
-        let localized = mapper.localize(&Localizer::new(), one_frame(Localizer::SESSION, 1, 1, first), &log, &mut ()).unwrap();
+        let localized = mapper.localize(&Localizer::new(), one_frame(Localizer::SESSION, 1, 1, first), &log, &NoViews, &mut ()).unwrap();
         mapper.apply(&MapEvent::SessionOpened { session: opened }).unwrap();
-        let mapped = mapper.decide(one_frame(opened, 1, 1, first), &log, &mut ()).unwrap();
+        let mapped = mapper.decide(one_frame(opened, 1, 1, first), &log, &NoViews, &mut ()).unwrap();
         prop_assert_eq!(&localized.recognition, &mapped.recognition);
         prop_assert_eq!(localized.event.proposal, mapped.event.proposal);
         prop_assert_eq!(localized.event.decision.reason, mapped.event.decision.reason);
@@ -200,14 +201,14 @@ impl Robot {
     }
 
     fn see(&mut self, input: FrameInput) -> topomap::event::FrameEvent {
-        let event = self.mapper.decide(input, &self.log, &mut ()).unwrap().event;
+        let event = self.mapper.decide(input, &self.log, &NoViews, &mut ()).unwrap().event;
         self.fold(MapEvent::Frame(Box::new(event.clone())));
         event
     }
 
     fn refusal(&self, input: FrameInput) -> FrameError {
         let before = self.mapper.state_hash();
-        let refused = self.mapper.decide(input, &self.log, &mut ()).unwrap_err();
+        let refused = self.mapper.decide(input, &self.log, &NoViews, &mut ()).unwrap_err();
         assert_eq!(self.mapper.state_hash(), before);
         refused
     }
@@ -376,10 +377,10 @@ fn a_query_finds_the_place_and_its_gates_say_why() {
     }
     let before = robot.mapper.state_hash();
     let again = one_frame(0, 100, 100, 2);
-    let queried = robot.mapper.query(&again.observation, &robot.log, &mut ()).unwrap();
+    let queried = robot.mapper.query(&again.observation, &robot.log, &NoViews, &mut ()).unwrap();
     let matched = queried.matched.unwrap();
     assert_eq!((matched.place, matched.frame, queried.accepted), (1, 2, true));
-    let decided = robot.mapper.decide(again.clone(), &robot.log, &mut ()).unwrap();
+    let decided = robot.mapper.decide(again.clone(), &robot.log, &NoViews, &mut ()).unwrap();
     let gates = robot.mapper.gates(&again, &decided.recognition, matched.place).unwrap();
     // Left four frames ago, as the guard asks.
     assert_eq!((gates.guard.value, gates.guard.required), (6.0, 4.0));
@@ -390,10 +391,10 @@ fn a_query_finds_the_place_and_its_gates_say_why() {
     assert_eq!(robot.mapper.gates(&again, &decided.recognition, 99), None);
 
     let nothing = Observation::from_words([1, 2], WORDS as usize).unwrap();
-    let queried = robot.mapper.query(&nothing, &robot.log, &mut ()).unwrap();
+    let queried = robot.mapper.query(&nothing, &robot.log, &NoViews, &mut ()).unwrap();
     assert_eq!((queried.matched, queried.accepted), (None, false));
     let foreign = Observation::from_words([WORDS], WORDS as usize + 1).unwrap();
-    let refused = robot.mapper.query(&foreign, &robot.log, &mut ());
+    let refused = robot.mapper.query(&foreign, &robot.log, &NoViews, &mut ());
     assert_eq!(refused, Err(FrameError::ForeignWord { word: WORDS, vocabulary_len: WORDS as usize }));
     assert_eq!(robot.mapper.state_hash(), before);
 }

@@ -23,3 +23,4 @@ pub mod feature_record;
 pub mod features;
 pub mod image;
 mod mat;
+pub mod verification;

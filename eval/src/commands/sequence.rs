@@ -11,10 +11,13 @@ use fabmap::detector::DetectorModel;
 use fabmap::likelihood::Dependence;
 use fabmap::model::Model;
 use fabmap::new_place::NewPlaceMethod;
+use fabmap::observation::Observation;
 use fabmap::recognizer::Scorer;
 use topomap::event::Reason;
 use topomap::mapper::MapperSettings;
-use waypost_vision::features::Extractor;
+use topomap::verification::{VerificationMethod, VerificationSettings};
+use waypost_vision::feature_record::FeatureRecord;
+use waypost_vision::features::{Extractor, Features};
 
 use crate::dataset::{Sequence, Verdict};
 use crate::error::EvalError;
@@ -35,6 +38,8 @@ pub struct SequenceOptions {
     pub model: PathBuf,
     /// The system to judge.
     pub system: System,
+    /// Seed of the random choices.
+    pub seed: u64,
     /// Folder for the results.
     pub out: PathBuf,
 }
@@ -56,6 +61,12 @@ pub enum System {
 pub struct Knobs {
     /// See [`MapperSettings::closure_threshold`].
     pub closure_threshold: Option<f64>,
+    /// How closures are verified.
+    pub verification: Option<VerificationMethod>,
+    /// See [`topomap::verification::VerificationSettings::min_evidence`].
+    pub min_evidence: Option<f64>,
+    /// See [`topomap::verification::VerificationSettings::consistency_frames`].
+    pub consistency_frames: Option<u64>,
     /// Chow-Liu tree or naive Bayes.
     pub dependence: Option<Dependence>,
     /// Mean field or sampled.
@@ -116,7 +127,7 @@ fn start(options: &SequenceOptions, model: &Model) -> Result<(Box<dyn Ranking>, 
     Ok(match &options.system {
         System::FabMap(knobs) => {
             let settings = knobs.settings(model, options.gap)?;
-            (Box::new(FabMap::new(model, settings)?), Scale::Posterior)
+            (Box::new(FabMap::new(model, settings, options.seed)?), Scale::Posterior)
         }
         System::TfIdf { .. } => (Box::new(TfIdfRanking::new(model, options.gap)), Scale::Cosine),
     })
@@ -133,16 +144,23 @@ fn recognise(
 ) -> Result<Ranked, EvalError> {
     let encoded = files::read(path)?;
     let mut watch = FrameWatch::start();
-    let (_image, features) = extractor
+    let (image, features) = extractor
         .extract_encoded(&encoded)
         .map_err(|reason| EvalError::Image { path: path.to_owned(), reason })?;
     watch.extracted();
-    let observation = model
+    let words = model
         .vocabulary()
-        .observe(&features.descriptors)
+        .words(&features.descriptors)
         .map_err(|reason| EvalError::ForeignVocabulary { path: options.model.clone(), reason })?;
+    let vocabulary_len = model.vocabulary().len();
+    let observation = Observation::from_words(words.iter().copied(), vocabulary_len)
+        .unwrap_or_else(|_| unreachable!("a vocabulary's own words"));
     watch.quantized();
-    system.rank(index, observation, watch)
+    let Features { keypoints, descriptors } = features;
+    let size_px = (image.width(), image.height());
+    let features = FeatureRecord::new(size_px, keypoints, words, Some(descriptors))
+        .unwrap_or_else(|_| unreachable!("a keypoint, a word and a descriptor for each feature"));
+    system.rank(index, observation, features, watch)
 }
 
 fn judge(index: usize, ranked: Ranked, sequence: &Sequence) -> JudgedFrame {
@@ -182,6 +200,9 @@ impl Knobs {
     pub fn settings(&self, model: &Model, gap: usize) -> Result<MapperSettings, EvalError> {
         let Self {
             closure_threshold,
+            verification,
+            min_evidence,
+            consistency_frames,
             dependence,
             new_place,
             scorer,
@@ -193,6 +214,11 @@ impl Knobs {
         } = *self;
         let mut settings = MapperSettings { guard_frames: gap as u64, ..MapperSettings::default() };
         set(&mut settings.closure_threshold, closure_threshold);
+        if let Some(method) = verification {
+            settings.verification = VerificationSettings { method, ..VerificationSettings::default() };
+        }
+        set(&mut settings.verification.min_evidence, min_evidence);
+        set(&mut settings.verification.consistency_frames, consistency_frames);
         set(&mut settings.recognizer.dependence, dependence);
         set(&mut settings.recognizer.new_place, new_place);
         set(&mut settings.recognizer.scorer, scorer);

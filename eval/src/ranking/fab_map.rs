@@ -6,6 +6,9 @@ use fabmap::observation::Observation;
 use fabmap::recognizer::Recognition;
 use topomap::event::{Decision, FrameEvent, FrameId, MapEvent, Match, SessionId};
 use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameInput, Mapper, MapperSettings};
+use topomap::verification::{Candidate, TwoView, Views};
+use waypost_vision::feature_record::FeatureRecord;
+use waypost_vision::verification::{Verifier, View};
 
 use super::{Proposal, Ranked, RankedDecision, Ranking};
 use crate::error::EvalError;
@@ -16,6 +19,17 @@ use crate::timing::FrameWatch;
 pub struct FabMap {
     mapper: Mapper,
     log: Log,
+    verifier: Verifier,
+    /// Of all frames so far, by index in the sequence.
+    features: Vec<FeatureRecord>,
+}
+
+/// The frame that is being decided, beside all before it.
+struct CurrentView<'a> {
+    current: &'a FeatureRecord,
+    log: &'a Log,
+    earlier: &'a [FeatureRecord],
+    verifier: Verifier,
 }
 
 /// The map's log, in memory.
@@ -34,11 +48,12 @@ impl FabMap {
     ///
     /// # Errors
     /// [`EvalError::Mapper`] if a setting is out of range.
-    pub fn new(model: &Model, settings: MapperSettings) -> Result<Self, EvalError> {
+    pub fn new(model: &Model, settings: MapperSettings, seed: u64) -> Result<Self, EvalError> {
         let mut mapper = Mapper::new(model, settings)?;
         let opened = MapEvent::SessionOpened { session: SESSION };
         mapper.apply(&opened).map_err(|reason| EvalError::Fold { index: 0, reason })?;
-        Ok(Self { mapper, log: Log(vec![opened]) })
+        let verifier = Verifier::new(settings.verification, seed);
+        Ok(Self { mapper, log: Log(vec![opened]), verifier, features: Vec::new() })
     }
 
     /// The map so far.
@@ -53,6 +68,7 @@ impl Ranking for FabMap {
         &mut self,
         index: usize,
         observation: Observation,
+        features: FeatureRecord,
         mut watch: FrameWatch,
     ) -> Result<Ranked, EvalError> {
         let words = observation.len();
@@ -63,22 +79,35 @@ impl Ranking for FabMap {
             odometry: None,
             observation,
         };
+        let Self { log, verifier, .. } = &*self;
+        let views = CurrentView { current: &features, log, earlier: &self.features, verifier: *verifier };
         let Decided { event, recognition } = self
             .mapper
-            .decide(input, &self.log, &mut watch)
+            .decide(input, &self.log, &views, &mut watch)
             .map_err(|reason| EvalError::Frame { index, reason })?;
         let (decision, proposal, new_place_posterior) =
             (event.decision, event.proposal, event.new_place_posterior);
+        let candidates = event.candidates.clone();
         let event = MapEvent::Frame(Box::new(event));
         self.mapper.apply(&event).map_err(|reason| EvalError::Fold { index, reason })?;
         let times = watch.stop();
 
         let Decision { reason, place, posterior, closure } = decision;
-        let closure = closure.and_then(|matched| self.log.proposal(matched));
+        let closure = closure.and_then(|matched| self.log.proposal(matched, &candidates));
+        let inliers = proposal
+            .and_then(|proposal| candidate_of(&candidates, proposal.frame))
+            .and_then(|candidate| candidate.view.map(|view| view.inliers));
         let ranked = Ranked {
             words,
-            proposal: proposal.and_then(|matched| self.log.proposal(matched)),
-            decision: Some(RankedDecision { reason, place, posterior, new_place_posterior, closure }),
+            proposal: proposal.and_then(|matched| self.log.proposal(matched, &candidates)),
+            decision: Some(RankedDecision {
+                reason,
+                place,
+                posterior,
+                new_place_posterior,
+                closure,
+                inliers,
+            }),
             similarities: self
                 .log
                 .frames()
@@ -87,6 +116,7 @@ impl Ranking for FabMap {
             times,
         };
         self.log.0.push(event);
+        self.features.push(features);
         Ok(ranked)
     }
 
@@ -119,10 +149,26 @@ impl Log {
     }
 
     /// The index in the sequence is the sequence number that the frame was sent with.
-    fn proposal(&self, matched: Match) -> Option<Proposal> {
+    fn proposal(&self, matched: Match, candidates: &[Candidate]) -> Option<Proposal> {
         let Match { place: _, posterior, log_odds, frame } = matched;
         let index = usize::try_from(self.frame(frame)?.sequence).ok()?;
-        Some(Proposal { frame: index, score: log_odds, posterior: Some(posterior) })
+        let score = candidate_of(candidates, frame).map_or(log_odds, Candidate::score);
+        Some(Proposal { frame: index, score, posterior: Some(posterior) })
+    }
+}
+
+fn candidate_of(candidates: &[Candidate], frame: FrameId) -> Option<&Candidate> {
+    candidates.iter().find(|candidate| candidate.matched.frame == frame)
+}
+
+impl Views for CurrentView<'_> {
+    fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
+        let index = self.log.frame(earlier).and_then(|event| usize::try_from(event.sequence).ok());
+        let Some(earlier) = index.and_then(|index| self.earlier.get(index)) else {
+            return Err(ArchiveError { frame: earlier, why: "it is not in the log".to_owned() });
+        };
+        let view = |features| View { features, camera: None };
+        Ok(Some(self.verifier.compare(view(earlier), view(self.current))))
     }
 }
 

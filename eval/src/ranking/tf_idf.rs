@@ -5,6 +5,8 @@ use fabmap::observation::Observation;
 use fabmap::recognizer::{Stage, StageObserver};
 use fabmap::tf_idf::TfIdf;
 
+use waypost_vision::feature_record::FeatureRecord;
+
 use super::{Proposal, Ranked, Ranking};
 use crate::error::EvalError;
 use crate::timing::FrameWatch;
@@ -29,6 +31,7 @@ impl Ranking for TfIdfRanking {
         &mut self,
         index: usize,
         observation: Observation,
+        _features: FeatureRecord,
         mut watch: FrameWatch,
     ) -> Result<Ranked, EvalError> {
         let words = observation.len();

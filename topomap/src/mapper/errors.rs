@@ -5,6 +5,7 @@ use fabmap::codec::DecodeError;
 use fabmap::recognizer::RecognizerError;
 
 use crate::event::{FrameId, SessionId};
+use crate::verification::VerificationError;
 
 /// Why a frame was not taken. Nothing has changed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -84,6 +85,9 @@ pub enum MapperError {
         /// The value given.
         value: f64,
     },
+    /// A setting of the verification.
+    #[error(transparent)]
+    Verification(#[from] VerificationError),
     /// A stay that teaches nothing would leave new places empty.
     #[error("a place must learn at least 1 look from a stay; 3 is a good start")]
     LooksPerStay,

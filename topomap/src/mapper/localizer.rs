@@ -2,11 +2,12 @@
 
 use fabmap::observation::Observation;
 use fabmap::place_filter::MotionPrior;
-use fabmap::recognizer::{Association, Recognition, StageObserver};
+use fabmap::recognizer::{Association, Recognition, Stage, StageObserver};
 
-use super::{Decided, FrameArchive, FrameError, FrameInput, Growth, Mapper};
+use super::{Decided, FrameArchive, FrameError, FrameInput, Growth, Mapper, candidates};
 use crate::event::{FrameEvent, Match, SessionId};
 use crate::map::Session;
+use crate::verification::{Candidate, VerificationMethod, Views};
 
 /// A run of a robot that only looks: what is remembered between its frames, outside the log.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,10 +20,13 @@ pub struct Localizer {
 pub struct Queried {
     /// Likelihoods, prior and posterior behind it.
     pub recognition: Recognition,
-    /// Of the most probable place, the frame that matches best; none if the map is empty or too little
-    /// was seen.
+    /// What geometry was asked about; empty where nothing is verified.
+    pub candidates: Vec<Candidate>,
+    /// Of the most probable place, or of the one that geometry has most evidence for, the frame that matches
+    /// best; none if the map is empty or too little was seen.
     pub matched: Option<Match>,
-    /// Whether the match is more probable than a new place and reaches the map's threshold.
+    /// Whether the match is more probable than a new place and reaches the map's threshold; with geometry,
+    /// whether it was verified.
     pub accepted: bool,
 }
 
@@ -44,7 +48,8 @@ impl Localizer {
 
     /// Takes in what [`Mapper::localize`] decided.
     pub fn follow(&mut self, event: &FrameEvent, mapper: &Mapper) {
-        self.session.follow(event, mapper.settings().guard_frames);
+        let sightings = mapper.sightings(self.session.frames, &event.candidates);
+        self.session.follow(event, mapper.settings(), sightings);
     }
 }
 
@@ -66,12 +71,13 @@ impl Mapper {
         localizer: &Localizer,
         input: FrameInput,
         archive: &dyn FrameArchive,
+        views: &dyn Views,
         observer: &mut dyn StageObserver,
     ) -> Result<Decided, FrameError> {
-        self.decide_within(Growth::ReadOnly, &localizer.session, input, archive, observer)
+        self.decide_within(Growth::ReadOnly, &localizer.session, input, (archive, views), observer)
     }
 
-    /// Where one observation was made, by appearance alone.
+    /// Where one observation was made, by appearance and, if the map's settings ask for it, geometry.
     ///
     /// # Errors
     /// [`FrameError::ForeignWord`], or [`FrameError::Archive`] if an earlier frame cannot be read.
@@ -79,20 +85,32 @@ impl Mapper {
         &self,
         observation: &Observation,
         archive: &dyn FrameArchive,
+        views: &dyn Views,
         observer: &mut dyn StageObserver,
     ) -> Result<Queried, FrameError> {
         self.check_words(observation)?;
         let recognition = self.recognizer.recognize(observation, &MotionPrior::even(), observer);
-        let anyone = Session::new();
-        let matched = match recognition.posterior.best_place() {
-            Some((place, _)) if !self.shows_too_little(observation) => {
-                self.best_match(place, &recognition, observation, (Localizer::SESSION, &anyone), archive)?
+        let (session, anyone) = (Localizer::SESSION, Session::new());
+        let candidates = self.compare(observation, (session, &anyone), &recognition, archive, views)?;
+        observer.completed(Stage::Verification);
+        let verified = self.verified(&anyone, &candidates).or_else(|| candidates::most_likely(&candidates));
+        let matched = match (verified, recognition.posterior.best_place()) {
+            (Some(candidate), _) => Some(candidate.matched),
+            (None, Some((place, _))) if !self.shows_too_little(observation) => {
+                self.best_match(place, &recognition, observation, (session, &anyone), archive)?
             }
-            Some(_) | None => None,
+            (None, Some(_) | None) => None,
         };
-        let seen_before = matches!(recognition.association(), Association::Seen(_));
-        let above_threshold =
-            matched.is_some_and(|matched| matched.posterior >= self.settings.closure_threshold);
-        Ok(Queried { recognition, matched, accepted: seen_before && above_threshold })
+        let accepted = match self.settings.verification.method {
+            VerificationMethod::None => {
+                let seen_before = matches!(recognition.association(), Association::Seen(_));
+                seen_before
+                    && matched.is_some_and(|matched| matched.posterior >= self.settings.closure_threshold)
+            }
+            VerificationMethod::Similarity | VerificationMethod::Epipolar => {
+                self.verified(&anyone, &candidates).is_some()
+            }
+        };
+        Ok(Queried { recognition, candidates, matched, accepted })
     }
 }

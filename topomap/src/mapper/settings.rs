@@ -1,5 +1,7 @@
 use fabmap::recognizer::RecognizerSettings;
 
+use crate::verification::VerificationSettings;
+
 /// How a map decides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapperSettings {
@@ -9,6 +11,8 @@ pub struct MapperSettings {
     /// close to 1 because posteriors are overconfident: words are less independent than the model
     /// has it.
     pub closure_threshold: f64,
+    /// What geometry has to say before a loop is closed.
+    pub verification: VerificationSettings,
     /// A place that the session left fewer frames ago is not a loop closure.
     pub guard_frames: u64,
     /// Looks that a place may learn from one stay, at least 1.
@@ -24,6 +28,7 @@ impl Default for MapperSettings {
         Self {
             recognizer: RecognizerSettings::default(),
             closure_threshold: 0.999_999,
+            verification: VerificationSettings::none(),
             guard_frames: 20,
             looks_per_stay: 3,
             min_words: 10,

@@ -27,7 +27,9 @@ impl Mapper {
                     Some(place) if event.learnt => self.recognizer.observe_place(place, &event.observation),
                     Some(_) | None => {}
                 }
-                self.map.fold_frame(event, self.settings.guard_frames);
+                let number = self.map.session(event.session).map_or(0, |session| session.frames);
+                let sightings = self.sightings(number, &event.candidates);
+                self.map.fold_frame(event, &self.settings, sightings);
             }
         }
         Ok(())

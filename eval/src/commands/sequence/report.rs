@@ -7,9 +7,12 @@ use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::RecognizerSettings;
 use serde::Serialize;
 use topomap::mapper::MapperSettings;
+use topomap::verification::{VerificationMethod, VerificationSettings};
 
 use super::{JudgedFrame, SequenceOptions, System, csv_files};
-use crate::choices::{DEPENDENCES, NEW_PLACE_METHODS, RANKINGS, RankingName, SCORERS, name_of};
+use crate::choices::{
+    DEPENDENCES, NEW_PLACE_METHODS, RANKINGS, RankingName, SCORERS, VERIFICATION_METHODS, name_of,
+};
 use crate::dataset::{Sequence, Verdict};
 use crate::error::EvalError;
 use crate::match_matrix::MatchMatrix;
@@ -177,6 +180,7 @@ enum SystemSummary {
         even_share: f64,
         likelihood_smoothing: f64,
         closure_threshold: f64,
+        verification: VerificationSummary,
         guard_frames: u64,
         looks_per_stay: u32,
         min_words: usize,
@@ -220,6 +224,7 @@ impl SystemSummary {
         let MapperSettings {
             recognizer,
             closure_threshold,
+            verification,
             guard_frames,
             looks_per_stay,
             min_words,
@@ -237,9 +242,48 @@ impl SystemSummary {
             even_share,
             likelihood_smoothing,
             closure_threshold,
+            verification: VerificationSummary::of(&verification),
             guard_frames,
             looks_per_stay,
             min_words,
+        }
+    }
+}
+
+/// The verification in force.
+#[derive(Serialize)]
+struct VerificationSummary {
+    method: &'static str,
+    min_posterior: f64,
+    min_inliers: u32,
+    max_rotation_rad: f64,
+    max_ln_scale: f64,
+    max_translation_widths: f64,
+    min_evidence: f64,
+    consistency_frames: u64,
+}
+
+impl VerificationSummary {
+    fn of(settings: &VerificationSettings) -> Self {
+        let VerificationSettings {
+            method,
+            min_posterior,
+            min_inliers,
+            max_rotation_rad,
+            max_ln_scale,
+            max_translation_widths,
+            min_evidence,
+            consistency_frames,
+        } = *settings;
+        Self {
+            method: name_of(VERIFICATION_METHODS, &method),
+            min_posterior,
+            min_inliers,
+            max_rotation_rad,
+            max_ln_scale,
+            max_translation_widths,
+            min_evidence,
+            consistency_frames,
         }
     }
 }
@@ -251,7 +295,12 @@ fn in_words(system: &System) -> String {
             let defaults = RecognizerSettings::default();
             let dependence = name_of(DEPENDENCES, &knobs.dependence.unwrap_or(defaults.dependence));
             let new_place = name_of(NEW_PLACE_METHODS, &knobs.new_place.unwrap_or(defaults.new_place));
-            format!("{}, {dependence}, {new_place} new place", name_of(RANKINGS, &RankingName::FabMap))
+            let verification = match knobs.verification {
+                None | Some(VerificationMethod::None) => String::new(),
+                Some(method) => format!(", {} verified", name_of(VERIFICATION_METHODS, &method)),
+            };
+            let fab_map = name_of(RANKINGS, &RankingName::FabMap);
+            format!("{fab_map}, {dependence}, {new_place} new place{verification}")
         }
         System::TfIdf { .. } => name_of(RANKINGS, &RankingName::TfIdf).to_owned(),
     }

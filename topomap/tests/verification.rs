@@ -1,0 +1,473 @@
+//! What geometry says decides: closures, what is remembered of them, and what the log keeps.
+#![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
+
+use std::ops::ControlFlow;
+
+use fabmap::chow_liu::{ChowLiuTree, TreeTrainingSettings};
+use fabmap::codec::{Reader, Writer};
+use fabmap::descriptor::{DescriptorKind, Descriptors};
+use fabmap::detector::DetectorModel;
+use fabmap::model::Model;
+use fabmap::observation::Observation;
+use fabmap::vocabulary::{Vocabulary, VocabularySettings};
+use nalgebra::{UnitQuaternion, UnitVector3, Vector3};
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use topomap::event::{FrameEvent, FrameId, MapEvent, Match, Reason};
+use topomap::mapper::{
+    ArchiveError, FrameArchive, FrameInput, Localizer, Mapper, MapperError, MapperSettings,
+};
+use topomap::verification::{
+    Candidate, Motion, NoViews, Quantity, Similarity, TwoView, VerificationError, VerificationMethod,
+    VerificationSettings, Views,
+};
+
+const WORDS: u32 = 1000;
+
+/// A map in the making. Frames of one place share words; what geometry finds is said by the place that a frame
+/// truly shows, which words alone may not tell.
+struct World {
+    mapper: Mapper,
+    log: Vec<MapEvent>,
+    /// By frame: the truth.
+    shows: Vec<u64>,
+}
+
+/// What the views are of: frames of one place have these inliers, others 3.
+struct Truth<'a> {
+    shows: &'a [u64],
+    current: u64,
+    inliers: u32,
+    shift_widths: f64,
+}
+
+impl Views for Truth<'_> {
+    fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
+        let same = self.shows[earlier as usize] == self.current;
+        let inliers = if same { self.inliers } else { 3 };
+        Ok(Some(plane(200, inliers, [self.shift_widths, 0.0])))
+    }
+}
+
+struct Archive<'a>(&'a [MapEvent]);
+
+impl FrameArchive for Archive<'_> {
+    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
+        match &self.0[frame as usize] {
+            MapEvent::Frame(event) => Ok(Some(event.observation.clone())),
+            MapEvent::SessionOpened { .. } => Err(ArchiveError { frame, why: "not a frame".to_owned() }),
+        }
+    }
+}
+
+fn plane(matches: u32, inliers: u32, translation_widths: [f64; 2]) -> TwoView {
+    let motion = Similarity { rotation_rad: 0.1, ln_scale: -0.2, translation_widths };
+    let motion = Some(Motion::Similarity(motion));
+    TwoView { matches, inliers, distinct_inliers: inliers, motion }
+}
+
+fn view(place: u64, noise: u64) -> Observation {
+    let mut own = ChaCha8Rng::seed_from_u64(place);
+    let mut noise = ChaCha8Rng::seed_from_u64(1_000_000 + noise);
+    let mut words: Vec<u32> = (0..40).map(|_| own.random_range(0..WORDS)).collect();
+    words.retain(|_| noise.random_bool(0.8));
+    words.extend((0..6).map(|_| noise.random_range(0..WORDS)));
+    Observation::from_words(words, WORDS as usize).unwrap()
+}
+
+fn model() -> Model {
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let rows: Vec<u8> = (0..WORDS as usize * 32).map(|_| random.random()).collect();
+    let descriptors = Descriptors::new(DescriptorKind::Binary, 32, rows).unwrap();
+    let settings = VocabularySettings { words: WORDS, seed: 1, iterations: 1 };
+    let vocabulary = Vocabulary::train(&descriptors, &settings, &mut |_| ControlFlow::Continue(())).unwrap();
+    let training: Vec<Observation> = (1000..1200).map(|place| view(place, place)).collect();
+    let tree = ChowLiuTree::train(&training, WORDS as usize, TreeTrainingSettings::default(), &mut |_| {
+        ControlFlow::Continue(())
+    });
+    Model::new("test".to_owned(), vocabulary, tree.unwrap(), DetectorModel::default(), training).unwrap()
+}
+
+fn settings() -> MapperSettings {
+    let verification = VerificationSettings::default();
+    MapperSettings { guard_frames: 4, verification, ..MapperSettings::default() }
+}
+
+impl World {
+    fn new(settings: MapperSettings) -> Self {
+        let mut mapper = Mapper::new(&model(), settings).unwrap();
+        let opened = MapEvent::SessionOpened { session: 0 };
+        mapper.apply(&opened).unwrap();
+        Self { mapper, log: vec![opened], shows: vec![u64::MAX] }
+    }
+
+    fn input(&self, place: u64) -> FrameInput {
+        let sequence = self.log.len() as u64;
+        let observation = view(place, sequence);
+        FrameInput { session: 0, sequence, stamp_ns: sequence as i64, odometry: None, observation }
+    }
+
+    fn decide(&self, place: u64, views: &dyn Views) -> FrameEvent {
+        self.mapper.decide(self.input(place), &Archive(&self.log), views, &mut ()).unwrap().event
+    }
+
+    fn see(&mut self, place: u64, views: impl Fn(&[u64]) -> FrameEventViews) -> FrameEvent {
+        let FrameEventViews { inliers, shift_widths, truly } = views(&self.shows);
+        let truly = truly.unwrap_or(place);
+        let truth = Truth { shows: &self.shows, current: truly, inliers, shift_widths };
+        let event = self.decide(place, &truth);
+        let stored = MapEvent::Frame(Box::new(event.clone()));
+        let read = MapEvent::from_bytes(&stored.to_bytes(), WORDS as usize).unwrap();
+        assert_eq!(read, stored, "the byte form keeps all");
+        self.mapper.apply(&read).unwrap();
+        self.log.push(read);
+        self.shows.push(truly);
+        event
+    }
+
+    fn sees(&mut self, place: u64, inliers: u32) -> FrameEvent {
+        self.see(place, |_| FrameEventViews { inliers, shift_widths: 0.1, truly: None })
+    }
+}
+
+/// How the next frame compares.
+struct FrameEventViews {
+    inliers: u32,
+    shift_widths: f64,
+    /// The place that it truly shows, if that is not the one that its words are of.
+    truly: Option<u64>,
+}
+
+#[test]
+fn geometry_confirms_what_words_are_sure_of() {
+    let mut world = World::new(settings());
+    for place in 1..=6 {
+        assert_eq!(world.sees(place, 40).decision.reason, Reason::NewPlace);
+    }
+    let event = world.sees(1, 40);
+    assert_eq!((event.decision.reason, event.decision.place), (Reason::LoopClosure, Some(0)));
+    assert!(event.candidates.len() <= VerificationSettings::MAX_CANDIDATES);
+    let candidate = event.candidates.iter().find(|candidate| candidate.matched.place == 0).unwrap();
+    assert_eq!((Some(candidate.matched), candidate.view.unwrap().inliers), (event.decision.closure, 40));
+    assert!(world.mapper.verdict(candidate).is_accepted());
+    // Of the words alone it is sure: the evidence of one frame is not enough by itself.
+    assert!(!world.mapper.verdict(candidate).one[0].passed());
+}
+
+#[test]
+fn look_alikes_are_refused_and_make_a_place() {
+    let mut world = World::new(settings());
+    for place in 1..=6 {
+        world.sees(place, 40);
+    }
+    let elsewhere = |_: &[u64]| FrameEventViews { inliers: 40, shift_widths: 0.1, truly: Some(99) };
+    let event = world.see(1, elsewhere);
+    assert_eq!((event.decision.reason, event.decision.place), (Reason::GeometryRefused, Some(6)));
+    assert_eq!(event.decision.closure.map(|closure| closure.place), Some(0));
+    let refused = event.candidates.iter().find(|candidate| candidate.matched.place == 0).unwrap();
+    let failed = *world.mapper.verdict(refused).failed().unwrap();
+    assert_eq!((failed.quantity, failed.value), (Quantity::Inliers, 3.0));
+}
+
+#[test]
+fn a_view_from_too_far_aside_is_refused() {
+    let mut world = World::new(settings());
+    for place in 1..=6 {
+        world.sees(place, 40);
+    }
+    let aside = |_: &[u64]| FrameEventViews { inliers: 40, shift_widths: 0.7, truly: None };
+    let event = world.see(1, aside);
+    assert_eq!(event.decision.reason, Reason::GeometryRefused);
+    let failed = *world.mapper.verdict(&event.candidates[0]).failed().unwrap();
+    assert_eq!((failed.quantity, failed.value), (Quantity::TranslationWidths, 0.7));
+}
+
+#[test]
+fn without_keypoints_nothing_is_verified() {
+    let mut world = World::new(settings());
+    for place in 1..=6 {
+        world.sees(place, 40);
+    }
+    let event = world.decide(1, &NoViews);
+    assert_eq!(event.decision.reason, Reason::GeometryRefused);
+    let failed = *world.mapper.verdict(&event.candidates[0]).failed().unwrap();
+    assert_eq!(failed.quantity, Quantity::Keypoints);
+    // A robot that stands still stays where it is all the same.
+    assert_eq!(world.decide(6, &NoViews).decision.reason, Reason::SamePlace);
+}
+
+#[test]
+fn the_place_where_the_session_is_must_look_the_same() {
+    let mut world = World::new(settings());
+    for place in 1..=3 {
+        world.sees(place, 40);
+    }
+    assert_eq!(
+        world
+            .decide(3, &Truth { shows: &world.shows, current: 3, inliers: 40, shift_widths: 0.0 })
+            .decision
+            .reason,
+        Reason::SamePlace
+    );
+    let moved_on =
+        world.decide(3, &Truth { shows: &world.shows, current: 98, inliers: 40, shift_widths: 0.0 });
+    assert_ne!(moved_on.decision.place, Some(2));
+}
+
+/// A second round: each frame's match stands beside those of the frames before, and adds to their evidence.
+#[test]
+fn matches_in_line_support_each_other() {
+    let mut world = World::new(settings());
+    for place in 1..=12 {
+        world.sees(place, 40);
+    }
+    let mut evidence = Vec::new();
+    for place in 1..=8 {
+        let event = world.sees(place, 23);
+        let proposed =
+            event.candidates.iter().find(|candidate| Some(candidate.matched) == event.proposal).unwrap();
+        assert_eq!(proposed.matched.place, place as u32 - 1);
+        evidence.push(proposed.evidence());
+    }
+    // 20 each beyond chance: √(20 · 20 (k + 1)) after k frames in line.
+    for (earlier, evidence) in evidence.iter().enumerate() {
+        let expected = 20.0 * (earlier as f64 + 1.0).sqrt();
+        assert!((evidence - expected).abs() < 1e-9, "{earlier}: {evidence}, not {expected}");
+    }
+    // Support is worth nothing where the frame itself has no match.
+    let elsewhere = |_: &[u64]| FrameEventViews { inliers: 23, shift_widths: 0.1, truly: Some(99) };
+    let event = world.see(9, elsewhere);
+    assert!(event.candidates.iter().all(|candidate| candidate.evidence() == 0.0));
+    assert!(event.candidates.iter().any(|candidate| candidate.support > 0.0));
+    assert_ne!(event.decision.reason, Reason::LoopClosure);
+}
+
+#[test]
+fn without_memory_each_frame_stands_alone() {
+    let verification = VerificationSettings { consistency_frames: 0, ..VerificationSettings::default() };
+    let mut world = World::new(MapperSettings { verification, ..settings() });
+    for place in (1..=12).chain(1..=8) {
+        let event = world.sees(place, 23);
+        assert!(event.candidates.iter().all(|candidate| candidate.support == 0.0));
+    }
+}
+
+#[test]
+fn geometry_closes_where_words_cannot() {
+    let verification = VerificationSettings { min_evidence: 30.0, ..VerificationSettings::default() };
+    let mut world = World::new(MapperSettings { verification, ..settings() });
+    for place in 1..=6 {
+        world.sees(place, 60);
+    }
+    // Words of a place never seen, in the scene of the second.
+    let dimmed = |_: &[u64]| FrameEventViews { inliers: 60, shift_widths: 0.1, truly: Some(2) };
+    let event = world.see(50, dimmed);
+    assert_eq!((event.decision.reason, event.decision.place), (Reason::LoopClosure, Some(1)));
+    assert!(event.decision.posterior < 0.5);
+}
+
+#[test]
+fn nothing_is_compared_where_nothing_is_verified() {
+    struct Unwanted;
+    impl Views for Unwanted {
+        fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
+            panic!("frame {earlier} was compared")
+        }
+    }
+    let mut world = World::new(MapperSettings { verification: VerificationSettings::none(), ..settings() });
+    for place in [1, 2, 3, 4, 5, 6, 1, 1] {
+        let event = world.decide(place, &Unwanted);
+        assert_eq!(event.candidates, []);
+        let stored = MapEvent::Frame(Box::new(event));
+        world.mapper.apply(&stored).unwrap();
+        world.log.push(stored);
+    }
+    let MapEvent::Frame(closing) = &world.log[7] else { panic!("{:?}", world.log[7]) };
+    assert_eq!(closing.decision.reason, Reason::LoopClosure);
+}
+
+#[test]
+fn a_query_is_verified_too() {
+    let mut world = World::new(settings());
+    for place in 1..=6 {
+        world.sees(place, 40);
+    }
+    let ask = |truly, inliers| {
+        let truth = Truth { shows: &world.shows, current: truly, inliers, shift_widths: 0.1 };
+        world.mapper.query(&view(2, 777), &Archive(&world.log), &truth, &mut ()).unwrap()
+    };
+    let found = ask(2, 40);
+    assert_eq!((found.accepted, found.matched.unwrap().place), (true, 1));
+    assert!(!ask(99, 40).accepted);
+}
+
+#[test]
+fn settings_out_of_range_are_refused() {
+    let refused = |verification| {
+        let settings = MapperSettings { verification, ..settings() };
+        match Mapper::new(&model(), settings).unwrap_err() {
+            MapperError::Verification(error) => error,
+            other => panic!("{other}"),
+        }
+    };
+    let good = VerificationSettings::default();
+    let improbable = VerificationSettings { min_posterior: 1.5, ..good };
+    assert_eq!(refused(improbable), VerificationError::MinPosterior { value: 1.5 });
+    assert_eq!(refused(VerificationSettings { min_inliers: 0, ..good }), VerificationError::MinInliers);
+    for (settings, quantity) in [
+        (VerificationSettings { max_rotation_rad: 0.0, ..good }, Quantity::RotationRad),
+        (VerificationSettings { max_ln_scale: -1.0, ..good }, Quantity::LnScale),
+        (VerificationSettings { max_translation_widths: 0.0, ..good }, Quantity::TranslationWidths),
+        (VerificationSettings { min_evidence: f64::NAN, ..good }, Quantity::Evidence),
+    ] {
+        assert!(
+            matches!(refused(settings), VerificationError::Bound { quantity: found, .. } if found == quantity)
+        );
+    }
+    let forgetless = VerificationSettings { consistency_frames: 101, ..good };
+    assert_eq!(refused(forgetless), VerificationError::ConsistencyFrames { value: 101 });
+}
+
+fn motions() -> impl Strategy<Value = Option<Motion>> {
+    let number = -3.0..3.0f64;
+    let similarity =
+        [number.clone(), number.clone(), number.clone(), number.clone()].prop_map(|[a, b, x, y]| {
+            Some(Motion::Similarity(Similarity { rotation_rad: a, ln_scale: b, translation_widths: [x, y] }))
+        });
+    let essential = [number.clone(), number.clone(), number.clone()].prop_map(|[a, b, c]| {
+        let direction = UnitVector3::new_normalize(Vector3::new(a, b, 1.0 + c.abs()));
+        Some(Motion::Essential { rotation: UnitQuaternion::from_euler_angles(a, b, c), direction })
+    });
+    let fundamental =
+        [number.clone(), number.clone(), number].prop_map(|row| Some(Motion::Fundamental([row; 3])));
+    prop_oneof![Just(None), similarity, essential, fundamental]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn live_replayed_and_restored_agree_and_never_compare_again(
+        places in proptest::collection::vec((0..9u64, 0..60u32), 1..40), cut in any::<prop::sample::Index>(),
+    ) {
+        let mut world = World::new(settings());
+        for &(place, inliers) in &places {
+            world.sees(place, inliers);
+        }
+        let model = model();
+        let mut replayed = Mapper::new(&model, settings()).unwrap();
+        world.log.iter().for_each(|event| replayed.apply(event).unwrap());
+        prop_assert_eq!(replayed.state_hash(), world.mapper.state_hash());
+        prop_assert_eq!(replayed.map(), world.mapper.map());
+
+        let checkpoint = cut.index(world.log.len() + 1);
+        let mut half = Mapper::new(&model, settings()).unwrap();
+        world.log[..checkpoint].iter().for_each(|event| half.apply(event).unwrap());
+        let stored: Vec<Vec<u8>> =
+            (0..half.recognizer().places() as u32).map(|place| half.encode_place(place).unwrap()).collect();
+        let graph = half.map().encode_graph();
+        let mut restored = Mapper::restore(&model, settings(), stored.iter().map(Vec::as_slice), &graph).unwrap();
+        world.log[checkpoint..].iter().for_each(|event| restored.apply(event).unwrap());
+        prop_assert_eq!(restored.state_hash(), world.mapper.state_hash());
+        prop_assert_eq!(restored.map(), world.mapper.map());
+    }
+
+    /// A robot that only looks remembers its matches as a session of the log does.
+    #[test]
+    fn localizing_is_verified_as_mapping_is(seen in proptest::collection::vec(1..8u64, 1..10)) {
+        let mut world = World::new(settings());
+        for place in 1..=8 {
+            world.sees(place, 40);
+        }
+        let mut localizer = Localizer::new();
+        for (step, &place) in seen.iter().enumerate() {
+            let input = FrameInput { session: Localizer::SESSION, sequence: step as u64 + 1, ..world.input(place) };
+            let input = FrameInput { stamp_ns: step as i64 + 1, ..input };
+            let truth = Truth { shows: &world.shows, current: place, inliers: 40, shift_widths: 0.1 };
+            let event =
+                world.mapper.localize(&localizer, input, &Archive(&world.log), &truth, &mut ()).unwrap().event;
+            let proposed = event.proposal.unwrap();
+            prop_assert_eq!(u64::from(proposed.place), place - 1);
+            localizer.follow(&event, &world.mapper);
+        }
+    }
+
+    #[test]
+    fn candidates_survive_their_bytes(
+        motion in motions(), inliers in 0..500u32, more in 0..500u32, distinct in 0.0..=1.0f64, support in 0.0..1e4f64,
+        seen in any::<bool>(), cut in any::<prop::sample::Index>(),
+    ) {
+        let mut world = World::new(settings());
+        world.sees(1, 40);
+        let mut event = world.decide(2, &NoViews);
+        let distinct_inliers = (f64::from(inliers) * distinct) as u32;
+        let view = TwoView { matches: inliers + more, inliers, distinct_inliers, motion };
+        let matched = Match { place: 0, posterior: 0.25, log_odds: -1.0, frame: 1 };
+        event.candidates = vec![Candidate { matched, view: seen.then_some(view), support }];
+        let event = MapEvent::Frame(Box::new(event));
+        let bytes = event.to_bytes();
+        let read = MapEvent::from_bytes(&bytes, WORDS as usize).unwrap();
+        prop_assert_eq!(&read, &event);
+        prop_assert!(MapEvent::from_bytes(&bytes[..cut.index(bytes.len())], WORDS as usize).is_err());
+        let MapEvent::Frame(frame) = event else { unreachable!() };
+        let candidate = frame.candidates[0];
+        prop_assert!(candidate.evidence() >= candidate.own_evidence());
+        prop_assert!(candidate.score().is_finite());
+    }
+}
+
+/// Frames that version 2 logged: two rounds of six places, the second one verified.
+const LOGGED_BY_VERSION_2: &[u8] = include_bytes!("fixtures/log-v2.bin");
+
+#[test]
+fn a_log_of_version_2_still_folds() {
+    let mut reader = Reader::new(LOGGED_BY_VERSION_2);
+    let mut mapper = Mapper::new(&model(), settings()).unwrap();
+    let mut frames = Vec::new();
+    while reader.remaining() > 0 {
+        let event = MapEvent::from_bytes(reader.bytes().unwrap(), WORDS as usize).unwrap();
+        mapper.apply(&event).unwrap();
+        if let MapEvent::Frame(frame) = event {
+            frames.push(frame);
+        }
+    }
+    assert_eq!(frames.len(), 12);
+    assert!(frames[6..].iter().all(|frame| frame.decision.reason == Reason::LoopClosure));
+    assert!(frames[7..].iter().all(|frame| frame.candidates.iter().any(|candidate| candidate.support > 0.0)));
+    assert_eq!(mapper.recognizer().places(), 6);
+    assert!(!mapper.map().session(0).unwrap().sightings.is_empty());
+}
+
+#[test]
+#[ignore = "writes the fixture of a new format version"]
+fn write_fixture() {
+    let mut world = World::new(settings());
+    for place in (1..=6).chain(1..=6) {
+        world.sees(place, 40);
+    }
+    let mut writer = Writer::default();
+    world.log.iter().for_each(|event| writer.bytes(&event.to_bytes()));
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/log-v2.bin");
+    std::fs::write(file, writer.into_bytes()).unwrap();
+}
+
+#[test]
+fn methods_have_their_own_bounds() {
+    let settings =
+        VerificationSettings { method: VerificationMethod::Epipolar, ..VerificationSettings::default() };
+    let turned = Motion::Essential {
+        rotation: UnitQuaternion::from_euler_angles(0.0, 0.9, 0.0),
+        direction: Vector3::x_axis(),
+    };
+    let view = TwoView { matches: 90, inliers: 60, distinct_inliers: 50, motion: Some(turned) };
+    let failed: Vec<Quantity> = settings
+        .of_one_scene(&view)
+        .iter()
+        .filter(|check| !check.passed())
+        .map(|check| check.quantity)
+        .collect();
+    assert_eq!(failed, [Quantity::RotationRad]);
+    // 55 weighted inliers, less what chance brings together.
+    assert_eq!(view.evidence(), 49.0);
+    assert_eq!(TwoView { motion: None, ..view }.evidence(), 0.0);
+}

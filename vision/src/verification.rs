@@ -1,0 +1,168 @@
+//! What geometry says of two views: the features that look alike, and the one motion that explains most of them.
+//!
+//! The motion is searched by RANSAC (Fischler & Bolles, CACM 1981) with a fixed seed, so two views always give the
+//! same answer. Whether that is enough is not decided here but in [`topomap::verification`].
+
+mod epipolar;
+mod matching;
+mod similarity;
+
+use nalgebra::Complex;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use topomap::verification::{Motion, TwoView, VerificationMethod, VerificationSettings};
+
+use crate::feature_record::FeatureRecord;
+use crate::features::Keypoint;
+use matching::Match;
+
+/// Compares views.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Verifier {
+    settings: VerificationSettings,
+    seed: u64,
+}
+
+/// The features of a frame, and how its camera projects if that is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View<'a> {
+    /// Keypoints, words and perhaps descriptors.
+    pub features: &'a FeatureRecord,
+    /// Intrinsics of the camera, for the essential matrix.
+    pub camera: Option<Pinhole>,
+}
+
+/// A camera without distortion, in pixels of the image that the keypoints are in.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pinhole {
+    /// Focal lengths in x and y.
+    pub focal_px: [f64; 2],
+    /// Where the optical axis meets the image.
+    pub center_px: [f64; 2],
+}
+
+/// A point of the earlier view with that of the current one: x + iy, to the right and down.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Correspondence {
+    earlier: Complex<f64>,
+    current: Complex<f64>,
+    /// Looks like nothing else in either view.
+    distinct: bool,
+}
+
+impl Verifier {
+    /// Looks for the motion that `settings` ask for; all random choices start from `seed`.
+    #[must_use]
+    pub fn new(settings: VerificationSettings, seed: u64) -> Self {
+        Self { settings, seed }
+    }
+
+    /// What is found between two views.
+    ///
+    /// Features are matched by their descriptors if both views have them, else by their words. A pair that is
+    /// turned or scaled by more than the settings allow a whole view to be is left out. Swapped views give the
+    /// inverse motion, but for the random choices.
+    #[must_use]
+    pub fn compare(&self, earlier: View<'_>, current: View<'_>) -> TwoView {
+        let mut matches = matching::matches(earlier.features, current.features);
+        matches.retain(|matched| self.may_be_of_one_motion(matched, earlier.features, current.features));
+        let mut random = ChaCha8Rng::seed_from_u64(self.seed);
+        let found = match self.settings.method {
+            VerificationMethod::None => None,
+            VerificationMethod::Similarity => {
+                similarity::estimate(&in_widths(&matches, earlier, current), &mut random)
+                    .map(|(motion, inliers)| (Motion::Similarity(motion), inliers))
+            }
+            VerificationMethod::Epipolar => match (earlier.camera, current.camera) {
+                (Some(from), Some(to)) => {
+                    let rays = rays(&matches, (earlier, from), (current, to));
+                    let tolerance = epipolar::TOLERANCE_WIDTHS * width(current) / to.focal_px[0];
+                    epipolar::essential(&rays, tolerance, &mut random)
+                }
+                (None | Some(_), None | Some(_)) => {
+                    epipolar::fundamental(&in_widths(&matches, earlier, current), &mut random)
+                }
+            },
+        };
+        let (motion, inliers) = found.map_or((None, Vec::new()), |(motion, inliers)| (Some(motion), inliers));
+        TwoView {
+            matches: count(matches.len()),
+            inliers: count(inliers.len()),
+            distinct_inliers: count(inliers.iter().filter(|inlier| inlier.distinct).count()),
+            motion,
+        }
+    }
+
+    /// Keypoints turn and grow with the view. Those whose orientation or size is unknown may have done either.
+    fn may_be_of_one_motion(
+        &self,
+        matched: &Match,
+        earlier: &FeatureRecord,
+        current: &FeatureRecord,
+    ) -> bool {
+        let VerificationSettings { max_rotation_rad, max_ln_scale, .. } = self.settings;
+        let (from, to) = (earlier.keypoints()[matched.earlier], current.keypoints()[matched.current]);
+        let turn_rad = f64::from(to.angle_rad - from.angle_rad);
+        let turn_rad = turn_rad.sin().atan2(turn_rad.cos()).abs();
+        let widths = earlier.image_size_px().0.max(1) as f64 / current.image_size_px().0.max(1) as f64;
+        let ln_scale = (f64::from(to.size_px) / f64::from(from.size_px) * widths).ln().abs();
+        let exceeds = |value: f64, most: f64| value.is_finite() && value > most;
+        !exceeds(turn_rad, max_rotation_rad) && !exceeds(ln_scale, max_ln_scale)
+    }
+}
+
+fn in_widths(matches: &[Match], earlier: View<'_>, current: View<'_>) -> Vec<Correspondence> {
+    correspondences(matches, (earlier, centred_in_widths(earlier)), (current, centred_in_widths(current)))
+}
+
+fn rays(
+    matches: &[Match],
+    (earlier, from): (View<'_>, Pinhole),
+    (current, to): (View<'_>, Pinhole),
+) -> Vec<Correspondence> {
+    correspondences(matches, (earlier, from), (current, to))
+}
+
+/// Where features are, after taking off a centre and dividing by a length. Those that lie nowhere are left out.
+fn correspondences(
+    matches: &[Match],
+    (earlier, from): (View<'_>, Pinhole),
+    (current, to): (View<'_>, Pinhole),
+) -> Vec<Correspondence> {
+    let pairs = matches.iter().map(|matched| Correspondence {
+        earlier: from.project(&earlier.features.keypoints()[matched.earlier]),
+        current: to.project(&current.features.keypoints()[matched.current]),
+        distinct: matched.distinct,
+    });
+    pairs.filter(|pair| pair.earlier.is_finite() && pair.current.is_finite()).collect()
+}
+
+/// Image widths from the image's centre: the centre, so that a turn of the camera is no shift; widths, so that
+/// thresholds hold for images of any size.
+fn centred_in_widths(view: View<'_>) -> Pinhole {
+    let height = f64::from(view.features.image_size_px().1);
+    Pinhole { focal_px: [width(view); 2], center_px: [(width(view) - 1.0) / 2.0, (height - 1.0) / 2.0] }
+}
+
+fn width(view: View<'_>) -> f64 {
+    f64::from(view.features.image_size_px().0)
+}
+
+impl Pinhole {
+    fn project(&self, keypoint: &Keypoint) -> Complex<f64> {
+        let at = |pixel: f32, axis: usize| (f64::from(pixel) - self.center_px[axis]) / self.focal_px[axis];
+        Complex::new(at(keypoint.x_px, 0), at(keypoint.y_px, 1))
+    }
+}
+
+/// Twice the weight of a match, in RANSAC as in what is made of it: one that looks like others counts half.
+fn weight(pair: &Correspondence) -> u32 {
+    1 + u32::from(pair.distinct)
+}
+
+fn count(len: usize) -> u32 {
+    u32::try_from(len).unwrap_or(u32::MAX)
+}
+
+#[cfg(test)]
+mod tests;
