@@ -239,6 +239,8 @@ impl From<v1::MapSettings> for SettingsView {
             v1::map_settings::NewPlace::Unspecified => "unspecified",
             v1::map_settings::NewPlace::MeanField => "mean-field",
             v1::map_settings::NewPlace::Sampled => "sampled",
+            v1::map_settings::NewPlace::Tail => "tail",
+            v1::map_settings::NewPlace::TemperedTail => "tempered-tail",
         };
         let keep = match settings.keep() {
             v1::map_settings::Keep::Unspecified => "unspecified",

@@ -16,8 +16,12 @@ pub const DEPENDENCES: Choices<Dependence> =
     &[("chow-liu", Dependence::ChowLiu), ("naive-bayes", Dependence::NaiveBayes)];
 
 /// How places nobody has seen are stood in for.
-pub const NEW_PLACE_METHODS: Choices<NewPlaceMethod> =
-    &[("mean-field", NewPlaceMethod::MeanField), ("sampled", NewPlaceMethod::Sampled)];
+pub const NEW_PLACE_METHODS: Choices<NewPlaceMethod> = &[
+    ("mean-field", NewPlaceMethod::MeanField),
+    ("sampled", NewPlaceMethod::Sampled),
+    ("tail", NewPlaceMethod::Tail),
+    ("tempered-tail", NewPlaceMethod::TemperedTail),
+];
 
 /// How likelihoods are evaluated.
 pub const SCORERS: Choices<Scorer> = &[("index", Scorer::Index), ("dense", Scorer::Dense)];

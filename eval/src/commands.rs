@@ -1,5 +1,6 @@
 //! One file per command.
 
 pub mod load;
+pub mod new_place;
 pub mod sequence;
 pub mod train;

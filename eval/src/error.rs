@@ -6,11 +6,15 @@ use std::path::PathBuf;
 use fabmap::codec::DecodeError;
 use fabmap::detector::DetectorError;
 use fabmap::model::ModelTrainingError;
+use fabmap::new_place::NoSamplesError;
+use fabmap::place_filter::FilterError;
 use fabmap::vocabulary::{OrbVocabularyError, VocabularyError};
 use topomap::mapper::{FoldError, FrameError, MapperError};
 use waypost_vision::features::{ExtractError, SettingsError};
 
 use crate::dataset::DatasetError;
+use crate::workload::WorkloadError;
+use crate::workload::files::WorkloadFileError;
 
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]
@@ -35,6 +39,18 @@ pub enum EvalError {
         /// What is wrong with it.
         reason: ExtractError,
     },
+    /// The workload's files cannot be used.
+    #[error(transparent)]
+    WorkloadFile(#[from] WorkloadFileError),
+    /// The workload's settings make no distribution.
+    #[error(transparent)]
+    Workload(#[from] WorkloadError),
+    /// A new-place method needs a sampling set.
+    #[error(transparent)]
+    NoSamples(#[from] NoSamplesError),
+    /// A setting of the filter is out of range.
+    #[error(transparent)]
+    Filter(FilterError),
     /// No model came out of the training images.
     #[error(transparent)]
     Training(#[from] ModelTrainingError),
@@ -153,6 +169,9 @@ pub enum EvalError {
     /// No threads to be had.
     #[error("no threads can be started ({0}); end other programs")]
     Runtime(io::Error),
+    /// No threads to be had for computing.
+    #[error("no threads can be started ({0}); end other programs")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
     /// A robot's task failed: a fault of the program.
     #[error("a robot failed ({0}); this is a fault of Waypost, please report it")]
     Robot(#[from] tokio::task::JoinError),
@@ -177,8 +196,14 @@ impl EvalError {
     #[must_use]
     pub fn exit_code(&self) -> u8 {
         match self {
-            EvalError::FeatureSettings(_) | EvalError::Detector(_) | EvalError::Mapper(_) => 2,
+            EvalError::FeatureSettings(_)
+            | EvalError::Detector(_)
+            | EvalError::Mapper(_)
+            | EvalError::Workload(_)
+            | EvalError::Filter(_) => 2,
             EvalError::Dataset(_)
+            | EvalError::WorkloadFile(_)
+            | EvalError::NoSamples(_)
             | EvalError::Image { .. }
             | EvalError::OrbVocabulary { .. }
             | EvalError::Training(_)
@@ -198,6 +223,7 @@ impl EvalError {
             | EvalError::Words { .. }
             | EvalError::Socket(_)
             | EvalError::Runtime(_)
+            | EvalError::Threads(_)
             | EvalError::Robot(_)
             | EvalError::Plot { .. } => 1,
         }

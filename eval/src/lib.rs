@@ -15,3 +15,4 @@ pub mod precision_recall;
 pub mod progress;
 pub mod ranking;
 pub mod timing;
+pub mod workload;

@@ -1,5 +1,9 @@
 //! Plots as SVG.
 
+mod new_place;
+
+pub use new_place::{FalseAccepts, false_accepts_svg};
+
 use plotters::prelude::*;
 
 use crate::precision_recall::PrecisionRecall;

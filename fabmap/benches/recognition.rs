@@ -59,10 +59,13 @@ fn recognition(criterion: &mut Criterion) {
     criterion.bench_function("dense, 1 place, 10,000 words", |bencher| {
         bencher.iter(|| model.dense_log_likelihood(black_box(&query), &place));
     });
-    if let Ok(new_place) = NewPlace::new(NewPlaceMethod::Sampled, &model, &samples) {
-        criterion.bench_function("sampled new place, 1,000 samples", |bencher| {
-            bencher.iter(|| new_place.log_likelihood(black_box(&query)));
-        });
+    let informative = model.informative_words(&query);
+    for (name, method) in [("mean", NewPlaceMethod::Sampled), ("tail", NewPlaceMethod::Tail)] {
+        if let Ok(new_place) = NewPlace::new(method, &model, &samples) {
+            criterion.bench_function(&format!("new place, {name} of 1,000 samples"), |bencher| {
+                bencher.iter(|| new_place.term(black_box(&informative), PLACES));
+            });
+        }
     }
     criterion.bench_function("add a place", |bencher| {
         bencher.iter_batched_ref(

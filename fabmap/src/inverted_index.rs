@@ -74,9 +74,15 @@ impl InvertedIndex {
     /// ln p(Z | L_i) of every place, in order of place id.
     #[must_use]
     pub fn log_likelihoods(&self, observation: &Observation) -> Vec<f64> {
-        let informative = self.model.informative_words(observation);
-        let empty_place = self.empty_place_log_likelihoods(&informative);
-        let corrections = self.corrections(&informative);
+        self.log_likelihoods_given(&self.model.informative_words(observation))
+    }
+
+    /// The same from the informative words of the observation, for who has them:
+    /// [`ObservationModel::informative_words`] of this index's model.
+    #[must_use]
+    pub fn log_likelihoods_given(&self, informative: &[WordState]) -> Vec<f64> {
+        let empty_place = self.empty_place_log_likelihoods(informative);
+        let corrections = self.corrections(informative);
         let mut scores = vec![0.0; self.places.len()];
         scores.par_chunks_mut(BLOCK_PLACES).enumerate().for_each(|(block, scores)| {
             let first = block * BLOCK_PLACES;

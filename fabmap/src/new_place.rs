@@ -1,11 +1,16 @@
 //! How likely an observation is somewhere that is not on the map.
 
+mod sample_index;
+mod tail;
+
+use std::borrow::Cow;
 use std::sync::Arc;
 
-use crate::appearance::Appearance;
-use crate::inverted_index::InvertedIndex;
-use crate::likelihood::ObservationModel;
+use crate::likelihood::{ObservationModel, WordState};
 use crate::observation::Observation;
+
+use sample_index::SampleIndex;
+use tail::Tail;
 
 /// How the places nobody has seen are stood in for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -14,8 +19,26 @@ pub enum NewPlaceMethod {
     MeanField,
     /// By a sampling set: observations of other places, each a place of its own. Cummins & Newman
     /// 2008, eq. (17).
-    #[default]
     Sampled,
+    /// By what the likeliest of as many unrelated places as the map has would reach, from the tail of
+    /// the sampling set. The mean of a sample is outdone by the best of a large map; this grows with
+    /// the map as that does.
+    #[default]
+    Tail,
+    /// By the tail of the sampling set too, and likelihood ratios are tempered to it: a place is the
+    /// more likely than "somewhere new" the rarer it is that an unrelated place is as likely.
+    /// Words depend on each other in more ways than a tree has edges, so that untempered ratios
+    /// overstate what they say. Posteriors come out much lower: a threshold for them must too.
+    TemperedTail,
+}
+
+/// The new-place term for one observation and one map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NewPlaceTerm {
+    /// ln p(Z | L_new), nats.
+    pub log_likelihood: f64,
+    /// What log-likelihood ratios against it are to be divided by, at least 1.
+    pub temperature: f64,
 }
 
 /// The new-place term ln p(Z | L_new).
@@ -27,17 +50,33 @@ pub struct NewPlace {
 #[derive(Clone, Debug)]
 enum StandIn {
     AveragePlace(Arc<ObservationModel>),
-    Samples(Box<InvertedIndex>),
+    Samples(Box<SampleIndex>, Summary),
 }
 
-/// The sampled method was asked for without samples.
+/// What is made of the likelihoods of the samples.
+#[derive(Clone, Copy, Debug)]
+enum Summary {
+    Mean,
+    Tail,
+    TemperedTail,
+}
+
+/// Samples were asked for, and there are none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the model has no sampling set; use the mean-field method, or train a model with one")]
 pub struct NoSamplesError;
 
 impl NewPlace {
+    /// α: of the observations from somewhere new, the share for which the likeliest unrelated place
+    /// may be as good as [`NewPlaceMethod::Tail`], its share of the prior considered.
+    const MISTAKEN_SHARE: f64 = 0.01;
+
+    /// c: density of ln p(Z | L) of a place that Z shows, per factor e of the tail. Such values spread over
+    /// some twenty of them.
+    const MATCHES_PER_FOLD: f64 = 0.05;
+
     /// # Errors
-    /// [`NoSamplesError`] if the method is [`NewPlaceMethod::Sampled`] and the sampling set is empty.
+    /// [`NoSamplesError`] if the method needs a sampling set and it is empty.
     pub fn new(
         method: NewPlaceMethod,
         model: &Arc<ObservationModel>,
@@ -45,28 +84,56 @@ impl NewPlace {
     ) -> Result<Self, NoSamplesError> {
         let stand_in = match method {
             NewPlaceMethod::MeanField => StandIn::AveragePlace(model.clone()),
-            NewPlaceMethod::Sampled if sampling_set.is_empty() => return Err(NoSamplesError),
-            NewPlaceMethod::Sampled => {
-                let mut samples = InvertedIndex::new(model.clone());
-                for sample in sampling_set {
-                    samples.add(Appearance::of(sample));
-                }
-                StandIn::Samples(Box::new(samples))
-            }
+            NewPlaceMethod::Sampled => Self::samples(model, sampling_set, Summary::Mean)?,
+            NewPlaceMethod::Tail => Self::samples(model, sampling_set, Summary::Tail)?,
+            NewPlaceMethod::TemperedTail => Self::samples(model, sampling_set, Summary::TemperedTail)?,
         };
         Ok(Self { stand_in })
     }
 
-    /// ln p(Z | L_avg), or ln [(1/n_s) Σ_u p(Z | L_u)] over the n_s samples.
+    fn samples(
+        model: &Arc<ObservationModel>,
+        sampling_set: &[Observation],
+        summary: Summary,
+    ) -> Result<StandIn, NoSamplesError> {
+        if sampling_set.is_empty() {
+            return Err(NoSamplesError);
+        }
+        Ok(StandIn::Samples(Box::new(SampleIndex::new(model, sampling_set)), summary))
+    }
+
+    /// The term for a map of n places, from the informative words of Z by the model that this
+    /// was made with ([`ObservationModel::informative_words`]).
+    ///
+    /// - mean field: ln p(Z | L_avg);
+    /// - sampled: ln [(1/n_s) Σ_u p(Z | L_u)] over the n_s samples;
+    /// - tail: y - ln n, where y is exceeded by the likeliest of n unrelated places in a share α = 1 %
+    ///   of all observations; at least the sampled term. Such a place has 1/n of the prior that all
+    ///   places share, so it is as good as "somewhere new" where ln p(Z | L) - ln n reaches this;
+    /// - tempered tail: such that p(Z | L) / p(Z | L_new), tempered, is c / P(an unrelated place is as
+    ///   likely): the density of ln p(Z | L) at a place that Z shows over the density at one that it
+    ///   does not, where the tail's is P / scale. With n places the best unrelated one reaches about
+    ///   n c, whatever n is.
     #[must_use]
-    pub fn log_likelihood(&self, observation: &Observation) -> f64 {
+    pub fn term(&self, informative: &[WordState], places: usize) -> NewPlaceTerm {
+        let untempered = |log_likelihood| NewPlaceTerm { log_likelihood, temperature: 1.0 };
         match &self.stand_in {
-            StandIn::AveragePlace(model) => {
-                model.log_likelihood_of_empty_place(&model.informative_words(observation), 0)
-            }
-            StandIn::Samples(samples) => {
-                let scores = samples.log_likelihoods(observation);
-                log_sum_exp(&scores) - (scores.len() as f64).ln()
+            StandIn::AveragePlace(model) => untempered(model.log_likelihood_of_empty_place(informative, 0)),
+            StandIn::Samples(samples, summary) => {
+                let mut scores = samples.log_likelihoods(informative);
+                match summary {
+                    Summary::Mean => untempered(log_mean_exp(&scores)),
+                    Summary::Tail => {
+                        let (places, mean) = (places.max(1), log_mean_exp(&scores));
+                        let best = Tail::fit(&mut scores).exceeded_by_best_of(places, Self::MISTAKEN_SHARE);
+                        untempered(mean.max(best - (places as f64).ln()))
+                    }
+                    Summary::TemperedTail => {
+                        let tail = Tail::fit(&mut scores);
+                        let log_likelihood = tail.exceeded_by_best_of(1, Self::MATCHES_PER_FOLD);
+                        NewPlaceTerm { log_likelihood, temperature: tail.scale().max(1.0) }
+                    }
+                }
             }
         }
     }
@@ -76,9 +143,29 @@ impl NewPlace {
     pub fn method(&self) -> NewPlaceMethod {
         match self.stand_in {
             StandIn::AveragePlace(_) => NewPlaceMethod::MeanField,
-            StandIn::Samples(_) => NewPlaceMethod::Sampled,
+            StandIn::Samples(_, Summary::Mean) => NewPlaceMethod::Sampled,
+            StandIn::Samples(_, Summary::Tail) => NewPlaceMethod::Tail,
+            StandIn::Samples(_, Summary::TemperedTail) => NewPlaceMethod::TemperedTail,
         }
     }
+}
+
+impl NewPlaceTerm {
+    /// Log-likelihoods of places such that their differences to [`NewPlaceTerm::log_likelihood`] are
+    /// tempered.
+    #[must_use]
+    pub fn temper<'a>(&self, log_likelihoods: &'a [f64]) -> Cow<'a, [f64]> {
+        let Self { log_likelihood: new_place, temperature } = *self;
+        if temperature == 1.0 {
+            return Cow::Borrowed(log_likelihoods);
+        }
+        log_likelihoods.iter().map(|value| new_place + (value - new_place) / temperature).collect()
+    }
+}
+
+/// ln [(1/n) Σ exp(x)] of n values.
+fn log_mean_exp(values: &[f64]) -> f64 {
+    log_sum_exp(values) - (values.len() as f64).ln()
 }
 
 /// ln Σ exp(x), without overflow; -∞ for an empty sum.
@@ -93,6 +180,7 @@ pub(crate) fn log_sum_exp(values: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::appearance::Appearance;
     use crate::test_worlds::{self, World};
     use proptest::prelude::*;
 
@@ -106,8 +194,64 @@ mod tests {
                 let mean = observations.iter()
                     .map(|sample| model.dense_log_likelihood(z, &Appearance::of(sample)).exp())
                     .sum::<f64>() / observations.len() as f64;
-                let term = new_place.log_likelihood(z);
+                let term = new_place.term(&model.informative_words(z), 7).log_likelihood;
                 prop_assert!((term - mean.ln()).abs() <= 1e-9 * term.abs().max(1.0), "{term} {}", mean.ln());
+            }
+        }
+
+        /// Written from the definition, over dense likelihoods, with the 5 % above the threshold in order.
+        #[test]
+        fn the_tail_is_that_of_the_dense_likelihoods(
+            world in test_worlds::worlds(20, 1), samples in test_worlds::observations(20), places in 0..100_000usize,
+        ) {
+            let World { model, observations, .. } = world;
+            let model = Arc::new(model);
+            let new_place = NewPlace::new(NewPlaceMethod::Tail, &model, &samples).unwrap();
+            for z in &observations {
+                let mut dense: Vec<f64> = samples.iter()
+                    .map(|sample| model.dense_log_likelihood(z, &Appearance::of(sample)))
+                    .collect();
+                dense.sort_by(|a, b| b.total_cmp(a));
+                let n_s = dense.len() as f64;
+                let mean = (dense.iter().map(|l| l.exp()).sum::<f64>() / n_s).ln();
+                let top = ((n_s * 0.05).ceil() as usize).min(dense.len() - 1);
+                let scale = dense[..top].iter().map(|l| l - dense[top]).sum::<f64>() / (top as f64).max(1.0);
+                let n = places.max(1) as f64;
+                let best = dense[top] + scale * (n * (top as f64).max(1.0) / n_s / 0.01).ln();
+                let term = new_place.term(&model.informative_words(z), places).log_likelihood;
+                let expected = mean.max(best - n.ln());
+                prop_assert!((term - expected).abs() <= 1e-8 * term.abs().max(1.0), "{term} {expected}");
+            }
+        }
+
+        /// The ratio against "somewhere new" is c over the share of unrelated places that are as likely,
+        /// as far as the tail is one of scale 1 or more.
+        #[test]
+        fn tempered_ratios_are_those_of_the_tail(
+            world in test_worlds::worlds(20, 1), samples in test_worlds::observations(20), nats in 0.0..500.0f64,
+        ) {
+            let World { model, observations, .. } = world;
+            let model = Arc::new(model);
+            let new_place = NewPlace::new(NewPlaceMethod::TemperedTail, &model, &samples).unwrap();
+            for z in &observations {
+                let mut dense: Vec<f64> = samples.iter()
+                    .map(|sample| model.dense_log_likelihood(z, &Appearance::of(sample)))
+                    .collect();
+                dense.sort_by(|a, b| b.total_cmp(a));
+                let n_s = dense.len() as f64;
+                let top = ((n_s * 0.05).ceil() as usize).min(dense.len() - 1);
+                let scale = dense[..top].iter().map(|l| l - dense[top]).sum::<f64>() / (top as f64).max(1.0);
+                let share = (top as f64).max(1.0) / n_s;
+                let term = new_place.term(&model.informative_words(z), 1);
+                prop_assert!(term.temperature >= 1.0);
+                prop_assert!((term.temperature - scale.max(1.0)).abs() <= 1e-8 * scale.max(1.0));
+                if scale > 1.0 {
+                    let tempered = term.temper(&[dense[top] + nats])[0];
+                    let unrelated_as_likely = share.ln() - nats / scale;
+                    let expected = 0.05f64.ln() - unrelated_as_likely;
+                    let found = tempered - term.log_likelihood;
+                    prop_assert!((found - expected).abs() < 1e-6 * (1.0 + nats), "{found} {expected}");
+                }
             }
         }
 
@@ -119,6 +263,14 @@ mod tests {
     }
 
     #[test]
+    fn what_is_not_tempered_is_left_as_it_is() {
+        let term = NewPlaceTerm { log_likelihood: -7.3, temperature: 1.0 };
+        assert_eq!(*term.temper(&[-0.1, -900.7]), [-0.1, -900.7]);
+        let term = NewPlaceTerm { log_likelihood: -8.0, temperature: 4.0 };
+        assert_eq!(*term.temper(&[-8.0, 0.0, -28.0]), [-8.0, -6.0, -13.0]);
+    }
+
+    #[test]
     fn a_sum_of_tiny_likelihoods_is_not_zero() {
         assert!((log_sum_exp(&[-5000.0, -5000.0]) - (-5000.0 + 2f64.ln())).abs() < 1e-9);
         assert_eq!(log_sum_exp(&[]), f64::NEG_INFINITY);
@@ -127,6 +279,10 @@ mod tests {
     #[test]
     fn sampling_needs_samples() {
         let World { model, .. } = test_worlds::fixed(5, 1, 1);
-        assert!(NewPlace::new(NewPlaceMethod::Sampled, &Arc::new(model), &[]).is_err());
+        let model = Arc::new(model);
+        assert!(NewPlace::new(NewPlaceMethod::Sampled, &model, &[]).is_err());
+        assert!(NewPlace::new(NewPlaceMethod::Tail, &model, &[]).is_err());
+        assert!(NewPlace::new(NewPlaceMethod::TemperedTail, &model, &[]).is_err());
+        assert!(NewPlace::new(NewPlaceMethod::MeanField, &model, &[]).is_ok());
     }
 }

@@ -8,7 +8,7 @@ use crate::appearance::{Appearance, PlaceId};
 use crate::detector::DetectorModel;
 use crate::explanation::Explanation;
 use crate::inverted_index::InvertedIndex;
-use crate::likelihood::{Dependence, ObservationModel};
+use crate::likelihood::{Dependence, ObservationModel, WordState};
 use crate::model::Model;
 use crate::new_place::{NewPlace, NewPlaceMethod, NoSamplesError};
 use crate::observation::Observation;
@@ -129,14 +129,16 @@ impl Recognizer {
         motion: &MotionPrior,
         observer: &mut dyn StageObserver,
     ) -> Recognition {
-        let log_likelihoods = self.log_likelihoods(observation);
+        let informative = self.index.model().informative_words(observation);
+        let log_likelihoods = self.log_likelihoods(observation, &informative);
         observer.completed(Stage::Likelihood);
-        let new_place_log_likelihood = self.new_place.log_likelihood(observation);
+        let new_place = self.new_place.term(&informative, log_likelihoods.len());
         observer.completed(Stage::NewPlace);
         let prior = self.filter.prior(motion, log_likelihoods.len());
-        let posterior = self.filter.update(&log_likelihoods, new_place_log_likelihood, &prior);
+        let tempered = new_place.temper(&log_likelihoods);
+        let posterior = self.filter.update(&tempered, new_place.log_likelihood, &prior);
         observer.completed(Stage::Filter);
-        Recognition { log_likelihoods, new_place_log_likelihood, prior, posterior }
+        Recognition { log_likelihoods, new_place_log_likelihood: new_place.log_likelihood, prior, posterior }
     }
 
     /// Number of places.
@@ -189,9 +191,9 @@ impl Recognizer {
         )
     }
 
-    fn log_likelihoods(&self, observation: &Observation) -> Vec<f64> {
+    fn log_likelihoods(&self, observation: &Observation, informative: &[WordState]) -> Vec<f64> {
         match self.scorer {
-            Scorer::Index => self.index.log_likelihoods(observation),
+            Scorer::Index => self.index.log_likelihoods_given(informative),
             Scorer::Dense => {
                 let model = self.index.model();
                 let dense = |place| model.dense_log_likelihood(observation, place);

@@ -64,6 +64,14 @@ pub(crate) fn worlds(words: usize, places: usize) -> impl Strategy<Value = World
     )
 }
 
+/// Some observations of `words` words, more than a tail is fitted to at times.
+pub(crate) fn observations(words: usize) -> impl Strategy<Value = Vec<Observation>> {
+    let look = proptest::collection::vec(0..words as WordId, 0..words);
+    proptest::collection::vec(look, 1..60).prop_map(move |looks| {
+        looks.into_iter().map(|look| Observation::from_words(look, words).unwrap()).collect()
+    })
+}
+
 /// A chain of `words` words and `count` observations of about a fifth of them.
 pub(crate) fn fixed(words: usize, count: usize, seed: u64) -> World {
     let mut random = ChaCha8Rng::seed_from_u64(seed);

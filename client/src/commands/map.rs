@@ -123,8 +123,12 @@ enum Dependence {
 enum NewPlace {
     /// By the average place
     MeanField,
-    /// By the model's sampling set
+    /// By the mean over the model's sampling set
     Sampled,
+    /// By what the best of many unrelated places would reach, from the tail of the sampling set
+    Tail,
+    /// By the same tail, with likelihood ratios tempered to it; use with a lower --closure-threshold
+    TemperedTail,
 }
 
 impl Creation {
@@ -150,6 +154,8 @@ impl Creation {
             None => v1::map_settings::NewPlace::Unspecified,
             Some(NewPlace::MeanField) => v1::map_settings::NewPlace::MeanField,
             Some(NewPlace::Sampled) => v1::map_settings::NewPlace::Sampled,
+            Some(NewPlace::Tail) => v1::map_settings::NewPlace::Tail,
+            Some(NewPlace::TemperedTail) => v1::map_settings::NewPlace::TemperedTail,
         };
         let settings = v1::MapSettings {
             dependence: dependence.into(),

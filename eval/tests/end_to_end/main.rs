@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking, helpers included")]
 
 mod errors;
+mod new_place;
 mod real_data;
 mod synthetic;
 mod tool;

@@ -156,6 +156,8 @@ fn settings_request(settings: v1::MapSettings) -> Result<MapSettingsRequest, Ser
             map_settings::NewPlace::Unspecified => None,
             map_settings::NewPlace::MeanField => Some(NewPlaceMethod::MeanField),
             map_settings::NewPlace::Sampled => Some(NewPlaceMethod::Sampled),
+            map_settings::NewPlace::Tail => Some(NewPlaceMethod::Tail),
+            map_settings::NewPlace::TemperedTail => Some(NewPlaceMethod::TemperedTail),
         },
         closure_threshold,
         guard_frames,
@@ -224,6 +226,8 @@ fn settings_message(settings: &MapSettings) -> v1::MapSettings {
         new_place: match new_place {
             NewPlaceMethod::MeanField => map_settings::NewPlace::MeanField,
             NewPlaceMethod::Sampled => map_settings::NewPlace::Sampled,
+            NewPlaceMethod::Tail => map_settings::NewPlace::Tail,
+            NewPlaceMethod::TemperedTail => map_settings::NewPlace::TemperedTail,
         }
         .into(),
         closure_threshold: Some(closure_threshold),

@@ -166,12 +166,15 @@ enum WordDependence {
     NaiveBayes,
 }
 
-/// How the likelihood of a new place is found: from the average place, or by the model's sampling set.
+/// How the likelihood of a new place is found: from the average place, by the mean over the model's sampling set,
+/// or from its tail, with likelihood ratios as they are or tempered to it.
 #[derive(Clone, Copy, Debug, Serialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 enum NewPlaceTerm {
     MeanField,
     Sampled,
+    Tail,
+    TemperedTail,
 }
 
 /// A page of loop closures.
@@ -263,6 +266,8 @@ impl From<maps::MapSettings> for MapSettings {
             new_place: match new_place {
                 NewPlaceMethod::MeanField => NewPlaceTerm::MeanField,
                 NewPlaceMethod::Sampled => NewPlaceTerm::Sampled,
+                NewPlaceMethod::Tail => NewPlaceTerm::Tail,
+                NewPlaceMethod::TemperedTail => NewPlaceTerm::TemperedTail,
             },
             closure_threshold,
             guard_frames,

@@ -125,6 +125,8 @@ enum StoredDependence {
 enum StoredNewPlace {
     MeanField,
     Sampled,
+    Tail,
+    TemperedTail,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -155,6 +157,8 @@ pub(super) fn to_json(settings: &MapSettings) -> Result<String, ServiceError> {
         new_place: match new_place {
             NewPlaceMethod::MeanField => StoredNewPlace::MeanField,
             NewPlaceMethod::Sampled => StoredNewPlace::Sampled,
+            NewPlaceMethod::Tail => StoredNewPlace::Tail,
+            NewPlaceMethod::TemperedTail => StoredNewPlace::TemperedTail,
         },
         detector: detector.map(|detector| StoredDetector {
             true_positive_rate: detector.probability(true, true),
@@ -201,6 +205,8 @@ pub(crate) fn from_json(json: &str) -> Result<MapSettings, ServiceError> {
             new_place: match new_place {
                 StoredNewPlace::MeanField => NewPlaceMethod::MeanField,
                 StoredNewPlace::Sampled => NewPlaceMethod::Sampled,
+                StoredNewPlace::Tail => NewPlaceMethod::Tail,
+                StoredNewPlace::TemperedTail => NewPlaceMethod::TemperedTail,
             },
             scorer: Scorer::Index,
             detector: detector.transpose()?,
@@ -245,6 +251,7 @@ mod tests {
             "looks_per_stay":3,"min_words":10,"max_speed_m_per_s":100.0}"#;
         let settings = from_json(stored).unwrap();
         assert_eq!((settings.mapper.guard_frames, settings.keep), (20, Keep::Words));
+        assert_eq!(settings.mapper.recognizer.new_place, NewPlaceMethod::Sampled);
     }
 
     #[test]
