@@ -176,12 +176,43 @@ pub(crate) struct MatchView {
     pub(crate) posterior: f64,
     pub(crate) log_odds: f64,
     pub(crate) frame: Option<FrameView>,
+    /// Null where geometry was not asked.
+    pub(crate) geometry: Option<GeometryView>,
+}
+
+/// What geometry found between two frames.
+#[derive(Serialize)]
+pub(crate) struct GeometryView {
+    pub(crate) matches: u32,
+    pub(crate) inliers: u32,
+    pub(crate) evidence: f64,
+    pub(crate) similarity: Option<SimilarityView>,
+}
+
+#[derive(Serialize)]
+pub(crate) struct SimilarityView {
+    pub(crate) rotation_rad: f64,
+    pub(crate) ln_scale: f64,
+    pub(crate) x_widths: f64,
+    pub(crate) y_widths: f64,
+}
+
+impl From<v1::Geometry> for GeometryView {
+    fn from(geometry: v1::Geometry) -> Self {
+        let v1::Geometry { matches, inliers, evidence, similarity } = geometry;
+        let similarity = similarity.map(|similarity| {
+            let v1::Similarity { rotation_rad, ln_scale, x_widths, y_widths } = similarity;
+            SimilarityView { rotation_rad, ln_scale, x_widths, y_widths }
+        });
+        Self { matches, inliers, evidence, similarity }
+    }
 }
 
 impl From<v1::Match> for MatchView {
     fn from(found: v1::Match) -> Self {
-        let v1::Match { place, posterior, frame, log_odds } = found;
-        Self { place, posterior, log_odds, frame: frame.map(FrameView::from) }
+        let v1::Match { place, posterior, frame, log_odds, geometry } = found;
+        let (frame, geometry) = (frame.map(FrameView::from), geometry.map(GeometryView::from));
+        Self { place, posterior, log_odds, frame, geometry }
     }
 }
 
@@ -226,6 +257,7 @@ pub(crate) struct SettingsView {
     pub(crate) true_positive_rate: Option<f64>,
     pub(crate) false_positive_rate: Option<f64>,
     pub(crate) keep: &'static str,
+    pub(crate) verification: &'static str,
 }
 
 impl From<v1::MapSettings> for SettingsView {
@@ -248,6 +280,12 @@ impl From<v1::MapSettings> for SettingsView {
             v1::map_settings::Keep::Features => "features",
             v1::map_settings::Keep::Images => "images",
         };
+        let verification = match settings.verification() {
+            v1::map_settings::Verification::Unspecified => "unspecified",
+            v1::map_settings::Verification::None => "none",
+            v1::map_settings::Verification::Similarity => "similarity",
+            v1::map_settings::Verification::Epipolar => "epipolar",
+        };
         let v1::MapSettings {
             dependence: _,
             new_place: _,
@@ -257,6 +295,7 @@ impl From<v1::MapSettings> for SettingsView {
             true_positive_rate,
             false_positive_rate,
             keep: _,
+            verification: _,
         } = settings;
         Self {
             dependence,
@@ -267,6 +306,7 @@ impl From<v1::MapSettings> for SettingsView {
             true_positive_rate,
             false_positive_rate,
             keep,
+            verification,
         }
     }
 }
@@ -338,6 +378,7 @@ pub(crate) struct FrameRow {
     pub(crate) closure_place: Option<u32>,
     pub(crate) closure_posterior: Option<f64>,
     pub(crate) closure_log_odds: Option<f64>,
+    pub(crate) closure_inliers: Option<u32>,
     pub(crate) closure_session: Option<String>,
     pub(crate) closure_sequence: Option<u64>,
     pub(crate) proposal_place: Option<u32>,
@@ -350,6 +391,7 @@ pub(crate) struct FrameRow {
     pub(crate) likelihood_ms: Option<f64>,
     pub(crate) new_place_ms: Option<f64>,
     pub(crate) filter_ms: Option<f64>,
+    pub(crate) verification_ms: Option<f64>,
     pub(crate) commit_ms: Option<f64>,
     pub(crate) total_ms: Option<f64>,
     pub(crate) refusal_code: Option<&'static str>,
@@ -388,6 +430,7 @@ impl FrameRow {
             closure_place: closure.as_ref().map(|closure| closure.place),
             closure_posterior: closure.as_ref().map(|closure| closure.posterior),
             closure_log_odds: closure.as_ref().map(|closure| closure.log_odds),
+            closure_inliers: closure.as_ref().and_then(|closure| Some(closure.geometry.as_ref()?.inliers)),
             closure_session: closure_frame.map(|frame| frame.session.clone()),
             closure_sequence: closure_frame.map(|frame| frame.sequence),
             proposal_place: proposal.as_ref().map(|proposal| proposal.place),
@@ -400,6 +443,7 @@ impl FrameRow {
             likelihood_ms: timings.map(|timings| timings.likelihood_ms),
             new_place_ms: timings.map(|timings| timings.new_place_ms),
             filter_ms: timings.map(|timings| timings.filter_ms),
+            verification_ms: timings.map(|timings| timings.verification_ms),
             commit_ms: timings.map(|timings| timings.commit_ms),
             total_ms: timings.map(|timings| timings.total_ms),
             refusal_code: None,
@@ -429,6 +473,7 @@ pub(crate) fn reason_name(reason: v1::Reason) -> &'static str {
         v1::Reason::LoopClosure => "loop_closure",
         v1::Reason::BelowThreshold => "below_threshold",
         v1::Reason::TooFewWords => "too_few_words",
+        v1::Reason::GeometryRefused => "geometry_refused",
     }
 }
 

@@ -44,6 +44,8 @@ pub(crate) struct LoadedModel {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Observed {
     pub(crate) observation: Observation,
+    /// Where it shows that; none if only how often is known.
+    pub(crate) features: Option<Arc<FeatureRecord>>,
     /// What is kept of it beside its words.
     pub(crate) media: Vec<Medium>,
     pub(crate) extract: Duration,
@@ -140,12 +142,12 @@ fn observe(model: &LoadedModel, bytes: Bytes, keep: Keep) -> Result<Observed, Se
     let quantize = start.elapsed() - extracted;
     let observation = Observation::from_words(words.iter().copied(), model.model.vocabulary().len())
         .map_err(ServiceError::internal)?;
+    let size_px = (image.width(), image.height());
+    let features = FeatureRecord::new(size_px, keypoints, words, Some(descriptors));
+    let features = features.map_err(ServiceError::internal)?;
     let mut media = Vec::new();
     if keep >= Keep::Features {
-        let size_px = (image.width(), image.height());
-        let record = FeatureRecord::new(size_px, keypoints, words, Some(descriptors));
-        let content = record.map_err(ServiceError::internal)?.to_bytes();
-        media.push(Medium { kind: MediumKind::Features, content });
+        media.push(Medium { kind: MediumKind::Features, content: features.to_bytes() });
         let small = image.resize_to_width(THUMBNAIL_WIDTH_PX).map_err(ServiceError::internal)?;
         let content = small.encode_jpeg(THUMBNAIL_QUALITY).map_err(ServiceError::internal)?;
         media.push(Medium { kind: MediumKind::Thumbnail, content });
@@ -153,7 +155,8 @@ fn observe(model: &LoadedModel, bytes: Bytes, keep: Keep) -> Result<Observed, Se
     if keep >= Keep::Images {
         media.push(Medium { kind: MediumKind::Image, content: bytes.into() });
     }
-    Ok(Observed { observation, media, extract: start.elapsed() - quantize, quantize })
+    let (features, extract) = (Some(Arc::new(features)), start.elapsed() - quantize);
+    Ok(Observed { observation, features, media, extract, quantize })
 }
 
 fn extract(extractor: &Extractor, image: &[u8]) -> Result<(GreyImage, Features), ServiceError> {

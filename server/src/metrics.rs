@@ -56,6 +56,7 @@ struct Stages {
     likelihood: Histogram,
     new_place: Histogram,
     filter: Histogram,
+    verification: Histogram,
     commit: Histogram,
     total: Histogram,
 }
@@ -89,6 +90,7 @@ impl Metrics {
                 likelihood: stage("likelihood"),
                 new_place: stage("new_place"),
                 filter: stage("filter"),
+                verification: stage("verification"),
                 commit: stage("commit"),
                 total: stage("total"),
             };
@@ -129,13 +131,15 @@ impl Metrics {
         };
         self.local(|| counter!(FRAMES, "outcome" => outcome)).increment(1);
         let Some(timings) = timings else { return };
-        let FrameTimings { extract, quantize, likelihood, new_place, filter, commit, total } = timings;
+        let FrameTimings { extract, quantize, likelihood, new_place, filter, verification, commit, total } =
+            timings;
         let stages = &self.stages;
         stages.extract.record(extract);
         stages.quantize.record(quantize);
         stages.likelihood.record(likelihood);
         stages.new_place.record(new_place);
         stages.filter.record(filter);
+        stages.verification.record(verification);
         stages.commit.record(commit);
         stages.total.record(total);
     }
@@ -193,6 +197,7 @@ fn answer_name(answer: &FrameAnswer) -> &'static str {
         Reason::LoopClosure => "loop_closure",
         Reason::BelowThreshold => "below_threshold",
         Reason::TooFewWords => "too_few_words",
+        Reason::GeometryRefused => "geometry_refused",
     }
 }
 

@@ -87,6 +87,7 @@ async fn maps_that_cannot_be_made() {
         true_positive_rate: Some(0.4),
         false_positive_rate: Some(0.0),
         keep: v1::map_settings::Keep::Images.into(),
+        verification: v1::map_settings::Verification::Epipolar.into(),
     };
     let made = client.create_map(bare(all)).await.unwrap();
     assert_eq!(made.settings, Some(all));

@@ -36,4 +36,5 @@ mod startup;
 mod tls;
 mod tokens;
 mod training;
+mod verification;
 mod words;

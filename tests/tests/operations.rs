@@ -80,7 +80,9 @@ async fn metrics_count_what_was_streamed() {
         assert_eq!(during[&format!("waypost_frames_total{{outcome=\"{outcome}\"}}")], *count, "{outcome}");
     }
     assert_eq!(sum(&during, "waypost_frames_total"), by_reason.values().sum::<f64>());
-    for stage in ["extract", "quantize", "likelihood", "new_place", "filter", "commit", "total"] {
+    for stage in
+        ["extract", "quantize", "likelihood", "new_place", "filter", "verification", "commit", "total"]
+    {
         let timed = format!("waypost_frame_duration_seconds_count{{stage=\"{stage}\"}}");
         assert_eq!(during[&timed], 7.0, "{stage}: answers from the store took no stage");
         let seconds = during[&format!("waypost_frame_duration_seconds_sum{{stage=\"{stage}\"}}")];

@@ -34,7 +34,7 @@ fn answered(response: &v1::QueryResponse) -> Answered {
 }
 
 fn found(queried: &Queried, sequence: u64) -> Answered {
-    let Queried { recognition, matched, accepted } = queried;
+    let Queried { recognition, candidates: _, matched, accepted } = queried;
     let posterior = &recognition.posterior;
     Answered {
         places: posterior

@@ -173,6 +173,8 @@ def test_what_are_no_words_is_refused(words: list[object], counts: list[int] | N
         (answers.Answer, session_pb2.FrameAnswer, {"probabilities", "closure_below_threshold"}),
         (answers.QueryAnswer, session_pb2.QueryResponse, {"probabilities"}),
         (answers.Match, session_pb2.Match, set()),
+        (answers.Geometry, session_pb2.Geometry, set()),
+        (answers.Similarity, session_pb2.Similarity, set()),
         (answers.Timings, session_pb2.Timings, set()),
         (answers.FrameReference, map_pb2.FrameReference, set()),
         (answers.LoopClosure, map_pb2.LoopClosure, set()),

@@ -99,6 +99,19 @@ pub(crate) struct Creation {
     /// What is kept of each frame beside its words
     #[arg(long, value_enum)]
     keep: Option<Keep>,
+    /// How loop closures are verified by where features are; it takes a map that keeps features
+    #[arg(long, value_enum)]
+    verification: Option<Verification>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Verification {
+    /// Not at all: the posterior decides alone; the server's default
+    None,
+    /// By a motion in the image plane: the camera is back very close
+    Similarity,
+    /// By epipolar geometry: the camera may have moved sideways
+    Epipolar,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -144,6 +157,7 @@ impl Creation {
             true_positive_rate,
             false_positive_rate,
             keep,
+            verification,
         } = self;
         let dependence = match dependence {
             None => v1::map_settings::Dependence::Unspecified,
@@ -170,6 +184,13 @@ impl Creation {
                 Some(Keep::Words) => v1::map_settings::Keep::Words,
                 Some(Keep::Features) => v1::map_settings::Keep::Features,
                 Some(Keep::Images) => v1::map_settings::Keep::Images,
+            }
+            .into(),
+            verification: match verification {
+                None => v1::map_settings::Verification::Unspecified,
+                Some(Verification::None) => v1::map_settings::Verification::None,
+                Some(Verification::Similarity) => v1::map_settings::Verification::Similarity,
+                Some(Verification::Epipolar) => v1::map_settings::Verification::Epipolar,
             }
             .into(),
         };
@@ -269,6 +290,7 @@ fn show_settings(settings: &SettingsView, out: &mut dyn Write) -> io::Result<()>
         true_positive_rate,
         false_positive_rate,
         keep,
+        verification,
     } = settings;
     let or_default = |value: &Option<f64>| value.map_or("the model's".to_owned(), |value| value.to_string());
     writeln!(out, "  dependence           {dependence}")?;
@@ -278,6 +300,7 @@ fn show_settings(settings: &SettingsView, out: &mut dyn Write) -> io::Result<()>
     writeln!(out, "  guard                {} frames", guard_frames.unwrap_or_default())?;
     writeln!(out, "  true positive rate   {}", or_default(true_positive_rate))?;
     writeln!(out, "  false positive rate  {}", or_default(false_positive_rate))?;
+    writeln!(out, "  verification         {verification}")?;
     writeln!(out, "  keeps                {keep}")
 }
 

@@ -9,7 +9,7 @@ use crate::explanations::{PlaceExplanationView, show_place};
 use crate::failure::{EXIT_CODES, Failure};
 use crate::output::Output;
 use crate::robot_words::{ContentMaker, WordForm};
-use crate::views::MatchView;
+use crate::views::{GeometryView, MatchView};
 
 /// Tell where an image was taken, by its looks alone
 #[derive(clap::Args)]
@@ -83,11 +83,14 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     };
     output.result(&answer, |out| {
         match &answer.matched {
-            Some(MatchView { place, posterior, log_odds: _, frame }) => {
+            Some(MatchView { place, posterior, log_odds: _, frame, geometry }) => {
                 let verdict = if answer.accepted { "seen before" } else { "not sure" };
                 writeln!(out, "{verdict}: place {place}, posterior {posterior:.6}")?;
                 if let Some(frame) = frame {
                     writeln!(out, "best match: frame {} of {}", frame.sequence, frame.session)?;
+                }
+                if let Some(GeometryView { matches, inliers, evidence, similarity: _ }) = geometry {
+                    writeln!(out, "geometry: {inliers} of {matches} matches agree, evidence {evidence:.1}")?;
                 }
             }
             None => writeln!(

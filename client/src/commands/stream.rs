@@ -205,7 +205,10 @@ fn conclude(
         // While localizing, frames of these reasons come without a place.
         places_created: frames
             .iter()
-            .filter(|row| row.place.is_some() && matches!(row.reason, Some("new_place" | "below_threshold")))
+            .filter(|row| {
+                row.place.is_some()
+                    && matches!(row.reason, Some("new_place" | "below_threshold" | "geometry_refused"))
+            })
             .count(),
         loop_closures: frames.iter().filter(|row| row.reason == Some("loop_closure")).count(),
         bytes_per_frame: sent.bytes_per_frame(),

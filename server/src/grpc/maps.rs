@@ -6,6 +6,7 @@ use fabmap::recognizer::RecognizerSettings;
 use futures::stream::{BoxStream, StreamExt};
 use tonic::{Request, Response, Status, Streaming};
 use topomap::mapper::MapperSettings;
+use topomap::verification::VerificationMethod;
 use waypost_proto::v1;
 use waypost_proto::v1::map_service_server::MapService;
 use waypost_proto::v1::map_settings;
@@ -145,6 +146,7 @@ fn settings_request(settings: v1::MapSettings) -> Result<MapSettingsRequest, Ser
         true_positive_rate,
         false_positive_rate,
         keep,
+        verification,
     } = settings;
     Ok(MapSettingsRequest {
         dependence: match known("dependence", dependence)? {
@@ -169,6 +171,12 @@ fn settings_request(settings: v1::MapSettings) -> Result<MapSettingsRequest, Ser
             map_settings::Keep::Words => Some(Keep::Words),
             map_settings::Keep::Features => Some(Keep::Features),
             map_settings::Keep::Images => Some(Keep::Images),
+        },
+        verification: match known("verification", verification)? {
+            map_settings::Verification::Unspecified => None,
+            map_settings::Verification::None => Some(VerificationMethod::None),
+            map_settings::Verification::Similarity => Some(VerificationMethod::Similarity),
+            map_settings::Verification::Epipolar => Some(VerificationMethod::Epipolar),
         },
     })
 }
@@ -209,6 +217,7 @@ fn settings_message(settings: &MapSettings) -> v1::MapSettings {
     let MapperSettings {
         recognizer,
         closure_threshold,
+        verification,
         guard_frames,
         looks_per_stay: _,
         min_words: _,
@@ -239,6 +248,12 @@ fn settings_message(settings: &MapSettings) -> v1::MapSettings {
             Keep::Words => map_settings::Keep::Words,
             Keep::Features => map_settings::Keep::Features,
             Keep::Images => map_settings::Keep::Images,
+        }
+        .into(),
+        verification: match verification.method {
+            VerificationMethod::None => map_settings::Verification::None,
+            VerificationMethod::Similarity => map_settings::Verification::Similarity,
+            VerificationMethod::Epipolar => map_settings::Verification::Epipolar,
         }
         .into(),
     }

@@ -6,6 +6,7 @@ use futures::stream::{self, BoxStream, Stream, StreamExt};
 use prost::Message;
 use tonic::{Request, Response, Status, Streaming};
 use topomap::event::Reason;
+use topomap::verification::Similarity;
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_server::SessionService;
 use waypost_proto::v1::{frame, query_request, stream_request, stream_response};
@@ -21,7 +22,7 @@ use crate::service::frames::{FrameImage, ImageSize};
 use crate::service::models::Page;
 use crate::service::names::model_name;
 use crate::service::sessions::{
-    Frame, FrameAnswer, FrameOutcome, FrameTimings, MatchView, SessionMode, SessionStream,
+    Frame, FrameAnswer, FrameOutcome, FrameTimings, GeometryView, MatchView, SessionMode, SessionStream,
 };
 
 /// Frames of one stream that are turned into words side by side.
@@ -285,16 +286,28 @@ pub(super) fn reason_code(reason: Reason) -> v1::Reason {
         Reason::LoopClosure => v1::Reason::LoopClosure,
         Reason::BelowThreshold => v1::Reason::BelowThreshold,
         Reason::TooFewWords => v1::Reason::TooFewWords,
+        Reason::GeometryRefused => v1::Reason::GeometryRefused,
     }
 }
 
 pub(super) fn found(found: MatchView) -> v1::Match {
-    let MatchView { place, posterior, log_odds, frame } = found;
-    v1::Match { place, posterior, log_odds, frame: Some(frame_reference(frame)) }
+    let MatchView { place, posterior, log_odds, frame, geometry } = found;
+    let geometry = geometry.map(geometry_message);
+    v1::Match { place, posterior, log_odds, frame: Some(frame_reference(frame)), geometry }
+}
+
+fn geometry_message(geometry: GeometryView) -> v1::Geometry {
+    let GeometryView { matches, inliers, evidence, similarity } = geometry;
+    let similarity = similarity.map(|similarity| {
+        let Similarity { rotation_rad, ln_scale, translation_widths: [x_widths, y_widths] } = similarity;
+        v1::Similarity { rotation_rad, ln_scale, x_widths, y_widths }
+    });
+    v1::Geometry { matches, inliers, evidence, similarity }
 }
 
 fn timings_message(timings: FrameTimings) -> v1::Timings {
-    let FrameTimings { extract, quantize, likelihood, new_place, filter, commit, total } = timings;
+    let FrameTimings { extract, quantize, likelihood, new_place, filter, verification, commit, total } =
+        timings;
     let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
     v1::Timings {
         extract_ms: ms(extract),
@@ -302,6 +315,7 @@ fn timings_message(timings: FrameTimings) -> v1::Timings {
         likelihood_ms: ms(likelihood),
         new_place_ms: ms(new_place),
         filter_ms: ms(filter),
+        verification_ms: ms(verification),
         commit_ms: ms(commit),
         total_ms: ms(total),
     }

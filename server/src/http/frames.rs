@@ -8,7 +8,7 @@ use axum::response::{IntoResponse, Response};
 use fabmap::observation::Observation;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use topomap::event;
+use topomap::{event, verification};
 use utoipa::openapi::schema::{KnownFormat, SchemaFormat, Type};
 use utoipa::openapi::{ObjectBuilder, RefOr, Schema};
 use utoipa::{IntoParams, PartialSchema, ToSchema};
@@ -21,7 +21,7 @@ use super::parameters::{FramePath, InPath, InQuery, Nothing, Parameters};
 use crate::error::ServiceError;
 use crate::service::Service;
 use crate::service::frames::{FrameBytes, FrameImage, FrameView, ImageSize};
-use crate::service::sessions::{self, MatchView};
+use crate::service::sessions::{self, GeometryView, MatchView};
 
 impl FramePath {
     /// `maps/{map}/sessions/{session}/frames/{sequence}`.
@@ -161,11 +161,11 @@ pub(super) struct FrameAnswer {
     /// The most probable places, most probable first.
     #[schema(max_items = 10)]
     pub(super) places: Vec<PlaceProbability>,
-    /// For `loop_closure` and `below_threshold`: place and frame that matched.
+    /// For `loop_closure`, `below_threshold` and `geometry_refused`: place and frame that matched.
     #[schema(required)]
     pub(super) closure: Option<Match>,
     /// Whatever was decided: of the most probable place known from before the guard, the frame that matches
-    /// best.
+    /// best; with geometry, of the place that it has most evidence for.
     #[schema(required)]
     pub(super) proposal: Option<Match>,
     /// Different words seen.
@@ -175,7 +175,8 @@ pub(super) struct FrameAnswer {
 /// Why a frame was decided as it was: somewhere new was the most probable (`new_place`); the place that the
 /// session is at, or has just left (`same_place`); another place, at or above the map's threshold
 /// (`loop_closure`) or below it, so that a place was created (`below_threshold`); too few words to say
-/// anything (`too_few_words`).
+/// anything (`too_few_words`); a known place above the threshold that geometry refused, so that a place was
+/// created (`geometry_refused`).
 #[derive(Clone, Copy, Debug, Serialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Reason {
@@ -184,6 +185,7 @@ pub(super) enum Reason {
     LoopClosure,
     BelowThreshold,
     TooFewWords,
+    GeometryRefused,
 }
 
 #[derive(Clone, Copy, Debug, Serialize, ToSchema)]
@@ -200,6 +202,36 @@ pub(super) struct Match {
     frame: FrameReference,
     /// ln [posterior / (1 - posterior)], nats: tells apart what rounds to 1.
     log_odds: f64,
+    /// What geometry found between the two frames; null where it was not asked.
+    #[schema(required)]
+    geometry: Option<Geometry>,
+}
+
+/// Two views compared by where their features are.
+#[derive(Debug, Serialize, ToSchema)]
+struct Geometry {
+    /// Features that look alike.
+    matches: u32,
+    /// Those that one motion explains.
+    inliers: u32,
+    /// What this and the session's last frames say for the place, in inliers.
+    evidence: f64,
+    /// The motion, if it was looked for in the image plane and one was found.
+    #[schema(required)]
+    similarity: Option<Similarity>,
+}
+
+/// x_current = s R x_earlier + t about the centres of the images.
+#[derive(Debug, Serialize, ToSchema)]
+struct Similarity {
+    /// Angle of R, from x to the right towards y down.
+    rotation_rad: f64,
+    /// ln s: above 0 if the current view is nearer.
+    ln_scale: f64,
+    /// t to the right, in widths of the image.
+    x_widths: f64,
+    /// t down, in widths of the image.
+    y_widths: f64,
 }
 
 /// What is kept of a frame, in bytes; 0 where nothing is.
@@ -292,6 +324,7 @@ impl From<event::Reason> for Reason {
             event::Reason::LoopClosure => Self::LoopClosure,
             event::Reason::BelowThreshold => Self::BelowThreshold,
             event::Reason::TooFewWords => Self::TooFewWords,
+            event::Reason::GeometryRefused => Self::GeometryRefused,
         }
     }
 }
@@ -304,8 +337,20 @@ impl From<(u32, f64)> for PlaceProbability {
 
 impl From<MatchView> for Match {
     fn from(view: MatchView) -> Self {
-        let MatchView { place, posterior, log_odds, frame } = view;
-        Self { place, posterior, frame: frame.into(), log_odds }
+        let MatchView { place, posterior, log_odds, frame, geometry } = view;
+        Self { place, posterior, frame: frame.into(), log_odds, geometry: geometry.map(Geometry::from) }
+    }
+}
+
+impl From<GeometryView> for Geometry {
+    fn from(view: GeometryView) -> Self {
+        let GeometryView { matches, inliers, evidence, similarity } = view;
+        let similarity = similarity.map(|similarity| {
+            let verification::Similarity { rotation_rad, ln_scale, translation_widths } = similarity;
+            let [x_widths, y_widths] = translation_widths;
+            Similarity { rotation_rad, ln_scale, x_widths, y_widths }
+        });
+        Self { matches, inliers, evidence, similarity }
     }
 }
 

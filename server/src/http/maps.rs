@@ -9,6 +9,7 @@ use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::RecognizerSettings;
 use serde::{Deserialize, Serialize};
 use topomap::mapper::MapperSettings;
+use topomap::verification::VerificationMethod;
 use utoipa::{IntoParams, ToSchema};
 
 use super::HttpError;
@@ -146,6 +147,17 @@ struct MapSettings {
     #[schema(required, minimum = 0, maximum = 1)]
     false_positive_rate: Option<f64>,
     keep: Keep,
+    verification: Verification,
+}
+
+/// How loop closures are verified by where features are: not at all, by a motion in the image plane, by epipolar
+/// geometry.
+#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+enum Verification {
+    None,
+    Similarity,
+    Epipolar,
 }
 
 /// What is kept of each frame: words and decisions alone; also keypoints, descriptors and a thumbnail; also the
@@ -250,6 +262,7 @@ impl From<maps::MapSettings> for MapSettings {
         let MapperSettings {
             recognizer,
             closure_threshold,
+            verification,
             guard_frames,
             looks_per_stay: _,
             min_words: _,
@@ -278,6 +291,11 @@ impl From<maps::MapSettings> for MapSettings {
                 maps::Keep::Words => Keep::Words,
                 maps::Keep::Features => Keep::Features,
                 maps::Keep::Images => Keep::Images,
+            },
+            verification: match verification.method {
+                VerificationMethod::None => Verification::None,
+                VerificationMethod::Similarity => Verification::Similarity,
+                VerificationMethod::Epipolar => Verification::Epipolar,
             },
         }
     }

@@ -103,19 +103,24 @@ impl Service {
 
 /// Sorting tens of thousands of words takes milliseconds.
 async fn off_the_async_threads(
-    check: impl FnOnce() -> Result<(Observation, Vec<Medium>), ServiceError> + Send + 'static,
+    check: impl FnOnce() -> Result<Checked, ServiceError> + Send + 'static,
 ) -> Result<Observed, ServiceError> {
     let start = Instant::now();
     let checked = tokio::task::spawn_blocking(check).await.map_err(ServiceError::internal)?;
-    let (observation, media) = checked?;
-    Ok(Observed { observation, media, extract: Duration::ZERO, quantize: start.elapsed() })
+    let Checked { observation, features, media } = checked?;
+    let (features, quantize) = (features.map(Arc::new), start.elapsed());
+    Ok(Observed { observation, features, media, extract: Duration::ZERO, quantize })
 }
 
-fn histogram(
-    model: &LoadedModel,
-    words: Vec<WordId>,
-    counts: Vec<u32>,
-) -> Result<(Observation, Vec<Medium>), ServiceError> {
+/// Words that are fit to be taken.
+struct Checked {
+    observation: Observation,
+    /// None if the robot did not say where the words are.
+    features: Option<FeatureRecord>,
+    media: Vec<Medium>,
+}
+
+fn histogram(model: &LoadedModel, words: Vec<WordId>, counts: Vec<u32>) -> Result<Checked, ServiceError> {
     at_most(words.len())?;
     if !counts.is_empty() && counts.len() != words.len() {
         return Err(ServiceError::invalid(format_args!(
@@ -132,14 +137,11 @@ fn histogram(
     let counts = counts.into_iter().chain(std::iter::repeat(1));
     let observation =
         Observation::from_word_counts(words.into_iter().zip(counts), model.model.vocabulary().len());
-    Ok((observation.map_err(ServiceError::invalid)?, Vec::new()))
+    let observation = observation.map_err(ServiceError::invalid)?;
+    Ok(Checked { observation, features: None, media: Vec::new() })
 }
 
-fn word_list(
-    model: &LoadedModel,
-    list: WordList,
-    keep: Keep,
-) -> Result<(Observation, Vec<Medium>), ServiceError> {
+fn word_list(model: &LoadedModel, list: WordList, keep: Keep) -> Result<Checked, ServiceError> {
     let WordList { words, x_px, y_px, size_px, angle_rad, image_width_px, image_height_px } = list;
     at_most(words.len())?;
     for (what, side_px) in [("width", image_width_px), ("height", image_height_px)] {
@@ -158,9 +160,6 @@ fn word_list(
     check_values("angle_rad", &angle_rad, words.len(), Needed::No, -turn..=turn)?;
     let observation = Observation::from_words(words.iter().copied(), model.model.vocabulary().len());
     let observation = observation.map_err(ServiceError::invalid)?;
-    if keep < Keep::Features {
-        return Ok((observation, Vec::new()));
-    }
     let value = |values: &[f32], index: usize| values.get(index).copied().unwrap_or_default();
     let keypoints = (0..words.len()).map(|index| Keypoint {
         x_px: x_px[index],
@@ -169,9 +168,11 @@ fn word_list(
         angle_rad: value(&angle_rad, index),
         response: 0.0,
     });
-    let record = FeatureRecord::new((image_width_px, image_height_px), keypoints.collect(), words, None);
-    let content = record.map_err(ServiceError::internal)?.to_bytes();
-    Ok((observation, vec![Medium { kind: MediumKind::Features, content }]))
+    let features = FeatureRecord::new((image_width_px, image_height_px), keypoints.collect(), words, None);
+    let features = features.map_err(ServiceError::internal)?;
+    let kept = (keep >= Keep::Features).then(|| features.to_bytes());
+    let media = kept.map(|content| Medium { kind: MediumKind::Features, content }).into_iter().collect();
+    Ok(Checked { observation, features: Some(features), media })
 }
 
 fn at_most(words: usize) -> Result<(), ServiceError> {

@@ -5,12 +5,13 @@ use std::collections::HashMap;
 use fabmap::observation::Observation;
 use topomap::event::{FrameEvent, FrameId, Match};
 use topomap::odometry::Odometry;
+use topomap::verification::Candidate;
 
 use super::Service;
 use super::maps::reference;
 use super::models::Page;
 use super::names::{frame_in, frame_name, map_in, numbered_page, page_size, session_in, session_name};
-use super::sessions::{FrameAnswer, MatchView};
+use super::sessions::{FrameAnswer, GeometryView, MatchView};
 use crate::error::ServiceError;
 use crate::storage::{FrameRow, MapRow, MediumKind, SessionRow, SessionSummary, StoredFrame};
 
@@ -190,21 +191,24 @@ struct Known<'a> {
 }
 
 impl Known<'_> {
-    fn matched(&self, found: Match) -> Result<MatchView, ServiceError> {
+    fn matched(&self, found: Match, candidates: &[Candidate]) -> Result<MatchView, ServiceError> {
+        let geometry = GeometryView::of(found, candidates);
         let Match { place, posterior, log_odds, frame } = found;
         let frame = self.matched.get(&frame);
         let frame = frame.ok_or_else(|| ServiceError::internal("a matched frame is not in the log"))?;
-        Ok(MatchView { place, posterior, log_odds, frame: reference(self.map, self.sessions, frame) })
+        let frame = reference(self.map, self.sessions, frame);
+        Ok(MatchView { place, posterior, log_odds, frame, geometry })
     }
 }
 
 fn frame_view(row: FrameRow, session: &str, known: &Known<'_>) -> Result<FrameView, ServiceError> {
     let FrameRow { event, log_bytes, features_bytes, thumbnail_bytes, image_bytes } = row;
+    let matched = |found| known.matched(found, &event.candidates);
     let answer = FrameAnswer::new(
         &event,
         event.sequence,
-        event.decision.closure.map(|found| known.matched(found)).transpose()?,
-        event.proposal.map(|found| known.matched(found)).transpose()?,
+        event.decision.closure.map(matched).transpose()?,
+        event.proposal.map(matched).transpose()?,
         None,
     );
     Ok(FrameView {

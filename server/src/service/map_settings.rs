@@ -7,6 +7,7 @@ use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::{RecognizerSettings, Scorer};
 use serde::{Deserialize, Serialize};
 use topomap::mapper::MapperSettings;
+use topomap::verification::{VerificationMethod, VerificationSettings};
 
 use crate::error::ServiceError;
 
@@ -41,6 +42,7 @@ pub(crate) struct MapSettingsRequest {
     pub(crate) true_positive_rate: Option<f64>,
     pub(crate) false_positive_rate: Option<f64>,
     pub(crate) keep: Option<Keep>,
+    pub(crate) verification: Option<VerificationMethod>,
 }
 
 impl MapSettingsRequest {
@@ -55,6 +57,7 @@ impl MapSettingsRequest {
             true_positive_rate,
             false_positive_rate,
             keep,
+            verification,
         } = self;
         let defaults = MapperSettings::default();
         let detector = match (true_positive_rate, false_positive_rate) {
@@ -83,6 +86,10 @@ impl MapSettingsRequest {
                 },
             },
             closure_threshold: closure_threshold.unwrap_or(defaults.closure_threshold),
+            verification: VerificationSettings {
+                method: verification.unwrap_or(defaults.verification.method),
+                ..defaults.verification
+            },
             guard_frames: guard_frames.map_or(defaults.guard_frames, u64::from),
             ..defaults
         };
@@ -107,6 +114,88 @@ struct StoredSettings {
     max_speed_m_per_s: f64,
     #[serde(default = "keep_before_it_was_a_setting")]
     keep: Keep,
+    /// Maps that were made before there was any have none.
+    #[serde(default)]
+    verification: Option<StoredVerification>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StoredVerification {
+    method: StoredVerificationMethod,
+    min_posterior: f64,
+    min_inliers: u32,
+    max_rotation_rad: f64,
+    max_ln_scale: f64,
+    max_translation_widths: f64,
+    min_evidence: f64,
+    consistency_frames: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum StoredVerificationMethod {
+    None,
+    Similarity,
+    Epipolar,
+}
+
+impl From<VerificationSettings> for StoredVerification {
+    fn from(settings: VerificationSettings) -> Self {
+        let VerificationSettings {
+            method,
+            min_posterior,
+            min_inliers,
+            max_rotation_rad,
+            max_ln_scale,
+            max_translation_widths,
+            min_evidence,
+            consistency_frames,
+        } = settings;
+        Self {
+            method: match method {
+                VerificationMethod::None => StoredVerificationMethod::None,
+                VerificationMethod::Similarity => StoredVerificationMethod::Similarity,
+                VerificationMethod::Epipolar => StoredVerificationMethod::Epipolar,
+            },
+            min_posterior,
+            min_inliers,
+            max_rotation_rad,
+            max_ln_scale,
+            max_translation_widths,
+            min_evidence,
+            consistency_frames,
+        }
+    }
+}
+
+impl From<StoredVerification> for VerificationSettings {
+    fn from(stored: StoredVerification) -> Self {
+        let StoredVerification {
+            method,
+            min_posterior,
+            min_inliers,
+            max_rotation_rad,
+            max_ln_scale,
+            max_translation_widths,
+            min_evidence,
+            consistency_frames,
+        } = stored;
+        Self {
+            method: match method {
+                StoredVerificationMethod::None => VerificationMethod::None,
+                StoredVerificationMethod::Similarity => VerificationMethod::Similarity,
+                StoredVerificationMethod::Epipolar => VerificationMethod::Epipolar,
+            },
+            min_posterior,
+            min_inliers,
+            max_rotation_rad,
+            max_ln_scale,
+            max_translation_widths,
+            min_evidence,
+            consistency_frames,
+        }
+    }
 }
 
 fn keep_before_it_was_a_setting() -> Keep {
@@ -141,6 +230,7 @@ pub(super) fn to_json(settings: &MapSettings) -> Result<String, ServiceError> {
     let MapperSettings {
         recognizer,
         closure_threshold,
+        verification,
         guard_frames,
         looks_per_stay,
         min_words,
@@ -173,6 +263,7 @@ pub(super) fn to_json(settings: &MapSettings) -> Result<String, ServiceError> {
         min_words: min_words as u64,
         max_speed_m_per_s,
         keep,
+        verification: Some(verification.into()),
     };
     serde_json::to_string(&stored).map_err(ServiceError::internal)
 }
@@ -192,6 +283,7 @@ pub(crate) fn from_json(json: &str) -> Result<MapSettings, ServiceError> {
         min_words,
         max_speed_m_per_s,
         keep,
+        verification,
     } = serde_json::from_str(json).map_err(ServiceError::internal)?;
     let detector = detector.map(|StoredDetector { true_positive_rate, false_positive_rate }| {
         DetectorModel::new(true_positive_rate, false_positive_rate).map_err(ServiceError::internal)
@@ -213,6 +305,7 @@ pub(crate) fn from_json(json: &str) -> Result<MapSettings, ServiceError> {
             filter: FilterSettings { new_place_prior, even_share, likelihood_smoothing },
         },
         closure_threshold,
+        verification: verification.map_or_else(VerificationSettings::none, VerificationSettings::from),
         guard_frames,
         looks_per_stay,
         min_words: usize::try_from(min_words).unwrap_or(usize::MAX),
@@ -236,6 +329,7 @@ mod tests {
             true_positive_rate: Some(0.4),
             false_positive_rate: Some(0.02),
             keep: Some(Keep::Images),
+            verification: Some(VerificationMethod::Epipolar),
         };
         let settings = asked.with_defaults().unwrap();
         assert_eq!((settings.mapper.closure_threshold, settings.mapper.guard_frames), (0.7, 3));
@@ -251,6 +345,7 @@ mod tests {
             "looks_per_stay":3,"min_words":10,"max_speed_m_per_s":100.0}"#;
         let settings = from_json(stored).unwrap();
         assert_eq!((settings.mapper.guard_frames, settings.keep), (20, Keep::Words));
+        assert_eq!(settings.mapper.verification.method, VerificationMethod::None);
         assert_eq!(settings.mapper.recognizer.new_place, NewPlaceMethod::Sampled);
     }
 

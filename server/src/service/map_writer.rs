@@ -3,8 +3,9 @@
 mod localizers;
 mod open_maps;
 mod reads;
-mod recent_frames;
+mod recent;
 mod requests;
+mod views;
 
 pub(super) use open_maps::OpenMaps;
 pub(super) use requests::{
@@ -12,6 +13,7 @@ pub(super) use requests::{
     SessionOpening, WriterGone,
 };
 pub(crate) use requests::{QueryAnswer, SessionMode, WordPlace};
+pub(super) use views::{compare, stored_features, verifier};
 
 use std::cell::RefCell;
 use std::collections::{BTreeSet, HashMap};
@@ -26,23 +28,33 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, MapEvent, Match, SessionId};
 use topomap::mapper::{ArchiveError, FrameArchive, FrameInput, Mapper};
+use topomap::verification::Candidate;
+use waypost_vision::feature_record::FeatureRecord;
+use waypost_vision::verification::Verifier;
 
 use self::localizers::Localizers;
-use self::recent_frames::RecentFrames;
+use self::recent::{Recent, RecentFrame};
 use self::requests::{FrameReply, MapRequest};
+use self::views::CurrentView;
 use super::maps::reference;
 use super::now_ns;
-use super::sessions::{FrameAnswer, FrameTimings, MatchView, taken_over};
+use super::sessions::{FrameAnswer, FrameTimings, GeometryView, MatchView, taken_over};
 use crate::error::ServiceError;
 use crate::extraction::LoadedModel;
 use crate::metrics::Metrics;
-use crate::storage::{LogEntry, MapRow, Medium, SessionRow, Storage, StorageError};
+use crate::storage::{LogEntry, MapRow, Medium, MediumKind, SessionRow, Storage, StorageError};
 
 /// Most frames that share one commit.
 const MAX_BATCH: usize = 64;
 
 /// A checkpoint is written after so many events, so that a crash replays no more than these.
 const CHECKPOINT_EVENTS: u64 = 1000;
+
+/// Frames of a map that are kept in memory, of a kilobyte or two each.
+const MOST_RECENT: usize = 4096;
+
+/// Frames whose features are, of about 80 kB each; more than a batch, so that none of it is missed.
+const MOST_RECENT_FEATURES: usize = 256;
 
 /// The state of an open map and its way to the disk.
 struct MapWriter {
@@ -61,7 +73,10 @@ struct MapWriter {
     /// Decided and applied, but not yet on the disk.
     pending: Vec<Pending>,
     /// What earlier frames showed, as far as it was asked for lately.
-    recent: RefCell<RecentFrames>,
+    recent: RefCell<Recent<RecentFrame>>,
+    /// Where their words are; `None` if that is not kept.
+    recent_features: RefCell<Recent<Option<Arc<FeatureRecord>>>>,
+    verifier: Verifier,
     /// Places that changed since the checkpoint.
     changed: BTreeSet<PlaceId>,
     checkpoint_events: u64,
@@ -161,12 +176,12 @@ impl MapWriter {
         if last.is_some_and(|last| work.sequence() <= last) {
             return self.answer_resend(session, work.sequence(), reply);
         }
-        let FrameWork::Fresh { input, media, mut timings } = work else {
+        let FrameWork::Fresh { input, features, media, mut timings } = work else {
             let _ = reply.send(Err(not_stored()));
             return Ok(());
         };
         let mut clock = StageClock { last: Instant::now(), timings: &mut timings };
-        match self.decide_and_apply(*input, media, &mut clock) {
+        match self.decide_and_apply(*input, features, media, &mut clock) {
             Ok(entry) => self.pending.push(Pending { entry, reply, timings, since }),
             Err(error) => {
                 // Frames behind it in the queue must not be committed before it comes again.
@@ -182,15 +197,20 @@ impl MapWriter {
     fn decide_and_apply(
         &mut self,
         input: FrameInput,
+        features: Option<Arc<FeatureRecord>>,
         media: Vec<Medium>,
         clock: &mut StageClock<'_>,
     ) -> Result<LogEntry, ServiceError> {
         let archive = Archive { writer: self };
-        let event = self.mapper.decide(input, &archive, clock)?.event;
+        let views = CurrentView { writer: self, current: features.as_deref() };
+        let event = self.mapper.decide(input, &archive, &views, clock)?.event;
         let (position, touched) = (event.frame, event.decision.place.filter(|_| event.learnt));
         let event = MapEvent::Frame(Box::new(event));
         self.mapper.apply(&event).map_err(ServiceError::internal)?;
         self.changed.extend(touched);
+        // As the disk will have it: what a frame is compared with must not depend on what is in memory.
+        let kept = media.iter().any(|medium| medium.kind == MediumKind::Features);
+        self.recent_features.get_mut().keep(position, features.filter(|_| kept));
         Ok(LogEntry { position, event, media })
     }
 
@@ -221,7 +241,7 @@ impl MapWriter {
             timings.total = since.elapsed();
             timings.commit = timings.total.saturating_sub(timings.work());
             if let MapEvent::Frame(event) = entry.event {
-                self.recent.get_mut().keep(&event);
+                self.recent.get_mut().keep(event.frame, RecentFrame::of(&event));
                 let _ = reply.send(self.answer(&event, Some(timings)).map_err(|_| answer_unreadable()));
             }
         }
@@ -265,14 +285,14 @@ impl MapWriter {
         Ok(FrameAnswer::new(
             event,
             session.and_then(|session| session.last_sequence).unwrap_or(event.sequence),
-            event.decision.closure.map(|found| self.matched(found)).transpose()?,
-            event.proposal.map(|found| self.matched(found)).transpose()?,
+            event.decision.closure.map(|found| self.matched(found, &event.candidates)).transpose()?,
+            event.proposal.map(|found| self.matched(found, &event.candidates)).transpose()?,
             timings,
         ))
     }
 
     /// A match with its frame as users name it.
-    fn matched(&self, found: Match) -> Result<MatchView, ServiceError> {
+    fn matched(&self, found: Match, candidates: &[Candidate]) -> Result<MatchView, ServiceError> {
         let recent = self.recent.borrow().get(found.frame).map(|recent| recent.stored);
         let stored = match recent {
             Some(stored) => Some(stored),
@@ -283,7 +303,7 @@ impl MapWriter {
         let stored = stored.ok_or_else(|| ServiceError::internal("a matched frame is not in the log"))?;
         let frame = reference(&self.map.name, &self.sessions, &stored);
         let Match { place, posterior, log_odds, frame: _ } = found;
-        Ok(MatchView { place, posterior, log_odds, frame })
+        Ok(MatchView { place, posterior, log_odds, frame, geometry: GeometryView::of(found, candidates) })
     }
 
     fn open(&mut self, opening: SessionOpening) -> Result<OpenedSession, ServiceError> {
@@ -400,7 +420,7 @@ impl FrameArchive for Archive<'_> {
         }
         match runtime.block_on(storage.event_at(map.id, frame, model.model.vocabulary().len())) {
             Ok(Some(MapEvent::Frame(event))) => {
-                recent.borrow_mut().keep(&event);
+                recent.borrow_mut().keep(frame, RecentFrame::of(&event));
                 Ok(Some(event.observation))
             }
             Ok(Some(MapEvent::SessionOpened { .. }) | None) | Err(StorageError::Damaged(_)) => {
@@ -430,6 +450,7 @@ impl StageObserver for StageClock<'_> {
             Stage::Likelihood => self.timings.likelihood = elapsed,
             Stage::NewPlace => self.timings.new_place = elapsed,
             Stage::Filter => self.timings.filter = elapsed,
+            Stage::Verification => self.timings.verification = elapsed,
         }
     }
 }

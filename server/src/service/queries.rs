@@ -8,13 +8,17 @@ use fabmap::observation::Observation;
 use tokio::runtime::Handle;
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, MapEvent, Reason};
-use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameInput, Gate, Gates, Mapper};
+use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameError, FrameInput, Gate, Gates, Mapper};
+use topomap::verification::{Bound, Check, Quantity, TwoView, Verdict, Views};
+use waypost_vision::feature_record::FeatureRecord;
+use waypost_vision::verification::Verifier;
 
 use super::Service;
 use super::content::{Content, Words};
 use super::frames::LocatedFrame;
 use super::map_settings::{self, Keep};
 pub(crate) use super::map_writer::QueryAnswer;
+use super::map_writer::{compare, stored_features, verifier};
 use super::names::map_in;
 use crate::error::ServiceError;
 use crate::extraction::LoadedModel;
@@ -61,7 +65,7 @@ impl Service {
         let model = self.loaded_model(&row.model).await?;
         let words = Words::declared(words_hash, &model)?;
         let observed = self.observe(model, content, words, Keep::Words, None).await?;
-        self.open_map(map).await?.query(observed.observation, explained).await
+        self.open_map(map).await?.query(observed.observation, observed.features, explained).await
     }
 
     /// Replays the map up to a frame and decides that frame again, this time telling why.
@@ -136,7 +140,8 @@ impl Replay {
             odometry: event.odometry.clone(),
             observation: event.observation.clone(),
         };
-        let decided = mapper.decide(input.clone(), self, &mut ())?;
+        let views = ReplayedView::new(self, position, verifier(mapper.settings()))?;
+        let decided = mapper.decide(input.clone(), self, &views, &mut ())?;
         let explained = place.or_else(|| contested_place(&event, &decided));
         let places = mapper.recognizer().places();
         if let Some(place) = place.filter(|&place| place as usize >= places) {
@@ -147,10 +152,15 @@ impl Replay {
         }
         let recognition = &decided.recognition;
         let gates = explained.and_then(|place| mapper.gates(&input, recognition, place));
+        let mut gates = gates.map(|gates| gate_views(&gates)).unwrap_or_default();
+        // As logged: the decision stands by what was found then.
+        let candidate = event.candidates.iter().find(|candidate| Some(candidate.matched.place) == explained);
+        gates
+            .extend(candidate.map(|candidate| verdict_views(&mapper.verdict(candidate))).unwrap_or_default());
         Ok(FrameExplanation {
             name,
             reason: event.decision.reason,
-            gates: gates.map(|gates| gate_views(&gates)).unwrap_or_default(),
+            gates,
             place: explained.and_then(|place| mapper.explain(&input.observation, recognition, place, words)),
             reproduced: decided.event == event,
         })
@@ -186,6 +196,34 @@ impl FrameArchive for Replay {
             Ok(Some(MapEvent::SessionOpened { .. }) | None) | Err(StorageError::Damaged(_)) => Ok(None),
             Err(error) => Err(ArchiveError { frame, why: error.to_string() }),
         }
+    }
+}
+
+/// The frame that is decided again, beside those before it.
+struct ReplayedView<'a> {
+    replay: &'a Replay,
+    current: Option<FeatureRecord>,
+    verifier: Verifier,
+}
+
+impl<'a> ReplayedView<'a> {
+    fn new(replay: &'a Replay, frame: FrameId, verifier: Verifier) -> Result<Self, ServiceError> {
+        let current = replay.features(frame).map_err(FrameError::from)?;
+        Ok(Self { replay, current, verifier })
+    }
+}
+
+impl Views for ReplayedView<'_> {
+    fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
+        let Some(current) = &self.current else { return Ok(None) };
+        let earlier = self.replay.features(earlier)?;
+        Ok(earlier.map(|earlier| compare(&self.verifier, &earlier, current)))
+    }
+}
+
+impl Replay {
+    fn features(&self, frame: FrameId) -> Result<Option<FeatureRecord>, ArchiveError> {
+        stored_features(&self.runtime, &self.storage, self.map.id, frame)
     }
 }
 
@@ -230,6 +268,35 @@ fn gate_views(gates: &Gates) -> Vec<GateView> {
         view("guard", guard, guard_text),
         view("threshold", threshold, threshold_text),
     ]
+}
+
+fn verdict_views(verdict: &Verdict) -> Vec<GateView> {
+    let view = |check: &Check, more: &str| {
+        let Check { quantity, value, bound } = *check;
+        let (required, asked) = match bound {
+            Bound::AtLeast(least) => (least, "at least"),
+            Bound::AtMost(most) => (most, "at most"),
+        };
+        let description =
+            format!("geometry: the {quantity} is {value:.3}; {asked} {required:.3} is asked for{more}");
+        let gate = Gate { passed: check.passed(), value, required };
+        GateView { name: gate_name(quantity), gate, description }
+    };
+    let Verdict { all, one } = verdict;
+    let all = all.iter().map(|check| view(check, ""));
+    all.chain(one.iter().map(|check| view(check, ", of this or the other"))).collect()
+}
+
+fn gate_name(quantity: Quantity) -> &'static str {
+    match quantity {
+        Quantity::Keypoints => "keypoints",
+        Quantity::Inliers => "inliers",
+        Quantity::Evidence => "evidence",
+        Quantity::Posterior => "posterior",
+        Quantity::RotationRad => "rotation",
+        Quantity::LnScale => "scale",
+        Quantity::TranslationWidths => "translation",
+    }
 }
 
 /// Digits where they tell: near 0 and near 1.

@@ -8,9 +8,10 @@ use std::time::{Duration, Instant};
 use fabmap::appearance::PlaceId;
 use tokio::sync::{OwnedSemaphorePermit, oneshot};
 use tokio_util::sync::CancellationToken;
-use topomap::event::{FrameEvent, Reason};
+use topomap::event::{FrameEvent, Match, Reason};
 use topomap::mapper::{FrameInput, Localizer};
 use topomap::odometry::Odometry;
+use topomap::verification::{Candidate, Motion, Similarity, TwoView};
 
 use self::order::Order;
 use super::Service;
@@ -71,6 +72,31 @@ pub(crate) struct MatchView {
     pub(crate) posterior: f64,
     pub(crate) log_odds: f64,
     pub(crate) frame: FrameReference,
+    /// `None` where geometry was not asked.
+    pub(crate) geometry: Option<GeometryView>,
+}
+
+/// What geometry found between a frame and one that it matched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct GeometryView {
+    pub(crate) matches: u32,
+    pub(crate) inliers: u32,
+    /// In inliers, with what the frames before say.
+    pub(crate) evidence: f64,
+    pub(crate) similarity: Option<Similarity>,
+}
+
+impl GeometryView {
+    /// What was found for `matched`, if it is among the candidates.
+    pub(super) fn of(matched: Match, candidates: &[Candidate]) -> Option<Self> {
+        let candidate = candidates.iter().find(|candidate| candidate.matched.frame == matched.frame)?;
+        let TwoView { matches, inliers, motion, .. } = candidate.view?;
+        let similarity = match motion {
+            Some(Motion::Similarity(similarity)) => Some(similarity),
+            Some(Motion::Essential { .. } | Motion::Fundamental(_)) | None => None,
+        };
+        Some(Self { matches, inliers, evidence: candidate.evidence(), similarity })
+    }
 }
 
 /// Where a frame's time went.
@@ -81,6 +107,7 @@ pub(crate) struct FrameTimings {
     pub(crate) likelihood: Duration,
     pub(crate) new_place: Duration,
     pub(crate) filter: Duration,
+    pub(crate) verification: Duration,
     pub(crate) commit: Duration,
     pub(crate) total: Duration,
 }
@@ -88,7 +115,7 @@ pub(crate) struct FrameTimings {
 impl FrameTimings {
     /// Time spent on the frame itself; the rest of the total is waiting.
     pub(super) fn work(&self) -> Duration {
-        self.extract + self.quantize + self.likelihood + self.new_place + self.filter
+        self.extract + self.quantize + self.likelihood + self.new_place + self.filter + self.verification
     }
 }
 
@@ -232,14 +259,14 @@ impl SessionStream {
         }
         let (model, stream) = (self.model.clone(), Some(self.stream));
         let observed = self.service.observe(model, content, self.words, self.keep, stream).await?;
-        let Observed { observation, media, extract, quantize } = observed;
+        let Observed { observation, features, media, extract, quantize } = observed;
         let session = match self.source {
             FrameSource::Session(session) => session,
             FrameSource::Localizer(_) => Localizer::SESSION,
         };
         let input = FrameInput { session, sequence, stamp_ns, odometry, observation };
         let timings = FrameTimings { extract, quantize, ..FrameTimings::default() };
-        Ok(FrameWork::Fresh { input: Box::new(input), media, timings })
+        Ok(FrameWork::Fresh { input: Box::new(input), features, media, timings })
     }
 
     /// Hands a prepared frame to the map's writer, in the order of calls; what comes back waits for
@@ -404,7 +431,7 @@ impl FrameAnswer {
     ) -> Self {
         let decision = &event.decision;
         let created = match decision.reason {
-            Reason::NewPlace | Reason::BelowThreshold => decision.place,
+            Reason::NewPlace | Reason::BelowThreshold | Reason::GeometryRefused => decision.place,
             Reason::SamePlace | Reason::LoopClosure | Reason::TooFewWords => None,
         };
         let mut places: Vec<(PlaceId, f64)> =

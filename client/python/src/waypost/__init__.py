@@ -3,12 +3,14 @@
 from waypost.answers import (
     Answer,
     FrameReference,
+    Geometry,
     LoopClosure,
     Match,
     Outcome,
     QueryAnswer,
     Reason,
     Refusal,
+    Similarity,
     Timings,
 )
 from waypost.client import Client, connect
@@ -43,6 +45,7 @@ __all__ = [
     "FailedPrecondition",
     "Frame",
     "FrameReference",
+    "Geometry",
     "InvalidArgument",
     "LoopClosure",
     "Match",
@@ -62,6 +65,7 @@ __all__ = [
     "Session",
     "SessionLost",
     "SessionRewound",
+    "Similarity",
     "Timings",
     "Unauthenticated",
     "Unavailable",

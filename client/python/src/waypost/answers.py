@@ -16,7 +16,8 @@ from waypost.v1 import map_pb2, session_pb2
 class Reason(enum.IntEnum):
     """Why a frame was decided as it was.
 
-    While localizing nothing is created: then NEW_PLACE and BELOW_THRESHOLD come without a place.
+    While localizing nothing is created: then NEW_PLACE, BELOW_THRESHOLD and GEOMETRY_REFUSED come without a
+    place.
     """
 
     #: Somewhere new was the most probable: a place was created.
@@ -29,6 +30,8 @@ class Reason(enum.IntEnum):
     BELOW_THRESHOLD = session_pb2.REASON_BELOW_THRESHOLD
     #: Too few different words to say anything: nothing was created or learnt.
     TOO_FEW_WORDS = session_pb2.REASON_TOO_FEW_WORDS
+    #: A known place was above the threshold, but geometry refused it: a place was created.
+    GEOMETRY_REFUSED = session_pb2.REASON_GEOMETRY_REFUSED
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,34 @@ class FrameReference:
 
 
 @dataclass(frozen=True)
+class Similarity:
+    """x_current = s R x_earlier + t about the centres of the images."""
+
+    #: Angle of R, from x to the right towards y down.
+    rotation_rad: float
+    #: ln s: above 0 if the current view is nearer.
+    ln_scale: float
+    #: t to the right, in widths of the image.
+    x_widths: float
+    #: t down, in widths of the image.
+    y_widths: float
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Two views compared by where their features are."""
+
+    #: Features that look alike.
+    matches: int
+    #: Those that one motion explains.
+    inliers: int
+    #: What this and the session's last frames say for the place, in inliers.
+    evidence: float
+    #: The motion, if it was looked for in the image plane and one was found.
+    similarity: Similarity | None
+
+
+@dataclass(frozen=True)
 class Match:
     """An earlier frame of a place."""
 
@@ -50,6 +81,8 @@ class Match:
     frame: FrameReference
     #: ln [posterior / (1 - posterior)], nats: tells apart what rounds to 1.
     log_odds: float
+    #: What geometry found between the two frames; None where it was not asked.
+    geometry: Geometry | None = None
 
 
 @dataclass(frozen=True)
@@ -61,6 +94,8 @@ class Timings:
     likelihood_ms: float
     new_place_ms: float
     filter_ms: float
+    #: Comparing the frame with earlier ones by where their features are.
+    verification_ms: float
     #: Waiting for other frames of the map, and for the commit.
     commit_ms: float
     total_ms: float
@@ -86,10 +121,11 @@ class Answer:
     probabilities: npt.NDArray[np.float64]
     #: The place and frame that were matched, if the frame closes a loop.
     closure: Match | None
-    #: The place and frame that would have been matched, had their posterior reached the map's threshold.
+    #: The place and frame that would have been matched, had their posterior reached the map's threshold or,
+    #: for GEOMETRY_REFUSED, geometry agreed.
     closure_below_threshold: Match | None
     #: Whatever was decided: of the most probable place known from before the guard, the frame that matches
-    #: best.
+    #: best; with geometry, of the place that it has most evidence for.
     proposal: Match | None
     #: Different words seen.
     words: int
@@ -212,7 +248,27 @@ def _reason(reason: int) -> Reason:
 
 
 def _match(message: session_pb2.Match) -> Match:
-    return Match(message.place, message.posterior, _frame_reference(message.frame), message.log_odds)
+    return Match(
+        place=message.place,
+        posterior=message.posterior,
+        frame=_frame_reference(message.frame),
+        log_odds=message.log_odds,
+        geometry=_geometry(message.geometry) if message.HasField("geometry") else None,
+    )
+
+
+def _geometry(message: session_pb2.Geometry) -> Geometry:
+    similarity = message.similarity if message.HasField("similarity") else None
+    return Geometry(
+        matches=message.matches,
+        inliers=message.inliers,
+        evidence=message.evidence,
+        similarity=_similarity(similarity) if similarity is not None else None,
+    )
+
+
+def _similarity(message: session_pb2.Similarity) -> Similarity:
+    return Similarity(message.rotation_rad, message.ln_scale, message.x_widths, message.y_widths)
 
 
 def _frame_reference(message: map_pb2.FrameReference) -> FrameReference:
@@ -226,6 +282,7 @@ def _timings(message: session_pb2.Timings) -> Timings:
         likelihood_ms=message.likelihood_ms,
         new_place_ms=message.new_place_ms,
         filter_ms=message.filter_ms,
+        verification_ms=message.verification_ms,
         commit_ms=message.commit_ms,
         total_ms=message.total_ms,
     )

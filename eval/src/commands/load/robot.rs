@@ -349,11 +349,12 @@ fn computing(timings: &v1::Timings) -> Duration {
         likelihood_ms,
         new_place_ms,
         filter_ms,
+        verification_ms,
         // Waiting, and the sum of all.
         commit_ms: _,
         total_ms: _,
     } = timings;
-    let ms = extract_ms + quantize_ms + likelihood_ms + new_place_ms + filter_ms;
+    let ms = extract_ms + quantize_ms + likelihood_ms + new_place_ms + filter_ms + verification_ms;
     Duration::try_from_secs_f64(ms / 1e3).unwrap_or_default()
 }
 

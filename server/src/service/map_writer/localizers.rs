@@ -5,8 +5,10 @@ use std::time::Instant;
 
 use tokio_util::sync::CancellationToken;
 use topomap::mapper::{FrameInput, Localizer};
+use waypost_vision::feature_record::FeatureRecord;
 
 use super::requests::{FrameFailure, FrameRequest, FrameSource, FrameWork, OpenedSession};
+use super::views::CurrentView;
 use super::{Archive, MapWriter, StageClock, not_stored};
 use crate::error::ServiceError;
 use crate::service::sessions::{FrameAnswer, FrameTimings, taken_over};
@@ -124,8 +126,12 @@ impl MapWriter {
         if localizing.localizer.last_sequence().is_some_and(|last| sequence <= last) {
             return localizing.stored(sequence);
         }
-        let FrameWork::Fresh { input, media: _, mut timings } = work else { return Err(not_stored()) };
-        let answer = self.localize_fresh(id, *input, &mut timings).map_err(FrameFailure::Refused)?;
+        let FrameWork::Fresh { input, features, media: _, mut timings } = work else {
+            return Err(not_stored());
+        };
+        let answer = self
+            .localize_fresh(id, *input, features.as_deref(), &mut timings)
+            .map_err(FrameFailure::Refused)?;
         timings.total = since.elapsed();
         timings.commit = timings.total.saturating_sub(timings.work());
         Ok(FrameAnswer { timings: Some(timings), ..answer })
@@ -135,12 +141,14 @@ impl MapWriter {
         &mut self,
         id: LocalizerId,
         input: FrameInput,
+        features: Option<&FeatureRecord>,
         timings: &mut FrameTimings,
     ) -> Result<FrameAnswer, ServiceError> {
         let gone = || ServiceError::internal("a localizer went away under its frame");
         let localizer = &self.localizers.localizers.get(&id).ok_or_else(gone)?.localizer;
         let mut clock = StageClock { last: Instant::now(), timings };
-        let event = self.mapper.localize(localizer, input, &Archive { writer: self }, &mut clock)?.event;
+        let (archive, views) = (Archive { writer: self }, CurrentView { writer: self, current: features });
+        let event = self.mapper.localize(localizer, input, &archive, &views, &mut clock)?.event;
         let answer = self.answer(&event, None)?;
         self.localizers.heard += 1;
         let last_heard = self.localizers.heard;

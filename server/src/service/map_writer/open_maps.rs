@@ -11,9 +11,11 @@ use topomap::event::MapEvent;
 use topomap::mapper::Mapper;
 use tracing::Span;
 
-use super::MapWriter;
 use super::localizers::Localizers;
+use super::recent::Recent;
 use super::requests::{MapHandle, QUEUE};
+use super::views::verifier;
+use super::{MOST_RECENT, MOST_RECENT_FEATURES, MapWriter};
 use crate::error::ServiceError;
 use crate::extraction::LoadedModel;
 use crate::metrics::Metrics;
@@ -170,7 +172,9 @@ fn open(
     let handle = MapHandle::new(map.id, sender);
     let thread = std::thread::Builder::new().name(format!("map-{}", map.id));
     let (streams, localizers, pending) = (HashMap::new(), Localizers::default(), Vec::new());
-    let recent = RefCell::default();
+    let recent = RefCell::new(Recent::new(MOST_RECENT));
+    let recent_features = RefCell::new(Recent::new(MOST_RECENT_FEATURES));
+    let verifier = verifier(mapper.settings());
     let writer = MapWriter {
         map,
         model,
@@ -183,6 +187,8 @@ fn open(
         localizers,
         pending,
         recent,
+        recent_features,
+        verifier,
         changed,
         checkpoint_events,
     };

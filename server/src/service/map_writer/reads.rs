@@ -2,8 +2,10 @@
 
 use fabmap::appearance::PlaceId;
 use fabmap::observation::Observation;
+use waypost_vision::feature_record::FeatureRecord;
 
 use super::requests::{PlaceSummary, QueryAnswer, Read, WordPlace};
+use super::views::CurrentView;
 use super::{Archive, MapWriter};
 use crate::error::ServiceError;
 use crate::service::sessions::ANSWERED_PLACES;
@@ -17,8 +19,8 @@ impl MapWriter {
         // An error means that whoever asked is gone.
         match read {
             Read::Localize(localizer, request) => self.localize(localizer, request),
-            Read::Query { observation, explained_words, reply } => {
-                let _ = reply.send(self.query(&observation, explained_words));
+            Read::Query { observation, features, explained_words, reply } => {
+                let _ = reply.send(self.query(&observation, features.as_deref(), explained_words));
             }
             Read::StateHash { reply } => {
                 let _ = reply.send(self.mapper.state_hash().to_string());
@@ -35,14 +37,20 @@ impl MapWriter {
         }
     }
 
-    fn query(&self, observation: &Observation, explained_words: usize) -> Result<QueryAnswer, ServiceError> {
-        let queried = self.mapper.query(observation, &Archive { writer: self }, &mut ())?;
+    fn query(
+        &self,
+        observation: &Observation,
+        features: Option<&FeatureRecord>,
+        explained_words: usize,
+    ) -> Result<QueryAnswer, ServiceError> {
+        let (archive, views) = (Archive { writer: self }, CurrentView { writer: self, current: features });
+        let queried = self.mapper.query(observation, &archive, &views, &mut ())?;
         let recognition = &queried.recognition;
         let best = recognition.posterior.best_place().filter(|_| explained_words > 0);
         Ok(QueryAnswer {
             places: recognition.posterior.top(ANSWERED_PLACES),
             new_place_posterior: recognition.posterior.new_place,
-            matched: queried.matched.map(|matched| self.matched(matched)).transpose()?,
+            matched: queried.matched.map(|found| self.matched(found, &queried.candidates)).transpose()?,
             accepted: queried.accepted,
             words: observation.len() as u64,
             explanation: best

@@ -1,5 +1,6 @@
 //! What can be asked of a map's writer.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use fabmap::appearance::PlaceId;
@@ -9,6 +10,7 @@ use tokio::sync::{mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameId, SessionId};
 use topomap::mapper::FrameInput;
+use waypost_vision::feature_record::FeatureRecord;
 
 use super::localizers::LocalizerId;
 use crate::error::ServiceError;
@@ -36,6 +38,7 @@ pub(crate) enum Read {
     Localize(LocalizerId, FrameRequest),
     Query {
         observation: Observation,
+        features: Option<Arc<FeatureRecord>>,
         /// 0 if nothing is to be explained.
         explained_words: usize,
         reply: oneshot::Sender<Result<QueryAnswer, ServiceError>>,
@@ -106,7 +109,12 @@ pub(crate) enum FrameWork {
     /// It was committed before, says its number: find the stored answer.
     Resend { sequence: u64 },
     /// Decide it.
-    Fresh { input: Box<FrameInput>, media: Vec<Medium>, timings: FrameTimings },
+    Fresh {
+        input: Box<FrameInput>,
+        features: Option<Arc<FeatureRecord>>,
+        media: Vec<Medium>,
+        timings: FrameTimings,
+    },
 }
 
 impl FrameWork {
@@ -222,9 +230,10 @@ impl MapHandle {
     pub(crate) async fn query(
         &self,
         observation: Observation,
+        features: Option<Arc<FeatureRecord>>,
         explained_words: usize,
     ) -> Result<QueryAnswer, ServiceError> {
-        self.read(|reply| Read::Query { observation, explained_words, reply }).await?
+        self.read(|reply| Read::Query { observation, features, explained_words, reply }).await?
     }
 
     /// Hash of all that the map's log decided.

@@ -1,0 +1,54 @@
+//! What was lately asked for of earlier frames: a frame is compared with many, and a query for each would
+//! take longer than all the rest.
+
+use std::collections::{HashMap, VecDeque};
+
+use fabmap::observation::Observation;
+use topomap::event::{FrameEvent, FrameId};
+
+use crate::storage::StoredFrame;
+
+/// Something of some frames, the latest that were asked for.
+#[derive(Debug)]
+pub(super) struct Recent<T> {
+    most: usize,
+    frames: HashMap<FrameId, T>,
+    /// Oldest first.
+    order: VecDeque<FrameId>,
+}
+
+/// What is on the disk of a frame: a kilobyte or two.
+#[derive(Clone, Debug)]
+pub(super) struct RecentFrame {
+    pub(super) stored: StoredFrame,
+    pub(super) observation: Observation,
+}
+
+impl<T> Recent<T> {
+    /// Of `most` frames at most.
+    pub(super) fn new(most: usize) -> Self {
+        Self { most, frames: HashMap::new(), order: VecDeque::new() }
+    }
+
+    pub(super) fn get(&self, frame: FrameId) -> Option<&T> {
+        self.frames.get(&frame)
+    }
+
+    pub(super) fn keep(&mut self, frame: FrameId, value: T) {
+        if self.frames.insert(frame, value).is_none() {
+            self.order.push_back(frame);
+        }
+        if self.order.len() > self.most
+            && let Some(oldest) = self.order.pop_front()
+        {
+            self.frames.remove(&oldest);
+        }
+    }
+}
+
+impl RecentFrame {
+    pub(super) fn of(event: &FrameEvent) -> Self {
+        let FrameEvent { session, sequence, stamp_ns, ref observation, .. } = *event;
+        Self { stored: StoredFrame { session, sequence, stamp_ns }, observation: observation.clone() }
+    }
+}

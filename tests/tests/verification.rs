@@ -1,0 +1,139 @@
+//! Loop closures that geometry has a say in.
+
+use std::collections::HashSet;
+
+use waypost_client::{Client, FrameInput, v1};
+
+use crate::harness::{
+    Server, ServerProcess, answers, answers_of, as_histogram, as_words, frame, frame_count, import_model,
+    session_options, state_hash, words_options, workspace,
+};
+
+/// Pairs of images, by index, of `loops.csv` or `ignore.csv`.
+fn pairs(file: &str) -> HashSet<(u64, u64)> {
+    let text = std::fs::read_to_string(workspace().join("demo/sequence").join(file)).unwrap();
+    let pair = |line: &str| {
+        let (query, matched) = line.split_once(',').unwrap();
+        (query.trim().parse().unwrap(), matched.trim().parse().unwrap())
+    };
+    text.lines().skip(1).map(pair).collect()
+}
+
+async fn verified_map(client: &Client, map: &str, keep: v1::map_settings::Keep) {
+    let settings = v1::MapSettings {
+        verification: v1::map_settings::Verification::Similarity.into(),
+        keep: keep.into(),
+        ..v1::MapSettings::default()
+    };
+    let (map_id, model) = (map.to_owned(), "shipped".to_owned());
+    let request = v1::CreateMapRequest { map_id, model, settings: Some(settings) };
+    let map = client.create_map(request).await.unwrap();
+    assert_eq!(map.settings.unwrap().verification(), v1::map_settings::Verification::Similarity);
+}
+
+/// Right and wrong loop closures of the shipped drive; neither where the truth says nothing.
+fn judged(answers: &[v1::FrameAnswer]) -> (usize, usize) {
+    let (loops, ignored) = (pairs("loops.csv"), pairs("ignore.csv"));
+    let closures = answers.iter().filter(|answer| answer.reason() == v1::Reason::LoopClosure);
+    let pairs = closures.map(|answer| {
+        let matched = answer.closure.as_ref().and_then(|closure| closure.frame.as_ref()).unwrap();
+        (answer.sequence - 1, matched.sequence - 1)
+    });
+    let pairs: Vec<(u64, u64)> = pairs.collect();
+    let right = pairs.iter().filter(|pair| loops.contains(pair)).count();
+    (right, pairs.iter().filter(|pair| !loops.contains(pair) && !ignored.contains(pair)).count())
+}
+
+/// What an answer says but for what is of the moment.
+fn decided(answer: &v1::FrameAnswer) -> v1::FrameAnswer {
+    v1::FrameAnswer { timings: None, resent: false, last_committed_sequence: 0, ..answer.clone() }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn geometry_finds_more_loops_and_none_that_is_wrong() {
+    let (server, client) = Server::with_map().await;
+    let drive = || (1..=frame_count()).map(frame);
+    let by_words = answers(&client, "drive", "robot", drive()).await;
+    verified_map(&client, "verified", v1::map_settings::Keep::Features).await;
+    let verified = answers(&client, "verified", "robot", drive()).await;
+
+    let (right_by_words, _) = judged(&by_words);
+    let (right, wrong) = judged(&verified);
+    assert_eq!(wrong, 0);
+    assert!(right > right_by_words, "{right} of geometry, {right_by_words} of words alone");
+    assert!(
+        by_words.iter().all(|answer| answer.closure.as_ref().is_none_or(|found| found.geometry.is_none()))
+    );
+    for answer in verified.iter().filter(|answer| answer.reason() == v1::Reason::LoopClosure) {
+        let geometry = answer.closure.as_ref().unwrap().geometry.as_ref().unwrap();
+        assert!(geometry.inliers >= 8 && geometry.inliers <= geometry.matches, "{geometry:?}");
+        assert!(geometry.similarity.is_some_and(|motion| motion.x_widths.hypot(motion.y_widths) <= 0.5));
+    }
+    server.stop().await;
+}
+
+/// The same decisions after a restart, by a robot that only looks, and for whoever asks why.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_geometry_decided_is_in_the_log() {
+    let directory = tempfile::tempdir().unwrap();
+    let server = ServerProcess::start(directory.path());
+    let client = server.client().await;
+    import_model(&client).await;
+    verified_map(&client, "hall", v1::map_settings::Keep::Features).await;
+    let half = frame_count() * 3 / 4;
+    let first = answers(&client, "hall", "robot", (1..=half).map(frame)).await;
+    let before = state_hash(&client, "hall").await;
+    server.kill();
+    let server = ServerProcess::start(directory.path());
+    let client = server.client().await;
+    assert_eq!(state_hash(&client, "hall").await, before);
+    let resent = answers(&client, "hall", "robot", (1..=half).map(frame)).await;
+    assert!(resent.iter().zip(&first).all(|(resent, first)| decided(resent) == decided(first)));
+    let rest = answers(&client, "hall", "robot", (half + 1..=frame_count()).map(frame)).await;
+
+    // A server that was never stopped decides the same.
+    verified_map(&client, "whole", v1::map_settings::Keep::Features).await;
+    let whole = answers(&client, "whole", "robot", (1..=frame_count()).map(frame)).await;
+    let unnamed = |answer: &v1::FrameAnswer| {
+        let place = |found: &Option<v1::Match>| found.as_ref().map(|found| (found.place, found.geometry));
+        (answer.reason(), answer.place, place(&answer.closure), place(&answer.proposal))
+    };
+    let cut: Vec<_> = first.iter().chain(&rest).map(unnamed).collect();
+    assert_eq!(cut, whole.iter().map(unnamed).collect::<Vec<_>>());
+    assert_eq!(state_hash(&client, "hall").await, state_hash(&client, "whole").await);
+
+    let closed = rest.iter().find(|answer| answer.reason() == v1::Reason::LoopClosure).unwrap();
+    let name = format!("maps/hall/sessions/robot/frames/{}", closed.sequence);
+    let explained = client.explain_frame(&name, None, 0).await.unwrap();
+    assert!(explained.reproduced, "{explained:?}");
+    let gate = |name: &str| explained.gates.iter().find(|gate| gate.name == name).unwrap();
+    let geometry = closed.closure.as_ref().unwrap().geometry.unwrap();
+    assert_eq!(gate("inliers").value, f64::from(geometry.inliers));
+    assert!(gate("inliers").passed && gate("translation").passed && gate("rotation").passed);
+    assert_eq!(gate("evidence").value, geometry.evidence);
+    assert!(gate("evidence").passed || gate("posterior").passed);
+
+    let looked = answers(&client, "hall", "lookout", (closed.sequence..=closed.sequence).map(frame)).await;
+    assert!(looked[0].proposal.as_ref().unwrap().geometry.is_some());
+    drop(server);
+}
+
+/// Words with their places in the image are enough; without any there is nothing to verify.
+#[tokio::test(flavor = "multi_thread")]
+async fn words_are_verified_by_where_they_are() {
+    let (server, client) = Server::with_map().await;
+    verified_map(&client, "words", v1::map_settings::Keep::Features).await;
+    let drive = |frame: fn(u64) -> FrameInput| (1..=frame_count()).map(frame);
+    let of_words = answers_of(&client, words_options("words", "robot"), drive(as_words)).await;
+    let (right, wrong) = judged(&of_words);
+    assert!(right > 0 && wrong == 0, "{right} right, {wrong} wrong");
+
+    verified_map(&client, "histograms", v1::map_settings::Keep::Features).await;
+    let of_histograms = answers_of(&client, words_options("histograms", "robot"), drive(as_histogram)).await;
+    verified_map(&client, "lean", v1::map_settings::Keep::Words).await;
+    let unkept = answers_of(&client, session_options("lean", "robot"), drive(frame)).await;
+    for answer in of_histograms.iter().chain(&unkept) {
+        assert!(answer.closure.as_ref().is_none_or(|found| found.geometry.is_none()), "{answer:?}");
+    }
+    server.stop().await;
+}
