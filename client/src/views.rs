@@ -427,6 +427,7 @@ pub(crate) fn reason_name(reason: v1::Reason) -> &'static str {
         v1::Reason::LoopClosure => "loop_closure",
         v1::Reason::BelowThreshold => "below_threshold",
         v1::Reason::TooFewWords => "too_few_words",
+        v1::Reason::GeometryRefused => "geometry_refused",
     }
 }
 

@@ -193,6 +193,7 @@ fn answer_name(answer: &FrameAnswer) -> &'static str {
         Reason::LoopClosure => "loop_closure",
         Reason::BelowThreshold => "below_threshold",
         Reason::TooFewWords => "too_few_words",
+        Reason::GeometryRefused => "geometry_refused",
     }
 }
 

@@ -37,8 +37,14 @@ async fn a_recalibrated_model_is_taken_and_decides_from_then_on() {
     let mut mapper = Mapper::new(&recalibrated, MapperSettings::default()).unwrap();
     reference().fold_into(&mut mapper, MAPPED);
     for sequence in [10, MAPPED + 1] {
-        let queried =
-            mapper.query(reference().observation(sequence), reference().archive(), &mut ()).unwrap();
+        let queried = mapper
+            .query(
+                reference().observation(sequence),
+                reference().archive(),
+                &topomap::verification::NoViews,
+                &mut (),
+            )
+            .unwrap();
         let content = as_histogram(sequence).content;
         let response = client.query("drive", content, word_maker().words_hash(), 0).await.unwrap();
         let expected = queried.recognition.posterior.new_place;

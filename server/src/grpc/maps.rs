@@ -207,6 +207,7 @@ fn settings_message(settings: &MapSettings) -> v1::MapSettings {
     let MapperSettings {
         recognizer,
         closure_threshold,
+        verification: _,
         guard_frames,
         looks_per_stay: _,
         min_words: _,

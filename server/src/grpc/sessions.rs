@@ -285,6 +285,7 @@ pub(super) fn reason_code(reason: Reason) -> v1::Reason {
         Reason::LoopClosure => v1::Reason::LoopClosure,
         Reason::BelowThreshold => v1::Reason::BelowThreshold,
         Reason::TooFewWords => v1::Reason::TooFewWords,
+        Reason::GeometryRefused => v1::Reason::GeometryRefused,
     }
 }
 

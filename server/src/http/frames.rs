@@ -175,7 +175,8 @@ pub(super) struct FrameAnswer {
 /// Why a frame was decided as it was: somewhere new was the most probable (`new_place`); the place that the
 /// session is at, or has just left (`same_place`); another place, at or above the map's threshold
 /// (`loop_closure`) or below it, so that a place was created (`below_threshold`); too few words to say
-/// anything (`too_few_words`).
+/// anything (`too_few_words`); a known place, but geometry refused it, so that a place was created
+/// (`geometry_refused`).
 #[derive(Clone, Copy, Debug, Serialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Reason {
@@ -184,6 +185,7 @@ pub(super) enum Reason {
     LoopClosure,
     BelowThreshold,
     TooFewWords,
+    GeometryRefused,
 }
 
 #[derive(Clone, Copy, Debug, Serialize, ToSchema)]
@@ -292,6 +294,7 @@ impl From<event::Reason> for Reason {
             event::Reason::LoopClosure => Self::LoopClosure,
             event::Reason::BelowThreshold => Self::BelowThreshold,
             event::Reason::TooFewWords => Self::TooFewWords,
+            event::Reason::GeometryRefused => Self::GeometryRefused,
         }
     }
 }

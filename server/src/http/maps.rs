@@ -247,6 +247,7 @@ impl From<maps::MapSettings> for MapSettings {
         let MapperSettings {
             recognizer,
             closure_threshold,
+            verification: _,
             guard_frames,
             looks_per_stay: _,
             min_words: _,

@@ -7,6 +7,7 @@ use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::{RecognizerSettings, Scorer};
 use serde::{Deserialize, Serialize};
 use topomap::mapper::MapperSettings;
+use topomap::verification::VerificationSettings;
 
 use crate::error::ServiceError;
 
@@ -139,6 +140,7 @@ pub(super) fn to_json(settings: &MapSettings) -> Result<String, ServiceError> {
     let MapperSettings {
         recognizer,
         closure_threshold,
+        verification: _,
         guard_frames,
         looks_per_stay,
         min_words,
@@ -206,6 +208,7 @@ pub(crate) fn from_json(json: &str) -> Result<MapSettings, ServiceError> {
             detector: detector.transpose()?,
             filter: FilterSettings { new_place_prior, even_share, likelihood_smoothing },
         },
+        verification: VerificationSettings::none(),
         closure_threshold,
         guard_frames,
         looks_per_stay,

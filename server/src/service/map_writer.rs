@@ -24,6 +24,7 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, MapEvent, Match, SessionId};
 use topomap::mapper::{ArchiveError, FrameArchive, FrameInput, Mapper};
+use topomap::verification::NoViews;
 
 use self::localizers::Localizers;
 use self::requests::{FrameReply, MapRequest};
@@ -181,7 +182,7 @@ impl MapWriter {
         clock: &mut StageClock<'_>,
     ) -> Result<LogEntry, ServiceError> {
         let archive = Archive { writer: self };
-        let event = self.mapper.decide(input, &archive, clock)?.event;
+        let event = self.mapper.decide(input, &archive, &NoViews, clock)?.event;
         let (position, touched) = (event.frame, event.decision.place.filter(|_| event.learnt));
         let event = MapEvent::Frame(Box::new(event));
         self.mapper.apply(&event).map_err(ServiceError::internal)?;
@@ -413,6 +414,7 @@ impl StageObserver for StageClock<'_> {
             Stage::Likelihood => self.timings.likelihood = elapsed,
             Stage::NewPlace => self.timings.new_place = elapsed,
             Stage::Filter => self.timings.filter = elapsed,
+            Stage::Verification => {}
         }
     }
 }

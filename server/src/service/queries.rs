@@ -9,6 +9,7 @@ use tokio::runtime::Handle;
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, MapEvent, Reason};
 use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameInput, Gate, Gates, Mapper};
+use topomap::verification::NoViews;
 
 use super::Service;
 use super::content::{Content, Words};
@@ -136,7 +137,7 @@ impl Replay {
             odometry: event.odometry.clone(),
             observation: event.observation.clone(),
         };
-        let decided = mapper.decide(input.clone(), self, &mut ())?;
+        let decided = mapper.decide(input.clone(), self, &NoViews, &mut ())?;
         let explained = place.or_else(|| contested_place(&event, &decided));
         let places = mapper.recognizer().places();
         if let Some(place) = place.filter(|&place| place as usize >= places) {

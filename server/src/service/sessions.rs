@@ -385,7 +385,7 @@ impl FrameAnswer {
     ) -> Self {
         let decision = &event.decision;
         let created = match decision.reason {
-            Reason::NewPlace | Reason::BelowThreshold => decision.place,
+            Reason::NewPlace | Reason::BelowThreshold | Reason::GeometryRefused => decision.place,
             Reason::SamePlace | Reason::LoopClosure | Reason::TooFewWords => None,
         };
         let mut places: Vec<(PlaceId, f64)> =

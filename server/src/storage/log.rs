@@ -221,6 +221,7 @@ fn reason_name(reason: Reason) -> &'static str {
         Reason::LoopClosure => "loop_closure",
         Reason::BelowThreshold => "below_threshold",
         Reason::TooFewWords => "too_few_words",
+        Reason::GeometryRefused => "geometry_refused",
     }
 }
 

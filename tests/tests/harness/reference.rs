@@ -49,7 +49,7 @@ static REFERENCE: LazyLock<Reference> = LazyLock::new(|| {
     for (sequence, observation) in (1..=frame_count()).zip(observations) {
         let stamp_ns = frame(sequence).stamp_ns;
         let input = FrameInput { session: 0, sequence, stamp_ns, odometry: None, observation };
-        let decided = mapper.decide(input, &log, &mut ()).unwrap();
+        let decided = mapper.decide(input, &log, &topomap::verification::NoViews, &mut ()).unwrap();
         let event = MapEvent::Frame(Box::new(decided.event.clone()));
         mapper.apply(&event).unwrap();
         log.0.push(event);
@@ -120,12 +120,14 @@ impl Reference {
             odometry: None,
             observation: self.observation(sequence).clone(),
         };
-        mapper.localize(localizer, input, &self.log, &mut ()).unwrap()
+        mapper.localize(localizer, input, &self.log, &topomap::verification::NoViews, &mut ()).unwrap()
     }
 
     /// Where a frame is in the map of the first `mapped` ones, by its looks alone.
     pub(crate) fn queried(&self, mapped: u64, sequence: u64) -> Queried {
-        self.mapper(mapped).query(self.observation(sequence), &self.log, &mut ()).unwrap()
+        self.mapper(mapped)
+            .query(self.observation(sequence), &self.log, &topomap::verification::NoViews, &mut ())
+            .unwrap()
     }
 
     /// The words of a frame.

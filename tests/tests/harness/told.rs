@@ -56,6 +56,7 @@ pub(crate) fn decided(event: &FrameEvent, reference: &Reference) -> Told {
             Reason::LoopClosure => v1::Reason::LoopClosure,
             Reason::BelowThreshold => v1::Reason::BelowThreshold,
             Reason::TooFewWords => v1::Reason::TooFewWords,
+            Reason::GeometryRefused => v1::Reason::GeometryRefused,
         },
         place: event.decision.place,
         posterior_bits: event.decision.posterior.to_bits(),

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use tokio_util::sync::CancellationToken;
 use topomap::mapper::{FrameInput, Localizer};
+use topomap::verification::NoViews;
 
 use super::requests::{FrameFailure, FrameRequest, FrameSource, FrameWork, OpenedSession};
 use super::{Archive, MapWriter, StageClock, not_stored};
@@ -140,7 +141,8 @@ impl MapWriter {
         let gone = || ServiceError::internal("a localizer went away under its frame");
         let localizer = &self.localizers.localizers.get(&id).ok_or_else(gone)?.localizer;
         let mut clock = StageClock { last: Instant::now(), timings };
-        let event = self.mapper.localize(localizer, input, &Archive { writer: self }, &mut clock)?.event;
+        let event =
+            self.mapper.localize(localizer, input, &Archive { writer: self }, &NoViews, &mut clock)?.event;
         let answer = self.answer(&event, None)?;
         self.localizers.heard += 1;
         let last_heard = self.localizers.heard;

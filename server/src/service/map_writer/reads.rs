@@ -36,7 +36,12 @@ impl MapWriter {
     }
 
     fn query(&self, observation: &Observation, explained_words: usize) -> Result<QueryAnswer, ServiceError> {
-        let queried = self.mapper.query(observation, &Archive { writer: self }, &mut ())?;
+        let queried = self.mapper.query(
+            observation,
+            &Archive { writer: self },
+            &topomap::verification::NoViews,
+            &mut (),
+        )?;
         let recognition = &queried.recognition;
         let best = recognition.posterior.best_place().filter(|_| explained_words > 0);
         Ok(QueryAnswer {

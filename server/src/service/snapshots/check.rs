@@ -150,7 +150,7 @@ impl Log {
             return Err("its sequence number does not rise");
         }
         let agrees = match reason {
-            Reason::NewPlace | Reason::BelowThreshold => created,
+            Reason::NewPlace | Reason::BelowThreshold | Reason::GeometryRefused => created,
             Reason::SamePlace | Reason::LoopClosure => place.is_some() && !created,
             Reason::TooFewWords => place.is_none(),
         };
