@@ -24,7 +24,8 @@ fn views() -> [FeatureRecord; 2] {
     let mut views = [(Vec::new(), Vec::new(), Vec::new()), (Vec::new(), Vec::new(), Vec::new())];
     for feature in 0..FEATURES {
         let shared = feature < SHARED;
-        let [mut x_px, mut y_px]: [f32; 2] = [random.random_range(0.0..640.0), random.random_range(0.0..480.0)];
+        let [mut x_px, mut y_px]: [f32; 2] =
+            [random.random_range(0.0..640.0), random.random_range(0.0..480.0)];
         let mut row: Vec<u8> = (0..128).map(|_| random.random_range(0..80)).collect();
         let mut word: u32 = random.random_range(0..5000);
         for (keypoints, words, rows) in &mut views {
