@@ -213,7 +213,7 @@ proptest! {
         let view = |features| View { features, camera: Some(CAMERA) };
         let found = Verifier::new(settings, SEED).compare(view(&earlier), view(&current));
         let Some(Motion::Essential { rotation, direction }) = found.motion else { panic!("{found:?}") };
-        prop_assert!(found.inliers >= 45, "{found:?}");
+        prop_assert!(found.inliers >= 30, "{found:?}");
         let turned = rotation.angle_to(&motion.rotation);
         let aside = direction.dot(&motion.translation.vector.normalize()).clamp(-1.0, 1.0).acos();
         prop_assert!(turned < 0.05 && aside < 0.3, "rotation off by {turned}, direction by {aside}");
