@@ -331,18 +331,6 @@ fn settings_out_of_range_are_refused() {
 /// Frames that version 1 logged: a new place with odometry, and a loop closure.
 const LOGGED_BY_VERSION_1: &[u8] = include_bytes!("fixtures/log-v1.bin");
 
-fn logged() -> Vec<MapEvent> {
-    let mut robot = Robot::new();
-    let covariance = [0.0; 36];
-    for (step, place) in (1..).zip([1, 2, 3, 4, 5, 6, 1]) {
-        let odometry =
-            Odometry::new([step as f64, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], Some(&covariance)).unwrap();
-        let input = one_frame(0, step, step as i64 * 1_000_000_000, place);
-        robot.see(FrameInput { odometry: (step % 2 == 0).then_some(odometry), ..input });
-    }
-    robot.log.0
-}
-
 #[test]
 fn a_log_of_version_1_still_folds() {
     let mut reader = fabmap::codec::Reader::new(LOGGED_BY_VERSION_1);
@@ -358,15 +346,6 @@ fn a_log_of_version_1_still_folds() {
     assert_eq!(reasons[..6], [Reason::NewPlace; 6]);
     assert_eq!(reasons[6..], [Reason::LoopClosure]);
     assert_eq!((mapper.recognizer().places(), mapper.map().links().len()), (6, 6));
-}
-
-#[test]
-#[ignore = "writes the fixture of a new format version"]
-fn write_fixture() {
-    let mut writer = fabmap::codec::Writer::default();
-    logged().iter().for_each(|event| writer.bytes(&event.to_bytes()));
-    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/log-v1.bin");
-    std::fs::write(file, writer.into_bytes()).unwrap();
 }
 
 #[test]

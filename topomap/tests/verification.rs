@@ -230,9 +230,9 @@ fn matches_in_line_support_each_other() {
         assert_eq!(proposed.matched.place, place as u32 - 1);
         evidence.push(proposed.evidence());
     }
-    // 20 each beyond chance: √(20 · 20 (k + 1)) after k frames in line.
+    // 20 each beyond chance: 20 (k + 1) after k frames in line.
     for (earlier, evidence) in evidence.iter().enumerate() {
-        let expected = 20.0 * (earlier as f64 + 1.0).sqrt();
+        let expected = 20.0 * (earlier as f64 + 1.0);
         assert!((evidence - expected).abs() < 1e-9, "{earlier}: {evidence}, not {expected}");
     }
     // Support is worth nothing where the frame itself has no match.
@@ -411,7 +411,7 @@ proptest! {
         prop_assert!(MapEvent::from_bytes(&bytes[..cut.index(bytes.len())], WORDS as usize).is_err());
         let MapEvent::Frame(frame) = event else { unreachable!() };
         let candidate = frame.candidates[0];
-        prop_assert!(candidate.evidence() >= candidate.own_evidence());
+        prop_assert!(candidate.evidence() <= candidate.own_evidence() + candidate.support);
         prop_assert!(candidate.score().is_finite());
     }
 }

@@ -104,7 +104,8 @@ impl Verifier {
         let (from, to) = (earlier.keypoints()[matched.earlier], current.keypoints()[matched.current]);
         let turn_rad = f64::from(to.angle_rad - from.angle_rad);
         let turn_rad = turn_rad.sin().atan2(turn_rad.cos()).abs();
-        let widths = earlier.image_size_px().0.max(1) as f64 / current.image_size_px().0.max(1) as f64;
+        let widths =
+            f64::from(earlier.image_size_px().0.max(1)) / f64::from(current.image_size_px().0.max(1));
         let ln_scale = (f64::from(to.size_px) / f64::from(from.size_px) * widths).ln().abs();
         let exceeds = |value: f64, most: f64| value.is_finite() && value > most;
         !exceeds(turn_rad, max_rotation_rad) && !exceeds(ln_scale, max_ln_scale)

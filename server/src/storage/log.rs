@@ -220,8 +220,8 @@ fn reason_name(reason: Reason) -> &'static str {
         Reason::SamePlace => "same_place",
         Reason::LoopClosure => "loop_closure",
         Reason::BelowThreshold => "below_threshold",
-        Reason::GeometryRefused => "geometry_refused",
         Reason::TooFewWords => "too_few_words",
+        Reason::GeometryRefused => "geometry_refused",
     }
 }
 
