@@ -5,6 +5,7 @@ use fabmap::new_place::NewPlaceMethod;
 use fabmap::recognizer::Scorer;
 use topomap::event::Reason;
 
+use crate::commands::calibrate::DetectorChoice;
 use crate::dataset::Verdict;
 
 /// The values of a choice with their names.
@@ -22,8 +23,18 @@ pub const NEW_PLACE_METHODS: Choices<NewPlaceMethod> =
 pub const SCORERS: Choices<Scorer> = &[("index", Scorer::Index), ("dense", Scorer::Dense)];
 
 /// Which system ranks earlier frames.
-pub const RANKINGS: Choices<RankingName> =
-    &[("fab-map", RankingName::FabMap), ("tf-idf", RankingName::TfIdf)];
+pub const RANKINGS: Choices<RankingName> = &[
+    ("fab-map", RankingName::FabMap),
+    ("likelihood", RankingName::Likelihood),
+    ("tf-idf", RankingName::TfIdf),
+];
+
+/// Where the detector's rates come from.
+pub const DETECTORS: Choices<DetectorChoice> = &[
+    ("fixed", DetectorChoice::Fixed),
+    ("tempered", DetectorChoice::Tempered),
+    ("learned", DetectorChoice::Learned),
+];
 
 /// Why a frame was decided as it was.
 pub const REASONS: Choices<Reason> = &[
@@ -48,6 +59,8 @@ pub enum RankingName {
     /// FAB-MAP with its map and filter.
     #[default]
     FabMap,
+    /// FAB-MAP's likelihood alone: no map, no motion, no filter.
+    Likelihood,
     /// The baseline.
     TfIdf,
 }

@@ -1,5 +1,8 @@
 //! One file per command.
 
+pub mod calibrate;
+pub mod compare;
 pub mod load;
 pub mod sequence;
 pub mod train;
+pub mod visits;

@@ -1,5 +1,11 @@
 //! Plots as SVG.
 
+mod curves;
+mod reliability;
+
+pub use curves::{Panel, compared_curves_svg};
+pub use reliability::reliability_svg;
+
 use plotters::prelude::*;
 
 use crate::precision_recall::PrecisionRecall;
