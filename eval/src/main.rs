@@ -115,7 +115,7 @@ struct CalibrateArguments {
     #[arg(long, value_name = "FILE")]
     model: PathBuf,
     /// As for `train`.
-    #[arg(long, value_parser = choice(DETECTORS), default_value = name_of(DETECTORS, &DetectorChoice::default()))]
+    #[arg(long, value_parser = choice(DETECTORS), default_value = name_of(DETECTORS, &DetectorChoice::Learned))]
     detector: DetectorChoice,
     /// The model file to write.
     #[arg(long, value_name = "FILE")]

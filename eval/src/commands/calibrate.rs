@@ -25,12 +25,13 @@ pub struct CalibrateOptions {
 /// Where the detector's rates come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DetectorChoice {
-    /// [`DetectorModel::default`], with likelihoods as they are.
+    /// [`DetectorModel::default`], with likelihoods as they are. The default, because it asks nothing of the
+    /// training images: the others need neighbours that overlap.
+    #[default]
     Fixed,
     /// [`DetectorModel::default`], with the exponent learnt that makes its likelihoods comparable.
     Tempered,
     /// Rates and exponent learnt together.
-    #[default]
     Learned,
 }
 

@@ -124,8 +124,8 @@ struct Trial {
 }
 
 /// Every query twice: against places looked at once, and against such that also took in the look
-/// before. The samples of other places are single looks either way, as in the new-place term: a place
-/// that has learnt must not for that alone be more probable than they are.
+/// before, as places of a map do. The samples of other places are single looks either way, as in the
+/// new-place term.
 fn trials(model: &Model, detector: DetectorModel, pairs: &[(usize, usize)]) -> Vec<Trial> {
     let samples = model.sampling_set();
     let observation_model = Arc::new(ObservationModel::new(model.tree(), detector, Dependence::ChowLiu));
