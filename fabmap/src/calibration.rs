@@ -1,8 +1,8 @@
 //! Likelihoods that deserve to be compared: detector rates and an exponent, learnt from the model's
 //! own training images.
 //!
-//! Words are less independent than the Chow-Liu model has it, so that plain likelihoods differ by
-//! hundreds of nats where a few would be right, and posteriors are 0 or 1 and often wrong. Raising
+//! Words are less independent than the Chow-Liu model has it, so that plain likelihoods lie too
+//! far apart, and posteriors are near 0 or 1 and often wrong. Raising
 //! every likelihood to a power below 1 (a power posterior) is the smallest cure: one number, and it
 //! leaves the order of places within a frame as it is.
 //!

@@ -15,7 +15,7 @@ use crate::timing::FrameWatch;
 ///
 /// To be compared with tf-idf, which sees the same words and as little of time. The model's likelihoods
 /// are taken in full: the exponent that calibrates them is left out, for it keeps the order of a frame's
-/// places, and here frames are only ranked.
+/// places; it would change the order among frames, and posteriors here are not calibrated.
 #[derive(Clone, Debug)]
 pub struct LikelihoodRanking {
     recognizer: Recognizer,

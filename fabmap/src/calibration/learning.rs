@@ -50,8 +50,7 @@ pub enum LearnError {
     Cancelled,
 }
 
-/// p(z=1|e=1) that are tried. The loss is flat beside them: finer steps change it by less than it
-/// differs between two halves of the same images.
+/// p(z=1|e=1) that are tried.
 const TRUE_POSITIVE_RATES: [f64; 8] = [0.1, 0.15, 0.2, 0.25, 0.3, 0.39, 0.5, 0.6];
 
 /// p(z=1|e=0) that are tried.
@@ -60,7 +59,7 @@ const FALSE_POSITIVE_RATES: [f64; 6] = [0.001, 0.003, 0.01, 0.02, 0.03, 0.05];
 /// Fewer pairs than this say too little.
 const MIN_PAIRS: usize = 50;
 
-/// More pairs than this cost time and hardly move the result.
+/// Most pairs that are used; time grows with them.
 const MAX_PAIRS: usize = 200;
 
 /// Samples nearer than this to a query, in the order of the images, may show its place too, and are
@@ -173,8 +172,8 @@ fn loss_nats(trials: &[Trial], exponent: f64) -> f64 {
     losses.iter().flatten().sum::<f64>() / (2 * losses.len()) as f64
 }
 
-/// The exponent of least loss, by golden section over its logarithm: -ln of a softmax of scaled scores is
-/// convex in the scale, but for the normaliser of the samples, which is mild.
+/// The exponent of least loss, by golden section over its logarithm. The loss of a revisit is convex in
+/// the exponent; that of a new place, whose own score is a mean over samples, need not be.
 fn best_exponent(trials: &[Trial]) -> (EvidenceExponent, f64) {
     const STEPS: usize = 16;
     let golden = (5f64.sqrt() - 1.0) / 2.0;
@@ -207,8 +206,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// Scores whose right exponent is known: nats that are `scale` times too far apart. Given a true
-    /// place among `PLACES` others, the score of each is ln of an exponentially distributed weight.
+    /// Scores that are `scale` times too far apart.
     fn staged(scale: f64, count: usize) -> Vec<Trial> {
         let mut random = ChaCha8Rng::seed_from_u64(5);
         let mut normal = move || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
