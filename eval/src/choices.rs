@@ -6,6 +6,7 @@ use fabmap::recognizer::Scorer;
 use topomap::event::Reason;
 use topomap::verification::VerificationMethod;
 
+use crate::commands::calibrate::DetectorChoice;
 use crate::dataset::Verdict;
 
 /// The values of a choice with their names.
@@ -34,8 +35,18 @@ pub const VERIFICATION_METHODS: Choices<VerificationMethod> = &[
 ];
 
 /// Which system ranks earlier frames.
-pub const RANKINGS: Choices<RankingName> =
-    &[("fab-map", RankingName::FabMap), ("tf-idf", RankingName::TfIdf)];
+pub const RANKINGS: Choices<RankingName> = &[
+    ("fab-map", RankingName::FabMap),
+    ("likelihood", RankingName::Likelihood),
+    ("tf-idf", RankingName::TfIdf),
+];
+
+/// Where the detector's rates come from.
+pub const DETECTORS: Choices<DetectorChoice> = &[
+    ("fixed", DetectorChoice::Fixed),
+    ("tempered", DetectorChoice::Tempered),
+    ("learned", DetectorChoice::Learned),
+];
 
 /// Why a frame was decided as it was.
 pub const REASONS: Choices<Reason> = &[
@@ -61,6 +72,8 @@ pub enum RankingName {
     /// FAB-MAP with its map and filter.
     #[default]
     FabMap,
+    /// FAB-MAP's likelihood alone: no map, no motion, no filter.
+    Likelihood,
     /// The baseline.
     TfIdf,
 }

@@ -1,6 +1,9 @@
 //! One file per command.
 
+pub mod calibrate;
+pub mod compare;
 pub mod load;
 pub mod new_place;
 pub mod sequence;
 pub mod train;
+pub mod visits;

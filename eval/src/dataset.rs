@@ -162,6 +162,12 @@ impl Truth {
         }
     }
 
+    /// Whether the pair is a known loop.
+    #[must_use]
+    pub fn is_loop(&self, query: usize, earlier: usize) -> bool {
+        self.loops.contains(&(query, earlier))
+    }
+
     /// Frames that have a loop at least `gap` frames back: those that recall is counted over.
     #[must_use]
     pub fn queries_with_loop(&self, gap: usize) -> usize {

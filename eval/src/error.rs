@@ -3,6 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
+use fabmap::calibration::LearnError;
 use fabmap::codec::DecodeError;
 use fabmap::detector::DetectorError;
 use fabmap::model::ModelTrainingError;
@@ -54,6 +55,27 @@ pub enum EvalError {
     /// No model came out of the training images.
     #[error(transparent)]
     Training(#[from] ModelTrainingError),
+    /// The training images do not show how reliable words are.
+    #[error(transparent)]
+    Calibration(#[from] LearnError),
+    /// The file of a comparison is not one.
+    #[error("{path}: {reason}")]
+    Comparison {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it, and how to mend it.
+        reason: String,
+    },
+    /// The frames of a sequence are not visits of the same places.
+    #[error(
+        "{path}: {reason}; give a sequence that shows the same places in the same order, visit after visit"
+    )]
+    Visits {
+        /// The sequence's folder.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
     /// The ORB vocabulary cannot be read.
     #[error("{path}: {reason}")]
     OrbVocabulary {
@@ -200,13 +222,16 @@ impl EvalError {
             | EvalError::Detector(_)
             | EvalError::Mapper(_)
             | EvalError::Workload(_)
-            | EvalError::Filter(_) => 2,
+            | EvalError::Filter(_)
+            | EvalError::Comparison { .. }
+            | EvalError::Visits { .. } => 2,
             EvalError::Dataset(_)
             | EvalError::WorkloadFile(_)
             | EvalError::NoSamples(_)
             | EvalError::Image { .. }
             | EvalError::OrbVocabulary { .. }
             | EvalError::Training(_)
+            | EvalError::Calibration(_)
             | EvalError::Model { .. }
             | EvalError::UnknownExtractor { .. }
             | EvalError::ForeignVocabulary { .. }

@@ -4,6 +4,7 @@
 //! first function. A [`dataset`] is streamed once, in order, through a [`ranking`]; its proposals
 //! are judged against the truth and swept into [`precision_recall`].
 
+pub mod calibration;
 pub mod choices;
 pub mod commands;
 pub mod dataset;

@@ -18,15 +18,18 @@ use serde::Serialize;
 use topomap::mapper::MapperSettings;
 use topomap::verification::VerificationMethod;
 use waypost_eval::choices::{
-    Choices, DEPENDENCES, NEW_PLACE_METHODS, RANKINGS, RankingName, SCORERS, VERIFICATION_METHODS, name_of,
-    value_of,
+    Choices, DEPENDENCES, DETECTORS, NEW_PLACE_METHODS, RANKINGS, RankingName, SCORERS, VERIFICATION_METHODS,
+    name_of, value_of,
 };
+use waypost_eval::commands::calibrate::{self, CalibrateOptions, DetectorChoice};
+use waypost_eval::commands::compare::{self, CompareFile, CompareOptions, Configuration, ConfigurationEntry};
 use waypost_eval::commands::load::{
     self, OverloadOptions, RobotsOptions, ServerOptions, WordSource, WordsOptions,
 };
 use waypost_eval::commands::new_place::{self, NewPlaceOptions, WorkloadSource};
 use waypost_eval::commands::sequence::{self, Knobs, SequenceOptions, System};
 use waypost_eval::commands::train::{self, TrainOptions, VocabularySource};
+use waypost_eval::commands::visits::{self, VisitsOptions};
 use waypost_eval::error::EvalError;
 use waypost_eval::workload::WorkloadSettings;
 use waypost_vision::features::{Feature, FeatureSettings};
@@ -34,8 +37,11 @@ use waypost_vision::features::{Feature, FeatureSettings};
 fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Train(arguments) => arguments.run(),
+        Command::Calibrate(arguments) => arguments.run(),
         Command::Sequence(arguments) => arguments.run(),
         Command::NewPlace(arguments) => arguments.run(),
+        Command::Compare(arguments) => arguments.run(),
+        Command::Visits(arguments) => arguments.run(),
         Command::Load(arguments) => arguments.run(),
     };
     match outcome {
@@ -61,7 +67,10 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Train(TrainArguments),
+    Calibrate(CalibrateArguments),
     Sequence(Box<SequenceArguments>),
+    Compare(CompareArguments),
+    Visits(Box<VisitsArguments>),
     NewPlace(NewPlaceArguments),
     Load(LoadArguments),
 }
@@ -85,6 +94,10 @@ struct TrainArguments {
     /// images; needs --feature orb.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["words", "seed"])]
     orb_vocabulary: Option<PathBuf>,
+    /// How reliable words are: published rates, those with an exponent learnt that tempers likelihoods, or
+    /// rates and exponent learnt from images that overlap the one before.
+    #[arg(long, value_parser = choice(DETECTORS), default_value = name_of(DETECTORS, &DetectorChoice::default()))]
+    detector: DetectorChoice,
     /// The model file to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -99,9 +112,28 @@ struct TrainArguments {
     json: bool,
 }
 
+/// Learn anew how reliable a model's words are, from the training images that it remembers.
+///
+/// Words stay the same, so that maps can be bound to the new model.
+#[derive(Args)]
+struct CalibrateArguments {
+    /// The model file, as `train` writes it.
+    #[arg(long, value_name = "FILE")]
+    model: PathBuf,
+    /// As for `train`.
+    #[arg(long, value_parser = choice(DETECTORS), default_value = name_of(DETECTORS, &DetectorChoice::Learned))]
+    detector: DetectorChoice,
+    /// The model file to write.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Print one JSON object on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
 /// Stream a sequence with known loops once, in order, and judge the earlier frame proposed for each.
 ///
-/// Writes precision_recall.csv and .svg, match_matrix.png, frames.csv and summary.json.
+/// Writes precision_recall.csv and .svg, reliability.svg, match_matrix.png, frames.csv and summary.json.
 #[derive(Args)]
 struct SequenceArguments {
     /// Folder with images/, loops.csv and optionally ignore.csv (query_index,match_index).
@@ -116,17 +148,87 @@ struct SequenceArguments {
     /// Folder for the results; made if it does not exist.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Seed of the random choices, which the verification makes.
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    seed: u64,
+    #[command(flatten)]
+    system: SystemArguments,
+    /// Print one JSON object on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+/// The system to judge, with its settings.
+#[derive(Args)]
+struct SystemArguments {
     #[arg(long, value_name = "P", help = with_default(
         "Posterior (with tf-idf: cosine) from which a loop closure is accepted",
         MapperSettings::default().closure_threshold,
     ))]
     threshold: Option<f64>,
-    /// Seed of the random choices, which the verification makes.
-    #[arg(long, value_name = "S", default_value_t = 0)]
-    seed: u64,
     /// The system to judge.
     #[arg(long, value_parser = choice(RANKINGS), default_value = name_of(RANKINGS, &RankingName::default()))]
     ranking: RankingName,
+    #[command(flatten)]
+    knobs: KnobArguments,
+}
+
+/// Run several configurations over several sequences, and write one table and one plot.
+///
+/// Writes compare.md, compare.csv, compare.json and compare.svg (precision over recall, a panel for every
+/// sequence), and beside them a folder for every run as `sequence` writes it.
+///
+/// The file has a table for every sequence and for every configuration; relative paths are taken from the
+/// file's own folder:
+///
+///     [[sequence]]
+///     path = "data/hall"                  # images/, loops.csv; its name is the folder's, or name = "..."
+///     gap = 30                            # as for `sequence`
+///     model = "indoor.waypost"            # within the configuration's folder of models
+///
+///     [[configuration]]
+///     name = "default"
+///
+///     [[configuration]]
+///     name = "tf-idf"
+///     flags = "--ranking tf-idf"          # what `sequence` would be given
+///     models = "other-models"             # folder of the models, if it is another
+#[derive(Args)]
+#[command(verbatim_doc_comment)]
+struct CompareArguments {
+    /// The TOML file that says what to compare.
+    #[arg(value_name = "FILE")]
+    comparison: PathBuf,
+    /// Folder for the results; made if it does not exist.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Print one JSON object on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+/// The flags of a configuration in the file of a comparison.
+#[derive(Parser)]
+#[command(name = "flags", no_binary_name = true, disable_help_flag = true)]
+struct ConfigurationFlags {
+    #[command(flatten)]
+    system: SystemArguments,
+}
+
+/// Learn one or two visits of the same places, and query with the later ones: does recognition get better?
+///
+/// Every choice of earlier visits is tried, and all visits from the third on count alike.
+#[derive(Args)]
+struct VisitsArguments {
+    /// Folder with images/ and loops.csv: the same places in the same order, visit after visit.
+    #[arg(long, value_name = "DIR")]
+    sequence: PathBuf,
+    /// Places of a visit.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    places: u32,
+    /// The model file, as `train` writes it.
+    #[arg(long, value_name = "FILE")]
+    model: PathBuf,
     #[command(flatten)]
     knobs: KnobArguments,
     /// Print one JSON object on stdout.
@@ -342,8 +444,18 @@ fn positive(text: &str) -> Result<f64, String> {
 
 impl TrainArguments {
     fn run(self) -> Result<(), EvalError> {
-        let Self { images, feature, words, seed, orb_vocabulary, out, max_features, image_width, json } =
-            self;
+        let Self {
+            images,
+            feature,
+            words,
+            seed,
+            orb_vocabulary,
+            detector,
+            out,
+            max_features,
+            image_width,
+            json,
+        } = self;
         let features =
             FeatureSettings::new(feature, max_features, image_width).map_err(EvalError::FeatureSettings)?;
         let vocabulary = match orb_vocabulary {
@@ -355,26 +467,74 @@ impl TrainArguments {
                 VocabularySource::Images(VocabularySettings { words, seed, ..VocabularySettings::default() })
             }
         };
-        let report = train::run(&TrainOptions { images, features, vocabulary, out })?;
+        let report = train::run(&TrainOptions { images, features, vocabulary, detector, out })?;
         print_if(json, &report)
+    }
+}
+
+impl CalibrateArguments {
+    fn run(self) -> Result<(), EvalError> {
+        let Self { model, detector, out, json } = self;
+        print_if(json, &calibrate::run(&CalibrateOptions { model, detector, out })?)
     }
 }
 
 impl SequenceArguments {
     fn run(self) -> Result<(), EvalError> {
-        let Self { sequence, gap, model, out, threshold, seed, ranking, knobs, json } = self;
-        let system = match ranking {
-            RankingName::FabMap => System::FabMap(knobs.with_threshold(threshold)),
-            RankingName::TfIdf if knobs.are_untouched() => System::TfIdf { threshold },
-            RankingName::TfIdf => refuse(
-                "with --ranking tf-idf there are no FAB-MAP settings to make; leave out --verify, --min-evidence, \
-                 --consistency-frames, --dependence, --new-place, \
-                 --scorer, the rates, --new-place-prior, --smoothing and --even-share",
-            ),
-        };
+        let Self { sequence, gap, model, out, seed, system, json } = self;
+        let system = system.system().unwrap_or_else(|message| refuse(message));
         let gap = gap as usize;
         let report = sequence::run(&SequenceOptions { sequence, gap, model, system, seed, out })?;
         print_if(json, &report)
+    }
+}
+
+impl SystemArguments {
+    /// # Errors
+    /// What cannot be asked for together.
+    fn system(self) -> Result<System, &'static str> {
+        let Self { threshold, ranking, knobs } = self;
+        Ok(match ranking {
+            RankingName::FabMap => System::FabMap(knobs.with_threshold(threshold)),
+            RankingName::Likelihood => System::Likelihood(knobs.with_threshold(threshold)),
+            RankingName::TfIdf if knobs.are_untouched() => System::TfIdf { threshold },
+            RankingName::TfIdf => {
+                return Err(
+                    "with --ranking tf-idf there are no FAB-MAP settings to make; leave out --verify, --min-evidence, \
+                     --consistency-frames, --dependence, --new-place, --scorer, the rates, --new-place-prior, \
+                     --smoothing and --even-share",
+                );
+            }
+        })
+    }
+}
+
+impl CompareArguments {
+    fn run(self) -> Result<(), EvalError> {
+        let Self { comparison: path, out, json } = self;
+        let CompareFile { sequences, configurations } = CompareFile::read(&path)?;
+        let configuration = |entry: ConfigurationEntry| {
+            let ConfigurationEntry { name, flags, models } = entry;
+            let refused = |reason: String| EvalError::Comparison {
+                path: path.clone(),
+                reason: format!("the flags of configuration {name:?}: {reason}"),
+            };
+            let flags = ConfigurationFlags::try_parse_from(flags.split_whitespace())
+                .map_err(|error| refused(error.to_string()))?;
+            let system = flags.system.system().map_err(|message| refused(message.to_owned()))?;
+            Ok(Configuration { name, models, system })
+        };
+        let configurations =
+            configurations.into_iter().map(configuration).collect::<Result<_, EvalError>>()?;
+        print_if(json, &compare::run(&CompareOptions { configurations, sequences, out })?)
+    }
+}
+
+impl VisitsArguments {
+    fn run(self) -> Result<(), EvalError> {
+        let Self { sequence, places, model, knobs, json } = self;
+        let knobs = knobs.with_threshold(None);
+        print_if(json, &visits::run(&VisitsOptions { sequence, places: places as usize, model, knobs })?)
     }
 }
 

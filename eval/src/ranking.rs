@@ -1,9 +1,11 @@
 //! Systems under test: each is shown the frames in order and proposes one earlier frame for each.
 
 mod fab_map;
+mod likelihood;
 mod tf_idf;
 
 pub use fab_map::FabMap;
+pub use likelihood::LikelihoodRanking;
 pub use tf_idf::TfIdfRanking;
 
 use fabmap::appearance::PlaceId;

@@ -4,6 +4,7 @@
 //! over all words, in f64. Every faster path is held to it.
 
 use crate::appearance::Appearance;
+use crate::calibration::EvidenceExponent;
 use crate::chow_liu::ChowLiuTree;
 use crate::detector::DetectorModel;
 use crate::observation::{Observation, WordId};
@@ -18,11 +19,12 @@ pub enum Dependence {
     NaiveBayes,
 }
 
-/// How a place makes an observation: Chow-Liu tree and detector model.
+/// How a place makes an observation: Chow-Liu tree, detector model and how much words count for.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObservationModel {
     tree: ChowLiuTree,
     detector: DetectorModel,
+    exponent: EvidenceExponent,
     /// Σ_q ln p(z_q = 0 | z_pq = 0, k_q = 0, n) for n = 0..=MAX_LOOKS: the log-likelihood that
     /// nothing is seen at a place where nothing was seen in n looks.
     nothing_seen: Vec<f64>,
@@ -61,14 +63,23 @@ impl ObservationModel {
             Dependence::ChowLiu => tree.clone(),
             Dependence::NaiveBayes => tree.independent(),
         };
-        let mut model =
-            Self { tree, detector, nothing_seen: Vec::new(), unseen_gain_of_one_look: Vec::new() };
-        model.unseen_gain_of_one_look =
-            model.unseen_words().map(|unseen| model.gain_of_one_look(unseen)).collect();
-        model.nothing_seen = (0..=Appearance::MAX_LOOKS)
-            .map(|looks| model.unseen_words().map(|unseen| model.log_term(unseen, 0, looks)).sum())
+        let (exponent, nothing_seen, unseen_gain_of_one_look) =
+            (EvidenceExponent::NONE, Vec::new(), Vec::new());
+        let model = Self { tree, detector, exponent, nothing_seen, unseen_gain_of_one_look };
+        model.with_exponent(exponent)
+    }
+
+    /// The same model with every term, and so every likelihood, raised to `exponent`: all that is made
+    /// of it (places, samples, the average place) is tempered alike.
+    #[must_use]
+    pub fn with_exponent(mut self, exponent: EvidenceExponent) -> Self {
+        self.exponent = exponent;
+        self.unseen_gain_of_one_look =
+            self.unseen_words().map(|unseen| self.gain_of_one_look(unseen)).collect();
+        self.nothing_seen = (0..=Appearance::MAX_LOOKS)
+            .map(|looks| self.unseen_words().map(|unseen| self.log_term(unseen, 0, looks)).sum())
             .collect();
-        model
+        self
     }
 
     /// Number of words.
@@ -100,13 +111,13 @@ impl ObservationModel {
     }
 
     /// ln p(z_q | z_pq, L_i) = ln Σ_s p(z_q | e_q = s, z_pq) p(e_q = s | L_i) at a place where the word
-    /// was seen in `hits` of `looks`. Cummins & Newman 2008, eq. (10).
+    /// was seen in `hits` of `looks`, times the exponent. Cummins & Newman 2008, eq. (10).
     #[must_use]
     pub fn log_term(&self, state: WordState, hits: u8, looks: u8) -> f64 {
         let belief = self.detector.belief(self.tree.marginal(state.word, true), hits, looks);
         let given_element = self.word_probability(state, true);
         let given_no_element = self.word_probability(state, false);
-        (given_element * belief + given_no_element * (1.0 - belief)).ln()
+        self.exponent.value() * (given_element * belief + given_no_element * (1.0 - belief)).ln()
     }
 
     /// p(z_q = a | e_q = s, z_pq = b) = β / (α + β) with
@@ -204,6 +215,20 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #[test]
+        fn an_exponent_scales_every_log_likelihood(world in test_worlds::worlds(30, 3), exponent in 0.01..1.0f64) {
+            let World { model, observations, appearances } = world;
+            let tempered = model.clone().with_exponent(EvidenceExponent::new(exponent).unwrap());
+            for (z, place) in observations.iter().zip(&appearances) {
+                let plain = exponent * model.dense_log_likelihood(z, place);
+                let value = tempered.dense_log_likelihood(z, place);
+                prop_assert!((value - plain).abs() <= 1e-9 * plain.abs(), "{value} {plain}");
+                let plain = exponent * model.dense_log_likelihood(z, &Appearance::of(z));
+                let value = tempered.single_looks(z).log_likelihood(z);
+                prop_assert!((value - plain).abs() <= 1e-9 * plain.abs(), "{value} {plain}");
+            }
+        }
+
         #[test]
         fn the_sparse_average_place_is_the_dense_one(world in test_worlds::worlds(30, 4)) {
             let World { model, observations, .. } = world;

@@ -9,13 +9,14 @@ use std::str::FromStr;
 
 use sha2::{Digest, Sha256};
 
+use crate::calibration::EvidenceExponent;
 use crate::chow_liu::ChowLiuTree;
 use crate::codec::{Container, DecodeError, Reader, Writer};
 use crate::detector::DetectorModel;
 use crate::observation::Observation;
 use crate::vocabulary::Vocabulary;
 
-/// Extractor, vocabulary, Chow-Liu tree, detector model and sampling set. Immutable, and named by
+/// Extractor, vocabulary, Chow-Liu tree, detector model with its calibration, and sampling set. Immutable, and named by
 /// the hash of its content.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
@@ -24,6 +25,7 @@ pub struct Model {
     tree: ChowLiuTree,
     detector: DetectorModel,
     sampling_set: Vec<Observation>,
+    evidence_exponent: EvidenceExponent,
 }
 
 /// SHA-256 of a content, shown as 64 hexadecimal digits.
@@ -52,7 +54,11 @@ pub enum ModelError {
 }
 
 /// `.waypost` model files.
-const CONTAINER: Container = Container { magic: *b"WPMODEL\n", name: "Waypost model", version: 1 };
+const CONTAINER: Container = Container { magic: *b"WPMODEL\n", name: "Waypost model", version: 2 };
+
+/// A model whose likelihoods count in full is written as version 1 wrote it, byte by byte: its name is
+/// the hash of these bytes, and maps know it by that name.
+const WITHOUT_EXPONENT: Container = Container { version: 1, ..CONTAINER };
 
 impl Model {
     /// Joins the parts. `extractor` names feature and settings that the words are made of, in the
@@ -74,7 +80,14 @@ impl Model {
         if let Some(&word) = last_words.max().filter(|&&word| word as usize >= vocabulary.len()) {
             return Err(ModelError::SampleWord { word, vocabulary: vocabulary.len() });
         }
-        Ok(Self { extractor, vocabulary, tree, detector, sampling_set })
+        let evidence_exponent = EvidenceExponent::NONE;
+        Ok(Self { extractor, vocabulary, tree, detector, sampling_set, evidence_exponent })
+    }
+
+    /// Another model over the same words: with this detector, and likelihoods to this exponent.
+    #[must_use]
+    pub fn recalibrated(&self, detector: DetectorModel, evidence_exponent: EvidenceExponent) -> Self {
+        Self { detector, evidence_exponent, ..self.clone() }
     }
 
     /// The name of the extractor that the words are made with.
@@ -101,6 +114,12 @@ impl Model {
         &self.detector
     }
 
+    /// What likelihoods are raised to before they are compared.
+    #[must_use]
+    pub fn evidence_exponent(&self) -> EvidenceExponent {
+        self.evidence_exponent
+    }
+
     /// Observations of other places, for the sampled new-place term.
     #[must_use]
     pub fn sampling_set(&self) -> &[Observation] {
@@ -124,7 +143,9 @@ impl Model {
     /// The model as a file.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
-        CONTAINER.seal(&self.payload())
+        let container =
+            if self.evidence_exponent == EvidenceExponent::NONE { WITHOUT_EXPONENT } else { CONTAINER };
+        container.seal(&self.payload())
     }
 
     /// Reads a model file.
@@ -132,7 +153,7 @@ impl Model {
     /// # Errors
     /// [`DecodeError`] if it is not one, is newer than this program, cut, damaged or inconsistent.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, DecodeError> {
-        let (_version, payload) = CONTAINER.open(bytes)?;
+        let (version, payload) = CONTAINER.open(bytes)?;
         let mut reader = Reader::new(payload);
         let extractor = reader.str()?.to_owned();
         let vocabulary = Vocabulary::decode(&mut reader)?;
@@ -142,12 +163,17 @@ impl Model {
         let sampling_set = (0..samples)
             .map(|_| Observation::decode(&mut reader, vocabulary.len()))
             .collect::<Result<Vec<_>, _>>()?;
+        let evidence_exponent = match version {
+            0 | 1 => EvidenceExponent::NONE,
+            _ => EvidenceExponent::new(reader.f64()?).map_err(DecodeError::invalid)?,
+        };
         reader.end()?;
-        Self::new(extractor, vocabulary, tree, detector, sampling_set).map_err(DecodeError::invalid)
+        let model = Self::new(extractor, vocabulary, tree, detector, sampling_set);
+        Ok(model.map_err(DecodeError::invalid)?.recalibrated(detector, evidence_exponent))
     }
 
     fn payload(&self) -> Vec<u8> {
-        let Self { extractor: _, vocabulary: _, tree, detector, sampling_set } = self;
+        let Self { extractor: _, vocabulary: _, tree, detector, sampling_set, evidence_exponent } = self;
         let mut writer = Writer::default();
         self.encode_words(&mut writer);
         tree.encode(&mut writer);
@@ -155,6 +181,9 @@ impl Model {
         writer.f64(detector.probability(true, false));
         writer.varint(sampling_set.len() as u64);
         sampling_set.iter().for_each(|sample| sample.encode(&mut writer));
+        if *evidence_exponent != EvidenceExponent::NONE {
+            writer.f64(evidence_exponent.value());
+        }
         writer.into_bytes()
     }
 

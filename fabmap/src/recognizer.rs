@@ -112,7 +112,10 @@ impl Recognizer {
     pub fn new(model: &Model, settings: RecognizerSettings) -> Result<Self, RecognizerError> {
         let RecognizerSettings { dependence, new_place, scorer, detector, filter } = settings;
         let detector = detector.unwrap_or(*model.detector());
-        let observation_model = Arc::new(ObservationModel::new(model.tree(), detector, dependence));
+        let observation_model = Arc::new(
+            ObservationModel::new(model.tree(), detector, dependence)
+                .with_exponent(model.evidence_exponent()),
+        );
         Ok(Self {
             new_place: NewPlace::new(new_place, &observation_model, model.sampling_set())?,
             index: InvertedIndex::new(observation_model),

@@ -19,11 +19,12 @@ use topomap::verification::{VerificationMethod, VerificationSettings};
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::features::{Extractor, Features};
 
+use crate::calibration::{Prediction, Reliability};
 use crate::dataset::{Sequence, Verdict};
 use crate::error::EvalError;
 use crate::match_matrix::{MatchMatrix, Scale};
 use crate::precision_recall::{JudgedProposal, PrecisionRecall};
-use crate::ranking::{FabMap, Ranked, Ranking, TfIdfRanking};
+use crate::ranking::{FabMap, LikelihoodRanking, Ranked, Ranking, TfIdfRanking};
 use crate::timing::FrameWatch;
 use crate::{files, progress};
 
@@ -49,6 +50,8 @@ pub struct SequenceOptions {
 pub enum System {
     /// FAB-MAP over a growing map, as the server runs it.
     FabMap(Knobs),
+    /// FAB-MAP's likelihood alone, without map, motion and filter.
+    Likelihood(Knobs),
     /// The baseline: every earlier frame by the cosine of its tf-idf vector.
     TfIdf {
         /// Cosine from which a proposal counts as accepted; `None` accepts none.
@@ -101,6 +104,14 @@ pub struct JudgedFrame {
 /// # Errors
 /// [`EvalError`].
 pub fn run(options: &SequenceOptions) -> Result<SequenceReport, EvalError> {
+    Ok(run_with_curve(options)?.0)
+}
+
+/// As [`run`]; also gives the precision-recall curve.
+///
+/// # Errors
+/// [`EvalError`].
+pub fn run_with_curve(options: &SequenceOptions) -> Result<(SequenceReport, PrecisionRecall), EvalError> {
     let sequence = Sequence::open(&options.sequence)?;
     let (model, extractor) = files::read_model(&options.model)?;
     let (mut system, scale) = start(options, &model)?;
@@ -118,9 +129,11 @@ pub fn run(options: &SequenceOptions) -> Result<SequenceReport, EvalError> {
 
     let proposals = frames.iter().filter_map(JudgedFrame::judged_proposal).collect();
     let curve = PrecisionRecall::sweep(proposals, sequence.truth.queries_with_loop(options.gap));
-    let report = SequenceReport::new(&frames, &curve, system.places(), options);
-    report::write_all(&report, &sequence, &model, &frames, &curve, &matrix, options)?;
-    Ok(report)
+    let predictions: Vec<Prediction> = frames.iter().filter_map(JudgedFrame::prediction).collect();
+    let reliability = Reliability::of(&predictions);
+    let report = SequenceReport::new(&frames, &curve, &reliability, system.places(), options);
+    report::write_all(&report, &sequence, &model, &frames, (&curve, &reliability), &matrix, options)?;
+    Ok((report, curve))
 }
 
 fn start(options: &SequenceOptions, model: &Model) -> Result<(Box<dyn Ranking>, Scale), EvalError> {
@@ -128,6 +141,10 @@ fn start(options: &SequenceOptions, model: &Model) -> Result<(Box<dyn Ranking>, 
         System::FabMap(knobs) => {
             let settings = knobs.settings(model, options.gap)?;
             (Box::new(FabMap::new(model, settings, options.seed)?), Scale::Posterior)
+        }
+        System::Likelihood(knobs) => {
+            let settings = knobs.settings(model, options.gap)?.recognizer;
+            (Box::new(LikelihoodRanking::new(model, settings, options.gap)?), Scale::Posterior)
         }
         System::TfIdf { .. } => (Box::new(TfIdfRanking::new(model, options.gap)), Scale::Cosine),
     })
@@ -184,6 +201,12 @@ impl JudgedFrame {
     fn accepted_above(&self, threshold: f64) -> Option<Option<Verdict>> {
         let accepted = self.ranked.proposal.is_some_and(|proposal| proposal.score >= threshold);
         accepted.then_some(self.proposal_verdict)
+    }
+
+    /// The posterior reported for the proposal; `None` for a system without probabilities.
+    fn prediction(&self) -> Option<Prediction> {
+        let (proposal, verdict) = (self.ranked.proposal?, self.proposal_verdict?);
+        Some(Prediction { probability: proposal.posterior?, verdict })
     }
 
     fn judged_proposal(&self) -> Option<JudgedProposal> {

@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use waypost_vision::features::{ExtractError, Extractor, FeatureSettings};
 
+use crate::commands::calibrate::{self, DetectorChoice};
 use crate::dataset;
 use crate::error::EvalError;
 use crate::{files, progress};
@@ -27,6 +28,8 @@ pub struct TrainOptions {
     pub features: FeatureSettings,
     /// Where the words come from.
     pub vocabulary: VocabularySource,
+    /// Where the detector's rates come from.
+    pub detector: DetectorChoice,
     /// The model file to write.
     pub out: PathBuf,
 }
@@ -52,6 +55,12 @@ pub struct TrainReport {
     pub words: usize,
     /// How long it took, in seconds.
     pub seconds: TrainSeconds,
+    /// p(z=1|e=1).
+    pub true_positive_rate: f64,
+    /// p(z=1|e=0).
+    pub false_positive_rate: f64,
+    /// What likelihoods are raised to.
+    pub evidence_exponent: f64,
     /// Hash of the model's content, its name.
     pub model_hash: String,
     /// Size of the model file.
@@ -63,7 +72,7 @@ pub struct TrainReport {
 pub struct TrainSeconds {
     /// Decoding images and extracting features.
     pub extract: f64,
-    /// Vocabulary, quantization and tree.
+    /// Vocabulary, quantization, tree and detector.
     pub train: f64,
 }
 
@@ -72,7 +81,7 @@ pub struct TrainSeconds {
 /// # Errors
 /// [`EvalError`]; no file is written then.
 pub fn run(options: &TrainOptions) -> Result<TrainReport, EvalError> {
-    let TrainOptions { images, features, vocabulary, out } = options;
+    let TrainOptions { images, features, vocabulary, detector, out } = options;
     let began = Instant::now();
     let mut paths = Vec::new();
     for folder in images {
@@ -81,6 +90,7 @@ pub fn run(options: &TrainOptions) -> Result<TrainReport, EvalError> {
     let descriptors = extract_all(&paths, Extractor::new(*features))?;
     let extracted = Instant::now();
     let model = train(*features, vocabulary, &descriptors)?;
+    let (model, _) = calibrate::calibrated(&model, *detector)?;
     let trained = Instant::now();
     let bytes = model.to_bytes();
     files::write(out, &bytes)?;
@@ -92,6 +102,9 @@ pub fn run(options: &TrainOptions) -> Result<TrainReport, EvalError> {
             extract: extracted.duration_since(began).as_secs_f64(),
             train: trained.duration_since(extracted).as_secs_f64(),
         },
+        true_positive_rate: model.detector().probability(true, true),
+        false_positive_rate: model.detector().probability(true, false),
+        evidence_exponent: model.evidence_exponent().value(),
         model_hash: model.hash().to_string(),
         bytes: bytes.len(),
     };
@@ -164,7 +177,17 @@ fn show(progress: ModelTrainingProgress, bar: &ProgressBar) -> ControlFlow<()> {
 }
 
 fn table(report: &TrainReport, features: FeatureSettings, out: &Path) -> String {
-    let TrainReport { images, descriptors, words, seconds, model_hash, bytes } = report;
+    let TrainReport {
+        images,
+        descriptors,
+        words,
+        seconds,
+        true_positive_rate,
+        false_positive_rate,
+        evidence_exponent,
+        model_hash,
+        bytes,
+    } = report;
     let TrainSeconds { extract, train } = seconds;
     format!(
         "model        {model_hash}\n\
@@ -173,6 +196,7 @@ fn table(report: &TrainReport, features: FeatureSettings, out: &Path) -> String 
          images       {images}\n\
          descriptors  {descriptors}\n\
          words        {words}\n\
+         detector     p(z=1|e=1) {true_positive_rate}, p(z=1|e=0) {false_positive_rate}, exponent {evidence_exponent:.4}\n\
          time         {extract:.1} s features, {train:.1} s training\n",
         out = out.display(),
     )

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking, helpers included")]
 
+mod comparing;
 mod errors;
 mod new_place;
 mod real_data;

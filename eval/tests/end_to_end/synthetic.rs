@@ -8,8 +8,8 @@ use serde_json::Value;
 
 use crate::tool::{FrameRow, frame_rows, proposal, waypost_eval, waypost_eval_on_threads};
 
-const PLACES: usize = 8;
-const GAP: usize = 4;
+pub(crate) const PLACES: usize = 8;
+pub(crate) const GAP: usize = 4;
 const SIDE_PX: u32 = 240;
 
 /// Two passes over eight places, the second two pixels to the right; a model trained on other
@@ -58,6 +58,31 @@ impl World {
         let settings = ["--feature", "orb", "--words", "200", "--seed", "3", "--json"];
         let arguments = ["train", "--images", &images, "--out", &out];
         waypost_eval_on_threads(threads, &[&arguments[..], &settings].concat()).json()
+    }
+
+    /// Trains on a walk of which every second image overlaps the one before; the model is at `path(out)`.
+    pub(crate) fn train_on_walk(&self, out: &str) {
+        for index in 0..140 {
+            let image = texture(2000 + index / 2, 4 * (index % 2) as u32);
+            save(&image, &self.path("walk").join(format!("{index:03}.png")));
+        }
+        let (images, out) = (self.text("walk"), self.text(out));
+        let settings = ["--feature", "orb", "--words", "200", "--seed", "3", "--json"];
+        let arguments = ["train", "--images", &images, "--out", &out];
+        waypost_eval(&[&arguments[..], &settings].concat()).json();
+    }
+
+    /// A sequence of so many visits of the same places, each two pixels to the right of the last; it is at
+    /// `path("visits")`.
+    pub(crate) fn visits(&self, visits: usize) {
+        let mut loops = "query_index,match_index\n".to_owned();
+        for index in 0..visits * PLACES {
+            let (visit, place) = (index / PLACES, index % PLACES);
+            let image = texture(place as u64, 2 * visit as u32);
+            save(&image, &self.path("visits").join(format!("images/{index:06}.png")));
+            (0..visit).for_each(|earlier| loops.push_str(&format!("{index},{}\n", earlier * PLACES + place)));
+        }
+        fs::write(self.path("visits").join("loops.csv"), loops).unwrap();
     }
 
     /// Runs the sequence with `--json` and more arguments; results are at `path(out)`.

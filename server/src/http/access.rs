@@ -41,10 +41,11 @@ pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request,
 fn addresses_this_machine(request: &Request) -> bool {
     let host = match request.headers().get(header::HOST) {
         Some(host) => host.to_str().ok().and_then(|host| host.parse::<Authority>().ok()),
+        // Every browser names one.
+        None if request.uri().authority().is_none() => return true,
         None => request.uri().authority().cloned(),
     };
-    // Every browser names one.
-    let Some(host) = host else { return true };
+    let Some(host) = host else { return false };
     let name = host.host().trim_start_matches('[').trim_end_matches(']').trim_end_matches('.');
     name.parse::<IpAddr>().is_ok()
         || name.eq_ignore_ascii_case("localhost")

@@ -9,7 +9,8 @@ use serde::Serialize;
 use topomap::mapper::MapperSettings;
 use topomap::verification::{VerificationMethod, VerificationSettings};
 
-use super::{JudgedFrame, SequenceOptions, System, csv_files};
+use super::{JudgedFrame, Knobs, SequenceOptions, System, csv_files};
+use crate::calibration::Reliability;
 use crate::choices::{
     DEPENDENCES, NEW_PLACE_METHODS, RANKINGS, RankingName, SCORERS, VERIFICATION_METHODS, name_of,
 };
@@ -41,6 +42,13 @@ pub struct SequenceReport {
     pub loop_closures: Option<usize>,
     /// Those of them that are false.
     pub loop_closures_false: Option<usize>,
+    /// The same as `loop_closures`.
+    pub accepted: Option<usize>,
+    /// The same as `loop_closures_false`.
+    pub accepted_false: Option<usize>,
+    /// Expected calibration error of the probability reported for the proposal; null for a system
+    /// without probabilities. See [`Reliability::expected_calibration_error`].
+    pub ece: Option<f64>,
     /// Median wall time per frame and stage, in milliseconds.
     pub ms_p50: MedianTimes,
 }
@@ -49,16 +57,23 @@ impl SequenceReport {
     pub(super) fn new(
         frames: &[JudgedFrame],
         curve: &PrecisionRecall,
+        reliability: &Reliability,
         places: Option<usize>,
         options: &SequenceOptions,
     ) -> Self {
         let closures: Option<Vec<Option<Verdict>>> = match options.system {
             System::FabMap(_) => Some(frames.iter().filter_map(JudgedFrame::accepted_closure).collect()),
+            System::Likelihood(ref knobs) => knobs.closure_threshold.map(|threshold| {
+                let log_odds = (threshold / (1.0 - threshold)).ln();
+                frames.iter().filter_map(|frame| frame.accepted_above(log_odds)).collect()
+            }),
             System::TfIdf { threshold } => threshold
                 .map(|threshold| frames.iter().filter_map(|frame| frame.accepted_above(threshold)).collect()),
         };
         let is_false = |verdict: &&Option<Verdict>| **verdict == Some(Verdict::False);
         let times: Vec<FrameTimes> = frames.iter().map(|frame| frame.ranked.times).collect();
+        let accepted = closures.as_ref().map(Vec::len);
+        let accepted_false = closures.as_ref().map(|closures| closures.iter().filter(is_false).count());
         Self {
             frames: frames.len(),
             queries_with_loop: curve.queries_with_loop(),
@@ -67,8 +82,11 @@ impl SequenceReport {
             false_positives: curve.unthresholded().map_or(0, |all| all.false_proposals),
             true_positives: curve.unthresholded().map_or(0, |all| all.true_proposals),
             places,
-            loop_closures: closures.as_ref().map(Vec::len),
-            loop_closures_false: closures.as_ref().map(|closures| closures.iter().filter(is_false).count()),
+            loop_closures: accepted,
+            loop_closures_false: accepted_false,
+            accepted,
+            accepted_false,
+            ece: reliability.expected_calibration_error(),
             ms_p50: MedianTimes::of(&times),
         }
     }
@@ -98,6 +116,9 @@ impl SequenceReport {
         if let (Some(accepted), Some(wrong)) = (self.loop_closures, self.loop_closures_false) {
             let _ = writeln!(table, "loop closures accepted     {accepted}, {wrong} of them false");
         }
+        if let Some(error) = self.ece {
+            let _ = writeln!(table, "expected calibration error {error:.3}");
+        }
         let stages = self.ms_p50.stages().into_iter();
         let stages: Vec<String> =
             stages.filter_map(|(stage, time)| time.map(|time| format!("{stage} {time:.2}"))).collect();
@@ -112,7 +133,7 @@ pub(super) fn write_all(
     sequence: &Sequence,
     model: &Model,
     frames: &[JudgedFrame],
-    curve: &PrecisionRecall,
+    (curve, reliability): (&PrecisionRecall, &Reliability),
     matrix: &MatchMatrix,
     options: &SequenceOptions,
 ) -> Result<(), EvalError> {
@@ -129,6 +150,9 @@ pub(super) fn write_all(
     let title = format!("{}: {system}", sequence.name);
     let svg = plots::precision_recall_svg(&title, curve).map_err(|reason| not_drawn(CURVE_PLOT, reason))?;
     files::write(&path(CURVE_PLOT), svg.as_bytes())?;
+    let svg =
+        plots::reliability_svg(&title, reliability).map_err(|reason| not_drawn(RELIABILITY_PLOT, reason))?;
+    files::write(&path(RELIABILITY_PLOT), svg.as_bytes())?;
     let png = matrix.to_png(&sequence.truth).map_err(|error| not_drawn(MATRIX, error.to_string()))?;
     files::write(&path(MATRIX), &png)?;
     let summary = Summary::new(report, sequence, model, options)?;
@@ -141,7 +165,7 @@ pub(super) fn write_all(
 
     eprint!("{}", report.table(sequence, &system));
     eprintln!(
-        "results                    {} ({FRAMES}, {CURVE}, {CURVE_PLOT}, {MATRIX}, {SUMMARY})",
+        "results                    {} ({FRAMES}, {CURVE}, {CURVE_PLOT}, {RELIABILITY_PLOT}, {MATRIX}, {SUMMARY})",
         options.out.display()
     );
     Ok(())
@@ -150,6 +174,7 @@ pub(super) fn write_all(
 const FRAMES: &str = "frames.csv";
 const CURVE: &str = "precision_recall.csv";
 const CURVE_PLOT: &str = "precision_recall.svg";
+const RELIABILITY_PLOT: &str = "reliability.svg";
 const MATRIX: &str = "match_matrix.png";
 const SUMMARY: &str = "summary.json";
 
@@ -161,6 +186,7 @@ struct Summary<'a> {
     model_hash: String,
     extractor: &'a str,
     words: usize,
+    evidence_exponent: f64,
     settings: SystemSummary,
     #[serde(flatten)]
     report: &'a SequenceReport,
@@ -185,6 +211,12 @@ enum SystemSummary {
         looks_per_stay: u32,
         min_words: usize,
     },
+    Likelihood {
+        dependence: &'static str,
+        new_place: &'static str,
+        true_positive_rate: Option<f64>,
+        false_positive_rate: Option<f64>,
+    },
     TfIdf {
         threshold: Option<f64>,
     },
@@ -199,6 +231,7 @@ impl<'a> Summary<'a> {
     ) -> Result<Self, EvalError> {
         let settings = match &options.system {
             System::FabMap(knobs) => SystemSummary::of(&knobs.settings(model, options.gap)?),
+            System::Likelihood(knobs) => SystemSummary::of_likelihood(&knobs.settings(model, options.gap)?),
             &System::TfIdf { threshold } => SystemSummary::TfIdf { threshold },
         };
         Ok(Self {
@@ -207,6 +240,7 @@ impl<'a> Summary<'a> {
             model_hash: model.hash().to_string(),
             extractor: model.extractor(),
             words: model.vocabulary().len(),
+            evidence_exponent: model.evidence_exponent().value(),
             settings,
             report,
         })
@@ -220,6 +254,16 @@ impl<'a> Summary<'a> {
 }
 
 impl SystemSummary {
+    fn of_likelihood(settings: &MapperSettings) -> Self {
+        let RecognizerSettings { dependence, new_place, detector, .. } = settings.recognizer;
+        SystemSummary::Likelihood {
+            dependence: name_of(DEPENDENCES, &dependence),
+            new_place: name_of(NEW_PLACE_METHODS, &new_place),
+            true_positive_rate: detector.map(|detector| detector.probability(true, true)),
+            false_positive_rate: detector.map(|detector| detector.probability(true, false)),
+        }
+    }
+
     fn of(settings: &MapperSettings) -> Self {
         let MapperSettings {
             recognizer,
@@ -291,17 +335,19 @@ impl VerificationSummary {
 /// The system in a few words, for titles.
 fn in_words(system: &System) -> String {
     match system {
-        System::FabMap(knobs) => {
-            let defaults = RecognizerSettings::default();
-            let dependence = name_of(DEPENDENCES, &knobs.dependence.unwrap_or(defaults.dependence));
-            let new_place = name_of(NEW_PLACE_METHODS, &knobs.new_place.unwrap_or(defaults.new_place));
-            let verification = match knobs.verification {
-                None | Some(VerificationMethod::None) => String::new(),
-                Some(method) => format!(", {} verified", name_of(VERIFICATION_METHODS, &method)),
-            };
-            let fab_map = name_of(RANKINGS, &RankingName::FabMap);
-            format!("{fab_map}, {dependence}, {new_place} new place{verification}")
-        }
+        System::FabMap(knobs) => fab_map_in_words(RankingName::FabMap, knobs),
+        System::Likelihood(knobs) => fab_map_in_words(RankingName::Likelihood, knobs),
         System::TfIdf { .. } => name_of(RANKINGS, &RankingName::TfIdf).to_owned(),
     }
+}
+
+fn fab_map_in_words(ranking: RankingName, knobs: &Knobs) -> String {
+    let defaults = RecognizerSettings::default();
+    let dependence = name_of(DEPENDENCES, &knobs.dependence.unwrap_or(defaults.dependence));
+    let new_place = name_of(NEW_PLACE_METHODS, &knobs.new_place.unwrap_or(defaults.new_place));
+    let verification = match knobs.verification {
+        None | Some(VerificationMethod::None) => String::new(),
+        Some(method) => format!(", {} verified", name_of(VERIFICATION_METHODS, &method)),
+    };
+    format!("{}, {dependence}, {new_place} new place{verification}", name_of(RANKINGS, &ranking))
 }
