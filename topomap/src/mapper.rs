@@ -124,7 +124,9 @@ impl Mapper {
         let recognition = self.recognizer.recognize(&input.observation, &motion, observer);
         let candidates =
             self.compare(&input.observation, (input.session, session), &recognition, archive, views)?;
-        observer.completed(Stage::Verification);
+        if self.verifies() {
+            observer.completed(Stage::Verification);
+        }
         let proposal = self.propose(&input, session, &recognition, &candidates, archive)?;
         let decision =
             growth.limit(self.associate(&input, session, &recognition, &candidates, (archive, views))?);

@@ -27,6 +27,14 @@ const SLACK_FRAMES: u64 = 2;
 const AS_GOOD: f64 = 0.9;
 
 impl Mapper {
+    /// Whether geometry has a say.
+    pub(super) fn verifies(&self) -> bool {
+        match self.settings.verification.method {
+            VerificationMethod::None => false,
+            VerificationMethod::Similarity | VerificationMethod::Epipolar => true,
+        }
+    }
+
     /// Compares the frame with the places where it may be, the expected and the most probable ones; none if
     /// nothing is verified.
     pub(super) fn compare(
@@ -37,11 +45,7 @@ impl Mapper {
         archive: &dyn FrameArchive,
         views: &dyn Views,
     ) -> Result<Vec<Candidate>, FrameError> {
-        match self.settings.verification.method {
-            VerificationMethod::None => return Ok(Vec::new()),
-            VerificationMethod::Similarity | VerificationMethod::Epipolar => {}
-        }
-        if self.shows_too_little(observation) {
+        if !self.verifies() || self.shows_too_little(observation) {
             return Ok(Vec::new());
         }
         let mut candidates = Vec::new();
@@ -130,9 +134,8 @@ impl Mapper {
         current: SessionId,
         views: &dyn Views,
     ) -> Result<bool, FrameError> {
-        match self.settings.verification.method {
-            VerificationMethod::None => return Ok(true),
-            VerificationMethod::Similarity | VerificationMethod::Epipolar => {}
+        if !self.verifies() {
+            return Ok(true);
         }
         let frames = self.map.places().get(place as usize).map_or(&[][..], |place| &place.frames);
         let Some(last) = frames.iter().rev().find(|frame| frame.session == current) else { return Ok(true) };

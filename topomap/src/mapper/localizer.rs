@@ -92,7 +92,9 @@ impl Mapper {
         let recognition = self.recognizer.recognize(observation, &MotionPrior::even(), observer);
         let (session, anyone) = (Localizer::SESSION, Session::new());
         let candidates = self.compare(observation, (session, &anyone), &recognition, archive, views)?;
-        observer.completed(Stage::Verification);
+        if self.verifies() {
+            observer.completed(Stage::Verification);
+        }
         let verified = self.verified(&anyone, &candidates).or_else(|| candidates::most_likely(&candidates));
         let matched = match (verified, recognition.posterior.best_place()) {
             (Some(candidate), _) => Some(candidate.matched),
