@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
-use tokio_stream::wrappers::TcpListenerStream;
+use tonic::transport::server::TcpIncoming;
 use tonic::transport::{Certificate, Identity, ServerTlsConfig};
 use tonic::{Status, Streaming};
 use waypost_proto::FILE_DESCRIPTOR_SET;
@@ -97,7 +97,6 @@ pub(crate) async fn serve(
     server
         .http2_keepalive_interval(Some(KEEPALIVE))
         .http2_keepalive_timeout(Some(KEEPALIVE))
-        .tcp_nodelay(true)
         .max_concurrent_streams(MAX_STREAMS_PER_CONNECTION)
         .http2_max_header_list_size(MAX_HEADER_BYTES)
         .layer(RequestLayer { service: service.clone() })
@@ -110,9 +109,14 @@ pub(crate) async fn serve(
         .add_service(limited!(MapServiceServer::new(adapter())))
         .add_service(limited!(SessionServiceServer::new(adapter())))
         .add_service(limited!(TokenServiceServer::new(adapter())))
-        .serve_with_incoming_shutdown(TcpListenerStream::new(listener), shutdown)
+        .serve_with_incoming_shutdown(incoming(listener), shutdown)
         .await?;
     Ok(())
+}
+
+/// Connections that send each answer at once: tonic's own setting is for listeners that it binds itself.
+fn incoming(listener: TcpListener) -> TcpIncoming {
+    TcpIncoming::from(listener).with_nodelay(Some(true))
 }
 
 /// Implements the generated service traits.
@@ -155,7 +159,9 @@ mod tests {
     use std::time::Instant;
 
     use bytes::Bytes;
+    use futures::StreamExt;
     use http_body::Frame;
+    use tokio::net::TcpStream;
     use tonic::Code;
     use tonic::body::Body;
     use waypost_proto::v1::StreamRequest;
@@ -183,6 +189,14 @@ mod tests {
     fn silent<T: prost::Message + Default + 'static>() -> Streaming<T> {
         let decoder = tonic_prost::ProstDecoder::<T>::new(tonic::codec::BufferSettings::default());
         Streaming::new_request(decoder, Body::new(Silent), None, None)
+    }
+
+    #[tokio::test]
+    async fn answers_do_not_wait_for_the_acknowledgement_of_those_before() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let _client = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
+        let accepted = incoming(listener).next().await.unwrap().unwrap();
+        assert!(accepted.nodelay().unwrap());
     }
 
     #[tokio::test]
