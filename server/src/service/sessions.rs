@@ -153,7 +153,7 @@ impl Service {
         let model = self.loaded_model(&row.model).await?;
         let words = Words::declared(words_hash, &model)?;
         let keep = map_settings::from_json(&row.settings)?.keep;
-        let open = self.open_map(map).await?;
+        let open = self.open_map_of(&row).await?;
         let taken_over = CancellationToken::new();
         let opening = SessionOpening { name, mode, camera, stream, taken_over: taken_over.clone() };
         let session = open.open_session(opening).await?;
