@@ -16,8 +16,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
-use tonic::transport::server::TcpIncoming;
-use tonic::transport::{Certificate, Identity, ServerTlsConfig};
 use tonic::{Status, Streaming};
 use waypost_proto::FILE_DESCRIPTOR_SET;
 use waypost_proto::v1::job_service_server::JobServiceServer;
@@ -26,6 +24,7 @@ use waypost_proto::v1::model_service_server::ModelServiceServer;
 use waypost_proto::v1::session_service_server::SessionServiceServer;
 use waypost_proto::v1::token_service_server::TokenServiceServer;
 
+use crate::connections::{Connections, Limits};
 use crate::error::ServiceError;
 use crate::grpc::access::AccessLayer;
 use crate::grpc::requests::RequestLayer;
@@ -48,8 +47,9 @@ const MAX_STREAMS_PER_CONNECTION: u32 = 256;
 /// All headers of a call together.
 const MAX_HEADER_BYTES: u32 = 16 << 10;
 
-/// Who connects and does not finish the TLS handshake is dropped then.
-const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
+/// Connections for all streams and as many robots that only ask now and then; with those of HTTP they stay below
+/// the 1024 files that most systems let a process have.
+const LIMITS: Limits = Limits { connections: 640, patience: Duration::from_secs(10) };
 
 /// Within which the first message of a stream has to come.
 const FIRST_MESSAGE_TIMEOUT: Duration = Duration::from_secs(30);
@@ -85,16 +85,8 @@ pub(crate) async fn serve(
     };
     // Python's reflection client, among others, speaks the older version alone.
     let (reflection, reflection_alpha) = (reflected().build_v1()?, reflected().build_v1alpha()?);
-    let mut server = tonic::transport::Server::builder();
-    if let Some(Tls { certificate, key, client_ca, .. }) = tls {
-        let identity = Identity::from_pem(certificate, key);
-        let mut config = ServerTlsConfig::new().identity(identity).timeout(HANDSHAKE_TIMEOUT);
-        if let Some(client_ca) = client_ca {
-            config = config.client_ca_root(Certificate::from_pem(client_ca));
-        }
-        server = server.tls_config(config)?;
-    }
-    server
+    let connections = Connections::at(listener, tls.map(|tls| tls.grpc.clone()), LIMITS)?;
+    tonic::transport::Server::builder()
         .http2_keepalive_interval(Some(KEEPALIVE))
         .http2_keepalive_timeout(Some(KEEPALIVE))
         .max_concurrent_streams(MAX_STREAMS_PER_CONNECTION)
@@ -109,14 +101,9 @@ pub(crate) async fn serve(
         .add_service(limited!(MapServiceServer::new(adapter())))
         .add_service(limited!(SessionServiceServer::new(adapter())))
         .add_service(limited!(TokenServiceServer::new(adapter())))
-        .serve_with_incoming_shutdown(incoming(listener), shutdown)
+        .serve_with_incoming_shutdown(connections, shutdown)
         .await?;
     Ok(())
-}
-
-/// Connections that send each answer at once: tonic's own setting is for listeners that it binds itself.
-fn incoming(listener: TcpListener) -> TcpIncoming {
-    TcpIncoming::from(listener).with_nodelay(Some(true))
 }
 
 /// Implements the generated service traits.
@@ -159,9 +146,7 @@ mod tests {
     use std::time::Instant;
 
     use bytes::Bytes;
-    use futures::StreamExt;
     use http_body::Frame;
-    use tokio::net::TcpStream;
     use tonic::Code;
     use tonic::body::Body;
     use waypost_proto::v1::StreamRequest;
@@ -189,14 +174,6 @@ mod tests {
     fn silent<T: prost::Message + Default + 'static>() -> Streaming<T> {
         let decoder = tonic_prost::ProstDecoder::<T>::new(tonic::codec::BufferSettings::default());
         Streaming::new_request(decoder, Body::new(Silent), None, None)
-    }
-
-    #[tokio::test]
-    async fn answers_do_not_wait_for_the_acknowledgement_of_those_before() {
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let _client = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
-        let accepted = incoming(listener).next().await.unwrap().unwrap();
-        assert!(accepted.nodelay().unwrap());
     }
 
     #[tokio::test]
