@@ -287,7 +287,7 @@ impl LinkEnd {
             | Code::DeadlineExceeded
             | Code::Cancelled
             | Code::Unknown => LinkEnd::Broken(status.message().to_owned()),
-            code @ (Code::Aborted
+            Code::Aborted
             | Code::NotFound
             | Code::FailedPrecondition
             | Code::InvalidArgument
@@ -298,7 +298,7 @@ impl LinkEnd {
             | Code::Unimplemented
             | Code::Internal
             | Code::DataLoss
-            | Code::Ok) => LinkEnd::Final(Error::Status { code, message: status.message().to_owned() }),
+            | Code::Ok => LinkEnd::Final(Error::refused(status)),
         }
     }
 }
