@@ -156,6 +156,7 @@ impl Exchange {
             mode: self.options.mode.into(),
             camera: self.options.camera.clone(),
             words_hash: self.options.words_hash.clone(),
+            run_id: self.options.run_id.clone(),
         }
     }
 
