@@ -95,10 +95,23 @@ impl Error {
     pub(crate) fn from_status(status: &Status, endpoint: &str) -> Self {
         match broken_connection(status) {
             Some(reason) => Error::Connection { endpoint: endpoint.to_owned(), reason },
-            None => Error::Status { code: status.code(), message: status.message().to_owned() },
+            None => Error::refused(status),
         }
     }
+
+    /// What the server said, or what became of an answer that was none.
+    pub(crate) fn refused(status: &Status) -> Self {
+        let message = match status.message() {
+            // The first byte of a message is a flag in gRPC, and `{` in the JSON of the other port.
+            garbled if garbled.contains("invalid compression flag") => NOT_GRPC,
+            said => said,
+        };
+        Error::Status { code: status.code(), message: message.to_owned() }
+    }
 }
+
+const NOT_GRPC: &str = "what answers at this address does not speak gRPC; it may be the server's HTTP port, 7601 unless \
+                        set otherwise: give the one for robots, 7600 unless set otherwise";
 
 /// The reason, if a status was not sent by the server but made up here when the connection broke.
 pub(crate) fn broken_connection(status: &Status) -> Option<String> {

@@ -50,6 +50,9 @@ pub struct SessionOptions {
     /// `words_hash` of the model that the robot makes its words with; empty for one that sends images. See
     /// [`v1::OpenSession`].
     pub words_hash: String,
+    /// While localizing, tells this run from earlier ones by the same name, whose session then begins anew; empty
+    /// to resume whatever is there. See [`v1::OpenSession`].
+    pub run_id: String,
     /// How the robot sees; a session that is resumed keeps the one it began with.
     pub camera: Option<v1::Camera>,
     /// How many frames may have no outcome before sending waits. Each is kept in memory till then.
@@ -66,6 +69,7 @@ impl SessionOptions {
             session_id: String::new(),
             mode: v1::SessionMode::Map,
             words_hash: String::new(),
+            run_id: String::new(),
             camera: None,
             window_frames: DEFAULT_WINDOW,
             reconnection: Reconnection::default(),
@@ -111,6 +115,7 @@ impl FrameContent {
 }
 
 /// What became of a frame.
+#[expect(clippy::large_enum_variant, reason = "one at a time: a box would cost every frame an allocation")]
 #[derive(Clone, Debug, PartialEq)]
 pub enum FrameOutcome {
     /// It is durable, and this was decided.

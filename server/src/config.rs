@@ -178,6 +178,17 @@ pub enum ConfigError {
         /// The other key.
         missing: &'static str,
     },
+    /// Robots and people were sent to one port.
+    #[error(
+        "http_address ({origin}) is {address}, and so is grpc_address; they are two listeners, so give them different \
+         ports, or port 0 for free ones"
+    )]
+    SameAddress {
+        /// Where http_address was set.
+        origin: String,
+        /// The address.
+        address: SocketAddr,
+    },
 }
 
 impl Config {
@@ -228,6 +239,10 @@ impl Config {
                 reason,
                 form: form(key),
             });
+        }
+        if self.grpc_address == self.http_address && self.http_address.port() != 0 {
+            let origin = origin_of("http_address");
+            return Err(ConfigError::SameAddress { origin, address: self.http_address });
         }
         let (certificate, key) = (self.tls_certificate.is_some(), self.tls_key.is_some());
         let lacks = |key, missing| Err(ConfigError::Lacks { key, origin: origin_of(key), missing });
@@ -454,6 +469,13 @@ mod tests {
     }
 
     #[test]
+    fn both_ports_may_be_free_ones() {
+        let flags = flags(&["--grpc-address", "127.0.0.1:0", "--http-address", "127.0.0.1:0"]);
+        let config = Config::load(&flags, None, []).unwrap();
+        assert_eq!(config.grpc_address, config.http_address);
+    }
+
+    #[test]
     fn a_flag_without_a_value_is_a_yes() {
         for (arguments, expected) in
             [(&["--allow-anonymous"][..], true), (&["--allow-anonymous=false"], false), (&[], false)]
@@ -490,6 +512,10 @@ mod tests {
                 "tls_certificate (in FILE) needs tls_key, which is not set",
             ),
             (environment("WAYPOST_TLS_CLIENT_CA", "c"), "tls_client_ca (from the environment"),
+            (
+                refused(&["--http-address", "127.0.0.1:7600"], "", &[]),
+                "http_address (from the command line, --http-address) is 127.0.0.1:7600, and so is grpc_address",
+            ),
         ];
         for (message, says) in cases {
             assert!(message.contains(says), "{message:?} does not say {says:?}");

@@ -16,8 +16,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
-use tokio_stream::wrappers::TcpListenerStream;
-use tonic::transport::{Certificate, Identity, ServerTlsConfig};
 use tonic::{Status, Streaming};
 use waypost_proto::FILE_DESCRIPTOR_SET;
 use waypost_proto::v1::job_service_server::JobServiceServer;
@@ -26,6 +24,7 @@ use waypost_proto::v1::model_service_server::ModelServiceServer;
 use waypost_proto::v1::session_service_server::SessionServiceServer;
 use waypost_proto::v1::token_service_server::TokenServiceServer;
 
+use crate::connections::{Connections, Limits};
 use crate::error::ServiceError;
 use crate::grpc::access::AccessLayer;
 use crate::grpc::requests::RequestLayer;
@@ -48,8 +47,9 @@ const MAX_STREAMS_PER_CONNECTION: u32 = 256;
 /// All headers of a call together.
 const MAX_HEADER_BYTES: u32 = 16 << 10;
 
-/// Who connects and does not finish the TLS handshake is dropped then.
-const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
+/// Connections for all streams and as many robots that only ask now and then; with those of HTTP they stay below
+/// the 1024 files that most systems let a process have.
+const LIMITS: Limits = Limits { connections: 640, patience: Duration::from_secs(10) };
 
 /// Within which the first message of a stream has to come.
 const FIRST_MESSAGE_TIMEOUT: Duration = Duration::from_secs(30);
@@ -85,19 +85,10 @@ pub(crate) async fn serve(
     };
     // Python's reflection client, among others, speaks the older version alone.
     let (reflection, reflection_alpha) = (reflected().build_v1()?, reflected().build_v1alpha()?);
-    let mut server = tonic::transport::Server::builder();
-    if let Some(Tls { certificate, key, client_ca, .. }) = tls {
-        let identity = Identity::from_pem(certificate, key);
-        let mut config = ServerTlsConfig::new().identity(identity).timeout(HANDSHAKE_TIMEOUT);
-        if let Some(client_ca) = client_ca {
-            config = config.client_ca_root(Certificate::from_pem(client_ca));
-        }
-        server = server.tls_config(config)?;
-    }
-    server
+    let connections = Connections::at(listener, tls.map(|tls| tls.grpc.clone()), LIMITS)?;
+    tonic::transport::Server::builder()
         .http2_keepalive_interval(Some(KEEPALIVE))
         .http2_keepalive_timeout(Some(KEEPALIVE))
-        .tcp_nodelay(true)
         .max_concurrent_streams(MAX_STREAMS_PER_CONNECTION)
         .http2_max_header_list_size(MAX_HEADER_BYTES)
         .layer(RequestLayer { service: service.clone() })
@@ -110,7 +101,7 @@ pub(crate) async fn serve(
         .add_service(limited!(MapServiceServer::new(adapter())))
         .add_service(limited!(SessionServiceServer::new(adapter())))
         .add_service(limited!(TokenServiceServer::new(adapter())))
-        .serve_with_incoming_shutdown(TcpListenerStream::new(listener), shutdown)
+        .serve_with_incoming_shutdown(connections, shutdown)
         .await?;
     Ok(())
 }

@@ -17,7 +17,6 @@ mod requests;
 mod sessions;
 
 use std::future::Future;
-use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -29,7 +28,6 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use axum::{Json, Router};
 use axum_server::Handle;
-use axum_server::tls_rustls::RustlsConfig;
 use hyper_util::rt::{TokioExecutor, TokioTimer};
 use hyper_util::server::conn::auto;
 use serde::Serialize;
@@ -38,6 +36,7 @@ use utoipa::ToSchema;
 use utoipa_axum::router::{OpenApiRouter, UtoipaMethodRouterExt};
 use utoipa_axum::routes;
 
+use crate::connections::{Connections, Limits, Port};
 use crate::error::ServiceError;
 use crate::service::Service;
 use crate::tls::Tls;
@@ -51,6 +50,9 @@ const MAX_HEADER_BYTES: u32 = 16 << 10;
 /// Within which the headers of a request must come; also how long an idle connection is kept.
 const HEADER_TIMEOUT: Duration = Duration::from_secs(15);
 
+/// Browsers take six connections each.
+const LIMITS: Limits = Limits { connections: 256, patience: Duration::from_secs(10) };
+
 /// Requests that one connection may have open at a time, with HTTP/2.
 const MAX_STREAMS_PER_CONNECTION: u32 = 64;
 
@@ -63,26 +65,17 @@ pub(crate) async fn serve(
     tls: Option<&Tls>,
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> anyhow::Result<()> {
-    let (listener, routes) = (listener.into_std()?, router(service)?.into_make_service());
-    let handle: Handle<SocketAddr> = Handle::new();
+    let routes = router(service)?.into_make_service();
+    let connections = Connections::at(listener, tls.map(|tls| tls.http.clone()), LIMITS)?;
+    let handle: Handle<Port> = Handle::new();
     let stopping = handle.clone();
     tokio::spawn(async move {
         shutdown.await;
         stopping.graceful_shutdown(None);
     });
-    match tls {
-        Some(tls) => {
-            let config = RustlsConfig::from_config(tls.http.clone());
-            let mut server = axum_server::from_tcp_rustls(listener, config)?.handle(handle);
-            limit(server.http_builder());
-            server.serve(routes).await?;
-        }
-        None => {
-            let mut server = axum_server::from_tcp(listener)?.handle(handle);
-            limit(server.http_builder());
-            server.serve(routes).await?;
-        }
-    }
+    let mut server = axum_server::Server::from_listener(connections).handle(handle);
+    limit(server.http_builder());
+    server.serve(routes).await?;
     Ok(())
 }
 

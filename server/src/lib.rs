@@ -3,6 +3,7 @@
 //! [`serve`] runs a server on sockets that the caller has bound, until the caller says stop.
 
 pub mod config;
+mod connections;
 mod error;
 mod extraction;
 mod grpc;

@@ -54,6 +54,7 @@ enum TokenCommand {
         role: Role,
     },
     /// List tokens by name
+    #[command(visible_alias = "list")]
     Ls,
     /// Delete a token
     Rm {

@@ -114,11 +114,16 @@ fn check_access(config: &Config, tokens: u64) -> Result<String, String> {
 }
 
 async fn check_addresses(config: &Config) -> Result<String, String> {
+    // Held together: one of them may take the port of the other, as 0.0.0.0 does.
+    let mut held = Vec::new();
     for (address, option) in [(config.grpc_address, "grpc_address"), (config.http_address, "http_address")] {
-        if let Err(error) = TcpListener::bind(address).await {
-            return Err(format!(
-                "cannot listen on {address}: {error}; stop what runs there, or choose another {option}"
-            ));
+        match TcpListener::bind(address).await {
+            Ok(listener) => held.push(listener),
+            Err(error) => {
+                return Err(format!(
+                    "cannot listen on {address}: {error}; stop what runs there, or choose another {option}"
+                ));
+            }
         }
     }
     Ok(format!("{} and {} are free", config.grpc_address, config.http_address))

@@ -13,11 +13,11 @@ use rustls::{RootCertStore, ServerConfig};
 /// Checked certificates, for both listeners.
 #[derive(Clone)]
 pub struct Tls {
-    /// PEM, the server's own first.
-    pub(crate) certificate: Vec<u8>,
-    pub(crate) key: Vec<u8>,
+    /// Authorities of clients, PEM.
     pub(crate) client_ca: Option<Vec<u8>>,
-    /// Of all these.
+    /// For robots: HTTP/2 alone.
+    pub(crate) grpc: Arc<ServerConfig>,
+    /// For people: either version of HTTP.
     pub(crate) http: Arc<ServerConfig>,
 }
 
@@ -116,13 +116,10 @@ impl Tls {
             }
             other => unusable(certificate, other.to_string()),
         })?;
+        let mut grpc = http.clone();
+        grpc.alpn_protocols = vec![b"h2".to_vec()];
         http.alpn_protocols = vec![b"h2".to_vec(), b"http/1.1".to_vec()];
-        Ok(Self {
-            certificate: certificate_pem,
-            key: key_pem,
-            client_ca: client_ca_pem,
-            http: Arc::new(http),
-        })
+        Ok(Self { client_ca: client_ca_pem, grpc: Arc::new(grpc), http: Arc::new(http) })
     }
 }
 

@@ -120,6 +120,38 @@ fn check_csv(file: &Path, frames: usize) -> Vec<(String, String)> {
 }
 
 #[test]
+fn list_is_another_name_for_ls() {
+    let waypost = CommandLine::new();
+    waypost.prepare();
+    for (ls, list) in [
+        (&["model", "ls"][..], &["model", "list"][..]),
+        (&["map", "ls"], &["map", "list"]),
+        (&["token", "ls"], &["token", "list"]),
+        (&["job", "ls"], &["job", "list"]),
+        (&["session", "ls", "drive"], &["session", "list", "drive"]),
+    ] {
+        assert_eq!(waypost.json(list), waypost.json(ls), "{list:?}");
+        let help = waypost.text(&[ls[0], "--help"]);
+        assert!(help.contains("[aliases: list]") || help.contains("[alias: list]"), "{help}");
+    }
+}
+
+#[test]
+fn the_port_for_people_is_told_from_the_one_for_robots() {
+    let waypost = CommandLine::new();
+    waypost.prepare();
+    let folder = folder(1);
+    for arguments in [&["map", "ls"][..], &["stream", path(folder.path()), "--map", "drive"]] {
+        let mut command = Built::command("waypost");
+        command.args(arguments).args(["--server", &waypost.http()]);
+        let output = run_to_its_end(command);
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{stderr}");
+        assert!(stderr.contains("may be the server's HTTP port") && !stderr.contains("flag"), "{stderr}");
+    }
+}
+
+#[test]
 fn exit_codes_tell_what_went_wrong() {
     let waypost = CommandLine::new();
     waypost.prepare();

@@ -63,6 +63,7 @@ fn what_is_wrong_is_named_before_anything_begins() {
         ("allow_anonymous = \"perhaps\"", &["allow_anonymous", path, "true or false"]),
         ("data_dir", &["cannot read the settings", path]),
         ("tls_key = \"k\"", &["tls_key", path, "tls_certificate"]),
+        ("http_address = \"127.0.0.1:7600\"", &["http_address", path, "so is grpc_address", "port 0"]),
     ] {
         std::fs::write(&file, content).unwrap();
         let (code, stdout, stderr) = run(&["--config", path, "--data-dir", data.to_str().unwrap()], &[]);

@@ -1,5 +1,7 @@
 //! Localizing: a robot hears where it is, and the map stays as it is.
 
+use std::time::Duration;
+
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
 use tonic::Status;
@@ -7,9 +9,9 @@ use waypost_client::{Client, Code, FrameOutcome, SessionOptions, v1};
 use waypost_proto::v1::stream_request::Content::Open;
 
 use crate::harness::{
-    CommandLine, Proxy, RawStream, Server, ServerProcess, answers_of, as_histogram, assert_status, decided,
-    first_return, folder, frame, frame_count, import_model, in_time, map_request, mapped, open, path,
-    reference, state_hash, told, wire, word_maker, words_options,
+    CommandLine, Proxy, RawStream, Server, ServerProcess, answers_of, as_histogram, assert_status, channel,
+    decided, first_return, folder, frame, frame_count, import_model, in_time, map_request, mapped, open,
+    path, reference, state_hash, told, wire, word_maker, words_options,
 };
 
 fn localizing(session: &str) -> SessionOptions {
@@ -174,6 +176,101 @@ async fn one_name_is_not_for_both_mapping_and_localizing() {
     server.stop().await;
 }
 
+/// Waits until the server has heard that a stream is closed: until then `open` is refused.
+async fn opened_at_last(server: &Server, opening: v1::OpenSession) -> (RawStream, v1::SessionOpened) {
+    in_time(async {
+        loop {
+            match RawStream::open(&server.endpoint(), opening.clone()).await {
+                Ok(opened) => return opened,
+                Err(_) => tokio::time::sleep(Duration::from_millis(10)).await,
+            }
+        }
+    })
+    .await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_name_is_free_for_mapping_when_nobody_localizes_by_it_any_more() {
+    let (server, client) = Server::with_map().await;
+    mapped(&client, "mapper", 1..=5).await;
+    let (mut looker, _) = localizer(&server, "looker").await;
+    looker.answered(wire(as_histogram(1))).await;
+    drop(looker);
+    let (mut raw, opened) = opened_at_last(&server, opening("looker", v1::SessionMode::Map)).await;
+    assert_eq!(opened.last_committed_sequence, None);
+    assert!(!raw.answered(wire(as_histogram(1))).await.resent);
+    // From now on it is a mapping session.
+    let status = refusal_to_open(&server, opening("looker", v1::SessionMode::Localize)).await;
+    let said = (status.code(), status.message());
+    assert_status("looker", said, Code::FailedPrecondition, "choose another name for localizing");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn another_run_begins_anew_and_the_same_one_goes_on() {
+    let (server, client) = Server::with_map().await;
+    mapped(&client, "mapper", 1..=20).await;
+    let run = |run: &str| {
+        let localize = opening("looker", v1::SessionMode::Localize);
+        v1::OpenSession { run_id: run.to_owned(), ..localize }
+    };
+    let events = reference().localized([(20, 5..=7)]);
+    for name in ["first", "second"] {
+        let mut last = None;
+        for event in &events {
+            // A connection for each frame.
+            let (mut raw, opened) = RawStream::open(&server.endpoint(), run(name)).await.unwrap();
+            assert_eq!(opened.last_committed_sequence, last, "{name}");
+            let answer = raw.answered(wire(as_histogram(event.sequence))).await;
+            assert_eq!((told(&answer), answer.resent), (decided(event, reference()), false), "{name}");
+            last = Some(event.sequence);
+        }
+    }
+    // Without a run whatever is there is resumed.
+    let (_, opened) = localizer(&server, "looker").await;
+    assert_eq!(opened.last_committed_sequence, Some(7));
+    // A stream of the run before hears that it is over, and does not spoil the new one.
+    let (mut before, _) = RawStream::open(&server.endpoint(), run("second")).await.unwrap();
+    let (mut after, opened) = RawStream::open(&server.endpoint(), run("third")).await.unwrap();
+    assert_eq!(opened.last_committed_sequence, None);
+    let status = before.next().await.expect_err("the stream goes on");
+    assert_status("second", (status.code(), status.message()), Code::Aborted, "took this session over");
+    assert!(!after.answered(wire(as_histogram(5))).await.resent);
+    let status = refusal_to_open(&server, run("no id")).await;
+    assert_status("bad run", (status.code(), status.message()), Code::InvalidArgument, "run id");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nobody_who_localizes_is_forgotten_for_another() {
+    const MOST: usize = 256;
+    let (server, client) = Server::with_map().await;
+    mapped(&client, "mapper", 1..=5).await;
+    let localize = |number: usize| opening(&format!("looker-{number}"), v1::SessionMode::Localize);
+    let channels = [channel(&server.endpoint()).await, channel(&server.endpoint()).await];
+    let mut streams = Vec::new();
+    for number in 0..MOST {
+        let channel = channels[number % channels.len()].clone();
+        let mut stream = RawStream::begin_over(channel, Open(localize(number))).await.unwrap();
+        stream.next().await.unwrap();
+        streams.push(stream);
+    }
+    streams[0].answered(wire(as_histogram(1))).await;
+    let status = refusal_to_open(&server, localize(MOST)).await;
+    let said = (status.code(), status.message());
+    assert_status("one too many", said, Code::ResourceExhausted, "ask again when one has ended");
+    assert!(!streams[0].answered(wire(as_histogram(2))).await.resent);
+    assert!(!streams[MOST - 1].answered(wire(as_histogram(1))).await.resent);
+
+    // The one without a stream gives way, though another has been silent for longer.
+    drop(streams.pop());
+    let (mut latest, _) = opened_at_last(&server, localize(MOST)).await;
+    latest.answered(wire(as_histogram(1))).await;
+    streams[1].answered(wire(as_histogram(1))).await;
+    assert!(!streams[0].answered(wire(as_histogram(3))).await.resent);
+    server.stop().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_localizer_sees_the_map_grow() {
     let (server, client) = Server::with_map().await;
@@ -269,6 +366,11 @@ fn the_command_line_localizes() {
             assert_eq!(row["place"].as_u64(), event.decision.place.map(u64::from), "{row}");
         }
         assert_eq!(rows.len(), FRAMES);
+        // Also the second time nothing is told from memory.
+        assert!(summary["resumed_after_sequence"].is_null(), "{summary}");
+        assert!(rows.iter().all(|row| row["resent"] == false), "{summary}");
+        let text = waypost.text(&localize);
+        assert!(text.contains("begun") && text.contains(&format!("frames         {FRAMES}")), "{text}");
     }
     assert_eq!(waypost.json(&["map", "show", "drive"]), before);
     assert_eq!(waypost.json(&["session", "ls", "drive"])["sessions"].as_array().unwrap().len(), 1);

@@ -9,6 +9,7 @@ mod bad_sessions;
 mod bad_table;
 mod command_line;
 mod config;
+mod connections;
 mod decisions;
 mod dependencies;
 mod disk_full;

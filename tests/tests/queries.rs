@@ -1,11 +1,15 @@
 //! Where one image, or bag of words, was taken: whatever it comes as, and as the library says.
 
+use std::time::Duration;
+
+use futures::future::join_all;
 use topomap::mapper::Queried;
-use waypost_client::{Client, FrameContent, v1};
+use waypost_client::{Client, Code, Error, FrameContent, v1};
 
 use crate::harness::{
     CommandLine, Server, ToldMatch, as_histogram, as_words, decided_match, first_return, frame, images,
-    map_request, mapped, path, reference, state_hash, told_match, word_maker,
+    in_time, map_request, mapped, model_of_other_words, path, reference, state_hash, take_model, told_match,
+    word_maker,
 };
 
 /// Places that an answer lists.
@@ -192,4 +196,48 @@ async fn a_query_looks_in_its_map_alone() {
     assert!(client.query("drive", content(), words_hash, 0).await.unwrap().accepted);
     assert_eq!(client.query("other", content(), words_hash, 0).await.unwrap().places, []);
     server.stop().await;
+}
+
+/// The words of a query are made by the model of the map that was there when it came.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_map_that_takes_the_place_of_the_one_asked_about_does_not_answer_for_it() {
+    const ATTEMPTS: usize = 10;
+    /// More than are looked at at a time: the last ones wait.
+    const QUERIES: usize = 16;
+    let (server, client) = Server::with_map().await;
+    let shipped = client.map("drive", v1::MapView::Full).await.unwrap().model;
+    let other = take_model(&client, "other words", &model_of_other_words()).await.name;
+    let slow = FrameContent::Image(enlarged(&images()[0], 4000));
+    let mut said = Vec::new();
+    for model in [&other, &shipped].into_iter().cycle().take(ATTEMPTS) {
+        let asking = join_all((0..QUERIES).map(|_| client.query("drive", slow.clone(), "", 0)));
+        let replacing = async {
+            // While the images are looked at; if they have not come by then, there is another attempt.
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            client.delete_map("drive").await.unwrap();
+            client.create_map(map_request("drive", model)).await.unwrap();
+        };
+        let (answers, ()) = in_time(async { tokio::join!(asking, replacing) }).await;
+        let replaced = |answer: &Result<v1::QueryResponse, Error>| match answer {
+            Err(Error::Status { code, message }) => {
+                *code == Code::NotFound && message.contains("another of its name")
+            }
+            Ok(_) | Err(_) => false,
+        };
+        if answers.iter().any(replaced) {
+            server.stop().await;
+            return;
+        }
+        said.extend(answers.into_iter().map(|answer| answer.map(|answer| answer.words)));
+    }
+    panic!("the new map answered for the old one: {said:?}");
+}
+
+/// The image as a JPEG of that width: one that takes long to look at.
+fn enlarged(jpeg: &[u8], width: u32) -> Vec<u8> {
+    let image = image::load_from_memory(jpeg).unwrap();
+    let large = image.resize(width, width, image::imageops::FilterType::Nearest).to_luma8();
+    let mut encoded = Vec::new();
+    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut encoded, 60).encode_image(&large).unwrap();
+    encoded
 }

@@ -13,6 +13,10 @@ use crate::mat;
 
 pub use settings::{Feature, FeatureSettings, SettingsError};
 
+/// How tall an image may be that features are looked for in, in widths of the settings: more than any camera
+/// delivers. Time and memory go with the area, and the width alone does not bound it.
+pub const MAX_HEIGHT_WIDTHS: u32 = 4;
+
 /// Finds and describes the local features of images.
 ///
 /// Holds its settings alone and is shared freely between threads: an OpenCV detector keeps working
@@ -38,7 +42,8 @@ impl Extractor {
 
     /// The strongest features of `image`, strongest first.
     ///
-    /// The image is shrunk to the settings' width before; a narrower one is taken at its own size.
+    /// The image is shrunk to the settings' width before; a narrower one is taken at its own size. One that
+    /// would still be taller than [`MAX_HEIGHT_WIDTHS`] such widths is shrunk further, to that height.
     /// The order, and so the result, depends on the image and the settings alone: equal responses
     /// are ordered by position, then size and angle. An image without structure has no features,
     /// which is no error.
@@ -46,7 +51,7 @@ impl Extractor {
     /// # Errors
     /// [`FeatureError`].
     pub fn extract(&self, image: &GreyImage) -> Result<Features, FeatureError> {
-        let shrunk = image.resize_to_width(self.settings.image_width()).map_err(FeatureError::Shrink)?;
+        let shrunk = image.resize_to_width(self.width_to_look_in(image)).map_err(FeatureError::Shrink)?;
         if shrunk.width().min(shrunk.height()) < MIN_SIDE_PX {
             return Err(FeatureError::TooSmall { width: shrunk.width(), height: shrunk.height() });
         }
@@ -68,6 +73,14 @@ impl Extractor {
         let descriptors =
             Descriptors::new(feature.descriptor_kind(), feature.descriptor_width(), rows.concat())?;
         Ok(Features { keypoints, descriptors })
+    }
+
+    /// The width that an image is shrunk to, if it is wider: the settings', less for a very tall one.
+    fn width_to_look_in(&self, image: &GreyImage) -> u32 {
+        let width = self.settings.image_width();
+        let tallest = u64::from(MAX_HEIGHT_WIDTHS * width);
+        let width_at_tallest = u64::from(image.width()) * tallest / u64::from(image.height());
+        u32::try_from(width_at_tallest).map_or(width, |narrow| narrow.clamp(1, width))
     }
 
     /// Decodes a JPEG or PNG and extracts its features; the image comes back with them.
@@ -152,7 +165,7 @@ pub enum FeatureError {
     /// Too few pixels are left after shrinking.
     #[error(
         "features are looked for in an image of {width} x {height}, but both sides must have at least {min} pixels; \
-         send a larger image or use a model with a larger image width",
+         send a larger image, one that is less long and narrow, or use a model with a larger image width",
         min = MIN_SIDE_PX
     )]
     TooSmall {

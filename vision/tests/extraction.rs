@@ -163,6 +163,35 @@ fn extraction_shrinks_as_resize_to_width_does() {
 }
 
 #[test]
+fn the_width_alone_decides_up_to_four_times_as_tall() {
+    let tall = scenes::textured(160, 640, 10);
+    let small = tall.resize_to_width(64).unwrap();
+    assert_eq!((small.width(), small.height()), (64, 256));
+    let (from_tall, from_small) =
+        (extract(Feature::Sift, 300, 64, &tall), extract(Feature::Sift, 300, 64, &small));
+    assert!(!from_small.keypoints.is_empty());
+    assert_eq!(from_tall.descriptors, from_small.descriptors);
+}
+
+#[test]
+fn a_tower_of_an_image_is_shrunk_until_it_is_four_widths_tall() {
+    let tower = scenes::textured(320, 8000, 11);
+    let small = tower.resize_to_width(40).unwrap();
+    assert_eq!((small.width(), small.height()), (40, 1000));
+    let (from_tower, from_small) =
+        (extract(Feature::Sift, 300, 250, &tower), extract(Feature::Sift, 300, 250, &small));
+    assert!(!from_small.keypoints.is_empty());
+    assert_eq!(from_tower.descriptors, from_small.descriptors);
+    assert!(from_tower.keypoints.iter().all(|keypoint| keypoint.y_px < 8000.0));
+
+    let thread = scenes::textured(16, 60_000, 12);
+    let extractor = Extractor::new(FeatureSettings::new(Feature::Orb, 500, 64).unwrap());
+    let error = extractor.extract(&thread).unwrap_err();
+    assert_eq!(error, FeatureError::TooSmall { width: 1, height: 3750 });
+    assert!(error.to_string().contains("less long and narrow"), "{error}");
+}
+
+#[test]
 fn narrow_images_keep_their_size_and_tiny_ones_still_have_features() {
     let tiny = scenes::textured(160, 120, 8);
     assert_eq!(

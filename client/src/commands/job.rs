@@ -12,6 +12,7 @@ use crate::views::JobView;
 #[derive(Subcommand)]
 pub(crate) enum Command {
     /// List jobs, newest first
+    #[command(visible_alias = "list")]
     Ls,
     /// Show how far a job is
     Show {

@@ -18,6 +18,7 @@ pub(crate) enum Command {
     /// Create a map
     Create(Creation),
     /// List maps by name
+    #[command(visible_alias = "list")]
     Ls,
     /// Show a map, its settings, what it weighs, and the hash over all that was decided
     Show {

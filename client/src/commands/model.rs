@@ -31,6 +31,7 @@ pub(crate) enum Command {
     /// Train a model from images of the kind of surroundings it is for; Ctrl-C cancels
     Train(Training),
     /// List models, newest first
+    #[command(visible_alias = "list")]
     Ls,
     /// Show a model
     Show {

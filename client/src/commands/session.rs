@@ -12,6 +12,7 @@ use crate::views::{FrameRow, SessionView};
 #[derive(Subcommand)]
 pub(crate) enum Command {
     /// List the sessions of a map, oldest first
+    #[command(visible_alias = "list")]
     Ls {
         /// Name of the map
         map: String,

@@ -1,6 +1,7 @@
 //! `waypost stream`: a folder of images, as if a robot sent them.
 
 use std::fs::File;
+use std::hash::{BuildHasher, RandomState};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -23,7 +24,8 @@ const DEFAULT_RATE_HZ: f64 = 1.0;
 ///
 /// Streams DIR/images, or DIR, in the order of file names, byte by byte: frame 1 is the first image.
 /// Started again with the same --session, it goes on where the session stopped; with --csv or --json it
-/// also asks again for the answers of the frames before, so that the rows are complete.
+/// also asks again for the answers of the frames before, so that the rows are complete. With --localize every
+/// run begins anew.
 #[derive(clap::Args)]
 #[command(after_help = EXIT_CODES, after_long_help = format!("{}\n\n{EXIT_CODES}", odometry::FORMATS))]
 pub(crate) struct Arguments {
@@ -89,7 +91,9 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let contents = ContentMaker::new(&client, &map, words).await?;
     let mode = if localize { v1::SessionMode::Localize } else { v1::SessionMode::Map };
     let words_hash = contents.words_hash();
-    let options = SessionOptions { session_id: session, mode, words_hash, ..SessionOptions::new(&map) };
+    let run_id = format!("{:016x}", RandomState::new().hash_one(()));
+    let options =
+        SessionOptions { session_id: session, mode, words_hash, run_id, ..SessionOptions::new(&map) };
     let replay = Replay { images, stamps, pace_hz: rate, contents };
     let session = client.open_session(options).await?;
     let opened = session.opened().clone();
@@ -119,7 +123,8 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
             interrupt.map_err(Failure::Runtime)?;
             bar.abandon();
             let id = opened.session.rsplit('/').next().unwrap_or_default();
-            return Err(Failure::Interrupted(format!("stopped; go on with --session {id}")));
+            let told = if localize { "stopped".to_owned() } else { format!("stopped; go on with --session {id}") };
+            return Err(Failure::Interrupted(told));
         }
     };
     bar.finish_and_clear();

@@ -19,6 +19,7 @@ pub(crate) enum Command {
         role: Role,
     },
     /// List tokens by name
+    #[command(visible_alias = "list")]
     Ls,
     /// Delete a token; what is being done with it ends
     Rm {

@@ -156,6 +156,7 @@ impl Exchange {
             mode: self.options.mode.into(),
             camera: self.options.camera.clone(),
             words_hash: self.options.words_hash.clone(),
+            run_id: self.options.run_id.clone(),
         }
     }
 
@@ -287,7 +288,7 @@ impl LinkEnd {
             | Code::DeadlineExceeded
             | Code::Cancelled
             | Code::Unknown => LinkEnd::Broken(status.message().to_owned()),
-            code @ (Code::Aborted
+            Code::Aborted
             | Code::NotFound
             | Code::FailedPrecondition
             | Code::InvalidArgument
@@ -298,7 +299,7 @@ impl LinkEnd {
             | Code::Unimplemented
             | Code::Internal
             | Code::DataLoss
-            | Code::Ok) => LinkEnd::Final(Error::Status { code, message: status.message().to_owned() }),
+            | Code::Ok => LinkEnd::Final(Error::refused(status)),
         }
     }
 }

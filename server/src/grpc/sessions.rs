@@ -141,7 +141,7 @@ fn until_over(
 
 impl Adapter {
     async fn open(&self, message: v1::OpenSession) -> Result<SessionStream, ServiceError> {
-        let v1::OpenSession { map, session_id, mode, camera: declared, words_hash } = message;
+        let v1::OpenSession { map, session_id, mode, camera: declared, words_hash, run_id } = message;
         let mode = match known("mode", mode)? {
             v1::SessionMode::Map => SessionMode::Map,
             v1::SessionMode::Localize => SessionMode::Localize,
@@ -160,7 +160,7 @@ impl Adapter {
             }
             None => None,
         };
-        self.service.open_session(&map, &session_id, mode, encoded, &words_hash).await
+        self.service.open_session(&map, &session_id, mode, encoded, &words_hash, &run_id).await
     }
 }
 

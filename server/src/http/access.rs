@@ -3,18 +3,22 @@
 use std::net::IpAddr;
 use std::sync::Arc;
 
+use axum::body::Body;
 use axum::extract::{Request, State};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use futures::stream::{self, StreamExt};
 use http::uri::Authority;
 use http::{HeaderMap, HeaderValue, header};
+use http_body::Body as _;
+use tokio_util::sync::CancellationToken;
 
 use super::HttpError;
 use crate::error::ServiceError;
 use crate::service::Service;
-use crate::service::tokens::Access;
+use crate::service::tokens::{Access, no_longer_admitted};
 
 /// What tells whether the server lives is asked by machines that hold no token.
 const OPEN: [&str; 2] = ["/healthz", "/readyz"];
@@ -32,9 +36,30 @@ pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request,
     }
     let secret = secret(request.headers());
     match service.admit(secret.as_deref(), access) {
-        Ok(_) => next.run(request).await,
+        Ok(deleted) => tokio::select! {
+            biased;
+            response = next.run(request) => response.map(|body| until_deleted(body, deleted)),
+            () = deleted.cancelled() => refusal(no_longer_admitted()),
+        },
         Err(error) => refusal(error),
     }
+}
+
+/// `body`, which fails when its token is deleted, so that a part is not taken for the whole.
+fn until_deleted(body: Body, deleted: CancellationToken) -> Body {
+    // One that is there already is as good as sent, and keeps its length.
+    if body.size_hint().exact().is_some() {
+        return body;
+    }
+    let sending = Some((body.into_data_stream(), Box::pin(deleted.cancelled_owned())));
+    Body::from_stream(stream::unfold(sending, |sending| async {
+        let (mut body, mut deleted) = sending?;
+        tokio::select! {
+            biased;
+            () = &mut deleted => Some((Err(axum::Error::new(no_longer_admitted())), None)),
+            piece = body.next() => piece.map(|piece| (piece, Some((body, deleted)))),
+        }
+    }))
 }
 
 /// Whether the request names where it goes in a way that no foreign name server can have a say in.
@@ -82,7 +107,56 @@ fn secret(headers: &HeaderMap) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use axum::Router;
+    use axum::body::Bytes;
+    use axum::middleware::from_fn_with_state;
+    use axum::routing::get;
+    use tower::Service as _;
+
     use super::*;
+    use crate::metrics::Metrics;
+    use crate::role::Role;
+    use crate::service::tokens::Tokens;
+    use crate::storage::Storage;
+
+    /// A table whose end is never reached.
+    async fn endless() -> Body {
+        let rows = stream::repeat(Bytes::from_static(b"row\n"));
+        Body::from_stream(rows.then(async |row| {
+            tokio::task::yield_now().await;
+            Ok::<_, axum::Error>(row)
+        }))
+    }
+
+    #[tokio::test]
+    async fn a_table_breaks_off_when_its_token_is_deleted() {
+        let directory = tempfile::tempdir().unwrap();
+        let storage = Storage::open(directory.path()).await.unwrap();
+        let tokens = Tokens::load(&storage).await.unwrap();
+        let service = Arc::new(Service::new(storage, tokens, Metrics::new().unwrap()));
+        service.create_token("operator", Role::Admin).await.unwrap();
+        let (_, secret) = service.create_token("reader", Role::Robot).await.unwrap();
+        let guarded = || {
+            let routes = Router::new().route("/table", get(endless)).route("/whole", get(async || "whole"));
+            routes.layer(from_fn_with_state(service.clone(), guard))
+        };
+        let ask = async |path: &str| {
+            let bearer = format!("Bearer {secret}");
+            let request = Request::builder().uri(path).header(header::AUTHORIZATION, bearer);
+            guarded().call(request.body(Body::empty()).unwrap()).await.unwrap()
+        };
+        let whole = axum::body::to_bytes(ask("/whole").await.into_body(), 100).await.unwrap();
+        assert_eq!(whole.as_ref(), b"whole");
+
+        let mut rows = ask("/table").await.into_body().into_data_stream();
+        assert_eq!(rows.next().await.unwrap().unwrap().as_ref(), b"row\n");
+        service.delete_token("tokens/reader").await.unwrap();
+        let broken_off = rows.next().await.unwrap().unwrap_err();
+        assert!(broken_off.to_string().contains("was deleted"), "{broken_off}");
+        assert!(rows.next().await.is_none());
+        assert_eq!(ask("/table").await.status(), http::StatusCode::UNAUTHORIZED);
+        service.stop().await;
+    }
 
     #[test]
     fn a_secret_is_a_bearer_or_a_password() {

@@ -339,6 +339,19 @@ mod tests {
     }
 
     #[test]
+    fn numbers_come_back_to_the_bit() {
+        let mut asked =
+            MapSettingsRequest { new_place_prior: Some(1.0 - f64::EPSILON / 2.0), ..Default::default() };
+        for step in 0..1000_u32 {
+            let settings = asked.with_defaults().unwrap();
+            assert_eq!(from_json(&to_json(&settings).unwrap()), Ok(settings));
+            // Irrational steps: numbers of all 17 digits.
+            let number = (f64::from(step) * std::f64::consts::SQRT_2).fract();
+            (asked.closure_threshold, asked.new_place_prior) = (Some(number), Some(number.sqrt()));
+        }
+    }
+
+    #[test]
     fn settings_as_version_0_1_wrote_them_still_open() {
         let stored = r#"{"dependence":"chow_liu","new_place":"sampled","detector":null,"new_place_prior":0.9,
             "even_share":0.1,"likelihood_smoothing":0.99,"closure_threshold":0.9,"guard_frames":20,

@@ -10,7 +10,7 @@ mod views;
 pub(super) use open_maps::OpenMaps;
 pub(super) use requests::{
     FrameFailure, FrameRequest, FrameSource, FrameWork, MapHandle, OpenedSession, PlaceSummary,
-    SessionOpening, WriterGone,
+    SessionOpening, StreamOpening, WriterGone,
 };
 pub(crate) use requests::{QueryAnswer, SessionMode, WordPlace};
 pub(super) use views::{compare, stored_features, verifier};
@@ -307,17 +307,17 @@ impl MapWriter {
     }
 
     fn open(&mut self, opening: SessionOpening) -> Result<OpenedSession, ServiceError> {
-        let SessionOpening { name, mode, camera, stream, taken_over } = opening;
+        let SessionOpening { name, mode, camera, stream } = opening;
         let name = name.unwrap_or_else(|| self.unused_session_name());
         match mode {
             SessionMode::Map => {
                 let opened = self.open_session(name, camera.as_deref())?;
                 if let FrameSource::Session(session) = opened.source {
-                    self.follow(session, stream, taken_over);
+                    self.follow(session, stream.stream, stream.taken_over);
                 }
                 Ok(opened)
             }
-            SessionMode::Localize => self.open_localizer(name, stream, taken_over),
+            SessionMode::Localize => self.open_localizer(name, stream),
         }
     }
 
@@ -327,7 +327,7 @@ impl MapWriter {
             let last_committed = self.mapper.map().session(number).and_then(|session| session.last_sequence);
             return Ok(OpenedSession { source: FrameSource::Session(number), name, last_committed });
         }
-        if self.localizers.is_taken(&name) {
+        if !self.localizers.free(&name) {
             return Err(ServiceError::precondition(format_args!(
                 "a robot is localizing under the name {name}; choose another name for the session"
             )));

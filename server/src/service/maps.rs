@@ -171,7 +171,7 @@ impl Service {
                 words.saturating_sub(1)
             )));
         }
-        let mut items = self.open_map(map).await?.word_places(word, from, size + 1).await?;
+        let mut items = self.open_map_of(&row).await?.word_places(word, from, size + 1).await?;
         let next = items.get(size as usize).map_or_else(String::new, |next| next.place.to_string());
         items.truncate(size as usize);
         Ok(Page { items, next })
@@ -257,7 +257,7 @@ impl Service {
         let (state_hash, bytes) = match detail {
             Detail::Basic => (None, None),
             Detail::Full => {
-                let state_hash = self.open_map(&row.name).await?.state_hash().await?;
+                let state_hash = self.open_map_of(&row).await?.state_hash().await?;
                 (Some(state_hash), Some(self.storage.map_bytes(row.id).await?))
             }
         };

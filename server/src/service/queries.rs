@@ -65,7 +65,7 @@ impl Service {
         let model = self.loaded_model(&row.model).await?;
         let words = Words::declared(words_hash, &model)?;
         let observed = self.observe(model, content, words, Keep::Words, None).await?;
-        self.open_map(map).await?.query(observed.observation, observed.features, explained).await
+        self.open_map_of(&row).await?.query(observed.observation, observed.features, explained).await
     }
 
     /// Replays the map up to a frame and decides that frame again, this time telling why.

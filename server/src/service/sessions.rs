@@ -19,7 +19,7 @@ use super::content::{Content, Words};
 use super::map_settings::{self, Keep};
 pub(crate) use super::map_writer::SessionMode;
 use super::map_writer::{
-    FrameFailure, FrameRequest, FrameSource, FrameWork, MapHandle, SessionOpening, WriterGone,
+    FrameFailure, FrameRequest, FrameSource, FrameWork, MapHandle, SessionOpening, StreamOpening, WriterGone,
 };
 use super::maps::FrameReference;
 use super::names::{check_id, map_in, session_name};
@@ -160,7 +160,7 @@ pub(crate) enum FrameOutcome {
 
 impl Service {
     /// Opens a session of that name, or resumes it. An empty name is made up. `camera` is kept as it
-    /// was encoded.
+    /// was encoded. `run` tells the robot's runs apart that localize by one name; empty if it is not said.
     pub(crate) async fn open_session(
         self: &Arc<Self>,
         map: &str,
@@ -168,22 +168,25 @@ impl Service {
         mode: SessionMode,
         camera: Option<Vec<u8>>,
         words_hash: &str,
+        run: &str,
     ) -> Result<SessionStream, ServiceError> {
         let map = map_in(map)?;
-        let room = self.streams.clone().try_acquire_owned().map_err(|_| too_many_streams())?;
+        let room = Arc::new(self.streams.clone().try_acquire_owned().map_err(|_| too_many_streams())?);
         let stream = self.new_stream();
         let name = match session {
             "" => None,
             name => Some(check_id("session name", name)?.to_owned()),
         };
+        let run = if run.is_empty() { String::new() } else { check_id("run id", run)?.to_owned() };
         let row = self.map_row(map).await?;
         let model = self.loaded_model(&row.model).await?;
         let words = Words::declared(words_hash, &model)?;
         let keep = map_settings::from_json(&row.settings)?.keep;
-        let open = self.open_map(map).await?;
+        let open = self.open_map_of(&row).await?;
         let taken_over = CancellationToken::new();
-        let opening = SessionOpening { name, mode, camera, stream, taken_over: taken_over.clone() };
-        let session = open.open_session(opening).await?;
+        let opened_by =
+            StreamOpening { run, stream, taken_over: taken_over.clone(), room: Arc::downgrade(&room) };
+        let session = open.open_session(SessionOpening { name, mode, camera, stream: opened_by }).await?;
         let last_committed = session.last_committed;
         let order = Order::new(open, last_committed);
         Ok(SessionStream {
@@ -198,7 +201,7 @@ impl Service {
             source: session.source,
             stream,
             last_committed,
-            _room: Arc::new(room),
+            _room: room,
         })
     }
 }

@@ -25,6 +25,11 @@ impl CommandLine {
         self.server.endpoint()
     }
 
+    /// Where REST is served.
+    pub(crate) fn http(&self) -> String {
+        format!("http://{}", self.server.http())
+    }
+
     pub(crate) fn kill_server(self) {
         self.server.kill();
     }

@@ -7,6 +7,7 @@ use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
+use rustix::process::{Pid, Resource, Rlimit};
 use serde_json::Value;
 use tempfile::TempDir;
 use waypost_client::Client;
@@ -135,6 +136,15 @@ impl ServerProcess {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
         let kib = status.lines().find_map(|line| line.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB"));
         1024 * kib.expect("the system tells").parse::<u64>().unwrap()
+    }
+
+    /// From now on it can open so many files beyond those that it has open.
+    pub(crate) fn limit_further_files(&self, further: u64) {
+        let open = std::fs::read_dir(format!("/proc/{}/fd", self.child.id())).unwrap().count() as u64;
+        let limit = Rlimit { current: Some(open + further), maximum: Some(open + further) };
+        let process = Pid::from_child(&self.child);
+        let kept = rustix::process::prlimit(Some(process), Resource::Nofile, limit);
+        assert!(kept.is_ok(), "{kept:?}");
     }
 
     /// What it logged so far.

@@ -81,6 +81,7 @@ pub(crate) fn open(map: &str, session: &str) -> v1::OpenSession {
         mode: v1::SessionMode::Map.into(),
         camera: None,
         words_hash: String::new(),
+        run_id: String::new(),
     }
 }
 

@@ -320,6 +320,7 @@ pub(super) async fn open_stream(
         mode: v1::SessionMode::Map.into(),
         camera: None,
         words_hash: words_hash.to_owned(),
+        run_id: String::new(),
     };
     // The receiver is here still.
     let _ = requests.send(v1::StreamRequest { content: Some(Request::Open(opening)) }).await;

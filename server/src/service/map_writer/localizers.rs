@@ -1,13 +1,15 @@
 //! Robots that only look: kept in memory, never in the log.
 
 use std::collections::{HashMap, VecDeque};
+use std::sync::Weak;
 use std::time::Instant;
 
+use tokio::sync::OwnedSemaphorePermit;
 use tokio_util::sync::CancellationToken;
 use topomap::mapper::{FrameInput, Localizer};
 use waypost_vision::feature_record::FeatureRecord;
 
-use super::requests::{FrameFailure, FrameRequest, FrameSource, FrameWork, OpenedSession};
+use super::requests::{FrameFailure, FrameRequest, FrameSource, FrameWork, OpenedSession, StreamOpening};
 use super::views::CurrentView;
 use super::{Archive, MapWriter, StageClock, not_stored};
 use crate::error::ServiceError;
@@ -16,7 +18,8 @@ use crate::service::sessions::{FrameAnswer, FrameTimings, taken_over};
 /// Answers that are kept of each, for frames that are sent again.
 const KEPT_ANSWERS: usize = 100;
 
-/// Robots that may look at one map; beyond that the one that has been silent for longest is forgotten.
+/// Robots that may look at one map; for a further one, that without a stream which has been silent for longest
+/// is forgotten.
 const MAX_LOCALIZERS: usize = 256;
 
 /// Number of a localizer, that of the stream that began it: never given again while the server runs, also
@@ -34,12 +37,16 @@ pub(super) struct Localizers {
 #[derive(Debug)]
 struct Localizing {
     name: String,
+    /// Of the robot, as it said; empty if it did not.
+    run: String,
     localizer: Localizer,
     /// The latest ones, oldest first.
     answers: VecDeque<FrameAnswer>,
     /// The latest stream, and how to tell it that a later one took over.
     stream: u64,
     taken_over: CancellationToken,
+    /// There for as long as the latest stream is open.
+    room: Weak<OwnedSemaphorePermit>,
     last_heard: u64,
 }
 
@@ -53,16 +60,31 @@ impl Localizers {
         found.map(|(&id, localizing)| (id, localizing))
     }
 
-    fn add(&mut self, localizing: Localizing) -> LocalizerId {
+    /// Frees a name, forgetting what localized by it before; not one that a stream is open by. Whether it is free.
+    pub(super) fn free(&mut self, name: &str) -> bool {
+        match self.by_name(name) {
+            Some((_, localizing)) if localizing.is_open() => false,
+            Some((id, _)) => self.localizers.remove(&id).is_some(),
+            None => true,
+        }
+    }
+
+    fn add(&mut self, localizing: Localizing) -> Result<LocalizerId, ServiceError> {
         if self.localizers.len() >= MAX_LOCALIZERS {
-            let silent = self.localizers.iter().min_by_key(|(_, localizing)| localizing.last_heard);
-            if let Some((&id, _)) = silent {
-                self.localizers.remove(&id);
-            }
+            let without_stream = self.localizers.iter().filter(|(_, localizing)| !localizing.is_open());
+            let Some((&id, _)) = without_stream.min_by_key(|(_, localizing)| localizing.last_heard) else {
+                return Err(ServiceError::ResourceExhausted {
+                    message: format!(
+                        "{MAX_LOCALIZERS} robots localize in this map, as many as may at a time; end one of their \
+                         streams, or ask again when one has ended"
+                    ),
+                });
+            };
+            self.localizers.remove(&id);
         }
         let id = localizing.stream;
         self.localizers.insert(id, localizing);
-        id
+        Ok(id)
     }
 }
 
@@ -70,9 +92,9 @@ impl MapWriter {
     pub(super) fn open_localizer(
         &mut self,
         name: String,
-        stream: u64,
-        taken_over: CancellationToken,
+        opening: StreamOpening,
     ) -> Result<OpenedSession, ServiceError> {
+        let StreamOpening { run, stream, taken_over, room } = opening;
         if self.sessions.iter().any(|session| session.name == name) {
             return Err(ServiceError::precondition(format_args!(
                 "the map has a session {name} that let it grow; choose another name for localizing"
@@ -86,16 +108,21 @@ impl MapWriter {
                     taken_over.cancel();
                 } else {
                     localizing.taken_over.cancel();
-                    (localizing.stream, localizing.taken_over) = (stream, taken_over);
+                    (localizing.stream, localizing.taken_over, localizing.room) = (stream, taken_over, room);
+                    if !run.is_empty() && localizing.run != run {
+                        (localizing.localizer, localizing.run) = (Localizer::new(), run);
+                        localizing.answers.clear();
+                    }
                 }
                 localizing.last_heard = last_heard;
                 (id, localizing.localizer.last_sequence())
             }
             None => {
                 let (localizer, answers) = (Localizer::new(), VecDeque::new());
+                let name = name.clone();
                 let localizing =
-                    Localizing { name: name.clone(), localizer, answers, stream, taken_over, last_heard };
-                (self.localizers.add(localizing), None)
+                    Localizing { name, run, localizer, answers, stream, taken_over, room, last_heard };
+                (self.localizers.add(localizing)?, None)
             }
         };
         Ok(OpenedSession { source: FrameSource::Localizer(id), name, last_committed })
@@ -116,6 +143,7 @@ impl MapWriter {
         since: Instant,
     ) -> Result<FrameAnswer, FrameFailure> {
         let Some(localizing) = self.localizers.localizers.get(&id) else {
+            // A session is not forgotten for another's sake while it has a stream.
             let message = "the map was opened anew and localizing begins anew; open the session again";
             return Err(FrameFailure::Ended(ServiceError::unavailable(message)));
         };
@@ -164,6 +192,10 @@ impl MapWriter {
 }
 
 impl Localizing {
+    fn is_open(&self) -> bool {
+        self.room.strong_count() > 0
+    }
+
     /// The answer that a frame got.
     fn stored(&self, sequence: u64) -> Result<FrameAnswer, FrameFailure> {
         let found = self.answers.iter().find(|answer| answer.sequence == sequence);

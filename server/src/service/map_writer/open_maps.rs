@@ -107,6 +107,20 @@ impl Service {
         opening.await.map_err(ServiceError::internal)?
     }
 
+    /// The writer of the very map that `row` is of. What was prepared by its model must not come to another
+    /// map that has its name by now: the words of that may mean something else. A map that was bound to
+    /// another model meanwhile is still the same, and so are its words.
+    pub(crate) async fn open_map_of(self: &Arc<Self>, row: &MapRow) -> Result<MapHandle, ServiceError> {
+        let open = self.open_map(&row.name).await?;
+        if open.id() == row.id {
+            return Ok(open);
+        }
+        Err(ServiceError::not_found(format_args!(
+            "the map {} was deleted just now, and another of its name made; ask again if you mean that one",
+            row.name
+        )))
+    }
+
     /// Closes a map and binds it to another model, whether or not whoever asked is still there. Streams go
     /// on: their next frame opens it again.
     pub(crate) async fn close_and_rebind_map(

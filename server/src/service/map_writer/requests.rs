@@ -1,12 +1,12 @@
 //! What can be asked of a map's writer.
 
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::time::Instant;
 
 use fabmap::appearance::PlaceId;
 use fabmap::explanation::Explanation;
 use fabmap::observation::{Observation, WordId};
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameId, SessionId};
 use topomap::mapper::FrameInput;
@@ -71,9 +71,19 @@ pub(crate) struct SessionOpening {
     pub(crate) mode: SessionMode,
     /// As it was encoded.
     pub(crate) camera: Option<Vec<u8>>,
+    pub(crate) stream: StreamOpening,
+}
+
+/// The stream that wants it.
+#[derive(Debug)]
+pub(crate) struct StreamOpening {
+    /// Run of the robot; empty if it did not say.
+    pub(crate) run: String,
     pub(crate) stream: u64,
     /// Cancelled when a later stream takes the session over.
     pub(crate) taken_over: CancellationToken,
+    /// Gone when the stream is closed.
+    pub(crate) room: Weak<OwnedSemaphorePermit>,
 }
 
 /// What a session does with the map.
