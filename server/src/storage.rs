@@ -44,9 +44,9 @@ pub(crate) struct Storage {
     /// Those that hold a snapshot for long are kept apart: they must not use up the readers.
     exporters: SqlitePool,
     directory: PathBuf,
-    /// Held for as long as the storage lives; two servers on one directory would each believe
-    /// that they are the one writer.
-    _lock: Arc<File>,
+    /// Held until the storage is closed; two servers on one directory would each believe that they are
+    /// the one writer.
+    lock: Arc<File>,
 }
 
 /// What went wrong with the database.
@@ -111,7 +111,7 @@ impl Storage {
         let options = options.read_only(true);
         let readers = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.clone()).await?;
         let exporters = SqlitePoolOptions::new().max_connections(EXPORTERS).connect_lazy_with(options);
-        Ok(Self { writer, readers, exporters, directory: directory.to_owned(), _lock: Arc::new(lock) })
+        Ok(Self { writer, readers, exporters, directory: directory.to_owned(), lock: Arc::new(lock) })
     }
 
     /// Where the database lies.
@@ -146,6 +146,10 @@ impl Storage {
         self.readers.close().await;
         self.exporters.close().await;
         self.writer.close().await;
+        // A connection that is still being closed may hold a copy of this for a moment more.
+        if let Err(error) = self.lock.unlock() {
+            tracing::warn!(%error, "the data directory stays locked until this program ends");
+        }
     }
 }
 

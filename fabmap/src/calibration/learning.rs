@@ -16,7 +16,7 @@ use crate::new_place::log_sum_exp;
 pub enum Rates {
     /// These; only the exponent is learnt.
     Fixed(DetectorModel),
-    /// The best of [`TRUE_POSITIVE_RATES`] × [`FALSE_POSITIVE_RATES`].
+    /// The best of some pairs of rates.
     Learned,
 }
 
