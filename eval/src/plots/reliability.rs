@@ -15,7 +15,7 @@ pub fn reliability_svg(title: &str, reliability: &Reliability) -> Result<String,
     Ok(svg)
 }
 
-const SIZE_PX: (u32, u32) = (600, 600);
+const SIZE_PX: (u32, u32) = (760, 640);
 const BINS: RGBColor = RGBColor(20, 90, 170);
 const RIGHT: RGBColor = RGBColor(150, 150, 150);
 
@@ -29,7 +29,7 @@ fn draw(title: &str, reliability: &Reliability, svg: &mut String) -> Result<(), 
     };
     let root = SVGBackend::with_string(svg, SIZE_PX).into_drawing_area();
     root.fill(&WHITE)?;
-    let below_titles = root.titled(title, ("sans-serif", 20))?.titled(&caption, ("sans-serif", 15))?;
+    let below_titles = root.titled(title, ("sans-serif", 18))?.titled(&caption, ("sans-serif", 15))?;
     let mut chart = ChartBuilder::on(&below_titles)
         .margin(12)
         .x_label_area_size(44)
