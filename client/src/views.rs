@@ -186,6 +186,7 @@ pub(crate) struct GeometryView {
     pub(crate) matches: u32,
     pub(crate) inliers: u32,
     pub(crate) evidence: f64,
+    pub(crate) probability: f64,
     pub(crate) similarity: Option<SimilarityView>,
 }
 
@@ -199,12 +200,12 @@ pub(crate) struct SimilarityView {
 
 impl From<v1::Geometry> for GeometryView {
     fn from(geometry: v1::Geometry) -> Self {
-        let v1::Geometry { matches, inliers, evidence, similarity } = geometry;
+        let v1::Geometry { matches, inliers, evidence, similarity, probability } = geometry;
         let similarity = similarity.map(|similarity| {
             let v1::Similarity { rotation_rad, ln_scale, x_widths, y_widths } = similarity;
             SimilarityView { rotation_rad, ln_scale, x_widths, y_widths }
         });
-        Self { matches, inliers, evidence, similarity }
+        Self { matches, inliers, evidence, probability, similarity }
     }
 }
 

@@ -60,6 +60,8 @@ pub struct Proposal {
     pub score: f64,
     /// The posterior probability of its place; `None` for a system without probabilities.
     pub posterior: Option<f64>,
+    /// That it is right, as the system reports it: its posterior, or that and geometry together.
+    pub probability: Option<f64>,
 }
 
 /// What a system that maps decided about a frame.

@@ -13,7 +13,7 @@
 mod learning;
 mod pairs;
 
-pub use learning::{Calibration, LearnError, Rates, learn};
+pub use learning::{Calibration, LearnError, Rates, calibrate, learn};
 
 /// What every likelihood is raised to, in (0, 1]: the share of a word's evidence that is news beside
 /// the other words.

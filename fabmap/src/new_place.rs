@@ -19,11 +19,11 @@ pub enum NewPlaceMethod {
     MeanField,
     /// By a sampling set: observations of other places, each a place of its own. Cummins & Newman
     /// 2008, eq. (17).
-    #[default]
     Sampled,
     /// By what the likeliest of as many unrelated places as the map has would reach, from the tail of
     /// the sampling set. The mean of a sample is outdone by the best of a large map; this grows with
     /// the map as that does.
+    #[default]
     Tail,
     /// By the tail of the sampling set too, and likelihood ratios are tempered to it: a place is the
     /// more likely than "somewhere new" the rarer it is that an unrelated place is as likely.

@@ -4,7 +4,7 @@ use waypost_client::{Client, Code, FrameContent, FrameInput, v1};
 
 use crate::harness::{
     CommandLine, Server, answers_of, as_histogram, assert_status, first_return, folder, frame, import_model,
-    map_request, mapped, path, recalibrated_model, reference, refused, take_model, words_options,
+    map_request, mapped, path, recalibrated_model, reference_by_words, refused, take_model, words_options,
 };
 
 const GATES: [&str; 4] = ["words", "known_place", "guard", "threshold"];
@@ -100,9 +100,10 @@ async fn explain_all(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn frames_of_every_reason_are_explained() {
-    let (server, client) = Server::with_map().await;
-    let strict = v1::MapSettings { closure_threshold: Some(1.0), ..v1::MapSettings::default() };
-    let strict = v1::CreateMapRequest { settings: Some(strict), ..map_request("strict", "shipped") };
+    let (server, client) = Server::with_map_of_words().await;
+    let verification = v1::map_settings::Verification::None.into();
+    let strict = v1::MapSettings { closure_threshold: Some(1.0), verification, ..v1::MapSettings::default() };
+    let strict = v1::CreateMapRequest { settings: Some(strict), ..by_words_request("strict", "shipped") };
     client.create_map(strict).await.unwrap();
     let mut reasons = Vec::new();
     for map in ["drive", "strict"] {
@@ -123,10 +124,10 @@ async fn frames_of_every_reason_are_explained() {
 #[tokio::test(flavor = "multi_thread")]
 async fn any_place_of_that_time_can_be_asked_about() {
     const MAPPED: u64 = 60;
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     mapped(&client, "robot", 1..=MAPPED).await;
     for sequence in [2, 20, MAPPED] {
-        let posteriors = &reference().posteriors[sequence as usize - 1];
+        let posteriors = &reference_by_words().posteriors[sequence as usize - 1];
         let name = frame_name("drive", "robot", sequence);
         for place in [0, posteriors.len() / 2, posteriors.len() - 1] {
             let explained = client.explain_frame(&name, Some(place as u32), 3).await.unwrap();
@@ -152,7 +153,7 @@ async fn old_frames_are_explained_after_restarts_and_other_models() {
     let server = Server::start_on(directory.path()).await;
     let client = server.client().await;
     import_model(&client).await;
-    client.create_map(map_request("drive", "shipped")).await.unwrap();
+    client.create_map(by_words_request("drive", "shipped")).await.unwrap();
     let mut answers = mapped(&client, "robot", 1..=20).await;
     server.stop().await;
 
@@ -197,7 +198,7 @@ fn the_command_line_explains() {
     assert_eq!(explained["place"]["words_for"].as_array().unwrap().len(), 4);
     let about = waypost.json(&["explain", "maps/drive", "robot", "6", "--place", "0"]);
     assert_eq!(about["place"]["place"], 0);
-    let posterior = reference().posteriors[5][0];
+    let posterior = reference_by_words().posteriors[5][0];
     assert!((about["place"]["posterior"].as_f64().unwrap() - posterior).abs() <= 4.0 * f64::EPSILON);
     let first = waypost.json(&["explain", "drive", "robot", "1"]);
     assert_eq!((&first["reason"], &first["place"]), (&"new_place".into(), &().into()));

@@ -46,7 +46,7 @@ fn with_odometry(sequence: u64) -> FrameInput {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn sessions_are_listed_page_by_page() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     assert_eq!(client.sessions("drive").await.unwrap(), []);
     let with_camera = SessionOptions { camera: Some(camera()), ..words_options("drive", "second") };
     mapped(&client, "first", 1..=25).await;

@@ -16,7 +16,7 @@ pub(crate) use command_line::{CommandLine, folder, json_object, path};
 pub(crate) use models::{model_of_other_words, recalibrated_model, take_model};
 pub(crate) use process::{Built, ServerProcess, run_to_its_end};
 pub(crate) use proxy::Proxy;
-pub(crate) use reference::{Reference, reference};
+pub(crate) use reference::{BY_WORDS_THRESHOLD, Reference, reference, reference_by_words};
 pub(crate) use rest::{Answer, Surveyed, found, get, http};
 pub(crate) use sequence::{SECOND_NS, first_return, frame, frame_count, images, model_file, workspace};
 pub(crate) use server::{Server, channel, channel_with_window, import_model, state_hash};
@@ -60,6 +60,16 @@ pub(crate) async fn followed(client: &Client, job: &v1::Job) -> Vec<v1::Job> {
         states.push(step);
     }
     states
+}
+
+/// A map that is recognised by words alone, for frames of all forms to decide alike, and soon sure of itself.
+pub(crate) fn by_words_request(map: &str, model: &str) -> v1::CreateMapRequest {
+    let settings = v1::MapSettings {
+        verification: v1::map_settings::Verification::None.into(),
+        closure_threshold: Some(BY_WORDS_THRESHOLD),
+        ..v1::MapSettings::default()
+    };
+    v1::CreateMapRequest { settings: Some(settings), ..map_request(map, model) }
 }
 
 /// A map with the server's default settings.

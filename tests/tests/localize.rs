@@ -11,7 +11,7 @@ use waypost_proto::v1::stream_request::Content::Open;
 use crate::harness::{
     CommandLine, Proxy, RawStream, Server, ServerProcess, answers_of, as_histogram, assert_status, channel,
     decided, first_return, folder, frame, frame_count, import_model, in_time, map_request, mapped, open,
-    path, reference, state_hash, told, wire, word_maker, words_options,
+    path, reference_by_words, state_hash, told, wire, word_maker, words_options,
 };
 
 fn localizing(session: &str) -> SessionOptions {
@@ -52,7 +52,7 @@ async fn rows(server: &Server) -> Vec<(&'static str, i64)> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn localizing_changes_nothing_and_decides_as_in_process() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let before_return = first_return() - 1;
     mapped(&client, "mapper", 1..=before_return).await;
     let before = (client.map("drive", v1::MapView::Full).await.unwrap(), rows(&server).await);
@@ -61,10 +61,10 @@ async fn localizing_changes_nothing_and_decides_as_in_process() {
     // Some frames come as images.
     let form = |sequence| if sequence % 8 == 0 { frame(sequence) } else { as_histogram(sequence) };
     let answers = answers_of(&client, localizing("looker"), returning.clone().map(form)).await;
-    let events = reference().localized([(before_return, returning)]);
+    let events = reference_by_words().localized([(before_return, returning)]);
     assert_eq!(answers.len(), events.len());
     for (answer, event) in answers.iter().zip(&events) {
-        assert_eq!(told(answer), decided(event, reference()), "frame {}", event.sequence);
+        assert_eq!(told(answer), decided(event, reference_by_words()), "frame {}", event.sequence);
         let grows = matches!(answer.reason(), v1::Reason::NewPlace | v1::Reason::BelowThreshold);
         assert!(!(grows && answer.place.is_some()), "a place was made: {answer:?}");
         assert_eq!((answer.last_committed_sequence, answer.resent), (answer.sequence, false));
@@ -83,11 +83,11 @@ async fn localizing_changes_nothing_and_decides_as_in_process() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stream_that_was_cut_is_resumed_with_its_belief_and_answers() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let before_return = first_return() - 1;
     mapped(&client, "mapper", 1..=before_return).await;
     let returning = first_return()..=first_return() + 9;
-    let events = reference().localized([(before_return, returning.clone())]);
+    let events = reference_by_words().localized([(before_return, returning.clone())]);
 
     let mut first_answers = Vec::new();
     for (sequence, event) in returning.clone().zip(&events) {
@@ -96,7 +96,7 @@ async fn a_stream_that_was_cut_is_resumed_with_its_belief_and_answers() {
         let last = first_answers.last().map(|answer: &v1::FrameAnswer| answer.sequence);
         assert_eq!(opened.last_committed_sequence, last);
         let answer = raw.answered(wire(as_histogram(sequence))).await;
-        assert_eq!(told(&answer), decided(event, reference()), "frame {sequence}");
+        assert_eq!(told(&answer), decided(event, reference_by_words()), "frame {sequence}");
         first_answers.push(answer);
     }
     let (mut raw, _) = localizer(&server, "looker").await;
@@ -111,7 +111,7 @@ async fn a_stream_that_was_cut_is_resumed_with_its_belief_and_answers() {
 async fn the_last_hundred_answers_are_kept() {
     const KEPT: u64 = 100;
     const FRAMES: u64 = KEPT + 5;
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     mapped(&client, "mapper", 1..=20).await;
     let (mut raw, _) = localizer(&server, "looker").await;
     for sequence in 1..=FRAMES {
@@ -131,7 +131,7 @@ async fn the_last_hundred_answers_are_kept() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_later_stream_takes_a_localizing_session_over() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     mapped(&client, "mapper", 1..=5).await;
     let (mut first, _) = localizer(&server, "looker").await;
     first.answered(wire(as_histogram(1))).await;
@@ -147,7 +147,7 @@ async fn a_later_stream_takes_a_localizing_session_over() {
 #[tokio::test(flavor = "multi_thread")]
 async fn one_name_is_not_for_both_mapping_and_localizing() {
     use v1::SessionMode::{Localize, Map};
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     mapped(&client, "mapper", 1..=5).await;
     let (mut looker, _) = localizer(&server, "looker").await;
     looker.answered(wire(as_histogram(1))).await;
@@ -191,7 +191,7 @@ async fn opened_at_last(server: &Server, opening: v1::OpenSession) -> (RawStream
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_name_is_free_for_mapping_when_nobody_localizes_by_it_any_more() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     mapped(&client, "mapper", 1..=5).await;
     let (mut looker, _) = localizer(&server, "looker").await;
     looker.answered(wire(as_histogram(1))).await;
@@ -208,13 +208,13 @@ async fn a_name_is_free_for_mapping_when_nobody_localizes_by_it_any_more() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn another_run_begins_anew_and_the_same_one_goes_on() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     mapped(&client, "mapper", 1..=20).await;
     let run = |run: &str| {
         let localize = opening("looker", v1::SessionMode::Localize);
         v1::OpenSession { run_id: run.to_owned(), ..localize }
     };
-    let events = reference().localized([(20, 5..=7)]);
+    let events = reference_by_words().localized([(20, 5..=7)]);
     for name in ["first", "second"] {
         let mut last = None;
         for event in &events {
@@ -222,7 +222,11 @@ async fn another_run_begins_anew_and_the_same_one_goes_on() {
             let (mut raw, opened) = RawStream::open(&server.endpoint(), run(name)).await.unwrap();
             assert_eq!(opened.last_committed_sequence, last, "{name}");
             let answer = raw.answered(wire(as_histogram(event.sequence))).await;
-            assert_eq!((told(&answer), answer.resent), (decided(event, reference()), false), "{name}");
+            assert_eq!(
+                (told(&answer), answer.resent),
+                (decided(event, reference_by_words()), false),
+                "{name}"
+            );
             last = Some(event.sequence);
         }
     }
@@ -244,7 +248,7 @@ async fn another_run_begins_anew_and_the_same_one_goes_on() {
 #[tokio::test(flavor = "multi_thread")]
 async fn nobody_who_localizes_is_forgotten_for_another() {
     const MOST: usize = 256;
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     mapped(&client, "mapper", 1..=5).await;
     let localize = |number: usize| opening(&format!("looker-{number}"), v1::SessionMode::Localize);
     let channels = [channel(&server.endpoint()).await, channel(&server.endpoint()).await];
@@ -273,7 +277,7 @@ async fn nobody_who_localizes_is_forgotten_for_another() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_localizer_sees_the_map_grow() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let stages = [(40, 30..=45), (80, 46..=60), (99, 100..=110)];
     let (mut looker, _) = localizer(&server, "looker").await;
     let (mut grown, mut answers) = (0, Vec::new());
@@ -284,24 +288,24 @@ async fn a_localizer_sees_the_map_grow() {
             answers.push(looker.answered(wire(as_histogram(sequence))).await);
         }
     }
-    for (answer, event) in answers.iter().zip(&reference().localized(stages)) {
-        assert_eq!(told(answer), decided(event, reference()), "frame {}", event.sequence);
+    for (answer, event) in answers.iter().zip(&reference_by_words().localized(stages)) {
+        assert_eq!(told(answer), decided(event, reference_by_words()), "frame {}", event.sequence);
     }
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn robots_that_look_leave_one_that_maps_alone() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let all = || 1..=frame_count();
     let looking = async |name: &str| answers_of(&client, localizing(name), all().map(as_histogram)).await;
     let (answers, one, other) =
         tokio::join!(mapped(&client, "mapper", all()), looking("one"), looking("other"));
     assert_eq!((one.len(), other.len()), (answers.len(), answers.len()));
-    for (answer, event) in answers.iter().zip(&reference().events) {
-        assert_eq!(told(answer), decided(event, reference()), "frame {}", event.sequence);
+    for (answer, event) in answers.iter().zip(&reference_by_words().events) {
+        assert_eq!(told(answer), decided(event, reference_by_words()), "frame {}", event.sequence);
     }
-    assert_eq!(state_hash(&client, "drive").await, reference().maps[answers.len()].state_hash);
+    assert_eq!(state_hash(&client, "drive").await, reference_by_words().maps[answers.len()].state_hash);
     server.stop().await;
 }
 
@@ -361,7 +365,7 @@ fn the_command_line_localizes() {
         assert_eq!(summary["session"], "maps/drive/sessions/looker");
         assert_eq!((&summary["refused"], &summary["places_created"]), (&0.into(), &0.into()), "{summary}");
         let rows = summary["frames"].as_array().unwrap();
-        let events = reference().localized([(FRAMES as u64, 1..=FRAMES as u64)]);
+        let events = reference_by_words().localized([(FRAMES as u64, 1..=FRAMES as u64)]);
         for (row, event) in rows.iter().zip(&events) {
             assert_eq!(row["place"].as_u64(), event.decision.place.map(u64::from), "{row}");
         }

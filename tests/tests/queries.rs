@@ -8,8 +8,8 @@ use waypost_client::{Client, Code, Error, FrameContent, v1};
 
 use crate::harness::{
     CommandLine, Server, ToldMatch, as_histogram, as_words, decided_match, first_return, frame, images,
-    in_time, map_request, mapped, model_of_other_words, path, reference, state_hash, take_model, told_match,
-    word_maker,
+    in_time, map_request, mapped, model_of_other_words, path, reference_by_words, state_hash, take_model,
+    told_match, word_maker,
 };
 
 /// Places that an answer lists.
@@ -47,9 +47,9 @@ fn found(queried: &Queried, sequence: u64) -> Answered {
             .map(|&(place, posterior)| (place, posterior.to_bits()))
             .collect(),
         new_place_posterior_bits: posterior.new_place.to_bits(),
-        matched: matched.map(|matched| decided_match(matched, reference())),
+        matched: matched.map(|matched| decided_match(matched, reference_by_words())),
         accepted: *accepted,
-        words: reference().observation(sequence).len(),
+        words: reference_by_words().observation(sequence).len(),
     }
 }
 
@@ -59,14 +59,14 @@ async fn query(client: &Client, content: FrameContent, explained_words: u32) -> 
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_form_of_a_query_gets_the_answer_of_the_library() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let before_return = first_return() - 1;
     mapped(&client, "mapper", 1..=before_return).await;
     let before = client.map("drive", v1::MapView::Full).await.unwrap();
     let mut accepted = Vec::new();
     // Of the map, on the way back, and of the way's end.
     for sequence in [1, 50, first_return(), first_return() + 5, first_return() + 30] {
-        let expected = found(&reference().queried(before_return, sequence), sequence);
+        let expected = found(&reference_by_words().queried(before_return, sequence), sequence);
         for (form, input) in
             [("image", frame(sequence)), ("words", as_words(sequence)), ("histogram", as_histogram(sequence))]
         {
@@ -79,7 +79,7 @@ async fn every_form_of_a_query_gets_the_answer_of_the_library() {
     assert!(accepted.contains(&true), "{accepted:?}");
     // Without a declaration of words an image is taken all the same.
     let undeclared = client.query("drive", frame(1).content, "", 0).await.unwrap();
-    assert_eq!(answered(&undeclared), found(&reference().queried(before_return, 1), 1));
+    assert_eq!(answered(&undeclared), found(&reference_by_words().queried(before_return, 1), 1));
     assert_eq!(client.map("drive", v1::MapView::Full).await.unwrap(), before);
     server.stop().await;
 }
@@ -87,7 +87,7 @@ async fn every_form_of_a_query_gets_the_answer_of_the_library() {
 /// Accepted is what reaches the threshold of the map, and is more probable than a new place.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_accepted_goes_by_the_maps_threshold() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     mapped(&client, "mapper", 1..=40).await;
     let ask = async |sequence: u64| query(&client, as_histogram(sequence).content, 0).await;
     let mut accepted = Vec::new();
@@ -110,7 +110,7 @@ async fn what_is_accepted_goes_by_the_maps_threshold() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_empty_map_and_too_few_words_match_nothing() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let response = query(&client, frame(1).content, 10).await;
     assert_eq!((&response.places[..], &response.r#match), (&[][..], &None));
     assert_eq!((response.accepted, response.new_place_posterior, response.explanation), (false, 1.0, None));
@@ -127,7 +127,7 @@ async fn an_empty_map_and_too_few_words_match_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_query_is_explained_by_its_words_if_asked() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     mapped(&client, "mapper", 1..=40).await;
     let before = state_hash(&client, "drive").await;
     for asked in [1, 10, 100] {
@@ -137,12 +137,16 @@ async fn a_query_is_explained_by_its_words_if_asked() {
         assert_eq!(explanation.posterior.to_bits(), response.places[0].posterior.to_bits());
         assert_eq!(explanation.new_place_posterior.to_bits(), response.new_place_posterior.to_bits());
         crate::explain::assert_adds_up(&explanation, asked as usize);
-        let index = reference().mapper(40);
+        let index = reference_by_words().mapper(40);
         let appearance = index.recognizer().index().appearance(explanation.place).unwrap();
         for evidence in explanation.words_for.iter().chain(&explanation.words_against) {
             let there = (u32::from(appearance.hits(evidence.word)), u32::from(appearance.looks()));
             assert_eq!((evidence.hits, evidence.looks), there, "{evidence:?}");
-            assert_eq!(evidence.seen, reference().observation(20).contains(evidence.word), "{evidence:?}");
+            assert_eq!(
+                evidence.seen,
+                reference_by_words().observation(20).contains(evidence.word),
+                "{evidence:?}"
+            );
         }
     }
     assert_eq!(state_hash(&client, "drive").await, before);
@@ -153,19 +157,19 @@ async fn a_query_is_explained_by_its_words_if_asked() {
 fn the_command_line_asks_where_an_image_was_taken() {
     const FRAMES: usize = 10;
     let waypost = CommandLine::new();
-    waypost.prepare();
+    waypost.prepare_by_words();
     let folder = crate::harness::folder(FRAMES);
     waypost.json(&["stream", path(folder.path()), "--map", "drive", "--session", "mapper", "--words"]);
     let image = folder.path().join("000004.jpg");
     let ask = ["query", "drive", path(&image)];
     let answer = waypost.json(&ask);
-    let expected = reference().queried(FRAMES as u64, 5);
+    let expected = reference_by_words().queried(FRAMES as u64, 5);
     let matched = expected.matched.expect("the frame is of the map");
     assert_eq!((&answer["accepted"], &answer["explanation"]), (&expected.accepted.into(), &().into()));
-    assert_eq!(answer["words"].as_u64(), Some(reference().observation(5).len() as u64));
+    assert_eq!(answer["words"].as_u64(), Some(reference_by_words().observation(5).len() as u64));
     assert_eq!(answer["matched"]["place"].as_u64(), Some(u64::from(matched.place)));
     let frame = &answer["matched"]["frame"];
-    assert_eq!(frame["sequence"].as_u64(), Some(reference().sequence_of(matched.frame)));
+    assert_eq!(frame["sequence"].as_u64(), Some(reference_by_words().sequence_of(matched.frame)));
     assert_eq!(frame["session"], "maps/drive/sessions/mapper");
     assert_eq!(
         answer["places"].as_array().unwrap().len(),
@@ -188,7 +192,7 @@ fn the_command_line_asks_where_an_image_was_taken() {
 /// Two maps of one server know nothing of each other.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_query_looks_in_its_map_alone() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     client.create_map(map_request("other", "shipped")).await.unwrap();
     mapped(&client, "mapper", 1..=10).await;
     let content = || as_histogram(5).content;
@@ -204,7 +208,7 @@ async fn a_map_that_takes_the_place_of_the_one_asked_about_does_not_answer_for_i
     const ATTEMPTS: usize = 10;
     /// More than are looked at at a time: the last ones wait.
     const QUERIES: usize = 16;
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let shipped = client.map("drive", v1::MapView::Full).await.unwrap().model;
     let other = take_model(&client, "other words", &model_of_other_words()).await.name;
     let slow = FrameContent::Image(enlarged(&images()[0], 4000));

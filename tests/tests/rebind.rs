@@ -8,7 +8,8 @@ use waypost_client::{Code, v1};
 
 use crate::harness::{
     RawStream, Server, answers_of, as_histogram, assert_status, in_time, mapped, model_of_other_words, open,
-    recalibrated_model, reference, refused, state_hash, take_model, told, wire, word_maker, words_options,
+    recalibrated_model, reference_by_words, refused, state_hash, take_model, told, wire, word_maker,
+    words_options,
 };
 
 /// The first message of a stream of words.
@@ -20,7 +21,7 @@ fn opening(session: &str, mode: v1::SessionMode) -> v1::OpenSession {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_recalibrated_model_is_taken_and_decides_from_then_on() {
     const MAPPED: u64 = 30;
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let shipped = client.map("drive", v1::MapView::Unspecified).await.unwrap().model;
     mapped(&client, "robot", 1..=MAPPED).await;
     let before = client.map("drive", v1::MapView::Full).await.unwrap();
@@ -36,16 +37,21 @@ async fn a_recalibrated_model_is_taken_and_decides_from_then_on() {
 
     // What is asked now is answered by the new model over what was learnt before.
     let mut mapper = Mapper::new(&recalibrated, MapperSettings::default()).unwrap();
-    reference().fold_into(&mut mapper, MAPPED);
+    reference_by_words().fold_into(&mut mapper, MAPPED);
     for sequence in [10, MAPPED + 1] {
         let queried = mapper
-            .query(reference().observation(sequence), reference().archive(), &NoViews, &mut ())
+            .query(
+                reference_by_words().observation(sequence),
+                reference_by_words().archive(),
+                &NoViews,
+                &mut (),
+            )
             .unwrap();
         let content = as_histogram(sequence).content;
         let response = client.query("drive", content, word_maker().words_hash(), 0).await.unwrap();
         let expected = queried.recognition.posterior.new_place;
         assert_eq!(response.new_place_posterior.to_bits(), expected.to_bits(), "frame {sequence}");
-        let by_the_old_one = reference().queried(MAPPED, sequence).recognition.posterior.new_place;
+        let by_the_old_one = reference_by_words().queried(MAPPED, sequence).recognition.posterior.new_place;
         assert_ne!(expected.to_bits(), by_the_old_one.to_bits(), "the models do not differ");
     }
 
@@ -54,13 +60,13 @@ async fn a_recalibrated_model_is_taken_and_decides_from_then_on() {
     assert_eq!(again, v1::Map { state_hash: String::new(), storage: None, ..after });
     client.rebind_map("drive", &shipped).await.unwrap();
     mapped(&client, "robot", MAPPED + 1..=60).await;
-    assert_eq!(state_hash(&client, "drive").await, reference().maps[60].state_hash);
+    assert_eq!(state_hash(&client, "drive").await, reference_by_words().maps[60].state_hash);
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn models_that_a_map_cannot_go_on_with_are_refused() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     mapped(&client, "robot", 1..=5).await;
     let other = take_model(&client, "other", &model_of_other_words()).await;
     let before = client.map("drive", v1::MapView::Full).await.unwrap();
@@ -90,7 +96,7 @@ async fn models_that_a_map_cannot_go_on_with_are_refused() {
 async fn streams_go_on_while_the_model_changes() {
     const FRAMES: u64 = 60;
     const REBINDINGS: u32 = 6;
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let shipped = client.model("shipped").await.unwrap();
     let keen = take_model(&client, "keen", &recalibrated_model(0.7)).await;
     let streamed = AtomicBool::new(false);
@@ -131,7 +137,7 @@ async fn streams_go_on_while_the_model_changes() {
 /// A robot that looks is told to open again, and not that another robot took its place.
 #[tokio::test(flavor = "multi_thread")]
 async fn robots_that_look_are_not_mistaken_for_each_other_afterwards() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     mapped(&client, "mapper", 1..=10).await;
     take_model(&client, "keen", &recalibrated_model(0.7)).await;
     let look = async |name: &str| {

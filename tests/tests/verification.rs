@@ -51,7 +51,7 @@ fn decided(answer: &v1::FrameAnswer) -> v1::FrameAnswer {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn geometry_finds_more_loops_and_none_that_is_wrong() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let drive = || (1..=frame_count()).map(frame);
     let by_words = answers(&client, "drive", "robot", drive()).await;
     verified_map(&client, "verified", v1::map_settings::Keep::Features).await;

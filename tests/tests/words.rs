@@ -9,7 +9,7 @@ use waypost_proto::v1::stream_request::Content::Open;
 use crate::harness::{
     CommandLine, RawStream, Server, Told, answers_of, as_histogram, as_words, assert_status, decided,
     first_return, folder, frame, frame_count, histogram, images, map_request, model_of_other_words, open,
-    path, reference, refused, state_hash, take_model, told, wire, word_maker, words_options,
+    path, reference_by_words, refused, state_hash, take_model, told, wire, word_maker, words_options,
 };
 
 /// What was decided, and the places that were listed, with the bits of every number.
@@ -22,14 +22,14 @@ fn all_told(answers: &[v1::FrameAnswer]) -> Vec<(Told, Vec<(u32, u64)>)> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn images_words_and_histograms_decide_alike() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     // There and back again: loops are closed.
     let sequences = || (1..=25).chain(first_return()..first_return() + 8);
     type Form = fn(u64) -> FrameInput;
     let forms: [(&str, Form); 3] = [("images", frame), ("words", as_words), ("histograms", as_histogram)];
     let mut outcomes = Vec::new();
     for (map, form) in forms {
-        client.create_map(map_request(map, "shipped")).await.unwrap();
+        client.create_map(by_words_request(map, "shipped")).await.unwrap();
         let answers = answers_of(&client, words_options(map, "robot"), sequences().map(form)).await;
         assert!(answers.iter().any(|answer| answer.reason() == v1::Reason::LoopClosure), "{map}");
         outcomes.push((all_told(&answers), state_hash(&client, map).await));
@@ -41,7 +41,7 @@ async fn images_words_and_histograms_decide_alike() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_session_that_mixes_all_forms_decides_as_one_of_images() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let mixed = |sequence| match sequence % 3 {
         0 => frame(sequence),
         1 => as_words(sequence),
@@ -49,18 +49,18 @@ async fn a_session_that_mixes_all_forms_decides_as_one_of_images() {
     };
     let frames = (1..=frame_count()).map(mixed);
     let answers = answers_of(&client, words_options("drive", "robot"), frames).await;
-    for (answer, event) in answers.iter().zip(&reference().events) {
-        assert_eq!(told(answer), decided(event, reference()), "frame {}", event.sequence);
+    for (answer, event) in answers.iter().zip(&reference_by_words().events) {
+        assert_eq!(told(answer), decided(event, reference_by_words()), "frame {}", event.sequence);
     }
     assert_eq!(answers.len() as u64, frame_count());
-    assert_eq!(state_hash(&client, "drive").await, reference().maps[answers.len()].state_hash);
+    assert_eq!(state_hash(&client, "drive").await, reference_by_words().maps[answers.len()].state_hash);
     server.stop().await;
 }
 
 /// A histogram that leaves its counts out says that each word was seen once.
 #[tokio::test(flavor = "multi_thread")]
 async fn counts_may_be_left_out_and_words_come_in_any_order() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let full = |sequence| {
         let v1::WordHistogram { words, counts } = histogram(sequence);
         let counts = vec![1; counts.len()];
@@ -74,7 +74,7 @@ async fn counts_may_be_left_out_and_words_come_in_any_order() {
     let forms: [(&str, &dyn Fn(u64) -> v1::WordHistogram); 2] = [("full", &full), ("bare", &bare)];
     let mut hashes = Vec::new();
     for (map, form) in forms {
-        client.create_map(map_request(map, "shipped")).await.unwrap();
+        client.create_map(by_words_request(map, "shipped")).await.unwrap();
         let frames = (1..=6).map(|sequence| FrameInput {
             content: FrameContent::Histogram(form(sequence)),
             ..frame(sequence)
@@ -88,7 +88,7 @@ async fn counts_may_be_left_out_and_words_come_in_any_order() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn words_must_be_those_of_the_maps_model() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let own = word_maker().words_hash();
 
     // Not declared: refused frame by frame, and images are still taken.
@@ -141,11 +141,14 @@ fn the_command_line_sends_words_and_tells_how_few_bytes_they_are() {
     let mut bytes = Vec::new();
     for form in [None, Some("--words"), Some("--words=histogram")] {
         let map = format!("map-{}", bytes.len());
-        waypost.text(&["map", "create", &map, "--model", "shipped"]);
+        waypost.create_by_words(&map);
         let stream = ["stream", path(folder.path()), "--map", &map];
         let summary = waypost.json(&[&stream[..], form.as_slice()].concat());
         assert_eq!((summary["frame_count"].as_u64(), summary["refused"].as_u64()), (Some(8), Some(0)));
-        assert_eq!(waypost.json(&["map", "show", &map])["state_hash"], reference().maps[FRAMES].state_hash);
+        assert_eq!(
+            waypost.json(&["map", "show", &map])["state_hash"],
+            reference_by_words().maps[FRAMES].state_hash
+        );
         bytes.push(summary["bytes_per_frame"].as_f64().unwrap());
     }
     let files: usize = images().iter().take(FRAMES).map(Vec::len).sum();

@@ -21,7 +21,7 @@ use crate::event::{Decision, FrameEvent, FrameId, Link, LinkKind, Match, Reason,
 use crate::map::{Map, PlaceFrame, Session};
 use crate::motion::spread_over_links;
 use crate::odometry::Odometry;
-use crate::verification::{Candidate, VerificationMethod, Views};
+use crate::verification::{Candidate, Views};
 
 /// A map that grows: recognizer and place graph, driven by events.
 ///
@@ -233,7 +233,8 @@ impl Mapper {
         }
     }
 
-    /// Data association: what geometry verified, or else the most probable of all places and "somewhere new".
+    /// Data association: what geometry verified, or else the most probable of all places and "somewhere new", unless
+    /// geometry could have verified it.
     fn associate(
         &self,
         input: &FrameInput,
@@ -275,17 +276,10 @@ impl Mapper {
         if probability < self.settings.closure_threshold {
             return Ok(Decision { reason: Reason::BelowThreshold, closure, ..new_place });
         }
-        match self.settings.verification.method {
-            VerificationMethod::None => Ok(Decision {
-                reason: Reason::LoopClosure,
-                place: Some(place),
-                posterior: probability,
-                closure,
-            }),
-            VerificationMethod::Similarity | VerificationMethod::Epipolar => {
-                Ok(Decision { reason: Reason::GeometryRefused, closure, ..new_place })
-            }
+        if self.verifies() && !candidates::is_without_keypoints(candidates, place) {
+            return Ok(Decision { reason: Reason::GeometryRefused, closure, ..new_place });
         }
+        Ok(Decision { reason: Reason::LoopClosure, place: Some(place), posterior: probability, closure })
     }
 
     /// Whether the place learns this look. A new place always does, or it would have no appearance.

@@ -193,20 +193,18 @@ impl VerificationSettings {
     }
 
     /// Whether the candidate is the same place, with each number and what is asked of it. `closure_threshold` is the
-    /// posterior from which words are sure enough, see [`crate::mapper::MapperSettings::closure_threshold`].
+    /// posterior from which words are sure enough, see [`crate::mapper::MapperSettings::closure_threshold`]. Where a
+    /// frame has no keypoints, they decide alone.
     #[must_use]
     pub fn verdict(&self, candidate: &Candidate, closure_threshold: f64) -> Verdict {
-        let Some(view) = &candidate.view else {
-            let keypoints = Check { quantity: Quantity::Keypoints, value: 0.0, bound: Bound::AtLeast(1.0) };
-            return Verdict { all: vec![keypoints], one: Vec::new() };
-        };
         let at_least = |quantity, value, least| Check { quantity, value, bound: Bound::AtLeast(least) };
-        Verdict {
-            all: self.of_one_scene(view),
-            one: vec![
-                at_least(Quantity::Evidence, candidate.evidence(), self.min_evidence),
-                at_least(Quantity::Posterior, candidate.matched.posterior, closure_threshold),
-            ],
+        let posterior = at_least(Quantity::Posterior, candidate.matched.posterior, closure_threshold);
+        match &candidate.view {
+            Some(view) => Verdict {
+                all: self.of_one_scene(view),
+                one: vec![at_least(Quantity::Evidence, candidate.evidence(), self.min_evidence), posterior],
+            },
+            None => Verdict { all: Vec::new(), one: vec![posterior] },
         }
     }
 
@@ -270,6 +268,10 @@ const EPIPOLAR_BY_CHANCE: f64 = 6.0;
 /// development sequences is the same from 10 to 30.
 const ENOUGH: f64 = 20.0;
 
+/// a, b, c of [`Candidate::probability`]: logistic regression over the proposals of the development sequences,
+/// each sequence of the same weight.
+const LOG_ODDS_WEIGHTS: [f64; 3] = [-0.80, 0.68, 0.17];
+
 /// A place that a frame was compared with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
@@ -303,6 +305,19 @@ impl Candidate {
     pub fn score(&self) -> f64 {
         let evidence = self.evidence();
         if evidence > 0.0 { evidence } else { self.matched.log_odds - Self::UNVERIFIED }
+    }
+
+    /// That both frames show the same place, in [0, 1], by words and geometry together:
+    /// ln [p / (1 - p)] = a + b ln (1 + evidence) + c ln [posterior / (1 - posterior)]. Without keypoints the
+    /// posterior itself.
+    #[must_use]
+    pub fn probability(&self) -> f64 {
+        if self.view.is_none() {
+            return self.matched.posterior;
+        }
+        let [offset, of_evidence, of_posterior] = LOG_ODDS_WEIGHTS;
+        let log_odds = offset + of_evidence * self.evidence().ln_1p() + of_posterior * self.matched.log_odds;
+        1.0 / (1.0 + (-log_odds).exp())
     }
 
     /// More than any log-odds.
@@ -341,8 +356,6 @@ pub enum Bound {
 /// What a verdict looks at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Quantity {
-    /// 1 if both frames have keypoints, else 0.
-    Keypoints,
     /// [`TwoView::inliers`].
     Inliers,
     /// [`Candidate::evidence`].
@@ -360,7 +373,6 @@ pub enum Quantity {
 impl std::fmt::Display for Quantity {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter.write_str(match self {
-            Quantity::Keypoints => "keypoints",
             Quantity::Inliers => "inliers",
             Quantity::Evidence => "evidence",
             Quantity::Posterior => "posterior",

@@ -184,15 +184,18 @@ fn a_view_from_too_far_aside_is_refused() {
 }
 
 #[test]
-fn without_keypoints_nothing_is_verified() {
+fn without_keypoints_words_decide_alone() {
     let mut world = World::new(settings());
     for place in 1..=6 {
         world.sees(place, 40);
     }
     let event = world.decide(1, &NoViews);
-    assert_eq!(event.decision.reason, Reason::GeometryRefused);
-    let failed = *world.mapper.verdict(&event.candidates[0]).failed().unwrap();
-    assert_eq!(failed.quantity, Quantity::Keypoints);
+    assert_eq!((event.decision.reason, event.decision.place), (Reason::LoopClosure, Some(0)));
+    let closed = event.candidates.iter().find(|candidate| candidate.matched.place == 0).unwrap();
+    assert!(closed.view.is_none() && world.mapper.verdict(closed).is_accepted());
+    let other = event.candidates.iter().find(|candidate| candidate.matched.place != 0).unwrap();
+    let failed = *world.mapper.verdict(other).failed().unwrap();
+    assert_eq!(failed.quantity, Quantity::Posterior);
     // A robot that stands still stays where it is all the same.
     assert_eq!(world.decide(6, &NoViews).decision.reason, Reason::SamePlace);
 }

@@ -89,8 +89,14 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
                 if let Some(frame) = frame {
                     writeln!(out, "best match: frame {} of {}", frame.sequence, frame.session)?;
                 }
-                if let Some(GeometryView { matches, inliers, evidence, similarity: _ }) = geometry {
-                    writeln!(out, "geometry: {inliers} of {matches} matches agree, evidence {evidence:.1}")?;
+                if let Some(GeometryView { matches, inliers, evidence, probability, similarity: _ }) =
+                    geometry
+                {
+                    writeln!(
+                        out,
+                        "geometry: {inliers} of {matches} matches agree, evidence {evidence:.1}; \
+                         the same place with {probability:.3}"
+                    )?;
                 }
             }
             None => writeln!(

@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use fabmap::calibration::{self, Calibration, Rates};
+use fabmap::calibration::{self, Calibration, EvidenceExponent, LearnError, Rates};
 use fabmap::detector::DetectorModel;
 use fabmap::model::Model;
 use serde::Serialize;
@@ -25,13 +25,13 @@ pub struct CalibrateOptions {
 /// Where the detector's rates come from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DetectorChoice {
-    /// [`DetectorModel::default`], with likelihoods as they are. The default, because it asks nothing of the
-    /// training images: the others need neighbours that overlap.
-    #[default]
+    /// [`DetectorModel::default`], with likelihoods as they are. It asks nothing of the training images; the
+    /// others need neighbours that overlap.
     Fixed,
     /// [`DetectorModel::default`], with the exponent learnt that makes its likelihoods comparable.
     Tempered,
-    /// Rates and exponent learnt together.
+    /// Rates and exponent learnt together; typical ones where too few training images overlap.
+    #[default]
     Learned,
 }
 
@@ -75,25 +75,27 @@ pub fn run(options: &CalibrateOptions) -> Result<CalibrateReport, EvalError> {
 /// The model over the same words as `choice` has it, and what was learnt for it.
 ///
 /// # Errors
-/// [`EvalError::Calibration`] if the training images do not show enough.
+/// [`EvalError::Calibration`] if only the exponent was to be learnt and too few training images overlap.
 pub fn calibrated(model: &Model, choice: DetectorChoice) -> Result<(Model, Option<Calibration>), EvalError> {
     let fixed = DetectorModel::default();
-    let rates = match choice {
-        DetectorChoice::Fixed => {
-            let plain = fabmap::calibration::EvidenceExponent::NONE;
-            return Ok((model.recalibrated(fixed, plain), None));
-        }
-        DetectorChoice::Tempered => Rates::Fixed(fixed),
-        DetectorChoice::Learned => Rates::Learned,
-    };
     let bar = progress::bar("detector", PER_MILLE);
-    let learnt = calibration::learn(model, rates, &mut |fraction| {
+    let mut observer = |fraction| {
         bar.set_position((fraction * PER_MILLE as f64) as u64);
         ControlFlow::Continue(())
-    });
+    };
+    let calibrated = match choice {
+        DetectorChoice::Fixed => (model.recalibrated(fixed, EvidenceExponent::NONE), None),
+        DetectorChoice::Tempered => {
+            let learnt = calibration::learn(model, Rates::Fixed(fixed), &mut observer)?;
+            (model.recalibrated(learnt.detector, learnt.exponent), Some(learnt))
+        }
+        DetectorChoice::Learned => match calibration::calibrate(model, &mut observer) {
+            ControlFlow::Continue(calibrated) => calibrated,
+            ControlFlow::Break(()) => return Err(LearnError::Cancelled.into()),
+        },
+    };
     bar.finish_and_clear();
-    let learnt = learnt?;
-    Ok((model.recalibrated(learnt.detector, learnt.exponent), Some(learnt)))
+    Ok(calibrated)
 }
 
 const PER_MILLE: usize = 1000;
@@ -102,7 +104,7 @@ impl CalibrateReport {
     fn table(&self, out: &Path) -> String {
         let learnt = match (self.pairs, self.loss_nats) {
             (Some(pairs), Some(loss)) => format!("{pairs} overlapping pairs, loss {loss:.4} nats"),
-            (Some(_) | None, _) => "nothing".to_owned(),
+            (Some(_) | None, _) => "none of its images, too few of which overlap".to_owned(),
         };
         format!(
             "model        {}\nfile         {}\np(z=1|e=1)   {}\np(z=1|e=0)   {}\nexponent     {:.4}\nlearnt from  {learnt}\n",

@@ -15,7 +15,7 @@ use fabmap::observation::Observation;
 use fabmap::recognizer::Scorer;
 use topomap::event::Reason;
 use topomap::mapper::MapperSettings;
-use topomap::verification::{VerificationMethod, VerificationSettings};
+use topomap::verification::VerificationMethod;
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::features::{Extractor, Features};
 
@@ -203,10 +203,10 @@ impl JudgedFrame {
         accepted.then_some(self.proposal_verdict)
     }
 
-    /// The posterior reported for the proposal; `None` for a system without probabilities.
+    /// The probability reported for the proposal; `None` for a system without probabilities.
     fn prediction(&self) -> Option<Prediction> {
         let (proposal, verdict) = (self.ranked.proposal?, self.proposal_verdict?);
-        Some(Prediction { probability: proposal.posterior?, verdict })
+        Some(Prediction { probability: proposal.probability?, verdict })
     }
 
     fn judged_proposal(&self) -> Option<JudgedProposal> {
@@ -238,7 +238,7 @@ impl Knobs {
         let mut settings = MapperSettings { guard_frames: gap as u64, ..MapperSettings::default() };
         set(&mut settings.closure_threshold, closure_threshold);
         if let Some(method) = verification {
-            settings.verification = VerificationSettings { method, ..VerificationSettings::default() };
+            settings.verification.method = method;
         }
         set(&mut settings.verification.min_evidence, min_evidence);
         set(&mut settings.verification.consistency_frames, consistency_frames);

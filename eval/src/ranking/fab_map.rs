@@ -152,8 +152,10 @@ impl Log {
     fn proposal(&self, matched: Match, candidates: &[Candidate]) -> Option<Proposal> {
         let Match { place: _, posterior, log_odds, frame } = matched;
         let index = usize::try_from(self.frame(frame)?.sequence).ok()?;
-        let score = candidate_of(candidates, frame).map_or(log_odds, Candidate::score);
-        Some(Proposal { frame: index, score, posterior: Some(posterior) })
+        let candidate = candidate_of(candidates, frame);
+        let score = candidate.map_or(log_odds, Candidate::score);
+        let probability = Some(candidate.map_or(posterior, Candidate::probability));
+        Some(Proposal { frame: index, score, posterior: Some(posterior), probability })
     }
 }
 

@@ -74,7 +74,8 @@ fn best(recognition: &Recognition) -> Option<Proposal> {
     let others = (0..log_likelihoods.len()).filter(|&place| place != best).map(joint);
     let others: Vec<f64> = others.chain([new_place_log_likelihood + prior.new_place.ln()]).collect();
     let score = joint(best) - log_sum_exp(&others);
-    Some(Proposal { frame: best, score, posterior: Some(posterior.places[best]) })
+    let posterior = Some(posterior.places[best]);
+    Some(Proposal { frame: best, score, posterior, probability: posterior })
 }
 
 /// ln Σ exp(x) of at least one value.
@@ -96,7 +97,7 @@ mod tests {
             prior: PlaceDistribution { places: vec![0.2; 3], new_place: 0.4 },
             posterior: PlaceDistribution { places: vec![0.1, 0.3, 0.3], new_place: 0.3 },
         };
-        let Proposal { frame, score, posterior } = best(&recognition).unwrap();
+        let Proposal { frame, score, posterior, probability: _ } = best(&recognition).unwrap();
         let joint: [f64; 4] =
             [0.2 * (-10f64).exp(), 0.2 * (-8f64).exp(), 0.2 * (-8f64).exp(), 0.4 * (-9f64).exp()];
         let right = (joint[1] / (joint[0] + joint[2] + joint[3])).ln();

@@ -53,7 +53,7 @@ fn best(similarities: &[f64]) -> Option<Proposal> {
     let mut best: Option<Proposal> = None;
     for (frame, &score) in similarities.iter().enumerate() {
         if best.is_none_or(|best| score > best.score) {
-            best = Some(Proposal { frame, score, posterior: None });
+            best = Some(Proposal { frame, score, posterior: None, probability: None });
         }
     }
     best

@@ -18,7 +18,7 @@ fn the_likelihood_alone_recognises_and_has_no_map() {
         assert!(proposal(row).is_none_or(|earlier| earlier + GAP <= index));
     }
     let accepting = world.run("model", "out", &["--ranking", "likelihood", "--threshold", "0.5"]);
-    assert!(accepting["accepted"].as_u64().unwrap() >= 6, "{accepting}");
+    assert!(accepting["accepted"].as_u64().unwrap() >= 4, "{accepting}");
 }
 
 #[test]
@@ -42,9 +42,12 @@ fn a_model_learns_from_images_that_overlap_and_says_where_none_do() {
         let (model, out) = (world.text(model), world.text(out));
         waypost_eval(&["calibrate", "--model", &model, "--detector", detector, "--out", &out, "--json"])
     };
-    let refusal = calibrate("model", "learned", "none");
+    let refusal = calibrate("model", "tempered", "none");
     assert!(refusal.refusal(1).contains("in order of time"), "{}", refusal.stderr);
     assert!(!world.path("none").exists());
+    let typical = calibrate("model", "learned", "typical").json();
+    assert!(typical["pairs"].is_null(), "{typical}");
+    assert!(typical["evidence_exponent"].as_f64().unwrap() < 1.0, "{typical}");
 
     world.train_on_walk("walked");
     let learnt = calibrate("walked", "learned", "learnt").json();
@@ -58,7 +61,8 @@ fn a_model_learns_from_images_that_overlap_and_says_where_none_do() {
 
     let fixed = calibrate("learnt", "fixed", "fixed").json();
     assert_eq!(fixed["evidence_exponent"], 1.0);
-    assert_eq!(fs::read(world.path("fixed")).unwrap(), fs::read(world.path("walked")).unwrap());
+    let plain = calibrate("walked", "fixed", "plain").json();
+    assert_eq!(fixed["model_hash"], plain["model_hash"]);
 }
 
 #[test]

@@ -147,10 +147,11 @@ fn a_second_pass_is_recognised() {
     assert_eq!(report["queries_with_loop"], 8);
     assert!(report["recall_at_100_precision"].as_f64().unwrap() > 0.8, "{report}");
     assert!(report["average_precision"].as_f64().unwrap() > 0.8, "{report}");
-    for stage in ["extract", "quantize", "likelihood", "new_place", "filter", "total"] {
+    for stage in ["extract", "quantize", "likelihood", "new_place", "filter", "verify", "total"] {
         assert!(report["ms_p50"][stage].as_f64().unwrap() >= 0.0, "{stage}");
     }
-    assert_eq!(report["ms_p50"].get("verify"), Some(&Value::Null));
+    let unverified = world.run("model", "unverified", &["--verify", "none"]);
+    assert_eq!(unverified["ms_p50"].get("verify"), Some(&Value::Null));
 
     for name in ["precision_recall.csv", "precision_recall.svg", "match_matrix.png"] {
         assert!(fs::metadata(world.path("out").join(name)).unwrap().len() > 0, "{name}");

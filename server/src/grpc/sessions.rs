@@ -297,12 +297,12 @@ pub(super) fn found(found: MatchView) -> v1::Match {
 }
 
 fn geometry_message(geometry: GeometryView) -> v1::Geometry {
-    let GeometryView { matches, inliers, evidence, similarity } = geometry;
+    let GeometryView { matches, inliers, evidence, probability, similarity } = geometry;
     let similarity = similarity.map(|similarity| {
         let Similarity { rotation_rad, ln_scale, translation_widths: [x_widths, y_widths] } = similarity;
         v1::Similarity { rotation_rad, ln_scale, x_widths, y_widths }
     });
-    v1::Geometry { matches, inliers, evidence, similarity }
+    v1::Geometry { matches, inliers, evidence, similarity, probability }
 }
 
 fn timings_message(timings: FrameTimings) -> v1::Timings {

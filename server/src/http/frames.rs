@@ -216,6 +216,8 @@ struct Geometry {
     inliers: u32,
     /// What this and the session's last frames say for the place, in inliers.
     evidence: f64,
+    /// That both frames show the same place, by words and geometry together.
+    probability: f64,
     /// The motion, if it was looked for in the image plane and one was found.
     #[schema(required)]
     similarity: Option<Similarity>,
@@ -344,13 +346,13 @@ impl From<MatchView> for Match {
 
 impl From<GeometryView> for Geometry {
     fn from(view: GeometryView) -> Self {
-        let GeometryView { matches, inliers, evidence, similarity } = view;
+        let GeometryView { matches, inliers, evidence, probability, similarity } = view;
         let similarity = similarity.map(|similarity| {
             let verification::Similarity { rotation_rad, ln_scale, translation_widths } = similarity;
             let [x_widths, y_widths] = translation_widths;
             Similarity { rotation_rad, ln_scale, x_widths, y_widths }
         });
-        Self { matches, inliers, evidence, similarity }
+        Self { matches, inliers, evidence, probability, similarity }
     }
 }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
+use fabmap::calibration;
 use fabmap::chow_liu::TreeTrainingSettings;
 use fabmap::descriptor::Descriptors;
 use fabmap::detector::DetectorModel;
@@ -156,7 +157,14 @@ impl Service {
             let name = extractor.settings().to_string();
             let mut observer =
                 |p: fabmap::model::ModelTrainingProgress| progress.progress(stage_name(p.stage), p.fraction);
-            let trained = pool.install(|| Model::train(&name, &images, &settings, &mut observer));
+            let trained = pool.install(|| {
+                let model = Model::train(&name, &images, &settings, &mut observer)?;
+                let mut observer = |fraction| progress.progress("learning how reliable words are", fraction);
+                match calibration::calibrate(&model, &mut observer) {
+                    ControlFlow::Continue((model, _)) => Ok(model),
+                    ControlFlow::Break(()) => Err(ModelTrainingError::Cancelled),
+                }
+            });
             Ok(trained.map(|model| {
                 let file = model.to_bytes();
                 (row_of(&model, display_name, &file), file)

@@ -271,25 +271,27 @@ fn gate_views(gates: &Gates) -> Vec<GateView> {
 }
 
 fn verdict_views(verdict: &Verdict) -> Vec<GateView> {
-    let view = |check: &Check, more: &str| {
+    let view = |check: &Check, by: &str, more: &str| {
         let Check { quantity, value, bound } = *check;
         let (required, asked) = match bound {
             Bound::AtLeast(least) => (least, "at least"),
             Bound::AtMost(most) => (most, "at most"),
         };
         let description =
-            format!("geometry: the {quantity} is {value:.3}; {asked} {required:.3} is asked for{more}");
+            format!("{by}: the {quantity} is {value:.3}; {asked} {required:.3} is asked for{more}");
         let gate = Gate { passed: check.passed(), value, required };
         GateView { name: gate_name(quantity), gate, description }
     };
     let Verdict { all, one } = verdict;
-    let all = all.iter().map(|check| view(check, ""));
-    all.chain(one.iter().map(|check| view(check, ", of this or the other"))).collect()
+    if let ([], [only]) = (&all[..], &one[..]) {
+        return vec![view(only, "without keypoints to compare, words decide", "")];
+    }
+    let all = all.iter().map(|check| view(check, "geometry", ""));
+    all.chain(one.iter().map(|check| view(check, "geometry", ", of this or the other"))).collect()
 }
 
 fn gate_name(quantity: Quantity) -> &'static str {
     match quantity {
-        Quantity::Keypoints => "keypoints",
         Quantity::Inliers => "inliers",
         Quantity::Evidence => "evidence",
         Quantity::Posterior => "posterior",

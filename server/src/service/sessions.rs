@@ -83,6 +83,8 @@ pub(crate) struct GeometryView {
     pub(crate) inliers: u32,
     /// In inliers, with what the frames before say.
     pub(crate) evidence: f64,
+    /// That both show the same place, by words and geometry together.
+    pub(crate) probability: f64,
     pub(crate) similarity: Option<Similarity>,
 }
 
@@ -95,7 +97,8 @@ impl GeometryView {
             Some(Motion::Similarity(similarity)) => Some(similarity),
             Some(Motion::Essential { .. } | Motion::Fundamental(_)) | None => None,
         };
-        Some(Self { matches, inliers, evidence: candidate.evidence(), similarity })
+        let (evidence, probability) = (candidate.evidence(), candidate.probability());
+        Some(Self { matches, inliers, evidence, probability, similarity })
     }
 }
 

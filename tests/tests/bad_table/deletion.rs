@@ -8,7 +8,7 @@ use waypost_proto::v1::stream_request::Content::Frame;
 
 use crate::harness::{
     RawStream, Server, answers_of, as_histogram, histogram, images, in_time, map_request, mapped, open,
-    reference, refused, state_hash, wire, word_maker, words_options,
+    reference_by_words, refused, state_hash, wire, word_maker, words_options,
 };
 
 const ROUNDS: usize = 6;
@@ -42,13 +42,13 @@ fn everything(client: &Client) -> Vec<(&'static str, Asked<'_>)> {
 /// Whoever asks meanwhile sees the map as it was or not at all, and never a half of it.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_map_that_is_being_deleted_is_there_or_not() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     mapped(&client, "bystander", 1..=5).await;
     let before = state_hash(&client, "drive").await;
     for round in 0..ROUNDS {
         client.create_map(map_request("doomed", "shipped")).await.unwrap();
         answers_of(&client, words_options("doomed", "robot"), (1..=30).map(as_histogram)).await;
-        let whole = reference().maps[30].state_hash.clone();
+        let whole = reference_by_words().maps[30].state_hash.clone();
         let checked = async {
             match client.map("doomed", v1::MapView::Full).await {
                 Ok(map) => {
@@ -103,7 +103,7 @@ fn assert_gone(call: &str, answer: Result<(), Error>) {
 /// A job that was cancelled stays so, whatever is asked of it.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_cancelled_job_stays_cancelled() {
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let settings = v1::TrainModelSettings { words: 5000, ..v1::TrainModelSettings::default() };
     let training = futures::stream::iter(images().iter().take(20).cloned().map(Ok));
     let job = in_time(client.train_model(settings, training)).await.unwrap();
@@ -125,7 +125,7 @@ async fn a_cancelled_job_stays_cancelled() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stream_that_was_cancelled_leaves_whole_frames() {
     const FRAMES: u64 = 60;
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     let opening =
         || v1::OpenSession { words_hash: word_maker().words_hash().to_owned(), ..open("drive", "robot") };
     let mut next = 1;
@@ -148,6 +148,6 @@ async fn a_stream_that_was_cancelled_leaves_whole_frames() {
     let committed = opened.last_committed_sequence.unwrap();
     let map = client.map("drive", v1::MapView::Full).await.unwrap();
     assert_eq!(map.frames, committed);
-    assert_eq!(map.state_hash, reference().maps[committed as usize].state_hash);
+    assert_eq!(map.state_hash, reference_by_words().maps[committed as usize].state_hash);
     server.stop().await;
 }

@@ -5,7 +5,7 @@ use std::process::Output;
 
 use serde_json::Value;
 
-use super::{Built, ServerProcess, images, model_file, run_to_its_end};
+use super::{BY_WORDS_THRESHOLD, Built, ServerProcess, images, model_file, run_to_its_end};
 
 /// The command line, talking to one server.
 pub(crate) struct CommandLine {
@@ -71,6 +71,19 @@ impl CommandLine {
     pub(crate) fn prepare(&self) {
         self.text(&["model", "import", path(&model_file()), "--name", "shipped"]);
         self.text(&["map", "create", "drive", "--model", "shipped"]);
+    }
+
+    /// The same with a map that goes by words alone.
+    pub(crate) fn prepare_by_words(&self) {
+        self.text(&["model", "import", path(&model_file()), "--name", "shipped"]);
+        self.create_by_words("drive");
+    }
+
+    /// As [`super::by_words_request`].
+    pub(crate) fn create_by_words(&self, map: &str) {
+        let threshold = BY_WORDS_THRESHOLD.to_string();
+        let alone = ["--verification", "none", "--closure-threshold", &threshold];
+        self.text(&[&["map", "create", map, "--model", "shipped"][..], &alone].concat());
     }
 }
 

@@ -10,8 +10,10 @@ use topomap::event::{FrameEvent, FrameId, MapEvent};
 use topomap::mapper::{
     ArchiveError, Decided, FrameArchive, FrameInput, Localizer, Mapper, MapperSettings, Queried,
 };
-use topomap::verification::NoViews;
-use waypost_vision::features::Extractor;
+use topomap::verification::{TwoView, VerificationSettings, Views};
+use waypost_vision::feature_record::FeatureRecord;
+use waypost_vision::features::{Extractor, Features};
+use waypost_vision::verification::{Verifier, View};
 
 use super::{frame, frame_count, images, model_file};
 
@@ -26,6 +28,7 @@ pub(crate) struct Reference {
     /// The log: what a frame number (its position) stands for.
     log: Log,
     model: Model,
+    settings: MapperSettings,
 }
 
 /// What is to be compared of a map.
@@ -39,34 +42,83 @@ pub(crate) struct MapState {
 #[derive(Clone, Debug, Default)]
 struct Log(Vec<MapEvent>);
 
-static REFERENCE: LazyLock<Reference> = LazyLock::new(|| {
+/// The words of every frame of the shipped drive, and where they are in the image.
+struct Seen {
+    model: Model,
+    frames: Vec<(Observation, FeatureRecord)>,
+}
+
+static SEEN: LazyLock<Seen> = LazyLock::new(|| {
     let model = Model::from_bytes(&std::fs::read(model_file()).unwrap()).unwrap();
-    let observations = observe(&model);
-    let mut mapper = Mapper::new(&model, MapperSettings::default()).unwrap();
-    let opened = MapEvent::SessionOpened { session: 0 };
-    mapper.apply(&opened).unwrap();
-    let mut log = Log(vec![opened]);
-    let (mut events, mut posteriors, mut maps) = (Vec::new(), Vec::new(), vec![MapState::of(&mapper)]);
-    for (sequence, observation) in (1..=frame_count()).zip(observations) {
-        let stamp_ns = frame(sequence).stamp_ns;
-        let input = FrameInput { session: 0, sequence, stamp_ns, odometry: None, observation };
-        let decided = mapper.decide(input, &log, &NoViews, &mut ()).unwrap();
-        let event = MapEvent::Frame(Box::new(decided.event.clone()));
-        mapper.apply(&event).unwrap();
-        log.0.push(event);
-        events.push(decided.event);
-        posteriors.push(decided.recognition.posterior.places);
-        maps.push(MapState::of(&mapper));
-    }
-    Reference { events, posteriors, maps, log, model }
+    let frames = observe(&model);
+    Seen { model, frames }
 });
+
+static REFERENCE: LazyLock<Reference> = LazyLock::new(|| Reference::of(MapperSettings::default()));
+
+static BY_WORDS: LazyLock<Reference> = LazyLock::new(|| {
+    let (verification, closure_threshold) = (VerificationSettings::none(), BY_WORDS_THRESHOLD);
+    Reference::of(MapperSettings { verification, closure_threshold, ..MapperSettings::default() })
+});
+
+/// Posterior from which maps that go by words alone close loops.
+pub(crate) const BY_WORDS_THRESHOLD: f64 = 0.5;
+
+/// Of the server's verifier.
+const SEED: u64 = 0;
 
 /// The shipped drive with the shipped model and default settings.
 pub(crate) fn reference() -> &'static Reference {
     &REFERENCE
 }
 
+/// The same in a map of [`super::by_words_request`].
+pub(crate) fn reference_by_words() -> &'static Reference {
+    &BY_WORDS
+}
+
+/// A frame beside earlier ones of the shipped drive.
+struct CurrentView<'a> {
+    sequence: u64,
+    log: &'a Log,
+    verifier: Verifier,
+}
+
+impl Views for CurrentView<'_> {
+    fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
+        let features = |sequence: u64| &SEEN.frames[sequence as usize - 1].1;
+        let earlier = features(self.log.frame(earlier).expect("matches are frames").sequence);
+        let view = |features| View { features, camera: None };
+        Ok(Some(self.verifier.compare(view(earlier), view(features(self.sequence)))))
+    }
+}
+
 impl Reference {
+    fn of(settings: MapperSettings) -> Self {
+        let model = SEEN.model.clone();
+        let mut mapper = Mapper::new(&model, settings).unwrap();
+        let opened = MapEvent::SessionOpened { session: 0 };
+        mapper.apply(&opened).unwrap();
+        let (events, posteriors, maps) = (Vec::new(), Vec::new(), vec![MapState::of(&mapper)]);
+        let mut drive = Reference { events, posteriors, maps, log: Log(vec![opened]), model, settings };
+        for (sequence, (observation, _)) in (1..=frame_count()).zip(&SEEN.frames) {
+            let (stamp_ns, observation) = (frame(sequence).stamp_ns, observation.clone());
+            let input = FrameInput { session: 0, sequence, stamp_ns, odometry: None, observation };
+            let decided = mapper.decide(input, &drive.log, &drive.view(sequence), &mut ()).unwrap();
+            let event = MapEvent::Frame(Box::new(decided.event.clone()));
+            mapper.apply(&event).unwrap();
+            drive.log.0.push(event);
+            drive.events.push(decided.event);
+            drive.posteriors.push(decided.recognition.posterior.places);
+            drive.maps.push(MapState::of(&mapper));
+        }
+        drive
+    }
+
+    fn view(&self, sequence: u64) -> CurrentView<'_> {
+        CurrentView { sequence, log: &self.log, verifier: Verifier::new(self.settings.verification, SEED) }
+    }
+
     /// Sequence number of the frame at a position of the log.
     pub(crate) fn sequence_of(&self, frame: FrameId) -> u64 {
         self.log.frame(frame).expect("matches are frames").sequence
@@ -79,7 +131,7 @@ impl Reference {
 
     /// The map after the first `frames`.
     pub(crate) fn mapper(&self, frames: u64) -> Mapper {
-        let mut mapper = Mapper::new(&self.model, MapperSettings::default()).unwrap();
+        let mut mapper = Mapper::new(&self.model, self.settings).unwrap();
         self.fold_into(&mut mapper, frames);
         mapper
     }
@@ -121,12 +173,13 @@ impl Reference {
             odometry: None,
             observation: self.observation(sequence).clone(),
         };
-        mapper.localize(localizer, input, &self.log, &NoViews, &mut ()).unwrap()
+        mapper.localize(localizer, input, &self.log, &self.view(sequence), &mut ()).unwrap()
     }
 
     /// Where a frame is in the map of the first `mapped` ones, by its looks alone.
     pub(crate) fn queried(&self, mapped: u64, sequence: u64) -> Queried {
-        self.mapper(mapped).query(self.observation(sequence), &self.log, &NoViews, &mut ()).unwrap()
+        let views = self.view(sequence);
+        self.mapper(mapped).query(self.observation(sequence), &self.log, &views, &mut ()).unwrap()
     }
 
     /// The words of a frame.
@@ -154,11 +207,14 @@ impl MapState {
 }
 
 /// Decode, extract, quantize; two images at a time.
-fn observe(model: &Model) -> Vec<Observation> {
+fn observe(model: &Model) -> Vec<(Observation, FeatureRecord)> {
     let extractor = Extractor::new(model.extractor().parse().unwrap());
     let observe = |image: &Vec<u8>| {
-        let (_, features) = extractor.extract_encoded(image).unwrap();
-        model.vocabulary().observe(&features.descriptors).unwrap()
+        let (image, Features { keypoints, descriptors }) = extractor.extract_encoded(image).unwrap();
+        let words = model.vocabulary().words(&descriptors).unwrap();
+        let observation = Observation::from_words(words.iter().copied(), model.vocabulary().len()).unwrap();
+        let size_px = (image.width(), image.height());
+        (observation, FeatureRecord::new(size_px, keypoints, words, Some(descriptors)).unwrap())
     };
     let (first, second) = images().split_at(images().len() / 2);
     std::thread::scope(|scope| {

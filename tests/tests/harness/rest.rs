@@ -78,6 +78,7 @@ impl Surveyed {
             keep: v1::map_settings::Keep::Images.into(),
             true_positive_rate: Some(0.4),
             false_positive_rate: Some(0.01),
+            closure_threshold: Some(super::BY_WORDS_THRESHOLD),
             ..v1::MapSettings::default()
         };
         let request = super::map_request("drive", &model.name);

@@ -10,7 +10,7 @@ use tokio::task::JoinHandle;
 use tonic::transport::{Channel, Endpoint};
 use waypost_client::{Client, v1};
 
-use super::{map_request, model_file};
+use super::{by_words_request, map_request, model_file};
 
 /// A server on ports and, unless told otherwise, on a directory of its own. Stops when dropped.
 pub(crate) struct Server {
@@ -69,6 +69,15 @@ impl Server {
         let client = server.client().await;
         let model = import_model(&client).await;
         client.create_map(map_request("drive", &model.name)).await.unwrap();
+        (server, client)
+    }
+
+    /// The same with a map that goes by words alone.
+    pub(crate) async fn with_map_of_words() -> (Self, Client) {
+        let server = Self::start().await;
+        let client = server.client().await;
+        let model = import_model(&client).await;
+        client.create_map(by_words_request("drive", &model.name)).await.unwrap();
         (server, client)
     }
 

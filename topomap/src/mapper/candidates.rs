@@ -155,7 +155,7 @@ impl Mapper {
         let passed = candidates
             .iter()
             .filter(|candidate| !session.is_near(candidate.matched.place, self.settings.guard_frames))
-            .filter(|candidate| candidate.evidence() >= AS_GOOD * strongest)
+            .filter(|candidate| candidate.view.is_some() && candidate.evidence() >= AS_GOOD * strongest)
             .filter(|candidate| self.verdict(candidate).is_accepted());
         passed.min_by(|a, b| {
             let by_distance = distance_widths(a).total_cmp(&distance_widths(b));
@@ -182,6 +182,11 @@ fn distance_widths(candidate: &Candidate) -> f64 {
         Some(Motion::Similarity(motion)) => motion.translation_length_widths(),
         Some(Motion::Essential { .. } | Motion::Fundamental(_)) | None => 0.0,
     }
+}
+
+/// Whether the place was compared, and had nothing to be compared by.
+pub(super) fn is_without_keypoints(candidates: &[Candidate], place: PlaceId) -> bool {
+    candidates.iter().any(|candidate| candidate.matched.place == place && candidate.view.is_none())
 }
 
 /// The candidate that a judge of loop closures would be shown.

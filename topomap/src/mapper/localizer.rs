@@ -7,7 +7,7 @@ use fabmap::recognizer::{Association, Recognition, Stage, StageObserver};
 use super::{Decided, FrameArchive, FrameError, FrameInput, Growth, Mapper, candidates};
 use crate::event::{FrameEvent, Match, SessionId};
 use crate::map::Session;
-use crate::verification::{Candidate, VerificationMethod, Views};
+use crate::verification::{Candidate, Views};
 
 /// A run of a robot that only looks: what is remembered between its frames, outside the log.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,24 +95,21 @@ impl Mapper {
         if self.verifies() {
             observer.completed(Stage::Verification);
         }
-        let verified = self.verified(&anyone, &candidates).or_else(|| candidates::most_likely(&candidates));
-        let matched = match (verified, recognition.posterior.best_place()) {
+        let verified = self.verified(&anyone, &candidates);
+        let candidate = verified.or_else(|| candidates::most_likely(&candidates));
+        let matched = match (candidate, recognition.posterior.best_place()) {
             (Some(candidate), _) => Some(candidate.matched),
             (None, Some((place, _))) if !self.shows_too_little(observation) => {
                 self.best_match(place, &recognition, observation, (session, &anyone), archive)?
             }
             (None, Some(_) | None) => None,
         };
-        let accepted = match self.settings.verification.method {
-            VerificationMethod::None => {
-                let seen_before = matches!(recognition.association(), Association::Seen(_));
-                seen_before
-                    && matched.is_some_and(|matched| matched.posterior >= self.settings.closure_threshold)
-            }
-            VerificationMethod::Similarity | VerificationMethod::Epipolar => {
-                self.verified(&anyone, &candidates).is_some()
-            }
+        let by_words = |matched: Match| {
+            recognition.association() == Association::Seen(matched.place)
+                && matched.posterior >= self.settings.closure_threshold
+                && (!self.verifies() || candidates::is_without_keypoints(&candidates, matched.place))
         };
+        let accepted = verified.is_some() || matched.is_some_and(by_words);
         Ok(Queried { recognition, candidates, matched, accepted })
     }
 }

@@ -7,9 +7,8 @@ use crate::verification::VerificationSettings;
 pub struct MapperSettings {
     /// How places are recognised.
     pub recognizer: RecognizerSettings,
-    /// Posterior from which another place is accepted as a loop closure, in (0, 1]. The default is
-    /// close to 1 because posteriors are overconfident: words are less independent than the model
-    /// has it.
+    /// Posterior from which another place is accepted as a loop closure, in (0, 1], if geometry has nothing
+    /// against it.
     pub closure_threshold: f64,
     /// What geometry has to say before a loop is closed.
     pub verification: VerificationSettings,
@@ -27,8 +26,8 @@ impl Default for MapperSettings {
     fn default() -> Self {
         Self {
             recognizer: RecognizerSettings::default(),
-            closure_threshold: 0.999_999,
-            verification: VerificationSettings::none(),
+            closure_threshold: 0.99,
+            verification: VerificationSettings::default(),
             guard_frames: 20,
             looks_per_stay: 3,
             min_words: 10,

@@ -70,6 +70,8 @@ class Geometry:
     evidence: float
     #: The motion, if it was looked for in the image plane and one was found.
     similarity: Similarity | None
+    #: That both frames show the same place, by words and geometry together.
+    probability: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -264,6 +266,7 @@ def _geometry(message: session_pb2.Geometry) -> Geometry:
         inliers=message.inliers,
         evidence=message.evidence,
         similarity=_similarity(similarity) if similarity is not None else None,
+        probability=message.probability,
     )
 
 

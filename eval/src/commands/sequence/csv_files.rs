@@ -23,6 +23,7 @@ pub(super) fn frames(sequence: &Sequence, frames: &[JudgedFrame]) -> csv::Result
             proposal_frame: ranked.proposal.map(|proposal| proposal.frame),
             proposal_score: ranked.proposal.map(|proposal| proposal.score),
             proposal_posterior: ranked.proposal.and_then(|proposal| proposal.posterior),
+            proposal_probability: ranked.proposal.and_then(|proposal| proposal.probability),
             verdict: name_of(VERDICTS, proposal_verdict),
             closure_frame: decision.and_then(|decision| decision.closure).map(|closure| closure.frame),
             closure_verdict: name_of(VERDICTS, closure_verdict),
@@ -31,7 +32,7 @@ pub(super) fn frames(sequence: &Sequence, frames: &[JudgedFrame]) -> csv::Result
     table(&FRAME_COLUMNS, rows)
 }
 
-const FRAME_COLUMNS: [&str; 13] = [
+const FRAME_COLUMNS: [&str; 14] = [
     "index",
     "image",
     "words",
@@ -42,6 +43,7 @@ const FRAME_COLUMNS: [&str; 13] = [
     "proposal_frame",
     "proposal_score",
     "proposal_posterior",
+    "proposal_probability",
     "verdict",
     "closure_frame",
     "closure_verdict",
@@ -60,6 +62,7 @@ struct FrameRow {
     proposal_frame: Option<usize>,
     proposal_score: Option<f64>,
     proposal_posterior: Option<f64>,
+    proposal_probability: Option<f64>,
     verdict: &'static str,
     closure_frame: Option<usize>,
     closure_verdict: &'static str,
@@ -132,6 +135,7 @@ mod tests {
             proposal_frame: None,
             proposal_score: None,
             proposal_posterior: None,
+            proposal_probability: None,
             verdict: "none",
             closure_frame: None,
             closure_verdict: "none",
