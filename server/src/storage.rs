@@ -16,7 +16,7 @@ pub(crate) use checkpoints::Checkpoint;
 pub(crate) use frames::{FrameRow, SessionSummary};
 pub(crate) use inspection::{Inspection, inspect};
 pub(crate) use jobs::{JobEnd, JobKind, JobRow, StoredJobState};
-pub(crate) use log::{ClosureRow, LogEntry, StoredFrame};
+pub(crate) use log::{ClosureRow, LogEntry, StoredFrame, reason_name};
 pub(crate) use maps::{MapCounts, MapId, MapRow, SessionRow};
 pub(crate) use media::{MapBytes, Medium, MediumKind};
 pub(crate) use models::ModelRow;

@@ -14,7 +14,8 @@ use topomap::verification::{Motion, TwoView, VerificationMethod, VerificationSet
 
 use crate::feature_record::FeatureRecord;
 use crate::features::Keypoint;
-use matching::Match;
+
+pub use matching::Match;
 
 /// Compares views.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,8 +47,17 @@ pub struct Pinhole {
 struct Correspondence {
     earlier: Complex<f64>,
     current: Complex<f64>,
-    /// Looks like nothing else in either view.
-    distinct: bool,
+    /// The features that lie there.
+    of: Match,
+}
+
+/// What was found between two views, with what it was found by.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Comparison {
+    /// The motion, and how much speaks for it.
+    pub view: TwoView,
+    /// The matches that the motion explains.
+    pub inliers: Vec<Match>,
 }
 
 impl Verifier {
@@ -64,6 +74,12 @@ impl Verifier {
     /// inverse motion, but for the random choices.
     #[must_use]
     pub fn compare(&self, earlier: View<'_>, current: View<'_>) -> TwoView {
+        self.compare_with_matches(earlier, current).view
+    }
+
+    /// The same as [`Verifier::compare`], with the matches behind it.
+    #[must_use]
+    pub fn compare_with_matches(&self, earlier: View<'_>, current: View<'_>) -> Comparison {
         let mut matches = matching::matches(earlier.features, current.features);
         matches.retain(|matched| self.may_be_of_one_motion(matched, earlier.features, current.features));
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
@@ -85,12 +101,14 @@ impl Verifier {
             },
         };
         let (motion, inliers) = found.map_or((None, Vec::new()), |(motion, inliers)| (Some(motion), inliers));
-        TwoView {
+        let inliers: Vec<Match> = inliers.into_iter().map(|inlier| inlier.of).collect();
+        let view = TwoView {
             matches: count(matches.len()),
             inliers: count(inliers.len()),
             distinct_inliers: count(inliers.iter().filter(|inlier| inlier.distinct).count()),
             motion,
-        }
+        };
+        Comparison { view, inliers }
     }
 
     /// Keypoints turn and grow with the view. Those whose orientation or size is unknown may have done either.
@@ -133,7 +151,7 @@ fn correspondences(
     let pairs = matches.iter().map(|matched| Correspondence {
         earlier: from.project(&earlier.features.keypoints()[matched.earlier]),
         current: to.project(&current.features.keypoints()[matched.current]),
-        distinct: matched.distinct,
+        of: *matched,
     });
     pairs.filter(|pair| pair.earlier.is_finite() && pair.current.is_finite()).collect()
 }
@@ -158,7 +176,7 @@ impl Pinhole {
 
 /// Twice the weight of a match, in RANSAC as in what is made of it: one that looks like others counts half.
 fn weight(pair: &Correspondence) -> u32 {
-    1 + u32::from(pair.distinct)
+    1 + u32::from(pair.of.distinct)
 }
 
 fn count(len: usize) -> u32 {

@@ -13,7 +13,7 @@ pub(super) use requests::{
     SessionOpening, StreamOpening, WriterGone,
 };
 pub(crate) use requests::{QueryAnswer, SessionMode, WordPlace};
-pub(super) use views::{compare, stored_features, verifier};
+pub(super) use views::{compare, compare_with_matches, stored_features, verifier};
 
 use std::cell::RefCell;
 use std::collections::{BTreeSet, HashMap};

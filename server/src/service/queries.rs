@@ -40,6 +40,8 @@ pub(crate) struct FrameExplanation {
     pub(crate) place: Option<Explanation>,
     /// Whether the replay came to the logged posteriors to the bit.
     pub(crate) reproduced: bool,
+    /// Where REST has the frame beside the place; none if the map had no place yet.
+    pub(crate) picture: Option<String>,
 }
 
 /// A condition for a loop closure.
@@ -158,6 +160,7 @@ impl Replay {
         gates
             .extend(candidate.map(|candidate| verdict_views(&mapper.verdict(candidate))).unwrap_or_default());
         Ok(FrameExplanation {
+            picture: explained.map(|place| format!("/v1/{name}/picture?place={place}")),
             name,
             reason: event.decision.reason,
             gates,
@@ -270,21 +273,32 @@ fn gate_views(gates: &Gates) -> Vec<GateView> {
     ]
 }
 
-fn verdict_views(verdict: &Verdict) -> Vec<GateView> {
+pub(super) fn verdict_views(verdict: &Verdict) -> Vec<GateView> {
     let view = |check: &Check, more: &str| {
         let Check { quantity, value, bound } = *check;
         let (required, asked) = match bound {
             Bound::AtLeast(least) => (least, "at least"),
             Bound::AtMost(most) => (most, "at most"),
         };
-        let description =
-            format!("geometry: the {quantity} is {value:.3}; {asked} {required:.3} is asked for{more}");
+        let [found, wanted] = [value, required].map(|value| digits(quantity, value));
+        let description = format!("geometry: {quantity} {found}, {asked} {wanted} asked for{more}");
         let gate = Gate { passed: check.passed(), value, required };
         GateView { name: gate_name(quantity), gate, description }
     };
     let Verdict { all, one } = verdict;
     let all = all.iter().map(|check| view(check, ""));
     all.chain(one.iter().map(|check| view(check, ", of this or the other"))).collect()
+}
+
+/// As many digits as tell something.
+fn digits(quantity: Quantity, value: f64) -> String {
+    match quantity {
+        Quantity::Keypoints | Quantity::Inliers | Quantity::Evidence => format!("{value:.0}"),
+        Quantity::Posterior => probability(value),
+        Quantity::RotationRad => format!("{value:.3} rad"),
+        Quantity::LnScale => format!("ln {value:.3}"),
+        Quantity::TranslationWidths => format!("{value:.3} widths"),
+    }
 }
 
 fn gate_name(quantity: Quantity) -> &'static str {
@@ -300,6 +314,6 @@ fn gate_name(quantity: Quantity) -> &'static str {
 }
 
 /// Digits where they tell: near 0 and near 1.
-fn probability(value: f64) -> String {
+pub(super) fn probability(value: f64) -> String {
     if value < 1e-3 { format!("{value:.1e}") } else { format!("{value:.9}") }
 }

@@ -7,7 +7,7 @@ use topomap::event::FrameId;
 use topomap::mapper::ArchiveError;
 use topomap::verification::{TwoView, Views};
 use waypost_vision::feature_record::FeatureRecord;
-use waypost_vision::verification::{Verifier, View};
+use waypost_vision::verification::{Comparison, Verifier, View};
 
 use super::MapWriter;
 use crate::storage::{MapId, MediumKind, Storage, StorageError};
@@ -36,8 +36,16 @@ impl Views for CurrentView<'_> {
 }
 
 pub(crate) fn compare(verifier: &Verifier, earlier: &FeatureRecord, current: &FeatureRecord) -> TwoView {
+    compare_with_matches(verifier, earlier, current).view
+}
+
+pub(crate) fn compare_with_matches(
+    verifier: &Verifier,
+    earlier: &FeatureRecord,
+    current: &FeatureRecord,
+) -> Comparison {
     let view = |features| View { features, camera: None };
-    verifier.compare(view(earlier), view(current))
+    verifier.compare_with_matches(view(earlier), view(current))
 }
 
 impl MapWriter {
