@@ -18,7 +18,7 @@ pub(crate) use inspection::{Inspection, inspect};
 pub(crate) use jobs::{JobEnd, JobKind, JobRow, StoredJobState};
 pub(crate) use log::{ClosureRow, LogEntry, StoredFrame, reason_name};
 pub(crate) use maps::{MapCounts, MapId, MapRow, SessionRow};
-pub(crate) use media::{MapBytes, Medium, MediumKind};
+pub(crate) use media::{MapBytes, Medium, MediumKind, StoredFeatures};
 pub(crate) use models::ModelRow;
 pub(crate) use removal::Removal;
 pub(crate) use snapshots::{FormerModelRow, ImportedMap, MapView, MediaRow, StoredSession};

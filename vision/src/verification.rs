@@ -3,8 +3,10 @@
 //! The motion is searched by RANSAC (Fischler & Bolles, CACM 1981) with a fixed seed, so two views always give the
 //! same answer. Whether that is enough is not decided here but in [`topomap::verification`].
 
+mod camera;
 mod epipolar;
 mod matching;
+mod rigid_motion;
 mod similarity;
 
 use nalgebra::Complex;
@@ -13,8 +15,8 @@ use rand_chacha::ChaCha8Rng;
 use topomap::verification::{Motion, TwoView, VerificationMethod, VerificationSettings};
 
 use crate::feature_record::FeatureRecord;
-use crate::features::Keypoint;
 
+pub use camera::{Distortion, Pinhole};
 pub use matching::Match;
 
 /// Compares views.
@@ -31,15 +33,6 @@ pub struct View<'a> {
     pub features: &'a FeatureRecord,
     /// Intrinsics of the camera, for the essential matrix.
     pub camera: Option<Pinhole>,
-}
-
-/// A camera without distortion, in pixels of the image that the keypoints are in.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pinhole {
-    /// Focal lengths in x and y.
-    pub focal_px: [f64; 2],
-    /// Where the optical axis meets the image.
-    pub center_px: [f64; 2],
 }
 
 /// A point of the earlier view with that of the current one: x + iy, to the right and down.
@@ -149,8 +142,8 @@ fn correspondences(
     (current, to): (View<'_>, Pinhole),
 ) -> Vec<Correspondence> {
     let pairs = matches.iter().map(|matched| Correspondence {
-        earlier: from.project(&earlier.features.keypoints()[matched.earlier]),
-        current: to.project(&current.features.keypoints()[matched.current]),
+        earlier: from.ray(&earlier.features.keypoints()[matched.earlier]),
+        current: to.ray(&current.features.keypoints()[matched.current]),
         of: *matched,
     });
     pairs.filter(|pair| pair.earlier.is_finite() && pair.current.is_finite()).collect()
@@ -160,18 +153,11 @@ fn correspondences(
 /// thresholds hold for images of any size.
 fn centred_in_widths(view: View<'_>) -> Pinhole {
     let height = f64::from(view.features.image_size_px().1);
-    Pinhole { focal_px: [width(view); 2], center_px: [(width(view) - 1.0) / 2.0, (height - 1.0) / 2.0] }
+    Pinhole::ideal([width(view); 2], [(width(view) - 1.0) / 2.0, (height - 1.0) / 2.0])
 }
 
 fn width(view: View<'_>) -> f64 {
     f64::from(view.features.image_size_px().0)
-}
-
-impl Pinhole {
-    fn project(&self, keypoint: &Keypoint) -> Complex<f64> {
-        let at = |pixel: f32, axis: usize| (f64::from(pixel) - self.center_px[axis]) / self.focal_px[axis];
-        Complex::new(at(keypoint.x_px, 0), at(keypoint.y_px, 1))
-    }
 }
 
 /// Twice the weight of a match, in RANSAC as in what is made of it: one that looks like others counts half.

@@ -17,7 +17,7 @@ use self::drawing::{Mark, Panel, Picture, StillImage};
 use super::Service;
 use super::frames::{LocatedFrame, content_type};
 use super::map_settings;
-use super::map_writer::{compare_with_matches, stored_features, verifier};
+use super::map_writer::{SeenFeatures, compare, stored_features, verifier};
 use super::maps::reference;
 use super::names::frame_name;
 use super::queries::{GateView, probability, verdict_views};
@@ -128,13 +128,13 @@ impl Service {
 /// A frame and an earlier one of `place`, with what the map's settings make of them.
 fn side_by_side(
     [current, earlier]: [ShownFrame; 2],
-    seen: &[Option<FeatureRecord>; 2],
+    seen: &[Option<SeenFeatures>; 2],
     place: PlaceId,
     settings: &MapperSettings,
 ) -> Picture {
     let joined = match (settings.verification.method, seen) {
         (VerificationMethod::Similarity | VerificationMethod::Epipolar, [Some(current), Some(earlier)]) => {
-            compare_with_matches(&verifier(settings), earlier, current).inliers
+            compare(&verifier(settings), earlier, current).inliers
         }
         (VerificationMethod::None, _) | (_, [None, _] | [_, None]) => Vec::new(),
     };
@@ -156,13 +156,14 @@ fn compared(event: &FrameEvent) -> impl Iterator<Item = Match> {
 
 impl ShownFrame {
     /// `other` is what the frame beside it shows.
-    fn panel(self, features: Option<&FeatureRecord>, other: &Observation) -> Panel {
+    fn panel(self, seen: Option<&SeenFeatures>, other: &Observation) -> Panel {
         let mark = |(keypoint, &word): (&Keypoint, &WordId)| Mark {
             x_px: f64::from(keypoint.x_px),
             y_px: f64::from(keypoint.y_px),
             word,
             common: other.contains(word),
         };
+        let features = seen.map(|seen| &*seen.features);
         let marks = features
             .map_or_else(Vec::new, |known| known.keypoints().iter().zip(known.words()).map(mark).collect());
         let no_image = "no image of it is kept: the robot sent words, or the map keeps words alone";

@@ -10,7 +10,6 @@ use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, MapEvent, Reason};
 use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameError, FrameInput, Gate, Gates, Mapper};
 use topomap::verification::{Bound, Check, Quantity, TwoView, Verdict, Views};
-use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::verification::Verifier;
 
 use super::Service;
@@ -18,7 +17,7 @@ use super::content::{Content, Words};
 use super::frames::LocatedFrame;
 use super::map_settings::{self, Keep};
 pub(crate) use super::map_writer::QueryAnswer;
-use super::map_writer::{compare, stored_features, verifier};
+use super::map_writer::{SeenFeatures, compare, stored_features, verifier};
 use super::names::map_in;
 use crate::error::ServiceError;
 use crate::extraction::LoadedModel;
@@ -205,7 +204,7 @@ impl FrameArchive for Replay {
 /// The frame that is decided again, beside those before it.
 struct ReplayedView<'a> {
     replay: &'a Replay,
-    current: Option<FeatureRecord>,
+    current: Option<SeenFeatures>,
     verifier: Verifier,
 }
 
@@ -220,12 +219,12 @@ impl Views for ReplayedView<'_> {
     fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
         let Some(current) = &self.current else { return Ok(None) };
         let earlier = self.replay.features(earlier)?;
-        Ok(earlier.map(|earlier| compare(&self.verifier, &earlier, current)))
+        Ok(earlier.map(|earlier| compare(&self.verifier, &earlier, current).view))
     }
 }
 
 impl Replay {
-    fn features(&self, frame: FrameId) -> Result<Option<FeatureRecord>, ArchiveError> {
+    fn features(&self, frame: FrameId) -> Result<Option<SeenFeatures>, ArchiveError> {
         stored_features(&self.runtime, &self.storage, self.map.id, frame)
     }
 }
