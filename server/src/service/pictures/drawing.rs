@@ -198,3 +198,45 @@ fn line(row: usize) -> String {
 fn number(value: f64) -> String {
     format!("{value:.1}")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn panel(marks: Vec<Mark>) -> Panel {
+        let title = "a < b".to_owned();
+        Panel { title, image: None, size_px: Some((1280, 720)), marks, notes: Vec::new() }
+    }
+
+    fn mark(x_px: f64, y_px: f64, common: bool) -> Mark {
+        Mark { x_px, y_px, word: 7, common }
+    }
+
+    fn drawn(left: Vec<Mark>, right: Vec<Mark>, joined: Vec<[usize; 2]>) -> String {
+        let (heading, summary, panels) = (String::new(), String::new(), [panel(left), panel(right)]);
+        Picture { heading, verdict: Vec::new(), summary, panels, joined }.to_svg()
+    }
+
+    #[test]
+    fn marks_lie_where_their_pixels_are() {
+        let svg = drawn(vec![mark(639.5, 359.5, true)], Vec::new(), Vec::new());
+        // The middle of the first panel, below two lines of text.
+        assert!(svg.contains(r#"<circle cx="332.0" cy="228.0" r="3">"#) && svg.contains("a &lt; b"), "{svg}");
+    }
+
+    #[test]
+    fn what_lies_nowhere_is_not_drawn() {
+        let nowhere = [mark(f64::NAN, 5.0, true), mark(5.0, f64::INFINITY, false), mark(-9.0, 5.0, true)];
+        let svg = drawn(nowhere.to_vec(), vec![mark(5.0, 5.0, true)], vec![[0, 0], [9, 9]]);
+        assert!(svg.matches("<circle").count() == 1 && !svg.contains("<line"), "{svg}");
+    }
+
+    #[test]
+    fn of_too_many_marks_those_in_common_are_drawn() {
+        let of = |common| std::iter::repeat_n(mark(5.0, 5.0, common), MAX_MARKS - 10);
+        let svg = drawn(of(false).chain(of(true)).collect(), Vec::new(), Vec::new());
+        let green = svg.split(COMMON).nth(1).unwrap();
+        assert_eq!(svg.matches("<circle").count(), MAX_MARKS);
+        assert_eq!(green.matches("<circle").count(), MAX_MARKS - 10);
+    }
+}
