@@ -112,6 +112,18 @@ impl Client {
         self.taken(self.sessions_client().explain_frame(request).await)
     }
 
+    /// A frame, by its full name, beside an earlier one of `place`, as SVG: what they have in common is green. Left
+    /// out, the place is the one that was, or could have been, matched.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND.
+    pub async fn frame_picture(&self, name: &str, place: Option<u32>) -> Result<Vec<u8>, Error> {
+        let request = v1::GetFramePictureRequest { name: name.to_owned(), place };
+        let v1::GetFramePictureResponse { content_type: _, picture } =
+            self.taken(self.sessions_client().get_frame_picture(request).await)?;
+        Ok(picture)
+    }
+
     /// A place by `maps/{map}/places/{number}`, with its words.
     ///
     /// # Errors

@@ -11,6 +11,7 @@ mod maps;
 mod models;
 mod pages;
 mod parameters;
+mod pictures;
 mod places;
 mod queries;
 mod requests;
@@ -129,6 +130,7 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(frames::get_frame))
         .routes(routes!(frames::get_frame_image))
         .routes(routes!(explanations::explain_frame))
+        .routes(routes!(pictures::get_frame_picture))
         .routes(routes!(exports::export_matches_csv))
         .routes(routes!(exports::export_matches_json))
         .routes(routes!(exports::export_posteriors_csv))

@@ -12,9 +12,9 @@ use metrics::{
     with_local_recorder,
 };
 use metrics_exporter_prometheus::{BuildError, Matcher, PrometheusBuilder, PrometheusRecorder};
-use topomap::event::Reason;
 
 use crate::service::sessions::{FrameAnswer, FrameOutcome, FrameTimings};
+use crate::storage::reason_name;
 
 const GRPC_REQUESTS: &str = "waypost_grpc_requests_total";
 const GRPC_SECONDS: &str = "waypost_grpc_request_duration_seconds";
@@ -191,14 +191,7 @@ fn answer_name(answer: &FrameAnswer) -> &'static str {
     if answer.timings.is_none() {
         return "resent";
     }
-    match answer.reason {
-        Reason::NewPlace => "new_place",
-        Reason::SamePlace => "same_place",
-        Reason::LoopClosure => "loop_closure",
-        Reason::BelowThreshold => "below_threshold",
-        Reason::TooFewWords => "too_few_words",
-        Reason::GeometryRefused => "geometry_refused",
-    }
+    reason_name(answer.reason)
 }
 
 /// Clients may send any word as a method; each would be a metric of its own.

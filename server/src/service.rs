@@ -10,6 +10,7 @@ mod map_writer;
 pub(crate) mod maps;
 pub(crate) mod models;
 pub(crate) mod names;
+pub(crate) mod pictures;
 pub(crate) mod queries;
 mod removal;
 pub(crate) mod sessions;

@@ -3,8 +3,9 @@
 use waypost_client::{Client, Code, FrameContent, FrameInput, v1};
 
 use crate::harness::{
-    CommandLine, Server, answers_of, as_histogram, assert_status, first_return, folder, frame, import_model,
-    map_request, mapped, path, recalibrated_model, reference_by_words, refused, take_model, words_options,
+    CommandLine, Server, answers_of, as_histogram, assert_status, by_words_request, first_return, folder,
+    frame, import_model, mapped, path, recalibrated_model, reference_by_words, refused, take_model,
+    words_options,
 };
 
 const GATES: [&str; 4] = ["words", "known_place", "guard", "threshold"];

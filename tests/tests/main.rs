@@ -23,6 +23,7 @@ mod localize;
 mod openapi;
 mod operations;
 mod overload;
+mod pictures;
 mod places;
 mod queries;
 mod rebind;

@@ -100,6 +100,14 @@ fn good_calls(surveyed: &Surveyed) -> Vec<Call> {
             "/v1/maps/{map}/sessions/{session}/frames/{sequence}/explanation",
             "/v1/maps/drive/sessions/first/frames/15/explanation?place=0&words=3",
         ),
+        Call::get(
+            "/v1/maps/{map}/sessions/{session}/frames/{sequence}/picture",
+            "/v1/maps/drive/sessions/first/frames/15/picture",
+        ),
+        Call::get(
+            "/v1/maps/{map}/sessions/{session}/frames/{sequence}/picture",
+            "/v1/maps/drive/sessions/second/frames/100/picture?place=0",
+        ),
         Call::query("/v1/maps/drive/query?explained_words=4", "image/jpeg", images()[3].clone()),
         Call::query("/v1/maps/empty/query", "image/jpeg", images()[3].clone()),
         Call::query("/v1/maps/drive/query", "application/json", histogram.to_string().into_bytes()),

@@ -304,6 +304,20 @@ async fn frame_agrees(both: &Both, name: &str) {
         let path = format!("/v1/{name}/explanation{query}");
         both.agree(&path, "waypost.v1.FrameExplanation", over_grpc).await;
     }
+    for (place, query) in [(None, ""), (Some(0), "?place=0"), (Some(999), "?place=999")] {
+        let request = v1::GetFramePictureRequest { name: name.to_owned(), place };
+        let path = format!("/v1/{name}/picture{query}");
+        let answer = get(&both.server, &path).await;
+        match both.sessions.clone().get_frame_picture(request).await.map(Response::into_inner) {
+            Ok(v1::GetFramePictureResponse { content_type, picture }) => {
+                assert_eq!(answer.header("content-type"), content_type, "{path}");
+                assert!(!picture.is_empty() && answer.body == picture, "{path}: the pictures differ");
+            }
+            Err(status) => {
+                same::<v1::GetFramePictureResponse>(&path, &answer, "", Err(status));
+            }
+        }
+    }
     use v1::get_frame_image_request::Size;
     let sizes =
         [(Size::Unspecified, ""), (Size::Original, "?size=original"), (Size::Thumbnail, "?size=thumbnail")];

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use waypost_client::{Client, FrameInput, v1};
+use waypost_client::{Client, FrameInput, SessionOptions, v1};
 
 use crate::harness::{
     Server, ServerProcess, answers, answers_of, as_histogram, as_words, frame, frame_count, import_model,
@@ -20,15 +20,24 @@ fn pairs(file: &str) -> HashSet<(u64, u64)> {
 }
 
 async fn verified_map(client: &Client, map: &str, keep: v1::map_settings::Keep) {
+    map_verified_by(client, map, keep, v1::map_settings::Verification::Similarity).await;
+}
+
+async fn map_verified_by(
+    client: &Client,
+    map: &str,
+    keep: v1::map_settings::Keep,
+    verification: v1::map_settings::Verification,
+) {
     let settings = v1::MapSettings {
-        verification: v1::map_settings::Verification::Similarity.into(),
+        verification: verification.into(),
         keep: keep.into(),
         ..v1::MapSettings::default()
     };
     let (map_id, model) = (map.to_owned(), "shipped".to_owned());
     let request = v1::CreateMapRequest { map_id, model, settings: Some(settings) };
     let map = client.create_map(request).await.unwrap();
-    assert_eq!(map.settings.unwrap().verification(), v1::map_settings::Verification::Similarity);
+    assert_eq!(map.settings.unwrap().verification(), verification);
 }
 
 /// Right and wrong loop closures of the shipped drive; neither where the truth says nothing.
@@ -135,5 +144,70 @@ async fn words_are_verified_by_where_they_are() {
     for answer in of_histograms.iter().chain(&unkept) {
         assert!(answer.closure.as_ref().is_none_or(|found| found.geometry.is_none()), "{answer:?}");
     }
+    server.stop().await;
+}
+
+/// The phone of the shipped drive, about.
+fn phone(image_width_px: u32, image_height_px: u32) -> v1::Camera {
+    let model = v1::camera::Model::FieldOfView(v1::FieldOfView { horizontal_rad: 1.1 });
+    v1::Camera { model: Some(model), image_width_px, image_height_px, base_to_camera: None }
+}
+
+fn seen_by(map: &str, session: &str, camera: Option<v1::Camera>) -> SessionOptions {
+    SessionOptions { camera, ..session_options(map, session) }
+}
+
+/// Only an essential matrix has a rotation, and so a gate for it.
+#[tokio::test(flavor = "multi_thread")]
+async fn views_of_known_cameras_are_judged_by_the_essential_matrix() {
+    /// The last frames, by a robot that only looks.
+    const LOOKED_AT: u64 = 10;
+    let directory = tempfile::tempdir().unwrap();
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    import_model(&client).await;
+    let cameras = [
+        ("known", Some(phone(1280, 720)), true),
+        ("unknown", None, false),
+        // What is sent is no image of that size made smaller.
+        ("other", Some(phone(640, 480)), false),
+    ];
+    let mut told = Vec::new();
+    for (map, camera, _) in &cameras {
+        let (keep, epipolar) = (v1::map_settings::Keep::Features, v1::map_settings::Verification::Epipolar);
+        map_verified_by(&client, map, keep, epipolar).await;
+        let drive = (1..=frame_count() - LOOKED_AT).map(frame);
+        told.push(answers_of(&client, seen_by(map, "robot", camera.clone()), drive).await);
+    }
+    // Cameras are read back from the disk, too.
+    server.stop().await;
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let mut by_map = Vec::new();
+    for ((map, camera, essential), told) in cameras.iter().zip(&told) {
+        let (right, wrong) = judged(told);
+        assert!(right > 0 && wrong == 0, "{map}: {right} right, {wrong} wrong");
+        let closures = told.iter().filter_map(|answer| Some((answer.sequence, answer.closure.as_ref()?)));
+        let compared: Vec<_> =
+            closures.filter_map(|(sequence, found)| Some((sequence, found.geometry?))).collect();
+        assert!(compared.len() > 3, "{map}: {compared:?}");
+        for (sequence, geometry) in compared.iter().take(4) {
+            let name = format!("maps/{map}/sessions/robot/frames/{sequence}");
+            let explained = client.explain_frame(&name, None, 0).await.unwrap();
+            assert!(explained.reproduced, "{map}: {explained:?}");
+            let gate = |name: &str| explained.gates.iter().find(|gate| gate.name == name);
+            assert_eq!(gate("inliers").unwrap().value, f64::from(geometry.inliers));
+            assert_eq!(gate("rotation").is_some(), *essential, "{map}: {explained:?}");
+            assert_eq!(gate("translation"), None, "{map}: {explained:?}");
+        }
+        let looking = seen_by(map, "lookout", camera.clone());
+        let looking = SessionOptions { mode: v1::SessionMode::Localize, ..looking };
+        let looked =
+            answers_of(&client, looking, (frame_count() - LOOKED_AT + 1..=frame_count()).map(frame)).await;
+        let inliers = |answer: &v1::FrameAnswer| Some(answer.proposal.as_ref()?.geometry?.inliers);
+        by_map.push(looked.iter().map(inliers).collect::<Vec<_>>());
+    }
+    assert!(by_map[0].iter().flatten().count() > 3, "{by_map:?}");
+    assert!(by_map[1] == by_map[2] && by_map[0] != by_map[1], "{by_map:?}");
     server.stop().await;
 }

@@ -7,9 +7,10 @@ use waypost_client::{Code, FrameContent, FrameInput, v1};
 use waypost_proto::v1::stream_request::Content::Open;
 
 use crate::harness::{
-    CommandLine, RawStream, Server, Told, answers_of, as_histogram, as_words, assert_status, decided,
-    first_return, folder, frame, frame_count, histogram, images, map_request, model_of_other_words, open,
-    path, reference_by_words, refused, state_hash, take_model, told, wire, word_maker, words_options,
+    CommandLine, RawStream, Server, Told, answers_of, as_histogram, as_words, assert_status,
+    by_words_request, decided, first_return, folder, frame, frame_count, histogram, images, map_request,
+    model_of_other_words, open, path, reference_by_words, refused, state_hash, take_model, told, wire,
+    word_maker, words_options,
 };
 
 /// What was decided, and the places that were listed, with the bits of every number.
@@ -24,7 +25,7 @@ fn all_told(answers: &[v1::FrameAnswer]) -> Vec<(Told, Vec<(u32, u64)>)> {
 async fn images_words_and_histograms_decide_alike() {
     let (server, client) = Server::with_map_of_words().await;
     // There and back again: loops are closed.
-    let sequences = || (1..=25).chain(first_return()..first_return() + 8);
+    let sequences = || (1..=25).chain(first_return()..first_return() + 12);
     type Form = fn(u64) -> FrameInput;
     let forms: [(&str, Form); 3] = [("images", frame), ("words", as_words), ("histograms", as_histogram)];
     let mut outcomes = Vec::new();

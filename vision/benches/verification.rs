@@ -52,7 +52,7 @@ fn views() -> [FeatureRecord; 2] {
 
 fn verification(criterion: &mut Criterion) {
     let [earlier, current] = views();
-    let camera = Pinhole { focal_px: [500.0; 2], center_px: [319.5, 239.5] };
+    let camera = Pinhole::ideal([500.0; 2], [319.5, 239.5]);
     for (name, method, camera) in [
         ("similarity", VerificationMethod::Similarity, None),
         ("fundamental", VerificationMethod::Epipolar, None),

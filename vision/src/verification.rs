@@ -3,8 +3,10 @@
 //! The motion is searched by RANSAC (Fischler & Bolles, CACM 1981) with a fixed seed, so two views always give the
 //! same answer. Whether that is enough is not decided here but in [`topomap::verification`].
 
+mod camera;
 mod epipolar;
 mod matching;
+mod rigid_motion;
 mod similarity;
 
 use nalgebra::Complex;
@@ -13,8 +15,9 @@ use rand_chacha::ChaCha8Rng;
 use topomap::verification::{Motion, TwoView, VerificationMethod, VerificationSettings};
 
 use crate::feature_record::FeatureRecord;
-use crate::features::Keypoint;
-use matching::Match;
+
+pub use camera::{Distortion, Pinhole};
+pub use matching::Match;
 
 /// Compares views.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,22 +35,22 @@ pub struct View<'a> {
     pub camera: Option<Pinhole>,
 }
 
-/// A camera without distortion, in pixels of the image that the keypoints are in.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pinhole {
-    /// Focal lengths in x and y.
-    pub focal_px: [f64; 2],
-    /// Where the optical axis meets the image.
-    pub center_px: [f64; 2],
-}
-
 /// A point of the earlier view with that of the current one: x + iy, to the right and down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Correspondence {
     earlier: Complex<f64>,
     current: Complex<f64>,
-    /// Looks like nothing else in either view.
-    distinct: bool,
+    /// The features that lie there.
+    of: Match,
+}
+
+/// What was found between two views, with what it was found by.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Comparison {
+    /// The motion, and how much speaks for it.
+    pub view: TwoView,
+    /// The matches that the motion explains.
+    pub inliers: Vec<Match>,
 }
 
 impl Verifier {
@@ -64,6 +67,12 @@ impl Verifier {
     /// inverse motion, but for the random choices.
     #[must_use]
     pub fn compare(&self, earlier: View<'_>, current: View<'_>) -> TwoView {
+        self.compare_with_matches(earlier, current).view
+    }
+
+    /// The same as [`Verifier::compare`], with the matches behind it.
+    #[must_use]
+    pub fn compare_with_matches(&self, earlier: View<'_>, current: View<'_>) -> Comparison {
         let mut matches = matching::matches(earlier.features, current.features);
         matches.retain(|matched| self.may_be_of_one_motion(matched, earlier.features, current.features));
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
@@ -85,12 +94,14 @@ impl Verifier {
             },
         };
         let (motion, inliers) = found.map_or((None, Vec::new()), |(motion, inliers)| (Some(motion), inliers));
-        TwoView {
+        let inliers: Vec<Match> = inliers.into_iter().map(|inlier| inlier.of).collect();
+        let view = TwoView {
             matches: count(matches.len()),
             inliers: count(inliers.len()),
             distinct_inliers: count(inliers.iter().filter(|inlier| inlier.distinct).count()),
             motion,
-        }
+        };
+        Comparison { view, inliers }
     }
 
     /// Keypoints turn and grow with the view. Those whose orientation or size is unknown may have done either.
@@ -131,9 +142,9 @@ fn correspondences(
     (current, to): (View<'_>, Pinhole),
 ) -> Vec<Correspondence> {
     let pairs = matches.iter().map(|matched| Correspondence {
-        earlier: from.project(&earlier.features.keypoints()[matched.earlier]),
-        current: to.project(&current.features.keypoints()[matched.current]),
-        distinct: matched.distinct,
+        earlier: from.ray(&earlier.features.keypoints()[matched.earlier]),
+        current: to.ray(&current.features.keypoints()[matched.current]),
+        of: *matched,
     });
     pairs.filter(|pair| pair.earlier.is_finite() && pair.current.is_finite()).collect()
 }
@@ -142,23 +153,16 @@ fn correspondences(
 /// thresholds hold for images of any size.
 fn centred_in_widths(view: View<'_>) -> Pinhole {
     let height = f64::from(view.features.image_size_px().1);
-    Pinhole { focal_px: [width(view); 2], center_px: [(width(view) - 1.0) / 2.0, (height - 1.0) / 2.0] }
+    Pinhole::ideal([width(view); 2], [(width(view) - 1.0) / 2.0, (height - 1.0) / 2.0])
 }
 
 fn width(view: View<'_>) -> f64 {
     f64::from(view.features.image_size_px().0)
 }
 
-impl Pinhole {
-    fn project(&self, keypoint: &Keypoint) -> Complex<f64> {
-        let at = |pixel: f32, axis: usize| (f64::from(pixel) - self.center_px[axis]) / self.focal_px[axis];
-        Complex::new(at(keypoint.x_px, 0), at(keypoint.y_px, 1))
-    }
-}
-
 /// Twice the weight of a match, in RANSAC as in what is made of it: one that looks like others counts half.
 fn weight(pair: &Correspondence) -> u32 {
-    1 + u32::from(pair.distinct)
+    1 + u32::from(pair.of.distinct)
 }
 
 fn count(len: usize) -> u32 {

@@ -1,5 +1,7 @@
 //! `waypost explain`: why a frame was decided as it was.
 
+use std::path::PathBuf;
+
 use serde::Serialize;
 use waypost_client::{Client, ClientOptions, v1};
 
@@ -27,6 +29,9 @@ pub(crate) struct Arguments {
     /// Words for and as many against that are listed, at most 100
     #[arg(long, value_name = "N", default_value_t = 10)]
     words: u32,
+    /// Write the frame beside one of the place as SVG: what they have in common is green
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
 }
 
 #[derive(Serialize)]
@@ -36,6 +41,8 @@ struct Explanation {
     gates: Vec<Gate>,
     place: Option<PlaceExplanationView>,
     reproduced: bool,
+    /// Its path at the REST port; null if there was no place yet.
+    picture: Option<String>,
 }
 
 #[derive(Serialize)]
@@ -48,19 +55,24 @@ struct Gate {
 }
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
-    let Arguments { map, session, sequence, place, words } = arguments;
+    let Arguments { map, session, sequence, place, words, picture: file } = arguments;
     let map = map.strip_prefix("maps/").unwrap_or(&map);
     let name = format!("maps/{map}/sessions/{session}/frames/{sequence}");
     let client = Client::connect(server).await?;
     let explained = client.explain_frame(&name, place, words).await?;
     let reason = reason_name(explained.reason());
-    let v1::FrameExplanation { name, reason: _, gates, place, reproduced } = explained;
+    let v1::FrameExplanation { name, reason: _, gates, place, reproduced, picture } = explained;
+    if let Some(file) = &file {
+        let place = place.as_ref().map(|explained| explained.place);
+        let drawn = client.frame_picture(&name, place).await?;
+        std::fs::write(file, drawn).map_err(Failure::file("write", file))?;
+    }
     let gates = gates.into_iter().map(|gate| {
         let v1::Gate { name, passed, value, required, description } = gate;
         Gate { name, passed, value, required, description }
     });
     let place = place.map(PlaceExplanationView::from);
-    let explanation = Explanation { name, reason, gates: gates.collect(), place, reproduced };
+    let explanation = Explanation { name, reason, gates: gates.collect(), place, reproduced, picture };
     output.result(&explanation, |out| {
         writeln!(out, "{}: {reason}", explanation.name)?;
         for gate in &explanation.gates {
@@ -72,6 +84,9 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         }
         if !explanation.reproduced {
             writeln!(out, "this build decides the frame otherwise to the last bit; what was logged holds")?;
+        }
+        if let Some(file) = &file {
+            writeln!(out, "picture in {}", file.display())?;
         }
         Ok(())
     })

@@ -221,6 +221,13 @@ impl SessionService for Sessions {
     ) -> Result<Response<v1::FrameExplanation>, Status> {
         Err(Status::unimplemented("this peer streams only"))
     }
+
+    async fn get_frame_picture(
+        &self,
+        _: Request<v1::GetFramePictureRequest>,
+    ) -> Result<Response<v1::GetFramePictureResponse>, Status> {
+        Err(Status::unimplemented("this peer streams only"))
+    }
 }
 
 impl Sessions {

@@ -74,13 +74,14 @@ pub(super) fn query_response(answer: QueryAnswer) -> v1::QueryResponse {
 }
 
 pub(super) fn explanation(explanation: FrameExplanation) -> v1::FrameExplanation {
-    let FrameExplanation { name, reason, gates, place, reproduced } = explanation;
+    let FrameExplanation { name, reason, gates, place, reproduced, picture } = explanation;
     v1::FrameExplanation {
         name,
         reason: reason_code(reason).into(),
         gates: gates.into_iter().map(gate).collect(),
         place: place.map(place_explanation),
         reproduced,
+        picture,
     }
 }
 

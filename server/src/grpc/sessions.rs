@@ -21,6 +21,7 @@ use crate::service::content::Content;
 use crate::service::frames::{FrameImage, ImageSize};
 use crate::service::models::Page;
 use crate::service::names::model_name;
+use crate::service::pictures::FramePicture;
 use crate::service::sessions::{
     Frame, FrameAnswer, FrameOutcome, FrameTimings, GeometryView, MatchView, SessionMode, SessionStream,
 };
@@ -119,6 +120,15 @@ impl SessionService for Adapter {
     ) -> Result<Response<v1::FrameExplanation>, Status> {
         let v1::ExplainFrameRequest { name, place, words } = request.into_inner();
         Ok(Response::new(frames::explanation(self.service.explain_frame(&name, place, words).await?)))
+    }
+
+    async fn get_frame_picture(
+        &self,
+        request: Request<v1::GetFramePictureRequest>,
+    ) -> Result<Response<v1::GetFramePictureResponse>, Status> {
+        let v1::GetFramePictureRequest { name, place } = request.into_inner();
+        let FramePicture { content_type, picture } = self.service.frame_picture(&name, place).await?;
+        Ok(Response::new(v1::GetFramePictureResponse { content_type: content_type.to_owned(), picture }))
     }
 }
 

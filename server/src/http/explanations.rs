@@ -57,6 +57,9 @@ pub(super) struct FrameExplanation {
     /// Whether the replay came to the logged posteriors to the bit. If not, another build or processor, or a
     /// model that is gone, had decided; the logged values hold.
     reproduced: bool,
+    /// Path of the frame beside the place, as a picture; null if there was no place yet.
+    #[schema(required, example = "/v1/maps/demo/sessions/monday/frames/7/picture?place=3")]
+    picture: Option<String>,
 }
 
 /// A condition for a loop closure.
@@ -108,13 +111,14 @@ struct WordEvidence {
 
 impl From<queries::FrameExplanation> for FrameExplanation {
     fn from(explanation: queries::FrameExplanation) -> Self {
-        let queries::FrameExplanation { name, reason, gates, place, reproduced } = explanation;
+        let queries::FrameExplanation { name, reason, gates, place, reproduced, picture } = explanation;
         Self {
             name,
             reason: reason.into(),
             gates: gates.into_iter().map(Gate::from).collect(),
             place: place.map(PlaceExplanation::from),
             reproduced,
+            picture,
         }
     }
 }

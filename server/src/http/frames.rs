@@ -86,6 +86,15 @@ pub(super) async fn get_frame_image(
         Some(Size::Thumbnail) => ImageSize::Thumbnail,
     };
     let FrameImage { content_type, image } = service.frame_image(&path.name(), size).await?;
+    unless_known(&headers, content_type, image).await
+}
+
+/// The image, unless the caller says that it is there already.
+pub(super) async fn unless_known(
+    headers: &HeaderMap,
+    content_type: &'static str,
+    image: Vec<u8>,
+) -> Result<Response, HttpError> {
     let hashed = tokio::task::spawn_blocking(move || (entity_tag(&image), image)).await;
     let (tag, image) = hashed.map_err(ServiceError::internal)?;
     let is_there = headers.get_all(IF_NONE_MATCH).iter().any(|known| names(known.as_bytes(), &tag));

@@ -1,6 +1,10 @@
 //! Cameras as robots declare them: checked here, kept with the session, used where geometry is.
 
+use prost::Message;
 use topomap::odometry::{Odometry, OdometryError};
+use waypost_proto::v1;
+use waypost_proto::v1::camera::Model;
+use waypost_vision::verification::{Distortion, Pinhole};
 
 use crate::error::ServiceError;
 
@@ -118,9 +122,86 @@ fn require(holds: bool, message: impl FnOnce() -> String) -> Result<(), ServiceE
     if holds { Ok(()) } else { Err(ServiceError::invalid(message())) }
 }
 
+/// What geometry can use of a camera: how a perspective one turns pixels into rays. Cameras of other kinds have no
+/// essential matrix in pixels, and are treated as unknown.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Intrinsics {
+    lens: Lens,
+    /// Size of the images that they are for; those that are sent, if it was not declared.
+    image_size_px: Option<(u32, u32)>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Lens {
+    Calibrated(Pinhole),
+    FieldOfView { horizontal_rad: f64 },
+}
+
+/// Images whose sides are in another proportion, by more than rounding, are not the declared ones made smaller.
+const MAX_STRETCH: f64 = 0.02;
+
+impl Intrinsics {
+    /// Of a camera as sessions keep it, an encoded `waypost.v1.Camera`.
+    pub(crate) fn of_camera(encoded: &[u8]) -> Option<Self> {
+        // It was checked when the session was opened.
+        let camera = v1::Camera::decode(encoded).ok()?;
+        let lens = match camera.model? {
+            Model::Pinhole(v1::Pinhole { fx_px, fy_px, cx_px, cy_px, distortion }) => {
+                let coefficient = |index: usize| distortion.get(index).copied().unwrap_or(0.0);
+                let radial = [coefficient(0), coefficient(1), coefficient(4)];
+                let distortion = Distortion { radial, tangential: [coefficient(2), coefficient(3)] };
+                Lens::Calibrated(Pinhole { focal_px: [fx_px, fy_px], center_px: [cx_px, cy_px], distortion })
+            }
+            Model::FieldOfView(v1::FieldOfView { horizontal_rad }) => Lens::FieldOfView { horizontal_rad },
+            Model::Fisheye(_) | Model::Panorama(_) | Model::HyperbolicMirror(_) => return None,
+        };
+        let size = (camera.image_width_px, camera.image_height_px);
+        Some(Self { lens, image_size_px: (size != (0, 0)).then_some(size) })
+    }
+
+    /// The camera as it took an image of that width and height, in pixels of it. None if that is no image of the
+    /// declared size made smaller or larger.
+    pub(crate) fn of_image(&self, size_px: (u32, u32)) -> Option<Pinhole> {
+        let declared_px = self.image_size_px.unwrap_or(size_px);
+        let factor = |to: u32, from: u32| f64::from(to) / f64::from(from);
+        let stretch = factor(size_px.0, declared_px.0) / factor(size_px.1, declared_px.1);
+        if (stretch - 1.0).abs() > MAX_STRETCH {
+            return None;
+        }
+        Some(match self.lens {
+            Lens::Calibrated(pinhole) => pinhole.resized(declared_px, size_px),
+            Lens::FieldOfView { horizontal_rad } => Pinhole::of_field_of_view(horizontal_rad, size_px),
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn encoded(model: Model, (image_width_px, image_height_px): (u32, u32)) -> Vec<u8> {
+        v1::Camera { model: Some(model), image_width_px, image_height_px, base_to_camera: None }
+            .encode_to_vec()
+    }
+
+    #[test]
+    fn intrinsics_follow_the_size_of_the_image() {
+        let distortion = vec![0.1, 0.2, 0.3, 0.4, 0.5];
+        let pinhole = v1::Pinhole { fx_px: 500.0, fy_px: 490.0, cx_px: 319.5, cy_px: 239.5, distortion };
+        let intrinsics = Intrinsics::of_camera(&encoded(Model::Pinhole(pinhole), (640, 480))).unwrap();
+        let halved = intrinsics.of_image((320, 240)).unwrap();
+        assert_eq!((halved.focal_px, halved.center_px), ([250.0, 245.0], [159.5, 119.5]));
+        assert_eq!(halved.distortion, Distortion { radial: [0.1, 0.2, 0.5], tangential: [0.3, 0.4] });
+        // Rounded sides are taken, another shape is not.
+        assert!(intrinsics.of_image((213, 160)).is_some());
+        assert_eq!(intrinsics.of_image((640, 360)), None);
+        let view = Model::FieldOfView(v1::FieldOfView { horizontal_rad: std::f64::consts::FRAC_PI_2 });
+        let wide = Intrinsics::of_camera(&encoded(view, (0, 0))).unwrap().of_image((200, 100)).unwrap();
+        assert!((wide.focal_px[0] - 100.0).abs() < 1e-9 && wide.center_px == [99.5, 49.5]);
+        let fisheye =
+            v1::Fisheye { fx_px: 300.0, fy_px: 300.0, cx_px: 160.0, cy_px: 120.0, distortion: vec![] };
+        assert_eq!(Intrinsics::of_camera(&encoded(Model::Fisheye(fisheye), (0, 0))), None);
+    }
 
     fn check(model: CameraModel) -> Result<(), ServiceError> {
         Camera { model: Some(model), ..Camera::default() }.check()

@@ -228,7 +228,7 @@ fn frame_view(row: FrameRow, session: &str, known: &Known<'_>) -> Result<FrameVi
 }
 
 /// JPEG or PNG: nothing else is ever kept.
-fn content_type(image: &[u8]) -> &'static str {
+pub(super) fn content_type(image: &[u8]) -> &'static str {
     if image.starts_with(b"\x89PNG") { "image/png" } else { "image/jpeg" }
 }
 

@@ -13,7 +13,7 @@ pub(super) use requests::{
     SessionOpening, StreamOpening, WriterGone,
 };
 pub(crate) use requests::{QueryAnswer, SessionMode, WordPlace};
-pub(super) use views::{compare, stored_features, verifier};
+pub(super) use views::{SeenFeatures, compare, stored_features, verifier};
 
 use std::cell::RefCell;
 use std::collections::{BTreeSet, HashMap};
@@ -36,6 +36,7 @@ use self::localizers::Localizers;
 use self::recent::{Recent, RecentFrame};
 use self::requests::{FrameReply, MapRequest};
 use self::views::CurrentView;
+use super::camera::Intrinsics;
 use super::maps::reference;
 use super::now_ns;
 use super::sessions::{FrameAnswer, FrameTimings, GeometryView, MatchView, taken_over};
@@ -65,6 +66,8 @@ struct MapWriter {
     metrics: Metrics,
     runtime: Handle,
     sessions: Vec<SessionRow>,
+    /// Of the sessions' cameras, where geometry can use them.
+    intrinsics: HashMap<SessionId, Intrinsics>,
     /// The latest stream of each session, and how to tell it that a later one took over: frames of an
     /// older one are refused.
     streams: HashMap<SessionId, (u64, CancellationToken)>,
@@ -75,7 +78,7 @@ struct MapWriter {
     /// What earlier frames showed, as far as it was asked for lately.
     recent: RefCell<Recent<RecentFrame>>,
     /// Where their words are; `None` if that is not kept.
-    recent_features: RefCell<Recent<Option<Arc<FeatureRecord>>>>,
+    recent_features: RefCell<Recent<Option<SeenFeatures>>>,
     verifier: Verifier,
     /// Places that changed since the checkpoint.
     changed: BTreeSet<PlaceId>,
@@ -202,7 +205,9 @@ impl MapWriter {
         clock: &mut StageClock<'_>,
     ) -> Result<LogEntry, ServiceError> {
         let archive = Archive { writer: self };
-        let views = CurrentView { writer: self, current: features.as_deref() };
+        let intrinsics = self.intrinsics.get(&input.session);
+        let features = features.map(|features| SeenFeatures::new(features, intrinsics));
+        let views = CurrentView { writer: self, current: features.clone() };
         let event = self.mapper.decide(input, &archive, &views, clock)?.event;
         let (position, touched) = (event.frame, event.decision.place.filter(|_| event.learnt));
         let event = MapEvent::Frame(Box::new(event));
@@ -317,7 +322,9 @@ impl MapWriter {
                 }
                 Ok(opened)
             }
-            SessionMode::Localize => self.open_localizer(name, stream),
+            SessionMode::Localize => {
+                self.open_localizer(name, camera.as_deref().and_then(Intrinsics::of_camera), stream)
+            }
         }
     }
 
@@ -339,6 +346,7 @@ impl MapWriter {
         let number = session.number;
         self.mapper.apply(&MapEvent::SessionOpened { session: number }).map_err(ServiceError::internal)?;
         self.sessions.push(session);
+        self.intrinsics.extend(camera.and_then(Intrinsics::of_camera).map(|known| (number, known)));
         Ok(OpenedSession { source: FrameSource::Session(number), name, last_committed: None })
     }
 

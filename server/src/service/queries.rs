@@ -10,7 +10,6 @@ use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, MapEvent, Reason};
 use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameError, FrameInput, Gate, Gates, Mapper};
 use topomap::verification::{Bound, Check, Quantity, TwoView, Verdict, Views};
-use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::verification::Verifier;
 
 use super::Service;
@@ -18,7 +17,7 @@ use super::content::{Content, Words};
 use super::frames::LocatedFrame;
 use super::map_settings::{self, Keep};
 pub(crate) use super::map_writer::QueryAnswer;
-use super::map_writer::{compare, stored_features, verifier};
+use super::map_writer::{SeenFeatures, compare, stored_features, verifier};
 use super::names::map_in;
 use crate::error::ServiceError;
 use crate::extraction::LoadedModel;
@@ -40,6 +39,8 @@ pub(crate) struct FrameExplanation {
     pub(crate) place: Option<Explanation>,
     /// Whether the replay came to the logged posteriors to the bit.
     pub(crate) reproduced: bool,
+    /// Where REST has the frame beside the place; none if the map had no place yet.
+    pub(crate) picture: Option<String>,
 }
 
 /// A condition for a loop closure.
@@ -158,6 +159,7 @@ impl Replay {
         gates
             .extend(candidate.map(|candidate| verdict_views(&mapper.verdict(candidate))).unwrap_or_default());
         Ok(FrameExplanation {
+            picture: explained.map(|place| format!("/v1/{name}/picture?place={place}")),
             name,
             reason: event.decision.reason,
             gates,
@@ -202,7 +204,7 @@ impl FrameArchive for Replay {
 /// The frame that is decided again, beside those before it.
 struct ReplayedView<'a> {
     replay: &'a Replay,
-    current: Option<FeatureRecord>,
+    current: Option<SeenFeatures>,
     verifier: Verifier,
 }
 
@@ -217,12 +219,12 @@ impl Views for ReplayedView<'_> {
     fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
         let Some(current) = &self.current else { return Ok(None) };
         let earlier = self.replay.features(earlier)?;
-        Ok(earlier.map(|earlier| compare(&self.verifier, &earlier, current)))
+        Ok(earlier.map(|earlier| compare(&self.verifier, &earlier, current).view))
     }
 }
 
 impl Replay {
-    fn features(&self, frame: FrameId) -> Result<Option<FeatureRecord>, ArchiveError> {
+    fn features(&self, frame: FrameId) -> Result<Option<SeenFeatures>, ArchiveError> {
         stored_features(&self.runtime, &self.storage, self.map.id, frame)
     }
 }
@@ -270,15 +272,15 @@ fn gate_views(gates: &Gates) -> Vec<GateView> {
     ]
 }
 
-fn verdict_views(verdict: &Verdict) -> Vec<GateView> {
+pub(super) fn verdict_views(verdict: &Verdict) -> Vec<GateView> {
     let view = |check: &Check, by: &str, more: &str| {
         let Check { quantity, value, bound } = *check;
         let (required, asked) = match bound {
             Bound::AtLeast(least) => (least, "at least"),
             Bound::AtMost(most) => (most, "at most"),
         };
-        let description =
-            format!("{by}: the {quantity} is {value:.3}; {asked} {required:.3} is asked for{more}");
+        let [found, wanted] = [value, required].map(|value| digits(quantity, value));
+        let description = format!("{by}: {quantity} {found}, {asked} {wanted} asked for{more}");
         let gate = Gate { passed: check.passed(), value, required };
         GateView { name: gate_name(quantity), gate, description }
     };
@@ -288,6 +290,17 @@ fn verdict_views(verdict: &Verdict) -> Vec<GateView> {
     }
     let all = all.iter().map(|check| view(check, "geometry", ""));
     all.chain(one.iter().map(|check| view(check, "geometry", ", of this or the other"))).collect()
+}
+
+/// As many digits as tell something.
+fn digits(quantity: Quantity, value: f64) -> String {
+    match quantity {
+        Quantity::Inliers | Quantity::Evidence => format!("{value:.0}"),
+        Quantity::Posterior => probability(value),
+        Quantity::RotationRad => format!("{value:.3} rad"),
+        Quantity::LnScale => format!("ln {value:.3}"),
+        Quantity::TranslationWidths => format!("{value:.3} widths"),
+    }
 }
 
 fn gate_name(quantity: Quantity) -> &'static str {
@@ -302,6 +315,6 @@ fn gate_name(quantity: Quantity) -> &'static str {
 }
 
 /// Digits where they tell: near 0 and near 1.
-fn probability(value: f64) -> String {
+pub(super) fn probability(value: f64) -> String {
     if value < 1e-3 { format!("{value:.1e}") } else { format!("{value:.9}") }
 }

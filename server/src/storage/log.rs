@@ -1,6 +1,7 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
+use fabmap::appearance::PlaceId;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, Sqlite, Transaction};
 use topomap::event::{FrameId, MapEvent, Reason, SessionId};
@@ -115,6 +116,26 @@ impl Storage {
         row.map(|row| event(&row, vocabulary_len)).transpose()
     }
 
+    /// The latest frames of a place that came in before `before`, latest first.
+    pub(crate) async fn frames_of_place(
+        &self,
+        map: MapId,
+        place: PlaceId,
+        before: FrameId,
+        limit: u32,
+    ) -> Result<Vec<FrameId>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT position FROM log WHERE map_id = ? AND place = ? AND position < ? ORDER BY position DESC LIMIT ?",
+        )
+        .bind(map)
+        .bind(place)
+        .bind(to_sql(before))
+        .bind(limit)
+        .fetch_all(&self.readers)
+        .await?;
+        rows.iter().map(|row| from_sql(row.try_get("position")?)).collect()
+    }
+
     /// Which session and sequence number the frames at these positions have, in the same order;
     /// positions that are not frames are left out.
     pub(crate) async fn frames_at(
@@ -214,7 +235,8 @@ pub(super) async fn insert_event(
     Ok(())
 }
 
-fn reason_name(reason: Reason) -> &'static str {
+/// A reason as the log, the metrics and people have it.
+pub(crate) fn reason_name(reason: Reason) -> &'static str {
     match reason {
         Reason::NewPlace => "new_place",
         Reason::SamePlace => "same_place",

@@ -145,6 +145,15 @@ impl Storage {
             .collect()
     }
 
+    /// The cameras that sessions declared, each an encoded `waypost.v1.Camera`.
+    pub(crate) async fn cameras(&self, map: MapId) -> Result<Vec<(SessionId, Vec<u8>)>, StorageError> {
+        let rows = sqlx::query("SELECT number, camera FROM sessions WHERE map_id = ? AND camera IS NOT NULL")
+            .bind(map)
+            .fetch_all(&self.readers)
+            .await?;
+        rows.iter().map(|row| Ok((row.try_get("number")?, row.try_get("camera")?))).collect()
+    }
+
     /// Adds a session and its event at `position` of the map's log, in one transaction.
     pub(crate) async fn open_session(
         &self,

@@ -1,3 +1,4 @@
+use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, Sqlite, Transaction};
 use topomap::event::FrameId;
 
@@ -38,6 +39,15 @@ impl MediumKind {
     }
 }
 
+/// Where a frame's features are, as it is kept.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct StoredFeatures {
+    /// A [`waypost_vision::feature_record::FeatureRecord`].
+    pub(crate) features: Vec<u8>,
+    /// The `waypost.v1.Camera` of the frame's session, encoded, if it declared one.
+    pub(crate) camera: Option<Vec<u8>>,
+}
+
 /// What a map takes on the disk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct MapBytes {
@@ -75,6 +85,28 @@ impl Storage {
                 .fetch_optional(&self.readers)
                 .await?;
         Ok(row.map(|row| row.try_get("content")).transpose()?)
+    }
+
+    /// Where a frame's features are, if that is kept, with the camera that its session declared.
+    pub(crate) async fn features(
+        &self,
+        map: MapId,
+        frame: FrameId,
+    ) -> Result<Option<StoredFeatures>, StorageError> {
+        let row = sqlx::query(
+            "SELECT m.content, s.camera FROM frame_media AS m \
+             JOIN log AS l ON l.map_id = m.map_id AND l.position = m.position \
+             JOIN sessions AS s ON s.map_id = l.map_id AND s.number = l.session \
+             WHERE m.map_id = ? AND m.position = ? AND m.kind = 'features'",
+        )
+        .bind(map)
+        .bind(to_sql(frame))
+        .fetch_optional(&self.readers)
+        .await?;
+        let stored = |row: SqliteRow| {
+            Ok(StoredFeatures { features: row.try_get("content")?, camera: row.try_get("camera")? })
+        };
+        row.map(stored).transpose()
     }
 
     /// Adds up what a map takes. SQLite knows the length of a blob without reading it.

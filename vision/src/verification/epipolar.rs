@@ -6,6 +6,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use topomap::verification::Motion;
 
+use super::rigid_motion::RigidMotion;
 use super::{Correspondence, weight};
 
 /// How far a match may lie from its line, in image widths: two pixels of 640.
@@ -37,17 +38,23 @@ pub(super) fn fundamental(
     Some((Motion::Fundamental(rows), inliers))
 }
 
-/// Rotation and direction of the essential matrix nearest to the matrix that most matches agree with; coordinates
-/// are those of rays, divided by their depth. It is not fitted within its own five degrees of freedom, so that with
-/// keypoints half a pixel off fewer matches agree with it than with a fundamental matrix: at worst a third of the
-/// right ones.
+/// Rotation and direction that most matches, by weight, agree with; coordinates are those of rays, divided by their
+/// depth. It begins at the essential matrix nearest to the matrix that most matches agree with, which with keypoints
+/// half a pixel off loses up to two thirds of them, and is then fitted within its own five degrees of freedom.
 pub(super) fn essential(
     pairs: &[Correspondence],
     tolerance: f64,
     random: &mut ChaCha8Rng,
 ) -> Option<(Motion, Vec<Correspondence>)> {
-    let (matrix, inliers) = estimate(pairs, tolerance, essential_part, random)?;
+    let (matrix, mut inliers) = estimate(pairs, tolerance, essential_part, random)?;
     let (rotation, direction) = decompose(&matrix, &inliers)?;
+    let mut motion = RigidMotion { rotation, direction };
+    let refined = motion.refined(pairs, tolerance);
+    let agreeing = agreeing(&refined.essential_matrix(), pairs, tolerance);
+    if total(&agreeing) >= total(&inliers) {
+        (motion, inliers) = (refined, agreeing);
+    }
+    let RigidMotion { rotation, direction } = motion;
     Some((Motion::Essential { rotation, direction }, inliers))
 }
 
@@ -57,10 +64,7 @@ fn estimate(
     constraint: Constraint,
     random: &mut ChaCha8Rng,
 ) -> Option<(Matrix3<f64>, Vec<Correspondence>)> {
-    let inliers_of = |matrix: &Matrix3<f64>| -> Vec<Correspondence> {
-        pairs.iter().filter(|pair| sampson_squared(matrix, pair) <= tolerance * tolerance).copied().collect()
-    };
-    let total = |inliers: &[Correspondence]| inliers.iter().map(weight).sum::<u32>();
+    let inliers_of = |matrix: &Matrix3<f64>| agreeing(matrix, pairs, tolerance);
     let sampled = most_agreed(pairs, tolerance, random)?;
     let mut best = constraint(sampled).map(|matrix| (matrix, inliers_of(&matrix)));
     // Seven matches give an essential matrix only as exactly as they were seen; its part is taken of all inliers.
@@ -80,17 +84,27 @@ fn estimate(
     best
 }
 
+fn agreeing(matrix: &Matrix3<f64>, pairs: &[Correspondence], tolerance: f64) -> Vec<Correspondence> {
+    pairs.iter().filter(|pair| sampson(matrix, pair).powi(2) <= tolerance * tolerance).copied().collect()
+}
+
+fn total(inliers: &[Correspondence]) -> u32 {
+    inliers.iter().map(weight).sum()
+}
+
 fn most_agreed(pairs: &[Correspondence], tolerance: f64, random: &mut ChaCha8Rng) -> Option<Matrix3<f64>> {
     if pairs.len() <= SAMPLE {
         return None;
     }
     let mut best: Option<(u32, Matrix3<f64>)> = None;
     let (mut drawn, mut draws) = (0, MAX_DRAWS);
+    // Seven matches of a view that has not moved at all leave open where it went; straight on explains them.
+    let mut matrices: Vec<Matrix3<f64>> = [0, 1, 2].map(|axis| Vector3::ith(axis, 1.0).cross_matrix()).into();
     while drawn < draws {
         drawn += 1;
-        for matrix in seven_point(sample(pairs, random)) {
+        for matrix in matrices.drain(..) {
             let agreeing =
-                pairs.iter().filter(|pair| sampson_squared(&matrix, pair) <= tolerance * tolerance);
+                pairs.iter().filter(|pair| sampson(&matrix, pair).powi(2) <= tolerance * tolerance);
             let (count, total) =
                 agreeing.fold((0, 0), |(count, total), pair| (count + 1, total + weight(pair)));
             if best.is_none_or(|(most, _)| total > most) {
@@ -98,6 +112,7 @@ fn most_agreed(pairs: &[Correspondence], tolerance: f64, random: &mut ChaCha8Rng
                 draws = draws_needed(f64::from(count) / pairs.len() as f64).min(MAX_DRAWS);
             }
         }
+        matrices = seven_point(sample(pairs, random));
     }
     best.map(|(_, matrix)| matrix)
 }
@@ -120,11 +135,11 @@ fn sample<'a>(pairs: &'a [Correspondence], random: &mut ChaCha8Rng) -> [&'a Corr
     chosen.map(|index| &pairs[index])
 }
 
-/// First-order squared distance of a match from the pairs that obey x'ᵀ F x = 0. Eq. (11.9).
-fn sampson_squared(matrix: &Matrix3<f64>, pair: &Correspondence) -> f64 {
+/// First-order distance of a match, with a sign, from the pairs that obey x'ᵀ F x = 0. Eq. (11.9).
+pub(super) fn sampson(matrix: &Matrix3<f64>, pair: &Correspondence) -> f64 {
     let (x, y) = (homogeneous(pair.earlier), homogeneous(pair.current));
     let (line, back) = (matrix * x, matrix.tr_mul(&y));
-    y.dot(&line).powi(2) / (line.xy().norm_squared() + back.xy().norm_squared()).max(f64::MIN_POSITIVE)
+    y.dot(&line) / (line.xy().norm_squared() + back.xy().norm_squared()).max(f64::MIN_POSITIVE).sqrt()
 }
 
 fn homogeneous(point: Complex<f64>) -> Vector3<f64> {
@@ -272,7 +287,11 @@ fn decompose(
         let rotation = rotation * rotation.determinant().signum();
         for direction in [translation, -translation] {
             let before = inliers.iter().filter(|pair| is_before_both(&rotation, &direction, pair)).count();
-            if best.is_none_or(|(most, ..)| before > most) {
+            // Where no point says anything, because none has moved: the least turn, which has the greatest trace.
+            let is_better = |&(most, other, _): &(usize, Matrix3<f64>, Vector3<f64>)| {
+                before > most || (before == most && rotation.trace() > other.trace())
+            };
+            if best.as_ref().is_none_or(is_better) {
                 best = Some((before, rotation, direction));
             }
         }

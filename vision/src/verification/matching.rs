@@ -10,11 +10,13 @@ use crate::feature_record::FeatureRecord;
 
 /// Features of two views that look alike, by their indices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Match {
-    pub(super) earlier: usize,
-    pub(super) current: usize,
+pub struct Match {
+    /// Index of the feature in the earlier view.
+    pub earlier: usize,
+    /// Index of the feature in the current view.
+    pub current: usize,
     /// Looks like nothing else in either view.
-    pub(super) distinct: bool,
+    pub distinct: bool,
 }
 
 /// Distance to the nearest feature, as a share of that to the second nearest, up to which a match is distinct. Lowe

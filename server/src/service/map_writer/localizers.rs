@@ -1,7 +1,7 @@
 //! Robots that only look: kept in memory, never in the log.
 
 use std::collections::{HashMap, VecDeque};
-use std::sync::Weak;
+use std::sync::{Arc, Weak};
 use std::time::Instant;
 
 use tokio::sync::OwnedSemaphorePermit;
@@ -10,9 +10,10 @@ use topomap::mapper::{FrameInput, Localizer};
 use waypost_vision::feature_record::FeatureRecord;
 
 use super::requests::{FrameFailure, FrameRequest, FrameSource, FrameWork, OpenedSession, StreamOpening};
-use super::views::CurrentView;
+use super::views::{CurrentView, SeenFeatures};
 use super::{Archive, MapWriter, StageClock, not_stored};
 use crate::error::ServiceError;
+use crate::service::camera::Intrinsics;
 use crate::service::sessions::{FrameAnswer, FrameTimings, taken_over};
 
 /// Answers that are kept of each, for frames that are sent again.
@@ -39,6 +40,8 @@ struct Localizing {
     name: String,
     /// Of the robot, as it said; empty if it did not.
     run: String,
+    /// Of its camera, where geometry can use it.
+    intrinsics: Option<Intrinsics>,
     localizer: Localizer,
     /// The latest ones, oldest first.
     answers: VecDeque<FrameAnswer>,
@@ -92,6 +95,7 @@ impl MapWriter {
     pub(super) fn open_localizer(
         &mut self,
         name: String,
+        intrinsics: Option<Intrinsics>,
         opening: StreamOpening,
     ) -> Result<OpenedSession, ServiceError> {
         let StreamOpening { run, stream, taken_over, room } = opening;
@@ -111,6 +115,7 @@ impl MapWriter {
                     (localizing.stream, localizing.taken_over, localizing.room) = (stream, taken_over, room);
                     if !run.is_empty() && localizing.run != run {
                         (localizing.localizer, localizing.run) = (Localizer::new(), run);
+                        localizing.intrinsics = intrinsics;
                         localizing.answers.clear();
                     }
                 }
@@ -120,8 +125,17 @@ impl MapWriter {
             None => {
                 let (localizer, answers) = (Localizer::new(), VecDeque::new());
                 let name = name.clone();
-                let localizing =
-                    Localizing { name, run, localizer, answers, stream, taken_over, room, last_heard };
+                let localizing = Localizing {
+                    name,
+                    run,
+                    intrinsics,
+                    localizer,
+                    answers,
+                    stream,
+                    taken_over,
+                    room,
+                    last_heard,
+                };
                 (self.localizers.add(localizing)?, None)
             }
         };
@@ -157,9 +171,8 @@ impl MapWriter {
         let FrameWork::Fresh { input, features, media: _, mut timings } = work else {
             return Err(not_stored());
         };
-        let answer = self
-            .localize_fresh(id, *input, features.as_deref(), &mut timings)
-            .map_err(FrameFailure::Refused)?;
+        let answer =
+            self.localize_fresh(id, *input, features, &mut timings).map_err(FrameFailure::Refused)?;
         timings.total = since.elapsed();
         timings.commit = timings.total.saturating_sub(timings.work());
         Ok(FrameAnswer { timings: Some(timings), ..answer })
@@ -169,13 +182,15 @@ impl MapWriter {
         &mut self,
         id: LocalizerId,
         input: FrameInput,
-        features: Option<&FeatureRecord>,
+        features: Option<Arc<FeatureRecord>>,
         timings: &mut FrameTimings,
     ) -> Result<FrameAnswer, ServiceError> {
         let gone = || ServiceError::internal("a localizer went away under its frame");
-        let localizer = &self.localizers.localizers.get(&id).ok_or_else(gone)?.localizer;
+        let Localizing { localizer, intrinsics, .. } =
+            self.localizers.localizers.get(&id).ok_or_else(gone)?;
+        let current = features.map(|features| SeenFeatures::new(features, intrinsics.as_ref()));
         let mut clock = StageClock { last: Instant::now(), timings };
-        let (archive, views) = (Archive { writer: self }, CurrentView { writer: self, current: features });
+        let (archive, views) = (Archive { writer: self }, CurrentView { writer: self, current });
         let event = self.mapper.localize(localizer, input, &archive, &views, &mut clock)?.event;
         let answer = self.answer(&event, None)?;
         self.localizers.heard += 1;

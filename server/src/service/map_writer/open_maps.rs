@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 
 use tokio::runtime::Handle;
 use tokio::sync::{Mutex as AsyncMutex, mpsc};
-use topomap::event::MapEvent;
+use topomap::event::{MapEvent, SessionId};
 use topomap::mapper::Mapper;
 use tracing::Span;
 
@@ -19,6 +19,7 @@ use super::{MOST_RECENT, MOST_RECENT_FEATURES, MapWriter};
 use crate::error::ServiceError;
 use crate::extraction::LoadedModel;
 use crate::metrics::Metrics;
+use crate::service::camera::Intrinsics;
 use crate::service::{Service, map_settings};
 use crate::storage::{Checkpoint, LogEntry, MapRow, Storage, StorageError};
 
@@ -180,6 +181,9 @@ fn open(
     let words = model.model.vocabulary().len();
     runtime.block_on(storage.replay(map.id, checkpoint_events..u64::MAX, words, &mut fold))?;
     let sessions = runtime.block_on(storage.sessions(map.id))?;
+    let cameras = runtime.block_on(storage.cameras(map.id))?;
+    let known = |(session, camera): (SessionId, Vec<u8>)| Some((session, Intrinsics::of_camera(&camera)?));
+    let intrinsics = cameras.into_iter().filter_map(known).collect();
     let events = mapper.map().events();
     tracing::info!(map = map.name, events, replayed = events - checkpoint_events, "map opened");
     let (sender, receiver) = mpsc::channel(QUEUE);
@@ -197,6 +201,7 @@ fn open(
         metrics,
         runtime,
         sessions,
+        intrinsics,
         streams,
         localizers,
         pending,

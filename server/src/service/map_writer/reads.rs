@@ -1,11 +1,13 @@
 //! What is asked of a map without changing it.
 
+use std::sync::Arc;
+
 use fabmap::appearance::PlaceId;
 use fabmap::observation::Observation;
 use waypost_vision::feature_record::FeatureRecord;
 
 use super::requests::{PlaceSummary, QueryAnswer, Read, WordPlace};
-use super::views::CurrentView;
+use super::views::{CurrentView, SeenFeatures};
 use super::{Archive, MapWriter};
 use crate::error::ServiceError;
 use crate::service::sessions::ANSWERED_PLACES;
@@ -20,7 +22,7 @@ impl MapWriter {
         match read {
             Read::Localize(localizer, request) => self.localize(localizer, request),
             Read::Query { observation, features, explained_words, reply } => {
-                let _ = reply.send(self.query(&observation, features.as_deref(), explained_words));
+                let _ = reply.send(self.query(&observation, features, explained_words));
             }
             Read::StateHash { reply } => {
                 let _ = reply.send(self.mapper.state_hash().to_string());
@@ -40,10 +42,12 @@ impl MapWriter {
     fn query(
         &self,
         observation: &Observation,
-        features: Option<&FeatureRecord>,
+        features: Option<Arc<FeatureRecord>>,
         explained_words: usize,
     ) -> Result<QueryAnswer, ServiceError> {
-        let (archive, views) = (Archive { writer: self }, CurrentView { writer: self, current: features });
+        // No session, no camera.
+        let current = features.map(|features| SeenFeatures::new(features, None));
+        let (archive, views) = (Archive { writer: self }, CurrentView { writer: self, current });
         let queried = self.mapper.query(observation, &archive, &views, &mut ())?;
         let recognition = &queried.recognition;
         let best = recognition.posterior.best_place().filter(|_| explained_words > 0);

@@ -7,10 +7,11 @@ use topomap::event::FrameId;
 use topomap::mapper::ArchiveError;
 use topomap::verification::{TwoView, Views};
 use waypost_vision::feature_record::FeatureRecord;
-use waypost_vision::verification::{Verifier, View};
+use waypost_vision::verification::{Comparison, Pinhole, Verifier, View};
 
 use super::MapWriter;
-use crate::storage::{MapId, MediumKind, Storage, StorageError};
+use crate::service::camera::Intrinsics;
+use crate::storage::{MapId, Storage, StorageError, StoredFeatures};
 
 /// Two views always give the same answer, on whichever server.
 const SEED: u64 = 0;
@@ -20,33 +21,50 @@ pub(crate) fn verifier(settings: &topomap::mapper::MapperSettings) -> Verifier {
     Verifier::new(settings.verification, SEED)
 }
 
+/// Where a frame's features are, and how its camera saw them as far as the session declared it.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct SeenFeatures {
+    pub(crate) features: Arc<FeatureRecord>,
+    pub(crate) camera: Option<Pinhole>,
+}
+
+impl SeenFeatures {
+    pub(super) fn new(features: Arc<FeatureRecord>, intrinsics: Option<&Intrinsics>) -> Self {
+        let camera = intrinsics.and_then(|intrinsics| intrinsics.of_image(features.image_size_px()));
+        Self { features, camera }
+    }
+
+    fn view(&self) -> View<'_> {
+        View { features: &self.features, camera: self.camera }
+    }
+}
+
 /// The frame that is being decided, beside those of the map.
 pub(super) struct CurrentView<'a> {
     pub(super) writer: &'a MapWriter,
     /// None if nothing is known of where the frame's words are.
-    pub(super) current: Option<&'a FeatureRecord>,
+    pub(super) current: Option<SeenFeatures>,
 }
 
 impl Views for CurrentView<'_> {
     fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
-        let Some(current) = self.current else { return Ok(None) };
+        let Some(current) = &self.current else { return Ok(None) };
         let earlier = self.writer.features(earlier)?;
-        Ok(earlier.map(|earlier| compare(&self.writer.verifier, &earlier, current)))
+        Ok(earlier.map(|earlier| compare(&self.writer.verifier, &earlier, current).view))
     }
 }
 
-pub(crate) fn compare(verifier: &Verifier, earlier: &FeatureRecord, current: &FeatureRecord) -> TwoView {
-    let view = |features| View { features, camera: None };
-    verifier.compare(view(earlier), view(current))
+pub(crate) fn compare(verifier: &Verifier, earlier: &SeenFeatures, current: &SeenFeatures) -> Comparison {
+    verifier.compare_with_matches(earlier.view(), current.view())
 }
 
 impl MapWriter {
     /// What the map keeps of where a frame's words are.
-    fn features(&self, frame: FrameId) -> Result<Option<Arc<FeatureRecord>>, ArchiveError> {
+    fn features(&self, frame: FrameId) -> Result<Option<SeenFeatures>, ArchiveError> {
         if let Some(features) = self.recent_features.borrow().get(frame) {
             return Ok(features.clone());
         }
-        let features = stored_features(&self.runtime, &self.storage, self.map.id, frame)?.map(Arc::new);
+        let features = stored_features(&self.runtime, &self.storage, self.map.id, frame)?;
         self.recent_features.borrow_mut().keep(frame, features.clone());
         Ok(features)
     }
@@ -58,12 +76,15 @@ pub(crate) fn stored_features(
     storage: &Storage,
     map: MapId,
     frame: FrameId,
-) -> Result<Option<FeatureRecord>, ArchiveError> {
+) -> Result<Option<SeenFeatures>, ArchiveError> {
     let unreadable = |error: StorageError| ArchiveError { frame, why: error.to_string() };
-    let bytes = runtime.block_on(storage.medium(map, frame, MediumKind::Features)).map_err(unreadable)?;
-    let Some(bytes) = bytes else { return Ok(None) };
-    match FeatureRecord::from_bytes(&bytes) {
-        Ok(features) => Ok(Some(features)),
+    let stored = runtime.block_on(storage.features(map, frame)).map_err(unreadable)?;
+    let Some(StoredFeatures { features, camera }) = stored else { return Ok(None) };
+    match FeatureRecord::from_bytes(&features) {
+        Ok(features) => {
+            let intrinsics = camera.as_deref().and_then(Intrinsics::of_camera);
+            Ok(Some(SeenFeatures::new(Arc::new(features), intrinsics.as_ref())))
+        }
         Err(error) => {
             tracing::error!(map, frame, %error, "a frame's features cannot be read; it is no longer compared");
             Ok(None)

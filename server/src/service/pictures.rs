@@ -1,0 +1,219 @@
+//! A frame beside an earlier one: what they have in common, for people to see.
+
+mod drawing;
+
+use std::sync::Arc;
+
+use fabmap::appearance::PlaceId;
+use fabmap::observation::{Observation, WordId};
+use tokio::runtime::Handle;
+use topomap::event::{FrameEvent, FrameId, MapEvent, Match};
+use topomap::mapper::{ArchiveError, FrameError, MapperSettings};
+use topomap::verification::VerificationMethod;
+use waypost_vision::feature_record::FeatureRecord;
+use waypost_vision::features::Keypoint;
+
+use self::drawing::{Mark, Panel, Picture, StillImage};
+use super::Service;
+use super::frames::{LocatedFrame, content_type};
+use super::map_settings;
+use super::map_writer::{SeenFeatures, compare, stored_features, verifier};
+use super::maps::reference;
+use super::names::frame_name;
+use super::queries::{GateView, probability, verdict_views};
+use crate::error::ServiceError;
+use crate::storage::{MapRow, MediumKind, reason_name};
+
+/// Frames of a place that the most alike is chosen from, the latest.
+const MAX_FRAMES_OF_PLACE: u32 = 100;
+
+/// A picture that stands for itself: it refers to nothing outside.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct FramePicture {
+    pub(crate) content_type: &'static str,
+    pub(crate) picture: Vec<u8>,
+}
+
+/// A frame with all that is kept of it.
+struct ShownFrame {
+    name: String,
+    position: FrameId,
+    event: FrameEvent,
+    image: Option<StillImage>,
+}
+
+impl Service {
+    /// A frame beside an earlier one of `place`: the one that it was compared with, or that has most words in
+    /// common. Left out, the place is the one that was, or could have been, matched.
+    pub(crate) async fn frame_picture(
+        self: &Arc<Self>,
+        name: &str,
+        place: Option<PlaceId>,
+    ) -> Result<FramePicture, ServiceError> {
+        let LocatedFrame { map, position } = self.locate(name).await?;
+        let current = self.shown_frame(&map, position).await?;
+        let (place, earlier) = self.counterpart(&map, &current, place).await?;
+        let earlier = self.shown_frame(&map, earlier).await?;
+        let settings = map_settings::from_json(&map.settings)?.mapper;
+        let (storage, runtime) = (self.storage.clone(), Handle::current());
+        let drawing = tokio::task::spawn_blocking(move || {
+            let features = |frame: &ShownFrame| stored_features(&runtime, &storage, map.id, frame.position);
+            let seen = [features(&current)?, features(&earlier)?];
+            Ok::<_, ArchiveError>(side_by_side([current, earlier], &seen, place, &settings).to_svg())
+        });
+        let svg = drawing.await.map_err(ServiceError::internal)?.map_err(FrameError::from)?;
+        Ok(FramePicture { content_type: "image/svg+xml", picture: svg.into_bytes() })
+    }
+
+    async fn shown_frame(&self, map: &MapRow, position: FrameId) -> Result<ShownFrame, ServiceError> {
+        let event = self.frame_event(map, position).await?;
+        let stored = self.storage.frames_at(map.id, &[position]).await?;
+        let sessions = self.storage.sessions(map.id).await?;
+        let reference = stored.first().map(|stored| reference(&map.name, &sessions, stored));
+        let reference = reference.ok_or_else(|| deleted(map))?;
+        let mut image = None;
+        for kind in [MediumKind::Image, MediumKind::Thumbnail] {
+            if image.is_none() {
+                let bytes = self.storage.medium(map.id, position, kind).await?;
+                image = bytes.map(|bytes| StillImage { content_type: content_type(&bytes), bytes });
+            }
+        }
+        Ok(ShownFrame { name: frame_name(&reference.session, reference.sequence), position, event, image })
+    }
+
+    async fn frame_event(&self, map: &MapRow, position: FrameId) -> Result<FrameEvent, ServiceError> {
+        let words = self.vocabulary_len(map).await?;
+        match self.storage.event_at(map.id, position, words).await? {
+            Some(MapEvent::Frame(event)) => Ok(*event),
+            Some(MapEvent::SessionOpened { .. }) | None => Err(deleted(map)),
+        }
+    }
+
+    /// The place and the earlier frame of it that a frame is shown beside.
+    async fn counterpart(
+        &self,
+        map: &MapRow,
+        ShownFrame { name, event, .. }: &ShownFrame,
+        place: Option<PlaceId>,
+    ) -> Result<(PlaceId, FrameId), ServiceError> {
+        let decided = event.decision.closure.or(event.proposal);
+        let compared = match place {
+            None => decided,
+            Some(place) => compared(event).find(|matched| matched.place == place),
+        };
+        if let Some(Match { place, frame, .. }) = compared {
+            return Ok((place, frame));
+        }
+        let Some(place) = place.or(event.decision.place) else {
+            return Err(ServiceError::not_found(format_args!(
+                "{name} showed too little to be compared with any place; name one to see it beside that"
+            )));
+        };
+        let mut most_alike: Option<(usize, FrameId)> = None;
+        for frame in self.storage.frames_of_place(map.id, place, event.frame, MAX_FRAMES_OF_PLACE).await? {
+            let seen = self.frame_event(map, frame).await?.observation;
+            let common = shared_words(&seen, &event.observation);
+            if most_alike.is_none_or(|(most, _)| common > most) {
+                most_alike = Some((common, frame));
+            }
+        }
+        most_alike.map(|(_, frame)| (place, frame)).ok_or_else(|| {
+            ServiceError::not_found(format_args!(
+                "no frame of place {place} was there when {name} came in; ask about an earlier place, or a later frame"
+            ))
+        })
+    }
+}
+
+/// A frame and an earlier one of `place`, with what the map's settings make of them.
+fn side_by_side(
+    [current, earlier]: [ShownFrame; 2],
+    seen: &[Option<SeenFeatures>; 2],
+    place: PlaceId,
+    settings: &MapperSettings,
+) -> Picture {
+    let joined = match (settings.verification.method, seen) {
+        (VerificationMethod::Similarity | VerificationMethod::Epipolar, [Some(current), Some(earlier)]) => {
+            compare(&verifier(settings), earlier, current).inliers
+        }
+        (VerificationMethod::None, _) | (_, [None, _] | [_, None]) => Vec::new(),
+    };
+    let (ours, theirs) = (current.event.observation.clone(), earlier.event.observation.clone());
+    Picture {
+        heading: heading(&current.event, place),
+        verdict: verdict(&current.event, place, settings),
+        summary: summary([&ours, &theirs], joined.len()),
+        panels: [current.panel(seen[0].as_ref(), &theirs), earlier.panel(seen[1].as_ref(), &ours)],
+        joined: joined.into_iter().map(|matched| [matched.current, matched.earlier]).collect(),
+    }
+}
+
+/// Matches that were looked at when a frame was decided.
+fn compared(event: &FrameEvent) -> impl Iterator<Item = Match> {
+    let candidates = event.candidates.iter().map(|candidate| candidate.matched);
+    [event.decision.closure, event.proposal].into_iter().flatten().chain(candidates)
+}
+
+impl ShownFrame {
+    /// `other` is what the frame beside it shows.
+    fn panel(self, seen: Option<&SeenFeatures>, other: &Observation) -> Panel {
+        let mark = |(keypoint, &word): (&Keypoint, &WordId)| Mark {
+            x_px: f64::from(keypoint.x_px),
+            y_px: f64::from(keypoint.y_px),
+            word,
+            common: other.contains(word),
+        };
+        let features = seen.map(|seen| &*seen.features);
+        let marks = features
+            .map_or_else(Vec::new, |known| known.keypoints().iter().zip(known.words()).map(mark).collect());
+        let no_image = "no image of it is kept: the robot sent words, or the map keeps words alone";
+        let no_keypoints =
+            "where its words are is not known: the robot sent counts, or the map keeps words alone";
+        let notes = [self.image.is_none().then_some(no_image), features.is_none().then_some(no_keypoints)];
+        Panel {
+            title: self.name,
+            image: self.image,
+            size_px: features.map(FeatureRecord::image_size_px),
+            marks,
+            notes: notes.into_iter().flatten().collect(),
+        }
+    }
+}
+
+fn heading(event: &FrameEvent, place: PlaceId) -> String {
+    let reason = reason_name(event.decision.reason);
+    let of_place = |matched: Match| matched.place == place;
+    let posterior = match compared(event).find(|&matched| of_place(matched)) {
+        Some(matched) => Some(matched.posterior),
+        None if event.decision.place == Some(place) => Some(event.decision.posterior),
+        None => {
+            event.belief.places.iter().find(|(known, _)| *known == place).map(|&(_, posterior)| posterior)
+        }
+    };
+    let posterior = posterior.map_or("small".to_owned(), probability);
+    let new_place = probability(event.new_place_posterior);
+    format!("{reason}: place {place}, posterior {posterior}; somewhere new {new_place}")
+}
+
+fn verdict(event: &FrameEvent, place: PlaceId, settings: &MapperSettings) -> Vec<GateView> {
+    let candidate = event.candidates.iter().find(|candidate| candidate.matched.place == place);
+    let verdict = |candidate| settings.verification.verdict(candidate, settings.closure_threshold);
+    candidate.map(|candidate| verdict_views(&verdict(candidate))).unwrap_or_default()
+}
+
+fn summary([ours, theirs]: [&Observation; 2], joined: usize) -> String {
+    let common = shared_words(ours, theirs);
+    let words = format!("{common} words in common, of {} here and {} there", ours.len(), theirs.len());
+    match joined {
+        0 => words,
+        joined => format!("{words}; {joined} features joined by one motion"),
+    }
+}
+
+fn shared_words(ours: &Observation, theirs: &Observation) -> usize {
+    ours.words().iter().filter(|&&word| theirs.contains(word)).count()
+}
+
+fn deleted(map: &MapRow) -> ServiceError {
+    ServiceError::not_found(format_args!("the map {} was deleted just now", map.name))
+}
