@@ -380,6 +380,8 @@ pub(crate) struct FrameRow {
     pub(crate) closure_posterior: Option<f64>,
     pub(crate) closure_log_odds: Option<f64>,
     pub(crate) closure_inliers: Option<u32>,
+    /// That both show the same place, by words and geometry; null where there was none.
+    pub(crate) closure_probability: Option<f64>,
     pub(crate) closure_session: Option<String>,
     pub(crate) closure_sequence: Option<u64>,
     pub(crate) proposal_place: Option<u32>,
@@ -432,6 +434,9 @@ impl FrameRow {
             closure_posterior: closure.as_ref().map(|closure| closure.posterior),
             closure_log_odds: closure.as_ref().map(|closure| closure.log_odds),
             closure_inliers: closure.as_ref().and_then(|closure| Some(closure.geometry.as_ref()?.inliers)),
+            closure_probability: closure
+                .as_ref()
+                .and_then(|closure| Some(closure.geometry.as_ref()?.probability)),
             closure_session: closure_frame.map(|frame| frame.session.clone()),
             closure_sequence: closure_frame.map(|frame| frame.sequence),
             proposal_place: proposal.as_ref().map(|proposal| proposal.place),

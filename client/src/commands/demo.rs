@@ -62,6 +62,8 @@ struct JudgedClosure {
     query_index: u64,
     match_index: u64,
     posterior: f64,
+    /// By words and geometry together; null where nothing was verified.
+    probability: Option<f64>,
     verdict: Verdict,
 }
 
@@ -150,7 +152,8 @@ fn judged(row: &FrameRow, truth: &Truth) -> Option<JudgedClosure> {
     let query_index = row.sequence.checked_sub(1)?;
     let match_index = row.closure_sequence?.checked_sub(1)?;
     let verdict = truth.verdict(query_index, match_index);
-    Some(JudgedClosure { query_index, match_index, posterior: row.closure_posterior?, verdict })
+    let (posterior, probability) = (row.closure_posterior?, row.closure_probability);
+    Some(JudgedClosure { query_index, match_index, posterior, probability, verdict })
 }
 
 fn true_matches(query_index: u64, truth: &Truth, replay: &Replay) -> String {

@@ -190,7 +190,13 @@ pub(crate) fn closure_line(row: &FrameRow, replay: &Replay, session: &str) -> St
     };
     let place = row.closure_place.unwrap_or_default();
     let posterior = row.closure_posterior.unwrap_or_default();
-    format!("{} closes a loop with {matched}  place {place}  posterior {posterior:.4}", row.image)
+    let how_sure = match (row.closure_probability, row.closure_inliers) {
+        (Some(probability), Some(inliers)) => {
+            format!("probability {probability:.3}, {inliers} features agree")
+        }
+        (_, _) => format!("posterior {posterior:.4}"),
+    };
+    format!("{} closes a loop with {matched}  place {place}  {how_sure}", row.image)
 }
 
 fn conclude(

@@ -156,6 +156,8 @@ fn a_second_pass_is_recognised() {
     for name in ["precision_recall.csv", "precision_recall.svg", "match_matrix.png"] {
         assert!(fs::metadata(world.path("out").join(name)).unwrap().len() > 0, "{name}");
     }
+    let pictures = fs::read_dir(world.path("out/mistakes")).unwrap().count() as u64;
+    assert_eq!(pictures, report["false_positives"].as_u64().unwrap().min(5), "{report}");
     let summary: Value = serde_json::from_slice(&fs::read(world.path("out/summary.json")).unwrap()).unwrap();
     assert_eq!(summary["average_precision"], report["average_precision"]);
     assert_eq!(summary["model_hash"], trained["model_hash"]);

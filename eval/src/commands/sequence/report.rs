@@ -16,6 +16,7 @@ use crate::choices::{
 };
 use crate::dataset::{Sequence, Verdict};
 use crate::error::EvalError;
+use crate::false_pictures::{self, Mistake};
 use crate::match_matrix::MatchMatrix;
 use crate::precision_recall::PrecisionRecall;
 use crate::timing::{FrameTimes, MedianTimes};
@@ -155,6 +156,7 @@ pub(super) fn write_all(
     files::write(&path(RELIABILITY_PLOT), svg.as_bytes())?;
     let png = matrix.to_png(&sequence.truth).map_err(|error| not_drawn(MATRIX, error.to_string()))?;
     files::write(&path(MATRIX), &png)?;
+    false_pictures::write_all(&path(MISTAKES), sequence, &mistakes(frames))?;
     let summary = Summary::new(report, sequence, model, options)?;
     files::write(
         &path(SUMMARY),
@@ -165,7 +167,7 @@ pub(super) fn write_all(
 
     eprint!("{}", report.table(sequence, &system));
     eprintln!(
-        "results                    {} ({FRAMES}, {CURVE}, {CURVE_PLOT}, {RELIABILITY_PLOT}, {MATRIX}, {SUMMARY})",
+        "results                    {} ({FRAMES}, {CURVE}, {CURVE_PLOT}, {RELIABILITY_PLOT}, {MATRIX}, {SUMMARY}, {MISTAKES}/)",
         options.out.display()
     );
     Ok(())
@@ -177,6 +179,34 @@ const CURVE_PLOT: &str = "precision_recall.svg";
 const RELIABILITY_PLOT: &str = "reliability.svg";
 const MATRIX: &str = "match_matrix.png";
 const SUMMARY: &str = "summary.json";
+const MISTAKES: &str = "mistakes";
+
+/// The closures that were accepted and are false, and the false proposals of the highest scores, which are what
+/// stands in the way of more recall.
+fn mistakes(frames: &[JudgedFrame]) -> Vec<Mistake> {
+    let proposal_of = |(index, frame): (usize, &JudgedFrame)| {
+        let proposal = frame.ranked.proposal.filter(|_| frame.proposal_verdict == Some(Verdict::False))?;
+        Some((proposal.score, Mistake { frame: index, held_for: proposal.frame }))
+    };
+    let mut proposals: Vec<(f64, Mistake)> = frames.iter().enumerate().filter_map(proposal_of).collect();
+    proposals.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let closure_of = |(index, frame): (usize, &JudgedFrame)| {
+        let is_false = frame.accepted_closure() == Some(Some(Verdict::False));
+        let closure = frame.ranked.decision?.closure.filter(|_| is_false)?;
+        Some(Mistake { frame: index, held_for: closure.frame })
+    };
+    let mut mistakes: Vec<Mistake> = frames.iter().enumerate().filter_map(closure_of).collect();
+    let best = proposals.into_iter().map(|(_, mistake)| mistake).take(HIGHEST_FALSE_PROPOSALS);
+    for mistake in best {
+        if !mistakes.contains(&mistake) {
+            mistakes.push(mistake);
+        }
+    }
+    mistakes
+}
+
+/// False proposals that are drawn though none was accepted.
+const HIGHEST_FALSE_PROPOSALS: usize = 5;
 
 /// A run with everything that it depended on, so that it can be repeated.
 #[derive(Serialize)]
