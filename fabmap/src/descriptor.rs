@@ -125,6 +125,16 @@ impl Descriptors {
         self.bytes.chunks_exact(self.width)
     }
 
+    /// Writes the distance of `row` to each row into `distances`.
+    ///
+    /// # Panics
+    /// If `row` is of another width, or there are not as many distances as rows.
+    pub fn distances_to(&self, row: &[u8], distances: &mut [u32]) {
+        assert_eq!((row.len(), distances.len()), (self.width, self.len()), "width and number of rows");
+        distances.fill(u32::MAX);
+        crate::vocabulary::lower_distances(self.kind, row, &self.bytes, distances);
+    }
+
     /// All rows as one slice.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8] {

@@ -8,6 +8,8 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use std::ops::{ControlFlow, RangeInclusive};
 
+pub(crate) use seeding::lower_distances;
+
 mod avx2;
 mod binary_rows;
 mod centres;

@@ -140,7 +140,8 @@ fn random_weighted(weights: &[u64], random: &mut impl Rng) -> usize {
     unreachable!("a number below the sum of all weights lies within one of them")
 }
 
-fn lower_distances(kind: DescriptorKind, seed: &[u8], rows: &[u8], distances: &mut [u32]) {
+/// Lowers each row's distance to that from `seed` where that is nearer, with the fastest instructions there are.
+pub(crate) fn lower_distances(kind: DescriptorKind, seed: &[u8], rows: &[u8], distances: &mut [u32]) {
     if !super::avx2::lower(kind, seed, rows, distances) {
         lower(kind, seed, rows, distances);
     }

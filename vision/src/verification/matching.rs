@@ -62,9 +62,10 @@ fn distances(from: &Descriptors, to: &Descriptors) -> DMatrix<u32> {
     match from.kind() {
         DescriptorKind::Float if from.width() <= MAX_EXACT_WIDTH => by_product(from, to),
         DescriptorKind::Float | DescriptorKind::Binary => {
-            DMatrix::from_fn(from.len(), to.len(), |row, column| {
-                from.kind().distance(from.row(row), to.row(column))
-            })
+            let mut distances = DMatrix::zeros(from.len(), to.len());
+            let columns = distances.as_mut_slice().chunks_exact_mut(from.len().max(1));
+            to.rows().zip(columns).for_each(|(row, column)| from.distances_to(row, column));
+            distances
         }
     }
 }
@@ -153,6 +154,16 @@ mod tests {
             for (row, a) in from.rows().enumerate() {
                 for (column, b) in to.rows().enumerate() {
                     prop_assert_eq!(found[(row, column)], DescriptorKind::Float.distance(a, b));
+                }
+            }
+        }
+
+        #[test]
+        fn binary_distances_are_exact(from in set(DescriptorKind::Binary, 32, 9), to in set(DescriptorKind::Binary, 32, 7)) {
+            let found = distances(&from, &to);
+            for (row, a) in from.rows().enumerate() {
+                for (column, b) in to.rows().enumerate() {
+                    prop_assert_eq!(found[(row, column)], DescriptorKind::Binary.distance(a, b));
                 }
             }
         }

@@ -59,7 +59,8 @@ fn most_agreed(pairs: &[Correspondence], random: &mut ChaCha8Rng) -> Option<Plan
         let first = random.random_range(0..pairs.len());
         let second = (first + random.random_range(1..pairs.len())) % pairs.len();
         let Some(motion) = PlaneMotion::of_two(&pairs[first], &pairs[second]) else { continue };
-        let agreeing = pairs.iter().filter(|pair| motion.agrees(pair)).map(weight).sum();
+        let limit = motion.limit();
+        let agreeing = pairs.iter().filter(|pair| motion.agrees(pair, limit)).map(weight).sum();
         if best.is_none_or(|(most, _)| agreeing > most) {
             best = Some((agreeing, motion));
         }
@@ -100,14 +101,20 @@ impl PlaneMotion {
         (motion.factor.is_finite() && motion.factor.norm() > 0.0).then_some(motion)
     }
 
-    /// The distance in both images, by its geometric mean: swapped views agree on it.
-    fn agrees(&self, pair: &Correspondence) -> bool {
+    /// Square of the distance in the current image up to which a pair agrees; that of both images, by its geometric
+    /// mean: swapped views agree on it.
+    fn limit(&self) -> f64 {
+        TOLERANCE_WIDTHS.powi(2) * self.factor.norm()
+    }
+
+    fn agrees(&self, pair: &Correspondence, limit: f64) -> bool {
         let distance = pair.current - self.factor * pair.earlier - self.shift;
-        distance.norm_sqr() <= TOLERANCE_WIDTHS.powi(2) * self.factor.norm()
+        distance.norm_sqr() <= limit
     }
 
     fn inliers(&self, pairs: &[Correspondence]) -> Vec<Correspondence> {
-        pairs.iter().filter(|pair| self.agrees(pair)).copied().collect()
+        let limit = self.limit();
+        pairs.iter().filter(|pair| self.agrees(pair, limit)).copied().collect()
     }
 
     pub(super) fn as_similarity(&self) -> Similarity {
