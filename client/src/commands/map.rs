@@ -107,9 +107,9 @@ pub(crate) struct Creation {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Verification {
-    /// Not at all: the posterior decides alone; the server's default
+    /// Not at all: the posterior decides alone
     None,
-    /// By a motion in the image plane: the camera is back very close
+    /// By a motion in the image plane: the camera is back very close; the server's default
     Similarity,
     /// By epipolar geometry: the camera may have moved sideways
     Epipolar,

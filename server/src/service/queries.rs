@@ -9,7 +9,7 @@ use tokio::runtime::Handle;
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, MapEvent, Reason};
 use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameError, FrameInput, Gate, Gates, Mapper};
-use topomap::verification::{Bound, Check, Quantity, TwoView, Verdict, Views};
+use topomap::verification::{Bound, Candidate, Check, Quantity, TwoView, Verdict, Views};
 use waypost_vision::verification::Verifier;
 
 use super::Service;
@@ -153,9 +153,9 @@ impl Replay {
         }
         let recognition = &decided.recognition;
         let gates = explained.and_then(|place| mapper.gates(&input, recognition, place));
-        let mut gates = gates.map(|gates| gate_views(&gates)).unwrap_or_default();
         // As logged: the decision stands by what was found then.
         let candidate = event.candidates.iter().find(|candidate| Some(candidate.matched.place) == explained);
+        let mut gates = gates.map(|gates| gate_views(&gates, candidate)).unwrap_or_default();
         gates
             .extend(candidate.map(|candidate| verdict_views(&mapper.verdict(candidate))).unwrap_or_default());
         Ok(FrameExplanation {
@@ -237,7 +237,7 @@ fn contested_place(event: &FrameEvent, decided: &Decided) -> Option<PlaceId> {
     closure.or(event.decision.place.filter(existing)).or_else(best)
 }
 
-fn gate_views(gates: &Gates) -> Vec<GateView> {
+fn gate_views(gates: &Gates, candidate: Option<&Candidate>) -> Vec<GateView> {
     let Gates { place, words, known_place, guard, threshold } = *gates;
     let enough = if words.passed { "enough" } else { "too few" };
     let words_text = format!("{} different words are {enough}: {} are needed", words.value, words.required);
@@ -258,8 +258,12 @@ fn gate_views(gates: &Gates) -> Vec<GateView> {
         ),
     };
     let reaches = if threshold.passed { "reaches" } else { "stays below" };
+    let or_evidence = match candidate.and_then(|candidate| candidate.view) {
+        Some(_) if !threshold.passed => "; geometry may close the loop all the same, with evidence enough",
+        Some(_) | None => "",
+    };
     let threshold_text = format!(
-        "the posterior {} {reaches} the map's threshold {}",
+        "the posterior {} {reaches} the map's threshold {}{or_evidence}",
         probability(threshold.value),
         probability(threshold.required)
     );
