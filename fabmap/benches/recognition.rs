@@ -11,7 +11,7 @@ use fabmap::chow_liu::{ChowLiuTree, WordDependence};
 use fabmap::detector::DetectorModel;
 use fabmap::inverted_index::InvertedIndex;
 use fabmap::likelihood::{Dependence, ObservationModel};
-use fabmap::new_place::{NewPlace, NewPlaceMethod};
+use fabmap::new_place::{NewPlace, NewPlaceMethod, SampleWorkspace};
 use fabmap::observation::Observation;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -48,7 +48,7 @@ fn recognition(criterion: &mut Criterion) {
     let model = Arc::new(model(&mut random));
     let mut index = InvertedIndex::new(model.clone());
     for _ in 0..PLACES {
-        index.add(Appearance::of(&observation(&mut random)));
+        index.add(&Appearance::of(&observation(&mut random)));
     }
     let samples: Vec<Observation> = (0..SAMPLES).map(|_| observation(&mut random)).collect();
     let query = observation(&mut random);
@@ -63,14 +63,15 @@ fn recognition(criterion: &mut Criterion) {
     for (name, method) in [("mean", NewPlaceMethod::Sampled), ("tail", NewPlaceMethod::Tail)] {
         if let Ok(new_place) = NewPlace::new(method, &model, &samples) {
             criterion.bench_function(&format!("new place, {name} of 1,000 samples"), |bencher| {
-                bencher.iter(|| new_place.term(black_box(&informative), PLACES));
+                let mut workspace = SampleWorkspace::default();
+                bencher.iter(|| new_place.term(black_box(&informative), PLACES, &mut workspace));
             });
         }
     }
     criterion.bench_function("add a place", |bencher| {
         bencher.iter_batched_ref(
             || index.clone(),
-            |index| index.add(place.clone()),
+            |index| index.add(&place),
             criterion::BatchSize::LargeInput,
         );
     });

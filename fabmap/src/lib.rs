@@ -17,6 +17,7 @@ pub mod new_place;
 pub mod observation;
 pub mod place_filter;
 pub mod recognizer;
+mod slices;
 pub mod tf_idf;
 pub mod vocabulary;
 

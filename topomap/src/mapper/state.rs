@@ -22,7 +22,7 @@ impl Mapper {
             MapEvent::Frame(event) => {
                 match event.decision.place {
                     Some(place) if place as usize == self.recognizer.places() => {
-                        self.recognizer.add_place(Appearance::of(&event.observation));
+                        self.recognizer.add_place(&Appearance::of(&event.observation));
                     }
                     Some(place) if event.learnt => self.recognizer.observe_place(place, &event.observation),
                     Some(_) | None => {}
@@ -75,7 +75,7 @@ impl Mapper {
     #[must_use]
     pub fn encode_place(&self, place: PlaceId) -> Option<Vec<u8>> {
         let appearance = self.recognizer.index().appearance(place)?;
-        Some(encode_place(self.map.places().get(place as usize)?, appearance))
+        Some(encode_place(self.map.places().get(place as usize)?, &appearance))
     }
 
     /// Opens a map from a checkpoint: the byte forms of all places in order, and of the graph.
@@ -93,7 +93,7 @@ impl Mapper {
         for bytes in places {
             let (place, appearance) = decode_place(bytes, mapper.vocabulary_len)?;
             restored.push(place);
-            mapper.recognizer.add_place(appearance);
+            mapper.recognizer.add_place(&appearance);
         }
         mapper.map = Map::decode_graph(graph, restored)?;
         Ok(mapper)
