@@ -62,8 +62,8 @@ impl InvertedIndex {
         weights: &mut QueryWeights,
         scores: &mut Vec<f64>,
     ) {
-        let looks_in_use = (0u8..).zip(self.places_of_looks).filter(|&(_, places)| places > 0);
-        weights.prepare(&self.model, informative, looks_in_use.map(|(looks, _)| looks));
+        let most_looks = (0u8..).zip(self.places_of_looks).filter(|&(_, places)| places > 0).last();
+        weights.prepare(&self.model, informative, most_looks.map_or(0, |(looks, _)| looks));
         scores.resize(self.len(), 0.0);
         let weights = &*weights;
         let blocks = self.blocks.par_iter().zip(scores.par_chunks_mut(BLOCK_PLACES));
@@ -245,6 +245,16 @@ mod tests {
                 appearances[place].observe(look);
                 index.observe(place as PlaceId, look);
             }
+        }
+        let mut restored = InvertedIndex::new(model);
+        appearances.iter().for_each(|appearance| {
+            restored.add(appearance);
+        });
+        for z in &observations[..20] {
+            let (grown, restored) = (index.log_likelihoods(z), restored.log_likelihoods(z));
+            assert!(
+                grown.iter().zip(&restored).all(|(grown, restored)| grown.to_bits() == restored.to_bits())
+            );
         }
     }
 

@@ -36,8 +36,8 @@ pub struct ObservationModel {
     unseen_gain_of_one_look: Vec<f64>,
     /// Per word, for the states of [`INFORMATIVE_STATES`]. Made when first asked for.
     one_look: OnceLock<Vec<[OneLook; 3]>>,
-    /// By n, then k = 0..=n: p(k of n looks show a word | e = 1) and the same for e = 0, over the larger of the two.
-    evidence_of_looks: Vec<Vec<[f64; 2]>>,
+    /// By [`count_index`]: p(k of n looks show a word | e = 1) and the same for e = 0, over the larger of the two.
+    evidence_of_looks: Vec<[f64; 2]>,
 }
 
 /// What an informative word says of a place that was looked at once, beyond what it would say if neither it nor its
@@ -48,6 +48,14 @@ pub(crate) struct OneLook {
     pub(crate) anywhere: f64,
     /// Of a place whose one look showed the word, besides.
     pub(crate) at_places_with_it: f64,
+}
+
+/// Pairs of n = 0..=MAX_LOOKS and k = 0..=n.
+pub(crate) const COUNTS: usize = count_index(0, Appearance::MAX_LOOKS + 1);
+
+/// The number of (k, n) among them: by n, then by k.
+pub(crate) const fn count_index(hits: u8, looks: u8) -> usize {
+    looks as usize * (looks as usize + 1) / 2 + hits as usize
 }
 
 /// (z_q, z_pq) of an informative word.
@@ -86,8 +94,8 @@ impl ObservationModel {
         let (exponent, nothing_seen, unseen_gain_of_one_look) =
             (EvidenceExponent::NONE, Vec::new(), Vec::new());
         let one_look = OnceLock::new();
-        let evidence = |looks| (0..=looks).map(|hits| detector.evidence(hits, looks)).collect();
-        let evidence_of_looks = (0..=Appearance::MAX_LOOKS).map(evidence).collect();
+        let evidence = |looks| (0..=looks).map(move |hits| detector.evidence(hits, looks));
+        let evidence_of_looks = (0..=Appearance::MAX_LOOKS).flat_map(evidence).collect();
         let model = Self {
             tree,
             detector,
@@ -222,12 +230,12 @@ impl ObservationModel {
         }
     }
 
-    /// For k = 0..=`looks`: how much more than "neither the word nor its parent is seen" the word's state says of a
-    /// place where the word was seen in k of `looks`, in nats.
+    /// For n = 0..=`most_looks` and k = 0..=n, in the order of [`count_index`]: how much more than "neither the word nor
+    /// its parent is seen" the word's state says of a place where the word was seen in k of n looks, in nats.
     ///
     /// As ln [Σ_s p(z_q | e_q = s, z_pq) p(e_q = s | L)] less the same of the unseen state, in which the normaliser of
     /// p(e_q | L) cancels: p(e_q = s | L) ∝ p(e_q = s) Π p(z|e_q = s) over the looks.
-    pub(crate) fn gains_over_unseen(&self, state: WordState, looks: u8, gains: &mut [f64]) {
+    pub(crate) fn gains_over_unseen(&self, state: WordState, most_looks: u8, gains: &mut [f64; COUNTS]) {
         let marginal = self.tree.marginal(state.word, true);
         let weighted = |state| {
             [
@@ -235,9 +243,10 @@ impl ObservationModel {
                 self.word_probability(state, false) * (1.0 - marginal),
             ]
         };
-        let evidence = &self.evidence_of_looks[usize::from(looks)][..=usize::from(looks)];
-        slices::log_ratios(evidence, weighted(state), weighted(unseen(state.word)), gains);
-        gains.iter_mut().for_each(|gain| *gain *= self.exponent.value());
+        let counts = ..=count_index(most_looks, most_looks);
+        let (state, unseen) = (weighted(state), weighted(unseen(state.word)));
+        slices::log_ratios(&self.evidence_of_looks[counts], state, unseen, &mut gains[counts]);
+        gains[counts].iter_mut().for_each(|gain| *gain *= self.exponent.value());
     }
 
     /// Σ over the words of a place of what they say, beyond what they would if the place did not have them, to a query

@@ -1,7 +1,7 @@
 //! What the informative words of one query add to places that have them.
 
 use crate::appearance::Appearance;
-use crate::likelihood::{ObservationModel, WordState};
+use crate::likelihood::{COUNTS, ObservationModel, WordState, count_index};
 use crate::observation::WordId;
 
 /// Nats as integers: sums of them are the same in any order, so that neither the order of postings nor the number
@@ -57,13 +57,8 @@ pub(super) struct WordWeight {
 }
 
 impl QueryWeights {
-    /// Readies a query for places whose numbers of looks are among `looks_in_use`.
-    pub(super) fn prepare(
-        &mut self,
-        model: &ObservationModel,
-        informative: &[WordState],
-        looks_in_use: impl Iterator<Item = u8>,
-    ) {
+    /// Readies a query for places of at most `most_looks`.
+    pub(super) fn prepare(&mut self, model: &ObservationModel, informative: &[WordState], most_looks: u8) {
         self.positions.resize(model.vocabulary_len(), 0);
         self.informative.resize(model.vocabulary_len().div_ceil(64), 0);
         self.words.drain(..).for_each(|weight| self.informative[weight.word as usize / 64] = 0);
@@ -76,14 +71,14 @@ impl QueryWeights {
             self.informative[weight.word as usize / 64] |= 1 << (weight.word % 64);
         }
         self.of_classes.clear();
-        for looks in looks_in_use {
-            self.empty_place[usize::from(looks)] = match looks {
-                0 | 1 => model.log_likelihood_of_empty_place(informative, looks),
-                _ => self.weigh_classes(model, informative, looks),
-            };
-        }
-        for (of_classes, word) in self.of_classes.iter_mut().zip(&self.words) {
-            of_classes[usize::from(class_offset(1).wrapping_add(1))] = word.of_one_look;
+        self.empty_place = std::array::from_fn(|looks| model.log_likelihood_of_nothing(looks as u8));
+        if most_looks > 1 {
+            self.weigh_classes(model, informative, most_looks);
+        } else {
+            for looks in 0..=most_looks {
+                self.empty_place[usize::from(looks)] =
+                    model.log_likelihood_of_empty_place(informative, looks);
+            }
         }
     }
 
@@ -99,21 +94,25 @@ impl QueryWeights {
         self.position(word).map(|position| self.words[position].of_one_look)
     }
 
-    /// Fills in the weights of n looks, and gives C_n(Z).
-    fn weigh_classes(&mut self, model: &ObservationModel, informative: &[WordState], looks: u8) -> f64 {
+    /// The weights of all (k, n) up to `most_looks`, and C_n(Z).
+    fn weigh_classes(&mut self, model: &ObservationModel, informative: &[WordState], most_looks: u8) {
         self.of_classes.resize(informative.len(), [0; CLASSES]);
-        let first = usize::from(class_offset(looks).wrapping_add(1));
-        let mut empty_place = model.log_likelihood_of_nothing(looks);
-        let mut gains = [0.0; Appearance::MAX_LOOKS as usize + 1];
-        let gains = &mut gains[..=usize::from(looks)];
-        for (&state, of_classes) in informative.iter().zip(&mut self.of_classes) {
-            model.gains_over_unseen(state, looks, gains);
-            empty_place += gains[0];
-            for (weight, gain) in of_classes[first..].iter_mut().zip(&gains[1..]) {
-                *weight = fixed_point(gain - gains[0]);
+        let mut gains = [0.0; COUNTS];
+        for ((&state, word), of_classes) in informative.iter().zip(&self.words).zip(&mut self.of_classes) {
+            model.gains_over_unseen(state, most_looks, &mut gains);
+            self.empty_place[0] += gains[0];
+            for looks in 1..=most_looks {
+                let first = usize::from(class_offset(looks).wrapping_add(1));
+                let (without, with) =
+                    (count_index(0, looks), count_index(1, looks)..=count_index(looks, looks));
+                self.empty_place[usize::from(looks)] += gains[without];
+                for (weight, gain) in of_classes[first..].iter_mut().zip(&gains[with]) {
+                    *weight = fixed_point(gain - gains[without]);
+                }
             }
+            // To the bit what other blocks add.
+            of_classes[usize::from(class_offset(1).wrapping_add(1))] = word.of_one_look;
         }
-        empty_place
     }
 }
 
