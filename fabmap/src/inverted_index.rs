@@ -10,6 +10,7 @@
 //! word nor parent is kept per place, and a query adds corrections for its informative words.
 
 mod block;
+mod directory;
 mod heavy_words;
 mod place_words;
 mod prefetch;

@@ -1,5 +1,6 @@
 //! 4096 places that follow each other: their postings, and their scores for one query.
 
+use super::directory::Directory;
 use super::heavy_words::{FEWEST_PLACES, HeavyWords, set_places};
 use super::place_words::PlaceWords;
 use super::prefetch::prefetch;
@@ -30,8 +31,8 @@ pub(super) struct Block {
     words: Vec<PlaceWords>,
     /// Places with other looks than one.
     otherwise_looked_at: usize,
-    /// The sealed postings of word q are `sealed[first[q]..first[q + 1]]`; empty before the first are sealed.
-    first: Vec<u32>,
+    /// Where the sealed postings of each word are; empty before the first are sealed.
+    directory: Directory,
     sealed: Vec<Posting>,
     heavy: HeavyWords,
     recent_words: Vec<WordId>,
@@ -116,7 +117,7 @@ impl Block {
     /// `add` gets each informative word's position in the query and its sealed postings.
     #[inline(always)]
     fn add_sealed(&self, query: &QueryWeights, mut add: impl FnMut(usize, &[Posting])) {
-        if self.first.is_empty() {
+        if self.directory.is_empty() {
             return;
         }
         // Runs are short and lie far apart: the processor would wait for each. So where a run lies is asked for
@@ -124,8 +125,7 @@ impl Block {
         let mut ahead: [&[Posting]; WORDS_AHEAD] = [&[]; WORDS_AHEAD];
         for step in 0..query.words.len() + 2 * WORDS_AHEAD {
             if let Some(weight) = query.words.get(step) {
-                let word = weight.word as usize;
-                prefetch(&self.first[word..=word]);
+                self.directory.prefetch(weight.word);
             }
             let slot = step % WORDS_AHEAD;
             if let Some(position) = step.checked_sub(2 * WORDS_AHEAD) {
@@ -160,7 +160,11 @@ impl Block {
             self.recent_words.push(word);
             self.recent.push(Posting::new(place, hits));
         }
-        self.merge_if_due(model.vocabulary_len());
+        if self.is_full() {
+            self.merge(model.vocabulary_len());
+        } else {
+            self.merge_if_due(model.vocabulary_len());
+        }
     }
 
     /// Takes one more look at a place.
@@ -240,7 +244,7 @@ impl Block {
                 let index = postings.partition_point(|posting| posting.place() < place);
                 match postings.get(index) {
                     Some(posting) if posting.place() == place => {
-                        Location::Sealed(self.first[word as usize] as usize + index)
+                        Location::Sealed(self.directory.run(word).start + index)
                     }
                     Some(_) | None => Location::Heavy,
                 }
@@ -262,17 +266,12 @@ impl Block {
 
     #[inline(always)]
     fn sealed_of(&self, word: WordId) -> &[Posting] {
-        let word = word as usize;
-        match (self.first.get(word), self.first.get(word + 1)) {
-            (Some(&first), Some(&end)) => &self.sealed[first as usize..end as usize],
-            _ => &[],
-        }
+        &self.sealed[self.directory.run(word)]
     }
 
     fn merge_if_due(&mut self, words: usize) {
         let due = (words + self.sealed.len()) / 32;
-        if self.recent.len() > due || (self.is_full() && !self.recent.is_empty() && self.first.len() <= words)
-        {
+        if self.recent.len() > due {
             self.merge(words);
         }
     }
@@ -283,12 +282,12 @@ impl Block {
             self.recent_words.drain(..).zip(self.recent.drain(..)).collect();
         recent.sort_unstable_by_key(|&(word, posting)| (word, posting.place()));
         let mut sealed: Vec<Posting> = Vec::with_capacity(self.sealed.len() + recent.len());
-        let mut first = Vec::with_capacity(words + 1);
+        let mut directory = Directory::with_capacity(words);
         let mut heavy = HeavyWords::default();
         let mut recent = recent.into_iter().peekable();
         for word in 0..words as WordId {
             let start = sealed.len();
-            first.push(start as u32);
+            directory.push(start);
             let known = self.sealed_of(word);
             sealed.extend_from_slice(known);
             if let Some(places) = self.heavy.places_with(word) {
@@ -304,13 +303,13 @@ impl Block {
                 self.make_heavy(word, start, &mut sealed, &mut heavy);
             }
         }
-        first.push(sealed.len() as u32);
-        (self.first, self.sealed, self.heavy) = (first, sealed, heavy);
+        directory.push(sealed.len());
+        (self.directory, self.sealed, self.heavy) = (directory, sealed, heavy);
         if self.is_full() {
             self.sealed.shrink_to_fit();
             self.heavy.shrink_to_fit();
-            self.recent_words.shrink_to_fit();
-            self.recent.shrink_to_fit();
+            self.words.shrink_to_fit();
+            (self.recent_words, self.recent) = (Vec::new(), Vec::new());
         }
     }
 
@@ -344,7 +343,7 @@ impl Block {
             + of(&self.unseen_gains)
             + of(&self.words)
             + self.words.iter().map(PlaceWords::memory_bytes).sum::<usize>()
-            + of(&self.first)
+            + self.directory.memory_bytes()
             + of(&self.sealed)
             + of(&self.recent_words)
             + of(&self.recent)
