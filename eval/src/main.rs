@@ -27,7 +27,7 @@ use waypost_eval::commands::load::{
     self, OverloadOptions, RobotsOptions, ServerOptions, WordSource, WordsOptions,
 };
 use waypost_eval::commands::new_place::{self, NewPlaceOptions, WorkloadSource};
-use waypost_eval::commands::scale::{self, ScaleOptions, ScaleSource};
+use waypost_eval::commands::scale::{self, Compared, ScaleOptions, ScaleSource};
 use waypost_eval::commands::sequence::{self, Knobs, SequenceOptions, System};
 use waypost_eval::commands::train::{self, TrainOptions, VocabularySource};
 use waypost_eval::commands::visits::{self, VisitsOptions};
@@ -379,6 +379,9 @@ struct ScaleArguments {
     #[arg(long, value_parser = choice(NEW_PLACE_METHODS),
           default_value = name_of(NEW_PLACE_METHODS, &RecognizerSettings::default().new_place))]
     new_place: NewPlaceMethod,
+    /// Compare the dense scorer with places dropped early and without; takes a byte for each word of each place.
+    #[arg(long)]
+    bail_out: bool,
     /// Folder for the results; made if it does not exist.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -394,7 +397,8 @@ impl ScaleArguments {
         let drawn = ScaleSource::Drawn { settings, places, most_looks, samples, queries };
         let source = workload.map_or(drawn, ScaleSource::Files);
         let (threads, new_place, out) = (usize::from(threads), self.new_place, self.out);
-        print_if(self.json, &scale::run(&ScaleOptions { source, threads, new_place, out })?)
+        let compared = if self.bail_out { Compared::BailOut } else { Compared::Nothing };
+        print_if(self.json, &scale::run(&ScaleOptions { source, threads, new_place, compared, out })?)
     }
 }
 

@@ -4,6 +4,7 @@
 //! cannot fail after that. Begin with [`recognizer`], which tells the story.
 
 pub mod appearance;
+pub mod bail_out;
 pub mod calibration;
 pub mod chow_liu;
 pub mod codec;

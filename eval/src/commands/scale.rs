@@ -1,8 +1,10 @@
 //! `waypost-eval scale`: what a filter update, a new place and a look cost, and what the index takes, as a
 //! map grows.
 
+mod bail_out;
 mod report;
 
+pub use bail_out::BailOutReport;
 pub use report::{GrowthPoint, ScaleReport};
 
 use std::path::PathBuf;
@@ -10,14 +12,15 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use fabmap::appearance::{Appearance, PlaceId};
+use fabmap::bail_out::DenseScorer;
 use fabmap::chow_liu::ChowLiuTree;
 use fabmap::codec::{Reader, Writer};
 use fabmap::detector::DetectorModel;
 use fabmap::inverted_index::InvertedIndex;
 use fabmap::likelihood::{Dependence, ObservationModel};
-use fabmap::new_place::NewPlaceMethod;
+use fabmap::new_place::{NewPlace, NewPlaceMethod};
 use fabmap::observation::Observation;
-use fabmap::place_filter::{Belief, MotionPrior};
+use fabmap::place_filter::{Belief, FilterSettings, MotionPrior, PlaceFilter};
 use fabmap::recognizer::{Recognition, Recognizer, RecognizerSettings, Stage, StageObserver, Workspace};
 use rayon::prelude::*;
 use topomap::mapper::MapperError;
@@ -36,8 +39,19 @@ pub struct ScaleOptions {
     pub threads: usize,
     /// How "somewhere new" is stood in for.
     pub new_place: NewPlaceMethod,
+    /// What to compare on the whole map beside the index.
+    pub compared: Compared,
     /// Folder for the results; `None` writes none.
     pub out: Option<PathBuf>,
+}
+
+/// What is compared on the whole map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Compared {
+    /// The index alone is measured.
+    Nothing,
+    /// The dense scorer with places dropped early against without; it takes a byte for each word of each place.
+    BailOut,
 }
 
 /// Where places and queries come from.
@@ -88,7 +102,13 @@ pub fn run(options: &ScaleOptions) -> Result<ScaleReport, EvalError> {
     let settings = RecognizerSettings { new_place: options.new_place, ..RecognizerSettings::default() };
     let recognizer = Recognizer::over(Arc::new(model), &training, settings).map_err(MapperError::from)?;
     let threads = rayon::ThreadPoolBuilder::new().num_threads(options.threads).build()?;
-    let report = Measurement { source, recognizer, threads, adding_us: Vec::new() }.run(options.threads);
+    let mut measurement = Measurement { source, recognizer, threads, adding_us: Vec::new() };
+    let growth = measurement.growth();
+    let bail_out = match options.compared {
+        Compared::Nothing => None,
+        Compared::BailOut => Some(measurement.bail_out(options.new_place, &training)?),
+    };
+    let report = ScaleReport { bail_out, ..measurement.report(growth, options.threads) };
     report.write(options.out.as_deref())?;
     Ok(report)
 }
@@ -103,13 +123,30 @@ struct Measurement {
 }
 
 impl Measurement {
-    fn run(mut self, threads: usize) -> ScaleReport {
+    fn growth(&mut self) -> Vec<GrowthPoint> {
         let places = self.source.places();
         let mut growth = Vec::new();
         for step in GROWTH_STEPS {
             self.grow((places / step).max(1));
             growth.push(self.query());
         }
+        growth
+    }
+
+    fn bail_out(
+        &self,
+        new_place: NewPlaceMethod,
+        training: &[Observation],
+    ) -> Result<BailOutReport, EvalError> {
+        let index = self.recognizer.index();
+        let scorer = DenseScorer::new(index.model().clone(), &index.appearances().collect::<Vec<_>>());
+        let new_place = NewPlace::new(new_place, index.model(), training)?;
+        let filter = PlaceFilter::new(FilterSettings::default()).map_err(EvalError::Filter)?;
+        let queries = self.source.queries(index.len() as u32);
+        Ok(bail_out::compare(&scorer, &new_place, &filter, &queries, &self.threads))
+    }
+
+    fn report(mut self, growth: Vec<GrowthPoint>, threads: usize) -> ScaleReport {
         let rss_mib = resident_mib();
         let index = self.recognizer.index();
         let (words, postings) = (index.model().vocabulary_len(), index.postings());

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::StageTimes;
+use super::{BailOutReport, StageTimes};
 use crate::error::EvalError;
 use crate::files;
 use crate::plots::growth_svg;
@@ -42,6 +42,9 @@ pub struct ScaleReport {
     pub rss_mib: Option<f64>,
     /// Time to make the index from the places' appearances in a checkpoint, in milliseconds.
     pub open_ms: f64,
+    /// The dense scorer with places dropped early, if that was asked for.
+    #[serde(flatten)]
+    pub bail_out: Option<BailOutReport>,
     /// The map as it grew.
     pub growth: Vec<GrowthPoint>,
 }
@@ -113,6 +116,7 @@ impl ScaleReport {
             checkpoint_bytes_per_posting: per_posting(measures.checkpoint_bytes),
             rss_mib: measures.rss_mib,
             open_ms: measures.open_ms,
+            bail_out: None,
             growth,
         }
     }
@@ -156,6 +160,16 @@ impl ScaleReport {
             self.checkpoint_bytes_per_posting,
             self.open_ms,
         );
+        if let Some(bail_out) = &self.bail_out {
+            let _ = writeln!(
+                table,
+                "bail-out: {:.2} % of the terms, {:.2} ms instead of {:.2} ms, {:.3} % of the decisions changed",
+                100.0 * bail_out.bail_out_terms_fraction,
+                bail_out.bail_out_ms_p50,
+                bail_out.dense_ms_p50,
+                100.0 * bail_out.bail_out_changed_fraction,
+            );
+        }
         table
     }
 }
