@@ -132,21 +132,44 @@ impl InvertedIndex {
     /// # Panics
     /// If the appearance has a word that the model's vocabulary does not have.
     pub fn add(&mut self, appearance: &Appearance) -> PlaceId {
+        let place = self.push(appearance);
+        self.settle();
+        place
+    }
+
+    /// Adds places in order. Of many it takes a fraction of the time of adding them one by one.
+    ///
+    /// # Panics
+    /// See [`InvertedIndex::add`].
+    pub fn extend(&mut self, appearances: impl IntoIterator<Item = Appearance>) {
+        for appearance in appearances {
+            self.push(&appearance);
+            if self.blocks.last().is_some_and(Block::is_full) {
+                self.settle();
+            }
+        }
+        self.settle();
+    }
+
+    fn push(&mut self, appearance: &Appearance) -> PlaceId {
         let words = self.model.vocabulary_len();
         let last_word = appearance.word_hits().next_back().map(|(word, _)| word);
         assert!(last_word.is_none_or(|word| (word as usize) < words), "a place of another vocabulary");
         let place = self.len() as PlaceId;
         let block = match self.blocks.last_mut() {
             Some(last) if !last.is_full() => last,
-            Some(_) | None => {
-                self.blocks.push(Block::default());
-                let last = self.blocks.len() - 1;
-                &mut self.blocks[last]
-            }
+            Some(_) | None => self.blocks.push_mut(Block::default()),
         };
         block.add(&self.model, appearance);
         self.places_of_looks[usize::from(appearance.looks())] += 1;
         place
+    }
+
+    fn settle(&mut self) {
+        let words = self.model.vocabulary_len();
+        if let Some(last) = self.blocks.last_mut() {
+            if last.is_full() { last.merge(words) } else { last.settle(words) }
+        }
     }
 
     /// Takes one more look at `place`: its words' counts change, no other place does.
@@ -248,9 +271,7 @@ mod tests {
             }
         }
         let mut restored = InvertedIndex::new(model);
-        appearances.iter().for_each(|appearance| {
-            restored.add(appearance);
-        });
+        restored.extend(appearances);
         for z in &observations[..20] {
             let (grown, restored) = (index.log_likelihoods(z), restored.log_likelihoods(z));
             assert!(

@@ -107,9 +107,7 @@ impl NewPlace {
             return Err(NoSamplesError);
         }
         let mut samples = InvertedIndex::new(model.clone());
-        for sample in sampling_set {
-            samples.add(&Appearance::of(sample));
-        }
+        samples.extend(sampling_set.iter().map(Appearance::of));
         Ok(StandIn::Samples(Box::new(samples), summary))
     }
 

@@ -19,8 +19,8 @@ struct Posting(u16);
 
 /// Postings by word, in three parts. Most are sealed, by word and then by place, and cost two bytes each. Words that an
 /// eighth of the places show are bits, for places that were looked at once. What has come since is at hand in no order,
-/// and is merged when it has become a thirty-second of the block: so adding is cheap, and so is looking through all
-/// that has come.
+/// and is merged when it has become a thirty-second of the block, or an eighth of one that still grows: so adding is
+/// cheap, and so is looking through all that has come.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Block {
     looks: Vec<u8>,
@@ -49,6 +49,35 @@ enum Location {
 
 /// Words whose postings are on their way from memory while those of another are added.
 const WORDS_AHEAD: usize = 16;
+
+/// Recent postings by word; of each in the order they came in.
+struct RecentByWord {
+    first: Vec<u32>,
+    postings: Vec<Posting>,
+}
+
+impl RecentByWord {
+    /// By counting, in time proportional to postings and words.
+    fn sorted(words_of: &[WordId], postings: &[Posting], words: usize) -> Self {
+        let mut first = vec![0; words + 1];
+        words_of.iter().for_each(|&word| first[word as usize + 1] += 1);
+        for word in 0..words {
+            first[word + 1] += first[word];
+        }
+        let mut next = first.clone();
+        let mut sorted = vec![Posting(0); postings.len()];
+        for (&word, &posting) in words_of.iter().zip(postings) {
+            sorted[next[word as usize] as usize] = posting;
+            next[word as usize] += 1;
+        }
+        Self { first, postings: sorted }
+    }
+
+    fn of(&self, word: WordId) -> &[Posting] {
+        let (first, end) = (self.first[word as usize], self.first[word as usize + 1]);
+        &self.postings[first as usize..end as usize]
+    }
+}
 
 impl Posting {
     fn new(place: usize, hits: u8) -> Self {
@@ -147,7 +176,7 @@ impl Block {
         }
     }
 
-    /// Adds a place behind the others; there must be room.
+    /// Adds a place behind the others; there must be room. [`Block::settle`] is due after it, or after some.
     pub(super) fn add(&mut self, model: &ObservationModel, appearance: &Appearance) {
         let place = self.len();
         self.words.push(PlaceWords::new(appearance.word_hits().map(|(word, _)| word)));
@@ -159,11 +188,6 @@ impl Block {
         for (word, hits) in appearance.word_hits() {
             self.recent_words.push(word);
             self.recent.push(Posting::new(place, hits));
-        }
-        if self.is_full() {
-            self.merge(model.vocabulary_len());
-        } else {
-            self.merge_if_due(model.vocabulary_len());
         }
     }
 
@@ -194,7 +218,7 @@ impl Block {
             self.words[place] = PlaceWords::new(appearance.word_hits().map(|(word, _)| word));
         }
         self.set_looks(place, model, &appearance);
-        self.merge_if_due(model.vocabulary_len());
+        self.settle(model.vocabulary_len());
     }
 
     fn set_looks(&mut self, place: usize, model: &ObservationModel, appearance: &Appearance) {
@@ -269,33 +293,30 @@ impl Block {
         &self.sealed[self.directory.run(word)]
     }
 
-    fn merge_if_due(&mut self, words: usize) {
-        let due = (words + self.sealed.len()) / 32;
-        if self.recent.len() > due {
+    /// Seals what has come since, if it is so much that queries would notice.
+    pub(super) fn settle(&mut self, words: usize) {
+        let share = if self.is_full() { 32 } else { 8 };
+        if self.recent.len() > (words + self.sealed.len()) / share {
             self.merge(words);
         }
     }
 
     /// Seals the recent postings, and tells anew which words are heavy.
-    fn merge(&mut self, words: usize) {
-        let mut recent: Vec<(WordId, Posting)> =
-            self.recent_words.drain(..).zip(self.recent.drain(..)).collect();
-        recent.sort_unstable_by_key(|&(word, posting)| (word, posting.place()));
-        let mut sealed: Vec<Posting> = Vec::with_capacity(self.sealed.len() + recent.len());
+    pub(super) fn merge(&mut self, words: usize) {
+        let recent = RecentByWord::sorted(&self.recent_words, &self.recent, words);
+        let mut sealed: Vec<Posting> = Vec::with_capacity(self.sealed.len() + self.recent.len());
         let mut directory = Directory::with_capacity(words);
         let mut heavy = HeavyWords::default();
-        let mut recent = recent.into_iter().peekable();
+        let mut heavy_before = self.heavy.iter().peekable();
         for word in 0..words as WordId {
             let start = sealed.len();
             directory.push(start);
             let known = self.sealed_of(word);
             sealed.extend_from_slice(known);
-            if let Some(places) = self.heavy.places_with(word) {
+            if let Some((_, places)) = heavy_before.next_if(|&(heavy, _)| heavy == word) {
                 sealed.extend(set_places(places).map(|place| Posting::new(place, 1)));
             }
-            while let Some((_, posting)) = recent.next_if(|&(recent, _)| recent == word) {
-                sealed.push(posting);
-            }
+            sealed.extend_from_slice(recent.of(word));
             if sealed.len() - start > known.len() {
                 sealed[start..].sort_unstable_by_key(|posting| posting.place());
             }
@@ -304,12 +325,16 @@ impl Block {
             }
         }
         directory.push(sealed.len());
+        drop(heavy_before);
         (self.directory, self.sealed, self.heavy) = (directory, sealed, heavy);
+        (self.recent_words, self.recent) = (Vec::new(), Vec::new());
         if self.is_full() {
             self.sealed.shrink_to_fit();
             self.heavy.shrink_to_fit();
+            self.looks.shrink_to_fit();
+            self.class_offsets.shrink_to_fit();
+            self.unseen_gains.shrink_to_fit();
             self.words.shrink_to_fit();
-            (self.recent_words, self.recent) = (Vec::new(), Vec::new());
         }
     }
 

@@ -29,6 +29,11 @@ impl HeavyWords {
         self.places.push(places);
     }
 
+    /// All heavy words with their places, ascending.
+    pub(super) fn iter(&self) -> impl Iterator<Item = (WordId, &PlaceBits)> {
+        self.words.iter().copied().zip(&self.places)
+    }
+
     /// The places with a word; `None` if it is not a heavy one.
     pub(super) fn places_with(&self, word: WordId) -> Option<&PlaceBits> {
         self.words.binary_search(&word).ok().map(|index| &self.places[index])

@@ -90,10 +90,20 @@ impl Mapper {
     ) -> Result<Self, RestoreError> {
         let mut mapper = Self::new(model, settings)?;
         let mut restored: Vec<Place> = Vec::new();
-        for bytes in places {
-            let (place, appearance) = decode_place(bytes, mapper.vocabulary_len)?;
-            restored.push(place);
-            mapper.recognizer.add_place(&appearance);
+        let (vocabulary_len, mut damage) = (mapper.vocabulary_len, None);
+        let appearances = places.into_iter().map_while(|bytes| match decode_place(bytes, vocabulary_len) {
+            Ok((place, appearance)) => {
+                restored.push(place);
+                Some(appearance)
+            }
+            Err(error) => {
+                damage = Some(error);
+                None
+            }
+        });
+        mapper.recognizer.add_places(appearances);
+        if let Some(error) = damage {
+            return Err(error.into());
         }
         mapper.map = Map::decode_graph(graph, restored)?;
         Ok(mapper)
