@@ -6,64 +6,70 @@ use super::block::BLOCK_PLACES;
 use super::prefetch::prefetch;
 use crate::observation::WordId;
 
-/// Starts of runs that follow each other, one per word: an offset for every 16 words, and what is beyond it for each.
+/// Starts of runs that follow each other, one per word. The 14 words of a group share 32 bytes, so that a run is found
+/// with one line of memory.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Directory {
-    groups: Vec<u32>,
-    /// At most 15 runs of a block's places: 16 bits hold it.
-    beyond: Vec<u16>,
+    groups: Vec<Group>,
+    /// Starts that were pushed: one more than there are words.
+    len: usize,
 }
 
-const GROUP_WORDS: usize = 16;
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(align(32))]
+struct Group {
+    /// Where the run of the first word starts.
+    start: u32,
+    /// What the other starts are beyond that.
+    beyond: [u16; GROUP_WORDS],
+}
+
+const GROUP_WORDS: usize = 14;
+const _: () = assert!(size_of::<Group>() == 32);
 const _: () = assert!((GROUP_WORDS - 1) * BLOCK_PLACES <= u16::MAX as usize);
 
 impl Directory {
     /// Room for the runs of `words` words.
     pub(super) fn with_capacity(words: usize) -> Self {
-        let entries = words + 1;
-        Self {
-            groups: Vec::with_capacity(entries.div_ceil(GROUP_WORDS)),
-            beyond: Vec::with_capacity(entries),
-        }
+        Self { groups: Vec::with_capacity((words + 1).div_ceil(GROUP_WORDS)), len: 0 }
     }
 
     /// Where the run of the next word starts; after the last word's, where it ends.
     pub(super) fn push(&mut self, start: usize) {
-        if self.beyond.len().is_multiple_of(GROUP_WORDS) {
-            self.groups.push(start as u32);
+        if self.len.is_multiple_of(GROUP_WORDS) {
+            self.groups.push(Group { start: start as u32, ..Group::default() });
         }
-        let group = self.groups.last().map_or(0, |&group| group as usize);
-        self.beyond.push((start - group) as u16);
+        if let Some(group) = self.groups.last_mut() {
+            group.beyond[self.len % GROUP_WORDS] = (start - group.start as usize) as u16;
+        }
+        self.len += 1;
     }
 
     /// True if nothing has been pushed.
     pub(super) fn is_empty(&self) -> bool {
-        self.beyond.is_empty()
+        self.len == 0
     }
 
     /// The run of a word; empty where there is nothing yet.
     #[inline(always)]
     pub(super) fn run(&self, word: WordId) -> Range<usize> {
         let word = word as usize;
-        match (self.beyond.get(word), self.beyond.get(word + 1)) {
-            (Some(&start), Some(&end)) => {
-                let group = |word: usize| self.groups[word / GROUP_WORDS] as usize;
-                group(word) + usize::from(start)..group(word + 1) + usize::from(end)
-            }
-            _ => 0..0,
-        }
+        let start = |word: usize| {
+            let group = &self.groups[word / GROUP_WORDS];
+            group.start as usize + usize::from(group.beyond[word % GROUP_WORDS])
+        };
+        if word + 1 < self.len { start(word)..start(word + 1) } else { 0..0 }
     }
 
-    /// Has the processor fetch what [`Directory::run`] reads.
+    /// Has the processor fetch what [`Directory::run`] reads; all but the next group, which is mostly not needed.
     #[inline(always)]
     pub(super) fn prefetch(&self, word: WordId) {
-        let word = word as usize;
-        prefetch(&self.beyond[word..=word]);
-        prefetch(&self.groups[word / GROUP_WORDS..=word / GROUP_WORDS]);
+        let group = word as usize / GROUP_WORDS;
+        prefetch(&self.groups[group..=group]);
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
-        self.groups.capacity() * size_of::<u32>() + self.beyond.capacity() * size_of::<u16>()
+        self.groups.capacity() * size_of::<Group>()
     }
 }
 
