@@ -1,10 +1,12 @@
 //! Plots as SVG.
 
 mod curves;
+mod growth;
 mod new_place;
 mod reliability;
 
 pub use curves::{Panel, compared_curves_svg};
+pub use growth::growth_svg;
 pub use new_place::{FalseAccepts, false_accepts_svg};
 pub use reliability::reliability_svg;
 

@@ -136,6 +136,13 @@ pub(crate) fn median(mut values: Vec<f64>) -> Option<f64> {
     Some((lower + upper) / 2.0)
 }
 
+/// The smallest value that at least `share` of the values do not exceed; `None` of none.
+pub(crate) fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let rank = (share * values.len() as f64).ceil() as usize;
+    values.get(rank.max(1) - 1).copied()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -146,6 +153,14 @@ mod tests {
         assert_eq!(median(vec![4.0]), Some(4.0));
         assert_eq!(median(vec![9.0, 1.0, 2.0]), Some(2.0));
         assert_eq!(median(vec![9.0, 1.0, 2.0, 4.0]), Some(3.0));
+    }
+
+    #[test]
+    fn quantiles_by_hand() {
+        let values: Vec<f64> = (1..=20).map(f64::from).collect();
+        assert_eq!(quantile(values.clone(), 0.95), Some(19.0));
+        assert_eq!(quantile(values, 0.951), Some(20.0));
+        assert_eq!((quantile(vec![], 0.5), quantile(vec![7.0], 0.0)), (None, Some(7.0)));
     }
 
     #[test]

@@ -104,9 +104,10 @@ pub struct Revisit {
     pub observation: Observation,
 }
 
-/// Stream of the tree and of the choices of each revisit; those of images are a [`Use`].
+/// Streams of the tree, and of the choices of each revisit and each place's looks; those of images are a [`Use`].
 const TREE_STREAM: u64 = 0;
 const REVISIT_STREAM: u64 = 5;
+const LOOK_STREAM: u64 = 6;
 
 /// No word is more frequent.
 const MAX_MARGINAL: f64 = 0.5;
@@ -180,13 +181,47 @@ impl Workload {
     pub fn revisit(&self, index: u32, places: &[Observation]) -> Revisit {
         let mut random = stream(self.settings.seed, REVISIT_STREAM, index);
         let place = random.random_range(0..places.len());
+        let observation = self.changed(&places[place], index, &mut random);
+        Revisit { place: place as u32, observation }
+    }
+
+    /// The same among the first `places` images for a map, at least 1, which need not be at hand.
+    #[must_use]
+    pub fn revisit_to_one_of(&self, index: u32, places: u32) -> Revisit {
+        let mut random = stream(self.settings.seed, REVISIT_STREAM, index);
+        let place = random.random_range(0..places as usize) as u32;
+        let observation = self.changed(&self.image(Use::Place, place), index, &mut random);
+        Revisit { place, observation }
+    }
+
+    /// A revisit to a given place.
+    #[must_use]
+    pub fn revisit_to(&self, index: u32, place: u32) -> Observation {
+        let mut random = stream(self.settings.seed, REVISIT_STREAM, index);
+        self.changed(&self.image(Use::Place, place), index, &mut random)
+    }
+
+    /// What is seen of a place in `looks` looks, at least 1: all of it, then each of its words with
+    /// probability `kept_share`. So a place has the same words however often it is looked at.
+    #[must_use]
+    pub fn looks(&self, place: u32, looks: u8) -> Vec<Observation> {
+        let whole = self.image(Use::Place, place);
+        let mut random = stream(self.settings.seed, LOOK_STREAM, place);
+        let kept_share = self.settings.kept_share;
+        let later = (1..looks)
+            .map(|_| self.observation(thinned(&whole, kept_share, &mut random)))
+            .collect::<Vec<_>>();
+        std::iter::once(whole).chain(later).collect()
+    }
+
+    fn changed(&self, place: &Observation, index: u32, random: &mut ChaCha8Rng) -> Observation {
         let change = self.image(Use::Change, index);
         let kept_share = self.settings.kept_share;
-        let mut words = thinned(&places[place], kept_share, &mut random);
-        words.extend(thinned(&change, 1.0 - kept_share, &mut random));
+        let mut words = thinned(place, kept_share, random);
+        words.extend(thinned(&change, 1.0 - kept_share, random));
         words.sort_unstable();
         words.dedup();
-        Revisit { place: place as u32, observation: self.observation(words) }
+        self.observation(words)
     }
 
     /// A word is seen with p(z_q = 1 | z_pq = 0) whatever its parent, or because of its parent with
@@ -365,6 +400,14 @@ mod tests {
         assert_eq!(images[..10], again.images(Use::Place, 10)[..]);
         assert_ne!(images, workload.images(Use::NewQuery, 30));
         assert_eq!(workload.revisit(3, &images), again.revisit(3, &images));
+        let revisit = workload.revisit_to_one_of(3, 30);
+        assert_eq!(workload.revisit(3, &images), revisit);
+        let words = images[7].words();
+        let looks = workload.looks(7, 4);
+        assert!(looks[0] == images[7] && looks.len() == 4);
+        assert!(looks.iter().all(|look| look.words().iter().all(|word| words.contains(word))));
+        assert_ne!(looks[1], looks[2]);
+        assert_ne!(workload.revisit_to(3, 7), workload.revisit_to(4, 7));
         let other = Workload::new(WorkloadSettings { seed: 1, ..workload.settings }).unwrap();
         assert_ne!(other.tree(), workload.tree());
     }

@@ -30,6 +30,12 @@ impl Appearance {
         appearance
     }
 
+    /// From words ascending, each with its k in 1..=`looks`.
+    pub(crate) fn from_word_hits(looks: u8, word_hits: impl Iterator<Item = (WordId, u8)>) -> Self {
+        let (words, hits) = word_hits.unzip();
+        Self { looks, words, hits }
+    }
+
     /// Takes one more look at the place.
     pub fn observe(&mut self, observation: &Observation) {
         if self.looks == Self::MAX_LOOKS {
@@ -64,7 +70,7 @@ impl Appearance {
     }
 
     /// The words ever seen here, ascending, each with its k in 1..=n.
-    pub fn word_hits(&self) -> impl ExactSizeIterator<Item = (WordId, u8)> + '_ {
+    pub fn word_hits(&self) -> impl ExactSizeIterator<Item = (WordId, u8)> + DoubleEndedIterator + '_ {
         self.words.iter().copied().zip(self.hits.iter().copied())
     }
 

@@ -69,6 +69,17 @@ impl DetectorModel {
         let exists = marginal * of_state(true);
         exists / (exists + (1.0 - marginal) * of_state(false))
     }
+
+    /// p(seen in `hits` of `looks` | e = 1) and the same for e = 0, over the larger of the two, so that many looks
+    /// are no matter of tiny numbers.
+    pub(crate) fn evidence(&self, hits: u8, looks: u8) -> [f64; 2] {
+        let (hits, misses) = (i32::from(hits), i32::from(looks) - i32::from(hits));
+        let of_state =
+            |exists| self.probability(true, exists).powi(hits) * self.probability(false, exists).powi(misses);
+        let (exists, does_not) = (of_state(true), of_state(false));
+        let larger = exists.max(does_not);
+        [exists / larger, does_not / larger]
+    }
 }
 
 impl Default for DetectorModel {

@@ -68,7 +68,7 @@ impl Explanation {
         let listed: f64 = words_for.iter().chain(&words_against).map(|evidence| evidence.nats).sum();
         Some(Self {
             place,
-            prior: *recognition.prior.places.get(index)?,
+            prior: recognition.prior.of(place)?,
             posterior: *recognition.posterior.places.get(index)?,
             new_place_posterior: recognition.posterior.new_place,
             log_likelihood,
@@ -106,6 +106,7 @@ fn strongest_words(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::new_place::NewPlaceTerm;
     use crate::place_filter::{FilterSettings, MotionPrior, PlaceFilter};
     use crate::test_worlds::{self, World};
     use proptest::prelude::*;
@@ -119,7 +120,8 @@ mod tests {
             let log_likelihoods: Vec<f64> = appearances.iter().map(|place| model.dense_log_likelihood(z, place)).collect();
             let new_place_log_likelihood = model.dense_log_likelihood_of_average_place(z);
             let prior = filter.prior(&MotionPrior::even(), appearances.len());
-            let posterior = filter.update(&log_likelihoods, new_place_log_likelihood, &prior);
+            let term = NewPlaceTerm { log_likelihood: new_place_log_likelihood, temperature: 1.0 };
+            let posterior = filter.update(&log_likelihoods, &term, &prior);
             let recognition = Recognition { log_likelihoods, new_place_log_likelihood, prior, posterior };
             let explain = |place: PlaceId, appearance| {
                 Explanation::new(&model, NewPlaceMethod::MeanField, z, &recognition, place, appearance, words)

@@ -4,6 +4,7 @@
 //! cannot fail after that. Begin with [`recognizer`], which tells the story.
 
 pub mod appearance;
+pub mod bail_out;
 pub mod calibration;
 pub mod chow_liu;
 pub mod codec;
@@ -17,6 +18,7 @@ pub mod new_place;
 pub mod observation;
 pub mod place_filter;
 pub mod recognizer;
+mod slices;
 pub mod tf_idf;
 pub mod vocabulary;
 

@@ -3,11 +3,14 @@
 //! [`ObservationModel::dense_log_likelihood`] is the oracle: written straight from the equations,
 //! over all words, in f64. Every faster path is held to it.
 
+use std::sync::OnceLock;
+
 use crate::appearance::Appearance;
 use crate::calibration::EvidenceExponent;
 use crate::chow_liu::ChowLiuTree;
 use crate::detector::DetectorModel;
 use crate::observation::{Observation, WordId};
+use crate::slices;
 
 /// Whether words depend on each other.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -20,7 +23,7 @@ pub enum Dependence {
 }
 
 /// How a place makes an observation: Chow-Liu tree, detector model and how much words count for.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct ObservationModel {
     tree: ChowLiuTree,
     detector: DetectorModel,
@@ -31,7 +34,32 @@ pub struct ObservationModel {
     /// Per word: how much likelier it makes an observation that shows neither the word nor its parent if
     /// it was seen in the one look at a place, and not missed.
     unseen_gain_of_one_look: Vec<f64>,
+    /// Per word, for the states of [`INFORMATIVE_STATES`]. Made when first asked for.
+    one_look: OnceLock<Vec<[OneLook; 3]>>,
+    /// By [`count_index`]: p(k of n looks show a word | e = 1) and the same for e = 0, over the larger of the two.
+    evidence_of_looks: Vec<[f64; 2]>,
 }
+
+/// What an informative word says of a place that was looked at once, beyond what it would say if neither it nor its
+/// parent were seen; in nats.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct OneLook {
+    /// Of any place.
+    pub(crate) anywhere: f64,
+    /// Of a place whose one look showed the word, besides.
+    pub(crate) at_places_with_it: f64,
+}
+
+/// Pairs of n = 0..=MAX_LOOKS and k = 0..=n.
+pub(crate) const COUNTS: usize = count_index(0, Appearance::MAX_LOOKS + 1);
+
+/// The number of (k, n) among them: by n, then by k.
+pub(crate) const fn count_index(hits: u8, looks: u8) -> usize {
+    looks as usize * (looks as usize + 1) / 2 + hits as usize
+}
+
+/// (z_q, z_pq) of an informative word.
+const INFORMATIVE_STATES: [(bool, bool); 3] = [(false, true), (true, false), (true, true)];
 
 /// ln p(Z | L) of one Z for many places that were looked at once: what they have in common is computed
 /// once.
@@ -65,7 +93,18 @@ impl ObservationModel {
         };
         let (exponent, nothing_seen, unseen_gain_of_one_look) =
             (EvidenceExponent::NONE, Vec::new(), Vec::new());
-        let model = Self { tree, detector, exponent, nothing_seen, unseen_gain_of_one_look };
+        let one_look = OnceLock::new();
+        let evidence = |looks| (0..=looks).map(move |hits| detector.evidence(hits, looks));
+        let evidence_of_looks = (0..=Appearance::MAX_LOOKS).flat_map(evidence).collect();
+        let model = Self {
+            tree,
+            detector,
+            exponent,
+            nothing_seen,
+            unseen_gain_of_one_look,
+            one_look,
+            evidence_of_looks,
+        };
         model.with_exponent(exponent)
     }
 
@@ -74,6 +113,7 @@ impl ObservationModel {
     #[must_use]
     pub fn with_exponent(mut self, exponent: EvidenceExponent) -> Self {
         self.exponent = exponent;
+        self.one_look = OnceLock::new();
         self.unseen_gain_of_one_look =
             self.unseen_words().map(|unseen| self.gain_of_one_look(unseen)).collect();
         self.nothing_seen = (0..=Appearance::MAX_LOOKS)
@@ -158,11 +198,67 @@ impl ObservationModel {
     /// alone: C_n(Z). With `looks` = 0 it is the mean-field term ln p(Z | L_avg).
     #[must_use]
     pub fn log_likelihood_of_empty_place(&self, informative: &[WordState], looks: u8) -> f64 {
-        let more: f64 = informative
-            .iter()
-            .map(|&state| self.log_term(state, 0, looks) - self.log_term(unseen(state.word), 0, looks))
-            .sum();
+        let more: f64 = if looks == 1 {
+            informative.iter().map(|&state| self.one_look(state).anywhere).sum()
+        } else {
+            let gain = |&state| self.log_term(state, 0, looks) - self.log_term(unseen(state.word), 0, looks);
+            informative.iter().map(gain).sum()
+        };
         self.nothing_seen[usize::from(looks)] + more
+    }
+
+    /// ln p(nothing is seen | a place where nothing was seen in `looks` looks).
+    pub(crate) fn log_likelihood_of_nothing(&self, looks: u8) -> f64 {
+        self.nothing_seen[usize::from(looks)]
+    }
+
+    /// See [`OneLook`]; the state must be an informative one.
+    pub(crate) fn one_look(&self, state: WordState) -> OneLook {
+        let by_word = self.one_look.get_or_init(|| {
+            let states = |word| INFORMATIVE_STATES.map(|state| self.evaluate_one_look(word, state));
+            (0..self.vocabulary_len() as WordId).map(states).collect()
+        });
+        let position = 2 * usize::from(state.seen) + usize::from(state.parent_seen) - 1;
+        by_word[state.word as usize][position]
+    }
+
+    fn evaluate_one_look(&self, word: WordId, (seen, parent_seen): (bool, bool)) -> OneLook {
+        let state = WordState { word, seen, parent_seen };
+        OneLook {
+            anywhere: self.log_term(state, 0, 1) - self.log_term(unseen(word), 0, 1),
+            at_places_with_it: self.gain_of_one_look(state) - self.gain_of_one_look(unseen(word)),
+        }
+    }
+
+    /// For n = 0..=`most_looks` and k = 0..=n, in the order of [`count_index`]: how much more than "neither the word nor
+    /// its parent is seen" the word's state says of a place where the word was seen in k of n looks, in nats.
+    ///
+    /// As ln [Σ_s p(z_q | e_q = s, z_pq) p(e_q = s | L)] less the same of the unseen state, in which the normaliser of
+    /// p(e_q | L) cancels: p(e_q = s | L) ∝ p(e_q = s) Π p(z|e_q = s) over the looks.
+    pub(crate) fn gains_over_unseen(&self, state: WordState, most_looks: u8, gains: &mut [f64; COUNTS]) {
+        let marginal = self.tree.marginal(state.word, true);
+        let weighted = |state| {
+            [
+                self.word_probability(state, true) * marginal,
+                self.word_probability(state, false) * (1.0 - marginal),
+            ]
+        };
+        let counts = ..=count_index(most_looks, most_looks);
+        let (state, unseen) = (weighted(state), weighted(unseen(state.word)));
+        slices::log_ratios(&self.evidence_of_looks[counts], state, unseen, &mut gains[counts]);
+        gains[counts].iter_mut().for_each(|gain| *gain *= self.exponent.value());
+    }
+
+    /// Σ over the words of a place of what they say, beyond what they would if the place did not have them, to a query
+    /// that shows neither them nor their parents; in nats.
+    pub(crate) fn unseen_gain(&self, appearance: &Appearance) -> f64 {
+        let looks = appearance.looks();
+        if looks == 1 {
+            return appearance.word_hits().map(|(word, _)| self.unseen_gain_of_one_look[word as usize]).sum();
+        }
+        let gain =
+            |(word, hits)| self.log_term(unseen(word), hits, looks) - self.log_term(unseen(word), 0, looks);
+        appearance.word_hits().map(gain).sum()
     }
 
     /// Readies `observation` for comparison with places that were looked at once.

@@ -1,15 +1,14 @@
 //! How likely an observation is somewhere that is not on the map.
 
-mod sample_index;
 mod tail;
 
-use std::borrow::Cow;
 use std::sync::Arc;
 
+use crate::appearance::Appearance;
+use crate::inverted_index::{InvertedIndex, QueryWeights};
 use crate::likelihood::{ObservationModel, WordState};
 use crate::observation::Observation;
 
-use sample_index::SampleIndex;
 use tail::Tail;
 
 /// How the places nobody has seen are stood in for.
@@ -50,7 +49,15 @@ pub struct NewPlace {
 #[derive(Clone, Debug)]
 enum StandIn {
     AveragePlace(Arc<ObservationModel>),
-    Samples(Box<SampleIndex>, Summary),
+    /// The samples as places that were looked at once.
+    Samples(Box<InvertedIndex>, Summary),
+}
+
+/// What the term of one observation is worked out in. Kept between observations it saves their allocations.
+#[derive(Clone, Debug, Default)]
+pub struct SampleWorkspace {
+    weights: QueryWeights,
+    log_likelihoods: Vec<f64>,
 }
 
 /// What is made of the likelihoods of the samples.
@@ -99,7 +106,9 @@ impl NewPlace {
         if sampling_set.is_empty() {
             return Err(NoSamplesError);
         }
-        Ok(StandIn::Samples(Box::new(SampleIndex::new(model, sampling_set)), summary))
+        let mut samples = InvertedIndex::new(model.clone());
+        samples.extend(sampling_set.iter().map(Appearance::of));
+        Ok(StandIn::Samples(Box::new(samples), summary))
     }
 
     /// The term for a map of n places, from the informative words of Z by the model that this
@@ -115,21 +124,27 @@ impl NewPlace {
     ///   does not, where the tail's is P / scale. With n places the best unrelated one reaches about
     ///   n c, whatever n is.
     #[must_use]
-    pub fn term(&self, informative: &[WordState], places: usize) -> NewPlaceTerm {
+    pub fn term(
+        &self,
+        informative: &[WordState],
+        places: usize,
+        workspace: &mut SampleWorkspace,
+    ) -> NewPlaceTerm {
         let untempered = |log_likelihood| NewPlaceTerm { log_likelihood, temperature: 1.0 };
         match &self.stand_in {
             StandIn::AveragePlace(model) => untempered(model.log_likelihood_of_empty_place(informative, 0)),
             StandIn::Samples(samples, summary) => {
-                let mut scores = samples.log_likelihoods(informative);
+                let SampleWorkspace { weights, log_likelihoods: scores } = workspace;
+                samples.log_likelihoods_into(informative, weights, scores);
                 match summary {
-                    Summary::Mean => untempered(log_mean_exp(&scores)),
+                    Summary::Mean => untempered(log_mean_exp(scores)),
                     Summary::Tail => {
-                        let (places, mean) = (places.max(1), log_mean_exp(&scores));
-                        let best = Tail::fit(&mut scores).exceeded_by_best_of(places, Self::MISTAKEN_SHARE);
+                        let (places, mean) = (places.max(1), log_mean_exp(scores));
+                        let best = Tail::fit(scores).exceeded_by_best_of(places, Self::MISTAKEN_SHARE);
                         untempered(mean.max(best - (places as f64).ln()))
                     }
                     Summary::TemperedTail => {
-                        let tail = Tail::fit(&mut scores);
+                        let tail = Tail::fit(scores);
                         let log_likelihood = tail.exceeded_by_best_of(1, Self::MATCHES_PER_FOLD);
                         NewPlaceTerm { log_likelihood, temperature: tail.scale().max(1.0) }
                     }
@@ -150,19 +165,6 @@ impl NewPlace {
     }
 }
 
-impl NewPlaceTerm {
-    /// Log-likelihoods of places such that their differences to [`NewPlaceTerm::log_likelihood`] are
-    /// tempered.
-    #[must_use]
-    pub fn temper<'a>(&self, log_likelihoods: &'a [f64]) -> Cow<'a, [f64]> {
-        let Self { log_likelihood: new_place, temperature } = *self;
-        if temperature == 1.0 {
-            return Cow::Borrowed(log_likelihoods);
-        }
-        log_likelihoods.iter().map(|value| new_place + (value - new_place) / temperature).collect()
-    }
-}
-
 /// ln [(1/n) Σ exp(x)] of n values.
 fn log_mean_exp(values: &[f64]) -> f64 {
     log_sum_exp(values) - (values.len() as f64).ln()
@@ -180,9 +182,12 @@ pub(crate) fn log_sum_exp(values: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::appearance::Appearance;
     use crate::test_worlds::{self, World};
     use proptest::prelude::*;
+
+    fn term(new_place: &NewPlace, informative: &[WordState], places: usize) -> NewPlaceTerm {
+        new_place.term(informative, places, &mut SampleWorkspace::default())
+    }
 
     proptest! {
         #[test]
@@ -194,7 +199,7 @@ mod tests {
                 let mean = observations.iter()
                     .map(|sample| model.dense_log_likelihood(z, &Appearance::of(sample)).exp())
                     .sum::<f64>() / observations.len() as f64;
-                let term = new_place.term(&model.informative_words(z), 7).log_likelihood;
+                let term = term(&new_place, &model.informative_words(z), 7).log_likelihood;
                 prop_assert!((term - mean.ln()).abs() <= 1e-9 * term.abs().max(1.0), "{term} {}", mean.ln());
             }
         }
@@ -219,7 +224,7 @@ mod tests {
                 let scale = dense[..top].iter().map(|l| l - dense[top]).sum::<f64>() / (top as f64).max(1.0);
                 let n = places.max(1) as f64;
                 let best = dense[top] + scale * (n * (top as f64).max(1.0) / n_s / 0.01).ln();
-                let term = new_place.term(&model.informative_words(z), places).log_likelihood;
+                let term = term(&new_place, &model.informative_words(z), places).log_likelihood;
                 let expected = mean.max(best - n.ln());
                 prop_assert!((term - expected).abs() <= 1e-8 * term.abs().max(1.0), "{term} {expected}");
             }
@@ -243,14 +248,13 @@ mod tests {
                 let top = ((n_s / 4.0).floor().max(1.0) as usize).min(dense.len() - 1);
                 let scale = dense[..top].iter().map(|l| l - dense[top]).sum::<f64>() / (top as f64).max(1.0);
                 let share = (top as f64).max(1.0) / n_s;
-                let term = new_place.term(&model.informative_words(z), 1);
+                let term = term(&new_place, &model.informative_words(z), 1);
                 prop_assert!(term.temperature >= 1.0);
                 prop_assert!((term.temperature - scale.max(1.0)).abs() <= 1e-8 * scale.max(1.0));
                 if scale > 1.0 {
-                    let tempered = term.temper(&[dense[top] + nats])[0];
                     let unrelated_as_likely = share.ln() - nats / scale;
                     let expected = 0.05f64.ln() - unrelated_as_likely;
-                    let found = tempered - term.log_likelihood;
+                    let found = (dense[top] + nats - term.log_likelihood) / term.temperature;
                     prop_assert!((found - expected).abs() < 1e-6 * (1.0 + nats), "{found} {expected}");
                 }
             }
@@ -261,14 +265,6 @@ mod tests {
             let plain = values.iter().map(|v| v.exp()).sum::<f64>().ln();
             prop_assert!((log_sum_exp(&values) - plain).abs() < 1e-9);
         }
-    }
-
-    #[test]
-    fn what_is_not_tempered_is_left_as_it_is() {
-        let term = NewPlaceTerm { log_likelihood: -7.3, temperature: 1.0 };
-        assert_eq!(*term.temper(&[-0.1, -900.7]), [-0.1, -900.7]);
-        let term = NewPlaceTerm { log_likelihood: -8.0, temperature: 4.0 };
-        assert_eq!(*term.temper(&[-8.0, 0.0, -28.0]), [-8.0, -6.0, -13.0]);
     }
 
     #[test]

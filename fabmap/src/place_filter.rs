@@ -1,7 +1,10 @@
 //! The recursive Bayes filter over places, "somewhere new" included.
 
+use rayon::prelude::*;
+
 use crate::appearance::PlaceId;
-use crate::new_place::log_sum_exp;
+use crate::new_place::NewPlaceTerm;
+use crate::slices;
 
 /// Settings of the filter; every value is checked by [`PlaceFilter::new`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,12 +53,22 @@ pub enum FilterError {
 }
 
 /// Probabilities over n places and "somewhere new" that sum to 1.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct PlaceDistribution {
     /// One probability per place, in order of place id.
     pub places: Vec<f64>,
     /// Probability of being at none of them.
     pub new_place: f64,
+}
+
+/// p(L_i) before an observation: the same for all places but some, and for "somewhere new". Sums to 1.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PlacePrior {
+    places: usize,
+    everywhere: f64,
+    /// What some places have beyond that; ascending by id, each at most once.
+    more: Vec<(PlaceId, f64)>,
+    new_place: f64,
 }
 
 /// Where motion alone puts the robot among the known places: weights of some places and a mass
@@ -107,7 +120,7 @@ impl PlaceFilter {
         self.settings
     }
 
-    /// p(L_i | Z^k) from the log-likelihoods of all places and of a new one, and the prior.
+    /// p(L_i | Z^k) from the log-likelihoods of all places and of a new one, tempered as that says, and the prior.
     /// Cummins & Newman 2008, eqs. (4), (18).
     ///
     /// # Panics
@@ -116,41 +129,100 @@ impl PlaceFilter {
     pub fn update(
         &self,
         log_likelihoods: &[f64],
-        new_place_log_likelihood: f64,
-        prior: &PlaceDistribution,
+        new_place: &NewPlaceTerm,
+        prior: &PlacePrior,
     ) -> PlaceDistribution {
-        assert_eq!(log_likelihoods.len(), prior.places.len(), "prior and likelihoods of different maps");
-        let normaliser = log_sum_exp(&[log_sum_exp(log_likelihoods), new_place_log_likelihood]);
-        let sigma = self.settings.likelihood_smoothing;
-        let even = (1.0 - sigma) / (log_likelihoods.len() as f64 + 1.0);
-        let smoothed = |log_likelihood: f64| sigma * (log_likelihood - normaliser).exp() + even;
-        let joint = |(&log_likelihood, &prior): (&f64, &f64)| smoothed(log_likelihood) * prior;
-        let mut posterior = PlaceDistribution {
-            places: log_likelihoods.iter().zip(&prior.places).map(joint).collect(),
-            new_place: smoothed(new_place_log_likelihood) * prior.new_place,
-        };
-        posterior.normalise();
+        let mut posterior = PlaceDistribution::default();
+        self.update_into(log_likelihoods, new_place, prior, &mut posterior);
         posterior
+    }
+
+    /// The same into `posterior`, which is overwritten.
+    ///
+    /// Twice through the places: likelihoods relative to the largest; then a factor and an offset that are the same
+    /// for all places but those that the prior names.
+    ///
+    /// # Panics
+    /// See [`PlaceFilter::update`].
+    pub fn update_into(
+        &self,
+        log_likelihoods: &[f64],
+        new_place: &NewPlaceTerm,
+        prior: &PlacePrior,
+        posterior: &mut PlaceDistribution,
+    ) {
+        let places = log_likelihoods.len();
+        assert_eq!(places, prior.places, "prior and likelihoods of different maps");
+        let &NewPlaceTerm { log_likelihood: new_place, temperature } = new_place;
+        // Tempering moves no place across the new one, so the largest of all stays the largest.
+        let largest = slices::largest(log_likelihoods).max(new_place);
+        posterior.places.resize(places, 0.0);
+        let likelihoods = &mut posterior.places;
+        let sum = exponentials(log_likelihoods, largest, 1.0 / temperature, likelihoods);
+        let new_place = ((new_place - largest) / temperature).exp();
+
+        let sigma = self.settings.likelihood_smoothing;
+        let (factor, even) = (sigma / (sum + new_place), (1.0 - sigma) / (places as f64 + 1.0));
+        let smoothed = |likelihood: f64| factor * likelihood + even;
+        let more: f64 =
+            prior.more.iter().map(|&(place, more)| more * smoothed(likelihoods[place as usize])).sum();
+        let of_all = prior.everywhere * (factor * sum + even * places as f64);
+        let of_new_place = prior.new_place * smoothed(new_place);
+        let evidence = of_all + more + of_new_place;
+
+        let more = prior.more.iter().map(|&(place, more)| {
+            (place as usize, (prior.everywhere + more) * smoothed(likelihoods[place as usize]) / evidence)
+        });
+        let more: Vec<(usize, f64)> = more.collect();
+        scale(likelihoods, prior.everywhere * factor / evidence, prior.everywhere * even / evidence);
+        more.into_iter().for_each(|(place, probability)| likelihoods[place] = probability);
+        posterior.new_place = of_new_place / evidence;
     }
 
     /// p(L_i) before the observation: p(new) for a new place; the rest to the n known ones as
     /// (1 - ε) · motion prior + ε/n. Without places all of it is new.
     #[must_use]
-    pub fn prior(&self, motion: &MotionPrior, places: usize) -> PlaceDistribution {
+    pub fn prior(&self, motion: &MotionPrior, places: usize) -> PlacePrior {
         if places == 0 {
-            return PlaceDistribution { places: Vec::new(), new_place: 1.0 };
+            return PlacePrior { new_place: 1.0, ..PlacePrior::default() };
         }
         let FilterSettings { new_place_prior, even_share, .. } = self.settings;
         let known = 1.0 - new_place_prior;
         let everywhere = known * ((1.0 - even_share) * motion.even + even_share) / places as f64;
-        let mut prior = PlaceDistribution { places: vec![everywhere; places], new_place: new_place_prior };
-        for &(place, weight) in &motion.places {
-            if let Some(probability) = prior.places.get_mut(place as usize) {
-                *probability += known * (1.0 - even_share) * weight;
-            }
-        }
-        prior
+        let named = motion.places.iter().filter(|&&(place, _)| (place as usize) < places);
+        let more = named.map(|&(place, weight)| (place, known * (1.0 - even_share) * weight)).collect();
+        PlacePrior { places, everywhere, more, new_place: new_place_prior }
     }
+}
+
+impl PlacePrior {
+    /// p(L_i); `None` if there is no such place.
+    #[must_use]
+    pub fn of(&self, place: PlaceId) -> Option<f64> {
+        let more = self.more.binary_search_by_key(&place, |&(place, _)| place);
+        let more = more.map_or(0.0, |index| self.more[index].1);
+        ((place as usize) < self.places).then_some(self.everywhere + more)
+    }
+
+    /// p(new).
+    #[must_use]
+    pub fn new_place(&self) -> f64 {
+        self.new_place
+    }
+}
+
+/// Places that one thread works on at a time; sums over them are added in order.
+const BLOCK_PLACES: usize = 4096;
+
+/// exp((l - largest) · scale) of all places, and the sum.
+fn exponentials(log_likelihoods: &[f64], largest: f64, scale: f64, likelihoods: &mut [f64]) -> f64 {
+    let blocks = log_likelihoods.par_chunks(BLOCK_PLACES).zip(likelihoods.par_chunks_mut(BLOCK_PLACES));
+    let sums = blocks.map(|(values, results)| slices::exponentials(values, largest, scale, results));
+    sums.collect::<Vec<f64>>().iter().sum()
+}
+
+fn scale(probabilities: &mut [f64], factor: f64, offset: f64) {
+    probabilities.par_chunks_mut(BLOCK_PLACES).for_each(|block| slices::scale(block, factor, offset));
 }
 
 impl PlaceDistribution {
@@ -168,7 +240,7 @@ impl PlaceDistribution {
     #[must_use]
     pub fn log_odds(&self, place: PlaceId) -> f64 {
         let (before, rest) = self.places.split_at(place as usize);
-        let others = before.iter().sum::<f64>() + rest[1..].iter().sum::<f64>() + self.new_place;
+        let others = slices::sum(before) + slices::sum(&rest[1..]) + self.new_place;
         rest[0].max(f64::MIN_POSITIVE).ln() - others.max(f64::MIN_POSITIVE).ln()
     }
 
@@ -177,13 +249,30 @@ impl PlaceDistribution {
     pub fn top(&self, count: usize) -> Vec<(PlaceId, f64)> {
         let by_probability =
             |a: &(PlaceId, f64), b: &(PlaceId, f64)| b.1.total_cmp(&a.1).then_with(|| a.0.cmp(&b.0));
-        let mut places: Vec<(PlaceId, f64)> = (0..).zip(self.places.iter().copied()).collect();
-        if count < places.len() && count > 0 {
-            places.select_nth_unstable_by(count - 1, by_probability);
+        let count = count.min(self.places.len());
+        let mut best: Vec<(PlaceId, f64)> = Vec::with_capacity(2 * (count + 1));
+        if count == 0 {
+            return best;
         }
-        places.truncate(count);
-        places.sort_unstable_by(by_probability);
-        places
+        // What the last of the best must be exceeded by; of equal ones the earlier is the better.
+        let mut least = f64::NEG_INFINITY;
+        for (first, chunk) in (0..).step_by(CHUNK_PLACES).zip(self.places.chunks(CHUNK_PLACES)) {
+            if !chunk.iter().fold(false, |any, &probability| any | (probability > least)) {
+                continue;
+            }
+            for (place, &probability) in (first..).zip(chunk) {
+                if probability > least {
+                    best.push((place, probability));
+                }
+                if best.len() == best.capacity() {
+                    least = best.select_nth_unstable_by(count - 1, by_probability).1.1;
+                    best.truncate(count);
+                }
+            }
+        }
+        best.sort_unstable_by(by_probability);
+        best.truncate(count);
+        best
     }
 
     /// What the next frame starts from. The mass of "somewhere new" passes to `created`, the place
@@ -200,13 +289,10 @@ impl PlaceDistribution {
         let carried = places.iter().map(|&(_, probability)| probability).sum::<f64>() + new_place;
         Belief { places, new_place, remainder: (1.0 - carried).max(0.0) }
     }
-
-    fn normalise(&mut self) {
-        let total = self.places.iter().sum::<f64>() + self.new_place;
-        self.places.iter_mut().for_each(|probability| *probability /= total);
-        self.new_place /= total;
-    }
 }
+
+/// Places that are passed over at once if none of them is among the best.
+const CHUNK_PLACES: usize = 64;
 
 impl Belief {
     /// Most places carried by name.
@@ -270,15 +356,24 @@ mod tests {
         distribution.places.iter().sum::<f64>() + distribution.new_place
     }
 
+    fn untempered(log_likelihood: f64) -> NewPlaceTerm {
+        NewPlaceTerm { log_likelihood, temperature: 1.0 }
+    }
+
+    fn all(prior: &PlacePrior) -> Vec<f64> {
+        (0..prior.places as PlaceId).map(|place| prior.of(place).unwrap()).collect()
+    }
+
     proptest! {
         #[test]
         fn prior_and_posterior_sum_to_1(
             filter in filters(), motion in motion_priors(), likelihoods in proptest::collection::vec(-800.0..0.0f64, 30..60), new in -800.0..0.0f64,
         ) {
             let prior = filter.prior(&motion, likelihoods.len());
-            prop_assert!((total(&prior) - 1.0).abs() < 1e-12);
-            prop_assert!((prior.new_place - filter.settings().new_place_prior).abs() < 1e-12);
-            let posterior = filter.update(&likelihoods, new, &prior);
+            prop_assert!((all(&prior).iter().sum::<f64>() + prior.new_place() - 1.0).abs() < 1e-12);
+            prop_assert!((prior.new_place() - filter.settings().new_place_prior).abs() < 1e-12);
+            prop_assert_eq!(prior.of(likelihoods.len() as PlaceId), None);
+            let posterior = filter.update(&likelihoods, &untempered(new), &prior);
             prop_assert!((total(&posterior) - 1.0).abs() < 1e-12);
             prop_assert!(posterior.places.iter().all(|p| (0.0..=1.0).contains(p)));
         }
@@ -287,16 +382,20 @@ mod tests {
         #[test]
         fn the_posterior_is_bayes_rule(
             filter in filters(), motion in motion_priors(), likelihoods in proptest::collection::vec(-30.0..0.0f64, 30..40), new in -30.0..0.0f64,
+            temperature in prop_oneof![Just(1.0), 1.0..20.0f64],
         ) {
             let settings = filter.settings();
             let n = likelihoods.len() as f64;
+            let term = NewPlaceTerm { log_likelihood: new, temperature };
+            let likelihoods_of_all = &likelihoods;
+            let likelihoods: Vec<f64> = likelihoods_of_all.iter().map(|l| new + (l - new) / temperature).collect();
             let sum: f64 = likelihoods.iter().map(|l| l.exp()).sum::<f64>() + new.exp();
             let smooth = |l: f64| settings.likelihood_smoothing * l.exp() / sum + (1.0 - settings.likelihood_smoothing) / (n + 1.0);
             let prior = filter.prior(&motion, likelihoods.len());
-            let joint: Vec<f64> = likelihoods.iter().zip(&prior.places).map(|(&l, p)| smooth(l) * p).collect();
-            let joint_new = smooth(new) * prior.new_place;
+            let joint: Vec<f64> = likelihoods.iter().zip(all(&prior)).map(|(&l, p)| smooth(l) * p).collect();
+            let joint_new = smooth(new) * prior.new_place();
             let evidence: f64 = joint.iter().sum::<f64>() + joint_new;
-            let posterior = filter.update(&likelihoods, new, &prior);
+            let posterior = filter.update(likelihoods_of_all, &term, &prior);
             for (p, j) in posterior.places.iter().zip(&joint) {
                 prop_assert!((p - j / evidence).abs() < 1e-12);
             }
@@ -307,8 +406,9 @@ mod tests {
         fn carrying_loses_no_mass(
             weights in proptest::collection::vec(0.0..1.0f64, 1..200), new in 0.001..1.0f64, creates in any::<bool>(),
         ) {
-            let mut distribution = PlaceDistribution { places: weights, new_place: new };
-            distribution.normalise();
+            let all = weights.iter().sum::<f64>() + new;
+            let places = weights.iter().map(|weight| weight / all).collect();
+            let distribution = PlaceDistribution { places, new_place: new / all };
             let next = distribution.places.len() as PlaceId;
             let belief = distribution.carry(creates.then_some(next));
             prop_assert!(belief.places.len() <= Belief::MAX_PLACES);
@@ -319,7 +419,7 @@ mod tests {
         }
 
         #[test]
-        fn top_is_the_sorted_beginning(weights in proptest::collection::vec(0..5u8, 0..50), count in 0..60usize) {
+        fn top_is_the_sorted_beginning(weights in proptest::collection::vec(0..30u8, 0..400), count in 0..60usize) {
             let distribution = PlaceDistribution { places: weights.iter().map(|&w| f64::from(w)).collect(), new_place: 0.0 };
             let mut sorted: Vec<(PlaceId, f64)> = (0..).zip(distribution.places.iter().copied()).collect();
             sorted.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -341,7 +441,8 @@ mod tests {
     #[test]
     fn an_empty_map_has_only_new_places() {
         let filter = PlaceFilter::new(FilterSettings::default()).unwrap();
-        let posterior = filter.update(&[], -100.0, &filter.prior(&MotionPrior::even(), 0));
+        let prior = filter.prior(&MotionPrior::even(), 0);
+        let posterior = filter.update(&[], &untempered(-100.0), &prior);
         assert_eq!(posterior, PlaceDistribution { places: vec![], new_place: 1.0 });
     }
 
@@ -349,8 +450,8 @@ mod tests {
     fn motion_moves_the_mass_where_it_says() {
         let filter = PlaceFilter::new(FilterSettings::default()).unwrap();
         let prior = filter.prior(&MotionPrior::from_weights(vec![(3, 2.0), (1, 1.0), (3, 1.0)], 0.0), 5);
-        assert!((prior.places[3] - 0.1 * (0.9 * 0.75 + 0.1 / 5.0)).abs() < 1e-15);
-        assert!((prior.places[0] - 0.1 * 0.1 / 5.0).abs() < 1e-15);
+        assert!((prior.of(3).unwrap() - 0.1 * (0.9 * 0.75 + 0.1 / 5.0)).abs() < 1e-15);
+        assert!((prior.of(0).unwrap() - 0.1 * 0.1 / 5.0).abs() < 1e-15);
     }
 
     #[test]

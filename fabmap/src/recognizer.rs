@@ -7,12 +7,14 @@ use rayon::prelude::*;
 use crate::appearance::{Appearance, PlaceId};
 use crate::detector::DetectorModel;
 use crate::explanation::Explanation;
-use crate::inverted_index::InvertedIndex;
+use crate::inverted_index::{InvertedIndex, QueryWeights};
 use crate::likelihood::{Dependence, ObservationModel, WordState};
 use crate::model::Model;
-use crate::new_place::{NewPlace, NewPlaceMethod, NoSamplesError};
+use crate::new_place::{NewPlace, NewPlaceMethod, NoSamplesError, SampleWorkspace};
 use crate::observation::Observation;
-use crate::place_filter::{FilterError, FilterSettings, MotionPrior, PlaceDistribution, PlaceFilter};
+use crate::place_filter::{
+    FilterError, FilterSettings, MotionPrior, PlaceDistribution, PlaceFilter, PlacePrior,
+};
 
 /// FAB-MAP over a growing set of places.
 #[derive(Clone, Debug)]
@@ -60,16 +62,23 @@ pub enum RecognizerError {
 }
 
 /// What one observation says about where the robot is.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recognition {
     /// ln p(Z | L_i) per place, in nats.
     pub log_likelihoods: Vec<f64>,
     /// ln p(Z | L_new), in nats.
     pub new_place_log_likelihood: f64,
     /// Before the observation.
-    pub prior: PlaceDistribution,
+    pub prior: PlacePrior,
     /// After it.
     pub posterior: PlaceDistribution,
+}
+
+/// What observations are worked on in; see [`Recognizer::recognize_into`].
+#[derive(Clone, Debug, Default)]
+pub struct Workspace {
+    weights: QueryWeights,
+    samples: SampleWorkspace,
 }
 
 /// Which place an observation belongs to.
@@ -110,15 +119,26 @@ impl Recognizer {
     /// # Errors
     /// [`RecognizerError`] if a setting is out of range, or the model lacks what it asks for.
     pub fn new(model: &Model, settings: RecognizerSettings) -> Result<Self, RecognizerError> {
-        let RecognizerSettings { dependence, new_place, scorer, detector, filter } = settings;
-        let detector = detector.unwrap_or(*model.detector());
-        let observation_model = Arc::new(
-            ObservationModel::new(model.tree(), detector, dependence)
-                .with_exponent(model.evidence_exponent()),
-        );
+        let detector = settings.detector.unwrap_or(*model.detector());
+        let observation_model = ObservationModel::new(model.tree(), detector, settings.dependence)
+            .with_exponent(model.evidence_exponent());
+        Self::over(Arc::new(observation_model), model.sampling_set(), settings)
+    }
+
+    /// The same over an observation model that has been made from the settings' dependence and detector, or
+    /// from others.
+    ///
+    /// # Errors
+    /// [`RecognizerError`] if a setting is out of range, or samples are asked for and there are none.
+    pub fn over(
+        model: Arc<ObservationModel>,
+        sampling_set: &[Observation],
+        settings: RecognizerSettings,
+    ) -> Result<Self, RecognizerError> {
+        let RecognizerSettings { new_place, scorer, filter, .. } = settings;
         Ok(Self {
-            new_place: NewPlace::new(new_place, &observation_model, model.sampling_set())?,
-            index: InvertedIndex::new(observation_model),
+            new_place: NewPlace::new(new_place, &model, sampling_set)?,
+            index: InvertedIndex::new(model),
             filter: PlaceFilter::new(filter)?,
             scorer,
         })
@@ -132,16 +152,33 @@ impl Recognizer {
         motion: &MotionPrior,
         observer: &mut dyn StageObserver,
     ) -> Recognition {
+        let mut recognition = Recognition::default();
+        self.recognize_into(observation, motion, observer, &mut Workspace::default(), &mut recognition);
+        recognition
+    }
+
+    /// The same into `recognition`, which is overwritten. With both kept from one observation to the next nothing that
+    /// grows with the map is allocated.
+    pub fn recognize_into(
+        &self,
+        observation: &Observation,
+        motion: &MotionPrior,
+        observer: &mut dyn StageObserver,
+        workspace: &mut Workspace,
+        recognition: &mut Recognition,
+    ) {
         let informative = self.index.model().informative_words(observation);
-        let log_likelihoods = self.log_likelihoods(observation, &informative);
+        let places = self.index.len();
+        self.score(observation, &informative, workspace, &mut recognition.log_likelihoods);
         observer.completed(Stage::Likelihood);
-        let new_place = self.new_place.term(&informative, log_likelihoods.len());
+        let new_place = self.new_place.term(&informative, places, &mut workspace.samples);
         observer.completed(Stage::NewPlace);
-        let prior = self.filter.prior(motion, log_likelihoods.len());
-        let tempered = new_place.temper(&log_likelihoods);
-        let posterior = self.filter.update(&tempered, new_place.log_likelihood, &prior);
+        let prior = self.filter.prior(motion, places);
+        let Recognition { log_likelihoods, posterior, .. } = recognition;
+        self.filter.update_into(log_likelihoods, &new_place, &prior, posterior);
         observer.completed(Stage::Filter);
-        Recognition { log_likelihoods, new_place_log_likelihood: new_place.log_likelihood, prior, posterior }
+        recognition.new_place_log_likelihood = new_place.log_likelihood;
+        recognition.prior = prior;
     }
 
     /// Number of places.
@@ -160,8 +197,16 @@ impl Recognizer {
     ///
     /// # Panics
     /// If the appearance is of another vocabulary.
-    pub fn add_place(&mut self, appearance: Appearance) -> PlaceId {
+    pub fn add_place(&mut self, appearance: &Appearance) -> PlaceId {
         self.index.add(appearance)
+    }
+
+    /// Adds places in order, faster than one by one.
+    ///
+    /// # Panics
+    /// If an appearance is of another vocabulary.
+    pub fn add_places(&mut self, appearances: impl IntoIterator<Item = Appearance>) {
+        self.index.extend(appearances);
     }
 
     /// Takes one more look at a place.
@@ -189,18 +234,25 @@ impl Recognizer {
             observation,
             recognition,
             place,
-            appearance,
+            &appearance,
             words,
         )
     }
 
-    fn log_likelihoods(&self, observation: &Observation, informative: &[WordState]) -> Vec<f64> {
+    fn score(
+        &self,
+        observation: &Observation,
+        informative: &[WordState],
+        workspace: &mut Workspace,
+        scores: &mut Vec<f64>,
+    ) {
         match self.scorer {
-            Scorer::Index => self.index.log_likelihoods_given(informative),
+            Scorer::Index => self.index.log_likelihoods_into(informative, &mut workspace.weights, scores),
             Scorer::Dense => {
                 let model = self.index.model();
+                let places: Vec<Appearance> = self.index.appearances().collect();
                 let dense = |place| model.dense_log_likelihood(observation, place);
-                self.index.appearances().par_iter().map(dense).collect()
+                places.par_iter().map(dense).collect_into_vec(scores);
             }
         }
     }

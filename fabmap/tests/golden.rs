@@ -82,7 +82,7 @@ fn dense_and_indexed_likelihoods_are_those_of_openfabmap() {
         |model: &ObservationModel, observations: &[Observation], query: &Observation, index: usize| {
             let mut inverted = InvertedIndex::new(Arc::new(model.clone()));
             observations.iter().for_each(|z| {
-                inverted.add(Appearance::of(z));
+                inverted.add(&Appearance::of(z));
             });
             inverted.log_likelihoods(query)[index]
         };

@@ -208,10 +208,10 @@ impl Map {
     /// SHA-256 of all that the log decided: counts, frames of places, links with their measurements,
     /// sessions with their beliefs. Equal logs give equal hashes, whatever happened in between.
     #[must_use]
-    pub fn state_hash(&self, appearances: &[Appearance]) -> ContentHash {
+    pub fn state_hash(&self, appearances: impl Iterator<Item = Appearance>) -> ContentHash {
         let mut hasher = Sha256::new();
         for (place, appearance) in self.places.iter().zip(appearances) {
-            hasher.update(encode_place(place, appearance));
+            hasher.update(encode_place(place, &appearance));
         }
         hasher.update(self.encode_graph());
         ContentHash::from_bytes(hasher.finalize().into())

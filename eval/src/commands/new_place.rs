@@ -12,11 +12,11 @@ use std::time::Instant;
 use fabmap::appearance::Appearance;
 use fabmap::chow_liu::ChowLiuTree;
 use fabmap::detector::DetectorModel;
-use fabmap::inverted_index::InvertedIndex;
+use fabmap::inverted_index::{InvertedIndex, QueryWeights};
 use fabmap::likelihood::{Dependence, ObservationModel};
-use fabmap::new_place::NewPlace;
+use fabmap::new_place::{NewPlace, SampleWorkspace};
 use fabmap::observation::Observation;
-use fabmap::place_filter::{FilterSettings, MotionPrior, PlaceFilter};
+use fabmap::place_filter::{FilterSettings, MotionPrior, PlaceDistribution, PlaceFilter};
 
 use crate::choices::NEW_PLACE_METHODS;
 use crate::error::EvalError;
@@ -132,28 +132,30 @@ fn measure(
 ) -> Result<MapSizeReport, EvalError> {
     let mut index = InvertedIndex::new(model.clone());
     for place in trial.places {
-        index.add(Appearance::of(place));
+        index.add(&Appearance::of(place));
     }
     let filter = PlaceFilter::new(FilterSettings::default()).map_err(EvalError::Filter)?;
     let mut answers = vec![Vec::with_capacity(trial.queries.len()); methods.len()];
     let mut likelihood_ms = Vec::with_capacity(trial.queries.len());
+    let (mut weights, mut samples) = (QueryWeights::default(), SampleWorkspace::default());
+    let (mut log_likelihoods, mut posterior) = (Vec::new(), PlaceDistribution::default());
     let bar = progress::bar("queries", trial.queries.len());
     for query in bar.wrap_iter(trial.queries.iter()) {
         let begun = Instant::now();
         let informative = model.informative_words(&query.observation);
-        let log_likelihoods = index.log_likelihoods_given(&informative);
+        index.log_likelihoods_into(&informative, &mut weights, &mut log_likelihoods);
         likelihood_ms.push(milliseconds(begun));
         for (method, answers) in methods.iter().zip(&mut answers) {
             let begun = Instant::now();
-            let new_place = method.term(&informative, log_likelihoods.len());
+            let new_place = method.term(&informative, log_likelihoods.len(), &mut samples);
             let new_place_ms = milliseconds(begun);
             let begun = Instant::now();
             let prior = filter.prior(&MotionPrior::even(), log_likelihoods.len());
-            let tempered = new_place.temper(&log_likelihoods);
-            let posterior = filter.update(&tempered, new_place.log_likelihood, &prior);
+            filter.update_into(&log_likelihoods, &new_place, &prior, &mut posterior);
             let filter_ms = milliseconds(begun);
-            let (best_place, posterior) = posterior.best_place().unwrap_or_default();
-            answers.push(Answer { truth: query.place, best_place, posterior, new_place_ms, filter_ms });
+            let (best_place, probability) = posterior.best_place().unwrap_or_default();
+            let truth = query.place;
+            answers.push(Answer { truth, best_place, posterior: probability, new_place_ms, filter_ms });
         }
     }
     bar.finish_and_clear();

@@ -152,7 +152,7 @@ fn tally(empty: &Recognizer, learnt: &[&[Observation]], queries: &[Observation])
     for place in 0..queries.len() {
         let mut appearance = Appearance::default();
         learnt.iter().for_each(|visit| appearance.observe(&visit[place]));
-        recognizer.add_place(appearance);
+        recognizer.add_place(&appearance);
     }
     let mut tally = Tally::default();
     for (place, query) in (0..).zip(queries) {

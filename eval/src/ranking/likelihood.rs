@@ -49,7 +49,7 @@ impl Ranking for LikelihoodRanking {
         if self.waiting.len() == self.gap
             && let Some(far_enough) = self.waiting.pop_front()
         {
-            self.recognizer.add_place(Appearance::of(&far_enough));
+            self.recognizer.add_place(&Appearance::of(&far_enough));
         }
         let recognition = self.recognizer.recognize(&observation, &MotionPrior::even(), &mut watch);
         let words = observation.len();
@@ -68,11 +68,11 @@ impl Ranking for LikelihoodRanking {
 /// are all equal.
 fn best(recognition: &Recognition) -> Option<Proposal> {
     let Recognition { log_likelihoods, new_place_log_likelihood, prior, posterior } = recognition;
-    let joint = |place: usize| log_likelihoods[place] + prior.places[place].ln();
+    let joint = |place: usize| log_likelihoods[place] + prior.of(place as u32).unwrap_or(0.0).ln();
     let best = (0..log_likelihoods.len())
         .reduce(|best, place| if joint(place) > joint(best) { place } else { best })?;
     let others = (0..log_likelihoods.len()).filter(|&place| place != best).map(joint);
-    let others: Vec<f64> = others.chain([new_place_log_likelihood + prior.new_place.ln()]).collect();
+    let others: Vec<f64> = others.chain([new_place_log_likelihood + prior.new_place().ln()]).collect();
     let score = joint(best) - log_sum_exp(&others);
     let posterior = Some(posterior.places[best]);
     Some(Proposal { frame: best, score, posterior, probability: posterior })
@@ -87,14 +87,20 @@ fn log_sum_exp(values: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use fabmap::place_filter::PlaceDistribution;
+    use fabmap::place_filter::{FilterSettings, PlaceDistribution, PlaceFilter, PlacePrior};
+
+    /// 0.4 for a new place.
+    fn even_prior(places: usize) -> PlacePrior {
+        let settings = FilterSettings { new_place_prior: 0.4, ..FilterSettings::default() };
+        PlaceFilter::new(settings).unwrap().prior(&MotionPrior::even(), places)
+    }
 
     #[test]
     fn log_odds_are_those_of_the_posterior() {
         let recognition = Recognition {
             log_likelihoods: vec![-10.0, -8.0, -8.0],
             new_place_log_likelihood: -9.0,
-            prior: PlaceDistribution { places: vec![0.2; 3], new_place: 0.4 },
+            prior: even_prior(3),
             posterior: PlaceDistribution { places: vec![0.1, 0.3, 0.3], new_place: 0.3 },
         };
         let Proposal { frame, score, posterior, probability: _ } = best(&recognition).unwrap();
@@ -110,7 +116,7 @@ mod tests {
         let recognition = Recognition {
             log_likelihoods: vec![-9000.0, -8000.0],
             new_place_log_likelihood: -1000.0,
-            prior: PlaceDistribution { places: vec![0.3; 2], new_place: 0.4 },
+            prior: even_prior(2),
             posterior: PlaceDistribution { places: vec![0.0, 0.0], new_place: 1.0 },
         };
         let Proposal { frame, score, .. } = best(&recognition).unwrap();

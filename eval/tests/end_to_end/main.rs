@@ -6,5 +6,6 @@ mod comparing;
 mod errors;
 mod new_place;
 mod real_data;
+mod scale;
 mod synthetic;
 mod tool;

@@ -156,10 +156,10 @@ fn trials(model: &Model, detector: DetectorModel, pairs: &[(usize, usize)]) -> V
     let mut seen_once = InvertedIndex::new(observation_model.clone());
     let mut seen_twice = InvertedIndex::new(observation_model);
     for (sample, before) in samples.iter().zip(samples.iter().take(1).chain(samples)) {
-        seen_once.add(Appearance::of(sample));
+        seen_once.add(&Appearance::of(sample));
         let mut twice = Appearance::of(before);
         twice.observe(sample);
-        seen_twice.add(twice);
+        seen_twice.add(&twice);
     }
     let trials_of = |&(earlier, later): &(usize, usize)| {
         let once = seen_once.log_likelihoods(&samples[later]);

@@ -22,7 +22,7 @@ impl Mapper {
             MapEvent::Frame(event) => {
                 match event.decision.place {
                     Some(place) if place as usize == self.recognizer.places() => {
-                        self.recognizer.add_place(Appearance::of(&event.observation));
+                        self.recognizer.add_place(&Appearance::of(&event.observation));
                     }
                     Some(place) if event.learnt => self.recognizer.observe_place(place, &event.observation),
                     Some(_) | None => {}
@@ -75,7 +75,7 @@ impl Mapper {
     #[must_use]
     pub fn encode_place(&self, place: PlaceId) -> Option<Vec<u8>> {
         let appearance = self.recognizer.index().appearance(place)?;
-        Some(encode_place(self.map.places().get(place as usize)?, appearance))
+        Some(encode_place(self.map.places().get(place as usize)?, &appearance))
     }
 
     /// Opens a map from a checkpoint: the byte forms of all places in order, and of the graph.
@@ -90,10 +90,20 @@ impl Mapper {
     ) -> Result<Self, RestoreError> {
         let mut mapper = Self::new(model, settings)?;
         let mut restored: Vec<Place> = Vec::new();
-        for bytes in places {
-            let (place, appearance) = decode_place(bytes, mapper.vocabulary_len)?;
-            restored.push(place);
-            mapper.recognizer.add_place(appearance);
+        let (vocabulary_len, mut damage) = (mapper.vocabulary_len, None);
+        let appearances = places.into_iter().map_while(|bytes| match decode_place(bytes, vocabulary_len) {
+            Ok((place, appearance)) => {
+                restored.push(place);
+                Some(appearance)
+            }
+            Err(error) => {
+                damage = Some(error);
+                None
+            }
+        });
+        mapper.recognizer.add_places(appearances);
+        if let Some(error) = damage {
+            return Err(error.into());
         }
         mapper.map = Map::decode_graph(graph, restored)?;
         Ok(mapper)
