@@ -8,7 +8,6 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use std::ops::{ControlFlow, RangeInclusive};
 
-mod avx2;
 mod binary_rows;
 mod centres;
 mod descent_tree;
@@ -18,11 +17,12 @@ mod orb_text;
 mod search_tree;
 mod seeding;
 mod training_set;
+mod x86;
 
 use centres::{BLOCK_ROWS, Centres, Nearest};
 use descent_tree::DescentTree;
 use kmeans::{Cancelled, Step};
-use search_tree::{SearchTree, TreeStep};
+use search_tree::{SearchTree, TREE_BLOCK_ROWS, TreeStep};
 use training_set::TrainingSet;
 
 pub use descent_tree::TreeError;
@@ -240,6 +240,26 @@ impl Vocabulary {
         self.width
     }
 
+    /// The descriptor that each word stands for, in order of word.
+    #[must_use]
+    pub fn centres(&self) -> Descriptors {
+        let rows = match &self.quantizer {
+            Quantizer::Exact(centres) => centres.rows(),
+            Quantizer::Tree(tree) => tree.word_rows(),
+            Quantizer::Descent(tree) => tree.word_rows(),
+        };
+        Descriptors::new(self.kind, self.width, rows)
+            .unwrap_or_else(|_| unreachable!("every quantizer has whole rows of width()"))
+    }
+
+    /// The same words, but each descriptor is compared with every one of them: what the searches of
+    /// large vocabularies are measured against.
+    #[must_use]
+    pub fn with_exact_search(&self) -> Self {
+        let centres = Centres::pack(self.kind, self.width, self.centres().as_bytes());
+        Self { kind: self.kind, width: self.width, quantizer: Quantizer::Exact(centres) }
+    }
+
     /// Word of one descriptor.
     ///
     /// # Panics
@@ -249,7 +269,11 @@ impl Vocabulary {
         assert_eq!(descriptor.len(), self.width, "bytes of the descriptor");
         match &self.quantizer {
             Quantizer::Exact(centres) => centres.nearest_one(descriptor).id,
-            Quantizer::Tree(tree) => tree.word(descriptor),
+            Quantizer::Tree(tree) => {
+                let mut word = [0];
+                tree.words(self.width, descriptor, &mut word);
+                word[0]
+            }
             Quantizer::Descent(tree) => tree.word(descriptor),
         }
     }
@@ -268,9 +292,10 @@ impl Vocabulary {
             }));
         }
         let mut words = vec![0; descriptors.len()];
+        let block_rows = self.block_rows(words.len());
         words
-            .par_chunks_mut(BLOCK_ROWS)
-            .zip(descriptors.as_bytes().par_chunks(BLOCK_ROWS * self.width))
+            .par_chunks_mut(block_rows)
+            .zip(descriptors.as_bytes().par_chunks(block_rows * self.width))
             .for_each(|(words, rows)| self.quantize_block(rows, words));
         Ok(words)
     }
@@ -284,6 +309,17 @@ impl Vocabulary {
         Ok(observation.unwrap_or_else(|_| unreachable!("every quantizer's words are below len()")))
     }
 
+    /// Rows that one thread looks up together. The more meet in a cell of a tree the better, but every
+    /// thread is to have its part of an image.
+    fn block_rows(&self, rows: usize) -> usize {
+        match &self.quantizer {
+            Quantizer::Exact(_) | Quantizer::Descent(_) => BLOCK_ROWS,
+            Quantizer::Tree(_) => {
+                rows.div_ceil(rayon::current_num_threads()).clamp(BLOCK_ROWS, TREE_BLOCK_ROWS)
+            }
+        }
+    }
+
     fn quantize_block(&self, rows: &[u8], words: &mut [WordId]) {
         match &self.quantizer {
             Quantizer::Exact(centres) => {
@@ -294,9 +330,10 @@ impl Vocabulary {
                     *word = nearest.id;
                 }
             }
-            Quantizer::Tree(_) | Quantizer::Descent(_) => {
+            Quantizer::Tree(tree) => tree.words(self.width, rows, words),
+            Quantizer::Descent(tree) => {
                 for (word, row) in words.iter_mut().zip(rows.chunks_exact(self.width)) {
-                    *word = self.word(row);
+                    *word = tree.word(row);
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! A vocabulary too large to compare with every word: words in cells, searched best cell first.
 
-use super::centres::Centres;
+use super::centres::{BLOCK_ROWS, Centres, Nearest};
 use super::kmeans::{self, Cancelled, Clusters, Step};
 use super::training_set::TrainingSet;
 use crate::codec::{DecodeError, Reader, Writer};
@@ -17,6 +17,9 @@ use std::ops::ControlFlow;
 /// then costs about as much as the largest exact one, and on real images it finds a word as near as the
 /// nearest for 99.9% of SIFT and 99.7% of ORB descriptors (40,000 to 100,000 words).
 const WORDS_COMPARED: usize = 8192;
+
+/// Most rows looked up together: enough that hundreds of them meet in a cell.
+pub(super) const TREE_BLOCK_ROWS: usize = 4096;
 
 /// Cells trained between two calls of the observer.
 const CELLS_PER_STEP: usize = 16;
@@ -100,25 +103,52 @@ impl SearchTree {
         self.words.iter().map(Centres::len).sum()
     }
 
-    /// The nearest word of the cells visited, the lowest number among equals.
-    pub(super) fn word(&self, descriptor: &[u8]) -> WordId {
-        let distances = self.cells.distances(descriptor);
-        let mut nearest_cells: BinaryHeap<Reverse<(u32, usize)>> =
-            distances.into_iter().zip(0..).map(Reverse).collect();
-        let mut compared = 0;
-        let mut best = (u32::MAX, WordId::MAX);
-        while compared < WORDS_COMPARED
-            && let Some(Reverse((_, cell))) = nearest_cells.pop()
-        {
-            let nearest = self.words[cell].nearest_one(descriptor);
-            best = best.min((nearest.distance, self.first_words[cell] + nearest.id));
-            compared += self.words[cell].len();
+    /// For each of consecutive rows the nearest word of the cells it visits, the lowest number among
+    /// equals.
+    ///
+    /// Which cells those are is settled first; then each cell is compared with all its visitors
+    /// together, so that its words come from memory once.
+    pub(super) fn words(&self, width: usize, rows: &[u8], words: &mut [WordId]) {
+        let mut best = vec![(u32::MAX, WordId::MAX); words.len()];
+        let (mut visiting, mut nearest) = (Vec::new(), Vec::new());
+        for (cell, visitors) in self.visitors(width, rows).iter().enumerate() {
+            visiting.clear();
+            for &row in visitors {
+                visiting.extend_from_slice(&rows[row * width..(row + 1) * width]);
+            }
+            nearest.resize(visitors.len(), Nearest::default());
+            self.words[cell].nearest(&visiting, &mut nearest);
+            for (&row, nearest) in visitors.iter().zip(&nearest) {
+                best[row] = best[row].min((nearest.distance, self.first_words[cell] + nearest.id));
+            }
         }
-        best.1
+        for (word, (_, nearest)) in words.iter_mut().zip(best) {
+            *word = nearest;
+        }
+    }
+
+    /// The rows that visit each cell.
+    fn visitors(&self, width: usize, rows: &[u8]) -> Vec<Vec<usize>> {
+        let mut visitors = vec![Vec::new(); self.words.len()];
+        let mut row = 0;
+        for block in rows.chunks(BLOCK_ROWS * width) {
+            for distances in self.cells.distances(block).chunks_exact(self.words.len()) {
+                let mut nearest_cells: BinaryHeap<Reverse<(u32, usize)>> =
+                    distances.iter().copied().zip(0..).map(Reverse).collect();
+                let mut compared = 0;
+                while compared < WORDS_COMPARED
+                    && let Some(Reverse((_, cell))) = nearest_cells.pop()
+                {
+                    visitors[cell].push(row);
+                    compared += self.words[cell].len();
+                }
+                row += 1;
+            }
+        }
+        visitors
     }
 
     /// All words in the order of their numbers.
-    #[cfg(test)]
     pub(super) fn word_rows(&self) -> Vec<u8> {
         self.words.iter().flat_map(Centres::rows).collect()
     }

@@ -55,15 +55,6 @@ fn decoded(bytes: &[u8]) -> Result<Vocabulary, DecodeError> {
     Ok(vocabulary)
 }
 
-/// Words in the order of the encoded form.
-fn word_rows(vocabulary: &Vocabulary) -> Vec<u8> {
-    match &vocabulary.quantizer {
-        Quantizer::Exact(centres) => centres.rows(),
-        Quantizer::Tree(tree) => tree.word_rows(),
-        Quantizer::Descent(_) => unreachable!("not trained"),
-    }
-}
-
 #[test]
 fn well_separated_clusters_are_found() {
     for kind in KINDS {
@@ -93,7 +84,7 @@ fn a_large_vocabulary_has_exactly_its_words_and_its_tree_finds_nearly_always_the
         assert_eq!(vocabulary.len(), 20_000);
 
         let queries = clustered(kind, 32, 100, 30, 4);
-        let rows = word_rows(&vocabulary);
+        let rows = vocabulary.centres().as_bytes().to_vec();
         let exact = Centres::pack(kind, 32, &rows);
         let as_near = queries
             .rows()
@@ -117,7 +108,7 @@ fn a_tree_can_have_as_many_words_as_there_are_descriptors() {
             };
             let vocabulary = train(distinct).unwrap();
             assert_eq!(vocabulary.len(), distinct as usize);
-            let rows = word_rows(&vocabulary);
+            let rows = vocabulary.centres().as_bytes().to_vec();
             for row in descriptors.rows() {
                 let word = vocabulary.word(row) as usize;
                 assert_eq!(&rows[word * 16..(word + 1) * 16], row, "each descriptor is a word of its own");
@@ -339,7 +330,7 @@ proptest! {
             prop_assume!(words >= 2);
             let vocabulary = Vocabulary::train(&descriptors, &settings(words), &mut silent).unwrap();
             prop_assert_eq!(vocabulary.len(), words as usize);
-            let centres = word_rows(&vocabulary);
+            let centres = vocabulary.centres().as_bytes().to_vec();
             let queries = clustered(kind, width, groups, 3, seed ^ 1);
             let found = vocabulary.words(&queries).unwrap();
             for (row, word) in queries.rows().zip(found) {
