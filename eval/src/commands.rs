@@ -6,4 +6,5 @@ pub mod load;
 pub mod new_place;
 pub mod sequence;
 pub mod train;
+pub mod train_scale;
 pub mod visits;
