@@ -104,11 +104,12 @@ impl FloatPanels {
         if !super::x86::float_values(self, rows, &mut values) {
             self.values_plainly(rows, &mut values);
         }
-        let of_row = |(row, values): (&[u8], &[i32])| -> Vec<u32> {
+        let mut distances = Vec::with_capacity(rows.len() / self.width * self.len);
+        for (row, values) in rows.chunks_exact(self.width).zip(values.chunks_exact(padded)) {
             let squared_norm = squared_norm(row);
-            values[..self.len].iter().map(|value| (value + squared_norm).unsigned_abs()).collect()
-        };
-        rows.chunks_exact(self.width).zip(values.chunks_exact(padded)).flat_map(of_row).collect()
+            distances.extend(values[..self.len].iter().map(|value| (value + squared_norm).unsigned_abs()));
+        }
+        distances
     }
 
     /// Takes each panel once for all groups of rows, so that the panel stays in the nearest cache.
@@ -203,13 +204,15 @@ impl LaneBest {
         }
     }
 
+    /// The lowest value and the number of its centre, the lowest number among equals: the lowest of
+    /// both side by side in one integer.
     fn lowest(&self) -> (i32, u32) {
-        let ids = self
-            .panels
-            .iter()
-            .enumerate()
-            .map(|(lane, panel)| panel.unsigned_abs() * LANES as u32 + lane as u32);
-        self.values.iter().copied().zip(ids).min().unwrap_or((i32::MAX, 0))
+        let both = (0..LANES).map(|lane| {
+            let id = self.panels[lane].unsigned_abs() * LANES as u32 + lane as u32;
+            i64::from(self.values[lane]) << 32 | i64::from(id)
+        });
+        let lowest = both.fold(i64::MAX, i64::min);
+        ((lowest >> 32) as i32, lowest as u32)
     }
 }
 

@@ -13,10 +13,12 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::ops::ControlFlow;
 
-/// Cells are visited, nearest first, until a descriptor was compared with this many words. A search
-/// then costs about as much as the largest exact one, and on real images it finds a word as near as the
-/// nearest for 99.9% of SIFT and 99.7% of ORB descriptors (40,000 to 100,000 words).
-const WORDS_COMPARED: usize = 8192;
+/// Cells are visited, nearest first, until a descriptor was compared with this many words.
+const WORDS_COMPARED: u32 = 2048;
+
+/// The same in trees of the first stored form, which does not say it: what they were made to be
+/// searched with remains, for a map's words must not change.
+pub(super) const FIRST_FORM_WORDS_COMPARED: u32 = 8192;
 
 /// Most rows looked up together: enough that hundreds of them meet in a cell.
 pub(super) const TREE_BLOCK_ROWS: usize = 4096;
@@ -36,6 +38,8 @@ pub(super) struct SearchTree {
     words: Vec<Centres>,
     /// Number of the first word of each cell.
     first_words: Vec<WordId>,
+    /// Cells are visited until a descriptor was compared with this many words.
+    words_compared: u32,
 }
 
 /// How far training has come.
@@ -83,10 +87,10 @@ impl SearchTree {
                 trained?.into_iter().map(|clusters| Centres::pack(set.kind, set.width, &clusters.centres)),
             );
         }
-        Ok(Self::new(Centres::pack(set.kind, set.width, &cells.centres), centres))
+        Ok(Self::new(Centres::pack(set.kind, set.width, &cells.centres), centres, WORDS_COMPARED))
     }
 
-    fn new(cells: Centres, words: Vec<Centres>) -> Self {
+    fn new(cells: Centres, words: Vec<Centres>, words_compared: u32) -> Self {
         let mut next = 0;
         let first_words = words
             .iter()
@@ -96,7 +100,7 @@ impl SearchTree {
                 first
             })
             .collect();
-        Self { cells, words, first_words }
+        Self { cells, words, first_words, words_compared }
     }
 
     pub(super) fn len(&self) -> usize {
@@ -130,15 +134,21 @@ impl SearchTree {
     /// The rows that visit each cell.
     fn visitors(&self, width: usize, rows: &[u8]) -> Vec<Vec<usize>> {
         let mut visitors = vec![Vec::new(); self.words.len()];
+        let mut nearest_cells = BinaryHeap::new();
         let mut row = 0;
         for block in rows.chunks(BLOCK_ROWS * width) {
             for distances in self.cells.distances(block).chunks_exact(self.words.len()) {
-                let mut nearest_cells: BinaryHeap<Reverse<(u32, usize)>> =
-                    distances.iter().copied().zip(0..).map(Reverse).collect();
+                // Distance and cell side by side in one integer, which compares faster than a pair.
+                let mut order = nearest_cells.into_vec();
+                order.clear();
+                let cells = distances.iter().zip(0u64..);
+                order.extend(cells.map(|(&distance, cell)| Reverse(u64::from(distance) << 32 | cell)));
+                nearest_cells = BinaryHeap::from(order);
                 let mut compared = 0;
-                while compared < WORDS_COMPARED
-                    && let Some(Reverse((_, cell))) = nearest_cells.pop()
+                while compared < self.words_compared as usize
+                    && let Some(Reverse(nearest)) = nearest_cells.pop()
                 {
+                    let cell = nearest as u32 as usize;
                     visitors[cell].push(row);
                     compared += self.words[cell].len();
                 }
@@ -153,6 +163,11 @@ impl SearchTree {
         self.words.iter().flat_map(Centres::rows).collect()
     }
 
+    /// Cells are visited until a descriptor was compared with this many words.
+    pub(super) fn words_compared(&self) -> u32 {
+        self.words_compared
+    }
+
     /// Cells, then the words of each.
     pub(super) fn encode(&self, writer: &mut Writer) {
         self.cells.encode(writer);
@@ -165,6 +180,7 @@ impl SearchTree {
     pub(super) fn decode(
         kind: DescriptorKind,
         width: usize,
+        words_compared: u32,
         reader: &mut Reader<'_>,
     ) -> Result<Self, DecodeError> {
         let cells = Centres::decode(kind, width, reader)?;
@@ -176,7 +192,7 @@ impl SearchTree {
             words.push(of_cell);
         }
         WordId::try_from(len).map_err(|_| DecodeError::invalid(format_args!("{len} words")))?;
-        Ok(Self::new(cells, words))
+        Ok(Self::new(cells, words, words_compared))
     }
 }
 
