@@ -152,8 +152,8 @@ impl Vocabulary {
     /// Trains k-means (float) or k-majority (binary) words.
     ///
     /// The result depends on the set of descriptors and the settings alone, not on the order of
-    /// descriptors or the number of threads. `observer` hears how far it is, several times a
-    /// second, and stops it by answering `Break`.
+    /// descriptors or the number of threads. `observer` hears how far it is, every second
+    /// or so, and stops it by answering `Break`.
     ///
     /// # Errors
     /// [`VocabularyError`], any but `Descriptors`.

