@@ -7,4 +7,5 @@ pub mod new_place;
 pub mod scale;
 pub mod sequence;
 pub mod train;
+pub mod train_scale;
 pub mod visits;

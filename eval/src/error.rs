@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use fabmap::calibration::LearnError;
 use fabmap::codec::DecodeError;
+use fabmap::descriptor::DescriptorError;
 use fabmap::detector::DetectorError;
 use fabmap::model::ModelTrainingError;
 use fabmap::new_place::NoSamplesError;
@@ -75,6 +76,14 @@ pub enum EvalError {
         path: PathBuf,
         /// What is wrong.
         reason: String,
+    },
+    /// The file does not hold descriptors.
+    #[error("{path}: {reason}")]
+    Descriptors {
+        /// The file of rows.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: DescriptorError,
     },
     /// The ORB vocabulary cannot be read.
     #[error("{path}: {reason}")]
@@ -229,6 +238,7 @@ impl EvalError {
             | EvalError::WorkloadFile(_)
             | EvalError::NoSamples(_)
             | EvalError::Image { .. }
+            | EvalError::Descriptors { .. }
             | EvalError::OrbVocabulary { .. }
             | EvalError::Training(_)
             | EvalError::Calibration(_)

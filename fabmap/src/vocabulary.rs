@@ -10,7 +10,6 @@ use std::ops::{ControlFlow, RangeInclusive};
 
 pub(crate) use seeding::lower_distances;
 
-mod avx2;
 mod binary_rows;
 mod centres;
 mod descent_tree;
@@ -20,11 +19,12 @@ mod orb_text;
 mod search_tree;
 mod seeding;
 mod training_set;
+mod x86;
 
 use centres::{BLOCK_ROWS, Centres, Nearest};
 use descent_tree::DescentTree;
 use kmeans::{Cancelled, Step};
-use search_tree::{SearchTree, TreeStep};
+use search_tree::{FIRST_FORM_WORDS_COMPARED, SearchTree, TREE_BLOCK_ROWS, TreeStep};
 use training_set::TrainingSet;
 
 pub use descent_tree::TreeError;
@@ -147,15 +147,15 @@ const ITERATIONS: RangeInclusive<u32> = 1..=1_000;
 
 impl Vocabulary {
     /// Up to this many words a trained vocabulary compares a descriptor with every word; above, it
-    /// searches a tree. At this size 500 SIFT descriptors take some 30 ms on one core with AVX2
-    /// (some 140 ms without).
+    /// searches a tree. At this size 500 SIFT descriptors take some 6 ms on one core with AVX-512
+    /// VNNI, some 30 ms with AVX2.
     pub const EXACT_WORDS_MAX: u32 = 20_000;
 
     /// Trains k-means (float) or k-majority (binary) words.
     ///
     /// The result depends on the set of descriptors and the settings alone, not on the order of
-    /// descriptors or the number of threads. `observer` hears how far it is, several times a
-    /// second, and stops it by answering `Break`.
+    /// descriptors or the number of threads. `observer` hears how far it is, every second
+    /// or so, and stops it by answering `Break`.
     ///
     /// # Errors
     /// [`VocabularyError`], any but `Descriptors`.
@@ -242,6 +242,26 @@ impl Vocabulary {
         self.width
     }
 
+    /// The descriptor that each word stands for, in order of word.
+    #[must_use]
+    pub fn centres(&self) -> Descriptors {
+        let rows = match &self.quantizer {
+            Quantizer::Exact(centres) => centres.rows(),
+            Quantizer::Tree(tree) => tree.word_rows(),
+            Quantizer::Descent(tree) => tree.word_rows(),
+        };
+        Descriptors::new(self.kind, self.width, rows)
+            .unwrap_or_else(|_| unreachable!("every quantizer has whole rows of width()"))
+    }
+
+    /// The same words, but each descriptor is compared with every one of them: what the searches of
+    /// large vocabularies are measured against.
+    #[must_use]
+    pub fn with_exact_search(&self) -> Self {
+        let centres = Centres::pack(self.kind, self.width, self.centres().as_bytes());
+        Self { kind: self.kind, width: self.width, quantizer: Quantizer::Exact(centres) }
+    }
+
     /// Word of one descriptor.
     ///
     /// # Panics
@@ -251,7 +271,11 @@ impl Vocabulary {
         assert_eq!(descriptor.len(), self.width, "bytes of the descriptor");
         match &self.quantizer {
             Quantizer::Exact(centres) => centres.nearest_one(descriptor).id,
-            Quantizer::Tree(tree) => tree.word(descriptor),
+            Quantizer::Tree(tree) => {
+                let mut word = [0];
+                tree.words(self.width, descriptor, &mut word);
+                word[0]
+            }
             Quantizer::Descent(tree) => tree.word(descriptor),
         }
     }
@@ -270,9 +294,10 @@ impl Vocabulary {
             }));
         }
         let mut words = vec![0; descriptors.len()];
+        let block_rows = self.block_rows(words.len());
         words
-            .par_chunks_mut(BLOCK_ROWS)
-            .zip(descriptors.as_bytes().par_chunks(BLOCK_ROWS * self.width))
+            .par_chunks_mut(block_rows)
+            .zip(descriptors.as_bytes().par_chunks(block_rows * self.width))
             .for_each(|(words, rows)| self.quantize_block(rows, words));
         Ok(words)
     }
@@ -286,6 +311,17 @@ impl Vocabulary {
         Ok(observation.unwrap_or_else(|_| unreachable!("every quantizer's words are below len()")))
     }
 
+    /// Rows that one thread looks up together. The more meet in a cell of a tree the better, but every
+    /// thread is to have its part of an image.
+    fn block_rows(&self, rows: usize) -> usize {
+        match &self.quantizer {
+            Quantizer::Exact(_) | Quantizer::Descent(_) => BLOCK_ROWS,
+            Quantizer::Tree(_) => {
+                rows.div_ceil(rayon::current_num_threads()).clamp(BLOCK_ROWS, TREE_BLOCK_ROWS)
+            }
+        }
+    }
+
     fn quantize_block(&self, rows: &[u8], words: &mut [WordId]) {
         match &self.quantizer {
             Quantizer::Exact(centres) => {
@@ -296,9 +332,10 @@ impl Vocabulary {
                     *word = nearest.id;
                 }
             }
-            Quantizer::Tree(_) | Quantizer::Descent(_) => {
+            Quantizer::Tree(tree) => tree.words(self.width, rows, words),
+            Quantizer::Descent(tree) => {
                 for (word, row) in words.iter_mut().zip(rows.chunks_exact(self.width)) {
-                    *word = self.word(row);
+                    *word = tree.word(row);
                 }
             }
         }
@@ -317,7 +354,13 @@ impl Vocabulary {
                 centres.encode(writer);
             }
             Quantizer::Tree(tree) => {
-                writer.u8(1);
+                match tree.words_compared() {
+                    FIRST_FORM_WORDS_COMPARED => writer.u8(1),
+                    words_compared => {
+                        writer.u8(3);
+                        writer.varint(u64::from(words_compared));
+                    }
+                }
                 tree.encode(writer);
             }
             Quantizer::Descent(tree) => {
@@ -343,8 +386,17 @@ impl Vocabulary {
         }
         let quantizer = match reader.u8()? {
             0 => Quantizer::Exact(Centres::decode(kind, width, reader)?),
-            1 => Quantizer::Tree(SearchTree::decode(kind, width, reader)?),
+            1 => Quantizer::Tree(SearchTree::decode(kind, width, FIRST_FORM_WORDS_COMPARED, reader)?),
             2 => Quantizer::Descent(DescentTree::decode(kind, width, reader)?),
+            3 => {
+                let words_compared = reader.varint_u32()?;
+                // That many has a form of its own: what is the same has the same bytes, and so the same name.
+                if words_compared == 0 || words_compared == FIRST_FORM_WORDS_COMPARED {
+                    let compared = format_args!("a tree that compares {words_compared} words");
+                    return Err(DecodeError::invalid(compared));
+                }
+                Quantizer::Tree(SearchTree::decode(kind, width, words_compared, reader)?)
+            }
             other => return Err(DecodeError::invalid(format_args!("quantizer {other}"))),
         };
         Ok(Self { kind, width, quantizer })

@@ -113,7 +113,7 @@ pub fn run(options: &TrainOptions) -> Result<TrainReport, EvalError> {
 }
 
 /// The descriptors of each image, in order of the paths; one image per thread.
-fn extract_all(paths: &[PathBuf], extractor: Extractor) -> Result<Vec<Descriptors>, EvalError> {
+pub(crate) fn extract_all(paths: &[PathBuf], extractor: Extractor) -> Result<Vec<Descriptors>, EvalError> {
     let bar = progress::bar("features", paths.len());
     let extracted: Result<Vec<Descriptors>, EvalError> = paths
         .par_iter()

@@ -199,6 +199,12 @@ impl PartialOrd for Candidate {
     }
 }
 
+/// Images counted before it is asked whether the observer should hear of it.
+const IMAGES_PER_STEP: usize = 4096;
+
+/// Words looked at between two calls of the observer: a tenth of a second or so.
+const WORDS_PER_REPORT: u64 = 1 << 24;
+
 /// Prim's algorithm from the most frequent word of each component; `None` for roots.
 fn maximum_spanning_forest(
     observations: &[Observation],
@@ -210,7 +216,7 @@ fn maximum_spanning_forest(
     let mut joined = vec![false; words];
     let mut candidates = BinaryHeap::new();
     let mut co_occurrences = CoOccurrences::new(words);
-    let mut done = 0usize;
+    let mut progress = Progress::of(observations);
     let mut roots: Vec<WordId> = (0..).take(words).collect();
     roots.sort_by_key(|&word| (std::cmp::Reverse(statistics.seen[word as usize]), word));
     for root in roots {
@@ -222,11 +228,10 @@ fn maximum_spanning_forest(
             if std::mem::replace(&mut joined[word as usize], true) {
                 continue;
             }
-            if done.is_multiple_of(256) && observer(done as f64 / words as f64).is_break() {
-                return Err(TreeTrainingError::Cancelled);
+            for images in statistics.images_of(word).chunks(IMAGES_PER_STEP) {
+                progress.report(observer)?;
+                progress.done += co_occurrences.count(images, observations, &joined);
             }
-            done += 1;
-            co_occurrences.count(word, observations, statistics, &joined);
             for (other, both) in co_occurrences.drain() {
                 let (seen, other_seen) = (statistics.seen[word as usize], statistics.seen[other as usize]);
                 let mutual_information_nats = statistics.mutual_information_nats(seen, other_seen, both);
@@ -248,6 +253,32 @@ fn improves(edge: &Edge, best: Option<&Edge>) -> bool {
     })
 }
 
+/// How far training is, in what takes the time: words looked at, Σ|Z|² in all.
+struct Progress {
+    all: u64,
+    done: u64,
+    /// Of `done`, how much the observer has heard of; `None` before it has heard anything.
+    reported: Option<u64>,
+}
+
+impl Progress {
+    fn of(observations: &[Observation]) -> Self {
+        let all = observations.iter().map(|z| (z.len() as u64).pow(2)).sum();
+        Self { all, done: 0, reported: None }
+    }
+
+    fn report(&mut self, observer: &mut dyn FnMut(f64) -> ControlFlow<()>) -> Result<(), TreeTrainingError> {
+        if self.reported.is_some_and(|reported| self.done - reported < WORDS_PER_REPORT) {
+            return Ok(());
+        }
+        self.reported = Some(self.done);
+        match observer(self.done as f64 / self.all as f64) {
+            ControlFlow::Continue(()) => Ok(()),
+            ControlFlow::Break(()) => Err(TreeTrainingError::Cancelled),
+        }
+    }
+}
+
 /// In how many images one word meets each other word.
 struct CoOccurrences {
     counts: Vec<u32>,
@@ -259,15 +290,13 @@ impl CoOccurrences {
         Self { counts: vec![0; words], met: Vec::new() }
     }
 
-    fn count(
-        &mut self,
-        word: WordId,
-        observations: &[Observation],
-        statistics: &WordStatistics,
-        joined: &[bool],
-    ) {
-        for &image in statistics.images_of(word) {
-            for &other in observations[image as usize].words() {
+    /// Counts the words of these images that have not joined yet; returns how many words it looked at.
+    fn count(&mut self, images: &[u32], observations: &[Observation], joined: &[bool]) -> u64 {
+        let mut looked_at = 0;
+        for &image in images {
+            let words = observations[image as usize].words();
+            looked_at += words.len() as u64;
+            for &other in words {
                 if joined[other as usize] {
                     continue;
                 }
@@ -278,6 +307,7 @@ impl CoOccurrences {
                 *count += 1;
             }
         }
+        looked_at
     }
 
     fn drain(&mut self) -> impl Iterator<Item = (WordId, u32)> + '_ {

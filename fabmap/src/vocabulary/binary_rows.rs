@@ -30,15 +30,17 @@ impl BinaryRows {
     pub(super) fn nearest(&self, rows: &[u8], nearest: &mut [Nearest]) {
         let queries = to_limbs(self.width, rows);
         nearest.fill(Nearest { id: 0, distance: u32::MAX });
-        if !super::avx2::binary_nearest(self, &queries, nearest) {
+        if !super::x86::binary_nearest(self, &queries, nearest) {
             self.search(&queries, nearest);
         }
     }
 
-    /// Distances of one row from all centres.
-    pub(super) fn distances(&self, row: &[u8]) -> Vec<u32> {
-        let query = to_limbs(self.width, row);
-        self.limbs.chunks_exact(self.limbs_per_row()).map(|centre| hamming(centre, &query)).collect()
+    /// Distances of each row from all centres, row by row.
+    pub(super) fn distances(&self, rows: &[u8]) -> Vec<u32> {
+        let queries = to_limbs(self.width, rows);
+        let centres = || self.limbs.chunks_exact(self.limbs_per_row());
+        let queries = queries.chunks_exact(self.limbs_per_row());
+        queries.flat_map(|query| centres().map(|centre| hamming(centre, query))).collect()
     }
 
     /// The search itself, with the loop unrolled for the widths of ORB (32 bytes) and AKAZE (61).
@@ -90,7 +92,7 @@ fn hamming(a: &[u64], b: &[u64]) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vocabulary::avx2;
+    use crate::vocabulary::x86;
     use proptest::prelude::*;
 
     proptest! {
@@ -105,7 +107,7 @@ mod tests {
             let mut plain = vec![Nearest { id: 0, distance: u32::MAX }; rows.len() / width];
             let mut vector = plain.clone();
             binary.search(&queries, &mut plain);
-            if avx2::binary_nearest(&binary, &queries, &mut vector) {
+            if x86::binary_nearest(&binary, &queries, &mut vector) {
                 prop_assert_eq!(vector, plain);
             }
         }

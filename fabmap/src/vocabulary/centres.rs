@@ -76,11 +76,11 @@ impl Centres {
         nearest[0]
     }
 
-    /// Distances of one row from all centres, in order.
-    pub(super) fn distances(&self, row: &[u8]) -> Vec<u32> {
+    /// Distances of each row of a block from all centres in order, row by row.
+    pub(super) fn distances(&self, rows: &[u8]) -> Vec<u32> {
         match self {
-            Self::Float(panels) => panels.distances(row),
-            Self::Binary(binary) => binary.distances(row),
+            Self::Float(panels) => panels.distances(rows),
+            Self::Binary(binary) => binary.distances(rows),
         }
     }
 
@@ -134,11 +134,14 @@ mod tests {
                 let packed = Centres::pack(kind, width, &centres);
                 let mut nearest = vec![Nearest::default(); queries.len() / width];
                 packed.nearest(&queries, &mut nearest);
-                for (nearest, query) in nearest.iter().zip(queries.chunks_exact(width)) {
+                let distances = packed.distances(&queries);
+                let distances = distances.chunks_exact(packed.len());
+                for ((nearest, query), distances) in nearest.iter().zip(queries.chunks_exact(width)).zip(distances) {
                     prop_assert_eq!(*nearest, brute_force(kind, width, &centres, query));
                     prop_assert_eq!(packed.nearest_one(query), *nearest);
                     let expected: Vec<u32> =
                         centres.chunks_exact(width).map(|centre| kind.distance(centre, query)).collect();
+                    prop_assert_eq!(distances, &expected[..]);
                     prop_assert_eq!(packed.distances(query), expected);
                 }
             }

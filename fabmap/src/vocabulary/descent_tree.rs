@@ -186,6 +186,20 @@ impl DescentTree {
         }
     }
 
+    /// Descriptors of all words in the order of their numbers.
+    pub(super) fn word_rows(&self) -> Vec<u8> {
+        let mut rows = vec![0; self.len * self.width];
+        for (below, row) in self.below.iter().zip(self.rows.chunks_exact(self.width)) {
+            match below {
+                Below::Word(word) => {
+                    rows[*word as usize * self.width..(*word as usize + 1) * self.width].copy_from_slice(row);
+                }
+                Below::Children(_) => {}
+            }
+        }
+        rows
+    }
+
     /// Number of nodes; for each its parent, whether it is a leaf, and its descriptor.
     pub(super) fn encode(&self, writer: &mut Writer) {
         writer.varint(self.parents.len() as u64);

@@ -142,7 +142,7 @@ fn random_weighted(weights: &[u64], random: &mut impl Rng) -> usize {
 
 /// Lowers each row's distance to that from `seed` where that is nearer, with the fastest instructions there are.
 pub(crate) fn lower_distances(kind: DescriptorKind, seed: &[u8], rows: &[u8], distances: &mut [u32]) {
-    if !super::avx2::lower(kind, seed, rows, distances) {
+    if !super::x86::lower(kind, seed, rows, distances) {
         lower(kind, seed, rows, distances);
     }
 }
@@ -190,7 +190,7 @@ mod tests {
                 let mut plain = vec![40_000; rows.len() / seed.len()];
                 let mut vector = plain.clone();
                 lower(kind, &seed, &rows, &mut plain);
-                if super::super::avx2::lower(kind, &seed, &rows, &mut vector) {
+                if super::super::x86::lower(kind, &seed, &rows, &mut vector) {
                     prop_assert_eq!(vector, plain);
                 }
             }

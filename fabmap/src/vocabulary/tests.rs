@@ -55,15 +55,6 @@ fn decoded(bytes: &[u8]) -> Result<Vocabulary, DecodeError> {
     Ok(vocabulary)
 }
 
-/// Words in the order of the encoded form.
-fn word_rows(vocabulary: &Vocabulary) -> Vec<u8> {
-    match &vocabulary.quantizer {
-        Quantizer::Exact(centres) => centres.rows(),
-        Quantizer::Tree(tree) => tree.word_rows(),
-        Quantizer::Descent(_) => unreachable!("not trained"),
-    }
-}
-
 #[test]
 fn well_separated_clusters_are_found() {
     for kind in KINDS {
@@ -93,7 +84,7 @@ fn a_large_vocabulary_has_exactly_its_words_and_its_tree_finds_nearly_always_the
         assert_eq!(vocabulary.len(), 20_000);
 
         let queries = clustered(kind, 32, 100, 30, 4);
-        let rows = word_rows(&vocabulary);
+        let rows = vocabulary.centres().as_bytes().to_vec();
         let exact = Centres::pack(kind, 32, &rows);
         let as_near = queries
             .rows()
@@ -103,6 +94,32 @@ fn a_large_vocabulary_has_exactly_its_words_and_its_tree_finds_nearly_always_the
             })
             .count();
         assert!(as_near * 100 >= queries.len() * 97, "{kind:?}: {as_near} of {}", queries.len());
+    }
+}
+
+/// The form says how many words a search compares; one that does not say it compares as many as when
+/// it was made, so its words stay what they were.
+#[test]
+fn trees_of_the_first_form_keep_their_bytes_and_their_search() {
+    let descriptors = clustered(DescriptorKind::Float, 8, 60, 10, 12);
+    let made = Vocabulary::train_with_limit(&descriptors, &settings(300), 100, &mut silent).unwrap();
+    let bytes = encoded(&made);
+    // Kind, width, form; then the number of words compared, which takes two bytes.
+    assert_eq!(bytes[..3], [0, 8, 3]);
+    let first_form = [&[0, 8, 1], &bytes[5..]].concat();
+    let read = decoded(&first_form).unwrap();
+    assert!(matches!(&read.quantizer, Quantizer::Tree(tree) if tree.words_compared() == 8192));
+    assert_eq!(encoded(&read), first_form);
+    // A vocabulary of fewer words is searched whole, so here the two agree with brute force.
+    let exact = read.with_exact_search().words(&descriptors);
+    assert_eq!(read.words(&descriptors), exact);
+    assert_eq!(made.words(&descriptors), exact);
+
+    for words_compared in [0, FIRST_FORM_WORDS_COMPARED] {
+        let mut writer = Writer::default();
+        writer.varint(u64::from(words_compared));
+        let said = [&[0, 8, 3], &writer.into_bytes()[..], &bytes[5..]].concat();
+        assert!(decoded(&said).is_err());
     }
 }
 
@@ -117,7 +134,7 @@ fn a_tree_can_have_as_many_words_as_there_are_descriptors() {
             };
             let vocabulary = train(distinct).unwrap();
             assert_eq!(vocabulary.len(), distinct as usize);
-            let rows = word_rows(&vocabulary);
+            let rows = vocabulary.centres().as_bytes().to_vec();
             for row in descriptors.rows() {
                 let word = vocabulary.word(row) as usize;
                 assert_eq!(&rows[word * 16..(word + 1) * 16], row, "each descriptor is a word of its own");
@@ -339,7 +356,7 @@ proptest! {
             prop_assume!(words >= 2);
             let vocabulary = Vocabulary::train(&descriptors, &settings(words), &mut silent).unwrap();
             prop_assert_eq!(vocabulary.len(), words as usize);
-            let centres = word_rows(&vocabulary);
+            let centres = vocabulary.centres().as_bytes().to_vec();
             let queries = clustered(kind, width, groups, 3, seed ^ 1);
             let found = vocabulary.words(&queries).unwrap();
             for (row, word) in queries.rows().zip(found) {
@@ -390,7 +407,7 @@ proptest! {
 
     #[test]
     fn foreign_bytes_are_refused_or_quantize_without_panic(
-        head in (0..3u8, 1..4u8, 0..4u8), bytes in proptest::collection::vec(prop_oneof![any::<u8>(), 0..4u8], 0..120),
+        head in (0..3u8, 1..4u8, 0..5u8), bytes in proptest::collection::vec(prop_oneof![any::<u8>(), 0..4u8], 0..120),
     ) {
         let bytes = [vec![head.0, head.1, head.2], bytes].concat();
         if let Ok(vocabulary) = Vocabulary::decode(&mut Reader::new(&bytes)) {
