@@ -14,7 +14,7 @@ use std::collections::BinaryHeap;
 use std::ops::ControlFlow;
 
 /// Cells are visited, nearest first, until a descriptor was compared with this many words. On SIFT
-/// descriptors of images not trained on, 99% get the nearest of 100,000 words then.
+/// descriptors of images not trained on, by which the number was chosen, 99% get the nearest of 100,000 words then.
 const WORDS_COMPARED: u32 = 2048;
 
 /// The same in trees of the first stored form, which does not say it: what they were made to be
