@@ -349,16 +349,19 @@ pub(crate) struct ClosureView {
     pub(crate) matched_frame: Option<FrameView>,
     pub(crate) place: u32,
     pub(crate) posterior: f64,
+    /// By words and geometry together; null where nothing was verified.
+    pub(crate) probability: Option<f64>,
 }
 
 impl From<v1::LoopClosure> for ClosureView {
     fn from(closure: v1::LoopClosure) -> Self {
-        let v1::LoopClosure { frame, matched_frame, place, posterior } = closure;
+        let v1::LoopClosure { frame, matched_frame, place, posterior, probability } = closure;
         Self {
             frame: frame.map(FrameView::from),
             matched_frame: matched_frame.map(FrameView::from),
             place,
             posterior,
+            probability,
         }
     }
 }

@@ -35,6 +35,7 @@ async fn tables_hold_what_the_lists_hold() {
             "session": frame["session"], "sequence": frame["sequence"], "stamp_ns": frame["stamp_ns"],
             "matched_session": matched["session"], "matched_sequence": matched["sequence"],
             "matched_stamp_ns": matched["stamp_ns"], "place": found["place"], "posterior": found["posterior"],
+            "probability": found["probability"],
         })
     });
     assert_eq!(lines(&table.body), expected.collect::<Vec<_>>());

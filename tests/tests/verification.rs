@@ -73,9 +73,16 @@ async fn geometry_finds_more_loops_and_none_that_is_wrong() {
     assert!(
         by_words.iter().all(|answer| answer.closure.as_ref().is_none_or(|found| found.geometry.is_none()))
     );
+    let unverified = client.matches("drive").await.unwrap();
+    assert!(!unverified.is_empty() && unverified.iter().all(|one| one.probability.is_none()));
+    let listed = client.matches("verified").await.unwrap();
     for answer in verified.iter().filter(|answer| answer.reason() == v1::Reason::LoopClosure) {
         let geometry = answer.closure.as_ref().unwrap().geometry.as_ref().unwrap();
         assert!(geometry.inliers >= 8 && geometry.inliers <= geometry.matches, "{geometry:?}");
+        let listed =
+            listed.iter().find(|one| one.frame.as_ref().unwrap().sequence == answer.sequence).unwrap();
+        assert_eq!(listed.probability, Some(geometry.probability));
+        assert!((0.0..=1.0).contains(&geometry.probability), "{geometry:?}");
         assert!(geometry.similarity.is_some_and(|motion| motion.x_widths.hypot(motion.y_widths) <= 0.5));
     }
     server.stop().await;

@@ -61,6 +61,16 @@ pub struct FrameEvent {
     pub belief: Belief,
 }
 
+impl FrameEvent {
+    /// What verified the loop closure that was accepted; `None` if none was, or nothing was verified.
+    #[must_use]
+    pub fn verified_by(&self) -> Option<&Candidate> {
+        let closure = self.decision.closure.filter(|_| self.decision.reason == Reason::LoopClosure)?;
+        let is_closure = |candidate: &&Candidate| candidate.matched.frame == closure.frame;
+        self.candidates.iter().find(is_closure).filter(|candidate| candidate.view.is_some())
+    }
+}
+
 /// The decision about one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Decision {

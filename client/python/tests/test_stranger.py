@@ -74,7 +74,7 @@ def test_a_stranger_maps_a_drive(stranger: Stranger, client: waypost.Client) -> 
     request = {"map_id": "strange", "model": imported["name"]}
     [made] = stranger.call(maps, "CreateMap", [request])
     assert made["name"] == "maps/strange"
-    assert made["settings"]["new_place"] == "NEW_PLACE_SAMPLED"
+    assert made["settings"]["new_place"] == "NEW_PLACE_TAIL"
 
     opening = {"map": made["name"], "session_id": "visitor", "mode": "SESSION_MODE_MAP"}
     images = [

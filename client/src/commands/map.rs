@@ -309,10 +309,16 @@ fn matches(closures: Vec<v1::LoopClosure>, output: Output) -> Result<(), Failure
     let closures: Vec<ClosureView> = closures.into_iter().map(ClosureView::from).collect();
     output.result(&json!({ "matches": closures }), |out| {
         let rows = closures.iter().map(|closure| {
-            let ClosureView { frame, matched_frame, place, posterior } = closure;
-            [frame_words(frame), frame_words(matched_frame), place.to_string(), format!("{posterior:.4}")]
+            let ClosureView { frame, matched_frame, place, posterior, probability } = closure;
+            [
+                frame_words(frame),
+                frame_words(matched_frame),
+                place.to_string(),
+                format!("{posterior:.4}"),
+                probability.map_or("not verified".to_owned(), |probability| format!("{probability:.4}")),
+            ]
         });
-        table(out, ["FRAME", "MATCHED FRAME", "PLACE", "POSTERIOR"], rows)
+        table(out, ["FRAME", "MATCHED FRAME", "PLACE", "BY WORDS", "WITH GEOMETRY"], rows)
     })
 }
 

@@ -272,12 +272,13 @@ fn place(map: &str, view: PlaceView) -> v1::Place {
 }
 
 fn loop_closure(view: LoopClosureView) -> v1::LoopClosure {
-    let LoopClosureView { frame, matched, place, posterior } = view;
+    let LoopClosureView { frame, matched, place, posterior, probability } = view;
     v1::LoopClosure {
         frame: Some(frame_reference(frame)),
         matched_frame: Some(frame_reference(matched)),
         place,
         posterior,
+        probability,
     }
 }
 

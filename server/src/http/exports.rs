@@ -197,18 +197,19 @@ const MATCH_COLUMNS: &[&str] = &[
     "matched_stamp_ns",
     "place",
     "posterior",
+    "probability",
 ];
 
 /// A line of the table of matches, in the order of [`MATCH_COLUMNS`].
 #[derive(Debug, Serialize)]
-struct MatchRow(String, u64, i64, String, u64, i64, u32, f64);
+struct MatchRow(String, u64, i64, String, u64, i64, u32, f64, Option<f64>);
 
 impl From<LoopClosureView> for MatchRow {
     fn from(view: LoopClosureView) -> Self {
-        let LoopClosure { frame, matched_frame, place, posterior } = view.into();
+        let LoopClosure { frame, matched_frame, place, posterior, probability } = view.into();
         let FrameReference { session, sequence, stamp_ns } = frame;
         let FrameReference { session: at, sequence: number, stamp_ns: stamp } = matched_frame;
-        Self(session, sequence, stamp_ns, at, number, stamp, place, posterior)
+        Self(session, sequence, stamp_ns, at, number, stamp, place, posterior, probability)
     }
 }
 

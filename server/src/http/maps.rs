@@ -205,9 +205,12 @@ pub(super) struct LoopClosure {
     pub(super) matched_frame: FrameReference,
     /// Number of the place.
     pub(super) place: u32,
-    /// Posterior probability of the place.
+    /// Posterior probability of the place, by words.
     #[schema(minimum = 0, maximum = 1)]
     pub(super) posterior: f64,
+    /// That both frames show the same place, by words and geometry together; null where nothing was verified.
+    #[schema(required, minimum = 0, maximum = 1)]
+    pub(super) probability: Option<f64>,
 }
 
 /// A frame by its session and sequence number.
@@ -303,8 +306,8 @@ impl From<maps::MapSettings> for MapSettings {
 
 impl From<LoopClosureView> for LoopClosure {
     fn from(view: LoopClosureView) -> Self {
-        let LoopClosureView { frame, matched, place, posterior } = view;
-        Self { frame: frame.into(), matched_frame: matched.into(), place, posterior }
+        let LoopClosureView { frame, matched, place, posterior, probability } = view;
+        Self { frame: frame.into(), matched_frame: matched.into(), place, posterior, probability }
     }
 }
 

@@ -64,6 +64,8 @@ pub(crate) struct LoopClosureView {
     pub(crate) matched: FrameReference,
     pub(crate) place: PlaceId,
     pub(crate) posterior: f64,
+    /// By words and geometry together; `None` where nothing was verified.
+    pub(crate) probability: Option<f64>,
 }
 
 impl Service {
@@ -243,6 +245,7 @@ impl Service {
             matched: reference(map, &sessions, &closure.matched),
             place: closure.place,
             posterior: closure.posterior,
+            probability: closure.probability,
         };
         Ok(Page { items: closures.iter().map(view).collect(), next })
     }

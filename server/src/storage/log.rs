@@ -5,6 +5,7 @@ use fabmap::appearance::PlaceId;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, Sqlite, Transaction};
 use topomap::event::{FrameId, MapEvent, Reason, SessionId};
+use topomap::verification::Candidate;
 
 use super::media::insert_media;
 use super::{MapId, Medium, Storage, StorageError, from_sql, to_sql};
@@ -37,6 +38,7 @@ pub(crate) struct ClosureRow {
     pub(crate) matched: StoredFrame,
     pub(crate) place: u32,
     pub(crate) posterior: f64,
+    pub(crate) probability: Option<f64>,
 }
 
 impl Storage {
@@ -179,7 +181,7 @@ impl Storage {
         limit: u32,
     ) -> Result<Vec<ClosureRow>, StorageError> {
         let rows = sqlx::query(
-            "SELECT f.position, f.session, f.sequence, f.stamp_ns, f.place, f.posterior, \
+            "SELECT f.position, f.session, f.sequence, f.stamp_ns, f.place, f.posterior, f.probability, \
              m.session AS matched_session, m.sequence AS matched_sequence, m.stamp_ns AS matched_stamp_ns \
              FROM log AS f JOIN log AS m ON m.map_id = f.map_id AND m.position = f.matched_frame \
              WHERE f.map_id = ? AND f.reason = 'loop_closure' AND f.position > ? ORDER BY f.position LIMIT ?",
@@ -197,6 +199,7 @@ impl Storage {
                     matched: stored_frame(row, ["matched_session", "matched_sequence", "matched_stamp_ns"])?,
                     place: row.try_get("place")?,
                     posterior: row.try_get("posterior")?,
+                    probability: row.try_get("probability")?,
                 })
             })
             .collect()
@@ -216,7 +219,7 @@ pub(super) async fn insert_event(
     let decision = frame.map(|frame| &frame.decision);
     sqlx::query(
         "INSERT INTO log (map_id, position, session, sequence, stamp_ns, reason, place, posterior, matched_frame, \
-         link_from, link_to, event) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+         probability, link_from, link_to, event) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
     )
     .bind(map)
     .bind(position)
@@ -227,6 +230,7 @@ pub(super) async fn insert_event(
     .bind(decision.and_then(|decision| decision.place))
     .bind(decision.map(|decision| decision.posterior))
     .bind(decision.and_then(|decision| decision.closure).map(|closure| to_sql(closure.frame)))
+    .bind(frame.and_then(|frame| frame.verified_by()).map(Candidate::probability))
     .bind(frame.and_then(|frame| frame.link).map(|link| link.from))
     .bind(frame.and_then(|frame| frame.link).map(|link| link.to))
     .bind(event.to_bytes())

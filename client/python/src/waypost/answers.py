@@ -182,6 +182,8 @@ class LoopClosure:
     matched_frame: FrameReference
     place: int
     posterior: float
+    #: That both frames show the same place, by words and geometry together; None where nothing was verified.
+    probability: float | None = None
 
 
 def answer(message: session_pb2.FrameAnswer) -> Answer:
@@ -236,6 +238,7 @@ def loop_closure(message: map_pb2.LoopClosure) -> LoopClosure:
         matched_frame=_frame_reference(message.matched_frame),
         place=message.place,
         posterior=message.posterior,
+        probability=message.probability if message.HasField("probability") else None,
     )
 
 
