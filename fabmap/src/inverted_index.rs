@@ -281,6 +281,22 @@ mod tests {
     }
 
     #[test]
+    fn weights_may_be_used_again_for_another_vocabulary() {
+        let mut weights = QueryWeights::default();
+        for words in [200, 60, 130] {
+            let World { model, observations, .. } = test_worlds::fixed(words, 40, 5);
+            let model = Arc::new(model);
+            let mut index = InvertedIndex::new(model.clone());
+            index.extend(observations.iter().map(Appearance::of));
+            for z in &observations {
+                let mut scores = Vec::new();
+                index.log_likelihoods_into(&model.informative_words(z), &mut weights, &mut scores);
+                assert_eq!(scores, index.log_likelihoods(z), "{words} words");
+            }
+        }
+    }
+
+    #[test]
     fn many_blocks_on_any_number_of_threads_give_the_same_bits() {
         let World { model, observations, .. } = test_worlds::fixed(60, 5000, 7);
         let mut index = InvertedIndex::new(Arc::new(model));

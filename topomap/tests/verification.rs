@@ -218,6 +218,24 @@ fn the_place_where_the_session_is_must_look_the_same() {
     assert_ne!(moved_on.decision.place, Some(2));
 }
 
+proptest! {
+    /// Written out: ln [p / (1 - p)] = -0.80 + 0.68 ln (1 + evidence) + 0.17 ln [posterior / (1 - posterior)].
+    #[test]
+    fn words_and_geometry_make_one_probability(
+        inliers in 0..500u32, support in 0.0..2000.0f64, log_odds in -200.0..200.0f64,
+    ) {
+        let matched = Match { place: 3, posterior: 1.0 / (1.0 + (-log_odds).exp()), log_odds, frame: 9 };
+        let seen = Candidate { matched, view: Some(plane(500, inliers, [0.1, 0.0])), support };
+        let expected = (-0.80 + 0.68 * (1.0 + seen.evidence()).ln() + 0.17 * log_odds).exp();
+        let probability = seen.probability();
+        prop_assert!((probability - expected / (1.0 + expected)).abs() < 1e-9, "{probability}");
+        let likelier = Candidate { view: Some(plane(500, inliers + 10, [0.1, 0.0])), ..seen };
+        prop_assert!((0.0..=1.0).contains(&probability) && likelier.probability() >= probability);
+        let unseen = Candidate { view: None, ..seen };
+        prop_assert_eq!(unseen.probability(), matched.posterior);
+    }
+}
+
 /// A second round: each frame's match stands beside those of the frames before, and adds to their evidence.
 #[test]
 fn matches_in_line_support_each_other() {

@@ -208,7 +208,8 @@ impl Measurement {
                 recognition.posterior.top(TOP_PLACES)
             });
             times.push(watch.stop());
-            debug_assert!(top.len() == TOP_PLACES.min(places));
+            // So that it is not left out.
+            std::hint::black_box(top);
             belief = recognition.posterior.carry(None);
         }
         GrowthPoint::new(places, &times)

@@ -59,9 +59,10 @@ pub(super) struct WordWeight {
 impl QueryWeights {
     /// Readies a query for places of at most `most_looks`.
     pub(super) fn prepare(&mut self, model: &ObservationModel, informative: &[WordState], most_looks: u8) {
+        // Before the sizes change: the query before may have been of a larger vocabulary.
+        self.words.drain(..).for_each(|weight| self.informative[weight.word as usize / 64] = 0);
         self.positions.resize(model.vocabulary_len(), 0);
         self.informative.resize(model.vocabulary_len().div_ceil(64), 0);
-        self.words.drain(..).for_each(|weight| self.informative[weight.word as usize / 64] = 0);
         self.words.extend(informative.iter().map(|&state| WordWeight {
             word: state.word,
             of_one_look: fixed_point(model.one_look(state).at_places_with_it),
