@@ -12,6 +12,7 @@ pub mod error;
 pub mod false_pictures;
 pub mod files;
 pub mod match_matrix;
+pub mod memory;
 pub mod plots;
 pub mod precision_recall;
 pub mod progress;

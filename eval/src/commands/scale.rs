@@ -26,9 +26,9 @@ use rayon::prelude::*;
 use topomap::mapper::MapperError;
 
 use crate::error::EvalError;
-use crate::progress;
 use crate::workload::files::WorkloadFiles;
 use crate::workload::{Use, Workload, WorkloadSettings};
+use crate::{memory, progress};
 
 /// What to measure.
 #[derive(Clone, Debug, PartialEq)]
@@ -147,7 +147,7 @@ impl Measurement {
     }
 
     fn report(mut self, growth: Vec<GrowthPoint>, threads: usize) -> ScaleReport {
-        let rss_mib = resident_mib();
+        let rss_mib = memory::resident_mib();
         let index = self.recognizer.index();
         let (words, postings) = (index.model().vocabulary_len(), index.postings());
         let index_bytes = index.memory_bytes();
@@ -358,14 +358,6 @@ impl Source {
             }
         }
     }
-}
-
-/// Memory of this process that is not swapped out, in MiB; `None` where the system does not tell.
-fn resident_mib() -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
-    let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kib / 1024.0)
 }
 
 fn microseconds(since: Instant) -> f64 {

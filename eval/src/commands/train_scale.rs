@@ -7,7 +7,6 @@ mod vocabulary;
 pub use tree::{TreeScaleOptions, TreeScaleReport, train_tree};
 pub use vocabulary::{VocabularyScaleOptions, VocabularyScaleReport, train_vocabulary};
 
-use std::fs;
 use std::path::PathBuf;
 
 use fabmap::descriptor::Descriptors;
@@ -59,12 +58,4 @@ pub fn write_descriptors(options: &DescriptorOptions) -> Result<DescriptorReport
         DescriptorReport { images: paths.len(), descriptors, width: features.feature().descriptor_width() };
     eprintln!("{descriptors} descriptors of {} images in {}", paths.len(), out.display());
     Ok(report)
-}
-
-/// The most memory this process has held so far; `None` where the system does not tell.
-fn peak_memory_mib() -> Option<f64> {
-    let status = fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kib / 1024.0)
 }

@@ -8,8 +8,8 @@ use fabmap::model::ModelTrainingError;
 use fabmap::observation::Observation;
 use serde::Serialize;
 
-use super::peak_memory_mib;
 use crate::error::EvalError;
+use crate::memory;
 use crate::progress;
 use crate::workload::{Use, Workload, WorkloadSettings};
 
@@ -84,7 +84,7 @@ pub fn train_tree(options: &TreeScaleOptions) -> Result<TreeScaleReport, EvalErr
         sightings: observations.iter().map(Observation::len).sum(),
         threads: rayon::current_num_threads(),
         seconds,
-        peak_memory_mib: peak_memory_mib(),
+        peak_memory_mib: memory::peak_mib(),
         longest_step_ms,
         edges: learnt.iter().flatten().count(),
         true_edges: (0..).zip(&own).filter(|&(word, parent)| parent.is_some_and(|p| joined(word, p))).count(),

@@ -13,8 +13,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 use waypost_vision::features::Feature;
 
-use super::peak_memory_mib;
 use crate::error::EvalError;
+use crate::memory;
 use crate::timing::median;
 use crate::{files, progress};
 
@@ -89,7 +89,7 @@ pub fn train_vocabulary(options: &VocabularyScaleOptions) -> Result<VocabularySc
     })
     .map_err(ModelTrainingError::from)?;
     let train_seconds = started.elapsed().as_secs_f64();
-    let train_peak_memory_mib = peak_memory_mib();
+    let train_peak_memory_mib = memory::peak_mib();
     bar.finish_and_clear();
 
     let exact = vocabulary.with_exact_search();
