@@ -95,31 +95,80 @@ impl Appearance {
         }
     }
 
+    /// Appends a shorter byte form, for many places together: n, number of words, each word's distance from the one
+    /// before; where n > 1 a bit per word, set if its k is not 1, and four bits with k for each of those.
+    pub fn encode_packed(&self, writer: &mut Writer) {
+        writer.u8(self.looks);
+        writer.varint(self.words.len() as u64);
+        let mut previous = 0;
+        for &word in &self.words {
+            writer.varint(u64::from(word - previous));
+            previous = word;
+        }
+        if self.looks > 1 {
+            for hits in self.hits.chunks(8) {
+                writer.u8((0..).zip(hits).fold(0, |bits, (bit, &k)| bits | u8::from(k > 1) << bit));
+            }
+            let repeated: Vec<u8> = self.hits.iter().copied().filter(|&k| k > 1).collect();
+            for pair in repeated.chunks(2) {
+                writer.u8(pair[0] | pair.get(1).map_or(0, |k| k << 4));
+            }
+        }
+    }
+
+    /// Reads what [`Appearance::encode_packed`] wrote.
+    ///
+    /// # Errors
+    /// See [`Appearance::decode`].
+    pub fn decode_packed(reader: &mut Reader<'_>, vocabulary_len: usize) -> Result<Self, DecodeError> {
+        let (looks, len) = decode_counts(reader, vocabulary_len)?;
+        let mut words = Vec::with_capacity(len);
+        let mut previous = 0u64;
+        for index in 0..len {
+            let step = reader.varint()?;
+            let word = previous.saturating_add(step);
+            if (index > 0 && step == 0) || word >= vocabulary_len as u64 {
+                return Err(impossible_word(word));
+            }
+            words.push(word as WordId);
+            previous = word;
+        }
+        let mut hits = vec![1; len];
+        if looks > 1 {
+            let bits = reader.raw(len.div_ceil(8))?;
+            let is_repeated = |index: &usize| bits[index / 8] >> (index % 8) & 1 == 1;
+            let repeated: Vec<usize> = (0..len).filter(is_repeated).collect();
+            for pair in repeated.chunks(2) {
+                let byte = reader.u8()?;
+                for (&index, k) in pair.iter().zip([byte & 15, byte >> 4]) {
+                    hits[index] = k;
+                }
+            }
+        }
+        match hits.iter().find(|&&k| k == 0 || k > looks) {
+            Some(&k) => Err(impossible_hits(k, looks)),
+            None => Ok(Self { looks, words, hits }),
+        }
+    }
+
     /// Reads what [`Appearance::encode`] wrote.
     ///
     /// # Errors
     /// [`DecodeError`] if the bytes are cut, name a word not below `vocabulary_len` or twice, or hold
     /// counts that no looks give.
     pub fn decode(reader: &mut Reader<'_>, vocabulary_len: usize) -> Result<Self, DecodeError> {
-        let looks = reader.u8()?;
-        if looks > Self::MAX_LOOKS {
-            return Err(DecodeError::invalid(format_args!("{looks} looks at a place")));
-        }
-        let len = reader.count(1)?;
-        if len > vocabulary_len {
-            return Err(DecodeError::invalid(format_args!("{len} words of {vocabulary_len}")));
-        }
+        let (looks, len) = decode_counts(reader, vocabulary_len)?;
         let mut appearance = Self { looks, words: Vec::with_capacity(len), hits: Vec::with_capacity(len) };
         let mut previous = 0u64;
         for index in 0..len {
             let step = reader.varint()?;
             let word = previous.saturating_add(step >> 1);
             if (index > 0 && word == previous) || word >= vocabulary_len as u64 {
-                return Err(DecodeError::invalid(format_args!("word {word} of a place")));
+                return Err(impossible_word(word));
             }
             let k = if step & 1 == 1 { reader.u8()? } else { 1 };
             if k == 0 || k > looks {
-                return Err(DecodeError::invalid(format_args!("a word seen in {k} of {looks} looks")));
+                return Err(impossible_hits(k, looks));
             }
             appearance.words.push(word as WordId);
             appearance.hits.push(k);
@@ -127,6 +176,27 @@ impl Appearance {
         }
         Ok(appearance)
     }
+}
+
+/// n and the number of words.
+fn decode_counts(reader: &mut Reader<'_>, vocabulary_len: usize) -> Result<(u8, usize), DecodeError> {
+    let looks = reader.u8()?;
+    if looks > Appearance::MAX_LOOKS {
+        return Err(DecodeError::invalid(format_args!("{looks} looks at a place")));
+    }
+    let len = reader.count(1)?;
+    if len > vocabulary_len {
+        return Err(DecodeError::invalid(format_args!("{len} words of {vocabulary_len}")));
+    }
+    Ok((looks, len))
+}
+
+fn impossible_word(word: u64) -> DecodeError {
+    DecodeError::invalid(format_args!("word {word} of a place"))
+}
+
+fn impossible_hits(k: u8, looks: u8) -> DecodeError {
+    DecodeError::invalid(format_args!("a word seen in {k} of {looks} looks"))
 }
 
 #[cfg(test)]
@@ -168,12 +238,20 @@ mod tests {
             let mut writer = Writer::default();
             appearance.encode(&mut writer);
             let bytes = writer.into_bytes();
-            prop_assert_eq!(Appearance::decode(&mut Reader::new(&bytes), 20), Ok(appearance));
+            prop_assert_eq!(Appearance::decode(&mut Reader::new(&bytes), 20), Ok(appearance.clone()));
+            let mut writer = Writer::default();
+            appearance.encode_packed(&mut writer);
+            let bytes = writer.into_bytes();
+            let mut reader = Reader::new(&bytes);
+            prop_assert_eq!(Appearance::decode_packed(&mut reader, 20), Ok(appearance));
+            prop_assert_eq!(reader.remaining(), 0);
         }
 
         #[test]
         fn foreign_bytes_never_make_impossible_counts(bytes in proptest::collection::vec(any::<u8>(), 0..60)) {
-            if let Ok(appearance) = Appearance::decode(&mut Reader::new(&bytes), 300) {
+            let plain = Appearance::decode(&mut Reader::new(&bytes), 300);
+            let packed = Appearance::decode_packed(&mut Reader::new(&bytes), 300);
+            for appearance in [plain, packed].into_iter().flatten() {
                 prop_assert!(appearance.word_hits().all(|(word, k)| word < 300 && (1..=appearance.looks()).contains(&k)));
             }
         }

@@ -2,6 +2,7 @@
 //!
 //! Pure: no I/O, no async, no pixels. Begin with [`mapper`], which tells the story.
 
+pub mod checkpoint;
 pub mod event;
 pub mod map;
 pub mod mapper;

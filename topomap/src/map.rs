@@ -1,19 +1,21 @@
 //! The map: what the log adds up to.
 
+mod encoding;
+
+pub(crate) use encoding::SESSION_VERSION;
+pub use encoding::{decode_place, encode_place};
+
 use std::collections::{BTreeMap, VecDeque};
 
 use fabmap::appearance::{Appearance, PlaceId};
-use fabmap::codec::{Container, DecodeError, Reader, Writer};
+use fabmap::codec::DecodeError;
 use fabmap::model::ContentHash;
 use fabmap::place_filter::Belief;
 use sha2::{Digest, Sha256};
 
-use crate::event::{
-    FrameEvent, FrameId, Link, SessionId, decode_belief, decode_option, encode_belief, encode_option,
-};
+use crate::event::{FrameEvent, FrameId, Link, SessionId};
 use crate::mapper::MapperSettings;
 use crate::odometry::Odometry;
-use crate::verification::not_negative;
 
 /// Places, links and sessions; appearances live in the recognizer's index, under the same ids.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -163,6 +165,25 @@ impl Map {
         self.events
     }
 
+    /// A map from all that it consists of.
+    pub(crate) fn from_parts(
+        places: Vec<Place>,
+        links: Vec<Link>,
+        sessions: BTreeMap<SessionId, Session>,
+        events: u64,
+    ) -> Result<Self, DecodeError> {
+        let linked = vec![Vec::new(); places.len()];
+        let mut map = Self { places, links: Vec::with_capacity(links.len()), linked, sessions, events };
+        for link in links {
+            let known = |place: PlaceId| (place as usize) < map.places.len();
+            if !known(link.from) || !known(link.to) {
+                return Err(DecodeError::invalid("a link to a place that does not exist"));
+            }
+            map.add_link(link);
+        }
+        Ok(map)
+    }
+
     pub(crate) fn open_session(&mut self, session: SessionId) {
         self.sessions.insert(session, Session::new());
         self.events += 1;
@@ -216,110 +237,6 @@ impl Map {
         hasher.update(self.encode_graph());
         ContentHash::from_bytes(hasher.finalize().into())
     }
-
-    /// Links, sessions and the number of events: all but the places.
-    #[must_use]
-    pub fn encode_graph(&self) -> Vec<u8> {
-        let Self { places, links, linked: _, sessions, events } = self;
-        let verified = sessions.values().any(|session| !session.sightings.is_empty());
-        let version = if verified { GRAPH.version } else { GRAPH_BEFORE_VERIFICATION };
-        let mut writer = Writer::default();
-        writer.u64(*events);
-        writer.varint(places.len() as u64);
-        writer.varint(links.len() as u64);
-        links.iter().for_each(|link| link.encode(&mut writer));
-        writer.varint(sessions.len() as u64);
-        for (id, session) in sessions {
-            writer.u32(*id);
-            session.encode(version, &mut writer);
-        }
-        Container { version, ..GRAPH }.seal(&writer.into_bytes())
-    }
-
-    /// Puts a map together from [`Map::encode_graph`] and its places in order.
-    ///
-    /// # Errors
-    /// [`DecodeError`] if the bytes are no graph, or not one of these places.
-    pub fn decode_graph(bytes: &[u8], places: Vec<Place>) -> Result<Self, DecodeError> {
-        let (version, payload) = GRAPH.open(bytes)?;
-        let mut reader = Reader::new(payload);
-        let events = reader.u64()?;
-        let expected = reader.varint()?;
-        if expected != places.len() as u64 {
-            return Err(DecodeError::invalid(format_args!(
-                "{} places where {expected} should be",
-                places.len()
-            )));
-        }
-        let linked = vec![Vec::new(); places.len()];
-        let mut map = Self { places, links: Vec::new(), linked, sessions: BTreeMap::new(), events };
-        for _ in 0..reader.count(9)? {
-            let link = Link::decode(&mut reader)?;
-            let known = |place: PlaceId| (place as usize) < map.places.len();
-            if !known(link.from) || !known(link.to) {
-                return Err(DecodeError::invalid("a link to a place that does not exist"));
-            }
-            map.add_link(link);
-        }
-        for _ in 0..reader.count(4)? {
-            map.sessions.insert(reader.u32()?, Session::decode(version, &mut reader)?);
-        }
-        reader.end()?;
-        Ok(map)
-    }
-}
-
-/// The graph of a checkpoint; its version is that of the places beside it too.
-const GRAPH: Container = Container { magic: *b"WPGRAPH\n", name: "Waypost checkpoint", version: 2 };
-
-/// The version without sightings. A map that has none is still written so: its state, and the hash of it, are
-/// what they were.
-const GRAPH_BEFORE_VERIFICATION: u32 = 1;
-
-/// Bytes of SHA-256 that each place carries: enough to notice damage.
-const PLACE_CHECKSUM_BYTES: usize = 8;
-
-/// A place with its appearance, as a checkpoint keeps it.
-#[must_use]
-pub fn encode_place(place: &Place, appearance: &Appearance) -> Vec<u8> {
-    let mut writer = Writer::default();
-    appearance.encode(&mut writer);
-    writer.varint(place.frames.len() as u64);
-    for PlaceFrame { frame, session, number } in &place.frames {
-        writer.varint(*frame);
-        writer.varint(u64::from(*session));
-        writer.varint(*number);
-    }
-    let mut bytes = writer.into_bytes();
-    let checksum = Sha256::digest(&bytes);
-    bytes.extend_from_slice(&checksum[..PLACE_CHECKSUM_BYTES]);
-    bytes
-}
-
-/// Reads what [`encode_place`] wrote, for a vocabulary of `vocabulary_len` words.
-///
-/// # Errors
-/// [`DecodeError`] if the bytes are no place.
-pub fn decode_place(bytes: &[u8], vocabulary_len: usize) -> Result<(Place, Appearance), DecodeError> {
-    let (content, checksum) = bytes
-        .split_last_chunk::<PLACE_CHECKSUM_BYTES>()
-        .ok_or(DecodeError::Truncated { needed: PLACE_CHECKSUM_BYTES.saturating_sub(bytes.len()) })?;
-    if Sha256::digest(content)[..PLACE_CHECKSUM_BYTES] != checksum[..] {
-        return Err(DecodeError::Checksum);
-    }
-    let mut reader = Reader::new(content);
-    let appearance = Appearance::decode(&mut reader, vocabulary_len)?;
-    let frames = (0..reader.count(3)?)
-        .map(|_| {
-            Ok(PlaceFrame {
-                frame: reader.varint()?,
-                session: reader.varint_u32()?,
-                number: reader.varint()?,
-            })
-        })
-        .collect::<Result<Vec<_>, DecodeError>>()?;
-    reader.end()?;
-    Ok((Place { frames }, appearance))
 }
 
 impl Session {
@@ -395,94 +312,5 @@ impl Session {
             self.left.retain(|left| left.place != place && number - left.number < guard_frames);
             self.left.push_back(LeftPlace { place: before.place, number, looks: before.looks });
         }
-    }
-
-    fn encode(&self, version: u32, writer: &mut Writer) {
-        let Self { frames, last_sequence, last_stamp_ns, last_odometry, stay, left, belief, sightings } =
-            self;
-        writer.u64(*frames);
-        encode_option(last_sequence.as_ref(), writer, |sequence, writer| writer.u64(*sequence));
-        encode_option(last_stamp_ns.as_ref(), writer, |stamp_ns, writer| writer.i64(*stamp_ns));
-        encode_option(last_odometry.as_ref(), writer, |(stamp_ns, odometry), writer| {
-            writer.i64(*stamp_ns);
-            odometry.encode(writer);
-        });
-        encode_option(stay.as_ref(), writer, |Stay { place, looks, odometry }, writer| {
-            writer.u32(*place);
-            writer.u32(*looks);
-            encode_option(odometry.as_ref(), writer, Odometry::encode);
-        });
-        writer.varint(left.len() as u64);
-        for &LeftPlace { place, number, looks } in left {
-            writer.u32(place);
-            writer.u64(number);
-            writer.u32(looks);
-        }
-        encode_belief(belief, writer);
-        if version > GRAPH_BEFORE_VERIFICATION {
-            writer.varint(sightings.len() as u64);
-            sightings.iter().for_each(|sighting| sighting.encode(writer));
-        }
-    }
-
-    fn decode(version: u32, reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        Ok(Self {
-            frames: reader.u64()?,
-            last_sequence: decode_option(reader, Reader::u64)?,
-            last_stamp_ns: decode_option(reader, Reader::i64)?,
-            last_odometry: decode_option(reader, |reader| Ok((reader.i64()?, Odometry::decode(reader)?)))?,
-            stay: decode_option(reader, |reader| {
-                Ok(Stay {
-                    place: reader.u32()?,
-                    looks: reader.u32()?,
-                    odometry: decode_option(reader, Odometry::decode)?,
-                })
-            })?,
-            left: (0..reader.count(16)?)
-                .map(|_| Ok(LeftPlace { place: reader.u32()?, number: reader.u64()?, looks: reader.u32()? }))
-                .collect::<Result<_, DecodeError>>()?,
-            belief: decode_belief(reader)?,
-            sightings: if version > GRAPH_BEFORE_VERIFICATION {
-                (0..reader.count(SIGHTING_BYTES)?)
-                    .map(|_| Sighting::decode(reader))
-                    .collect::<Result<_, _>>()?
-            } else {
-                VecDeque::new()
-            },
-        })
-    }
-}
-
-/// Least bytes of a sighting.
-const SIGHTING_BYTES: usize = 20;
-
-impl Sighting {
-    fn encode(&self, writer: &mut Writer) {
-        let Self {
-            number,
-            place,
-            seen: PlaceFrame { frame, session, number: of_session },
-            evidence,
-            total_evidence,
-        } = self;
-        for value in [*number, u64::from(*place), *frame, u64::from(*session), *of_session] {
-            writer.varint(value);
-        }
-        writer.f64(*evidence);
-        writer.f64(*total_evidence);
-    }
-
-    fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        Ok(Self {
-            number: reader.varint()?,
-            place: reader.varint_u32()?,
-            seen: PlaceFrame {
-                frame: reader.varint()?,
-                session: reader.varint_u32()?,
-                number: reader.varint()?,
-            },
-            evidence: not_negative(reader.f64()?)?,
-            total_evidence: not_negative(reader.f64()?)?,
-        })
     }
 }

@@ -1,8 +1,10 @@
 //! A map is the fold of its log: live, replayed, and restored from a checkpoint it is the same.
 #![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
 
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
+use fabmap::appearance::{Appearance, PlaceId};
 use fabmap::chow_liu::{ChowLiuTree, TreeTrainingSettings};
 use fabmap::descriptor::{DescriptorKind, Descriptors};
 use fabmap::detector::DetectorModel;
@@ -12,10 +14,12 @@ use fabmap::vocabulary::{Vocabulary, VocabularySettings};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use topomap::checkpoint::{Block, BlockWriter, Changes, LINKS_PER_PIECE, Pieces, Restoration, decode_block};
 use topomap::event::{FrameId, LinkKind, MapEvent, Reason};
+use topomap::map::{Place, decode_place};
 use topomap::mapper::{
     ArchiveError, FoldError, FrameArchive, FrameError, FrameInput, Localizer, Mapper, MapperError,
-    MapperSettings,
+    MapperSettings, RestoreError,
 };
 use topomap::odometry::Odometry;
 use topomap::verification::NoViews;
@@ -96,11 +100,115 @@ fn replay<'a>(mapper: &mut Mapper, events: impl IntoIterator<Item = &'a MapEvent
     }
 }
 
+/// A checkpoint as a disk would keep it.
+#[derive(Default)]
+struct Stored {
+    head: Vec<u8>,
+    sessions: BTreeMap<u32, Vec<u8>>,
+    links: BTreeMap<u64, Vec<u8>>,
+    blocks: Vec<Block>,
+    /// Those that changed since they were sealed, or are not.
+    places: BTreeMap<PlaceId, Vec<u8>>,
+}
+
+impl Stored {
+    fn write(&mut self, pieces: Pieces) {
+        let Pieces { events: _, head, sessions, links, places } = pieces;
+        self.head = head;
+        self.sessions.extend(sessions);
+        self.links.extend(links);
+        self.places.extend(places);
+    }
+
+    fn sealed(&self) -> PlaceId {
+        self.blocks.last().map_or(0, |last| last.first + last.places)
+    }
+
+    /// All places in order, each as it was written last.
+    fn all_places(&self) -> Vec<(Place, Appearance)> {
+        let decode = |block: &Block| {
+            let (first, places) = decode_block(&block.bytes, WORDS as usize).unwrap();
+            assert_eq!((first, places.len()), (block.first, block.places as usize));
+            places
+        };
+        let mut places: Vec<_> = self.blocks.iter().flat_map(decode).collect();
+        for (&id, bytes) in &self.places {
+            let place = decode_place(bytes, WORDS as usize).unwrap();
+            if (id as usize) < places.len() { places[id as usize] = place } else { places.push(place) }
+        }
+        places
+    }
+
+    /// Seals the next `count` places, and the first block anew.
+    fn seal(&mut self, count: usize) {
+        let (sealed, places) = (self.sealed(), self.all_places());
+        let seal = |first: PlaceId, count: usize| {
+            let mut block = BlockWriter::new(first);
+            places
+                .iter()
+                .skip(first as usize)
+                .take(count)
+                .for_each(|(place, appearance)| block.push(place, appearance));
+            block.seal()
+        };
+        if let Some(first) = self.blocks.first_mut() {
+            *first = seal(0, first.places as usize);
+            self.places.retain(|&place, _| place >= first.places);
+        }
+        self.blocks.extend(Some(seal(sealed, count)).filter(|block| block.places > 0));
+        let (before, after) = (sealed, self.sealed());
+        self.places.retain(|&place, _| !(before..after).contains(&place));
+    }
+
+    fn restore(&self, model: &Model) -> Mapper {
+        let mut restoration = Restoration::new(model, settings(), &self.head).unwrap();
+        self.sessions.iter().for_each(|(&id, bytes)| restoration.session(id, bytes).unwrap());
+        self.links.iter().for_each(|(&first, bytes)| restoration.links(first, bytes).unwrap());
+        (0..).zip(self.all_places()).for_each(|(id, place)| restoration.place(id, place).unwrap());
+        restoration.finish().unwrap()
+    }
+}
+
+#[test]
+fn pieces_that_do_not_add_up_are_no_map() {
+    let (model, mut log) = (model(), Log(Vec::new()));
+    let mut mapper = Mapper::new(&model, settings()).unwrap();
+    drive(&mut mapper, &mut log, &[(0, 1), (0, 2), (0, 3), (1, 1), (1, 2)], 3);
+    let mut changes = Changes::default();
+    log.0.iter().for_each(|event| changes.follow(event));
+    let pieces = mapper.pieces(&changes);
+    let places: Vec<_> =
+        pieces.places.iter().map(|(id, bytes)| (*id, decode_place(bytes, WORDS as usize).unwrap())).collect();
+    let begin = || Restoration::new(&model, settings(), &pieces.head).unwrap();
+
+    let mut gap = begin();
+    gap.place(0, places[0].1.clone()).unwrap();
+    assert_eq!(gap.place(2, places[2].1.clone()), Err(RestoreError::Missing { what: "places", from: 1 }));
+    assert_eq!(gap.links(LINKS_PER_PIECE as u64, &[]), Err(RestoreError::Missing { what: "links", from: 0 }));
+    assert_eq!(gap.finish().unwrap_err(), RestoreError::Missing { what: "places", from: 1 });
+
+    let mut many = begin();
+    places.iter().for_each(|(id, place)| many.place(*id, place.clone()).unwrap());
+    pieces.links.iter().for_each(|(first, bytes)| many.links(*first, bytes).unwrap());
+    pieces.sessions.iter().for_each(|(id, bytes)| many.session(*id, bytes).unwrap());
+    many.session(7, &pieces.sessions[0].1).unwrap();
+    assert_eq!(many.finish().unwrap_err(), RestoreError::TooMany { what: "sessions", expected: 2 });
+
+    // A session's bytes are none of links, and no prefix of anything is whole.
+    assert!(begin().links(0, &pieces.sessions[0].1).is_err());
+    let block = mapper.blocks(usize::MAX).next().unwrap().bytes;
+    for cut in 0..block.len() {
+        assert!(decode_block(&block[..cut], WORDS as usize).is_err(), "{cut} of {} bytes", block.len());
+    }
+    let small: Vec<PlaceId> = mapper.blocks(1).map(|block| block.first).collect();
+    assert_eq!(small, (0..mapper.map().places().len() as PlaceId).collect::<Vec<_>>());
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
     #[test]
     fn fold_replay_and_restore_agree(
-        steps in proptest::collection::vec((0..3u32, 0..12u64), 1..60), cut in any::<prop::sample::Index>(), seed in any::<u64>(),
+        steps in proptest::collection::vec((0..3u32, 0..12u64), 1..60), cuts in proptest::collection::vec(any::<prop::sample::Index>(), 1..4), seed in any::<u64>(),
     ) {
         let model = model();
         let mut live = Mapper::new(&model, settings()).unwrap();
@@ -112,14 +220,23 @@ proptest! {
         prop_assert_eq!(replayed.state_hash(), live.state_hash());
         prop_assert_eq!(replayed.map(), live.map());
 
-        let checkpoint = cut.index(log.0.len() + 1);
+        // Checkpoints on the way, of what changed since the one before; some places are sealed in between.
         let mut half = Mapper::new(&model, settings()).unwrap();
-        replay(&mut half, &log.0[..checkpoint]);
-        let places: Vec<Vec<u8>> = (0..half.recognizer().places() as u32).map(|place| half.encode_place(place).unwrap()).collect();
-        let graph = half.map().encode_graph();
-        let mut restored = Mapper::restore(&model, settings(), places.iter().map(Vec::as_slice), &graph).unwrap();
-        prop_assert_eq!(restored.state_hash(), half.state_hash());
-        replay(&mut restored, &log.0[checkpoint..]);
+        let (mut stored, mut events) = (Stored::default(), log.0.as_slice());
+        for cut in cuts {
+            let (now, later) = events.split_at(cut.index(events.len() + 1));
+            let mut changes = Changes::since(half.map());
+            now.iter().for_each(|event| changes.follow(event));
+            replay(&mut half, now);
+            stored.write(half.pieces(&changes));
+            prop_assert_eq!(stored.restore(&model).state_hash(), half.state_hash());
+            stored.seal(cut.index(5));
+            prop_assert_eq!(stored.restore(&model).state_hash(), half.state_hash());
+            events = later;
+        }
+        let mut restored = stored.restore(&model);
+        prop_assert_eq!(restored.map(), half.map());
+        replay(&mut restored, events);
         prop_assert_eq!(restored.state_hash(), live.state_hash());
         prop_assert_eq!(restored.map(), live.map());
 

@@ -14,7 +14,9 @@ use nalgebra::{UnitQuaternion, UnitVector3, Vector3};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use topomap::checkpoint::{Changes, Pieces, Restoration};
 use topomap::event::{FrameEvent, FrameId, MapEvent, Match, Reason};
+use topomap::map::decode_place;
 use topomap::mapper::{
     ArchiveError, FrameArchive, FrameInput, Localizer, Mapper, MapperError, MapperSettings,
 };
@@ -384,10 +386,14 @@ proptest! {
         let checkpoint = cut.index(world.log.len() + 1);
         let mut half = Mapper::new(&model, settings()).unwrap();
         world.log[..checkpoint].iter().for_each(|event| half.apply(event).unwrap());
-        let stored: Vec<Vec<u8>> =
-            (0..half.recognizer().places() as u32).map(|place| half.encode_place(place).unwrap()).collect();
-        let graph = half.map().encode_graph();
-        let mut restored = Mapper::restore(&model, settings(), stored.iter().map(Vec::as_slice), &graph).unwrap();
+        let mut changes = Changes::default();
+        world.log[..checkpoint].iter().for_each(|event| changes.follow(event));
+        let Pieces { head, sessions, links, places, .. } = half.pieces(&changes);
+        let mut restoration = Restoration::new(&model, settings(), &head).unwrap();
+        sessions.iter().for_each(|(id, bytes)| restoration.session(*id, bytes).unwrap());
+        links.iter().for_each(|(first, bytes)| restoration.links(*first, bytes).unwrap());
+        places.iter().for_each(|(id, bytes)| restoration.place(*id, decode_place(bytes, WORDS as usize).unwrap()).unwrap());
+        let mut restored = restoration.finish().unwrap();
         world.log[checkpoint..].iter().for_each(|event| restored.apply(event).unwrap());
         prop_assert_eq!(restored.state_hash(), world.mapper.state_hash());
         prop_assert_eq!(restored.map(), world.mapper.map());

@@ -237,7 +237,7 @@ struct Checkpoint {
 impl Checkpoint {
     fn of(index: &InvertedIndex) -> Self {
         let mut writer = Writer::default();
-        index.appearances().for_each(|appearance| appearance.encode(&mut writer));
+        index.appearances().for_each(|appearance| appearance.encode_packed(&mut writer));
         Self { rows: writer.into_bytes(), places: index.len() }
     }
 
@@ -245,7 +245,7 @@ impl Checkpoint {
         let begun = Instant::now();
         let mut index = InvertedIndex::new(model.clone());
         let mut reader = Reader::new(&self.rows);
-        let decode = |_| match Appearance::decode(&mut reader, model.vocabulary_len()) {
+        let decode = |_| match Appearance::decode_packed(&mut reader, model.vocabulary_len()) {
             Ok(appearance) => appearance,
             Err(error) => unreachable!("what has just been encoded is decoded: {error}"),
         };

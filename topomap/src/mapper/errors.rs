@@ -143,4 +143,20 @@ pub enum RestoreError {
     /// Settings that the model does not bear.
     #[error(transparent)]
     Mapper(#[from] MapperError),
+    /// Pieces are missing.
+    #[error("the checkpoint's {what} are missing from number {from} on")]
+    Missing {
+        /// `places`, `links` or `sessions`.
+        what: &'static str,
+        /// The first that is missing.
+        from: u64,
+    },
+    /// Pieces of another checkpoint are among them.
+    #[error("the checkpoint has more {what} than the {expected} that its head says")]
+    TooMany {
+        /// `places`, `links` or `sessions`.
+        what: &'static str,
+        /// How many there should be.
+        expected: u64,
+    },
 }

@@ -1,14 +1,14 @@
-//! The fold, and the map's state to and from checkpoints.
+//! The fold, and what it has come to.
 
 use fabmap::appearance::{Appearance, PlaceId};
 use fabmap::explanation::Explanation;
-use fabmap::model::{ContentHash, Model};
+use fabmap::model::ContentHash;
 use fabmap::observation::Observation;
 use fabmap::recognizer::{Recognition, Recognizer};
 
-use super::{FoldError, Mapper, MapperSettings, RestoreError};
+use super::{FoldError, Mapper, MapperSettings};
 use crate::event::{FrameEvent, MapEvent};
-use crate::map::{Map, Place, decode_place, encode_place};
+use crate::map::Map;
 
 impl Mapper {
     /// The fold: what the log's next event makes of the map.
@@ -71,42 +71,12 @@ impl Mapper {
         self.map.state_hash(self.recognizer.index().appearances())
     }
 
-    /// The byte form of one place, for a checkpoint; `None` if there is no such place.
-    #[must_use]
-    pub fn encode_place(&self, place: PlaceId) -> Option<Vec<u8>> {
-        let appearance = self.recognizer.index().appearance(place)?;
-        Some(encode_place(self.map.places().get(place as usize)?, &appearance))
+    pub(crate) fn index_places(&mut self, appearances: impl IntoIterator<Item = Appearance>) {
+        self.recognizer.add_places(appearances);
     }
 
-    /// Opens a map from a checkpoint: the byte forms of all places in order, and of the graph.
-    ///
-    /// # Errors
-    /// [`RestoreError`] if they are damaged or do not belong together.
-    pub fn restore<'a>(
-        model: &Model,
-        settings: MapperSettings,
-        places: impl IntoIterator<Item = &'a [u8]>,
-        graph: &[u8],
-    ) -> Result<Self, RestoreError> {
-        let mut mapper = Self::new(model, settings)?;
-        let mut restored: Vec<Place> = Vec::new();
-        let (vocabulary_len, mut damage) = (mapper.vocabulary_len, None);
-        let appearances = places.into_iter().map_while(|bytes| match decode_place(bytes, vocabulary_len) {
-            Ok((place, appearance)) => {
-                restored.push(place);
-                Some(appearance)
-            }
-            Err(error) => {
-                damage = Some(error);
-                None
-            }
-        });
-        mapper.recognizer.add_places(appearances);
-        if let Some(error) = damage {
-            return Err(error.into());
-        }
-        mapper.map = Map::decode_graph(graph, restored)?;
-        Ok(mapper)
+    pub(crate) fn take_map(&mut self, map: Map) {
+        self.map = map;
     }
 
     fn check_next(&self, event: &MapEvent) -> Result<(), FoldError> {

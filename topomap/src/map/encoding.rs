@@ -1,0 +1,191 @@
+//! Byte forms of the map's parts: what the state hash covers, and what checkpoints keep.
+
+use std::collections::VecDeque;
+
+use fabmap::appearance::Appearance;
+use fabmap::codec::{Container, DecodeError, Reader, Writer};
+use sha2::{Digest, Sha256};
+
+use super::{LeftPlace, Map, Place, PlaceFrame, Session, Sighting, Stay};
+use crate::event::{decode_belief, decode_option, encode_belief, encode_option};
+use crate::odometry::Odometry;
+use crate::verification::not_negative;
+
+impl Map {
+    /// Links, sessions and the number of events: all but the places, as the state hash covers them.
+    pub(super) fn encode_graph(&self) -> Vec<u8> {
+        let Self { places, links, linked: _, sessions, events } = self;
+        let verified = sessions.values().any(|session| !session.sightings.is_empty());
+        let version = if verified { SESSION_VERSION } else { BEFORE_VERIFICATION };
+        let mut writer = Writer::default();
+        writer.u64(*events);
+        writer.varint(places.len() as u64);
+        writer.varint(links.len() as u64);
+        links.iter().for_each(|link| link.encode(&mut writer));
+        writer.varint(sessions.len() as u64);
+        for (id, session) in sessions {
+            writer.u32(*id);
+            session.encode(version, &mut writer);
+        }
+        Container { version, ..GRAPH }.seal(&writer.into_bytes())
+    }
+}
+
+/// Version of a session's byte form; 2 added the sightings.
+pub(crate) const SESSION_VERSION: u32 = 2;
+
+/// The version without sightings. The graph of a map that has none is still hashed so: its hash is what it was.
+const BEFORE_VERIFICATION: u32 = 1;
+
+const GRAPH: Container =
+    Container { magic: *b"WPGRAPH\n", name: "Waypost checkpoint", version: SESSION_VERSION };
+
+impl Place {
+    /// Appends the frames that the place learnt from.
+    pub(crate) fn encode(&self, writer: &mut Writer) {
+        let Self { frames } = self;
+        writer.varint(frames.len() as u64);
+        for PlaceFrame { frame, session, number } in frames {
+            writer.varint(*frame);
+            writer.varint(u64::from(*session));
+            writer.varint(*number);
+        }
+    }
+
+    pub(crate) fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        let count = reader.count(3)?;
+        let frame = |_| {
+            Ok(PlaceFrame {
+                frame: reader.varint()?,
+                session: reader.varint_u32()?,
+                number: reader.varint()?,
+            })
+        };
+        let frames = (0..count).map(frame).collect::<Result<_, DecodeError>>()?;
+        Ok(Self { frames })
+    }
+}
+
+/// Bytes of SHA-256 that each place carries: enough to notice damage.
+const PLACE_CHECKSUM_BYTES: usize = 8;
+
+/// A place with its appearance, as a checkpoint keeps it.
+#[must_use]
+pub fn encode_place(place: &Place, appearance: &Appearance) -> Vec<u8> {
+    let mut writer = Writer::default();
+    appearance.encode(&mut writer);
+    place.encode(&mut writer);
+    let mut bytes = writer.into_bytes();
+    let checksum = Sha256::digest(&bytes);
+    bytes.extend_from_slice(&checksum[..PLACE_CHECKSUM_BYTES]);
+    bytes
+}
+
+/// Reads what [`encode_place`] wrote, for a vocabulary of `vocabulary_len` words.
+///
+/// # Errors
+/// [`DecodeError`] if the bytes are no place.
+pub fn decode_place(bytes: &[u8], vocabulary_len: usize) -> Result<(Place, Appearance), DecodeError> {
+    let (content, checksum) = bytes
+        .split_last_chunk::<PLACE_CHECKSUM_BYTES>()
+        .ok_or(DecodeError::Truncated { needed: PLACE_CHECKSUM_BYTES.saturating_sub(bytes.len()) })?;
+    if Sha256::digest(content)[..PLACE_CHECKSUM_BYTES] != checksum[..] {
+        return Err(DecodeError::Checksum);
+    }
+    let mut reader = Reader::new(content);
+    let appearance = Appearance::decode(&mut reader, vocabulary_len)?;
+    let place = Place::decode(&mut reader)?;
+    reader.end()?;
+    Ok((place, appearance))
+}
+
+impl Session {
+    pub(crate) fn encode(&self, version: u32, writer: &mut Writer) {
+        let Self { frames, last_sequence, last_stamp_ns, last_odometry, stay, left, belief, sightings } =
+            self;
+        writer.u64(*frames);
+        encode_option(last_sequence.as_ref(), writer, |sequence, writer| writer.u64(*sequence));
+        encode_option(last_stamp_ns.as_ref(), writer, |stamp_ns, writer| writer.i64(*stamp_ns));
+        encode_option(last_odometry.as_ref(), writer, |(stamp_ns, odometry), writer| {
+            writer.i64(*stamp_ns);
+            odometry.encode(writer);
+        });
+        encode_option(stay.as_ref(), writer, |Stay { place, looks, odometry }, writer| {
+            writer.u32(*place);
+            writer.u32(*looks);
+            encode_option(odometry.as_ref(), writer, Odometry::encode);
+        });
+        writer.varint(left.len() as u64);
+        for &LeftPlace { place, number, looks } in left {
+            writer.u32(place);
+            writer.u64(number);
+            writer.u32(looks);
+        }
+        encode_belief(belief, writer);
+        if version > BEFORE_VERIFICATION {
+            writer.varint(sightings.len() as u64);
+            sightings.iter().for_each(|sighting| sighting.encode(writer));
+        }
+    }
+
+    pub(crate) fn decode(version: u32, reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        Ok(Self {
+            frames: reader.u64()?,
+            last_sequence: decode_option(reader, Reader::u64)?,
+            last_stamp_ns: decode_option(reader, Reader::i64)?,
+            last_odometry: decode_option(reader, |reader| Ok((reader.i64()?, Odometry::decode(reader)?)))?,
+            stay: decode_option(reader, |reader| {
+                Ok(Stay {
+                    place: reader.u32()?,
+                    looks: reader.u32()?,
+                    odometry: decode_option(reader, Odometry::decode)?,
+                })
+            })?,
+            left: (0..reader.count(16)?)
+                .map(|_| Ok(LeftPlace { place: reader.u32()?, number: reader.u64()?, looks: reader.u32()? }))
+                .collect::<Result<_, DecodeError>>()?,
+            belief: decode_belief(reader)?,
+            sightings: if version > BEFORE_VERIFICATION {
+                (0..reader.count(SIGHTING_BYTES)?)
+                    .map(|_| Sighting::decode(reader))
+                    .collect::<Result<_, _>>()?
+            } else {
+                VecDeque::new()
+            },
+        })
+    }
+}
+
+/// Least bytes of a sighting.
+const SIGHTING_BYTES: usize = 20;
+
+impl Sighting {
+    fn encode(&self, writer: &mut Writer) {
+        let Self {
+            number,
+            place,
+            seen: PlaceFrame { frame, session, number: of_session },
+            evidence,
+            total_evidence,
+        } = self;
+        for value in [*number, u64::from(*place), *frame, u64::from(*session), *of_session] {
+            writer.varint(value);
+        }
+        writer.f64(*evidence);
+        writer.f64(*total_evidence);
+    }
+
+    fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        Ok(Self {
+            number: reader.varint()?,
+            place: reader.varint_u32()?,
+            seen: PlaceFrame {
+                frame: reader.varint()?,
+                session: reader.varint_u32()?,
+                number: reader.varint()?,
+            },
+            evidence: not_negative(reader.f64()?)?,
+            total_evidence: not_negative(reader.f64()?)?,
+        })
+    }
+}
