@@ -24,7 +24,7 @@ use waypost_eval::choices::{
 use waypost_eval::commands::calibrate::{self, CalibrateOptions, DetectorChoice};
 use waypost_eval::commands::compare::{self, CompareFile, CompareOptions, Configuration, ConfigurationEntry};
 use waypost_eval::commands::load::{
-    self, OverloadOptions, RobotsOptions, ServerOptions, WordSource, WordsOptions,
+    self, GrowthOptions, OverloadOptions, RobotsOptions, ServerOptions, WordSource, WordsOptions,
 };
 use waypost_eval::commands::new_place::{self, NewPlaceOptions, WorkloadSource};
 use waypost_eval::commands::scale::{self, Compared, ScaleOptions, ScaleSource};
@@ -451,6 +451,22 @@ enum Scenario {
         #[arg(long, value_name = "TIMES", default_value_t = 5.0, value_parser = positive)]
         factor: f64,
     },
+    /// A map that grows large: what looks wait for beside its checkpoints, and how long it takes to open. Its words
+    /// are drawn, and so is its model.
+    Growth {
+        /// Frames, each of another place.
+        #[arg(long, value_name = "N", default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+        places: u32,
+        /// Number of words of the vocabulary.
+        #[arg(long, value_name = "V", default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1..))]
+        words: u32,
+        /// Looks a second at places of the grown map.
+        #[arg(long, value_name = "HZ", default_value_t = 25.0, value_parser = positive)]
+        rate_hz: f64,
+        /// How long.
+        #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = positive)]
+        seconds: f64,
+    },
     /// Four robots in one map, alone and beside clients that do not read their answers.
     Robots {
         #[command(flatten)]
@@ -480,6 +496,12 @@ impl LoadArguments {
         let Self { scenario, model, server_binary, json } = self;
         let server = ServerOptions { binary: server_binary, model };
         match scenario {
+            Scenario::Growth { places, words, rate_hz, seconds } => {
+                let workload = WorkloadSettings { words, ..WorkloadSettings::default() };
+                let duration = Duration::from_secs_f64(seconds);
+                let options = GrowthOptions { workload, places, rate_hz, duration };
+                print_if(json, &load::growth(server.binary, &options)?)
+            }
             Scenario::Words { source, streams, rate_hz, seconds } => {
                 let (source, duration) = (source.source(), Duration::from_secs_f64(seconds));
                 print_if(json, &load::words(&server, &WordsOptions { source, streams, rate_hz, duration })?)

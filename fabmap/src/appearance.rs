@@ -95,15 +95,15 @@ impl Appearance {
         }
     }
 
-    /// Appends a shorter byte form, for many places together: n, number of words, each word's distance from the one
-    /// before; where n > 1 a bit per word, set if its k is not 1, and four bits with k for each of those.
+    /// Appends a shorter byte form, for many places together: n, number of words, how many words lie between each and
+    /// the one before; where n > 1 a bit per word, set if its k is not 1, and four bits with k for each of those.
     pub fn encode_packed(&self, writer: &mut Writer) {
         writer.u8(self.looks);
         writer.varint(self.words.len() as u64);
-        let mut previous = 0;
+        let mut next = 0;
         for &word in &self.words {
-            writer.varint(u64::from(word - previous));
-            previous = word;
+            writer.varint(u64::from(word - next));
+            next = word + 1;
         }
         if self.looks > 1 {
             for hits in self.hits.chunks(8) {
@@ -123,15 +123,14 @@ impl Appearance {
     pub fn decode_packed(reader: &mut Reader<'_>, vocabulary_len: usize) -> Result<Self, DecodeError> {
         let (looks, len) = decode_counts(reader, vocabulary_len)?;
         let mut words = Vec::with_capacity(len);
-        let mut previous = 0u64;
-        for index in 0..len {
-            let step = reader.varint()?;
-            let word = previous.saturating_add(step);
-            if (index > 0 && step == 0) || word >= vocabulary_len as u64 {
+        let mut next = 0u64;
+        for _ in 0..len {
+            let word = next.saturating_add(reader.varint()?);
+            if word >= vocabulary_len as u64 {
                 return Err(impossible_word(word));
             }
             words.push(word as WordId);
-            previous = word;
+            next = word + 1;
         }
         let mut hits = vec![1; len];
         if looks > 1 {

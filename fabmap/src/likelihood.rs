@@ -122,6 +122,13 @@ impl ObservationModel {
         self
     }
 
+    /// Memory of what is kept per word, roughly.
+    #[must_use]
+    pub fn memory_bytes(&self) -> usize {
+        let of_tree = size_of::<WordId>() + 3 * size_of::<f64>();
+        self.vocabulary_len() * (of_tree + size_of::<f64>() + size_of::<[OneLook; 3]>())
+    }
+
     /// Number of words.
     #[must_use]
     pub fn vocabulary_len(&self) -> usize {

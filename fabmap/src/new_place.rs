@@ -111,6 +111,14 @@ impl NewPlace {
         Ok(StandIn::Samples(Box::new(samples), summary))
     }
 
+    /// Memory of the samples.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        match &self.stand_in {
+            StandIn::AveragePlace(_) => 0,
+            StandIn::Samples(index, _) => index.memory_bytes(),
+        }
+    }
+
     /// The term for a map of n places, from the informative words of Z by the model that this
     /// was made with ([`ObservationModel::informative_words`]).
     ///

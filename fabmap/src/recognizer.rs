@@ -187,6 +187,12 @@ impl Recognizer {
         self.index.len()
     }
 
+    /// Memory that this takes, in bytes, roughly; without the [`Model`] that it was made of.
+    #[must_use]
+    pub fn memory_bytes(&self) -> usize {
+        self.index.memory_bytes() + self.index.model().memory_bytes() + self.new_place.memory_bytes()
+    }
+
     /// The places and the index over them.
     #[must_use]
     pub fn index(&self) -> &InvertedIndex {

@@ -17,7 +17,7 @@ use crate::tls::TlsFiles;
 const PREFIX: &str = "WAYPOST_";
 
 /// Every setting, with how it is written.
-const KEYS: [(&str, &str); 10] = [
+const KEYS: [(&str, &str); 11] = [
     ("data_dir", "a directory, as in \"waypost-data\""),
     ("grpc_address", "an address and a port, as in \"127.0.0.1:7600\""),
     ("http_address", "an address and a port, as in \"127.0.0.1:7601\""),
@@ -25,6 +25,7 @@ const KEYS: [(&str, &str); 10] = [
     ("log", "a level, or levels by module, as in \"info\" or \"warn,waypost_server=debug\""),
     ("log_format", "\"text\" or \"json\""),
     ("allow_anonymous", "true or false"),
+    ("map_memory_mib", "a whole number of mebibytes, as in 1024"),
     ("tls_certificate", "a file, as in \"/etc/waypost/server.crt\""),
     ("tls_key", "a file, as in \"/etc/waypost/server.key\""),
     ("tls_client_ca", "a file, as in \"/etc/waypost/clients.crt\""),
@@ -52,6 +53,8 @@ pub struct Config {
     pub log_format: LogFormat,
     /// Without any token, everyone who reaches the server is served, from other machines too.
     pub allow_anonymous: bool,
+    /// While open maps take more memory than so many mebibytes, those that nobody uses are closed.
+    pub map_memory_mib: u64,
     /// The server's certificate and those above it, PEM.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tls_certificate: Option<PathBuf>,
@@ -73,6 +76,7 @@ impl Default for Config {
             log: "info".to_owned(),
             log_format: LogFormat::Text,
             allow_anonymous: false,
+            map_memory_mib: 1024,
             tls_certificate: None,
             tls_key: None,
             tls_client_ca: None,
@@ -121,6 +125,10 @@ pub struct Flags {
     #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     #[serde(skip_serializing_if = "Option::is_none")]
     allow_anonymous: Option<bool>,
+    /// While open maps take more mebibytes of memory, those that nobody uses are closed [default: 1024]
+    #[arg(long, value_name = "MIB")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    map_memory_mib: Option<u64>,
     /// The server's certificate and those above it (PEM); both listeners then speak TLS
     #[arg(long, value_name = "FILE")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -220,6 +228,12 @@ impl Config {
     /// If a path is not UTF-8.
     pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
         toml::to_string(self)
+    }
+
+    /// [`Config::map_memory_mib`] in bytes.
+    #[must_use]
+    pub fn map_memory_bytes(&self) -> u64 {
+        self.map_memory_mib.saturating_mul(1 << 20)
     }
 
     /// Files of the certificates, if there are any.
@@ -337,6 +351,9 @@ impl Environment {
             let value = match (key.as_str(), value) {
                 ("allow_anonymous", "true" | "1") => Value::from(true),
                 ("allow_anonymous", "false" | "0") => Value::from(false),
+                ("map_memory_mib", number) => {
+                    number.parse::<u64>().map_or_else(|_| Value::from(number), Value::from)
+                }
                 (_, other) => Value::from(other),
             };
             values.insert(key, value);
@@ -501,6 +518,7 @@ mod tests {
                 "http_address (from the environment, WAYPOST_HTTP_ADDRESS) cannot be used",
             ),
             (environment("WAYPOST_ALLOW_ANONYMOUS", "perhaps"), "write true or false"),
+            (environment("WAYPOST_MAP_MEMORY_MIB", "-1"), "write a whole number of mebibytes"),
             (environment("WAYPOST_LOG_FORMAT", "xml"), "write \"text\" or \"json\""),
             (environment("WAYPOST_LOG", "a=b=c"), "log (from the environment, WAYPOST_LOG) cannot be used"),
             (

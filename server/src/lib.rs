@@ -27,6 +27,7 @@ use tokio::net::TcpListener;
 pub use crate::role::Role;
 pub use crate::tls::{Tls, TlsError, TlsFiles};
 
+use crate::config::Config;
 use crate::metrics::Metrics;
 use crate::service::Service;
 use crate::service::tokens::{Anonymous, Tokens};
@@ -43,6 +44,7 @@ const METRICS_UPKEEP: Duration = Duration::from_secs(5);
 pub struct Server {
     service: Arc<Service>,
     tls: Option<Tls>,
+    map_memory_bytes: u64,
 }
 
 /// A server without any token was to listen where others can reach it.
@@ -66,13 +68,20 @@ impl Server {
     pub async fn open(data_dir: PathBuf) -> anyhow::Result<Self> {
         let service = open(&data_dir).await?;
         service.settle().await?;
-        Ok(Self { service, tls: None })
+        let map_memory_bytes = Config::default().map_memory_bytes();
+        Ok(Self { service, tls: None, map_memory_bytes })
     }
 
     /// Both listeners speak TLS.
     #[must_use]
     pub fn with_tls(self, tls: Tls) -> Self {
         Self { tls: Some(tls), ..self }
+    }
+
+    /// While open maps take more than `bytes`, those that nobody uses are closed.
+    #[must_use]
+    pub fn with_map_memory(self, bytes: u64) -> Self {
+        Self { map_memory_bytes: bytes, ..self }
     }
 
     /// While there is no token, everyone who reaches the server is served, from other machines too.
@@ -120,8 +129,9 @@ impl Server {
                  the network to yourself"
             );
         }
-        let Self { service, tls } = self;
+        let Self { service, tls, map_memory_bytes } = self;
         service.start_removals();
+        service.start_closing_unused_maps(map_memory_bytes);
         let stopping = service.stopping().clone();
         let signal = stopping.clone();
         let watch = tokio::spawn(async move {

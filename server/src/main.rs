@@ -91,6 +91,7 @@ async fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
 
 async fn serve(config: Config) -> anyhow::Result<ExitCode> {
     let tls = config.tls_files().as_ref().map(Tls::load).transpose()?;
+    let map_memory_bytes = config.map_memory_bytes();
     let Config {
         data_dir,
         grpc_address,
@@ -99,6 +100,7 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
         log,
         log_format,
         allow_anonymous,
+        map_memory_mib: _,
         tls_certificate: _,
         tls_key: _,
         tls_client_ca: _,
@@ -108,7 +110,7 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
         tracing::warn!(variable, "no setting has this name; it is left alone");
     }
 
-    let mut server = Server::open(data_dir.clone()).await?;
+    let mut server = Server::open(data_dir.clone()).await?.with_map_memory(map_memory_bytes);
     let encrypted = tls.is_some();
     if let Some(tls) = tls {
         server = server.with_tls(tls);

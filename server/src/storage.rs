@@ -12,7 +12,7 @@ mod removal;
 mod snapshots;
 mod tokens;
 
-pub(crate) use checkpoints::Checkpoint;
+pub(crate) use checkpoints::{CheckpointView, StoredBlock};
 pub(crate) use frames::{FrameRow, SessionSummary};
 pub(crate) use inspection::{Inspection, inspect};
 pub(crate) use jobs::{JobEnd, JobKind, JobRow, StoredJobState};

@@ -41,7 +41,8 @@ async fn rows(server: &Server) -> Vec<(&'static str, i64)> {
     let file = server.directory().join("waypost.sqlite");
     let mut database = SqliteConnectOptions::new().filename(file).read_only(true).connect().await.unwrap();
     let mut rows = Vec::new();
-    for table in ["sessions", "log", "frame_media", "map_models", "checkpoint_places"] {
+    for table in ["sessions", "log", "frame_media", "map_models", "checkpoint_places", "checkpoint_sessions"]
+    {
         let count = format!("SELECT count(*) FROM {table}");
         let row = sqlx::query(AssertSqlSafe(count)).fetch_one(&mut database).await.unwrap();
         rows.push((table, row.get(0)));

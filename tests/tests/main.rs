@@ -7,6 +7,7 @@ mod bad_frames;
 mod bad_requests;
 mod bad_sessions;
 mod bad_table;
+mod checkpoints;
 mod command_line;
 mod config;
 mod connections;

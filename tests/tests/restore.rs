@@ -68,6 +68,13 @@ impl Stored {
         database.close().await.unwrap();
     }
 
+    /// Empties a table, which may be empty already.
+    async fn clear(&self, table: &str) {
+        let mut database = self.database().await;
+        sqlx::query(AssertSqlSafe(format!("DELETE FROM {table}"))).execute(&mut database).await.unwrap();
+        database.close().await.unwrap();
+    }
+
     async fn count(&self, query: &str) -> i64 {
         let mut database = self.database().await;
         let row = sqlx::query(AssertSqlSafe(query.to_owned())).fetch_one(&mut database).await.unwrap();
@@ -94,36 +101,45 @@ async fn a_map_is_the_same_from_checkpoint_and_replay() {
     assert_eq!(stored.count("SELECT events FROM checkpoints").await, events, "SIGTERM wrote no checkpoint");
     assert_eq!(stored.count("SELECT count(*) FROM checkpoint_places").await, stored.places.len() as i64);
     stored.reopens("from the checkpoint").await;
-    stored.sql("DELETE FROM checkpoint_places").await;
-    stored.sql("DELETE FROM checkpoints").await;
+    for table in TABLES {
+        stored.clear(table).await;
+    }
     stored.reopens("by full replay").await;
-    // The replay wrote a checkpoint of its own.
+    // The replay wrote a checkpoint of its own, with all places in blocks.
     assert_eq!(stored.count("SELECT events FROM checkpoints").await, events);
+    assert_eq!(stored.count("SELECT count(*) FROM checkpoint_places").await, 0);
+    assert_eq!(stored.count("SELECT sum(places) FROM checkpoint_blocks").await, stored.places.len() as i64);
     stored.reopens("from the checkpoint after the replay").await;
     stored.sql("DELETE FROM checkpoints").await;
-    stored.reopens("by replay beside old checkpoint places").await;
+    stored.reopens("by replay beside an old checkpoint's pieces").await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_damaged_checkpoint_is_replayed() {
-    const DAMAGES: [(&str, &str); 9] = [
-        ("graph cut", "UPDATE checkpoints SET graph = substr(graph, 1, length(graph) / 2)"),
-        ("graph empty", "UPDATE checkpoints SET graph = x''"),
-        ("graph of noise", "UPDATE checkpoints SET graph = randomblob(500)"),
-        ("graph longer", "UPDATE checkpoints SET graph = CAST(graph || x'00' AS BLOB)"),
+    // The first leave places without a block; after that a replay has sealed them.
+    const DAMAGES: [(&str, &str); 14] = [
         (
             "place cut",
             "UPDATE checkpoint_places SET content = substr(content, 1, length(content) / 2) WHERE place = 3",
         ),
-        ("place empty", "UPDATE checkpoint_places SET content = x'' WHERE place = 0"),
-        ("place missing", "DELETE FROM checkpoint_places WHERE place = 2"),
+        ("head cut", "UPDATE checkpoints SET head = substr(head, 1, length(head) / 2)"),
+        ("head empty", "UPDATE checkpoints SET head = x''"),
+        ("head of noise", "UPDATE checkpoints SET head = randomblob(500)"),
+        ("head longer", "UPDATE checkpoints SET head = CAST(head || x'00' AS BLOB)"),
+        ("sessions missing", "DELETE FROM checkpoint_sessions WHERE session = 1"),
         (
-            "last place missing",
-            "DELETE FROM checkpoint_places WHERE place = (SELECT max(place) FROM checkpoint_places)",
+            "session of another number",
+            "INSERT INTO checkpoint_sessions SELECT map_id, 7, content FROM checkpoint_sessions WHERE session = 1",
         ),
+        ("links missing", "DELETE FROM checkpoint_links"),
+        ("links elsewhere", "UPDATE checkpoint_links SET first_link = 512"),
+        ("block missing", "DELETE FROM checkpoint_blocks"),
+        ("block elsewhere", "UPDATE checkpoint_blocks SET first_place = 2"),
+        ("block of fewer places", "UPDATE checkpoint_blocks SET places = places - 1"),
+        ("block cut", "UPDATE checkpoint_blocks SET content = substr(content, 1, length(content) / 2)"),
         (
-            "place too many",
-            "INSERT INTO checkpoint_places SELECT map_id, max(place) + 1, content FROM checkpoint_places",
+            "place of noise over its block",
+            "INSERT INTO checkpoint_places SELECT map_id, 1, events, randomblob(300) FROM checkpoint_blocks",
         ),
     ];
     let stored = Stored::new().await;
@@ -131,18 +147,25 @@ async fn a_damaged_checkpoint_is_replayed() {
         stored.sql(damage).await;
         stored.reopens(case).await;
         // Mended: the next opening restores again.
-        let places = stored.count("SELECT count(*) FROM checkpoint_places").await;
-        assert_eq!(places, stored.places.len() as i64, "{case}");
+        assert_eq!(stored.count("SELECT count(*) FROM checkpoint_places").await, 0, "{case}");
+        let sealed = stored.count("SELECT sum(places) FROM checkpoint_blocks").await;
+        assert_eq!(sealed, stored.places.len() as i64, "{case}");
     }
 }
+
+/// What a checkpoint consists of.
+const TABLES: [&str; 5] =
+    ["checkpoints", "checkpoint_sessions", "checkpoint_links", "checkpoint_blocks", "checkpoint_places"];
 
 /// A disk that returns one wrong bit must not change what a map knows.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_checkpoint_with_one_wrong_bit_is_replayed() {
     let stored = Stored::new().await;
     let mut random = ChaCha8Rng::seed_from_u64(7);
-    for round in 0..12 {
-        let (table, column) = [("checkpoints", "graph"), ("checkpoint_places", "content")][round % 2];
+    for round in 0..20 {
+        // Single places are there before the first replay alone.
+        let table = if round == 0 { "checkpoint_places" } else { TABLES[round % 4] };
+        let column = if table == "checkpoints" { "head" } else { "content" };
         let mut database = stored.database().await;
         let select = format!(
             "SELECT rowid_, {column} FROM (SELECT {column}, row_number() OVER () AS rowid_ FROM {table})"
@@ -159,10 +182,6 @@ async fn a_checkpoint_with_one_wrong_bit_is_replayed() {
         assert!(done.rows_affected() > 0);
         database.close().await.unwrap();
         stored.reopens(&format!("{table}.{column}, byte {byte}, bit {bit}")).await;
-        stored.sql("DELETE FROM checkpoint_places").await;
-        let mut database = stored.database().await;
-        sqlx::query("DELETE FROM checkpoints").execute(&mut database).await.unwrap();
-        database.close().await.unwrap();
         stored.reopens("afterwards").await;
     }
 }
@@ -182,11 +201,9 @@ async fn a_map_is_the_same_from_checkpoint_and_the_rest_of_the_log() {
     let server = ServerProcess::start(stored.path());
     assert_eq!(state_hash(&server.client().await, "drive").await, hash, "checkpoint and tail");
     server.kill();
-    let mut database = stored.database().await;
-    for table in ["checkpoint_places", "checkpoints"] {
-        sqlx::query(AssertSqlSafe(format!("DELETE FROM {table}"))).execute(&mut database).await.unwrap();
+    for table in TABLES {
+        stored.clear(table).await;
     }
-    database.close().await.unwrap();
     let server = ServerProcess::start(stored.path());
     assert_eq!(state_hash(&server.client().await, "drive").await, hash, "full replay");
     server.stop();

@@ -66,6 +66,22 @@ impl Changes {
         Self { links: map.links().len(), ..Self::default() }
     }
 
+    /// All of `map` but its places, for who writes those as blocks.
+    #[must_use]
+    pub fn all_but_places(map: &Map) -> Self {
+        Self { sessions: map.sessions().map(|(id, _)| id).collect(), ..Self::default() }
+    }
+
+    /// These and what changed before them, where that was not written.
+    #[must_use]
+    pub fn with_earlier(mut self, earlier: Changes) -> Self {
+        let Changes { places, sessions, links } = earlier;
+        self.places.extend(places);
+        self.sessions.extend(sessions);
+        self.links = self.links.min(links);
+        self
+    }
+
     /// Notes what `event` changes.
     pub fn follow(&mut self, event: &MapEvent) {
         self.sessions.insert(event.session());
@@ -255,7 +271,7 @@ pub struct Restoration {
 }
 
 /// Places that are indexed at a time: the more, the less each costs.
-const INDEXED_AT_A_TIME: usize = 16_384;
+const INDEXED_AT_A_TIME: usize = 65_536;
 
 impl Restoration {
     /// Begins with the head.

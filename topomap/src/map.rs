@@ -165,6 +165,16 @@ impl Map {
         self.events
     }
 
+    /// Memory of places and links.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        let frames: usize = self.places.iter().map(|place| place.frames.capacity()).sum();
+        let linked: usize = self.linked.iter().map(Vec::capacity).sum();
+        self.places.capacity() * (size_of::<Place>() + size_of::<Vec<PlaceId>>())
+            + frames * size_of::<PlaceFrame>()
+            + linked * size_of::<PlaceId>()
+            + self.links.capacity() * size_of::<Link>()
+    }
+
     /// A map from all that it consists of.
     pub(crate) fn from_parts(
         places: Vec<Place>,

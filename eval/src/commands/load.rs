@@ -1,6 +1,7 @@
 //! `waypost-eval load`: a real server in a process of its own, and robots that drive it over gRPC.
 
 mod contents;
+mod growth;
 mod overload;
 mod report;
 mod robot;
@@ -9,6 +10,7 @@ mod server;
 mod stalled;
 mod words;
 
+pub use growth::{GrowthOptions, GrowthReport};
 pub use overload::{OverloadOptions, OverloadReport};
 pub use report::{LatencyReport, ServerUse};
 pub use robots::{RobotsOptions, RobotsReport};
@@ -62,6 +64,16 @@ pub fn overload(server: &ServerOptions, options: &OverloadOptions) -> Result<Ove
 /// [`EvalError`].
 pub fn robots(server: &ServerOptions, options: &RobotsOptions) -> Result<RobotsReport, EvalError> {
     let report = block_on(robots::run(server, options))?;
+    eprint!("{}", report.table());
+    Ok(report)
+}
+
+/// A map that grows large; the server is as [`ServerOptions::binary`] says.
+///
+/// # Errors
+/// [`EvalError`].
+pub fn growth(binary: Option<PathBuf>, options: &GrowthOptions) -> Result<GrowthReport, EvalError> {
+    let report = block_on(growth::run(binary, options))?;
     eprint!("{}", report.table());
     Ok(report)
 }

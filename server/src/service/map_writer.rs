@@ -1,5 +1,6 @@
 //! The one writer of a map: a thread that decides, applies, commits in groups, and only then answers.
 
+mod checkpoints;
 mod localizers;
 mod open_maps;
 mod reads;
@@ -16,11 +17,10 @@ pub(crate) use requests::{QueryAnswer, SessionMode, WordPlace};
 pub(super) use views::{SeenFeatures, compare, stored_features, verifier};
 
 use std::cell::RefCell;
-use std::collections::{BTreeSet, HashMap};
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use fabmap::appearance::PlaceId;
 use fabmap::observation::Observation;
 use fabmap::recognizer::{Stage, StageObserver};
 use tokio::runtime::Handle;
@@ -32,9 +32,10 @@ use topomap::verification::Candidate;
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::verification::Verifier;
 
+use self::checkpoints::Checkpoints;
 use self::localizers::Localizers;
 use self::recent::{Recent, RecentFrame};
-use self::requests::{FrameReply, MapRequest};
+use self::requests::{FrameReply, MapRequest, Usage};
 use self::views::CurrentView;
 use super::camera::Intrinsics;
 use super::maps::reference;
@@ -47,9 +48,6 @@ use crate::storage::{LogEntry, MapRow, Medium, MediumKind, SessionRow, Storage, 
 
 /// Most frames that share one commit.
 const MAX_BATCH: usize = 64;
-
-/// A checkpoint is written after so many events, so that a crash replays no more than these.
-const CHECKPOINT_EVENTS: u64 = 1000;
 
 /// Frames of a map that are kept in memory, of a kilobyte or two each.
 const MOST_RECENT: usize = 4096;
@@ -80,9 +78,8 @@ struct MapWriter {
     /// Where their words are; `None` if that is not kept.
     recent_features: RefCell<Recent<Option<SeenFeatures>>>,
     verifier: Verifier,
-    /// Places that changed since the checkpoint.
-    changed: BTreeSet<PlaceId>,
-    checkpoint_events: u64,
+    checkpoints: Checkpoints,
+    usage: Arc<Usage>,
 }
 
 /// A frame on its way to the disk, and who waits for it.
@@ -127,14 +124,14 @@ impl MapWriter {
                     for (reply, error) in refused {
                         let _ = reply.send(Err(FrameFailure::Refused(error)));
                     }
+                    // Who opens the map anew waits for this thread: the disk must be at rest by then.
+                    self.finish_checkpoint();
                     return;
                 }
             }
-            if self.mapper.map().events() >= self.checkpoint_events + CHECKPOINT_EVENTS {
-                self.checkpoint();
-            }
+            self.checkpoint_if_due();
         }
-        self.checkpoint();
+        self.checkpoint_now();
     }
 
     fn serve(&mut self, batch: Vec<MapRequest>) -> Result<Serving, CommitFailed> {
@@ -160,6 +157,14 @@ impl MapWriter {
                 MapRequest::Close => {
                     serving = Serving::Ended;
                     break;
+                }
+                MapRequest::CloseUnused(reply) => {
+                    let unused = !self.localizers.any_open();
+                    let _ = reply.send(unused);
+                    if unused {
+                        serving = Serving::Ended;
+                        break;
+                    }
                 }
             }
         }
@@ -209,10 +214,10 @@ impl MapWriter {
         let features = features.map(|features| SeenFeatures::new(features, intrinsics));
         let views = CurrentView { writer: self, current: features.clone() };
         let event = self.mapper.decide(input, &archive, &views, clock)?.event;
-        let (position, touched) = (event.frame, event.decision.place.filter(|_| event.learnt));
+        let position = event.frame;
         let event = MapEvent::Frame(Box::new(event));
         self.mapper.apply(&event).map_err(ServiceError::internal)?;
-        self.changed.extend(touched);
+        self.checkpoints.changes().follow(&event);
         // As the disk will have it: what a frame is compared with must not depend on what is in memory.
         let kept = media.iter().any(|medium| medium.kind == MediumKind::Features);
         self.recent_features.get_mut().keep(position, features.filter(|_| kept));
@@ -344,7 +349,9 @@ impl MapWriter {
         let opened = self.storage.open_session(self.map.id, position, &session, camera, now_ns());
         self.runtime.block_on(opened)?;
         let number = session.number;
-        self.mapper.apply(&MapEvent::SessionOpened { session: number }).map_err(ServiceError::internal)?;
+        let event = MapEvent::SessionOpened { session: number };
+        self.mapper.apply(&event).map_err(ServiceError::internal)?;
+        self.checkpoints.changes().follow(&event);
         self.sessions.push(session);
         self.intrinsics.extend(camera.and_then(Intrinsics::of_camera).map(|known| (number, known)));
         Ok(OpenedSession { source: FrameSource::Session(number), name, last_committed: None })
@@ -371,30 +378,6 @@ impl MapWriter {
             taken_over.cancel();
         } else if let Some((_, before)) = self.streams.insert(session, (stream, taken_over)) {
             before.cancel();
-        }
-    }
-
-    /// Writes what changed. A failure costs a slower opening, nothing else.
-    fn checkpoint(&mut self) {
-        let events = self.mapper.map().events();
-        if events == self.checkpoint_events {
-            return;
-        }
-        let changed: Vec<(PlaceId, Vec<u8>)> = self
-            .changed
-            .iter()
-            .filter_map(|&place| Some((place, self.mapper.encode_place(place)?)))
-            .collect();
-        let graph = self.mapper.map().encode_graph();
-        let written = self.storage.put_checkpoint(self.map.id, events, &graph, &changed);
-        match self.runtime.block_on(written) {
-            Ok(()) => {
-                self.changed.clear();
-                self.checkpoint_events = events;
-            }
-            Err(error) => {
-                tracing::warn!(map = self.map.name, %error, "no checkpoint was written; the log has it all");
-            }
         }
     }
 }

@@ -1,46 +1,94 @@
+use std::ops::Range;
+
 use fabmap::appearance::PlaceId;
-use sqlx::Row;
+use sqlx::{AssertSqlSafe, Row, Sqlite, Transaction};
+use topomap::checkpoint::{Block, Pieces};
+use topomap::event::SessionId;
 
 use super::{MapId, Storage, StorageError, from_sql, to_sql};
 
-/// The fold of a map's log up to a position, as it was stored.
+/// Tables of a checkpoint without its head, their keys, and how many rows are deleted at a time.
+pub(super) const CHECKPOINT_PIECES: [(&str, &str, u32); 4] = [
+    ("checkpoint_places", "place", 500),
+    ("checkpoint_blocks", "first_place", 8),
+    ("checkpoint_links", "first_link", 100),
+    ("checkpoint_sessions", "session", 500),
+];
+
+/// One consistent view of a map's checkpoint, whatever is written meanwhile. Holds one of a few connections.
+#[derive(Debug)]
+pub(crate) struct CheckpointView {
+    map: MapId,
+    /// The fold of the log up to here.
+    pub(crate) events: u64,
+    pub(crate) head: Vec<u8>,
+    snapshot: Transaction<'static, Sqlite>,
+}
+
+/// A sealed block as it was stored.
 #[derive(Clone, Debug)]
-pub(crate) struct Checkpoint {
-    pub(crate) graph: Vec<u8>,
-    /// Every place in order.
-    pub(crate) places: Vec<Vec<u8>>,
+pub(crate) struct StoredBlock {
+    pub(crate) first: PlaceId,
+    pub(crate) places: u32,
+    /// As of this log position.
+    events: u64,
+    pub(crate) content: Vec<u8>,
+}
+
+impl StoredBlock {
+    pub(crate) fn range(&self) -> Range<PlaceId> {
+        self.first..self.first.saturating_add(self.places)
+    }
 }
 
 impl Storage {
-    /// Writes the places that changed and the graph, all or none.
-    pub(crate) async fn put_checkpoint(
-        &self,
-        map: MapId,
-        events: u64,
-        graph: &[u8],
-        changed: &[(PlaceId, Vec<u8>)],
-    ) -> Result<(), StorageError> {
+    /// Writes the pieces that changed, all or none.
+    pub(crate) async fn put_checkpoint(&self, map: MapId, pieces: &Pieces) -> Result<(), StorageError> {
+        let Pieces { events, head, sessions, links, places } = pieces;
         self.write(async |transaction| {
-            // Never backwards: the places of a newer checkpoint are not this one's.
+            // Never backwards: the pieces of a newer checkpoint are not this one's.
             let done = sqlx::query(
-                "INSERT INTO checkpoints (map_id, events, graph) VALUES (?, ?, ?) ON CONFLICT (map_id) \
-                 DO UPDATE SET events = excluded.events, graph = excluded.graph WHERE excluded.events > events",
+                "INSERT INTO checkpoints (map_id, events, head) VALUES (?, ?, ?) ON CONFLICT (map_id) \
+                 DO UPDATE SET events = excluded.events, head = excluded.head WHERE excluded.events > events",
             )
             .bind(map)
-            .bind(to_sql(events))
-            .bind(graph)
+            .bind(to_sql(*events))
+            .bind(head)
             .execute(&mut **transaction)
             .await?;
             if done.rows_affected() == 0 {
                 return Err(StorageError::Damaged("a checkpoint newer than the map in memory".to_owned()));
             }
-            for (place, content) in changed {
+            for (session, content) in sessions {
                 sqlx::query(
-                    "INSERT INTO checkpoint_places (map_id, place, content) VALUES (?, ?, ?) \
-                     ON CONFLICT (map_id, place) DO UPDATE SET content = excluded.content",
+                    "INSERT INTO checkpoint_sessions (map_id, session, content) VALUES (?, ?, ?) \
+                     ON CONFLICT (map_id, session) DO UPDATE SET content = excluded.content",
+                )
+                .bind(map)
+                .bind(session)
+                .bind(content)
+                .execute(&mut **transaction)
+                .await?;
+            }
+            for (first_link, content) in links {
+                sqlx::query(
+                    "INSERT INTO checkpoint_links (map_id, first_link, content) VALUES (?, ?, ?) \
+                     ON CONFLICT (map_id, first_link) DO UPDATE SET content = excluded.content",
+                )
+                .bind(map)
+                .bind(to_sql(*first_link))
+                .bind(content)
+                .execute(&mut **transaction)
+                .await?;
+            }
+            for (place, content) in places {
+                sqlx::query(
+                    "INSERT INTO checkpoint_places (map_id, place, events, content) VALUES (?, ?, ?, ?) \
+                     ON CONFLICT (map_id, place) DO UPDATE SET events = excluded.events, content = excluded.content",
                 )
                 .bind(map)
                 .bind(place)
+                .bind(to_sql(*events))
                 .bind(content)
                 .execute(&mut **transaction)
                 .await?;
@@ -50,42 +98,171 @@ impl Storage {
         .await
     }
 
-    pub(crate) async fn checkpoint(&self, map: MapId) -> Result<Option<Checkpoint>, StorageError> {
-        // One snapshot for both tables: a checkpoint may be written meanwhile.
-        let mut snapshot = self.readers.begin().await?;
-        let graph = sqlx::query("SELECT graph FROM checkpoints WHERE map_id = ?")
-            .bind(map)
-            .fetch_optional(&mut *snapshot)
-            .await?;
-        let Some(graph) = graph else { return Ok(None) };
-        let rows =
-            sqlx::query("SELECT place, content FROM checkpoint_places WHERE map_id = ? ORDER BY place")
-                .bind(map)
-                .fetch_all(&mut *snapshot)
-                .await?;
-        let mut places = Vec::with_capacity(rows.len());
-        for row in rows {
-            if from_sql(row.try_get("place")?)? != places.len() as u64 {
-                return Err(StorageError::Damaged(format!(
-                    "place {} of a checkpoint is missing",
-                    places.len()
-                )));
-            }
-            places.push(row.try_get("content")?);
-        }
-        Ok(Some(Checkpoint { graph: graph.try_get("graph")?, places }))
+    /// Writes a block of a checkpoint that has no head yet: until it has one, nobody sees it.
+    pub(crate) async fn put_block(&self, map: MapId, events: u64, block: &Block) -> Result<(), StorageError> {
+        self.write(async |transaction| insert_block(transaction, map, events, block).await).await
     }
 
-    /// Forgets a checkpoint that cannot be used; the log has it all.
-    pub(crate) async fn delete_checkpoint(&self, map: MapId) -> Result<(), StorageError> {
+    /// Puts `sealed` where `before` was, or behind the last block if there was none: the places as of log position
+    /// `events`. Places that have changed since then keep their rows.
+    ///
+    /// [`StorageError::Exists`] or [`StorageError::Damaged`] if what is stored is not `before`; nothing changes then.
+    pub(crate) async fn seal(
+        &self,
+        map: MapId,
+        events: u64,
+        before: Option<&StoredBlock>,
+        sealed: &[Block],
+    ) -> Result<(), StorageError> {
         self.write(async |transaction| {
-            for delete in
-                ["DELETE FROM checkpoint_places WHERE map_id = ?", "DELETE FROM checkpoints WHERE map_id = ?"]
-            {
-                sqlx::query(delete).bind(map).execute(&mut **transaction).await?;
+            if let Some(before) = before {
+                let done = sqlx::query(
+                    "DELETE FROM checkpoint_blocks WHERE map_id = ? AND first_place = ? AND events = ?",
+                )
+                .bind(map)
+                .bind(before.first)
+                .bind(to_sql(before.events))
+                .execute(&mut **transaction)
+                .await?;
+                if done.rows_affected() == 0 {
+                    return Err(StorageError::Damaged("a block of a checkpoint is another by now".to_owned()));
+                }
+            }
+            for block in sealed {
+                insert_block(transaction, map, events, block).await?;
+                sqlx::query(
+                    "DELETE FROM checkpoint_places WHERE map_id = ? AND place >= ? AND place < ? AND events <= ?",
+                )
+                .bind(map)
+                .bind(block.first)
+                .bind(block.first + block.places)
+                .bind(to_sql(events))
+                .execute(&mut **transaction)
+                .await?;
             }
             Ok(())
         })
         .await
     }
+
+    /// A view of a map's checkpoint as it is now; `None` if there is none.
+    pub(crate) async fn view_checkpoint(&self, map: MapId) -> Result<Option<CheckpointView>, StorageError> {
+        let mut snapshot = self.readers.begin().await?;
+        let row = sqlx::query("SELECT events, head FROM checkpoints WHERE map_id = ?")
+            .bind(map)
+            .fetch_optional(&mut *snapshot)
+            .await?;
+        let Some(row) = row else { return Ok(None) };
+        let (events, head) = (from_sql(row.try_get("events")?)?, row.try_get("head")?);
+        Ok(Some(CheckpointView { map, events, head, snapshot }))
+    }
+
+    /// Forgets a checkpoint that cannot be used; the log has it all.
+    pub(crate) async fn delete_checkpoint(&self, map: MapId) -> Result<(), StorageError> {
+        // The head first: without it the rest is nothing, however far the deleting comes.
+        self.write(async |transaction| {
+            sqlx::query("DELETE FROM checkpoints WHERE map_id = ?")
+                .bind(map)
+                .execute(&mut **transaction)
+                .await?;
+            Ok(())
+        })
+        .await?;
+        for (table, key, rows) in CHECKPOINT_PIECES {
+            let delete = format!(
+                "DELETE FROM {table} WHERE map_id = ?1 AND {key} IN \
+                 (SELECT {key} FROM {table} WHERE map_id = ?1 ORDER BY {key} LIMIT ?2)"
+            );
+            let delete_some = async |transaction: &mut Transaction<'_, Sqlite>| {
+                let query = sqlx::query(AssertSqlSafe(delete.as_str())).bind(map).bind(rows);
+                Ok(query.execute(&mut **transaction).await?.rows_affected())
+            };
+            while self.write(&delete_some).await? > 0 {}
+        }
+        Ok(())
+    }
+}
+
+impl CheckpointView {
+    /// Every session.
+    pub(crate) async fn sessions(&mut self) -> Result<Vec<(SessionId, Vec<u8>)>, StorageError> {
+        let rows = sqlx::query("SELECT session, content FROM checkpoint_sessions WHERE map_id = ?")
+            .bind(self.map)
+            .fetch_all(&mut *self.snapshot)
+            .await?;
+        rows.iter().map(|row| Ok((row.try_get("session")?, row.try_get("content")?))).collect()
+    }
+
+    /// All links in order, by the number of the first of each piece.
+    pub(crate) async fn links(&mut self) -> Result<Vec<(u64, Vec<u8>)>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT first_link, content FROM checkpoint_links WHERE map_id = ? ORDER BY first_link",
+        )
+        .bind(self.map)
+        .fetch_all(&mut *self.snapshot)
+        .await?;
+        rows.iter().map(|row| Ok((from_sql(row.try_get("first_link")?)?, row.try_get("content")?))).collect()
+    }
+
+    /// The places of `places` that hold over their blocks, or are in none; ascending.
+    pub(crate) async fn places(
+        &mut self,
+        places: Range<PlaceId>,
+    ) -> Result<Vec<(PlaceId, Vec<u8>)>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT place, content FROM checkpoint_places WHERE map_id = ? AND place >= ? AND place < ? ORDER BY place",
+        )
+        .bind(self.map)
+        .bind(places.start)
+        .bind(places.end)
+        .fetch_all(&mut *self.snapshot)
+        .await?;
+        rows.iter().map(|row| Ok((row.try_get("place")?, row.try_get("content")?))).collect()
+    }
+
+    /// Up to `limit` blocks of places from `from` on, in order.
+    pub(crate) async fn blocks(
+        &mut self,
+        from: PlaceId,
+        limit: u32,
+    ) -> Result<Vec<StoredBlock>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT first_place, places, events, content FROM checkpoint_blocks \
+             WHERE map_id = ? AND first_place >= ? ORDER BY first_place LIMIT ?",
+        )
+        .bind(self.map)
+        .bind(from)
+        .bind(limit)
+        .fetch_all(&mut *self.snapshot)
+        .await?;
+        let block = |row: &sqlx::sqlite::SqliteRow| {
+            Ok(StoredBlock {
+                first: row.try_get("first_place")?,
+                places: row.try_get("places")?,
+                events: from_sql(row.try_get("events")?)?,
+                content: row.try_get("content")?,
+            })
+        };
+        rows.iter().map(block).collect()
+    }
+}
+
+async fn insert_block(
+    transaction: &mut Transaction<'_, Sqlite>,
+    map: MapId,
+    events: u64,
+    block: &Block,
+) -> Result<(), StorageError> {
+    let Block { first, places, bytes } = block;
+    sqlx::query(
+        "INSERT INTO checkpoint_blocks (map_id, first_place, places, events, content) VALUES (?, ?, ?, ?, ?)",
+    )
+    .bind(map)
+    .bind(first)
+    .bind(places)
+    .bind(to_sql(events))
+    .bind(bytes)
+    .execute(&mut **transaction)
+    .await?;
+    Ok(())
 }

@@ -113,7 +113,10 @@ impl Storage {
     pub(crate) async fn map_bytes(&self, map: MapId) -> Result<MapBytes, StorageError> {
         let row = sqlx::query(
             "SELECT (SELECT coalesce(sum(length(event)), 0) FROM log WHERE map_id = ?1) AS log, \
-             (SELECT coalesce(sum(length(graph)), 0) FROM checkpoints WHERE map_id = ?1) + \
+             (SELECT coalesce(sum(length(head)), 0) FROM checkpoints WHERE map_id = ?1) + \
+             (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_sessions WHERE map_id = ?1) + \
+             (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_links WHERE map_id = ?1) + \
+             (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_blocks WHERE map_id = ?1) + \
              (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_places WHERE map_id = ?1) AS checkpoint, \
              (SELECT coalesce(sum(length(content)), 0) FROM frame_media WHERE map_id = ?1 AND kind = 'features') AS features, \
              (SELECT coalesce(sum(length(content)), 0) FROM frame_media WHERE map_id = ?1 AND kind = 'thumbnail') AS thumbnails, \

@@ -3,14 +3,14 @@
 
 use sqlx::Row;
 
+use super::checkpoints::CHECKPOINT_PIECES;
 use super::{MapId, Storage, StorageError};
 
-/// What belongs to a map, by table: the key within the map, and how many rows are deleted at a time.
+/// What belongs to a map beside its checkpoint, by table: the key within the map, and how many rows are deleted at a time.
 /// Images are large.
-const TABLES: [(&str, &str, u32); 6] = [
+const TABLES: [(&str, &str, u32); 5] = [
     ("frame_media", "position", 32),
     ("log", "position", 500),
-    ("checkpoint_places", "place", 500),
     ("checkpoints", "events", 1),
     ("map_models", "until_events", 500),
     ("sessions", "number", 500),
@@ -76,7 +76,7 @@ impl Storage {
     /// Deletes a piece of a retired map, and at last the map itself.
     pub(crate) async fn delete_piece(&self, map: MapId) -> Result<Removal, StorageError> {
         self.write(async |transaction| {
-            for (table, key, rows) in TABLES {
+            for (table, key, rows) in CHECKPOINT_PIECES.into_iter().chain(TABLES) {
                 let delete = format!(
                     "DELETE FROM {table} WHERE map_id = ?1 AND {key} IN \
                      (SELECT {key} FROM {table} WHERE map_id = ?1 ORDER BY {key} LIMIT ?2)"

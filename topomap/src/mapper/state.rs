@@ -53,6 +53,12 @@ impl Mapper {
         &self.settings
     }
 
+    /// Memory that the map takes, in bytes, roughly.
+    #[must_use]
+    pub fn memory_bytes(&self) -> u64 {
+        (self.recognizer.memory_bytes() + self.map.memory_bytes()) as u64
+    }
+
     /// Why `place` got its posterior in `recognition`; see [`Recognizer::explain`].
     #[must_use]
     pub fn explain(

@@ -56,7 +56,8 @@ fn words_of_images(model_file: &Path, folder: &Path) -> Result<Vec<FrameContent>
     words.collect()
 }
 
-fn histogram(observation: &fabmap::observation::Observation) -> FrameContent {
+/// An observation as a robot sends it.
+pub(super) fn histogram(observation: &fabmap::observation::Observation) -> FrameContent {
     let (words, counts) = observation.word_counts().unzip();
     FrameContent::Histogram(v1::WordHistogram { words, counts })
 }

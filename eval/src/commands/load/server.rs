@@ -44,14 +44,34 @@ struct Ready {
 impl ServerUnderLoad {
     /// Starts a server on free ports of the loopback interface and makes a map in it.
     pub(super) async fn start(options: &ServerOptions) -> Result<Self, EvalError> {
-        let program = match &options.binary {
-            Some(program) => program.clone(),
-            None => beside_this_program()?,
-        };
+        let program = program(options)?;
         let temporary = |reason| EvalError::Write { path: std::env::temp_dir(), reason };
         let directory = tempfile::tempdir().map_err(temporary)?;
-        let log = File::create(directory.path().join("log")).map_err(temporary)?;
+        let server = Self::start_on(program, directory).await?;
+        server.create_map(&options.model).await?;
+        Ok(server)
+    }
+
+    /// Lets it finish, and starts it anew on its directory.
+    pub(super) async fn restart(mut self, options: &ServerOptions) -> Result<Self, EvalError> {
+        self.end().await?;
+        let directory = self.directory;
+        Self::start_on(program(options)?, directory).await
+    }
+
+    /// Kills it, and starts it anew on its directory.
+    pub(super) async fn kill_and_restart(mut self, options: &ServerOptions) -> Result<Self, EvalError> {
+        self.child.kill().await.map_err(|error| self.failed(error))?;
+        let directory = self.directory;
+        Self::start_on(program(options)?, directory).await
+    }
+
+    async fn start_on(program: PathBuf, directory: TempDir) -> Result<Self, EvalError> {
+        let log = directory.path().join("log");
+        let log = File::create(&log).map_err(|reason| EvalError::Write { path: log, reason })?;
         let ready_file = directory.path().join("ready.json");
+        // One of an earlier start would tell wrong ports.
+        let _ = std::fs::remove_file(&ready_file);
         let child = Command::new(&program)
             .arg("--data-dir")
             .arg(directory.path().join("data"))
@@ -67,7 +87,6 @@ impl ServerUnderLoad {
             .map_err(|reason| EvalError::Read { path: program, reason })?;
         let mut server = Self { child, directory, address: String::new() };
         server.address = server.wait_until_ready(&ready_file).await?.grpc;
-        server.create_map(&options.model).await?;
         Ok(server)
     }
 
@@ -125,6 +144,10 @@ impl ServerUnderLoad {
 
     /// Asks it to end, and waits until it has.
     pub(super) async fn stop(mut self) -> Result<(), EvalError> {
+        self.end().await
+    }
+
+    async fn end(&mut self) -> Result<(), EvalError> {
         let status = match timeout(PATIENCE, self.terminate()).await {
             Ok(ended) => ended.map_err(|error| self.failed(error))?,
             Err(_elapsed) => {
@@ -178,6 +201,10 @@ fn cpu_s(stat: &str) -> Option<f64> {
     let (_, after_name) = stat.rsplit_once(')')?;
     let ticks = after_name.split_whitespace().skip(11).take(2).map(|ticks| ticks.parse::<f64>().ok());
     Some(ticks.sum::<Option<f64>>()? / TICKS_PER_SECOND)
+}
+
+fn program(options: &ServerOptions) -> Result<PathBuf, EvalError> {
+    options.binary.clone().map_or_else(beside_this_program, Ok)
 }
 
 fn beside_this_program() -> Result<PathBuf, EvalError> {

@@ -58,6 +58,11 @@ impl Localizers {
         self.localizers.values().any(|localizing| localizing.name == name)
     }
 
+    /// Whether a stream is open by which a robot localizes.
+    pub(super) fn any_open(&self) -> bool {
+        self.localizers.values().any(Localizing::is_open)
+    }
+
     fn by_name(&mut self, name: &str) -> Option<(LocalizerId, &mut Localizing)> {
         let found = self.localizers.iter_mut().find(|(_, localizing)| localizing.name == name);
         found.map(|(&id, localizing)| (id, localizing))

@@ -1,16 +1,19 @@
 //! Which maps are open, and how one is opened from the disk.
 
 use std::cell::RefCell;
-use std::collections::{BTreeSet, HashMap};
+use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use tokio::runtime::Handle;
 use tokio::sync::{Mutex as AsyncMutex, mpsc};
-use topomap::event::{MapEvent, SessionId};
+use topomap::checkpoint::Changes;
+use topomap::event::SessionId;
 use topomap::mapper::Mapper;
 use tracing::Span;
 
+use super::checkpoints::{self, Checkpoints, Layout, Unusable};
 use super::localizers::Localizers;
 use super::recent::Recent;
 use super::requests::{MapHandle, QUEUE};
@@ -21,7 +24,7 @@ use crate::extraction::LoadedModel;
 use crate::metrics::Metrics;
 use crate::service::camera::Intrinsics;
 use crate::service::{Service, map_settings};
-use crate::storage::{Checkpoint, LogEntry, MapRow, Storage, StorageError};
+use crate::storage::{LogEntry, MapRow, Storage, StorageError};
 
 /// A map's place among the open ones: locked while it is being opened, closed or deleted.
 #[derive(Debug, Default)]
@@ -44,6 +47,35 @@ impl OpenMaps {
         }
     }
 
+    /// Maps in memory with how they are used. One that is just being opened or closed is not waited for.
+    fn usages(&self) -> Vec<(Arc<AsyncMutex<Slot>>, MapHandle)> {
+        let handle = |slot: &Arc<AsyncMutex<Slot>>| slot.try_lock().ok()?.handle();
+        self.slots().values().filter_map(|slot| Some((slot.clone(), handle(slot)?))).collect()
+    }
+
+    /// Closes maps that nobody uses, those first that were not asked for longest, until what is open takes no
+    /// more than `budget_bytes`. Tells whether any was.
+    async fn close_unused(&self, budget_bytes: u64) -> bool {
+        let mut open = self.usages();
+        open.sort_by_key(|(_, handle)| handle.usage().last_asked());
+        let mut memory_bytes: u64 = open.iter().map(|(_, handle)| handle.usage().memory_bytes()).sum();
+        let mut closed = false;
+        for (slot, handle) in open {
+            let usage = handle.usage();
+            if memory_bytes <= budget_bytes || usage.last_asked().elapsed() < UNUSED {
+                break;
+            }
+            // Under the lock, so that who opens it again waits until it is closed.
+            let Ok(mut slot) = slot.try_lock() else { continue };
+            if handle.close_unused().await {
+                memory_bytes -= usage.memory_bytes().min(memory_bytes);
+                slot.close().await;
+                closed = true;
+            }
+        }
+        closed
+    }
+
     /// How many maps are in memory. One that is just being opened or closed is not waited for.
     pub(crate) fn count(&self) -> usize {
         let slots = self.slots();
@@ -59,6 +91,12 @@ impl OpenMaps {
         self.slots.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
+
+/// A map that was not asked for so long is not used.
+const UNUSED: Duration = Duration::from_secs(10);
+
+/// How often maps that nobody uses are looked for.
+const UPKEEP: Duration = Duration::from_secs(2);
 
 impl Slot {
     fn handle(&self) -> Option<MapHandle> {
@@ -76,6 +114,22 @@ impl Slot {
 }
 
 impl Service {
+    /// Closes maps that nobody uses, and forgets their models, while open maps take more memory than `budget_bytes`.
+    pub(crate) fn start_closing_unused_maps(self: &Arc<Self>, budget_bytes: u64) {
+        let service = self.clone();
+        self.jobs.track(async move {
+            loop {
+                tokio::select! {
+                    () = tokio::time::sleep(UPKEEP) => {}
+                    () = service.stopping.cancelled() => return,
+                }
+                if service.open_maps.close_unused(budget_bytes).await {
+                    service.cached_models().retain(|_, model| Arc::strong_count(model) > 1);
+                }
+            }
+        });
+    }
+
     /// A map's writer; opens the map from the disk if need be.
     pub(crate) async fn open_map(self: &Arc<Self>, name: &str) -> Result<MapHandle, ServiceError> {
         // Asked first, so that names that are no maps leave nothing behind.
@@ -169,17 +223,20 @@ fn open(
     map: MapRow,
     model: Arc<LoadedModel>,
 ) -> Result<(MapHandle, JoinHandle<()>), ServiceError> {
-    let mut mapper = restore(&runtime, &storage, &map, &model)?;
+    let (mut mapper, layout) = restore(&runtime, &storage, &map, &model)?;
     let checkpoint_events = mapper.map().events();
-    let mut changed = BTreeSet::new();
+    let mut changes = Changes::since(mapper.map());
     let mut fold = |LogEntry { position: _, event, media: _ }: LogEntry| {
-        if let MapEvent::Frame(frame) = &event {
-            changed.extend(frame.decision.place.filter(|_| frame.learnt));
-        }
+        changes.follow(&event);
         mapper.apply(&event).map_err(|error| StorageError::Damaged(error.to_string()))
     };
     let words = model.model.vocabulary().len();
     runtime.block_on(storage.replay(map.id, checkpoint_events..u64::MAX, words, &mut fold))?;
+    let checkpoints = match layout {
+        Some(layout) => Checkpoints::new(changes, checkpoint_events, layout),
+        None if mapper.map().events() == 0 => Checkpoints::new(changes, 0, Layout::default()),
+        None => first_checkpoint(&runtime, &storage, &map, &mapper),
+    };
     let sessions = runtime.block_on(storage.sessions(map.id))?;
     let cameras = runtime.block_on(storage.cameras(map.id))?;
     let known = |(session, camera): (SessionId, Vec<u8>)| Some((session, Intrinsics::of_camera(&camera)?));
@@ -188,6 +245,8 @@ fn open(
     tracing::info!(map = map.name, events, replayed = events - checkpoint_events, "map opened");
     let (sender, receiver) = mpsc::channel(QUEUE);
     let handle = MapHandle::new(map.id, sender);
+    let usage = handle.usage().clone();
+    usage.set_memory_bytes(mapper.memory_bytes());
     let thread = std::thread::Builder::new().name(format!("map-{}", map.id));
     let (streams, localizers, pending) = (HashMap::new(), Localizers::default(), Vec::new());
     let recent = RefCell::new(Recent::new(MOST_RECENT));
@@ -208,39 +267,42 @@ fn open(
         recent,
         recent_features,
         verifier,
-        changed,
-        checkpoint_events,
+        checkpoints,
+        usage,
     };
     let thread = thread.spawn(move || writer.run(receiver)).map_err(ServiceError::internal)?;
     Ok((handle, thread))
 }
 
-/// The map as of its checkpoint; an empty one, to be filled from the log, if there is none to use.
+/// The map as of its checkpoint, and where that is; an empty one, to be filled from the log, if there is none to use.
 fn restore(
     runtime: &Handle,
     storage: &Storage,
     map: &MapRow,
     model: &LoadedModel,
-) -> Result<Mapper, ServiceError> {
+) -> Result<(Mapper, Option<Layout>), ServiceError> {
     let settings = map_settings::from_json(&map.settings)?.mapper;
-    let unusable = match runtime.block_on(storage.checkpoint(map.id)) {
-        Ok(None) => None,
-        Ok(Some(Checkpoint { graph, places })) => {
-            match Mapper::restore(&model.model, settings, places.iter().map(Vec::as_slice), &graph) {
-                Ok(mapper) => return Ok(mapper),
-                Err(error) => Some(error.to_string()),
-            }
+    if let Some(view) = runtime.block_on(storage.view_checkpoint(map.id))? {
+        match checkpoints::restore(runtime, view, model, settings) {
+            Ok((mapper, layout)) => return Ok((mapper, Some(layout))),
+            Err(Unusable::Unread(error)) => return Err(error.into()),
+            Err(Unusable::Damaged(why)) => tracing::warn!(
+                map = map.name,
+                why,
+                "the checkpoint cannot be used; the map is replayed from its log"
+            ),
         }
-        Err(StorageError::Damaged(why)) => Some(why),
-        Err(error) => return Err(error.into()),
-    };
-    if let Some(why) = unusable {
-        tracing::warn!(
-            map = map.name,
-            why,
-            "the checkpoint cannot be used; the map is replayed from its log"
-        );
-        runtime.block_on(storage.delete_checkpoint(map.id))?;
     }
-    Mapper::new(&model.model, settings).map_err(ServiceError::internal)
+    Ok((Mapper::new(&model.model, settings).map_err(ServiceError::internal)?, None))
+}
+
+/// Writes the checkpoint of a map that was replayed as a whole.
+fn first_checkpoint(runtime: &Handle, storage: &Storage, map: &MapRow, mapper: &Mapper) -> Checkpoints {
+    match checkpoints::write_first(runtime, storage, map.id, mapper) {
+        Ok(layout) => Checkpoints::new(Changes::since(mapper.map()), mapper.map().events(), layout),
+        Err(error) => {
+            tracing::warn!(map = map.name, %error, "no checkpoint was written; the log has it all");
+            Checkpoints::none()
+        }
+    }
 }

@@ -1,6 +1,7 @@
 //! What can be asked of a map's writer.
 
-use std::sync::{Arc, Weak};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Instant;
 
 use fabmap::appearance::PlaceId;
@@ -31,6 +32,8 @@ pub(crate) enum MapRequest {
     Read(Read),
     /// Commit, checkpoint, end.
     Close,
+    /// The same, unless robots localize in the map: what they know would be lost. Tells whether it ends.
+    CloseUnused(oneshot::Sender<bool>),
 }
 
 pub(crate) enum Read {
@@ -187,6 +190,37 @@ pub(crate) struct QueryAnswer {
 pub(crate) struct MapHandle {
     id: MapId,
     requests: mpsc::Sender<MapRequest>,
+    usage: Arc<Usage>,
+}
+
+/// How an open map is used.
+#[derive(Debug)]
+pub(crate) struct Usage {
+    last_asked: Mutex<Instant>,
+    memory_bytes: AtomicU64,
+}
+
+impl Usage {
+    fn new() -> Self {
+        Self { last_asked: Mutex::new(Instant::now()), memory_bytes: AtomicU64::new(0) }
+    }
+
+    pub(super) fn set_memory_bytes(&self, memory_bytes: u64) {
+        self.memory_bytes.store(memory_bytes, Ordering::Relaxed);
+    }
+
+    pub(super) fn memory_bytes(&self) -> u64 {
+        self.memory_bytes.load(Ordering::Relaxed)
+    }
+
+    /// When the map was last asked for anything.
+    pub(super) fn last_asked(&self) -> Instant {
+        *self.last_asked.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn asked(&self) {
+        *self.last_asked.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
+    }
 }
 
 /// The writer is gone: a commit failed, the map was deleted, or the server is stopping.
@@ -201,7 +235,11 @@ impl From<WriterGone> for ServiceError {
 
 impl MapHandle {
     pub(in crate::service) fn new(id: MapId, requests: mpsc::Sender<MapRequest>) -> Self {
-        Self { id, requests }
+        Self { id, requests, usage: Arc::new(Usage::new()) }
+    }
+
+    pub(super) fn usage(&self) -> &Arc<Usage> {
+        &self.usage
     }
 
     pub(crate) fn id(&self) -> MapId {
@@ -223,8 +261,16 @@ impl MapHandle {
         let _ = self.requests.send(MapRequest::Close).await;
     }
 
+    /// Asks the writer to end unless robots localize by it; whether it does.
+    pub(super) async fn close_unused(&self) -> bool {
+        let (reply, ends) = oneshot::channel();
+        let asked = self.requests.send(MapRequest::CloseUnused(reply)).await;
+        asked.is_err() || ends.await.unwrap_or(true)
+    }
+
     /// Hands a frame over; the answer comes by the request's reply.
     pub(crate) async fn frame(&self, source: FrameSource, request: FrameRequest) -> Result<(), WriterGone> {
+        self.usage.asked();
         let request = match source {
             FrameSource::Session(session) => MapRequest::Frame(session, request),
             FrameSource::Localizer(localizer) => MapRequest::Read(Read::Localize(localizer, request)),
@@ -279,6 +325,7 @@ impl MapHandle {
     }
 
     async fn ask<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> MapRequest) -> Result<T, WriterGone> {
+        self.usage.asked();
         let (reply, answer) = oneshot::channel();
         self.requests.send(request(reply)).await.map_err(|_| WriterGone)?;
         answer.await.map_err(|_| WriterGone)
