@@ -3,8 +3,10 @@
 //! Pure: no I/O, no async, no pixels. Begin with [`mapper`], which tells the story.
 
 pub mod event;
+pub mod g2o;
 pub mod map;
 pub mod mapper;
 pub mod motion;
 pub mod odometry;
+pub mod relaxation;
 pub mod verification;
