@@ -12,8 +12,12 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, SMatrix, SVector, Translation3, Un
 pub trait Pose<const D: usize>: Copy + Debug + PartialEq + Send + Sync {
     /// Dimensions of space: 2 or 3.
     const SPACE: usize;
-    /// What a squared error of unit variances stays below in 99 % of cases: the quantile of χ² with `D` degrees.
-    const CHI_SQUARED_99: f64;
+    /// What a squared error of unit variances exceeds once in a million cases: a quantile of χ².
+    const CHI_SQUARED_MILLION: f64;
+    /// What it exceeds in every other case.
+    const CHI_SQUARED_MEDIAN: f64;
+    /// Volume of the ball of radius 1 in `D` dimensions.
+    const UNIT_BALL: f64;
 
     /// No motion.
     fn identity() -> Self;
@@ -44,6 +48,9 @@ pub trait Pose<const D: usize>: Copy + Debug + PartialEq + Send + Sync {
 
     /// The pose at a position, with the rotation that is closest to a matrix.
     fn nearest(matrix: &Matrix3<f64>, position: &Vector3<f64>) -> Self;
+
+    /// What a step at this pose is as a step at the origin that carries the pose along.
+    fn adjoint(&self) -> SMatrix<f64, D, D>;
 
     /// Whether all its numbers are finite.
     fn is_finite(&self) -> bool;
@@ -138,7 +145,9 @@ fn wrapped(angle: f64) -> f64 {
 
 impl Pose<3> for PlanarPose {
     const SPACE: usize = 2;
-    const CHI_SQUARED_99: f64 = 11.345;
+    const CHI_SQUARED_MILLION: f64 = 30.665;
+    const CHI_SQUARED_MEDIAN: f64 = 2.366;
+    const UNIT_BALL: f64 = 4.0 / 3.0 * PI;
 
     fn identity() -> Self {
         Self { x: 0.0, y: 0.0, heading: 0.0, cosine: 1.0, sine: 0.0 }
@@ -201,6 +210,14 @@ impl Pose<3> for PlanarPose {
         Self::new(position.x, position.y, heading)
     }
 
+    fn adjoint(&self) -> SMatrix<f64, 3, 3> {
+        SMatrix::<f64, 3, 3>::new(
+            self.cosine, -self.sine, self.y, //
+            self.sine, self.cosine, -self.x, //
+            0.0, 0.0, 1.0,
+        )
+    }
+
     fn is_finite(&self) -> bool {
         self.x.is_finite() && self.y.is_finite() && self.heading.is_finite()
     }
@@ -210,7 +227,9 @@ impl Pose<3> for PlanarPose {
 /// half the angle.
 impl Pose<6> for Isometry3<f64> {
     const SPACE: usize = 3;
-    const CHI_SQUARED_99: f64 = 16.812;
+    const CHI_SQUARED_MILLION: f64 = 38.258;
+    const CHI_SQUARED_MEDIAN: f64 = 5.348;
+    const UNIT_BALL: f64 = PI * PI * PI / 6.0;
 
     fn identity() -> Self {
         Isometry3::identity()
@@ -282,6 +301,15 @@ impl Pose<6> for Isometry3<f64> {
         Isometry3::from_parts(Translation3::from(*position), rotation)
     }
 
+    fn adjoint(&self) -> SMatrix<f64, 6, 6> {
+        let rotation = self.rotation.to_rotation_matrix().into_inner();
+        let mut adjoint = SMatrix::<f64, 6, 6>::zeros();
+        adjoint.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+        adjoint.fixed_view_mut::<3, 3>(0, 3).copy_from(&(self.translation.vector.cross_matrix() * rotation));
+        adjoint.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+        adjoint
+    }
+
     fn is_finite(&self) -> bool {
         let finite = |value: &f64| value.is_finite();
         self.translation.vector.iter().all(finite) && self.rotation.coords.iter().all(finite)
@@ -337,6 +365,20 @@ mod tests {
         fn spatial_derivatives_are_what_differences_say(m in spatial(), from in spatial(), to in spatial()) {
             prop_assume!(Isometry3::error(&m, &from, &to).fixed_rows::<3>(3).norm() < 0.999);
             prop_assert!(agree(&Isometry3::linearized(&m, &from, &to), &differences(&m, &from, &to)));
+        }
+
+        #[test]
+        fn a_step_at_a_pose_is_its_adjoint_at_the_origin(
+            planar in planar(),
+            spatial in spatial(),
+            numbers in prop::array::uniform6(-1e-5..1e-5f64),
+        ) {
+            let step = SVector::from(numbers);
+            let at_origin = Isometry3::identity().retract(&(spatial.adjoint() * step)).compose(&spatial);
+            prop_assert!(Isometry3::error(&Isometry3::identity(), &at_origin, &spatial.retract(&step)).amax() < 1e-7);
+            let step = SVector::from([numbers[0], numbers[1], numbers[2]]);
+            let at_origin = PlanarPose::identity().retract(&(planar.adjoint() * step)).compose(&planar);
+            prop_assert!(PlanarPose::error(&PlanarPose::identity(), &at_origin, &planar.retract(&step)).amax() < 1e-8);
         }
 
         #[test]

@@ -1,0 +1,156 @@
+//! Relaxation where closures may be wrong: what agrees is relaxed, and what then fits is taken in.
+
+use super::consensus::{Consensus, Noise, log_volume};
+use super::graph::{EdgeKind, PoseGraph};
+use super::levenberg::{Minimum, NormalEquations, Stop};
+use super::pose::Pose;
+use super::{Relaxed, Start, starts};
+
+/// Alternatives that are tried for closures that little speaks for.
+const MAX_UNSURE: usize = 10;
+/// Wrong closures that may come to fit a map by chance, of all that could be added.
+const BY_CHANCE: f64 = 0.1;
+/// A closure that misses by more standard deviations is wrong, however large the map.
+const MOST_DEVIATIONS: f64 = 15.0;
+/// Changes of mind about single closures.
+const MAX_ROUNDS: usize = 20;
+
+/// A graph being relaxed with its closures judged.
+pub(super) struct Judging<'a, P, const D: usize> {
+    graph: &'a PoseGraph<P, D>,
+    equations: NormalEquations<'a, P, D>,
+    /// Where an edge's cost shows that it is wrong.
+    limits: Vec<f64>,
+    stop: Stop,
+    iterations: usize,
+}
+
+impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
+    /// `poses` say how large the map is, roughly.
+    pub(super) fn new(graph: &'a PoseGraph<P, D>, poses: &[P], stop: Stop) -> Self {
+        let (equations, limits) = (NormalEquations::new(graph), limits(graph, poses));
+        Self { graph, equations, limits, stop, iterations: 0 }
+    }
+
+    /// Judges all closures anew.
+    ///
+    /// How large noise is decides much, and so does each closure that little speaks for: all that is tried, and
+    /// what truncated squares are least of counts.
+    pub(super) fn judge_all(mut self, start: Start<'_, P>, first: &[P]) -> Relaxed<P> {
+        let mut consensus = Consensus::new(self.graph, first);
+        let mut best: Option<(f64, Relaxed<P>)> = None;
+        for noise in [Noise::AsStated, Noise::AsSeen] {
+            let accepted = consensus.reach(noise, None);
+            let mut alternatives = vec![accepted.edges];
+            if accepted.unsure.len() <= MAX_UNSURE {
+                let others = accepted.unsure.iter().map(|&unsure| consensus.reach(noise, Some(unsure)).edges);
+                alternatives.extend(others);
+            }
+            for accepted in alternatives {
+                let weights: Vec<f64> = accepted.into_iter().map(weight).collect();
+                if best.as_ref().is_some_and(|(_, best)| best.weights == weights) {
+                    continue;
+                }
+                let from = match start {
+                    Start::Chordal | Start::Best => starts::chordal(self.graph, first.to_vec(), &weights),
+                    Start::Odometry | Start::Poses(_) | Start::Earlier(_) => first.to_vec(),
+                };
+                let relaxed = self.settle(from, weights);
+                let truncated = self.truncated(&relaxed);
+                if best.as_ref().is_none_or(|(least, _)| truncated < *least) {
+                    best = Some((truncated, relaxed));
+                }
+            }
+        }
+        match best {
+            Some((_, relaxed)) => Relaxed { iterations: self.iterations, ..relaxed },
+            None => self.settle(first.to_vec(), vec![1.0; self.graph.edges().len()]),
+        }
+    }
+
+    /// Judges only what was added since `earlier`, and all if that leaves a contradiction.
+    ///
+    /// A closure that is added is wrong if it raises the cost by more than noise would and the surest way around
+    /// it leads elsewhere. When two, four, eight closures and so on have been left out, it may be that one accepted
+    /// before is the wrong one: then all are judged.
+    pub(super) fn judge_added(mut self, earlier: &Relaxed<P>, first: &[P]) -> Relaxed<P> {
+        let known = earlier.weights.len().min(self.graph.edges().len());
+        let mut weights: Vec<f64> = earlier.weights[..known].to_vec();
+        weights.resize(self.graph.edges().len(), 1.0);
+        let mut minimum = self.minimize(first.to_vec(), &weights);
+        let added: Vec<usize> = (known..weights.len())
+            .filter(|&edge| self.graph.edges()[edge].kind() == EdgeKind::Closure)
+            .collect();
+        let raised = minimum.cost - earlier.cost;
+        if !added.is_empty() && raised > P::CHI_SQUARED_MILLION {
+            let mut consensus = Consensus::new(self.graph, first);
+            let mut accepted: Vec<bool> = weights.iter().map(|&weight| weight > 0.0).collect();
+            added.iter().for_each(|&closure| accepted[closure] = false);
+            for &closure in &added {
+                accepted[closure] = consensus.agrees(closure, &accepted);
+            }
+            let judged: Vec<f64> = accepted.into_iter().map(weight).collect();
+            if judged != weights {
+                let left_out = judged.iter().filter(|&&weight| weight == 0.0).count();
+                let before = weights.iter().filter(|&&weight| weight == 0.0).count();
+                if left_out >= 2 && left_out.ilog2() > before.max(1).ilog2() {
+                    return self.judge_all(Start::Earlier(earlier), first);
+                }
+                weights = judged;
+                minimum = self.minimize(first.to_vec(), &weights);
+            }
+        }
+        let Minimum { poses, cost, iterations: _ } = minimum;
+        Relaxed { poses, cost, iterations: self.iterations, weights }
+    }
+
+    /// Relaxes, and changes its mind about closures that do not fit, or fit after all, until it stays.
+    fn settle(&mut self, start: Vec<P>, mut weights: Vec<f64>) -> Relaxed<P> {
+        let mut minimum = self.minimize(start, &weights);
+        for _ in 0..MAX_ROUNDS {
+            let fits = |(edge, limit): (&super::Edge<P, D>, &f64)| {
+                weight(edge.kind() == EdgeKind::Odometry || edge.cost(&minimum.poses) <= *limit)
+            };
+            let judged: Vec<f64> = self.graph.edges().iter().zip(&self.limits).map(fits).collect();
+            if judged == weights {
+                break;
+            }
+            weights = judged;
+            minimum = self.minimize(minimum.poses, &weights);
+        }
+        let Minimum { poses, cost, iterations: _ } = minimum;
+        Relaxed { poses, cost, iterations: self.iterations, weights }
+    }
+
+    fn minimize(&mut self, start: Vec<P>, weights: &[f64]) -> Minimum<P> {
+        let minimum = self.equations.minimize(start, weights, self.stop);
+        self.iterations += minimum.iterations;
+        minimum
+    }
+
+    /// The cost, with as much for each closure left out as one may cost that is kept.
+    fn truncated(&self, relaxed: &Relaxed<P>) -> f64 {
+        let left_out = relaxed.weights.iter().filter(|&&weight| weight == 0.0).count();
+        relaxed.cost + left_out as f64 * P::CHI_SQUARED_MILLION
+    }
+}
+
+fn weight(accepted: bool) -> f64 {
+    if accepted { 1.0 } else { 0.0 }
+}
+
+/// Squared distances up to which a closure is kept: as far as few wrong ones would come by chance, if they led
+/// anywhere in the map. Real closures have worse tails than their information matrices say.
+fn limits<P: Pose<D>, const D: usize>(graph: &PoseGraph<P, D>, poses: &[P]) -> Vec<f64> {
+    let closures = graph.edges().iter().filter(|edge| edge.kind() == EdgeKind::Closure).count();
+    let log_volume = log_volume::<P, D>(poses, 0.0);
+    let share = (BY_CHANCE / closures.max(1) as f64).ln() + log_volume - P::UNIT_BALL.ln();
+    let limit = |edge: &super::Edge<P, D>| {
+        let log_deviations = edge.information().cholesky().map_or(0.0, |factor| {
+            (0..D).map(|i| factor.l_dirty()[(i, i)].ln()).sum::<f64>()
+        });
+        let chance = ((share + log_deviations) * 2.0 / D as f64).exp();
+        chance.clamp(P::CHI_SQUARED_MILLION, MOST_DEVIATIONS * MOST_DEVIATIONS)
+    };
+    graph.edges().iter().map(limit).collect()
+}
