@@ -21,6 +21,9 @@ const ENOUGH_FOR_SCALE: usize = 10;
 /// Least noise, as a share of what the information matrices say: variances.
 const LEAST_NOISE: f64 = 1e-3;
 
+/// Most closures that are accepted although little speaks for them.
+pub(super) const MAX_UNSURE: usize = 10;
+
 /// How large noise is taken to be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Noise {
@@ -93,7 +96,8 @@ impl<'a, P: Pose<D>, const D: usize> Consensus<'a, P, D> {
             (accepted.edges, undecided) = (odometry, closures);
             self.accept_sure(&mut accepted, &mut undecided, scale);
         }
-        while let Some(closure) = self.least_doubtful(&accepted, &undecided, scale) {
+        while accepted.unsure.len() < MAX_UNSURE {
+            let Some(closure) = self.least_doubtful(&accepted, &undecided, scale) else { break };
             accepted.edges[closure] = true;
             accepted.unsure.push(closure);
             undecided.retain(|&other| other != closure);

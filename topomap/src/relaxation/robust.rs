@@ -1,17 +1,18 @@
 //! Relaxation where closures may be wrong: what agrees is relaxed, and what then fits is taken in.
 
-use super::consensus::{Consensus, Noise, log_volume};
+use super::consensus::{Consensus, MAX_UNSURE, Noise, log_volume};
 use super::graph::{EdgeKind, PoseGraph};
 use super::levenberg::{Minimum, NormalEquations, Stop};
 use super::pose::Pose;
 use super::{Relaxed, Start, starts};
 
-/// Alternatives that are tried for closures that little speaks for.
-const MAX_UNSURE: usize = 10;
-/// Wrong closures that may come to fit a map by chance, of all that could be added.
-const BY_CHANCE: f64 = 0.1;
+/// How many wrong closures may fit by chance, if all of them were wrong and led anywhere in the map.
+const BY_CHANCE: f64 = 0.01;
 /// A closure that misses by more standard deviations is wrong, however large the map.
-const MOST_DEVIATIONS: f64 = 15.0;
+const MOST_DEVIATIONS: f64 = 30.0;
+/// Steps after which an alternative is compared with the best one so far, and dropped if it costs so many times as much.
+const FIRST_ITERATIONS: usize = 20;
+const HOPELESS: f64 = 2.0;
 /// Changes of mind about single closures.
 const MAX_ROUNDS: usize = 20;
 
@@ -39,10 +40,10 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
     pub(super) fn judge_all(mut self, start: Start<'_, P>, first: &[P]) -> Relaxed<P> {
         let mut consensus = Consensus::new(self.graph, first);
         let mut best: Option<(f64, Relaxed<P>)> = None;
-        for noise in [Noise::AsStated, Noise::AsSeen] {
+        for noise in [Noise::AsSeen, Noise::AsStated] {
             let accepted = consensus.reach(noise, None);
             let mut alternatives = vec![accepted.edges];
-            if accepted.unsure.len() <= MAX_UNSURE {
+            if accepted.unsure.len() < MAX_UNSURE {
                 let others = accepted.unsure.iter().map(|&unsure| consensus.reach(noise, Some(unsure)).edges);
                 alternatives.extend(others);
             }
@@ -55,8 +56,13 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
                     Start::Chordal | Start::Best => starts::chordal(self.graph, first.to_vec(), &weights),
                     Start::Odometry | Start::Poses(_) | Start::Earlier(_) => first.to_vec(),
                 };
-                let relaxed = self.settle(from, weights);
-                let truncated = self.truncated(&relaxed);
+                let tried = self.minimize(from, &weights, FIRST_ITERATIONS);
+                let hopeless = |(least, _): &(f64, Relaxed<P>)| self.truncated(&tried.poses) > HOPELESS * least;
+                if best.as_ref().is_some_and(hopeless) {
+                    continue;
+                }
+                let relaxed = self.settle(tried.poses, weights);
+                let truncated = self.truncated(&relaxed.poses);
                 if best.as_ref().is_none_or(|(least, _)| truncated < *least) {
                     best = Some((truncated, relaxed));
                 }
@@ -77,7 +83,7 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
         let known = earlier.weights.len().min(self.graph.edges().len());
         let mut weights: Vec<f64> = earlier.weights[..known].to_vec();
         weights.resize(self.graph.edges().len(), 1.0);
-        let mut minimum = self.minimize(first.to_vec(), &weights);
+        let mut minimum = self.minimize(first.to_vec(), &weights, usize::MAX);
         let added: Vec<usize> = (known..weights.len())
             .filter(|&edge| self.graph.edges()[edge].kind() == EdgeKind::Closure)
             .collect();
@@ -97,7 +103,7 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
                     return self.judge_all(Start::Earlier(earlier), first);
                 }
                 weights = judged;
-                minimum = self.minimize(first.to_vec(), &weights);
+                minimum = self.minimize(first.to_vec(), &weights, usize::MAX);
             }
         }
         let Minimum { poses, cost, iterations: _ } = minimum;
@@ -106,7 +112,7 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
 
     /// Relaxes, and changes its mind about closures that do not fit, or fit after all, until it stays.
     fn settle(&mut self, start: Vec<P>, mut weights: Vec<f64>) -> Relaxed<P> {
-        let mut minimum = self.minimize(start, &weights);
+        let mut minimum = self.minimize(start, &weights, usize::MAX);
         for _ in 0..MAX_ROUNDS {
             let fits = |(edge, limit): (&super::Edge<P, D>, &f64)| {
                 weight(edge.kind() == EdgeKind::Odometry || edge.cost(&minimum.poses) <= *limit)
@@ -116,22 +122,26 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
                 break;
             }
             weights = judged;
-            minimum = self.minimize(minimum.poses, &weights);
+            minimum = self.minimize(minimum.poses, &weights, usize::MAX);
         }
         let Minimum { poses, cost, iterations: _ } = minimum;
         Relaxed { poses, cost, iterations: self.iterations, weights }
     }
 
-    fn minimize(&mut self, start: Vec<P>, weights: &[f64]) -> Minimum<P> {
-        let minimum = self.equations.minimize(start, weights, self.stop);
+    fn minimize(&mut self, start: Vec<P>, weights: &[f64], max_iterations: usize) -> Minimum<P> {
+        let stop = Stop { max_iterations: max_iterations.min(self.stop.max_iterations), ..self.stop };
+        let minimum = self.equations.minimize(start, weights, stop);
         self.iterations += minimum.iterations;
         minimum
     }
 
-    /// The cost, with as much for each closure left out as one may cost that is kept.
-    fn truncated(&self, relaxed: &Relaxed<P>) -> f64 {
-        let left_out = relaxed.weights.iter().filter(|&&weight| weight == 0.0).count();
-        relaxed.cost + left_out as f64 * P::CHI_SQUARED_MILLION
+    /// The cost of all edges, where no closure costs more than one may that is kept.
+    fn truncated(&self, poses: &[P]) -> f64 {
+        let truncated = |edge: &super::Edge<P, D>| match edge.kind() {
+            EdgeKind::Odometry => edge.cost(poses),
+            EdgeKind::Closure => edge.cost(poses).min(P::CHI_SQUARED_MILLION),
+        };
+        self.graph.edges().iter().map(truncated).sum()
     }
 }
 
