@@ -4,13 +4,12 @@
 //! row by row; `VERTEX_SE3:QUAT` and `EDGE_SE3:QUAT` alike with `x y z qx qy qz qw`; `FIX id`. Metres and radians.
 //! Edges between consecutive ids are odometry, all others closures. Numbers that are written read back bit for bit.
 
-use std::collections::BTreeMap;
-use std::fmt::Write;
-use std::ops::Range;
+mod text;
 
-use nalgebra::{Isometry3, Quaternion, SMatrix, Translation3, UnitQuaternion};
+use nalgebra::Isometry3;
 
-use crate::relaxation::{Edge, EdgeError, EdgeKind, PlanarPose, Pose, PoseGraph};
+use crate::relaxation::{PlanarPose, Pose, PoseGraph};
+use text::{Dimension, Line, Tag};
 
 /// A pose graph in the plane or in space.
 #[derive(Clone, Debug, PartialEq)]
@@ -141,8 +140,8 @@ impl G2o {
         }
         match dimension {
             None => Err(G2oError::Empty),
-            Some(Dimension::Plane) => NamedGraph::read(&lines).map(G2o::Planar),
-            Some(Dimension::Space) => NamedGraph::read(&lines).map(G2o::Spatial),
+            Some(Dimension::Plane) => text::read(&lines).map(G2o::Planar),
+            Some(Dimension::Space) => text::read(&lines).map(G2o::Spatial),
         }
     }
 
@@ -150,142 +149,9 @@ impl G2o {
     #[must_use]
     pub fn write(&self) -> Vec<u8> {
         match self {
-            G2o::Planar(graph) => graph.write(),
-            G2o::Spatial(graph) => graph.write(),
+            G2o::Planar(graph) => text::write(graph),
+            G2o::Spatial(graph) => text::write(graph),
         }
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Dimension {
-    Plane,
-    Space,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Tag {
-    Vertex(Dimension),
-    Edge(Dimension),
-    Fix,
-}
-
-struct Line<'a> {
-    number: usize,
-    tag: Tag,
-    columns: Vec<&'a str>,
-}
-
-impl Tag {
-    const ALL: [Tag; 5] = [
-        Tag::Vertex(Dimension::Plane),
-        Tag::Edge(Dimension::Plane),
-        Tag::Vertex(Dimension::Space),
-        Tag::Edge(Dimension::Space),
-        Tag::Fix,
-    ];
-
-    fn named(name: &str) -> Result<Self, LineProblem> {
-        let found = Self::ALL.into_iter().find(|tag| tag.name() == name);
-        found.ok_or_else(|| LineProblem::UnknownTag(name.to_owned()))
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Tag::Vertex(Dimension::Plane) => "VERTEX_SE2",
-            Tag::Edge(Dimension::Plane) => "EDGE_SE2",
-            Tag::Vertex(Dimension::Space) => "VERTEX_SE3:QUAT",
-            Tag::Edge(Dimension::Space) => "EDGE_SE3:QUAT",
-            Tag::Fix => "FIX",
-        }
-    }
-
-    fn dimension(self) -> Option<Dimension> {
-        match self {
-            Tag::Vertex(dimension) | Tag::Edge(dimension) => Some(dimension),
-            Tag::Fix => None,
-        }
-    }
-}
-
-impl Line<'_> {
-    fn error(&self, problem: LineProblem) -> G2oError {
-        G2oError::Line { line: self.number, problem }
-    }
-
-    fn expect(&self, expected: usize) -> Result<(), G2oError> {
-        let found = self.columns.len();
-        if found == expected {
-            Ok(())
-        } else {
-            Err(self.error(LineProblem::Columns { tag: self.tag.name(), expected, found }))
-        }
-    }
-
-    fn id(&self, column: usize) -> Result<u64, G2oError> {
-        let text = self.columns[column];
-        text.parse().map_err(|_| self.error(LineProblem::NotAnId(text.to_owned())))
-    }
-
-    /// The id in a column, and its place among all.
-    fn vertex(&self, column: usize, ids: &[u64]) -> Result<(u64, usize), G2oError> {
-        let id = self.id(column)?;
-        let place = ids.binary_search(&id).map_err(|_| self.error(LineProblem::MissingVertex(id)))?;
-        Ok((id, place))
-    }
-
-    fn numbers(&self, columns: Range<usize>) -> Result<Vec<f64>, G2oError> {
-        let number = |text: &&str| match text.parse::<f64>() {
-            Ok(value) if value.is_finite() => Ok(value),
-            Ok(_) | Err(_) => Err(self.error(LineProblem::NotANumber((*text).to_owned()))),
-        };
-        self.columns[columns].iter().map(number).collect()
-    }
-}
-
-/// How a pose is written.
-trait Columns<const D: usize>: Pose<D> {
-    const DIMENSION: Dimension;
-    const NUMBERS: usize;
-    fn from_numbers(numbers: &[f64]) -> Result<Self, LineProblem>;
-    fn numbers(&self) -> Vec<f64>;
-}
-
-impl Columns<3> for PlanarPose {
-    const DIMENSION: Dimension = Dimension::Plane;
-    const NUMBERS: usize = 3;
-
-    fn from_numbers(numbers: &[f64]) -> Result<Self, LineProblem> {
-        Ok(PlanarPose::new(numbers[0], numbers[1], numbers[2]))
-    }
-
-    fn numbers(&self) -> Vec<f64> {
-        vec![self.x_m(), self.y_m(), self.heading_rad()]
-    }
-}
-
-impl Columns<6> for Isometry3<f64> {
-    const DIMENSION: Dimension = Dimension::Space;
-    const NUMBERS: usize = 7;
-
-    fn from_numbers(numbers: &[f64]) -> Result<Self, LineProblem> {
-        let quaternion = Quaternion::new(numbers[6], numbers[3], numbers[4], numbers[5]);
-        // Scaled first: the square of a tiny number is zero, that of a huge one infinite.
-        let largest = quaternion.coords.amax();
-        if largest == 0.0 {
-            return Err(LineProblem::NoRotation);
-        }
-        // What is of unit length already keeps its bits.
-        let rotation = if (quaternion.norm_squared() - 1.0).abs() <= 16.0 * f64::EPSILON {
-            UnitQuaternion::new_unchecked(quaternion)
-        } else {
-            UnitQuaternion::new_normalize(quaternion / largest)
-        };
-        Ok(Isometry3::from_parts(Translation3::new(numbers[0], numbers[1], numbers[2]), rotation))
-    }
-
-    fn numbers(&self) -> Vec<f64> {
-        let (position, quaternion) = (&self.translation.vector, &self.rotation.coords);
-        position.iter().chain(quaternion.iter()).copied().collect()
     }
 }
 
@@ -327,113 +193,158 @@ impl<P, const D: usize> NamedGraph<P, D> {
     }
 }
 
-impl<P: Columns<D>, const D: usize> NamedGraph<P, D> {
-    const EDGE_COLUMNS: usize = 2 + P::NUMBERS + D * (D + 1) / 2;
+#[cfg(test)]
+mod tests {
+    use nalgebra::{SMatrix, Vector3};
+    use proptest::prelude::*;
 
-    fn read(lines: &[Line<'_>]) -> Result<Self, G2oError> {
-        let given = Self::vertices(lines)?;
-        let ids = if given.is_empty() { Self::ends(lines)? } else { given.keys().copied().collect() };
-        let mut graph = PoseGraph::new(ids.len());
-        for line in lines {
-            match line.tag {
-                Tag::Vertex(_) => {}
-                Tag::Edge(_) => {
-                    let edge = Self::edge(line, &ids)?;
-                    // Both ends were just found among the ids.
-                    let added = graph.add_edge(edge);
-                    debug_assert!(added.is_ok());
-                }
-                Tag::Fix => {
-                    for column in 0..line.columns.len() {
-                        let (id, pose) = line.vertex(column, &ids)?;
-                        // A single pose that is fixed anywhere only chooses the frame.
-                        let anywhere = given.is_empty() && graph.fixed().keys().all(|&other| other == pose);
-                        let at = given.get(&id).copied().or_else(|| anywhere.then(P::identity));
-                        let at = at.ok_or_else(|| line.error(LineProblem::MissingVertex(id)))?;
-                        let fixed = graph.fix(pose, at);
-                        debug_assert!(fixed.is_ok());
-                    }
+    use super::*;
+    use crate::relaxation::{Edge, EdgeKind};
+
+    const TRIANGLE: &str = "1 0 0 1 0 1";
+
+    fn error(text: &str) -> G2oError {
+        G2o::read(text.as_bytes()).unwrap_err()
+    }
+
+    fn at(line: usize, problem: LineProblem) -> G2oError {
+        G2oError::Line { line, problem }
+    }
+
+    fn planar(text: &str) -> NamedGraph<PlanarPose, 3> {
+        match G2o::read(text.as_bytes()).unwrap() {
+            G2o::Planar(graph) => graph,
+            G2o::Spatial(_) => panic!("spatial"),
+        }
+    }
+
+    #[test]
+    fn a_text_with_all_that_may_be_in_it() {
+        let text = format!(
+            "# a comment\r\nVERTEX_SE2 7 1 2 0.5\r\n\r\nVERTEX_SE2 3 0 0 4 # beyond half a turn\r\nFIX 3\r\n\
+             EDGE_SE2 3 7 1 2 .5 2 0.5 0 3 0 1e1\r\n  EDGE_SE2\t7   8 0 0 0 {TRIANGLE}\nVERTEX_SE2 8 1 1 1"
+        );
+        let graph = planar(&text);
+        assert_eq!(graph.ids(), [3, 7, 8]);
+        let fixed = PlanarPose::new(0.0, 0.0, 4.0);
+        assert_eq!(graph.poses().unwrap()[..2], [fixed, PlanarPose::new(1.0, 2.0, 0.5)]);
+        assert_eq!(graph.graph().fixed().iter().collect::<Vec<_>>(), [(&0, &fixed)]);
+        let edges = graph.graph().edges();
+        assert_eq!((edges[0].from(), edges[0].to(), edges[0].kind()), (0, 1, EdgeKind::Closure));
+        let information = SMatrix::<f64, 3, 3>::new(2.0, 0.5, 0.0, 0.5, 3.0, 0.0, 0.0, 0.0, 10.0);
+        assert_eq!(*edges[0].information(), information);
+        assert_eq!((edges[1].from(), edges[1].to(), edges[1].kind()), (1, 2, EdgeKind::Odometry));
+        assert_eq!(G2o::read(&G2o::Planar(graph.clone()).write()), Ok(G2o::Planar(graph)));
+    }
+
+    #[test]
+    fn edges_alone_are_enough() {
+        let graph = planar(&format!("FIX 9\nEDGE_SE2 9 4 1 0 0 {TRIANGLE}\n"));
+        assert_eq!((graph.ids(), graph.poses()), (&[4, 9][..], None));
+        assert_eq!(graph.graph().fixed().keys().collect::<Vec<_>>(), [&1]);
+    }
+
+    #[test]
+    fn errors_name_the_line() {
+        use LineProblem::*;
+        assert_eq!(error(""), G2oError::Empty);
+        assert_eq!(error("# nothing\n\n"), G2oError::Empty);
+        assert_eq!(error("\nVERTEX_XY 1 0 0"), at(2, UnknownTag("VERTEX_XY".to_owned())));
+        let short = Columns { tag: "VERTEX_SE2", expected: 4, found: 3 };
+        assert_eq!(error("VERTEX_SE2 0 0 0"), at(1, short));
+        let short = Columns { tag: "EDGE_SE2", expected: 11, found: 5 };
+        assert_eq!(error("EDGE_SE2 0 1 0 0 0"), at(1, short));
+        assert_eq!(error("VERTEX_SE2 0 0 x 0"), at(1, NotANumber("x".to_owned())));
+        assert_eq!(error("VERTEX_SE2 0 0 NaN 0"), at(1, NotANumber("NaN".to_owned())));
+        assert_eq!(error("VERTEX_SE2 -1 0 0 0"), at(1, NotAnId("-1".to_owned())));
+        let mixed = at(2, MixedDimensions("VERTEX_SE3:QUAT"));
+        assert_eq!(error("VERTEX_SE2 0 0 0 0\nVERTEX_SE3:QUAT 1 0 0 0 0 0 0 1"), mixed);
+        assert_eq!(error("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 0 0 0 0"), at(2, VertexTwice(0)));
+        let missing = at(2, MissingVertex(1));
+        assert_eq!(error(&format!("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 0 0 0 {TRIANGLE}")), missing);
+        assert_eq!(error("VERTEX_SE2 0 0 0 0\nFIX 1"), missing);
+        assert_eq!(error(&format!("EDGE_SE2 0 1 0 0 0 {TRIANGLE}\nFIX 0 1")), missing);
+        assert_eq!(error("VERTEX_SE3:QUAT 1 0 0 0 0 0 0 0"), at(1, NoRotation));
+        assert_eq!(error(&format!("EDGE_SE2 2 2 0 0 0 {TRIANGLE}")), at(1, Loop(2)));
+        let indefinite = at(1, NotPositiveDefinite { from: 1, to: 2 });
+        assert_eq!(error("EDGE_SE2 1 2 0 0 0 1 2 0 1 0 1"), indefinite);
+        assert_eq!(G2o::read(b"\xff"), Err(at(1, NotText)));
+        let text = at(12, NotANumber("x".to_owned())).to_string();
+        assert_eq!(text, "line 12: x is not a finite number; write numbers like -1.25e-3, with a point");
+    }
+
+    #[test]
+    fn names_must_fit() {
+        let graph = PoseGraph::<PlanarPose, 3>::new(2);
+        let named = |ids: &[u64]| NamedGraph::new(ids.to_vec(), graph.clone(), None).map(|_| ());
+        assert_eq!(named(&[1]), Err(NamingError::Count { given: 1, poses: 2 }));
+        assert_eq!(named(&[2, 2]), Err(NamingError::NotAscending(2)));
+        assert_eq!(named(&[2, 5]), Ok(()));
+        let poses = Some(vec![PlanarPose::identity()]);
+        assert_eq!(NamedGraph::new(vec![0, 1], graph, poses), Err(NamingError::Count { given: 1, poses: 2 }));
+    }
+
+    fn number() -> impl Strategy<Value = f64> {
+        prop_oneof![-1e3..1e3f64, -1e-12..1e-12f64, Just(-0.0), Just(1e300), Just(f64::MIN_POSITIVE)]
+    }
+
+    /// A text that anybody may have written.
+    fn text(dimensions: &'static str) -> impl Strategy<Value = String> {
+        let numbers = if dimensions == "SE2" { 3 } else { 7 };
+        let pose = prop::collection::vec(number(), numbers - 1).prop_map(|pose| {
+            // The last number is an angle, or what keeps a quaternion from zero.
+            pose.iter().chain(&[1.25]).map(|number| format!("{number:e}")).collect::<Vec<_>>().join(" ")
+        });
+        let triangle = if dimensions == "SE2" {
+            "2.1 0.3 0 1e4 0 .7"
+        } else {
+            "2.1 .3 0 0 0 0 3 0 0 0 0 4 0 0 0 5 0 .1 6 0 7"
+        };
+        prop::collection::vec((pose, 0..5usize), 5).prop_map(move |rows| {
+            let mut text = String::new();
+            for (id, (pose, other)) in rows.iter().enumerate() {
+                text += &format!("VERTEX_{dimensions} {id} {pose}\n");
+                if *other != id {
+                    text += &format!("EDGE_{dimensions} {id} {other} {pose} {triangle}\n");
                 }
             }
-        }
-        let poses = (!given.is_empty()).then(|| given.into_values().collect());
-        Ok(Self { ids, graph, poses })
-    }
-
-    fn vertices(lines: &[Line<'_>]) -> Result<BTreeMap<u64, P>, G2oError> {
-        let mut vertices = BTreeMap::new();
-        for line in lines.iter().filter(|line| line.tag == Tag::Vertex(P::DIMENSION)) {
-            line.expect(1 + P::NUMBERS)?;
-            let id = line.id(0)?;
-            let numbers = line.numbers(1..1 + P::NUMBERS)?;
-            let pose = P::from_numbers(&numbers).map_err(|problem| line.error(problem))?;
-            if vertices.insert(id, pose).is_some() {
-                return Err(line.error(LineProblem::VertexTwice(id)));
-            }
-        }
-        Ok(vertices)
-    }
-
-    /// Ids of all vertices that edges have, ascending.
-    fn ends(lines: &[Line<'_>]) -> Result<Vec<u64>, G2oError> {
-        let mut ids = Vec::new();
-        for line in lines.iter().filter(|line| line.tag == Tag::Edge(P::DIMENSION)) {
-            line.expect(Self::EDGE_COLUMNS)?;
-            ids.extend([line.id(0)?, line.id(1)?]);
-        }
-        ids.sort_unstable();
-        ids.dedup();
-        Ok(ids)
-    }
-
-    fn edge(line: &Line<'_>, ids: &[u64]) -> Result<Edge<P, D>, G2oError> {
-        line.expect(Self::EDGE_COLUMNS)?;
-        let ((from_id, from), (to_id, to)) = (line.vertex(0, ids)?, line.vertex(1, ids)?);
-        let numbers = line.numbers(2..Self::EDGE_COLUMNS)?;
-        let (pose, upper) = numbers.split_at(P::NUMBERS);
-        let measurement = P::from_numbers(pose).map_err(|problem| line.error(problem))?;
-        let mut information = SMatrix::<f64, D, D>::zeros();
-        let triangle = (0..D).flat_map(|row| (row..D).map(move |column| (row, column)));
-        for ((row, column), &value) in triangle.zip(upper) {
-            information[(row, column)] = value;
-            information[(column, row)] = value;
-        }
-        let kind = if from_id.abs_diff(to_id) == 1 { EdgeKind::Odometry } else { EdgeKind::Closure };
-        Edge::new(from, to, measurement, information, kind).map_err(|error| {
-            line.error(match error {
-                EdgeError::Loop { .. } => LineProblem::Loop(from_id),
-                EdgeError::NotPositiveDefinite { .. } | EdgeError::NotFinite { .. } => {
-                    LineProblem::NotPositiveDefinite { from: from_id, to: to_id }
-                }
-            })
+            text
         })
     }
 
-    fn write(&self) -> Vec<u8> {
-        let mut text = String::new();
-        let (vertex, edge_tag) = (Tag::Vertex(P::DIMENSION).name(), Tag::Edge(P::DIMENSION).name());
-        for (id, pose) in self.ids.iter().zip(self.poses.iter().flatten()) {
-            append(&mut text, format_args!("{vertex} {id}"), pose.numbers());
+    proptest! {
+        #[test]
+        fn what_was_read_is_written_and_read_back_to_the_bit(
+            text in prop_oneof![text("SE2"), text("SE3:QUAT")],
+        ) {
+            let graph = G2o::read(text.as_bytes()).unwrap();
+            let written = graph.write();
+            prop_assert_eq!(G2o::read(&written).unwrap(), graph);
+            prop_assert_eq!(G2o::read(&written).unwrap().write(), written);
         }
-        for (&pose, _) in self.graph.fixed() {
-            append(&mut text, format_args!("FIX {}", self.ids[pose]), []);
-        }
-        for edge in self.graph.edges() {
-            let triangle = (0..D).flat_map(|row| (row..D).map(move |column| edge.information()[(row, column)]));
-            let (from, to) = (self.ids[edge.from()], self.ids[edge.to()]);
-            let numbers = edge.measurement().numbers().into_iter().chain(triangle);
-            append(&mut text, format_args!("{edge_tag} {from} {to}"), numbers);
-        }
-        text.into_bytes()
-    }
-}
 
-/// One line; `{:?}` writes the shortest number that reads back to the same bits.
-fn append(text: &mut String, begin: std::fmt::Arguments<'_>, numbers: impl IntoIterator<Item = f64>) {
-    // Writing to a string cannot fail.
-    let _ = text.write_fmt(begin);
-    for number in numbers {
-        let _ = write!(text, " {number:?}");
+        #[test]
+        fn no_bytes_do_harm(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+            prop_assert!(G2o::read(&bytes).is_err());
+        }
+
+        #[test]
+        fn computed_poses_come_back_to_the_bit(axis in prop::array::uniform3(-2.0..2.0), angle in -20.0..20.0f64) {
+            let turned = Isometry3::new(Vector3::new(0.1, 0.2, 0.3), Vector3::from(axis));
+            let poses = vec![Isometry3::identity(), turned * turned * turned];
+            let mut graph = PoseGraph::new(2);
+            let edge = Edge::new(0, 1, turned, SMatrix::identity(), EdgeKind::Odometry).unwrap();
+            graph.add_edge(edge).unwrap();
+            let graph = G2o::Spatial(NamedGraph::new(vec![0, 1], graph, Some(poses)).unwrap());
+            prop_assert_eq!(G2o::read(&graph.write()).unwrap(), graph);
+
+            let turned = PlanarPose::new(1.0 / 3.0, 0.1, angle);
+            let mut graph = PoseGraph::new(2);
+            let edge = Edge::new(0, 1, turned, SMatrix::identity(), EdgeKind::Odometry).unwrap();
+            graph.add_edge(edge).unwrap();
+            let poses = vec![turned, turned.compose(&turned).inverse()];
+            let graph = G2o::Planar(NamedGraph::new(vec![0, 1], graph, Some(poses)).unwrap());
+            prop_assert_eq!(G2o::read(&graph.write()).unwrap(), graph);
+        }
     }
-    text.push('\n');
 }

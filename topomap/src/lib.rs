@@ -9,4 +9,5 @@ pub mod mapper;
 pub mod motion;
 pub mod odometry;
 pub mod relaxation;
+pub mod trajectory;
 pub mod verification;

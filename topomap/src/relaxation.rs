@@ -90,7 +90,9 @@ pub fn relax<P: Pose<D>, const D: usize>(
             let judging = Judging::new(graph, &first, stop);
             match start {
                 Start::Earlier(earlier) => judging.judge_added(earlier, &first),
-                Start::Odometry | Start::Chordal | Start::Best | Start::Poses(_) => judging.judge_all(start, &first),
+                Start::Odometry | Start::Chordal | Start::Best | Start::Poses(_) => {
+                    judging.judge_all(start, &first)
+                }
             }
         }
         Closures::Trusted => {
@@ -98,7 +100,9 @@ pub fn relax<P: Pose<D>, const D: usize>(
             let mut equations = NormalEquations::new(graph);
             let chordal = || starts::chordal(graph, first.clone(), &weights);
             let Minimum { poses, cost, iterations } = match start {
-                Start::Odometry | Start::Poses(_) | Start::Earlier(_) => equations.minimize(first, &weights, stop),
+                Start::Odometry | Start::Poses(_) | Start::Earlier(_) => {
+                    equations.minimize(first, &weights, stop)
+                }
                 Start::Chordal => equations.minimize(chordal(), &weights, stop),
                 Start::Best => {
                     let one = equations.minimize(chordal(), &weights, stop);

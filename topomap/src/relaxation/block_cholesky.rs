@@ -305,6 +305,8 @@ mod tests {
         assert_eq!(right_side, [1.0, 2.0, 3.0, 4.0]);
         system.set_diagonal([3.0; 4].into_iter());
         assert_eq!(system.solve(&mut right_side), Ok(()));
-        assert!(right_side.iter().zip([-0.6, -0.4, 1.4, 1.6]).all(|(a, b): (&f64, f64)| (a - b).abs() < 1e-12));
+        assert!(
+            right_side.iter().zip([-0.6, -0.4, 1.4, 1.6]).all(|(a, b): (&f64, f64)| (a - b).abs() < 1e-12)
+        );
     }
 }

@@ -74,7 +74,9 @@ impl<'a, P: Pose<D>, const D: usize> Consensus<'a, P, D> {
         };
         let uncertainty = covariances
             .iter()
-            .map(|covariance| trace(covariance, 0..P::SPACE) + squared_length * trace(covariance, P::SPACE..D))
+            .map(|covariance| {
+                trace(covariance, 0..P::SPACE) + squared_length * trace(covariance, P::SPACE..D)
+            })
             .collect();
         let log_volume = log_volume::<P, D>(poses, squared_length.sqrt());
         let (neighbours, search) = (Neighbours::of(graph), Search::new(graph.poses()));
@@ -120,9 +122,8 @@ impl<'a, P: Pose<D>, const D: usize> Consensus<'a, P, D> {
                 let before = undecided.len();
                 undecided.retain(|&closure| {
                     let agreement = self.agreement(closure, &accepted.edges, scale);
-                    let sure = agreement.filter(|found| {
-                        found.nats > nats && found.squared <= P::CHI_SQUARED_MILLION
-                    });
+                    let sure = agreement
+                        .filter(|found| found.nats > nats && found.squared <= P::CHI_SQUARED_MILLION);
                     if let Some(found) = &sure {
                         accepted.edges[closure] = true;
                         squares.push(found.squared);
@@ -210,7 +211,8 @@ pub(super) fn log_volume<P: Pose<D>, const D: usize>(poses: &[P], margin_m: f64)
     let rotations = if P::SPACE == 2 { TAU } else { 8.0 * PI * PI };
     let extent = |axis: usize| {
         let along = poses.iter().map(|pose| pose.position()[axis]);
-        let (low, high) = along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+        let (low, high) =
+            along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
         (high - low + margin_m).max(f64::MIN_POSITIVE)
     };
     (0..P::SPACE).map(|axis| extent(axis).ln()).sum::<f64>() + rotations.ln()
@@ -277,7 +279,12 @@ impl Search {
         None
     }
 
-    fn way_back<P: Pose<D>, const D: usize>(&self, graph: &PoseGraph<P, D>, start: usize, goal: usize) -> Vec<usize> {
+    fn way_back<P: Pose<D>, const D: usize>(
+        &self,
+        graph: &PoseGraph<P, D>,
+        start: usize,
+        goal: usize,
+    ) -> Vec<usize> {
         let (mut way, mut at) = (Vec::new(), goal);
         while at != start {
             let number = self.by_edge[at];

@@ -138,7 +138,8 @@ fn is_positive_definite<const D: usize>(matrix: &SMatrix<f64, D, D>) -> bool {
     if scale.iter().any(|&scale| scale.is_nan() || scale <= 0.0) {
         return false;
     }
-    let scaled = SMatrix::<f64, D, D>::from_fn(|row, column| matrix[(row, column)] / (scale[row] * scale[column]));
+    let scaled =
+        SMatrix::<f64, D, D>::from_fn(|row, column| matrix[(row, column)] / (scale[row] * scale[column]));
     let symmetric = (scaled - scaled.transpose()).amax() <= 1e-9;
     // 1e-6, squared, of the unit diagonal.
     symmetric && scaled.cholesky().is_some_and(|factor| (0..D).all(|i| factor.l_dirty()[(i, i)] > 1e-6))

@@ -114,7 +114,11 @@ impl<'a, P: Pose<D>, const D: usize> NormalEquations<'a, P, D> {
             step.clear();
             step.extend(self.gradient.iter().map(|value| -value));
             let solved = self.matrix.solve(&mut step);
-            let promised = if solved.is_ok() { promised_gain(&step, &self.gradient, &diagonal, damping) } else { f64::NAN };
+            let promised = if solved.is_ok() {
+                promised_gain(&step, &self.gradient, &diagonal, damping)
+            } else {
+                f64::NAN
+            };
             let candidate = self.stepped(&minimum.poses, &step);
             let cost = if promised.is_nan() { f64::NAN } else { self.cost(&candidate, weights) };
             if cost < minimum.cost {

@@ -205,16 +205,21 @@ impl Pose<3> for PlanarPose {
     }
 
     fn nearest(matrix: &Matrix3<f64>, position: &Vector3<f64>) -> Self {
-        let heading =
-            (matrix[(1, 0)] - matrix[(0, 1)]).atan2(matrix[(0, 0)] + matrix[(1, 1)]);
+        let heading = (matrix[(1, 0)] - matrix[(0, 1)]).atan2(matrix[(0, 0)] + matrix[(1, 1)]);
         Self::new(position.x, position.y, heading)
     }
 
     fn adjoint(&self) -> SMatrix<f64, 3, 3> {
         SMatrix::<f64, 3, 3>::new(
-            self.cosine, -self.sine, self.y, //
-            self.sine, self.cosine, -self.x, //
-            0.0, 0.0, 1.0,
+            self.cosine,
+            -self.sine,
+            self.y, //
+            self.sine,
+            self.cosine,
+            -self.x, //
+            0.0,
+            0.0,
+            1.0,
         )
     }
 
@@ -245,7 +250,8 @@ impl Pose<6> for Isometry3<f64> {
 
     fn retract(&self, step: &SVector<f64, 6>) -> Self {
         let moved = self.rotation * step.fixed_rows::<3>(0);
-        let mut rotation = self.rotation * UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned());
+        let mut rotation =
+            self.rotation * UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned());
         // Products of unit quaternions lose their length bit by bit.
         rotation.renormalize_fast();
         Isometry3::from_parts(Translation3::from(self.translation.vector + moved), rotation)
@@ -293,7 +299,8 @@ impl Pose<6> for Isometry3<f64> {
         let decomposition = matrix.svd(true, true);
         let rotation = match (decomposition.u, decomposition.v_t) {
             (Some(u), Some(v_t)) => {
-                let handedness = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+                let handedness =
+                    Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
                 UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * handedness * v_t))
             }
             (Some(_) | None, _) => UnitQuaternion::identity(),

@@ -57,7 +57,8 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
                     Start::Odometry | Start::Poses(_) | Start::Earlier(_) => first.to_vec(),
                 };
                 let tried = self.minimize(from, &weights, FIRST_ITERATIONS);
-                let hopeless = |(least, _): &(f64, Relaxed<P>)| self.truncated(&tried.poses) > HOPELESS * least;
+                let hopeless =
+                    |(least, _): &(f64, Relaxed<P>)| self.truncated(&tried.poses) > HOPELESS * least;
                 if best.as_ref().is_some_and(hopeless) {
                     continue;
                 }
@@ -156,9 +157,10 @@ fn limits<P: Pose<D>, const D: usize>(graph: &PoseGraph<P, D>, poses: &[P]) -> V
     let log_volume = log_volume::<P, D>(poses, 0.0);
     let share = (BY_CHANCE / closures.max(1) as f64).ln() + log_volume - P::UNIT_BALL.ln();
     let limit = |edge: &super::Edge<P, D>| {
-        let log_deviations = edge.information().cholesky().map_or(0.0, |factor| {
-            (0..D).map(|i| factor.l_dirty()[(i, i)].ln()).sum::<f64>()
-        });
+        let log_deviations = edge
+            .information()
+            .cholesky()
+            .map_or(0.0, |factor| (0..D).map(|i| factor.l_dirty()[(i, i)].ln()).sum::<f64>());
         let chance = ((share + log_deviations) * 2.0 / D as f64).exp();
         chance.clamp(P::CHI_SQUARED_MILLION, MOST_DEVIATIONS * MOST_DEVIATIONS)
     };

@@ -10,9 +10,13 @@ use super::pose::Pose;
 
 /// Poses along a spanning tree, from those that are known: along odometry as far as it goes, by closures
 /// where nothing else leads. Parts without a known pose begin with the identity.
-pub(super) fn spanning_tree<P: Pose<D>, const D: usize>(graph: &PoseGraph<P, D>, known: &[Option<P>]) -> Vec<P> {
+pub(super) fn spanning_tree<P: Pose<D>, const D: usize>(
+    graph: &PoseGraph<P, D>,
+    known: &[Option<P>],
+) -> Vec<P> {
     let neighbours = Neighbours::of(graph);
-    let mut poses: Vec<Option<P>> = (0..graph.poses()).map(|pose| known.get(pose).copied().flatten()).collect();
+    let mut poses: Vec<Option<P>> =
+        (0..graph.poses()).map(|pose| known.get(pose).copied().flatten()).collect();
     let mut fresh: Vec<usize> = (0..poses.len()).filter(|&pose| poses[pose].is_some()).collect();
     let [mut by_odometry, mut by_closure] = [VecDeque::new(), VecDeque::new()];
     let mut lowest = 0;
@@ -58,8 +62,16 @@ fn across<P: Pose<D>, const D: usize>(edge: &Edge<P, D>, pose: usize, poses: &[O
 /// Rotations are relaxed as plain matrices (minimal Σ κ |R_j - R_i R_ij|²) and brought back to the nearest
 /// rotation; see L. Carlone and others, "Initialization Techniques for 3D SLAM", ICRA 2015. Anchors stay where
 /// `start` has them.
-pub(super) fn chordal<P: Pose<D>, const D: usize>(graph: &PoseGraph<P, D>, start: Vec<P>, weights: &[f64]) -> Vec<P> {
-    if P::SPACE == 2 { chordal_in::<P, D, 2>(graph, start, weights) } else { chordal_in::<P, D, 3>(graph, start, weights) }
+pub(super) fn chordal<P: Pose<D>, const D: usize>(
+    graph: &PoseGraph<P, D>,
+    start: Vec<P>,
+    weights: &[f64],
+) -> Vec<P> {
+    if P::SPACE == 2 {
+        chordal_in::<P, D, 2>(graph, start, weights)
+    } else {
+        chordal_in::<P, D, 3>(graph, start, weights)
+    }
 }
 
 fn chordal_in<P: Pose<D>, const D: usize, const S: usize>(
