@@ -77,37 +77,33 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
 
     /// Judges only what was added since `earlier`, and all if that leaves a contradiction.
     ///
-    /// A closure that is added is wrong if it raises the cost by more than noise would and the surest way around
-    /// it leads elsewhere. When two, four, eight closures and so on have been left out, it may be that one accepted
-    /// before is the wrong one: then all are judged.
+    /// A closure that is added is wrong if the surest way around it leads elsewhere. It may be, though, that one
+    /// accepted before is the wrong one. So all are judged if one that is kept no longer fits, or those that were
+    /// added raise the cost by more than noise would; and when two, four, eight and so on have been left out.
     pub(super) fn judge_added(mut self, earlier: &Relaxed<P>, first: &[P]) -> Relaxed<P> {
-        let known = earlier.weights.len().min(self.graph.edges().len());
-        let mut weights: Vec<f64> = earlier.weights[..known].to_vec();
-        weights.resize(self.graph.edges().len(), 1.0);
-        let mut minimum = self.minimize(first.to_vec(), &weights, usize::MAX);
-        let added: Vec<usize> = (known..weights.len())
-            .filter(|&edge| self.graph.edges()[edge].kind() == EdgeKind::Closure)
-            .collect();
-        let raised = minimum.cost - earlier.cost;
-        if !added.is_empty() && raised > P::CHI_SQUARED_MILLION {
+        let edges = self.graph.edges();
+        let known = earlier.weights.len().min(edges.len());
+        let mut accepted: Vec<bool> = earlier.weights[..known].iter().map(|&weight| weight > 0.0).collect();
+        let left_out = |accepted: &[bool]| accepted.iter().filter(|&&accepted| !accepted).count();
+        let left_out_before = left_out(&accepted);
+        accepted.extend(edges[known..].iter().map(|edge| edge.kind() == EdgeKind::Odometry));
+        let added: Vec<usize> = (known..edges.len()).filter(|&edge| !accepted[edge]).collect();
+        if !added.is_empty() {
             let mut consensus = Consensus::new(self.graph, first);
-            let mut accepted: Vec<bool> = weights.iter().map(|&weight| weight > 0.0).collect();
-            added.iter().for_each(|&closure| accepted[closure] = false);
             for &closure in &added {
                 accepted[closure] = consensus.agrees(closure, &accepted);
             }
-            let judged: Vec<f64> = accepted.into_iter().map(weight).collect();
-            if judged != weights {
-                let left_out = judged.iter().filter(|&&weight| weight == 0.0).count();
-                let before = weights.iter().filter(|&&weight| weight == 0.0).count();
-                if left_out >= 2 && left_out.ilog2() > before.max(1).ilog2() {
-                    return self.judge_all(Start::Earlier(earlier), first);
-                }
-                weights = judged;
-                minimum = self.minimize(first.to_vec(), &weights, usize::MAX);
-            }
         }
-        let Minimum { poses, cost, iterations: _ } = minimum;
+        let left_out = left_out(&accepted);
+        if left_out > left_out_before && left_out >= 2 && left_out.ilog2() > left_out_before.max(1).ilog2() {
+            return self.judge_all(Start::Earlier(earlier), first);
+        }
+        let weights: Vec<f64> = accepted.into_iter().map(weight).collect();
+        let Minimum { poses, cost, iterations: _ } = self.minimize(first.to_vec(), &weights, usize::MAX);
+        let raised = cost - earlier.cost > P::CHI_SQUARED_MILLION * added.len() as f64;
+        if !added.is_empty() && (raised || weights != self.fitting(&poses, &weights)) {
+            return self.judge_all(Start::Earlier(earlier), first);
+        }
         Relaxed { poses, cost, iterations: self.iterations, weights }
     }
 
@@ -115,10 +111,7 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
     fn settle(&mut self, start: Vec<P>, mut weights: Vec<f64>) -> Relaxed<P> {
         let mut minimum = self.minimize(start, &weights, usize::MAX);
         for _ in 0..MAX_ROUNDS {
-            let fits = |(edge, limit): (&super::Edge<P, D>, &f64)| {
-                weight(edge.kind() == EdgeKind::Odometry || edge.cost(&minimum.poses) <= *limit)
-            };
-            let judged: Vec<f64> = self.graph.edges().iter().zip(&self.limits).map(fits).collect();
+            let judged = self.fitting(&minimum.poses, &vec![1.0; weights.len()]);
             if judged == weights {
                 break;
             }
@@ -127,6 +120,15 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
         }
         let Minimum { poses, cost, iterations: _ } = minimum;
         Relaxed { poses, cost, iterations: self.iterations, weights }
+    }
+
+    /// Weights without the closures that do not fit.
+    fn fitting(&self, poses: &[P], weights: &[f64]) -> Vec<f64> {
+        let edges = self.graph.edges().iter().zip(&self.limits);
+        let fits = |(edge, limit): (&super::Edge<P, D>, &f64)| {
+            edge.kind() == EdgeKind::Odometry || edge.cost(poses) <= *limit
+        };
+        edges.map(fits).zip(weights).map(|(fits, &given)| if fits { given } else { 0.0 }).collect()
     }
 
     fn minimize(&mut self, start: Vec<P>, weights: &[f64], max_iterations: usize) -> Minimum<P> {
