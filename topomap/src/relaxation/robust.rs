@@ -69,10 +69,11 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
                 }
             }
         }
-        match best {
-            Some((_, relaxed)) => Relaxed { iterations: self.iterations, ..relaxed },
+        let relaxed = match best {
+            Some((_, relaxed)) => self.without_misfits(relaxed),
             None => self.settle(first.to_vec(), vec![1.0; self.graph.edges().len()]),
-        }
+        };
+        Relaxed { iterations: self.iterations, ..relaxed }
     }
 
     /// Judges only what was added since `earlier`, and all if that leaves a contradiction.
@@ -120,6 +121,30 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
         }
         let Minimum { poses, cost, iterations: _ } = minimum;
         Relaxed { poses, cost, iterations: self.iterations, weights }
+    }
+
+    /// Leaves out closures that cost more than noise would, worst first, where that gains more than it takes.
+    fn without_misfits(&mut self, relaxed: Relaxed<P>) -> Relaxed<P> {
+        let mut best = relaxed;
+        let mut misfits: Vec<(f64, usize)> = Vec::new();
+        for (number, edge) in self.graph.edges().iter().enumerate() {
+            let cost = edge.cost(&best.poses);
+            if edge.kind() == EdgeKind::Closure && best.weights[number] > 0.0 && cost > P::CHI_SQUARED_MILLION
+            {
+                misfits.push((cost, number));
+            }
+        }
+        misfits.sort_by(|one, other| other.0.total_cmp(&one.0));
+        for &(_, misfit) in misfits.iter().take(MAX_UNSURE) {
+            let mut weights = best.weights.clone();
+            weights[misfit] = 0.0;
+            let Minimum { poses, cost, iterations: _ } =
+                self.minimize(best.poses.clone(), &weights, usize::MAX);
+            if self.truncated(&poses) < self.truncated(&best.poses) {
+                best = Relaxed { poses, cost, iterations: self.iterations, weights };
+            }
+        }
+        best
     }
 
     /// Weights without the closures that do not fit.
