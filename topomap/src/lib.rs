@@ -4,8 +4,11 @@
 
 pub mod checkpoint;
 pub mod event;
+pub mod g2o;
 pub mod map;
 pub mod mapper;
 pub mod motion;
 pub mod odometry;
+pub mod relaxation;
+pub mod trajectory;
 pub mod verification;

@@ -1,0 +1,433 @@
+//! The two groups that poses come from, SE(2) and SE(3), and how far an edge is from being met.
+
+use std::f64::consts::PI;
+use std::fmt::Debug;
+
+use nalgebra::{Isometry3, Matrix3, Rotation3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3};
+
+/// A pose with `D` degrees of freedom, and all that relaxation asks of its group.
+///
+/// Steps are taken on the right: the first components move the pose along its own axes, in metres, the rest
+/// turn it about them, in radians.
+pub trait Pose<const D: usize>: Copy + Debug + PartialEq + Send + Sync {
+    /// Dimensions of space: 2 or 3.
+    const SPACE: usize;
+    /// What a squared error of unit variances exceeds once in a million cases: a quantile of χ².
+    const CHI_SQUARED_MILLION: f64;
+    /// What it exceeds in every other case.
+    const CHI_SQUARED_MEDIAN: f64;
+    /// Volume of the ball of radius 1 in `D` dimensions.
+    const UNIT_BALL: f64;
+
+    /// No motion.
+    fn identity() -> Self;
+
+    /// `other`, given relative to this pose, in this pose's own frame.
+    #[must_use]
+    fn compose(&self, other: &Self) -> Self;
+
+    /// The pose of this one's frame relative to it.
+    #[must_use]
+    fn inverse(&self) -> Self;
+
+    /// The pose a step away.
+    #[must_use]
+    fn retract(&self, step: &SVector<f64, D>) -> Self;
+
+    /// What is left of `measurement⁻¹ (from⁻¹ to)`, as a vector: zero where the edge is met exactly.
+    fn error(measurement: &Self, from: &Self, to: &Self) -> SVector<f64, D>;
+
+    /// The error with its derivatives.
+    fn linearized(measurement: &Self, from: &Self, to: &Self) -> Linearized<D>;
+
+    /// The rotation, in the upper left corner where space is a plane.
+    fn rotation(&self) -> Matrix3<f64>;
+
+    /// The position, its last component zero where space is a plane.
+    fn position(&self) -> Vector3<f64>;
+
+    /// The pose at a position, with the rotation that is closest to a matrix.
+    fn nearest(matrix: &Matrix3<f64>, position: &Vector3<f64>) -> Self;
+
+    /// What a step at this pose is as a step at the origin that carries the pose along.
+    fn adjoint(&self) -> SMatrix<f64, D, D>;
+
+    /// Whether all its numbers are finite.
+    fn is_finite(&self) -> bool;
+}
+
+/// An error and what it changes by for steps of either pose.
+#[derive(Clone, Copy, Debug)]
+pub struct Linearized<const D: usize> {
+    /// [`Pose::error`].
+    pub error: SVector<f64, D>,
+    /// Its derivative by a step of the pose that the edge leaves.
+    pub by_from: SMatrix<f64, D, D>,
+    /// Its derivative by a step of the pose that the edge leads to.
+    pub by_to: SMatrix<f64, D, D>,
+}
+
+/// A pose in the plane: SE(2). Metres and radians; the heading lies in (-π, π].
+#[derive(Clone, Copy, Debug)]
+pub struct PlanarPose {
+    x: f64,
+    y: f64,
+    heading: f64,
+    cosine: f64,
+    sine: f64,
+}
+
+impl PlanarPose {
+    /// A heading beyond half a turn comes to the same one within.
+    #[must_use]
+    pub fn new(x_m: f64, y_m: f64, heading_rad: f64) -> Self {
+        let heading = wrapped(heading_rad);
+        let (sine, cosine) = heading.sin_cos();
+        Self { x: x_m, y: y_m, heading, cosine, sine }
+    }
+
+    /// What is left of a pose in space that is seen from above: x, y and yaw.
+    #[must_use]
+    pub fn seen_from_above(pose: &Isometry3<f64>) -> Self {
+        let (_, _, yaw) = pose.rotation.euler_angles();
+        Self::new(pose.translation.x, pose.translation.y, yaw)
+    }
+
+    /// The pose in space, on the ground.
+    #[must_use]
+    pub fn on_the_ground(&self) -> Isometry3<f64> {
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.heading);
+        Isometry3::from_parts(Translation3::new(self.x, self.y, 0.0), rotation)
+    }
+
+    /// Position along x, in metres.
+    #[must_use]
+    pub fn x_m(&self) -> f64 {
+        self.x
+    }
+
+    /// Position along y, in metres.
+    #[must_use]
+    pub fn y_m(&self) -> f64 {
+        self.y
+    }
+
+    /// Angle from the x axis, counterclockwise, in radians.
+    #[must_use]
+    pub fn heading_rad(&self) -> f64 {
+        self.heading
+    }
+
+    fn turned(&self, x: f64, y: f64) -> [f64; 2] {
+        [self.cosine * x - self.sine * y, self.sine * x + self.cosine * y]
+    }
+
+    fn turned_back(&self, x: f64, y: f64) -> [f64; 2] {
+        [self.cosine * x + self.sine * y, self.cosine * y - self.sine * x]
+    }
+}
+
+/// Sine and cosine follow from the heading.
+impl PartialEq for PlanarPose {
+    fn eq(&self, other: &Self) -> bool {
+        [self.x, self.y, self.heading] == [other.x, other.y, other.heading]
+    }
+}
+
+/// The same angle in (-π, π]; one that lies there already keeps its bits.
+fn wrapped(angle: f64) -> f64 {
+    if angle > -PI && angle <= PI {
+        return angle;
+    }
+    let within = angle - (angle / (2.0 * PI)).round() * (2.0 * PI);
+    if within <= -PI { PI } else { within.min(PI) }
+}
+
+impl Pose<3> for PlanarPose {
+    const SPACE: usize = 2;
+    const CHI_SQUARED_MILLION: f64 = 30.665;
+    const CHI_SQUARED_MEDIAN: f64 = 2.366;
+    const UNIT_BALL: f64 = 4.0 / 3.0 * PI;
+
+    fn identity() -> Self {
+        Self { x: 0.0, y: 0.0, heading: 0.0, cosine: 1.0, sine: 0.0 }
+    }
+
+    fn compose(&self, other: &Self) -> Self {
+        let [x, y] = self.turned(other.x, other.y);
+        Self::new(self.x + x, self.y + y, self.heading + other.heading)
+    }
+
+    fn inverse(&self) -> Self {
+        let [x, y] = self.turned_back(-self.x, -self.y);
+        Self::new(x, y, -self.heading)
+    }
+
+    fn retract(&self, step: &SVector<f64, 3>) -> Self {
+        let [x, y] = self.turned(step[0], step[1]);
+        Self::new(self.x + x, self.y + y, self.heading + step[2])
+    }
+
+    fn error(measurement: &Self, from: &Self, to: &Self) -> SVector<f64, 3> {
+        let [x, y] = from.turned_back(to.x - from.x, to.y - from.y);
+        let [x, y] = measurement.turned_back(x - measurement.x, y - measurement.y);
+        SVector::from([x, y, wrapped(to.heading - from.heading - measurement.heading)])
+    }
+
+    fn linearized(measurement: &Self, from: &Self, to: &Self) -> Linearized<3> {
+        let [x, y] = from.turned_back(to.x - from.x, to.y - from.y);
+        let [error_x, error_y] = measurement.turned_back(x - measurement.x, y - measurement.y);
+        let error =
+            SVector::from([error_x, error_y, wrapped(to.heading - from.heading - measurement.heading)]);
+        let (cosine, sine) = (measurement.cosine, measurement.sine);
+        let [turn_x, turn_y] = measurement.turned_back(y, -x);
+        let by_from = SMatrix::<f64, 3, 3>::new(
+            -cosine, -sine, turn_x, //
+            sine, -cosine, turn_y, //
+            0.0, 0.0, -1.0,
+        );
+        let [forward_x, forward_y] = from.turned_back(to.cosine, to.sine);
+        let [forward_x, forward_y] = measurement.turned_back(forward_x, forward_y);
+        let by_to = SMatrix::<f64, 3, 3>::new(
+            forward_x, -forward_y, 0.0, //
+            forward_y, forward_x, 0.0, //
+            0.0, 0.0, 1.0,
+        );
+        Linearized { error, by_from, by_to }
+    }
+
+    fn rotation(&self) -> Matrix3<f64> {
+        Matrix3::new(self.cosine, -self.sine, 0.0, self.sine, self.cosine, 0.0, 0.0, 0.0, 1.0)
+    }
+
+    fn position(&self) -> Vector3<f64> {
+        Vector3::new(self.x, self.y, 0.0)
+    }
+
+    fn nearest(matrix: &Matrix3<f64>, position: &Vector3<f64>) -> Self {
+        let heading = (matrix[(1, 0)] - matrix[(0, 1)]).atan2(matrix[(0, 0)] + matrix[(1, 1)]);
+        Self::new(position.x, position.y, heading)
+    }
+
+    fn adjoint(&self) -> SMatrix<f64, 3, 3> {
+        SMatrix::<f64, 3, 3>::new(
+            self.cosine,
+            -self.sine,
+            self.y, //
+            self.sine,
+            self.cosine,
+            -self.x, //
+            0.0,
+            0.0,
+            1.0,
+        )
+    }
+
+    fn is_finite(&self) -> bool {
+        self.x.is_finite() && self.y.is_finite() && self.heading.is_finite()
+    }
+}
+
+/// SE(3). The rotation enters the error as the vector part of its unit quaternion with w ≥ 0: the sine of
+/// half the angle.
+impl Pose<6> for Isometry3<f64> {
+    const SPACE: usize = 3;
+    const CHI_SQUARED_MILLION: f64 = 38.258;
+    const CHI_SQUARED_MEDIAN: f64 = 5.348;
+    const UNIT_BALL: f64 = PI * PI * PI / 6.0;
+
+    fn identity() -> Self {
+        Isometry3::identity()
+    }
+
+    fn compose(&self, other: &Self) -> Self {
+        self * other
+    }
+
+    fn inverse(&self) -> Self {
+        Isometry3::inverse(self)
+    }
+
+    fn retract(&self, step: &SVector<f64, 6>) -> Self {
+        let moved = self.rotation * step.fixed_rows::<3>(0);
+        let mut rotation =
+            self.rotation * UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned());
+        // Products of unit quaternions lose their length bit by bit.
+        rotation.renormalize_fast();
+        Isometry3::from_parts(Translation3::from(self.translation.vector + moved), rotation)
+    }
+
+    fn error(measurement: &Self, from: &Self, to: &Self) -> SVector<f64, 6> {
+        let left = measurement.inv_mul(&from.inv_mul(to));
+        let quaternion = left.rotation.quaternion();
+        let sign = if quaternion.w < 0.0 { -1.0 } else { 1.0 };
+        let (position, vector) = (&left.translation.vector, quaternion.imag() * sign);
+        SVector::from([position.x, position.y, position.z, vector.x, vector.y, vector.z])
+    }
+
+    fn linearized(measurement: &Self, from: &Self, to: &Self) -> Linearized<6> {
+        let relative = from.inv_mul(to);
+        let left = measurement.inv_mul(&relative);
+        let quaternion = left.rotation.quaternion();
+        let sign = if quaternion.w < 0.0 { -1.0 } else { 1.0 };
+        let (scalar, vector) = (quaternion.w * sign, quaternion.imag() * sign);
+        let mut error = SVector::<f64, 6>::zeros();
+        error.fixed_rows_mut::<3>(0).copy_from(&left.translation.vector);
+        error.fixed_rows_mut::<3>(3).copy_from(&vector);
+
+        let back = measurement.rotation.inverse().to_rotation_matrix().into_inner();
+        let (upright, across) = (Matrix3::identity() * scalar, vector.cross_matrix());
+        let mut by_from = SMatrix::<f64, 6, 6>::zeros();
+        by_from.fixed_view_mut::<3, 3>(0, 0).copy_from(&-back);
+        by_from.fixed_view_mut::<3, 3>(0, 3).copy_from(&(back * relative.translation.vector.cross_matrix()));
+        by_from.fixed_view_mut::<3, 3>(3, 3).copy_from(&((upright - across) * back * -0.5));
+        let mut by_to = SMatrix::<f64, 6, 6>::zeros();
+        by_to.fixed_view_mut::<3, 3>(0, 0).copy_from(left.rotation.to_rotation_matrix().matrix());
+        by_to.fixed_view_mut::<3, 3>(3, 3).copy_from(&((upright + across) * 0.5));
+        Linearized { error, by_from, by_to }
+    }
+
+    fn rotation(&self) -> Matrix3<f64> {
+        self.rotation.to_rotation_matrix().into_inner()
+    }
+
+    fn position(&self) -> Vector3<f64> {
+        self.translation.vector
+    }
+
+    fn nearest(matrix: &Matrix3<f64>, position: &Vector3<f64>) -> Self {
+        let decomposition = matrix.svd(true, true);
+        let rotation = match (decomposition.u, decomposition.v_t) {
+            (Some(u), Some(v_t)) => {
+                let handedness =
+                    Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+                UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * handedness * v_t))
+            }
+            (Some(_) | None, _) => UnitQuaternion::identity(),
+        };
+        Isometry3::from_parts(Translation3::from(*position), rotation)
+    }
+
+    fn adjoint(&self) -> SMatrix<f64, 6, 6> {
+        let rotation = self.rotation.to_rotation_matrix().into_inner();
+        let mut adjoint = SMatrix::<f64, 6, 6>::zeros();
+        adjoint.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+        adjoint.fixed_view_mut::<3, 3>(0, 3).copy_from(&(self.translation.vector.cross_matrix() * rotation));
+        adjoint.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+        adjoint
+    }
+
+    fn is_finite(&self) -> bool {
+        let finite = |value: &f64| value.is_finite();
+        self.translation.vector.iter().all(finite) && self.rotation.coords.iter().all(finite)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// The oracle of the analytic derivatives: central differences.
+    fn differences<const D: usize, P: Pose<D>>(measurement: &P, from: &P, to: &P) -> Linearized<D> {
+        const STEP: f64 = 1e-6;
+        let [mut by_from, mut by_to] = [SMatrix::<f64, D, D>::zeros(); 2];
+        for i in 0..D {
+            let mut step = SVector::<f64, D>::zeros();
+            step[i] = STEP;
+            let slope = |error: &dyn Fn(&SVector<f64, D>) -> SVector<f64, D>| {
+                (error(&step) - error(&-step)) / (2.0 * STEP)
+            };
+            by_from.set_column(i, &slope(&|step| P::error(measurement, &from.retract(step), to)));
+            by_to.set_column(i, &slope(&|step| P::error(measurement, from, &to.retract(step))));
+        }
+        Linearized { error: P::error(measurement, from, to), by_from, by_to }
+    }
+
+    fn agree<const D: usize>(analytic: &Linearized<D>, numeric: &Linearized<D>) -> bool {
+        (analytic.error - numeric.error).amax() < 1e-12
+            && (analytic.by_from - numeric.by_from).amax() < 1e-6
+            && (analytic.by_to - numeric.by_to).amax() < 1e-6
+    }
+
+    fn planar() -> impl Strategy<Value = PlanarPose> {
+        (-9.0..9.0, -9.0..9.0, -3.1..3.1).prop_map(|(x, y, heading)| PlanarPose::new(x, y, heading))
+    }
+
+    fn spatial() -> impl Strategy<Value = Isometry3<f64>> {
+        (prop::array::uniform3(-9.0..9.0), prop::array::uniform3(-1.7..1.7))
+            .prop_map(|(position, axis)| Isometry3::new(Vector3::from(position), Vector3::from(axis)))
+    }
+
+    proptest! {
+        #[test]
+        fn planar_derivatives_are_what_differences_say(m in planar(), from in planar(), to in planar()) {
+            // Half a turn is where the error itself jumps.
+            prop_assume!(PlanarPose::error(&m, &from, &to)[2].abs() < 3.1);
+            prop_assert!(agree(&PlanarPose::linearized(&m, &from, &to), &differences(&m, &from, &to)));
+        }
+
+        #[test]
+        fn spatial_derivatives_are_what_differences_say(m in spatial(), from in spatial(), to in spatial()) {
+            prop_assume!(Isometry3::error(&m, &from, &to).fixed_rows::<3>(3).norm() < 0.999);
+            prop_assert!(agree(&Isometry3::linearized(&m, &from, &to), &differences(&m, &from, &to)));
+        }
+
+        #[test]
+        fn a_step_at_a_pose_is_its_adjoint_at_the_origin(
+            planar in planar(),
+            spatial in spatial(),
+            numbers in prop::array::uniform6(-1e-5..1e-5f64),
+        ) {
+            let step = SVector::from(numbers);
+            let at_origin = Isometry3::identity().retract(&(spatial.adjoint() * step)).compose(&spatial);
+            prop_assert!(Isometry3::error(&Isometry3::identity(), &at_origin, &spatial.retract(&step)).amax() < 1e-7);
+            let step = SVector::from([numbers[0], numbers[1], numbers[2]]);
+            let at_origin = PlanarPose::identity().retract(&(planar.adjoint() * step)).compose(&planar);
+            prop_assert!(PlanarPose::error(&PlanarPose::identity(), &at_origin, &planar.retract(&step)).amax() < 1e-8);
+        }
+
+        #[test]
+        fn an_edge_that_is_met_has_no_error(m in planar(), from in planar(), n in spatial(), start in spatial()) {
+            prop_assert!(PlanarPose::error(&m, &from, &from.compose(&m)).amax() < 1e-13);
+            prop_assert!(Isometry3::error(&n, &start, &start.compose(&n)).amax() < 1e-13);
+            let round = from.compose(&m).compose(&m.inverse());
+            prop_assert!(PlanarPose::error(&PlanarPose::identity(), &from, &round).amax() < 1e-13);
+        }
+
+        #[test]
+        fn the_nearest_rotation_of_a_rotation_is_itself(planar in planar(), spatial in spatial()) {
+            let again = PlanarPose::nearest(&(planar.rotation() * 3.0), &planar.position());
+            prop_assert!(PlanarPose::error(&PlanarPose::identity(), &planar, &again).amax() < 1e-13);
+            let again = Isometry3::nearest(&(spatial.rotation() * 3.0), &spatial.position());
+            prop_assert!(Isometry3::error(&Isometry3::identity(), &spatial, &again).amax() < 1e-13);
+        }
+
+        #[test]
+        fn wrapping_keeps_the_direction(angle in -100.0..100.0f64) {
+            let within = wrapped(angle);
+            prop_assert!(within > -PI && within <= PI);
+            prop_assert!((angle.cos() - within.cos()).abs() + (angle.sin() - within.sin()).abs() < 1e-12);
+            prop_assert_eq!(wrapped(within).to_bits(), within.to_bits());
+        }
+    }
+
+    #[test]
+    fn errors_by_hand() {
+        let (origin, ahead) = (PlanarPose::identity(), PlanarPose::new(2.0, 0.0, 0.5));
+        let error = PlanarPose::error(&PlanarPose::new(1.0, 0.0, PI / 2.0), &origin, &ahead);
+        assert!((error - SVector::from([0.0, -1.0, 0.5 - PI / 2.0])).amax() < 1e-15);
+
+        let turned = Isometry3::new(Vector3::new(0.0, 0.0, 3.0), Vector3::new(0.2, 0.0, 0.0));
+        let error = Isometry3::error(&Isometry3::identity(), &Isometry3::identity(), &turned);
+        assert!((error - SVector::from([0.0, 0.0, 3.0, 0.1f64.sin(), 0.0, 0.0])).amax() < 1e-15);
+    }
+
+    #[test]
+    fn a_planar_pose_survives_the_way_through_space() {
+        let pose = PlanarPose::new(1.0, -2.0, 2.5);
+        let again = PlanarPose::seen_from_above(&pose.on_the_ground());
+        assert!(PlanarPose::error(&PlanarPose::identity(), &pose, &again).amax() < 1e-15);
+    }
+}
