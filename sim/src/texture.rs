@@ -1,0 +1,204 @@
+//! What surfaces look like: painted by a seed, and looked up without aliasing.
+
+mod canvas;
+mod materials;
+
+use crate::random::derived_seed;
+
+pub use materials::Material;
+
+/// How a surface is to be painted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Surface {
+    /// What it is made of.
+    pub material: Material,
+    /// Colours and patterns that all surfaces of a room, or of all rooms that look alike, have in common.
+    pub style: u64,
+    /// What look-alikes of this very surface have in common: every stain and every poster.
+    pub family: u64,
+    /// What is this surface's alone.
+    pub own: u64,
+    /// Share of the surface, in patches of half a metre, that is its own; the rest it shares with its family.
+    pub own_share: f64,
+}
+
+impl Surface {
+    /// A surface like no other.
+    #[must_use]
+    pub fn unique(material: Material, style: u64, own: u64) -> Self {
+        Self { material, style, family: own, own, own_share: 1.0 }
+    }
+
+    /// Another surface of the same kind.
+    #[must_use]
+    pub fn part(&self, number: u64) -> Self {
+        Self { family: derived_seed(self.family, number), own: derived_seed(self.own, number), ..*self }
+    }
+}
+
+/// Grey values of a rectangle in levels of detail, each half as large as the one before (L. Williams, Pyramidal
+/// parametrics, SIGGRAPH 1983).
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Texture {
+    texels_per_m: f32,
+    levels: Vec<Level>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Level {
+    width: usize,
+    height: usize,
+    texels: Vec<u8>,
+}
+
+/// The piece of a texture that one pixel sees.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Footprint {
+    /// Its longer side, in metres to the right and down.
+    pub(crate) major_m: [f32; 2],
+    /// Length of its shorter side.
+    pub(crate) minor_m: f32,
+}
+
+/// How much longer than wide the piece of one look-up may be; longer ones take several, up to this number.
+const MAX_LOOKUPS: f32 = 4.0;
+
+impl Texture {
+    /// Paints `width_m` by `height_m` of a surface; both must be above 0.
+    pub(crate) fn paint(surface: &Surface, width_m: f64, height_m: f64) -> Self {
+        let canvas = materials::paint(surface, width_m, height_m);
+        let mut levels =
+            vec![Level { width: canvas.width, height: canvas.height, texels: canvas.to_bytes() }];
+        while let Some(half) = levels.last().and_then(Level::half) {
+            levels.push(half);
+        }
+        Self { texels_per_m: canvas.texels_per_m as f32, levels }
+    }
+
+    /// The mean grey value around a point, in metres from the upper left corner.
+    pub(crate) fn sample(&self, x_m: f32, y_m: f32, footprint: &Footprint) -> f32 {
+        let [major_x, major_y] = footprint.major_m.map(|side| side * self.texels_per_m);
+        let major = (major_x * major_x + major_y * major_y).sqrt();
+        let width = (footprint.minor_m * self.texels_per_m).max(major / MAX_LOOKUPS).max(1.0);
+        let lookups = (major / width).clamp(1.0, MAX_LOOKUPS).round();
+        let detail = log2(width).min((self.levels.len() - 1) as f32);
+        let (x, y) = (x_m * self.texels_per_m, y_m * self.texels_per_m);
+        let mut sum = 0.0;
+        for lookup in 0..lookups as u32 {
+            let aside = (lookup as f32 + 0.5) / lookups - 0.5;
+            sum += self.at_detail(x + aside * major_x, y + aside * major_y, detail);
+        }
+        sum / lookups
+    }
+
+    fn at_detail(&self, x: f32, y: f32, detail: f32) -> f32 {
+        let level = detail as usize;
+        let (share, scale) = (detail - level as f32, 1.0 / (1_u32 << level) as f32);
+        let fine = self.levels[level].at(x * scale, y * scale);
+        match self.levels.get(level + 1) {
+            Some(coarse) if share > 0.0 => {
+                fine + share * (coarse.at(x * scale * 0.5, y * scale * 0.5) - fine)
+            }
+            Some(_) | None => fine,
+        }
+    }
+}
+
+impl Level {
+    /// Bilinear; the border goes on for ever.
+    fn at(&self, x: f32, y: f32) -> f32 {
+        let (x, y) = (x - 0.5, y - 0.5);
+        let x = x.clamp(0.0, (self.width - 1) as f32);
+        let y = y.clamp(0.0, (self.height - 1) as f32);
+        let (column, row) = (x as usize, y as usize);
+        let (right, below) = ((column + 1).min(self.width - 1), (row + 1).min(self.height - 1));
+        let (x, y) = (x - column as f32, y - row as f32);
+        let texel = |column: usize, row: usize| f32::from(self.texels[row * self.width + column]);
+        let upper = texel(column, row) + x * (texel(right, row) - texel(column, row));
+        let lower = texel(column, below) + x * (texel(right, below) - texel(column, below));
+        upper + y * (lower - upper)
+    }
+
+    fn half(&self) -> Option<Level> {
+        let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
+        if self.width.max(self.height) == 1 {
+            return None;
+        }
+        let texel = |column: usize, row: usize| {
+            u32::from(self.texels[row.min(self.height - 1) * self.width + column.min(self.width - 1)])
+        };
+        let mean = |column: usize, row: usize| {
+            let sum = texel(column, row)
+                + texel(column + 1, row)
+                + texel(column, row + 1)
+                + texel(column + 1, row + 1);
+            ((sum + 2) / 4) as u8
+        };
+        let rows = (0..height).flat_map(|row| (0..width).map(move |column| (2 * column, 2 * row)));
+        Some(Level { width, height, texels: rows.map(|(column, row)| mean(column, row)).collect() })
+    }
+}
+
+/// Of a number of at least 1: exact at powers of two and straight between them.
+fn log2(value: f32) -> f32 {
+    let bits = value.to_bits();
+    let exponent = (bits >> 23) as i32 - 127;
+    exponent as f32 + (f32::from_bits((bits & 0x007f_ffff) | 0x3f80_0000) - 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn texture(own: u64, own_share: f64) -> Texture {
+        let surface = Surface { material: Material::Plaster, style: 1, family: 2, own, own_share };
+        Texture::paint(&surface, 3.0, 2.0)
+    }
+
+    fn differing(a: &Texture, b: &Texture) -> f64 {
+        let (a, b) = (&a.levels[0].texels, &b.levels[0].texels);
+        a.iter().zip(b).filter(|(a, b)| a.abs_diff(**b) > 4).count() as f64 / a.len() as f64
+    }
+
+    #[test]
+    fn look_alikes_differ_in_the_share_that_is_their_own() {
+        assert_eq!(texture(1, 0.0), texture(2, 0.0));
+        let (some, all) =
+            (differing(&texture(1, 0.2), &texture(2, 0.2)), differing(&texture(1, 1.0), &texture(2, 1.0)));
+        assert!((0.03..0.45).contains(&some), "{some} of look-alikes differs");
+        assert!(
+            all > 2.0 * some && all > 0.5,
+            "{all} of surfaces of their own differs, {some} of look-alikes"
+        );
+    }
+
+    proptest! {
+        /// A pixel that sees much sees the mean of it: against the sum over all texels.
+        #[test]
+        fn coarse_looks_are_means(x in 0.6..2.4f32, y in 0.6..1.4f32, side in 0.05..0.4f32) {
+            let texture = texture(5, 1.0);
+            let footprint = Footprint { major_m: [side, 0.0], minor_m: side };
+            let found = texture.sample(x, y, &footprint);
+            let density = texture.texels_per_m;
+            let texels = |middle: f32| {
+                (((middle - side) * density) as usize)..(((middle + side) * density) as usize)
+            };
+            let fine = &texture.levels[0];
+            let all = texels(y).flat_map(|row| texels(x).map(move |column| f32::from(fine.texels[row * fine.width + column])));
+            let (mut sum, mut count, mut least, mut most) = (0.0, 0.0, f32::MAX, f32::MIN);
+            for texel in all {
+                (sum, count, least, most) = (sum + texel, count + 1.0, least.min(texel), most.max(texel));
+            }
+            prop_assert!((least..=most).contains(&found));
+            // The filter is a tent, not a box: it may differ by a part of the contrast.
+            prop_assert!((found - sum / count).abs() < 0.35 * (most - least) + 2.0, "{found}, not {}", sum / count);
+        }
+    }
+
+    #[test]
+    fn the_logarithm_is_exact_at_powers_of_two() {
+        assert_eq!([1.0, 2.0, 64.0].map(log2), [0.0, 1.0, 6.0]);
+        assert!((log2(3.0) - 3.0_f32.log2()).abs() < 0.09);
+    }
+}
