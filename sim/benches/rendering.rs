@@ -1,4 +1,5 @@
 //! Time of an image, on one thread.
+#![expect(clippy::expect_used, reason = "a benchmark's own inputs are valid")]
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use waypost_sim::camera::Camera;

@@ -98,7 +98,7 @@ impl NamedWorld {
             Self::Loop => {
                 let [west, east, south, north] = [1.0, 12.5, 1.0, 10.5];
                 let round = [[east, south], [east, north], [west, north], [west, south]];
-                let corners = [&[[3.0, south]][..], &round, &round, &[[4.0, south]]].concat();
+                let corners = [&[[3.0, south]][..], &round, &round, &[[8.0, south]]].concat();
                 let routes = [("once", 46.0), ("twice", 86.0)];
                 routes.map(|(name, length_m)| NamedRoute::new(name, &corners).cut(length_m)).to_vec()
             }
@@ -176,15 +176,7 @@ fn office_routes() -> Vec<NamedRoute> {
         ),
         NamedRoute::new(
             "teach",
-            &[
-                [2.0, 2.0],
-                [4.5, 2.5],
-                [4.5, south],
-                [middle, south],
-                [middle, north],
-                [22.5, north],
-                [22.5, 17.5],
-            ],
+            &[[7.5, 2.0], [7.5, south], [middle, south], [middle, north], [22.5, north], [22.5, 18.0]],
         ),
     ]
 }

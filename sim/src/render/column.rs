@@ -1,5 +1,7 @@
 //! What lies in the plane of one column.
 
+use std::cell::Cell;
+
 use nalgebra::Vector2;
 
 use super::Shot;
@@ -20,6 +22,8 @@ pub(super) struct Slabs<'a> {
     step: Vector2<f32>,
     floor: f32,
     ceiling: f32,
+    /// Of the last point of a floor or ceiling that was looked up.
+    room: Cell<usize>,
 }
 
 /// The part of the plane that a thing takes: a rectangle.
@@ -88,6 +92,7 @@ impl Scene {
             step: ray.step.cast(),
             floor: -height_m,
             ceiling: parts.ceiling_m as f32 - height_m,
+            room: Cell::new(0),
         }
     }
 
@@ -249,8 +254,15 @@ impl Slabs<'_> {
 
     fn room_light(&self, at: f32, row: RowSlope) -> f32 {
         let point: Vector2<f64> = (self.origin + self.direction * at).cast();
-        let Some(index) = self.scene.plan().room_index_at(point) else { return 0.0 };
-        let room: &Room = &self.scene.plan().parts().rooms[index];
+        let rooms: &[Room] = &self.scene.plan().parts().rooms;
+        // Mostly that of the row before.
+        let mut index = self.room.get();
+        if !rooms[index].contains(point) {
+            let Some(found) = self.scene.plan().room_index_at(point) else { return 0.0 };
+            self.room.set(found);
+            index = found;
+        }
+        let room = &rooms[index];
         let PaintedRoom { floor, ceiling } = &self.scene.rooms[index];
         let texture = if row.slope < 0.0 { floor } else { ceiling };
         let place: Vector2<f32> = (point - room.min).cast();

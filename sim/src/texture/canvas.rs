@@ -116,11 +116,14 @@ impl Canvas {
     /// Paints a leaf over what is there; edges cover texels in part.
     pub(super) fn put(&mut self, leaf: &Leaf) {
         let (sin, cos) = leaf.turn_rad.sin_cos();
-        let reach_m = leaf.half_m[0].hypot(leaf.half_m[1]) + 1.0 / self.texels_per_m;
+        let ([length, width], edge_m) = (leaf.half_m, 1.0 / self.texels_per_m);
+        let reach_m = [
+            (cos * length).abs() + (sin * width).abs() + edge_m,
+            (sin * length).abs() + (cos * width).abs() + edge_m,
+        ];
         let span = |axis: usize, size: usize| {
             let bound = |metres: f64| ((metres * self.texels_per_m).max(0.0) as usize).min(size);
-            bound(leaf.center_m[axis] - reach_m)
-                ..bound(leaf.center_m[axis] + reach_m + 1.0 / self.texels_per_m)
+            bound(leaf.center_m[axis] - reach_m[axis])..bound(leaf.center_m[axis] + reach_m[axis] + edge_m)
         };
         let (columns, rows) = (span(0, self.width), span(1, self.height));
         for row in rows {

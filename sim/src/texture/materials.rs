@@ -72,34 +72,34 @@ impl Material {
             grey: [120.0, 200.0],
             noise: 14.0,
             pattern: Pattern::None,
-            leaves: 55.0,
-            leaf_contrast: 55.0,
-            pictures: 0.75,
+            leaves: 110.0,
+            leaf_contrast: 60.0,
+            pictures: 0.85,
         };
         let blocks = |size_m, shift, joint_m, contrast| Pattern::Blocks { size_m, shift, joint_m, contrast };
         match self {
             Material::Plaster => wall,
-            Material::Wallpaper => Recipe { pattern: Pattern::Motif, leaves: 30.0, ..wall },
+            Material::Wallpaper => Recipe { pattern: Pattern::Motif, leaves: 70.0, ..wall },
             Material::Brick => Recipe {
                 grey: [90.0, 150.0],
                 pattern: blocks([0.25, 0.085], 0.5, 0.012, 32.0),
-                leaves: 20.0,
-                pictures: 0.6,
+                leaves: 40.0,
+                pictures: 0.8,
                 ..wall
             },
             Material::Panelling => Recipe {
                 grey: [80.0, 150.0],
                 pattern: blocks([0.14, 9.0], 0.0, 0.01, 22.0),
-                leaves: 35.0,
+                leaves: 70.0,
                 ..wall
             },
             Material::Bookshelf => {
-                Recipe { grey: [60.0, 110.0], pattern: Pattern::Books, leaves: 4.0, pictures: 0.0, ..wall }
+                Recipe { grey: [60.0, 110.0], pattern: Pattern::Books, leaves: 25.0, pictures: 0.0, ..wall }
             }
             Material::Cabinet => Recipe {
                 grey: [110.0, 190.0],
                 pattern: Pattern::Drawers,
-                leaves: 25.0,
+                leaves: 50.0,
                 pictures: 0.0,
                 ..wall
             },
@@ -156,13 +156,15 @@ pub(super) fn paint(surface: &Surface, width_m: f64, height_m: f64) -> Canvas {
     match recipe.pattern {
         Pattern::None => {}
         Pattern::Blocks { size_m, shift, joint_m, contrast } => {
-            painter.blocks(size_m, shift, joint_m, contrast)
+            painter.blocks(size_m, shift, joint_m, contrast);
         }
         Pattern::Motif => painter.motif(),
         Pattern::Books => painter.books(),
         Pattern::Drawers => painter.drawers(),
     }
-    for (octave, (spacing_m, share)) in [(0.8, 1.0), (0.2, 0.8), (0.05, 0.6)].into_iter().enumerate() {
+    for (octave, (spacing_m, share)) in
+        [(0.8, 1.0), (0.2, 0.8), (0.05, 0.6), (0.02, 0.5)].into_iter().enumerate()
+    {
         let own = |point| derived_seed(surface.seed_at(point), 100 + octave as u64);
         painter.canvas.add_noise(spacing_m, recipe.noise * share, own);
     }
@@ -197,7 +199,7 @@ impl Painter<'_> {
         Draws::new(derived_seed(derived_seed(self.surface.seed_at(point), purpose), number))
     }
 
-    /// Sizes as 1 / size³, so that every scale covers as much; from 1.5 to 16 cm.
+    /// Sizes as 1 / size³, so that every scale covers as much.
     fn leaves(&mut self, per_m2: f64, contrast: f64) {
         let cell_m = 0.25;
         let [columns, rows] = self.size_m.map(|side| (side / cell_m).ceil() as u64);
@@ -207,7 +209,7 @@ impl Painter<'_> {
             let count = (per_m2 * cell_m * cell_m + draws.between(0.0, 1.0)) as usize;
             for _ in 0..count {
                 let center = corner.map(|low| low + draws.between(0.0, cell_m));
-                let size_m = leaf_size_m(&mut draws, 0.03, 0.2);
+                let size_m = leaf_size_m(&mut draws, 0.022, 0.25);
                 let tone = self.grey + signed(&mut draws, 0.35 * contrast, contrast);
                 let leaf = Leaf::drawn(&mut draws, center, size_m, tone as f32);
                 self.canvas.put(&leaf);
@@ -235,9 +237,9 @@ impl Painter<'_> {
             let paper = draws.between(120.0, 240.0);
             self.canvas.put(&Leaf::rectangle(corner(-1.0, 1.06), corner(1.0, 1.06), frame));
             self.canvas.put(&Leaf::rectangle(corner(-1.0, 1.0), corner(1.0, 1.0), paper as f32));
-            let count = (half[0] * half[1] * 4.0 * 220.0) as usize;
+            let count = (half[0] * half[1] * 4.0 * 260.0) as usize;
             for _ in 0..count {
-                let size_m = leaf_size_m(&mut draws, 0.02, 0.25).min(half[0]);
+                let size_m = leaf_size_m(&mut draws, 0.03, 0.4).min(half[0]);
                 let inside = |axis: usize, draws: &mut Draws| {
                     let room = (half[axis] - size_m * 0.6).max(0.0);
                     center[axis] + draws.between(-room, room)

@@ -91,10 +91,6 @@ impl Layout {
         self.doors.push(Vector2::new(x, y));
     }
 
-    pub(super) fn put(&mut self, furniture: Furniture) {
-        self.furniture.push(furniture);
-    }
-
     /// Shelves, cabinets, desks and boxes along all walls of a room, but not where doors are, drawn by `seed`. A share
     /// `density` of the room along the walls is taken, roughly.
     pub(super) fn furnish(&mut self, room: usize, seed: u64, density: f64, depth_limit_m: f64) {
@@ -113,7 +109,7 @@ impl Layout {
                     break;
                 }
                 let deep_enough = item.depth_m <= depth_limit_m && item.depth_m * 3.0 < depth_axis;
-                if !skipped && deep_enough {
+                if !skipped && deep_enough && self.has_wall(room, turns, [along, along + item.length_m]) {
                     let pieces = item.at_wall(&space, turns, along, number);
                     if pieces.iter().all(|piece| self.is_room_for(piece)) {
                         self.furniture.extend(pieces);
@@ -122,6 +118,14 @@ impl Layout {
                 along += item.length_m + gap;
             }
         }
+    }
+
+    /// Whether a stretch of a space's side is a wall, and not open to the rest of a hall.
+    fn has_wall(&self, room: usize, side: u64, stretch_m: [f64; 2]) -> bool {
+        stretch_m.iter().all(|&along_m| {
+            let outside = self.rooms[room].on_side(side, along_m).compose(&Pose::new(0.0, -0.01, 0.0));
+            !self.are_one_hall(Some(room), self.space_at(outside.position()))
+        })
     }
 
     /// Whether a piece keeps away from doors and other furniture.
@@ -223,7 +227,7 @@ impl Layout {
                     let (left, right) = ((left, sides[0]), (right, sides[1]));
                     match borders.last_mut() {
                         Some(last) if last.to == from && (last.left, last.right) == (left, right) => {
-                            last.to = to
+                            last.to = to;
                         }
                         Some(_) | None => borders.push(Border { from, to, left, right }),
                     }
