@@ -1,5 +1,5 @@
 //! Robots that drive, by their numbers.
-#![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test's own inputs are valid")]
+#![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
 
 use std::sync::{Arc, LazyLock};
 

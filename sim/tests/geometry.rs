@@ -1,5 +1,5 @@
 //! What the renderer shows, held to the geometry of pinholes and cylinders.
-#![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test's own inputs are valid")]
+#![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
