@@ -205,7 +205,7 @@ fn develop(light: &[f32], rig: &CameraRig, shot: &Shot) -> GreyImage {
     let grey = |row: usize, column: usize| {
         let grey = curve.grey(gain * light[column * height + row]);
         let pixel = (row * width + column) as u64;
-        (grey + noise * about_normal(derived_seed(shot.seed, pixel))).round().clamp(0.0, 255.0) as u8
+        (grey + 0.5 + noise * about_normal(derived_seed(shot.seed, pixel))).clamp(0.0, 255.0) as u8
     };
     let pixels = (0..height).flat_map(|row| (0..width).map(move |column| grey(row, column))).collect();
     #[expect(clippy::expect_used, reason = "a camera has as many pixels as it has columns and rows")]

@@ -44,6 +44,7 @@ pub(crate) struct Texture {
     levels: Vec<Level>,
 }
 
+/// Column by column, because that is how walls are looked at.
 #[derive(Clone, Debug, PartialEq)]
 struct Level {
     width: usize,
@@ -63,12 +64,15 @@ pub(crate) struct Footprint {
 /// How much longer than wide the piece of one look-up may be; longer ones take several, up to this number.
 const MAX_LOOKUPS: f32 = 4.0;
 
+/// Looking up is done in whole numbers of this part.
+const FIXED_ONE: i32 = 256;
+
 impl Texture {
     /// Paints `width_m` by `height_m` of a surface; both must be above 0.
     pub(crate) fn paint(surface: &Surface, width_m: f64, height_m: f64) -> Self {
         let canvas = materials::paint(surface, width_m, height_m);
-        let mut levels =
-            vec![Level { width: canvas.width, height: canvas.height, texels: canvas.to_bytes() }];
+        let (width, height) = (canvas.width, canvas.height);
+        let mut levels = vec![Level { width, height, texels: canvas.to_bytes_by_columns() }];
         while let Some(half) = levels.last().and_then(Level::half) {
             levels.push(half);
         }
@@ -80,43 +84,43 @@ impl Texture {
         let [major_x, major_y] = footprint.major_m.map(|side| side * self.texels_per_m);
         let major = (major_x * major_x + major_y * major_y).sqrt();
         let width = (footprint.minor_m * self.texels_per_m).max(major / MAX_LOOKUPS).max(1.0);
-        let lookups = (major / width).clamp(1.0, MAX_LOOKUPS).round();
+        // Rounded; it is at least 1.
+        let lookups = ((major / width).min(MAX_LOOKUPS) + 0.5) as i32;
         let detail = log2(width).min((self.levels.len() - 1) as f32);
-        let (x, y) = (x_m * self.texels_per_m, y_m * self.texels_per_m);
-        let mut sum = 0.0;
-        for lookup in 0..lookups as u32 {
-            let aside = (lookup as f32 + 0.5) / lookups - 0.5;
-            sum += self.at_detail(x + aside * major_x, y + aside * major_y, detail);
-        }
-        sum / lookups
-    }
-
-    fn at_detail(&self, x: f32, y: f32, detail: f32) -> f32 {
         let level = detail as usize;
-        let (share, scale) = (detail - level as f32, 1.0 / (1_u32 << level) as f32);
-        let fine = self.levels[level].at(x * scale, y * scale);
-        match self.levels.get(level + 1) {
-            Some(coarse) if share > 0.0 => {
-                fine + share * (coarse.at(x * scale * 0.5, y * scale * 0.5) - fine)
+        let share = detail - level as f32;
+        let fixed = |texels: f32| (texels * FIXED_ONE as f32) as i32;
+        let (x, y) = (fixed(x_m * self.texels_per_m), fixed(y_m * self.texels_per_m));
+        let (major_x, major_y) = (fixed(major_x), fixed(major_y));
+        let (mut fine, mut coarse) = (0, 0);
+        for lookup in 0..lookups {
+            // From -1/2 to 1/2 of the longer side.
+            let aside = |side: i32| side * (2 * lookup + 1 - lookups) / (2 * lookups);
+            let (x, y) = (x + aside(major_x), y + aside(major_y));
+            fine += self.levels[level].at(x >> level, y >> level);
+            if share > 0.0 {
+                coarse += self.levels[level + 1].at(x >> (level + 1), y >> (level + 1));
             }
-            Some(_) | None => fine,
         }
+        let grey = |sum: i32| sum as f32 / (FIXED_ONE * FIXED_ONE * lookups) as f32;
+        if share > 0.0 { grey(fine) + share * (grey(coarse) - grey(fine)) } else { grey(fine) }
     }
 }
 
 impl Level {
-    /// Bilinear; the border goes on for ever.
-    fn at(&self, x: f32, y: f32) -> f32 {
-        let (x, y) = (x - 0.5, y - 0.5);
-        let x = x.clamp(0.0, (self.width - 1) as f32);
-        let y = y.clamp(0.0, (self.height - 1) as f32);
-        let (column, row) = (x as usize, y as usize);
-        let (right, below) = ((column + 1).min(self.width - 1), (row + 1).min(self.height - 1));
-        let (x, y) = (x - column as f32, y - row as f32);
-        let texel = |column: usize, row: usize| f32::from(self.texels[row * self.width + column]);
-        let upper = texel(column, row) + x * (texel(right, row) - texel(column, row));
-        let lower = texel(column, below) + x * (texel(right, below) - texel(column, below));
-        upper + y * (lower - upper)
+    /// Bilinear, in [`FIXED_ONE`]² of a grey value, at a point in [`FIXED_ONE`] of a texel; the border goes on for ever.
+    #[inline]
+    fn at(&self, x: i32, y: i32) -> i32 {
+        let x = (x - FIXED_ONE / 2).clamp(0, (self.width as i32 - 1) * FIXED_ONE);
+        let y = (y - FIXED_ONE / 2).clamp(0, (self.height as i32 - 1) * FIXED_ONE);
+        let (column, row) = ((x / FIXED_ONE) as usize, (y / FIXED_ONE) as usize);
+        let (x, y) = (x % FIXED_ONE, y % FIXED_ONE);
+        let below = usize::from(row + 1 < self.height);
+        let down = |column: usize| {
+            let texels = &self.texels[column * self.height + row..][..=below];
+            (FIXED_ONE - y) * i32::from(texels[0]) + y * i32::from(texels[below])
+        };
+        (FIXED_ONE - x) * down(column) + x * down((column + 1).min(self.width - 1))
     }
 
     fn half(&self) -> Option<Level> {
@@ -125,7 +129,7 @@ impl Level {
             return None;
         }
         let texel = |column: usize, row: usize| {
-            u32::from(self.texels[row.min(self.height - 1) * self.width + column.min(self.width - 1)])
+            u32::from(self.texels[column.min(self.width - 1) * self.height + row.min(self.height - 1)])
         };
         let mean = |column: usize, row: usize| {
             let sum = texel(column, row)
@@ -134,8 +138,8 @@ impl Level {
                 + texel(column + 1, row + 1);
             ((sum + 2) / 4) as u8
         };
-        let rows = (0..height).flat_map(|row| (0..width).map(move |column| (2 * column, 2 * row)));
-        Some(Level { width, height, texels: rows.map(|(column, row)| mean(column, row)).collect() })
+        let columns = (0..width).flat_map(|column| (0..height).map(move |row| (2 * column, 2 * row)));
+        Some(Level { width, height, texels: columns.map(|(column, row)| mean(column, row)).collect() })
     }
 }
 
@@ -186,7 +190,7 @@ mod tests {
                     bound(middle - reach * side)..bound(middle + reach * side)
                 };
                 let fine = &texture.levels[0];
-                let row = |row: usize| texels(x).map(move |column| f32::from(fine.texels[row * fine.width + column]));
+                let row = |row: usize| texels(x).map(move |column| f32::from(fine.texels[column * fine.height + row]));
                 texels(y).flat_map(row).collect::<Vec<f32>>()
             };
             // Of two levels the coarser may have texels of twice the side.

@@ -79,8 +79,10 @@ impl Canvas {
         Self { width, height, texels_per_m, texels: vec![grey; width * height] }
     }
 
-    pub(super) fn to_bytes(&self) -> Vec<u8> {
-        self.texels.iter().map(|texel| texel.round().clamp(0.0, 255.0) as u8).collect()
+    pub(super) fn to_bytes_by_columns(&self) -> Vec<u8> {
+        let column = |column: usize| self.texels[column..].iter().step_by(self.width);
+        let grey = |texel: &f32| (texel + 0.5).clamp(0.0, 255.0) as u8;
+        (0..self.width).flat_map(|index| column(index).map(grey)).collect()
     }
 
     /// Adds value noise: independent numbers at the points of a lattice, `between` which it is smooth. `seed` says whose
