@@ -5,6 +5,7 @@
 //! give the same bits on any number of threads. Conventions are REP-103's: x forward, y left, z up; metres, radians.
 
 pub mod camera;
+pub mod drawing;
 pub mod floor_plan;
 pub mod image;
 pub mod light;
