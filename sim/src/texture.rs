@@ -84,8 +84,7 @@ impl Texture {
         let [major_x, major_y] = footprint.major_m.map(|side| side * self.texels_per_m);
         let major = (major_x * major_x + major_y * major_y).sqrt();
         let width = (footprint.minor_m * self.texels_per_m).max(major / MAX_LOOKUPS).max(1.0);
-        // Rounded; it is at least 1.
-        let lookups = ((major / width).min(MAX_LOOKUPS) + 0.5) as i32;
+        let lookups = ((major / width).clamp(1.0, MAX_LOOKUPS) + 0.5) as i32;
         let detail = log2(width).min((self.levels.len() - 1) as f32);
         let level = detail as usize;
         let share = detail - level as f32;
@@ -199,6 +198,19 @@ mod tests {
             let [least, most] = [f32::min, f32::max].map(|pick| all.iter().copied().reduce(pick).unwrap());
             prop_assert!((least..=most).contains(&found));
             prop_assert!((found - mean).abs() < 0.3 * (most - least) + 2.0, "{found}, not {mean}");
+        }
+    }
+
+    proptest! {
+        /// From near by a texel is what was painted.
+        #[test]
+        fn the_finest_looks_are_texels(column in 0..384_usize, row in 0..256_usize, side in 0.0..0.007f32) {
+            let texture = texture(5, 1.0);
+            let middle = |index: usize| (index as f32 + 0.5) / texture.texels_per_m;
+            let footprint = Footprint { major_m: [0.0, side], minor_m: side / 2.0 };
+            let found = texture.sample(middle(column), middle(row), &footprint);
+            let painted = f32::from(texture.levels[0].texels[column * texture.levels[0].height + row]);
+            prop_assert!((found - painted).abs() < 1.0, "{found}, not {painted}");
         }
     }
 

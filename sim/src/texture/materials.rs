@@ -72,25 +72,25 @@ impl Material {
             grey: [120.0, 200.0],
             noise: 14.0,
             pattern: Pattern::None,
-            leaves: 110.0,
+            leaves: 220.0,
             leaf_contrast: 60.0,
             pictures: 0.85,
         };
         let blocks = |size_m, shift, joint_m, contrast| Pattern::Blocks { size_m, shift, joint_m, contrast };
         match self {
             Material::Plaster => wall,
-            Material::Wallpaper => Recipe { pattern: Pattern::Motif, leaves: 70.0, ..wall },
+            Material::Wallpaper => Recipe { pattern: Pattern::Motif, leaves: 160.0, ..wall },
             Material::Brick => Recipe {
                 grey: [90.0, 150.0],
                 pattern: blocks([0.25, 0.085], 0.5, 0.012, 32.0),
-                leaves: 40.0,
+                leaves: 80.0,
                 pictures: 0.8,
                 ..wall
             },
             Material::Panelling => Recipe {
                 grey: [80.0, 150.0],
                 pattern: blocks([0.14, 9.0], 0.0, 0.01, 22.0),
-                leaves: 70.0,
+                leaves: 160.0,
                 ..wall
             },
             Material::Bookshelf => {
@@ -209,7 +209,7 @@ impl Painter<'_> {
             let count = (per_m2 * cell_m * cell_m + draws.between(0.0, 1.0)) as usize;
             for _ in 0..count {
                 let center = corner.map(|low| low + draws.between(0.0, cell_m));
-                let size_m = leaf_size_m(&mut draws, 0.022, 0.25);
+                let size_m = leaf_size_m(&mut draws, 0.018, 0.25);
                 let tone = self.grey + signed(&mut draws, 0.35 * contrast, contrast);
                 let leaf = Leaf::drawn(&mut draws, center, size_m, tone as f32);
                 self.canvas.put(&leaf);
