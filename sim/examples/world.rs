@@ -64,7 +64,7 @@ fn layers(route: &Route, recording: &Recording) -> Vec<Layer> {
     let ticks = &recording.ticks;
     let start = route.start();
     let truth = ticks.iter().map(|tick| tick.truth.position()).collect();
-    let odometry = ticks.iter().map(|tick| start.compose(&tick.odometry).position()).collect();
+    let odometry = ticks.iter().map(|tick| start.compose(&tick.odometry.pose).position()).collect();
     let places: Vec<Vector2<f64>> = recording.frames().map(|frame| frame.shot.pose.position()).collect();
     [
         ("truth", "#1459aa", Marks::Path(truth)),

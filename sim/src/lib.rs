@@ -13,6 +13,7 @@ pub mod link;
 pub mod people;
 pub mod pose;
 mod random;
+pub mod range;
 pub mod range_sensor;
 pub mod render;
 pub mod robot;

@@ -1,6 +1,7 @@
 //! What lamps and the hour of day make of a building.
 
 use crate::random::{Draws, derived_seed, unit};
+use crate::range::{self, OutOfRange};
 
 /// Light and the camera's answer to it: grey value 255 (l v / 255)^gamma for a surface of grey value v, with l the gain,
 /// times the room's lamp, times 1 + directed cos (angle between the surface's normal and where the light comes from).
@@ -26,20 +27,6 @@ pub struct LightSettings {
     pub seed: u64,
 }
 
-/// Numbers that make no light.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("{field} is {value}; it must be from {least} to {most}")]
-pub struct LightError {
-    /// Which number.
-    pub field: &'static str,
-    /// What it is.
-    pub value: f64,
-    /// Least that it may be.
-    pub least: f64,
-    /// Most that it may be.
-    pub most: f64,
-}
-
 impl Default for Light {
     /// Lamps all alike, with a little more light from one side, so that corners show.
     fn default() -> Self {
@@ -51,21 +38,17 @@ impl Default for Light {
 
 impl Light {
     /// # Errors
-    /// [`LightError`] if a number is out of its range.
-    pub fn new(settings: LightSettings) -> Result<Self, LightError> {
+    /// [`OutOfRange`] if a number is out of its range.
+    pub fn new(settings: LightSettings) -> Result<Self, OutOfRange> {
         let LightSettings { gain, gamma, lamp_spread, directed, from_rad, seed: _ } = settings;
-        let ranges = [
+        range::check(&[
             ("gain", gain, 0.01, 4.0),
             ("gamma", gamma, 0.25, 4.0),
             ("lamp_spread", lamp_spread, 0.0, 0.9),
             ("directed", directed, 0.0, 0.9),
             ("from_rad", from_rad, -100.0, 100.0),
-        ];
-        let wrong = ranges.into_iter().find(|&(_, value, least, most)| !(least..=most).contains(&value));
-        match wrong {
-            Some((field, value, least, most)) => Err(LightError { field, value, least, most }),
-            None => Ok(Self { settings }),
-        }
+        ])?;
+        Ok(Self { settings })
     }
 
     /// Some hour of some day: gain ±30 %, gamma 0.8 to 1.25, lamps ±25 %, light from anywhere.

@@ -8,6 +8,7 @@ use crate::floor_plan::{FloorPlan, Thing};
 use crate::people::Person;
 use crate::pose::Pose;
 use crate::random::{derived_seed, unit};
+use crate::range::{self, OutOfRange};
 
 /// A sensor that looks around in the plane at one height.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,16 +21,6 @@ pub struct RangeSensor {
     pub height_m: f64,
     /// A range is off by this at most, evenly, in metres.
     pub noise_m: f64,
-}
-
-/// Numbers that make no sensor.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "{sensor:?} is no range sensor: at least 8 and at most 4096 beams, and lengths above 0, noise from 0 up"
-)]
-pub struct RangeSensorError {
-    /// As given.
-    pub sensor: RangeSensor,
 }
 
 /// What a [`RangeSensor`] saw.
@@ -46,13 +37,13 @@ impl Default for RangeSensor {
 }
 
 impl RangeSensor {
-    /// # Errors
-    /// [`RangeSensorError`] if a number is out of its range.
-    pub fn checked(self) -> Result<Self, RangeSensorError> {
-        let lengths = [self.max_m, self.height_m].iter().all(|&length| length > 0.0 && length.is_finite());
-        let noise = self.noise_m >= 0.0 && self.noise_m.is_finite();
-        let good = (8..=4096).contains(&self.beams) && lengths && noise;
-        if good { Ok(self) } else { Err(RangeSensorError { sensor: self }) }
+    pub(crate) fn check(&self) -> Result<(), OutOfRange> {
+        range::check(&[
+            ("beams", f64::from(self.beams), 8.0, 4096.0),
+            ("max_m", self.max_m, 0.1, 1000.0),
+            ("height_m", self.height_m, 0.01, 2.5),
+            ("noise_m", self.noise_m, 0.0, 1.0),
+        ])
     }
 
     /// A look around from the middle of a robot.
@@ -144,6 +135,18 @@ pub struct ReflexSettings {
     pub ahead_ns: i64,
     /// See `ahead_ns`.
     pub ahead_m_s: f64,
+}
+
+impl ReflexSettings {
+    pub(crate) fn check(&self) -> Result<(), OutOfRange> {
+        range::check(&[
+            ("stop_m", self.stop_m, 0.0, 10.0),
+            ("margin_m", self.margin_m, 0.0, 1.0),
+            ("turn_rad_s", self.turn_rad_s, 0.01, 10.0),
+            ("ahead_ns", self.ahead_ns as f64, 0.0, 60e9),
+            ("ahead_m_s", self.ahead_m_s, 0.01, 10.0),
+        ])
+    }
 }
 
 impl Default for ReflexSettings {

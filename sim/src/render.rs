@@ -10,6 +10,7 @@ use crate::light::Light;
 use crate::people::Person;
 use crate::pose::Pose;
 use crate::random::derived_seed;
+use crate::range::{self, OutOfRange};
 use crate::scene::Scene;
 
 /// A camera on a robot.
@@ -42,20 +43,6 @@ pub struct Sensor {
     pub softness: f64,
 }
 
-/// Numbers that make no camera on a robot.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("the camera's {field} is {value}; it must be from {least} to {most}")]
-pub struct CameraRigError {
-    /// Which number.
-    pub field: &'static str,
-    /// What it is.
-    pub value: f64,
-    /// Least that it may be.
-    pub least: f64,
-    /// Most that it may be.
-    pub most: f64,
-}
-
 /// All that an image depends on, besides scene and camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shot {
@@ -85,21 +72,17 @@ impl Default for Sensor {
 
 impl CameraRig {
     /// # Errors
-    /// [`CameraRigError`] if a number is out of its range.
-    pub fn new(camera: Camera, mount: Mount, sensor: Sensor) -> Result<Self, CameraRigError> {
-        let ranges = [
+    /// [`OutOfRange`] if a number is out of its range.
+    pub fn new(camera: Camera, mount: Mount, sensor: Sensor) -> Result<Self, OutOfRange> {
+        range::check(&[
             ("forward_m", mount.forward_m, -2.0, 2.0),
             ("height_m", mount.height_m, 0.05, 1.4),
             ("yaw_rad", mount.yaw_rad, -std::f64::consts::TAU, std::f64::consts::TAU),
             ("exposure_s", sensor.exposure_s, 0.0, 0.5),
             ("noise_sigma", sensor.noise_sigma, 0.0, 64.0),
             ("softness", sensor.softness, 0.0, 0.25),
-        ];
-        let wrong = ranges.into_iter().find(|&(_, value, least, most)| !(least..=most).contains(&value));
-        match wrong {
-            Some((field, value, least, most)) => Err(CameraRigError { field, value, least, most }),
-            None => Ok(Self { camera, mount, sensor }),
-        }
+        ])?;
+        Ok(Self { camera, mount, sensor })
     }
 
     /// Its pixels and rays.

@@ -8,8 +8,9 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::pose::Pose;
 use crate::random::derived_seed;
+use crate::range::{self, OutOfRange};
 
-pub use wheel_odometry::{WheelErrors, WheelErrorsError, WheelOdometry};
+pub use wheel_odometry::{OdometryReading, WheelErrors, WheelOdometry};
 
 /// What a robot is told to do.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,16 +53,6 @@ impl Default for Body {
     }
 }
 
-/// A body that could not drive.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("the robot's {field} is {value}; it must be above 0 and at most 100")]
-pub struct BodyError {
-    /// Which number.
-    pub field: &'static str,
-    /// What it is.
-    pub value: f64,
-}
-
 /// The robot: what it really does, and what its wheels say.
 #[derive(Clone, Debug)]
 pub struct Robot {
@@ -86,22 +77,18 @@ impl Robot {
     /// A robot that stands at `pose`. Its odometry starts at (0, 0, 0).
     ///
     /// # Errors
-    /// [`BodyError`] if the body could not drive.
-    pub fn new(body: Body, pose: Pose, errors: WheelErrors, seed: u64) -> Result<Self, BodyError> {
-        let numbers = [
-            ("radius_m", body.radius_m),
-            ("track_m", body.track_m),
-            ("max_forward_m_s", body.max_forward_m_s),
-            ("max_turn_rad_s", body.max_turn_rad_s),
-            ("max_acceleration_m_s2", body.max_acceleration_m_s2),
-            ("max_turn_acceleration_rad_s2", body.max_turn_acceleration_rad_s2),
-        ];
-        if let Some((field, value)) = numbers.into_iter().find(|&(_, value)| !(value > 0.0 && value <= 100.0))
-        {
-            return Err(BodyError { field, value });
-        }
+    /// [`OutOfRange`] if body or wheels have a number that is out of its range.
+    pub fn new(body: Body, pose: Pose, errors: WheelErrors, seed: u64) -> Result<Self, OutOfRange> {
+        range::check(&[
+            ("radius_m", body.radius_m, 0.05, 2.0),
+            ("track_m", body.track_m, 0.05, 4.0),
+            ("max_forward_m_s", body.max_forward_m_s, 0.01, 10.0),
+            ("max_turn_rad_s", body.max_turn_rad_s, 0.01, 10.0),
+            ("max_acceleration_m_s2", body.max_acceleration_m_s2, 0.01, 100.0),
+            ("max_turn_acceleration_rad_s2", body.max_turn_acceleration_rad_s2, 0.01, 100.0),
+        ])?;
         let slip = Slip { random: ChaCha8Rng::seed_from_u64(derived_seed(seed, 0)), left_m: 0.0, wheel: 0 };
-        let odometry = WheelOdometry::new(errors, derived_seed(seed, 1));
+        let odometry = WheelOdometry::new(errors, derived_seed(seed, 1))?;
         Ok(Self { body, pose, forward_m_s: 0.0, turn_rad_s: 0.0, command: None, odometry, slip })
     }
 

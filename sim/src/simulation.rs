@@ -4,15 +4,14 @@ mod recording;
 
 use std::sync::Arc;
 
-use nalgebra::Matrix3;
-
 use crate::light::Light;
 use crate::people::{Behaviour, Person, PersonError, Walker};
 use crate::pose::{Pose, wrapped};
 use crate::random::derived_seed;
-use crate::range_sensor::{RangeScan, RangeSensor, RangeSensorError, Reflex, ReflexSettings};
+use crate::range::{self, OutOfRange};
+use crate::range_sensor::{RangeScan, RangeSensor, Reflex, ReflexSettings};
 use crate::render::{CameraRig, Shot};
-use crate::robot::{Body, BodyError, Command, Robot, WheelErrors, WheelErrorsError};
+use crate::robot::{Body, Command, OdometryReading, Robot, WheelErrors};
 use crate::scene::Scene;
 
 pub use recording::{DriveError, Recording};
@@ -76,15 +75,9 @@ pub enum CameraTrigger {
 /// Settings that make no simulation.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SimulationError {
-    /// See [`BodyError`].
+    /// A number of the robot, its wheels, its sensors or of time.
     #[error(transparent)]
-    Body(#[from] BodyError),
-    /// See [`WheelErrorsError`].
-    #[error(transparent)]
-    Wheels(#[from] WheelErrorsError),
-    /// See [`RangeSensorError`].
-    #[error(transparent)]
-    RangeSensor(#[from] RangeSensorError),
+    OutOfRange(#[from] OutOfRange),
     /// The robot would stand in a wall or in furniture.
     #[error("the robot does not fit at ({x_m:.2}, {y_m:.2}); start it elsewhere")]
     NoRoom {
@@ -92,12 +85,6 @@ pub enum SimulationError {
         x_m: f64,
         /// Where, in metres.
         y_m: f64,
-    },
-    /// Too short or too long.
-    #[error("a period of {period_ns} ns; it must be from 1 ms to 1 s")]
-    Period {
-        /// As given.
-        period_ns: i64,
     },
 }
 
@@ -109,9 +96,7 @@ pub struct Tick {
     /// Where the robot really is.
     pub truth: Pose,
     /// Where its wheels say it is, in a frame that started at (0, 0, 0).
-    pub odometry: Pose,
-    /// Covariance of (x, y, heading) of the odometry.
-    pub covariance: Matrix3<f64>,
+    pub odometry: OdometryReading,
     /// Whether it does as it is told.
     pub obedience: Obedience,
     /// The image that it takes now, if any.
@@ -137,7 +122,7 @@ pub struct CameraFrame {
     /// When, in nanoseconds since the start.
     pub stamp_ns: i64,
     /// Where the wheels said the robot was.
-    pub odometry: Pose,
+    pub odometry: OdometryReading,
     /// All that the image depends on, the true pose among it.
     pub shot: Shot,
 }
@@ -175,6 +160,23 @@ impl SimulationSettings {
     }
 }
 
+impl SimulationSettings {
+    fn check(&self) -> Result<(), OutOfRange> {
+        self.range_sensor.check()?;
+        self.reflex.map_or(Ok(()), |reflex| reflex.check())?;
+        range::check(&[("period_ns", self.period_ns as f64, 1e6, 1e9)])?;
+        match self.trigger {
+            CameraTrigger::Moved { distance_m, angle_rad } => range::check(&[
+                ("distance_m", distance_m, 0.001, 1000.0),
+                ("angle_rad", angle_rad, 0.001, 7.0),
+            ]),
+            CameraTrigger::Period { period_ns } => {
+                range::check(&[("the camera's period_ns", period_ns as f64, 1e6, 1e12)])
+            }
+        }
+    }
+}
+
 impl Simulation {
     /// Everything at rest, the robot at `start`.
     ///
@@ -185,11 +187,7 @@ impl Simulation {
         start: Pose,
         settings: SimulationSettings,
     ) -> Result<Self, SimulationError> {
-        settings.wheels.checked()?;
-        settings.range_sensor.checked()?;
-        if !(1_000_000..=1_000_000_000).contains(&settings.period_ns) {
-            return Err(SimulationError::Period { period_ns: settings.period_ns });
-        }
+        settings.check()?;
         let robot = Robot::new(settings.body, start, settings.wheels, derived_seed(settings.seed, 1))?;
         if scene.plan().clearance_m(start.position()) < settings.body.radius_m {
             return Err(SimulationError::NoRoom { x_m: start.x_m, y_m: start.y_m });
@@ -292,22 +290,15 @@ impl Simulation {
     }
 
     fn tick(&mut self, obedience: Obedience, people: Vec<Person>) -> Tick {
-        let odometry = *self.robot.odometry().pose();
-        let frame = self.is_frame_due(&odometry).then(|| {
-            self.last_frame = Some(LastFrame { stamp_ns: self.now_ns, odometry });
+        let odometry = *self.robot.odometry().reading();
+        let frame = self.is_frame_due(&odometry.pose).then(|| {
+            self.last_frame = Some(LastFrame { stamp_ns: self.now_ns, odometry: odometry.pose });
             self.frames += 1;
             let number = self.frames - 1;
             let shot = self.shot(people, number);
             CameraFrame { number, stamp_ns: self.now_ns, odometry, shot }
         });
-        Tick {
-            stamp_ns: self.now_ns,
-            truth: *self.robot.pose(),
-            odometry,
-            covariance: *self.robot.odometry().covariance(),
-            obedience,
-            frame,
-        }
+        Tick { stamp_ns: self.now_ns, truth: *self.robot.pose(), odometry, obedience, frame }
     }
 
     fn is_frame_due(&self, odometry: &Pose) -> bool {

@@ -69,13 +69,13 @@ fn a_drive_follows_its_route_and_takes_images_on_the_way() {
     assert!((end.truth.position() - route.at(route.length_m())).norm() < 0.15);
     // Wheels that are right say what is true, in a frame that starts where the robot did.
     let expected = route.start().relative(&end.truth);
-    assert!(expected.distance_m(&end.odometry) < 1e-6);
+    assert!(expected.distance_m(&end.odometry.pose) < 1e-6);
     let frames: Vec<_> = ticks.iter().filter_map(|tick| tick.frame.as_ref()).collect();
     assert_eq!(frames.len(), images.len());
     assert!((92..140).contains(&frames.len()), "{} images on 46 m with four corners", frames.len());
     assert!(frames.iter().enumerate().all(|(number, frame)| frame.number == number as u64));
     for pair in frames.windows(2) {
-        let moved = pair[0].odometry.relative(&pair[1].odometry);
+        let moved = pair[0].odometry.pose.relative(&pair[1].odometry.pose);
         let way = Vector2::new(moved.x_m, moved.y_m).norm();
         assert!(
             way < 0.53 && moved.heading_rad.abs() < 0.21 && (way > 0.49 || moved.heading_rad.abs() > 0.17)
@@ -118,13 +118,13 @@ fn errors_of(seed: u64, wheels: WheelErrors) -> [f64; 2] {
     let mut last = Pose::default();
     let mut end = simulation.advance();
     for _ in 0..600 {
-        measured += last.distance_m(&end.odometry);
-        last = end.odometry;
+        measured += last.distance_m(&end.odometry.pose);
+        last = end.odometry.pose;
         end = simulation.advance();
     }
-    measured += last.distance_m(&end.odometry);
+    measured += last.distance_m(&end.odometry.pose);
     let driven = end.truth.x_m - 1.0;
-    [measured / driven - 1.0, wrapped(end.odometry.heading_rad) / driven]
+    [measured / driven - 1.0, wrapped(end.odometry.pose.heading_rad) / driven]
 }
 
 #[test]
@@ -172,9 +172,9 @@ fn the_covariance_covers_the_error() {
         simulation.command(Command { forward_m_s: 0.5, turn_rad_s: 0.0, valid_ns: i64::MAX });
         let tick = (0..300).map(|_| simulation.advance()).last().unwrap();
         let truth = start.relative(&tick.truth);
-        let (x, y) = (tick.odometry.x_m - truth.x_m, tick.odometry.y_m - truth.y_m);
-        let error = nalgebra::Vector3::new(x, y, wrapped(tick.odometry.heading_rad - truth.heading_rad));
-        let inverse = tick.covariance.try_inverse().expect("a covariance");
+        let (x, y) = (tick.odometry.pose.x_m - truth.x_m, tick.odometry.pose.y_m - truth.y_m);
+        let error = nalgebra::Vector3::new(x, y, wrapped(tick.odometry.pose.heading_rad - truth.heading_rad));
+        let inverse = tick.odometry.covariance.try_inverse().expect("a covariance");
         // The 99 % quantile of chi² with three degrees of freedom, tripled: a bias is no noise.
         (error.transpose() * inverse * error)[0] > 3.0 * 11.34
     });
@@ -188,7 +188,7 @@ fn a_slipping_wheel_turns_the_robot_and_not_its_odometry() {
     let mut simulation = Simulation::new(LOOP.clone(), Pose::new(2.0, 1.0, 0.0), settings).unwrap();
     simulation.command(Command { forward_m_s: 0.4, turn_rad_s: 0.0, valid_ns: i64::MAX });
     let ticks: Vec<Tick> = (0..100).map(|_| simulation.advance()).collect();
-    assert!(ticks.iter().all(|tick| tick.odometry.heading_rad.abs() < 1e-9));
+    assert!(ticks.iter().all(|tick| tick.odometry.pose.heading_rad.abs() < 1e-9));
     // One wheel stands for 5 cm: a turn of 0.05 / 0.32 rad.
     let most = ticks.iter().map(|tick| tick.truth.heading_rad.abs()).fold(0.0, f64::max);
     assert!(most > 0.14, "turned by {most}");
@@ -247,11 +247,50 @@ fn somebody_who_blocks_comes_near_stands_and_goes_away() {
 }
 
 #[test]
+fn somebody_who_walks_goes_there_and_back_and_waits_for_the_robot() {
+    let mut simulation = Simulation::new(LOOP.clone(), Pose::new(12.5, 6.0, 0.0), settings(1)).unwrap();
+    let corners = vec![Vector2::new(6.0, 1.0), Vector2::new(9.0, 1.0)];
+    let person = Person { pose: Pose::new(3.0, 1.0, 0.0), look: 3 };
+    simulation.add_person(person, Behaviour::Walking { corners, speed_m_s: 1.0 }).unwrap();
+    let x_at = |simulation: &Simulation| simulation.people()[0].pose.x_m;
+    let xs: Vec<f64> = (0..1300).map(|_| (simulation.advance(), x_at(&simulation)).1).collect();
+    let seconds = |second: usize| xs[50 * second - 1];
+    // 6 m there, 6 m back, and there again; a step is lost at each corner.
+    let expected = [(2, 5.0), (5, 8.0), (8, 7.0), (11, 4.0), (14, 5.0)];
+    assert!(expected.iter().all(|&(second, x): &(usize, f64)| (seconds(second) - x).abs() < 0.15));
+    // Now a robot stands in the way.
+    simulation.kidnap(Pose::new(6.0, 0.8, 0.0)).unwrap();
+    let mut nearest = f64::INFINITY;
+    for _ in 0..500 {
+        simulation.advance();
+        nearest = nearest.min(simulation.people()[0].pose.distance_m(simulation.robot().pose()));
+    }
+    assert!(nearest >= 0.2 + Person::RADIUS_M, "came as near as {nearest} m");
+    assert_eq!(simulation.collisions(), 0);
+}
+
+#[test]
+fn settings_that_make_no_simulation_are_refused() {
+    let start = Pose::new(3.0, 1.0, 0.0);
+    let refused = |settings| match Simulation::new(LOOP.clone(), start, settings) {
+        Err(SimulationError::OutOfRange(refused)) => refused.setting,
+        other => panic!("{other:?}"),
+    };
+    let wheels = WheelErrors { drift_rad_per_m: f64::NAN, ..WheelErrors::NONE };
+    assert_eq!(refused(SimulationSettings { wheels, ..settings(1) }), "drift_rad_per_m");
+    assert_eq!(refused(SimulationSettings { period_ns: 0, ..settings(1) }), "period_ns");
+    let trigger = CameraTrigger::Moved { distance_m: -1.0, angle_rad: 0.1 };
+    assert_eq!(refused(SimulationSettings { trigger, ..settings(1) }), "distance_m");
+    let outside = Simulation::new(LOOP.clone(), Pose::new(f64::NAN, 1.0, 0.0), settings(1));
+    assert!(matches!(outside, Err(SimulationError::NoRoom { .. })));
+}
+
+#[test]
 fn a_kidnapped_robot_does_not_feel_it() {
     let mut simulation = Simulation::new(LOOP.clone(), Pose::new(3.0, 1.0, 0.0), settings(1)).unwrap();
     simulation.kidnap(Pose::new(1.0, 6.0, 1.0)).unwrap();
     let tick = simulation.advance();
-    assert_eq!((tick.truth, tick.odometry), (Pose::new(1.0, 6.0, 1.0), Pose::default()));
+    assert_eq!((tick.truth, tick.odometry.pose), (Pose::new(1.0, 6.0, 1.0), Pose::default()));
     let refused = simulation.kidnap(Pose::new(6.0, 6.0, 1.0));
     assert_eq!(refused, Err(SimulationError::NoRoom { x_m: 6.0, y_m: 6.0 }));
 }

@@ -6,6 +6,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::pose::Pose;
 use crate::random::{Draws, derived_seed, standard_normal};
+use crate::range::{self, OutOfRange};
 
 /// How wrong wheels are.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,20 +25,6 @@ pub struct WheelErrors {
     pub slips_per_m: f64,
     /// How far a slipping wheel turns without grip, in metres.
     pub slip_m: f64,
-}
-
-/// Numbers that make no wheels.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("the wheels' {field} is {value}; it must be from {least} to {most}")]
-pub struct WheelErrorsError {
-    /// Which number.
-    pub field: &'static str,
-    /// What it is.
-    pub value: f64,
-    /// Least that it may be.
-    pub least: f64,
-    /// Most that it may be.
-    pub most: f64,
 }
 
 impl WheelErrors {
@@ -73,9 +60,9 @@ impl WheelErrors {
     }
 
     /// # Errors
-    /// [`WheelErrorsError`] if a number is out of its range.
-    pub fn checked(self) -> Result<Self, WheelErrorsError> {
-        let ranges = [
+    /// [`OutOfRange`] if a number is out of its range.
+    pub fn checked(self) -> Result<Self, OutOfRange> {
+        range::check(&[
             ("scale", self.scale, -0.5, 0.5),
             ("drift_rad_per_m", self.drift_rad_per_m, -1.0, 1.0),
             ("way_sigma", self.way_sigma, 0.0, 1.0),
@@ -83,50 +70,31 @@ impl WheelErrors {
             ("turn_sigma", self.turn_sigma, 0.0, 1.0),
             ("slips_per_m", self.slips_per_m, 0.0, 10.0),
             ("slip_m", self.slip_m, 0.0, 1.0),
-        ];
-        let wrong = ranges.into_iter().find(|&(_, value, least, most)| !(least..=most).contains(&value));
-        match wrong {
-            Some((field, value, least, most)) => Err(WheelErrorsError { field, value, least, most }),
-            None => Ok(self),
-        }
+        ])?;
+        Ok(self)
     }
 }
 
-/// A pose in the odometry's own frame, which starts at (0, 0, 0), and how sure it is.
+/// Where wheels say that the robot is, and how sure they are.
 #[derive(Clone, Debug)]
 pub struct WheelOdometry {
     errors: WheelErrors,
     random: ChaCha8Rng,
-    pose: Pose,
-    covariance: Matrix3<f64>,
+    reading: OdometryReading,
 }
 
-impl WheelOdometry {
-    pub(crate) fn new(errors: WheelErrors, seed: u64) -> Self {
-        let random = ChaCha8Rng::seed_from_u64(seed);
-        Self { errors, random, pose: Pose::default(), covariance: Matrix3::zeros() }
-    }
-
-    /// How wrong it is; only the simulation knows.
-    #[must_use]
-    pub fn errors(&self) -> &WheelErrors {
-        &self.errors
-    }
-
+/// A pose in the odometry's own frame, which starts at (0, 0, 0), and how sure it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OdometryReading {
     /// Where the wheels say the robot is.
-    #[must_use]
-    pub fn pose(&self) -> &Pose {
-        &self.pose
-    }
-
+    pub pose: Pose,
     /// Covariance of (x, y, heading) in m², m rad and rad², as a driver states it that knows of its wheels no more than
     /// how wrong uncalibrated ones may be: what a bias does within a metre counts as noise.
-    #[must_use]
-    pub fn covariance(&self) -> &Matrix3<f64> {
-        &self.covariance
-    }
+    pub covariance: Matrix3<f64>,
+}
 
-    /// The same for (x, y, z, rotation about x, y, z), 6 x 6 row by row: the floor is level to a millimetre and a
+impl OdometryReading {
+    /// The covariance of (x, y, z, rotation about x, y, z), 6 x 6 row by row: the floor is level to a millimetre and a
     /// milliradian.
     #[must_use]
     pub fn covariance_6x6(&self) -> [f64; 36] {
@@ -148,9 +116,33 @@ impl WheelOdometry {
         let (sin, cos) = (self.pose.heading_rad / 2.0).sin_cos();
         ([self.pose.x_m, self.pose.y_m, 0.0], [0.0, 0.0, sin, cos])
     }
+}
 
-    /// The wheels have turned for so much way and so much turn.
-    pub(crate) fn add(&mut self, distance_m: f64, turn_rad: f64) {
+impl WheelOdometry {
+    /// Wheels that have not turned yet. Steps that were not driven here, such as those of a recorded trajectory, can be
+    /// added as well.
+    ///
+    /// # Errors
+    /// [`OutOfRange`] if the errors are.
+    pub fn new(errors: WheelErrors, seed: u64) -> Result<Self, OutOfRange> {
+        let reading = OdometryReading { pose: Pose::default(), covariance: Matrix3::zeros() };
+        Ok(Self { errors: errors.checked()?, random: ChaCha8Rng::seed_from_u64(seed), reading })
+    }
+
+    /// How wrong it is; only the simulation knows.
+    #[must_use]
+    pub fn errors(&self) -> &WheelErrors {
+        &self.errors
+    }
+
+    /// What they say now.
+    #[must_use]
+    pub fn reading(&self) -> &OdometryReading {
+        &self.reading
+    }
+
+    /// The wheels have turned for so many metres ahead, along an arc, and so many radians to the left.
+    pub fn add(&mut self, distance_m: f64, turn_rad: f64) {
         let errors = &self.errors;
         let (way, turned) = (distance_m.abs(), turn_rad.abs());
         let distance_noise = errors.way_sigma * way.sqrt() * standard_normal(&mut self.random);
@@ -159,12 +151,12 @@ impl WheelOdometry {
         let measured_m = distance_m * (1.0 + errors.scale) + distance_noise;
         let measured_rad = turn_rad + errors.drift_rad_per_m * way + turn_noise;
         self.propagate(measured_m, measured_rad);
-        self.pose = self.pose.driven(measured_m, measured_rad);
+        self.reading.pose = self.reading.pose.driven(measured_m, measured_rad);
     }
 
     /// Σ ← F Σ Fᵀ + G Q Gᵀ for a step that is short against its radius.
     fn propagate(&mut self, distance_m: f64, turn_rad: f64) {
-        let heading = self.pose.heading_rad + turn_rad / 2.0;
+        let heading = self.reading.pose.heading_rad + turn_rad / 2.0;
         let (sin, cos) = heading.sin_cos();
         let (way, turned) = (distance_m.abs(), turn_rad.abs());
         let bias = |most: f64| most * most / 3.0;
@@ -173,6 +165,39 @@ impl WheelOdometry {
         let motion = Matrix3::new(1.0, 0.0, -distance_m * sin, 0.0, 1.0, distance_m * cos, 0.0, 0.0, 1.0);
         let input = Matrix3x2::new(cos, -distance_m / 2.0 * sin, sin, distance_m / 2.0 * cos, 0.0, 1.0);
         let noise = Matrix2::new(distance_variance, 0.0, 0.0, turn_variance);
-        self.covariance = motion * self.covariance * motion.transpose() + input * noise * input.transpose();
+        let covariance = &mut self.reading.covariance;
+        *covariance = motion * *covariance * motion.transpose() + input * noise * input.transpose();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Matrix6, Rotation2, Vector2};
+
+    #[test]
+    fn the_covariance_is_one_and_grows() {
+        let mut odometry = WheelOdometry::new(WheelErrors::drawn(3), 3).unwrap();
+        let mut before = 0.0;
+        for step in 0..200 {
+            odometry.add(0.02, 0.01 * f64::from(step % 7));
+            let whole = Matrix6::from_row_slice(&odometry.reading().covariance_6x6());
+            assert!((whole - whole.transpose()).amax() < 1e-12);
+            assert!(whole.symmetric_eigenvalues().min() > -1e-12);
+            assert!(odometry.reading().covariance.trace() > before);
+            before = odometry.reading().covariance.trace();
+        }
+        // A turn by a quaternion is the heading.
+        let ([x, y, _], [_, _, sin, cos]) = odometry.reading().position_and_orientation();
+        let ahead = Rotation2::new(2.0 * sin.atan2(cos)) * Vector2::x();
+        let pose = odometry.reading().pose;
+        assert!((ahead - pose.direction()).norm() < 1e-12 && [x, y] == [pose.x_m, pose.y_m]);
+    }
+
+    #[test]
+    fn wheels_that_are_none_are_refused() {
+        let refused =
+            WheelOdometry::new(WheelErrors { scale: f64::NAN, ..WheelErrors::NONE }, 1).unwrap_err();
+        assert_eq!((refused.setting, refused.least, refused.most), ("scale", -0.5, 0.5));
     }
 }

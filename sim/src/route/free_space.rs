@@ -7,6 +7,7 @@ use nalgebra::Vector2;
 
 use super::RouteError;
 use crate::floor_plan::FloorPlan;
+use crate::random::Draws;
 
 /// Where a round robot can be, on a grid of 10 cm.
 #[derive(Clone, Debug)]
@@ -33,6 +34,20 @@ impl<'a> FreeSpace<'a> {
         let mut space = Self { plan, radius_m, min, columns, clearance_m: Vec::new() };
         space.clearance_m = (0..columns * rows).map(|cell| plan.clearance_m(space.middle(cell))).collect();
         space
+    }
+
+    /// A place where the robot fits, anywhere in the building.
+    ///
+    /// # Errors
+    /// [`RouteError::Blocked`] if it fits nowhere.
+    pub fn place(&self, seed: u64) -> Result<Vector2<f64>, RouteError> {
+        let free: Vec<usize> = (0..self.clearance_m.len()).filter(|&cell| self.is_free(cell)).collect();
+        let nowhere = RouteError::Blocked { x_m: self.min.x, y_m: self.min.y };
+        free.get(Draws::new(seed).below(free.len())).map(|&cell| self.middle(cell)).ok_or(nowhere)
+    }
+
+    fn is_free(&self, cell: usize) -> bool {
+        self.clearance_m[cell] >= self.radius_m + CELL_M / 2.0
     }
 
     /// The shortest way that keeps away from walls, as corners for [`super::Route::through`].
@@ -101,7 +116,7 @@ impl<'a> FreeSpace<'a> {
         around.filter(move |&next| next != (column, row)).filter_map(move |(next_column, next_row)| {
             let next = next_row * self.columns + next_column;
             let length = if next_column == column || next_row == row { 1000.0 } else { 1414.0 };
-            (self.clearance_m[next] >= self.radius_m + CELL_M / 2.0).then_some((next, length))
+            self.is_free(next).then_some((next, length))
         })
     }
 
@@ -124,8 +139,7 @@ impl<'a> FreeSpace<'a> {
     }
 
     fn nearest_free(&self, point: Vector2<f64>) -> Option<usize> {
-        let free = (0..self.clearance_m.len())
-            .filter(|&cell| self.clearance_m[cell] >= self.radius_m + CELL_M / 2.0);
+        let free = (0..self.clearance_m.len()).filter(|&cell| self.is_free(cell));
         let gap = |cell: usize| (self.middle(cell) - point).norm();
         free.min_by(|&a, &b| gap(a).total_cmp(&gap(b))).filter(|&cell| gap(cell) < 3.0 * CELL_M)
     }
@@ -163,6 +177,18 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn places_are_free_and_all_over() {
+        let plan = NamedWorld::Loop.plan(1);
+        let space = FreeSpace::new(&plan, 0.2);
+        let places: Vec<Vector2<f64>> = (0..40).map(|seed| space.place(seed).unwrap()).collect();
+        assert!(places.iter().all(|&place| plan.clearance_m(place) >= 0.2));
+        let names: std::collections::BTreeSet<&str> =
+            places.iter().map(|&place| plan.room_at(place).unwrap().name.as_str()).collect();
+        assert_eq!(names.len(), 4);
+        assert!(FreeSpace::new(&plan, 1.5).place(0).is_err());
     }
 
     #[test]
