@@ -44,6 +44,9 @@ pub struct Room {
     pub floor: Surface,
     /// What one looks up to.
     pub ceiling: Surface,
+    /// By how many quarters, counter-clockwise, the patterns of floor and ceiling are turned: look-alikes may lie in
+    /// different directions.
+    pub quarter_turns: u8,
 }
 
 /// A wall without thickness.
@@ -248,6 +251,26 @@ impl Room {
     #[must_use]
     pub fn center(&self) -> Vector2<f64> {
         (self.min + self.max) / 2.0
+    }
+
+    /// Length and width of floor and ceiling, along the axes of their patterns.
+    pub(crate) fn pattern_size_m(&self) -> [f64; 2] {
+        let size = self.max - self.min;
+        if self.quarter_turns.is_multiple_of(2) { [size.x, size.y] } else { [size.y, size.x] }
+    }
+
+    /// A direction along the axes of the patterns of floor and ceiling.
+    pub(crate) fn along_pattern<T: nalgebra::Scalar + std::ops::Neg<Output = T>>(
+        &self,
+        v: Vector2<T>,
+    ) -> Vector2<T> {
+        let [x, y] = v.into();
+        match self.quarter_turns % 4 {
+            0 => Vector2::new(x, y),
+            1 => Vector2::new(y, -x),
+            2 => Vector2::new(-x, -y),
+            _ => Vector2::new(-y, x),
+        }
     }
 
     /// Whether a point is in it; walls belong to the room behind them in x and y.

@@ -37,7 +37,8 @@ pub enum Behaviour {
         /// Metres a second.
         speed_m_s: f64,
     },
-    /// Comes to a robot that it sees, stands before it, and after a while goes back to where it was.
+    /// Comes to a robot that it sees, stands before its camera, and after a while goes back to where it was: let that
+    /// be beside the robot's way, or nobody gets past.
     Blocking {
         /// How near the robot has to come to be noticed, in metres.
         notice_m: f64,
@@ -111,12 +112,12 @@ impl Walker {
         match &self.behaviour {
             Behaviour::Standing => {}
             Behaviour::Walking { corners, speed_m_s } => {
-                let stops = corners.len() + 1;
-                // 0, 1, ..., n - 1, n, n - 1, ..., 1: there and back.
-                let folded = stops - 1 - (self.next % (2 * stops - 1).max(1)).abs_diff(stops - 1);
-                let goal = if folded == 0 { self.home } else { corners[folded - 1] };
+                // 0 is where it started: 0, 1, ..., n - 1, n, n - 1, ..., 1, there and back.
+                let last = corners.len();
+                let stop = last - self.next.abs_diff(last);
+                let goal = if stop == 0 { self.home } else { corners[stop - 1] };
                 if (goal - self.person.pose.position()).norm() < 0.02 {
-                    self.next = (self.next + 1) % (2 * (stops - 1)).max(1);
+                    self.next = (self.next + 1) % (2 * last).max(1);
                 }
                 let speed_m_s = *speed_m_s;
                 self.step(plan, goal, robot, keep_m, speed_m_s * seconds);

@@ -50,8 +50,8 @@ impl Scene {
         let walls = parts.walls.par_iter().map(|wall| paint_wall(&plan, wall)).collect();
         let furniture = parts.furniture.par_iter().map(|item| paint_box(&plan, item)).collect();
         let paint_room = |room: &crate::floor_plan::Room| {
-            let size = room.max - room.min;
-            let paint = |surface| Texture::paint(surface, size.x, size.y);
+            let [length, width] = room.pattern_size_m();
+            let paint = |surface| Texture::paint(surface, length, width);
             PaintedRoom { floor: paint(&room.floor), ceiling: paint(&room.ceiling) }
         };
         let rooms = parts.rooms.par_iter().map(paint_room).collect();

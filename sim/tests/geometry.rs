@@ -14,6 +14,7 @@ use waypost_sim::pose::Pose;
 use waypost_sim::render::{CameraRig, Mount, Sensor, Shot};
 use waypost_sim::scene::Scene;
 use waypost_sim::texture::{Material, Surface};
+use waypost_sim::worlds::NamedWorld;
 
 const HEIGHT_M: f64 = 1.0;
 const CEILING_M: f64 = 2.6;
@@ -30,7 +31,14 @@ fn hall(furniture: Vec<Furniture>) -> Scene {
         top_m: CEILING_M,
         surfaces: [bright.part(side as u64); 2],
     });
-    let room = Room { name: "hall".to_owned(), min, max, floor: bright.part(8), ceiling: bright.part(9) };
+    let room = Room {
+        name: "hall".to_owned(),
+        min,
+        max,
+        floor: bright.part(8),
+        ceiling: bright.part(9),
+        quarter_turns: 0,
+    };
     let parts = PlanParts {
         ceiling_m: CEILING_M,
         rooms: vec![room],
@@ -195,6 +203,33 @@ fn a_panorama_goes_round_without_a_seam() {
         let share = off.count() as f64 / (720.0 * 200.0);
         assert!(share < 0.002, "{share} of the pixels are elsewhere after a turn");
         assert_ne!(ahead, turned);
+    }
+}
+
+/// The same office in two buildings, seen from its middle away from its door.
+#[test]
+fn an_office_looks_the_same_wherever_it_is() {
+    let views = [NamedWorld::BuildingA, NamedWorld::BuildingB].map(|world| {
+        let scene = Scene::new(world.plan(3));
+        let view = |name: &str| {
+            let door = scene.plan().parts().doors.iter();
+            let middle = scene.plan().room(name).unwrap().center();
+            let nearest =
+                door.min_by(|a, b| (a.position - middle).norm().total_cmp(&(b.position - middle).norm()));
+            let away = middle - nearest.unwrap().position;
+            let pose = Pose::new(middle.x, middle.y, away.y.atan2(away.x));
+            scene.render(&perspective(), &shot(pose))
+        };
+        ["office 1", "office 2", "office 5"].map(view)
+    });
+    let unlike = |a: &GreyImage, b: &GreyImage| {
+        let off = a.pixels().iter().zip(b.pixels()).filter(|(a, b)| a.abs_diff(**b) > 6).count();
+        off as f64 / a.pixels().len() as f64
+    };
+    let [in_a, in_b] = views;
+    for (office, (a, b)) in in_a.iter().zip(&in_b).enumerate() {
+        assert!(unlike(a, b) < 0.01, "office {office} differs in {} of its pixels", unlike(a, b));
+        assert!(unlike(a, &in_b[(office + 1) % 3]) > 0.5);
     }
 }
 

@@ -265,8 +265,10 @@ impl Slabs<'_> {
         let room = &rooms[index];
         let PaintedRoom { floor, ceiling } = &self.scene.rooms[index];
         let texture = if row.slope < 0.0 { floor } else { ceiling };
-        let place: Vector2<f32> = (point - room.min).cast();
-        let footprint = lying(self.direction, self.step, at, row);
+        let place: Vector2<f32> =
+            (room.along_pattern(point - room.center()) + Vector2::from(room.pattern_size_m()) / 2.0).cast();
+        let [direction, step] = [self.direction, self.step].map(|vector| room.along_pattern(vector));
+        let footprint = lying(direction, step, at, row);
         texture.sample(place.x, place.y, &footprint) * self.shot.light.lamp(index)
     }
 }

@@ -207,7 +207,7 @@ mod tests {
     #[test]
     fn named_routes_are_free_and_as_long_as_said() {
         for world in NamedWorld::ALL {
-            for seed in 0..4 {
+            for seed in 0..12 {
                 let plan = world.plan(seed);
                 for named in world.routes() {
                     let route = Route::named(&plan, &named, 0.25);

@@ -31,7 +31,7 @@ pub(super) struct Space {
     pub(super) hall: Option<u32>,
     pub(super) look: Look,
     /// Quarter turns by which the space is turned against its look-alikes.
-    pub(super) quarter_turns: u64,
+    pub(super) quarter_turns: u8,
 }
 
 /// What a space looks like.
@@ -82,7 +82,7 @@ impl Layout {
         self.rooms.len() - 1
     }
 
-    pub(super) fn turned(&mut self, room: usize, quarter_turns: u64) {
+    pub(super) fn turned(&mut self, room: usize, quarter_turns: u8) {
         self.rooms[room].quarter_turns = quarter_turns;
     }
 
@@ -97,7 +97,7 @@ impl Layout {
         let space = self.rooms[room].clone();
         let mut draws = Draws::new(seed);
         for side in 0..4 {
-            let turns = (side + space.quarter_turns) % 4;
+            let turns = (side + u64::from(space.quarter_turns)) % 4;
             let (length, depth_axis) = space.side_length_m(turns);
             let mut along = draws.between(0.05, 0.5);
             loop {
@@ -284,14 +284,21 @@ impl Space {
     fn room(&self) -> Room {
         let floor = self.look.surface(self.look.floor(), 1000);
         let ceiling = self.look.surface(Material::CeilingBoards, 1001);
-        Room { name: self.name.clone(), min: self.min, max: self.max, floor, ceiling }
+        Room {
+            name: self.name.clone(),
+            min: self.min,
+            max: self.max,
+            floor,
+            ceiling,
+            quarter_turns: self.quarter_turns,
+        }
     }
 
     /// The same for the same piece of wall of look-alikes, however they are turned.
     fn wall_surface(&self, side: u64, ends: &[Vector2<f64>; 2], above_door: u64) -> Surface {
         let corner = self.on_side(side, 0.0).position();
         let nearest_mm = ends.iter().map(|end| ((end - corner).norm() * 1000.0).round() as u64).min();
-        let local = (side + 4 - self.quarter_turns % 4) % 4;
+        let local = (side + 4 - u64::from(self.quarter_turns % 4)) % 4;
         let part = ((local * 2 + above_door) << 20) + nearest_mm.unwrap_or_default();
         self.look.surface(self.look.wall(), part)
     }
