@@ -44,7 +44,6 @@ const FORBIDDEN: [(&str, &[&str]); 5] = [
     ("topomap", &["tokio", "serde", "sqlx", "opencv", "tonic"]),
     ("waypost-sim", &["tokio", "serde", "sqlx", "opencv", "tonic"]),
     ("waypost-proto", &["opencv", "sqlx"]),
-
     ("waypost-client", &["opencv", "sqlx"]),
 ];
 
