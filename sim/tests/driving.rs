@@ -313,3 +313,44 @@ fn every_world_can_be_driven() {
         }
     }
 }
+
+/// Blocks of 8 x 8 pixels with strong edges in two directions (J. Shi and C. Tomasi, Good features to track, CVPR 1994).
+fn blocks_with_corners(image: &GreyImage) -> usize {
+    let slope = |x: u32, y: u32| {
+        let difference = |a: u8, b: u8| (f64::from(b) - f64::from(a)) / 2.0;
+        [
+            difference(image.at(x - 1, y), image.at(x + 1, y)),
+            difference(image.at(x, y - 1), image.at(x, y + 1)),
+        ]
+    };
+    let least_eigenvalue = |left: u32, upper: u32| {
+        let slopes = (upper..upper + 8).flat_map(|y| (left..left + 8).map(move |x| slope(x, y)));
+        let [xx, xy, yy] = slopes.fold([0.0; 3], |[xx, xy, yy], [x, y]| [xx + x * x, xy + x * y, yy + y * y]);
+        ((xx + yy) - ((xx - yy).powi(2) + 4.0 * xy * xy).sqrt()) / 2.0 / 64.0
+    };
+    let corners = (1..image.width_px() - 9)
+        .step_by(8)
+        .flat_map(|x| (1..image.height_px() - 9).step_by(8).map(move |y| (x, y)));
+    // Noise of 2 grey values alone makes 2.
+    corners.filter(|&(left, upper)| least_eigenvalue(left, upper) > 20.0).count()
+}
+
+#[test]
+fn there_is_something_to_see_everywhere() {
+    let camera = Camera::of_field_of_view(65_f64.to_radians(), (320, 240)).unwrap();
+    let rig = CameraRig::new(camera, Mount::default(), Sensor::default()).unwrap();
+    for world in NamedWorld::ALL {
+        let scene = Arc::new(Scene::new(world.plan(5)));
+        let route = Route::named(scene.plan(), &world.routes()[0], 0.25).unwrap();
+        let settings = SimulationSettings::new(rig.clone());
+        let recording =
+            Simulation::new(scene.clone(), route.start(), settings).unwrap().drive_along(&route, 0.8);
+        let images = recording.unwrap().images(&scene, &rig);
+        let mut corners: Vec<usize> = images.iter().map(blocks_with_corners).collect();
+        corners.sort_unstable();
+
+        let [least, tenth, median] = [0, corners.len() / 10, corners.len() / 2].map(|index| corners[index]);
+        let name = world.name();
+        assert!(least >= 15 && tenth >= 150 && median >= 250, "{name}: {least}, {tenth}, {median} blocks");
+    }
+}
