@@ -7,6 +7,7 @@ use fabmap::place_filter::Belief;
 use nalgebra::Isometry3;
 
 use crate::odometry::{Odometry, decode_pose, encode_pose};
+use crate::relative_pose::RelativePose;
 use crate::verification::{Candidate, VerificationSettings};
 
 /// A frame's number within its map: its position in the log.
@@ -57,6 +58,8 @@ pub struct FrameEvent {
     pub learnt: bool,
     /// A link that this frame adds.
     pub link: Option<Link>,
+    /// Where in its place's frame the robot is, if wheels or a closure measured it.
+    pub at: Option<RelativePose>,
     /// What the next frame of the session starts from.
     pub belief: Belief,
 }
@@ -100,7 +103,8 @@ pub struct Match {
 /// Why a frame was decided as it was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Reason {
-    /// Somewhere new was the most probable: a place was created.
+    /// Somewhere new was the most probable, or wheels say that the robot has left the place it was at: a place was
+    /// created.
     NewPlace,
     /// The place the session is at, or has just left.
     SamePlace,
@@ -132,12 +136,18 @@ pub struct Link {
 pub enum LinkKind {
     /// A session went from one to the other.
     Session,
-    /// It did, and odometry measured the way: the pose of `to`'s frame in `from`'s.
+    /// It did, and odometry measured the way: the pose of `to`'s frame in `from`'s. Logs before version 3 have
+    /// these, without covariances.
     Odometry(Isometry3<f64>),
+    /// A session drove from one to the other, and odometry measured the way: the pose of `to` in the frame of `from`.
+    Driven(RelativePose),
+    /// A session drove there and recognised where it was: the same, by odometry and what the closure measured.
+    Closed(RelativePose),
 }
 
-/// Version of the byte form of [`MapEvent`]; 2 added the candidates.
-const VERSION: u8 = 2;
+/// Version of the byte form of [`MapEvent`]; 2 added the candidates, 3 where in its place the robot is.
+const VERSION: u8 = 3;
+const VERSION_BEFORE_POSES: u8 = 2;
 const VERSION_BEFORE_VERIFICATION: u8 = 1;
 const SESSION_OPENED: u8 = 0;
 const FRAME: u8 = 1;
@@ -204,6 +214,7 @@ fn encode_frame(event: &FrameEvent, writer: &mut Writer) {
         candidates,
         learnt,
         link,
+        at,
         belief,
     } = event;
     writer.u64(*frame);
@@ -223,6 +234,7 @@ fn encode_frame(event: &FrameEvent, writer: &mut Writer) {
     candidates.iter().for_each(|candidate| candidate.encode(writer));
     writer.u8(u8::from(*learnt));
     encode_option(link.as_ref(), writer, Link::encode);
+    encode_option(at.as_ref(), writer, RelativePose::encode);
     encode_belief(belief, writer);
 }
 
@@ -253,6 +265,7 @@ fn decode_frame(
         },
         learnt: decode_flag(reader)?,
         link: decode_option(reader, Link::decode)?,
+        at: if version > VERSION_BEFORE_POSES { decode_option(reader, RelativePose::decode)? } else { None },
         belief: decode_belief(reader)?,
     })
 }
@@ -323,6 +336,14 @@ impl Link {
                 writer.u8(1);
                 encode_pose(relative, writer);
             }
+            LinkKind::Driven(measured) => {
+                writer.u8(2);
+                measured.encode(writer);
+            }
+            LinkKind::Closed(measured) => {
+                writer.u8(3);
+                measured.encode(writer);
+            }
         }
     }
 
@@ -333,6 +354,8 @@ impl Link {
             kind: match reader.u8()? {
                 0 => LinkKind::Session,
                 1 => LinkKind::Odometry(decode_pose(reader)?),
+                2 => LinkKind::Driven(RelativePose::decode(reader)?),
+                3 => LinkKind::Closed(RelativePose::decode(reader)?),
                 other => return Err(DecodeError::invalid(format_args!("link kind {other}"))),
             },
         })

@@ -16,6 +16,10 @@ use sha2::{Digest, Sha256};
 use crate::event::{FrameEvent, FrameId, Link, SessionId};
 use crate::mapper::MapperSettings;
 use crate::odometry::Odometry;
+use crate::relative_pose::RelativePose;
+
+/// Frames that a session's prior looks back on, at most.
+pub const MAX_PAST_FRAMES: usize = 4;
 
 /// Places, links and sessions; appearances live in the recognizer's index, under the same ids.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -66,6 +70,17 @@ pub struct Session {
     pub belief: Belief,
     /// What geometry found for the last frames, oldest first; empty where nothing is verified.
     pub sightings: VecDeque<Sighting>,
+    /// The last frames with odometry, latest first; empty where none is measured.
+    pub past: VecDeque<Past>,
+}
+
+/// What a session believed at an earlier frame, and where its wheels put it then.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Past {
+    /// Odometry of the frame.
+    pub odometry: Odometry,
+    /// What it carried on.
+    pub belief: Belief,
 }
 
 /// An earlier frame that one of a session's last frames has evidence for.
@@ -102,6 +117,8 @@ pub struct Stay {
     pub looks: u32,
     /// Odometry of the stay's last frame.
     pub odometry: Option<Odometry>,
+    /// Where in the place's frame the robot was then, if that was measured.
+    pub at: Option<RelativePose>,
 }
 
 /// A place that a session has just left.
@@ -261,6 +278,7 @@ impl Session {
             left: VecDeque::new(),
             belief: Belief::unknown(),
             sightings: VecDeque::new(),
+            past: VecDeque::new(),
         }
     }
 
@@ -296,7 +314,7 @@ impl Session {
     /// Folds a frame of this session in.
     pub(crate) fn follow(&mut self, event: &FrameEvent, settings: &MapperSettings, sightings: Vec<Sighting>) {
         if let Some(place) = event.decision.place {
-            self.arrive(place, event.learnt, event.odometry.clone(), settings.guard_frames);
+            self.arrive(place, event, settings.guard_frames);
         }
         let earliest = (self.frames + 1).saturating_sub(settings.verification.consistency_frames.max(1));
         self.sightings.retain(|sighting| sighting.number >= earliest);
@@ -308,16 +326,21 @@ impl Session {
             self.last_odometry = Some((event.stamp_ns, odometry.clone()));
         }
         self.belief = event.belief.clone();
+        if let (Some(odometry), Some(_)) = (&event.odometry, &event.at) {
+            self.past.push_front(Past { odometry: odometry.clone(), belief: event.belief.clone() });
+            self.past.truncate(MAX_PAST_FRAMES);
+        }
     }
 
     fn left_lately(&self, guard_frames: u64) -> impl Iterator<Item = &LeftPlace> {
         self.left.iter().filter(move |left| self.frames - left.number < guard_frames)
     }
 
-    fn arrive(&mut self, place: PlaceId, learnt: bool, odometry: Option<Odometry>, guard_frames: u64) {
+    fn arrive(&mut self, place: PlaceId, event: &FrameEvent, guard_frames: u64) {
         let number = self.frames;
-        let looks = self.looks_of_stay(place, guard_frames) + u32::from(learnt);
-        let before = self.stay.replace(Stay { place, looks, odometry });
+        let looks = self.looks_of_stay(place, guard_frames) + u32::from(event.learnt);
+        let (odometry, at) = (event.odometry.clone(), event.at);
+        let before = self.stay.replace(Stay { place, looks, odometry, at });
         if let Some(before) = before.filter(|before| before.place != place) {
             self.left.retain(|left| left.place != place && number - left.number < guard_frames);
             self.left.push_back(LeftPlace { place: before.place, number, looks: before.looks });

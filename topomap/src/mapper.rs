@@ -4,12 +4,15 @@ mod candidates;
 mod errors;
 mod gates;
 mod localizer;
+mod poses;
 mod settings;
 mod state;
 
 pub use errors::{ArchiveError, FoldError, FrameError, MapperError, RestoreError};
 pub use gates::{Gate, Gates};
 pub use localizer::{Localizer, Queried};
+use poses::Located;
+pub use poses::MapPose;
 pub use settings::MapperSettings;
 
 use fabmap::appearance::PlaceId;
@@ -19,8 +22,9 @@ use fabmap::recognizer::{Association, Recognition, Recognizer, Stage, StageObser
 
 use crate::event::{Decision, FrameEvent, FrameId, Link, LinkKind, Match, Reason, SessionId};
 use crate::map::{Map, PlaceFrame, Session};
-use crate::motion::spread_over_links;
 use crate::odometry::Odometry;
+use crate::place_poses::PlacePoses;
+use crate::relative_pose::RelativePose;
 use crate::verification::{Candidate, Views};
 
 /// A map that grows: recognizer and place graph, driven by events.
@@ -31,6 +35,8 @@ use crate::verification::{Candidate, Views};
 pub struct Mapper {
     recognizer: Recognizer,
     map: Map,
+    /// Derived from the map's links.
+    poses: PlacePoses,
     settings: MapperSettings,
     vocabulary_len: usize,
 }
@@ -58,6 +64,13 @@ pub trait FrameArchive {
     /// # Errors
     /// [`ArchiveError`] if it cannot be read now.
     fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError>;
+
+    /// Where in its place's frame the robot was at that frame ([`FrameEvent::at`]); `None` if that was not measured
+    /// or is lost.
+    ///
+    /// # Errors
+    /// [`ArchiveError`] if it cannot be read now.
+    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError>;
 }
 
 /// What is known of a frame besides its decision, for those who ask why.
@@ -86,9 +99,11 @@ impl Mapper {
             return Err(MapperError::MaxSpeed { value: max_speed_m_per_s });
         }
         settings.verification.check()?;
+        settings.check_metric()?;
         Ok(Self {
             recognizer: Recognizer::new(model, settings.recognizer)?,
             map: Map::default(),
+            poses: PlacePoses::default(),
             settings,
             vocabulary_len: model.vocabulary().len(),
         })
@@ -120,7 +135,7 @@ impl Mapper {
         observer: &mut dyn StageObserver,
     ) -> Result<Decided, FrameError> {
         self.accept(&input, session)?;
-        let motion = spread_over_links(&session.belief, |place| self.map.linked(place));
+        let motion = self.motion_prior(session, input.odometry.as_ref());
         let recognition = self.recognizer.recognize(&input.observation, &motion, observer);
         let candidates =
             self.compare(&input.observation, (input.session, session), &recognition, archive, views)?;
@@ -130,10 +145,12 @@ impl Mapper {
         let proposal = self.propose(&input, session, &recognition, &candidates, archive)?;
         let decision =
             growth.limit(self.associate(&input, session, &recognition, &candidates, (archive, views))?);
+        let located = self.locate(&input, session, &decision, &candidates, (archive, views))?;
         let (learnt, link) = match growth {
-            Growth::Grows => {
-                (self.learns(session, &decision), self.link(session, &decision, input.odometry.as_ref()))
-            }
+            Growth::Grows => (
+                self.learns(session, &decision),
+                self.link(session, &decision, input.odometry.as_ref(), located),
+            ),
             Growth::ReadOnly => (false, None),
         };
         let created = decision.place.filter(|&place| place as usize == self.recognizer.places());
@@ -168,6 +185,7 @@ impl Mapper {
             candidates,
             learnt,
             link,
+            at: located.map(|located| located.at()),
             belief,
         };
         Ok(Decided { event, recognition })
@@ -255,21 +273,36 @@ impl Mapper {
             let posterior = session.belief.new_place;
             return Ok(Decision { reason: Reason::TooFewWords, place: None, posterior, closure: None });
         }
+        let same_place = |place: PlaceId| Decision {
+            reason: Reason::SamePlace,
+            place: Some(place),
+            posterior: posterior.places[place as usize],
+            closure: None,
+        };
         let association = recognition.association();
+        let robot = self.pose_of_robot(session, input.odometry.as_ref());
+        let was_just_there = |place: PlaceId| session.is_near(place, self.settings.guard_frames);
         if let Association::Seen(place) = association
-            && session.is_near(place, self.settings.guard_frames)
+            && was_just_there(place)
+            && robot.is_none_or(|robot| self.is_at(&robot, place))
             && self.may_have_stayed(place, input.session, views)?
         {
-            let posterior = posterior.places[place as usize];
-            let place = Some(place);
-            return Ok(Decision { reason: Reason::SamePlace, place, posterior, closure: None });
+            return Ok(same_place(place));
         }
         if let Some(Candidate { matched, .. }) = self.verified(session, candidates) {
             let Match { place, posterior, .. } = *matched;
             let (place, closure) = (Some(place), Some(*matched));
             return Ok(Decision { reason: Reason::LoopClosure, place, posterior, closure });
         }
+        if let (Some(robot), Some(stay)) = (robot, &session.stay)
+            && self.is_at(&robot, stay.place)
+        {
+            return Ok(same_place(stay.place));
+        }
         let Association::Seen(place) = association else { return Ok(new_place) };
+        if robot.is_some() && was_just_there(place) {
+            return Ok(new_place);
+        }
         let probability = posterior.places[place as usize];
         let closure =
             self.best_match(place, recognition, &input.observation, (input.session, session), archive)?;
@@ -290,14 +323,21 @@ impl Mapper {
     }
 
     /// The way here from the place the session was at, unless the two are linked already.
-    fn link(&self, session: &Session, decision: &Decision, odometry: Option<&Odometry>) -> Option<Link> {
+    fn link(
+        &self,
+        session: &Session,
+        decision: &Decision,
+        odometry: Option<&Odometry>,
+        located: Option<Located>,
+    ) -> Option<Link> {
         let (stay, to) = (session.stay.as_ref()?, decision.place?);
         if stay.place == to || self.map.linked(stay.place).binary_search(&to).is_ok() {
             return None;
         }
-        let kind = match (&stay.odometry, odometry) {
-            (Some(from), Some(to)) => LinkKind::Odometry(from.pose().inv_mul(to.pose())),
-            (Some(_) | None, _) => LinkKind::Session,
+        let kind = match (self.driven_from(stay, odometry), located) {
+            (Some(driven), Some(Located::AtOrigin)) => LinkKind::Driven(driven),
+            (Some(driven), Some(Located::ByClosure(at))) => LinkKind::Closed(driven.then(&at.back())),
+            (Some(_) | None, Some(_) | None) => LinkKind::Session,
         };
         Some(Link { from: stay.place, to, kind })
     }

@@ -17,6 +17,9 @@ pub trait Views {
     /// # Errors
     /// [`ArchiveError`] if the earlier one cannot be read now.
     fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError>;
+
+    /// Focal length of the current frame's camera along x, in image widths; `None` if its model is not known.
+    fn focal_length_widths(&self) -> Option<f64>;
 }
 
 /// There are no keypoints at all.
@@ -26,6 +29,10 @@ pub struct NoViews;
 impl Views for NoViews {
     fn compare(&self, _earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
         Ok(None)
+    }
+
+    fn focal_length_widths(&self) -> Option<f64> {
+        None
     }
 }
 

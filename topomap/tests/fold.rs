@@ -22,6 +22,7 @@ use topomap::mapper::{
     MapperSettings, RestoreError,
 };
 use topomap::odometry::Odometry;
+use topomap::relative_pose::RelativePose;
 use topomap::verification::NoViews;
 
 const WORDS: u32 = 1000;
@@ -33,6 +34,13 @@ impl FrameArchive for Log {
     fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
         match &self.0[frame as usize] {
             MapEvent::Frame(event) => Ok(Some(event.observation.clone())),
+            MapEvent::SessionOpened { .. } => Err(ArchiveError { frame, why: "not a frame".to_owned() }),
+        }
+    }
+
+    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
+        match &self.0[frame as usize] {
+            MapEvent::Frame(event) => Ok(event.at),
             MapEvent::SessionOpened { .. } => Err(ArchiveError { frame, why: "not a frame".to_owned() }),
         }
     }
@@ -397,8 +405,9 @@ fn odometry_measures_the_links_it_saw() {
     };
     robot.see(with(1));
     let link = robot.see(with(2)).link.unwrap();
-    let LinkKind::Odometry(relative) = link.kind else { panic!("{link:?}") };
-    assert!((relative.translation.vector.norm() - 0.5).abs() < 1e-12);
+    let LinkKind::Driven(measured) = link.kind else { panic!("{link:?}") };
+    assert!((measured.pose().x_m().hypot(measured.pose().y_m()) - 0.5).abs() < 1e-12);
+    assert!(measured.covariance().symmetric_eigenvalues().min() > 0.0);
     let without = FrameInput { odometry: None, ..with(3) };
     assert_eq!(robot.see(without).link.unwrap().kind, LinkKind::Session);
 }

@@ -20,6 +20,7 @@ use topomap::map::decode_place;
 use topomap::mapper::{
     ArchiveError, FrameArchive, FrameInput, Localizer, Mapper, MapperError, MapperSettings,
 };
+use topomap::relative_pose::RelativePose;
 use topomap::verification::{
     Candidate, Motion, NoViews, Quantity, Similarity, TwoView, VerificationError, VerificationMethod,
     VerificationSettings, Views,
@@ -50,6 +51,10 @@ impl Views for Truth<'_> {
         let inliers = if same { self.inliers } else { 3 };
         Ok(Some(plane(200, inliers, [self.shift_widths, 0.0])))
     }
+
+    fn focal_length_widths(&self) -> Option<f64> {
+        None
+    }
 }
 
 struct Archive<'a>(&'a [MapEvent]);
@@ -58,6 +63,13 @@ impl FrameArchive for Archive<'_> {
     fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
         match &self.0[frame as usize] {
             MapEvent::Frame(event) => Ok(Some(event.observation.clone())),
+            MapEvent::SessionOpened { .. } => Err(ArchiveError { frame, why: "not a frame".to_owned() }),
+        }
+    }
+
+    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
+        match &self.0[frame as usize] {
+            MapEvent::Frame(event) => Ok(event.at),
             MapEvent::SessionOpened { .. } => Err(ArchiveError { frame, why: "not a frame".to_owned() }),
         }
     }
@@ -296,6 +308,10 @@ fn nothing_is_compared_where_nothing_is_verified() {
     impl Views for Unwanted {
         fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
             panic!("frame {earlier} was compared")
+        }
+
+        fn focal_length_widths(&self) -> Option<f64> {
+            None
         }
     }
     let mut world = World::new(MapperSettings { verification: VerificationSettings::none(), ..settings() });

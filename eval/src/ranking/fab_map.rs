@@ -6,6 +6,7 @@ use fabmap::observation::Observation;
 use fabmap::recognizer::Recognition;
 use topomap::event::{Decision, FrameEvent, FrameId, MapEvent, Match, SessionId};
 use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameInput, Mapper, MapperSettings};
+use topomap::relative_pose::RelativePose;
 use topomap::verification::{Candidate, TwoView, Views};
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::verification::{Verifier, View};
@@ -172,6 +173,10 @@ impl Views for CurrentView<'_> {
         let view = |features| View { features, camera: None };
         Ok(Some(self.verifier.compare(view(earlier), view(self.current))))
     }
+
+    fn focal_length_widths(&self) -> Option<f64> {
+        None
+    }
 }
 
 impl FrameArchive for Log {
@@ -180,5 +185,9 @@ impl FrameArchive for Log {
             Some(event) => Ok(Some(event.observation.clone())),
             None => Err(ArchiveError { frame, why: "it is not in the log".to_owned() }),
         }
+    }
+
+    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
+        Ok(self.frame(frame).and_then(|event| event.at))
     }
 }

@@ -28,6 +28,7 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, MapEvent, Match, SessionId};
 use topomap::mapper::{ArchiveError, FrameArchive, FrameInput, Mapper};
+use topomap::relative_pose::RelativePose;
 use topomap::verification::Candidate;
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::verification::Verifier;
@@ -400,19 +401,35 @@ struct Archive<'a> {
 
 impl FrameArchive for Archive<'_> {
     fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
+        self.of(frame, |recent| recent.observation.clone(), |event| event.observation.clone())
+    }
+
+    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
+        Ok(self.of(frame, |recent| recent.at, |event| event.at)?.flatten())
+    }
+}
+
+impl Archive<'_> {
+    /// Something of an earlier frame, from wherever the frame is.
+    fn of<T>(
+        &self,
+        frame: FrameId,
+        of_recent: impl FnOnce(&RecentFrame) -> T,
+        of_event: impl FnOnce(&FrameEvent) -> T,
+    ) -> Result<Option<T>, ArchiveError> {
         let MapWriter { pending, recent, storage, map, model, runtime, .. } = self.writer;
         if let Some(recent) = recent.borrow().get(frame) {
-            return Ok(Some(recent.observation.clone()));
+            return Ok(Some(of_recent(recent)));
         }
         if let Some(pending) = pending.iter().find(|pending| pending.entry.position == frame)
             && let MapEvent::Frame(event) = &pending.entry.event
         {
-            return Ok(Some(event.observation.clone()));
+            return Ok(Some(of_event(event)));
         }
         match runtime.block_on(storage.event_at(map.id, frame, model.model.vocabulary().len())) {
             Ok(Some(MapEvent::Frame(event))) => {
                 recent.borrow_mut().keep(frame, RecentFrame::of(&event));
-                Ok(Some(event.observation))
+                Ok(Some(of_event(&event)))
             }
             Ok(Some(MapEvent::SessionOpened { .. }) | None) | Err(StorageError::Damaged(_)) => {
                 tracing::error!(

@@ -9,6 +9,7 @@ use tokio::runtime::Handle;
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, MapEvent, Reason};
 use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameError, FrameInput, Gate, Gates, Mapper};
+use topomap::relative_pose::RelativePose;
 use topomap::verification::{Bound, Candidate, Check, Quantity, TwoView, Verdict, Views};
 use waypost_vision::verification::Verifier;
 
@@ -192,9 +193,19 @@ impl Replay {
 
 impl FrameArchive for Replay {
     fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
+        Ok(self.event(frame)?.map(|event| event.observation))
+    }
+
+    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
+        Ok(self.event(frame)?.and_then(|event| event.at))
+    }
+}
+
+impl Replay {
+    fn event(&self, frame: FrameId) -> Result<Option<Box<FrameEvent>>, ArchiveError> {
         let words = self.model.model.vocabulary().len();
         match self.runtime.block_on(self.storage.event_at(self.map.id, frame, words)) {
-            Ok(Some(MapEvent::Frame(event))) => Ok(Some(event.observation)),
+            Ok(Some(MapEvent::Frame(event))) => Ok(Some(event)),
             Ok(Some(MapEvent::SessionOpened { .. }) | None) | Err(StorageError::Damaged(_)) => Ok(None),
             Err(error) => Err(ArchiveError { frame, why: error.to_string() }),
         }
@@ -220,6 +231,10 @@ impl Views for ReplayedView<'_> {
         let Some(current) = &self.current else { return Ok(None) };
         let earlier = self.replay.features(earlier)?;
         Ok(earlier.map(|earlier| compare(&self.verifier, &earlier, current).view))
+    }
+
+    fn focal_length_widths(&self) -> Option<f64> {
+        self.current.as_ref()?.focal_length_widths()
     }
 }
 

@@ -10,6 +10,7 @@ use topomap::event::{FrameEvent, FrameId, MapEvent};
 use topomap::mapper::{
     ArchiveError, Decided, FrameArchive, FrameInput, Localizer, Mapper, MapperSettings, Queried,
 };
+use topomap::relative_pose::RelativePose;
 use topomap::verification::{TwoView, VerificationSettings, Views};
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::features::{Extractor, Features};
@@ -90,6 +91,10 @@ impl Views for CurrentView<'_> {
         let earlier = features(self.log.frame(earlier).expect("matches are frames").sequence);
         let view = |features| View { features, camera: None };
         Ok(Some(self.verifier.compare(view(earlier), view(features(self.sequence)))))
+    }
+
+    fn focal_length_widths(&self) -> Option<f64> {
+        None
     }
 }
 
@@ -237,5 +242,9 @@ impl FrameArchive for Log {
     fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
         let why = || ArchiveError { frame, why: "it is no frame".to_owned() };
         self.frame(frame).map(|event| Some(event.observation.clone())).ok_or_else(why)
+    }
+
+    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
+        Ok(self.frame(frame).and_then(|event| event.at))
     }
 }

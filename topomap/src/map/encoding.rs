@@ -6,9 +6,10 @@ use fabmap::appearance::Appearance;
 use fabmap::codec::{Container, DecodeError, Reader, Writer};
 use sha2::{Digest, Sha256};
 
-use super::{LeftPlace, Map, Place, PlaceFrame, Session, Sighting, Stay};
+use super::{LeftPlace, MAX_PAST_FRAMES, Map, Past, Place, PlaceFrame, Session, Sighting, Stay};
 use crate::event::{decode_belief, decode_option, encode_belief, encode_option};
 use crate::odometry::Odometry;
+use crate::relative_pose::RelativePose;
 use crate::verification::not_negative;
 
 impl Map {
@@ -16,7 +17,12 @@ impl Map {
     pub(super) fn encode_graph(&self) -> Vec<u8> {
         let Self { places, links, linked: _, sessions, events } = self;
         let verified = sessions.values().any(|session| !session.sightings.is_empty());
-        let version = if verified { SESSION_VERSION } else { BEFORE_VERIFICATION };
+        let posed = sessions.values().any(Session::is_posed);
+        let version = match (posed, verified) {
+            (true, _) => SESSION_VERSION,
+            (false, true) => BEFORE_POSES,
+            (false, false) => BEFORE_VERIFICATION,
+        };
         let mut writer = Writer::default();
         writer.u64(*events);
         writer.varint(places.len() as u64);
@@ -31,10 +37,12 @@ impl Map {
     }
 }
 
-/// Version of a session's byte form; 2 added the sightings.
-pub(crate) const SESSION_VERSION: u32 = 2;
+/// Version of a session's byte form; 2 added the sightings, 3 where the robot is in its place.
+pub(crate) const SESSION_VERSION: u32 = 3;
 
-/// The version without sightings. The graph of a map that has none is still hashed so: its hash is what it was.
+/// The versions without. The graph of a map that has none of what was added is still hashed so: its hash is what it
+/// was.
+const BEFORE_POSES: u32 = 2;
 const BEFORE_VERIFICATION: u32 = 1;
 
 const GRAPH: Container =
@@ -100,8 +108,13 @@ pub fn decode_place(bytes: &[u8], vocabulary_len: usize) -> Result<(Place, Appea
 }
 
 impl Session {
+    /// Whether anything is known that the second version has no bytes for.
+    fn is_posed(&self) -> bool {
+        !self.past.is_empty() || self.stay.as_ref().is_some_and(|stay| stay.at.is_some())
+    }
+
     pub(crate) fn encode(&self, version: u32, writer: &mut Writer) {
-        let Self { frames, last_sequence, last_stamp_ns, last_odometry, stay, left, belief, sightings } =
+        let Self { frames, last_sequence, last_stamp_ns, last_odometry, stay, left, belief, sightings, past } =
             self;
         writer.u64(*frames);
         encode_option(last_sequence.as_ref(), writer, |sequence, writer| writer.u64(*sequence));
@@ -110,10 +123,13 @@ impl Session {
             writer.i64(*stamp_ns);
             odometry.encode(writer);
         });
-        encode_option(stay.as_ref(), writer, |Stay { place, looks, odometry }, writer| {
+        encode_option(stay.as_ref(), writer, |Stay { place, looks, odometry, at }, writer| {
             writer.u32(*place);
             writer.u32(*looks);
             encode_option(odometry.as_ref(), writer, Odometry::encode);
+            if version > BEFORE_POSES {
+                encode_option(at.as_ref(), writer, RelativePose::encode);
+            }
         });
         writer.varint(left.len() as u64);
         for &LeftPlace { place, number, looks } in left {
@@ -125,6 +141,13 @@ impl Session {
         if version > BEFORE_VERIFICATION {
             writer.varint(sightings.len() as u64);
             sightings.iter().for_each(|sighting| sighting.encode(writer));
+        }
+        if version > BEFORE_POSES {
+            writer.varint(past.len() as u64);
+            for Past { odometry, belief } in past {
+                odometry.encode(writer);
+                encode_belief(belief, writer);
+            }
         }
     }
 
@@ -139,6 +162,11 @@ impl Session {
                     place: reader.u32()?,
                     looks: reader.u32()?,
                     odometry: decode_option(reader, Odometry::decode)?,
+                    at: if version > BEFORE_POSES {
+                        decode_option(reader, RelativePose::decode)?
+                    } else {
+                        None
+                    },
                 })
             })?,
             left: (0..reader.count(16)?)
@@ -152,8 +180,18 @@ impl Session {
             } else {
                 VecDeque::new()
             },
+            past: if version > BEFORE_POSES { decode_past(reader)? } else { VecDeque::new() },
         })
     }
+}
+
+fn decode_past(reader: &mut Reader<'_>) -> Result<VecDeque<Past>, DecodeError> {
+    let frames = reader.varint()?;
+    if frames > MAX_PAST_FRAMES as u64 {
+        return Err(DecodeError::invalid(format_args!("{frames} frames to look back on")));
+    }
+    let past = |_| Ok(Past { odometry: Odometry::decode(reader)?, belief: decode_belief(reader)? });
+    (0..frames).map(past).collect()
 }
 
 /// Least bytes of a sighting.

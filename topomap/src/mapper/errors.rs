@@ -97,6 +97,20 @@ pub enum MapperError {
         /// The value given.
         value: f64,
     },
+    /// A length, angle or share that is none.
+    #[error("the {quantity} must be a number above 0, not {value}; leave it out for the default")]
+    Metric {
+        /// What it is.
+        quantity: &'static str,
+        /// The value given.
+        value: f64,
+    },
+    /// No frame to look back on, or more than are kept.
+    #[error("the prior can look back on 1 to {max} frames, not {value}", max = crate::map::MAX_PAST_FRAMES)]
+    PriorFrames {
+        /// The value given.
+        value: usize,
+    },
 }
 
 /// An event that is not the next of a map's log: the log is damaged, or of another map.

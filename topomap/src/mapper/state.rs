@@ -9,13 +9,24 @@ use fabmap::recognizer::{Recognition, Recognizer};
 use super::{FoldError, Mapper, MapperSettings};
 use crate::event::{FrameEvent, MapEvent};
 use crate::map::Map;
+use crate::place_poses::PlacePoses;
 
 impl Mapper {
-    /// The fold: what the log's next event makes of the map.
+    /// What the log's next event makes of the map, with poses that agree with all links.
     ///
     /// # Errors
     /// [`FoldError`] if it is not the next event of this map's log; nothing changes then.
     pub fn apply(&mut self, event: &MapEvent) -> Result<(), FoldError> {
+        self.fold(event)?;
+        self.relax();
+        Ok(())
+    }
+
+    /// The fold alone, for who replays a log: poses agree with the links after [`Mapper::relax`].
+    ///
+    /// # Errors
+    /// See [`Mapper::apply`].
+    pub fn fold(&mut self, event: &MapEvent) -> Result<(), FoldError> {
         self.check_next(event)?;
         match event {
             MapEvent::SessionOpened { session } => self.map.open_session(*session),
@@ -27,12 +38,23 @@ impl Mapper {
                     Some(place) if event.learnt => self.recognizer.observe_place(place, &event.observation),
                     Some(_) | None => {}
                 }
+                if event.decision.place.is_some_and(|place| place as usize == self.map.places().len()) {
+                    self.poses.add_place();
+                }
+                if let Some(link) = &event.link {
+                    self.poses.add_link(self.map.links().len(), link, &self.settings.odometry_noise);
+                }
                 let number = self.map.session(event.session).map_or(0, |session| session.frames);
                 let sightings = self.sightings(number, &event.candidates);
                 self.map.fold_frame(event, &self.settings, sightings);
             }
         }
         Ok(())
+    }
+
+    /// Makes the poses of places agree with all links as well as they can, if a loop was closed since.
+    pub fn relax(&mut self) {
+        self.poses.relax();
     }
 
     /// The place graph and the sessions.
@@ -82,6 +104,7 @@ impl Mapper {
     }
 
     pub(crate) fn take_map(&mut self, map: Map) {
+        self.poses = PlacePoses::new(map.places().len(), map.links(), &self.settings.odometry_noise);
         self.map = map;
     }
 

@@ -15,6 +15,14 @@ pub struct Pinhole {
     pub distortion: Distortion,
 }
 
+impl Pinhole {
+    /// Focal length in x of images of `width_px`, in image widths.
+    #[must_use]
+    pub fn focal_length_widths(&self, width_px: u32) -> f64 {
+        self.focal_px[0] / f64::from(width_px)
+    }
+}
+
 /// How a lens moves points away from where a pinhole would put them: D. C. Brown, Decentering Distortion of Lenses,
 /// Photogrammetric Engineering 32(3), 1966, with the coefficients' names as in OpenCV.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

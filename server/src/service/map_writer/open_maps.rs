@@ -228,10 +228,11 @@ fn open(
     let mut changes = Changes::since(mapper.map());
     let mut fold = |LogEntry { position: _, event, media: _ }: LogEntry| {
         changes.follow(&event);
-        mapper.apply(&event).map_err(|error| StorageError::Damaged(error.to_string()))
+        mapper.fold(&event).map_err(|error| StorageError::Damaged(error.to_string()))
     };
     let words = model.model.vocabulary().len();
     runtime.block_on(storage.replay(map.id, checkpoint_events..u64::MAX, words, &mut fold))?;
+    mapper.relax();
     let checkpoints = match layout {
         Some(layout) => Checkpoints::new(changes, checkpoint_events, layout),
         None if mapper.map().events() == 0 => Checkpoints::new(changes, 0, Layout::default()),

@@ -5,6 +5,7 @@ use std::collections::{HashMap, VecDeque};
 
 use fabmap::observation::Observation;
 use topomap::event::{FrameEvent, FrameId};
+use topomap::relative_pose::RelativePose;
 
 use crate::storage::StoredFrame;
 
@@ -22,6 +23,8 @@ pub(super) struct Recent<T> {
 pub(super) struct RecentFrame {
     pub(super) stored: StoredFrame,
     pub(super) observation: Observation,
+    /// Where in its place it was taken.
+    pub(super) at: Option<RelativePose>,
 }
 
 impl<T> Recent<T> {
@@ -48,7 +51,7 @@ impl<T> Recent<T> {
 
 impl RecentFrame {
     pub(super) fn of(event: &FrameEvent) -> Self {
-        let FrameEvent { session, sequence, stamp_ns, ref observation, .. } = *event;
-        Self { stored: StoredFrame { session, sequence, stamp_ns }, observation: observation.clone() }
+        let FrameEvent { session, sequence, stamp_ns, at, ref observation, .. } = *event;
+        Self { stored: StoredFrame { session, sequence, stamp_ns }, observation: observation.clone(), at }
     }
 }

@@ -34,6 +34,12 @@ impl SeenFeatures {
         Self { features, camera }
     }
 
+    /// Focal length along x, in image widths; `None` if the camera is not known.
+    pub(crate) fn focal_length_widths(&self) -> Option<f64> {
+        let (width_px, _) = self.features.image_size_px();
+        self.camera.map(|camera| camera.focal_length_widths(width_px))
+    }
+
     fn view(&self) -> View<'_> {
         View { features: &self.features, camera: self.camera }
     }
@@ -51,6 +57,10 @@ impl Views for CurrentView<'_> {
         let Some(current) = &self.current else { return Ok(None) };
         let earlier = self.writer.features(earlier)?;
         Ok(earlier.map(|earlier| compare(&self.writer.verifier, &earlier, current).view))
+    }
+
+    fn focal_length_widths(&self) -> Option<f64> {
+        self.current.as_ref()?.focal_length_widths()
     }
 }
 

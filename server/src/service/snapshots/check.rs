@@ -134,7 +134,7 @@ impl Log {
         if let MapEvent::Frame(frame) = &event {
             self.check_frame(frame).map_err(|why| wrong(&why))?;
         }
-        self.mapper.apply(&event).map_err(|error| wrong(&error))?;
+        self.mapper.fold(&event).map_err(|error| wrong(&error))?;
         self.frames.push(matches!(event, MapEvent::Frame(_)));
         Ok(())
     }

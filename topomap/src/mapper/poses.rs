@@ -1,0 +1,139 @@
+//! Where the robot is in metres, and what that says for the next frame.
+
+use fabmap::appearance::PlaceId;
+use fabmap::place_filter::MotionPrior;
+
+use super::{FrameArchive, FrameError, FrameInput, Mapper};
+use crate::event::{Decision, Reason};
+use crate::map::{Session, Stay};
+use crate::motion::spread_over_links;
+use crate::odometry::Odometry;
+use crate::odometry_prior::predict;
+use crate::place_poses::PlacePoses;
+use crate::relative_pose::{ClosureNoise, RelativePose};
+use crate::relaxation::{PlanarPose, Pose};
+use crate::verification::{Candidate, Views};
+
+/// Where a robot is on the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapPose {
+    /// The lowest place of the part of the map that it is in, in whose frame the poses are: 0 where that is the map's.
+    pub part: PlaceId,
+    /// base_link in the frame of the part.
+    pub robot: PlanarPose,
+    /// The session's odom frame in it: what turns odometry into poses on the map (REP-105).
+    pub odom: PlanarPose,
+}
+
+/// Where in its place's frame the robot is, and who says so.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Located {
+    /// The place is created where the robot is.
+    AtOrigin,
+    /// The closure measured it.
+    ByClosure(RelativePose),
+    /// Wheels have, since a place that the robot was at; that of the map's own poses is no new measurement.
+    ByWheels(RelativePose),
+}
+
+impl Located {
+    pub(super) fn at(&self) -> RelativePose {
+        match self {
+            Self::AtOrigin => RelativePose::none(),
+            Self::ByClosure(at) | Self::ByWheels(at) => *at,
+        }
+    }
+}
+
+impl Mapper {
+    /// Poses of places.
+    #[must_use]
+    pub fn poses(&self) -> &PlacePoses {
+        &self.poses
+    }
+
+    /// Where a session's robot was at the last frame that wheels and a place tell it of.
+    #[must_use]
+    pub fn map_pose(&self, session: &Session) -> Option<MapPose> {
+        let Stay { place, odometry, at, .. } = session.stay.as_ref()?;
+        let robot = self.poses.pose(*place)?.compose(at.as_ref()?.pose());
+        let odometry = PlanarPose::seen_from_above(odometry.as_ref()?.pose());
+        Some(MapPose { part: self.poses.part(*place)?, robot, odom: robot.compose(&odometry.inverse()) })
+    }
+
+    /// What is expected before the frame is looked at: by odometry where there is some, or else by links.
+    pub(super) fn motion_prior(&self, session: &Session, odometry: Option<&Odometry>) -> MotionPrior {
+        let Some(now) = odometry.filter(|_| !session.past.is_empty()) else {
+            return spread_over_links(&session.belief, |place| self.map.linked(place));
+        };
+        let steps = session.past.iter().take(self.settings.prior_frames);
+        let steps =
+            steps.map(|past| (&past.belief, self.settings.odometry_noise.between(&past.odometry, now)));
+        predict(steps, &self.poses, &self.settings.place_spacing)
+    }
+
+    /// The pose here in the frame of the place where the session last was.
+    pub(super) fn driven_from(&self, stay: &Stay, odometry: Option<&Odometry>) -> Option<RelativePose> {
+        let (before, now) = (stay.odometry.as_ref()?, odometry?);
+        let at = stay.at.unwrap_or_else(RelativePose::none);
+        Some(at.then(&self.settings.odometry_noise.between(before, now)))
+    }
+
+    /// Where the robot is by its wheels, since the place where it last was, and the part of the map that it is in.
+    pub(super) fn pose_of_robot(
+        &self,
+        session: &Session,
+        odometry: Option<&Odometry>,
+    ) -> Option<(PlaceId, PlanarPose)> {
+        let stay = session.stay.as_ref().filter(|stay| stay.at.is_some())?;
+        let driven = self.driven_from(stay, odometry)?;
+        Some((self.poses.part(stay.place)?, self.poses.pose(stay.place)?.compose(driven.pose())))
+    }
+
+    /// Whether a robot is so near to where a place is that it is still there.
+    pub(super) fn is_at(&self, (part, robot): &(PlaceId, PlanarPose), place: PlaceId) -> bool {
+        let pose = self.poses.pose(place).filter(|_| self.poses.part(place) == Some(*part));
+        pose.is_some_and(|pose| self.settings.place_spacing.holds(&pose.inverse().compose(robot)))
+    }
+
+    /// Where in the frame of the place that was decided the robot is: by the closure if that measured it, or else by
+    /// its wheels. A place that is created is where the robot is.
+    pub(super) fn locate(
+        &self,
+        input: &FrameInput,
+        session: &Session,
+        decision: &Decision,
+        candidates: &[Candidate],
+        (archive, views): (&dyn FrameArchive, &dyn Views),
+    ) -> Result<Option<Located>, FrameError> {
+        let (Some(place), Some(_)) = (decision.place, &input.odometry) else { return Ok(None) };
+        if place as usize == self.recognizer.places() {
+            return Ok(Some(Located::AtOrigin));
+        }
+        if decision.reason == Reason::LoopClosure
+            && let Some(closure) = decision.closure
+            && let Some(candidate) =
+                candidates.iter().find(|candidate| candidate.matched.frame == closure.frame)
+            && let Some(view) = &candidate.view
+        {
+            let noise = ClosureNoise::of_spacing(self.settings.place_spacing.distance_m);
+            let measured = noise.measure(view, views.focal_length_widths());
+            let then = archive.at(closure.frame)?.unwrap_or_else(RelativePose::none);
+            if let Some(measured) = measured {
+                return Ok(Some(Located::ByClosure(then.then(&measured))));
+            }
+        }
+        let Some(stay) = &session.stay else { return Ok(None) };
+        let Some(driven) = self.driven_from(stay, input.odometry.as_ref()) else { return Ok(None) };
+        if stay.place == place {
+            return Ok(Some(Located::ByWheels(driven)));
+        }
+        let same_part = self.poses.part(stay.place) == self.poses.part(place);
+        let (Some(from), Some(to)) = (self.poses.pose(stay.place), self.poses.pose(place)) else {
+            return Ok(None);
+        };
+        let between = to.inverse().compose(from);
+        let between = RelativePose::new(between, nalgebra::Matrix3::zeros()).ok();
+        Ok(between.filter(|_| same_part).map(|between| Located::ByWheels(between.then(&driven))))
+    }
+}

@@ -1,0 +1,204 @@
+//! Where places are: the links that measured something as a pose graph, relaxed when a loop closes.
+
+use std::collections::HashMap;
+
+use fabmap::appearance::PlaceId;
+
+use crate::event::{Link, LinkKind};
+use crate::relative_pose::OdometryNoise;
+use crate::relaxation::{
+    Edge, EdgeKind, PlanarGraph, PlanarPose, Pose, RelaxationSettings, Relaxed, Start, relax,
+};
+
+/// Poses of places, seen from above, in metres and radians.
+///
+/// They are derived from the links and never logged. Places that links with measurements join are a part, and each
+/// part has a frame of its own: that of its lowest place, where it was when it was first seen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlacePoses {
+    graph: PlanarGraph,
+    relaxed: Relaxed<PlanarPose>,
+    poses: Vec<PlanarPose>,
+    /// The lowest place of each place's part.
+    parts: Vec<PlaceId>,
+    /// The places of each part by its lowest one, where they are more than one.
+    members: HashMap<PlaceId, Vec<PlaceId>>,
+    /// Position in the map's links, by edge.
+    links: Vec<usize>,
+    by_position: HashMap<Cell, Vec<PlaceId>>,
+    settled: Settled,
+}
+
+/// Whether a loop was closed since the last relaxation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Settled {
+    Yes,
+    LoopClosed,
+}
+
+type Cell = (PlaceId, i64, i64);
+
+/// Side of the cells that places are looked up by.
+const CELL_M: f64 = 1.0;
+
+impl Default for PlacePoses {
+    fn default() -> Self {
+        let relaxed = Relaxed { poses: Vec::new(), cost: 0.0, iterations: 0, weights: Vec::new() };
+        Self {
+            graph: PlanarGraph::new(0),
+            relaxed,
+            poses: Vec::new(),
+            parts: Vec::new(),
+            members: HashMap::new(),
+            links: Vec::new(),
+            by_position: HashMap::new(),
+            settled: Settled::Yes,
+        }
+    }
+}
+
+impl PlacePoses {
+    /// Of a map with so many places and these links, relaxed.
+    #[must_use]
+    pub fn new(places: usize, links: &[Link], noise: &OdometryNoise) -> Self {
+        let mut poses = Self::default();
+        (0..places).for_each(|_| poses.add_place());
+        for (number, link) in links.iter().enumerate() {
+            poses.add_link(number, link, noise);
+        }
+        poses.relax();
+        poses
+    }
+
+    /// Where a place is in the frame of its part; `None` if there is no such place.
+    #[must_use]
+    pub fn pose(&self, place: PlaceId) -> Option<&PlanarPose> {
+        self.poses.get(place as usize)
+    }
+
+    /// The lowest place of the part that a place is of, whose frame its pose is in; `None` if there is no such place.
+    #[must_use]
+    pub fn part(&self, place: PlaceId) -> Option<PlaceId> {
+        self.parts.get(place as usize).copied()
+    }
+
+    /// Places of a part within `distance_m` of a position, in no order, each with its pose.
+    pub fn near(
+        &self,
+        part: PlaceId,
+        [x_m, y_m]: [f64; 2],
+        distance_m: f64,
+    ) -> impl Iterator<Item = (PlaceId, &PlanarPose)> {
+        let range = move |centre: f64| cell(centre - distance_m)..=cell(centre + distance_m);
+        let cells = range(x_m).flat_map(move |column| range(y_m).map(move |row| (part, column, row)));
+        let places = cells.filter_map(|cell| self.by_position.get(&cell)).flatten();
+        places.filter_map(move |&place| {
+            let pose = &self.poses[place as usize];
+            let near = (pose.x_m() - x_m).hypot(pose.y_m() - y_m) <= distance_m;
+            near.then_some((place, pose))
+        })
+    }
+
+    /// Positions among the map's links of closures that contradict what most agree on.
+    pub fn contradicted(&self) -> impl Iterator<Item = usize> {
+        self.links
+            .iter()
+            .zip(&self.relaxed.weights)
+            .filter(|(_, weight)| **weight == 0.0)
+            .map(|(&link, _)| link)
+    }
+
+    /// Sum of eᵀΩe over the links, without those that are contradicted.
+    #[must_use]
+    pub fn cost(&self) -> f64 {
+        self.relaxed.cost
+    }
+
+    /// The graph behind the poses: a pose per place, an edge per link that measured.
+    #[must_use]
+    pub fn graph(&self) -> &PlanarGraph {
+        &self.graph
+    }
+
+    /// Poses of all places, each in the frame of its part.
+    #[must_use]
+    pub fn poses(&self) -> &[PlanarPose] {
+        &self.poses
+    }
+
+    /// Adds the next place, a part of its own until a link leads to it.
+    pub(crate) fn add_place(&mut self) {
+        let place = self.graph.add_pose() as PlaceId;
+        self.poses.push(PlanarPose::identity());
+        self.parts.push(place);
+        self.index(place);
+    }
+
+    /// Adds what the map's link of that number measured, if it did. A link between places that belong together already
+    /// closes a loop: poses are then to be relaxed.
+    pub(crate) fn add_link(&mut self, number: usize, link: &Link, noise: &OdometryNoise) {
+        let Link { from, to, kind } = *link;
+        let (measured, kind) = match kind {
+            LinkKind::Session => return,
+            LinkKind::Odometry(relative) => (noise.from_above(&relative), EdgeKind::Odometry),
+            LinkKind::Driven(measured) => (measured, EdgeKind::Odometry),
+            LinkKind::Closed(measured) => (measured, EdgeKind::Closure),
+        };
+        let (start, end) = (from as usize, to as usize);
+        let Ok(edge) = Edge::new(start, end, *measured.pose(), measured.information(), kind) else { return };
+        let (mine, other) = (self.parts[start], self.parts[end]);
+        if mine == other {
+            self.settled = Settled::LoopClosed;
+        } else if mine < other {
+            let at = self.poses[start].compose(measured.pose());
+            self.join(mine, other, &at.compose(&self.poses[end].inverse()));
+        } else {
+            let at = self.poses[end].compose(&measured.pose().inverse());
+            self.join(other, mine, &at.compose(&self.poses[start].inverse()));
+        }
+        if self.graph.add_edge(edge).is_ok() {
+            self.links.push(number);
+        }
+    }
+
+    /// Makes the poses agree with all links as well as they can, if a loop was closed.
+    pub(crate) fn relax(&mut self) {
+        if self.settled == Settled::Yes {
+            return;
+        }
+        self.relaxed.poses.clone_from(&self.poses);
+        self.relaxed = relax(&self.graph, Start::Earlier(&self.relaxed), &RelaxationSettings::default());
+        self.poses.clone_from(&self.relaxed.poses);
+        self.by_position.clear();
+        (0..self.poses.len() as PlaceId).for_each(|place| self.index(place));
+        self.settled = Settled::Yes;
+    }
+
+    /// Moves the places of one part into the frame of another.
+    fn join(&mut self, part: PlaceId, joining: PlaceId, moved_by: &PlanarPose) {
+        let places = self.members.remove(&joining).unwrap_or_else(|| vec![joining]);
+        for &place in &places {
+            let pose = &self.poses[place as usize];
+            if let Some(places) = self.by_position.get_mut(&cell_of(joining, pose)) {
+                places.retain(|&other| other != place);
+            }
+            self.poses[place as usize] = moved_by.compose(pose);
+            self.parts[place as usize] = part;
+            self.index(place);
+        }
+        self.members.entry(part).or_insert_with(|| vec![part]).extend(places);
+    }
+
+    fn index(&mut self, place: PlaceId) {
+        let cell = cell_of(self.parts[place as usize], &self.poses[place as usize]);
+        self.by_position.entry(cell).or_default().push(place);
+    }
+}
+
+fn cell(position_m: f64) -> i64 {
+    (position_m / CELL_M).floor() as i64
+}
+
+fn cell_of(part: PlaceId, pose: &PlanarPose) -> Cell {
+    (part, cell(pose.x_m()), cell(pose.y_m()))
+}

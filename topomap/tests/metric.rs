@@ -1,0 +1,362 @@
+//! Places joined by metres: spacing, poses that loop closures correct, the prior with odometry, bad odometry.
+#![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+use std::ops::ControlFlow;
+
+use fabmap::chow_liu::{ChowLiuTree, TreeTrainingSettings};
+use fabmap::descriptor::{DescriptorKind, Descriptors};
+use fabmap::detector::DetectorModel;
+use fabmap::model::Model;
+use fabmap::observation::Observation;
+use fabmap::vocabulary::{Vocabulary, VocabularySettings};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use topomap::event::{FrameEvent, FrameId, LinkKind, MapEvent, Reason};
+use topomap::mapper::{ArchiveError, FrameArchive, FrameInput, Mapper, MapperError, MapperSettings};
+use topomap::odometry::Odometry;
+use topomap::odometry_prior::PlaceSpacing;
+use topomap::relative_pose::RelativePose;
+use topomap::relaxation::{PlanarPose, Pose};
+use topomap::verification::{Motion, Similarity, TwoView, Views};
+
+const WORDS: u32 = 1000;
+const FOCAL_LENGTH_WIDTHS: f64 = 0.8;
+
+/// A robot that drives on a plane, its wheels, and a camera that sees words by where it is.
+struct Robot {
+    mapper: Mapper,
+    log: Vec<MapEvent>,
+    /// True pose of each event's frame; anything for openings.
+    truth: Vec<PlanarPose>,
+    pose: PlanarPose,
+    /// What the wheels believe.
+    odometry: PlanarPose,
+    /// Of the wheels: share of each distance, and radians per metre.
+    bias: [f64; 2],
+    session: u32,
+    sequence: u64,
+}
+
+/// What the camera sees of earlier frames.
+struct Camera<'a> {
+    robot: &'a Robot,
+    model: CameraModel,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum CameraModel {
+    Known,
+    Unknown,
+}
+
+impl Views for Camera<'_> {
+    /// Near frames look alike, shifted by the turn between them.
+    fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
+        let apart = self.robot.truth[earlier as usize].inverse().compose(&self.robot.pose);
+        let near = apart.x_m().hypot(apart.y_m()) < 0.6 && apart.heading_rad().abs() < 0.4;
+        let shift = FOCAL_LENGTH_WIDTHS * apart.heading_rad().tan();
+        let motion =
+            Similarity { rotation_rad: 0.0, ln_scale: 0.05 * apart.x_m(), translation_widths: [shift, 0.0] };
+        let inliers = if near { 450 } else { 3 };
+        let motion = near.then_some(Motion::Similarity(motion));
+        Ok(Some(TwoView { matches: 500, inliers, distinct_inliers: inliers, motion }))
+    }
+
+    fn focal_length_widths(&self) -> Option<f64> {
+        (self.model == CameraModel::Known).then_some(FOCAL_LENGTH_WIDTHS)
+    }
+}
+
+impl FrameArchive for Robot {
+    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
+        Ok(Some(self.event(frame).observation.clone()))
+    }
+
+    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
+        Ok(self.event(frame).at)
+    }
+}
+
+impl Robot {
+    fn new(settings: MapperSettings, bias: [f64; 2]) -> Self {
+        let mut robot = Self {
+            mapper: Mapper::new(&model(), settings).unwrap(),
+            log: Vec::new(),
+            truth: Vec::new(),
+            pose: PlanarPose::identity(),
+            odometry: PlanarPose::identity(),
+            bias,
+            session: 0,
+            sequence: 0,
+        };
+        robot.begin();
+        robot
+    }
+
+    /// Begins a session where the robot stands.
+    fn begin(&mut self) {
+        self.session = self.mapper.map().next_session();
+        self.odometry = PlanarPose::identity();
+        let event = MapEvent::SessionOpened { session: self.session };
+        self.mapper.apply(&event).unwrap();
+        self.log.push(event);
+        self.truth.push(self.pose);
+    }
+
+    fn event(&self, frame: FrameId) -> &FrameEvent {
+        match &self.log[frame as usize] {
+            MapEvent::Frame(event) => event,
+            MapEvent::SessionOpened { .. } => panic!("{frame} is no frame"),
+        }
+    }
+
+    fn go(&mut self, distance_m: f64, turn_rad: f64) {
+        let motion = PlanarPose::new(distance_m, 0.0, turn_rad);
+        self.pose = self.pose.compose(&motion);
+        let [share, drift] = self.bias;
+        let felt = PlanarPose::new(distance_m * (1.0 + share), 0.0, turn_rad + drift * distance_m.abs());
+        self.odometry = self.odometry.compose(&felt);
+    }
+
+    fn input(&mut self) -> FrameInput {
+        self.sequence += 1;
+        let ground = self.odometry.on_the_ground();
+        let (position, rotation) = (ground.translation, ground.rotation.coords);
+        let odometry = Odometry::new(
+            [position.x, position.y, 0.0],
+            [rotation.x, rotation.y, rotation.z, rotation.w],
+            None,
+        );
+        FrameInput {
+            session: self.session,
+            sequence: self.sequence,
+            stamp_ns: self.sequence as i64 * 1_000_000_000,
+            odometry: Some(odometry.unwrap()),
+            observation: view(&self.pose, self.sequence),
+        }
+    }
+
+    fn see(&mut self) -> FrameEvent {
+        let input = self.input();
+        self.take(input, CameraModel::Known)
+    }
+
+    fn take(&mut self, input: FrameInput, model: CameraModel) -> FrameEvent {
+        let decided = self.mapper.decide(input, self, &Camera { robot: self, model }, &mut ()).unwrap();
+        let event = MapEvent::Frame(Box::new(decided.event.clone()));
+        let stored = MapEvent::from_bytes(&event.to_bytes(), WORDS as usize).unwrap();
+        assert_eq!(stored, event);
+        self.mapper.apply(&stored).unwrap();
+        self.log.push(stored);
+        self.truth.push(self.pose);
+        decided.event
+    }
+
+    /// Where the map puts the robot.
+    fn on_the_map(&self) -> PlanarPose {
+        self.mapper.map_pose(self.mapper.map().session(self.session).unwrap()).unwrap().robot
+    }
+}
+
+/// What is seen from a cell of 0.4 m and 30 degrees, and of its neighbours.
+fn view(pose: &PlanarPose, noise: u64) -> Observation {
+    let mut noise = ChaCha8Rng::seed_from_u64(noise);
+    let cell = |value: f64, side: f64| (value / side).round() as i64;
+    let sector = cell(pose.heading_rad(), TAU / 12.0).rem_euclid(12);
+    let seed = (cell(pose.x_m(), 0.4) * 1_000 + cell(pose.y_m(), 0.4)) * 100 + sector;
+    let mut own = ChaCha8Rng::seed_from_u64(seed as u64);
+    let mut words: Vec<u32> = (0..40).map(|_| own.random_range(0..WORDS)).collect();
+    words.retain(|_| noise.random_bool(0.85));
+    words.extend((0..5).map(|_| noise.random_range(0..WORDS)));
+    Observation::from_words(words, WORDS as usize).unwrap()
+}
+
+fn model() -> Model {
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let rows: Vec<u8> = (0..WORDS as usize * 32).map(|_| random.random()).collect();
+    let descriptors = Descriptors::new(DescriptorKind::Binary, 32, rows).unwrap();
+    let settings = VocabularySettings { words: WORDS, seed: 1, iterations: 1 };
+    let vocabulary = Vocabulary::train(&descriptors, &settings, &mut |_| ControlFlow::Continue(())).unwrap();
+    let far = |place: u64| view(&PlanarPose::new(1e3 + place as f64, -1e3, 0.0), place);
+    let training: Vec<Observation> = (0..200).map(far).collect();
+    let tree = ChowLiuTree::train(&training, WORDS as usize, TreeTrainingSettings::default(), &mut |_| {
+        ControlFlow::Continue(())
+    });
+    Model::new("test".to_owned(), vocabulary, tree.unwrap(), DetectorModel::default(), training).unwrap()
+}
+
+/// A round of 4 m a side, in steps of 0.4 m.
+fn round(robot: &mut Robot) -> Vec<FrameEvent> {
+    let mut events = Vec::new();
+    for _ in 0..4 {
+        for _ in 0..10 {
+            robot.go(0.4, 0.0);
+            events.push(robot.see());
+        }
+        for _ in 0..6 {
+            robot.go(0.0, FRAC_PI_2 / 6.0);
+            events.push(robot.see());
+        }
+    }
+    events
+}
+
+fn apart_m(a: &PlanarPose, b: &PlanarPose) -> f64 {
+    (a.x_m() - b.x_m()).hypot(a.y_m() - b.y_m())
+}
+
+#[test]
+fn a_robot_that_stays_within_the_spacing_stays_at_its_place() {
+    let mut robot = Robot::new(MapperSettings::default(), [0.0; 2]);
+    let first = robot.see();
+    assert_eq!((first.decision.reason, first.at), (Reason::NewPlace, Some(RelativePose::none())));
+    for _ in 0..4 {
+        robot.go(0.1, 0.02);
+        let event = robot.see();
+        assert_eq!((event.decision.reason, event.decision.place), (Reason::SamePlace, Some(0)));
+    }
+    assert!(apart_m(&robot.on_the_map(), &robot.pose) < 1e-9);
+    robot.go(0.15, 0.0);
+    let gone = robot.see();
+    assert_eq!((gone.decision.reason, gone.decision.place), (Reason::NewPlace, Some(1)));
+    // The link leads from the place's origin, not from where its last frame was.
+    let LinkKind::Driven(measured) = gone.link.unwrap().kind else { panic!("{:?}", gone.link) };
+    assert!((measured.pose().x_m() - robot.pose.x_m()).abs() < 1e-9, "{measured:?}");
+    robot.go(0.0, 0.2);
+    assert_eq!(robot.see().decision.reason, Reason::NewPlace, "it has turned by more than ten degrees");
+}
+
+#[test]
+fn closures_undo_what_wheels_have_drifted() {
+    let mut robot = Robot::new(MapperSettings::default(), [0.05, 2_f64.to_radians()]);
+    robot.see();
+    let first = round(&mut robot);
+    let drifted_m = apart_m(&robot.odometry, &robot.pose);
+    assert!(drifted_m > 1.0, "{drifted_m} m");
+    let second = round(&mut robot);
+    let closures = |events: &[FrameEvent]| {
+        events.iter().filter(|event| event.decision.reason == Reason::LoopClosure).count()
+    };
+    assert!(closures(&first) <= 2 && closures(&second) > 20, "{} {}", closures(&first), closures(&second));
+    let measured = robot.mapper.map().links().iter().any(|link| matches!(link.kind, LinkKind::Closed(_)));
+    assert!(measured, "no closure measured anything");
+    // All places, by the frames that made them.
+    let mut errors = Vec::new();
+    for (place, pose) in robot.mapper.map().places().iter().zip(robot.mapper.poses().poses()) {
+        errors.push(apart_m(pose, &robot.truth[place.frames[0].frame as usize]).powi(2));
+    }
+    let rmse_m = (errors.iter().sum::<f64>() / errors.len() as f64).sqrt();
+    assert!(rmse_m < 0.4, "{rmse_m} m");
+    let robot_m = apart_m(&robot.on_the_map(), &robot.pose);
+    let wheels_m = apart_m(&robot.odometry, &robot.pose);
+    assert!(robot_m < 0.6 && wheels_m > 4.0 * robot_m, "{robot_m} m by the map, {wheels_m} m by wheels");
+
+    // A replay comes to the same state, and to the same poses as near as relaxation ends.
+    let mut replayed = Mapper::new(&model(), MapperSettings::default()).unwrap();
+    robot.log.iter().for_each(|event| replayed.fold(event).unwrap());
+    replayed.relax();
+    assert_eq!(replayed.state_hash(), robot.mapper.state_hash());
+    for (a, b) in replayed.poses().poses().iter().zip(robot.mapper.poses().poses()) {
+        assert!(apart_m(a, b) < 0.02, "{a:?} {b:?}");
+    }
+}
+
+#[test]
+fn odometry_turned_into_map_poses_is_where_the_map_puts_the_robot() {
+    let mut robot = Robot::new(MapperSettings::default(), [0.03, 0.02]);
+    robot.see();
+    round(&mut robot);
+    round(&mut robot);
+    let session = robot.mapper.map().session(robot.session).unwrap();
+    let pose = robot.mapper.map_pose(session).unwrap();
+    let corrected = pose.odom.compose(&robot.odometry);
+    assert!(apart_m(&corrected, &pose.robot) < 1e-9);
+    assert!((corrected.heading_rad() - pose.robot.heading_rad()).abs() < 1e-9);
+    assert_eq!(pose.part, 0);
+}
+
+#[test]
+fn a_second_session_joins_the_map_when_it_recognises_a_place() {
+    let mut robot = Robot::new(MapperSettings::default(), [0.0; 2]);
+    robot.see();
+    round(&mut robot);
+    let places = robot.mapper.map().places().len() as u32;
+    // It begins beside the round, where nobody has been, facing it.
+    robot.pose = PlanarPose::new(2.0, -2.0, FRAC_PI_2);
+    robot.begin();
+    let first = robot.see();
+    assert_eq!(first.decision.place, Some(places));
+    assert_eq!(robot.mapper.poses().part(places), Some(places), "a frame of its own");
+    for _ in 0..5 {
+        robot.go(0.4, 0.0);
+        robot.see();
+    }
+    for _ in 0..6 {
+        robot.go(0.0, -FRAC_PI_2 / 6.0);
+        robot.see();
+    }
+    for _ in 0..3 {
+        robot.go(0.4, 0.0);
+        robot.see();
+    }
+    assert_eq!(robot.mapper.poses().part(places), Some(0), "it never recognised anything");
+    let joined = robot.mapper.poses().pose(places).unwrap();
+    assert!(apart_m(joined, &PlanarPose::new(2.0, -2.0, 0.0)) < 0.6, "{joined:?}");
+    assert!(apart_m(&robot.on_the_map(), &robot.pose) < 0.6);
+}
+
+#[test]
+fn frames_without_odometry_measure_nothing_and_join_nothing() {
+    let mut robot = Robot::new(MapperSettings::default(), [0.0; 2]);
+    robot.see();
+    robot.go(0.6, 0.0);
+    let input = FrameInput { odometry: None, ..robot.input() };
+    let event = robot.take(input, CameraModel::Known);
+    assert_eq!((event.at, event.link.unwrap().kind), (None, LinkKind::Session));
+    assert_eq!(robot.mapper.poses().part(1), Some(1));
+    assert_eq!(robot.mapper.map_pose(robot.mapper.map().session(0).unwrap()), None);
+    robot.go(0.6, 0.0);
+    let event = robot.see();
+    assert_eq!(event.link.unwrap().kind, LinkKind::Session, "the way from a place that has no pose");
+}
+
+#[test]
+fn without_a_camera_model_a_turned_view_measures_nothing() {
+    for (model, turn_rad, measures) in [
+        (CameraModel::Known, 0.2, true),
+        (CameraModel::Unknown, 0.2, false),
+        (CameraModel::Unknown, 0.05, true),
+    ] {
+        let mut robot = Robot::new(MapperSettings { guard_frames: 4, ..MapperSettings::default() }, [0.0; 2]);
+        robot.see();
+        for _ in 0..8 {
+            robot.go(0.6, 0.0);
+            robot.see();
+        }
+        robot.pose = PlanarPose::new(0.0, 0.0, turn_rad);
+        robot.odometry = PlanarPose::new(0.7, 0.0, 0.0);
+        let input = robot.input();
+        let event = robot.take(input, model);
+        assert_eq!((event.decision.reason, event.decision.place), (Reason::LoopClosure, Some(0)));
+        let link = event.link.unwrap();
+        assert_eq!(matches!(link.kind, LinkKind::Closed(_)), measures, "{turn_rad}: {link:?}");
+        if model == CameraModel::Known {
+            assert!((event.at.unwrap().pose().heading_rad() - turn_rad).abs() < 1e-9);
+        }
+    }
+}
+
+#[test]
+fn settings_in_metres_out_of_range_are_refused() {
+    let refused = |settings| Mapper::new(&model(), settings).unwrap_err();
+    for distance_m in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let place_spacing = PlaceSpacing { distance_m, ..PlaceSpacing::default() };
+        let error = refused(MapperSettings { place_spacing, ..MapperSettings::default() });
+        assert!(matches!(error, MapperError::Metric { quantity: "place spacing", .. }), "{error}");
+    }
+    for prior_frames in [0, 5] {
+        let error = refused(MapperSettings { prior_frames, ..MapperSettings::default() });
+        assert_eq!(error, MapperError::PriorFrames { value: prior_frames });
+    }
+}
