@@ -310,6 +310,26 @@ impl Client {
         Ok(length_bytes)
     }
 
+    /// Writes poses as text: a session's drive (TUM, KITTI) or a map's pose graph (g2o); gives the length in bytes.
+    ///
+    /// # Errors
+    /// [`Error::Write`] if it cannot be written; [`Error::Status`] with NOT_FOUND, with FAILED_PRECONDITION if nothing
+    /// has such poses.
+    pub async fn export_poses(
+        &self,
+        request: v1::ExportPosesRequest,
+        file: &mut (impl AsyncWrite + Unpin),
+    ) -> Result<u64, Error> {
+        let mut chunks = self.taken(self.maps_client().export_poses(request).await)?;
+        let mut length_bytes = 0;
+        while let Some(v1::ExportPosesResponse { chunk }) = self.met(chunks.message().await)? {
+            file.write_all(&chunk).await.map_err(Error::Write)?;
+            length_bytes += chunk.len() as u64;
+        }
+        file.flush().await.map_err(Error::Write)?;
+        Ok(length_bytes)
+    }
+
     /// Takes a snapshot to the server, as a new map; an empty name leaves the one in the file. The job
     /// that comes back checks and stores it; see [`watch_job`](Self::watch_job).
     ///

@@ -259,6 +259,8 @@ pub(crate) struct SettingsView {
     pub(crate) false_positive_rate: Option<f64>,
     pub(crate) keep: &'static str,
     pub(crate) verification: &'static str,
+    pub(crate) place_spacing_m: Option<f64>,
+    pub(crate) place_spacing_rad: Option<f64>,
 }
 
 impl From<v1::MapSettings> for SettingsView {
@@ -297,6 +299,8 @@ impl From<v1::MapSettings> for SettingsView {
             false_positive_rate,
             keep: _,
             verification: _,
+            place_spacing_m,
+            place_spacing_rad,
         } = settings;
         Self {
             dependence,
@@ -308,6 +312,8 @@ impl From<v1::MapSettings> for SettingsView {
             false_positive_rate,
             keep,
             verification,
+            place_spacing_m,
+            place_spacing_rad,
         }
     }
 }
@@ -333,13 +339,34 @@ pub(crate) struct PlaceView {
     pub(crate) words: u32,
     pub(crate) frames: Vec<FrameView>,
     pub(crate) linked: Vec<u32>,
+    /// Null where nothing measured the way to any other place.
+    pub(crate) pose: Option<PlacePoseView>,
+}
+
+/// Where a place is, seen from above.
+#[derive(Clone, Copy, Serialize)]
+pub(crate) struct PlacePoseView {
+    /// The lowest place of its part of the map, in whose frame this is.
+    pub(crate) part: u32,
+    pub(crate) x_m: f64,
+    pub(crate) y_m: f64,
+    pub(crate) heading_rad: f64,
+}
+
+impl PlacePoseView {
+    fn of(place: v1::PlacePose) -> Option<Self> {
+        let v1::PlacePose { part, pose } = place;
+        let v1::Pose { position_m, orientation } = pose?;
+        let (v1::Vector3 { x, y, z: _ }, v1::Quaternion { z, w, .. }) = (position_m?, orientation?);
+        Some(Self { part, x_m: x, y_m: y, heading_rad: 2.0 * z.atan2(w) })
+    }
 }
 
 impl From<v1::Place> for PlaceView {
     fn from(place: v1::Place) -> Self {
-        let v1::Place { name, looks, words, frames, linked, word_hits: _ } = place;
+        let v1::Place { name, looks, words, frames, linked, word_hits: _, pose } = place;
         let frames = frames.into_iter().map(FrameView::from).collect();
-        Self { name, looks, words, frames, linked }
+        Self { name, looks, words, frames, linked, pose: pose.and_then(PlacePoseView::of) }
     }
 }
 
@@ -420,6 +447,7 @@ impl FrameRow {
             words,
             timings,
             resent,
+            map_pose: _,
         } = answer;
         let closure_frame = closure.as_ref().and_then(|closure| closure.frame.as_ref());
         let proposal_frame = proposal.as_ref().and_then(|proposal| proposal.frame.as_ref());

@@ -16,6 +16,7 @@ mod places;
 mod queries;
 mod requests;
 mod sessions;
+mod trajectories;
 
 use std::future::Future;
 use std::sync::Arc;
@@ -135,6 +136,8 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(exports::export_matches_json))
         .routes(routes!(exports::export_posteriors_csv))
         .routes(routes!(exports::export_posteriors_json))
+        .routes(routes!(trajectories::export_trajectory))
+        .routes(routes!(trajectories::export_graph))
         .routes(routes!(models::list_models))
         .routes(routes!(models::get_model))
         .routes(routes!(jobs::list_jobs))

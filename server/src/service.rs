@@ -16,6 +16,7 @@ mod removal;
 pub(crate) mod sessions;
 pub(crate) mod snapshots;
 pub(crate) mod tokens;
+pub(crate) mod trajectories;
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -88,6 +88,8 @@ async fn maps_that_cannot_be_made() {
         false_positive_rate: Some(0.0),
         keep: v1::map_settings::Keep::Images.into(),
         verification: v1::map_settings::Verification::Epipolar.into(),
+        place_spacing_m: Some(0.3),
+        place_spacing_rad: Some(0.25),
     };
     let made = client.create_map(bare(all)).await.unwrap();
     assert_eq!(made.settings, Some(all));

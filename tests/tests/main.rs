@@ -21,6 +21,7 @@ mod kill;
 mod licences;
 mod load;
 mod localize;
+mod mapping;
 mod openapi;
 mod operations;
 mod overload;

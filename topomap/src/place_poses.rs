@@ -82,6 +82,12 @@ impl PlacePoses {
         self.parts.get(place as usize).copied()
     }
 
+    /// Whether a measured way joins a place with another.
+    #[must_use]
+    pub fn is_joined(&self, place: PlaceId) -> bool {
+        self.part(place).is_some_and(|part| self.members.contains_key(&part))
+    }
+
     /// Places of a part within `distance_m` of a position, in no order, each with its pose.
     pub fn near(
         &self,

@@ -1,7 +1,7 @@
 //! `waypost map`: places joined by links.
 
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Subcommand, ValueEnum};
 use serde_json::json;
@@ -11,7 +11,7 @@ use super::model::short;
 use super::snapshot::{self, Replacing};
 use crate::failure::Failure;
 use crate::output::{Output, table};
-use crate::views::{ClosureView, FrameView, MapSummary, PlaceView, SettingsView, StorageView};
+use crate::views::{ClosureView, FrameView, MapSummary, PlacePoseView, PlaceView, SettingsView, StorageView};
 
 #[derive(Subcommand)]
 pub(crate) enum Command {
@@ -42,6 +42,38 @@ pub(crate) enum Command {
     Places {
         /// Name of the map
         name: String,
+    },
+    /// Write where a session's robot was, frame by frame, for tools that compare trajectories
+    Trajectory {
+        /// Name of the map
+        name: String,
+        /// Name of the session
+        session: String,
+        #[arg(long, value_enum, default_value = "tum")]
+        format: Format,
+        /// Whose coordinates
+        #[arg(long, value_enum, default_value = "map")]
+        frame: Frame,
+        /// Whose pose
+        #[arg(long, value_enum, default_value = "base")]
+        body: Body,
+        /// File to write
+        #[arg(long)]
+        out: PathBuf,
+        /// Replace a file that is there
+        #[arg(long)]
+        force: bool,
+    },
+    /// Write the map's pose graph as g2o: a vertex per place, an edge per way that was measured
+    Graph {
+        /// Name of the map
+        name: String,
+        /// File to write
+        #[arg(long)]
+        out: PathBuf,
+        /// Replace a file that is there
+        #[arg(long)]
+        force: bool,
     },
     /// Copy a map with its model to a file, as it is now; robots may go on streaming into it
     Export {
@@ -103,6 +135,36 @@ pub(crate) struct Creation {
     /// How loop closures are verified by where features are; it takes a map that keeps features
     #[arg(long, value_enum)]
     verification: Option<Verification>,
+    /// Where frames carry odometry: metres that a robot goes before it is at another place
+    #[arg(long, value_name = "M")]
+    place_spacing_m: Option<f64>,
+    /// The same for how far it turns, in radians
+    #[arg(long, value_name = "RAD")]
+    place_spacing_rad: Option<f64>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum Format {
+    /// A line of stamp in seconds, position and quaternion per frame
+    Tum,
+    /// A line of the upper three rows of the pose's matrix per frame
+    Kitti,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum Frame {
+    /// The map's, corrected by loop closures; frames that it does not know where to put are left out
+    Map,
+    /// The session's own odometry, as the robot sent it
+    Odom,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum Body {
+    /// The robot's base_link
+    Base,
+    /// Its camera, where the session declared how it is mounted
+    Camera,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -159,6 +221,8 @@ impl Creation {
             false_positive_rate,
             keep,
             verification,
+            place_spacing_m,
+            place_spacing_rad,
         } = self;
         let dependence = match dependence {
             None => v1::map_settings::Dependence::Unspecified,
@@ -194,6 +258,8 @@ impl Creation {
                 Some(Verification::Epipolar) => v1::map_settings::Verification::Epipolar,
             }
             .into(),
+            place_spacing_m,
+            place_spacing_rad,
         };
         let map_id = name.strip_prefix("maps/").unwrap_or(&name).to_owned();
         v1::CreateMapRequest { map_id, model, settings: Some(settings) }
@@ -210,8 +276,37 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         Command::Matches { name } => matches(client.matches(&name).await?, output),
         Command::Places { name } => places(client.places(&name).await?, output),
         Command::Export { name, file, force } => {
-            let replacing = if force { Replacing::Allowed } else { Replacing::Refused };
-            snapshot::export(&client, &name, &file, replacing, output).await
+            snapshot::export(&client, &name, &file, Replacing::of(force), output).await
+        }
+        Command::Trajectory { name, session, format, frame, body, out, force } => {
+            let format = match format {
+                Format::Tum => v1::export_poses_request::Format::Tum,
+                Format::Kitti => v1::export_poses_request::Format::Kitti,
+            };
+            let frame = match frame {
+                Frame::Map => v1::export_poses_request::Frame::Map,
+                Frame::Odom => v1::export_poses_request::Frame::Odom,
+            };
+            let body = match body {
+                Body::Base => v1::export_poses_request::Body::Base,
+                Body::Camera => v1::export_poses_request::Body::Camera,
+            };
+            let name = format!("maps/{}/sessions/{session}", short_map(&name));
+            let request = v1::ExportPosesRequest {
+                name,
+                format: format.into(),
+                frame: frame.into(),
+                body: body.into(),
+            };
+            poses(&client, request, &out, Replacing::of(force), output).await
+        }
+        Command::Graph { name, out, force } => {
+            let request = v1::ExportPosesRequest {
+                name: format!("maps/{}", short_map(&name)),
+                format: v1::export_poses_request::Format::G2o.into(),
+                ..v1::ExportPosesRequest::default()
+            };
+            poses(&client, request, &out, Replacing::of(force), output).await
         }
         Command::Import { file, name } => {
             show(snapshot::import(&client, &file, &name, output).await?, output)
@@ -292,6 +387,8 @@ fn show_settings(settings: &SettingsView, out: &mut dyn Write) -> io::Result<()>
         false_positive_rate,
         keep,
         verification,
+        place_spacing_m,
+        place_spacing_rad,
     } = settings;
     let or_default = |value: &Option<f64>| value.map_or("the model's".to_owned(), |value| value.to_string());
     writeln!(out, "  dependence           {dependence}")?;
@@ -302,6 +399,9 @@ fn show_settings(settings: &SettingsView, out: &mut dyn Write) -> io::Result<()>
     writeln!(out, "  true positive rate   {}", or_default(true_positive_rate))?;
     writeln!(out, "  false positive rate  {}", or_default(false_positive_rate))?;
     writeln!(out, "  verification         {verification}")?;
+    let (distance_m, angle_rad) =
+        (place_spacing_m.unwrap_or_default(), place_spacing_rad.unwrap_or_default());
+    writeln!(out, "  place spacing        {distance_m} m, {:.1} degrees", angle_rad.to_degrees())?;
     writeln!(out, "  keeps                {keep}")
 }
 
@@ -322,11 +422,37 @@ fn matches(closures: Vec<v1::LoopClosure>, output: Output) -> Result<(), Failure
     })
 }
 
+/// Writes poses to a file, which appears only when it is complete.
+async fn poses(
+    client: &Client,
+    request: v1::ExportPosesRequest,
+    path: &Path,
+    replacing: Replacing,
+    output: Output,
+) -> Result<(), Failure> {
+    replacing.check(path)?;
+    let mut text = Vec::new();
+    client.export_poses(request, &mut text).await?;
+    let mut partial = path.as_os_str().to_owned();
+    partial.push(".partial");
+    let partial = PathBuf::from(partial);
+    std::fs::write(&partial, &text).map_err(Failure::file("write", &partial))?;
+    std::fs::rename(&partial, path).map_err(Failure::file("write", path))?;
+    let lines = text.iter().filter(|&&byte| byte == b'\n').count();
+    output.result(&json!({ "file": path, "lines": lines }), |out| {
+        writeln!(out, "{lines} lines in {}", path.display())
+    })
+}
+
 fn places(places: Vec<v1::Place>, output: Output) -> Result<(), Failure> {
     let places: Vec<PlaceView> = places.into_iter().map(PlaceView::from).collect();
     output.result(&json!({ "places": places }), |out| {
         let rows = places.iter().map(|place| {
-            let PlaceView { name, looks, words, frames, linked } = place;
+            let PlaceView { name, looks, words, frames, linked, pose } = place;
+            let pose = pose.map_or("-".to_owned(), |PlacePoseView { part, x_m, y_m, heading_rad }| {
+                let of_part = if part == 0 { String::new() } else { format!(" from place {part}") };
+                format!("{x_m:.2} {y_m:.2} m {:.0}°{of_part}", heading_rad.to_degrees())
+            });
             let linked: Vec<String> = linked.iter().map(u32::to_string).collect();
             [
                 name.rsplit('/').next().unwrap_or(name).to_owned(),
@@ -334,9 +460,10 @@ fn places(places: Vec<v1::Place>, output: Output) -> Result<(), Failure> {
                 words.to_string(),
                 frames.len().to_string(),
                 linked.join(" "),
+                pose,
             ]
         });
-        table(out, ["PLACE", "LOOKS", "WORDS", "FRAMES", "LINKED WITH"], rows)
+        table(out, ["PLACE", "LOOKS", "WORDS", "FRAMES", "LINKED WITH", "WHERE"], rows)
     })
 }
 

@@ -27,6 +27,24 @@ pub(crate) enum Replacing {
     Refused,
 }
 
+impl Replacing {
+    pub(super) fn of(force: bool) -> Self {
+        if force { Self::Allowed } else { Self::Refused }
+    }
+
+    /// # Errors
+    /// [`Failure`] if there is a file that may not be replaced.
+    pub(super) fn check(self, path: &Path) -> Result<(), Failure> {
+        if self == Self::Refused && path.exists() {
+            return Err(Failure::Unfit(format!(
+                "{} is there already; choose another file, or replace it with --force",
+                path.display()
+            )));
+        }
+        Ok(())
+    }
+}
+
 /// The file appears under its name only when it is complete.
 pub(crate) async fn export(
     client: &Client,
@@ -35,12 +53,7 @@ pub(crate) async fn export(
     replacing: Replacing,
     output: Output,
 ) -> Result<(), Failure> {
-    if replacing == Replacing::Refused && path.exists() {
-        return Err(Failure::Unfit(format!(
-            "{} is there already; choose another file, or replace it with --force",
-            path.display()
-        )));
-    }
+    replacing.check(path)?;
     let mut partial = path.as_os_str().to_owned();
     partial.push(".partial");
     let partial = PathBuf::from(partial);

@@ -18,7 +18,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, no_longer_admitted};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 37] = [
+const METHODS: [(&str, Access); 38] = [
     ("/waypost.v1.SessionService/Stream", Access::Robot),
     ("/waypost.v1.SessionService/Query", Access::Robot),
     ("/waypost.v1.SessionService/ListSessions", Access::Robot),
@@ -34,6 +34,7 @@ const METHODS: [(&str, Access); 37] = [
     ("/waypost.v1.MapService/GetPlace", Access::Robot),
     ("/waypost.v1.MapService/ListWordPlaces", Access::Robot),
     ("/waypost.v1.MapService/ListMatches", Access::Robot),
+    ("/waypost.v1.MapService/ExportPoses", Access::Robot),
     ("/waypost.v1.MapService/CreateMap", Access::Admin),
     ("/waypost.v1.MapService/DeleteMap", Access::Admin),
     ("/waypost.v1.MapService/RebindMap", Access::Admin),

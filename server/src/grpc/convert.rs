@@ -1,6 +1,7 @@
 //! Messages to the service's values. Every field is named, so that none is forgotten.
 
 use topomap::odometry::Odometry;
+use topomap::relaxation::PlanarPose;
 use waypost_proto::v1;
 use waypost_proto::v1::camera::Model;
 use waypost_proto::v1::panorama::Projection;
@@ -42,6 +43,21 @@ pub(super) fn odometry_message(odometry: &Odometry) -> v1::Odometry {
         covariance: odometry
             .covariance()
             .map_or_else(Vec::new, |covariance| covariance.transpose().as_slice().to_vec()),
+    }
+}
+
+/// A pose on the ground.
+pub(super) fn planar_pose(pose: &PlanarPose) -> v1::Pose {
+    let pose = pose.on_the_ground();
+    let (position, orientation) = (pose.translation, pose.rotation);
+    v1::Pose {
+        position_m: Some(v1::Vector3 { x: position.x, y: position.y, z: position.z }),
+        orientation: Some(v1::Quaternion {
+            x: orientation.i,
+            y: orientation.j,
+            z: orientation.k,
+            w: orientation.w,
+        }),
     }
 }
 

@@ -3,25 +3,31 @@ use fabmap::likelihood::Dependence;
 use fabmap::new_place::NewPlaceMethod;
 use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::RecognizerSettings;
-use futures::stream::{BoxStream, StreamExt};
+use futures::stream::{self, BoxStream, StreamExt};
 use tonic::{Request, Response, Status, Streaming};
 use topomap::mapper::MapperSettings;
+use topomap::odometry_prior::PlaceSpacing;
 use topomap::verification::VerificationMethod;
 use waypost_proto::v1;
+use waypost_proto::v1::export_poses_request::{Body, Format, Frame};
 use waypost_proto::v1::map_service_server::MapService;
 use waypost_proto::v1::map_settings;
 
 use super::Adapter;
-use super::convert::known;
+use super::convert::{known, planar_pose};
 use super::jobs::job;
 use crate::error::ServiceError;
 use crate::service::maps::{
-    Detail, FrameReference, Keep, LoopClosureView, MapSettings, MapSettingsRequest, MapView, PlaceView,
-    WordPlace,
+    Detail, FrameReference, Keep, LoopClosureView, MapSettings, MapSettingsRequest, MapView, PlacePose,
+    PlaceView, WordPlace,
 };
 use crate::service::models::Page;
 use crate::service::names::{map_in, map_name, model_name, place_in, place_name};
+use crate::service::trajectories::{TrajectoryBody, TrajectoryFormat, TrajectoryFrame};
 use crate::storage::{MapBytes, MapCounts};
+
+/// Largest piece that a text is handed out in.
+const CHUNK_BYTES: usize = 1 << 20;
 
 #[tonic::async_trait]
 impl MapService for Adapter {
@@ -108,6 +114,39 @@ impl MapService for Adapter {
         Ok(Response::new(map(self.service.rebind_map(&name, &model).await?)))
     }
 
+    type ExportPosesStream = BoxStream<'static, Result<v1::ExportPosesResponse, Status>>;
+
+    async fn export_poses(
+        &self,
+        request: Request<v1::ExportPosesRequest>,
+    ) -> Result<Response<Self::ExportPosesStream>, Status> {
+        let v1::ExportPosesRequest { name, format, frame, body } = request.into_inner();
+        let frame = match known("frame", frame)? {
+            Frame::Unspecified | Frame::Map => TrajectoryFrame::Map,
+            Frame::Odom => TrajectoryFrame::Odom,
+        };
+        let body = match known("body", body)? {
+            Body::Unspecified | Body::Base => TrajectoryBody::Base,
+            Body::Camera => TrajectoryBody::Camera,
+        };
+        let text = match known("format", format)? {
+            Format::Unspecified => {
+                return Err(ServiceError::invalid(
+                    "name a format: TUM or KITTI for a session, G2O for a map",
+                )
+                .into());
+            }
+            Format::Tum => self.service.trajectory(&name, TrajectoryFormat::Tum, frame, body).await?,
+            Format::Kitti => self.service.trajectory(&name, TrajectoryFormat::Kitti, frame, body).await?,
+            Format::G2o => self.service.pose_graph(&name).await?,
+        };
+        let chunks: Vec<_> = text
+            .chunks(CHUNK_BYTES)
+            .map(|chunk| Ok(v1::ExportPosesResponse { chunk: chunk.to_vec() }))
+            .collect();
+        Ok(Response::new(stream::iter(chunks).boxed()))
+    }
+
     type ExportMapStream = BoxStream<'static, Result<v1::ExportMapResponse, Status>>;
 
     async fn export_map(
@@ -147,6 +186,8 @@ fn settings_request(settings: v1::MapSettings) -> Result<MapSettingsRequest, Ser
         false_positive_rate,
         keep,
         verification,
+        place_spacing_m,
+        place_spacing_rad,
     } = settings;
     Ok(MapSettingsRequest {
         dependence: match known("dependence", dependence)? {
@@ -178,6 +219,8 @@ fn settings_request(settings: v1::MapSettings) -> Result<MapSettingsRequest, Ser
             map_settings::Verification::Similarity => Some(VerificationMethod::Similarity),
             map_settings::Verification::Epipolar => Some(VerificationMethod::Epipolar),
         },
+        place_spacing_m,
+        place_spacing_rad,
     })
 }
 
@@ -222,6 +265,9 @@ fn settings_message(settings: &MapSettings) -> v1::MapSettings {
         looks_per_stay: _,
         min_words: _,
         max_speed_m_per_s: _,
+        place_spacing: PlaceSpacing { distance_m, angle_rad },
+        odometry_noise: _,
+        prior_frames: _,
     } = mapper;
     let RecognizerSettings { dependence, new_place, scorer: _, detector, filter } = recognizer;
     let FilterSettings { new_place_prior, even_share: _, likelihood_smoothing: _ } = filter;
@@ -256,11 +302,13 @@ fn settings_message(settings: &MapSettings) -> v1::MapSettings {
             VerificationMethod::Epipolar => map_settings::Verification::Epipolar,
         }
         .into(),
+        place_spacing_m: Some(distance_m),
+        place_spacing_rad: Some(angle_rad),
     }
 }
 
 fn place(map: &str, view: PlaceView) -> v1::Place {
-    let PlaceView { place, looks, word_hits, frames, linked } = view;
+    let PlaceView { place, looks, word_hits, frames, linked, pose } = view;
     v1::Place {
         name: place_name(map, place),
         looks: u32::from(looks),
@@ -268,6 +316,7 @@ fn place(map: &str, view: PlaceView) -> v1::Place {
         frames: frames.into_iter().map(frame_reference).collect(),
         linked,
         word_hits: Vec::new(),
+        pose: pose.map(|PlacePose { part, pose }| v1::PlacePose { part, pose: Some(planar_pose(&pose)) }),
     }
 }
 

@@ -6,13 +6,14 @@ use futures::stream::{self, BoxStream, Stream, StreamExt};
 use prost::Message;
 use tonic::{Request, Response, Status, Streaming};
 use topomap::event::Reason;
+use topomap::mapper::MapPose;
 use topomap::verification::Similarity;
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_server::SessionService;
 use waypost_proto::v1::{frame, query_request, stream_request, stream_response};
 
 use super::Adapter;
-use super::convert::{camera, histogram, known, odometry, word_list};
+use super::convert::{camera, histogram, known, odometry, planar_pose, word_list};
 use super::frames;
 use super::maps::frame_reference;
 use super::status::as_message;
@@ -269,6 +270,7 @@ pub(super) fn answer(answer: FrameAnswer) -> v1::FrameAnswer {
         proposal,
         words,
         timings,
+        map_pose,
     } = answer;
     v1::FrameAnswer {
         sequence,
@@ -286,6 +288,11 @@ pub(super) fn answer(answer: FrameAnswer) -> v1::FrameAnswer {
         words: u32::try_from(words).unwrap_or(u32::MAX),
         resent: timings.is_none(),
         timings: timings.map(timings_message),
+        map_pose: map_pose.map(|MapPose { part, robot, odom }| v1::MapPose {
+            part,
+            robot: Some(planar_pose(&robot)),
+            map_to_odom: Some(planar_pose(&odom)),
+        }),
     }
 }
 

@@ -309,9 +309,10 @@ impl From<sessions::FrameAnswer> for FrameAnswer {
             closure,
             proposal,
             words,
-            // Both are of the stream that the answer went to.
+            // These are of the stream that the answer went to.
             last_committed: _,
             timings: _,
+            map_pose: _,
         } = answer;
         Self {
             sequence,

@@ -1,5 +1,6 @@
 //! Poses and cameras. By REP-103: right-handed, x forward, y left, z up; metres and radians.
 
+use nalgebra::Isometry3;
 use prost::Message;
 use serde::Serialize;
 use topomap::odometry;
@@ -18,8 +19,9 @@ pub(super) struct Odometry {
     covariance: Vec<f64>,
 }
 
+/// A frame of coordinates in another one, its parent.
 #[derive(Debug, Serialize, ToSchema)]
-struct Pose {
+pub(super) struct Pose {
     position_m: Vector3,
     orientation: Quaternion,
 }
@@ -42,21 +44,27 @@ struct Quaternion {
 
 impl From<odometry::Odometry> for Odometry {
     fn from(odometry: odometry::Odometry) -> Self {
-        let (position, orientation) = (odometry.pose().translation, odometry.pose().rotation);
         Self {
-            pose: Pose {
-                position_m: Vector3 { x: position.x, y: position.y, z: position.z },
-                orientation: Quaternion {
-                    x: orientation.i,
-                    y: orientation.j,
-                    z: orientation.k,
-                    w: orientation.w,
-                },
-            },
+            pose: (*odometry.pose()).into(),
             // Stored column by column.
             covariance: odometry
                 .covariance()
                 .map_or_else(Vec::new, |covariance| covariance.transpose().as_slice().to_vec()),
+        }
+    }
+}
+
+impl From<Isometry3<f64>> for Pose {
+    fn from(pose: Isometry3<f64>) -> Self {
+        let (position, orientation) = (pose.translation, pose.rotation);
+        Self {
+            position_m: Vector3 { x: position.x, y: position.y, z: position.z },
+            orientation: Quaternion {
+                x: orientation.i,
+                y: orientation.j,
+                z: orientation.k,
+                w: orientation.w,
+            },
         }
     }
 }

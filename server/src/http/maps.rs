@@ -9,6 +9,7 @@ use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::RecognizerSettings;
 use serde::{Deserialize, Serialize};
 use topomap::mapper::MapperSettings;
+use topomap::odometry_prior::PlaceSpacing;
 use topomap::verification::VerificationMethod;
 use utoipa::{IntoParams, ToSchema};
 
@@ -148,6 +149,12 @@ struct MapSettings {
     false_positive_rate: Option<f64>,
     keep: Keep,
     verification: Verification,
+    /// Where frames carry odometry: how far a robot goes before it is at another place.
+    #[schema(exclusive_minimum = 0)]
+    place_spacing_m: f64,
+    /// The same for how far it turns.
+    #[schema(exclusive_minimum = 0)]
+    place_spacing_rad: f64,
 }
 
 /// How loop closures are verified by where features are: not at all, by a motion in the image plane, by epipolar
@@ -270,6 +277,9 @@ impl From<maps::MapSettings> for MapSettings {
             looks_per_stay: _,
             min_words: _,
             max_speed_m_per_s: _,
+            place_spacing: PlaceSpacing { distance_m, angle_rad },
+            odometry_noise: _,
+            prior_frames: _,
         } = mapper;
         let RecognizerSettings { dependence, new_place, scorer: _, detector, filter } = recognizer;
         let FilterSettings { new_place_prior, even_share: _, likelihood_smoothing: _ } = filter;
@@ -300,6 +310,8 @@ impl From<maps::MapSettings> for MapSettings {
                 VerificationMethod::Similarity => Verification::Similarity,
                 VerificationMethod::Epipolar => Verification::Epipolar,
             },
+            place_spacing_m: distance_m,
+            place_spacing_rad: angle_rad,
         }
     }
 }

@@ -7,6 +7,7 @@ use utoipa::ToSchema;
 
 use super::HttpError;
 use super::description::Refusals;
+use super::geometry::Pose;
 use super::maps::FrameReference;
 use super::parameters::{InPath, InQuery, MapPath, Nothing, Paging, PlacePath, WordPath};
 use crate::service::Service;
@@ -78,6 +79,19 @@ pub(super) struct Place {
     /// By word. Not in lists.
     #[schema(required)]
     word_hits: Option<Vec<PlaceWord>>,
+    /// Where it is, by odometry and loop closures; null where nothing measured the way to any other place.
+    #[schema(required)]
+    pose: Option<PlacePose>,
+}
+
+/// Where a place is.
+#[derive(Debug, Serialize, ToSchema)]
+struct PlacePose {
+    /// The lowest place of the part of the map that measured ways join it with; that one's pose, when it was made, is
+    /// the part's frame.
+    part: u32,
+    /// `base_link` there, seen from above.
+    pose: Pose,
 }
 
 /// A word of a place.
@@ -107,7 +121,7 @@ struct WordPlace {
 
 impl Place {
     fn new(map: &str, view: PlaceView) -> Self {
-        let PlaceView { place, looks, word_hits, frames, linked } = view;
+        let PlaceView { place, looks, word_hits, frames, linked, pose } = view;
         Self {
             name: place_name(map, place),
             looks,
@@ -115,6 +129,8 @@ impl Place {
             frames: frames.into_iter().map(FrameReference::from).collect(),
             linked,
             word_hits: Some(word_hits.into_iter().map(|(word, hits)| PlaceWord { word, hits }).collect()),
+            pose: pose
+                .map(|maps::PlacePose { part, pose }| PlacePose { part, pose: pose.on_the_ground().into() }),
         }
     }
 

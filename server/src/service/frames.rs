@@ -232,7 +232,7 @@ pub(super) fn content_type(image: &[u8]) -> &'static str {
     if image.starts_with(b"\x89PNG") { "image/png" } else { "image/jpeg" }
 }
 
-fn no_such_session(map: &str, session: &str) -> ServiceError {
+pub(super) fn no_such_session(map: &str, session: &str) -> ServiceError {
     ServiceError::not_found(format_args!(
         "the map {map} has no session {session}; list its sessions to see what there is (those that localize \
          are not kept)"

@@ -7,6 +7,8 @@ use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::{RecognizerSettings, Scorer};
 use serde::{Deserialize, Serialize};
 use topomap::mapper::MapperSettings;
+use topomap::odometry_prior::PlaceSpacing;
+use topomap::relative_pose::OdometryNoise;
 use topomap::verification::{VerificationMethod, VerificationSettings};
 
 use crate::error::ServiceError;
@@ -43,6 +45,8 @@ pub(crate) struct MapSettingsRequest {
     pub(crate) false_positive_rate: Option<f64>,
     pub(crate) keep: Option<Keep>,
     pub(crate) verification: Option<VerificationMethod>,
+    pub(crate) place_spacing_m: Option<f64>,
+    pub(crate) place_spacing_rad: Option<f64>,
 }
 
 impl MapSettingsRequest {
@@ -58,6 +62,8 @@ impl MapSettingsRequest {
             false_positive_rate,
             keep,
             verification,
+            place_spacing_m,
+            place_spacing_rad,
         } = self;
         let defaults = MapperSettings::default();
         let detector = match (true_positive_rate, false_positive_rate) {
@@ -91,6 +97,10 @@ impl MapSettingsRequest {
                 ..defaults.verification
             },
             guard_frames: guard_frames.map_or(defaults.guard_frames, u64::from),
+            place_spacing: PlaceSpacing {
+                distance_m: place_spacing_m.unwrap_or(defaults.place_spacing.distance_m),
+                angle_rad: place_spacing_rad.unwrap_or(defaults.place_spacing.angle_rad),
+            },
             ..defaults
         };
         Ok(MapSettings { mapper, keep: keep.unwrap_or_default() })
@@ -117,6 +127,37 @@ struct StoredSettings {
     /// Maps that were made before there was any have none.
     #[serde(default)]
     verification: Option<StoredVerification>,
+    /// Maps that were made before places had poses take the defaults of then.
+    #[serde(default)]
+    metric: StoredMetric,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StoredMetric {
+    place_spacing_m: f64,
+    place_spacing_rad: f64,
+    translation_share: f64,
+    heading_rad_per_m: f64,
+    turn_share: f64,
+    position_floor_m: f64,
+    heading_floor_rad: f64,
+    prior_frames: u64,
+}
+
+impl Default for StoredMetric {
+    fn default() -> Self {
+        Self {
+            place_spacing_m: 0.5,
+            place_spacing_rad: 10_f64.to_radians(),
+            translation_share: 0.05,
+            heading_rad_per_m: 0.05,
+            turn_share: 0.05,
+            position_floor_m: 0.01,
+            heading_floor_rad: 0.01,
+            prior_frames: 4,
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -235,7 +276,17 @@ pub(super) fn to_json(settings: &MapSettings) -> Result<String, ServiceError> {
         looks_per_stay,
         min_words,
         max_speed_m_per_s,
+        place_spacing: PlaceSpacing { distance_m, angle_rad },
+        odometry_noise,
+        prior_frames,
     } = mapper;
+    let OdometryNoise {
+        translation_share,
+        heading_rad_per_m,
+        turn_share,
+        position_floor_m,
+        heading_floor_rad,
+    } = odometry_noise;
     // Both scorers give the same values, so a map need not remember which was used.
     let RecognizerSettings { dependence, new_place, scorer: _, detector, filter } = recognizer;
     let FilterSettings { new_place_prior, even_share, likelihood_smoothing } = filter;
@@ -264,6 +315,16 @@ pub(super) fn to_json(settings: &MapSettings) -> Result<String, ServiceError> {
         max_speed_m_per_s,
         keep,
         verification: Some(verification.into()),
+        metric: StoredMetric {
+            place_spacing_m: distance_m,
+            place_spacing_rad: angle_rad,
+            translation_share,
+            heading_rad_per_m,
+            turn_share,
+            position_floor_m,
+            heading_floor_rad,
+            prior_frames: prior_frames as u64,
+        },
     };
     serde_json::to_string(&stored).map_err(ServiceError::internal)
 }
@@ -284,7 +345,18 @@ pub(crate) fn from_json(json: &str) -> Result<MapSettings, ServiceError> {
         max_speed_m_per_s,
         keep,
         verification,
+        metric,
     } = serde_json::from_str(json).map_err(ServiceError::internal)?;
+    let StoredMetric {
+        place_spacing_m,
+        place_spacing_rad,
+        translation_share,
+        heading_rad_per_m,
+        turn_share,
+        position_floor_m,
+        heading_floor_rad,
+        prior_frames,
+    } = metric;
     let detector = detector.map(|StoredDetector { true_positive_rate, false_positive_rate }| {
         DetectorModel::new(true_positive_rate, false_positive_rate).map_err(ServiceError::internal)
     });
@@ -310,6 +382,15 @@ pub(crate) fn from_json(json: &str) -> Result<MapSettings, ServiceError> {
         looks_per_stay,
         min_words: usize::try_from(min_words).unwrap_or(usize::MAX),
         max_speed_m_per_s,
+        place_spacing: PlaceSpacing { distance_m: place_spacing_m, angle_rad: place_spacing_rad },
+        odometry_noise: OdometryNoise {
+            translation_share,
+            heading_rad_per_m,
+            turn_share,
+            position_floor_m,
+            heading_floor_rad,
+        },
+        prior_frames: usize::try_from(prior_frames).unwrap_or(usize::MAX),
     };
     Ok(MapSettings { mapper, keep })
 }
@@ -330,6 +411,8 @@ mod tests {
             false_positive_rate: Some(0.02),
             keep: Some(Keep::Images),
             verification: Some(VerificationMethod::Epipolar),
+            place_spacing_m: Some(0.25),
+            place_spacing_rad: Some(0.1),
         };
         let settings = asked.with_defaults().unwrap();
         assert_eq!((settings.mapper.closure_threshold, settings.mapper.guard_frames), (0.7, 3));
@@ -360,6 +443,10 @@ mod tests {
         assert_eq!((settings.mapper.guard_frames, settings.keep), (20, Keep::Words));
         assert_eq!(settings.mapper.verification.method, VerificationMethod::None);
         assert_eq!(settings.mapper.recognizer.new_place, NewPlaceMethod::Sampled);
+        assert_eq!(
+            settings.mapper.place_spacing,
+            PlaceSpacing { distance_m: 0.5, angle_rad: 10_f64.to_radians() }
+        );
     }
 
     #[test]

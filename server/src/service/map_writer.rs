@@ -27,7 +27,7 @@ use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, MapEvent, Match, SessionId};
-use topomap::mapper::{ArchiveError, FrameArchive, FrameInput, Mapper};
+use topomap::mapper::{ArchiveError, FrameArchive, FrameInput, MapPose, Mapper};
 use topomap::relative_pose::RelativePose;
 use topomap::verification::Candidate;
 use waypost_vision::feature_record::FeatureRecord;
@@ -88,6 +88,8 @@ struct Pending {
     entry: LogEntry,
     reply: FrameReply,
     timings: FrameTimings,
+    /// Where the robot is, as the map was after its frame.
+    map_pose: Option<MapPose>,
     since: Instant,
 }
 
@@ -191,7 +193,11 @@ impl MapWriter {
         };
         let mut clock = StageClock { last: Instant::now(), timings: &mut timings };
         match self.decide_and_apply(*input, features, media, &mut clock) {
-            Ok(entry) => self.pending.push(Pending { entry, reply, timings, since }),
+            Ok(entry) => {
+                let session = self.mapper.map().session(session).filter(|_| has_odometry(&entry.event));
+                let map_pose = session.and_then(|session| self.mapper.map_pose(session));
+                self.pending.push(Pending { entry, reply, timings, map_pose, since });
+            }
             Err(error) => {
                 // Frames behind it in the queue must not be committed before it comes again.
                 if matches!(error, ServiceError::Unavailable { .. }) {
@@ -233,7 +239,9 @@ impl MapWriter {
         let pending = std::mem::take(&mut self.pending);
         let (entries, waiting): (Vec<LogEntry>, Vec<_>) = pending
             .into_iter()
-            .map(|Pending { entry, reply, timings, since }| (entry, (reply, timings, since)))
+            .map(|Pending { entry, reply, timings, map_pose, since }| {
+                (entry, (reply, timings, map_pose, since))
+            })
             .unzip();
         if let Err(error) = self.runtime.block_on(self.storage.append(self.map.id, &entries)) {
             tracing::error!(map = self.map.name, %error, "commit failed");
@@ -248,12 +256,14 @@ impl MapWriter {
         }
         self.metrics.committed(entries.len());
         tracing::debug!(map = self.map.name, frames_committed = entries.len(), "committed");
-        for (entry, (reply, mut timings, since)) in entries.into_iter().zip(waiting) {
+        for (entry, (reply, mut timings, map_pose, since)) in entries.into_iter().zip(waiting) {
             timings.total = since.elapsed();
             timings.commit = timings.total.saturating_sub(timings.work());
             if let MapEvent::Frame(event) = entry.event {
                 self.recent.get_mut().keep(event.frame, RecentFrame::of(&event));
-                let _ = reply.send(self.answer(&event, Some(timings)).map_err(|_| answer_unreadable()));
+                let answer = self.answer(&event, Some(timings));
+                let answer = answer.map(|answer| FrameAnswer { map_pose, ..answer });
+                let _ = reply.send(answer.map_err(|_| answer_unreadable()));
             }
         }
         Ok(())
@@ -380,6 +390,13 @@ impl MapWriter {
         } else if let Some((_, before)) = self.streams.insert(session, (stream, taken_over)) {
             before.cancel();
         }
+    }
+}
+
+fn has_odometry(event: &MapEvent) -> bool {
+    match event {
+        MapEvent::Frame(frame) => frame.odometry.is_some(),
+        MapEvent::SessionOpened { .. } => false,
     }
 }
 

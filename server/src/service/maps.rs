@@ -5,6 +5,7 @@ use std::sync::Arc;
 use fabmap::appearance::PlaceId;
 use fabmap::observation::WordId;
 use topomap::mapper::Mapper;
+use topomap::relaxation::PlanarPose;
 
 use super::map_settings;
 pub(crate) use super::map_settings::{Keep, MapSettings, MapSettingsRequest};
@@ -46,6 +47,16 @@ pub(crate) struct PlaceView {
     pub(crate) word_hits: Vec<(WordId, u8)>,
     pub(crate) frames: Vec<FrameReference>,
     pub(crate) linked: Vec<PlaceId>,
+    /// `None` where nothing measured the way to any other place.
+    pub(crate) pose: Option<PlacePose>,
+}
+
+/// Where a place is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct PlacePose {
+    /// The lowest place of its part, whose frame the pose is in.
+    pub(crate) part: PlaceId,
+    pub(crate) pose: PlanarPose,
 }
 
 /// A frame by its session and number.
@@ -217,10 +228,10 @@ impl Service {
         let frames = self.storage.frames_by_position(id, positions.collect::<Vec<_>>()).await?;
         let sessions = self.storage.sessions(id).await?;
         let view = |summary: PlaceSummary| {
-            let PlaceSummary { place, looks, word_hits, frames: positions, linked } = summary;
+            let PlaceSummary { place, looks, word_hits, frames: positions, linked, pose } = summary;
             let found = positions.iter().filter_map(|position| frames.get(position));
             let frames = found.map(|frame| reference(map, &sessions, frame)).collect();
-            PlaceView { place, looks, word_hits, frames, linked }
+            PlaceView { place, looks, word_hits, frames, linked, pose }
         };
         Ok(places.into_iter().map(view).collect())
     }

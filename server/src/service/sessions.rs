@@ -9,7 +9,7 @@ use fabmap::appearance::PlaceId;
 use tokio::sync::{OwnedSemaphorePermit, oneshot};
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, Match, Reason};
-use topomap::mapper::{FrameInput, Localizer};
+use topomap::mapper::{FrameInput, Localizer, MapPose};
 use topomap::odometry::Odometry;
 use topomap::verification::{Candidate, Motion, Similarity, TwoView};
 
@@ -63,6 +63,8 @@ pub(crate) struct FrameAnswer {
     pub(crate) words: u64,
     /// `None` if the answer comes from the store.
     pub(crate) timings: Option<FrameTimings>,
+    /// Where the robot is on the map, if that is known; `None` if the answer comes from the store.
+    pub(crate) map_pose: Option<MapPose>,
 }
 
 /// An earlier frame of a place.
@@ -456,6 +458,7 @@ impl FrameAnswer {
             proposal,
             words: event.observation.len() as u64,
             timings,
+            map_pose: None,
         }
     }
 }

@@ -4,7 +4,7 @@ use fabmap::observation::Observation;
 use fabmap::place_filter::MotionPrior;
 use fabmap::recognizer::{Association, Recognition, Stage, StageObserver};
 
-use super::{Decided, FrameArchive, FrameError, FrameInput, Growth, Mapper, candidates};
+use super::{Decided, FrameArchive, FrameError, FrameInput, Growth, MapPose, Mapper, candidates};
 use crate::event::{FrameEvent, Match, SessionId};
 use crate::map::Session;
 use crate::verification::{Candidate, Views};
@@ -44,6 +44,12 @@ impl Localizer {
     #[must_use]
     pub fn last_sequence(&self) -> Option<u64> {
         self.session.last_sequence
+    }
+
+    /// Where the robot was at the last frame that wheels and a place tell it of.
+    #[must_use]
+    pub fn map_pose(&self, mapper: &Mapper) -> Option<MapPose> {
+        mapper.map_pose(&self.session)
     }
 
     /// Takes in what [`Mapper::localize`] decided.

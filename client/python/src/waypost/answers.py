@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from waypost import errors
+from waypost.poses import Pose2, planar
 from waypost.v1 import map_pb2, session_pb2
 
 
@@ -103,6 +104,18 @@ class Timings:
     total_ms: float
 
 
+@dataclass(frozen=True)
+class MapPose:
+    """Where a robot is, by its wheels and the places that it recognised (REP-105)."""
+
+    #: The lowest place of the part of the map whose frame this is in.
+    part: int
+    #: base_link in it.
+    robot: Pose2
+    #: The session's odom frame in it: a pose by odometry, composed onto this, is one on the map.
+    map_to_odom: Pose2
+
+
 @dataclass(frozen=True, eq=False)
 class Answer:
     """The answer to a frame. While the map grows, the frame is durable by then."""
@@ -135,6 +148,8 @@ class Answer:
     timings: Timings | None
     #: The frame had been committed before; this is the stored answer.
     resent: bool
+    #: Where the robot is on the map; None without odometry, and in an answer from the store.
+    map_pose: MapPose | None = None
 
 
 @dataclass(frozen=True)
@@ -205,6 +220,15 @@ def answer(message: session_pb2.FrameAnswer) -> Answer:
         words=message.words,
         timings=_timings(message.timings) if message.HasField("timings") else None,
         resent=message.resent,
+        map_pose=_map_pose(message.map_pose) if message.HasField("map_pose") else None,
+    )
+
+
+def _map_pose(message: session_pb2.MapPose) -> MapPose:
+    return MapPose(
+        part=message.part,
+        robot=planar(message.robot),
+        map_to_odom=planar(message.map_to_odom),
     )
 
 

@@ -85,6 +85,13 @@ def odometry(
     return message
 
 
+def planar(message: geometry_pb2.Pose) -> Pose2:
+    """A pose from the wire, seen from above."""
+    orientation = message.orientation
+    heading = 2 * math.atan2(orientation.z, orientation.w)
+    return Pose2(message.position_m.x, message.position_m.y, math.remainder(heading, 2 * math.pi))
+
+
 def _quaternion(rotation: npt.NDArray[np.float64]) -> tuple[float, float, float, float]:
     """The eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric matrix: no special cases.
 

@@ -180,7 +180,9 @@ impl MapWriter {
             self.localize_fresh(id, *input, features, &mut timings).map_err(FrameFailure::Refused)?;
         timings.total = since.elapsed();
         timings.commit = timings.total.saturating_sub(timings.work());
-        Ok(FrameAnswer { timings: Some(timings), ..answer })
+        let localizing = self.localizers.localizers.get(&id);
+        let map_pose = localizing.and_then(|localizing| localizing.localizer.map_pose(&self.mapper));
+        Ok(FrameAnswer { timings: Some(timings), map_pose, ..answer })
     }
 
     fn localize_fresh(

@@ -10,6 +10,7 @@ use super::requests::{PlaceSummary, QueryAnswer, Read, WordPlace};
 use super::views::{CurrentView, SeenFeatures};
 use super::{Archive, MapWriter};
 use crate::error::ServiceError;
+use crate::service::maps::PlacePose;
 use crate::service::sessions::ANSWERED_PLACES;
 
 /// Frames of one place that a list shows.
@@ -26,6 +27,9 @@ impl MapWriter {
             }
             Read::StateHash { reply } => {
                 let _ = reply.send(self.mapper.state_hash().to_string());
+            }
+            Read::Poses { reply } => {
+                let _ = reply.send(Box::new(self.mapper.poses().clone()));
             }
             Read::Places { from, count, reply } => {
                 let _ = reply.send(self.places(from, count));
@@ -79,7 +83,14 @@ impl MapWriter {
             word_hits: appearance.word_hits().collect(),
             frames: frames[unlisted..].iter().map(|frame| frame.frame).collect(),
             linked: map.linked(place).to_vec(),
+            pose: self.place_pose(place),
         })
+    }
+
+    fn place_pose(&self, place: PlaceId) -> Option<PlacePose> {
+        let poses = self.mapper.poses();
+        let (part, pose) = (poses.part(place)?, *poses.pose(place)?);
+        poses.is_joined(place).then_some(PlacePose { part, pose })
     }
 
     /// Places from `from` on that have shown a word.

@@ -11,10 +11,12 @@ use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameId, SessionId};
 use topomap::mapper::FrameInput;
+use topomap::place_poses::PlacePoses;
 use waypost_vision::feature_record::FeatureRecord;
 
 use super::localizers::LocalizerId;
 use crate::error::ServiceError;
+use crate::service::maps::PlacePose;
 use crate::service::sessions::{FrameAnswer, FrameTimings, MatchView};
 use crate::storage::{MapId, Medium};
 
@@ -48,6 +50,9 @@ pub(crate) enum Read {
     },
     StateHash {
         reply: oneshot::Sender<String>,
+    },
+    Poses {
+        reply: oneshot::Sender<Box<PlacePoses>>,
     },
     Places {
         from: PlaceId,
@@ -163,6 +168,7 @@ pub(crate) struct PlaceSummary {
     pub(crate) word_hits: Vec<(WordId, u8)>,
     pub(crate) frames: Vec<FrameId>,
     pub(crate) linked: Vec<PlaceId>,
+    pub(crate) pose: Option<PlacePose>,
 }
 
 /// A place that has shown a word.
@@ -295,6 +301,11 @@ impl MapHandle {
     /// Hash of all that the map's log decided.
     pub(crate) async fn state_hash(&self) -> Result<String, ServiceError> {
         Ok(self.read(|reply| Read::StateHash { reply }).await?)
+    }
+
+    /// Where places are.
+    pub(crate) async fn poses(&self) -> Result<Box<PlacePoses>, ServiceError> {
+        Ok(self.read(|reply| Read::Poses { reply }).await?)
     }
 
     /// Up to `count` places from `from` on, and how many there are in all.

@@ -1,0 +1,103 @@
+//! Where robots were, as text that other tools read.
+
+use std::sync::Arc;
+
+use axum::extract::State;
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use utoipa::{IntoParams, ToSchema};
+
+use super::HttpError;
+use super::description::Refusals;
+use super::parameters::{InPath, InQuery, MapPath, Nothing, Parameters, SessionPath};
+use crate::service::Service;
+use crate::service::names::{map_name, session_name};
+use crate::service::trajectories::{TrajectoryBody, TrajectoryFormat, TrajectoryFrame};
+
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct TrajectoryChoice {
+    #[param(inline)]
+    format: Format,
+    #[param(inline)]
+    frame: Frame,
+    #[param(inline)]
+    body: Body,
+}
+
+/// `tum`: a line of stamp in seconds, position and quaternion per frame. `kitti`: the upper three rows of its matrix.
+#[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+enum Format {
+    #[default]
+    Tum,
+    Kitti,
+}
+
+/// `map`: corrected by loop closures. `odom`: the session's odometry as it was sent.
+#[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+enum Frame {
+    #[default]
+    Map,
+    Odom,
+}
+
+/// `base`: `base_link`. `camera`: the camera, where the session declared how it is mounted.
+#[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+enum Body {
+    #[default]
+    Base,
+    Camera,
+}
+
+impl Parameters for TrajectoryChoice {
+    const TAKES: &str = "format=tum or kitti, frame=map or odom, body=base or camera";
+}
+
+/// Where a session's robot was at each of its frames; those that the map does not know where to put are left out.
+#[utoipa::path(get, path = "/v1/maps/{map}/sessions/{session}/trajectory", tag = "exports",
+    params(SessionPath, TrajectoryChoice),
+    responses((status = 200, description = "A line per frame.", body = String, content_type = "text/plain"), Refusals))]
+pub(super) async fn export_trajectory(
+    State(service): State<Arc<Service>>,
+    InPath(SessionPath { map, session }): InPath<SessionPath>,
+    InQuery(TrajectoryChoice { format, frame, body }): InQuery<TrajectoryChoice>,
+) -> Result<Response, HttpError> {
+    let (format, ending) = match format {
+        Format::Tum => (TrajectoryFormat::Tum, "tum"),
+        Format::Kitti => (TrajectoryFormat::Kitti, "kitti"),
+    };
+    let frame = match frame {
+        Frame::Map => TrajectoryFrame::Map,
+        Frame::Odom => TrajectoryFrame::Odom,
+    };
+    let body = match body {
+        Body::Base => TrajectoryBody::Base,
+        Body::Camera => TrajectoryBody::Camera,
+    };
+    let text = service.trajectory(&session_name(&map, &session), format, frame, body).await?;
+    Ok(text_file(&format!("{map}-{session}.{ending}"), text))
+}
+
+/// The map's pose graph: a vertex per place, an edge with its information per way that was measured.
+#[utoipa::path(get, path = "/v1/maps/{map}/graph.g2o", tag = "exports", params(MapPath),
+    responses((status = 200, description = "Lines of g2o.", body = String, content_type = "text/plain"), Refusals))]
+pub(super) async fn export_graph(
+    State(service): State<Arc<Service>>,
+    InPath(MapPath { map }): InPath<MapPath>,
+    InQuery(Nothing {}): InQuery<Nothing>,
+) -> Result<Response, HttpError> {
+    Ok(text_file(&format!("{map}.g2o"), service.pose_graph(&map_name(&map)).await?))
+}
+
+fn text_file(name: &str, text: Vec<u8>) -> Response {
+    let headers = [
+        (CONTENT_TYPE, "text/plain; charset=utf-8".to_owned()),
+        (CONTENT_DISPOSITION, format!("attachment; filename=\"{name}\"")),
+    ];
+    (headers, text).into_response()
+}

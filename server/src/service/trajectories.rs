@@ -1,0 +1,147 @@
+//! Where robots were, as text that other tools read.
+
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use prost::Message;
+use topomap::event::FrameEvent;
+use topomap::g2o::{G2o, NamedGraph};
+use topomap::place_poses::PlacePoses;
+use topomap::relaxation::Pose;
+use topomap::trajectory::{StampedPose, to_kitti, to_tum};
+use waypost_proto::v1;
+
+use super::Service;
+use super::frames::no_such_session;
+use super::names::{map_in, session_in};
+use crate::error::ServiceError;
+
+/// Frames read at a time.
+const PAGE: u32 = 1000;
+
+/// How a trajectory is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum TrajectoryFormat {
+    Tum,
+    Kitti,
+}
+
+/// In whose coordinates.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum TrajectoryFrame {
+    /// The map's.
+    #[default]
+    Map,
+    /// The session's odometry.
+    Odom,
+}
+
+/// Of what.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum TrajectoryBody {
+    #[default]
+    Base,
+    Camera,
+}
+
+impl Service {
+    /// Where a session's robot was at each of its frames.
+    pub(crate) async fn trajectory(
+        self: &Arc<Self>,
+        name: &str,
+        format: TrajectoryFormat,
+        frame: TrajectoryFrame,
+        body: TrajectoryBody,
+    ) -> Result<Vec<u8>, ServiceError> {
+        let (map, session) = session_in(name)?;
+        let row = self.map_row(map).await?;
+        let summary = self.storage.session_summary(row.id, session).await?;
+        let summary = summary.ok_or_else(|| no_such_session(map, session))?;
+        let mount = match body {
+            TrajectoryBody::Base => Isometry3::identity(),
+            TrajectoryBody::Camera => mount(summary.camera.as_deref(), name)?,
+        };
+        let poses = self.open_map(map).await?.poses().await?;
+        let words = self.vocabulary_len(&row).await?;
+        let (mut stamped, mut after): (Vec<Located>, _) = (Vec::new(), None);
+        loop {
+            let frames = self.storage.frames_of_session(row.id, summary.number, after, PAGE, words).await?;
+            after = frames.last().map(|frame| frame.event.sequence);
+            stamped.extend(frames.iter().filter_map(|row| located(&row.event, frame, &poses)));
+            if frames.len() < PAGE as usize {
+                break;
+            }
+        }
+        // A session that is not joined with the map's first part yet is in a frame of its own.
+        let Some(part) = stamped.last().map(|last| last.part) else { return Err(nothing(name, frame)) };
+        stamped.retain(|located| located.part == part);
+        let stamped: Vec<StampedPose> = stamped
+            .into_iter()
+            .map(|Located { stamp_ns, pose, part: _ }| StampedPose { stamp_ns, pose: pose * mount })
+            .collect();
+        Ok(match format {
+            TrajectoryFormat::Tum => to_tum(&stamped),
+            TrajectoryFormat::Kitti => to_kitti(&stamped),
+        })
+    }
+
+    /// A map's pose graph as g2o: its places, and the ways between them that were measured.
+    pub(crate) async fn pose_graph(self: &Arc<Self>, name: &str) -> Result<Vec<u8>, ServiceError> {
+        let map = map_in(name)?;
+        self.map_row(map).await?;
+        let poses = self.open_map(map).await?.poses().await?;
+        if poses.graph().edges().is_empty() {
+            return Err(ServiceError::precondition(format_args!(
+                "no way between places of {name} was measured; it takes frames with odometry"
+            )));
+        }
+        let ids = (0..poses.poses().len() as u64).collect();
+        let graph = NamedGraph::new(ids, poses.graph().clone(), Some(poses.poses().to_vec()));
+        Ok(G2o::Planar(graph.map_err(ServiceError::internal)?).write())
+    }
+}
+
+/// A pose, and the part of the map whose coordinates it is in.
+struct Located {
+    stamp_ns: i64,
+    pose: Isometry3<f64>,
+    part: Option<u32>,
+}
+
+fn located(event: &FrameEvent, frame: TrajectoryFrame, poses: &PlacePoses) -> Option<Located> {
+    let (pose, part) = match frame {
+        TrajectoryFrame::Odom => (*event.odometry.as_ref()?.pose(), None),
+        TrajectoryFrame::Map => {
+            let place = event.decision.place?;
+            let pose = poses.pose(place)?.compose(event.at.as_ref()?.pose());
+            (pose.on_the_ground(), Some(poses.part(place)?))
+        }
+    };
+    Some(Located { stamp_ns: event.stamp_ns, pose, part })
+}
+
+fn mount(camera: Option<&[u8]>, name: &str) -> Result<Isometry3<f64>, ServiceError> {
+    // It was checked when the session was opened.
+    let declared = camera.and_then(|camera| v1::Camera::decode(camera).ok()?.base_to_camera);
+    let parts = declared.and_then(|v1::Pose { position_m, orientation }| Some((position_m?, orientation?)));
+    let (position, orientation) = parts.ok_or_else(|| {
+        ServiceError::precondition(format_args!(
+            "{name} did not declare how its camera is mounted (base_to_camera); ask for the poses of base_link"
+        ))
+    })?;
+    let v1::Vector3 { x, y, z } = position;
+    let v1::Quaternion { x: i, y: j, z: k, w } = orientation;
+    let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, i, j, k));
+    Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
+}
+
+fn nothing(name: &str, frame: TrajectoryFrame) -> ServiceError {
+    match frame {
+        TrajectoryFrame::Odom => ServiceError::precondition(format_args!(
+            "no frame of {name} carries odometry; send it with the frames"
+        )),
+        TrajectoryFrame::Map => ServiceError::precondition(format_args!(
+            "the map does not know where {name} was; it takes frames with odometry"
+        )),
+    }
+}

@@ -1,0 +1,299 @@
+//! A simulated robot maps a building over gRPC; what comes back, and what is exported, is judged against the truth.
+
+use std::sync::Arc;
+
+use topomap::g2o::G2o;
+use topomap::relaxation::{EdgeKind, PlanarPose, Pose as _};
+use topomap::trajectory::{StampedPose, from_tum};
+use waypost_client::{Client, Code, FrameContent, FrameInput, FrameOutcome, SessionOptions, v1};
+use waypost_sim::camera::Camera;
+use waypost_sim::render::{CameraRig, Mount, Sensor};
+use waypost_sim::robot::WheelErrors;
+use waypost_sim::route::Route;
+use waypost_sim::scene::Scene;
+use waypost_sim::simulation::{CameraFrame, Simulation, SimulationSettings};
+use waypost_sim::worlds::NamedWorld;
+
+use crate::harness::{
+    CommandLine, Server, assert_status, frame, get, import_model, map_request, model_file, path, refused,
+    session_options, state_hash, stream,
+};
+
+const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * std::f64::consts::PI;
+
+/// Twice round a ring of corridors with wheels that are five percent and two degrees a metre off.
+struct Drive {
+    scene: Arc<Scene>,
+    rig: CameraRig,
+    frames: Vec<CameraFrame>,
+}
+
+impl Drive {
+    fn new(seed: u64, route: &str) -> Self {
+        let world = NamedWorld::Loop;
+        let scene = Arc::new(Scene::new(world.plan(seed)));
+        let camera = Camera::of_field_of_view(FIELD_OF_VIEW_RAD, (320, 240)).unwrap();
+        let rig = CameraRig::new(camera, Mount::default(), Sensor::default()).unwrap();
+        let route = Route::named(scene.plan(), &world.route(route).unwrap(), 0.25).unwrap();
+        let wheels = WheelErrors { scale: 0.05, drift_rad_per_m: 2_f64.to_radians(), ..WheelErrors::NONE };
+        let settings = SimulationSettings { wheels, seed, ..SimulationSettings::new(rig.clone()) };
+        let mut simulation = Simulation::new(scene.clone(), route.start(), settings).unwrap();
+        let recording = simulation.drive_along(&route, 0.4).unwrap();
+        let frames = recording.frames().cloned().collect();
+        Self { scene, rig, frames }
+    }
+
+    fn inputs(&self) -> impl Iterator<Item = FrameInput> + '_ {
+        self.frames.iter().map(|frame| {
+            let (position, [x, y, z, w]) = frame.odometry.position_and_orientation();
+            let odometry = v1::Odometry {
+                pose: Some(v1::Pose {
+                    position_m: Some(v1::Vector3 { x: position[0], y: position[1], z: position[2] }),
+                    orientation: Some(v1::Quaternion { x, y, z, w }),
+                }),
+                covariance: frame.odometry.covariance_6x6().to_vec(),
+            };
+            FrameInput {
+                sequence: frame.number + 1,
+                stamp_ns: frame.stamp_ns + 1,
+                content: FrameContent::Image(self.scene.render(&self.rig, &frame.shot).to_png().unwrap()),
+                odometry: Some(odometry),
+            }
+        })
+    }
+
+    /// The true pose at a frame, in the frame of the first.
+    fn truth(&self, frame: usize) -> PlanarPose {
+        let at = |frame: usize| {
+            let pose = &self.frames[frame].shot.pose;
+            PlanarPose::new(pose.x_m, pose.y_m, pose.heading_rad)
+        };
+        at(0).inverse().compose(&at(frame))
+    }
+
+    /// Root mean square of how far poses are from the truth.
+    fn rmse_m(&self, poses: &[StampedPose]) -> f64 {
+        let squares = poses.iter().map(|stamped| {
+            let frame = self.frames.iter().position(|frame| frame.stamp_ns + 1 == stamped.stamp_ns).unwrap();
+            let (truth, position) = (self.truth(frame), stamped.pose.translation.vector);
+            (truth.x_m() - position.x).powi(2) + (truth.y_m() - position.y).powi(2)
+        });
+        (squares.sum::<f64>() / poses.len() as f64).sqrt()
+    }
+}
+
+fn camera() -> v1::Camera {
+    v1::Camera {
+        model: Some(v1::camera::Model::FieldOfView(v1::FieldOfView { horizontal_rad: FIELD_OF_VIEW_RAD })),
+        image_width_px: 320,
+        image_height_px: 240,
+        base_to_camera: Some(v1::Pose {
+            position_m: Some(v1::Vector3 { x: 0.1, y: 0.0, z: 0.5 }),
+            orientation: Some(v1::Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }),
+        }),
+    }
+}
+
+async fn exported(
+    client: &Client,
+    name: &str,
+    format: v1::export_poses_request::Format,
+    frame: v1::export_poses_request::Frame,
+    body: v1::export_poses_request::Body,
+) -> Vec<u8> {
+    let request = v1::ExportPosesRequest {
+        name: name.to_owned(),
+        format: format.into(),
+        frame: frame.into(),
+        body: body.into(),
+    };
+    let mut text = Vec::new();
+    client.export_poses(request, &mut text).await.unwrap();
+    text
+}
+
+fn planar(pose: &v1::Pose) -> PlanarPose {
+    let (position, orientation) = (pose.position_m.unwrap(), pose.orientation.unwrap());
+    PlanarPose::new(position.x, position.y, 2.0 * orientation.z.atan2(orientation.w))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_maps_a_building_and_the_map_undoes_what_its_wheels_drift() {
+    use v1::export_poses_request::{Body, Format, Frame};
+    const SESSION: &str = "maps/drive/sessions/robot";
+    let drive = Drive::new(3, "twice");
+    let directory = tempfile::tempdir().unwrap();
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let model = import_model(&client).await;
+    client.create_map(map_request("drive", &model.name)).await.unwrap();
+    let options = SessionOptions { camera: Some(camera()), ..session_options("drive", "robot") };
+    let outcomes = stream(client.open_session(options).await.unwrap(), drive.inputs()).await;
+    let mut closures = 0;
+    for (outcome, frame) in outcomes.iter().zip(&drive.frames) {
+        let FrameOutcome::Answer(answer) = outcome else { panic!("{outcome:?}") };
+        closures += usize::from(answer.reason() == v1::Reason::LoopClosure);
+        let Some(pose) = &answer.map_pose else { panic!("{answer:?}") };
+        let (position, [x, y, z, w]) = frame.odometry.position_and_orientation();
+        assert_eq!((x, y), (0.0, 0.0));
+        let odometry = PlanarPose::new(position[0], position[1], 2.0 * z.atan2(w));
+        let corrected = planar(pose.map_to_odom.as_ref().unwrap()).compose(&odometry);
+        let robot = planar(pose.robot.as_ref().unwrap());
+        let apart = corrected.inverse().compose(&robot);
+        assert!(apart.x_m().hypot(apart.y_m()) < 1e-9 && apart.heading_rad().abs() < 1e-9);
+        assert_eq!(pose.part, 0);
+    }
+    assert!(closures >= 10, "{closures} closures in {} frames", drive.frames.len());
+
+    let text = exported(&client, SESSION, Format::Tum, Frame::Map, Body::Base).await;
+    let (on_the_map, by_wheels) = (
+        from_tum(&text).unwrap(),
+        from_tum(&exported(&client, SESSION, Format::Tum, Frame::Odom, Body::Base).await).unwrap(),
+    );
+    assert_eq!((on_the_map.len(), by_wheels.len()), (drive.frames.len(), drive.frames.len()));
+    let (map_m, wheels_m) = (drive.rmse_m(&on_the_map), drive.rmse_m(&by_wheels));
+    assert!(map_m < 0.75 && map_m < wheels_m / 5.0, "{map_m} m on the map, {wheels_m} m by wheels");
+
+    // The camera is ahead of base_link and above it.
+    let seen = from_tum(&exported(&client, SESSION, Format::Tum, Frame::Map, Body::Camera).await).unwrap();
+    for (camera, base) in seen.iter().zip(&on_the_map) {
+        let mounted = base.pose.inv_mul(&camera.pose).translation;
+        assert!((mounted.x - 0.1).abs() < 1e-9 && mounted.y.abs() < 1e-9 && (mounted.z - 0.5).abs() < 1e-9);
+    }
+    let kitti = exported(&client, SESSION, Format::Kitti, Frame::Map, Body::Base).await;
+    let first: Vec<f64> = std::str::from_utf8(&kitti)
+        .unwrap()
+        .lines()
+        .next()
+        .unwrap()
+        .split(' ')
+        .map(|number| number.parse().unwrap())
+        .collect();
+    assert_eq!(first, [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
+    let graph = exported(&client, "maps/drive", Format::G2o, Frame::Unspecified, Body::Unspecified).await;
+    let G2o::Planar(named) = G2o::read(&graph).unwrap() else { panic!("a graph in space") };
+    let map = client.map("drive", v1::MapView::Full).await.unwrap();
+    assert_eq!(named.ids().len() as u64, map.places);
+    assert!(named.graph().edges().len() as u64 <= map.links);
+    assert!(
+        named
+            .graph()
+            .edges()
+            .iter()
+            .all(|edge| edge.kind() == EdgeKind::Odometry || edge.from() != edge.to())
+    );
+
+    // REST tells the same.
+    for (path, same) in [
+        ("/v1/maps/drive/sessions/robot/trajectory", &text),
+        ("/v1/maps/drive/sessions/robot/trajectory?format=kitti", &kitti),
+        ("/v1/maps/drive/graph.g2o", &graph),
+    ] {
+        assert!(get(&server, path).await.body == *same, "{path}");
+    }
+    let places = client.places("drive").await.unwrap();
+    assert!(places.iter().all(|place| place.pose.is_some()), "a place without a pose");
+
+    // And so does the map when it is opened anew, as near as relaxation ends.
+    server.stop().await;
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    assert_eq!(state_hash(&client, "drive").await, map.state_hash);
+    let again = exported(&client, SESSION, Format::Tum, Frame::Map, Body::Base).await;
+    for (again, before) in from_tum(&again).unwrap().iter().zip(&on_the_map) {
+        assert_eq!(again.stamp_ns, before.stamp_ns);
+        assert!((again.pose.translation.vector - before.pose.translation.vector).norm() < 0.05);
+    }
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn poses_that_nobody_measured_are_refused_with_the_way_out() {
+    use v1::export_poses_request::{Body, Format, Frame};
+    let (server, client) = Server::with_map().await;
+    crate::harness::answers(&client, "drive", "robot", (1..=3).map(frame)).await;
+    let session = "maps/drive/sessions/robot";
+    let ask = async |name: &str, format: Format, frame: Frame, body: Body| {
+        let request = v1::ExportPosesRequest {
+            name: name.to_owned(),
+            format: format.into(),
+            frame: frame.into(),
+            body: body.into(),
+        };
+        refused(client.export_poses(request, &mut Vec::new()).await)
+    };
+    for (case, (code, message), expected, fragment) in [
+        (
+            "map",
+            ask(session, Format::Tum, Frame::Map, Body::Base).await,
+            Code::FailedPrecondition,
+            "odometry",
+        ),
+        (
+            "odom",
+            ask(session, Format::Kitti, Frame::Odom, Body::Base).await,
+            Code::FailedPrecondition,
+            "odometry",
+        ),
+        (
+            "camera",
+            ask(session, Format::Tum, Frame::Odom, Body::Camera).await,
+            Code::FailedPrecondition,
+            "base_to_camera",
+        ),
+        (
+            "graph",
+            ask("maps/drive", Format::G2o, Frame::Map, Body::Base).await,
+            Code::FailedPrecondition,
+            "odometry",
+        ),
+        (
+            "format",
+            ask(session, Format::Unspecified, Frame::Map, Body::Base).await,
+            Code::InvalidArgument,
+            "TUM",
+        ),
+        (
+            "session",
+            ask("maps/drive/sessions/no", Format::Tum, Frame::Map, Body::Base).await,
+            Code::NotFound,
+            "no",
+        ),
+        (
+            "a map's name",
+            ask("maps/drive", Format::Tum, Frame::Map, Body::Base).await,
+            Code::InvalidArgument,
+            "maps/drive",
+        ),
+        ("no map", ask("maps/nowhere", Format::G2o, Frame::Map, Body::Base).await, Code::NotFound, "nowhere"),
+    ] {
+        assert_status(case, (code, &message), expected, fragment);
+    }
+    server.stop().await;
+}
+
+#[test]
+fn the_command_line_writes_trajectories_and_graphs() {
+    let waypost = CommandLine::new();
+    let drive = Drive::new(4, "once");
+    waypost.text(&["model", "import", path(&model_file()), "--name", "shipped"]);
+    waypost.text(&["map", "create", "drive", "--model", "shipped", "--place-spacing-m", "0.4"]);
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let inputs: Vec<FrameInput> = drive.inputs().take(12).collect();
+    let endpoint = waypost.endpoint();
+    runtime.block_on(async {
+        let client = Client::connect(&endpoint).await.unwrap();
+        stream(client.open_session(session_options("drive", "robot")).await.unwrap(), inputs).await;
+    });
+    let directory = tempfile::tempdir().unwrap();
+    let file = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
+    let (tum, graph) = (file("robot.tum"), file("drive.g2o"));
+    let told = waypost.text(&["map", "trajectory", "drive", "robot", "--out", &tum]);
+    assert!(told.starts_with("12 lines"), "{told}");
+    assert_eq!(from_tum(&std::fs::read(&tum).unwrap()).unwrap().len(), 12);
+    waypost.text(&["map", "graph", "drive", "--out", &graph]);
+    assert!(matches!(G2o::read(&std::fs::read(&graph).unwrap()), Ok(G2o::Planar(_))));
+    assert!(waypost.text(&["map", "show", "drive"]).contains("0.4 m, 10.0 degrees"));
+    let (_, stderr) = waypost.fails(&["map", "graph", "drive", "--out", &graph]);
+    assert!(stderr.contains("--force"), "{stderr}");
+}
