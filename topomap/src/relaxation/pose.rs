@@ -14,6 +14,8 @@ pub trait Pose<const D: usize>: Copy + Debug + PartialEq + Send + Sync {
     const SPACE: usize;
     /// What a squared error of unit variances exceeds once in a million cases: a quantile of χ².
     const CHI_SQUARED_MILLION: f64;
+    /// What it exceeds once in a hundred cases.
+    const CHI_SQUARED_HUNDRED: f64;
     /// What it exceeds in every other case.
     const CHI_SQUARED_MEDIAN: f64;
     /// Volume of the ball of radius 1 in `D` dimensions.
@@ -146,6 +148,7 @@ fn wrapped(angle: f64) -> f64 {
 impl Pose<3> for PlanarPose {
     const SPACE: usize = 2;
     const CHI_SQUARED_MILLION: f64 = 30.665;
+    const CHI_SQUARED_HUNDRED: f64 = 11.345;
     const CHI_SQUARED_MEDIAN: f64 = 2.366;
     const UNIT_BALL: f64 = 4.0 / 3.0 * PI;
 
@@ -233,6 +236,7 @@ impl Pose<3> for PlanarPose {
 impl Pose<6> for Isometry3<f64> {
     const SPACE: usize = 3;
     const CHI_SQUARED_MILLION: f64 = 38.258;
+    const CHI_SQUARED_HUNDRED: f64 = 16.812;
     const CHI_SQUARED_MEDIAN: f64 = 5.348;
     const UNIT_BALL: f64 = PI * PI * PI / 6.0;
 

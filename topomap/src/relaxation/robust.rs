@@ -123,28 +123,47 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
         Relaxed { poses, cost, iterations: self.iterations, weights }
     }
 
-    /// Leaves out closures that cost more than noise would, worst first, where that gains more than it takes.
+    /// Leaves out closures that cost more than noise mostly does, worst first, where that gains more than it takes;
+    /// and takes in what fits well then.
     fn without_misfits(&mut self, relaxed: Relaxed<P>) -> Relaxed<P> {
         let mut best = relaxed;
-        let mut misfits: Vec<(f64, usize)> = Vec::new();
+        let mut least = self.truncated(&best.poses);
+        for misfit in self.misfits(&best) {
+            let mut weights = best.weights.clone();
+            weights[misfit] = 0.0;
+            let mut minimum = self.minimize(best.poses.clone(), &weights, usize::MAX);
+            for (weight, edge) in weights.iter_mut().zip(self.graph.edges()) {
+                if edge.cost(&minimum.poses) <= P::CHI_SQUARED_HUNDRED {
+                    *weight = 1.0;
+                }
+            }
+            minimum = self.minimize(minimum.poses, &weights, usize::MAX);
+            let truncated = self.truncated(&minimum.poses);
+            if truncated < least {
+                best = Relaxed {
+                    poses: minimum.poses,
+                    cost: minimum.cost,
+                    iterations: self.iterations,
+                    weights,
+                };
+                least = truncated;
+            }
+        }
+        best
+    }
+
+    /// The closures kept that cost most, worst first.
+    fn misfits(&self, relaxed: &Relaxed<P>) -> Vec<usize> {
+        let mut misfits = Vec::new();
         for (number, edge) in self.graph.edges().iter().enumerate() {
-            let cost = edge.cost(&best.poses);
-            if edge.kind() == EdgeKind::Closure && best.weights[number] > 0.0 && cost > P::CHI_SQUARED_MILLION
-            {
+            let cost = edge.cost(&relaxed.poses);
+            let kept = edge.kind() == EdgeKind::Closure && relaxed.weights[number] > 0.0;
+            if kept && cost > P::CHI_SQUARED_HUNDRED {
                 misfits.push((cost, number));
             }
         }
         misfits.sort_by(|one, other| other.0.total_cmp(&one.0));
-        for &(_, misfit) in misfits.iter().take(MAX_UNSURE) {
-            let mut weights = best.weights.clone();
-            weights[misfit] = 0.0;
-            let Minimum { poses, cost, iterations: _ } =
-                self.minimize(best.poses.clone(), &weights, usize::MAX);
-            if self.truncated(&poses) < self.truncated(&best.poses) {
-                best = Relaxed { poses, cost, iterations: self.iterations, weights };
-            }
-        }
-        best
+        misfits.into_iter().take(MAX_UNSURE).map(|(_, closure)| closure).collect()
     }
 
     /// Weights without the closures that do not fit.
