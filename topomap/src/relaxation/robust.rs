@@ -8,7 +8,8 @@ use super::{Relaxed, Start, starts};
 
 /// How many wrong closures may fit by chance, if all of them were wrong and led anywhere in the map.
 const BY_CHANCE: f64 = 0.01;
-/// A closure that misses by more standard deviations is wrong, however large the map.
+/// A closure that misses by more standard deviations is wrong, however large the map. Real ones miss by that many
+/// where information matrices are overconfident.
 const MOST_DEVIATIONS: f64 = 30.0;
 /// Steps after which an alternative is compared with the best one so far, and dropped if it costs so many times as much.
 const FIRST_ITERATIONS: usize = 20;
