@@ -4,9 +4,11 @@ use fabmap::likelihood::Dependence;
 use fabmap::new_place::NewPlaceMethod;
 use fabmap::recognizer::Scorer;
 use topomap::event::Reason;
+use topomap::relaxation::Closures;
 use topomap::verification::VerificationMethod;
 
 use crate::commands::calibrate::DetectorChoice;
+use crate::commands::posegraph::GraphStart;
 use crate::dataset::Verdict;
 
 /// The values of a choice with their names.
@@ -47,6 +49,17 @@ pub const DETECTORS: Choices<DetectorChoice> = &[
     ("tempered", DetectorChoice::Tempered),
     ("learned", DetectorChoice::Learned),
 ];
+
+/// Where relaxation of a pose graph starts from.
+pub const GRAPH_STARTS: Choices<GraphStart> = &[
+    ("odometry", GraphStart::Odometry),
+    ("chordal", GraphStart::Chordal),
+    ("best", GraphStart::Best),
+    ("file", GraphStart::File),
+];
+
+/// Whether closures of a pose graph may be wrong.
+pub const CLOSURES: Choices<Closures> = &[("judged", Closures::Judged), ("trusted", Closures::Trusted)];
 
 /// Why a frame was decided as it was.
 pub const REASONS: Choices<Reason> = &[

@@ -11,6 +11,7 @@ use fabmap::model::ModelTrainingError;
 use fabmap::new_place::NoSamplesError;
 use fabmap::place_filter::FilterError;
 use fabmap::vocabulary::{OrbVocabularyError, VocabularyError};
+use topomap::g2o::{G2oError, NamingError};
 use topomap::mapper::{FoldError, FrameError, MapperError};
 use waypost_vision::features::{ExtractError, SettingsError};
 
@@ -123,6 +124,29 @@ pub enum EvalError {
         /// How they differ.
         reason: VocabularyError,
     },
+    /// A file is no pose graph.
+    #[error("{path}: {reason}")]
+    PoseGraph {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it, and how to mend it.
+        reason: G2oError,
+    },
+    /// A pose graph without vertices says of no pose where it is.
+    #[error("{path} has no VERTEX lines to start from; choose --start best")]
+    NoVertices {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A pose graph without closures shows nothing of what wrong ones are like.
+    #[error("{path} has no closures, whose measurements false ones would have; leave out --false-loops")]
+    NoClosures {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A relaxed graph has other poses than its ids: a fault of the program.
+    #[error("{0}; this is a fault of Waypost, please report it")]
+    PoseGraphNames(NamingError),
     /// The mapper refused a frame of the sequence.
     #[error("frame {index}: {reason}")]
     Frame {
@@ -233,6 +257,8 @@ impl EvalError {
             | EvalError::Workload(_)
             | EvalError::Filter(_)
             | EvalError::Comparison { .. }
+            | EvalError::NoVertices { .. }
+            | EvalError::NoClosures { .. }
             | EvalError::Visits { .. } => 2,
             EvalError::Dataset(_)
             | EvalError::WorkloadFile(_)
@@ -245,6 +271,8 @@ impl EvalError {
             | EvalError::Model { .. }
             | EvalError::UnknownExtractor { .. }
             | EvalError::ForeignVocabulary { .. }
+            | EvalError::PoseGraph { .. }
+            | EvalError::PoseGraphNames(_)
             | EvalError::Frame { .. }
             | EvalError::Fold { .. }
             | EvalError::Read { .. }

@@ -1,18 +1,21 @@
 //! Poses that agree with all measurements as well as they can.
 //!
 //! [`relax`] minimises the sum of eᵀΩe over the edges of a [`PoseGraph`], in the plane or in space, from odometry
-//! alone or from where the poses were before.
+//! alone or from where the poses were before. A map that grows keeps its graph and the last [`Relaxed`], adds poses
+//! and edges to the graph, and relaxes it from [`Start::Earlier`].
 
 mod block_cholesky;
 mod consensus;
 mod graph;
 mod levenberg;
+mod planar;
 mod pose;
 mod robust;
 mod starts;
 
 pub use graph::{Edge, EdgeError, EdgeKind, MissingPose, PlanarGraph, PoseGraph, SpatialGraph};
-pub use pose::{Linearized, PlanarPose, Pose};
+pub use planar::PlanarPose;
+pub use pose::{Linearized, Pose};
 
 use levenberg::{Minimum, NormalEquations, Stop};
 use robust::Judging;
@@ -75,7 +78,7 @@ pub struct Relaxed<P> {
 
 /// Relaxes a graph: the poses at which the sum of eᵀΩe over its edges is least, as far as the start leads there.
 ///
-/// The cost never exceeds that of the start, and what is fixed does not move; where nothing is, the lowest pose of
+/// Where closures are trusted, the cost never exceeds that of the start. What is fixed does not move; where nothing is, the lowest pose of
 /// each connected part stays where it starts. One thread, the same bits always.
 #[must_use]
 pub fn relax<P: Pose<D>, const D: usize>(

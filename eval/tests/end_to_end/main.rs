@@ -5,6 +5,7 @@
 mod comparing;
 mod errors;
 mod new_place;
+mod posegraph;
 mod real_data;
 mod scale;
 mod synthetic;

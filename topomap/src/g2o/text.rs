@@ -226,8 +226,8 @@ pub(super) fn write<P: Columns<D>, const D: usize>(graph: &NamedGraph<P, D>) -> 
     for (id, pose) in graph.ids.iter().zip(graph.poses.iter().flatten()) {
         append(&mut text, format_args!("{vertex} {id}"), pose.numbers());
     }
-    for (&pose, _) in graph.graph.fixed() {
-        append(&mut text, format_args!("FIX {}", graph.ids[pose]), []);
+    for pose in graph.graph.fixed().keys() {
+        append(&mut text, format_args!("FIX {}", graph.ids[*pose]), []);
     }
     for edge in graph.graph.edges() {
         let triangle = (0..D).flat_map(|row| (row..D).map(move |column| edge.information()[(row, column)]));

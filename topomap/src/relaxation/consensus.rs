@@ -84,11 +84,11 @@ impl<'a, P: Pose<D>, const D: usize> Consensus<'a, P, D> {
     }
 
     /// Accepts closures, all but `excluded`.
-    pub(super) fn reach(&mut self, noise: Noise, excluded: Option<usize>) -> Accepted {
+    pub(super) fn reach(&mut self, noise: Noise, excluded: &[usize]) -> Accepted {
         let edges = self.graph.edges();
         let odometry: Vec<bool> = edges.iter().map(|edge| edge.kind() == EdgeKind::Odometry).collect();
         let closures: Vec<usize> =
-            (0..edges.len()).filter(|&edge| !odometry[edge] && Some(edge) != excluded).collect();
+            (0..edges.len()).filter(|&edge| !odometry[edge] && !excluded.contains(&edge)).collect();
         let mut accepted = Accepted { edges: odometry.clone(), unsure: Vec::new() };
         let mut undecided = closures.clone();
         let mut scale = 1.0;

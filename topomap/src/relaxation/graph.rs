@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 use nalgebra::{Isometry3, SMatrix};
 
-use super::pose::{PlanarPose, Pose};
+use super::planar::PlanarPose;
+use super::pose::Pose;
 
 /// A pose graph in the plane.
 pub type PlanarGraph = PoseGraph<PlanarPose, 3>;

@@ -36,8 +36,9 @@ pub(super) struct Minimum<P> {
     pub(super) iterations: usize,
 }
 
-/// First damping after a step that did not go down, as a share of the diagonal.
-const FIRST_DAMPING: f64 = 1e-5;
+/// First damping after a step that did not go down, as a share of the diagonal. Long chains are soft: their least
+/// eigenvalues are a millionth of the diagonal and less, and more damping would make steps creep.
+const FIRST_DAMPING: f64 = 1e-9;
 /// Damping beyond which a step no longer moves anything.
 const LAST_DAMPING: f64 = 1e12;
 /// Keeps parts in place that hang by edges of no weight alone; too little to slow anything down.
@@ -131,7 +132,7 @@ impl<'a, P: Pose<D>, const D: usize> NormalEquations<'a, P, D> {
                 }
                 // Nielsen's rule: less damping the better the promise was kept.
                 damping *= (1.0 - (2.0 * ratio - 1.0).powi(3)).max(1.0 / 3.0);
-                if damping < FIRST_DAMPING * 1e-3 {
+                if damping < FIRST_DAMPING {
                     damping = least;
                 }
                 growth = 2.0;

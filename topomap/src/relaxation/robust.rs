@@ -8,11 +8,14 @@ use super::{Relaxed, Start, starts};
 
 /// How many wrong closures may fit by chance, if all of them were wrong and led anywhere in the map.
 const BY_CHANCE: f64 = 0.01;
-/// A closure that misses by more standard deviations is wrong, however large the map.
+/// A closure that misses by more standard deviations is wrong, however large the map. Real ones miss by that many
+/// where information matrices are overconfident.
 const MOST_DEVIATIONS: f64 = 30.0;
 /// Steps after which an alternative is compared with the best one so far, and dropped if it costs so many times as much.
 const FIRST_ITERATIONS: usize = 20;
 const HOPELESS: f64 = 2.0;
+/// Closures that are excluded at once, at most.
+const MAX_EXCLUDED: usize = 4;
 /// Changes of mind about single closures.
 const MAX_ROUNDS: usize = 20;
 
@@ -41,32 +44,21 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
         let mut consensus = Consensus::new(self.graph, first);
         let mut best: Option<(f64, Relaxed<P>)> = None;
         for noise in [Noise::AsSeen, Noise::AsStated] {
-            let accepted = consensus.reach(noise, None);
-            let mut alternatives = vec![accepted.edges];
-            if accepted.unsure.len() < MAX_UNSURE {
-                let others = accepted.unsure.iter().map(|&unsure| consensus.reach(noise, Some(unsure)).edges);
-                alternatives.extend(others);
-            }
-            for accepted in alternatives {
-                let weights: Vec<f64> = accepted.into_iter().map(weight).collect();
-                if best.as_ref().is_some_and(|(_, best)| best.weights == weights) {
-                    continue;
+            let mut excluded = Vec::new();
+            let mut unsure = self.try_without(noise, &excluded, start, first, &mut consensus, &mut best).0;
+            // Greedily: of the closures that little speaks for, the one is excluded without which most is gained.
+            while unsure.len() < MAX_UNSURE && excluded.len() < MAX_EXCLUDED {
+                let mut gained = None;
+                for &closure in &unsure {
+                    let without = [&excluded[..], &[closure]].concat();
+                    let (left, better) =
+                        self.try_without(noise, &without, start, first, &mut consensus, &mut best);
+                    if better {
+                        gained = Some((without, left));
+                    }
                 }
-                let from = match start {
-                    Start::Chordal | Start::Best => starts::chordal(self.graph, first.to_vec(), &weights),
-                    Start::Odometry | Start::Poses(_) | Start::Earlier(_) => first.to_vec(),
-                };
-                let tried = self.minimize(from, &weights, FIRST_ITERATIONS);
-                let hopeless =
-                    |(least, _): &(f64, Relaxed<P>)| self.truncated(&tried.poses) > HOPELESS * least;
-                if best.as_ref().is_some_and(hopeless) {
-                    continue;
-                }
-                let relaxed = self.settle(tried.poses, weights);
-                let truncated = self.truncated(&relaxed.poses);
-                if best.as_ref().is_none_or(|(least, _)| truncated < *least) {
-                    best = Some((truncated, relaxed));
-                }
+                let Some(better) = gained else { break };
+                (excluded, unsure) = better;
             }
         }
         let relaxed = match best {
@@ -74,6 +66,40 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
             None => self.settle(first.to_vec(), vec![1.0; self.graph.edges().len()]),
         };
         Relaxed { iterations: self.iterations, ..relaxed }
+    }
+
+    /// Relaxes what is agreed on without some closures, and keeps it if it is better than the best so far. Returns the
+    /// closures that were accepted although little spoke for them, and whether it was better.
+    fn try_without(
+        &mut self,
+        noise: Noise,
+        excluded: &[usize],
+        start: Start<'_, P>,
+        first: &[P],
+        consensus: &mut Consensus<'_, P, D>,
+        best: &mut Option<(f64, Relaxed<P>)>,
+    ) -> (Vec<usize>, bool) {
+        let accepted = consensus.reach(noise, excluded);
+        let weights: Vec<f64> = accepted.edges.into_iter().map(weight).collect();
+        if best.as_ref().is_some_and(|(_, best)| best.weights == weights) {
+            return (accepted.unsure, false);
+        }
+        let from = match start {
+            Start::Chordal | Start::Best => starts::chordal(self.graph, first.to_vec(), &weights),
+            Start::Odometry | Start::Poses(_) | Start::Earlier(_) => first.to_vec(),
+        };
+        let tried = self.minimize(from, &weights, FIRST_ITERATIONS);
+        let hopeless = |(least, _): &(f64, Relaxed<P>)| self.truncated(&tried.poses) > HOPELESS * least;
+        if best.as_ref().is_some_and(hopeless) {
+            return (accepted.unsure, false);
+        }
+        let relaxed = self.settle(tried.poses, weights);
+        let truncated = self.truncated(&relaxed.poses);
+        let better = best.as_ref().is_none_or(|(least, _)| truncated < *least);
+        if better {
+            *best = Some((truncated, relaxed));
+        }
+        (accepted.unsure, better)
     }
 
     /// Judges only what was added since `earlier`, and all if that leaves a contradiction.
@@ -123,28 +149,47 @@ impl<'a, P: Pose<D>, const D: usize> Judging<'a, P, D> {
         Relaxed { poses, cost, iterations: self.iterations, weights }
     }
 
-    /// Leaves out closures that cost more than noise would, worst first, where that gains more than it takes.
+    /// Leaves out closures that cost more than noise mostly does, worst first, where that gains more than it takes;
+    /// and takes in what fits well then.
     fn without_misfits(&mut self, relaxed: Relaxed<P>) -> Relaxed<P> {
         let mut best = relaxed;
-        let mut misfits: Vec<(f64, usize)> = Vec::new();
+        let mut least = self.truncated(&best.poses);
+        for misfit in self.misfits(&best) {
+            let mut weights = best.weights.clone();
+            weights[misfit] = 0.0;
+            let mut minimum = self.minimize(best.poses.clone(), &weights, usize::MAX);
+            for (weight, edge) in weights.iter_mut().zip(self.graph.edges()) {
+                if edge.cost(&minimum.poses) <= P::CHI_SQUARED_HUNDRED {
+                    *weight = 1.0;
+                }
+            }
+            minimum = self.minimize(minimum.poses, &weights, usize::MAX);
+            let truncated = self.truncated(&minimum.poses);
+            if truncated < least {
+                best = Relaxed {
+                    poses: minimum.poses,
+                    cost: minimum.cost,
+                    iterations: self.iterations,
+                    weights,
+                };
+                least = truncated;
+            }
+        }
+        best
+    }
+
+    /// The closures kept that cost most, worst first.
+    fn misfits(&self, relaxed: &Relaxed<P>) -> Vec<usize> {
+        let mut misfits = Vec::new();
         for (number, edge) in self.graph.edges().iter().enumerate() {
-            let cost = edge.cost(&best.poses);
-            if edge.kind() == EdgeKind::Closure && best.weights[number] > 0.0 && cost > P::CHI_SQUARED_MILLION
-            {
+            let cost = edge.cost(&relaxed.poses);
+            let kept = edge.kind() == EdgeKind::Closure && relaxed.weights[number] > 0.0;
+            if kept && cost > P::CHI_SQUARED_HUNDRED {
                 misfits.push((cost, number));
             }
         }
         misfits.sort_by(|one, other| other.0.total_cmp(&one.0));
-        for &(_, misfit) in misfits.iter().take(MAX_UNSURE) {
-            let mut weights = best.weights.clone();
-            weights[misfit] = 0.0;
-            let Minimum { poses, cost, iterations: _ } =
-                self.minimize(best.poses.clone(), &weights, usize::MAX);
-            if self.truncated(&poses) < self.truncated(&best.poses) {
-                best = Relaxed { poses, cost, iterations: self.iterations, weights };
-            }
-        }
-        best
+        misfits.into_iter().take(MAX_UNSURE).map(|(_, closure)| closure).collect()
     }
 
     /// Weights without the closures that do not fit.

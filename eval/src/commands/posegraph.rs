@@ -1,0 +1,261 @@
+//! `waypost-eval posegraph`: relaxes a pose graph, and says what it cost.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+use topomap::g2o::{G2o, NamedGraph};
+use topomap::relaxation::{
+    Closures, Edge, EdgeKind, Pose, PoseGraph, RelaxationSettings, Relaxed, Start, relax,
+};
+
+use crate::choices::{CLOSURES, GRAPH_STARTS, name_of};
+use crate::error::EvalError;
+use crate::files;
+use crate::timing::median;
+
+/// What to relax, and how.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoseGraphOptions {
+    /// The graph, as g2o writes it.
+    pub file: PathBuf,
+    /// Where to start from.
+    pub start: GraphStart,
+    /// Whether closures may be wrong.
+    pub closures: Closures,
+    /// Wrong closures to add.
+    pub false_loops: Option<FalseLoops>,
+    /// How often the optimisation is timed.
+    pub repeats: u32,
+    /// Where the relaxed graph goes, if anywhere.
+    pub out: Option<PathBuf>,
+}
+
+/// Where relaxation starts from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GraphStart {
+    /// Along odometry.
+    Odometry,
+    /// Rotations first.
+    Chordal,
+    /// Both of these; the lower minimum counts.
+    #[default]
+    Best,
+    /// Where the file has its vertices.
+    File,
+}
+
+/// Closures that are wrong: between poses drawn at random, measured as another closure of the graph is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FalseLoops {
+    /// How many, as a share of the closures that the graph has; rounded up.
+    pub share: f64,
+    /// Seed of what is drawn.
+    pub seed: u64,
+}
+
+/// What came out.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PoseGraphReport {
+    /// 2 or 3.
+    pub dimensions: usize,
+    /// Poses of the graph.
+    pub poses: usize,
+    /// Edges of the graph, false ones among them.
+    pub edges: usize,
+    /// Edges that are not between consecutive poses.
+    pub closures: usize,
+    /// Where it started from.
+    pub start: &'static str,
+    /// Whether closures were judged.
+    pub mode: &'static str,
+    /// Cost of all edges at the start; null if there were several starts.
+    pub start_cost: Option<f64>,
+    /// Sum of eᵀΩe over all edges but those judged wrong, without a factor of one half.
+    pub cost: f64,
+    /// The same over all edges.
+    pub cost_of_all: f64,
+    /// Steps taken or tried.
+    pub iterations: usize,
+    /// Time of the optimisation from the start, in milliseconds; the median if it was repeated. The start itself
+    /// counts only where there are several, or closures are judged.
+    pub ms: f64,
+    /// Ids of the ends of the closures that were judged wrong.
+    pub left_out: Vec<[u64; 2]>,
+    /// What is known because closures were added that are wrong; null if none were.
+    pub false_loops: Option<FalseLoopsReport>,
+}
+
+/// How wrong closures were dealt with.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FalseLoopsReport {
+    /// Wrong closures added.
+    pub added: usize,
+    /// Those that were not judged wrong.
+    pub kept: usize,
+    /// Closures of the file that were.
+    pub true_left_out: usize,
+    /// Cost of the file's own edges.
+    pub true_cost: f64,
+    /// Their least cost, relaxed by themselves.
+    pub optimum: f64,
+    /// One over the other.
+    pub optimum_ratio: f64,
+}
+
+/// Reads, relaxes and perhaps writes a graph.
+///
+/// # Errors
+/// [`EvalError`] if the file is no pose graph, lacks what was asked for, or a file cannot be read or written.
+pub fn run(options: &PoseGraphOptions) -> Result<PoseGraphReport, EvalError> {
+    let bytes = files::read(&options.file)?;
+    let read =
+        G2o::read(&bytes).map_err(|reason| EvalError::PoseGraph { path: options.file.clone(), reason })?;
+    let (report, relaxed) = match &read {
+        G2o::Planar(graph) => {
+            let (report, relaxed) = relax_named(graph, options)?;
+            (report, G2o::Planar(relaxed))
+        }
+        G2o::Spatial(graph) => {
+            let (report, relaxed) = relax_named(graph, options)?;
+            (report, G2o::Spatial(relaxed))
+        }
+    };
+    if let Some(out) = &options.out {
+        files::write(out, &relaxed.write())?;
+    }
+    eprint!("{}", report.table());
+    Ok(report)
+}
+
+fn relax_named<P: Pose<D>, const D: usize>(
+    named: &NamedGraph<P, D>,
+    options: &PoseGraphOptions,
+) -> Result<(PoseGraphReport, NamedGraph<P, D>), EvalError> {
+    let graph = match options.false_loops {
+        Some(false_loops) => with_false_loops(named.graph(), false_loops)
+            .ok_or_else(|| EvalError::NoClosures { path: options.file.clone() })?,
+        None => named.graph().clone(),
+    };
+    let settings = RelaxationSettings { closures: options.closures, ..RelaxationSettings::default() };
+    let from_file = || named.poses().ok_or_else(|| EvalError::NoVertices { path: options.file.clone() });
+    let start = match options.start {
+        GraphStart::Odometry => Start::Odometry,
+        GraphStart::Chordal => Start::Chordal,
+        GraphStart::Best => Start::Best,
+        GraphStart::File => Start::Poses(from_file()?),
+    };
+    // Where there is one start, it is made before the watch runs.
+    let first = match (start, options.closures) {
+        (Start::Best, _) | (_, Closures::Judged) => None,
+        (_, Closures::Trusted) => {
+            Some(relax(&graph, start, &RelaxationSettings { max_iterations: 0, ..settings }).poses)
+        }
+    };
+    let start = first.as_deref().map_or(start, Start::Poses);
+    let (relaxed, ms) = timed(options.repeats, || relax(&graph, start, &settings));
+
+    let edges = graph.edges();
+    let is_closure = |edge: &&Edge<P, D>| edge.kind() == EdgeKind::Closure;
+    let ids = |edge: &Edge<P, D>| [named.ids()[edge.from()], named.ids()[edge.to()]];
+    let left_out = edges.iter().zip(&relaxed.weights).filter(|&(_, &weight)| weight == 0.0);
+    let report = PoseGraphReport {
+        dimensions: P::SPACE,
+        poses: graph.poses(),
+        edges: edges.len(),
+        closures: edges.iter().filter(is_closure).count(),
+        start: name_of(GRAPH_STARTS, &options.start),
+        mode: name_of(CLOSURES, &options.closures),
+        start_cost: first.as_deref().map(|poses| graph.cost(poses)),
+        cost: relaxed.cost,
+        cost_of_all: graph.cost(&relaxed.poses),
+        iterations: relaxed.iterations,
+        ms,
+        left_out: left_out.map(|(edge, _)| ids(edge)).collect(),
+        false_loops: options.false_loops.map(|_| judged(named.graph(), &relaxed)),
+    };
+    let out = NamedGraph::new(named.ids().to_vec(), graph, Some(relaxed.poses));
+    let out = out.map_err(EvalError::PoseGraphNames)?;
+    Ok((report, out))
+}
+
+/// The graph with wrong closures behind its own edges; `None` if it has no closure to take measurements from.
+fn with_false_loops<P: Pose<D>, const D: usize>(
+    graph: &PoseGraph<P, D>,
+    FalseLoops { share, seed }: FalseLoops,
+) -> Option<PoseGraph<P, D>> {
+    let closures: Vec<&Edge<P, D>> =
+        graph.edges().iter().filter(|edge| edge.kind() == EdgeKind::Closure).collect();
+    if closures.is_empty() || graph.poses() < 3 {
+        return None;
+    }
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut wrong = graph.clone();
+    let wanted = graph.edges().len() + (share * closures.len() as f64).ceil() as usize;
+    while wrong.edges().len() < wanted {
+        let [from, to] = [(); 2].map(|()| random.random_range(0..graph.poses()));
+        let measured = closures[random.random_range(0..closures.len())];
+        if from.abs_diff(to) < 2 {
+            continue;
+        }
+        let edge = Edge::new(from, to, *measured.measurement(), *measured.information(), EdgeKind::Closure);
+        edge.ok().and_then(|edge| wrong.add_edge(edge).ok())?;
+    }
+    Some(wrong)
+}
+
+/// Compares with what the file's own edges come to by themselves; they are the first.
+fn judged<P: Pose<D>, const D: usize>(own: &PoseGraph<P, D>, relaxed: &Relaxed<P>) -> FalseLoopsReport {
+    let trusted = RelaxationSettings { closures: Closures::Trusted, ..RelaxationSettings::default() };
+    let optimum = relax(own, Start::Best, &trusted).cost;
+    let true_cost = own.cost(&relaxed.poses);
+    let (of_file, added) = relaxed.weights.split_at(own.edges().len());
+    FalseLoopsReport {
+        added: added.len(),
+        kept: added.iter().filter(|&&weight| weight > 0.0).count(),
+        true_left_out: of_file.iter().filter(|&&weight| weight == 0.0).count(),
+        true_cost,
+        optimum,
+        optimum_ratio: true_cost / optimum,
+    }
+}
+
+fn timed<T>(repeats: u32, work: impl Fn() -> T) -> (T, f64) {
+    let once = || {
+        let began = Instant::now();
+        let outcome = work();
+        (outcome, began.elapsed().as_secs_f64() * 1e3)
+    };
+    let (outcome, first) = once();
+    let mut times = vec![first];
+    times.extend((1..repeats).map(|_| once().1));
+    (outcome, median(times).unwrap_or(first))
+}
+
+impl PoseGraphReport {
+    fn table(&self) -> String {
+        let mut table = format!(
+            "graph        {} poses, {} edges, {} of them closures, {} dimensions\nstart        {}\nclosures     {}, \
+             {} left out\ncost         {:.6}\niterations   {}\ntime         {:.2} ms\n",
+            self.poses,
+            self.edges,
+            self.closures,
+            self.dimensions,
+            self.start,
+            self.mode,
+            self.left_out.len(),
+            self.cost,
+            self.iterations,
+            self.ms,
+        );
+        if let Some(found) = &self.false_loops {
+            table += &format!(
+                "false loops  {} added, {} kept; {} true ones left out\ntrue edges   {:.6}, {:.4} times the optimum\n",
+                found.added, found.kept, found.true_left_out, found.true_cost, found.optimum_ratio,
+            );
+        }
+        table
+    }
+}
