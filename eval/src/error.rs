@@ -14,6 +14,7 @@ use fabmap::vocabulary::{OrbVocabularyError, VocabularyError};
 use topomap::mapper::{FoldError, FrameError, MapperError};
 use waypost_vision::features::{ExtractError, SettingsError};
 
+use crate::commands::map::MapError;
 use crate::dataset::DatasetError;
 use crate::workload::WorkloadError;
 use crate::workload::files::WorkloadFileError;
@@ -139,6 +140,9 @@ pub enum EvalError {
         /// Why.
         reason: FoldError,
     },
+    /// A simulated robot could not map its world.
+    #[error(transparent)]
+    Map(#[from] MapError),
     /// A file or folder cannot be read.
     #[error("{path} cannot be read ({reason}); check the path and its permissions")]
     Read {
@@ -234,6 +238,7 @@ impl EvalError {
             | EvalError::Filter(_)
             | EvalError::Comparison { .. }
             | EvalError::Visits { .. } => 2,
+            EvalError::Map(error) => error.exit_code(),
             EvalError::Dataset(_)
             | EvalError::WorkloadFile(_)
             | EvalError::NoSamples(_)
