@@ -15,6 +15,7 @@ use topomap::g2o::{G2oError, NamingError};
 use topomap::mapper::{FoldError, FrameError, MapperError};
 use waypost_vision::features::{ExtractError, SettingsError};
 
+use crate::commands::map::MapError;
 use crate::dataset::DatasetError;
 use crate::workload::WorkloadError;
 use crate::workload::files::WorkloadFileError;
@@ -163,6 +164,9 @@ pub enum EvalError {
         /// Why.
         reason: FoldError,
     },
+    /// A simulated robot could not map its world.
+    #[error(transparent)]
+    Map(#[from] MapError),
     /// A file or folder cannot be read.
     #[error("{path} cannot be read ({reason}); check the path and its permissions")]
     Read {
@@ -260,6 +264,7 @@ impl EvalError {
             | EvalError::NoVertices { .. }
             | EvalError::NoClosures { .. }
             | EvalError::Visits { .. } => 2,
+            EvalError::Map(error) => error.exit_code(),
             EvalError::Dataset(_)
             | EvalError::WorkloadFile(_)
             | EvalError::NoSamples(_)

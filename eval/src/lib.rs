@@ -9,6 +9,7 @@ pub mod choices;
 pub mod commands;
 pub mod dataset;
 pub mod error;
+pub mod event_log;
 pub mod false_pictures;
 pub mod files;
 pub mod match_matrix;

@@ -149,7 +149,7 @@ impl OdometryNoise {
         let from = PlanarPose::seen_from_above(before.pose());
         let to = PlanarPose::seen_from_above(now.pose());
         let pose = from.inverse().compose(&to);
-        let covariance = added(before, now, &to).unwrap_or_else(|| self.covariance(&pose));
+        let covariance = added(before, now, (&from, &to)).unwrap_or_else(|| self.covariance(&pose));
         RelativePose { pose, covariance }
     }
 
@@ -173,16 +173,24 @@ impl OdometryNoise {
     }
 }
 
-/// What the robot's own covariance has grown by, if it grows in every direction.
-fn added(before: &Odometry, now: &Odometry, to: &PlanarPose) -> Option<Matrix3<f64>> {
+/// What the robot's own covariance has grown by on the way, along the robot's own axes, if it has grown. What was wrong
+/// about the heading before moves the position that the way leads to: that is not of this way, so it is taken off,
+/// N = Σ' - F Σ Fᵀ with F the derivative of the pose after by the one before.
+fn added(before: &Odometry, now: &Odometry, (from, to): (&PlanarPose, &PlanarPose)) -> Option<Matrix3<f64>> {
     const SEEN_FROM_ABOVE: [usize; 3] = [0, 1, 5];
-    let grown = now.covariance()? - before.covariance()?;
-    let planar = Matrix3::from_fn(|row, column| grown[(SEEN_FROM_ABOVE[row], SEEN_FROM_ABOVE[column])]);
-    let planar = (planar + planar.transpose()) * 0.5;
+    let planar = |whole: &nalgebra::Matrix6<f64>| {
+        let of = |row, column| whole[(SEEN_FROM_ABOVE[row], SEEN_FROM_ABOVE[column])];
+        Matrix3::from_fn(|row, column| (of(row, column) + of(column, row)) * 0.5)
+    };
+    let [x, y] = [to.x_m() - from.x_m(), to.y_m() - from.y_m()];
+    let carried = Matrix3::new(1.0, 0.0, -y, 0.0, 1.0, x, 0.0, 0.0, 1.0);
+    let grown = planar(now.covariance()?) - carried * planar(before.covariance()?) * carried.transpose();
     // From the axes of odom to the robot's own.
     let turned = PlanarPose::new(0.0, 0.0, to.heading_rad()).inverse().adjoint();
-    let own = turned * planar * turned.transpose();
-    (own.symmetric_eigenvalues().min() > 0.0).then_some(own)
+    let own = turned * grown * turned.transpose();
+    let own = (own + own.transpose()) * 0.5;
+    let spread = own.symmetric_eigenvalues();
+    (spread.max() > 0.0 && spread.min() >= -1e-7 * own.amax()).then_some(own)
 }
 
 /// What a closure measures.
@@ -310,21 +318,50 @@ mod tests {
         assert_eq!(RelativePose::new(pose, negative), Err(RelativePoseError::NotACovariance));
     }
 
+    /// Odometry with that covariance of x, y and heading.
+    fn odometry(pose: PlanarPose, planar: Matrix3<f64>) -> Odometry {
+        let mut covariance = [0.0; 36];
+        for (row, &to_row) in [0, 1, 5].iter().enumerate() {
+            for (column, &to_column) in [0, 1, 5].iter().enumerate() {
+                covariance[6 * to_row + to_column] = planar[(row, column)];
+            }
+        }
+        let ground = pose.on_the_ground();
+        let rotation = ground.rotation.coords;
+        let orientation = [rotation.x, rotation.y, rotation.z, rotation.w];
+        Odometry::new([pose.x_m(), pose.y_m(), 0.0], orientation, Some(&covariance)).unwrap()
+    }
+
+    proptest! {
+        /// However far the robot has come before, a step is as uncertain as it is by itself.
+        #[test]
+        fn the_robots_own_covariance_is_taken_apart_into_that_of_each_step(a in relative(), b in relative()) {
+            let along = |pose: &PlanarPose, own: &Matrix3<f64>| {
+                let turned = PlanarPose::new(0.0, 0.0, pose.heading_rad()).adjoint();
+                turned * own * turned.transpose()
+            };
+            let floor = Matrix3::from_diagonal_element(1e-3);
+            let a = RelativePose { covariance: a.covariance + floor, ..a };
+            let b = RelativePose { covariance: b.covariance + floor, ..b };
+            let whole = a.then(&b);
+            let before = odometry(*a.pose(), along(a.pose(), a.covariance()));
+            let now = odometry(*whole.pose(), along(whole.pose(), whole.covariance()));
+            let step = OdometryNoise::default().between(&before, &now);
+            prop_assert!(close(&step, &b), "{step:?} {b:?}");
+        }
+    }
+
     #[test]
-    fn the_robots_own_covariance_counts_where_it_grows() {
-        let odometry = |x: f64, variance: f64| {
-            let mut covariance = [0.0; 36];
-            [0, 7, 35].into_iter().for_each(|index| covariance[index] = variance);
-            let half = 2_f64.sqrt() / 2.0;
-            Odometry::new([x, 0.0, 0.0], [0.0, 0.0, half, half], Some(&covariance)).unwrap()
-        };
+    fn a_covariance_that_does_not_grow_says_nothing_of_a_step() {
         let noise = OdometryNoise::default();
-        let grown = noise.between(&odometry(0.0, 0.1), &odometry(2.0, 0.3));
-        // It looks to the left, so that x in odom is to its right.
-        assert!((grown.pose().y_m() + 2.0).abs() < 1e-12 && grown.pose().x_m().abs() < 1e-12);
-        assert!((grown.covariance() - Matrix3::from_diagonal_element(0.2)).amax() < 1e-12);
-        let shrunk = noise.between(&odometry(0.0, 0.3), &odometry(2.0, 0.1));
-        assert_eq!(*shrunk.covariance(), noise.covariance(shrunk.pose()));
+        let at =
+            |x, variance| odometry(PlanarPose::new(x, 0.0, 1.0), Matrix3::from_diagonal_element(variance));
+        for (before, now) in [(0.3, 0.1), (0.1, 0.1)] {
+            let step = noise.between(&at(0.0, before), &at(2.0, now));
+            assert_eq!(*step.covariance(), noise.covariance(step.pose()));
+        }
+        let stood = noise.between(&at(0.0, 0.1), &at(0.0, 0.1));
+        assert_eq!(*stood.covariance(), noise.covariance(stood.pose()));
     }
 
     fn shifted(shift_widths: f64, ln_scale: f64) -> TwoView {

@@ -4,22 +4,22 @@ use fabmap::appearance::PlaceId;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
 use fabmap::recognizer::Recognition;
-use topomap::event::{Decision, FrameEvent, FrameId, MapEvent, Match, SessionId};
-use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameInput, Mapper, MapperSettings};
-use topomap::relative_pose::RelativePose;
+use topomap::event::{Decision, FrameId, MapEvent, Match, SessionId};
+use topomap::mapper::{ArchiveError, Decided, FrameInput, Mapper, MapperSettings};
 use topomap::verification::{Candidate, TwoView, Views};
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::verification::{Verifier, View};
 
 use super::{Proposal, Ranked, RankedDecision, Ranking};
 use crate::error::EvalError;
+use crate::event_log::EventLog;
 use crate::timing::FrameWatch;
 
 /// FAB-MAP over a map that grows with the sequence, in one session.
 #[derive(Clone, Debug)]
 pub struct FabMap {
     mapper: Mapper,
-    log: Log,
+    log: EventLog,
     verifier: Verifier,
     /// Of all frames so far, by index in the sequence.
     features: Vec<FeatureRecord>,
@@ -28,14 +28,10 @@ pub struct FabMap {
 /// The frame that is being decided, beside all before it.
 struct CurrentView<'a> {
     current: &'a FeatureRecord,
-    log: &'a Log,
+    log: &'a EventLog,
     earlier: &'a [FeatureRecord],
     verifier: Verifier,
 }
-
-/// The map's log, in memory.
-#[derive(Clone, Debug, Default)]
-struct Log(Vec<MapEvent>);
 
 /// The one session that a sequence is run in.
 const SESSION: SessionId = 0;
@@ -54,7 +50,7 @@ impl FabMap {
         let opened = MapEvent::SessionOpened { session: SESSION };
         mapper.apply(&opened).map_err(|reason| EvalError::Fold { index: 0, reason })?;
         let verifier = Verifier::new(settings.verification, seed);
-        Ok(Self { mapper, log: Log(vec![opened]), verifier, features: Vec::new() })
+        Ok(Self { mapper, log: EventLog(vec![opened]), verifier, features: Vec::new() })
     }
 
     /// The map so far.
@@ -131,24 +127,7 @@ fn posterior_of(place: Option<PlaceId>, recognition: &Recognition) -> f64 {
     place.and_then(|place| recognition.posterior.places.get(place as usize)).copied().unwrap_or(0.0)
 }
 
-impl Log {
-    /// The frames, in order.
-    fn frames(&self) -> impl Iterator<Item = &FrameEvent> {
-        self.0.iter().filter_map(|event| match event {
-            MapEvent::SessionOpened { .. } => None,
-            MapEvent::Frame(event) => Some(event.as_ref()),
-        })
-    }
-
-    /// A frame by its position in the log, which is not its index in the sequence: opening the
-    /// session took the first position.
-    fn frame(&self, frame: FrameId) -> Option<&FrameEvent> {
-        match self.0.get(usize::try_from(frame).ok()?)? {
-            MapEvent::SessionOpened { .. } => None,
-            MapEvent::Frame(event) => Some(event),
-        }
-    }
-
+impl EventLog {
     /// The index in the sequence is the sequence number that the frame was sent with.
     fn proposal(&self, matched: Match, candidates: &[Candidate]) -> Option<Proposal> {
         let Match { place: _, posterior, log_odds, frame } = matched;
@@ -176,18 +155,5 @@ impl Views for CurrentView<'_> {
 
     fn focal_length_widths(&self) -> Option<f64> {
         None
-    }
-}
-
-impl FrameArchive for Log {
-    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
-        match self.frame(frame) {
-            Some(event) => Ok(Some(event.observation.clone())),
-            None => Err(ArchiveError { frame, why: "it is not in the log".to_owned() }),
-        }
-    }
-
-    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
-        Ok(self.frame(frame).and_then(|event| event.at))
     }
 }

@@ -303,6 +303,9 @@ impl SystemSummary {
             looks_per_stay,
             min_words,
             max_speed_m_per_s: _,
+            place_spacing: _,
+            odometry_noise: _,
+            prior_frames: _,
         } = *settings;
         let RecognizerSettings { dependence, new_place, scorer, detector, filter } = recognizer;
         let FilterSettings { new_place_prior, even_share, likelihood_smoothing } = filter;
