@@ -15,3 +15,4 @@ pub mod relative_pose;
 pub mod relaxation;
 pub mod trajectory;
 pub mod verification;
+mod wheel_drift;

@@ -133,7 +133,7 @@ mod tests {
         let links: Vec<Link> = (1..places)
             .map(|place| Link { from: place - 1, to: place, kind: LinkKind::Driven(step) })
             .collect();
-        PlacePoses::new(places as usize + 1, &links, &OdometryNoise::default())
+        PlacePoses::new(vec![0; places as usize + 1], &links, &OdometryNoise::default())
     }
 
     fn at(places: Vec<(PlaceId, f64)>) -> Belief {

@@ -1,19 +1,21 @@
 //! Where places are: the links that measured something as a pose graph, relaxed when a loop closes.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use fabmap::appearance::PlaceId;
 
-use crate::event::{Link, LinkKind};
+use crate::event::{Link, LinkKind, SessionId};
 use crate::relative_pose::OdometryNoise;
 use crate::relaxation::{
     Edge, EdgeKind, PlanarGraph, PlanarPose, Pose, RelaxationSettings, Relaxed, Start, relax,
 };
+use crate::wheel_drift::{Way, drifts, without_drift};
 
 /// Poses of places, seen from above, in metres and radians.
 ///
 /// They are derived from the links and never logged. Places that links with measurements join are a part, and each
-/// part has a frame of its own: that of its lowest place, where it was when it was first seen.
+/// part has a frame of its own: that of its lowest place, where it was when it was first seen. What wheels of a session
+/// drift by is learnt from the loops that it closed, and taken off its ways.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlacePoses {
     graph: PlanarGraph,
@@ -25,8 +27,23 @@ pub struct PlacePoses {
     members: HashMap<PlaceId, Vec<PlaceId>>,
     /// Position in the map's links, by edge.
     links: Vec<usize>,
+    /// What the edges were measured as.
+    ways: Ways,
+    /// Turn that the wheels of sessions see where there is none, in radians per metre.
+    drifts: BTreeMap<SessionId, f64>,
     by_position: HashMap<Cell, Vec<PlaceId>>,
     settled: Settled,
+}
+
+/// The links that measured something, as they did.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Ways {
+    /// The session that made each place.
+    makers: Vec<SessionId>,
+    driven: Vec<(Way, SessionId)>,
+    closed: Vec<Way>,
+    /// Of each edge, which of the two lists it is in, and where.
+    of_edges: Vec<(EdgeKind, usize)>,
 }
 
 /// Whether a loop was closed since the last relaxation.
@@ -37,6 +54,9 @@ enum Settled {
 }
 
 type Cell = (PlaceId, i64, i64);
+
+/// A drift that has changed by less leaves the poses as they are: relaxation makes up for it.
+const NEWS_RAD_PER_M: f64 = 1e-3;
 
 /// Side of the cells that places are looked up by.
 const CELL_M: f64 = 1.0;
@@ -51,6 +71,8 @@ impl Default for PlacePoses {
             parts: Vec::new(),
             members: HashMap::new(),
             links: Vec::new(),
+            ways: Ways::default(),
+            drifts: BTreeMap::new(),
             by_position: HashMap::new(),
             settled: Settled::Yes,
         }
@@ -58,16 +80,23 @@ impl Default for PlacePoses {
 }
 
 impl PlacePoses {
-    /// Of a map with so many places and these links, relaxed.
+    /// Of a map with these links, relaxed. `makers` says of each place which session made it.
     #[must_use]
-    pub fn new(places: usize, links: &[Link], noise: &OdometryNoise) -> Self {
+    pub fn new(makers: impl IntoIterator<Item = SessionId>, links: &[Link], noise: &OdometryNoise) -> Self {
         let mut poses = Self::default();
-        (0..places).for_each(|_| poses.add_place());
+        makers.into_iter().for_each(|session| poses.add_place(session));
         for (number, link) in links.iter().enumerate() {
             poses.add_link(number, link, noise);
         }
-        poses.relax();
+        poses.relax(noise);
         poses
+    }
+
+    /// The turn to the left that a session's wheels see where there is none, in radians per metre: 0 unless a loop
+    /// that it closed has shown it.
+    #[must_use]
+    pub fn drift_rad_per_m(&self, session: SessionId) -> f64 {
+        self.drifts.get(&session).copied().unwrap_or(0.0)
     }
 
     /// Where a place is in the frame of its part; `None` if there is no such place.
@@ -132,9 +161,10 @@ impl PlacePoses {
         &self.poses
     }
 
-    /// Adds the next place, a part of its own until a link leads to it.
-    pub(crate) fn add_place(&mut self) {
+    /// Adds the next place, which a session has made, a part of its own until a link leads to it.
+    pub(crate) fn add_place(&mut self, session: SessionId) {
         let place = self.graph.add_pose() as PlaceId;
+        self.ways.makers.push(session);
         self.poses.push(PlanarPose::identity());
         self.parts.push(place);
         self.index(place);
@@ -150,34 +180,78 @@ impl PlacePoses {
             LinkKind::Driven(measured) => (measured, EdgeKind::Odometry),
             LinkKind::Closed(measured) => (measured, EdgeKind::Closure),
         };
-        let (start, end) = (from as usize, to as usize);
-        let Ok(edge) = Edge::new(start, end, *measured.pose(), measured.information(), kind) else { return };
+        let way = Way { from: from as usize, to: to as usize, measured };
+        let Some(edge) = self.edge(&way, kind) else { return };
+        let (start, end, measured) = (way.from, way.to, *edge.measurement());
         let (mine, other) = (self.parts[start], self.parts[end]);
         if mine == other {
             self.settled = Settled::LoopClosed;
         } else if mine < other {
-            let at = self.poses[start].compose(measured.pose());
+            let at = self.poses[start].compose(&measured);
             self.join(mine, other, &at.compose(&self.poses[end].inverse()));
         } else {
-            let at = self.poses[end].compose(&measured.pose().inverse());
+            let at = self.poses[end].compose(&measured.inverse());
             self.join(other, mine, &at.compose(&self.poses[start].inverse()));
         }
         if self.graph.add_edge(edge).is_ok() {
             self.links.push(number);
+            self.ways.push(way, kind);
         }
     }
 
+    /// What a way is in the pose graph: the wheels' drift, as far as it is known, is taken off.
+    fn edge(&self, way: &Way, kind: EdgeKind) -> Option<Edge<PlanarPose, 3>> {
+        let Way { from, to, measured } = way;
+        let pose = match kind {
+            EdgeKind::Odometry => without_drift(measured.pose(), self.drift_rad_per_m(self.ways.makers[*to])),
+            EdgeKind::Closure => *measured.pose(),
+        };
+        Edge::new(*from, *to, pose, measured.information(), kind).ok()
+    }
+
     /// Makes the poses agree with all links as well as they can, if a loop was closed.
-    pub(crate) fn relax(&mut self) {
+    pub(crate) fn relax(&mut self, noise: &OdometryNoise) {
         if self.settled == Settled::Yes {
             return;
         }
-        self.relaxed.poses.clone_from(&self.poses);
-        self.relaxed = relax(&self.graph, Start::Earlier(&self.relaxed), &RelaxationSettings::default());
+        let settings = RelaxationSettings::default();
+        self.relaxed = if self.learn_drifts(noise.heading_rad_per_m) {
+            // With other wheels all closures look different.
+            relax(&self.graph, Start::Odometry, &settings)
+        } else {
+            self.relaxed.poses.clone_from(&self.poses);
+            relax(&self.graph, Start::Earlier(&self.relaxed), &settings)
+        };
         self.poses.clone_from(&self.relaxed.poses);
         self.by_position.clear();
         (0..self.poses.len() as PlaceId).for_each(|place| self.index(place));
         self.settled = Settled::Yes;
+    }
+
+    /// Learns what wheels drift by. If that is news, the graph is made anew.
+    fn learn_drifts(&mut self, expected_rad_per_m: f64) -> bool {
+        let learnt = drifts(self.poses.len(), &self.ways.driven, &self.ways.closed, expected_rad_per_m);
+        let known = |session| self.drift_rad_per_m(session);
+        let sessions = self.drifts.keys().chain(learnt.keys());
+        let mut changed =
+            sessions.map(|&session| (learnt.get(&session).copied().unwrap_or(0.0) - known(session)).abs());
+        if !changed.any(|change_rad_per_m| change_rad_per_m > NEWS_RAD_PER_M) {
+            return false;
+        }
+        self.drifts = learnt;
+        let mut graph = PlanarGraph::new(self.poses.len());
+        for &(kind, index) in &self.ways.of_edges {
+            let way = match kind {
+                EdgeKind::Odometry => &self.ways.driven[index].0,
+                EdgeKind::Closure => &self.ways.closed[index],
+            };
+            // Each was an edge before.
+            if let Some(edge) = self.edge(way, kind) {
+                let _ = graph.add_edge(edge);
+            }
+        }
+        self.graph = graph;
+        true
     }
 
     /// Moves the places of one part into the frame of another.
@@ -198,6 +272,22 @@ impl PlacePoses {
     fn index(&mut self, place: PlaceId) {
         let cell = cell_of(self.parts[place as usize], &self.poses[place as usize]);
         self.by_position.entry(cell).or_default().push(place);
+    }
+}
+
+impl Ways {
+    fn push(&mut self, way: Way, kind: EdgeKind) {
+        let index = match kind {
+            EdgeKind::Odometry => {
+                self.driven.push((way, self.makers[way.to]));
+                self.driven.len() - 1
+            }
+            EdgeKind::Closure => {
+                self.closed.push(way);
+                self.closed.len() - 1
+            }
+        };
+        self.of_edges.push((kind, index));
     }
 }
 

@@ -8,7 +8,7 @@ use fabmap::recognizer::{Recognition, Recognizer};
 
 use super::{FoldError, Mapper, MapperSettings};
 use crate::event::{FrameEvent, MapEvent};
-use crate::map::Map;
+use crate::map::{Map, Place};
 use crate::place_poses::PlacePoses;
 
 impl Mapper {
@@ -39,7 +39,7 @@ impl Mapper {
                     Some(_) | None => {}
                 }
                 if event.decision.place.is_some_and(|place| place as usize == self.map.places().len()) {
-                    self.poses.add_place();
+                    self.poses.add_place(event.session);
                 }
                 if let Some(link) = &event.link {
                     self.poses.add_link(self.map.links().len(), link, &self.settings.odometry_noise);
@@ -54,7 +54,7 @@ impl Mapper {
 
     /// Makes the poses of places agree with all links as well as they can, if a loop was closed since.
     pub fn relax(&mut self) {
-        self.poses.relax();
+        self.poses.relax(&self.settings.odometry_noise);
     }
 
     /// The place graph and the sessions.
@@ -104,7 +104,9 @@ impl Mapper {
     }
 
     pub(crate) fn take_map(&mut self, map: Map) {
-        self.poses = PlacePoses::new(map.places().len(), map.links(), &self.settings.odometry_noise);
+        let maker = |place: &Place| place.frames.first().map_or(0, |frame| frame.session);
+        let makers = map.places().iter().map(maker);
+        self.poses = PlacePoses::new(makers, map.links(), &self.settings.odometry_noise);
         self.map = map;
     }
 
