@@ -72,6 +72,19 @@ pub struct Session {
     pub sightings: VecDeque<Sighting>,
     /// The last frames with odometry, latest first; empty where none is measured.
     pub past: VecDeque<Past>,
+    /// Where wheels go on from: the last frame that was surely somewhere.
+    pub anchor: Option<Anchor>,
+}
+
+/// A frame whose place was not only recognised: where in it the robot was is known to within a place spacing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Anchor {
+    /// The place.
+    pub place: PlaceId,
+    /// Odometry of the frame.
+    pub odometry: Odometry,
+    /// Where in the place's frame the robot was.
+    pub at: RelativePose,
 }
 
 /// What a session believed at an earlier frame, and where its wheels put it then.
@@ -279,6 +292,7 @@ impl Session {
             belief: Belief::unknown(),
             sightings: VecDeque::new(),
             past: VecDeque::new(),
+            anchor: None,
         }
     }
 
@@ -315,6 +329,11 @@ impl Session {
     pub(crate) fn follow(&mut self, event: &FrameEvent, settings: &MapperSettings, sightings: Vec<Sighting>) {
         if let Some(place) = event.decision.place {
             self.arrive(place, event, settings.guard_frames);
+            if let (Some(odometry), Some(at)) = (&event.odometry, event.at)
+                && at.position_sigma_m() <= settings.place_spacing.distance_m
+            {
+                self.anchor = Some(Anchor { place, odometry: odometry.clone(), at });
+            }
         }
         let earliest = (self.frames + 1).saturating_sub(settings.verification.consistency_frames.max(1));
         self.sightings.retain(|sighting| sighting.number >= earliest);

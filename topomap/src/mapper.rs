@@ -322,7 +322,8 @@ impl Mapper {
         })
     }
 
-    /// The way here from the place the session was at, unless the two are linked already.
+    /// The way here from the place the session was at, or surely at if it is measured, unless the two are linked
+    /// already.
     fn link(
         &self,
         session: &Session,
@@ -331,15 +332,15 @@ impl Mapper {
         located: Option<Located>,
     ) -> Option<Link> {
         let (stay, to) = (session.stay.as_ref()?, decision.place?);
-        if stay.place == to || self.map.linked(stay.place).binary_search(&to).is_ok() {
-            return None;
-        }
-        let kind = match (self.driven_from(stay, odometry), located) {
-            (Some(driven), Some(Located::AtOrigin)) => LinkKind::Driven(driven),
-            (Some(driven), Some(Located::ByClosure(at))) => LinkKind::Closed(driven.then(&at.back())),
-            (Some(_) | None, Some(_) | None) => LinkKind::Session,
+        let (from, kind) = match (self.driven_from_anchor(session, odometry), located) {
+            (Some((from, driven)), Some(Located::AtOrigin)) => (from, LinkKind::Driven(driven)),
+            (Some((from, driven)), Some(Located::ByClosure(at))) => {
+                (from, LinkKind::Closed(driven.then(&at.back())))
+            }
+            (Some(_) | None, Some(_) | None) => (stay.place, LinkKind::Session),
         };
-        Some(Link { from: stay.place, to, kind })
+        let linked = from == to || self.map.linked(from).binary_search(&to).is_ok();
+        (!linked).then_some(Link { from, to, kind })
     }
 
     fn shows_too_little(&self, observation: &Observation) -> bool {

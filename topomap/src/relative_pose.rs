@@ -64,6 +64,13 @@ impl RelativePose {
         &self.covariance
     }
 
+    /// Standard deviation of the position in the direction in which it is largest, in metres.
+    #[must_use]
+    pub fn position_sigma_m(&self) -> f64 {
+        let position = self.covariance.fixed_view::<2, 2>(0, 0).into_owned();
+        position.symmetric_eigenvalues().max().max(0.0).sqrt()
+    }
+
     /// `next`, which is measured from here, as measured from where this is measured from.
     #[must_use]
     pub fn then(&self, next: &RelativePose) -> Self {
@@ -222,6 +229,16 @@ impl ClosureNoise {
             max_image_rotation_rad: 0.15,
             max_shift_without_camera_widths: 0.1,
         }
+    }
+
+    /// Of a robot that is at a place, but not so near to where the place was seen from that anything is measured: within
+    /// some spacings of it, looking much the same way.
+    #[must_use]
+    pub fn somewhere(&self) -> RelativePose {
+        let position_m = 4.0 * self.position_m;
+        let variances = Vector3::new(position_m, position_m, 2.0 * self.heading_without_camera_rad)
+            .map(|deviation| deviation * deviation);
+        RelativePose { pose: PlanarPose::identity(), covariance: Matrix3::from_diagonal(&variances) }
     }
 
     /// The pose of the current view in the earlier one's frame, if the views are near enough to tell: at the same

@@ -317,8 +317,12 @@ fn frames_without_odometry_measure_nothing_and_join_nothing() {
     assert_eq!(robot.mapper.poses().part(1), Some(1));
     assert_eq!(robot.mapper.map_pose(robot.mapper.map().session(0).unwrap()), None);
     robot.go(0.6, 0.0);
-    let event = robot.see();
-    assert_eq!(event.link.unwrap().kind, LinkKind::Session, "the way from a place that has no pose");
+    // Wheels went on turning meanwhile: they tell the way from where they were last heard of.
+    let link = robot.see().link.unwrap();
+    let LinkKind::Driven(measured) = link.kind else { panic!("{link:?}") };
+    assert_eq!((link.from, link.to), (0, 2));
+    assert!((measured.pose().x_m() - 1.2).abs() < 1e-9);
+    assert_eq!(robot.mapper.poses().part(2), Some(0));
 }
 
 #[test]

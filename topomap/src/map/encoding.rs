@@ -6,7 +6,7 @@ use fabmap::appearance::Appearance;
 use fabmap::codec::{Container, DecodeError, Reader, Writer};
 use sha2::{Digest, Sha256};
 
-use super::{LeftPlace, MAX_PAST_FRAMES, Map, Past, Place, PlaceFrame, Session, Sighting, Stay};
+use super::{Anchor, LeftPlace, MAX_PAST_FRAMES, Map, Past, Place, PlaceFrame, Session, Sighting, Stay};
 use crate::event::{decode_belief, decode_option, encode_belief, encode_option};
 use crate::odometry::Odometry;
 use crate::relative_pose::RelativePose;
@@ -114,8 +114,18 @@ impl Session {
     }
 
     pub(crate) fn encode(&self, version: u32, writer: &mut Writer) {
-        let Self { frames, last_sequence, last_stamp_ns, last_odometry, stay, left, belief, sightings, past } =
-            self;
+        let Self {
+            frames,
+            last_sequence,
+            last_stamp_ns,
+            last_odometry,
+            stay,
+            left,
+            belief,
+            sightings,
+            past,
+            anchor,
+        } = self;
         writer.u64(*frames);
         encode_option(last_sequence.as_ref(), writer, |sequence, writer| writer.u64(*sequence));
         encode_option(last_stamp_ns.as_ref(), writer, |stamp_ns, writer| writer.i64(*stamp_ns));
@@ -148,6 +158,11 @@ impl Session {
                 odometry.encode(writer);
                 encode_belief(belief, writer);
             }
+            encode_option(anchor.as_ref(), writer, |Anchor { place, odometry, at }, writer| {
+                writer.u32(*place);
+                odometry.encode(writer);
+                at.encode(writer);
+            });
         }
     }
 
@@ -181,8 +196,17 @@ impl Session {
                 VecDeque::new()
             },
             past: if version > BEFORE_POSES { decode_past(reader)? } else { VecDeque::new() },
+            anchor: if version > BEFORE_POSES { decode_option(reader, decode_anchor)? } else { None },
         })
     }
+}
+
+fn decode_anchor(reader: &mut Reader<'_>) -> Result<Anchor, DecodeError> {
+    Ok(Anchor {
+        place: reader.u32()?,
+        odometry: Odometry::decode(reader)?,
+        at: RelativePose::decode(reader)?,
+    })
 }
 
 fn decode_past(reader: &mut Reader<'_>) -> Result<VecDeque<Past>, DecodeError> {

@@ -5,7 +5,7 @@ use fabmap::place_filter::MotionPrior;
 
 use super::{FrameArchive, FrameError, FrameInput, Mapper};
 use crate::event::{Decision, Reason};
-use crate::map::{Session, Stay};
+use crate::map::{Anchor, Session, Stay};
 use crate::motion::spread_over_links;
 use crate::odometry::Odometry;
 use crate::odometry_prior::predict;
@@ -32,6 +32,8 @@ pub(super) enum Located {
     AtOrigin,
     /// The closure measured it.
     ByClosure(RelativePose),
+    /// The closure says that it is there, and no more.
+    Somewhere(RelativePose),
     /// Wheels have, since a place that the robot was at; that of the map's own poses is no new measurement.
     ByWheels(RelativePose),
 }
@@ -40,7 +42,7 @@ impl Located {
     pub(super) fn at(&self) -> RelativePose {
         match self {
             Self::AtOrigin => RelativePose::none(),
-            Self::ByClosure(at) | Self::ByWheels(at) => *at,
+            Self::ByClosure(at) | Self::Somewhere(at) | Self::ByWheels(at) => *at,
         }
     }
 }
@@ -79,6 +81,16 @@ impl Mapper {
         Some(at.then(&self.settings.odometry_noise.between(before, now)))
     }
 
+    /// The pose here in the frame of the place where the session last surely was.
+    pub(super) fn driven_from_anchor(
+        &self,
+        session: &Session,
+        odometry: Option<&Odometry>,
+    ) -> Option<(PlaceId, RelativePose)> {
+        let Anchor { place, odometry: before, at } = session.anchor.as_ref()?;
+        Some((*place, at.then(&self.settings.odometry_noise.between(before, odometry?))))
+    }
+
     /// Where the robot is by its wheels, since the place where it last was, and the part of the map that it is in.
     pub(super) fn pose_of_robot(
         &self,
@@ -110,18 +122,18 @@ impl Mapper {
         if place as usize == self.recognizer.places() {
             return Ok(Some(Located::AtOrigin));
         }
-        if decision.reason == Reason::LoopClosure
-            && let Some(closure) = decision.closure
-            && let Some(candidate) =
-                candidates.iter().find(|candidate| candidate.matched.frame == closure.frame)
-            && let Some(view) = &candidate.view
-        {
+        if decision.reason == Reason::LoopClosure {
             let noise = ClosureNoise::of_spacing(self.settings.place_spacing.distance_m);
-            let measured = noise.measure(view, views.focal_length_widths());
-            let then = archive.at(closure.frame)?.unwrap_or_else(RelativePose::none);
-            if let Some(measured) = measured {
-                return Ok(Some(Located::ByClosure(then.then(&measured))));
-            }
+            let frame = decision.closure.map(|closure| closure.frame);
+            let view = candidates.iter().find(|candidate| Some(candidate.matched.frame) == frame);
+            let measured = view.and_then(|candidate| candidate.view.as_ref());
+            let measured = measured.and_then(|view| noise.measure(view, views.focal_length_widths()));
+            let (Some(frame), Some(measured)) = (frame, measured) else {
+                // Where wheels put the robot may be metres away: they are what the closure corrects.
+                return Ok(Some(Located::Somewhere(noise.somewhere())));
+            };
+            let then = archive.at(frame)?.unwrap_or_else(RelativePose::none);
+            return Ok(Some(Located::ByClosure(then.then(&measured))));
         }
         let Some(stay) = &session.stay else { return Ok(None) };
         let Some(driven) = self.driven_from(stay, input.odometry.as_ref()) else { return Ok(None) };
