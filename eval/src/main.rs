@@ -15,6 +15,7 @@ use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::{RecognizerSettings, Scorer};
 use fabmap::vocabulary::VocabularySettings;
 use serde::Serialize;
+use topomap::map::MAX_PAST_FRAMES;
 use topomap::mapper::MapperSettings;
 use topomap::relaxation::Closures;
 use topomap::verification::VerificationMethod;
@@ -666,9 +667,10 @@ struct MapArguments {
     /// Of the wheels: turn that they see where there is none [default: drawn for each trial, within 3 degrees].
     #[arg(long, value_name = "RAD", requires = "scale_error", allow_hyphen_values = true)]
     drift_rad_per_m: Option<f64>,
-    /// Frames that the prior looks back on, 1 to 4.
-    #[arg(long, value_name = "FRAMES", default_value_t = MapperSettings::default().prior_frames)]
-    prior_frames: usize,
+    /// Frames that the prior looks back on.
+    #[arg(long, value_name = "FRAMES", default_value_t = MAX_PAST_FRAMES as u32,
+          value_parser = clap::value_parser!(u32).range(1..=MAX_PAST_FRAMES as i64))]
+    prior_frames: u32,
     #[arg(long = "verify", value_parser = choice(VERIFICATION_METHODS), help = "Geometry that has to agree",
           default_value = name_of(VERIFICATION_METHODS, &MapperSettings::default().verification.method))]
     verification: VerificationMethod,
@@ -692,6 +694,7 @@ impl MapArguments {
             (Some(scale), Some(drift_rad_per_m)) => WheelChoice::Biased { scale, drift_rad_per_m },
             (Some(_) | None, Some(_) | None) => WheelChoice::Drawn,
         };
+        let prior_frames = prior_frames as usize;
         let mut settings = MapperSettings { prior_frames, ..MapperSettings::default() };
         settings.verification.method = verification;
         print_if(json, &map::run(&MapOptions { world, route, seed, trials, model, wheels, settings, out })?)

@@ -331,7 +331,7 @@ impl MapReport {
                 figures.map_rmse_m,
                 figures.map_rmse_rigid_m,
                 figures.map_rmse_scaled_m,
-                figures.robot_error_m_median,
+                figures.robot_error_closed_m_median,
                 figures.map_contradicted_links,
                 figures.map_closure_links,
             );

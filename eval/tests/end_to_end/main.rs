@@ -4,6 +4,7 @@
 
 mod comparing;
 mod errors;
+mod mapping;
 mod new_place;
 mod posegraph;
 mod real_data;

@@ -42,6 +42,8 @@ pub struct Figures {
     pub map_rmse_scaled_m: f64,
     /// Median error of where the map put the robot while it drove, laid over the truth at the first pose.
     pub robot_error_m_median: f64,
+    /// The same, of frames from the first accepted closure on.
+    pub robot_error_closed_m_median: f64,
     /// Places that nothing measured joins to the first.
     pub places_apart: f64,
     /// Links that measured a closure, and are in the pose graph.
@@ -69,7 +71,11 @@ pub const CLOSURE_DEFINITIONS: [(&str, &str); 4] = [
         "closures_false",
         "accepted closures whose true pose lies farther than 1.5 m or 40 degrees from that of the frame they name",
     ),
-    ("map_rmse_m", "laid over the truth at the first pose; _rigid and _scaled after the best such alignment"),
+    (
+        "map_rmse_m",
+        "places' poses against the true poses of the frames that made them, laid over the truth at the first pose; \
+         _rigid and _scaled after the best such alignment",
+    ),
 ];
 
 /// Turn within which a frame shows a place again: between the angle from place to place, and twice that.
@@ -103,6 +109,8 @@ impl Judge<'_> {
         let wrong = accepted.iter().filter(|&&(index, matched)| self.is_false(index, matched)).count();
         let share = |part: usize, whole: usize| if whole == 0 { 0.0 } else { part as f64 / whole as f64 };
 
+        let first_closure = accepted.first().map_or(self.frames.len(), |&(index, _)| index);
+
         let (places, made) = self.places();
         let truth: Vec<PlanarPose> = made.iter().map(|&index| self.frames[index].truth).collect();
         let wheels: Vec<PlanarPose> =
@@ -122,7 +130,8 @@ impl Judge<'_> {
             map_rmse_m: rmse_m(&places, &truth, Alignment::FirstPose),
             map_rmse_rigid_m: rmse_m(&places, &truth, Alignment::Rigid),
             map_rmse_scaled_m: rmse_m(&places, &truth, Alignment::Similarity),
-            robot_error_m_median: median(self.robot_errors_m()).unwrap_or(0.0),
+            robot_error_m_median: median(self.robot_errors_m(0)).unwrap_or(0.0),
+            robot_error_closed_m_median: median(self.robot_errors_m(first_closure)).unwrap_or(0.0),
             places_apart: (mapper.map().places().len() - places.len()) as f64,
             map_closure_links: mapper
                 .map()
@@ -178,25 +187,24 @@ impl Judge<'_> {
         self.index_of(matched).is_none_or(|earlier| is_far(&self.between(index, earlier)))
     }
 
-    /// Where the map put the robot, against where it was.
-    fn robot_errors_m(&self) -> Vec<f64> {
+    /// Where the map put the robot, against where it was, from one frame on.
+    fn robot_errors_m(&self, from: usize) -> Vec<f64> {
         let Some(first) = self.frames.first() else { return Vec::new() };
         let poses = self.mapped.robot.iter().zip(self.frames);
         let error_m = |(robot, frame): (&Option<PlanarPose>, &DrivenFrame)| {
             let robot = first.truth.compose(robot.as_ref()?);
             Some(distance_m(&robot, &frame.truth))
         };
-        poses.filter_map(error_m).collect()
+        poses.skip(from).filter_map(error_m).collect()
     }
 
     /// Of closures that are true: how wrong the measured pose in the place's frame is, in metres and radians.
     fn measured_errors(&self) -> (Vec<f64>, Vec<f64>) {
         let errors = self.mapped.log.frames().enumerate().filter_map(|(index, event)| {
-            let (_, matched) = accepted_closure((index, event)).filter(|&(_, m)| !self.is_false(index, m))?;
+            accepted_closure((index, event)).filter(|&(_, matched)| !self.is_false(index, matched))?;
             let measured = event.at?;
             let place = self.mapped.mapper.map().places().get(event.decision.place? as usize)?;
             let maker = self.index_of(place.frames.first()?.frame)?;
-            let _ = matched;
             let error = measured.pose().inverse().compose(&self.between(index, maker));
             Some((error.x_m().hypot(error.y_m()), error.heading_rad()))
         });
@@ -243,6 +251,7 @@ impl Figures {
             map_rmse_rigid_m: each(|f| f.map_rmse_rigid_m),
             map_rmse_scaled_m: each(|f| f.map_rmse_scaled_m),
             robot_error_m_median: each(|f| f.robot_error_m_median),
+            robot_error_closed_m_median: each(|f| f.robot_error_closed_m_median),
             places_apart: each(|f| f.places_apart),
             map_closure_links: each(|f| f.map_closure_links),
             map_contradicted_links: each(|f| f.map_contradicted_links),

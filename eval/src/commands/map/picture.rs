@@ -1,7 +1,7 @@
 //! The map over the floor plan, as in Bazeille, Battesti and Filliat 2011, figure 1.
 
 use nalgebra::Vector2;
-use topomap::event::LinkKind;
+use topomap::event::{LinkKind, Reason};
 use topomap::relaxation::{PlanarPose, Pose};
 use waypost_sim::drawing::{Layer, Marks, plan_svg};
 
@@ -23,6 +23,8 @@ pub(super) fn svg(drive: &Drive, mapped: &Mapped) -> String {
         let links = mapped.mapper.map().links().iter().filter(|link| wanted(&link.kind));
         links.map(|link| (places[link.from as usize], places[link.to as usize], 1.0)).collect()
     };
+    let recognised = mapped.log.frames().filter(|event| event.decision.reason == Reason::LoopClosure);
+    let recognised = recognised.filter_map(|event| Some(places[event.decision.place? as usize])).collect();
     let layers = [
         ("truth", "#1459aa", Marks::Path(truth)),
         ("wheels alone", "#e0a040", Marks::Path(ticks.iter().map(wheels).collect())),
@@ -33,6 +35,7 @@ pub(super) fn svg(drive: &Drive, mapped: &Mapped) -> String {
         ),
         ("map: places", "#208050", Marks::Dots(places.clone())),
         ("map: loop closures", "#d01020", Marks::Links(links(|kind| matches!(kind, LinkKind::Closed(_))))),
+        ("map: places recognised again", "#d01020", Marks::Dots(recognised)),
     ];
     let layers =
         layers.map(|(name, colour, marks)| Layer { name: name.to_owned(), colour: colour.to_owned(), marks });
