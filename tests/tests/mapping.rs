@@ -153,7 +153,7 @@ async fn a_robot_maps_a_building_and_the_map_undoes_what_its_wheels_drift() {
     assert_eq!((on_the_map.len(), by_wheels.len()), (drive.frames.len(), drive.frames.len()));
     let (map_m, wheels_m) = (drive.rmse_m(&on_the_map), drive.rmse_m(&by_wheels));
     println!("closures {closures}, {map_m} {wheels_m}");
-    assert!(map_m < 0.75 && map_m < wheels_m / 5.0, "{map_m} m on the map, {wheels_m} m by wheels");
+    assert!(map_m < 1.0 && map_m < wheels_m / 5.0, "{map_m} m on the map, {wheels_m} m by wheels");
 
     // The camera is ahead of base_link and above it.
     let seen = from_tum(&exported(&client, SESSION, Format::Tum, Frame::Map, Body::Camera).await).unwrap();

@@ -80,6 +80,11 @@ fn good_calls(surveyed: &Surveyed) -> Vec<Call> {
         Call::get("/v1/maps/{map}/matches.json", "/v1/maps/empty/matches.json"),
         Call::get("/v1/maps/{map}/posteriors.csv", "/v1/maps/drive/posteriors.csv"),
         Call::get("/v1/maps/{map}/posteriors.json", "/v1/maps/drive/posteriors.json"),
+        Call::get("/v1/maps/{map}/graph.g2o", "/v1/maps/drive/graph.g2o"),
+        Call::get(
+            "/v1/maps/{map}/sessions/{session}/trajectory",
+            "/v1/maps/drive/sessions/first/trajectory?format=kitti&frame=odom&body=camera",
+        ),
         Call::get("/v1/maps/{map}/sessions", "/v1/maps/drive/sessions"),
         Call::get("/v1/maps/{map}/sessions/{session}", "/v1/maps/drive/sessions/first"),
         Call::get("/v1/maps/{map}/sessions/{session}", "/v1/maps/drive/sessions/second"),
@@ -102,7 +107,7 @@ fn good_calls(surveyed: &Surveyed) -> Vec<Call> {
         ),
         Call::get(
             "/v1/maps/{map}/sessions/{session}/frames/{sequence}/picture",
-            "/v1/maps/drive/sessions/first/frames/15/picture",
+            "/v1/maps/drive/sessions/second/frames/100/picture",
         ),
         Call::get(
             "/v1/maps/{map}/sessions/{session}/frames/{sequence}/picture",

@@ -31,10 +31,11 @@ const ZERO_IS_NONE: [&str; 5] = [
 ];
 
 /// Fields of a frame's answer that are of the stream that it went to, and say nothing in a stored one.
-const OF_THE_STREAM: [&str; 3] = [
+const OF_THE_STREAM: [&str; 4] = [
     "waypost.v1.FrameAnswer.last_committed_sequence",
     "waypost.v1.FrameAnswer.timings",
     "waypost.v1.FrameAnswer.resent",
+    "waypost.v1.FrameAnswer.map_pose",
 ];
 
 /// A message as REST has it.

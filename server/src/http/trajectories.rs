@@ -19,10 +19,14 @@ use crate::service::trajectories::{TrajectoryBody, TrajectoryFormat, TrajectoryF
 #[serde(default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct TrajectoryChoice {
+    /// `tum`: a line of stamp in seconds, position and quaternion per frame. `kitti`: the upper three rows of its
+    /// matrix.
     #[param(inline)]
     format: Format,
+    /// `map`: corrected by loop closures. `odom`: the session's odometry as it was sent.
     #[param(inline)]
     frame: Frame,
+    /// `base`: `base_link`. `camera`: the camera, where the session declared how it is mounted.
     #[param(inline)]
     body: Body,
 }
