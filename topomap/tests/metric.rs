@@ -241,6 +241,8 @@ fn closures_undo_what_wheels_have_drifted() {
     assert!(closures(&first) <= 2 && closures(&second) > 20, "{} {}", closures(&first), closures(&second));
     let measured = robot.mapper.map().links().iter().any(|link| matches!(link.kind, LinkKind::Closed(_)));
     assert!(measured, "no closure measured anything");
+    let drift_rad_per_m = robot.mapper.poses().drift_rad_per_m(robot.session);
+    assert!((drift_rad_per_m.to_degrees() - 2.0).abs() < 0.4, "{} degrees/m", drift_rad_per_m.to_degrees());
     // All places, by the frames that made them.
     let mut errors = Vec::new();
     for (place, pose) in robot.mapper.map().places().iter().zip(robot.mapper.poses().poses()) {
