@@ -209,7 +209,7 @@ pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
 }
 
 /// Reads a list of pairs `query_index,match_index` of a sequence of `frames` frames.
-fn pairs(path: &Path, frames: usize) -> Result<HashSet<(usize, usize)>, DatasetError> {
+pub(crate) fn pairs(path: &Path, frames: usize) -> Result<HashSet<(usize, usize)>, DatasetError> {
     let text = fs::read(path).map_err(|reason| DatasetError::Unreadable { path: path.to_owned(), reason })?;
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_slice());
     let not_csv = |error: csv::Error| DatasetError::Line {

@@ -28,6 +28,7 @@ use waypost_eval::commands::compare::{self, CompareFile, CompareOptions, Configu
 use waypost_eval::commands::load::{
     self, GrowthOptions, OverloadOptions, RobotsOptions, ServerOptions, WordSource, WordsOptions,
 };
+use waypost_eval::commands::map::kitti::{self, KittiOptions};
 use waypost_eval::commands::map::{self, MapOptions, ModelSource, WheelChoice, training::MapTraining};
 use waypost_eval::commands::new_place::{self, NewPlaceOptions, WorkloadSource};
 use waypost_eval::commands::posegraph::{self, FalseLoops, GraphStart, PoseGraphOptions};
@@ -637,8 +638,13 @@ struct MapArguments {
     #[arg(long, default_value = NamedWorld::Office.name(), value_parser = worlds())]
     world: NamedWorld,
     /// One of its routes.
-    #[arg(long, value_name = "NAME")]
-    route: String,
+    #[arg(long, value_name = "NAME", required_unless_present = "kitti")]
+    route: Option<String>,
+    /// In place of a simulated world, a drive of known poses without images: a folder with poses.txt and loops.csv. Its
+    /// true loops stand in for recognition, simulated wheels for its odometry; the map layer works alone.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["route", "world", "trials", "model", "out", "prior_frames",
+          "verification", "feature", "words", "training_drives", "model_out"])]
+    kitti: Option<PathBuf>,
     /// Seed of the first trial; the next ones take the next seeds.
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
@@ -684,16 +690,20 @@ struct MapArguments {
 
 impl MapArguments {
     fn run(self) -> Result<(), EvalError> {
-        let Self { world, route, seed, trials, prior_frames, verification, out, json, .. } = self;
+        let Self { world, route, kitti, seed, trials, prior_frames, verification, out, json, .. } = self;
+        let wheels = match (self.scale_error, self.drift_rad_per_m) {
+            (Some(scale), Some(drift_rad_per_m)) => WheelChoice::Biased { scale, drift_rad_per_m },
+            (Some(_) | None, Some(_) | None) => WheelChoice::Drawn,
+        };
+        if let Some(folder) = kitti {
+            return print_if(json, &kitti::run(&KittiOptions { folder, seed, wheels })?);
+        }
+        let route = route.unwrap_or_default();
         let default = MapTraining::default().features;
         let features = FeatureSettings::new(self.feature, default.max_features(), default.image_width())
             .map_err(EvalError::FeatureSettings)?;
         let training = MapTraining { features, words: self.words, drives: self.training_drives };
         let model = self.model.map_or(ModelSource::Drives(training, self.model_out), ModelSource::File);
-        let wheels = match (self.scale_error, self.drift_rad_per_m) {
-            (Some(scale), Some(drift_rad_per_m)) => WheelChoice::Biased { scale, drift_rad_per_m },
-            (Some(_) | None, Some(_) | None) => WheelChoice::Drawn,
-        };
         let prior_frames = prior_frames as usize;
         let mut settings = MapperSettings { prior_frames, ..MapperSettings::default() };
         settings.verification.method = verification;

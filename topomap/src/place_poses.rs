@@ -63,10 +63,9 @@ const CELL_M: f64 = 1.0;
 
 impl Default for PlacePoses {
     fn default() -> Self {
-        let relaxed = Relaxed { poses: Vec::new(), cost: 0.0, iterations: 0, weights: Vec::new() };
         Self {
             graph: PlanarGraph::new(0),
-            relaxed,
+            relaxed: nothing_relaxed(),
             poses: Vec::new(),
             parts: Vec::new(),
             members: HashMap::new(),
@@ -214,14 +213,13 @@ impl PlacePoses {
         if self.settled == Settled::Yes {
             return;
         }
-        let settings = RelaxationSettings::default();
-        self.relaxed = if self.learn_drifts(noise.heading_rad_per_m) {
-            // With other wheels all closures look different.
-            relax(&self.graph, Start::Odometry, &settings)
+        if self.learn_drifts(noise.heading_rad_per_m) {
+            // With other wheels all closures look different: as if nothing had been relaxed before.
+            self.relaxed = nothing_relaxed();
         } else {
             self.relaxed.poses.clone_from(&self.poses);
-            relax(&self.graph, Start::Earlier(&self.relaxed), &settings)
-        };
+        }
+        self.relaxed = relax(&self.graph, Start::Earlier(&self.relaxed), &RelaxationSettings::default());
         self.poses.clone_from(&self.relaxed.poses);
         self.by_position.clear();
         (0..self.poses.len() as PlaceId).for_each(|place| self.index(place));
@@ -273,6 +271,10 @@ impl PlacePoses {
         let cell = cell_of(self.parts[place as usize], &self.poses[place as usize]);
         self.by_position.entry(cell).or_default().push(place);
     }
+}
+
+fn nothing_relaxed() -> Relaxed<PlanarPose> {
+    Relaxed { poses: Vec::new(), cost: 0.0, iterations: 0, weights: Vec::new() }
 }
 
 impl Ways {

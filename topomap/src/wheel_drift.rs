@@ -40,6 +40,10 @@ pub(crate) fn drifts(
         let loops = tree.loops(driven, closed, session, &drifts);
         let mut best = (0.0, tree.cost(driven, &loops, &drifts, expected_rad_per_m, session, 0.0));
         for drift in candidates(&loops, expected_rad_per_m) {
+            // Those that follow are no smaller.
+            if (drift / expected_rad_per_m).powi(2) >= best.1 {
+                break;
+            }
             let cost = tree.cost(driven, &loops, &drifts, expected_rad_per_m, session, drift);
             if cost < best.1 {
                 best = (drift, cost);
@@ -83,13 +87,16 @@ struct Loop {
     heading_variance: f64,
 }
 
-/// Of a way, wheels at random: what the ends of a loop may miss by in position, as a share of its length.
-const POSITION_SHARE: f64 = 0.05;
+/// Turn that wheels make at random, in rad/√m: what is left when the drift is taken off. Along a loop of length L that
+/// closes in heading it moves the end by this L√L / √12, one standard deviation.
+const RANDOM_TURN: f64 = 0.01;
 /// Squared deviations at which a closure counts as contradicted.
 const CONTRADICTED: f64 = 9.0;
 /// Loops that candidates are taken from, the shortest, and what they must have around them.
 const CANDIDATE_LOOPS: usize = 6;
 const LEAST_LEVER_M: f64 = 5.0;
+/// What is left over around a loop by two drifts that are much the same, in radians.
+const SAME_RAD: f64 = 0.05;
 /// Expected deviations that a drift is looked for within.
 const MOST_DEVIATIONS: f64 = 3.0;
 
@@ -133,7 +140,9 @@ impl Tree {
         loops.filter(|closed| closed.lever_m.abs() >= LEAST_LEVER_M).collect()
     }
 
-    /// How badly the loops close with that drift, each as badly as a contradicted one at most.
+    /// How badly the loops close with that drift, each as badly as a contradicted one at most. They share most of their
+    /// way, and so of what is wrong about it: together they count as one. A drift that winds a long way up to a small
+    /// circle closes any loop; the smallest that does is the most likely.
     fn cost(
         &self,
         driven: &[(Way, SessionId)],
@@ -155,29 +164,37 @@ impl Tree {
         let misses = loops.iter().map(|closed| {
             let Way { from, to, measured } = &closed.way;
             let missed = PlanarPose::error(measured.pose(), &poses[*from], &poses[*to]);
-            let position_variance =
-                measured.covariance()[(0, 0)] + (POSITION_SHARE * closed.around_m).powi(2);
+            let random_m = RANDOM_TURN * closed.around_m.powf(1.5) / 12_f64.sqrt();
+            let position_variance = measured.covariance()[(0, 0)] + random_m * random_m;
             let squares = missed[2] * missed[2] / closed.heading_variance
                 + (missed[0] * missed[0] + missed[1] * missed[1]) / position_variance;
             squares.min(CONTRADICTED)
         });
-        (drift / expected_rad_per_m).powi(2) + misses.sum::<f64>()
+        (drift / expected_rad_per_m).powi(2) + misses.sum::<f64>() / loops.len().max(1) as f64
     }
 }
 
-/// Drifts that one of the shortest loops would close with, whole turns more or less.
+/// Drifts that one of the shortest loops would close with, whole turns more or less; the smallest first, and each of two
+/// that are much the same once.
 fn candidates(loops: &[Loop], expected_rad_per_m: f64) -> Vec<f64> {
     let mut shortest: Vec<&Loop> = loops.iter().collect();
     shortest.sort_by(|a, b| a.lever_m.abs().total_cmp(&b.lever_m.abs()));
     let most = MOST_DEVIATIONS * expected_rad_per_m;
-    let mut candidates = Vec::new();
+    let mut candidates: Vec<(f64, f64)> = Vec::new();
     for closed in shortest.into_iter().take(CANDIDATE_LOOPS) {
         let turns = (most * closed.lever_m.abs() / std::f64::consts::TAU).ceil().min(50.0) as i32;
         let drifts = (-turns..=turns)
             .map(|turn| (closed.left_rad + std::f64::consts::TAU * f64::from(turn)) / closed.lever_m);
-        candidates.extend(drifts.filter(|drift| drift.abs() <= most));
+        candidates.extend(drifts.filter(|drift| drift.abs() <= most).map(|drift| (drift, closed.lever_m)));
     }
-    candidates
+    candidates.sort_by(|(a, _), (b, _)| a.abs().total_cmp(&b.abs()));
+    let mut kept: Vec<f64> = Vec::new();
+    for (drift, lever_m) in candidates {
+        if kept.iter().all(|other| ((drift - other) * lever_m).abs() > SAME_RAD) {
+            kept.push(drift);
+        }
+    }
+    kept
 }
 
 /// Least squares over the loops that agree with a drift.

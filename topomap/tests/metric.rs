@@ -5,6 +5,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 use std::ops::ControlFlow;
 
 use fabmap::chow_liu::{ChowLiuTree, TreeTrainingSettings};
+use fabmap::codec::{Reader, Writer};
 use fabmap::descriptor::{DescriptorKind, Descriptors};
 use fabmap::detector::DetectorModel;
 use fabmap::model::Model;
@@ -241,6 +242,8 @@ fn closures_undo_what_wheels_have_drifted() {
     assert!(closures(&first) <= 2 && closures(&second) > 20, "{} {}", closures(&first), closures(&second));
     let measured = robot.mapper.map().links().iter().any(|link| matches!(link.kind, LinkKind::Closed(_)));
     assert!(measured, "no closure measured anything");
+    let drift_rad_per_m = robot.mapper.poses().drift_rad_per_m(robot.session);
+    assert!((drift_rad_per_m.to_degrees() - 2.0).abs() < 0.4, "{} degrees/m", drift_rad_per_m.to_degrees());
     // All places, by the frames that made them.
     let mut errors = Vec::new();
     for (place, pose) in robot.mapper.map().places().iter().zip(robot.mapper.poses().poses()) {
@@ -349,6 +352,46 @@ fn without_a_camera_model_a_turned_view_measures_nothing() {
             assert!((event.at.unwrap().pose().heading_rad() - turn_rad).abs() < 1e-9);
         }
     }
+}
+
+/// A short drive with a loop that version 3 logged, events one after the other.
+#[test]
+fn a_log_of_version_3_still_folds() {
+    let bytes = include_bytes!("fixtures/log-v3.bin");
+    let mut reader = Reader::new(bytes);
+    let mut mapper =
+        Mapper::new(&model(), MapperSettings { guard_frames: 4, ..MapperSettings::default() }).unwrap();
+    while reader.remaining() > 0 {
+        let event = MapEvent::from_bytes(reader.bytes().unwrap(), WORDS as usize).unwrap();
+        mapper.apply(&event).unwrap();
+    }
+    let kinds =
+        |kind: fn(&LinkKind) -> bool| mapper.map().links().iter().filter(|link| kind(&link.kind)).count();
+    assert_eq!(kinds(|kind| matches!(kind, LinkKind::Driven(_))), mapper.map().places().len() - 1);
+    assert!(kinds(|kind| matches!(kind, LinkKind::Closed(_))) > 0);
+    let pose = mapper.map_pose(mapper.map().session(0).unwrap()).unwrap();
+    assert!(pose.part == 0 && apart_m(&pose.robot, &PlanarPose::identity()) < 0.6, "{pose:?}");
+}
+
+#[test]
+#[ignore = "writes the fixture of a new format version"]
+fn write_fixture() {
+    let mut robot = Robot::new(MapperSettings { guard_frames: 4, ..MapperSettings::default() }, [0.01, 0.01]);
+    robot.see();
+    for _ in 0..4 {
+        for _ in 0..3 {
+            robot.go(0.6, 0.0);
+            robot.see();
+        }
+        for _ in 0..6 {
+            robot.go(0.0, FRAC_PI_2 / 6.0);
+            robot.see();
+        }
+    }
+    let mut writer = Writer::default();
+    robot.log.iter().for_each(|event| writer.bytes(&event.to_bytes()));
+    std::fs::write(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/log-v3.bin"), writer.into_bytes())
+        .unwrap();
 }
 
 #[test]

@@ -3,6 +3,7 @@
 pub mod alignment;
 pub mod drive;
 pub mod judgement;
+pub mod kitti;
 pub mod mapping;
 mod picture;
 pub mod training;
@@ -169,6 +170,14 @@ pub enum MapError {
     /// The model's words are of another feature than its extractor's.
     #[error("the model's vocabulary does not fit its own extractor ({0}); train it anew")]
     Vocabulary(VocabularyError),
+    /// A line that is no pose.
+    #[error("{path} line {line} is no pose; write 12 numbers, the rows of a 3 x 4 matrix")]
+    Poses {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1.
+        line: usize,
+    },
     /// The wheels said what no wheels say.
     #[error(transparent)]
     Odometry(OdometryError),
@@ -187,6 +196,7 @@ impl MapError {
             | MapError::Image(_)
             | MapError::Features(_)
             | MapError::Vocabulary(_)
+            | MapError::Poses { .. }
             | MapError::Odometry(_) => 1,
         }
     }

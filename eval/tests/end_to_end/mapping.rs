@@ -1,6 +1,7 @@
 //! A simulated robot maps a small world, and its map is held against the truth.
 
 use std::fs;
+use std::path::Path;
 
 use serde_json::Value;
 
@@ -71,4 +72,23 @@ fn what_cannot_be_driven_is_refused() {
     let frames = refused(&["--route", "once", "--prior-frames", "5"]);
     assert!(frames.refusal(2).contains("1..=4"), "{}", frames.stderr);
     refused(&["--route", "once", "--scale-error", "0.05"]).refusal(2);
+}
+
+#[test]
+fn a_long_drive_is_put_right_by_the_loop_at_its_end() {
+    let beside_the_repository = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data");
+    let data = std::env::var("WAYPOST_DATA").unwrap_or_else(|_| beside_the_repository.to_owned());
+    let folder = format!("{data}/kitti06_trajectory");
+    if !Path::new(&folder).is_dir() {
+        println!("skipped: no kitti06_trajectory; set WAYPOST_DATA to the folder that has it");
+        return;
+    }
+    let wheels = ["--scale-error", "0.02", "--drift-rad-per-m", "0.005"];
+    let report = waypost_eval(&[&["map", "--kitti", &folder, "--json"], &wheels[..]].concat()).json();
+    assert_eq!((report["places"].as_u64(), report["map_contradicted_links"].as_u64()), (Some(1101), Some(0)));
+    assert!((number(&report, "length_m") - 1233.0).abs() < 5.0, "{report}");
+    assert!((number(&report, "drift_found_rad_per_m") - 0.005).abs() < 1e-3, "{report}");
+    assert!(number(&report, "odometry_rmse_m") > 100.0, "{report}");
+    // Half a per cent of the way, but for the wheels' scale.
+    assert!(number(&report, "map_rmse_scaled_m") < 6.0, "{report}");
 }
