@@ -32,6 +32,9 @@ const PIXELS_PER_M: f64 = 32.0;
 const MARGIN_M: f64 = 0.5;
 const LEGEND_M: f64 = 0.6;
 
+/// Points of a path that are nearer to the one before are not drawn.
+const APART_M: f64 = 0.1;
+
 /// One file of SVG with y upwards, as on a map: rooms, walls, furniture, the rooms' names, and the layers over them in
 /// their order.
 #[must_use]
@@ -87,6 +90,18 @@ fn bounds(plan: &FloorPlan, layers: &[Layer]) -> [Vector2<f64>; 2] {
     points.fold(plan.bounds(), |[min, max], point| [min.inf(&point), max.sup(&point)])
 }
 
+/// The points of a path without those that nobody would see apart; both ends stay.
+fn thinned(points: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
+    let mut kept: Vec<Vector2<f64>> = Vec::new();
+    for &point in points {
+        if kept.last().is_none_or(|last| (point - last).norm() >= APART_M) {
+            kept.push(point);
+        }
+    }
+    kept.extend(points.last().filter(|&last| kept.last() != Some(last)));
+    kept
+}
+
 fn draw_plan(svg: &mut String, plan: &FloorPlan, at: &impl Fn(Vector2<f64>) -> String) {
     let polygon =
         |corners: &[Vector2<f64>]| corners.iter().map(|&corner| at(corner)).collect::<Vec<_>>().join(" ");
@@ -120,7 +135,7 @@ fn draw_marks(
 ) {
     match marks {
         Marks::Path(points) => {
-            let points = points.iter().map(|&point| at(point)).collect::<Vec<_>>().join(" ");
+            let points = thinned(points).into_iter().map(at).collect::<Vec<_>>().join(" ");
             push(
                 svg,
                 format_args!(
