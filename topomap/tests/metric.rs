@@ -277,6 +277,12 @@ fn odometry_turned_into_map_poses_is_where_the_map_puts_the_robot() {
     assert!(apart_m(&corrected, &pose.robot) < 1e-9);
     assert!((corrected.heading_rad() - pose.robot.heading_rad()).abs() < 1e-9);
     assert_eq!(pose.part, 0);
+    // In the dark wheels go on.
+    robot.go(0.4, 0.0);
+    let dark = FrameInput { observation: Observation::default(), ..robot.input() };
+    assert_eq!(robot.take(dark, CameraModel::Known).decision.reason, Reason::TooFewWords);
+    let expected = pose.robot.compose(&PlanarPose::new(0.4 * 1.03, 0.0, 0.02 * 0.4));
+    assert!(apart_m(&robot.on_the_map(), &expected) < 1e-9);
 }
 
 #[test]

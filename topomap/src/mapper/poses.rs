@@ -54,13 +54,16 @@ impl Mapper {
         &self.poses
     }
 
-    /// Where a session's robot was at the last frame that wheels and a place tell it of.
+    /// Where a session's robot was at its last frame with odometry: by its wheels since the last one at a place.
     #[must_use]
     pub fn map_pose(&self, session: &Session) -> Option<MapPose> {
         let Stay { place, odometry, at, .. } = session.stay.as_ref()?;
-        let robot = self.poses.pose(*place)?.compose(at.as_ref()?.pose());
+        let there = self.poses.pose(*place)?.compose(at.as_ref()?.pose());
         let odometry = PlanarPose::seen_from_above(odometry.as_ref()?.pose());
-        Some(MapPose { part: self.poses.part(*place)?, robot, odom: robot.compose(&odometry.inverse()) })
+        let odom = there.compose(&odometry.inverse());
+        let (_, now) = session.last_odometry.as_ref()?;
+        let robot = odom.compose(&PlanarPose::seen_from_above(now.pose()));
+        Some(MapPose { part: self.poses.part(*place)?, robot, odom })
     }
 
     /// What is expected before the frame is looked at: by odometry where there is some, or else by links.
