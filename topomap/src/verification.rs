@@ -18,6 +18,14 @@ pub trait Views {
     /// [`ArchiveError`] if the earlier one cannot be read now.
     fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError>;
 
+    /// The same for several earlier frames, in their order; whoever can compares them side by side.
+    ///
+    /// # Errors
+    /// [`ArchiveError`] if one cannot be read now.
+    fn compare_all(&self, earlier: &[FrameId]) -> Result<Vec<Option<TwoView>>, ArchiveError> {
+        earlier.iter().map(|&frame| self.compare(frame)).collect()
+    }
+
     /// Focal length of the current frame's camera along x, in image widths; `None` if its model is not known.
     fn focal_length_widths(&self) -> Option<f64>;
 }

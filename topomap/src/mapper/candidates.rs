@@ -7,7 +7,7 @@ use fabmap::observation::Observation;
 use fabmap::recognizer::Recognition;
 
 use super::{FrameArchive, FrameError, Mapper};
-use crate::event::SessionId;
+use crate::event::{FrameId, Match, SessionId};
 use crate::map::{PlaceFrame, Session, Sighting};
 use crate::verification::{
     Candidate, Check, Motion, Similarity, Verdict, VerificationMethod, VerificationSettings, Views,
@@ -51,16 +51,18 @@ impl Mapper {
         if !self.verifies() || self.shows_too_little(observation) {
             return Ok(Vec::new());
         }
-        let mut candidates = Vec::new();
+        let mut matches = Vec::new();
         for place in self.places_to_compare((current, session), recognition) {
             let matched = self.best_match(place, recognition, observation, (current, session), archive)?;
-            let Some(matched) = matched else { continue };
-            let located = self.map.locate(place, matched.frame);
-            let view = views.compare(matched.frame)?;
-            let support = located.map_or(0.0, |frame| self.support(session, place, frame));
-            candidates.push(Candidate { matched, view, support });
+            matches.extend(matched);
         }
-        Ok(candidates)
+        let frames: Vec<FrameId> = matches.iter().map(|matched| matched.frame).collect();
+        let candidate = |(matched, view): (Match, _)| {
+            let located = self.map.locate(matched.place, matched.frame);
+            let support = located.map_or(0.0, |frame| self.support(session, matched.place, frame));
+            Candidate { matched, view, support }
+        };
+        Ok(matches.into_iter().zip(views.compare_all(&frames)?).map(candidate).collect())
     }
 
     /// At most [`VerificationSettings::MAX_CANDIDATES`] places known from before the guard, each once.

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use rayon::prelude::*;
 use tokio::runtime::Handle;
 use topomap::event::FrameId;
 use topomap::mapper::ArchiveError;
@@ -57,6 +58,15 @@ impl Views for CurrentView<'_> {
         let Some(current) = &self.current else { return Ok(None) };
         let earlier = self.writer.features(earlier)?;
         Ok(earlier.map(|earlier| compare(&self.writer.verifier, &earlier, current).view))
+    }
+
+    fn compare_all(&self, earlier: &[FrameId]) -> Result<Vec<Option<TwoView>>, ArchiveError> {
+        let Some(current) = &self.current else { return Ok(vec![None; earlier.len()]) };
+        let features = earlier.iter().map(|&frame| self.writer.features(frame));
+        let features = features.collect::<Result<Vec<Option<SeenFeatures>>, ArchiveError>>()?;
+        let verifier = &self.writer.verifier;
+        let view = |earlier: &Option<SeenFeatures>| Some(compare(verifier, earlier.as_ref()?, current).view);
+        Ok(features.par_iter().map(view).collect())
     }
 
     fn focal_length_widths(&self) -> Option<f64> {
