@@ -105,7 +105,12 @@ async fn a_frame_is_kept_as_its_robot_was_told() {
         let v1::FrameRecord { name: named, stamp_ns, answer: kept, odometry, learnt, storage, histogram } =
             whole;
         assert_eq!((named, stamp_ns), (name, SECOND_NS * sequence as i64));
-        let told = v1::FrameAnswer { timings: None, last_committed_sequence: sequence, ..answer.clone() };
+        let told = v1::FrameAnswer {
+            timings: None,
+            map_pose: None,
+            last_committed_sequence: sequence,
+            ..answer.clone()
+        };
         assert_eq!(kept, Some(told));
         assert_eq!(odometry, with_odometry(sequence).odometry);
         assert_eq!(histogram, Some(crate::harness::histogram(sequence)));
