@@ -28,6 +28,24 @@ pub enum OdometryError {
         /// Length of the quaternion.
         norm: f64,
     },
+    /// The position is in no unit that a robot drives in.
+    #[error(
+        "the odometry's position is {value} m from the origin of its frame; send metres in a frame that begins near the \
+         robot, at most {max} m from it", max = Odometry::MAX_POSITION_M
+    )]
+    TooFar {
+        /// The coordinate given.
+        value: f64,
+    },
+    /// A variance that says nothing.
+    #[error(
+        "the odometry's covariance has the value {value}; send m² and rad² up to {max}, or leave it out if it is not \
+         known", max = Odometry::MAX_VARIANCE
+    )]
+    TooUnsure {
+        /// The value given.
+        value: f64,
+    },
     /// The covariance is not symmetric and positive semi-definite.
     #[error(
         "the odometry's covariance is not symmetric with no negative eigenvalue; send 6 x 6 values, row by row, of \
@@ -37,11 +55,19 @@ pub enum OdometryError {
 }
 
 impl Odometry {
+    /// Farthest that a coordinate may lie from the frame's origin, in metres: beyond any place on Earth. What is measured
+    /// from one odometry to the next is then finite, however often it is added up.
+    pub const MAX_POSITION_M: f64 = 1e8;
+
+    /// Largest value of a covariance, in m² or rad²; drivers that do not know send up to 1e9.
+    pub const MAX_VARIANCE: f64 = 1e12;
+
     /// `position_m` is x, y, z; `orientation` a unit quaternion x, y, z, w (1 % off is normalised);
     /// `covariance` 6 x 6, row by row, of (x, y, z, rotation about x, y, z) in m² and rad².
     ///
     /// # Errors
-    /// [`OdometryError`] if a number is not finite, the quaternion no rotation or the covariance none.
+    /// [`OdometryError`] if a number is not finite or beyond its bound, the quaternion no rotation or the covariance
+    /// none.
     pub fn new(
         position_m: [f64; 3],
         orientation_xyzw: [f64; 4],
@@ -56,6 +82,9 @@ impl Odometry {
         };
         finite(&position_m, "position")?;
         finite(&orientation_xyzw, "orientation")?;
+        if let Some(&value) = position_m.iter().find(|value| value.abs() > Self::MAX_POSITION_M) {
+            return Err(OdometryError::TooFar { value });
+        }
         let [x, y, z, w] = orientation_xyzw;
         let quaternion = Quaternion::new(w, x, y, z);
         let norm = quaternion.norm();
@@ -64,6 +93,9 @@ impl Odometry {
         }
         let covariance = covariance.map(|values| {
             finite(values, "covariance")?;
+            if let Some(&value) = values.iter().find(|value| value.abs() > Self::MAX_VARIANCE) {
+                return Err(OdometryError::TooUnsure { value });
+            }
             let matrix = Matrix6::from_row_slice(values);
             let scale = matrix.amax();
             let symmetric = (matrix - matrix.transpose()).amax() <= 1e-6 * scale;
@@ -178,6 +210,10 @@ mod tests {
         assert_eq!(Odometry::new([0.0; 3], [0.0, 0.0, f64::INFINITY, 1.0], None), not_finite("orientation"));
         assert_eq!(Odometry::new([0.0; 3], [0.0; 4], None), Err(OdometryError::NotUnit { norm: 0.0 }));
         assert_eq!(Odometry::new([0.0; 3], NONE, Some(&[f64::NAN; 36])), not_finite("covariance"));
+        let far = Odometry::new([0.0, -1.1e8, 0.0], NONE, None);
+        assert_eq!(far, Err(OdometryError::TooFar { value: -1.1e8 }));
+        let unsure = Odometry::new([0.0; 3], NONE, Some(&diagonal([1e13; 6])));
+        assert_eq!(unsure, Err(OdometryError::TooUnsure { value: 1e13 }));
         let negative = diagonal([0.1, -0.1, 0.0, 0.0, 0.0, 0.0]);
         assert_eq!(Odometry::new([0.0; 3], NONE, Some(&negative)), Err(OdometryError::NotACovariance));
         let mut lopsided = diagonal([1.0; 6]);

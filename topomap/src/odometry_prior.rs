@@ -180,6 +180,22 @@ mod tests {
     }
 
     #[test]
+    fn places_near_are_those_within_the_distance_however_far_it_reaches() {
+        let poses = row(30);
+        for (x_m, distance_m) in [(3.2, 0.6), (7.0, 2.0), (7.0, 4.0), (-50.0, 52.0), (1e8, 1e9), (0.0, 1e300)]
+        {
+            let mut near: Vec<PlaceId> =
+                poses.near(0, [x_m, 0.0], distance_m).map(|(place, _)| place).collect();
+            near.sort_unstable();
+            let expected: Vec<PlaceId> =
+                (0..30).filter(|&place| (0.5 * f64::from(place) - x_m).abs() <= distance_m).collect();
+            assert_eq!(near, expected, "{distance_m} m round {x_m}");
+        }
+        let alone: Vec<_> = poses.near(30, [0.0; 2], 1e6).map(|(place, _)| place).collect();
+        assert_eq!((alone, poses.near(77, [0.0; 2], 1e6).count()), (vec![30], 0));
+    }
+
+    #[test]
     fn what_has_no_neighbours_within_reach_is_even() {
         let belief = at(vec![(10, 0.7)]);
         let (weights, sum) = spread(&[(&belief, moved(5.0, 0.0, 0.0))], 10);

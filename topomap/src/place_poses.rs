@@ -124,10 +124,15 @@ impl PlacePoses {
         distance_m: f64,
     ) -> impl Iterator<Item = (PlaceId, &PlanarPose)> {
         let range = move |centre: f64| cell(centre - distance_m)..=cell(centre + distance_m);
-        let cells = range(x_m).flat_map(move |column| range(y_m).map(move |row| (part, column, row)));
-        let places = cells.filter_map(|cell| self.by_position.get(&cell)).flatten();
+        // A robot that does not know where it is may be anywhere: its reach is not walked cell by cell.
+        let alone = self.parts.get(part as usize).map_or(&[][..], std::slice::from_ref);
+        let members = self.members.get(&part).map_or(alone, Vec::as_slice);
+        let reaches_far = (2.0 * distance_m / CELL_M).powi(2) > members.len() as f64;
+        let (columns, of_part) = if reaches_far { (1..=0, members) } else { (range(x_m), &[][..]) };
+        let cells = columns.flat_map(move |column| range(y_m).map(move |row| (part, column, row)));
+        let places = cells.filter_map(|cell| self.by_position.get(&cell)).flatten().chain(of_part);
         places.filter_map(move |&place| {
-            let pose = &self.poses[place as usize];
+            let pose = self.poses.get(place as usize)?;
             let near = (pose.x_m() - x_m).hypot(pose.y_m() - y_m) <= distance_m;
             near.then_some((place, pose))
         })

@@ -334,6 +334,45 @@ fn frames_without_odometry_measure_nothing_and_join_nothing() {
     assert_eq!(robot.mapper.poses().part(2), Some(0));
 }
 
+/// Wheels say nothing of how places lie that were mapped without: their links do.
+#[test]
+fn a_robot_with_odometry_is_expected_along_the_links_of_a_map_without() {
+    let mut robot = Robot::new(MapperSettings { guard_frames: 4, ..MapperSettings::default() }, [0.0; 2]);
+    for _ in 0..12 {
+        let input = FrameInput { odometry: None, ..robot.input() };
+        robot.take(input, CameraModel::Known);
+        robot.go(0.8, 0.0);
+    }
+    robot.pose = PlanarPose::new(3.2, 0.0, 0.0);
+    robot.begin();
+    assert_eq!(robot.see().decision.place, Some(4));
+    robot.go(0.8, 0.0);
+    let input = robot.input();
+    let camera = Camera { robot: &robot, model: CameraModel::Known };
+    let prior = robot.mapper.decide(input, &robot, &camera, &mut ()).unwrap().recognition.prior;
+    let [next, far] = [5, 10].map(|place| prior.of(place).unwrap());
+    assert!(next > 2.0 * far, "{next} for the next place, {far} for a far one");
+}
+
+/// The largest numbers that odometry may have are measured and logged like any others.
+#[test]
+fn odometry_at_its_bounds_is_logged_and_read_again() {
+    let mut robot = Robot::new(MapperSettings::default(), [0.0; 2]);
+    let most = Odometry::MAX_POSITION_M;
+    for step in 0..6_u32 {
+        let mut covariance = [0.0; 36];
+        (0..6).for_each(|axis| covariance[7 * axis] = Odometry::MAX_VARIANCE / f64::from(8 - step));
+        let (sine, cosine) = (0.3 * f64::from(step)).sin_cos();
+        let odometry = Odometry::new([most, -most, most], [0.0, 0.0, sine, cosine], Some(&covariance));
+        let input = FrameInput { odometry: Some(odometry.unwrap()), ..robot.input() };
+        // Reads back what it logs.
+        let event = robot.take(input, CameraModel::Known);
+        assert!(event.at.is_some_and(|at| at.pose().is_finite()), "{:?}", event.at);
+        assert!(robot.on_the_map().is_finite());
+        robot.go(0.8, 0.0);
+    }
+}
+
 #[test]
 fn without_a_camera_model_a_turned_view_measures_nothing() {
     for (model, turn_rad, measures) in [
