@@ -68,7 +68,10 @@ impl Mapper {
 
     /// What is expected before the frame is looked at: by odometry where there is some, or else by links.
     pub(super) fn motion_prior(&self, session: &Session, odometry: Option<&Odometry>) -> MotionPrior {
-        let Some(now) = odometry.filter(|_| !session.past.is_empty()) else {
+        let believed = &session.belief.places;
+        // Places that wheels have led to and from; none of a map that was made without odometry.
+        let metric = believed.iter().any(|&(place, _)| self.poses.is_joined(place));
+        let Some(now) = odometry.filter(|_| metric && !session.past.is_empty()) else {
             return spread_over_links(&session.belief, |place| self.map.linked(place));
         };
         let steps = session.past.iter().take(self.settings.prior_frames);
