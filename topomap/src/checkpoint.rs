@@ -82,6 +82,13 @@ impl Changes {
         self
     }
 
+    /// Whether nothing has changed.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        // Every event is of a session.
+        self.sessions.is_empty()
+    }
+
     /// Notes what `event` changes.
     pub fn follow(&mut self, event: &MapEvent) {
         self.sessions.insert(event.session());

@@ -1,5 +1,6 @@
 //! Messages to the service's values. Every field is named, so that none is forgotten.
 
+use nalgebra::Isometry3;
 use topomap::odometry::Odometry;
 use topomap::relaxation::PlanarPose;
 use waypost_proto::v1;
@@ -28,17 +29,8 @@ pub(super) fn word_list(message: v1::WordList) -> Content {
 }
 
 pub(super) fn odometry_message(odometry: &Odometry) -> v1::Odometry {
-    let (position, orientation) = (odometry.pose().translation, odometry.pose().rotation);
     v1::Odometry {
-        pose: Some(v1::Pose {
-            position_m: Some(v1::Vector3 { x: position.x, y: position.y, z: position.z }),
-            orientation: Some(v1::Quaternion {
-                x: orientation.i,
-                y: orientation.j,
-                z: orientation.k,
-                w: orientation.w,
-            }),
-        }),
+        pose: Some(pose_message(odometry.pose())),
         // Stored column by column.
         covariance: odometry
             .covariance()
@@ -48,7 +40,10 @@ pub(super) fn odometry_message(odometry: &Odometry) -> v1::Odometry {
 
 /// A pose on the ground.
 pub(super) fn planar_pose(pose: &PlanarPose) -> v1::Pose {
-    let pose = pose.on_the_ground();
+    pose_message(&pose.on_the_ground())
+}
+
+fn pose_message(pose: &Isometry3<f64>) -> v1::Pose {
     let (position, orientation) = (pose.translation, pose.rotation);
     v1::Pose {
         position_m: Some(v1::Vector3 { x: position.x, y: position.y, z: position.z }),

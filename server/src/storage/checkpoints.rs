@@ -1,10 +1,11 @@
 use std::ops::Range;
 
 use fabmap::appearance::PlaceId;
-use sqlx::{AssertSqlSafe, Row, Sqlite, Transaction};
+use sqlx::{Row, Sqlite, Transaction};
 use topomap::checkpoint::{Block, Pieces};
 use topomap::event::SessionId;
 
+use super::removal::delete_some;
 use super::{MapId, Storage, StorageError, from_sql, to_sql};
 
 /// Tables of a checkpoint without its head, their keys, and how many rows are deleted at a time.
@@ -168,16 +169,8 @@ impl Storage {
             Ok(())
         })
         .await?;
-        for (table, key, rows) in CHECKPOINT_PIECES {
-            let delete = format!(
-                "DELETE FROM {table} WHERE map_id = ?1 AND {key} IN \
-                 (SELECT {key} FROM {table} WHERE map_id = ?1 ORDER BY {key} LIMIT ?2)"
-            );
-            let delete_some = async |transaction: &mut Transaction<'_, Sqlite>| {
-                let query = sqlx::query(AssertSqlSafe(delete.as_str())).bind(map).bind(rows);
-                Ok(query.execute(&mut **transaction).await?.rows_affected())
-            };
-            while self.write(&delete_some).await? > 0 {}
+        for table in CHECKPOINT_PIECES {
+            while self.write(async |transaction| delete_some(transaction, map, table).await).await? > 0 {}
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! Maps are taken away piece by piece: a large one in one transaction would hold up every other map's
 //! commits.
 
-use sqlx::Row;
+use sqlx::{AssertSqlSafe, Row, Sqlite, Transaction};
 
 use super::checkpoints::CHECKPOINT_PIECES;
 use super::{MapId, Storage, StorageError};
@@ -76,17 +76,8 @@ impl Storage {
     /// Deletes a piece of a retired map, and at last the map itself.
     pub(crate) async fn delete_piece(&self, map: MapId) -> Result<Removal, StorageError> {
         self.write(async |transaction| {
-            for (table, key, rows) in CHECKPOINT_PIECES.into_iter().chain(TABLES) {
-                let delete = format!(
-                    "DELETE FROM {table} WHERE map_id = ?1 AND {key} IN \
-                     (SELECT {key} FROM {table} WHERE map_id = ?1 ORDER BY {key} LIMIT ?2)"
-                );
-                let done = sqlx::query(sqlx::AssertSqlSafe(delete))
-                    .bind(map)
-                    .bind(rows)
-                    .execute(&mut **transaction)
-                    .await?;
-                if done.rows_affected() > 0 {
+            for table in CHECKPOINT_PIECES.into_iter().chain(TABLES) {
+                if delete_some(transaction, map, table).await? > 0 {
                     return Ok(Removal::Under);
                 }
             }
@@ -139,4 +130,18 @@ impl Storage {
         })
         .await
     }
+}
+
+/// Deletes the first rows of a map in a table, by its key, as many as are deleted at a time; how many there were.
+pub(super) async fn delete_some(
+    transaction: &mut Transaction<'_, Sqlite>,
+    map: MapId,
+    (table, key, rows): (&str, &str, u32),
+) -> Result<u64, StorageError> {
+    let delete = format!(
+        "DELETE FROM {table} WHERE map_id = ?1 AND {key} IN \
+         (SELECT {key} FROM {table} WHERE map_id = ?1 ORDER BY {key} LIMIT ?2)"
+    );
+    let done = sqlx::query(AssertSqlSafe(delete)).bind(map).bind(rows).execute(&mut **transaction).await?;
+    Ok(done.rows_affected())
 }

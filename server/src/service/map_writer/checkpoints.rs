@@ -114,7 +114,8 @@ impl MapWriter {
     /// Writes all that has changed, and waits for it. A failure costs a slower opening, nothing else.
     pub(super) fn checkpoint_now(&mut self) {
         self.finish_checkpoint();
-        if self.mapper.map().events() > self.checkpoints.events {
+        // Also what could not be written before: the disk may have room again.
+        if !self.checkpoints.changes.is_empty() {
             self.begin_checkpoint();
             self.finish_checkpoint();
         }
