@@ -34,6 +34,19 @@ impl Client {
         self.taken(self.sessions_client().query(request).await)
     }
 
+    /// Tells the map what a robot measured by itself; where the robot of the frame's session is on the map then.
+    ///
+    /// # Errors
+    /// [`Error::Status`]: NOT_FOUND, INVALID_ARGUMENT for numbers that measure nothing, FAILED_PRECONDITION if nothing
+    /// would follow from it.
+    pub async fn measure_closure(
+        &self,
+        request: v1::MeasureClosureRequest,
+    ) -> Result<Option<v1::MapPose>, Error> {
+        let response = self.taken(self.sessions_client().measure_closure(request).await)?;
+        Ok(response.map_pose)
+    }
+
     /// The sessions of a map that let it grow, oldest first.
     ///
     /// # Errors

@@ -13,7 +13,7 @@ impl EventLog {
     /// The frames, in order.
     pub fn frames(&self) -> impl Iterator<Item = &FrameEvent> {
         self.0.iter().filter_map(|event| match event {
-            MapEvent::SessionOpened { .. } => None,
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
             MapEvent::Frame(event) => Some(event.as_ref()),
         })
     }
@@ -23,7 +23,7 @@ impl EventLog {
     #[must_use]
     pub fn frame(&self, frame: FrameId) -> Option<&FrameEvent> {
         match self.0.get(usize::try_from(frame).ok()?)? {
-            MapEvent::SessionOpened { .. } => None,
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
             MapEvent::Frame(event) => Some(event),
         }
     }

@@ -8,6 +8,7 @@ pub(crate) mod jobs;
 pub(crate) mod map_settings;
 mod map_writer;
 pub(crate) mod maps;
+mod measurements;
 pub(crate) mod models;
 pub(crate) mod names;
 pub(crate) mod pictures;

@@ -249,10 +249,27 @@ async fn bad_odometry_is_refused() {
             "jumped 10000.0 m in 0.100 s",
         ),
         bad(
+            "400 m/s",
+            |frame| frame.odometry = Some(at(400.0)),
+            Code::InvalidArgument,
+            "jumped 400.0 m in 1.000 s, faster than 100 m/s; if the odom frame was reset, open a new session",
+        ),
+        bad(
+            "millimetres from the Earth's centre",
+            |frame| frame.odometry = Some(at(6.4e9)),
+            Code::InvalidArgument,
+            "6400000000 m from the origin of its frame; send metres",
+        ),
+        bad(
             "beyond all numbers",
             |frame| frame.odometry = Some(at(f64::MAX)),
             Code::InvalidArgument,
-            "jumped",
+            "send metres",
+        ),
+        bad_odometry(
+            "unsure beyond all use",
+            |o| o.covariance = diagonal(1e13),
+            "leave it out if it is not known",
         ),
     ])
     .await;

@@ -92,8 +92,9 @@ impl Changes {
     /// Notes what `event` changes.
     pub fn follow(&mut self, event: &MapEvent) {
         self.sessions.insert(event.session());
-        if let MapEvent::Frame(frame) = event {
-            self.places.extend(frame.decision.place.filter(|_| frame.learnt));
+        match event {
+            MapEvent::Frame(frame) => self.places.extend(frame.decision.place.filter(|_| frame.learnt)),
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => {}
         }
     }
 }

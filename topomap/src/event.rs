@@ -26,6 +26,8 @@ pub enum MapEvent {
     },
     /// A frame came in and was decided.
     Frame(Box<FrameEvent>),
+    /// A robot measured by itself how two frames lie to each other.
+    Measured(Box<MeasuredEvent>),
 }
 
 /// A frame and all that was decided about it.
@@ -72,6 +74,27 @@ impl FrameEvent {
         let is_closure = |candidate: &&Candidate| candidate.matched.frame == closure.frame;
         self.candidates.iter().find(is_closure).filter(|candidate| candidate.view.is_some())
     }
+}
+
+/// What a robot measured by itself, by stereo, depth or a marker: where it was at a frame, seen from an earlier one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeasuredEvent {
+    /// Position in the log.
+    pub position: u64,
+    /// The session of `frame`.
+    pub session: SessionId,
+    /// The frame.
+    pub frame: FrameId,
+    /// The earlier one.
+    pub earlier: FrameId,
+    /// The place of `earlier`.
+    pub place: PlaceId,
+    /// Where in that place's frame the robot was at `frame`.
+    pub at: RelativePose,
+    /// A link that this adds.
+    pub link: Option<Link>,
+    /// Odometry of `frame`, if the session has not gone on since: its wheels then go on from `at`.
+    pub goes_on_from: Option<Odometry>,
 }
 
 /// The decision about one frame.
@@ -141,16 +164,19 @@ pub enum LinkKind {
     Odometry(Isometry3<f64>),
     /// A session drove from one to the other, and odometry measured the way: the pose of `to` in the frame of `from`.
     Driven(RelativePose),
-    /// A session drove there and recognised where it was: the same, by odometry and what the closure measured.
+    /// A session drove there and recognised where it was: the same, by odometry and what the closure, or the robot
+    /// itself, measured.
     Closed(RelativePose),
 }
 
-/// Version of the byte form of [`MapEvent`]; 2 added the candidates, 3 where in its place the robot is.
-const VERSION: u8 = 3;
+/// Version of the byte form of [`MapEvent`]; 2 added the candidates, 3 where in its place the robot is, 4 what robots
+/// measured by themselves.
+const VERSION: u8 = 4;
 const VERSION_BEFORE_POSES: u8 = 2;
 const VERSION_BEFORE_VERIFICATION: u8 = 1;
 const SESSION_OPENED: u8 = 0;
 const FRAME: u8 = 1;
+const MEASURED: u8 = 2;
 
 impl MapEvent {
     /// The session that it belongs to.
@@ -159,6 +185,7 @@ impl MapEvent {
         match self {
             MapEvent::SessionOpened { session } => *session,
             MapEvent::Frame(event) => event.session,
+            MapEvent::Measured(event) => event.session,
         }
     }
 
@@ -175,6 +202,10 @@ impl MapEvent {
             MapEvent::Frame(event) => {
                 writer.u8(FRAME);
                 encode_frame(event, &mut writer);
+            }
+            MapEvent::Measured(event) => {
+                writer.u8(MEASURED);
+                event.encode(&mut writer);
             }
         }
         writer.into_bytes()
@@ -193,6 +224,7 @@ impl MapEvent {
         let event = match reader.u8()? {
             SESSION_OPENED => MapEvent::SessionOpened { session: reader.u32()? },
             FRAME => MapEvent::Frame(Box::new(decode_frame(version, &mut reader, vocabulary_len)?)),
+            MEASURED => MapEvent::Measured(Box::new(MeasuredEvent::decode(&mut reader)?)),
             other => return Err(DecodeError::invalid(format_args!("event kind {other}"))),
         };
         reader.end()?;
@@ -268,6 +300,33 @@ fn decode_frame(
         at: if version > VERSION_BEFORE_POSES { decode_option(reader, RelativePose::decode)? } else { None },
         belief: decode_belief(reader)?,
     })
+}
+
+impl MeasuredEvent {
+    fn encode(&self, writer: &mut Writer) {
+        let Self { position, session, frame, earlier, place, at, link, goes_on_from } = self;
+        writer.u64(*position);
+        writer.u32(*session);
+        writer.u64(*frame);
+        writer.u64(*earlier);
+        writer.u32(*place);
+        at.encode(writer);
+        encode_option(link.as_ref(), writer, Link::encode);
+        encode_option(goes_on_from.as_ref(), writer, Odometry::encode);
+    }
+
+    fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        Ok(Self {
+            position: reader.u64()?,
+            session: reader.u32()?,
+            frame: reader.u64()?,
+            earlier: reader.u64()?,
+            place: reader.u32()?,
+            at: RelativePose::decode(reader)?,
+            link: decode_option(reader, Link::decode)?,
+            goes_on_from: decode_option(reader, Odometry::decode)?,
+        })
+    }
 }
 
 /// Least bytes of a candidate.

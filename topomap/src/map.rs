@@ -13,7 +13,7 @@ use fabmap::model::ContentHash;
 use fabmap::place_filter::Belief;
 use sha2::{Digest, Sha256};
 
-use crate::event::{FrameEvent, FrameId, Link, SessionId};
+use crate::event::{FrameEvent, FrameId, Link, MeasuredEvent, SessionId};
 use crate::mapper::MapperSettings;
 use crate::odometry::Odometry;
 use crate::relative_pose::RelativePose;
@@ -152,7 +152,7 @@ impl Map {
         &self.places
     }
 
-    /// All links, in order of creation; two places have at most one.
+    /// All links, in order of creation. Frames add at most one between two places; what robots measured comes on top.
     #[must_use]
     pub fn links(&self) -> &[Link] {
         &self.links
@@ -256,6 +256,18 @@ impl Map {
         self.events = event.frame + 1;
     }
 
+    /// Folds in what a robot measured by itself.
+    pub(crate) fn fold_measured(&mut self, event: &MeasuredEvent) {
+        if let (Some(session), Some(odometry)) = (self.sessions.get_mut(&event.session), &event.goes_on_from)
+        {
+            session.go_on_from(event.place, odometry, event.at);
+        }
+        if let Some(link) = event.link {
+            self.add_link(link);
+        }
+        self.events = event.position + 1;
+    }
+
     fn add_link(&mut self, link: Link) {
         self.links.push(link);
         for (place, other) in [(link.from, link.to), (link.to, link.from)] {
@@ -349,6 +361,15 @@ impl Session {
             self.past.push_front(Past { odometry: odometry.clone(), belief: event.belief.clone() });
             self.past.truncate(MAX_PAST_FRAMES);
         }
+    }
+
+    /// Says better where the session's last frame was taken, within the place that it is at.
+    fn go_on_from(&mut self, place: PlaceId, odometry: &Odometry, at: RelativePose) {
+        if let Some(stay) = &mut self.stay {
+            stay.odometry = Some(odometry.clone());
+            stay.at = Some(at);
+        }
+        self.anchor = Some(Anchor { place, odometry: odometry.clone(), at });
     }
 
     fn left_lately(&self, guard_frames: u64) -> impl Iterator<Item = &LeftPlace> {

@@ -4,13 +4,15 @@ mod candidates;
 mod errors;
 mod gates;
 mod localizer;
+mod measuring;
 mod poses;
 mod settings;
 mod state;
 
-pub use errors::{ArchiveError, FoldError, FrameError, MapperError, RestoreError};
+pub use errors::{ArchiveError, FoldError, FrameError, MapperError, MeasureError, RestoreError};
 pub use gates::{Gate, Gates};
 pub use localizer::{Localizer, Queried};
+pub use measuring::Measurement;
 use poses::Located;
 pub use poses::MapPose;
 pub use settings::MapperSettings;

@@ -59,6 +59,9 @@ impl Odometry {
     /// from one odometry to the next is then finite, however often it is added up.
     pub const MAX_POSITION_M: f64 = 1e8;
 
+    /// How far the length of an orientation's quaternion may be from 1.
+    pub const MAX_NORM_ERROR: f64 = 0.01;
+
     /// Largest value of a covariance, in m² or rad²; drivers that do not know send up to 1e9.
     pub const MAX_VARIANCE: f64 = 1e12;
 
@@ -88,7 +91,7 @@ impl Odometry {
         let [x, y, z, w] = orientation_xyzw;
         let quaternion = Quaternion::new(w, x, y, z);
         let norm = quaternion.norm();
-        if (norm - 1.0).abs() > 0.01 {
+        if (norm - 1.0).abs() > Self::MAX_NORM_ERROR {
             return Err(OdometryError::NotUnit { norm });
         }
         let covariance = covariance.map(|values| {

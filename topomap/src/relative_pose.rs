@@ -1,7 +1,7 @@
 //! How one pose lies to another, and how well that is known.
 
 use fabmap::codec::{DecodeError, Reader, Writer};
-use nalgebra::{Isometry3, Matrix3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Quaternion, UnitQuaternion, Vector3};
 
 use crate::odometry::Odometry;
 use crate::relaxation::{PlanarPose, Pose};
@@ -16,7 +16,7 @@ pub struct RelativePose {
 }
 
 /// Numbers that measure nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RelativePoseError {
     /// A number is NaN or infinite.
     #[error("a relative pose has a number that is not finite; leave it out if nothing was measured")]
@@ -27,6 +27,20 @@ pub enum RelativePoseError {
          heading, in m² and rad²"
     )]
     NotACovariance,
+    /// The quaternion is no rotation.
+    #[error(
+        "the quaternion of a relative pose has length {norm}; send a unit quaternion as x, y, z, w, (0, 0, 0, 1) for none"
+    )]
+    NotUnit {
+        /// Its length.
+        norm: f64,
+    },
+    /// A number beyond all that robots measure.
+    #[error("a relative pose has the number {value}; send metres, m² and rad²")]
+    TooLarge {
+        /// The number.
+        value: f64,
+    },
 }
 
 impl RelativePose {
@@ -44,6 +58,43 @@ impl RelativePose {
             return Err(RelativePoseError::NotACovariance);
         }
         Ok(Self { pose, covariance })
+    }
+
+    /// What was measured in space, seen from above. `covariance` is 6 x 6, row by row, of (x, y, z, rotation about x, y, z)
+    /// about the axes that the pose is in, in m² and rad².
+    ///
+    /// # Errors
+    /// [`RelativePoseError`] if a number is not finite or beyond all that robots measure, the quaternion is no rotation
+    /// or the covariance none.
+    pub fn measured_in_space(
+        position_m: [f64; 3],
+        orientation_xyzw: [f64; 4],
+        covariance: &[f64; 36],
+    ) -> Result<Self, RelativePoseError> {
+        let within = |values: &[f64], most: f64| match values.iter().find(|value| !(value.abs() <= most)) {
+            Some(value) if value.is_finite() => Err(RelativePoseError::TooLarge { value: *value }),
+            Some(_) => Err(RelativePoseError::NotFinite),
+            None => Ok(()),
+        };
+        within(&position_m, Odometry::MAX_POSITION_M)?;
+        within(covariance, Odometry::MAX_VARIANCE)?;
+        let [i, j, k, w] = orientation_xyzw;
+        let quaternion = Quaternion::new(w, i, j, k);
+        let norm = quaternion.norm();
+        if !((norm - 1.0).abs() <= Odometry::MAX_NORM_ERROR) {
+            return Err(RelativePoseError::NotUnit { norm });
+        }
+        let rotation = UnitQuaternion::from_quaternion(quaternion);
+        let pose =
+            PlanarPose::seen_from_above(&Isometry3::from_parts(Vector3::from(position_m).into(), rotation));
+        // From the axes that the pose is in to its own.
+        let turned = PlanarPose::new(0.0, 0.0, pose.heading_rad()).inverse().adjoint();
+        let covariance = Matrix6::from_row_slice(covariance);
+        if (covariance - covariance.transpose()).amax() > 1e-6 * covariance.amax() {
+            return Err(RelativePoseError::NotACovariance);
+        }
+        let covariance = seen_from_above(&covariance);
+        Self::new(pose, turned * covariance * turned.transpose())
     }
 
     /// The very same pose.
@@ -184,20 +235,23 @@ impl OdometryNoise {
 /// about the heading before moves the position that the way leads to: that is not of this way, so it is taken off,
 /// N = Σ' - F Σ Fᵀ with F the derivative of the pose after by the one before.
 fn added(before: &Odometry, now: &Odometry, (from, to): (&PlanarPose, &PlanarPose)) -> Option<Matrix3<f64>> {
-    const SEEN_FROM_ABOVE: [usize; 3] = [0, 1, 5];
-    let planar = |whole: &nalgebra::Matrix6<f64>| {
-        let of = |row, column| whole[(SEEN_FROM_ABOVE[row], SEEN_FROM_ABOVE[column])];
-        Matrix3::from_fn(|row, column| (of(row, column) + of(column, row)) * 0.5)
-    };
     let [x, y] = [to.x_m() - from.x_m(), to.y_m() - from.y_m()];
     let carried = Matrix3::new(1.0, 0.0, -y, 0.0, 1.0, x, 0.0, 0.0, 1.0);
-    let grown = planar(now.covariance()?) - carried * planar(before.covariance()?) * carried.transpose();
+    let [before, now] = [seen_from_above(before.covariance()?), seen_from_above(now.covariance()?)];
+    let grown = now - carried * before * carried.transpose();
     // From the axes of odom to the robot's own.
     let turned = PlanarPose::new(0.0, 0.0, to.heading_rad()).inverse().adjoint();
     let own = turned * grown * turned.transpose();
     let own = (own + own.transpose()) * 0.5;
     let spread = own.symmetric_eigenvalues();
     (spread.max() > 0.0 && spread.min() >= -1e-7 * own.amax()).then_some(own)
+}
+
+/// Of x, y and heading.
+fn seen_from_above(covariance: &Matrix6<f64>) -> Matrix3<f64> {
+    const SEEN_FROM_ABOVE: [usize; 3] = [0, 1, 5];
+    let of = |row, column| covariance[(SEEN_FROM_ABOVE[row], SEEN_FROM_ABOVE[column])];
+    Matrix3::from_fn(|row, column| (of(row, column) + of(column, row)) * 0.5)
 }
 
 /// What a closure measures.
@@ -324,6 +378,34 @@ mod tests {
             let bytes = writer.into_bytes();
             prop_assert_eq!(RelativePose::decode(&mut Reader::new(&bytes)), Ok(pose));
         }
+    }
+
+    #[test]
+    fn a_pose_in_space_is_seen_from_above_along_its_own_axes() {
+        let sigmas = [0.1_f64, 0.3, 9.0, 9.0, 9.0, 0.02];
+        let mut covariance = [0.0; 36];
+        (0..6).for_each(|axis| covariance[7 * axis] = sigmas[axis] * sigmas[axis]);
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let measured =
+            RelativePose::measured_in_space([1.0, 2.0, 0.5], [0.0, 0.0, half, half], &covariance).unwrap();
+        assert!((measured.pose.x_m() - 1.0).abs() < 1e-12 && (measured.pose.y_m() - 2.0).abs() < 1e-12);
+        assert!((measured.pose.heading_rad() - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+        // Turned left by a quarter, it is unsure ahead as the axes are to the left.
+        let own = Matrix3::from_diagonal(&Vector3::new(0.09, 0.01, 0.0004));
+        assert!((measured.covariance - own).amax() < 1e-12, "{}", measured.covariance);
+        let level = [0.0, 0.0, 0.0, 1.0];
+        let with = |value: f64| {
+            let mut wrong = covariance;
+            wrong[1] = value;
+            RelativePose::measured_in_space([0.0; 3], level, &wrong)
+        };
+        assert_eq!(with(0.01), Err(RelativePoseError::NotACovariance));
+        assert_eq!(with(f64::NAN), Err(RelativePoseError::NotFinite));
+        assert_eq!(with(1e13), Err(RelativePoseError::TooLarge { value: 1e13 }));
+        let at = |position, orientation| RelativePose::measured_in_space(position, orientation, &covariance);
+        assert_eq!(at([0.0, -1e9, 0.0], level), Err(RelativePoseError::TooLarge { value: -1e9 }));
+        assert_eq!(at([0.0; 3], [0.0; 4]), Err(RelativePoseError::NotUnit { norm: 0.0 }));
+        assert!(matches!(at([0.0; 3], [f64::NAN; 4]), Err(RelativePoseError::NotUnit { .. })));
     }
 
     #[test]

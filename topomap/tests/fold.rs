@@ -34,14 +34,18 @@ impl FrameArchive for Log {
     fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
         match &self.0[frame as usize] {
             MapEvent::Frame(event) => Ok(Some(event.observation.clone())),
-            MapEvent::SessionOpened { .. } => Err(ArchiveError { frame, why: "not a frame".to_owned() }),
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => {
+                Err(ArchiveError { frame, why: "not a frame".to_owned() })
+            }
         }
     }
 
     fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
         match &self.0[frame as usize] {
             MapEvent::Frame(event) => Ok(event.at),
-            MapEvent::SessionOpened { .. } => Err(ArchiveError { frame, why: "not a frame".to_owned() }),
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => {
+                Err(ArchiveError { frame, why: "not a frame".to_owned() })
+            }
         }
     }
 }

@@ -11,10 +11,13 @@ use fabmap::detector::DetectorModel;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
 use fabmap::vocabulary::{Vocabulary, VocabularySettings};
+use nalgebra::Matrix3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use topomap::event::{FrameEvent, FrameId, LinkKind, MapEvent, Reason};
-use topomap::mapper::{ArchiveError, FrameArchive, FrameInput, Mapper, MapperError, MapperSettings};
+use topomap::mapper::{
+    ArchiveError, FrameArchive, FrameInput, Mapper, MapperError, MapperSettings, MeasureError, Measurement,
+};
 use topomap::odometry::Odometry;
 use topomap::odometry_prior::PlaceSpacing;
 use topomap::relative_pose::RelativePose;
@@ -108,7 +111,7 @@ impl Robot {
     fn event(&self, frame: FrameId) -> &FrameEvent {
         match &self.log[frame as usize] {
             MapEvent::Frame(event) => event,
-            MapEvent::SessionOpened { .. } => panic!("{frame} is no frame"),
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => panic!("{frame} is no frame"),
         }
     }
 
@@ -152,6 +155,25 @@ impl Robot {
         self.log.push(stored);
         self.truth.push(self.pose);
         decided.event
+    }
+
+    /// The robot measures where it was at a frame, seen from an earlier one; wrong by `wrong`.
+    fn measure(&mut self, later: FrameId, earlier: FrameId, wrong: &PlanarPose) -> Result<(), MeasureError> {
+        let pose = self.truth[earlier as usize].inverse().compose(&self.truth[later as usize]).compose(wrong);
+        let pose = RelativePose::new(pose, Matrix3::identity() * 1e-4).unwrap();
+        let before = self.log[..later as usize].iter().rev().find_map(|event| match event {
+            MapEvent::Frame(event) if event.session == self.event(later).session => Some(event.as_ref()),
+            MapEvent::Frame(_) | MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+        });
+        let (later, earlier) = (self.event(later), self.event(earlier));
+        let event = self.mapper.measure(&Measurement { later, before, earlier, pose })?;
+        let event = MapEvent::Measured(Box::new(event));
+        let stored = MapEvent::from_bytes(&event.to_bytes(), WORDS as usize).unwrap();
+        assert_eq!(stored, event);
+        self.mapper.apply(&stored).unwrap();
+        self.log.push(stored);
+        self.truth.push(self.pose);
+        Ok(())
     }
 
     /// Where the map puts the robot.
@@ -399,10 +421,106 @@ fn without_a_camera_model_a_turned_view_measures_nothing() {
     }
 }
 
-/// A short drive with a loop that version 3 logged, events one after the other.
+/// A closure puts the robot where the place is; what it measures itself says where it really is.
 #[test]
-fn a_log_of_version_3_still_folds() {
-    let bytes = include_bytes!("fixtures/log-v3.bin");
+fn what_a_robot_measures_is_used() {
+    let settings = MapperSettings { guard_frames: 4, ..MapperSettings::default() };
+    let mut robot = Robot::new(settings, [0.05, 0.0]);
+    robot.see();
+    let first = robot.log.len() as u64 - 1;
+    for _ in 0..12 {
+        robot.go(0.8, 0.0);
+        robot.see();
+    }
+    // Back, to beside where it began.
+    robot.go(-9.6, 0.0);
+    robot.pose = PlanarPose::new(0.05, 0.15, 0.0);
+    let event = robot.see();
+    let (closure, links) = (event.decision.closure.unwrap(), robot.mapper.map().links().len());
+    assert_eq!((event.decision.reason, closure.frame), (Reason::LoopClosure, first));
+    assert!(apart_m(&robot.on_the_map(), &robot.pose) > 0.14, "{:?}", robot.on_the_map());
+
+    robot.measure(event.frame, first, &PlanarPose::identity()).unwrap();
+    assert!(apart_m(&robot.on_the_map(), &robot.pose) < 1e-9, "{:?}", robot.on_the_map());
+    assert_eq!(robot.mapper.map().links().len(), links + 1);
+    let link = robot.mapper.map().links()[links];
+    assert!(matches!(link.kind, LinkKind::Closed(_)) && link.to == 0, "{link:?}");
+
+    // Wheels go on from there.
+    robot.go(0.0, 0.3);
+    robot.see();
+    let off = robot.pose.inverse().compose(&robot.on_the_map());
+    assert!(off.x_m().hypot(off.y_m()) < 0.02 && off.heading_rad().abs() < 0.02, "{off:?}");
+
+    // Between places that no recognition joined: the map's scale shows.
+    let wheels_m = 1.05 * 0.8 * 6.0;
+    let [a, b] = [1, 7].map(|frame| robot.event(first + frame).decision.place.unwrap());
+    let apart = |robot: &Robot| {
+        let poses = robot.mapper.poses();
+        apart_m(poses.pose(a).unwrap(), poses.pose(b).unwrap())
+    };
+    assert!((apart(&robot) - wheels_m).abs() < 0.05, "{}", apart(&robot));
+    robot.measure(first + 7, first + 1, &PlanarPose::identity()).unwrap();
+    assert!((apart(&robot) - 4.8).abs() < 0.02, "{}", apart(&robot));
+
+    // A replay of the log comes to the same.
+    let mut again = Mapper::new(&model(), settings).unwrap();
+    robot.log.iter().for_each(|event| again.apply(event).unwrap());
+    assert_eq!(again.state_hash(), robot.mapper.state_hash());
+}
+
+#[test]
+fn measurements_that_contradict_the_rest_do_not_bend_the_map() {
+    let mut robot = Robot::new(MapperSettings { guard_frames: 4, ..MapperSettings::default() }, [0.01, 0.0]);
+    robot.see();
+    round(&mut robot);
+    round(&mut robot);
+    let before: Vec<PlanarPose> = robot.mapper.poses().poses().to_vec();
+    let last = robot.log.len() as u64 - 1;
+    robot.measure(last - 20, 12, &PlanarPose::new(5.0, -4.0, 1.5)).unwrap();
+    let moved = before.iter().zip(robot.mapper.poses().poses()).map(|(a, b)| apart_m(a, b));
+    let most_m = moved.fold(0.0, f64::max);
+    assert!(most_m < 0.1, "{most_m} m");
+    let wrong = robot.mapper.map().links().len() - 1;
+    assert!(robot.mapper.poses().contradicted().any(|link| link == wrong));
+}
+
+#[test]
+fn measurements_that_nothing_follows_from_are_refused() {
+    let mut robot = Robot::new(MapperSettings { guard_frames: 4, ..MapperSettings::default() }, [0.0; 2]);
+    robot.see();
+    robot.go(0.8, 0.0);
+    robot.see();
+    robot.see();
+    robot.go(0.8, 0.0);
+    let input = FrameInput { odometry: None, ..robot.input() };
+    let blind = robot.take(input, CameraModel::Known).frame;
+    let right = PlanarPose::identity();
+    let hash = robot.mapper.state_hash();
+    for (later, earlier, error) in [
+        (1, 1, MeasureError::NotEarlier),
+        (1, 2, MeasureError::NotEarlier),
+        (blind, 1, MeasureError::NoMetres { which: "later" }),
+        // Two looks from one stay, and the robot is elsewhere by now.
+        (3, 2, MeasureError::TooLate),
+    ] {
+        assert_eq!(robot.measure(later, earlier, &right), Err(error), "{later} from {earlier}");
+    }
+    robot.go(0.8, 0.0);
+    let last = robot.see().frame;
+    assert_eq!(robot.measure(last, blind, &right), Err(MeasureError::NoMetres { which: "earlier" }));
+    assert_ne!(robot.mapper.state_hash(), hash);
+}
+
+/// A short drive with a loop that version 3 logged, and one with a measurement that version 4 did, events one after
+/// the other.
+#[test]
+fn logs_of_versions_3_and_4_still_fold() {
+    folds(include_bytes!("fixtures/log-v3.bin"));
+    folds(include_bytes!("fixtures/log-v4.bin"));
+}
+
+fn folds(bytes: &[u8]) {
     let mut reader = Reader::new(bytes);
     let mut mapper =
         Mapper::new(&model(), MapperSettings { guard_frames: 4, ..MapperSettings::default() }).unwrap();
@@ -433,9 +551,11 @@ fn write_fixture() {
             robot.see();
         }
     }
+    let last = robot.log.len() as u64 - 1;
+    robot.measure(last, 1, &PlanarPose::identity()).unwrap();
     let mut writer = Writer::default();
     robot.log.iter().for_each(|event| writer.bytes(&event.to_bytes()));
-    std::fs::write(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/log-v3.bin"), writer.into_bytes())
+    std::fs::write(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/log-v4.bin"), writer.into_bytes())
         .unwrap();
 }
 

@@ -1,7 +1,9 @@
 //! Messages to the service's values. Every field is named, so that none is forgotten.
 
 use nalgebra::Isometry3;
+use topomap::mapper::MapPose;
 use topomap::odometry::Odometry;
+use topomap::relative_pose::RelativePose;
 use topomap::relaxation::PlanarPose;
 use waypost_proto::v1;
 use waypost_proto::v1::camera::Model;
@@ -36,6 +38,26 @@ pub(super) fn odometry_message(odometry: &Odometry) -> v1::Odometry {
             .covariance()
             .map_or_else(Vec::new, |covariance| covariance.transpose().as_slice().to_vec()),
     }
+}
+
+/// What a robot measured.
+pub(super) fn measured(pose: Option<v1::Pose>, covariance: Vec<f64>) -> Result<RelativePose, ServiceError> {
+    let missing =
+        "nothing was measured; send the pose of base_link at the frame in base_link at the earlier one";
+    let pose = pose.ok_or_else(|| ServiceError::invalid(missing))?;
+    let (position_m, orientation) = self::pose(pose, "the measurement")?;
+    let covariance: [f64; 36] = covariance.try_into().map_err(|covariance: Vec<f64>| {
+        ServiceError::invalid(format_args!(
+            "the measurement's covariance has {} values; send 36, row by row: how sure it is decides what it counts",
+            covariance.len()
+        ))
+    })?;
+    RelativePose::measured_in_space(position_m, orientation, &covariance).map_err(ServiceError::invalid)
+}
+
+pub(super) fn map_pose(pose: &MapPose) -> v1::MapPose {
+    let MapPose { part, robot, odom } = pose;
+    v1::MapPose { part: *part, robot: Some(planar_pose(robot)), map_to_odom: Some(planar_pose(odom)) }
 }
 
 /// A pose on the ground.

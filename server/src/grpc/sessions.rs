@@ -6,14 +6,13 @@ use futures::stream::{self, BoxStream, Stream, StreamExt};
 use prost::Message;
 use tonic::{Request, Response, Status, Streaming};
 use topomap::event::Reason;
-use topomap::mapper::MapPose;
 use topomap::verification::Similarity;
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_server::SessionService;
 use waypost_proto::v1::{frame, query_request, stream_request, stream_response};
 
 use super::Adapter;
-use super::convert::{camera, histogram, known, odometry, planar_pose, word_list};
+use super::convert::{self, camera, histogram, known, odometry, word_list};
 use super::frames;
 use super::maps::frame_reference;
 use super::status::as_message;
@@ -130,6 +129,17 @@ impl SessionService for Adapter {
         let v1::GetFramePictureRequest { name, place } = request.into_inner();
         let FramePicture { content_type, picture } = self.service.frame_picture(&name, place).await?;
         Ok(Response::new(v1::GetFramePictureResponse { content_type: content_type.to_owned(), picture }))
+    }
+
+    async fn measure_closure(
+        &self,
+        request: Request<v1::MeasureClosureRequest>,
+    ) -> Result<Response<v1::MeasureClosureResponse>, Status> {
+        let v1::MeasureClosureRequest { frame, earlier_frame, pose, covariance } = request.into_inner();
+        let measured = convert::measured(pose, covariance)?;
+        let map_pose = self.service.measure_closure(&frame, &earlier_frame, measured).await?;
+        let map_pose = map_pose.as_ref().map(convert::map_pose);
+        Ok(Response::new(v1::MeasureClosureResponse { map_pose }))
     }
 }
 
@@ -288,11 +298,7 @@ pub(super) fn answer(answer: FrameAnswer) -> v1::FrameAnswer {
         words: u32::try_from(words).unwrap_or(u32::MAX),
         resent: timings.is_none(),
         timings: timings.map(timings_message),
-        map_pose: map_pose.map(|MapPose { part, robot, odom }| v1::MapPose {
-            part,
-            robot: Some(planar_pose(&robot)),
-            map_to_odom: Some(planar_pose(&odom)),
-        }),
+        map_pose: map_pose.as_ref().map(convert::map_pose),
     }
 }
 

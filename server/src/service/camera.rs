@@ -45,7 +45,12 @@ impl Camera {
                 OdometryError::NotUnit { norm } => ServiceError::invalid(format_args!(
                     "the camera's orientation has length {norm}; send a unit quaternion (x, y, z, w)"
                 )),
-                OdometryError::NotACovariance => ServiceError::internal("a camera has no covariance"),
+                OdometryError::TooFar { value } => ServiceError::invalid(format_args!(
+                    "the camera is {value} m from base_link; send metres, or leave its pose out"
+                )),
+                OdometryError::NotACovariance | OdometryError::TooUnsure { .. } => {
+                    ServiceError::internal("a camera has no covariance")
+                }
             })?;
         }
         self.model.as_ref().map_or(Ok(()), CameraModel::check)

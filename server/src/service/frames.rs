@@ -239,7 +239,7 @@ pub(super) fn no_such_session(map: &str, session: &str) -> ServiceError {
     ))
 }
 
-fn no_such_frame(map: &str, session: &str, sequence: u64) -> ServiceError {
+pub(super) fn no_such_frame(map: &str, session: &str, sequence: u64) -> ServiceError {
     ServiceError::not_found(format_args!(
         "the session {session} of the map {map} has no frame {sequence}; list its frames to see what there is"
     ))

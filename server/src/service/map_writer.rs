@@ -2,6 +2,7 @@
 
 mod checkpoints;
 mod localizers;
+mod measuring;
 mod open_maps;
 mod reads;
 mod recent;
@@ -10,8 +11,8 @@ mod views;
 
 pub(super) use open_maps::OpenMaps;
 pub(super) use requests::{
-    FrameFailure, FrameRequest, FrameSource, FrameWork, MapHandle, OpenedSession, PlaceSummary,
-    SessionOpening, StreamOpening, WriterGone,
+    FrameFailure, FrameRequest, FrameSource, FrameWork, MapHandle, MeasuredFrames, OpenedSession,
+    PlaceSummary, SessionOpening, StreamOpening, WriterGone,
 };
 pub(crate) use requests::{QueryAnswer, SessionMode, WordPlace};
 pub(super) use views::{SeenFeatures, compare, stored_features, verifier};
@@ -156,6 +157,10 @@ impl MapWriter {
                         return Err(CommitFailed::default());
                     }
                 }
+                MapRequest::Measure { frames, reply } => {
+                    self.commit()?;
+                    let _ = reply.send(self.measure(&frames)?);
+                }
                 MapRequest::Read(read) => reads.push(read),
                 MapRequest::Close => {
                     serving = Serving::Ended;
@@ -281,7 +286,7 @@ impl MapWriter {
         let stored = self.storage.event_of_sequence(self.map.id, session, sequence, words);
         let answer = match self.runtime.block_on(stored) {
             Ok(Some(MapEvent::Frame(event))) => self.answer(&event, None).map_err(|_| answer_unreadable()),
-            Ok(Some(MapEvent::SessionOpened { .. }) | None) => {
+            Ok(Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None) => {
                 Err(FrameFailure::Refused(self.never_sent(session, sequence)))
             }
             Err(error @ StorageError::Damaged(_)) => Err(FrameFailure::Refused(error.into())),
@@ -396,7 +401,7 @@ impl MapWriter {
 fn has_odometry(event: &MapEvent) -> bool {
     match event {
         MapEvent::Frame(frame) => frame.odometry.is_some(),
-        MapEvent::SessionOpened { .. } => false,
+        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => false,
     }
 }
 
@@ -448,7 +453,8 @@ impl Archive<'_> {
                 recent.borrow_mut().keep(frame, RecentFrame::of(&event));
                 Ok(Some(of_event(&event)))
             }
-            Ok(Some(MapEvent::SessionOpened { .. }) | None) | Err(StorageError::Damaged(_)) => {
+            Ok(Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None)
+            | Err(StorageError::Damaged(_)) => {
                 tracing::error!(
                     map = map.name,
                     frame,

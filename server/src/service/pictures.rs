@@ -85,7 +85,7 @@ impl Service {
         let words = self.vocabulary_len(map).await?;
         match self.storage.event_at(map.id, position, words).await? {
             Some(MapEvent::Frame(event)) => Ok(*event),
-            Some(MapEvent::SessionOpened { .. }) | None => Err(deleted(map)),
+            Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None => Err(deleted(map)),
         }
     }
 

@@ -184,7 +184,7 @@ impl Replay {
         runtime.block_on(storage.replay(map.id, 0..position, words, &mut fold))?;
         match runtime.block_on(storage.event_at(map.id, position, words))? {
             Some(MapEvent::Frame(event)) => Ok((mapper, *event)),
-            Some(MapEvent::SessionOpened { .. }) | None => {
+            Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None => {
                 Err(ServiceError::not_found(format_args!("the map {} was deleted just now", map.name)))
             }
         }
@@ -206,7 +206,8 @@ impl Replay {
         let words = self.model.model.vocabulary().len();
         match self.runtime.block_on(self.storage.event_at(self.map.id, frame, words)) {
             Ok(Some(MapEvent::Frame(event))) => Ok(Some(event)),
-            Ok(Some(MapEvent::SessionOpened { .. }) | None) | Err(StorageError::Damaged(_)) => Ok(None),
+            Ok(Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None)
+            | Err(StorageError::Damaged(_)) => Ok(None),
             Err(error) => Err(ArchiveError { frame, why: error.to_string() }),
         }
     }

@@ -1,10 +1,11 @@
 //! Where robots were, as text that other tools read.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use prost::Message;
-use topomap::event::FrameEvent;
+use topomap::event::{FrameEvent, FrameId, MeasuredEvent};
 use topomap::g2o::{G2o, NamedGraph};
 use topomap::place_poses::PlacePoses;
 use topomap::relaxation::Pose;
@@ -15,6 +16,7 @@ use super::Service;
 use super::frames::no_such_session;
 use super::names::{map_in, session_in};
 use crate::error::ServiceError;
+use crate::storage::FrameRow;
 
 /// Frames read at a time.
 const PAGE: u32 = 1000;
@@ -63,11 +65,15 @@ impl Service {
         };
         let poses = self.open_map(map).await?.poses().await?;
         let words = self.vocabulary_len(&row).await?;
+        let measured = self.storage.measured_of_session(row.id, summary.number, words).await?;
+        let measured: HashMap<FrameId, MeasuredEvent> =
+            measured.into_iter().map(|event| (event.frame, event)).collect();
         let (mut stamped, mut after): (Vec<Located>, _) = (Vec::new(), None);
         loop {
             let frames = self.storage.frames_of_session(row.id, summary.number, after, PAGE, words).await?;
             after = frames.last().map(|frame| frame.event.sequence);
-            stamped.extend(frames.iter().filter_map(|row| located(&row.event, frame, &poses)));
+            let located = |row: &FrameRow| located(&row.event, measured.get(&row.event.frame), frame, &poses);
+            stamped.extend(frames.iter().filter_map(located));
             if frames.len() < PAGE as usize {
                 break;
             }
@@ -108,12 +114,20 @@ struct Located {
     part: Option<u32>,
 }
 
-fn located(event: &FrameEvent, frame: TrajectoryFrame, poses: &PlacePoses) -> Option<Located> {
+fn located(
+    event: &FrameEvent,
+    measured: Option<&MeasuredEvent>,
+    frame: TrajectoryFrame,
+    poses: &PlacePoses,
+) -> Option<Located> {
     let (pose, part) = match frame {
         TrajectoryFrame::Odom => (*event.odometry.as_ref()?.pose(), None),
         TrajectoryFrame::Map => {
-            let place = event.decision.place?;
-            let pose = poses.pose(place)?.compose(event.at.as_ref()?.pose());
+            let (place, at) = match measured {
+                Some(measured) => (measured.place, measured.at),
+                None => (event.decision.place?, event.at?),
+            };
+            let pose = poses.pose(place)?.compose(at.pose());
             (pose.on_the_ground(), Some(poses.part(place)?))
         }
     };

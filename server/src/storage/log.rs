@@ -4,7 +4,7 @@ use std::ops::Range;
 use fabmap::appearance::PlaceId;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, Sqlite, Transaction};
-use topomap::event::{FrameId, MapEvent, Reason, SessionId};
+use topomap::event::{FrameEvent, FrameId, Link, MapEvent, MeasuredEvent, Reason, SessionId};
 use topomap::verification::Candidate;
 
 use super::media::insert_media;
@@ -118,6 +118,50 @@ impl Storage {
         row.map(|row| event(&row, vocabulary_len)).transpose()
     }
 
+    /// The frame that a session sent before another.
+    pub(crate) async fn frame_before(
+        &self,
+        map: MapId,
+        frame: &FrameEvent,
+        vocabulary_len: usize,
+    ) -> Result<Option<FrameEvent>, StorageError> {
+        let row = sqlx::query(
+            "SELECT event FROM log WHERE map_id = ? AND session = ? AND sequence < ? ORDER BY sequence DESC LIMIT 1",
+        )
+        .bind(map)
+        .bind(frame.session)
+        .bind(to_sql(frame.sequence))
+        .fetch_optional(&self.readers)
+        .await?;
+        let event = row.map(|row| event(&row, vocabulary_len)).transpose()?;
+        Ok(event.and_then(|event| match event {
+            MapEvent::Frame(frame) => Some(*frame),
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+        }))
+    }
+
+    /// What robots measured at frames of a session, oldest first.
+    pub(crate) async fn measured_of_session(
+        &self,
+        map: MapId,
+        session: SessionId,
+        vocabulary_len: usize,
+    ) -> Result<Vec<MeasuredEvent>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT event FROM log WHERE map_id = ? AND session = ? AND sequence IS NULL ORDER BY position",
+        )
+        .bind(map)
+        .bind(session)
+        .fetch_all(&self.readers)
+        .await?;
+        let events = rows.iter().map(|row| event(row, vocabulary_len)).collect::<Result<Vec<_>, _>>()?;
+        let measured = |event| match event {
+            MapEvent::Measured(event) => Some(*event),
+            MapEvent::SessionOpened { .. } | MapEvent::Frame(_) => None,
+        };
+        Ok(events.into_iter().filter_map(measured).collect())
+    }
+
     /// The latest frames of a place that came in before `before`, latest first.
     pub(crate) async fn frames_of_place(
         &self,
@@ -212,9 +256,10 @@ pub(super) async fn insert_event(
     position: i64,
     event: &MapEvent,
 ) -> Result<(), StorageError> {
-    let frame = match event {
-        MapEvent::SessionOpened { .. } => None,
-        MapEvent::Frame(frame) => Some(frame),
+    let (frame, link): (_, Option<Link>) = match event {
+        MapEvent::SessionOpened { .. } => (None, None),
+        MapEvent::Frame(frame) => (Some(frame), frame.link),
+        MapEvent::Measured(measured) => (None, measured.link),
     };
     let decision = frame.map(|frame| &frame.decision);
     sqlx::query(
@@ -231,8 +276,8 @@ pub(super) async fn insert_event(
     .bind(decision.map(|decision| decision.posterior))
     .bind(decision.and_then(|decision| decision.closure).map(|closure| to_sql(closure.frame)))
     .bind(frame.and_then(|frame| frame.verified_by()).map(Candidate::probability))
-    .bind(frame.and_then(|frame| frame.link).map(|link| link.from))
-    .bind(frame.and_then(|frame| frame.link).map(|link| link.to))
+    .bind(link.map(|link| link.from))
+    .bind(link.map(|link| link.to))
     .bind(event.to_bytes())
     .execute(&mut **transaction)
     .await?;

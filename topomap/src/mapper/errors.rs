@@ -63,6 +63,28 @@ pub enum FrameError {
     Archive(#[from] ArchiveError),
 }
 
+/// Why what a robot measured by itself was not taken. Nothing has changed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MeasureError {
+    /// The frames are one, or the wrong way round.
+    #[error("the earlier frame did not come in before the other; name the frame first that came in last")]
+    NotEarlier,
+    /// A frame is nowhere in metres.
+    #[error(
+        "the {which} frame has no place with odometry, so that the map knows no metres there; measure between frames \
+         that were sent with odometry"
+    )]
+    NoMetres {
+        /// `earlier` or `later`.
+        which: &'static str,
+    },
+    /// Nothing would follow from it.
+    #[error(
+        "both frames are of one place and the robot has driven on since; send what it measures before its next frame"
+    )]
+    TooLate,
+}
+
 /// An earlier frame could not be read back.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("frame {frame} of the map could not be read back: {why}; send the frame again")]

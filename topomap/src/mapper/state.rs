@@ -7,8 +7,8 @@ use fabmap::observation::Observation;
 use fabmap::recognizer::{Recognition, Recognizer};
 
 use super::{FoldError, Mapper, MapperSettings};
-use crate::event::{FrameEvent, MapEvent};
-use crate::map::{Map, Place};
+use crate::event::{FrameEvent, MapEvent, MeasuredEvent};
+use crate::map::{Map, Place, Session};
 use crate::place_poses::PlacePoses;
 
 impl Mapper {
@@ -47,6 +47,12 @@ impl Mapper {
                 let number = self.map.session(event.session).map_or(0, |session| session.frames);
                 let sightings = self.sightings(number, &event.candidates);
                 self.map.fold_frame(event, &self.settings, sightings);
+            }
+            MapEvent::Measured(event) => {
+                if let Some(link) = &event.link {
+                    self.poses.add_link(self.map.links().len(), link, &self.settings.odometry_noise);
+                }
+                self.map.fold_measured(event);
             }
         }
         Ok(())
@@ -138,6 +144,25 @@ impl Mapper {
                     Err(FoldError::Word { word })
                 } else {
                     Ok(())
+                }
+            }
+            MapEvent::Measured(event) => {
+                let MeasuredEvent { position, session, frame, earlier, place, link, goes_on_from, .. } =
+                    event.as_ref();
+                let places = self.map.places().len();
+                let ends = link.map(|link| [link.from, link.to]).into_iter().flatten();
+                let unknown = ends.chain([*place]).find(|&place| place as usize >= places);
+                let at = |session: &Session| session.stay.as_ref().map(|stay| stay.place);
+                match (self.map.session(*session), unknown) {
+                    _ if *position != expected || frame.max(earlier) >= position => {
+                        Err(FoldError::Position { expected, found: *position })
+                    }
+                    (None, _) => Err(FoldError::Session { session: *session }),
+                    (_, Some(place)) => Err(FoldError::Place { place }),
+                    (Some(known), None) if goes_on_from.is_some() && at(known) != Some(*place) => {
+                        Err(FoldError::Place { place: *place })
+                    }
+                    (Some(_), None) => Ok(()),
                 }
             }
         }

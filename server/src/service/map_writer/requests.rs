@@ -9,9 +9,10 @@ use fabmap::explanation::Explanation;
 use fabmap::observation::{Observation, WordId};
 use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
-use topomap::event::{FrameId, SessionId};
-use topomap::mapper::FrameInput;
+use topomap::event::{FrameEvent, FrameId, SessionId};
+use topomap::mapper::{FrameInput, MapPose};
 use topomap::place_poses::PlacePoses;
+use topomap::relative_pose::RelativePose;
 use waypost_vision::feature_record::FeatureRecord;
 
 use super::localizers::LocalizerId;
@@ -29,6 +30,11 @@ pub(crate) enum MapRequest {
     OpenSession {
         opening: SessionOpening,
         reply: oneshot::Sender<Result<OpenedSession, ServiceError>>,
+    },
+    /// What a robot measured by itself.
+    Measure {
+        frames: Box<MeasuredFrames>,
+        reply: oneshot::Sender<Result<Option<MapPose>, ServiceError>>,
     },
     /// Changes nothing, and is answered from what is on the disk.
     Read(Read),
@@ -69,6 +75,16 @@ pub(crate) enum Read {
         count: u32,
         reply: oneshot::Sender<Vec<WordPlace>>,
     },
+}
+
+/// Two frames of the log, and how they lie to each other.
+#[derive(Debug)]
+pub(crate) struct MeasuredFrames {
+    pub(crate) later: FrameEvent,
+    /// The one before it in its session.
+    pub(crate) before: Option<FrameEvent>,
+    pub(crate) earlier: FrameEvent,
+    pub(crate) pose: RelativePose,
 }
 
 /// Which session a stream wants.
@@ -286,6 +302,11 @@ impl MapHandle {
 
     pub(crate) async fn open_session(&self, opening: SessionOpening) -> Result<OpenedSession, ServiceError> {
         self.ask(|reply| MapRequest::OpenSession { opening, reply }).await?
+    }
+
+    /// Where the robot of the later frame's session is, with what was measured; durable by then.
+    pub(crate) async fn measure(&self, frames: MeasuredFrames) -> Result<Option<MapPose>, ServiceError> {
+        self.ask(|reply| MapRequest::Measure { frames: Box::new(frames), reply }).await?
     }
 
     /// Where an observation was made; explained by up to `explained_words` for and against.

@@ -9,7 +9,7 @@ use std::ops::ControlFlow;
 
 use fabmap::model::{ContentHash, Model};
 use prost::Message;
-use topomap::event::{Decision, FrameEvent, MapEvent, Match, Reason};
+use topomap::event::{Decision, FrameEvent, MapEvent, Match, MeasuredEvent, Reason};
 use topomap::mapper::Mapper;
 use waypost_proto::v1;
 
@@ -131,8 +131,16 @@ impl Log {
     fn take(&mut self, position: u64, event: &[u8]) -> Result<(), NotTaken> {
         let wrong = |why: &dyn Display| refused(format_args!("event {position} of its log: {why}"));
         let event = MapEvent::from_bytes(event, self.words).map_err(|error| wrong(&error))?;
-        if let MapEvent::Frame(frame) = &event {
-            self.check_frame(frame).map_err(|why| wrong(&why))?;
+        match &event {
+            MapEvent::Frame(frame) => self.check_frame(frame).map_err(|why| wrong(&why))?,
+            MapEvent::Measured(measured) => {
+                let MeasuredEvent { frame, earlier, .. } = measured.as_ref();
+                let is_frame = |position: &u64| self.frames.get(*position as usize) == Some(&true);
+                if ![frame, earlier].into_iter().all(is_frame) {
+                    return Err(wrong(&"it measures between frames that are none"));
+                }
+            }
+            MapEvent::SessionOpened { .. } => {}
         }
         self.mapper.fold(&event).map_err(|error| wrong(&error))?;
         self.frames.push(matches!(event, MapEvent::Frame(_)));
