@@ -27,7 +27,7 @@ serve: build
 	$(TARGET)/waypost-server --data-dir $(DATA_DIR)
 
 build: setup
-	$(CARGO) build --release --locked --workspace --bins --features waypost-client/words
+	$(CARGO) build --release --locked --workspace --bins --features waypost-client/words,waypost-client/demo
 
 setup:
 	scripts/setup

@@ -21,6 +21,8 @@ mod progress;
 mod replay;
 mod robot_words;
 mod server_process;
+#[cfg(feature = "demo")]
+mod simulated;
 mod truth;
 mod views;
 

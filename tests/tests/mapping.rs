@@ -16,8 +16,8 @@ use waypost_sim::simulation::{CameraFrame, Simulation, SimulationSettings};
 use waypost_sim::worlds::NamedWorld;
 
 use crate::harness::{
-    CommandLine, Server, assert_status, followed, frame, get, import_model, map_request, model_file, path,
-    refused, session_options, state_hash, stream,
+    Built, CommandLine, Server, assert_status, followed, frame, get, import_model, json_object, map_request,
+    model_file, path, refused, run_to_its_end, session_options, state_hash, stream, workspace,
 };
 
 const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * std::f64::consts::PI;
@@ -564,4 +564,49 @@ fn the_command_line_writes_trajectories_and_graphs() {
     assert!(waypost.text(&["map", "show", "drive"]).contains("0.4 m, 10.0 degrees"));
     let (_, stderr) = waypost.fails(&["map", "graph", "drive", "--out", &graph]);
     assert!(stderr.contains("--force"), "{stderr}");
+}
+
+#[test]
+fn the_demo_drives_through_a_building() {
+    let directory = tempfile::tempdir().unwrap();
+    let data = directory.path().join("data");
+    let demo = |arguments: &[&str]| {
+        let mut command = Built::command("waypost");
+        command.args([
+            "demo",
+            "--data",
+            path(&workspace().join("demo")),
+            "--keep-data",
+            path(&data),
+            "--json",
+        ]);
+        command.args(arguments);
+        run_to_its_end(command)
+    };
+    let driven = demo(&["--world", "loop", "--route", "once", "--seed", "2"]);
+    assert!(driven.status.success(), "{}", String::from_utf8_lossy(&driven.stderr));
+    let report = json_object(&String::from_utf8(driven.stdout).unwrap());
+    let number = |field: &str| report[field].as_f64().unwrap();
+    assert!(number("driven_m") > 45.0 && number("frames") > 90.0, "{report}");
+    assert!(
+        number("map_error_m") < 1.0 && number("map_error_m") < number("wheels_error_m") / 4.0,
+        "{report}"
+    );
+    let closures = report["closures"].as_array().unwrap();
+    assert!(
+        !closures.is_empty() && closures.iter().all(|seen| seen["apart_m"].as_f64().unwrap() < 1.0),
+        "{report}"
+    );
+    let picture = std::fs::read_to_string(report["picture"].as_str().unwrap()).unwrap();
+    let drawn = roxmltree::Document::parse(&picture).unwrap();
+    let words: Vec<&str> = drawn.descendants().filter_map(|node| node.text()).collect();
+    assert!(["truth", "wheels alone", "map"].iter().all(|layer| words.contains(layer)), "{words:?}");
+    for (arguments, fragment) in [
+        (&["--world", "garden"][..], "there are office, corridors"),
+        (&["--world", "loop", "--route", "thrice"], "there are once, twice"),
+    ] {
+        let refused = demo(arguments);
+        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+        assert!(!refused.status.success() && said.contains(fragment), "{said}");
+    }
 }

@@ -44,7 +44,7 @@ static BUILT: LazyLock<Built> = LazyLock::new(|| {
             "waypost-client",
             "--bins",
             "--features",
-            "waypost-client/words",
+            "waypost-client/words,waypost-client/demo",
         ])
         .arg("--target-dir")
         .arg(directory.parent().unwrap())
