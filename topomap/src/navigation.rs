@@ -16,8 +16,8 @@ use std::sync::Arc;
 use fabmap::appearance::PlaceId;
 use nalgebra::Vector2;
 
-pub use self::localization::{Closure, Look, Lookout};
-use self::localization::{Estimate, PoseFilter, Seen};
+pub use self::localization::{Closure, Look, Lookout, Seen, Sight};
+use self::localization::{Estimate, PoseFilter};
 use self::path::{GlobalPath, LocalPath};
 pub use self::planning::{Goal, MapPosition, PlanError, Route};
 pub use self::settings::{NavigationSettings, NavigationSettingsError};
@@ -36,6 +36,8 @@ pub struct Navigator {
     wheels: Option<Reading>,
     /// Driven since the last closure, in metres.
     since_closure_m: f64,
+    /// Frames since then that showed something, and nothing known.
+    unknown_looks: u32,
     episode: u64,
     task: Task,
     steering: Steering,
@@ -190,6 +192,7 @@ impl Navigator {
             settings,
             wheels: None,
             since_closure_m: 0.0,
+            unknown_looks: 0,
             episode: 0,
             task: Task::Nothing,
             steering: Steering::default(),
@@ -246,12 +249,19 @@ impl Navigator {
     }
 
     /// Takes in what a frame showed. Looks may come late, in any order, or not at all.
-    pub fn see(&mut self, look: &Look) {
-        let (Some(closure), Some(odometry)) = (&look.closure, &look.odometry) else { return };
+    pub fn see(&mut self, look: &Look) -> Seen {
         if look.episode != self.episode {
-            return;
+            return Seen::Stale;
         }
-        match self.filter.see(closure, (look.stamp_ns, odometry), &self.settings.localization) {
+        let (Sight::Closure(closure), Some(odometry)) = (&look.sight, &look.odometry) else {
+            self.unknown_looks += u32::from(look.sight == Sight::Unknown);
+            if self.unknown_looks >= self.settings.supervision.unknown_looks && self.estimate().is_some() {
+                self.lose();
+            }
+            return Seen::Nothing;
+        };
+        let seen = self.filter.see(closure, (look.stamp_ns, odometry), &self.settings.localization);
+        match seen {
             Seen::Corrected => self.closed(odometry),
             Seen::Found => {
                 self.closed(odometry);
@@ -260,8 +270,9 @@ impl Navigator {
                 }
             }
             Seen::Kidnapped => self.lose(),
-            Seen::Unconfirmed | Seen::Stale => {}
+            Seen::Unconfirmed | Seen::Stale | Seen::Nothing => {}
         }
+        seen
     }
 
     /// Answers the robot's odometry with a command.
@@ -326,7 +337,7 @@ impl Navigator {
     fn lose(&mut self) {
         self.filter.forget();
         self.episode += 1;
-        self.since_closure_m = 0.0;
+        (self.since_closure_m, self.unknown_looks) = (0.0, 0);
         let goal = match &self.task {
             Task::LookAround { goal, .. } | Task::Plan { goal } => *goal,
             Task::Follow(journey) => journey.goal,
@@ -348,6 +359,7 @@ impl Navigator {
 
     /// A closure at `odometry` was believed: the local path begins where that puts the robot.
     fn closed(&mut self, odometry: &PlanarPose) {
+        self.unknown_looks = 0;
         let Some(now) = self.wheels else { return };
         let since = odometry.inverse().compose(&now.odometry);
         self.since_closure_m = since.x_m().hypot(since.y_m());

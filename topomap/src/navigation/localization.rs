@@ -6,7 +6,7 @@ use nalgebra::{Matrix2, Matrix3, Matrix3x5, Matrix5, Vector2, Vector3, Vector5};
 
 use super::planning::MapPosition;
 use super::settings::LocalizationSettings;
-use crate::event::{FrameEvent, FrameId};
+use crate::event::{FrameEvent, FrameId, Reason};
 use crate::mapper::{Decided, FrameArchive, FrameError, FrameInput, Localizer, Mapper};
 use crate::relative_pose::{ClosureNoise, RelativePose};
 use crate::relaxation::{PlanarPose, Pose};
@@ -26,10 +26,21 @@ pub struct Look {
     pub stamp_ns: i64,
     /// Where the wheels put the robot then; a frame without that tells nothing.
     pub odometry: Option<PlanarPose>,
-    /// The place that was recognised.
-    pub closure: Option<Closure>,
+    /// What it showed.
+    pub sight: Sight,
     /// See [`super::Navigator::episode`].
     pub episode: u64,
+}
+
+/// What a frame shows of the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Sight {
+    /// A place.
+    Closure(Closure),
+    /// Something, but no place that would be recognised.
+    Unknown,
+    /// Too little to say anything: it is dark, or blurred, or something is close before the camera.
+    TooLittle,
 }
 
 /// A recognised view: the robot is where it was taken, turned by what has moved the image.
@@ -76,7 +87,19 @@ impl Lookout {
         }
         self.localizer.follow(&event, mapper);
         let odometry = event.odometry.as_ref().map(|odometry| PlanarPose::seen_from_above(odometry.pose()));
-        Ok(Look { stamp_ns: event.stamp_ns, odometry, closure, episode })
+        let sight = match (closure, event.decision.reason) {
+            (Some(closure), _) => Sight::Closure(closure),
+            (None, Reason::TooFewWords) => Sight::TooLittle,
+            (
+                None,
+                Reason::NewPlace
+                | Reason::SamePlace
+                | Reason::LoopClosure
+                | Reason::BelowThreshold
+                | Reason::GeometryRefused,
+            ) => Sight::Unknown,
+        };
+        Ok(Look { stamp_ns: event.stamp_ns, odometry, sight, episode })
     }
 }
 
@@ -176,7 +199,7 @@ struct Unconfirmed {
 
 /// What came of a closure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Seen {
+pub enum Seen {
     /// It corrects what is believed.
     Corrected,
     /// It says where a robot is that did not know.
@@ -185,8 +208,10 @@ pub(super) enum Seen {
     Unconfirmed,
     /// One of many that agree with each other and not with what was believed, which is forgotten.
     Kidnapped,
-    /// It is older than the last one.
+    /// It counts no more: it is older than the last one, or of before the robot was lost.
     Stale,
+    /// There was none.
+    Nothing,
 }
 
 /// Where the robot is at some odometry.

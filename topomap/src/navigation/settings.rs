@@ -122,6 +122,8 @@ pub struct SupervisionSettings {
     pub lost_sigma_m: f64,
     /// Way without a closure at which it is lost, in metres.
     pub lost_m: f64,
+    /// Frames in a row at which it is lost that show something, and nothing known; at least 1.
+    pub unknown_looks: u32,
     /// How fast it turns to look around, in rad/s.
     pub spin_rad_s: f64,
     /// How fast while a closure waits to be confirmed, in rad/s.
@@ -192,6 +194,7 @@ impl Default for SupervisionSettings {
             searching_ns: 3_000_000_000,
             lost_sigma_m: 0.8,
             lost_m: 6.0,
+            unknown_looks: 8,
             spin_rad_s: 0.4,
             confirming_rad_s: 0.1,
             spin_rad: 2.0 * std::f64::consts::TAU,
@@ -310,6 +313,7 @@ impl SupervisionSettings {
             ("searching_ns", self.searching_ns as f64, 1e6, 1e12),
             ("lost_sigma_m", self.lost_sigma_m, 0.01, 1000.0),
             ("lost_m", self.lost_m, 0.01, 1e6),
+            ("unknown_looks", f64::from(self.unknown_looks), 1.0, 1e6),
             ("spin_rad_s", self.spin_rad_s, 0.01, 10.0),
             ("confirming_rad_s", self.confirming_rad_s, 0.0, 10.0),
             ("spin_rad", self.spin_rad, 0.0, 1e3),
