@@ -8,6 +8,7 @@ use topomap::relaxation::Closures;
 use topomap::verification::VerificationMethod;
 
 use crate::commands::calibrate::DetectorChoice;
+use crate::commands::navigate::Trial;
 use crate::commands::posegraph::GraphStart;
 use crate::dataset::Verdict;
 
@@ -48,6 +49,14 @@ pub const DETECTORS: Choices<DetectorChoice> = &[
     ("fixed", DetectorChoice::Fixed),
     ("tempered", DetectorChoice::Tempered),
     ("learned", DetectorChoice::Learned),
+];
+
+/// What a robot that is led is to do.
+pub const NAVIGATION_TRIALS: Choices<Trial> = &[
+    ("repeat", Trial::Repeat),
+    ("shortcut", Trial::Shortcut),
+    ("sparse", Trial::Sparse),
+    ("kidnapped", Trial::Kidnapped),
 ];
 
 /// Where relaxation of a pose graph starts from.

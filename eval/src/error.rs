@@ -13,6 +13,8 @@ use fabmap::place_filter::FilterError;
 use fabmap::vocabulary::{OrbVocabularyError, VocabularyError};
 use topomap::g2o::{G2oError, NamingError};
 use topomap::mapper::{FoldError, FrameError, MapperError};
+use topomap::navigation::{NavigationSettingsError, PlanError};
+use waypost_sim::link::LinkError;
 use waypost_vision::features::{ExtractError, SettingsError};
 
 use crate::commands::map::MapError;
@@ -167,6 +169,15 @@ pub enum EvalError {
     /// A simulated robot could not map its world.
     #[error(transparent)]
     Map(#[from] MapError),
+    /// A setting of navigation is out of its range.
+    #[error(transparent)]
+    Navigation(#[from] NavigationSettingsError),
+    /// A robot's goal cannot be planned to.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// What lies between robot and server is no link.
+    #[error(transparent)]
+    Link(#[from] LinkError),
     /// A file or folder cannot be read.
     #[error("{path} cannot be read ({reason}); check the path and its permissions")]
     Read {
@@ -258,6 +269,8 @@ impl EvalError {
             EvalError::FeatureSettings(_)
             | EvalError::Detector(_)
             | EvalError::Mapper(_)
+            | EvalError::Navigation(_)
+            | EvalError::Link(_)
             | EvalError::Workload(_)
             | EvalError::Filter(_)
             | EvalError::Comparison { .. }
@@ -280,6 +293,7 @@ impl EvalError {
             | EvalError::PoseGraphNames(_)
             | EvalError::Frame { .. }
             | EvalError::Fold { .. }
+            | EvalError::Plan(_)
             | EvalError::Read { .. }
             | EvalError::Write { .. }
             | EvalError::Server { .. }

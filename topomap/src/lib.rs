@@ -8,6 +8,7 @@ pub mod g2o;
 pub mod map;
 pub mod mapper;
 pub mod motion;
+pub mod navigation;
 pub mod odometry;
 pub mod odometry_prior;
 pub mod place_poses;

@@ -207,7 +207,10 @@ impl MapError {
 /// # Errors
 /// [`EvalError`].
 pub fn run(options: &MapOptions) -> Result<MapReport, EvalError> {
-    let route = named_route(options)?;
+    if options.seed.saturating_add(u64::from(options.trials)) > FIRST_TRAINING_SEED {
+        return Err(MapError::SeedOfTraining.into());
+    }
+    let route = named_route(options.world, &options.route)?;
     let (model, extractor) = model_of(&options.model)?;
     if let Some(out) = &options.out {
         files::create_folder(out)?;
@@ -237,14 +240,14 @@ pub fn run(options: &MapOptions) -> Result<MapReport, EvalError> {
     Ok(report)
 }
 
-fn named_route(options: &MapOptions) -> Result<NamedRoute, MapError> {
-    let MapOptions { world, route, seed, trials, .. } = options;
-    if seed.saturating_add(u64::from(*trials)) > FIRST_TRAINING_SEED {
-        return Err(MapError::SeedOfTraining);
-    }
+/// A route of a world.
+///
+/// # Errors
+/// [`MapError::Route`] if it has none of that name.
+pub fn named_route(world: NamedWorld, route: &str) -> Result<NamedRoute, MapError> {
     world.route(route).ok_or_else(|| {
         let names: Vec<&str> = world.routes().iter().map(|route| route.name).collect();
-        MapError::Route { world: world.name(), route: route.clone(), names: names.join(", ") }
+        MapError::Route { world: world.name(), route: route.to_owned(), names: names.join(", ") }
     })
 }
 

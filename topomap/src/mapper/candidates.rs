@@ -161,10 +161,22 @@ impl Mapper {
             .filter(|candidate| !session.is_near(candidate.matched.place, self.settings.guard_frames))
             .filter(|candidate| candidate.view.is_some() && candidate.evidence() >= AS_GOOD * strongest)
             .filter(|candidate| self.verdict(candidate).is_accepted());
-        passed.min_by(|a, b| {
-            let by_distance = distance_widths(a).total_cmp(&distance_widths(b));
-            by_distance.then(b.evidence().total_cmp(&a.evidence()))
-        })
+        passed.min_by(|a, b| nearer(a, b))
+    }
+
+    /// Of a frame's candidates, the nearest view of the same place for a robot that steers by the shift of the image: however
+    /// far that has moved, and wherever the robot has just been.
+    #[must_use]
+    pub fn nearest_verified<'a>(&self, candidates: &'a [Candidate]) -> Option<&'a Candidate> {
+        let bounds =
+            VerificationSettings { max_translation_widths: f64::INFINITY, ..self.settings.verification };
+        let threshold = self.settings.closure_threshold;
+        let strongest = candidates.iter().map(Candidate::evidence).fold(0.0, f64::max);
+        let passed = candidates
+            .iter()
+            .filter(|candidate| candidate.evidence() >= AS_GOOD * strongest)
+            .filter(|candidate| bounds.verdict(candidate, threshold).is_accepted());
+        passed.min_by(|a, b| nearer(a, b))
     }
 
     /// What the session remembers of a frame that was compared with `candidates`.
@@ -178,6 +190,11 @@ impl Mapper {
         };
         candidates.iter().filter_map(sighting).collect()
     }
+}
+
+fn nearer(a: &Candidate, b: &Candidate) -> std::cmp::Ordering {
+    let by_distance = distance_widths(a).total_cmp(&distance_widths(b));
+    by_distance.then(b.evidence().total_cmp(&a.evidence()))
 }
 
 /// How far the motion moves the points of an image, root mean square over it, where it moves them within the image. A

@@ -7,7 +7,7 @@ use topomap::odometry::{Odometry, OdometryError};
 use topomap::relaxation::PlanarPose;
 use waypost_sim::camera::Camera;
 use waypost_sim::pose::Pose;
-use waypost_sim::render::{CameraRig, Mount, Sensor};
+use waypost_sim::render::{CameraRig, Mount, Sensor, Shot};
 use waypost_sim::robot::{Body, OdometryReading, WheelErrors};
 use waypost_sim::route::Route;
 use waypost_sim::scene::Scene;
@@ -24,7 +24,7 @@ pub const IMAGE_SIZE_PX: (u32, u32) = (320, 240);
 pub const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * std::f64::consts::PI;
 
 /// Metres a second on straight ways.
-const SPEED_M_S: f64 = 0.4;
+pub const SPEED_M_S: f64 = 0.4;
 
 /// A drive along a route, as it was and as the robot saw it.
 #[derive(Debug)]
@@ -72,25 +72,51 @@ pub fn drive(
     wheels: WheelErrors,
 ) -> Result<Drive, MapError> {
     let scene = Arc::new(Scene::new(world.plan(seed)));
-    let camera = Camera::of_field_of_view(FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX)?;
-    let rig = CameraRig::new(camera, Mount::default(), Sensor::default())?;
     let route = Route::named(scene.plan(), route, Body::default().radius_m)?;
-    let settings = SimulationSettings { wheels, seed, ..SimulationSettings::new(rig.clone()) };
-    let recording =
-        Simulation::new(scene.clone(), route.start(), settings)?.drive_along(&route, SPEED_M_S)?;
+    let settings = SimulationSettings { wheels, seed, ..SimulationSettings::new(camera_rig()?) };
+    drive_along(scene, &route, settings)
+}
+
+/// The camera that all drives see with.
+///
+/// # Errors
+/// [`MapError`] if there is none such.
+pub fn camera_rig() -> Result<CameraRig, MapError> {
+    let camera = Camera::of_field_of_view(FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX)?;
+    Ok(CameraRig::new(camera, Mount::default(), Sensor::default())?)
+}
+
+/// Drives a route.
+///
+/// # Errors
+/// [`MapError`] if the robot does not come to its end.
+pub fn drive_along(
+    scene: Arc<Scene>,
+    route: &Route,
+    settings: SimulationSettings,
+) -> Result<Drive, MapError> {
+    let rig = settings.rig.clone();
+    let recording = Simulation::new(scene.clone(), route.start(), settings)?.drive_along(route, SPEED_M_S)?;
     let taken: Vec<_> = recording.frames().collect();
     let frames = taken.into_par_iter().map(|frame| {
-        let image = scene.render(&rig, &frame.shot);
-        let (width_px, height_px) = (image.width_px(), image.height_px());
         Ok(DrivenFrame {
             stamp_ns: frame.stamp_ns,
             truth: planar(&frame.shot.pose),
             odometry: frame.odometry,
-            image: GreyImage::new(width_px, height_px, image.pixels().to_vec())?,
+            image: image_of(&scene, &rig, &frame.shot)?,
         })
     });
     let frames = frames.collect::<Result<_, MapError>>()?;
     Ok(Drive { scene, recording, frames })
+}
+
+/// What the camera sees.
+///
+/// # Errors
+/// [`MapError`] if that is no image.
+pub fn image_of(scene: &Scene, rig: &CameraRig, shot: &Shot) -> Result<GreyImage, MapError> {
+    let image = scene.render(rig, shot);
+    Ok(GreyImage::new(image.width_px(), image.height_px(), image.pixels().to_vec())?)
 }
 
 /// The same pose, as maps have them.

@@ -10,6 +10,7 @@ use topomap::relaxation::PlanarPose;
 use topomap::verification::{TwoView, Views};
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::features::{Extractor, Features};
+use waypost_vision::image::GreyImage;
 use waypost_vision::verification::{Pinhole, Verifier, View};
 
 use super::MapError;
@@ -29,17 +30,19 @@ pub struct Mapped {
     pub robot: Vec<Option<PlanarPose>>,
     /// What each frame took, from pixels to the map that has it.
     pub times: Vec<FrameTimes>,
+    /// Of each frame.
+    pub features: Vec<FeatureRecord>,
     /// What relaxation took at each frame that closed a loop, in milliseconds.
     pub relax_ms: Vec<f64>,
 }
 
 /// The frame that is being decided, beside all before it.
-struct CurrentView<'a> {
-    current: &'a FeatureRecord,
-    log: &'a EventLog,
-    earlier: &'a [FeatureRecord],
-    verifier: Verifier,
-    camera: Pinhole,
+pub(crate) struct CurrentView<'a> {
+    pub(crate) current: &'a FeatureRecord,
+    pub(crate) log: &'a EventLog,
+    pub(crate) earlier: &'a [FeatureRecord],
+    pub(crate) verifier: Verifier,
+    pub(crate) camera: Pinhole,
 }
 
 const SESSION: SessionId = 0;
@@ -63,7 +66,7 @@ pub fn map(
     let (mut robot, mut times, mut relax_ms) = (Vec::new(), Vec::new(), Vec::new());
     for (index, frame) in frames.iter().enumerate() {
         let mut watch = FrameWatch::start();
-        let (observation, current) = observe(frame, model, extractor, &mut watch)?;
+        let (observation, current) = observe(&frame.image, model, extractor, &mut watch)?;
         let views = CurrentView { current: &current, log: &log, earlier: &features, verifier, camera };
         let input = FrameInput {
             session: SESSION,
@@ -89,7 +92,7 @@ pub fn map(
         let session = mapper.map().session(SESSION);
         robot.push(session.and_then(|session| mapper.map_pose(session)).map(|pose| pose.robot));
     }
-    Ok(Mapped { mapper, log, robot, times, relax_ms })
+    Ok(Mapped { mapper, log, robot, times, features, relax_ms })
 }
 
 fn closes_a_loop(event: &FrameEvent) -> bool {
@@ -97,13 +100,13 @@ fn closes_a_loop(event: &FrameEvent) -> bool {
 }
 
 /// From pixels to words, and what geometry needs of them.
-fn observe(
-    frame: &DrivenFrame,
+pub(crate) fn observe(
+    image: &GreyImage,
     model: &Model,
     extractor: Extractor,
     watch: &mut FrameWatch,
 ) -> Result<(Observation, FeatureRecord), MapError> {
-    let Features { keypoints, descriptors } = extractor.extract(&frame.image).map_err(MapError::Features)?;
+    let Features { keypoints, descriptors } = extractor.extract(image).map_err(MapError::Features)?;
     watch.extracted();
     let words = model.vocabulary().words(&descriptors).map_err(MapError::Vocabulary)?;
     let observation = Observation::from_words(words.iter().copied(), model.vocabulary().len())

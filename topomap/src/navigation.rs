@@ -1,0 +1,518 @@
+//! How a robot is led along a map by its camera and its wheels. Bazeille, Battesti and Filliat 2011, section 4.
+//!
+//! Frames come in now and then and say where the robot is ([`Lookout`], beside the map); odometry comes in often and is
+//! answered with a command ([`Navigator::drive`]). In between is a plan ([`planning::plan`]). The navigator itself knows no
+//! map: whoever holds one looks at frames and plans, when [`Navigator::wanted_route`] asks for it.
+
+pub mod localization;
+pub mod path;
+pub mod planning;
+pub mod settings;
+pub mod steering;
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use fabmap::appearance::PlaceId;
+use nalgebra::Vector2;
+
+pub use self::localization::{Closure, Look, Lookout, Seen, Sight};
+use self::localization::{Estimate, PoseFilter};
+use self::path::{GlobalPath, LocalPath};
+pub use self::planning::{Goal, MapPosition, PlanError, Route};
+pub use self::settings::{NavigationSettings, NavigationSettingsError};
+use self::steering::Steering;
+pub use self::steering::VelocityCommand;
+use crate::odometry::Odometry;
+use crate::relaxation::{PlanarPose, Pose};
+
+/// Leads one robot. Time is that of a clock that never goes back, in nanoseconds: the receiver's where it says `now_ns`,
+/// the robot's where it says `stamp_ns`; the two are never compared. The same calls give the same commands.
+#[derive(Clone, Debug)]
+pub struct Navigator {
+    settings: NavigationSettings,
+    filter: PoseFilter,
+    /// The last odometry.
+    wheels: Option<Reading>,
+    /// Driven since the last closure, in metres.
+    since_closure_m: f64,
+    /// Frames since then that showed something, and nothing known.
+    unknown_looks: u32,
+    episode: u64,
+    task: Task,
+    steering: Steering,
+    commands: u64,
+    /// Commands that the robot may not have obeyed yet, oldest first.
+    on_the_way: VecDeque<Sent>,
+    watch: MotionWatch,
+}
+
+/// What a robot's wheels say.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WheelReport {
+    /// When, by the robot's clock.
+    pub stamp_ns: i64,
+    /// Where they put the robot.
+    pub odometry: Odometry,
+    /// [`VelocityCommand::number`] of the command that the robot then obeyed; `None` if it does not say. With it, late
+    /// commands are allowed for.
+    pub obeyed: Option<u64>,
+    /// Who drives.
+    pub driver: Driver,
+}
+
+/// Who decides what a robot does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Driver {
+    /// The commands.
+    Commands,
+    /// Its own reflex, for a moment.
+    Reflex,
+}
+
+/// What a robot is to do, and what is known of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Guidance {
+    /// What to do until the next one.
+    pub command: VelocityCommand,
+    /// How it goes.
+    pub status: Status,
+    /// Where it is; `None` if that is not known.
+    pub localization: Option<Localization>,
+    /// What is left of the way, in metres, if there is one.
+    pub left_m: Option<f64>,
+    /// Where to the robot should look, in the map's frame, in radians, if it is led along a way.
+    pub heading_to_target_rad: Option<f64>,
+}
+
+/// How it goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Status {
+    /// There is no goal: the robot stands.
+    Idle,
+    /// It is on its way.
+    Following,
+    /// It is on its way by wheels: nothing was recognised for a while.
+    Searching,
+    /// It does not know where it is, and looks around.
+    Lost,
+    /// It is there.
+    Arrived,
+    /// It is to move and does not, or its reflex drives.
+    Blocked,
+}
+
+/// Where a robot is on the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Localization {
+    /// The place that was recognised last.
+    pub node: PlaceId,
+    /// Where the robot is now.
+    pub at: MapPosition,
+    /// Standard deviation of its position in the direction in which it is largest, in metres.
+    pub position_sigma_m: f64,
+    /// The same of its heading, in radians.
+    pub heading_sigma_rad: f64,
+    /// In [0, 1]: the probability of the last closure, times what is left of it as the position's deviation grows; 0 where
+    /// the robot would be given up for lost.
+    pub confidence: f64,
+    /// Since the last closure, by the robot's clock, in nanoseconds.
+    pub since_closure_ns: i64,
+    /// Driven since then, in metres.
+    pub since_closure_m: f64,
+}
+
+/// What to plan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WantedRoute {
+    /// Where the robot is.
+    pub from: MapPosition,
+    /// Where it is to go.
+    pub goal: Goal,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Reading {
+    stamp_ns: i64,
+    odometry: PlanarPose,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Sent {
+    number: u64,
+    at_ns: i64,
+    forward_m_s: f64,
+    turn_rad_s: f64,
+}
+
+#[derive(Clone, Debug)]
+enum Task {
+    Nothing,
+    /// It is not known where the robot is: it looks, and then it turns.
+    LookAround {
+        goal: Goal,
+        since_ns: Option<i64>,
+        turned_rad: f64,
+    },
+    /// It is known, and a way is wanted.
+    Plan {
+        goal: Goal,
+    },
+    Follow(Box<Journey>),
+    Arrived,
+}
+
+/// A way, and how far the robot has come.
+#[derive(Clone, Debug)]
+struct Journey {
+    goal: Goal,
+    path: Arc<GlobalPath>,
+    local: LocalPath,
+    /// The point of the path that the robot is nearest to.
+    progress: usize,
+}
+
+/// Whether the robot moves when it is told to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct MotionWatch {
+    /// Where it was when it last moved, or was told to stand.
+    still: Option<(i64, PlanarPose)>,
+    waits_until_ns: Option<i64>,
+}
+
+impl Navigator {
+    /// A robot that may be anywhere, and has no goal.
+    ///
+    /// # Errors
+    /// [`NavigationSettingsError`] if a setting is out of its range.
+    pub fn new(settings: NavigationSettings) -> Result<Self, NavigationSettingsError> {
+        settings.check()?;
+        Ok(Self {
+            filter: PoseFilter::new(&settings.localization),
+            settings,
+            wheels: None,
+            since_closure_m: 0.0,
+            unknown_looks: 0,
+            episode: 0,
+            task: Task::Nothing,
+            steering: Steering::default(),
+            commands: 0,
+            on_the_way: VecDeque::new(),
+            watch: MotionWatch::default(),
+        })
+    }
+
+    /// Sends the robot to a goal, in place of where it was going.
+    pub fn go_to(&mut self, goal: Goal) {
+        self.task = self.start(goal);
+    }
+
+    /// The robot is to stop and has no goal any more.
+    pub fn cancel(&mut self) {
+        self.task = Task::Nothing;
+    }
+
+    /// What is to be planned now, by [`planning::plan`]; the answer goes to [`Navigator::follow`], or an error to who
+    /// set the goal, and [`Navigator::cancel`].
+    #[must_use]
+    pub fn wanted_route(&self) -> Option<WantedRoute> {
+        let Task::Plan { goal } = self.task else { return None };
+        let estimate = self.estimate()?;
+        let from = MapPosition { part: estimate.part, pose: estimate.pose };
+        Some(WantedRoute { from, goal })
+    }
+
+    /// Takes the route that was wanted.
+    pub fn follow(&mut self, route: &Route) {
+        let (Task::Plan { goal }, Some(estimate)) = (&self.task, self.estimate()) else { return };
+        let path = Arc::new(GlobalPath::new(route, &self.settings.path));
+        let robot = self.allowing_for_commands(&estimate.pose);
+        let progress = path.nearest(&robot, 0, self.settings.path.window_m);
+        let local = path.local(&robot, progress, &self.settings.path);
+        self.steering.reset();
+        self.task = Task::Follow(Box::new(Journey { goal: *goal, path, local, progress }));
+    }
+
+    /// Rises whenever nothing that was seen before counts any more; [`Lookout::look`] wants it of when a frame came.
+    #[must_use]
+    pub fn episode(&self) -> u64 {
+        self.episode
+    }
+
+    /// The points that the robot is led along, in metres in the map's frame: the whole way.
+    #[must_use]
+    pub fn path(&self) -> Option<&GlobalPath> {
+        match &self.task {
+            Task::Follow(journey) => Some(&journey.path),
+            Task::Nothing | Task::LookAround { .. } | Task::Plan { .. } | Task::Arrived => None,
+        }
+    }
+
+    /// Takes in what a frame showed. Looks may come late, in any order, or not at all.
+    pub fn see(&mut self, look: &Look) -> Seen {
+        if look.episode != self.episode {
+            return Seen::Stale;
+        }
+        let (Sight::Closure(closure), Some(odometry)) = (&look.sight, &look.odometry) else {
+            self.unknown_looks += u32::from(look.sight == Sight::Unknown);
+            if self.unknown_looks >= self.settings.supervision.unknown_looks && self.estimate().is_some() {
+                self.lose();
+            }
+            return Seen::Nothing;
+        };
+        let seen = self.filter.see(closure, (look.stamp_ns, odometry), &self.settings.localization);
+        match seen {
+            Seen::Corrected => self.closed(odometry),
+            Seen::Found => {
+                self.closed(odometry);
+                if let Task::LookAround { goal, .. } = self.task {
+                    self.task = Task::Plan { goal };
+                }
+            }
+            Seen::Kidnapped => self.lose(),
+            Seen::Unconfirmed | Seen::Stale | Seen::Nothing => {}
+        }
+        seen
+    }
+
+    /// Answers the robot's odometry with a command.
+    pub fn drive(&mut self, report: &WheelReport, now_ns: i64) -> Guidance {
+        let odometry = PlanarPose::seen_from_above(report.odometry.pose());
+        let (elapsed_s, moved) = self.take(report.stamp_ns, odometry);
+        self.forget_obeyed(report.obeyed);
+        if self.is_too_unsure() {
+            self.lose();
+        }
+        let (wanted, mut status, heading_to_target_rad) = self.wanted_motion(elapsed_s, moved, now_ns);
+        let motion = match self.watch.judge(wanted, &odometry, now_ns, &self.settings.supervision) {
+            Motion::Free => wanted,
+            Motion::Waiting => {
+                status = Status::Blocked;
+                [0.0; 2]
+            }
+        };
+        if report.driver == Driver::Reflex && status != Status::Idle {
+            status = Status::Blocked;
+        }
+        let localization = self.localization();
+        let left_m = match &self.task {
+            Task::Follow(journey) => Some(journey.path.left_m(journey.progress)),
+            Task::Arrived => Some(0.0),
+            Task::Nothing | Task::LookAround { .. } | Task::Plan { .. } => None,
+        };
+        let command = self.command(motion, now_ns);
+        Guidance { command, status, localization, left_m, heading_to_target_rad }
+    }
+
+    /// Where the robot is now, if that is known.
+    #[must_use]
+    pub fn localization(&self) -> Option<Localization> {
+        let estimate = self.estimate()?;
+        let position_sigma_m = estimate.position_sigma_m();
+        let sure = 1.0 - position_sigma_m / self.settings.supervision.lost_sigma_m;
+        Some(Localization {
+            node: estimate.node,
+            at: MapPosition { part: estimate.part, pose: estimate.pose },
+            position_sigma_m,
+            heading_sigma_rad: estimate.heading_sigma_rad(),
+            confidence: estimate.probability * sure.clamp(0.0, 1.0),
+            since_closure_ns: self.wheels.map_or(0, |wheels| (wheels.stamp_ns - estimate.closed_ns).max(0)),
+            since_closure_m: self.since_closure_m,
+        })
+    }
+
+    fn estimate(&self) -> Option<Estimate> {
+        self.filter.at(&self.wheels?.odometry, &self.settings.localization)
+    }
+
+    fn start(&self, goal: Goal) -> Task {
+        if self.estimate().is_some() {
+            Task::Plan { goal }
+        } else {
+            Task::LookAround { goal, since_ns: None, turned_rad: 0.0 }
+        }
+    }
+
+    /// Nothing that was believed counts any more.
+    fn lose(&mut self) {
+        self.filter.forget();
+        self.episode += 1;
+        (self.since_closure_m, self.unknown_looks) = (0.0, 0);
+        let goal = match &self.task {
+            Task::LookAround { goal, .. } | Task::Plan { goal } => *goal,
+            Task::Follow(journey) => journey.goal,
+            Task::Nothing | Task::Arrived => return,
+        };
+        self.task = Task::LookAround { goal, since_ns: None, turned_rad: 0.0 };
+    }
+
+    /// Seconds by the robot's clock, and metres and radians, since the odometry before.
+    fn take(&mut self, stamp_ns: i64, odometry: PlanarPose) -> (f64, [f64; 2]) {
+        let before = self.wheels.replace(Reading { stamp_ns, odometry });
+        let Some(before) = before else { return (0.0, [0.0; 2]) };
+        let moved = before.odometry.inverse().compose(&odometry);
+        let way_m = moved.x_m().hypot(moved.y_m());
+        self.since_closure_m += way_m;
+        let elapsed_s = (stamp_ns.saturating_sub(before.stamp_ns)) as f64 * 1e-9;
+        (elapsed_s.clamp(0.0, 1.0), [way_m, moved.heading_rad()])
+    }
+
+    /// A closure at `odometry` was believed: the local path begins where that puts the robot.
+    fn closed(&mut self, odometry: &PlanarPose) {
+        self.unknown_looks = 0;
+        let Some(now) = self.wheels else { return };
+        let since = odometry.inverse().compose(&now.odometry);
+        self.since_closure_m = since.x_m().hypot(since.y_m());
+        let Some(estimate) = self.estimate() else { return };
+        let robot = self.allowing_for_commands(&estimate.pose);
+        if let Task::Follow(journey) = &mut self.task {
+            let settings = &self.settings.path;
+            journey.progress = journey.path.nearest(&robot, journey.progress, settings.window_m);
+            journey.local = journey.path.local(&robot, journey.progress, settings);
+        }
+    }
+
+    fn is_too_unsure(&self) -> bool {
+        let supervision = &self.settings.supervision;
+        self.estimate().is_some_and(|estimate| {
+            estimate.position_sigma_m() > supervision.lost_sigma_m
+                || self.since_closure_m > supervision.lost_m
+        })
+    }
+
+    /// Speed ahead and turn to the left, and why.
+    fn wanted_motion(
+        &mut self,
+        elapsed_s: f64,
+        [_, turned_rad]: [f64; 2],
+        now_ns: i64,
+    ) -> ([f64; 2], Status, Option<f64>) {
+        let supervision = self.settings.supervision;
+        match &mut self.task {
+            Task::Nothing => ([0.0; 2], Status::Idle, None),
+            Task::Arrived => ([0.0; 2], Status::Arrived, None),
+            Task::Plan { .. } => ([0.0; 2], self.following(), None),
+            Task::LookAround { since_ns, turned_rad: turned, .. } => {
+                *turned += turned_rad;
+                let looked_ns = now_ns.saturating_sub(*since_ns.get_or_insert(now_ns));
+                let stands = looked_ns < supervision.look_first_ns || turned.abs() >= supervision.spin_rad;
+                let turn_rad_s = match (stands, self.filter.is_confirming()) {
+                    (true, _) => 0.0,
+                    (false, true) => supervision.confirming_rad_s,
+                    (false, false) => supervision.spin_rad_s,
+                };
+                ([0.0, turn_rad_s], Status::Lost, None)
+            }
+            Task::Follow(_) => self.steer(elapsed_s),
+        }
+    }
+
+    /// At the first point of the local path that is far enough away.
+    fn steer(&mut self, elapsed_s: f64) -> ([f64; 2], Status, Option<f64>) {
+        let status = self.following();
+        let Some(estimate) = self.estimate() else { return ([0.0; 2], Status::Lost, None) };
+        let robot = self.allowing_for_commands(&estimate.pose);
+        let Task::Follow(journey) = &mut self.task else { return ([0.0; 2], status, None) };
+        let settings = &self.settings.path;
+        let nearest = journey.path.nearest(&robot, journey.progress, settings.window_m);
+        journey.progress = journey.progress.max(nearest);
+        let here = Vector2::new(robot.x_m(), robot.y_m());
+        let end_m = journey.path.points().last().map_or(0.0, |end| (end - here).norm());
+        if journey.path.left_m(journey.progress) <= settings.arrived_m && end_m <= settings.rejoin_m {
+            self.task = Task::Arrived;
+            return ([0.0; 2], Status::Arrived, None);
+        }
+        let to_target = journey.local.target(&robot, settings.target_m) - here;
+        let heading_rad = to_target.y.atan2(to_target.x);
+        let error_rad = PlanarPose::new(0.0, 0.0, heading_rad - robot.heading_rad()).heading_rad();
+        let motion = self.steering.steer(error_rad, elapsed_s, &self.settings.steering);
+        (motion, status, Some(heading_rad))
+    }
+
+    fn following(&self) -> Status {
+        let supervision = &self.settings.supervision;
+        let recent = self.localization().is_some_and(|now| {
+            now.since_closure_m <= supervision.searching_m && now.since_closure_ns <= supervision.searching_ns
+        });
+        if recent { Status::Following } else { Status::Searching }
+    }
+
+    fn command(&mut self, [forward_m_s, turn_rad_s]: [f64; 2], now_ns: i64) -> VelocityCommand {
+        let number = self.commands;
+        self.commands += 1;
+        self.on_the_way.push_back(Sent { number, at_ns: now_ns, forward_m_s, turn_rad_s });
+        while self.on_the_way.len() > MOST_ON_THE_WAY {
+            self.on_the_way.pop_front();
+        }
+        VelocityCommand { number, forward_m_s, turn_rad_s, valid_ns: self.settings.steering.valid_ns }
+    }
+
+    fn forget_obeyed(&mut self, obeyed: Option<u64>) {
+        match obeyed {
+            Some(obeyed) => self.on_the_way.retain(|sent| sent.number > obeyed),
+            None => self.on_the_way.clear(),
+        }
+    }
+
+    /// Where the robot will be when the next command comes to it: it does first what it was told before.
+    fn allowing_for_commands(&self, pose: &PlanarPose) -> PlanarPose {
+        let mut pose = *pose;
+        let ends = self.on_the_way.iter().skip(1).map(|sent| sent.at_ns);
+        for (sent, end_ns) in self.on_the_way.iter().zip(ends) {
+            let valid_ns = self.settings.steering.valid_ns;
+            let seconds = end_ns.saturating_sub(sent.at_ns).clamp(0, valid_ns) as f64 * 1e-9;
+            pose = pose.compose(&arc(sent.forward_m_s * seconds, sent.turn_rad_s * seconds));
+        }
+        pose
+    }
+}
+
+/// Commands that are kept for a robot that says which one it obeys, at most.
+const MOST_ON_THE_WAY: usize = 256;
+
+/// Where driving so far while turning so far ends.
+fn arc(way_m: f64, turn_rad: f64) -> PlanarPose {
+    let half = PlanarPose::new(0.0, 0.0, turn_rad / 2.0);
+    let chord = if turn_rad.abs() < 1e-6 { 1.0 } else { (turn_rad / 2.0).sin() / (turn_rad / 2.0) };
+    half.compose(&PlanarPose::new(way_m * chord, 0.0, 0.0)).compose(&half)
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Motion {
+    Free,
+    Waiting,
+}
+
+/// What counts as having moved.
+const MOVED_M: f64 = 0.02;
+const MOVED_RAD: f64 = 0.03;
+
+impl MotionWatch {
+    fn judge(
+        &mut self,
+        [forward_m_s, turn_rad_s]: [f64; 2],
+        odometry: &PlanarPose,
+        now_ns: i64,
+        settings: &settings::SupervisionSettings,
+    ) -> Motion {
+        if let Some(until_ns) = self.waits_until_ns {
+            if now_ns < until_ns {
+                return Motion::Waiting;
+            }
+            *self = Self::default();
+        }
+        let is_told_to_move = forward_m_s.abs() > 1e-3 || turn_rad_s.abs() > 1e-2;
+        let (since_ns, from) = *self.still.get_or_insert((now_ns, *odometry));
+        let moved = from.inverse().compose(odometry);
+        let has_moved = moved.x_m().hypot(moved.y_m()) > MOVED_M || moved.heading_rad().abs() > MOVED_RAD;
+        if !is_told_to_move || has_moved {
+            self.still = Some((now_ns, *odometry));
+            return Motion::Free;
+        }
+        if now_ns.saturating_sub(since_ns) < settings.blocked_ns {
+            return Motion::Free;
+        }
+        self.waits_until_ns = Some(now_ns.saturating_add(settings.blocked_wait_ns));
+        Motion::Waiting
+    }
+}

@@ -1,0 +1,417 @@
+//! Where the robot is: what it recognises corrects where its wheels put it.
+
+use fabmap::appearance::PlaceId;
+use fabmap::recognizer::StageObserver;
+use nalgebra::{Matrix2, Matrix3, Matrix3x5, Matrix5, Vector2, Vector3, Vector5};
+
+use super::planning::MapPosition;
+use super::settings::LocalizationSettings;
+use crate::event::{FrameEvent, FrameId, Reason};
+use crate::mapper::{Decided, FrameArchive, FrameError, FrameInput, Localizer, Mapper};
+use crate::relative_pose::{ClosureNoise, RelativePose};
+use crate::relaxation::{PlanarPose, Pose};
+use crate::verification::{Candidate, Motion, Views};
+
+/// Recognises a map's places for a robot that drives along it, and changes nothing of the map.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Lookout {
+    localizer: Localizer,
+    episode: u64,
+}
+
+/// What a frame showed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// When the image was taken, by the robot's clock, in nanoseconds.
+    pub stamp_ns: i64,
+    /// Where the wheels put the robot then; a frame without that tells nothing.
+    pub odometry: Option<PlanarPose>,
+    /// What it showed.
+    pub sight: Sight,
+    /// See [`super::Navigator::episode`].
+    pub episode: u64,
+}
+
+/// What a frame shows of the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Sight {
+    /// A place.
+    Closure(Closure),
+    /// Something, but no place that would be recognised.
+    Unknown,
+    /// Too little to say anything: it is dark, or blurred, or something is close before the camera.
+    TooLittle,
+}
+
+/// A recognised view: the robot is where it was taken, turned by what has moved the image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Closure {
+    /// The place.
+    pub place: PlaceId,
+    /// The frame of it that was recognised.
+    pub frame: FrameId,
+    /// Where that puts the robot.
+    pub at: MapPosition,
+    /// Covariance of that along its own axes, in m² and rad².
+    pub covariance: Matrix3<f64>,
+    /// That both frames show the same place, in [0, 1].
+    pub probability: f64,
+}
+
+impl Lookout {
+    /// A robot that may be anywhere.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// What a frame shows. `episode` is the navigator's of when the frame was sent: with a new one everything before is
+    /// forgotten.
+    ///
+    /// # Errors
+    /// [`FrameError`] if the frame cannot be taken; nothing has changed then.
+    pub fn look(
+        &mut self,
+        mapper: &Mapper,
+        (episode, settings): (u64, &LocalizationSettings),
+        input: FrameInput,
+        (archive, views): (&dyn FrameArchive, &dyn Views),
+        observer: &mut dyn StageObserver,
+    ) -> Result<Look, FrameError> {
+        let fresh = Localizer::new();
+        let localizer = if episode == self.episode { &self.localizer } else { &fresh };
+        let Decided { event, .. } = mapper.localize(localizer, input, archive, views, observer)?;
+        let closure = closure(mapper, &event, archive, views, settings)?;
+        if episode != self.episode {
+            *self = Self { localizer: fresh, episode };
+        }
+        self.localizer.follow(&event, mapper);
+        let odometry = event.odometry.as_ref().map(|odometry| PlanarPose::seen_from_above(odometry.pose()));
+        let sight = match (closure, event.decision.reason) {
+            (Some(closure), _) => Sight::Closure(closure),
+            (None, Reason::TooFewWords) => Sight::TooLittle,
+            (
+                None,
+                Reason::NewPlace
+                | Reason::SamePlace
+                | Reason::LoopClosure
+                | Reason::BelowThreshold
+                | Reason::GeometryRefused,
+            ) => Sight::Unknown,
+        };
+        Ok(Look { stamp_ns: event.stamp_ns, odometry, sight, episode })
+    }
+}
+
+/// The nearest view among those that are the same place. A robot that steers by the shift of the image is to be told of
+/// it however large it is, so only that bound of the map's verification is dropped.
+fn closure(
+    mapper: &Mapper,
+    event: &FrameEvent,
+    archive: &dyn FrameArchive,
+    views: &dyn Views,
+    settings: &LocalizationSettings,
+) -> Result<Option<Closure>, FrameError> {
+    let Some(candidate) = mapper.nearest_verified(&event.candidates) else { return Ok(None) };
+    let matched = candidate.matched;
+    let at_frame = archive.at(matched.frame)?.unwrap_or_else(RelativePose::none);
+    let poses = mapper.poses();
+    let (Some(place), Some(part)) = (poses.pose(matched.place), poses.part(matched.place)) else {
+        return Ok(None);
+    };
+    let Some((turn, covariance)) = measured(candidate, views.focal_length_widths(), settings) else {
+        return Ok(None);
+    };
+    let at = MapPosition { part, pose: place.compose(at_frame.pose()).compose(&turn) };
+    let (place, frame, probability) = (matched.place, matched.frame, candidate.probability());
+    Ok(Some(Closure { place, frame, at, covariance, probability }))
+}
+
+/// By how much the robot is turned against the earlier view, and how well all of it is known.
+fn measured(
+    candidate: &Candidate,
+    focal_length_widths: Option<f64>,
+    settings: &LocalizationSettings,
+) -> Option<(PlanarPose, Matrix3<f64>)> {
+    let LocalizationSettings { closure_along_m, along_m_per_ln_scale, closure_across_m, .. } = *settings;
+    let noise = ClosureNoise {
+        heading_rad: settings.closure_heading_rad,
+        max_ln_scale: f64::INFINITY,
+        max_image_rotation_rad: f64::INFINITY,
+        max_shift_without_camera_widths: f64::INFINITY,
+        ..ClosureNoise::of_spacing(2.0 * closure_along_m)
+    };
+    let Some(view) = &candidate.view else {
+        // Words alone: it is there, and no more is known.
+        return Some((PlanarPose::identity(), *noise.somewhere().covariance()));
+    };
+    let turned = noise.measure(view, focal_length_widths)?;
+    let off = match view.motion {
+        Some(Motion::Similarity(motion)) => motion.ln_scale.abs(),
+        Some(Motion::Essential { .. } | Motion::Fundamental(_)) | None => 0.0,
+    };
+    let along_m = closure_along_m + along_m_per_ln_scale * off;
+    let variances = [along_m * along_m, closure_across_m * closure_across_m, turned.covariance()[(2, 2)]];
+    Some((*turned.pose(), Matrix3::from_diagonal(&Vector3::from(variances))))
+}
+
+/// Fuses closures and wheels: a Kalman filter over the pose and over what is wrong with the wheels, against the map's.
+///
+/// What is believed is kept as it was at the last closure, beside the odometry of that moment. So an answer that comes
+/// late corrects the moment that it is about, and wheels lead on from there.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct PoseFilter {
+    fix: Option<Fix>,
+    wheels: Wheels,
+    unconfirmed: Option<Unconfirmed>,
+}
+
+/// What was believed at a closure.
+#[derive(Clone, Debug, PartialEq)]
+struct Fix {
+    part: PlaceId,
+    node: PlaceId,
+    probability: f64,
+    stamp_ns: i64,
+    odometry: PlanarPose,
+    pose: PlanarPose,
+    /// Of the pose along its own axes, the drift and the scale.
+    covariance: Matrix5<f64>,
+}
+
+/// What the wheels measure that is not so on the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Wheels {
+    /// Turn to the left, in rad/m.
+    drift_rad_per_m: f64,
+    /// Their metres are (1 + scale) of the map's.
+    scale: f64,
+    covariance: Matrix2<f64>,
+}
+
+/// Closures that agree with each other, and with nothing that is believed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Unconfirmed {
+    closure: Closure,
+    odometry: PlanarPose,
+    count: u32,
+}
+
+/// What came of a closure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Seen {
+    /// It corrects what is believed.
+    Corrected,
+    /// It says where a robot is that did not know.
+    Found,
+    /// It is not believed, yet.
+    Unconfirmed,
+    /// One of many that agree with each other and not with what was believed, which is forgotten.
+    Kidnapped,
+    /// It counts no more: it is older than the last one, or of before the robot was lost.
+    Stale,
+    /// There was none.
+    Nothing,
+}
+
+/// Where the robot is at some odometry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Estimate {
+    pub(super) part: PlaceId,
+    pub(super) node: PlaceId,
+    pub(super) probability: f64,
+    /// Of the last closure, by the robot's clock.
+    pub(super) closed_ns: i64,
+    pub(super) pose: PlanarPose,
+    pub(super) covariance: Matrix3<f64>,
+}
+
+impl Estimate {
+    /// Standard deviation of the position in the direction in which it is largest, in metres.
+    pub(super) fn position_sigma_m(&self) -> f64 {
+        let position = self.covariance.fixed_view::<2, 2>(0, 0).into_owned();
+        position.symmetric_eigenvalues().max().max(0.0).sqrt()
+    }
+
+    pub(super) fn heading_sigma_rad(&self) -> f64 {
+        self.covariance[(2, 2)].max(0.0).sqrt()
+    }
+}
+
+impl PoseFilter {
+    /// Of a robot that may be anywhere.
+    pub(super) fn new(settings: &LocalizationSettings) -> Self {
+        let sigmas = Vector2::new(settings.drift_sigma_rad_per_m, settings.scale_sigma);
+        let covariance = Matrix2::from_diagonal(&sigmas.map(|sigma| sigma * sigma));
+        let wheels = Wheels { drift_rad_per_m: 0.0, scale: 0.0, covariance };
+        Self { fix: None, wheels, unconfirmed: None }
+    }
+
+    /// The robot may be anywhere; its wheels are still the same.
+    pub(super) fn forget(&mut self) {
+        if let Some(fix) = self.fix.take() {
+            self.wheels.covariance = fix.covariance.fixed_view::<2, 2>(3, 3).into_owned();
+        }
+        self.unconfirmed = None;
+    }
+
+    /// Whether a closure waits for another one that agrees.
+    pub(super) fn is_confirming(&self) -> bool {
+        self.unconfirmed.is_some()
+    }
+
+    /// Where the robot is when its wheels say `odometry`.
+    pub(super) fn at(&self, odometry: &PlanarPose, settings: &LocalizationSettings) -> Option<Estimate> {
+        let fix = self.fix.as_ref()?;
+        let (pose, covariance) = fix.driven(odometry, &self.wheels, settings);
+        let covariance = covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        let Fix { part, node, probability, stamp_ns: closed_ns, .. } = *fix;
+        Some(Estimate { part, node, probability, closed_ns, pose, covariance })
+    }
+
+    /// Takes a closure in.
+    pub(super) fn see(
+        &mut self,
+        closure: &Closure,
+        (stamp_ns, odometry): (i64, &PlanarPose),
+        settings: &LocalizationSettings,
+    ) -> Seen {
+        let Some(fix) = &self.fix else {
+            return if self.confirm(closure, odometry, settings) >= settings.confirmations {
+                self.unconfirmed = None;
+                self.fix = Some(Fix::of(closure, (stamp_ns, odometry), &self.wheels));
+                Seen::Found
+            } else {
+                Seen::Unconfirmed
+            };
+        };
+        if stamp_ns <= fix.stamp_ns {
+            return Seen::Stale;
+        }
+        if let Some(corrected) = fix.corrected(closure, (stamp_ns, odometry), &mut self.wheels, settings) {
+            self.fix = Some(corrected);
+            self.unconfirmed = None;
+            return Seen::Corrected;
+        }
+        if self.confirm(closure, odometry, settings) < settings.contradictions {
+            return Seen::Unconfirmed;
+        }
+        self.forget();
+        Seen::Kidnapped
+    }
+
+    /// How many closures in a row agree with this one, and itself.
+    fn confirm(&mut self, closure: &Closure, odometry: &PlanarPose, settings: &LocalizationSettings) -> u32 {
+        let count = match &self.unconfirmed {
+            Some(before) if before.agrees(closure, odometry, settings) => before.count + 1,
+            Some(_) | None => 1,
+        };
+        self.unconfirmed = Some(Unconfirmed { closure: *closure, odometry: *odometry, count });
+        count
+    }
+}
+
+impl Unconfirmed {
+    fn agrees(&self, closure: &Closure, odometry: &PlanarPose, settings: &LocalizationSettings) -> bool {
+        let driven = self.odometry.inverse().compose(odometry);
+        let expected = self.closure.at.pose.compose(&driven);
+        let missed = expected.inverse().compose(&closure.at.pose);
+        let slack_m = 2.0 * settings.scale_sigma * way_m(&driven);
+        self.closure.at.part == closure.at.part
+            && missed.x_m().hypot(missed.y_m()) <= settings.agreement_m + slack_m
+            && missed.heading_rad().abs() <= settings.agreement_rad
+    }
+}
+
+impl Fix {
+    fn of(closure: &Closure, (stamp_ns, odometry): (i64, &PlanarPose), wheels: &Wheels) -> Self {
+        let mut covariance = Matrix5::zeros();
+        covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&closure.covariance);
+        covariance.fixed_view_mut::<2, 2>(3, 3).copy_from(&wheels.covariance);
+        let (MapPosition { part, pose }, node) = (closure.at, closure.place);
+        let (odometry, probability) = (*odometry, closure.probability);
+        Self { part, node, probability, stamp_ns, odometry, pose, covariance }
+    }
+
+    /// Pose and covariance when the wheels say `odometry`.
+    fn driven(
+        &self,
+        odometry: &PlanarPose,
+        wheels: &Wheels,
+        settings: &LocalizationSettings,
+    ) -> (PlanarPose, Matrix5<f64>) {
+        let measured = self.odometry.inverse().compose(odometry);
+        let way_m = way_m(&measured);
+        let half_turn = PlanarPose::new(0.0, 0.0, -wheels.drift_rad_per_m * way_m / 2.0);
+        let shrunk = 1.0 - wheels.scale;
+        let scaled =
+            PlanarPose::new(shrunk * measured.x_m(), shrunk * measured.y_m(), measured.heading_rad());
+        let motion = half_turn.compose(&scaled).compose(&half_turn);
+
+        let carried = motion.inverse().adjoint();
+        let turned = Vector3::new(0.0, 0.0, -way_m / 2.0);
+        let by_drift = carried * turned + turned;
+        let ahead = half_turn.compose(&PlanarPose::new(-measured.x_m(), -measured.y_m(), 0.0));
+        let by_scale = carried * Vector3::new(ahead.x_m(), ahead.y_m(), 0.0);
+        let mut change = Matrix5::identity();
+        change.fixed_view_mut::<3, 3>(0, 0).copy_from(&carried);
+        change.fixed_view_mut::<3, 1>(0, 3).copy_from(&by_drift);
+        change.fixed_view_mut::<3, 1>(0, 4).copy_from(&by_scale);
+
+        let heading = settings.heading_noise.powi(2) * way_m
+            + settings.turn_noise.powi(2) * measured.heading_rad().abs();
+        let along = settings.way_noise.powi(2) * way_m;
+        let across = along + heading * way_m * way_m / 3.0;
+        let noise = Matrix5::from_diagonal(&Vector5::new(along, across, heading, 0.0, 0.0));
+        (self.pose.compose(&motion), change * self.covariance * change.transpose() + noise)
+    }
+
+    /// What is believed after a closure; `None` if it contradicts what was.
+    fn corrected(
+        &self,
+        closure: &Closure,
+        (stamp_ns, odometry): (i64, &PlanarPose),
+        wheels: &mut Wheels,
+        settings: &LocalizationSettings,
+    ) -> Option<Self> {
+        if closure.at.part != self.part {
+            return None;
+        }
+        let (pose, covariance) = self.driven(odometry, wheels, settings);
+        let apart = closure.at.pose.inverse().compose(&pose);
+        let missed = Vector3::new(apart.x_m(), apart.y_m(), apart.heading_rad());
+        // A step of the pose is along its own axes, what was missed along the closure's.
+        let (sin, cos) = apart.heading_rad().sin_cos();
+        let mut by_state = Matrix3x5::zeros();
+        by_state
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0));
+        let innovation = by_state * covariance * by_state.transpose() + closure.covariance;
+        let inverse = innovation.try_inverse()?;
+        if (missed.transpose() * inverse * missed)[0] > settings.gate_chi_squared {
+            return None;
+        }
+        let gain = covariance * by_state.transpose() * inverse;
+        let step = -(gain * missed);
+        let left = Matrix5::identity() - gain * by_state;
+        let covariance = left * covariance * left.transpose() + gain * closure.covariance * gain.transpose();
+        wheels.drift_rad_per_m += step[3];
+        wheels.scale += step[4];
+        Some(Self {
+            part: self.part,
+            node: closure.place,
+            probability: closure.probability,
+            stamp_ns,
+            odometry: *odometry,
+            pose: pose.retract(&step.fixed_rows::<3>(0).into_owned()),
+            covariance: (covariance + covariance.transpose()) * 0.5,
+        })
+    }
+}
+
+/// Metres driven from one pose to another, along an arc.
+fn way_m(motion: &PlanarPose) -> f64 {
+    let half_rad = motion.heading_rad().abs() / 2.0;
+    let longer = if half_rad < 1e-3 { 1.0 } else { half_rad / half_rad.sin() };
+    motion.x_m().hypot(motion.y_m()) * longer
+}
