@@ -38,6 +38,8 @@ pub struct Navigator {
     since_closure_m: f64,
     /// Frames since then that showed something, and nothing known.
     unknown_looks: u32,
+    /// Of the last frame.
+    evidence: f64,
     episode: u64,
     task: Task,
     steering: Steering,
@@ -193,6 +195,7 @@ impl Navigator {
             wheels: None,
             since_closure_m: 0.0,
             unknown_looks: 0,
+            evidence: 0.0,
             episode: 0,
             task: Task::Nothing,
             steering: Steering::default(),
@@ -253,6 +256,7 @@ impl Navigator {
         if look.episode != self.episode {
             return Seen::Stale;
         }
+        self.evidence = look.evidence;
         let (Sight::Closure(closure), Some(odometry)) = (&look.sight, &look.odometry) else {
             self.unknown_looks += u32::from(look.sight == Sight::Unknown);
             if self.unknown_looks >= self.settings.supervision.unknown_looks && self.estimate().is_some() {
@@ -337,7 +341,7 @@ impl Navigator {
     fn lose(&mut self) {
         self.filter.forget();
         self.episode += 1;
-        (self.since_closure_m, self.unknown_looks) = (0.0, 0);
+        (self.since_closure_m, self.unknown_looks, self.evidence) = (0.0, 0, 0.0);
         let goal = match &self.task {
             Task::LookAround { goal, .. } | Task::Plan { goal } => *goal,
             Task::Follow(journey) => journey.goal,
@@ -375,8 +379,9 @@ impl Navigator {
     fn is_too_unsure(&self) -> bool {
         let supervision = &self.settings.supervision;
         self.estimate().is_some_and(|estimate| {
-            estimate.position_sigma_m() > supervision.lost_sigma_m
-                || self.since_closure_m > supervision.lost_m
+            let unsure = estimate.position_sigma_m() > supervision.lost_sigma_m;
+            let driven_m = self.since_closure_m;
+            unsure && driven_m > supervision.searching_m || driven_m > supervision.lost_m
         })
     }
 
@@ -396,7 +401,8 @@ impl Navigator {
                 *turned += turned_rad;
                 let looked_ns = now_ns.saturating_sub(*since_ns.get_or_insert(now_ns));
                 let stands = looked_ns < supervision.look_first_ns || turned.abs() >= supervision.spin_rad;
-                let turn_rad_s = match (stands, self.filter.is_confirming()) {
+                let promising = self.evidence >= supervision.promising_evidence;
+                let turn_rad_s = match (stands, promising || self.filter.is_confirming()) {
                     (true, _) => 0.0,
                     (false, true) => supervision.confirming_rad_s,
                     (false, false) => supervision.spin_rad_s,

@@ -28,6 +28,8 @@ pub struct Look {
     pub odometry: Option<PlanarPose>,
     /// What it showed.
     pub sight: Sight,
+    /// What speaks for the place that most speaks for, recognised or not, in inliers: see [`Candidate::evidence`].
+    pub evidence: f64,
     /// See [`super::Navigator::episode`].
     pub episode: u64,
 }
@@ -99,7 +101,8 @@ impl Lookout {
                 | Reason::GeometryRefused,
             ) => Sight::Unknown,
         };
-        Ok(Look { stamp_ns: event.stamp_ns, odometry, sight, episode })
+        let evidence = event.candidates.iter().map(Candidate::evidence).fold(0.0, f64::max);
+        Ok(Look { stamp_ns: event.stamp_ns, odometry, sight, evidence, episode })
     }
 }
 
@@ -127,13 +130,14 @@ fn closure(
     Ok(Some(Closure { place, frame, at, covariance, probability }))
 }
 
-/// By how much the robot is turned against the earlier view, and how well all of it is known.
+/// Where the robot is in the frame of the earlier view, and how well that is known.
 fn measured(
     candidate: &Candidate,
     focal_length_widths: Option<f64>,
     settings: &LocalizationSettings,
 ) -> Option<(PlanarPose, Matrix3<f64>)> {
-    let LocalizationSettings { closure_along_m, along_m_per_ln_scale, closure_across_m, .. } = *settings;
+    let LocalizationSettings { closure_along_m, along_m_per_ln_scale, closure_across_m, depth_m, .. } =
+        *settings;
     let noise = ClosureNoise {
         heading_rad: settings.closure_heading_rad,
         max_ln_scale: f64::INFINITY,
@@ -146,13 +150,15 @@ fn measured(
         return Some((PlanarPose::identity(), *noise.somewhere().covariance()));
     };
     let turned = noise.measure(view, focal_length_widths)?;
-    let off = match view.motion {
-        Some(Motion::Similarity(motion)) => motion.ln_scale.abs(),
+    let ln_scale = match view.motion {
+        Some(Motion::Similarity(motion)) => motion.ln_scale,
         Some(Motion::Essential { .. } | Motion::Fundamental(_)) | None => 0.0,
     };
-    let along_m = closure_along_m + along_m_per_ln_scale * off;
+    // What is seen larger is nearer: d ln s = d x / depth.
+    let ahead = PlanarPose::new(depth_m * ln_scale, 0.0, 0.0);
+    let along_m = closure_along_m + along_m_per_ln_scale * ln_scale.abs();
     let variances = [along_m * along_m, closure_across_m * closure_across_m, turned.covariance()[(2, 2)]];
-    Some((*turned.pose(), Matrix3::from_diagonal(&Vector3::from(variances))))
+    Some((ahead.compose(turned.pose()), Matrix3::from_diagonal(&Vector3::from(variances))))
 }
 
 /// Fuses closures and wheels: a Kalman filter over the pose and over what is wrong with the wheels, against the map's.

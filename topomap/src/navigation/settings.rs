@@ -20,7 +20,10 @@ pub struct NavigationSettings {
 pub struct LocalizationSettings {
     /// Standard deviation of a closure's position along the way that the robot looks, in metres, above 0.
     pub closure_along_m: f64,
-    /// What comes to that for each |ln s| of the view, in metres: a view of another scale was taken further off.
+    /// How far away is what a camera sees, as a rule, in metres: a view that is larger by ln s was taken so many times
+    /// further back. 0 takes the robot to be where the view was taken.
+    pub depth_m: f64,
+    /// What that adds to the position's standard deviation for each |ln s|, in metres.
     pub along_m_per_ln_scale: f64,
     /// Standard deviation of a closure's position across that, in metres, above 0. It is held to be small, because what
     /// is really an offset shows as a heading that leads back.
@@ -118,7 +121,7 @@ pub struct SupervisionSettings {
     pub searching_m: f64,
     /// Time without a closure from which it is searching, in nanoseconds.
     pub searching_ns: i64,
-    /// Deviation of its position at which it is lost, in metres.
+    /// Deviation of its position at which it is lost, once it has driven on from the last closure, in metres.
     pub lost_sigma_m: f64,
     /// Way without a closure at which it is lost, in metres.
     pub lost_m: f64,
@@ -126,8 +129,10 @@ pub struct SupervisionSettings {
     pub unknown_looks: u32,
     /// How fast it turns to look around, in rad/s.
     pub spin_rad_s: f64,
-    /// How fast while a closure waits to be confirmed, in rad/s.
+    /// How fast while a closure waits to be confirmed, or something speaks for a place, in rad/s.
     pub confirming_rad_s: f64,
+    /// Evidence that speaks for a place, in inliers.
+    pub promising_evidence: f64,
     /// Turn after which it stands and waits, in radians.
     pub spin_rad: f64,
     /// How long it stands and looks before it turns, in nanoseconds.
@@ -141,8 +146,9 @@ pub struct SupervisionSettings {
 impl Default for LocalizationSettings {
     fn default() -> Self {
         Self {
-            closure_along_m: 0.25,
-            along_m_per_ln_scale: 3.0,
+            closure_along_m: 0.15,
+            depth_m: 4.0,
+            along_m_per_ln_scale: 1.6,
             closure_across_m: 0.08,
             closure_heading_rad: 2_f64.to_radians(),
             drift_sigma_rad_per_m: 0.05,
@@ -194,9 +200,10 @@ impl Default for SupervisionSettings {
             searching_ns: 3_000_000_000,
             lost_sigma_m: 0.8,
             lost_m: 6.0,
-            unknown_looks: 8,
+            unknown_looks: 6,
             spin_rad_s: 0.4,
             confirming_rad_s: 0.1,
+            promising_evidence: 40.0,
             spin_rad: 2.0 * std::f64::consts::TAU,
             look_first_ns: 2_000_000_000,
             blocked_ns: 3_000_000_000,
@@ -247,6 +254,7 @@ impl LocalizationSettings {
     fn ranges(&self) -> Vec<Range> {
         vec![
             ("closure_along_m", self.closure_along_m, 1e-3, 10.0),
+            ("depth_m", self.depth_m, 0.0, 1000.0),
             ("along_m_per_ln_scale", self.along_m_per_ln_scale, 0.0, 100.0),
             ("closure_across_m", self.closure_across_m, 1e-3, 10.0),
             ("closure_heading_rad", self.closure_heading_rad, 1e-3, 1.0),
@@ -316,6 +324,7 @@ impl SupervisionSettings {
             ("unknown_looks", f64::from(self.unknown_looks), 1.0, 1e6),
             ("spin_rad_s", self.spin_rad_s, 0.01, 10.0),
             ("confirming_rad_s", self.confirming_rad_s, 0.0, 10.0),
+            ("promising_evidence", self.promising_evidence, 0.0, 1e6),
             ("spin_rad", self.spin_rad, 0.0, 1e3),
             ("look_first_ns", self.look_first_ns as f64, 0.0, 60e9),
             ("blocked_ns", self.blocked_ns as f64, 1e6, 1e12),

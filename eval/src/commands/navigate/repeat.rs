@@ -276,7 +276,7 @@ impl<'a> Course<'a> {
     fn judge_kidnapping(&mut self, stamp_ns: i64, seen: Seen, apart: Option<(f64, f64)>) {
         let Some(kidnapping) = &mut self.drive.kidnapping else { return };
         let seconds = stamp_ns as f64 * 1e-9;
-        if seconds < kidnapping.at_s {
+        if seconds <= kidnapping.at_s {
             return;
         }
         let elsewhere = apart.is_some_and(|(metres, radians)| metres > FALSE_M || radians > FALSE_RAD);

@@ -52,7 +52,12 @@ pub(super) fn teach(
         settings.trigger = CameraTrigger::Moved { distance_m: 0.05, angle_rad: 10_f64.to_radians() };
     }
     let drive = drive_along(scene, &route, settings)?;
-    let mapped = map(&drive.frames, model, extractor, MapperSettings::default())?;
+    let mut mapping = MapperSettings::default();
+    if options.trial == Trial::Sparse {
+        // The guard counts frames: the same ten metres as with an image every 50 cm.
+        mapping.guard_frames *= 10;
+    }
+    let mapped = map(&drive.frames, model, extractor, mapping)?;
     let goal = mapped.log.frames().filter_map(|event| event.decision.place).last().unwrap_or(0);
     Ok(Taught { route, wheels, drive, mapped, goal })
 }
