@@ -4,8 +4,13 @@ use std::path::PathBuf;
 
 use prost::Message;
 
-const FILES: [&str; 4] =
-    ["waypost/v1/model.proto", "waypost/v1/map.proto", "waypost/v1/session.proto", "waypost/v1/token.proto"];
+const FILES: [&str; 5] = [
+    "waypost/v1/model.proto",
+    "waypost/v1/map.proto",
+    "waypost/v1/session.proto",
+    "waypost/v1/navigation.proto",
+    "waypost/v1/token.proto",
+];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo:rerun-if-changed=waypost");

@@ -6,6 +6,7 @@ mod frames;
 mod jobs;
 mod maps;
 mod models;
+mod navigation;
 mod requests;
 mod sessions;
 mod status;
@@ -21,6 +22,7 @@ use waypost_proto::FILE_DESCRIPTOR_SET;
 use waypost_proto::v1::job_service_server::JobServiceServer;
 use waypost_proto::v1::map_service_server::MapServiceServer;
 use waypost_proto::v1::model_service_server::ModelServiceServer;
+use waypost_proto::v1::navigation_service_server::NavigationServiceServer;
 use waypost_proto::v1::session_service_server::SessionServiceServer;
 use waypost_proto::v1::token_service_server::TokenServiceServer;
 
@@ -100,6 +102,7 @@ pub(crate) async fn serve(
         .add_service(limited!(JobServiceServer::new(adapter())))
         .add_service(limited!(MapServiceServer::new(adapter())))
         .add_service(limited!(SessionServiceServer::new(adapter())))
+        .add_service(limited!(NavigationServiceServer::new(adapter())))
         .add_service(limited!(TokenServiceServer::new(adapter())))
         .serve_with_incoming_shutdown(connections, shutdown)
         .await?;

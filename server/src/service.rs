@@ -11,6 +11,7 @@ pub(crate) mod maps;
 mod measurements;
 pub(crate) mod models;
 pub(crate) mod names;
+pub(crate) mod navigations;
 pub(crate) mod pictures;
 pub(crate) mod queries;
 mod removal;
@@ -32,6 +33,7 @@ use crate::extraction::{Extraction, LoadedModel};
 use crate::metrics::{Levels, Metrics};
 use crate::service::jobs::Jobs;
 use crate::service::map_writer::OpenMaps;
+use crate::service::navigations::Navigations;
 use crate::service::removal::Removals;
 use crate::service::snapshots::Snapshots;
 use crate::service::tokens::Tokens;
@@ -47,6 +49,7 @@ pub(crate) struct Service {
     /// Models in use, by hash; they are immutable.
     models: Mutex<HashMap<String, Arc<LoadedModel>>>,
     open_maps: OpenMaps,
+    navigations: Navigations,
     jobs: Jobs,
     snapshots: Snapshots,
     removals: Removals,
@@ -70,6 +73,7 @@ impl Service {
             extraction: Extraction::new(cores),
             models: Mutex::default(),
             open_maps: OpenMaps::default(),
+            navigations: Navigations::default(),
             jobs: Jobs::default(),
             snapshots: Snapshots::default(),
             removals: Removals::default(),

@@ -97,6 +97,17 @@ pub enum VerificationMethod {
     Epipolar,
 }
 
+impl VerificationMethod {
+    /// Whether geometry has a say at all.
+    #[must_use]
+    pub fn verifies(self) -> bool {
+        match self {
+            VerificationMethod::None => false,
+            VerificationMethod::Similarity | VerificationMethod::Epipolar => true,
+        }
+    }
+}
+
 /// What a closure has to show; every value is checked by [`crate::mapper::Mapper::new`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VerificationSettings {

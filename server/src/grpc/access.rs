@@ -18,7 +18,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, no_longer_admitted};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 39] = [
+const METHODS: [(&str, Access); 45] = [
     ("/waypost.v1.SessionService/Stream", Access::Robot),
     ("/waypost.v1.SessionService/Query", Access::Robot),
     ("/waypost.v1.SessionService/ListSessions", Access::Robot),
@@ -29,6 +29,12 @@ const METHODS: [(&str, Access); 39] = [
     ("/waypost.v1.SessionService/ExplainFrame", Access::Robot),
     ("/waypost.v1.SessionService/GetFramePicture", Access::Robot),
     ("/waypost.v1.SessionService/MeasureClosure", Access::Robot),
+    ("/waypost.v1.NavigationService/Navigate", Access::Robot),
+    ("/waypost.v1.NavigationService/SetGoal", Access::Robot),
+    ("/waypost.v1.NavigationService/CancelGoal", Access::Robot),
+    ("/waypost.v1.NavigationService/GetNavigation", Access::Robot),
+    ("/waypost.v1.NavigationService/ListNavigations", Access::Robot),
+    ("/waypost.v1.NavigationService/PlanRoute", Access::Robot),
     ("/waypost.v1.MapService/ListMaps", Access::Robot),
     ("/waypost.v1.MapService/GetMap", Access::Robot),
     ("/waypost.v1.MapService/ListPlaces", Access::Robot),

@@ -223,7 +223,7 @@ fn frames(
 }
 
 /// A frame, or its number and what is wrong with it.
-fn frame(message: v1::Frame) -> Result<Frame, (u64, ServiceError)> {
+pub(super) fn frame(message: v1::Frame) -> Result<Frame, (u64, ServiceError)> {
     let v1::Frame { sequence, stamp_ns, content, odometry: moved } = message;
     let invalid = |message: &str| (sequence, ServiceError::invalid(message));
     if i64::try_from(sequence).is_err() {

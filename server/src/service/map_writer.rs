@@ -1,6 +1,7 @@
 //! The one writer of a map: a thread that decides, applies, commits in groups, and only then answers.
 
 mod checkpoints;
+mod leading;
 mod localizers;
 mod measuring;
 mod open_maps;
@@ -11,8 +12,8 @@ mod views;
 
 pub(super) use open_maps::OpenMaps;
 pub(super) use requests::{
-    FrameFailure, FrameRequest, FrameSource, FrameWork, MapHandle, MeasuredFrames, OpenedSession,
-    PlaceSummary, SessionOpening, StreamOpening, WriterGone,
+    FrameFailure, FrameRequest, FrameSource, FrameWork, LookRequest, MapHandle, MeasuredFrames,
+    OpenedSession, PlaceSummary, PlanFrom, SessionOpening, StreamOpening, WriterGone,
 };
 pub(crate) use requests::{QueryAnswer, SessionMode, WordPlace};
 pub(super) use views::{SeenFeatures, compare, stored_features, verifier};
@@ -224,7 +225,7 @@ impl MapWriter {
         let archive = Archive { writer: self };
         let intrinsics = self.intrinsics.get(&input.session);
         let features = features.map(|features| SeenFeatures::new(features, intrinsics));
-        let views = CurrentView { writer: self, current: features.clone() };
+        let views = CurrentView { writer: self, current: features.clone(), verifier: &self.verifier };
         let event = self.mapper.decide(input, &archive, &views, clock)?.event;
         let position = event.frame;
         let event = MapEvent::Frame(Box::new(event));

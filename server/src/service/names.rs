@@ -77,6 +77,18 @@ pub(crate) fn place_in(name: &str) -> Result<(&str, u32), ServiceError> {
     Ok((map_in(map)?, place))
 }
 
+/// Map and navigation in `maps/{map}/navigations/{navigation}`.
+pub(crate) fn navigation_in(name: &str) -> Result<(&str, &str), ServiceError> {
+    let (map, navigation) = name.split_once("/navigations/").ok_or_else(|| {
+        ServiceError::invalid(format_args!("{name:?} is no name here; write maps/…/navigations/…"))
+    })?;
+    Ok((map_in(map)?, check_id("navigation name", navigation)?))
+}
+
+pub(crate) fn navigation_name(map: &str, navigation: &str) -> String {
+    format!("maps/{map}/navigations/{navigation}")
+}
+
 /// Digits alone: no sign, and one way of writing each number.
 fn number(text: &str) -> Option<u64> {
     let plain = text == "0" || (!text.starts_with('0') && text.bytes().all(|digit| digit.is_ascii_digit()));

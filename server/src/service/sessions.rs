@@ -176,7 +176,7 @@ impl Service {
         run: &str,
     ) -> Result<SessionStream, ServiceError> {
         let map = map_in(map)?;
-        let room = Arc::new(self.streams.clone().try_acquire_owned().map_err(|_| too_many_streams())?);
+        let room = self.room_for_a_stream()?;
         let stream = self.new_stream();
         let name = match session {
             "" => None,
@@ -208,6 +208,12 @@ impl Service {
             last_committed,
             _room: room,
         })
+    }
+}
+
+impl Service {
+    pub(super) fn room_for_a_stream(&self) -> Result<Arc<OwnedSemaphorePermit>, ServiceError> {
+        Ok(Arc::new(self.streams.clone().try_acquire_owned().map_err(|_| too_many_streams())?))
     }
 }
 

@@ -9,9 +9,7 @@ use fabmap::recognizer::Recognition;
 use super::{FrameArchive, FrameError, Mapper};
 use crate::event::{FrameId, Match, SessionId};
 use crate::map::{PlaceFrame, Session, Sighting};
-use crate::verification::{
-    Candidate, Check, Motion, Similarity, Verdict, VerificationMethod, VerificationSettings, Views,
-};
+use crate::verification::{Candidate, Check, Motion, Similarity, Verdict, VerificationSettings, Views};
 
 /// Links from where the last frame was within which this one is expected: a way or two further on, or back.
 const EXPECTED_LINKS: usize = 2;
@@ -32,10 +30,7 @@ const AS_GOOD: f64 = 0.9;
 impl Mapper {
     /// Whether geometry has a say.
     pub(super) fn verifies(&self) -> bool {
-        match self.settings.verification.method {
-            VerificationMethod::None => false,
-            VerificationMethod::Similarity | VerificationMethod::Epipolar => true,
-        }
+        self.settings.verification.method.verifies()
     }
 
     /// Compares the frame with the places where it may be, the expected and the most probable ones; none if

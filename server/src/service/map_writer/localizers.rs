@@ -197,7 +197,8 @@ impl MapWriter {
             self.localizers.localizers.get(&id).ok_or_else(gone)?;
         let current = features.map(|features| SeenFeatures::new(features, intrinsics.as_ref()));
         let mut clock = StageClock { last: Instant::now(), timings };
-        let (archive, views) = (Archive { writer: self }, CurrentView { writer: self, current });
+        let (archive, views) =
+            (Archive { writer: self }, CurrentView { writer: self, current, verifier: &self.verifier });
         let event = self.mapper.localize(localizer, input, &archive, &views, &mut clock)?.event;
         let answer = self.answer(&event, None)?;
         self.localizers.heard += 1;

@@ -25,6 +25,12 @@ impl MapWriter {
             Read::Query { observation, features, explained_words, reply } => {
                 let _ = reply.send(self.query(&observation, features, explained_words));
             }
+            Read::Look { request, reply } => {
+                let _ = reply.send(self.look(*request));
+            }
+            Read::Plan { from, goal, settings, reply } => {
+                let _ = reply.send(self.plan(from, goal, &settings));
+            }
             Read::StateHash { reply } => {
                 let _ = reply.send(self.mapper.state_hash().to_string());
             }
@@ -51,7 +57,8 @@ impl MapWriter {
     ) -> Result<QueryAnswer, ServiceError> {
         // No session, no camera.
         let current = features.map(|features| SeenFeatures::new(features, None));
-        let (archive, views) = (Archive { writer: self }, CurrentView { writer: self, current });
+        let (archive, views) =
+            (Archive { writer: self }, CurrentView { writer: self, current, verifier: &self.verifier });
         let queried = self.mapper.query(observation, &archive, &views, &mut ())?;
         let recognition = &queried.recognition;
         let best = recognition.posterior.best_place().filter(|_| explained_words > 0);

@@ -11,12 +11,16 @@ use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, SessionId};
 use topomap::mapper::{FrameInput, MapPose};
+use topomap::navigation::planning::{Goal, MapPosition, PlanError, Route};
+use topomap::navigation::settings::{LocalizationSettings, PlanningSettings};
+use topomap::navigation::{Look, Lookout};
 use topomap::place_poses::PlacePoses;
 use topomap::relative_pose::RelativePose;
 use waypost_vision::feature_record::FeatureRecord;
 
 use super::localizers::LocalizerId;
 use crate::error::ServiceError;
+use crate::service::camera::Intrinsics;
 use crate::service::maps::PlacePose;
 use crate::service::sessions::{FrameAnswer, FrameTimings, MatchView};
 use crate::storage::{MapId, Medium};
@@ -54,6 +58,17 @@ pub(crate) enum Read {
         explained_words: usize,
         reply: oneshot::Sender<Result<QueryAnswer, ServiceError>>,
     },
+    /// The next frame of a robot that is led along the map.
+    Look {
+        request: Box<LookRequest>,
+        reply: oneshot::Sender<Result<(Lookout, Look), ServiceError>>,
+    },
+    Plan {
+        from: PlanFrom,
+        goal: Goal,
+        settings: PlanningSettings,
+        reply: oneshot::Sender<Result<Route, PlanError>>,
+    },
     StateHash {
         reply: oneshot::Sender<String>,
     },
@@ -75,6 +90,24 @@ pub(crate) enum Read {
         count: u32,
         reply: oneshot::Sender<Vec<WordPlace>>,
     },
+}
+
+/// A frame of a robot that is led, and what is remembered of those before.
+#[derive(Debug)]
+pub(crate) struct LookRequest {
+    pub(crate) lookout: Lookout,
+    pub(crate) episode: u64,
+    pub(crate) settings: LocalizationSettings,
+    pub(crate) input: FrameInput,
+    pub(crate) features: Option<Arc<FeatureRecord>>,
+    pub(crate) intrinsics: Intrinsics,
+}
+
+/// Where a way begins.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum PlanFrom {
+    Place(PlaceId),
+    Robot(MapPosition),
 }
 
 /// Two frames of the log, and how they lie to each other.
@@ -317,6 +350,21 @@ impl MapHandle {
         explained_words: usize,
     ) -> Result<QueryAnswer, ServiceError> {
         self.read(|reply| Read::Query { observation, features, explained_words, reply }).await?
+    }
+
+    /// What a frame shows to a robot that is led, and what is to be remembered of it.
+    pub(crate) async fn look(&self, request: LookRequest) -> Result<(Lookout, Look), ServiceError> {
+        self.read(|reply| Read::Look { request: Box::new(request), reply }).await?
+    }
+
+    /// Which way leads to a goal.
+    pub(crate) async fn plan(
+        &self,
+        from: PlanFrom,
+        goal: Goal,
+        settings: PlanningSettings,
+    ) -> Result<Result<Route, PlanError>, WriterGone> {
+        self.read(|reply| Read::Plan { from, goal, settings, reply }).await
     }
 
     /// Hash of all that the map's log decided.

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use tokio::runtime::Handle;
 use topomap::event::FrameId;
 use topomap::mapper::ArchiveError;
-use topomap::verification::{TwoView, Views};
+use topomap::verification::{TwoView, VerificationMethod, VerificationSettings, Views};
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::verification::{Comparison, Pinhole, Verifier, View};
 
@@ -16,6 +16,12 @@ use crate::storage::{MapId, Storage, StorageError, StoredFeatures};
 
 /// Two views always give the same answer, on whichever server.
 const SEED: u64 = 0;
+
+/// Compares in the image plane, whatever the map does: robots are steered by how far the image has shifted.
+pub(super) fn steering_verifier(settings: &topomap::mapper::MapperSettings) -> Verifier {
+    let method = VerificationMethod::Similarity;
+    Verifier::new(VerificationSettings { method, ..settings.verification }, SEED)
+}
 
 /// The verifier of a map's settings.
 pub(crate) fn verifier(settings: &topomap::mapper::MapperSettings) -> Verifier {
@@ -51,20 +57,21 @@ pub(super) struct CurrentView<'a> {
     pub(super) writer: &'a MapWriter,
     /// None if nothing is known of where the frame's words are.
     pub(super) current: Option<SeenFeatures>,
+    pub(super) verifier: &'a Verifier,
 }
 
 impl Views for CurrentView<'_> {
     fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
         let Some(current) = &self.current else { return Ok(None) };
         let earlier = self.writer.features(earlier)?;
-        Ok(earlier.map(|earlier| compare(&self.writer.verifier, &earlier, current).view))
+        Ok(earlier.map(|earlier| compare(self.verifier, &earlier, current).view))
     }
 
     fn compare_all(&self, earlier: &[FrameId]) -> Result<Vec<Option<TwoView>>, ArchiveError> {
         let Some(current) = &self.current else { return Ok(vec![None; earlier.len()]) };
         let features = earlier.iter().map(|&frame| self.writer.features(frame));
         let features = features.collect::<Result<Vec<Option<SeenFeatures>>, ArchiveError>>()?;
-        let verifier = &self.writer.verifier;
+        let verifier = self.verifier;
         let view = |earlier: &Option<SeenFeatures>| Some(compare(verifier, earlier.as_ref()?, current).view);
         Ok(features.par_iter().map(view).collect())
     }
