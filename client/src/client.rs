@@ -12,6 +12,7 @@ use waypost_proto::v1;
 use waypost_proto::v1::job_service_client::JobServiceClient;
 use waypost_proto::v1::map_service_client::MapServiceClient;
 use waypost_proto::v1::model_service_client::ModelServiceClient;
+use waypost_proto::v1::navigation_service_client::NavigationServiceClient;
 use waypost_proto::v1::session_service_client::SessionServiceClient;
 use waypost_proto::v1::token_service_client::TokenServiceClient;
 use waypost_proto::v1::train_model_request::Content;
@@ -434,6 +435,12 @@ impl Client {
 
     fn tokens_client(&self) -> TokenServiceClient<Transport> {
         TokenServiceClient::new(self.transport.clone()).max_decoding_message_size(MAX_ANSWER_BYTES)
+    }
+
+    pub(crate) fn navigations_client(&self) -> NavigationServiceClient<Transport> {
+        NavigationServiceClient::new(self.transport.clone())
+            .max_encoding_message_size(MAX_REQUEST_BYTES)
+            .max_decoding_message_size(MAX_ANSWER_BYTES)
     }
 
     pub(crate) fn sessions_client(&self) -> SessionServiceClient<Transport> {

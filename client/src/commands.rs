@@ -5,6 +5,7 @@ pub(crate) mod explain;
 pub(crate) mod job;
 pub(crate) mod map;
 pub(crate) mod model;
+pub(crate) mod navigate;
 pub(crate) mod query;
 pub(crate) mod session;
 pub(crate) mod snapshot;

@@ -31,6 +31,7 @@
 
 pub use client::{Client, JobProgress};
 pub use error::Error;
+pub use navigation::{Command, Navigation, NavigationEvent, NavigationOptions, Reading};
 pub use options::ClientOptions;
 pub use session::{
     FrameContent, FrameInput, FrameOutcome, FrameSender, Outcomes, Reconnection, Session, SessionOptions,
@@ -40,7 +41,9 @@ pub use waypost_proto::v1;
 
 mod client;
 mod error;
+mod link_end;
 mod looks;
+mod navigation;
 mod options;
 mod session;
 mod upload;

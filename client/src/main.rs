@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use commands::{demo, explain, job, map, model, query, session, stream, token};
+use commands::{demo, explain, job, map, model, navigate, query, session, stream, token};
 use failure::{EXIT_CODES, Failure};
 use output::Output;
 use waypost_client::ClientOptions;
@@ -110,6 +110,7 @@ enum Command {
     Stream(stream::Arguments),
     Query(query::Arguments),
     Explain(explain::Arguments),
+    Navigate(navigate::Arguments),
     Demo(demo::Arguments),
 }
 
@@ -150,6 +151,7 @@ async fn run(Arguments { globals, command }: Arguments) -> Result<(), Failure> {
         Command::Session(command) => session::run(command, &server, output).await,
         Command::Query(arguments) => query::run(arguments, &server, output).await,
         Command::Explain(arguments) => explain::run(arguments, &server, output).await,
+        Command::Navigate(arguments) => navigate::run(arguments, &server, output).await,
         Command::Token(command) => token::run(command, &server, output).await,
         Command::Stream(arguments) => stream::run(arguments, &server, output).await,
         Command::Demo(arguments) => demo::run(arguments, output).await,

@@ -18,7 +18,7 @@ use crate::client::{Transport, map_name};
 use crate::error::Error;
 use exchange::Exchange;
 
-mod backoff;
+pub(crate) mod backoff;
 mod exchange;
 mod window;
 

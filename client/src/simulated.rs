@@ -1,22 +1,36 @@
 //! A robot that one does not own yet.
 
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
-use waypost_client::v1;
+use tokio::task::JoinHandle;
+use tokio::time::MissedTickBehavior;
+use waypost_client::{FrameContent, FrameInput, Navigation, NavigationEvent, Reading, v1};
 use waypost_sim::camera::Camera;
 use waypost_sim::pose::Pose;
 use waypost_sim::render::{CameraRig, Mount, Sensor, Shot};
-use waypost_sim::robot::{Body, OdometryReading, WheelErrors};
+use waypost_sim::robot::{Body, Command, OdometryReading, WheelErrors};
 use waypost_sim::route::Route;
 use waypost_sim::scene::Scene;
-use waypost_sim::simulation::{Simulation, SimulationSettings};
+use waypost_sim::simulation::{CameraFrame, CameraTrigger, Obedience, Simulation, SimulationSettings, Tick};
 use waypost_sim::worlds::NamedWorld;
 
 use crate::failure::Failure;
 
 const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * std::f64::consts::PI;
 const IMAGE_SIZE_PX: (u32, u32) = (320, 240);
+
+/// Of 20 ms each.
+const STEPS_PER_REPORT: usize = 2;
+
+/// An image every 50 cm or 10 degrees, for mapping.
+pub(crate) const WHEN_MOVED: CameraTrigger =
+    CameraTrigger::Moved { distance_m: 0.5, angle_rad: 10.0 / 180.0 * std::f64::consts::PI };
+
+/// Two images a second, for being led.
+pub(crate) const TWICE_A_SECOND: CameraTrigger = CameraTrigger::Period { period_ns: 500_000_000 };
 
 /// A building, a way through it, and what a robot sees of it.
 pub(crate) struct Building {
@@ -51,11 +65,12 @@ impl Building {
         Ok(Self { scene, rig, route, route_name: named.name, seed })
     }
 
-    /// A robot with wheels of its own at the way's start.
-    pub(crate) fn robot(&self) -> Result<Simulation, Failure> {
-        let wheels = WheelErrors::drawn(self.seed);
+    /// A robot with wheels of its own at the way's start: as bad ones as another number says.
+    pub(crate) fn robot(&self, number: u64, trigger: CameraTrigger) -> Result<Simulation, Failure> {
+        let seed = self.seed.wrapping_add(number.wrapping_mul(1_000));
+        let wheels = WheelErrors::drawn(seed);
         let settings =
-            SimulationSettings { wheels, seed: self.seed, ..SimulationSettings::new(self.rig.clone()) };
+            SimulationSettings { wheels, seed, trigger, ..SimulationSettings::new(self.rig.clone()) };
         Simulation::new(self.scene.clone(), self.route.start(), settings).map_err(unfit)
     }
 
@@ -76,6 +91,92 @@ impl Building {
             base_to_camera: Some(pose_message([forward_m, 0.0, height_m], turned(yaw_rad))),
         }
     }
+}
+
+/// What came of a drive that the server led.
+pub(crate) struct LedDrive {
+    /// Every step.
+    pub(crate) ticks: Vec<Tick>,
+    /// Frames that were answered, with where the robot really was at them.
+    pub(crate) seen: Vec<(v1::FrameSeen, Pose)>,
+}
+
+/// Lets the robot drive as it is told, in real time, until it has arrived; `on_seen` hears what its frames showed.
+pub(crate) async fn drive(
+    building: &Arc<Building>,
+    robot: &mut Simulation,
+    navigation: &mut Navigation,
+    patience: Duration,
+    mut on_seen: impl FnMut(&v1::FrameSeen, &Pose) -> Result<(), Failure>,
+) -> Result<LedDrive, Failure> {
+    let period = Duration::from_nanos(u64::try_from(robot.settings().period_ns).unwrap_or(u64::MAX));
+    let mut steps = tokio::time::interval(period);
+    steps.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let guidance = navigation.guidance();
+    let (began, mut ticks, mut seen, mut poses) = (Instant::now(), Vec::new(), Vec::new(), BTreeMap::new());
+    let mut rendering: Option<(JoinHandle<Result<Vec<u8>, Failure>>, CameraFrame)> = None;
+    loop {
+        steps.tick().await;
+        let waypost_client::Command { forward_m_s, turn_rad_s } = navigation.command();
+        let valid_ns = 2 * robot.settings().period_ns;
+        robot.command(Command { forward_m_s, turn_rad_s, valid_ns });
+        let mut tick = robot.advance();
+        if ticks.len() % STEPS_PER_REPORT == 0 {
+            // Stamps begin above 0.
+            navigation.report(Reading {
+                stamp_ns: tick.stamp_ns + 1,
+                odometry: odometry(&tick.odometry),
+                reflex: tick.obedience == Obedience::Reflex,
+            });
+        }
+        if let Some(frame) = tick.frame.take().filter(|_| rendering.is_none()) {
+            poses.insert(frame.number + 1, frame.shot.pose);
+            let (building, shot) = (building.clone(), frame.shot.clone());
+            rendering = Some((tokio::task::spawn_blocking(move || building.image(&shot)), frame));
+        }
+        if let Some((image, frame)) = rendering.take_if(|(image, _)| image.is_finished()) {
+            let image = image.await.map_err(unfit)??;
+            navigation.see(FrameInput {
+                sequence: frame.number + 1,
+                stamp_ns: frame.stamp_ns + 1,
+                content: FrameContent::Image(image),
+                odometry: Some(odometry(&frame.odometry)),
+            });
+        }
+        ticks.push(tick);
+        while let Some(event) = navigation.try_next() {
+            match event {
+                NavigationEvent::Seen(what) => {
+                    let Some(pose) = poses.get(&what.sequence) else { continue };
+                    on_seen(&what, pose)?;
+                    seen.push((what, *pose));
+                }
+                NavigationEvent::GoalRefused(refusal) => return Err(Failure::Unfit(refusal.message)),
+                NavigationEvent::FrameRefused(refusal) => return Err(refused("frame", refusal.status)),
+                NavigationEvent::WheelsRefused(refusal) => {
+                    return Err(refused("wheel report", refusal.status));
+                }
+                NavigationEvent::Disconnected { .. } | NavigationEvent::Reconnected { .. } => {}
+            }
+        }
+        let told = guidance.borrow().clone();
+        if told.is_some_and(|told| told.status() == v1::NavigationStatus::Arrived) {
+            return Ok(LedDrive { ticks, seen });
+        }
+        if began.elapsed() > patience {
+            let told = guidance.borrow().clone().unwrap_or_default();
+            return Err(Failure::Unfit(format!(
+                "the robot has not arrived after {:.0} s; it is {:?}, with {:.1} m to go",
+                patience.as_secs_f64(),
+                told.status(),
+                told.left_m.unwrap_or(f64::NAN)
+            )));
+        }
+    }
+}
+
+fn refused(what: &str, status: Option<waypost_proto::google::rpc::Status>) -> Failure {
+    Failure::Unfit(format!("a {what} was refused: {}", status.unwrap_or_default().message))
 }
 
 /// What the wheels say, as a frame carries it.

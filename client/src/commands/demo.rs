@@ -1,5 +1,10 @@
 //! `waypost demo`: a server of its own, and something to see.
 
+#[cfg(not(feature = "demo"))]
+#[path = "demo/no_repeat.rs"]
+mod repeat;
+#[cfg(feature = "demo")]
+mod repeat;
 mod sequence;
 #[cfg(feature = "demo")]
 mod world;
@@ -17,7 +22,8 @@ const MARKER_FILE: &str = "made-by-waypost-demo";
 ///
 /// Starts a server on free ports with a data folder of its own, imports DATA/model.waypost, streams
 /// DATA/sequence/images, and holds each loop closure against DATA/sequence/loops.csv
-/// (query_index,match_index; frames count from 0) and ignore.csv, whose pairs count neither way.
+/// (query_index,match_index; frames count from 0) and ignore.csv, whose pairs count neither way. Then a simulated robot
+/// is taught a way and drives it again, led by the server; a picture of it is left in the folder of the data.
 ///
 /// With --world, a simulated robot drives through a building instead and maps it by camera and wheels; a picture of
 /// the truth, the wheels and the map is left in the folder of the data.

@@ -31,7 +31,7 @@ impl Default for Reconnection {
 
 /// Counts attempts and time since the last progress.
 #[derive(Debug)]
-pub(super) struct Backoff {
+pub(crate) struct Backoff {
     settings: Reconnection,
     jitter: ChaCha8Rng,
     delay: Duration,
@@ -39,13 +39,13 @@ pub(super) struct Backoff {
 }
 
 impl Backoff {
-    pub(super) fn new(settings: Reconnection, jitter: ChaCha8Rng) -> Self {
+    pub(crate) fn new(settings: Reconnection, jitter: ChaCha8Rng) -> Self {
         Self { delay: settings.first_delay, settings, jitter, trouble_since: None }
     }
 
     /// How long to wait before the next attempt; none if it is time to give up. The last attempt
     /// falls on the moment of giving up.
-    pub(super) fn next_delay(&mut self, now: Instant) -> Option<Duration> {
+    pub(crate) fn next_delay(&mut self, now: Instant) -> Option<Duration> {
         let waited = now - *self.trouble_since.get_or_insert(now);
         let left = self.settings.give_up_after.checked_sub(waited).filter(|left| !left.is_zero())?;
         let delay = self.delay.min(self.settings.longest_delay);
@@ -54,13 +54,13 @@ impl Backoff {
     }
 
     /// The server did what was asked: the next trouble is a new one.
-    pub(super) fn progress(&mut self) {
+    pub(crate) fn progress(&mut self) {
         self.delay = self.settings.first_delay;
         self.trouble_since = None;
     }
 
     /// Time since the present trouble began.
-    pub(super) fn waited(&self, now: Instant) -> Duration {
+    pub(crate) fn waited(&self, now: Instant) -> Duration {
         self.trouble_since.map_or(Duration::ZERO, |since| now - since)
     }
 }

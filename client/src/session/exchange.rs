@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::{Code, Status, Streaming};
+use tonic::{Status, Streaming};
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_client::SessionServiceClient;
 use waypost_proto::v1::stream_request::Content as Request;
@@ -20,7 +20,8 @@ use super::backoff::Backoff;
 use super::window::{Settled, Window};
 use super::{FrameInput, FrameOutcome, SessionOptions};
 use crate::client::Transport;
-use crate::error::{Error, broken_connection};
+use crate::error::Error;
+use crate::link_end::LinkEnd;
 
 /// Opening a large map takes a server seconds.
 const OPENING_TIMEOUT: Duration = Duration::from_secs(30);
@@ -43,13 +44,6 @@ pub(super) struct Exchange {
 struct Link {
     requests: mpsc::Sender<v1::StreamRequest>,
     responses: Streaming<v1::StreamResponse>,
-}
-
-/// How a link came to its end.
-enum LinkEnd {
-    /// Worth another attempt.
-    Broken(String),
-    Final(Error),
 }
 
 /// Sending fails from when the exchange is gone.
@@ -272,35 +266,6 @@ impl Exchange {
             waited: self.backoff.waited(now),
             reason: reason.to_owned(),
         })
-    }
-}
-
-impl LinkEnd {
-    /// A stream that ended with a status.
-    fn of(status: &Status) -> Self {
-        if let Some(reason) = broken_connection(status) {
-            return LinkEnd::Broken(reason);
-        }
-        match status.code() {
-            // UNKNOWN stands for a stream that was cut off without a status, as by a server that dies.
-            Code::Unavailable
-            | Code::ResourceExhausted
-            | Code::DeadlineExceeded
-            | Code::Cancelled
-            | Code::Unknown => LinkEnd::Broken(status.message().to_owned()),
-            Code::Aborted
-            | Code::NotFound
-            | Code::FailedPrecondition
-            | Code::InvalidArgument
-            | Code::PermissionDenied
-            | Code::Unauthenticated
-            | Code::AlreadyExists
-            | Code::OutOfRange
-            | Code::Unimplemented
-            | Code::Internal
-            | Code::DataLoss
-            | Code::Ok => LinkEnd::Final(Error::refused(status)),
-        }
     }
 }
 

@@ -192,7 +192,7 @@ impl Service {
             taken_over,
             _room: room,
         };
-        if let Some(goal) = goal {
+        if let Some(goal) = goal.filter(|_| !stream.resumed) {
             stream.go_to(goal);
         }
         Ok(stream)

@@ -10,13 +10,13 @@ use waypost_client::{Client, SessionOptions, v1};
 use super::super::model;
 use super::super::stream::closure_line;
 use super::Demo;
+use super::repeat::{self, Repeated};
 use crate::failure::Failure;
 use crate::images::images_of;
 use crate::output::Output;
 use crate::progress;
 use crate::replay::{Replay, Stamps};
 use crate::robot_words::ContentMaker;
-use crate::server_process::ServerProcess;
 use crate::truth::{Truth, Verdict};
 use crate::views::{FrameRow, MapSummary};
 
@@ -35,6 +35,8 @@ struct Report {
     map: MapSummary,
     data_dir: String,
     closures: Vec<JudgedClosure>,
+    /// What came of the simulated robot; null if this program has no worlds to drive in.
+    taught: Option<Repeated>,
 }
 
 #[derive(Serialize)]
@@ -53,9 +55,22 @@ pub(super) async fn run(demo: &Demo, output: Output) -> Result<(), Failure> {
     let images = images_of(&sequence)?;
     let stamps = Stamps::Even { rate_hz: STAMP_RATE_HZ };
     let replay = Replay { images, stamps, pace_hz: None, contents: ContentMaker::Images };
-    let driven = demo
-        .with_server(output, async |server| drive(server, &demo.model_file(), &replay, &truth, output).await);
-    report(driven.await?, &truth, &demo.keep_data, output)
+    let (driven, taught) = demo
+        .with_server(output, async |server| {
+            let client = Client::connect(&format!("http://{}", server.grpc_address)).await?;
+            let model = model::import(&client, &demo.model_file(), "demo", output).await?;
+            output.line(format_args!(
+                "model {}: {}, {} words",
+                model::short(&model.name),
+                model.extractor,
+                model.words
+            ))?;
+            let driven = drive(&client, &model.name, &replay, &truth, output).await?;
+            let picture = demo.keep_data.join("taught.svg");
+            Ok((driven, repeat::run(&client, &model.name, &picture, output).await?))
+        })
+        .await?;
+    report(driven, taught, &truth, &demo.keep_data, output)
 }
 
 /// What came out of the stream.
@@ -66,21 +81,13 @@ struct Driven {
 }
 
 async fn drive(
-    server: &ServerProcess,
-    model_file: &Path,
+    client: &Client,
+    model: &str,
     replay: &Replay,
     truth: &Truth,
     output: Output,
 ) -> Result<Driven, Failure> {
-    let client = Client::connect(&format!("http://{}", server.grpc_address)).await?;
-    let model = model::import(&client, model_file, "demo", output).await?;
-    output.line(format_args!(
-        "model {}: {}, {} words",
-        model::short(&model.name),
-        model.extractor,
-        model.words
-    ))?;
-    let creation = v1::CreateMapRequest { map_id: MAP.to_owned(), model: model.name, settings: None };
+    let creation = v1::CreateMapRequest { map_id: MAP.to_owned(), model: model.to_owned(), settings: None };
     client.create_map(creation).await?;
     let session = client.open_session(SessionOptions::new(MAP)).await?;
     let session_name = session.opened().session.clone();
@@ -129,7 +136,13 @@ fn true_matches(query_index: u64, truth: &Truth, replay: &Replay) -> String {
     if names.is_empty() { "none labelled".to_owned() } else { names.join(", ") }
 }
 
-fn report(driven: Driven, truth: &Truth, data_dir: &Path, output: Output) -> Result<(), Failure> {
+fn report(
+    driven: Driven,
+    taught: Option<Repeated>,
+    truth: &Truth,
+    data_dir: &Path,
+    output: Output,
+) -> Result<(), Failure> {
     let Driven { rows, closures, map } = driven;
     let of_verdict = |verdict| closures.iter().filter(|closure| closure.verdict == verdict).count();
     let report = Report {
@@ -142,6 +155,7 @@ fn report(driven: Driven, truth: &Truth, data_dir: &Path, output: Output) -> Res
         map: map.into(),
         data_dir: data_dir.to_string_lossy().into_owned(),
         closures,
+        taught,
     };
     output.result(&report, |out| write_report(&report, out))?;
     if report.refused > 0 {
@@ -162,6 +176,9 @@ fn write_report(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "loop closures, not labelled {:5}", report.closures_unlabelled)?;
     writeln!(out, "places in the map           {:5}", report.map.places)?;
     writeln!(out, "links in the map            {:5}", report.map.links)?;
+    if let Some(taught) = &report.taught {
+        repeat::write(taught, out)?;
+    }
     writeln!(out)?;
     writeln!(out, "The map is kept in {}. To look at it: `make serve`, then", report.data_dir)?;
     writeln!(out, "  http://127.0.0.1:7601/v1/maps/{MAP}")?;

@@ -17,7 +17,7 @@ use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress;
 use crate::server_process::ServerProcess;
-use crate::simulated::{Building, odometry, planar, unfit};
+use crate::simulated::{Building, WHEN_MOVED, odometry, planar, unfit};
 use crate::views::MapSummary;
 
 const MAP: &str = "building";
@@ -58,7 +58,7 @@ pub(super) async fn run(
     output: Output,
 ) -> Result<(), Failure> {
     let building = Building::new(world, route, seed)?;
-    let recording = building.robot()?.drive_along(&building.route, SPEED_M_S).map_err(unfit)?;
+    let recording = building.robot(0, WHEN_MOVED)?.drive_along(&building.route, SPEED_M_S).map_err(unfit)?;
     let model_file = demo.model_file();
     let mapped = demo
         .with_server(output, async |server| map(server, &model_file, &building, &recording, output).await)
@@ -84,11 +84,11 @@ pub(super) async fn run(
 }
 
 /// What the server made of the drive.
-struct Mapped {
+pub(super) struct Mapped {
     closures: Vec<SeenAgain>,
     /// Where the map has the robot at each frame.
     poses: Vec<Pose>,
-    map: v1::Map,
+    pub(super) map: v1::Map,
 }
 
 async fn map(
@@ -100,11 +100,23 @@ async fn map(
 ) -> Result<Mapped, Failure> {
     let client = Client::connect(&format!("http://{}", server.grpc_address)).await?;
     let model = model::import(&client, model_file, "demo", output).await?;
+    map_along(&client, &model.name, (MAP, SESSION), building, recording, output).await
+}
+
+/// Streams a drive into a new map.
+pub(super) async fn map_along(
+    client: &Client,
+    model: &str,
+    (map, session): (&str, &str),
+    building: &Building,
+    recording: &Recording,
+    output: Output,
+) -> Result<Mapped, Failure> {
     client
-        .create_map(v1::CreateMapRequest { map_id: MAP.to_owned(), model: model.name, settings: None })
+        .create_map(v1::CreateMapRequest { map_id: map.to_owned(), model: model.to_owned(), settings: None })
         .await?;
     let camera = Some(building.camera());
-    let options = SessionOptions { session_id: SESSION.to_owned(), camera, ..SessionOptions::new(MAP) };
+    let options = SessionOptions { session_id: session.to_owned(), camera, ..SessionOptions::new(map) };
     let session = client.open_session(options).await?;
     let name = session.opened().session.clone();
     let frames: Vec<&CameraFrame> = recording.frames().collect();
@@ -118,8 +130,8 @@ async fn map(
     let (sent, closures) = tokio::join!(send(sender, building, &frames), receiving);
     let closures = closures?;
     sent?;
-    let poses = trajectory(&client, &name).await?;
-    let map = client.map(MAP, v1::MapView::Full).await?;
+    let poses = trajectory(client, &name).await?;
+    let map = client.map(map, v1::MapView::Full).await?;
     Ok(Mapped { closures, poses, map })
 }
 
