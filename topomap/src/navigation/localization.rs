@@ -54,6 +54,8 @@ pub struct Closure {
     pub frame: FrameId,
     /// Where that puts the robot.
     pub at: MapPosition,
+    /// The same in the frame of the view.
+    pub from_view: PlanarPose,
     /// Covariance of that along its own axes, in m² and rad².
     pub covariance: Matrix3<f64>,
     /// That both frames show the same place, in [0, 1].
@@ -106,8 +108,7 @@ impl Lookout {
     }
 }
 
-/// The nearest view among those that are the same place. A robot that steers by the shift of the image is to be told of
-/// it however large it is, so only that bound of the map's verification is dropped.
+/// What the nearest view says: see [`Mapper::nearest_view`].
 fn closure(
     mapper: &Mapper,
     event: &FrameEvent,
@@ -115,7 +116,7 @@ fn closure(
     views: &dyn Views,
     settings: &LocalizationSettings,
 ) -> Result<Option<Closure>, FrameError> {
-    let Some(candidate) = mapper.nearest_verified(&event.candidates) else { return Ok(None) };
+    let Some(candidate) = mapper.nearest_view(&event.candidates) else { return Ok(None) };
     let matched = candidate.matched;
     let at_frame = archive.at(matched.frame)?.unwrap_or_else(RelativePose::none);
     let poses = mapper.poses();
@@ -127,7 +128,7 @@ fn closure(
     };
     let at = MapPosition { part, pose: place.compose(at_frame.pose()).compose(&turn) };
     let (place, frame, probability) = (matched.place, matched.frame, candidate.probability());
-    Ok(Some(Closure { place, frame, at, covariance, probability }))
+    Ok(Some(Closure { place, frame, at, from_view: turn, covariance, probability }))
 }
 
 /// Where the robot is in the frame of the earlier view, and how well that is known.
