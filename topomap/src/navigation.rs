@@ -182,11 +182,13 @@ struct Journey {
     progress: usize,
 }
 
-/// Whether the robot moves when it is told to.
+/// Whether the robot moves when it is told to all along.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct MotionWatch {
     /// Where it was when it last moved, or was told to stand.
     still: Option<(i64, PlanarPose)>,
+    /// When it was last judged: after a pause in which commands lapsed it begins anew.
+    judged_ns: Option<i64>,
     waits_until_ns: Option<i64>,
 }
 
@@ -300,7 +302,7 @@ impl Navigator {
             looks.back_to = None;
         }
         let (wanted, mut status, heading_to_target_rad) = self.wanted_motion(elapsed_s, moved, now_ns);
-        let motion = match self.watch.judge(wanted, &odometry, now_ns, &self.settings.supervision) {
+        let motion = match self.watch.judge(wanted, &odometry, now_ns, &self.settings) {
             Motion::Free => wanted,
             Motion::Waiting => {
                 status = Status::Blocked;
@@ -548,26 +550,31 @@ impl MotionWatch {
         [forward_m_s, turn_rad_s]: [f64; 2],
         odometry: &PlanarPose,
         now_ns: i64,
-        settings: &settings::SupervisionSettings,
+        settings: &NavigationSettings,
     ) -> Motion {
+        let is_told_to_move = forward_m_s.abs() > 1e-3 || turn_rad_s.abs() > 1e-2;
+        let paused = |judged_ns: i64| now_ns.saturating_sub(judged_ns) > settings.steering.valid_ns;
+        if !is_told_to_move || self.judged_ns.is_some_and(paused) {
+            *self = Self::default();
+        }
+        self.judged_ns = Some(now_ns);
         if let Some(until_ns) = self.waits_until_ns {
             if now_ns < until_ns {
                 return Motion::Waiting;
             }
-            *self = Self::default();
+            (self.still, self.waits_until_ns) = (None, None);
         }
-        let is_told_to_move = forward_m_s.abs() > 1e-3 || turn_rad_s.abs() > 1e-2;
         let (since_ns, from) = *self.still.get_or_insert((now_ns, *odometry));
         let moved = from.inverse().compose(odometry);
         let has_moved = moved.x_m().hypot(moved.y_m()) > MOVED_M || moved.heading_rad().abs() > MOVED_RAD;
-        if !is_told_to_move || has_moved {
+        if has_moved {
             self.still = Some((now_ns, *odometry));
             return Motion::Free;
         }
-        if now_ns.saturating_sub(since_ns) < settings.blocked_ns {
+        if now_ns.saturating_sub(since_ns) < settings.supervision.blocked_ns {
             return Motion::Free;
         }
-        self.waits_until_ns = Some(now_ns.saturating_add(settings.blocked_wait_ns));
+        self.waits_until_ns = Some(now_ns.saturating_add(settings.supervision.blocked_wait_ns));
         Motion::Waiting
     }
 }
