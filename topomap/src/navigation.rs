@@ -34,7 +34,9 @@ pub struct Navigator {
     filter: PoseFilter,
     /// The last odometry.
     wheels: Option<Reading>,
-    /// Driven since the last closure, in metres.
+    /// Odometry of the last closure.
+    closed_at: Option<PlanarPose>,
+    /// Driven since then, in metres.
     since_closure_m: f64,
     /// Frames since then that showed something, and nothing known.
     unknown_looks: u32,
@@ -150,18 +152,24 @@ struct Sent {
 #[derive(Clone, Debug)]
 enum Task {
     Nothing,
-    /// It is not known where the robot is: it looks, and then it turns.
-    LookAround {
-        goal: Goal,
-        since_ns: Option<i64>,
-        turned_rad: f64,
-    },
+    /// It is not known where the robot is.
+    LookAround(LookAround),
     /// It is known, and a way is wanted.
     Plan {
         goal: Goal,
     },
     Follow(Box<Journey>),
     Arrived,
+}
+
+/// It looks, goes back to where it knew, and turns.
+#[derive(Clone, Copy, Debug)]
+struct LookAround {
+    goal: Goal,
+    since_ns: Option<i64>,
+    /// Where it last recognised something, by its wheels, until it is there.
+    back_to: Option<PlanarPose>,
+    turned_rad: f64,
 }
 
 /// A way, and how far the robot has come.
@@ -174,11 +182,13 @@ struct Journey {
     progress: usize,
 }
 
-/// Whether the robot moves when it is told to.
+/// Whether the robot moves when it is told to all along.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct MotionWatch {
     /// Where it was when it last moved, or was told to stand.
     still: Option<(i64, PlanarPose)>,
+    /// When it was last judged: after a pause in which commands lapsed it begins anew.
+    judged_ns: Option<i64>,
     waits_until_ns: Option<i64>,
 }
 
@@ -193,6 +203,7 @@ impl Navigator {
             filter: PoseFilter::new(&settings.localization),
             settings,
             wheels: None,
+            closed_at: None,
             since_closure_m: 0.0,
             unknown_looks: 0,
             evidence: 0.0,
@@ -247,7 +258,7 @@ impl Navigator {
     pub fn path(&self) -> Option<&GlobalPath> {
         match &self.task {
             Task::Follow(journey) => Some(&journey.path),
-            Task::Nothing | Task::LookAround { .. } | Task::Plan { .. } | Task::Arrived => None,
+            Task::Nothing | Task::LookAround(_) | Task::Plan { .. } | Task::Arrived => None,
         }
     }
 
@@ -260,7 +271,7 @@ impl Navigator {
         let (Sight::Closure(closure), Some(odometry)) = (&look.sight, &look.odometry) else {
             self.unknown_looks += u32::from(look.sight == Sight::Unknown);
             if self.unknown_looks >= self.settings.supervision.unknown_looks && self.estimate().is_some() {
-                self.lose();
+                self.lose(self.closed_at);
             }
             return Seen::Nothing;
         };
@@ -269,11 +280,11 @@ impl Navigator {
             Seen::Corrected => self.closed(odometry),
             Seen::Found => {
                 self.closed(odometry);
-                if let Task::LookAround { goal, .. } = self.task {
+                if let Task::LookAround(LookAround { goal, .. }) = self.task {
                     self.task = Task::Plan { goal };
                 }
             }
-            Seen::Kidnapped => self.lose(),
+            Seen::Kidnapped => self.lose(None),
             Seen::Unconfirmed | Seen::Stale | Seen::Nothing => {}
         }
         seen
@@ -285,10 +296,13 @@ impl Navigator {
         let (elapsed_s, moved) = self.take(report.stamp_ns, odometry);
         self.forget_obeyed(report.obeyed);
         if self.is_too_unsure() {
-            self.lose();
+            self.lose(self.closed_at);
+        }
+        if let (Task::LookAround(looks), Driver::Reflex) = (&mut self.task, report.driver) {
+            looks.back_to = None;
         }
         let (wanted, mut status, heading_to_target_rad) = self.wanted_motion(elapsed_s, moved, now_ns);
-        let motion = match self.watch.judge(wanted, &odometry, now_ns, &self.settings.supervision) {
+        let motion = match self.watch.judge(wanted, &odometry, now_ns, &self.settings) {
             Motion::Free => wanted,
             Motion::Waiting => {
                 status = Status::Blocked;
@@ -302,7 +316,7 @@ impl Navigator {
         let left_m = match &self.task {
             Task::Follow(journey) => Some(journey.path.left_m(journey.progress)),
             Task::Arrived => Some(0.0),
-            Task::Nothing | Task::LookAround { .. } | Task::Plan { .. } => None,
+            Task::Nothing | Task::LookAround(_) | Task::Plan { .. } => None,
         };
         let command = self.command(motion, now_ns);
         Guidance { command, status, localization, left_m, heading_to_target_rad }
@@ -333,21 +347,27 @@ impl Navigator {
         if self.estimate().is_some() {
             Task::Plan { goal }
         } else {
-            Task::LookAround { goal, since_ns: None, turned_rad: 0.0 }
+            Task::LookAround(LookAround { goal, since_ns: None, back_to: None, turned_rad: 0.0 })
         }
     }
 
-    /// Nothing that was believed counts any more.
-    fn lose(&mut self) {
+    /// Nothing that was believed counts any more. `back_to` is where the robot last knew, by its wheels.
+    fn lose(&mut self, back_to: Option<PlanarPose>) {
         self.filter.forget();
         self.episode += 1;
         (self.since_closure_m, self.unknown_looks, self.evidence) = (0.0, 0, 0.0);
         let goal = match &self.task {
-            Task::LookAround { goal, .. } | Task::Plan { goal } => *goal,
+            Task::LookAround(LookAround { goal, .. }) | Task::Plan { goal } => *goal,
             Task::Follow(journey) => journey.goal,
             Task::Nothing | Task::Arrived => return,
         };
-        self.task = Task::LookAround { goal, since_ns: None, turned_rad: 0.0 };
+        let back_to = back_to.zip(self.wheels).and_then(|(back_to, now)| {
+            let way = now.odometry.inverse().compose(&back_to);
+            let reach_m = self.settings.supervision.retreat_m;
+            (way.x_m().hypot(way.y_m()) <= reach_m).then_some(back_to)
+        });
+        self.steering.reset();
+        self.task = Task::LookAround(LookAround { goal, since_ns: None, back_to, turned_rad: 0.0 });
     }
 
     /// Seconds by the robot's clock, and metres and radians, since the odometry before.
@@ -365,6 +385,7 @@ impl Navigator {
     fn closed(&mut self, odometry: &PlanarPose) {
         self.unknown_looks = 0;
         let Some(now) = self.wheels else { return };
+        self.closed_at = Some(*odometry);
         let since = odometry.inverse().compose(&now.odometry);
         self.since_closure_m = since.x_m().hypot(since.y_m());
         let Some(estimate) = self.estimate() else { return };
@@ -392,25 +413,52 @@ impl Navigator {
         [_, turned_rad]: [f64; 2],
         now_ns: i64,
     ) -> ([f64; 2], Status, Option<f64>) {
-        let supervision = self.settings.supervision;
-        match &mut self.task {
+        match &self.task {
             Task::Nothing => ([0.0; 2], Status::Idle, None),
             Task::Arrived => ([0.0; 2], Status::Arrived, None),
             Task::Plan { .. } => ([0.0; 2], self.following(), None),
-            Task::LookAround { since_ns, turned_rad: turned, .. } => {
-                *turned += turned_rad;
-                let looked_ns = now_ns.saturating_sub(*since_ns.get_or_insert(now_ns));
-                let stands = looked_ns < supervision.look_first_ns || turned.abs() >= supervision.spin_rad;
-                let promising = self.evidence >= supervision.promising_evidence;
-                let turn_rad_s = match (stands, promising || self.filter.is_confirming()) {
-                    (true, _) => 0.0,
-                    (false, true) => supervision.confirming_rad_s,
-                    (false, false) => supervision.spin_rad_s,
-                };
-                ([0.0, turn_rad_s], Status::Lost, None)
+            Task::LookAround(looks) => {
+                let mut looks = *looks;
+                let motion = self.look_around(&mut looks, elapsed_s, turned_rad, now_ns);
+                self.task = Task::LookAround(looks);
+                (motion, Status::Lost, None)
             }
             Task::Follow(_) => self.steer(elapsed_s),
         }
+    }
+
+    /// Stands, goes back to where it knew, and turns: slowly where something speaks for a place.
+    fn look_around(
+        &mut self,
+        looks: &mut LookAround,
+        elapsed_s: f64,
+        turned_rad: f64,
+        now_ns: i64,
+    ) -> [f64; 2] {
+        let supervision = &self.settings.supervision;
+        let looked_ns = now_ns.saturating_sub(*looks.since_ns.get_or_insert(now_ns));
+        let promising = self.evidence >= supervision.promising_evidence || self.filter.is_confirming();
+        if looked_ns < supervision.look_first_ns {
+            return [0.0; 2];
+        }
+        if let (Some(back_to), Some(now), false) = (looks.back_to, self.wheels, promising) {
+            let robot = self.allowing_for_commands(&now.odometry);
+            let way = robot.inverse().compose(&back_to);
+            if way.x_m().hypot(way.y_m()) > BACK_M {
+                return self.steering.steer(way.y_m().atan2(way.x_m()), elapsed_s, &self.settings.steering);
+            }
+        }
+        looks.back_to = None;
+        looks.turned_rad += turned_rad;
+        let supervision = &self.settings.supervision;
+        let turn_rad_s = if looks.turned_rad.abs() >= supervision.spin_rad {
+            0.0
+        } else if promising {
+            supervision.confirming_rad_s
+        } else {
+            supervision.spin_rad_s
+        };
+        [0.0, turn_rad_s]
     }
 
     /// At the first point of the local path that is far enough away.
@@ -473,6 +521,9 @@ impl Navigator {
     }
 }
 
+/// A robot that is so near to where it went back to is there.
+const BACK_M: f64 = 0.1;
+
 /// Commands that are kept for a robot that says which one it obeys, at most.
 const MOST_ON_THE_WAY: usize = 256;
 
@@ -499,26 +550,31 @@ impl MotionWatch {
         [forward_m_s, turn_rad_s]: [f64; 2],
         odometry: &PlanarPose,
         now_ns: i64,
-        settings: &settings::SupervisionSettings,
+        settings: &NavigationSettings,
     ) -> Motion {
+        let is_told_to_move = forward_m_s.abs() > 1e-3 || turn_rad_s.abs() > 1e-2;
+        let paused = |judged_ns: i64| now_ns.saturating_sub(judged_ns) > settings.steering.valid_ns;
+        if !is_told_to_move || self.judged_ns.is_some_and(paused) {
+            *self = Self::default();
+        }
+        self.judged_ns = Some(now_ns);
         if let Some(until_ns) = self.waits_until_ns {
             if now_ns < until_ns {
                 return Motion::Waiting;
             }
-            *self = Self::default();
+            (self.still, self.waits_until_ns) = (None, None);
         }
-        let is_told_to_move = forward_m_s.abs() > 1e-3 || turn_rad_s.abs() > 1e-2;
         let (since_ns, from) = *self.still.get_or_insert((now_ns, *odometry));
         let moved = from.inverse().compose(odometry);
         let has_moved = moved.x_m().hypot(moved.y_m()) > MOVED_M || moved.heading_rad().abs() > MOVED_RAD;
-        if !is_told_to_move || has_moved {
+        if has_moved {
             self.still = Some((now_ns, *odometry));
             return Motion::Free;
         }
-        if now_ns.saturating_sub(since_ns) < settings.blocked_ns {
+        if now_ns.saturating_sub(since_ns) < settings.supervision.blocked_ns {
             return Motion::Free;
         }
-        self.waits_until_ns = Some(now_ns.saturating_add(settings.blocked_wait_ns));
+        self.waits_until_ns = Some(now_ns.saturating_add(settings.supervision.blocked_wait_ns));
         Motion::Waiting
     }
 }

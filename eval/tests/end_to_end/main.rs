@@ -5,6 +5,7 @@
 mod comparing;
 mod errors;
 mod mapping;
+mod navigating;
 mod new_place;
 mod posegraph;
 mod real_data;

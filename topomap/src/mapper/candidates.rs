@@ -27,6 +27,12 @@ const MEAN_SQUARED_RADIUS_WIDTHS: f64 = 0.13;
 /// Candidates with this share of the strongest evidence are as good as it: the nearest of them is taken.
 const AS_GOOD: f64 = 0.9;
 
+/// Views around a verified one with this share of the strongest own evidence may be the nearest.
+const HALF_AS_GOOD: f64 = 0.5;
+
+/// How many place spacings around that is.
+const AROUND_SPACINGS: f64 = 6.0;
+
 impl Mapper {
     /// Whether geometry has a say.
     pub(super) fn verifies(&self) -> bool {
@@ -159,19 +165,37 @@ impl Mapper {
         passed.min_by(|a, b| nearer(a, b))
     }
 
-    /// Of a frame's candidates, the nearest view of the same place for a robot that steers by the shift of the image: however
-    /// far that has moved, and wherever the robot has just been.
+    /// The view that is nearest to where a frame was taken, for a robot that steers by the shift of the image: it may be
+    /// of where the robot has just been, and however far the image has moved. That the robot is about there takes a
+    /// candidate that passes all the rest; which of the views around it is nearest, these two views alone say.
     #[must_use]
-    pub fn nearest_verified<'a>(&self, candidates: &'a [Candidate]) -> Option<&'a Candidate> {
+    pub fn nearest_view<'a>(&self, candidates: &'a [Candidate]) -> Option<&'a Candidate> {
         let bounds =
             VerificationSettings { max_translation_widths: f64::INFINITY, ..self.settings.verification };
         let threshold = self.settings.closure_threshold;
-        let strongest = candidates.iter().map(Candidate::evidence).fold(0.0, f64::max);
-        let passed = candidates
+        let most = candidates.iter().map(Candidate::evidence).fold(0.0, f64::max);
+        let verified = candidates
             .iter()
-            .filter(|candidate| candidate.evidence() >= AS_GOOD * strongest)
-            .filter(|candidate| bounds.verdict(candidate, threshold).is_accepted());
-        passed.min_by(|a, b| nearer(a, b))
+            .filter(|candidate| candidate.evidence() >= AS_GOOD * most)
+            .filter(|candidate| bounds.verdict(candidate, threshold).is_accepted())
+            .max_by(|a, b| a.own_evidence().total_cmp(&b.own_evidence()))?;
+        let around =
+            candidates.iter().filter(|other| self.is_around(verified.matched.place, other.matched.place));
+        let most = around.clone().map(Candidate::own_evidence).fold(0.0, f64::max);
+        let alike = around.filter(|other| {
+            let of_one_scene = |view| bounds.of_one_scene(view).iter().all(Check::passed);
+            other.own_evidence() >= HALF_AS_GOOD * most && other.view.as_ref().is_some_and(of_one_scene)
+        });
+        alike.min_by(|a, b| nearer(a, b)).or(Some(verified))
+    }
+
+    /// Whether two places lie so near to each other that much the same may be seen from both.
+    fn is_around(&self, place: PlaceId, other: PlaceId) -> bool {
+        let pose =
+            |place| self.poses.pose(place).filter(|_| self.poses.part(place) == self.poses.part(other));
+        let (Some(pose), Some(other)) = (pose(place), pose(other)) else { return place == other };
+        (pose.x_m() - other.x_m()).hypot(pose.y_m() - other.y_m())
+            <= AROUND_SPACINGS * self.settings.place_spacing.distance_m
     }
 
     /// What the session remembers of a frame that was compared with `candidates`.

@@ -54,6 +54,8 @@ pub struct Closure {
     pub frame: FrameId,
     /// Where that puts the robot.
     pub at: MapPosition,
+    /// The same in the frame of the view.
+    pub from_view: PlanarPose,
     /// Covariance of that along its own axes, in m² and rad².
     pub covariance: Matrix3<f64>,
     /// That both frames show the same place, in [0, 1].
@@ -106,8 +108,7 @@ impl Lookout {
     }
 }
 
-/// The nearest view among those that are the same place. A robot that steers by the shift of the image is to be told of
-/// it however large it is, so only that bound of the map's verification is dropped.
+/// What the nearest view says: see [`Mapper::nearest_view`].
 fn closure(
     mapper: &Mapper,
     event: &FrameEvent,
@@ -115,7 +116,7 @@ fn closure(
     views: &dyn Views,
     settings: &LocalizationSettings,
 ) -> Result<Option<Closure>, FrameError> {
-    let Some(candidate) = mapper.nearest_verified(&event.candidates) else { return Ok(None) };
+    let Some(candidate) = mapper.nearest_view(&event.candidates) else { return Ok(None) };
     let matched = candidate.matched;
     let at_frame = archive.at(matched.frame)?.unwrap_or_else(RelativePose::none);
     let poses = mapper.poses();
@@ -127,7 +128,7 @@ fn closure(
     };
     let at = MapPosition { part, pose: place.compose(at_frame.pose()).compose(&turn) };
     let (place, frame, probability) = (matched.place, matched.frame, candidate.probability());
-    Ok(Some(Closure { place, frame, at, covariance, probability }))
+    Ok(Some(Closure { place, frame, at, from_view: turn, covariance, probability }))
 }
 
 /// Where the robot is in the frame of the earlier view, and how well that is known.
@@ -420,4 +421,144 @@ fn way_m(motion: &PlanarPose) -> f64 {
     let half_rad = motion.heading_rad().abs() / 2.0;
     let longer = if half_rad < 1e-3 { 1.0 } else { half_rad / half_rad.sin() };
     motion.x_m().hypot(motion.y_m()) * longer
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::event::Match;
+    use crate::verification::{Similarity, TwoView};
+    use proptest::prelude::*;
+
+    fn view(ln_scale: f64, shift_widths: f64) -> Candidate {
+        let motion = Similarity { rotation_rad: 0.0, ln_scale, translation_widths: [shift_widths, 0.0] };
+        let view = TwoView {
+            matches: 90,
+            inliers: 80,
+            distinct_inliers: 80,
+            motion: Some(Motion::Similarity(motion)),
+        };
+        let matched = Match { place: 0, posterior: 1.0, log_odds: 9.0, frame: 1 };
+        Candidate { matched, view: Some(view), support: 0.0 }
+    }
+
+    /// 33 pixels of 320 are 4.73 degrees at the camera of Bazeille et al. 2011. A robot that has turned to the left sees
+    /// things further to the right, one that has driven on sees them larger.
+    #[test]
+    fn a_shift_is_a_turn_and_a_scale_a_way() {
+        let settings = LocalizationSettings::default();
+        let focal_length_widths = 33.0 / 320.0 / 4.73_f64.to_radians().tan();
+        let (turned, _) = measured(&view(0.0, 33.0 / 320.0), Some(focal_length_widths), &settings).unwrap();
+        assert!((turned.heading_rad().to_degrees() - 4.73).abs() < 1e-9 && turned.x_m() == 0.0);
+        let (nearer, unsure) = measured(&view(0.2, 0.0), Some(focal_length_widths), &settings).unwrap();
+        assert!((nearer.x_m() - 0.2 * settings.depth_m).abs() < 1e-12 && nearer.heading_rad() == 0.0);
+        let (_, sure) = measured(&view(0.0, 0.0), Some(focal_length_widths), &settings).unwrap();
+        assert!(unsure[(0, 0)] > sure[(0, 0)]);
+        // However far the image has moved.
+        assert!(measured(&view(0.0, 0.9), Some(focal_length_widths), &settings).is_some());
+    }
+
+    fn closure(pose: PlanarPose) -> Closure {
+        let covariance = Matrix3::from_diagonal(&Vector3::new(0.02, 0.006, 0.001));
+        let (at, from_view) = (MapPosition { part: 0, pose }, PlanarPose::identity());
+        Closure { place: 0, frame: 1, at, from_view, covariance, probability: 0.99 }
+    }
+
+    /// A drive along a wavy way: truth and wheels that are off by `drift_rad_per_m` and `scale`.
+    fn drive(drift_rad_per_m: f64, scale: f64) -> Vec<(i64, PlanarPose, PlanarPose)> {
+        let (mut truth, mut wheels) = (PlanarPose::new(3.0, 1.0, 0.5), PlanarPose::identity());
+        let step = |number: i64| {
+            let turn_rad = 0.01 * (number as f64 / 40.0).sin();
+            truth = truth.compose(&PlanarPose::new(0.02, 0.0, turn_rad));
+            wheels = wheels.compose(&PlanarPose::new(
+                0.02 * (1.0 + scale),
+                0.0,
+                turn_rad + 0.02 * drift_rad_per_m,
+            ));
+            (number * 50_000_000, truth, wheels)
+        };
+        (1..1000).map(step).collect()
+    }
+
+    fn found(settings: &LocalizationSettings, drive: &[(i64, PlanarPose, PlanarPose)]) -> PoseFilter {
+        let mut filter = PoseFilter::new(settings);
+        for (number, (stamp_ns, truth, wheels)) in drive[..2].iter().enumerate() {
+            let expected = if number == 0 { Seen::Unconfirmed } else { Seen::Found };
+            assert_eq!(filter.see(&closure(*truth), (*stamp_ns, wheels), settings), expected);
+        }
+        filter
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(40))]
+
+        #[test]
+        fn wheels_are_learnt(drift in -0.1..0.1f64, scale in -0.08..0.08f64) {
+            let (settings, drive) = (LocalizationSettings::default(), drive(drift, scale));
+            let mut filter = found(&settings, &drive);
+            let (seen, blind) = drive[2..].split_at(900);
+            for (stamp_ns, truth, wheels) in seen.iter().step_by(10) {
+                prop_assert_eq!(filter.see(&closure(*truth), (*stamp_ns, wheels), &settings), Seen::Corrected);
+            }
+            prop_assert!((filter.wheels.drift_rad_per_m - drift).abs() < 0.01, "{:?}", filter.wheels);
+            prop_assert!((filter.wheels.scale - scale).abs() < 0.03, "{:?}", filter.wheels);
+            // Nearly two metres without a closure.
+            let (_, truth, wheels) = blind[blind.len() - 1];
+            let missed = filter.at(&wheels, &settings).unwrap().pose.inverse().compose(&truth);
+            prop_assert!(missed.x_m().hypot(missed.y_m()) < 0.1 && missed.heading_rad().abs() < 0.05, "{missed:?}");
+        }
+
+        /// What was seen counts for when it was seen, however late it is told.
+        #[test]
+        fn late_answers_say_the_same(late in 1..90usize, at in 10..500usize) {
+            let (settings, drive) = (LocalizationSettings::default(), drive(0.05, 0.02));
+            let mut filter = found(&settings, &drive);
+            let (stamp_ns, truth, wheels) = drive[at];
+            prop_assert_eq!(filter.see(&closure(truth), (stamp_ns, &wheels), &settings), Seen::Corrected);
+            let later = drive[at + late].2;
+            let told = filter.at(&later, &settings).unwrap();
+            prop_assert!(told.position_sigma_m() > filter.at(&wheels, &settings).unwrap().position_sigma_m());
+            // Older ones count no more.
+            let (stamp_ns, truth, wheels) = drive[at - 5];
+            prop_assert_eq!(filter.see(&closure(truth), (stamp_ns, &wheels), &settings), Seen::Stale);
+            prop_assert_eq!(filter.at(&later, &settings), Some(told));
+        }
+    }
+
+    #[test]
+    fn one_contradiction_is_none_and_many_that_agree_are_a_kidnapping() {
+        let (settings, drive) = (LocalizationSettings::default(), drive(0.0, 0.0));
+        let mut filter = found(&settings, &drive);
+        let elsewhere = PlanarPose::new(20.0, -7.0, 1.0);
+        let see = |filter: &mut PoseFilter, index: usize, jump: &PlanarPose| {
+            let (stamp_ns, truth, wheels) = &drive[index];
+            filter.see(&closure(jump.compose(truth)), (*stamp_ns, wheels), &settings)
+        };
+        assert_eq!(see(&mut filter, 10, &elsewhere), Seen::Unconfirmed);
+        assert_eq!(see(&mut filter, 20, &PlanarPose::identity()), Seen::Corrected);
+        for number in 0..10 {
+            // Each somewhere else: they confirm nothing.
+            let scattered = PlanarPose::new(9.0 * f64::from(number + 1), 0.0, 1.0);
+            assert_eq!(see(&mut filter, 30 + number as usize, &scattered), Seen::Unconfirmed);
+        }
+        let last = settings.contradictions as usize;
+        for number in 1..last {
+            assert_eq!(see(&mut filter, 50 + 10 * number, &elsewhere), Seen::Unconfirmed);
+        }
+        assert_eq!(see(&mut filter, 50 + 10 * last, &elsewhere), Seen::Kidnapped);
+        assert_eq!(filter.at(&drive[100].2, &settings), None);
+    }
+
+    #[test]
+    fn the_deviation_grows_with_the_way() {
+        let (settings, drive) = (LocalizationSettings::default(), drive(0.0, 0.0));
+        let filter = found(&settings, &drive);
+        let sigmas: Vec<f64> = drive
+            .iter()
+            .skip(2)
+            .step_by(25)
+            .map(|(.., wheels)| filter.at(wheels, &settings).unwrap().position_sigma_m())
+            .collect();
+        assert!(sigmas.windows(2).all(|pair| pair[0] < pair[1]), "{sigmas:?}");
+    }
 }

@@ -135,6 +135,8 @@ pub struct SupervisionSettings {
     pub promising_evidence: f64,
     /// Turn after which it stands and waits, in radians.
     pub spin_rad: f64,
+    /// How far a lost robot drives back to where it last recognised something, at most, in metres: that way was free.
+    pub retreat_m: f64,
     /// How long it stands and looks before it turns, in nanoseconds.
     pub look_first_ns: i64,
     /// How long it may be told to move and not do it, in nanoseconds.
@@ -205,6 +207,7 @@ impl Default for SupervisionSettings {
             confirming_rad_s: 0.1,
             promising_evidence: 40.0,
             spin_rad: 2.0 * std::f64::consts::TAU,
+            retreat_m: 2.0,
             look_first_ns: 2_000_000_000,
             blocked_ns: 3_000_000_000,
             blocked_wait_ns: 2_000_000_000,
@@ -326,6 +329,7 @@ impl SupervisionSettings {
             ("confirming_rad_s", self.confirming_rad_s, 0.0, 10.0),
             ("promising_evidence", self.promising_evidence, 0.0, 1e6),
             ("spin_rad", self.spin_rad, 0.0, 1e3),
+            ("retreat_m", self.retreat_m, 0.0, 100.0),
             ("look_first_ns", self.look_first_ns as f64, 0.0, 60e9),
             ("blocked_ns", self.blocked_ns as f64, 1e6, 1e12),
             ("blocked_wait_ns", self.blocked_wait_ns as f64, 0.0, 1e12),

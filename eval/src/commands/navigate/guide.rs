@@ -108,3 +108,59 @@ pub(super) fn sent(reading: &waypost_sim::robot::OdometryReading) -> Result<Odom
     let (position_m, orientation) = reading.position_and_orientation();
     Odometry::new(position_m, orientation, Some(&reading.covariance_6x6())).map_err(MapError::Odometry)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use fabmap::descriptor::Descriptors;
+    use topomap::relative_pose::ClosureNoise;
+    use topomap::verification::{Motion, VerificationSettings};
+    use waypost_sim::light::Light;
+    use waypost_sim::pose::Pose;
+    use waypost_sim::scene::Scene;
+    use waypost_sim::worlds::NamedWorld;
+    use waypost_vision::feature_record::FeatureRecord;
+    use waypost_vision::verification::View;
+
+    use super::*;
+    use crate::commands::map::training::MapTraining;
+
+    /// What is seen from a pose, as features without words.
+    fn features(scene: &Scene, pose: Pose) -> FeatureRecord {
+        let shot = Shot { pose, speed: [0.0; 2], people: Vec::new(), light: Light::default(), seed: 1 };
+        let image = image_of(scene, &camera_rig().unwrap(), &shot).unwrap();
+        let features = Extractor::new(MapTraining::default().features).extract(&image).unwrap();
+        let descriptors: Descriptors = features.descriptors;
+        let words = vec![0; features.keypoints.len()];
+        FeatureRecord::new(IMAGE_SIZE_PX, features.keypoints, words, Some(descriptors)).unwrap()
+    }
+
+    /// The shift of the image gives the turn, and its sign: both ways, by two angles; within a seventh, since a turn stretches
+    /// the image as well. What is nearer is larger.
+    #[test]
+    fn a_robot_that_has_turned_left_is_seen_to_have_turned_left() {
+        let scene = Scene::new(NamedWorld::Loop.plan(1));
+        let (verifier, noise) =
+            (Verifier::new(VerificationSettings::default(), 0), ClosureNoise::of_spacing(0.5));
+        let camera = Pinhole::of_field_of_view(FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX);
+        let focal_length_widths = Some(camera.focal_length_widths(IMAGE_SIZE_PX.0));
+        let before = Pose::new(4.0, 1.0, 0.0);
+        let earlier = features(&scene, before);
+        let compared = |pose: Pose| {
+            let current = features(&scene, pose);
+            let view = |features| View { features, camera: Some(camera) };
+            verifier.compare(view(&earlier), view(&current))
+        };
+        for degrees in [-8.0, -4.73, 4.73, 8.0_f64] {
+            let view = compared(Pose { heading_rad: degrees * PI / 180.0, ..before });
+            let measured =
+                noise.measure(&view, focal_length_widths).unwrap().pose().heading_rad().to_degrees();
+            assert!((measured - degrees).abs() < 0.15 * degrees.abs(), "{measured}, not {degrees} degrees");
+        }
+        let Some(Motion::Similarity(ahead)) = compared(Pose { x_m: 4.4, ..before }).motion else {
+            panic!("no motion")
+        };
+        assert!(ahead.ln_scale > 0.02, "{ahead:?}");
+    }
+}

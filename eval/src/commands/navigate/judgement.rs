@@ -34,7 +34,7 @@ pub struct NavigateReport {
     pub closure_rate: f64,
     /// Those of them that were believed.
     pub believed_rate: f64,
-    /// Recognised frames that were taken more than 1.5 m or 40 degrees away.
+    /// Closures that put the robot more than 1.5 m or 40 degrees from where it is.
     pub false_closures: usize,
     /// Those of them that were believed.
     pub false_believed: usize,

@@ -54,7 +54,7 @@ pub(super) struct Drive {
 pub(super) struct Looked {
     pub(super) position: Vector2<f64>,
     pub(super) seen: Seen,
-    /// From where the recognised frame was taken, if one was recognised: metres and radians.
+    /// Of where the closure puts the robot from where it was: metres and radians.
     pub(super) apart: Option<(f64, f64)>,
     /// Metres that the robot has turned and driven do not matter here; whether it was on its way.
     pub(super) on_the_way: bool,
@@ -83,7 +83,7 @@ const FRAME_PERIOD_NS: i64 = 500_000_000;
 const COMPUTING_NS: i64 = 30_000_000;
 /// Images of sparse drives, in metres and radians.
 const SPARSE: (f64, f64) = (0.4, 0.35);
-/// Closures of frames that were taken further apart are wrong.
+/// Closures that put the robot further from where it is are wrong.
 pub(super) const FALSE_M: f64 = 1.5;
 pub(super) const FALSE_RAD: f64 = 40.0 / 180.0 * std::f64::consts::PI;
 
@@ -259,14 +259,16 @@ impl<'a> Course<'a> {
     fn look(&mut self, frame: &CameraFrame, truth: &PlanarPose) -> Result<(), EvalError> {
         let on_the_way = self.has_started() && self.status != Status::Lost;
         let (look, seen) = self.guide.see(frame.stamp_ns, sent(&frame.odometry)?, &frame.shot)?;
-        let recognised = match look.sight {
-            Sight::Closure(closure) => Some(closure.frame),
+        let closure = match look.sight {
+            Sight::Closure(closure) => Some(closure),
             Sight::Unknown | Sight::TooLittle => None,
         };
-        let apart = recognised.and_then(|frame| self.taught.truth(frame)).map(|then| {
-            let apart = then.inverse().compose(truth);
-            (apart.x_m().hypot(apart.y_m()), apart.heading_rad().abs())
+        let apart = closure.and_then(|closure| {
+            let said = self.taught.truth(closure.frame)?.compose(&closure.from_view);
+            let apart = said.inverse().compose(truth);
+            Some((apart.x_m().hypot(apart.y_m()), apart.heading_rad().abs()))
         });
+        let recognised = closure.map(|closure| closure.frame);
         let position = Vector2::new(truth.x_m(), truth.y_m());
         self.drive.looks.push(Looked { position, seen, apart, on_the_way, recognised });
         self.judge_kidnapping(frame.stamp_ns, seen, apart);
