@@ -1,4 +1,4 @@
-//! REST, for people: what the maps hold. Reads only.
+//! REST, for people: what the maps hold, and where robots are to go. It changes no map.
 
 mod access;
 mod description;
@@ -9,6 +9,7 @@ mod geometry;
 mod jobs;
 mod maps;
 mod models;
+mod navigations;
 mod pages;
 mod parameters;
 mod pictures;
@@ -138,6 +139,10 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(exports::export_posteriors_json))
         .routes(routes!(trajectories::export_trajectory))
         .routes(routes!(trajectories::export_graph))
+        .routes(routes!(navigations::list_navigations))
+        .routes(routes!(navigations::get_navigation))
+        .routes(routes!(navigations::set_goal, navigations::cancel_goal))
+        .routes(routes!(navigations::plan_route))
         .routes(routes!(models::list_models))
         .routes(routes!(models::get_model))
         .routes(routes!(jobs::list_jobs))

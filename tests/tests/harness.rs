@@ -17,7 +17,7 @@ pub(crate) use models::{model_of_other_words, recalibrated_model, take_model};
 pub(crate) use process::{Built, ServerProcess, run_to_its_end};
 pub(crate) use proxy::Proxy;
 pub(crate) use reference::{BY_WORDS_THRESHOLD, Reference, reference, reference_by_words};
-pub(crate) use rest::{Answer, Surveyed, found, get, http};
+pub(crate) use rest::{Answer, Surveyed, found, get, http, led};
 pub(crate) use sequence::{SECOND_NS, first_return, frame, frame_count, images, model_file, workspace};
 pub(crate) use server::{Server, channel, channel_with_window, import_model, state_hash};
 pub(crate) use stream::{RawStream, answers, answers_of, open, session_options, stream, wire};

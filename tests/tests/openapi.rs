@@ -4,7 +4,7 @@ use jsonschema::Validator;
 use reqwest::StatusCode;
 use serde_json::{Value, json};
 
-use crate::harness::{Answer, Server, Surveyed, found, get, http, images, workspace};
+use crate::harness::{Answer, Server, Surveyed, found, get, http, images, led, workspace};
 
 /// Writes the description anew when it is set.
 const RENEW: &str = "RENEW_OPENAPI";
@@ -47,11 +47,19 @@ impl Call {
         Self { method: "post", path, asked: asked.to_owned(), body: Some((kind, body)) }
     }
 
+    fn goal(method: &'static str, asked: &str, body: &str) -> Self {
+        let path = "/v1/maps/{map}/navigations/{navigation}/goal".to_owned();
+        let body = Some(("application/json", body.as_bytes().to_vec()));
+        Self { method, path, asked: asked.to_owned(), body }
+    }
+
     async fn answer(&self, server: &Server) -> Answer {
         let url = server.url(&self.asked);
+        let method = self.method.to_uppercase().parse().unwrap();
+        let request = http().request(method, url);
         Answer::to(match &self.body {
-            Some((kind, body)) => http().post(url).header("content-type", *kind).body(body.clone()),
-            None => http().get(url),
+            Some((kind, body)) => request.header("content-type", *kind).body(body.clone()),
+            None => request,
         })
         .await
     }
@@ -117,6 +125,19 @@ fn good_calls(surveyed: &Surveyed) -> Vec<Call> {
         Call::query("/v1/maps/empty/query", "image/jpeg", images()[3].clone()),
         Call::query("/v1/maps/drive/query", "application/json", histogram.to_string().into_bytes()),
         Call::query("/v1/maps/drive/query", "application/json", list.to_string().into_bytes()),
+        Call::get("/v1/maps/{map}/route", "/v1/maps/drive/route?from=0&to=3"),
+        Call::get("/v1/maps/{map}/route", "/v1/maps/drive/route?from=3&to=0&against_the_way=costly"),
+        Call::get("/v1/maps/{map}/navigations", "/v1/maps/drive/navigations"),
+        Call::get("/v1/maps/{map}/navigations", "/v1/maps/empty/navigations"),
+        Call::get("/v1/maps/{map}/navigations/{navigation}", "/v1/maps/drive/navigations/robot"),
+        Call::get("/v1/maps/{map}/navigations/{navigation}", "/v1/maps/drive/navigations/scout"),
+        Call::goal("put", "/v1/maps/drive/navigations/scout/goal", r#"{"place": 2}"#),
+        Call::goal(
+            "put",
+            "/v1/maps/drive/navigations/scout/goal",
+            r#"{"position": {"part": 0, "x_m": 1, "y_m": -0.5}}"#,
+        ),
+        Call::goal("delete", "/v1/maps/drive/navigations/scout/goal", ""),
         Call::get("/v1/models", "/v1/models"),
         Call::get("/v1/models/{model}", "/v1/models/shipped"),
         Call::get("/v1/jobs", "/v1/jobs"),
@@ -128,8 +149,8 @@ fn good_calls(surveyed: &Surveyed) -> Vec<Call> {
 fn bad_calls(method: &'static str, path: &str) -> Vec<(StatusCode, Call)> {
     let nowhere = path.replace("{map}", "nowhere").replace("{session}", "none").replace("{word}", "0");
     let nowhere = nowhere.replace("{place}", "0").replace("{sequence}", "1").replace("{job}", "999999");
-    let nowhere = nowhere.replace("{model}", "nothing");
-    let body = (method == "post").then(|| ("application/json", b"{}".to_vec()));
+    let nowhere = nowhere.replace("{model}", "nothing").replace("{navigation}", "nobody");
+    let body = ["post", "put"].contains(&method).then(|| ("application/json", b"{}".to_vec()));
     let asked = format!("{nowhere}?no_such_parameter=1");
     let mut calls = vec![(StatusCode::BAD_REQUEST, Call { method, path: path.to_owned(), asked, body })];
     if method == "post" {
@@ -137,6 +158,18 @@ fn bad_calls(method: &'static str, path: &str) -> Vec<(StatusCode, Call)> {
         calls.push((StatusCode::UNSUPPORTED_MEDIA_TYPE, Call::query(asked, "text/plain", Vec::new())));
         calls.push((StatusCode::PAYLOAD_TOO_LARGE, Call::query(asked, "image/png", vec![0; (16 << 20) + 1])));
         calls.push((StatusCode::NOT_FOUND, Call::query(asked, "image/jpeg", images()[0].clone())));
+    } else if method == "put" {
+        calls.push((StatusCode::NOT_FOUND, Call::goal("put", &nowhere, r#"{"place": 0}"#)));
+        for body in
+            ["", "{}", r#"{"place": -1}"#, r#"{"place": 1, "position": {"part": 0, "x_m": 0, "y_m": 0}}"#]
+        {
+            calls.push((StatusCode::BAD_REQUEST, Call::goal("put", &nowhere, body)));
+        }
+    } else if method == "delete" {
+        calls.push((StatusCode::NOT_FOUND, Call::goal("delete", &nowhere, "")));
+    } else if path.ends_with("/route") {
+        calls.push((StatusCode::BAD_REQUEST, Call::get(path, nowhere.as_str())));
+        calls.push((StatusCode::NOT_FOUND, Call::get(path, format!("{nowhere}?from=0&to=1"))));
     } else if path.contains('{') {
         calls.push((StatusCode::NOT_FOUND, Call::get(path, nowhere)));
     }
@@ -163,7 +196,7 @@ impl Description {
         let mut operations = Vec::new();
         for (path, methods) in self.document["paths"].as_object().unwrap() {
             for method in methods.as_object().unwrap().keys() {
-                let known = ["get", "post"].into_iter().find(|known| known == method);
+                let known = ["get", "post", "put", "delete"].into_iter().find(|known| known == method);
                 operations.push((known.expect("a method that this test can call"), path.as_str()));
             }
         }
@@ -210,6 +243,7 @@ impl Description {
 async fn every_answer_is_as_described() {
     let surveyed = Surveyed::start().await;
     let description = Description::of(&surveyed.server).await;
+    let _led = led(&surveyed.server.client().await).await;
     let calls = good_calls(&surveyed);
     for (method, path) in description.operations() {
         let described: Vec<&Call> =

@@ -89,6 +89,7 @@ async fn other_methods_are_refused_and_the_right_ones_named() {
         (Method::DELETE, "/v1/maps/drive", "GET,HEAD"),
         (Method::PUT, "/v1/maps/drive/matches.csv", "GET,HEAD"),
         (Method::GET, "/v1/maps/drive/query", "POST"),
+        (Method::POST, "/v1/maps/drive/navigations/robot/goal", "PUT,DELETE"),
         (Method::PATCH, "/v1/openapi.json", "GET,HEAD"),
         (Method::POST, "/", "GET,HEAD"),
     ];
@@ -257,7 +258,8 @@ async fn health_and_reflection_answer() {
     let mut names: Vec<String> = services.service.into_iter().map(|service| service.name).collect();
     names.retain(|name| name.starts_with("waypost."));
     names.sort();
-    let expected = ["JobService", "MapService", "ModelService", "SessionService", "TokenService"];
+    let expected =
+        ["JobService", "MapService", "ModelService", "NavigationService", "SessionService", "TokenService"];
     assert_eq!(names, expected.map(|name| format!("waypost.v1.{name}")));
     let answer = in_time(answers.message()).await.unwrap().unwrap().message_response;
     let Some(MessageResponse::FileDescriptorResponse(file)) = answer else { panic!("{answer:?}") };

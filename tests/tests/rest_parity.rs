@@ -13,10 +13,11 @@ use waypost_proto::v1;
 use waypost_proto::v1::job_service_client::JobServiceClient;
 use waypost_proto::v1::map_service_client::MapServiceClient;
 use waypost_proto::v1::model_service_client::ModelServiceClient;
+use waypost_proto::v1::navigation_service_client::NavigationServiceClient;
 use waypost_proto::v1::query_request::Content;
 use waypost_proto::v1::session_service_client::SessionServiceClient;
 
-use crate::harness::{Answer, Server, Surveyed, channel, found, get, http, images};
+use crate::harness::{Answer, Server, Surveyed, channel, found, get, http, images, led};
 
 static CONTRACT: LazyLock<DescriptorPool> =
     LazyLock::new(|| DescriptorPool::decode(waypost_proto::FILE_DESCRIPTOR_SET).unwrap());
@@ -115,6 +116,7 @@ struct Both {
     maps: MapServiceClient<Channel>,
     sessions: SessionServiceClient<Channel>,
     models: ModelServiceClient<Channel>,
+    navigations: NavigationServiceClient<Channel>,
     jobs: JobServiceClient<Channel>,
 }
 
@@ -126,6 +128,7 @@ impl Both {
             maps: MapServiceClient::new(channel.clone()),
             sessions: SessionServiceClient::new(channel.clone()),
             models: ModelServiceClient::new(channel.clone()),
+            navigations: NavigationServiceClient::new(channel.clone()),
             jobs: JobServiceClient::new(channel),
         }
     }
@@ -416,6 +419,64 @@ async fn models_and_jobs_are_the_same() {
         let over_grpc = both.jobs.clone().get_job(v1::GetJobRequest { name: format!("jobs/{job}") }).await;
         both.agree(&format!("/v1/jobs/{job}"), "waypost.v1.Job", over_grpc).await;
     }
+    both.server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn navigations_and_routes_are_the_same() {
+    let Surveyed { server, .. } = Surveyed::start().await;
+    let client = server.client().await;
+    let both = Both::of(server).await;
+    let _led = led(&client).await;
+    let message = ("waypost.v1.ListNavigationsResponse", "navigations");
+    let navigations = both
+        .lists_agree("/v1/maps/drive/navigations", message, async |page_size, page_token| {
+            let map = "maps/drive".to_owned();
+            both.navigations
+                .clone()
+                .list_navigations(v1::ListNavigationsRequest { map, page_size, page_token })
+                .await
+        })
+        .await;
+    let names: Vec<&str> = navigations.iter().map(|led| led["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["maps/drive/navigations/robot", "maps/drive/navigations/scout"]);
+    assert_eq!((&navigations[0]["goal"]["place"], &navigations[0]["connected"]), (&json!(1), &json!(true)));
+    assert_eq!(
+        (&navigations[0]["guidance"]["status"], &navigations[1]["guidance"]),
+        (&json!("lost"), &json!(null))
+    );
+    for (map, robot) in
+        [("drive", "robot"), ("drive", "scout"), ("drive", "nobody"), ("no", "robot"), ("drive", "No")]
+    {
+        let name = format!("maps/{map}/navigations/{robot}");
+        let over_grpc =
+            both.navigations.clone().get_navigation(v1::GetNavigationRequest { name: name.clone() }).await;
+        both.agree(&format!("/v1/{name}"), "waypost.v1.Navigation", over_grpc).await;
+    }
+    let mut planned = 0;
+    for (map, from, to, against) in [
+        ("drive", 0, 5, "forbidden"),
+        ("drive", 5, 0, "forbidden"),
+        ("drive", 5, 0, "costly"),
+        ("drive", 0, 999, "forbidden"),
+        ("drive", 999, 0, "costly"),
+        ("empty", 0, 0, "costly"),
+        ("no", 0, 1, "costly"),
+    ] {
+        let way = if against == "costly" { v1::AgainstTheWay::Costly } else { v1::AgainstTheWay::Forbidden };
+        let request = v1::PlanRouteRequest {
+            map: format!("maps/{map}"),
+            from_place: from,
+            goal: Some(v1::Goal { target: Some(v1::goal::Target::Place(to)) }),
+            against_the_way: way.into(),
+        };
+        let over_grpc = both.navigations.clone().plan_route(request).await;
+        let route = over_grpc.map(|response| response.map(|response| response.route.unwrap()));
+        planned += usize::from(route.is_ok());
+        let path = format!("/v1/maps/{map}/route?from={from}&to={to}&against_the_way={against}");
+        both.agree(&path, "waypost.v1.Route", route).await;
+    }
+    assert!((2..5).contains(&planned), "{planned} ways");
     both.server.stop().await;
 }
 

@@ -50,6 +50,7 @@ const PAGE_POLICY: HeaderValue = HeaderValue::from_static(
     tags(
         (name = "maps", description = "Maps, their places, and the loops they closed."),
         (name = "sessions", description = "Runs of robots: what they saw, and what they were told."),
+        (name = "navigations", description = "Robots that are led along a map: where they are, and where they are to go."),
         (name = "models", description = "What is learnt before a robot drives."),
         (name = "jobs", description = "Work that takes longer than a call."),
         (name = "exports", description = "Whole tables, sent as they are read. Rows that a robot adds meanwhile may \

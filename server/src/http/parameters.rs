@@ -118,6 +118,17 @@ pub(super) struct SessionPath {
 
 #[derive(Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Path)]
+pub(super) struct NavigationPath {
+    /// Name of the map.
+    #[param(pattern = "^[a-z0-9][a-z0-9_-]{0,62}$", example = "demo")]
+    pub(super) map: String,
+    /// Name of the robot.
+    #[param(pattern = "^[a-z0-9][a-z0-9_-]{0,62}$", example = "robot-7")]
+    pub(super) navigation: String,
+}
+
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Path)]
 pub(super) struct FramePath {
     /// Name of the map.
     #[param(pattern = "^[a-z0-9][a-z0-9_-]{0,62}$", example = "demo")]

@@ -4,7 +4,9 @@ use futures::stream;
 use reqwest::StatusCode;
 use reqwest::header::HeaderMap;
 use serde_json::Value;
-use waypost_client::{Client, FrameInput, FrameOutcome, SessionOptions};
+use waypost_client::{
+    Client, FrameInput, FrameOutcome, Navigation, NavigationOptions, Reading, SessionOptions,
+};
 use waypost_proto::v1;
 
 use super::{
@@ -96,6 +98,22 @@ impl Surveyed {
         let job = trained(&client).await;
         Self { server, job, words_hash: model.words_hash }
     }
+}
+
+/// Robots `robot`, which is to go to place 1, and `scout`, which stands; in the map `drive`.
+pub(crate) async fn led(client: &Client) -> [Navigation; 2] {
+    let goal = v1::Goal { target: Some(v1::goal::Target::Place(1)) };
+    let open = async |name: &str, goal| {
+        let options = NavigationOptions::new("drive", camera());
+        let options = NavigationOptions { navigation_id: name.to_owned(), goal, ..options };
+        client.navigate(options).await.unwrap()
+    };
+    let robot = open("robot", Some(goal)).await;
+    let mut guidance = robot.guidance();
+    let odometry = v1::Odometry { pose: Some(pose(1.0)), covariance: Vec::new() };
+    robot.report(Reading { stamp_ns: 1, odometry, reflex: false });
+    guidance.changed().await.unwrap();
+    [robot, open("scout", None).await]
 }
 
 fn camera() -> v1::Camera {
