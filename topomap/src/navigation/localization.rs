@@ -284,7 +284,9 @@ impl PoseFilter {
         settings: &LocalizationSettings,
     ) -> Seen {
         let Some(fix) = &self.fix else {
-            return if self.confirm(closure, odometry, settings) >= settings.confirmations {
+            let count = self.confirm(closure, odometry, settings);
+            let is_near = closure.covariance[(0, 0)].sqrt() <= settings.found_along_m;
+            return if is_near && count >= settings.confirmations {
                 self.unconfirmed = None;
                 self.fix = Some(Fix::of(closure, (stamp_ns, odometry), &self.wheels));
                 Seen::Found

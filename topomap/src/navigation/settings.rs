@@ -47,6 +47,9 @@ pub struct LocalizationSettings {
     pub contradictions: u32,
     /// Closures in agreement that a robot needs which does not know where it is; at least 1.
     pub confirmations: u32,
+    /// Largest standard deviation along the way of a closure that tells a robot where it is which does not know, in
+    /// metres: no view from afar.
+    pub found_along_m: f64,
     /// How far two closures in agreement may disagree, in metres.
     pub agreement_m: f64,
     /// The same of headings, in radians.
@@ -161,6 +164,7 @@ impl Default for LocalizationSettings {
             gate_chi_squared: 25.0,
             contradictions: 4,
             confirmations: 2,
+            found_along_m: 0.6,
             agreement_m: 0.8,
             agreement_rad: 0.35,
         }
@@ -203,10 +207,10 @@ impl Default for SupervisionSettings {
             lost_sigma_m: 0.8,
             lost_m: 6.0,
             unknown_looks: 6,
-            spin_rad_s: 0.4,
+            spin_rad_s: 0.25,
             confirming_rad_s: 0.1,
             promising_evidence: 40.0,
-            spin_rad: 2.0 * std::f64::consts::TAU,
+            spin_rad: 3.0 * std::f64::consts::TAU,
             retreat_m: 2.0,
             look_first_ns: 2_000_000_000,
             blocked_ns: 3_000_000_000,
@@ -269,6 +273,7 @@ impl LocalizationSettings {
             ("gate_chi_squared", self.gate_chi_squared, 1.0, 1e6),
             ("contradictions", f64::from(self.contradictions), 1.0, 1000.0),
             ("confirmations", f64::from(self.confirmations), 1.0, 1000.0),
+            ("found_along_m", self.found_along_m, 1e-3, 100.0),
             ("agreement_m", self.agreement_m, 0.01, 10.0),
             ("agreement_rad", self.agreement_rad, 0.01, 3.2),
         ]
