@@ -1,0 +1,258 @@
+//! To a goal by looks alone: no odometry, no metres, a robot that drives where it sees the next image of its path.
+//!
+//! The robot steers towards a subgoal, the node c. With each observation c moves on to a neighbour that is nearer to the
+//! goal and matches, as often as there is one; then the heading is that from the observation to c. Booij, Terwijn,
+//! Zivkovic & Kröse, ICRA 2007. Begin with [`AppearanceNavigator::observe`].
+
+mod smoothing;
+
+use std::collections::BTreeMap;
+
+use crate::appearance_graph::{
+    AppearanceGraph, GoalDistances, ImageId, LINK_SIMILARITY, Link, NoSuchImage, Overlap, Panorama,
+};
+use crate::mapper::ArchiveError;
+
+pub use smoothing::SmoothedHeading;
+
+/// What the robot sees now.
+pub trait Sight: Panorama {
+    /// By how much the robot has turned to the left since its last observation, in radians, as far as the two images
+    /// tell; `None` if they do not, or this is the first.
+    fn turned_rad(&self) -> Option<f64>;
+
+    /// The images among which the robot looks for itself when it does not know where it is: all of the map, or those
+    /// that an index names.
+    fn relocalization_candidates(&self) -> Vec<ImageId>;
+}
+
+/// Whether the robot is free to do as it is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Body {
+    /// It is.
+    Free,
+    /// Its own reflex has taken over, or something holds it.
+    Held,
+}
+
+/// How a navigator decides.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NavigationSettings {
+    /// Similarity from which an image matches, at least [`LINK_SIMILARITY`].
+    pub match_similarity: f64,
+    /// The goal is reached where the similarity with it is this share of its best link's, in [0, 1].
+    pub arrival_share: f64,
+    /// Weight of the last heading as against the new one, in [0, 1): each one before weighs as much less again.
+    pub recency: f64,
+    /// Observations without a heading after which the robot looks for itself in the whole map.
+    pub patience: u32,
+    /// Neighbours that an observation is compared with at most, the most similar to the subgoal first.
+    pub max_neighbours: usize,
+}
+
+impl Default for NavigationSettings {
+    fn default() -> Self {
+        Self {
+            match_similarity: LINK_SIMILARITY,
+            arrival_share: 0.6,
+            recency: 0.5,
+            patience: 10,
+            max_neighbours: 12,
+        }
+    }
+}
+
+/// What the robot is told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Guidance {
+    /// How it goes.
+    pub status: NavigationStatus,
+    /// The image that it steers to; `None` before it has ever known where it is.
+    pub subgoal: Option<ImageId>,
+    /// Where to drive, from straight ahead to the left, in (-π, π]; `None` if nothing has shown that, or there is nowhere
+    /// left to go.
+    pub heading_rad: Option<f64>,
+    /// Sum of 1 / S from the subgoal to the goal.
+    pub remaining: Option<f64>,
+    /// Images of the map that the observation was compared with.
+    pub compared: usize,
+}
+
+/// How a navigation goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NavigationStatus {
+    /// The subgoal is in sight.
+    Driving,
+    /// It is not; the robot keeps its heading.
+    Recovering,
+    /// Nothing in the map that leads to the goal looks like what is seen.
+    Lost,
+    /// Something holds the robot.
+    Blocked,
+    /// The goal is reached.
+    Arrived,
+}
+
+/// Takes one robot to one goal.
+#[derive(Clone, Debug)]
+pub struct AppearanceNavigator {
+    settings: NavigationSettings,
+    distances: GoalDistances,
+    /// Similarity with the goal at which it is reached.
+    arrival_similarity: f64,
+    subgoal: Option<ImageId>,
+    heading: SmoothedHeading,
+    /// Observations in a row that gave no heading.
+    misses: u32,
+}
+
+/// What one observation has been compared with so far.
+struct Compared<'a, S> {
+    sight: &'a S,
+    overlaps: BTreeMap<ImageId, Option<Overlap>>,
+}
+
+impl<S: Sight> Compared<'_, S> {
+    fn overlap(&mut self, image: ImageId) -> Result<Option<Overlap>, ArchiveError> {
+        if let Some(known) = self.overlaps.get(&image) {
+            return Ok(*known);
+        }
+        let overlap = self.sight.overlap(image)?;
+        self.overlaps.insert(image, overlap);
+        Ok(overlap)
+    }
+}
+
+impl AppearanceNavigator {
+    /// On the way to `goal`.
+    ///
+    /// # Errors
+    /// [`NoSuchImage`] if the graph does not have it.
+    pub fn new(
+        graph: &AppearanceGraph,
+        goal: ImageId,
+        settings: NavigationSettings,
+    ) -> Result<Self, NoSuchImage> {
+        let distances = graph.distances_to(goal)?;
+        let best = graph.neighbours(goal).iter().map(|link| link.similarity).fold(0.0, f64::max);
+        Ok(Self {
+            arrival_similarity: (settings.arrival_share * best).max(settings.match_similarity),
+            settings,
+            distances,
+            subgoal: None,
+            heading: SmoothedHeading::new(settings.recency),
+            misses: 0,
+        })
+    }
+
+    /// Takes what the robot sees, and says where to drive.
+    ///
+    /// # Errors
+    /// [`ArchiveError`] if an image of the map cannot be read now; the navigation is as it was before.
+    pub fn observe<S: Sight>(
+        &mut self,
+        graph: &AppearanceGraph,
+        sight: &S,
+        body: Body,
+    ) -> Result<Guidance, ArchiveError> {
+        let mut compared = Compared { sight, overlaps: BTreeMap::new() };
+        let mut subgoal = match self.subgoal {
+            Some(subgoal) if self.misses < self.settings.patience => Some(subgoal),
+            Some(_) | None => self.relocalized(&mut compared)?,
+        };
+        if let Some(image) = subgoal {
+            subgoal = Some(self.advanced(graph, image, &mut compared)?);
+        }
+        let overlap = match subgoal {
+            Some(image) => compared.overlap(image)?.filter(|overlap| self.matches(overlap)),
+            None => None,
+        };
+        self.heading.turn(sight.turned_rad().unwrap_or(0.0));
+        if let Some(overlap) = &overlap {
+            self.heading.take(overlap.motion.heading_rad());
+        }
+        let was_lost = subgoal.is_none();
+        self.misses = if overlap.is_some() { 0 } else { (self.misses + 1).min(self.settings.patience) };
+        self.subgoal = subgoal.or(self.subgoal);
+        let status = if overlap.is_some_and(|overlap| self.has_arrived(&overlap)) {
+            NavigationStatus::Arrived
+        } else if was_lost {
+            NavigationStatus::Lost
+        } else if body == Body::Held {
+            NavigationStatus::Blocked
+        } else if overlap.is_some() {
+            NavigationStatus::Driving
+        } else {
+            NavigationStatus::Recovering
+        };
+        Ok(Guidance {
+            status,
+            subgoal: self.subgoal,
+            heading_rad: self.heading.heading_rad().filter(|_| status != NavigationStatus::Arrived),
+            remaining: self.subgoal.and_then(|subgoal| self.distances.of(subgoal)),
+            compared: compared.overlaps.len(),
+        })
+    }
+
+    /// How far images are from the goal.
+    #[must_use]
+    pub fn distances(&self) -> &GoalDistances {
+        &self.distances
+    }
+
+    /// Of the images that lead to the goal, the one most similar to what is seen.
+    fn relocalized<S: Sight>(&self, compared: &mut Compared<'_, S>) -> Result<Option<ImageId>, ArchiveError> {
+        let mut best: Option<(f64, ImageId)> = None;
+        for image in compared.sight.relocalization_candidates() {
+            if self.distances.of(image).is_none() {
+                continue;
+            }
+            let found = compared.overlap(image)?.filter(|overlap| self.matches(overlap));
+            let similarity = found.map_or(0.0, |overlap| overlap.similarity());
+            if similarity > best.map_or(0.0, |(most, _)| most) {
+                best = Some((similarity, image));
+            }
+        }
+        Ok(best.map(|(_, image)| image))
+    }
+
+    /// As far from a subgoal towards the goal as neighbours match.
+    fn advanced<S: Sight>(
+        &self,
+        graph: &AppearanceGraph,
+        mut subgoal: ImageId,
+        compared: &mut Compared<'_, S>,
+    ) -> Result<ImageId, ArchiveError> {
+        let mut left = self.settings.max_neighbours;
+        'subgoals: loop {
+            let here = self.distances.of(subgoal).unwrap_or(f64::INFINITY);
+            let is_nearer = |link: &&Link| self.distances.of(link.to).is_some_and(|there| there < here);
+            let mut nearer: Vec<&Link> = graph.neighbours(subgoal).iter().filter(is_nearer).collect();
+            nearer.sort_by(|a, b| b.similarity.total_cmp(&a.similarity).then(a.to.cmp(&b.to)));
+            for link in nearer {
+                if !compared.overlaps.contains_key(&link.to) {
+                    if left == 0 {
+                        continue;
+                    }
+                    left -= 1;
+                }
+                if compared.overlap(link.to)?.is_some_and(|overlap| self.matches(&overlap)) {
+                    subgoal = link.to;
+                    continue 'subgoals;
+                }
+            }
+            return Ok(subgoal);
+        }
+    }
+
+    fn matches(&self, overlap: &Overlap) -> bool {
+        overlap.similarity() > self.settings.match_similarity
+    }
+
+    fn has_arrived(&self, overlap: &Overlap) -> bool {
+        self.subgoal == Some(self.distances.goal()) && overlap.similarity() >= self.arrival_similarity
+    }
+}
+
+#[cfg(test)]
+mod tests;
