@@ -15,6 +15,7 @@ use topomap::g2o::{G2oError, NamingError};
 use topomap::mapper::{FoldError, FrameError, MapperError};
 use waypost_vision::features::{ExtractError, SettingsError};
 
+use crate::commands::appearance::AppearanceError;
 use crate::commands::map::MapError;
 use crate::dataset::DatasetError;
 use crate::workload::WorkloadError;
@@ -167,6 +168,9 @@ pub enum EvalError {
     /// A simulated robot could not map its world.
     #[error(transparent)]
     Map(#[from] MapError),
+    /// A simulated robot could not be sent by looks.
+    #[error(transparent)]
+    Appearance(#[from] AppearanceError),
     /// A file or folder cannot be read.
     #[error("{path} cannot be read ({reason}); check the path and its permissions")]
     Read {
@@ -280,6 +284,7 @@ impl EvalError {
             | EvalError::PoseGraphNames(_)
             | EvalError::Frame { .. }
             | EvalError::Fold { .. }
+            | EvalError::Appearance(_)
             | EvalError::Read { .. }
             | EvalError::Write { .. }
             | EvalError::Server { .. }

@@ -1,5 +1,7 @@
 //! `waypost-eval`: the command line of the evaluation.
 
+mod arguments;
+
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -57,6 +59,10 @@ fn main() -> ExitCode {
         Command::TrainScale(arguments) => arguments.run(),
         Command::Posegraph(arguments) => arguments.run(),
         Command::Map(arguments) => arguments.run(),
+        Command::Appearance(arguments) => {
+            let json = arguments.json;
+            arguments.run().and_then(|report| print_if(json, &report))
+        }
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -91,6 +97,7 @@ enum Command {
     TrainScale(TrainScaleArguments),
     Posegraph(PosegraphArguments),
     Map(Box<MapArguments>),
+    Appearance(arguments::appearance::AppearanceArguments),
 }
 
 /// Train a model (vocabulary, Chow-Liu tree, sampling set) from folders of images.

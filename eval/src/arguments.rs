@@ -1,0 +1,3 @@
+//! The arguments of commands, one file each.
+
+pub(crate) mod appearance;
