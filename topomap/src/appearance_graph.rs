@@ -234,18 +234,23 @@ impl GoalDistances {
         self.distances.get(image as usize).copied().filter(|distance| distance.is_finite())
     }
 
+    /// The first link of the shortest path from an image; `None` at the goal, and where no path leads there.
+    #[must_use]
+    pub fn next(&self, graph: &AppearanceGraph, from: ImageId) -> Option<Link> {
+        let through = |link: &Link| Some((self.of(link.to)? + 1.0 / link.similarity, *link));
+        let ways = graph.neighbours(from).iter().filter_map(through).filter(|_| from != self.goal);
+        ways.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, link)| link)
+    }
+
     /// The images of the shortest path from one to the goal, both among them; empty if there is none.
     #[must_use]
     pub fn path(&self, graph: &AppearanceGraph, from: ImageId) -> Vec<ImageId> {
-        let Some(mut left) = self.of(from) else { return Vec::new() };
+        if self.of(from).is_none() {
+            return Vec::new();
+        }
         let mut path = vec![from];
-        while left > 0.0 {
-            let here = path[path.len() - 1];
-            let through = |link: &Link| Some((self.of(link.to)? + 1.0 / link.similarity, link.to));
-            let next = graph.neighbours(here).iter().filter_map(through).min_by(|a, b| a.0.total_cmp(&b.0));
-            let Some((_, next)) = next else { break };
-            left = self.of(next).unwrap_or(0.0);
-            path.push(next);
+        while let Some(link) = path.last().and_then(|&here| self.next(graph, here)) {
+            path.push(link.to);
         }
         path
     }

@@ -38,8 +38,10 @@ pub enum Body {
 /// How a navigator decides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NavigationSettings {
-    /// Similarity from which an image matches, at least [`LINK_SIMILARITY`].
-    pub match_similarity: f64,
+    /// A neighbour of the subgoal becomes the subgoal itself where it is seen at least so well as the next image of the
+    /// shortest path is seen from the subgoal, times this share, in [0, 1]; or where the robot is at the subgoal. With
+    /// less, far images come into sight sooner than the way to them is free.
+    pub advance_share: f64,
     /// The goal is reached where the similarity with it is this share of its best link's, in [0, 1].
     pub arrival_share: f64,
     /// Weight of the last heading as against the new one, in [0, 1): each one before weighs as much less again.
@@ -52,13 +54,7 @@ pub struct NavigationSettings {
 
 impl Default for NavigationSettings {
     fn default() -> Self {
-        Self {
-            match_similarity: LINK_SIMILARITY,
-            arrival_share: 0.6,
-            recency: 0.5,
-            patience: 10,
-            max_neighbours: 12,
-        }
+        Self { advance_share: 0.95, arrival_share: 0.8, recency: 0.5, patience: 10, max_neighbours: 8 }
     }
 }
 
@@ -136,7 +132,7 @@ impl AppearanceNavigator {
         let distances = graph.distances_to(goal)?;
         let best = graph.neighbours(goal).iter().map(|link| link.similarity).fold(0.0, f64::max);
         Ok(Self {
-            arrival_similarity: (settings.arrival_share * best).max(settings.match_similarity),
+            arrival_similarity: (settings.arrival_share * best).max(LINK_SIMILARITY),
             settings,
             distances,
             subgoal: None,
@@ -164,7 +160,7 @@ impl AppearanceNavigator {
             subgoal = Some(self.advanced(graph, image, &mut compared)?);
         }
         let overlap = match subgoal {
-            Some(image) => compared.overlap(image)?.filter(|overlap| self.matches(overlap)),
+            Some(image) => compared.overlap(image)?.filter(matches),
             None => None,
         };
         self.heading.turn(sight.turned_rad().unwrap_or(0.0));
@@ -207,7 +203,7 @@ impl AppearanceNavigator {
             if self.distances.of(image).is_none() {
                 continue;
             }
-            let found = compared.overlap(image)?.filter(|overlap| self.matches(overlap));
+            let found = compared.overlap(image)?.filter(matches);
             let similarity = found.map_or(0.0, |overlap| overlap.similarity());
             if similarity > best.map_or(0.0, |(most, _)| most) {
                 best = Some((similarity, image));
@@ -226,6 +222,10 @@ impl AppearanceNavigator {
         let mut left = self.settings.max_neighbours;
         'subgoals: loop {
             let here = self.distances.of(subgoal).unwrap_or(f64::INFINITY);
+            let next = self.distances.next(graph, subgoal).map_or(0.0, |link| link.similarity);
+            let wanted =
+                if self.is_at(graph, subgoal, compared)? { 0.0 } else { self.settings.advance_share * next };
+            let is_well_seen = |overlap: Overlap| matches(&overlap) && overlap.similarity() >= wanted;
             let is_nearer = |link: &&Link| self.distances.of(link.to).is_some_and(|there| there < here);
             let mut nearer: Vec<&Link> = graph.neighbours(subgoal).iter().filter(is_nearer).collect();
             nearer.sort_by(|a, b| b.similarity.total_cmp(&a.similarity).then(a.to.cmp(&b.to)));
@@ -236,7 +236,7 @@ impl AppearanceNavigator {
                     }
                     left -= 1;
                 }
-                if compared.overlap(link.to)?.is_some_and(|overlap| self.matches(&overlap)) {
+                if compared.overlap(link.to)?.is_some_and(is_well_seen) {
                     subgoal = link.to;
                     continue 'subgoals;
                 }
@@ -245,13 +245,25 @@ impl AppearanceNavigator {
         }
     }
 
-    fn matches(&self, overlap: &Overlap) -> bool {
-        overlap.similarity() > self.settings.match_similarity
+    /// Whether the robot sees an image better than any other of the map does: it can come no nearer by what it sees.
+    fn is_at<S: Sight>(
+        &self,
+        graph: &AppearanceGraph,
+        image: ImageId,
+        compared: &mut Compared<'_, S>,
+    ) -> Result<bool, ArchiveError> {
+        let best = graph.neighbours(image).iter().map(|link| link.similarity).fold(0.0, f64::max);
+        Ok(compared.overlap(image)?.is_some_and(|overlap| overlap.similarity() >= best))
     }
 
     fn has_arrived(&self, overlap: &Overlap) -> bool {
         self.subgoal == Some(self.distances.goal()) && overlap.similarity() >= self.arrival_similarity
     }
+}
+
+/// Whether an image is like what is seen, as linked images are like each other.
+fn matches(overlap: &Overlap) -> bool {
+    overlap.similarity() > LINK_SIMILARITY
 }
 
 #[cfg(test)]

@@ -138,8 +138,7 @@ pub fn extract(extractor: &Extractor, panorama: &GreyImage) -> Result<Features, 
         })
     });
     let (keypoints, rows): (Vec<Keypoint>, Vec<&[u8]>) = kept.take(most).unzip();
-    let descriptors =
-        Descriptors::new(found.descriptors.kind(), found.descriptors.width(), rows.concat())?;
+    let descriptors = Descriptors::new(found.descriptors.kind(), found.descriptors.width(), rows.concat())?;
     Ok(Features { keypoints, descriptors })
 }
 

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use waypost_eval::commands::appearance::{self, AppearanceOptions, AppearanceReport};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use waypost_eval::commands::appearance::{self, AppearanceOptions, AppearanceReport, Part};
 use waypost_eval::error::EvalError;
 
 /// Send a simulated robot with a panoramic camera to goals by looks alone, in buildings that it has images of.
@@ -15,6 +16,12 @@ pub(crate) struct AppearanceArguments {
     /// Seed of the first building; the next ones take the next seeds.
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
+    /// Most people in the robot's way, each number up to it tried.
+    #[arg(long, value_name = "K", default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=8))]
+    people: u8,
+    /// What to measure [default: all].
+    #[arg(long, value_name = "PART", num_args = 1.., value_parser = parts())]
+    parts: Option<Vec<Part>>,
     /// Folder for the pictures; made if it does not exist.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -25,7 +32,13 @@ pub(crate) struct AppearanceArguments {
 
 impl AppearanceArguments {
     pub(crate) fn run(self) -> Result<AppearanceReport, EvalError> {
-        let Self { trials, seed, out, json: _ } = self;
-        appearance::run(&AppearanceOptions { trials, seed, out })
+        let Self { trials, seed, people, parts, out, json: _ } = self;
+        let parts = parts.unwrap_or_else(|| Part::ALL.to_vec());
+        appearance::run(&AppearanceOptions { trials, seed, people: people.into(), parts, out })
     }
+}
+
+fn parts() -> impl TypedValueParser<Value = Part> {
+    PossibleValuesParser::new(Part::ALL.map(Part::name))
+        .try_map(|name| Part::from_name(&name).ok_or("not one of the parts"))
 }

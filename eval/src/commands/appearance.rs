@@ -2,6 +2,8 @@
 
 pub mod eye;
 pub mod headings;
+pub mod picture;
+pub mod trials;
 
 use std::path::PathBuf;
 
@@ -18,9 +20,11 @@ use waypost_vision::image::ImageError;
 use waypost_vision::panorama::PanoramaError;
 
 use crate::error::EvalError;
+use crate::files;
 
-use self::eye::Eye;
+use self::eye::{Acuity, Eye};
 use self::headings::HeadingFigures;
+use self::trials::Drive;
 
 /// What to measure, and how often.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,8 +33,41 @@ pub struct AppearanceOptions {
     pub trials: u32,
     /// Of the first building; the others have the next ones.
     pub seed: u64,
+    /// Most people in the robot's way; each number up to it is tried.
+    pub people: usize,
+    /// What is measured.
+    pub parts: Vec<Part>,
     /// Folder for the pictures.
     pub out: Option<PathBuf>,
+}
+
+/// Something to measure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Headings of grids of images.
+    Headings,
+    /// Drives to goals.
+    Drives,
+}
+
+impl Part {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Headings, Self::Drives];
+
+    /// What the command line calls it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Headings => "headings",
+            Self::Drives => "drives",
+        }
+    }
+
+    /// The part of that name.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|part| part.name() == name)
+    }
 }
 
 /// What came out.
@@ -38,8 +75,20 @@ pub struct AppearanceOptions {
 pub struct AppearanceReport {
     /// Root mean square of the heading's error, in radians.
     pub heading_error_std_rad: Option<f64>,
+    /// Drives, with people and without.
+    pub trials: usize,
+    /// Those that came to the goal.
+    pub arrived: usize,
+    /// How often a robot touched something, over all drives.
+    pub collisions: u64,
+    /// Length of the way against the shortest over the graph's images, mean of the drives with nobody about.
+    pub path_ratio_mean: Option<f64>,
+    /// The same with as many people in the way as its place in the list tells.
+    pub path_ratio_by_people: Vec<Option<f64>>,
     /// Of grids of images.
     pub headings: Option<HeadingFigures>,
+    /// Drive by drive.
+    pub drives: Vec<Drive>,
 }
 
 /// Why a simulated robot could not be sent by looks.
@@ -88,11 +137,48 @@ pub enum AppearanceError {
 /// # Errors
 /// [`EvalError`].
 pub fn run(options: &AppearanceOptions) -> Result<AppearanceReport, EvalError> {
-    let eye = Eye::new()?;
-    let seeds: Vec<u64> = (options.seed..).take(4).collect();
-    let headings = headings::measure(&eye, &seeds)?;
+    if let Some(out) = &options.out {
+        files::create_folder(out)?;
+    }
+    let headings = match options.parts.contains(&Part::Headings) {
+        true => Some(headings::measure(&Eye::new(Acuity::FINE)?, &seeds(options, 4))?),
+        false => None,
+    };
+    let drives = match options.parts.contains(&Part::Drives) {
+        true => drive(&Eye::new(Acuity::COARSE)?, options)?,
+        false => Vec::new(),
+    };
     Ok(AppearanceReport {
-        heading_error_std_rad: Some(headings.heading_error_std_rad),
-        headings: Some(headings),
+        heading_error_std_rad: headings.as_ref().map(|headings| headings.heading_error_std_rad),
+        trials: drives.len(),
+        arrived: drives.iter().filter(|drive| drive.arrived).count(),
+        collisions: drives.iter().map(|drive| drive.collisions).sum(),
+        path_ratio_mean: path_ratio(&drives, 0),
+        path_ratio_by_people: (0..=options.people).map(|people| path_ratio(&drives, people)).collect(),
+        headings,
+        drives,
     })
+}
+
+fn seeds(options: &AppearanceOptions, count: u32) -> Vec<u64> {
+    (options.seed..).take(count as usize).collect()
+}
+
+fn drive(eye: &Eye, options: &AppearanceOptions) -> Result<Vec<Drive>, EvalError> {
+    let people: Vec<usize> = (0..=options.people).collect();
+    let driven = trials::drive_all(eye, &seeds(options, options.trials), &people)?;
+    if let Some(out) = &options.out {
+        for (map, drives) in &driven {
+            let seed = drives.first().map_or(0, |drive| drive.seed);
+            let svg = picture::svg(map, drives);
+            files::write(&out.join(format!("appearance-{seed}.svg")), svg.as_bytes())?;
+        }
+    }
+    Ok(driven.into_iter().flat_map(|(_, drives)| drives).collect())
+}
+
+fn path_ratio(drives: &[Drive], people: usize) -> Option<f64> {
+    let ratios: Vec<f64> =
+        drives.iter().filter(|drive| drive.people == people).map(|drive| drive.path_ratio).collect();
+    (!ratios.is_empty()).then(|| ratios.iter().sum::<f64>() / ratios.len() as f64)
 }

@@ -42,9 +42,8 @@ impl Part {
         images.sort_unstable();
         let links = images.iter().map(|&image| {
             let links = graph.neighbours(image as u32).iter();
-            let within = |link: &super::Link| {
-                Some((images.binary_search(&(link.to as usize)).ok()?, link.similarity))
-            };
+            let within =
+                |link: &super::Link| Some((images.binary_search(&(link.to as usize)).ok()?, link.similarity));
             links.filter_map(within).collect()
         });
         Self { links: links.collect(), images }

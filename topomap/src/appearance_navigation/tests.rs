@@ -28,7 +28,11 @@ impl OnTheFloor {
         let way = to - from;
         let similarity = 0.5 * (1.0 - way.norm() / reach_m);
         let motion = PlanarMotion::new(-heading_rad, way.y.atan2(way.x) - heading_rad);
-        (similarity > 0.0).then(|| Overlap { constrained: (similarity * 1000.0) as u32, features: 1000, motion })
+        (similarity > 0.0).then(|| Overlap {
+            constrained: (similarity * 1000.0) as u32,
+            features: 1000,
+            motion,
+        })
     }
 
     fn graph(&self) -> AppearanceGraph {
@@ -115,7 +119,10 @@ fn a_robot_that_sees_nothing_keeps_its_heading_and_then_looks_for_itself() {
     for miss in 1..=10 {
         let guidance = navigator.observe(&graph, &robot, Body::Free).unwrap();
         assert_eq!(guidance.status, NavigationStatus::Recovering, "{miss}");
-        assert!((guidance.heading_rad.unwrap() - (first.heading_rad.unwrap() - 0.2 * f64::from(miss))).abs() < 1e-9);
+        assert!(
+            (guidance.heading_rad.unwrap() - (first.heading_rad.unwrap() - 0.2 * f64::from(miss))).abs()
+                < 1e-9
+        );
     }
     *robot.seen.borrow_mut() = 0;
     let lost = navigator.observe(&graph, &robot, Body::Free).unwrap();

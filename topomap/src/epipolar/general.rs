@@ -49,9 +49,9 @@ impl Motion for GeneralMotion {
             let rotation = u * turn * v_t;
             Rotation3::from_matrix_unchecked(rotation * rotation.determinant().signum())
         });
-        let four = rotations.into_iter().flat_map(|rotation| {
-            [way, -way].map(|direction| Self { rotation, direction })
-        });
+        let four = rotations
+            .into_iter()
+            .flat_map(|rotation| [way, -way].map(|direction| Self { rotation, direction }));
         four.map(|motion| (behind_both_rad(&motion, pairs), motion))
             .min_by(|(a, _), (b, _)| a.total_cmp(b))
             .map(|(_, motion)| motion)

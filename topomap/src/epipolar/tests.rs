@@ -19,7 +19,11 @@ fn points(count: usize, random: &mut ChaCha8Rng) -> Vec<Vector3<f64>> {
     (0..count)
         .map(|_| {
             let (angle, distance) = (random.random_range(0.0..TAU), random.random_range(1.5..5.0));
-            Vector3::new(distance * f64::cos(angle), distance * f64::sin(angle), random.random_range(-1.0..1.5))
+            Vector3::new(
+                distance * f64::cos(angle),
+                distance * f64::sin(angle),
+                random.random_range(-1.0..1.5),
+            )
         })
         .collect()
 }
@@ -128,7 +132,13 @@ fn dense_error_rad(rotation: &Rotation3<f64>, way: &Unit<Vector3<f64>>, pair: &R
             ray.dot(&on).clamp(-1.0, 1.0).acos()
         };
         let [a, b] = [angle(&x), angle(&y)].map(|angle| {
-            if angle >= 0.0 { angle.min(PI) } else if angle > -FRAC_PI_2 { 0.0 } else { PI }
+            if angle >= 0.0 {
+                angle.min(PI)
+            } else if angle > -FRAC_PI_2 {
+                0.0
+            } else {
+                PI
+            }
         });
         let (a, b) = if a <= b { (a, b) } else { ((a + b) / 2.0, (a + b) / 2.0) };
         nearest(&x, a).hypot(nearest(&y, b))

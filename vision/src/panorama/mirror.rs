@@ -39,7 +39,9 @@ pub struct MirrorSettings {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum MirrorError {
     /// Not a ring.
-    #[error("radii {radii_px:?} about {center_px:?} are no ring; the first must be above 0 and below the second")]
+    #[error(
+        "radii {radii_px:?} about {center_px:?} are no ring; the first must be above 0 and below the second"
+    )]
     Radii {
         /// Centre.
         center_px: [f64; 2],

@@ -76,7 +76,8 @@ fn features_turn_with_the_panorama_across_the_seam() {
     let (straight, turned) = (view(&scenery(0)), view(&scenery(128)));
     // What was at column 128 is at column 0 now: the robot has turned right.
     let quarter = nalgebra::Rotation3::from_axis_angle(&Vector3::z_axis(), TAU / 4.0);
-    let is_found = |ray: &&Vector3<f64>| turned.rays().iter().any(|other| (quarter * **ray - other).norm() < 0.01);
+    let is_found =
+        |ray: &&Vector3<f64>| turned.rays().iter().any(|other| (quarter * **ray - other).norm() < 0.01);
     let found = straight.rays().iter().filter(is_found).count();
     assert!(found * 100 >= straight.rays().len() * 97, "{found} of {}", straight.rays().len());
     // Of those within 8 columns of either seam, too.
@@ -144,7 +145,8 @@ fn unwrapping_undoes_reflection_by_a_hyperboloid() {
         let (mut low, mut high) = (-1.57, parameter.asin() - 1e-6);
         for _ in 0..60 {
             let middle = (low + high) / 2.0;
-            let is_beyond = reflected_slope(eccentricity, middle).is_none_or(|slope| slope * px_per_slope > radius);
+            let is_beyond =
+                reflected_slope(eccentricity, middle).is_none_or(|slope| slope * px_per_slope > radius);
             if is_beyond { high = middle } else { low = middle }
         }
         low
@@ -182,7 +184,10 @@ fn numbers_that_make_no_mirror_are_refused() {
     assert!(HyperbolicMirror::new(good).is_ok());
     let refused = |settings| HyperbolicMirror::new(settings).unwrap_err();
     assert!(matches!(refused(MirrorSettings { radii_px: [90.0, 10.0], ..good }), MirrorError::Radii { .. }));
-    assert!(matches!(refused(MirrorSettings { horizon_radius_px: 0.0, ..good }), MirrorError::Horizon { .. }));
+    assert!(matches!(
+        refused(MirrorSettings { horizon_radius_px: 0.0, ..good }),
+        MirrorError::Horizon { .. }
+    ));
     assert!(matches!(refused(MirrorSettings { parameter: 1.0, ..good }), MirrorError::Parameter { .. }));
     assert!(matches!(refused(MirrorSettings { ahead_rad: f64::NAN, ..good }), MirrorError::Ahead { .. }));
 }

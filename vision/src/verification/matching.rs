@@ -40,7 +40,11 @@ pub(super) fn matches(earlier: &FeatureRecord, current: &FeatureRecord) -> Vec<M
 
 /// Descriptors of one kind that are each other's nearest; none of kinds that differ.
 pub(crate) fn descriptor_matches(earlier: &Descriptors, current: &Descriptors) -> Vec<Match> {
-    if earlier.check_matches(current).is_ok() { mutual_nearest(&distances(earlier, current)) } else { Vec::new() }
+    if earlier.check_matches(current).is_ok() {
+        mutual_nearest(&distances(earlier, current))
+    } else {
+        Vec::new()
+    }
 }
 
 fn of_same_word(earlier: &[WordId], current: &[WordId]) -> Vec<Match> {

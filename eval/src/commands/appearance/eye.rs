@@ -1,11 +1,13 @@
 //! What the robot sees: panoramas of a simulated building, as rays with descriptors.
 
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use serde::Serialize;
 use topomap::appearance_graph::AppearanceGraph;
 use topomap::epipolar::SearchSettings;
 use waypost_sim::camera::Camera;
@@ -20,11 +22,21 @@ use waypost_vision::panorama::{self, PanoramicCamera, PanoramicView, Projection}
 
 use super::AppearanceError;
 
-/// Columns and rows of the panoramas: up and down by 38 degrees.
-pub const PANORAMA_PX: (u32, u32) = (1024, 256);
+/// How fine a robot sees: columns and rows, up and down by 38 degrees, and features.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Acuity {
+    /// Columns and rows.
+    pub size_px: (u32, u32),
+    /// Most features of a panorama.
+    pub features: u32,
+}
 
-/// Features of a panorama.
-pub const FEATURES: u32 = 500;
+impl Acuity {
+    /// As one measures.
+    pub const FINE: Self = Self { size_px: (1024, 256), features: 500 };
+    /// As one drives a hundred times.
+    pub const COARSE: Self = Self { size_px: (512, 128), features: 300 };
+}
 
 /// Metres between a robot's middle and walls or furniture where images of a map are taken.
 pub const CLEARANCE_M: f64 = 0.3;
@@ -45,14 +57,15 @@ impl Eye {
     ///
     /// # Errors
     /// [`AppearanceError`] if the program's own numbers make no camera.
-    pub fn new() -> Result<Self, AppearanceError> {
-        let rig = CameraRig::new(Camera::cylindrical(PANORAMA_PX)?, Mount::default(), Sensor::default())?;
-        let settings = FeatureSettings::new(Feature::RootSift, FEATURES, PANORAMA_PX.0);
+    pub fn new(acuity: Acuity) -> Result<Self, AppearanceError> {
+        let Acuity { size_px, features } = acuity;
+        let rig = CameraRig::new(Camera::cylindrical(size_px)?, Mount::default(), Sensor::default())?;
+        let settings = FeatureSettings::new(Feature::RootSift, features, size_px.0);
         Ok(Self {
             rig,
             search: SearchSettings::default(),
             extractor: Extractor::new(settings.unwrap_or_default()),
-            camera: PanoramicCamera::new(Projection::Cylindrical, PANORAMA_PX)?,
+            camera: PanoramicCamera::new(Projection::Cylindrical, size_px)?,
         })
     }
 
@@ -77,7 +90,8 @@ impl Eye {
         poses: &[Pose],
         seed: u64,
     ) -> Result<Vec<PanoramicView>, AppearanceError> {
-        let shots = (0..).zip(poses).map(|(number, &pose)| still(pose, seed.wrapping_mul(1_000_003) + number));
+        let shots =
+            (0..).zip(poses).map(|(number, &pose)| still(pose, seed.wrapping_mul(1_000_003) + number));
         shots.collect::<Vec<Shot>>().into_par_iter().map(|shot| self.see(scene, &shot)).collect()
     }
 }
@@ -92,7 +106,7 @@ pub fn still(pose: Pose, seed: u64) -> Shot {
 #[derive(Debug)]
 pub struct TaughtMap {
     /// The building.
-    pub scene: Scene,
+    pub scene: Arc<Scene>,
     /// Where the images were taken.
     pub poses: Vec<Pose>,
     /// What they show.
@@ -116,7 +130,7 @@ impl TaughtMap {
     /// # Errors
     /// [`AppearanceError`] if an image shows nothing.
     pub fn at(eye: &Eye, plan: FloorPlan, poses: Vec<Pose>, seed: u64) -> Result<Self, AppearanceError> {
-        let scene = Scene::new(plan);
+        let scene = Arc::new(Scene::new(plan));
         let views = eye.see_all(&scene, &poses, seed)?;
         let graph = compared_with_all(eye, &views);
         Ok(Self { scene, poses, views, graph })
@@ -126,8 +140,7 @@ impl TaughtMap {
     #[must_use]
     pub fn nearest(&self, point: Vector2<f64>) -> usize {
         let gap = |pose: &Pose| (pose.position() - point).norm();
-        let nearest =
-            self.poses.iter().enumerate().min_by(|(_, a), (_, b)| gap(a).total_cmp(&gap(b)));
+        let nearest = self.poses.iter().enumerate().min_by(|(_, a), (_, b)| gap(a).total_cmp(&gap(b)));
         nearest.map_or(0, |(image, _)| image)
     }
 }

@@ -138,8 +138,11 @@ impl Grid {
 
     /// Current and target, from different positions.
     fn pairs(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
-        let all = (0..self.poses.len()).flat_map(|current| (0..self.poses.len()).map(move |target| [current, target]));
-        all.filter(|[current, target]| self.poses[*current].distance_m(&self.poses[*target]) > SPACING_M / 2.0)
+        let all = (0..self.poses.len())
+            .flat_map(|current| (0..self.poses.len()).map(move |target| [current, target]));
+        all.filter(|[current, target]| {
+            self.poses[*current].distance_m(&self.poses[*target]) > SPACING_M / 2.0
+        })
     }
 }
 
@@ -149,7 +152,9 @@ fn offsets() -> impl Iterator<Item = Vector2<f64>> {
 
 /// Where in a room the grid finds place, if it does.
 fn roomy(plan: &FloorPlan, room: &Room) -> Option<Vector2<f64>> {
-    let steps = |low: f64, high: f64| (1..).map(move |step| low + 0.1 * f64::from(step)).take_while(move |&at| at < high);
+    let steps = |low: f64, high: f64| {
+        (1..).map(move |step| low + 0.1 * f64::from(step)).take_while(move |&at| at < high)
+    };
     let places = steps(room.min.x, room.max.x)
         .flat_map(|x| steps(room.min.y, room.max.y).map(move |y| Vector2::new(x, y)));
     let has_place = |center: &Vector2<f64>| {
@@ -167,8 +172,11 @@ fn compared<M: Motion + Heading>(search: &'static str, grids: &[Grid]) -> Solver
         .filter_map(|(grid, [current, target])| {
             let truth = grid.poses[current].relative(&grid.poses[target]);
             let way = PlanarMotion::new(truth.heading_rad, truth.y_m.atan2(truth.x_m));
-            let settings =
-                SearchSettings { max_draws: DRAWS, seed: (current * 1000 + target) as u64, ..SearchSettings::default() };
+            let settings = SearchSettings {
+                max_draws: DRAWS,
+                seed: (current * 1000 + target) as u64,
+                ..SearchSettings::default()
+            };
             let (pairs, is_right) = half_wrong(grid, [current, target], &way, &settings)?;
             let Some(found) = epipolar::search::<M>(&pairs, &settings) else { return Some((PI, 0.0, 0.0)) };
             let right = found.inliers.iter().filter(|&&index| is_right[index]).count() as f64;
@@ -177,7 +185,8 @@ fn compared<M: Motion + Heading>(search: &'static str, grids: &[Grid]) -> Solver
             Some((error, right / all, 1.0 - right / found.inliers.len() as f64))
         })
         .collect();
-    let mean = |of: fn(&(f64, f64, f64)) -> f64| found.iter().map(of).sum::<f64>() / found.len().max(1) as f64;
+    let mean =
+        |of: fn(&(f64, f64, f64)) -> f64| found.iter().map(of).sum::<f64>() / found.len().max(1) as f64;
     let errors: Vec<f64> = found.iter().map(|found| found.0).collect();
     let mut sizes: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
     sizes.sort_by(f64::total_cmp);
