@@ -9,7 +9,7 @@ pub mod candidates;
 mod spaces;
 
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BTreeMap, BinaryHeap};
 
 use crate::epipolar::PlanarMotion;
 use crate::mapper::ArchiveError;
@@ -54,7 +54,8 @@ pub trait Panorama {
 pub enum Checks {
     /// With all that are named.
     All,
-    /// In their order, until so many in a row were not similar.
+    /// With those that are linked to what the image has been linked to so far, most promising first, until so many in a
+    /// row were not similar; then with the named ones in their order, until as many were not.
     UntilMisses(usize),
 }
 
@@ -101,6 +102,21 @@ pub struct NoSuchImage {
     pub images: usize,
 }
 
+/// Similarities of an image that is about to be added.
+#[derive(Default)]
+struct Found {
+    similarities: BTreeMap<ImageId, f64>,
+}
+
+impl Found {
+    /// Compares with one more; whether it is similar.
+    fn check(&mut self, panorama: &impl Panorama, candidate: ImageId) -> Result<bool, ArchiveError> {
+        let similarity = panorama.overlap(candidate)?.map_or(0.0, |overlap| overlap.similarity());
+        self.similarities.insert(candidate, similarity);
+        Ok(similarity > LINK_SIMILARITY)
+    }
+}
+
 impl AppearanceGraph {
     /// Adds an image and links it to those of `candidates` that it is similar to.
     ///
@@ -112,22 +128,47 @@ impl AppearanceGraph {
         candidates: impl IntoIterator<Item = ImageId>,
         checks: Checks,
     ) -> Result<Added, ArchiveError> {
-        let (mut found, mut compared, mut misses) = (Vec::new(), 0, 0);
+        let mut found = Found::default();
+        let mut misses = 0;
         for candidate in candidates {
-            compared += 1;
-            let similarity = panorama.overlap(candidate)?.map_or(0.0, |overlap| overlap.similarity());
-            found.push((candidate, similarity));
-            misses = if similarity > LINK_SIMILARITY { 0 } else { misses + 1 };
+            if found.similarities.contains_key(&candidate) {
+                continue;
+            }
+            let is_linked = found.check(panorama, candidate)?;
+            misses = if is_linked { 0 } else { misses + 1 };
             match checks {
                 Checks::UntilMisses(most) if misses >= most => break,
+                Checks::UntilMisses(most) if is_linked => self.spread(panorama, &mut found, most)?,
                 Checks::All | Checks::UntilMisses(_) => {}
             }
         }
         let image = self.add_image();
-        for (candidate, similarity) in found {
+        let compared = found.similarities.len();
+        for (candidate, similarity) in found.similarities {
             self.link(image, candidate, similarity);
         }
         Ok(Added { image, checks: compared })
+    }
+
+    /// Compares with neighbours of what has been found similar, by Σ S(image, found) S(found, neighbour), until `most` in
+    /// a row were not similar.
+    fn spread(
+        &self,
+        panorama: &impl Panorama,
+        found: &mut Found,
+        most: usize,
+    ) -> Result<(), ArchiveError> {
+        let mut misses = 0;
+        while misses < most {
+            let mut promise: BTreeMap<ImageId, f64> = BTreeMap::new();
+            for (&image, &similarity) in found.similarities.iter().filter(|(_, found)| **found > LINK_SIMILARITY) {
+                let open = self.neighbours(image).iter().filter(|link| !found.similarities.contains_key(&link.to));
+                open.for_each(|link| *promise.entry(link.to).or_default() += similarity * link.similarity);
+            }
+            let Some((&next, _)) = promise.iter().max_by(|a, b| a.1.total_cmp(b.1)) else { break };
+            misses = if found.check(panorama, next)? { 0 } else { misses + 1 };
+        }
+        Ok(())
     }
 
     /// Adds an image without links.

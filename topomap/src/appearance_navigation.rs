@@ -48,13 +48,15 @@ pub struct NavigationSettings {
     pub recency: f64,
     /// Observations without a heading after which the robot looks for itself in the whole map.
     pub patience: u32,
+    /// Observations in which the subgoal comes no nearer, after which it does so too.
+    pub stall_patience: u32,
     /// Neighbours that an observation is compared with at most, the most similar to the subgoal first.
     pub max_neighbours: usize,
 }
 
 impl Default for NavigationSettings {
     fn default() -> Self {
-        Self { advance_share: 0.95, arrival_share: 0.8, recency: 0.5, patience: 10, max_neighbours: 8 }
+        Self { advance_share: 0.95, arrival_share: 0.8, recency: 0.5, patience: 10, stall_patience: 24, max_neighbours: 8 }
     }
 }
 
@@ -100,6 +102,9 @@ pub struct AppearanceNavigator {
     heading: SmoothedHeading,
     /// Observations in a row that gave no heading.
     misses: u32,
+    /// Largest similarity with the subgoal since it became one, and observations in a row since.
+    best_seen: f64,
+    stalled: u32,
 }
 
 /// What one observation has been compared with so far.
@@ -138,6 +143,8 @@ impl AppearanceNavigator {
             subgoal: None,
             heading: SmoothedHeading::new(settings.recency),
             misses: 0,
+            best_seen: 0.0,
+            stalled: 0,
         })
     }
 
@@ -153,7 +160,7 @@ impl AppearanceNavigator {
     ) -> Result<Guidance, ArchiveError> {
         let mut compared = Compared { sight, overlaps: BTreeMap::new() };
         let mut subgoal = match self.subgoal {
-            Some(subgoal) if self.misses < self.settings.patience => Some(subgoal),
+            Some(subgoal) if !self.is_out_of_patience() => Some(subgoal),
             Some(_) | None => self.relocalized(&mut compared)?,
         };
         if let Some(image) = subgoal {
@@ -169,6 +176,7 @@ impl AppearanceNavigator {
         }
         let was_lost = subgoal.is_none();
         self.misses = if overlap.is_some() { 0 } else { (self.misses + 1).min(self.settings.patience) };
+        self.note_progress(subgoal, overlap.map_or(0.0, |overlap| overlap.similarity()));
         self.subgoal = subgoal.or(self.subgoal);
         let status = if overlap.is_some_and(|overlap| self.has_arrived(&overlap)) {
             NavigationStatus::Arrived
@@ -194,6 +202,21 @@ impl AppearanceNavigator {
     #[must_use]
     pub fn distances(&self) -> &GoalDistances {
         &self.distances
+    }
+
+    /// Whether the subgoal has not been seen for long, or not better than before for longer: what is in the way may have
+    /// to be gone around, or it was the wrong one.
+    fn is_out_of_patience(&self) -> bool {
+        self.misses >= self.settings.patience || self.stalled >= self.settings.stall_patience
+    }
+
+    fn note_progress(&mut self, subgoal: Option<ImageId>, similarity: f64) {
+        let begins_anew = subgoal != self.subgoal || self.is_out_of_patience();
+        if begins_anew || similarity > self.best_seen {
+            (self.best_seen, self.stalled) = (similarity, 0);
+        } else {
+            self.stalled += 1;
+        }
     }
 
     /// Of the images that lead to the goal, the one most similar to what is seen.

@@ -19,6 +19,9 @@ pub(crate) struct AppearanceArguments {
     /// Most people in the robot's way, each number up to it tried.
     #[arg(long, value_name = "K", default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=8))]
     people: u8,
+    /// Panoramas of the graph that is made through the index, and by all pairs to compare.
+    #[arg(long, value_name = "N", default_value_t = 600, value_parser = clap::value_parser!(u16).range(2..=5000))]
+    panoramas: u16,
     /// What to measure [default: all].
     #[arg(long, value_name = "PART", num_args = 1.., value_parser = parts())]
     parts: Option<Vec<Part>>,
@@ -32,9 +35,10 @@ pub(crate) struct AppearanceArguments {
 
 impl AppearanceArguments {
     pub(crate) fn run(self) -> Result<AppearanceReport, EvalError> {
-        let Self { trials, seed, people, parts, out, json: _ } = self;
+        let Self { trials, seed, people, panoramas, parts, out, json: _ } = self;
         let parts = parts.unwrap_or_else(|| Part::ALL.to_vec());
-        appearance::run(&AppearanceOptions { trials, seed, people: people.into(), parts, out })
+        let (people, panoramas) = (people.into(), panoramas.into());
+        appearance::run(&AppearanceOptions { trials, seed, people, panoramas, parts, out })
     }
 }
 

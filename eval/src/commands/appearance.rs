@@ -1,5 +1,6 @@
 //! `waypost-eval appearance`: a simulated robot with a panoramic camera goes where it was never shown, by looks alone.
 
+pub mod candidates;
 pub mod eye;
 pub mod headings;
 pub mod picture;
@@ -22,6 +23,7 @@ use waypost_vision::panorama::PanoramaError;
 use crate::error::EvalError;
 use crate::files;
 
+use self::candidates::{IndexFigures, LookAlikeFigures};
 use self::eye::{Acuity, Eye};
 use self::headings::HeadingFigures;
 use self::trials::Drive;
@@ -35,6 +37,8 @@ pub struct AppearanceOptions {
     pub seed: u64,
     /// Most people in the robot's way; each number up to it is tried.
     pub people: usize,
+    /// Panoramas of the graph that is made through the index.
+    pub panoramas: usize,
     /// What is measured.
     pub parts: Vec<Part>,
     /// Folder for the pictures.
@@ -48,11 +52,15 @@ pub enum Part {
     Headings,
     /// Drives to goals.
     Drives,
+    /// A graph through the index against one of all pairs.
+    Index,
+    /// Links in a building whose offices look alike.
+    LookAlikes,
 }
 
 impl Part {
     /// All of them.
-    pub const ALL: [Self; 2] = [Self::Headings, Self::Drives];
+    pub const ALL: [Self; 4] = [Self::Headings, Self::Drives, Self::Index, Self::LookAlikes];
 
     /// What the command line calls it.
     #[must_use]
@@ -60,6 +68,8 @@ impl Part {
         match self {
             Self::Headings => "headings",
             Self::Drives => "drives",
+            Self::Index => "index",
+            Self::LookAlikes => "look-alikes",
         }
     }
 
@@ -87,6 +97,14 @@ pub struct AppearanceReport {
     pub path_ratio_by_people: Vec<Option<f64>>,
     /// Of grids of images.
     pub headings: Option<HeadingFigures>,
+    /// Share of the links that the index does not lead to.
+    pub links_lost_fraction: Option<f64>,
+    /// Comparisons of all pairs over those through the index.
+    pub pair_check_ratio: Option<f64>,
+    /// Of the graph through the index.
+    pub index: Option<IndexFigures>,
+    /// Of the building whose offices look alike.
+    pub look_alikes: Option<LookAlikeFigures>,
     /// Drive by drive.
     pub drives: Vec<Drive>,
 }
@@ -148,7 +166,20 @@ pub fn run(options: &AppearanceOptions) -> Result<AppearanceReport, EvalError> {
         true => drive(&Eye::new(Acuity::COARSE)?, options)?,
         false => Vec::new(),
     };
+    let coarse = Eye::new(Acuity::COARSE)?;
+    let index = match options.parts.contains(&Part::Index) {
+        true => Some(candidates::measure(&coarse, options.panoramas, options.seed)?),
+        false => None,
+    };
+    let look_alikes = match options.parts.contains(&Part::LookAlikes) {
+        true => Some(candidates::look_alikes(&coarse, options.seed)?),
+        false => None,
+    };
     Ok(AppearanceReport {
+        links_lost_fraction: index.as_ref().map(|index| index.links_lost_fraction),
+        pair_check_ratio: index.as_ref().map(|index| index.pair_check_ratio),
+        index,
+        look_alikes,
         heading_error_std_rad: headings.as_ref().map(|headings| headings.heading_error_std_rad),
         trials: drives.len(),
         arrived: drives.iter().filter(|drive| drive.arrived).count(),

@@ -69,6 +69,12 @@ impl Eye {
         })
     }
 
+    /// What features are looked for.
+    #[must_use]
+    pub fn extractor_settings(&self) -> FeatureSettings {
+        self.extractor.settings()
+    }
+
     /// What is seen at a shot.
     ///
     /// # Errors
