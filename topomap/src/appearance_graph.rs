@@ -152,17 +152,15 @@ impl AppearanceGraph {
 
     /// Compares with neighbours of what has been found similar, by Σ S(image, found) S(found, neighbour), until `most` in
     /// a row were not similar.
-    fn spread(
-        &self,
-        panorama: &impl Panorama,
-        found: &mut Found,
-        most: usize,
-    ) -> Result<(), ArchiveError> {
+    fn spread(&self, panorama: &impl Panorama, found: &mut Found, most: usize) -> Result<(), ArchiveError> {
         let mut misses = 0;
         while misses < most {
             let mut promise: BTreeMap<ImageId, f64> = BTreeMap::new();
-            for (&image, &similarity) in found.similarities.iter().filter(|(_, found)| **found > LINK_SIMILARITY) {
-                let open = self.neighbours(image).iter().filter(|link| !found.similarities.contains_key(&link.to));
+            for (&image, &similarity) in
+                found.similarities.iter().filter(|(_, found)| **found > LINK_SIMILARITY)
+            {
+                let open =
+                    self.neighbours(image).iter().filter(|link| !found.similarities.contains_key(&link.to));
                 open.for_each(|link| *promise.entry(link.to).or_default() += similarity * link.similarity);
             }
             let Some((&next, _)) = promise.iter().max_by(|a, b| a.1.total_cmp(b.1)) else { break };

@@ -56,7 +56,14 @@ pub struct NavigationSettings {
 
 impl Default for NavigationSettings {
     fn default() -> Self {
-        Self { advance_share: 0.95, arrival_share: 0.8, recency: 0.5, patience: 10, stall_patience: 24, max_neighbours: 8 }
+        Self {
+            advance_share: 0.95,
+            arrival_share: 0.8,
+            recency: 0.5,
+            patience: 10,
+            stall_patience: 24,
+            max_neighbours: 6,
+        }
     }
 }
 

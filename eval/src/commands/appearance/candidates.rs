@@ -18,8 +18,8 @@ use waypost_sim::scene::Scene;
 use waypost_sim::worlds::NamedWorld;
 use waypost_vision::panorama::PanoramicView;
 
-use super::eye::{Eye, TaughtMap, compared_with_all, scattered};
 use super::AppearanceError;
+use super::eye::{Eye, TaughtMap, compared_with_all, scattered};
 use crate::commands::map::training::FIRST_TRAINING_SEED;
 use crate::error::EvalError;
 
@@ -155,7 +155,8 @@ fn through_index(
     let (mut graph, mut checks) = (AppearanceGraph::default(), 0);
     for (image, view) in views.iter().enumerate() {
         let words = model.vocabulary().observe(view.descriptors());
-        let observation = words.map_err(|reason| EvalError::Map(crate::commands::map::MapError::Vocabulary(reason)))?;
+        let observation =
+            words.map_err(|reason| EvalError::Map(crate::commands::map::MapError::Vocabulary(reason)))?;
         let coming = Coming { eye, view, earlier: &views[..image] };
         let named = index.most_likely(&observation, NAMED);
         let added = graph.add(&coming, named, Checks::UntilMisses(MISSES)).map_err(AppearanceError::from)?;

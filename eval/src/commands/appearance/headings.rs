@@ -23,8 +23,11 @@ const SPACING_M: f64 = 1.0;
 /// Draws of each search where the two ways to search are compared.
 const DRAWS: usize = 100;
 
-/// Classes of the histogram, from -π to π.
-pub const CLASSES: usize = 63;
+/// Classes of the histogram: those in the middle are [`CLASS_RAD`] wide, the outermost hold all that is further off.
+pub const CLASSES: usize = 61;
+
+/// Width of a class of the histogram, in radians.
+pub const CLASS_RAD: f64 = 0.01;
 
 /// Errors of headings, over all grids.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -43,7 +46,7 @@ pub struct HeadingFigures {
     pub heading_error_max_rad: f64,
     /// Root mean square of the rotation's error, in radians.
     pub rotation_error_std_rad: f64,
-    /// Errors by class of 0.1 rad, from -π.
+    /// Errors by class of 0.01 rad, 0 in the middle of the middle one; the outermost hold all that is further off.
     pub histogram: Vec<usize>,
     /// Planar four-point and general eight-point search, half of the pairs being wrong.
     pub with_half_outliers: [SolverFigures; 2],
@@ -102,7 +105,8 @@ pub fn measure(eye: &Eye, seeds: &[u64]) -> Result<HeadingFigures, AppearanceErr
     sizes.sort_by(f64::total_cmp);
     let mut histogram = vec![0; CLASSES];
     for error in of(0) {
-        histogram[(((error + PI) / (2.0 * PI) * CLASSES as f64) as usize).min(CLASSES - 1)] += 1;
+        let class = (error / CLASS_RAD).round() + (CLASSES / 2) as f64;
+        histogram[class.clamp(0.0, (CLASSES - 1) as f64) as usize] += 1;
     }
     Ok(HeadingFigures {
         grids: grids.len(),

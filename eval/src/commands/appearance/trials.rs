@@ -107,40 +107,6 @@ pub fn drive_all(
 ) -> Result<Vec<(Arc<TaughtMap>, Vec<Drive>)>, AppearanceError> {
     let drives = seeds.par_iter().map(|&seed| {
         let map = Arc::new(TaughtMap::new(eye, NamedWorld::BooijOffice.plan(seed), SPACING_M, seed)?);
-        if std::env::var_os("TRACE").is_some() {
-            for low in [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5] {
-                let within: Vec<_> = map
-                    .graph
-                    .links()
-                    .filter(|(_, link)| link.similarity >= low && link.similarity < low + 0.05)
-                    .collect();
-                let line = |(from, link): &(u32, topomap::appearance_graph::Link)| {
-                    (map.poses[*from as usize].position(), map.poses[link.to as usize].position())
-                };
-                let free = within
-                    .iter()
-                    .filter(|l| {
-                        let (a, b) = line(l);
-                        map.scene.plan().is_free_line(a, b, 0.2)
-                    })
-                    .count();
-                let mut lengths: Vec<f64> = within
-                    .iter()
-                    .map(|l| {
-                        let (a, b) = line(l);
-                        (a - b).norm()
-                    })
-                    .collect();
-                lengths.sort_by(f64::total_cmp);
-                eprintln!(
-                    "S {low}: {} links, {free} free, length median {:?} max {:?}",
-                    within.len(),
-                    lengths.get(lengths.len() / 2),
-                    lengths.last()
-                );
-            }
-            eprintln!("{} images, spaces {:?}", map.poses.len(), map.graph.convex_spaces());
-        }
         let routes = NamedWorld::BooijOffice.routes();
         let mut drives = Vec::new();
         for &people in people {
@@ -234,27 +200,6 @@ fn follow(
         let body = if obedience == Obedience::Reflex { Body::Held } else { Body::Free };
         let guidance = navigator.observe(&map.graph, &sight, body)?;
         followed.compared += guidance.compared;
-        if std::env::var_os("TRACE").is_some() {
-            let pose = simulation.robot().pose();
-            let sub = guidance.subgoal.map(|sub| {
-                let rel = pose.relative(&map.poses[sub as usize]);
-                (sub, rel.x_m.hypot(rel.y_m), rel.y_m.atan2(rel.x_m))
-            });
-            eprintln!(
-                "{:.2} pos {:.2} {:.2} {:.2} {:?} sub {:?} heading {:?} rem {:?} cmp {} {:?} coll {}",
-                simulation.now_ns() as f64 * 1e-9,
-                pose.x_m,
-                pose.y_m,
-                pose.heading_rad,
-                guidance.status,
-                sub,
-                guidance.heading_rad,
-                guidance.remaining,
-                guidance.compared,
-                obedience,
-                simulation.collisions()
-            );
-        }
         before = Some(view);
         match guidance.status {
             NavigationStatus::Arrived => {
