@@ -55,3 +55,48 @@ impl CandidateIndex {
         images
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use fabmap::chow_liu::{ChowLiuTree, WordDependence};
+    use fabmap::detector::DetectorModel;
+    use fabmap::likelihood::Dependence;
+    use fabmap::observation::WordId;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const WORDS: usize = 20;
+
+    fn model() -> Arc<ObservationModel> {
+        let rows = (0..WORDS as WordId).map(|word| WordDependence {
+            parent: word.saturating_sub(1),
+            marginal: 0.2,
+            given_parent_seen: 0.4,
+            given_parent_unseen: 0.15,
+        });
+        let tree = ChowLiuTree::from_rows(rows).unwrap();
+        Arc::new(ObservationModel::new(&tree, DetectorModel::default(), Dependence::ChowLiu))
+    }
+
+    fn look() -> impl Strategy<Value = Observation> {
+        prop::collection::vec(0..WORDS as WordId, 1..8)
+            .prop_map(|words| Observation::from_words(words, WORDS).unwrap())
+    }
+
+    proptest! {
+        /// Few of many are the first of all.
+        #[test]
+        fn the_most_likely_come_first(looks in prop::collection::vec(look(), 1..30), now in look(), most in 0..35usize) {
+            let mut index = CandidateIndex::new(model());
+            looks.iter().for_each(|look| index.add(look));
+            let all = index.most_likely(&now, looks.len());
+            let mut numbers = all.clone();
+            numbers.sort_unstable();
+            prop_assert_eq!(numbers, (0..looks.len() as ImageId).collect::<Vec<_>>());
+            prop_assert_eq!(&index.most_likely(&now, most)[..], &all[..most.min(all.len())]);
+            let likelihood = |image: ImageId| model().dense_log_likelihood(&now, &Appearance::of(&looks[image as usize]));
+            prop_assert!(all.windows(2).all(|pair| likelihood(pair[0]) >= likelihood(pair[1]) - 1e-6));
+        }
+    }
+}

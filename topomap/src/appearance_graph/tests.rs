@@ -38,7 +38,8 @@ fn similar_images_are_linked_and_no_others() {
         .map(|image| few.add(&InARow(image), (0..image).rev(), Checks::UntilMisses(2)).unwrap().checks)
         .sum();
     assert_eq!(few, all);
-    assert!(checks <= 5 * 20);
+    // Three links, and twice two misses at most.
+    assert!(checks <= 7 * 20, "{checks}");
 }
 
 #[test]

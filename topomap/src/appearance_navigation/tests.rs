@@ -137,6 +137,26 @@ fn a_robot_that_sees_nothing_keeps_its_heading_and_then_looks_for_itself() {
 }
 
 #[test]
+fn a_robot_that_comes_no_nearer_looks_for_itself() {
+    let images = corner();
+    let mut robot = OnTheFloor::new(&images, [0.1, 0.3], 0.0);
+    let graph = robot.graph();
+    let settings = NavigationSettings::default();
+    let mut navigator = AppearanceNavigator::new(&graph, 14, settings).unwrap();
+    navigator.observe(&graph, &robot, Body::Free).unwrap();
+    // It sees the subgoal, but a wall keeps it from it.
+    robot.position = Point2::new(0.02, 0.3);
+    for count in 0..settings.stall_patience {
+        *robot.seen.borrow_mut() = 0;
+        let guidance = navigator.observe(&graph, &robot, Body::Free).unwrap();
+        assert!(*robot.seen.borrow() < images.len(), "{count}: {guidance:?}");
+    }
+    *robot.seen.borrow_mut() = 0;
+    navigator.observe(&graph, &robot, Body::Free).unwrap();
+    assert!(*robot.seen.borrow() >= images.len());
+}
+
+#[test]
 fn a_goal_that_nothing_leads_to_is_never_driven_to() {
     let mut images = corner();
     images.push([20.0, 20.0]);

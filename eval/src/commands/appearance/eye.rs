@@ -190,3 +190,27 @@ pub fn scattered(plan: &FloorPlan, spacing_m: f64, seed: u64) -> Vec<Pose> {
     }
     poses
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+
+    /// What the simulation draws at a pixel is what the panorama takes it for.
+    #[test]
+    fn both_cameras_agree() {
+        let size_px = (640, 160);
+        let cylinder = (Camera::cylindrical(size_px).unwrap(), Projection::Cylindrical);
+        let sphere = (Camera::equirectangular(size_px).unwrap(), Projection::Equirectangular);
+        for (drawn, projection) in [cylinder, sphere] {
+            let taken = PanoramicCamera::new(projection, size_px).unwrap();
+            for number in 0..200_u32 {
+                let [angle, height] = [0.1 * f64::from(number), f64::from(number % 13) * 0.2 - 1.2];
+                let point = Vector3::new(2.0 * angle.cos(), 2.0 * angle.sin(), height);
+                let at = drawn.project(&point).unwrap();
+                assert!((taken.ray(at) - point.normalize()).norm() < 1e-9, "{projection:?} {point}");
+            }
+        }
+    }
+}

@@ -334,3 +334,30 @@ fn distance_to_line(point: Vector2<f64>, line: &[Vector2<f64>]) -> f64 {
     let share = ((point - from).dot(&way) / way.norm_squared().max(1e-12)).clamp(0.0, 1.0);
     (from + way * share - point).norm()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A wall half a metre to one side, an open floor else.
+    fn beside_a_wall(wall_rad: f64) -> RangeScan {
+        let range = |beam: u32| {
+            let along = (TAU * f64::from(beam) / 90.0 - wall_rad).cos();
+            if along > 0.07 { (0.3 / along).min(8.0) } else { 8.0 }
+        };
+        RangeScan { ranges_m: (0..90).map(range).collect() }
+    }
+
+    #[test]
+    fn the_robot_slides_along_what_is_in_its_way() {
+        let open = RangeScan { ranges_m: vec![3.0; 90] };
+        for wanted in [-2.0, 0.0, 1.0] {
+            assert!((free_heading_rad(&open, wanted) - wanted).abs() < 1e-9);
+            let turned = wrapped(free_heading_rad(&beside_a_wall(wanted + 0.3), wanted) - wanted);
+            assert!(turned < -0.5 && turned > -FRAC_PI_2 - 0.1, "{turned}, away from the wall");
+        }
+        // Walled in, there is no better heading than the wanted one.
+        let nowhere = RangeScan { ranges_m: vec![0.28; 90] };
+        assert!((free_heading_rad(&nowhere, 0.4) - 0.4).abs() < 1e-9);
+    }
+}
