@@ -26,7 +26,10 @@ use crate::files;
 use self::candidates::{IndexFigures, LookAlikeFigures};
 use self::eye::{Acuity, Eye};
 use self::headings::HeadingFigures;
-use self::trials::Drive;
+use self::trials::{Drive, DrivenMap};
+
+/// Buildings that headings are measured in.
+const GRIDS: u32 = 4;
 
 /// What to measure, and how often.
 #[derive(Clone, Debug, PartialEq)]
@@ -158,23 +161,16 @@ pub fn run(options: &AppearanceOptions) -> Result<AppearanceReport, EvalError> {
     if let Some(out) = &options.out {
         files::create_folder(out)?;
     }
-    let headings = match options.parts.contains(&Part::Headings) {
-        true => Some(headings::measure(&Eye::new(Acuity::FINE)?, &seeds(options, 4))?),
-        false => None,
-    };
-    let drives = match options.parts.contains(&Part::Drives) {
-        true => drive(&Eye::new(Acuity::COARSE)?, options)?,
-        false => Vec::new(),
-    };
-    let coarse = Eye::new(Acuity::COARSE)?;
-    let index = match options.parts.contains(&Part::Index) {
-        true => Some(candidates::measure(&coarse, options.panoramas, options.seed)?),
-        false => None,
-    };
-    let look_alikes = match options.parts.contains(&Part::LookAlikes) {
-        true => Some(candidates::look_alikes(&coarse, options.seed)?),
-        false => None,
-    };
+    let (fine, coarse) = (Eye::new(Acuity::FINE)?, Eye::new(Acuity::COARSE)?);
+    let is_asked = |part| options.parts.contains(&part);
+    let headings =
+        is_asked(Part::Headings).then(|| headings::measure(&fine, &seeds(options, GRIDS))).transpose()?;
+    let drives = is_asked(Part::Drives).then(|| drive(&coarse, options)).transpose()?.unwrap_or_default();
+    let index = is_asked(Part::Index)
+        .then(|| candidates::measure(&coarse, options.panoramas, options.seed))
+        .transpose()?;
+    let look_alikes =
+        is_asked(Part::LookAlikes).then(|| candidates::look_alikes(&coarse, options.seed)).transpose()?;
     Ok(AppearanceReport {
         links_lost_fraction: index.as_ref().map(|index| index.links_lost_fraction),
         pair_check_ratio: index.as_ref().map(|index| index.pair_check_ratio),
@@ -199,13 +195,13 @@ fn drive(eye: &Eye, options: &AppearanceOptions) -> Result<Vec<Drive>, EvalError
     let people: Vec<usize> = (0..=options.people).collect();
     let driven = trials::drive_all(eye, &seeds(options, options.trials), &people)?;
     if let Some(out) = &options.out {
-        for (map, drives) in &driven {
+        for DrivenMap { map, drives } in &driven {
             let seed = drives.first().map_or(0, |drive| drive.seed);
             let svg = picture::svg(map, drives);
             files::write(&out.join(format!("appearance-{seed}.svg")), svg.as_bytes())?;
         }
     }
-    Ok(driven.into_iter().flat_map(|(_, drives)| drives).collect())
+    Ok(driven.into_iter().flat_map(|driven| driven.drives).collect())
 }
 
 fn path_ratio(drives: &[Drive], people: usize) -> Option<f64> {

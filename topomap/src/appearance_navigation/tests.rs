@@ -28,7 +28,7 @@ impl OnTheFloor {
         let way = to - from;
         let similarity = 0.5 * (1.0 - way.norm() / reach_m);
         let motion = PlanarMotion::new(-heading_rad, way.y.atan2(way.x) - heading_rad);
-        (similarity > 0.0).then(|| Overlap {
+        (similarity > 0.0).then_some(Overlap {
             constrained: (similarity * 1000.0) as u32,
             features: 1000,
             motion,

@@ -2,6 +2,7 @@
 
 use nalgebra::Vector2;
 use waypost_sim::drawing::{Layer, Marks, plan_svg};
+use waypost_sim::pose::Pose;
 
 use super::eye::TaughtMap;
 use super::trials::Drive;
@@ -12,7 +13,7 @@ const COLOURS: [&str; 6] = ["#1459aa", "#d01020", "#208050", "#e0a040", "#803090
 /// One file of SVG: links as dark as their images are similar, then where the robot drove.
 #[must_use]
 pub fn svg(map: &TaughtMap, drives: &[Drive]) -> String {
-    let at: Vec<Vector2<f64>> = map.poses.iter().map(|pose| pose.position()).collect();
+    let at: Vec<Vector2<f64>> = map.poses.iter().map(Pose::position).collect();
     let mut links: Vec<_> = map
         .graph
         .links()

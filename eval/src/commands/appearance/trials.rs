@@ -1,7 +1,6 @@
 //! Drives to goals, by looks alone, people in the way or not.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
-use std::sync::Arc;
 
 use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
@@ -70,6 +69,15 @@ pub struct Drive {
     pub path: Vec<Vector2<f64>>,
 }
 
+/// A building, and the drives in it.
+#[derive(Debug)]
+pub struct DrivenMap {
+    /// The building with its images.
+    pub map: TaughtMap,
+    /// Where the robot was sent in it.
+    pub drives: Vec<Drive>,
+}
+
 /// What the robot sees now, with all that it may be compared with.
 struct Observation<'a> {
     eye: &'a Eye,
@@ -100,13 +108,9 @@ impl Sight for Observation<'_> {
 ///
 /// # Errors
 /// [`AppearanceError`] if a drive cannot be begun.
-pub fn drive_all(
-    eye: &Eye,
-    seeds: &[u64],
-    people: &[usize],
-) -> Result<Vec<(Arc<TaughtMap>, Vec<Drive>)>, AppearanceError> {
+pub fn drive_all(eye: &Eye, seeds: &[u64], people: &[usize]) -> Result<Vec<DrivenMap>, AppearanceError> {
     let drives = seeds.par_iter().map(|&seed| {
-        let map = Arc::new(TaughtMap::new(eye, NamedWorld::BooijOffice.plan(seed), SPACING_M, seed)?);
+        let map = TaughtMap::new(eye, NamedWorld::BooijOffice.plan(seed), SPACING_M, seed)?;
         let routes = NamedWorld::BooijOffice.routes();
         let mut drives = Vec::new();
         for &people in people {
@@ -116,7 +120,7 @@ pub fn drive_all(
                 drives.push(drive(eye, &map, route, seed, people)?);
             }
         }
-        Ok((map, drives))
+        Ok(DrivenMap { map, drives })
     });
     drives.collect()
 }
