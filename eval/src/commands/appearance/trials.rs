@@ -62,6 +62,8 @@ pub struct Drive {
     pub path_ratio: f64,
     /// Observations of each status: driving, recovering, lost, blocked.
     pub statuses: [usize; 4],
+    /// Seconds with somebody nearer to the hull than 30 cm.
+    pub beside_people_s: f64,
     /// Comparisons with images of the map per observation, mean.
     pub compared_mean: f64,
     /// Where it went.
@@ -162,6 +164,7 @@ fn drive(
         shortest_m,
         path_ratio: (driven_m + left_m) / shortest_m,
         statuses: followed.statuses,
+        beside_people_s: followed.beside_people_s,
         compared_mean: followed.compared as f64 / observations,
         path: followed.path,
     })
@@ -183,6 +186,7 @@ struct Followed {
     path: Vec<Vector2<f64>>,
     statuses: [usize; 4],
     compared: usize,
+    beside_people_s: f64,
 }
 
 fn follow(
@@ -193,7 +197,8 @@ fn follow(
     limit_s: f64,
 ) -> Result<Followed, AppearanceError> {
     let mut navigator = AppearanceNavigator::new(&map.graph, goal, NavigationSettings::default())?;
-    let mut followed = Followed { arrived: false, path: Vec::new(), statuses: [0; 4], compared: 0 };
+    let mut followed =
+        Followed { arrived: false, path: Vec::new(), statuses: [0; 4], compared: 0, beside_people_s: 0.0 };
     let (mut before, mut obedience): (Option<PanoramicView>, Obedience) = (None, Obedience::Idle);
     while (simulation.now_ns() as f64) * 1e-9 < limit_s {
         let mut shot = simulation.look();
@@ -221,9 +226,17 @@ fn follow(
             let tick = simulation.advance();
             obedience = tick.obedience;
             followed.path.push(tick.truth.position());
+            if is_beside_people(simulation) {
+                followed.beside_people_s += simulation.settings().period_ns as f64 * 1e-9;
+            }
         }
     }
     Ok(followed)
+}
+
+fn is_beside_people(simulation: &Simulation) -> bool {
+    let reach_m = RobotBody::default().radius_m + Person::RADIUS_M + 0.3;
+    simulation.people().iter().any(|person| person.pose.distance_m(simulation.robot().pose()) < reach_m)
 }
 
 /// Turns to the heading, and drives the faster the less there is to turn. A robot that does not know where to go looks
