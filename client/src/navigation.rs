@@ -385,8 +385,14 @@ impl Exchange {
         };
         match timeout(OPENING_TIMEOUT, opening).await {
             Ok(Ok((responses, Some(Response::Opened(opened))))) => {
+                let link = Link { requests, responses };
+                // Before the application hears of it: what it sends from then on is not late.
+                if let Some(goal) = self.last_goal_that_waited() {
+                    self.remember(&goal);
+                    put(&link, goal).await;
+                }
                 self.on_opened(opened)?;
-                Ok(Link { requests, responses })
+                Ok(link)
             }
             Ok(Ok((_, None))) => Err(LinkEnd::Broken("it closed the stream".to_owned())),
             Ok(Ok((_, Some(_)))) => {
@@ -430,17 +436,6 @@ impl Exchange {
     }
 
     async fn converse(&mut self, mut link: Link) -> Result<(), LinkEnd> {
-        // What waited is of a moment long past; a goal is not.
-        let mut last_goal = None;
-        while let Ok(message) = self.to_send.try_recv() {
-            if let Request::Goal(_) | Request::Stop(_) = message {
-                last_goal = Some(message);
-            }
-        }
-        if let Some(goal) = last_goal {
-            self.remember(&goal);
-            put(&link, goal).await;
-        }
         loop {
             tokio::select! {
                 message = self.to_send.recv() => match message {
@@ -459,6 +454,17 @@ impl Exchange {
                 }
             }
         }
+    }
+
+    /// What waited for the connection is of a moment long past; a goal is not.
+    fn last_goal_that_waited(&mut self) -> Option<Request> {
+        let mut last = None;
+        while let Ok(message) = self.to_send.try_recv() {
+            if let Request::Goal(_) | Request::Stop(_) = message {
+                last = Some(message);
+            }
+        }
+        last
     }
 
     /// A server that was started anew is to be told the goal again.

@@ -101,6 +101,12 @@ pub(crate) struct LedDrive {
     pub(crate) seen: Vec<(v1::FrameSeen, Pose)>,
 }
 
+/// An image that the camera took, on its way.
+struct Developing {
+    image: JoinHandle<Result<Vec<u8>, Failure>>,
+    frame: CameraFrame,
+}
+
 /// Lets the robot drive as it is told, in real time, until it has arrived; `on_seen` hears what its frames showed.
 pub(crate) async fn drive(
     building: &Arc<Building>,
@@ -114,57 +120,31 @@ pub(crate) async fn drive(
     steps.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let guidance = navigation.guidance();
     let (began, mut ticks, mut seen, mut poses) = (Instant::now(), Vec::new(), Vec::new(), BTreeMap::new());
-    let mut rendering: Option<(JoinHandle<Result<Vec<u8>, Failure>>, CameraFrame)> = None;
+    let mut developing: Option<Developing> = None;
     loop {
         steps.tick().await;
-        let waypost_client::Command { forward_m_s, turn_rad_s } = navigation.command();
-        let valid_ns = 2 * robot.settings().period_ns;
-        robot.command(Command { forward_m_s, turn_rad_s, valid_ns });
-        let mut tick = robot.advance();
-        if ticks.len() % STEPS_PER_REPORT == 0 {
-            // Stamps begin above 0.
-            navigation.report(Reading {
-                stamp_ns: tick.stamp_ns + 1,
-                odometry: odometry(&tick.odometry),
-                reflex: tick.obedience == Obedience::Reflex,
-            });
-        }
-        if let Some(frame) = tick.frame.take().filter(|_| rendering.is_none()) {
+        let mut tick = step(robot, navigation, ticks.len() % STEPS_PER_REPORT == 0);
+        if let Some(frame) = tick.frame.take().filter(|_| developing.is_none()) {
             poses.insert(frame.number + 1, frame.shot.pose);
             let (building, shot) = (building.clone(), frame.shot.clone());
-            rendering = Some((tokio::task::spawn_blocking(move || building.image(&shot)), frame));
-        }
-        if let Some((image, frame)) = rendering.take_if(|(image, _)| image.is_finished()) {
-            let image = image.await.map_err(unfit)??;
-            navigation.see(FrameInput {
-                sequence: frame.number + 1,
-                stamp_ns: frame.stamp_ns + 1,
-                content: FrameContent::Image(image),
-                odometry: Some(odometry(&frame.odometry)),
-            });
+            let image = tokio::task::spawn_blocking(move || building.image(&shot));
+            developing = Some(Developing { image, frame });
         }
         ticks.push(tick);
-        while let Some(event) = navigation.try_next() {
-            match event {
-                NavigationEvent::Seen(what) => {
-                    let Some(pose) = poses.get(&what.sequence) else { continue };
-                    on_seen(&what, pose)?;
-                    seen.push((what, *pose));
-                }
-                NavigationEvent::GoalRefused(refusal) => return Err(Failure::Unfit(refusal.message)),
-                NavigationEvent::FrameRefused(refusal) => return Err(refused("frame", refusal.status)),
-                NavigationEvent::WheelsRefused(refusal) => {
-                    return Err(refused("wheel report", refusal.status));
-                }
-                NavigationEvent::Disconnected { .. } | NavigationEvent::Reconnected { .. } => {}
-            }
+        if let Some(Developing { image, frame }) = developing.take_if(|taken| taken.image.is_finished()) {
+            navigation.see(frame_input(&frame, image.await.map_err(unfit)??));
         }
-        let told = guidance.borrow().clone();
-        if told.is_some_and(|told| told.status() == v1::NavigationStatus::Arrived) {
+        while let Some(event) = navigation.try_next() {
+            let Some(what) = shown(event)? else { continue };
+            let Some(pose) = poses.get(&what.sequence) else { continue };
+            on_seen(&what, pose)?;
+            seen.push((what, *pose));
+        }
+        let told = guidance.borrow().unwrap_or_default();
+        if told.status() == v1::NavigationStatus::Arrived {
             return Ok(LedDrive { ticks, seen });
         }
         if began.elapsed() > patience {
-            let told = guidance.borrow().clone().unwrap_or_default();
             return Err(Failure::Unfit(format!(
                 "the robot has not arrived after {:.0} s; it is {:?}, with {:.1} m to go",
                 patience.as_secs_f64(),
@@ -175,8 +155,44 @@ pub(crate) async fn drive(
     }
 }
 
-fn refused(what: &str, status: Option<waypost_proto::google::rpc::Status>) -> Failure {
-    Failure::Unfit(format!("a {what} was refused: {}", status.unwrap_or_default().message))
+/// A step as the last command says, and what the wheels say of it, if that is to be reported.
+fn step(robot: &mut Simulation, navigation: &Navigation, report_is_due: bool) -> Tick {
+    let waypost_client::Command { forward_m_s, turn_rad_s } = navigation.command();
+    let valid_ns = 2 * robot.settings().period_ns;
+    robot.command(Command { forward_m_s, turn_rad_s, valid_ns });
+    let tick = robot.advance();
+    if report_is_due {
+        // Stamps begin above 0.
+        let (stamp_ns, reflex) = (tick.stamp_ns + 1, tick.obedience == Obedience::Reflex);
+        navigation.report(Reading { stamp_ns, odometry: odometry(&tick.odometry), reflex });
+    }
+    tick
+}
+
+/// A frame as it goes to the server.
+pub(crate) fn frame_input(frame: &CameraFrame, image: Vec<u8>) -> FrameInput {
+    FrameInput {
+        sequence: frame.number + 1,
+        stamp_ns: frame.stamp_ns + 1,
+        content: FrameContent::Image(image),
+        odometry: Some(odometry(&frame.odometry)),
+    }
+}
+
+/// What a frame showed, if the event is of that; what was refused ends the drive.
+fn shown(event: NavigationEvent) -> Result<Option<v1::FrameSeen>, Failure> {
+    let refused = |what: &str, message: &str| Failure::Unfit(format!("a {what} was refused: {message}"));
+    match event {
+        NavigationEvent::Seen(seen) => Ok(Some(seen)),
+        NavigationEvent::GoalRefused(refusal) => Err(Failure::Unfit(refusal.message)),
+        NavigationEvent::FrameRefused(refusal) => {
+            Err(refused("frame", &refusal.status.unwrap_or_default().message))
+        }
+        NavigationEvent::WheelsRefused(refusal) => {
+            Err(refused("wheel report", &refusal.status.unwrap_or_default().message))
+        }
+        NavigationEvent::Disconnected { .. } | NavigationEvent::Reconnected { .. } => Ok(None),
+    }
 }
 
 /// What the wheels say, as a frame carries it.

@@ -1,3 +1,4 @@
-//! The command line, command by command.
+//! The arguments of commands, one file each.
 
+pub(crate) mod appearance;
 pub(crate) mod navigate;

@@ -17,6 +17,7 @@ use topomap::navigation::{NavigationSettingsError, PlanError};
 use waypost_sim::link::LinkError;
 use waypost_vision::features::{ExtractError, SettingsError};
 
+use crate::commands::appearance::AppearanceError;
 use crate::commands::map::MapError;
 use crate::dataset::DatasetError;
 use crate::workload::WorkloadError;
@@ -178,6 +179,9 @@ pub enum EvalError {
     /// What lies between robot and server is no link.
     #[error(transparent)]
     Link(#[from] LinkError),
+    /// A simulated robot could not be sent by looks.
+    #[error(transparent)]
+    Appearance(#[from] AppearanceError),
     /// A file or folder cannot be read.
     #[error("{path} cannot be read ({reason}); check the path and its permissions")]
     Read {
@@ -294,6 +298,7 @@ impl EvalError {
             | EvalError::Frame { .. }
             | EvalError::Fold { .. }
             | EvalError::Plan(_)
+            | EvalError::Appearance(_)
             | EvalError::Read { .. }
             | EvalError::Write { .. }
             | EvalError::Server { .. }

@@ -1,5 +1,7 @@
 //! `waypost-eval`: the command line of the evaluation.
 
+mod arguments;
+
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -44,8 +46,6 @@ use waypost_eval::workload::WorkloadSettings;
 use waypost_sim::worlds::NamedWorld;
 use waypost_vision::features::{Feature, FeatureSettings};
 
-mod arguments;
-
 use arguments::navigate::NavigateArguments;
 
 fn main() -> ExitCode {
@@ -62,6 +62,10 @@ fn main() -> ExitCode {
         Command::Posegraph(arguments) => arguments.run(),
         Command::Map(arguments) => arguments.run(),
         Command::Navigate(arguments) => arguments.run(),
+        Command::Appearance(arguments) => {
+            let json = arguments.json;
+            arguments.run().and_then(|report| print_if(json, &report))
+        }
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -97,6 +101,7 @@ enum Command {
     Posegraph(PosegraphArguments),
     Map(Box<MapArguments>),
     Navigate(NavigateArguments),
+    Appearance(arguments::appearance::AppearanceArguments),
 }
 
 /// Train a model (vocabulary, Chow-Liu tree, sampling set) from folders of images.

@@ -2,7 +2,10 @@
 //!
 //! Pure: no I/O, no async, no pixels. Begin with [`mapper`], which tells the story.
 
+pub mod appearance_graph;
+pub mod appearance_navigation;
 pub mod checkpoint;
+pub mod epipolar;
 pub mod event;
 pub mod g2o;
 pub mod map;

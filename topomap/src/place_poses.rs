@@ -129,7 +129,10 @@ impl PlacePoses {
         let members = self.members.get(&part).map_or(alone, Vec::as_slice);
         let reaches_far = (2.0 * distance_m / CELL_M).powi(2) > members.len() as f64;
         let (columns, of_part) = if reaches_far { (None, members) } else { (Some(range(x_m)), &[][..]) };
-        let cells = columns.into_iter().flatten().flat_map(move |column| range(y_m).map(move |row| (part, column, row)));
+        let cells = columns
+            .into_iter()
+            .flatten()
+            .flat_map(move |column| range(y_m).map(move |row| (part, column, row)));
         let places = cells.filter_map(|cell| self.by_position.get(&cell)).flatten().chain(of_part);
         places.filter_map(move |&place| {
             let pose = self.poses.get(place as usize)?;

@@ -71,7 +71,10 @@ impl RelativePose {
         orientation_xyzw: [f64; 4],
         covariance: &[f64; 36],
     ) -> Result<Self, RelativePoseError> {
-        let within = |values: &[f64], most: f64| match values.iter().find(|value| !(value.abs() <= most)) {
+        let within = |values: &[f64], most: f64| match values
+            .iter()
+            .find(|value| value.is_nan() || value.abs() > most)
+        {
             Some(value) if value.is_finite() => Err(RelativePoseError::TooLarge { value: *value }),
             Some(_) => Err(RelativePoseError::NotFinite),
             None => Ok(()),
@@ -81,7 +84,7 @@ impl RelativePose {
         let [i, j, k, w] = orientation_xyzw;
         let quaternion = Quaternion::new(w, i, j, k);
         let norm = quaternion.norm();
-        if !((norm - 1.0).abs() <= Odometry::MAX_NORM_ERROR) {
+        if norm.is_nan() || (norm - 1.0).abs() > Odometry::MAX_NORM_ERROR {
             return Err(RelativePoseError::NotUnit { norm });
         }
         let rotation = UnitQuaternion::from_quaternion(quaternion);

@@ -23,4 +23,5 @@ pub mod feature_record;
 pub mod features;
 pub mod image;
 mod mat;
+pub mod panorama;
 pub mod verification;

@@ -18,6 +18,7 @@ use crate::feature_record::FeatureRecord;
 
 pub use camera::{Distortion, Pinhole};
 pub use matching::Match;
+pub(crate) use matching::descriptor_matches;
 
 /// Compares views.
 #[derive(Clone, Copy, Debug, PartialEq)]

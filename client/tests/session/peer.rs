@@ -228,6 +228,13 @@ impl SessionService for Sessions {
     ) -> Result<Response<v1::GetFramePictureResponse>, Status> {
         Err(Status::unimplemented("this peer streams only"))
     }
+
+    async fn measure_closure(
+        &self,
+        _: Request<v1::MeasureClosureRequest>,
+    ) -> Result<Response<v1::MeasureClosureResponse>, Status> {
+        Err(Status::unimplemented("this peer streams only"))
+    }
 }
 
 impl Sessions {

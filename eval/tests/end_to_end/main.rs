@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking, helpers included")]
 
+mod appearance;
 mod comparing;
 mod errors;
 mod mapping;

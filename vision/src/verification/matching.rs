@@ -38,6 +38,15 @@ pub(super) fn matches(earlier: &FeatureRecord, current: &FeatureRecord) -> Vec<M
     }
 }
 
+/// Descriptors of one kind that are each other's nearest; none of kinds that differ.
+pub(crate) fn descriptor_matches(earlier: &Descriptors, current: &Descriptors) -> Vec<Match> {
+    if earlier.check_matches(current).is_ok() {
+        mutual_nearest(&distances(earlier, current))
+    } else {
+        Vec::new()
+    }
+}
+
 fn of_same_word(earlier: &[WordId], current: &[WordId]) -> Vec<Match> {
     let mut showing: BTreeMap<WordId, [Vec<usize>; 2]> = BTreeMap::new();
     for (view, words) in [earlier, current].into_iter().enumerate() {

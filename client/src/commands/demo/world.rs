@@ -4,9 +4,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use serde::Serialize;
-use waypost_client::{
-    Client, FrameContent, FrameInput, FrameOutcome, FrameSender, Outcomes, SessionOptions, v1,
-};
+use waypost_client::{Client, FrameOutcome, FrameSender, Outcomes, SessionOptions, v1};
 use waypost_sim::drawing::{Layer, Marks, plan_svg};
 use waypost_sim::pose::Pose;
 use waypost_sim::simulation::{CameraFrame, Recording};
@@ -17,7 +15,7 @@ use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress;
 use crate::server_process::ServerProcess;
-use crate::simulated::{Building, WHEN_MOVED, odometry, planar, unfit};
+use crate::simulated::{Building, WHEN_MOVED, frame_input, planar, unfit};
 use crate::views::MapSummary;
 
 const MAP: &str = "building";
@@ -138,13 +136,7 @@ pub(super) async fn map_along(
 async fn send(mut sender: FrameSender, building: &Building, frames: &[&CameraFrame]) -> Result<(), Failure> {
     for frame in frames {
         let image = tokio::task::block_in_place(|| building.image(&frame.shot))?;
-        let input = FrameInput {
-            sequence: frame.number + 1,
-            // Stamps begin above 0.
-            stamp_ns: frame.stamp_ns + 1,
-            content: FrameContent::Image(image),
-            odometry: Some(odometry(&frame.odometry)),
-        };
+        let input = frame_input(frame, image);
         sender.send(input).await?;
     }
     Ok(())

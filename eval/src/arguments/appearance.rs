@@ -1,0 +1,48 @@
+//! `waypost-eval appearance`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use waypost_eval::commands::appearance::{self, AppearanceOptions, AppearanceReport, Part};
+use waypost_eval::error::EvalError;
+
+/// Send a simulated robot with a panoramic camera to goals by looks alone, in buildings that it has images of.
+#[derive(Args)]
+pub(crate) struct AppearanceArguments {
+    /// Buildings that the robot drives in, each with two goals.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    trials: u32,
+    /// Seed of the first building; the next ones take the next seeds.
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Most people in the robot's way, each number up to it tried.
+    #[arg(long, value_name = "K", default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=8))]
+    people: u8,
+    /// Panoramas of the graph that is made through the index, and by all pairs to compare.
+    #[arg(long, value_name = "N", default_value_t = 600, value_parser = clap::value_parser!(u16).range(2..=5000))]
+    panoramas: u16,
+    /// What to measure [default: all].
+    #[arg(long, value_name = "PART", num_args = 1.., value_parser = parts())]
+    parts: Option<Vec<Part>>,
+    /// Folder for the pictures; made if it does not exist.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print one JSON object on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+impl AppearanceArguments {
+    pub(crate) fn run(self) -> Result<AppearanceReport, EvalError> {
+        let Self { trials, seed, people, panoramas, parts, out, json: _ } = self;
+        let parts = parts.unwrap_or_else(|| Part::ALL.to_vec());
+        let (people, panoramas) = (people.into(), panoramas.into());
+        appearance::run(&AppearanceOptions { trials, seed, people, panoramas, parts, out })
+    }
+}
+
+fn parts() -> impl TypedValueParser<Value = Part> {
+    PossibleValuesParser::new(Part::ALL.map(Part::name))
+        .try_map(|name| Part::from_name(&name).ok_or("not one of the parts"))
+}

@@ -1,0 +1,254 @@
+//! How well two panoramas tell where the one was taken, seen from the other.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use nalgebra::Vector2;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use serde::Serialize;
+use topomap::epipolar::{self, GeneralMotion, Motion, PlanarMotion, RayPair, SearchSettings};
+use waypost_sim::floor_plan::{FloorPlan, Room};
+use waypost_sim::pose::{Pose, wrapped};
+use waypost_sim::scene::Scene;
+use waypost_sim::worlds::NamedWorld;
+use waypost_vision::panorama::PanoramicView;
+
+use super::AppearanceError;
+use super::eye::Eye;
+
+/// From position to position of the grid, in metres.
+const SPACING_M: f64 = 1.0;
+
+/// Draws of each search where the two ways to search are compared.
+const DRAWS: usize = 100;
+
+/// Classes of the histogram: those in the middle are [`CLASS_RAD`] wide, the outermost hold all that is further off.
+pub const CLASSES: usize = 61;
+
+/// Width of a class of the histogram, in radians.
+pub const CLASS_RAD: f64 = 0.01;
+
+/// Errors of headings, over all grids.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct HeadingFigures {
+    /// Grids, each in a building of its own.
+    pub grids: usize,
+    /// Ordered pairs of images from different positions.
+    pub pairs: usize,
+    /// Pairs that no motion joins.
+    pub without_heading: usize,
+    /// Root mean square of the error, in radians, over all others.
+    pub heading_error_std_rad: f64,
+    /// Median of its size, in radians.
+    pub heading_error_median_rad: f64,
+    /// Largest, in radians.
+    pub heading_error_max_rad: f64,
+    /// Root mean square of the rotation's error, in radians.
+    pub rotation_error_std_rad: f64,
+    /// Errors by class of 0.01 rad, 0 in the middle of the middle one; the outermost hold all that is further off.
+    pub histogram: Vec<usize>,
+    /// Planar four-point and general eight-point search, half of the pairs being wrong.
+    pub with_half_outliers: [SolverFigures; 2],
+}
+
+/// How well a search does with as many draws as the other.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SolverFigures {
+    /// Which one.
+    pub search: &'static str,
+    /// Draws of each search.
+    pub draws: usize,
+    /// Searches.
+    pub searches: usize,
+    /// Those that found nothing.
+    pub failed: usize,
+    /// Mean share of the right pairs that were found to agree.
+    pub inliers_found: f64,
+    /// Mean share of wrong pairs among those found to agree.
+    pub outliers_taken: f64,
+    /// Median of the heading's error, in radians; π for a search that found nothing.
+    pub heading_error_median_rad: f64,
+    /// Root mean square of it, in radians.
+    pub heading_error_std_rad: f64,
+}
+
+/// Positions and views of a grid.
+struct Grid {
+    poses: Vec<Pose>,
+    views: Vec<PanoramicView>,
+}
+
+/// Measures grids of 3 x 3 positions, 2 m wide, with 4 orientations each.
+///
+/// # Errors
+/// [`AppearanceError`] if a building has no room for a grid.
+pub fn measure(eye: &Eye, seeds: &[u64]) -> Result<HeadingFigures, AppearanceError> {
+    let grids = seeds.iter().map(|&seed| Grid::new(eye, seed)).collect::<Result<Vec<_>, _>>()?;
+    let found: Vec<Option<[f64; 2]>> = grids
+        .iter()
+        .flat_map(|grid| grid.pairs().map(move |pair| (grid, pair)))
+        .collect::<Vec<_>>()
+        .into_par_iter()
+        .map(|(grid, [current, target])| {
+            let compared = grid.views[current].compare(&grid.views[target], &eye.search);
+            let motion = compared.overlap?.motion;
+            let truth = grid.poses[current].relative(&grid.poses[target]);
+            let heading = truth.y_m.atan2(truth.x_m);
+            let rotation = motion.rotation_rad() - truth.heading_rad;
+            Some([wrapped(motion.heading_rad() - heading), wrapped(rotation)])
+        })
+        .collect();
+    let errors: Vec<[f64; 2]> = found.iter().flatten().copied().collect();
+    let of = |which: usize| errors.iter().map(move |error| error[which]).collect::<Vec<f64>>();
+    let mut sizes: Vec<f64> = of(0).iter().map(|error| error.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let mut histogram = vec![0; CLASSES];
+    for error in of(0) {
+        let class = (error / CLASS_RAD).round() + (CLASSES / 2) as f64;
+        histogram[class.clamp(0.0, (CLASSES - 1) as f64) as usize] += 1;
+    }
+    Ok(HeadingFigures {
+        grids: grids.len(),
+        pairs: found.len(),
+        without_heading: found.len() - errors.len(),
+        heading_error_std_rad: root_mean_square(&of(0)),
+        heading_error_median_rad: sizes.get(sizes.len() / 2).copied().unwrap_or(PI),
+        heading_error_max_rad: sizes.last().copied().unwrap_or(PI),
+        rotation_error_std_rad: root_mean_square(&of(1)),
+        histogram,
+        with_half_outliers: [
+            compared::<PlanarMotion>("planar four-point", &grids),
+            compared::<GeneralMotion>("general eight-point", &grids),
+        ],
+    })
+}
+
+impl Grid {
+    fn new(eye: &Eye, seed: u64) -> Result<Self, AppearanceError> {
+        let plan = NamedWorld::Office.plan(seed);
+        let center = plan.parts().rooms.iter().find_map(|room| roomy(&plan, room));
+        let center = center.ok_or(AppearanceError::NoGrid { seed })?;
+        let poses: Vec<Pose> = offsets()
+            .flat_map(|offset| {
+                let at = center + offset;
+                (0..4).map(move |quarter| Pose::new(at.x, at.y, FRAC_PI_2 * f64::from(quarter) + 0.2))
+            })
+            .collect();
+        let scene = Scene::new(plan);
+        let views = eye.see_all(&scene, &poses, seed)?;
+        Ok(Self { poses, views })
+    }
+
+    /// Current and target, from different positions.
+    fn pairs(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
+        let all = (0..self.poses.len())
+            .flat_map(|current| (0..self.poses.len()).map(move |target| [current, target]));
+        all.filter(|[current, target]| {
+            self.poses[*current].distance_m(&self.poses[*target]) > SPACING_M / 2.0
+        })
+    }
+}
+
+fn offsets() -> impl Iterator<Item = Vector2<f64>> {
+    (-1..=1).flat_map(|x| (-1..=1).map(move |y| SPACING_M * Vector2::new(f64::from(x), f64::from(y))))
+}
+
+/// Where in a room the grid finds place, if it does.
+fn roomy(plan: &FloorPlan, room: &Room) -> Option<Vector2<f64>> {
+    let steps = |low: f64, high: f64| {
+        (1..).map(move |step| low + 0.1 * f64::from(step)).take_while(move |&at| at < high)
+    };
+    let places = steps(room.min.x, room.max.x)
+        .flat_map(|x| steps(room.min.y, room.max.y).map(move |y| Vector2::new(x, y)));
+    let has_place = |center: &Vector2<f64>| {
+        offsets().all(|offset| room.contains(center + offset) && plan.clearance_m(center + offset) >= 0.25)
+    };
+    places.into_iter().find(has_place)
+}
+
+/// One way to search, where every second match has been replaced by a wrong one: the ray of another.
+fn compared<M: Motion + Heading>(search: &'static str, grids: &[Grid]) -> SolverFigures {
+    let tasks: Vec<(&Grid, [usize; 2])> =
+        grids.iter().flat_map(|grid| grid.pairs().map(move |pair| (grid, pair))).collect();
+    let found: Vec<(f64, f64, f64)> = tasks
+        .into_par_iter()
+        .filter_map(|(grid, [current, target])| {
+            let truth = grid.poses[current].relative(&grid.poses[target]);
+            let way = PlanarMotion::new(truth.heading_rad, truth.y_m.atan2(truth.x_m));
+            let settings = SearchSettings {
+                max_draws: DRAWS,
+                seed: (current * 1000 + target) as u64,
+                ..SearchSettings::default()
+            };
+            let (pairs, is_right) = half_wrong(grid, [current, target], &way, &settings)?;
+            let Some(found) = epipolar::search::<M>(&pairs, &settings) else { return Some((PI, 0.0, 0.0)) };
+            let right = found.inliers.iter().filter(|&&index| is_right[index]).count() as f64;
+            let all = is_right.iter().filter(|&&right| right).count() as f64;
+            let error = wrapped(found.motion.heading() - way.heading_rad());
+            Some((error, right / all, 1.0 - right / found.inliers.len() as f64))
+        })
+        .collect();
+    let mean =
+        |of: fn(&(f64, f64, f64)) -> f64| found.iter().map(of).sum::<f64>() / found.len().max(1) as f64;
+    let errors: Vec<f64> = found.iter().map(|found| found.0).collect();
+    let mut sizes: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    SolverFigures {
+        search,
+        draws: DRAWS,
+        searches: found.len(),
+        failed: found.iter().filter(|found| found.1 == 0.0).count(),
+        inliers_found: mean(|found| found.1),
+        outliers_taken: mean(|found| found.2),
+        heading_error_median_rad: sizes.get(sizes.len() / 2).copied().unwrap_or(PI),
+        heading_error_std_rad: root_mean_square(&errors),
+    }
+}
+
+/// The matches that the true motion explains, and as many whose target is that of another, with which are right.
+fn half_wrong(
+    grid: &Grid,
+    [current, target]: [usize; 2],
+    way: &PlanarMotion,
+    settings: &SearchSettings,
+) -> Option<(Vec<RayPair>, Vec<bool>)> {
+    let (seen, wanted) = (&grid.views[current], &grid.views[target]);
+    let matches = seen.matches(wanted);
+    let right: Vec<RayPair> = seen
+        .ray_pairs(wanted, &matches)
+        .into_iter()
+        .filter(|pair| way.reprojection(pair).error_rad() <= settings.tolerance_rad)
+        .collect();
+    if right.len() < 16 {
+        return None;
+    }
+    let mut random = ChaCha8Rng::seed_from_u64(settings.seed);
+    let wrong = right.iter().map(|pair| {
+        let other = wanted.rays()[random.random_range(0..wanted.rays().len())];
+        RayPair { target: other, ..*pair }
+    });
+    let wrong: Vec<RayPair> = wrong.collect();
+    let is_right = [vec![true; right.len()], vec![false; wrong.len()]].concat();
+    Some(([right, wrong].concat(), is_right))
+}
+
+trait Heading {
+    fn heading(&self) -> f64;
+}
+
+impl Heading for PlanarMotion {
+    fn heading(&self) -> f64 {
+        self.heading_rad()
+    }
+}
+
+impl Heading for GeneralMotion {
+    fn heading(&self) -> f64 {
+        self.heading_rad()
+    }
+}
+
+fn root_mean_square(errors: &[f64]) -> f64 {
+    (errors.iter().map(|error| error * error).sum::<f64>() / errors.len().max(1) as f64).sqrt()
+}

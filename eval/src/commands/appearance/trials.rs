@@ -1,0 +1,380 @@
+//! Drives to goals, by looks alone, people in the way or not.
+
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+
+use nalgebra::Vector2;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use serde::Serialize;
+use topomap::appearance_graph::{ImageId, Overlap, Panorama};
+use topomap::appearance_navigation::{
+    AppearanceNavigator, Body, Guidance, NavigationSettings, NavigationStatus, Sight,
+};
+use topomap::mapper::ArchiveError;
+use waypost_sim::people::{Behaviour, Person, Walker};
+use waypost_sim::pose::{Pose, wrapped};
+use waypost_sim::range_sensor::{RangeScan, ReflexSettings};
+use waypost_sim::robot::{Body as RobotBody, Command};
+use waypost_sim::simulation::{CameraTrigger, Obedience, Simulation, SimulationSettings};
+use waypost_sim::worlds::{NamedRoute, NamedWorld};
+use waypost_vision::panorama::PanoramicView;
+
+use super::AppearanceError;
+use super::eye::{Eye, TaughtMap};
+
+/// From image to image of a map, in metres.
+pub const SPACING_M: f64 = 0.5;
+
+/// Metres a second where the way is straight ahead.
+const SPEED_M_S: f64 = 0.4;
+
+/// From observation to observation, in nanoseconds.
+const OBSERVATION_NS: i64 = 250_000_000;
+
+/// Seconds after which a drive is given up, per metre of the shortest path, and in all.
+const LIMIT_S: (f64, f64) = (10.0, 100.0);
+
+/// What stops the robot: narrow doors are no reason.
+const REFLEX: ReflexSettings =
+    ReflexSettings { stop_m: 0.15, margin_m: 0.02, turn_rad_s: 0.8, ahead_ns: 600_000_000, ahead_m_s: 0.25 };
+
+/// A drive to one goal.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Drive {
+    /// Of the building, the start and the noise.
+    pub seed: u64,
+    /// Whose ends it goes between.
+    pub route: &'static str,
+    /// Who is in the way.
+    pub people: usize,
+    /// Whether the robot said that it had arrived.
+    pub arrived: bool,
+    /// How often it touched something.
+    pub collisions: u64,
+    /// Metres that it drove.
+    pub driven_m: f64,
+    /// From where it stopped to the goal.
+    pub left_m: f64,
+    /// Metres over the graph's images, by links along which a robot has room.
+    pub shortest_m: f64,
+    /// (driven + left) / shortest.
+    pub path_ratio: f64,
+    /// Observations of each status: driving, recovering, lost, blocked.
+    pub statuses: [usize; 4],
+    /// Seconds with somebody nearer to the hull than 30 cm.
+    pub beside_people_s: f64,
+    /// Comparisons with images of the map per observation, mean.
+    pub compared_mean: f64,
+    /// Where it went.
+    #[serde(skip)]
+    pub path: Vec<Vector2<f64>>,
+}
+
+/// A building, and the drives in it.
+#[derive(Debug)]
+pub struct DrivenMap {
+    /// The building with its images.
+    pub map: TaughtMap,
+    /// Where the robot was sent in it.
+    pub drives: Vec<Drive>,
+}
+
+/// What the robot sees now, with all that it may be compared with.
+struct Observation<'a> {
+    eye: &'a Eye,
+    map: &'a TaughtMap,
+    view: &'a PanoramicView,
+    before: Option<&'a PanoramicView>,
+}
+
+impl Panorama for Observation<'_> {
+    fn overlap(&self, image: ImageId) -> Result<Option<Overlap>, ArchiveError> {
+        Ok(self.view.compare(&self.map.views[image as usize], &self.eye.search).overlap)
+    }
+}
+
+impl Sight for Observation<'_> {
+    fn turned_rad(&self) -> Option<f64> {
+        let overlap = self.view.compare(self.before?, &self.eye.search).overlap?;
+        // The one before looked further to the left by R if the robot has turned right by it.
+        Some(-overlap.motion.rotation_rad())
+    }
+
+    fn relocalization_candidates(&self) -> Vec<ImageId> {
+        (0..self.map.views.len() as ImageId).collect()
+    }
+}
+
+/// Drives to the ends of all routes of the paper's office in buildings of these seeds.
+///
+/// # Errors
+/// [`AppearanceError`] if a drive cannot be begun.
+pub fn drive_all(eye: &Eye, seeds: &[u64], people: &[usize]) -> Result<Vec<DrivenMap>, AppearanceError> {
+    let drives = seeds.par_iter().map(|&seed| {
+        let map = TaughtMap::new(eye, NamedWorld::BooijOffice.plan(seed), SPACING_M, seed)?;
+        let routes = NamedWorld::BooijOffice.routes();
+        let mut drives = Vec::new();
+        for &people in people {
+            // People are met on the longer way.
+            let routes = if people == 0 { &routes[..] } else { &routes[..1] };
+            for route in routes {
+                drives.push(drive(eye, &map, route, seed, people)?);
+            }
+        }
+        Ok(DrivenMap { map, drives })
+    });
+    drives.collect()
+}
+
+/// One drive from the image nearest to a route's start to the one nearest to its end.
+fn drive(
+    eye: &Eye,
+    map: &TaughtMap,
+    route: &NamedRoute,
+    seed: u64,
+    people: usize,
+) -> Result<Drive, AppearanceError> {
+    let [start, goal] =
+        [route.corners[0], route.corners[route.corners.len() - 1]].map(|end| map.nearest(end));
+    let mut random = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(31) + people as u64);
+    let from = map.poses[start];
+    let turned = PI * (2.0 * random.random::<f64>() - 1.0);
+    let mut simulation = simulation(eye, map, Pose::new(from.x_m, from.y_m, turned), seed)?;
+    let path = shortest_path(map, start, goal);
+    for position in waiting_places(map, &path, people) {
+        let look = random.random::<u64>();
+        let person = Person { pose: Pose::new(position.x, position.y, 0.0), look };
+        let behaviour = Behaviour::Blocking { notice_m: 2.0, patience_s: 6.0, speed_m_s: 0.7 };
+        simulation.add_person(person, behaviour)?;
+    }
+    let shortest_m: f64 = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    let followed = follow(eye, map, &mut simulation, goal as ImageId, LIMIT_S.1 + LIMIT_S.0 * shortest_m)?;
+    let driven_m: f64 = followed.path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    let left_m = simulation.robot().pose().distance_m(&map.poses[goal]);
+    let observations = followed.statuses.iter().sum::<usize>().max(1) as f64;
+    Ok(Drive {
+        seed,
+        route: route.name,
+        people,
+        arrived: followed.arrived,
+        collisions: simulation.collisions(),
+        driven_m,
+        left_m,
+        shortest_m,
+        path_ratio: (driven_m + left_m) / shortest_m,
+        statuses: followed.statuses,
+        beside_people_s: followed.beside_people_s,
+        compared_mean: followed.compared as f64 / observations,
+        path: followed.path,
+    })
+}
+
+fn simulation(eye: &Eye, map: &TaughtMap, start: Pose, seed: u64) -> Result<Simulation, AppearanceError> {
+    let settings = SimulationSettings {
+        trigger: CameraTrigger::Period { period_ns: OBSERVATION_NS },
+        seed,
+        reflex: Some(REFLEX),
+        ..SimulationSettings::new(eye.rig.clone())
+    };
+    Ok(Simulation::new(map.scene.clone(), start, settings)?)
+}
+
+/// What came of following a navigator.
+struct Followed {
+    arrived: bool,
+    path: Vec<Vector2<f64>>,
+    statuses: [usize; 4],
+    compared: usize,
+    beside_people_s: f64,
+}
+
+fn follow(
+    eye: &Eye,
+    map: &TaughtMap,
+    simulation: &mut Simulation,
+    goal: ImageId,
+    limit_s: f64,
+) -> Result<Followed, AppearanceError> {
+    let mut navigator = AppearanceNavigator::new(&map.graph, goal, NavigationSettings::default())?;
+    let mut followed =
+        Followed { arrived: false, path: Vec::new(), statuses: [0; 4], compared: 0, beside_people_s: 0.0 };
+    let (mut before, mut obedience): (Option<PanoramicView>, Obedience) = (None, Obedience::Idle);
+    while (simulation.now_ns() as f64) * 1e-9 < limit_s {
+        let mut shot = simulation.look();
+        // Each image has noise of its own.
+        shot.seed = shot.seed.wrapping_add(simulation.now_ns() as u64);
+        let view = eye.see(&map.scene, &shot)?;
+        let sight = Observation { eye, map, view: &view, before: before.as_ref() };
+        let body = if obedience == Obedience::Reflex { Body::Held } else { Body::Free };
+        let guidance = navigator.observe(&map.graph, &sight, body)?;
+        followed.compared += guidance.compared;
+        before = Some(view);
+        match guidance.status {
+            NavigationStatus::Arrived => {
+                followed.arrived = true;
+                break;
+            }
+            NavigationStatus::Driving => followed.statuses[0] += 1,
+            NavigationStatus::Recovering => followed.statuses[1] += 1,
+            NavigationStatus::Lost => followed.statuses[2] += 1,
+            NavigationStatus::Blocked => followed.statuses[3] += 1,
+        }
+        simulation.command(command(&guidance, simulation.scan()));
+        let until_ns = simulation.now_ns() + OBSERVATION_NS;
+        while simulation.now_ns() < until_ns {
+            let tick = simulation.advance();
+            obedience = tick.obedience;
+            followed.path.push(tick.truth.position());
+            if is_beside_people(simulation) {
+                followed.beside_people_s += simulation.settings().period_ns as f64 * 1e-9;
+            }
+        }
+    }
+    Ok(followed)
+}
+
+fn is_beside_people(simulation: &Simulation) -> bool {
+    let reach_m = RobotBody::default().radius_m + Person::RADIUS_M + 0.3;
+    simulation.people().iter().any(|person| person.pose.distance_m(simulation.robot().pose()) < reach_m)
+}
+
+/// Turns to the heading, and drives the faster the less there is to turn. A robot that does not know where to go looks
+/// around.
+fn command(guidance: &Guidance, scan: &RangeScan) -> Command {
+    let valid_ns = OBSERVATION_NS + OBSERVATION_NS / 2;
+    let Some(heading) = guidance.heading_rad.map(|heading| free_heading_rad(scan, heading)) else {
+        return Command { forward_m_s: 0.0, turn_rad_s: 0.5, valid_ns };
+    };
+    let forward_m_s = SPEED_M_S * (1.0 - heading.abs() / 0.8).max(0.0);
+    Command { forward_m_s, turn_rad_s: (1.8 * heading).clamp(-1.2, 1.2), valid_ns }
+}
+
+/// The heading nearest to the wanted one, within a quarter turn, in which the hull has room. What a camera sees past, the
+/// robot may not get past: a corner of a wall, a table's.
+fn free_heading_rad(scan: &RangeScan, wanted: f64) -> f64 {
+    const ROOM_M: f64 = 0.35;
+    const MARGIN_M: f64 = 0.05;
+    let radius_m = RobotBody::default().radius_m + MARGIN_M;
+    let beams = scan.ranges_m.len() as f64;
+    let room_m = |heading: f64| {
+        let points = scan.ranges_m.iter().enumerate().filter_map(|(beam, range)| {
+            let angle = TAU * beam as f64 / beams - heading;
+            let (along, aside) = (range * angle.cos(), range * angle.sin());
+            let inside = radius_m * radius_m - aside * aside;
+            (along > 0.0 && inside > 0.0).then(|| along - inside.sqrt())
+        });
+        points.fold(f64::INFINITY, f64::min)
+    };
+    let around = (0..=36).map(|step| {
+        let aside = FRAC_PI_2 * f64::from((step + 1) / 2) / 18.0;
+        wanted + if step % 2 == 0 { aside } else { -aside }
+    });
+    let free = around.into_iter().find(|&heading| room_m(heading) >= ROOM_M);
+    wrapped(free.unwrap_or(wanted))
+}
+
+/// Positions of the images along the metrically shortest way from one to another, over links that a robot can drive.
+pub fn shortest_path(map: &TaughtMap, start: usize, goal: usize) -> Vec<Vector2<f64>> {
+    let radius_m = RobotBody::default().radius_m;
+    let count = map.poses.len();
+    let (mut distance, mut next) = (vec![f64::INFINITY; count], vec![usize::MAX; count]);
+    let mut is_done = vec![false; count];
+    distance[goal] = 0.0;
+    let nearest = |distance: &[f64], is_done: &[bool]| {
+        let open = (0..count).filter(|&image| !is_done[image] && distance[image].is_finite());
+        open.min_by(|&a, &b| distance[a].total_cmp(&distance[b]))
+    };
+    while let Some(here) = nearest(&distance, &is_done) {
+        is_done[here] = true;
+        let from = map.poses[here].position();
+        for link in map.graph.neighbours(here as ImageId) {
+            let to = link.to as usize;
+            let total = distance[here] + (map.poses[to].position() - from).norm();
+            if total < distance[to] && map.scene.plan().is_free_line(from, map.poses[to].position(), radius_m)
+            {
+                (distance[to], next[to]) = (total, here);
+            }
+        }
+    }
+    let mut path = vec![start];
+    while let Some(&here) = path.last().filter(|&&here| here != goal && next[here] != usize::MAX) {
+        path.push(next[here]);
+    }
+    path.into_iter().map(|image| map.poses[image].position()).collect()
+}
+
+/// Places beside a path where people wait, evenly along it, who come to the robot and stand before its camera.
+fn waiting_places(map: &TaughtMap, path: &[Vector2<f64>], people: usize) -> Vec<Vector2<f64>> {
+    let plan = map.scene.plan();
+    let radius_m = RobotBody::default().radius_m;
+    let lengths: Vec<f64> = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
+    let whole: f64 = lengths.iter().sum();
+    let along = |share: f64| {
+        let mut left = share * whole;
+        for (pair, length) in path.windows(2).zip(&lengths) {
+            if left <= *length {
+                return pair[0] + (pair[1] - pair[0]) * (left / length.max(1e-9));
+            }
+            left -= length;
+        }
+        path[path.len() - 1]
+    };
+    let room_m = Person::RADIUS_M + 2.0 * radius_m + Walker::DISTANCE_M;
+    (0..people)
+        .filter_map(|person| {
+            let middle = along((person as f64 + 1.0) / (people as f64 + 1.0));
+            // Where there is room, and the robot can pass.
+            let around = (0..400).map(|step| {
+                let (angle, distance) = (f64::from(step) * 2.4, 0.3 + 0.004 * f64::from(step));
+                middle + distance * Vector2::new(angle.cos(), angle.sin())
+            });
+            let is_aside = |place: &Vector2<f64>| {
+                let gap =
+                    path.windows(2).map(|pair| distance_to_line(*place, pair)).fold(f64::INFINITY, f64::min);
+                gap >= room_m - Walker::DISTANCE_M && plan.clearance_m(*place) >= Person::RADIUS_M + 0.02
+            };
+            let places: Vec<Vector2<f64>> = around.collect();
+            places.iter().find(|place| is_aside(place)).copied().or_else(|| {
+                let roomy = |place: &&Vector2<f64>| plan.clearance_m(**place) >= Person::RADIUS_M + 0.02;
+                let gap = |place: &Vector2<f64>| {
+                    path.windows(2).map(|pair| distance_to_line(*place, pair)).fold(f64::INFINITY, f64::min)
+                };
+                places.iter().filter(roomy).max_by(|a, b| gap(a).total_cmp(&gap(b))).copied()
+            })
+        })
+        .collect()
+}
+
+fn distance_to_line(point: Vector2<f64>, line: &[Vector2<f64>]) -> f64 {
+    let (from, way) = (line[0], line[1] - line[0]);
+    let share = ((point - from).dot(&way) / way.norm_squared().max(1e-12)).clamp(0.0, 1.0);
+    (from + way * share - point).norm()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A wall half a metre to one side, an open floor else.
+    fn beside_a_wall(wall_rad: f64) -> RangeScan {
+        let range = |beam: u32| {
+            let along = (TAU * f64::from(beam) / 90.0 - wall_rad).cos();
+            if along > 0.07 { (0.3 / along).min(8.0) } else { 8.0 }
+        };
+        RangeScan { ranges_m: (0..90).map(range).collect() }
+    }
+
+    #[test]
+    fn the_robot_slides_along_what_is_in_its_way() {
+        let open = RangeScan { ranges_m: vec![3.0; 90] };
+        for wanted in [-2.0, 0.0, 1.0] {
+            assert!((free_heading_rad(&open, wanted) - wanted).abs() < 1e-9);
+            let turned = wrapped(free_heading_rad(&beside_a_wall(wanted + 0.3), wanted) - wanted);
+            assert!(turned < -0.5 && turned > -FRAC_PI_2 - 0.1, "{turned}, away from the wall");
+        }
+        // Walled in, there is no better heading than the wanted one.
+        let nowhere = RangeScan { ranges_m: vec![0.28; 90] };
+        assert!((free_heading_rad(&nowhere, 0.4) - 0.4).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,30 @@
+//! A simulated robot goes where it was never shown, by looks alone.
+
+use std::fs;
+
+use serde_json::Value;
+
+use crate::tool::waypost_eval;
+
+#[test]
+fn the_robot_comes_to_both_goals_and_the_graph_is_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let arguments = ["appearance", "--json", "--parts", "drives", "--trials", "1", "--seed", "7", "--out"];
+    let report = waypost_eval(&[&arguments[..], &[out.to_str().unwrap()]].concat()).json();
+    assert_eq!((&report["trials"], &report["arrived"]), (&Value::from(2), &Value::from(2)), "{report}");
+    let ratio = report["path_ratio_mean"].as_f64().unwrap();
+    assert!((0.9..1.2).contains(&ratio), "{report}");
+    assert_eq!(report["headings"], Value::Null, "not asked for");
+    let picture = fs::read_to_string(out.join("appearance-7.svg")).unwrap();
+    assert!(picture.contains("a-to-c") && picture.contains("b-to-c") && picture.contains("stroke-opacity"));
+}
+
+#[test]
+fn what_cannot_be_measured_is_refused() {
+    for arguments in
+        [&["--trials", "0"], &["--people", "9"], &["--parts", "everything"], &["--panoramas", "1"]]
+    {
+        waypost_eval(&[&["appearance"], &arguments[..]].concat()).refusal(2);
+    }
+}
