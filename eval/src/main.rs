@@ -28,7 +28,8 @@ use waypost_eval::choices::{
 use waypost_eval::commands::calibrate::{self, CalibrateOptions, DetectorChoice};
 use waypost_eval::commands::compare::{self, CompareFile, CompareOptions, Configuration, ConfigurationEntry};
 use waypost_eval::commands::load::{
-    self, GrowthOptions, OverloadOptions, RobotsOptions, ServerOptions, WordSource, WordsOptions,
+    self, GrowthOptions, LeadingOptions, OverloadOptions, RobotsOptions, ServerOptions, WordSource,
+    WordsOptions,
 };
 use waypost_eval::commands::map::kitti::{self, KittiOptions};
 use waypost_eval::commands::map::{self, MapOptions, ModelSource, WheelChoice, training::MapTraining};
@@ -488,6 +489,21 @@ enum Scenario {
         #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = positive)]
         seconds: f64,
     },
+    /// Robots that are led along one map: how long they wait for commands.
+    Leading {
+        /// Folder of JPEG or PNG images, which the map is made of and the robots see.
+        #[arg(long, value_name = "DIR")]
+        images: PathBuf,
+        /// Robots.
+        #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=200))]
+        robots: u32,
+        /// Wheel reports a second of each.
+        #[arg(long, value_name = "HZ", default_value_t = 25.0, value_parser = positive)]
+        rate_hz: f64,
+        /// How long.
+        #[arg(long, value_name = "S", default_value_t = 20.0, value_parser = positive)]
+        seconds: f64,
+    },
     /// Four robots in one map, alone and beside clients that do not read their answers.
     Robots {
         #[command(flatten)]
@@ -530,6 +546,13 @@ impl LoadArguments {
             Scenario::Overload { images, seconds, factor } => {
                 let duration = Duration::from_secs_f64(seconds);
                 print_if(json, &load::overload(&server, &OverloadOptions { images, duration, factor })?)
+            }
+            Scenario::Leading { images, robots, rate_hz, seconds } => {
+                let duration = Duration::from_secs_f64(seconds);
+                print_if(
+                    json,
+                    &load::leading(&server, &LeadingOptions { images, robots, rate_hz, duration })?,
+                )
             }
             Scenario::Robots { source, rate_hz, seconds } => {
                 let (source, duration) = (source.source(), Duration::from_secs_f64(seconds));

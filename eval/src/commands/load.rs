@@ -2,6 +2,7 @@
 
 mod contents;
 mod growth;
+mod leading;
 mod overload;
 mod report;
 mod robot;
@@ -11,6 +12,7 @@ mod stalled;
 mod words;
 
 pub use growth::{GrowthOptions, GrowthReport};
+pub use leading::{LeadingOptions, LeadingReport};
 pub use overload::{OverloadOptions, OverloadReport};
 pub use report::{LatencyReport, ServerUse};
 pub use robots::{RobotsOptions, RobotsReport};
@@ -64,6 +66,16 @@ pub fn overload(server: &ServerOptions, options: &OverloadOptions) -> Result<Ove
 /// [`EvalError`].
 pub fn robots(server: &ServerOptions, options: &RobotsOptions) -> Result<RobotsReport, EvalError> {
     let report = block_on(robots::run(server, options))?;
+    eprint!("{}", report.table());
+    Ok(report)
+}
+
+/// Robots that are led along one map, and how long they wait for commands.
+///
+/// # Errors
+/// [`EvalError`].
+pub fn leading(server: &ServerOptions, options: &LeadingOptions) -> Result<LeadingReport, EvalError> {
+    let report = block_on(leading::run(server, options))?;
     eprint!("{}", report.table());
     Ok(report)
 }

@@ -1,0 +1,215 @@
+//! Robots that are led along one map: how long they wait for commands.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+use tokio::task::JoinSet;
+use tokio::time::{MissedTickBehavior, interval, timeout};
+use waypost_client::{
+    Client, FrameInput, FrameOutcome, Navigation, NavigationEvent, NavigationOptions, Reading,
+    SessionOptions, v1,
+};
+
+use super::ServerOptions;
+use super::contents::Contents;
+use super::report::{LatencyReport, verdict};
+use super::server::{MAP, ServerUnderLoad};
+use crate::error::EvalError;
+
+/// From image to image.
+const FRAME_PERIOD: Duration = Duration::from_millis(500);
+
+/// Longest that a command is waited for: the last one holds for so long.
+const PATIENCE: Duration = Duration::from_millis(500);
+
+const TARGETS_MS: [f64; 2] = [2.0, 20.0];
+
+/// How many are led, and for how long.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LeadingOptions {
+    /// Folder of images: the map is made of them, and the robots see them.
+    pub images: PathBuf,
+    /// Robots.
+    pub robots: u32,
+    /// Wheel reports a second of each.
+    pub rate_hz: f64,
+    /// How long.
+    pub duration: Duration,
+}
+
+/// How long robots waited for their commands.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LeadingReport {
+    /// Name of the scenario.
+    pub scenario: &'static str,
+    /// See [`LeadingOptions::robots`].
+    pub robots: u32,
+    /// See [`LeadingOptions::rate_hz`].
+    pub rate_hz: f64,
+    /// See [`LeadingOptions::duration`].
+    pub seconds: f64,
+    /// Wheel reports that were sent.
+    pub reports: u64,
+    /// Those of them that no command came of within half a second.
+    pub unanswered: u64,
+    /// From a report to its command.
+    pub command: LatencyReport,
+    /// Frames that were looked at.
+    pub frames: u64,
+    /// Those that recognised a place.
+    pub recognised: u64,
+}
+
+/// What one robot has met.
+#[derive(Debug, Default)]
+struct Met {
+    commands: Vec<Duration>,
+    unanswered: u64,
+    frames: u64,
+    recognised: u64,
+}
+
+pub(super) async fn run(
+    server: &ServerOptions,
+    options: &LeadingOptions,
+) -> Result<LeadingReport, EvalError> {
+    let LeadingOptions { images, robots, rate_hz, duration } = options;
+    let contents = Arc::new(Contents::images(images)?);
+    let server = ServerUnderLoad::start(server).await?;
+    let client = Client::connect(&server.endpoint()).await?;
+    make_map(&client, &contents).await?;
+    let mut led = JoinSet::new();
+    for number in 0..*robots {
+        let options = NavigationOptions {
+            navigation_id: format!("robot-{number}"),
+            goal: Some(v1::Goal { target: Some(v1::goal::Target::Place(0)) }),
+            ..NavigationOptions::new(MAP, camera())
+        };
+        let navigation = client.navigate(options).await?;
+        led.spawn(lead(navigation, contents.clone(), number, (*rate_hz, *duration)));
+    }
+    let met = led.join_all().await.into_iter().collect::<Result<Vec<Met>, EvalError>>()?;
+    server.stop().await?;
+    let sum = |of: fn(&Met) -> u64| met.iter().map(of).sum();
+    Ok(LeadingReport {
+        scenario: "leading",
+        robots: *robots,
+        rate_hz: *rate_hz,
+        seconds: duration.as_secs_f64(),
+        reports: sum(|met| met.commands.len() as u64 + met.unanswered),
+        unanswered: sum(|met| met.unanswered),
+        command: LatencyReport::of(met.iter().flat_map(|met| met.commands.iter().copied())),
+        frames: sum(|met| met.frames),
+        recognised: sum(|met| met.recognised),
+    })
+}
+
+/// Every image is of a place half a metre on.
+async fn make_map(client: &Client, contents: &Contents) -> Result<(), EvalError> {
+    let options = SessionOptions { camera: Some(camera()), ..SessionOptions::new(MAP) };
+    let (mut sender, mut outcomes) = client.open_session(options).await?.split();
+    let sending = async move {
+        for (sequence, content) in (1..).zip(&contents.frames) {
+            let (stamp_ns, content) = (1_000_000_000 * sequence as i64, content.clone());
+            let odometry = Some(at(0.5 * sequence as f64));
+            sender.send(FrameInput { sequence, stamp_ns, content, odometry }).await?;
+        }
+        Ok::<(), EvalError>(())
+    };
+    let receiving = async move {
+        while let Some(outcome) = outcomes.next().await? {
+            if let FrameOutcome::Refusal(_) = outcome {
+                return Err(EvalError::Protocol("a frame of the map was refused"));
+            }
+        }
+        Ok(())
+    };
+    let (sent, received) = tokio::join!(sending, receiving);
+    received.and(sent)
+}
+
+/// Reports what standing wheels say, and sends an image twice a second.
+async fn lead(
+    mut navigation: Navigation,
+    contents: Arc<Contents>,
+    number: u32,
+    (rate_hz, duration): (f64, Duration),
+) -> Result<Met, EvalError> {
+    let mut reports = interval(Duration::from_secs_f64(1.0 / rate_hz));
+    reports.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut guidance = navigation.guidance();
+    let (began, mut met, mut frame_due, mut sequence) = (Instant::now(), Met::default(), Duration::ZERO, 0);
+    while began.elapsed() < duration {
+        reports.tick().await;
+        let now = began.elapsed();
+        let stamp_ns = i64::try_from(now.as_nanos()).unwrap_or(i64::MAX);
+        if now >= frame_due {
+            frame_due += FRAME_PERIOD;
+            sequence += 1;
+            let image = (sequence as usize + 7 * number as usize) % contents.frames.len();
+            let content = contents.frames[image].clone();
+            navigation.see(FrameInput { sequence, stamp_ns, content, odometry: Some(at(0.0)) });
+        }
+        let sent = Instant::now();
+        navigation.report(Reading { stamp_ns, odometry: at(0.0), reflex: false });
+        let answered = timeout(PATIENCE, guidance.wait_for(|told| is_answer(told.as_ref(), stamp_ns))).await;
+        match answered {
+            Ok(Ok(_)) => met.commands.push(sent.elapsed()),
+            Ok(Err(_)) | Err(_) => met.unanswered += 1,
+        }
+        while let Some(event) = navigation.try_next() {
+            match event {
+                NavigationEvent::Seen(seen) => {
+                    met.frames += 1;
+                    met.recognised += u64::from(seen.place.is_some());
+                }
+                NavigationEvent::FrameRefused(_)
+                | NavigationEvent::WheelsRefused(_)
+                | NavigationEvent::GoalRefused(_)
+                | NavigationEvent::Disconnected { .. } => {
+                    return Err(EvalError::Protocol("a robot was refused what it may ask"));
+                }
+                NavigationEvent::Reconnected { .. } => {}
+            }
+        }
+    }
+    Ok(met)
+}
+
+fn is_answer(told: Option<&v1::Guidance>, stamp_ns: i64) -> bool {
+    told.is_some_and(|told| told.stamp_ns == stamp_ns)
+}
+
+fn at(x: f64) -> v1::Odometry {
+    v1::Odometry {
+        pose: Some(v1::Pose {
+            position_m: Some(v1::Vector3 { x, y: 0.0, z: 0.0 }),
+            orientation: Some(v1::Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }),
+        }),
+        covariance: Vec::new(),
+    }
+}
+
+fn camera() -> v1::Camera {
+    let field_of_view = v1::FieldOfView { horizontal_rad: 1.1 };
+    v1::Camera { model: Some(v1::camera::Model::FieldOfView(field_of_view)), ..v1::Camera::default() }
+}
+
+impl LeadingReport {
+    pub(super) fn table(&self) -> String {
+        let Self { scenario: _, robots, rate_hz, seconds, reports, unanswered, command, frames, recognised } =
+            self;
+        let [p50, p99] = TARGETS_MS;
+        let met = command.p50_ms.is_some_and(|ms| ms <= p50) && command.p99_ms.is_some_and(|ms| ms <= p99);
+        format!(
+            "{robots} robots are led for {seconds} s, {rate_hz} wheel reports and 2 images a second each\n  \
+             commands  {} of {reports} within half a second\n  latency   {}  (p50 {p50}, p99 {p99}: {})\n  \
+             frames    {frames}, {recognised} of them recognised\n",
+            reports - unanswered,
+            command.text(),
+            verdict(met),
+        )
+    }
+}
