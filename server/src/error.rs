@@ -175,7 +175,9 @@ impl From<FrameError> for ServiceError {
             FrameError::SequenceNotRising { .. } | FrameError::StampNotRising { .. } => {
                 Self::precondition(error)
             }
-            FrameError::OdometryJump { .. } | FrameError::ForeignWord { .. } => Self::invalid(error),
+            FrameError::OdometryJump { .. }
+            | FrameError::OdometryStandsStill { .. }
+            | FrameError::ForeignWord { .. } => Self::invalid(error),
             FrameError::Archive(_) => Self::unavailable(error),
         }
     }

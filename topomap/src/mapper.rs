@@ -23,7 +23,7 @@ use fabmap::observation::Observation;
 use fabmap::recognizer::{Association, Recognition, Recognizer, Stage, StageObserver};
 
 use crate::event::{Decision, FrameEvent, FrameId, Link, LinkKind, Match, Reason, SessionId};
-use crate::map::{Map, PlaceFrame, Session};
+use crate::map::{MAX_PAST_FRAMES, Map, PlaceFrame, Session};
 use crate::odometry::Odometry;
 use crate::place_poses::PlacePoses;
 use crate::relative_pose::RelativePose;
@@ -147,6 +147,9 @@ impl Mapper {
         let proposal = self.propose(&input, session, &recognition, &candidates, archive)?;
         let decision =
             growth.limit(self.associate(&input, session, &recognition, &candidates, (archive, views))?);
+        if growth == Growth::Grows {
+            self.check_that_wheels_turn(&input, session, &recognition, &decision)?;
+        }
         let located = self.locate(&input, session, &decision, &candidates, (archive, views))?;
         let (learnt, link) = match growth {
             Growth::Grows => (
@@ -209,6 +212,33 @@ impl Mapper {
             if distance_m > JUMP_SLACK_M + max_speed_m_per_s * elapsed_s {
                 return Err(FrameError::OdometryJump { distance_m, elapsed_s, max_speed_m_per_s });
             }
+        }
+        Ok(())
+    }
+
+    /// Wheels that do not turn would keep a robot that drives at one place for ever.
+    fn check_that_wheels_turn(
+        &self,
+        input: &FrameInput,
+        session: &Session,
+        recognition: &Recognition,
+        decision: &Decision,
+    ) -> Result<(), FrameError> {
+        let (Reason::SamePlace, Some(place), Some(now)) = (decision.reason, decision.place, &input.odometry)
+        else {
+            return Ok(());
+        };
+        let looks_like_here = match recognition.association() {
+            Association::Seen(seen) => {
+                session.is_near(seen, self.settings.guard_frames) || self.map.linked(place).contains(&seen)
+            }
+            Association::New => false,
+        };
+        let frames = session.frames + 1 - session.left.back().map_or(0, |left| left.number);
+        let stands = session.past.len() == MAX_PAST_FRAMES
+            && session.past.iter().all(|past| past.odometry.pose() == now.pose());
+        if stands && frames > STANDING_FRAMES && !looks_like_here {
+            return Err(FrameError::OdometryStandsStill { frames });
         }
         Ok(())
     }
@@ -414,6 +444,9 @@ impl Growth {
 
 /// Frames of a place that one frame is compared with, the latest: a place learns a few a visit.
 const MAX_COMPARED_FRAMES: usize = 32;
+
+/// Frames at one place without a turn of the wheels that say nothing against them.
+const STANDING_FRAMES: u64 = 30;
 
 /// Distance that odometry may move in no time: stamps and poses are never quite of one instant.
 const JUMP_SLACK_M: f64 = 1.0;

@@ -16,7 +16,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use topomap::event::{FrameEvent, FrameId, LinkKind, MapEvent, Reason};
 use topomap::mapper::{
-    ArchiveError, FrameArchive, FrameInput, Mapper, MapperError, MapperSettings, MeasureError, Measurement,
+    ArchiveError, FrameArchive, FrameError, FrameInput, Localizer, Mapper, MapperError, MapperSettings,
+    MeasureError, Measurement,
 };
 use topomap::odometry::Odometry;
 use topomap::odometry_prior::PlaceSpacing;
@@ -374,6 +375,41 @@ fn a_robot_with_odometry_is_expected_along_the_links_of_a_map_without() {
     let prior = robot.mapper.decide(input, &robot, &camera, &mut ()).unwrap().recognition.prior;
     let [next, far] = [5, 10].map(|place| prior.of(place).unwrap());
     assert!(next > 2.0 * far, "{next} for the next place, {far} for a far one");
+}
+
+/// Wheels that say nothing would keep the robot at one place for ever; those of a robot that stands may.
+#[test]
+fn odometry_that_stands_still_while_the_robot_drives_is_refused() {
+    let mut robot = Robot::new(MapperSettings { guard_frames: 4, ..MapperSettings::default() }, [0.0; 2]);
+    robot.see();
+    robot.go(0.8, 0.0);
+    for _ in 0..40 {
+        assert_eq!(robot.see().decision.place, Some(1), "it stands");
+    }
+    let hash = robot.mapper.state_hash();
+    robot.pose = PlanarPose::new(9.0, 4.0, 1.0);
+    let input = robot.input();
+    let refused = robot.mapper.decide(
+        input.clone(),
+        &robot,
+        &Camera { robot: &robot, model: CameraModel::Known },
+        &mut (),
+    );
+    let Err(FrameError::OdometryStandsStill { frames }) = refused else { panic!("{refused:?}") };
+    assert!(frames > 30, "{frames}");
+    assert_eq!(robot.mapper.state_hash(), hash);
+    // One that only looks is told where it is.
+    let mut localizer = Localizer::new();
+    for sequence in 1..=50 {
+        let input =
+            FrameInput { session: Localizer::SESSION, sequence, stamp_ns: sequence as i64, ..input.clone() };
+        let camera = Camera { robot: &robot, model: CameraModel::Known };
+        let event = robot.mapper.localize(&localizer, input, &robot, &camera, &mut ()).unwrap().event;
+        localizer.follow(&event, &robot.mapper);
+    }
+    // The wheels turn again.
+    robot.go(0.8, 0.0);
+    robot.see();
 }
 
 /// The largest numbers that odometry may have are measured and logged like any others.

@@ -48,6 +48,15 @@ pub enum FrameError {
         /// The highest speed allowed.
         max_speed_m_per_s: f64,
     },
+    /// The wheels say that the robot stands, the camera that it does not.
+    #[error(
+        "the odometry has not changed for {frames} frames, but the view has: check that the encoders are read, or leave the \
+         odometry out; if the robot really stands, whatever hides the view has to pass"
+    )]
+    OdometryStandsStill {
+        /// Frames at one place, this one included.
+        frames: u64,
+    },
     /// The observation is of another vocabulary.
     #[error(
         "the frame has word {word}, this map's vocabulary {vocabulary_len} words; use the map's own model"
