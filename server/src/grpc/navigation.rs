@@ -242,8 +242,11 @@ fn against(message: i32) -> Result<Against, ServiceError> {
 fn needed(message: Option<v1::Goal>) -> Result<Goal, ServiceError> {
     match message.and_then(|message| message.target) {
         Some(goal::Target::Place(place)) => Ok(Goal::Place(place)),
-        Some(goal::Target::Position(v1::PositionGoal { part, x_m, y_m })) => {
+        Some(goal::Target::Position(v1::PositionGoal { part, x_m, y_m })) if (x_m + y_m).is_finite() => {
             Ok(Goal::Position { part, position_m: [x_m, y_m] })
+        }
+        Some(goal::Target::Position(_)) => {
+            Err(ServiceError::invalid("the goal's position is not finite; give metres in the map's frame"))
         }
         None => Err(ServiceError::invalid("the goal is empty; name a place or a position")),
     }
