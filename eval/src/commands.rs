@@ -4,6 +4,7 @@ pub mod calibrate;
 pub mod compare;
 pub mod load;
 pub mod map;
+pub mod merge;
 pub mod new_place;
 pub mod posegraph;
 pub mod scale;

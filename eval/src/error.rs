@@ -13,6 +13,7 @@ use fabmap::place_filter::FilterError;
 use fabmap::vocabulary::{OrbVocabularyError, VocabularyError};
 use topomap::g2o::{G2oError, NamingError};
 use topomap::mapper::{FoldError, FrameError, MapperError};
+use topomap::merging::{JoinError, MergeError};
 use waypost_vision::features::{ExtractError, SettingsError};
 
 use crate::commands::map::MapError;
@@ -164,6 +165,12 @@ pub enum EvalError {
         /// Why.
         reason: FoldError,
     },
+    /// Two maps cannot be compared.
+    #[error(transparent)]
+    Merge(#[from] MergeError),
+    /// A map's log does not fit the map: a fault of the program.
+    #[error("{0}; this is a fault of Waypost, please report it")]
+    Join(JoinError),
     /// A simulated robot could not map its world.
     #[error(transparent)]
     Map(#[from] MapError),
@@ -280,6 +287,8 @@ impl EvalError {
             | EvalError::PoseGraphNames(_)
             | EvalError::Frame { .. }
             | EvalError::Fold { .. }
+            | EvalError::Merge(_)
+            | EvalError::Join(_)
             | EvalError::Read { .. }
             | EvalError::Write { .. }
             | EvalError::Server { .. }

@@ -44,6 +44,10 @@ use waypost_eval::workload::WorkloadSettings;
 use waypost_sim::worlds::NamedWorld;
 use waypost_vision::features::{Feature, FeatureSettings};
 
+mod arguments;
+
+use arguments::merge::MergeArguments;
+
 fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Train(arguments) => arguments.run(),
@@ -57,6 +61,7 @@ fn main() -> ExitCode {
         Command::TrainScale(arguments) => arguments.run(),
         Command::Posegraph(arguments) => arguments.run(),
         Command::Map(arguments) => arguments.run(),
+        Command::Merge(arguments) => arguments.run(),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -91,6 +96,7 @@ enum Command {
     TrainScale(TrainScaleArguments),
     Posegraph(PosegraphArguments),
     Map(Box<MapArguments>),
+    Merge(Box<MergeArguments>),
 }
 
 /// Train a model (vocabulary, Chow-Liu tree, sampling set) from folders of images.

@@ -7,6 +7,7 @@ pub mod event;
 pub mod g2o;
 pub mod map;
 pub mod mapper;
+pub mod merging;
 pub mod motion;
 pub mod odometry;
 pub mod odometry_prior;

@@ -110,6 +110,29 @@ impl PlacePoses {
         self.parts.get(place as usize).copied()
     }
 
+    /// The session that made a place; `None` if there is no such place.
+    #[must_use]
+    pub fn maker(&self, place: PlaceId) -> Option<SessionId> {
+        self.ways.makers.get(place as usize).copied()
+    }
+
+    /// The links that measured something, as they did.
+    pub fn measured_links(&self) -> impl Iterator<Item = Link> + '_ {
+        self.ways.of_edges.iter().map(|&(kind, index)| {
+            let (way, kind) = match kind {
+                EdgeKind::Odometry => (&self.ways.driven[index].0, LinkKind::Driven as fn(_) -> _),
+                EdgeKind::Closure => (&self.ways.closed[index], LinkKind::Closed as fn(_) -> _),
+            };
+            Link { from: way.from as PlaceId, to: way.to as PlaceId, kind: kind(way.measured) }
+        })
+    }
+
+    /// Edges of the graph that are not contradicted.
+    pub(crate) fn trusted_edges(&self) -> impl Iterator<Item = &Edge<PlanarPose, 3>> {
+        let weights = self.relaxed.weights.iter().copied().chain(std::iter::repeat(1.0));
+        self.graph.edges().iter().zip(weights).filter(|(_, weight)| *weight > 0.0).map(|(edge, _)| edge)
+    }
+
     /// Whether a measured way joins a place with another.
     #[must_use]
     pub fn is_joined(&self, place: PlaceId) -> bool {
@@ -128,8 +151,11 @@ impl PlacePoses {
         let alone = self.parts.get(part as usize).map_or(&[][..], std::slice::from_ref);
         let members = self.members.get(&part).map_or(alone, Vec::as_slice);
         let reaches_far = (2.0 * distance_m / CELL_M).powi(2) > members.len() as f64;
-        let (columns, of_part) = if reaches_far { (1..=0, members) } else { (range(x_m), &[][..]) };
-        let cells = columns.flat_map(move |column| range(y_m).map(move |row| (part, column, row)));
+        let (columns, of_part) = if reaches_far { (None, members) } else { (Some(range(x_m)), &[][..]) };
+        let cells = columns
+            .into_iter()
+            .flatten()
+            .flat_map(move |column| range(y_m).map(move |row| (part, column, row)));
         let places = cells.filter_map(|cell| self.by_position.get(&cell)).flatten().chain(of_part);
         places.filter_map(move |&place| {
             let pose = self.poses.get(place as usize)?;

@@ -248,7 +248,7 @@ fn named_route(options: &MapOptions) -> Result<NamedRoute, MapError> {
     })
 }
 
-fn model_of(source: &ModelSource) -> Result<(Model, Extractor), EvalError> {
+pub(crate) fn model_of(source: &ModelSource) -> Result<(Model, Extractor), EvalError> {
     match source {
         ModelSource::File(path) => files::read_model(path),
         ModelSource::Drives(training, out) => {
@@ -262,7 +262,7 @@ fn model_of(source: &ModelSource) -> Result<(Model, Extractor), EvalError> {
 }
 
 impl WheelChoice {
-    fn errors(self, seed: u64) -> WheelErrors {
+    pub(crate) fn errors(self, seed: u64) -> WheelErrors {
         match self {
             WheelChoice::Drawn => WheelErrors::drawn(seed),
             WheelChoice::Biased { scale, drift_rad_per_m } => WheelErrors::biased(scale, drift_rad_per_m),

@@ -71,7 +71,19 @@ pub fn drive(
     seed: u64,
     wheels: WheelErrors,
 ) -> Result<Drive, MapError> {
-    let scene = Arc::new(Scene::new(world.plan(seed)));
+    drive_in(&Arc::new(Scene::new(world.plan(seed))), route, seed, wheels)
+}
+
+/// Drives a route of a building; `seed` is that of the wheels' noise and of the camera's.
+///
+/// # Errors
+/// [`MapError`] if the robot does not come to the end of the route.
+pub fn drive_in(
+    scene: &Arc<Scene>,
+    route: &NamedRoute,
+    seed: u64,
+    wheels: WheelErrors,
+) -> Result<Drive, MapError> {
     let camera = Camera::of_field_of_view(FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX)?;
     let rig = CameraRig::new(camera, Mount::default(), Sensor::default())?;
     let route = Route::named(scene.plan(), route, Body::default().radius_m)?;
@@ -90,7 +102,7 @@ pub fn drive(
         })
     });
     let frames = frames.collect::<Result<_, MapError>>()?;
-    Ok(Drive { scene, recording, frames })
+    Ok(Drive { scene: scene.clone(), recording, frames })
 }
 
 /// The same pose, as maps have them.

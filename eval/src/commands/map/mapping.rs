@@ -29,6 +29,8 @@ pub struct Mapped {
     pub robot: Vec<Option<PlanarPose>>,
     /// What each frame took, from pixels to the map that has it.
     pub times: Vec<FrameTimes>,
+    /// What geometry knows of each frame.
+    pub features: Vec<FeatureRecord>,
     /// What relaxation took at each frame that closed a loop, in milliseconds.
     pub relax_ms: Vec<f64>,
 }
@@ -55,7 +57,7 @@ pub fn map(
     settings: MapperSettings,
 ) -> Result<Mapped, EvalError> {
     let verifier = Verifier::new(settings.verification, 0);
-    let camera = Pinhole::of_field_of_view(FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX);
+    let camera = camera();
     let mut mapper = Mapper::new(model, settings)?;
     let opened = MapEvent::SessionOpened { session: SESSION };
     mapper.apply(&opened).map_err(|reason| EvalError::Fold { index: 0, reason })?;
@@ -89,7 +91,13 @@ pub fn map(
         let session = mapper.map().session(SESSION);
         robot.push(session.and_then(|session| mapper.map_pose(session)).map(|pose| pose.robot));
     }
-    Ok(Mapped { mapper, log, robot, times, relax_ms })
+    Ok(Mapped { mapper, log, robot, times, features, relax_ms })
+}
+
+/// The camera that all simulated robots have.
+#[must_use]
+pub fn camera() -> Pinhole {
+    Pinhole::of_field_of_view(FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX)
 }
 
 fn closes_a_loop(event: &FrameEvent) -> bool {

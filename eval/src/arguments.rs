@@ -1,0 +1,3 @@
+//! The command line, command by command.
+
+pub(crate) mod merge;
