@@ -86,8 +86,8 @@ impl Default for MergeSettings {
             min_evidence: 20.0,
             min_support: 5,
             min_total_evidence: 350.0,
-            max_rival_share: 0.5,
-            min_confirmed_share: 0.3,
+            max_rival_share: 0.25,
+            min_confirmed_share: 0.6,
         }
     }
 }

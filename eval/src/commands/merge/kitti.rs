@@ -1,5 +1,6 @@
 //! Merging alone, on a drive whose poses are known and whose images are not: true loops stand in for recognition.
 
+use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -154,12 +155,13 @@ fn trial(options: &KittiMergeOptions, seed: u64, truth: &[PlanarPose]) -> Result
     let spacing_m = length_m / truth.len() as f64;
     let mut closed = closures(&options.folder.join("loops.csv"), truth, spacing_m, seed)?;
     let is_true = closed.len();
-    closed.extend(made_up(is_true, options.false_share, truth.len(), spacing_m, &mut random));
+    let pieces = random.random_range(2..=4);
+    let cuts = cuts(truth.len(), pieces, &mut random);
+    closed.extend(made_up(is_true, options.false_share, &cuts, spacing_m, &mut random));
 
     let whole: Vec<Link> = driven.iter().chain(&closed).copied().collect();
     let one_go = PlacePoses::new(vec![0; truth.len()], &whole, &noise);
-    let pieces = random.random_range(2..=4);
-    let mut left: Vec<Piece> = cuts(truth.len(), pieces, &mut random)
+    let mut left: Vec<Piece> = cuts
         .into_iter()
         .map(|cut| {
             let inside = |link: &&Link| [link.from, link.to].iter().all(|&end| cut.contains(&(end as usize)));
@@ -246,11 +248,11 @@ fn driven(
     Ok(links)
 }
 
-/// Closures between any places, as sure as true ones.
+/// Closures between any places of different sessions, as sure as true ones.
 fn made_up(
     true_ones: usize,
     share: f64,
-    places: usize,
+    cuts: &[Range<usize>],
     spacing_m: f64,
     random: &mut ChaCha8Rng,
 ) -> Vec<Link> {
@@ -258,11 +260,15 @@ fn made_up(
     let deviations = nalgebra::Vector3::new(noise.position_m, noise.position_m, noise.heading_rad);
     let variances = nalgebra::Matrix3::from_diagonal(&deviations.map(|deviation| deviation * deviation));
     let count = (true_ones as f64 * share / (1.0 - share)).round() as usize;
+    let places = cuts.last().map_or(0, |cut| cut.end) as u32;
     let mut made_up = Vec::new();
     while made_up.len() < count {
-        let [to, from] = [random.random_range(0..places as u32), random.random_range(0..places as u32)];
+        let [to, from] = [random.random_range(0..places), random.random_range(0..places)];
+        let session = |place: u32| cuts.iter().position(|cut| cut.contains(&(place as usize)));
         let heading = PlanarPose::new(0.0, 0.0, 0.5 * (random.random::<f64>() - 0.5));
-        if let Some(measured) = RelativePose::new(heading, variances).ok().filter(|_| to < from) {
+        if let Some(measured) =
+            RelativePose::new(heading, variances).ok().filter(|_| session(to) < session(from))
+        {
             made_up.push(Link { from, to, kind: LinkKind::Closed(measured) });
         }
     }
