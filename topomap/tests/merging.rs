@@ -168,7 +168,7 @@ impl Robot {
     /// The target after the source has joined it.
     fn joined_by(&self, source: &Robot, plan: &MergePlan) -> Robot {
         let mut joined = self.clone();
-        for event in join(&self.mapper, plan, &source.log).unwrap() {
+        for event in join((&source.mapper, &self.mapper), plan, &source.log).unwrap() {
             let stored = MapEvent::from_bytes(&event.to_bytes(), WORDS as usize).unwrap();
             assert_eq!(stored, event);
             joined.mapper.fold(&stored).unwrap();
@@ -477,5 +477,5 @@ fn a_log_of_another_map_is_refused() {
     let plan = plan(&source, &target);
     // Without the frame that made the first place.
     let cut: Vec<MapEvent> = [&source.log[..1], &source.log[2..]].concat();
-    assert!(join(&target.mapper, &plan, &cut).is_err());
+    assert!(join((&source.mapper, &target.mapper), &plan, &cut).is_err());
 }

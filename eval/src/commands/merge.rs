@@ -203,7 +203,8 @@ fn trial(
             match meet(options, seed, &source, &merged, &mut run)? {
                 Verdict::Overlap(plan) => {
                     run.judge(&plan, &source, &merged, &staged.buildings);
-                    let events = join(&merged.mapper, &plan, &source.log.0).map_err(EvalError::Join)?;
+                    let events = join((&source.mapper, &merged.mapper), &plan, &source.log.0)
+                        .map_err(EvalError::Join)?;
                     merged.take(&source, events)?;
                 }
                 Verdict::Apart(_) => apart.push(source),
@@ -296,7 +297,7 @@ fn made_up(
     let mut made_up = Vec::new();
     for _ in 0..count {
         let like = matches[random.random_range(0..matches.len())];
-        let heading = PlanarPose::new(0.0, 0.0, 0.5 * (random.random::<f64>() - 0.5));
+        let heading = PlanarPose::new(0.0, 0.0, 0.3 * (random.random::<f64>() - 0.5));
         let covariance = *like.measured.unwrap_or_else(|| noise.somewhere()).covariance();
         made_up.push(PlaceMatch {
             source: random.random_range(0..places(source)),

@@ -8,8 +8,10 @@ use fabmap::place_filter::Belief;
 use super::{FusedPlace, MergePlan, PlaceMatch};
 use crate::event::{Decision, FrameEvent, FrameId, Link, LinkKind, MapEvent, Match, Reason, SessionId};
 use crate::mapper::Mapper;
+use crate::place_poses::PlacePoses;
 use crate::relative_pose::{OdometryNoise, RelativePose};
 use crate::verification::{Candidate, VerificationSettings};
+use crate::wheel_drift::without_drift;
 
 /// A log that is not that of the map the plan was made for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -28,16 +30,17 @@ pub enum JoinError {
 ///
 /// Sessions and frames of the source get the next numbers of the target. A place of the source that the plan has a
 /// match for becomes the place that it matches: what the source learnt there is learnt by that, look by look; all other
-/// places are created as they were. Links go between the same places as before, and measure what they measured.
+/// places are created as they were. Links go between the same places as before, and measure what they measured, less the
+/// drift that the source's loops have shown of its wheels: where places are fused, those loops are the target's.
 ///
 /// # Errors
 /// [`JoinError`] if `log` is not the source's.
 pub fn join<'a>(
-    target: &Mapper,
+    (source, target): (&Mapper, &Mapper),
     plan: &MergePlan,
     log: impl IntoIterator<Item = &'a MapEvent>,
 ) -> Result<Vec<MapEvent>, JoinError> {
-    let mut joining = Joining::new(target, plan);
+    let mut joining = Joining::new(source, target, plan);
     let told = |(position, event): (u64, &MapEvent)| {
         joining.retold(position, event).ok_or(JoinError::Unknown { position })
     };
@@ -53,6 +56,7 @@ struct Joined {
 }
 
 struct Joining<'a> {
+    of_source: &'a PlacePoses,
     /// By places of the source: the match that each is fused by.
     fused: HashMap<PlaceId, &'a FusedPlace>,
     noise: OdometryNoise,
@@ -67,11 +71,12 @@ struct Joining<'a> {
 }
 
 impl<'a> Joining<'a> {
-    fn new(target: &Mapper, plan: &'a MergePlan) -> Self {
+    fn new(source: &'a Mapper, target: &Mapper, plan: &'a MergePlan) -> Self {
         let fused = plan.fused.iter().map(|fused| (fused.matched.source, fused)).collect();
         let linked =
             target.map().links().iter().flat_map(|link| [(link.from, link.to), (link.to, link.from)]);
         Self {
+            of_source: source.poses(),
             fused,
             noise: target.settings().odometry_noise,
             places: Vec::new(),
@@ -127,7 +132,7 @@ impl<'a> Joining<'a> {
             candidates,
             learnt: event.learnt,
             link: match &event.link {
-                Some(link) => self.link(link)?,
+                Some(link) => self.link(link, event.session)?,
                 None => None,
             },
             at,
@@ -168,7 +173,7 @@ impl<'a> Joining<'a> {
     }
 
     /// The link between the same places; none where they are one, or linked already.
-    fn link(&mut self, link: &Link) -> Option<Option<Link>> {
+    fn link(&mut self, link: &Link, session: SessionId) -> Option<Option<Link>> {
         let (from, to) = (self.places.get(link.from as usize)?, self.places.get(link.to as usize)?);
         if from.place == to.place || !self.linked.insert((from.place, to.place)) {
             return Some(None);
@@ -178,9 +183,14 @@ impl<'a> Joining<'a> {
             let ahead = from.at.map_or(*measured, |at| at.then(measured));
             to.at.map_or(ahead, |at| ahead.then(&at.back()))
         };
-        let driven = |measured: &RelativePose| match to.at {
-            None => LinkKind::Driven(between(measured)),
-            Some(_) => LinkKind::Closed(between(measured)),
+        let drift_rad_per_m = self.of_source.drift_rad_per_m(session);
+        let driven = |measured: &RelativePose| {
+            let pose = without_drift(measured.pose(), drift_rad_per_m);
+            let measured = RelativePose::new(pose, *measured.covariance()).unwrap_or(*measured);
+            match to.at {
+                None => LinkKind::Driven(between(&measured)),
+                Some(_) => LinkKind::Closed(between(&measured)),
+            }
         };
         let kind = match &link.kind {
             LinkKind::Session => LinkKind::Session,

@@ -1,6 +1,6 @@
 //! Whether the matches of two maps make them one.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use fabmap::appearance::PlaceId;
 
@@ -27,6 +27,12 @@ pub struct Layout<'a> {
 
 /// Matches that are compared by pairs, the strongest; all others are held against what those come to.
 const MAX_COMPARED: usize = 2_000;
+
+/// Turn of a match, in angles between places: one that it is most for a place in between, and half a one to spare.
+const MOST_TURN: f64 = 1.5;
+
+/// Places apart that matches speak for each other: as many as a closure's frames.
+const FRAMES_IN_A_ROW: f64 = 8.0;
 
 /// Metres along the source's links within which a match says where a place of the source lies on the target.
 const LAID_WITHIN_M: f64 = 3.0;
@@ -65,8 +71,9 @@ fn agreed(
     let set = agreements.large_set(&all);
 
     let members: Vec<PlaceMatch> = set.iter().map(|&member| strongest[member]).collect();
+    let members = supported(source, &members, settings);
     enough(strongest.len(), &members, settings)?;
-    let chosen: Vec<Measured> = set.iter().map(|&member| compared[member]).collect();
+    let chosen: Vec<Measured> = members.iter().filter_map(measured).collect();
     let overlap = overlap(source, target, &chosen);
     if overlap.confirmed_share() < settings.min_confirmed_share {
         return Err(Apart::Contradicted(overlap));
@@ -86,13 +93,17 @@ fn agreed(
     let rivals: Vec<usize> = all.into_iter().filter(contradicts).collect();
     let rival_support = agreements.large_set(&rivals).len();
     let matched = strongest.len();
-    let (kept, left): (Vec<PlaceMatch>, Vec<PlaceMatch>) = strongest.into_iter().partition(fits);
+    let fitting: Vec<PlaceMatch> = strongest.iter().filter(|matched| fits(matched)).copied().collect();
+    let supported: HashSet<PlaceId> =
+        supported(source, &fitting, settings).iter().map(|matched| matched.source).collect();
+    let keeps = |matched: &PlaceMatch| fits(matched) && supported.contains(&matched.source);
+    let (kept, left): (Vec<PlaceMatch>, Vec<PlaceMatch>) = strongest.into_iter().partition(keeps);
     enough(matched, &kept, settings)?;
     if rival_support as f64 > settings.max_rival_share * kept.len() as f64 {
         return Err(Apart::Ambiguous { support: kept.len(), rival: rival_support });
     }
     let elsewhere = |matched: &&PlaceMatch| {
-        matched.measured.is_none() || parts_of(source, target, matched) != Some(parts)
+        !looks_the_same_way(matched, target.spacing) || parts_of(source, target, matched) != Some(parts)
     };
     let rejected = left.into_iter().chain(matches.iter().filter(elsewhere).copied()).collect();
     Ok(MergePlan {
@@ -113,6 +124,13 @@ fn measured(matched: &PlaceMatch) -> Option<Measured> {
     Some(Measured { source, target, pose: measured? })
 }
 
+/// Views that are turned further show little of each other, and where from is hard to tell; where both maps were made by
+/// robots that looked the same way, there is a place that is turned less.
+fn looks_the_same_way(matched: &PlaceMatch, spacing: PlaceSpacing) -> bool {
+    let within_rad = MOST_TURN * spacing.angle_rad;
+    matched.measured.is_some_and(|measured| measured.pose().heading_rad().abs() <= within_rad)
+}
+
 fn parts_of(source: Layout<'_>, target: Layout<'_>, matched: &PlaceMatch) -> Option<(PlaceId, PlaceId)> {
     source.poses.part(matched.source).zip(target.poses.part(matched.target))
 }
@@ -124,7 +142,7 @@ fn strongest_of_one_pair_of_parts(
     matches: &[PlaceMatch],
 ) -> Result<((PlaceId, PlaceId), Vec<PlaceMatch>), Apart> {
     let mut by_parts: BTreeMap<(PlaceId, PlaceId), Vec<PlaceMatch>> = BTreeMap::new();
-    for matched in matches.iter().filter(|matched| matched.measured.is_some()) {
+    for matched in matches.iter().filter(|matched| looks_the_same_way(matched, target.spacing)) {
         if let Some(parts) = parts_of(source, target, matched) {
             by_parts.entry(parts).or_default().push(*matched);
         }
@@ -134,6 +152,26 @@ fn strongest_of_one_pair_of_parts(
     // Stable: those that are as strong stay in the order of places.
     strongest.sort_by(|a, b| b.evidence().total_cmp(&a.evidence()).then(b.posterior.total_cmp(&a.posterior)));
     Ok((parts, strongest))
+}
+
+/// Of matches that agree those that others near them speak for, too: like a loop closure's, whose frames in a row add
+/// their evidence up. What agrees from afar may do so because nobody knows how wheels have drifted.
+fn supported(source: Layout<'_>, agreeing: &[PlaceMatch], settings: &MergeSettings) -> Vec<PlaceMatch> {
+    let mut strongest: BTreeMap<PlaceId, f64> = BTreeMap::new();
+    for matched in agreeing {
+        let most = strongest.entry(matched.source).or_insert(0.0);
+        *most = most.max(matched.evidence());
+    }
+    let within_m = FRAMES_IN_A_ROW * source.spacing.distance_m;
+    let is_supported = |matched: &&PlaceMatch| {
+        let at = source.poses.part(matched.source).zip(source.poses.pose(matched.source));
+        let Some((part, pose)) = at else { return false };
+        let near = source.poses.near(part, [pose.x_m(), pose.y_m()], within_m);
+        // In the order of places, so that the sum is the same always.
+        let near: BTreeSet<PlaceId> = near.map(|(place, _)| place).collect();
+        near.iter().filter_map(|place| strongest.get(place)).sum::<f64>() >= settings.min_total_evidence
+    };
+    agreeing.iter().filter(is_supported).copied().collect()
 }
 
 /// Whether matches that agree are enough: one place that looks like several neighbours counts once.

@@ -265,7 +265,7 @@ fn made_up(
     while made_up.len() < count {
         let [to, from] = [random.random_range(0..places), random.random_range(0..places)];
         let session = |place: u32| cuts.iter().position(|cut| cut.contains(&(place as usize)));
-        let heading = PlanarPose::new(0.0, 0.0, 0.5 * (random.random::<f64>() - 0.5));
+        let heading = PlanarPose::new(0.0, 0.0, 0.3 * (random.random::<f64>() - 0.5));
         if let Some(measured) =
             RelativePose::new(heading, variances).ok().filter(|_| session(to) < session(from))
         {
