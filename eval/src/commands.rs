@@ -5,6 +5,7 @@ pub mod calibrate;
 pub mod compare;
 pub mod load;
 pub mod map;
+pub mod merge;
 pub mod navigate;
 pub mod new_place;
 pub mod posegraph;

@@ -13,6 +13,7 @@ use fabmap::place_filter::FilterError;
 use fabmap::vocabulary::{OrbVocabularyError, VocabularyError};
 use topomap::g2o::{G2oError, NamingError};
 use topomap::mapper::{FoldError, FrameError, MapperError};
+use topomap::merging::{JoinError, MergeError};
 use topomap::navigation::{NavigationSettingsError, PlanError};
 use waypost_sim::link::LinkError;
 use waypost_vision::features::{ExtractError, SettingsError};
@@ -167,6 +168,12 @@ pub enum EvalError {
         /// Why.
         reason: FoldError,
     },
+    /// Two maps cannot be compared.
+    #[error(transparent)]
+    Merge(#[from] MergeError),
+    /// A map's log does not fit the map: a fault of the program.
+    #[error("{0}; this is a fault of Waypost, please report it")]
+    Join(JoinError),
     /// A simulated robot could not map its world.
     #[error(transparent)]
     Map(#[from] MapError),
@@ -299,6 +306,8 @@ impl EvalError {
             | EvalError::Fold { .. }
             | EvalError::Plan(_)
             | EvalError::Appearance(_)
+            | EvalError::Merge(_)
+            | EvalError::Join(_)
             | EvalError::Read { .. }
             | EvalError::Write { .. }
             | EvalError::Server { .. }

@@ -47,6 +47,7 @@ use waypost_eval::workload::WorkloadSettings;
 use waypost_sim::worlds::NamedWorld;
 use waypost_vision::features::{Feature, FeatureSettings};
 
+use arguments::merge::MergeArguments;
 use arguments::navigate::NavigateArguments;
 
 fn main() -> ExitCode {
@@ -67,6 +68,7 @@ fn main() -> ExitCode {
             let json = arguments.json;
             arguments.run().and_then(|report| print_if(json, &report))
         }
+        Command::Merge(arguments) => arguments.run(),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -103,6 +105,7 @@ enum Command {
     Map(Box<MapArguments>),
     Navigate(NavigateArguments),
     Appearance(arguments::appearance::AppearanceArguments),
+    Merge(Box<MergeArguments>),
 }
 
 /// Train a model (vocabulary, Chow-Liu tree, sampling set) from folders of images.

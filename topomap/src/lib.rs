@@ -10,6 +10,7 @@ pub mod event;
 pub mod g2o;
 pub mod map;
 pub mod mapper;
+pub mod merging;
 pub mod motion;
 pub mod navigation;
 pub mod odometry;

@@ -110,6 +110,29 @@ impl PlacePoses {
         self.parts.get(place as usize).copied()
     }
 
+    /// The session that made a place; `None` if there is no such place.
+    #[must_use]
+    pub fn maker(&self, place: PlaceId) -> Option<SessionId> {
+        self.ways.makers.get(place as usize).copied()
+    }
+
+    /// The links that measured something, as they did.
+    pub fn measured_links(&self) -> impl Iterator<Item = Link> + '_ {
+        self.ways.of_edges.iter().map(|&(kind, index)| {
+            let (way, kind) = match kind {
+                EdgeKind::Odometry => (&self.ways.driven[index].0, LinkKind::Driven as fn(_) -> _),
+                EdgeKind::Closure => (&self.ways.closed[index], LinkKind::Closed as fn(_) -> _),
+            };
+            Link { from: way.from as PlaceId, to: way.to as PlaceId, kind: kind(way.measured) }
+        })
+    }
+
+    /// Edges of the graph that are not contradicted.
+    pub(crate) fn trusted_edges(&self) -> impl Iterator<Item = &Edge<PlanarPose, 3>> {
+        let weights = self.relaxed.weights.iter().copied().chain(std::iter::repeat(1.0));
+        self.graph.edges().iter().zip(weights).filter(|(_, weight)| *weight > 0.0).map(|(edge, _)| edge)
+    }
+
     /// Whether a measured way joins a place with another.
     #[must_use]
     pub fn is_joined(&self, place: PlaceId) -> bool {

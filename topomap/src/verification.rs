@@ -280,7 +280,23 @@ impl TwoView {
         };
         ((f64::from(self.inliers) + f64::from(self.distinct_inliers)) / 2.0 - by_chance).max(0.0)
     }
+
+    /// How far the motion moves the points of an image, root mean square over it, where it moves them within the image. A
+    /// robot that has driven on down a corridor sees its end larger and not elsewhere: |t| alone would not tell.
+    pub(crate) fn distance_widths(&self) -> f64 {
+        match self.motion {
+            Some(Motion::Similarity(Similarity { rotation_rad, ln_scale, translation_widths: [x, y] })) => {
+                let scale = ln_scale.exp();
+                let about_centre = scale * scale - 2.0 * scale * rotation_rad.cos() + 1.0;
+                (x * x + y * y + MEAN_SQUARED_RADIUS_WIDTHS * about_centre).sqrt()
+            }
+            Some(Motion::Essential { .. } | Motion::Fundamental(_)) | None => 0.0,
+        }
+    }
 }
+
+/// Of the points of an image about its centre, three high for every four wide: (1² + (3/4)²) / 12.
+const MEAN_SQUARED_RADIUS_WIDTHS: f64 = 0.13;
 
 /// Inliers, the ambiguous ones at half, that the best similarity finds between images of different places:
 /// the median over the development sequences is 1 to 3.

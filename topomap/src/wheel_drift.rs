@@ -89,7 +89,7 @@ struct Loop {
 
 /// Turn that wheels make at random, in rad/√m: what is left when the drift is taken off. Along a loop of length L that
 /// closes in heading it moves the end by this L√L / √12, one standard deviation.
-const RANDOM_TURN: f64 = 0.01;
+pub(crate) const RANDOM_TURN: f64 = 0.01;
 /// Squared deviations at which a closure counts as contradicted.
 const CONTRADICTED: f64 = 9.0;
 /// Loops that candidates are taken from, the shortest, and what they must have around them.

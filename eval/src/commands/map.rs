@@ -251,7 +251,7 @@ pub fn named_route(world: NamedWorld, route: &str) -> Result<NamedRoute, MapErro
     })
 }
 
-fn model_of(source: &ModelSource) -> Result<(Model, Extractor), EvalError> {
+pub(crate) fn model_of(source: &ModelSource) -> Result<(Model, Extractor), EvalError> {
     match source {
         ModelSource::File(path) => files::read_model(path),
         ModelSource::Drives(training, out) => {
@@ -265,7 +265,7 @@ fn model_of(source: &ModelSource) -> Result<(Model, Extractor), EvalError> {
 }
 
 impl WheelChoice {
-    fn errors(self, seed: u64) -> WheelErrors {
+    pub(crate) fn errors(self, seed: u64) -> WheelErrors {
         match self {
             WheelChoice::Drawn => WheelErrors::drawn(seed),
             WheelChoice::Biased { scale, drift_rad_per_m } => WheelErrors::biased(scale, drift_rad_per_m),

@@ -43,10 +43,11 @@ impl<'a> Robot<'a> {
     }
 }
 
-/// A frame with odometry at the origin; the images of the drive come round again.
+/// A frame with odometry near the origin, of wheels that turn; the images of the drive come round again.
 fn good(sequence: u64) -> v1::Frame {
     let shown = as_histogram(1 + sequence % 30);
-    v1::Frame { sequence, stamp_ns: SECOND_NS * sequence as i64, odometry: Some(at(0.0)), ..wire(shown) }
+    let odometry = Some(at(1e-3 * sequence as f64));
+    v1::Frame { sequence, stamp_ns: SECOND_NS * sequence as i64, odometry, ..wire(shown) }
 }
 
 fn at(x: f64) -> v1::Odometry {

@@ -9,7 +9,7 @@ use fabmap::recognizer::Recognition;
 use super::{FrameArchive, FrameError, Mapper};
 use crate::event::{FrameId, Match, SessionId};
 use crate::map::{PlaceFrame, Session, Sighting};
-use crate::verification::{Candidate, Check, Motion, Similarity, Verdict, VerificationSettings, Views};
+use crate::verification::{Candidate, Check, TwoView, Verdict, VerificationSettings, Views};
 
 /// Links from where the last frame was within which this one is expected: a way or two further on, or back.
 const EXPECTED_LINKS: usize = 2;
@@ -20,9 +20,6 @@ const EXPECTED_CANDIDATES: usize = VerificationSettings::MAX_CANDIDATES / 2;
 /// Places that a session goes past in a frame at most, and how far apart matches of the same place may be.
 const FRAMES_PER_FRAME: u64 = 1;
 const SLACK_FRAMES: u64 = 2;
-
-/// Of the points of an image about its centre, three high for every four wide: (1² + (3/4)²) / 12.
-const MEAN_SQUARED_RADIUS_WIDTHS: f64 = 0.13;
 
 /// Candidates with this share of the strongest evidence are as good as it: the nearest of them is taken.
 const AS_GOOD: f64 = 0.9;
@@ -216,17 +213,8 @@ fn nearer(a: &Candidate, b: &Candidate) -> std::cmp::Ordering {
     by_distance.then(b.evidence().total_cmp(&a.evidence()))
 }
 
-/// How far the motion moves the points of an image, root mean square over it, where it moves them within the image. A
-/// robot that has driven on down a corridor sees its end larger and not elsewhere: |t| alone would not tell.
 fn distance_widths(candidate: &Candidate) -> f64 {
-    match candidate.view.as_ref().and_then(|view| view.motion) {
-        Some(Motion::Similarity(Similarity { rotation_rad, ln_scale, translation_widths: [x, y] })) => {
-            let scale = ln_scale.exp();
-            let about_centre = scale * scale - 2.0 * scale * rotation_rad.cos() + 1.0;
-            (x * x + y * y + MEAN_SQUARED_RADIUS_WIDTHS * about_centre).sqrt()
-        }
-        Some(Motion::Essential { .. } | Motion::Fundamental(_)) | None => 0.0,
-    }
+    candidate.view.as_ref().map_or(0.0, TwoView::distance_widths)
 }
 
 /// Whether the place was compared, and had nothing to be compared by.
@@ -244,7 +232,7 @@ pub(super) fn most_likely(candidates: &[Candidate]) -> Option<&Candidate> {
 mod tests {
     use super::*;
     use crate::event::Match;
-    use crate::verification::TwoView;
+    use crate::verification::{Motion, Similarity};
 
     fn seen(ln_scale: f64, shift_widths: f64) -> Candidate {
         let motion = Similarity { rotation_rad: 0.0, ln_scale, translation_widths: [shift_widths, 0.0] };

@@ -81,6 +81,12 @@ impl Mapper {
         &self.settings
     }
 
+    /// Words of the vocabulary that observations are made of.
+    #[must_use]
+    pub fn vocabulary_len(&self) -> usize {
+        self.vocabulary_len
+    }
+
     /// Memory that the map takes, in bytes, roughly.
     #[must_use]
     pub fn memory_bytes(&self) -> u64 {

@@ -71,10 +71,22 @@ pub fn drive(
     seed: u64,
     wheels: WheelErrors,
 ) -> Result<Drive, MapError> {
-    let scene = Arc::new(Scene::new(world.plan(seed)));
+    drive_in(&Arc::new(Scene::new(world.plan(seed))), route, seed, wheels)
+}
+
+/// Drives a route of a building; `seed` is that of the wheels' noise and of the camera's.
+///
+/// # Errors
+/// [`MapError`] if the robot does not come to the end of the route.
+pub fn drive_in(
+    scene: &Arc<Scene>,
+    route: &NamedRoute,
+    seed: u64,
+    wheels: WheelErrors,
+) -> Result<Drive, MapError> {
     let route = Route::named(scene.plan(), route, Body::default().radius_m)?;
     let settings = SimulationSettings { wheels, seed, ..SimulationSettings::new(camera_rig()?) };
-    drive_along(scene, &route, settings)
+    drive_along(scene.clone(), &route, settings)
 }
 
 /// The camera that all drives see with.

@@ -79,11 +79,11 @@ pub const CLOSURE_DEFINITIONS: [(&str, &str); 4] = [
 ];
 
 /// Turn within which a frame shows a place again: between the angle from place to place, and twice that.
-const REVISIT_RAD: f64 = 15.0 / 180.0 * std::f64::consts::PI;
+pub(crate) const REVISIT_RAD: f64 = 15.0 / 180.0 * std::f64::consts::PI;
 
 /// Beyond these a closure is false.
-const FALSE_M: f64 = 1.5;
-const FALSE_RAD: f64 = 40.0 / 180.0 * std::f64::consts::PI;
+pub(crate) const FALSE_M: f64 = 1.5;
+pub(crate) const FALSE_RAD: f64 = 40.0 / 180.0 * std::f64::consts::PI;
 
 /// A drive and the map that was made of it.
 struct Judge<'a> {
@@ -218,7 +218,7 @@ fn accepted_closure((index, event): (usize, &FrameEvent)) -> Option<(usize, Fram
     Some((index, closure.frame))
 }
 
-fn is_far(apart: &PlanarPose) -> bool {
+pub(crate) fn is_far(apart: &PlanarPose) -> bool {
     apart.x_m().hypot(apart.y_m()) > FALSE_M || apart.heading_rad().abs() > FALSE_RAD
 }
 

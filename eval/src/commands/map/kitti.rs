@@ -120,14 +120,14 @@ pub fn run(options: &KittiOptions) -> Result<KittiReport, EvalError> {
     Ok(report)
 }
 
-fn reading(wheels: &WheelOdometry) -> Result<Odometry, MapError> {
+pub(crate) fn reading(wheels: &WheelOdometry) -> Result<Odometry, MapError> {
     let (position_m, orientation) = wheels.reading().position_and_orientation();
     Odometry::new(position_m, orientation, Some(&wheels.reading().covariance_6x6()))
         .map_err(MapError::Odometry)
 }
 
 /// Poses as seen from above.
-fn poses(path: &Path) -> Result<Vec<PlanarPose>, EvalError> {
+pub(crate) fn poses(path: &Path) -> Result<Vec<PlanarPose>, EvalError> {
     let text = String::from_utf8_lossy(&files::read(path)?).into_owned();
     let pose = |(number, line): (usize, &str)| {
         let numbers: Vec<f64> = line.split_whitespace().filter_map(|number| number.parse().ok()).collect();
@@ -143,7 +143,12 @@ fn poses(path: &Path) -> Result<Vec<PlanarPose>, EvalError> {
 
 /// At each frame with a loop, the nearest earlier one, as recognition would measure it: at the same place, the heading
 /// with the noise that it is held to have.
-fn closures(path: &Path, truth: &[PlanarPose], spacing_m: f64, seed: u64) -> Result<Vec<Link>, EvalError> {
+pub(crate) fn closures(
+    path: &Path,
+    truth: &[PlanarPose],
+    spacing_m: f64,
+    seed: u64,
+) -> Result<Vec<Link>, EvalError> {
     let noise = ClosureNoise::of_spacing(spacing_m);
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut nearest: std::collections::BTreeMap<usize, (f64, usize)> = std::collections::BTreeMap::new();

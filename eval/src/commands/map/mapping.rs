@@ -58,7 +58,7 @@ pub fn map(
     settings: MapperSettings,
 ) -> Result<Mapped, EvalError> {
     let verifier = Verifier::new(settings.verification, 0);
-    let camera = Pinhole::of_field_of_view(FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX);
+    let camera = camera();
     let mut mapper = Mapper::new(model, settings)?;
     let opened = MapEvent::SessionOpened { session: SESSION };
     mapper.apply(&opened).map_err(|reason| EvalError::Fold { index: 0, reason })?;
@@ -93,6 +93,12 @@ pub fn map(
         robot.push(session.and_then(|session| mapper.map_pose(session)).map(|pose| pose.robot));
     }
     Ok(Mapped { mapper, log, robot, times, features, relax_ms })
+}
+
+/// The camera that all simulated robots have.
+#[must_use]
+pub fn camera() -> Pinhole {
+    Pinhole::of_field_of_view(FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX)
 }
 
 fn closes_a_loop(event: &FrameEvent) -> bool {

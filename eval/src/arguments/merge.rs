@@ -1,0 +1,96 @@
+//! Arguments of `waypost-eval merge`.
+
+use std::path::PathBuf;
+
+use topomap::mapper::MapperSettings;
+use topomap::merging::MergeSettings;
+use waypost_eval::choices::Choices;
+use waypost_eval::commands::map::training::MapTraining;
+use waypost_eval::commands::map::{ModelSource, WheelChoice};
+use waypost_eval::commands::merge::kitti::{self, KittiMergeOptions};
+use waypost_eval::commands::merge::{self, MergeOptions, MergeScenario};
+use waypost_eval::error::EvalError;
+
+use crate::{choice, print_if, with_default};
+
+/// Makes one map of several, and holds it against the truth.
+///
+/// Drives are simulated, mapped, each in a frame of its own, and merged as far as they overlap. Wheels have a scale error
+/// of 1 % and a drift of 0.2 degrees a metre unless said.
+#[derive(clap::Args)]
+pub(crate) struct MergeArguments {
+    /// What is merged: a drive cut into two to four sessions; five robots in one building; or a drive in each of two
+    /// buildings with the same offices in another arrangement, of which nothing may merge.
+    #[arg(long, value_parser = choice(SCENARIOS), default_value = "sessions")]
+    scenario: MergeScenario,
+    /// In place of a simulated world, a drive of known poses without images, cut into two to four sessions: a folder with
+    /// poses.txt and loops.csv. Its true loops stand in for recognition.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["scenario", "route", "model", "out"])]
+    kitti: Option<PathBuf>,
+    /// The route of the sessions, in the office.
+    #[arg(long, value_name = "NAME", default_value = "98m")]
+    route: String,
+    /// Seed of the first trial; the next ones take the next seeds.
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Trials.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    trials: u32,
+    /// The model file; without it, a model is trained on drives in other worlds.
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Of the wheels: measured way = (1 + X) true way.
+    #[arg(long, value_name = "X", default_value_t = 0.01, allow_hyphen_values = true)]
+    scale_error: f64,
+    /// Of the wheels: turn that they see where there is none.
+    #[arg(long, value_name = "RAD", default_value_t = 0.2_f64.to_radians(), allow_hyphen_values = true)]
+    drift_rad_per_m: f64,
+    /// Matches that are made up, as a share of all, below 1.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share)]
+    false_matches: f64,
+    #[arg(long, value_name = "MATCHES", help = with_default(
+        "Least matches that agree with each other",
+        MergeSettings::default().min_support,
+    ))]
+    min_support: Option<usize>,
+    /// Folder for the pictures; made if it does not exist.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print one JSON object on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+const SCENARIOS: Choices<MergeScenario> = MergeScenario::ALL;
+
+fn share(text: &str) -> Result<f64, String> {
+    let share: f64 = text.parse().map_err(|_| "it must be a number".to_owned())?;
+    if (0.0..1.0).contains(&share) { Ok(share) } else { Err("it must be at least 0 and below 1".to_owned()) }
+}
+
+impl MergeArguments {
+    pub(crate) fn run(self) -> Result<(), EvalError> {
+        let Self { scenario, route, seed, trials, scale_error: scale, drift_rad_per_m, out, json, .. } = self;
+        let default = MergeSettings::default();
+        let merge = MergeSettings { min_support: self.min_support.unwrap_or(default.min_support), ..default };
+        let (wheels, false_share) = (WheelChoice::Biased { scale, drift_rad_per_m }, self.false_matches);
+        if let Some(folder) = self.kitti {
+            let merge = MergeSettings { min_total_evidence: 0.0, ..merge };
+            let options = KittiMergeOptions { folder, seed, trials, wheels, false_share, merge };
+            return print_if(json, &kitti::run(&options)?);
+        }
+        let options = MergeOptions {
+            scenario,
+            route,
+            seed,
+            trials,
+            model: self.model.map_or(ModelSource::Drives(MapTraining::default(), None), ModelSource::File),
+            wheels,
+            settings: MapperSettings::default(),
+            merge,
+            false_share,
+            out,
+        };
+        print_if(json, &merge::run(&options)?)
+    }
+}

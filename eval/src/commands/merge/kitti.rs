@@ -1,0 +1,295 @@
+//! Merging alone, on a drive whose poses are known and whose images are not: true loops stand in for recognition.
+
+use std::ops::Range;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+use topomap::event::{Link, LinkKind};
+use topomap::merging::{Layout, MergeSettings, PlaceMatch, Verdict, joined_poses, judge};
+use topomap::odometry_prior::PlaceSpacing;
+use topomap::place_poses::PlacePoses;
+use topomap::relative_pose::{ClosureNoise, OdometryNoise, RelativePose};
+use topomap::relaxation::{PlanarPose, Pose};
+use waypost_sim::robot::WheelOdometry;
+
+use super::sessions::cuts;
+use crate::commands::map::alignment::{Alignment, rmse_m};
+use crate::commands::map::judgement::is_far;
+use crate::commands::map::kitti::{closures, poses, reading};
+use crate::commands::map::{MapError, WheelChoice};
+use crate::error::EvalError;
+use crate::timing::median;
+
+/// Which drive, and what is simulated of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KittiMergeOptions {
+    /// Folder with `poses.txt` and `loops.csv`.
+    pub folder: PathBuf,
+    /// Of the first trial.
+    pub seed: u64,
+    /// Trials.
+    pub trials: u32,
+    /// How wrong the wheels are.
+    pub wheels: WheelChoice,
+    /// Of all matches, the share that is made up, in [0, 1).
+    pub false_share: f64,
+    /// What a merge has to show; evidence is none here.
+    pub merge: MergeSettings,
+}
+
+/// What came out.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct KittiMergeReport {
+    /// Trials.
+    pub trials: u32,
+    /// Share of matches that were made up.
+    pub false_match_share: f64,
+    /// Median error of the places of the merged map, after the best rigid alignment.
+    pub rmse_m: f64,
+    /// Median of that over the error of the same places on the map built in one go.
+    pub rmse_ratio: f64,
+    /// The largest.
+    pub rmse_ratio_worst: f64,
+    /// Merges.
+    pub merges: usize,
+    /// Merges most of whose matches were made up.
+    pub false_merges: usize,
+    /// Sessions with enough true matches that stayed apart.
+    pub missed_overlaps: usize,
+    /// Median time of a merge.
+    pub seconds: f64,
+    /// Trial by trial.
+    pub runs: Vec<KittiMergeRun>,
+}
+
+/// One trial.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct KittiMergeRun {
+    /// Its seed.
+    pub seed: u64,
+    /// Sessions before.
+    pub sessions: usize,
+    /// Places of the merged map.
+    pub places: usize,
+    /// Merges.
+    pub merges: usize,
+    /// Merges most of whose matches were made up.
+    pub false_merges: usize,
+    /// Sessions with enough true matches that stayed apart.
+    pub missed_overlaps: usize,
+    /// Made-up matches that were kept.
+    pub false_matches: usize,
+    /// Of the merged map.
+    pub rmse_m: f64,
+    /// Of the same places on the map built in one go.
+    pub one_go_rmse_m: f64,
+    /// Of each merge or refusal.
+    pub seconds: Vec<f64>,
+}
+
+/// A session or several: poses, and which places of the drive they are.
+struct Piece {
+    poses: PlacePoses,
+    places: Vec<usize>,
+}
+
+impl Piece {
+    fn layout(&self, noise: OdometryNoise, spacing: PlaceSpacing) -> Layout<'_> {
+        Layout { poses: &self.poses, noise, spacing }
+    }
+}
+
+/// Cuts, merges, and holds the map against the truth.
+///
+/// # Errors
+/// [`EvalError`] if the files cannot be used.
+pub fn run(options: &KittiMergeOptions) -> Result<KittiMergeReport, EvalError> {
+    let truth = poses(&options.folder.join("poses.txt"))?;
+    let mut runs = Vec::new();
+    for seed in (options.seed..).take(options.trials as usize) {
+        runs.push(trial(options, seed, &truth)?);
+    }
+    let sum = |of: fn(&KittiMergeRun) -> usize| runs.iter().map(of).sum();
+    let ratios: Vec<f64> = runs.iter().map(|run| run.rmse_m / run.one_go_rmse_m).collect();
+    let report = KittiMergeReport {
+        trials: options.trials,
+        false_match_share: options.false_share,
+        rmse_m: median(runs.iter().map(|run| run.rmse_m).collect()).unwrap_or(0.0),
+        rmse_ratio: median(ratios.clone()).unwrap_or(0.0),
+        rmse_ratio_worst: ratios.into_iter().fold(0.0, f64::max),
+        merges: sum(|run| run.merges),
+        false_merges: sum(|run| run.false_merges),
+        missed_overlaps: sum(|run| run.missed_overlaps),
+        seconds: median(runs.iter().flat_map(|run| run.seconds.clone()).collect()).unwrap_or(0.0),
+        runs,
+    };
+    for run in &report.runs {
+        eprintln!(
+            "seed {}: {} sessions, {} merges, {} false, {} missed, {} made-up matches kept; {} places {:.2} m off, in one go {:.2} m",
+            run.seed,
+            run.sessions,
+            run.merges,
+            run.false_merges,
+            run.missed_overlaps,
+            run.false_matches,
+            run.places,
+            run.rmse_m,
+            run.one_go_rmse_m,
+        );
+    }
+    eprintln!(
+        "rmse over that of one go {:.2}, at most {:.2}; {:.2} s a merge",
+        report.rmse_ratio, report.rmse_ratio_worst, report.seconds
+    );
+    Ok(report)
+}
+
+fn trial(options: &KittiMergeOptions, seed: u64, truth: &[PlanarPose]) -> Result<KittiMergeRun, EvalError> {
+    let noise = OdometryNoise::default();
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let driven = driven(truth, options.wheels, seed, &noise)?;
+    let length_m: f64 = truth.windows(2).map(|pair| far_m(&pair[0], &pair[1])).sum();
+    let spacing_m = length_m / truth.len() as f64;
+    let mut closed = closures(&options.folder.join("loops.csv"), truth, spacing_m, seed)?;
+    let is_true = closed.len();
+    let pieces = random.random_range(2..=4);
+    let cuts = cuts(truth.len(), pieces, &mut random);
+    closed.extend(made_up(is_true, options.false_share, &cuts, spacing_m, &mut random));
+
+    let whole: Vec<Link> = driven.iter().chain(&closed).copied().collect();
+    let one_go = PlacePoses::new(vec![0; truth.len()], &whole, &noise);
+    let mut left: Vec<Piece> = cuts
+        .into_iter()
+        .map(|cut| {
+            let inside = |link: &&Link| [link.from, link.to].iter().all(|&end| cut.contains(&(end as usize)));
+            let first = cut.start as u32;
+            let links: Vec<Link> = whole
+                .iter()
+                .filter(inside)
+                .map(|link| Link { from: link.from - first, to: link.to - first, kind: link.kind })
+                .collect();
+            Piece { poses: PlacePoses::new(vec![0; cut.len()], &links, &noise), places: cut.collect() }
+        })
+        .collect();
+    let mut run = KittiMergeRun { seed, sessions: left.len(), ..KittiMergeRun::default() };
+    let spacing = PlaceSpacing { distance_m: spacing_m, ..PlaceSpacing::default() };
+    // The last one closes most loops.
+    let mut merged = left.remove(left.len() - 1);
+    loop {
+        let before = left.len();
+        for source in std::mem::take(&mut left) {
+            let matches = between(&source, &merged, &closed);
+            let began = Instant::now();
+            let verdict =
+                judge(source.layout(noise, spacing), merged.layout(noise, spacing), &matches, &options.merge);
+            run.seconds.push(began.elapsed().as_secs_f64());
+            let Verdict::Overlap(plan) = verdict else {
+                left.push(source);
+                continue;
+            };
+            let apart = |matched: &&PlaceMatch| {
+                let [a, b] = [source.places[matched.source as usize], merged.places[matched.target as usize]];
+                is_far(&truth[a].inverse().compose(&truth[b]))
+            };
+            let wrong = plan.matches.iter().filter(apart).count();
+            run.merges += 1;
+            run.false_matches += wrong;
+            run.false_merges += usize::from(2 * wrong > plan.matches.len());
+            merged = Piece {
+                poses: joined_poses(
+                    source.layout(noise, spacing),
+                    merged.layout(noise, spacing),
+                    &plan.matches,
+                ),
+                places: merged.places.iter().chain(&source.places).copied().collect(),
+            };
+        }
+        if left.len() == before || left.is_empty() {
+            break;
+        }
+    }
+    let enough =
+        |source: &&Piece| between(source, &merged, &closed[..is_true]).len() >= 2 * options.merge.min_support;
+    run.missed_overlaps = left.iter().filter(enough).count();
+    let of = |poses: &PlacePoses, place: usize| poses.poses()[place];
+    let laid: Vec<PlanarPose> = (0..merged.places.len()).map(|place| of(&merged.poses, place)).collect();
+    let was: Vec<PlanarPose> = merged.places.iter().map(|&place| truth[place]).collect();
+    let whole: Vec<PlanarPose> = merged.places.iter().map(|&place| of(&one_go, place)).collect();
+    run.places = merged.places.len();
+    run.rmse_m = rmse_m(&laid, &was, Alignment::Rigid);
+    run.one_go_rmse_m = rmse_m(&whole, &was, Alignment::Rigid);
+    Ok(run)
+}
+
+fn far_m(a: &PlanarPose, b: &PlanarPose) -> f64 {
+    (a.x_m() - b.x_m()).hypot(a.y_m() - b.y_m())
+}
+
+/// What wheels say of the way from each place to the next.
+fn driven(
+    truth: &[PlanarPose],
+    wheels: WheelChoice,
+    seed: u64,
+    noise: &OdometryNoise,
+) -> Result<Vec<Link>, EvalError> {
+    let mut wheels = WheelOdometry::new(wheels.errors(seed), seed).map_err(MapError::OutOfRange)?;
+    let mut before = reading(&wheels)?;
+    let mut links = Vec::new();
+    for (place, pair) in (1..).zip(truth.windows(2)) {
+        let motion = pair[0].inverse().compose(&pair[1]);
+        wheels.add(motion.x_m().hypot(motion.y_m()), motion.heading_rad());
+        let now = reading(&wheels)?;
+        links.push(Link { from: place - 1, to: place, kind: LinkKind::Driven(noise.between(&before, &now)) });
+        before = now;
+    }
+    Ok(links)
+}
+
+/// Closures between any places of different sessions, as sure as true ones.
+fn made_up(
+    true_ones: usize,
+    share: f64,
+    cuts: &[Range<usize>],
+    spacing_m: f64,
+    random: &mut ChaCha8Rng,
+) -> Vec<Link> {
+    let noise = ClosureNoise::of_spacing(spacing_m);
+    let deviations = nalgebra::Vector3::new(noise.position_m, noise.position_m, noise.heading_rad);
+    let variances = nalgebra::Matrix3::from_diagonal(&deviations.map(|deviation| deviation * deviation));
+    let count = (true_ones as f64 * share / (1.0 - share)).round() as usize;
+    let places = cuts.last().map_or(0, |cut| cut.end) as u32;
+    let mut made_up = Vec::new();
+    while made_up.len() < count {
+        let [to, from] = [random.random_range(0..places), random.random_range(0..places)];
+        let session = |place: u32| cuts.iter().position(|cut| cut.contains(&(place as usize)));
+        let heading = PlanarPose::new(0.0, 0.0, 0.3 * (random.random::<f64>() - 0.5));
+        if let Some(measured) =
+            RelativePose::new(heading, variances).ok().filter(|_| session(to) < session(from))
+        {
+            made_up.push(Link { from, to, kind: LinkKind::Closed(measured) });
+        }
+    }
+    made_up
+}
+
+/// The closures between two pieces, as matches.
+fn between(source: &Piece, target: &Piece, closed: &[Link]) -> Vec<PlaceMatch> {
+    let number = |piece: &Piece, place: u32| {
+        piece.places.iter().position(|&other| other == place as usize).map(|place| place as u32)
+    };
+    let matched = |link: &Link| {
+        let LinkKind::Closed(measured) = link.kind else { return None };
+        let (source, target, measured) = match (number(source, link.to), number(target, link.from)) {
+            (Some(to), Some(from)) => (to, from, measured),
+            _ => (number(source, link.from)?, number(target, link.to)?, measured.back()),
+        };
+        let frames = (u64::from(source), u64::from(target));
+        let (source_frame, target_frame) = frames;
+        let measured = Some(measured);
+        Some(PlaceMatch { source, target, source_frame, target_frame, posterior: 1.0, view: None, measured })
+    };
+    closed.iter().filter_map(matched).collect()
+}

@@ -1,0 +1,281 @@
+//! Two maps of the same places become one.
+//!
+//! [`find_matches`] asks for every place of one map where it is on the other; [`judge`] chooses the largest set of
+//! matches that agree with each other and says whether it is enough, or why not; [`join`] is the source's log told
+//! anew as what happened on the target. Nothing is changed by any of them: whoever holds the logs commits.
+//!
+//! Wrong matches between two maps are no noise: offices that look alike agree with each other as well as true ones
+//! do. So what is looked for is the largest set of pairwise consistent matches (Mangelson et al., ICRA 2018) and
+//! not a robust minimum: graduated non-convexity has to start from some transformation between the maps, and there is
+//! none; a set of matches can moreover be compared with its rivals, which a minimum has not.
+
+mod cliques;
+mod consistency;
+mod joining;
+mod judgement;
+mod matching;
+mod ways;
+
+use fabmap::appearance::PlaceId;
+
+use crate::event::FrameId;
+use crate::mapper::{ArchiveError, FrameArchive, Mapper};
+use crate::relative_pose::RelativePose;
+use crate::relaxation::PlanarPose;
+use crate::verification::TwoView;
+
+pub use joining::{JoinError, join};
+pub use judgement::{Layout, joined_poses, judge};
+pub use matching::find_matches;
+
+/// A map, and what its frames showed.
+#[derive(Clone, Copy)]
+pub struct KnownMap<'a> {
+    /// The map.
+    pub mapper: &'a Mapper,
+    /// Its frames.
+    pub archive: &'a (dyn FrameArchive + Sync),
+}
+
+/// Compares frames of two maps; whoever keeps keypoints implements it.
+pub trait ViewsBetween: Sync {
+    /// What geometry finds between a frame of the target, the earlier view, and one of the source, the current view;
+    /// `None` if one of the two has no keypoints.
+    ///
+    /// # Errors
+    /// [`ArchiveError`] if one cannot be read now.
+    fn compare(&self, source: FrameId, target: FrameId) -> Result<Option<TwoView>, ArchiveError>;
+
+    /// Focal length of the camera of a frame of the source along x, in image widths; `None` if its model is not known.
+    fn focal_length_widths(&self, source: FrameId) -> Option<f64>;
+}
+
+/// Hears how far the search is, and may end it.
+pub trait MergeObserver: Sync {
+    /// So many of the source's places have been looked for; from several threads. False ends the search.
+    fn goes_on(&self, places: usize) -> bool;
+}
+
+impl MergeObserver for () {
+    fn goes_on(&self, _places: usize) -> bool {
+        true
+    }
+}
+
+/// What a merge has to show; see [`MergeSettings::check`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MergeSettings {
+    /// Places of the target that a place of the source is compared with, 1 to 64.
+    pub candidates: usize,
+    /// Least [`TwoView::evidence`] of a match, at least 0.
+    pub min_evidence: f64,
+    /// Least matches that agree with each other, at least 3.
+    pub min_support: usize,
+    /// Least evidence of those together, at least 0: as a loop closure needs, whose frames add theirs up.
+    pub min_total_evidence: f64,
+    /// Largest share that the next best set of matches may have of the matches of the best, in [0, 1].
+    pub max_rival_share: f64,
+    /// Least share of the source's places that match where the maps then overlap, in [0, 1].
+    pub min_confirmed_share: f64,
+}
+
+impl Default for MergeSettings {
+    fn default() -> Self {
+        Self {
+            candidates: 4,
+            min_evidence: 20.0,
+            min_support: 5,
+            min_total_evidence: 350.0,
+            max_rival_share: 0.25,
+            min_confirmed_share: 0.6,
+        }
+    }
+}
+
+/// A place of the source that looks like one of the target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaceMatch {
+    /// The place of the source.
+    pub source: PlaceId,
+    /// The place of the target.
+    pub target: PlaceId,
+    /// The frame of the source that was compared.
+    pub source_frame: FrameId,
+    /// With that frame of the target.
+    pub target_frame: FrameId,
+    /// Probability of the place of the target among all its places and "somewhere new", by words alone.
+    pub posterior: f64,
+    /// What geometry found; `None` where words decided alone.
+    pub view: Option<TwoView>,
+    /// Pose of the place of the source in the frame of the place of the target, if that was measured.
+    pub measured: Option<RelativePose>,
+}
+
+/// What comes of two maps.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Verdict {
+    /// They overlap.
+    Overlap(MergePlan),
+    /// They do not, as far as can be told.
+    Apart(Apart),
+}
+
+/// How a source joins a target.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MergePlan {
+    /// The frame of the source's part in that of the target's.
+    pub transformation: PlanarPose,
+    /// The lowest places of the two parts, source and target, that the transformation is between.
+    pub parts: (PlaceId, PlaceId),
+    /// Places of the source that become places of the target, ascending.
+    pub fused: Vec<FusedPlace>,
+    /// Matches that agree with each other and with both maps once they are one, strongest first.
+    pub matches: Vec<PlaceMatch>,
+    /// All others.
+    pub rejected: Vec<PlaceMatch>,
+    /// Matches of the next best set that contradicts these.
+    pub rival_support: usize,
+    /// Places of the source that lie where the target has places, too.
+    pub overlap: Overlap,
+    /// Sum of eᵀΩe over the links of both maps, each by itself.
+    pub cost_before: f64,
+    /// The same and of the matches, with both maps as one.
+    pub cost_after: f64,
+}
+
+/// A place of the source that becomes one of the target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FusedPlace {
+    /// Of its matches that with the place that it lies nearest to.
+    pub matched: PlaceMatch,
+    /// Pose of the place of the source in the frame of that of the target, with both maps as one: what this match and
+    /// all others say together.
+    pub at: RelativePose,
+}
+
+/// Where two maps lie over each other.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Overlap {
+    /// Places of the source that lie where the target has one.
+    pub places: usize,
+    /// Those of them that match it, or a neighbour.
+    pub confirmed: usize,
+}
+
+impl PlaceMatch {
+    /// See [`TwoView::evidence`]; 0 where words decided alone.
+    #[must_use]
+    pub fn evidence(&self) -> f64 {
+        self.view.as_ref().map_or(0.0, TwoView::evidence)
+    }
+}
+
+impl Overlap {
+    /// The share of the places that match; 1 of none.
+    #[must_use]
+    pub fn confirmed_share(&self) -> f64 {
+        if self.places == 0 { 1.0 } else { self.confirmed as f64 / self.places as f64 }
+    }
+}
+
+/// Why two maps stay two.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Apart {
+    /// One of the maps has no places that wheels or closures join.
+    #[error("one of the maps has no places joined by metres")]
+    NothingMeasured,
+    /// Nothing looks alike.
+    #[error("no place of the one looks like one of the other")]
+    NoMatches,
+    /// What looks alike does not agree with each other.
+    #[error(
+        "of {matches} matches no more than {support} agree with each other, which takes {required}; drive through more \
+         of what both maps show, or lower the least support"
+    )]
+    TooLittleSupport {
+        /// Matches.
+        matches: usize,
+        /// The most that agree.
+        support: usize,
+        /// What is asked for.
+        required: usize,
+    },
+    /// What agrees is too little to be sure of.
+    #[error("the {support} matches that agree have an evidence of {evidence:.0}, which takes {required:.0}")]
+    TooLittleEvidence {
+        /// Matches that agree.
+        support: usize,
+        /// Their evidence.
+        evidence: f64,
+        /// What is asked for.
+        required: f64,
+    },
+    /// Two ways of laying one map over the other are as good as each other.
+    #[error(
+        "{support} matches lay one map over the other in one way, {rival} in another: they may be of places that look \
+         alike"
+    )]
+    Ambiguous {
+        /// Matches of the best.
+        support: usize,
+        /// Matches of the next.
+        rival: usize,
+    },
+    /// Laid over each other, they show different things.
+    #[error(
+        "laid over the other map, {places} places lie where that has places, too, but only {confirmed} look alike",
+        places = .0.places,
+        confirmed = .0.confirmed
+    )]
+    Contradicted(Overlap),
+}
+
+/// A search that came to no end.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum MergeError {
+    /// The maps' words are of different vocabularies.
+    #[error(
+        "the maps have vocabularies of {source_words} and {target_words} words; rebuild one of them with the other's \
+         model first"
+    )]
+    Vocabulary {
+        /// Words of the source's.
+        source_words: usize,
+        /// Words of the target's.
+        target_words: usize,
+    },
+    /// A setting is out of range.
+    #[error("the merge's {setting} cannot be {value}; leave it out for the default")]
+    Setting {
+        /// Which.
+        setting: &'static str,
+        /// The value given.
+        value: f64,
+    },
+    /// A frame cannot be read.
+    #[error(transparent)]
+    Archive(#[from] ArchiveError),
+    /// Whoever watches has ended it.
+    #[error("the search was ended before it had asked for all places")]
+    Ended,
+}
+
+impl MergeSettings {
+    /// # Errors
+    /// [`MergeError::Setting`] if one is out of range.
+    pub fn check(&self) -> Result<(), MergeError> {
+        let share = 0.0..=1.0;
+        let checks = [
+            ("number of candidates", self.candidates as f64, (1..=64).contains(&self.candidates)),
+            ("least evidence", self.min_evidence, self.min_evidence >= 0.0),
+            ("least support", self.min_support as f64, self.min_support >= 3),
+            ("least evidence of all matches", self.min_total_evidence, self.min_total_evidence >= 0.0),
+            ("rival's largest share", self.max_rival_share, share.contains(&self.max_rival_share)),
+            ("least confirmed share", self.min_confirmed_share, share.contains(&self.min_confirmed_share)),
+        ];
+        match checks.into_iter().find(|(_, _, fits)| !fits) {
+            Some((setting, value, _)) => Err(MergeError::Setting { setting, value }),
+            None => Ok(()),
+        }
+    }
+}

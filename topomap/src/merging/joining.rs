@@ -1,0 +1,239 @@
+//! The source's log, told anew as what happened on the target.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use fabmap::appearance::PlaceId;
+use fabmap::place_filter::Belief;
+
+use super::{FusedPlace, MergePlan, PlaceMatch};
+use crate::event::{
+    Decision, FrameEvent, FrameId, Link, LinkKind, MapEvent, Match, MeasuredEvent, Reason, SessionId,
+};
+use crate::mapper::Mapper;
+use crate::place_poses::PlacePoses;
+use crate::relative_pose::{OdometryNoise, RelativePose};
+use crate::verification::{Candidate, VerificationSettings};
+use crate::wheel_drift::without_drift;
+
+/// A log that is not that of the map the plan was made for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum JoinError {
+    /// It names what it has not made before.
+    #[error(
+        "event {position} of the source's log names a place, frame or session that no event before has made"
+    )]
+    Unknown {
+        /// Its position.
+        position: u64,
+    },
+}
+
+/// The events that make of the target what both maps are together.
+///
+/// Sessions and frames of the source get the next numbers of the target. A place of the source that the plan has a
+/// match for becomes the place that it matches: what the source learnt there is learnt by that, look by look; all other
+/// places are created as they were. Links go between the same places as before, and measure what they measured, less the
+/// drift that the source's loops have shown of its wheels: where places are fused, those loops are the target's.
+///
+/// # Errors
+/// [`JoinError`] if `log` is not the source's.
+pub fn join<'a>(
+    (source, target): (&Mapper, &Mapper),
+    plan: &MergePlan,
+    log: impl IntoIterator<Item = &'a MapEvent>,
+) -> Result<Vec<MapEvent>, JoinError> {
+    let mut joining = Joining::new(source, target, plan);
+    let told = |(position, event): (u64, &MapEvent)| {
+        joining.retold(position, event).ok_or(JoinError::Unknown { position })
+    };
+    (0..).zip(log).map(told).collect()
+}
+
+/// Where a place of the source is on the target.
+#[derive(Clone, Copy, Debug)]
+struct Joined {
+    place: PlaceId,
+    /// The source's place in the frame of the target's; `None` if it is that place.
+    at: Option<RelativePose>,
+}
+
+struct Joining<'a> {
+    of_source: &'a PlacePoses,
+    /// By places of the source: the match that each is fused by.
+    fused: HashMap<PlaceId, &'a FusedPlace>,
+    noise: OdometryNoise,
+    places: Vec<Joined>,
+    frames: BTreeMap<FrameId, FrameId>,
+    sessions: BTreeMap<SessionId, SessionId>,
+    next_event: u64,
+    next_session: SessionId,
+    next_place: PlaceId,
+    /// Both ways.
+    linked: BTreeSet<(PlaceId, PlaceId)>,
+}
+
+impl<'a> Joining<'a> {
+    fn new(source: &'a Mapper, target: &Mapper, plan: &'a MergePlan) -> Self {
+        let fused = plan.fused.iter().map(|fused| (fused.matched.source, fused)).collect();
+        let linked =
+            target.map().links().iter().flat_map(|link| [(link.from, link.to), (link.to, link.from)]);
+        Self {
+            of_source: source.poses(),
+            fused,
+            noise: target.settings().odometry_noise,
+            places: Vec::new(),
+            frames: BTreeMap::new(),
+            sessions: BTreeMap::new(),
+            next_event: target.map().events(),
+            next_session: target.map().next_session(),
+            next_place: target.map().places().len() as PlaceId,
+            linked: linked.collect(),
+        }
+    }
+
+    fn retold(&mut self, position: u64, event: &MapEvent) -> Option<MapEvent> {
+        let now = self.next_event;
+        self.next_event += 1;
+        self.frames.insert(position, now);
+        match event {
+            MapEvent::SessionOpened { session } => {
+                let here = self.next_session;
+                self.next_session += 1;
+                self.sessions.insert(*session, here);
+                Some(MapEvent::SessionOpened { session: here })
+            }
+            MapEvent::Frame(event) => Some(MapEvent::Frame(Box::new(self.frame(now, event)?))),
+            MapEvent::Measured(event) => Some(MapEvent::Measured(Box::new(self.measured(now, event)?))),
+        }
+    }
+
+    /// The same measurement, between the same frames.
+    fn measured(&self, position: u64, event: &MeasuredEvent) -> Option<MeasuredEvent> {
+        let joined = self.places.get(event.place as usize)?;
+        let link = event.link.and_then(|link| {
+            let (from, to) = (self.places.get(link.from as usize)?, self.places.get(link.to as usize)?);
+            let LinkKind::Closed(measured) = link.kind else { return None };
+            let kind = LinkKind::Closed(between(from, to, &measured));
+            (from.place != to.place).then_some(Link { from: from.place, to: to.place, kind })
+        });
+        Some(MeasuredEvent {
+            position,
+            session: *self.sessions.get(&event.session)?,
+            frame: *self.frames.get(&event.frame)?,
+            earlier: *self.frames.get(&event.earlier)?,
+            place: joined.place,
+            at: joined.at.map_or(event.at, |of_place| of_place.then(&event.at)),
+            link,
+            goes_on_from: event.goes_on_from.clone(),
+        })
+    }
+
+    fn frame(&mut self, frame: FrameId, event: &FrameEvent) -> Option<FrameEvent> {
+        let mut candidates: Vec<Candidate> = event
+            .candidates
+            .iter()
+            .map(|candidate| Some(Candidate { matched: self.matched(&candidate.matched)?, ..*candidate }))
+            .collect::<Option<_>>()?;
+        let decision = self.decision(&event.decision, &mut candidates)?;
+        let joined = event.decision.place.map(|place| self.places[place as usize]);
+        let at = match (event.at, joined.and_then(|joined| joined.at)) {
+            (Some(at), Some(of_place)) => Some(of_place.then(&at)),
+            (at, _) => at,
+        };
+        Some(FrameEvent {
+            frame,
+            session: *self.sessions.get(&event.session)?,
+            sequence: event.sequence,
+            stamp_ns: event.stamp_ns,
+            odometry: event.odometry.clone(),
+            observation: event.observation.clone(),
+            decision,
+            new_place_posterior: event.new_place_posterior,
+            proposal: match &event.proposal {
+                Some(proposal) => Some(self.matched(proposal)?),
+                None => None,
+            },
+            candidates,
+            learnt: event.learnt,
+            link: match &event.link {
+                Some(link) => self.link(link, event.session)?,
+                None => None,
+            },
+            at,
+            belief: self.belief(&event.belief)?,
+        })
+    }
+
+    /// The same decision; a place that is created and fused is a loop that closes.
+    fn decision(&mut self, decision: &Decision, candidates: &mut Vec<Candidate>) -> Option<Decision> {
+        let closure = match &decision.closure {
+            Some(closure) => Some(self.matched(closure)?),
+            None => None,
+        };
+        let Some(place) = decision.place else { return Some(Decision { closure, ..*decision }) };
+        if (place as usize) < self.places.len() {
+            return Some(Decision { place: Some(self.places[place as usize].place), closure, ..*decision });
+        }
+        if place as usize != self.places.len() {
+            return None;
+        }
+        let Some(&FusedPlace { matched, at }) = self.fused.get(&place).copied() else {
+            self.places.push(Joined { place: self.next_place, at: None });
+            self.next_place += 1;
+            return Some(Decision { place: Some(self.next_place - 1), closure, ..*decision });
+        };
+        self.places.push(Joined { place: matched.target, at: Some(at) });
+        let log_odds = (matched.posterior / (1.0 - matched.posterior).max(f64::MIN_POSITIVE)).ln();
+        let PlaceMatch { target: place, target_frame: frame, posterior, view, .. } = matched;
+        let closure = Match { place, posterior, log_odds: log_odds.max(f64::MIN), frame };
+        candidates.truncate(VerificationSettings::MAX_CANDIDATES - 1);
+        candidates.push(Candidate { matched: closure, view, support: 0.0 });
+        Some(Decision { reason: Reason::LoopClosure, place: Some(place), posterior, closure: Some(closure) })
+    }
+
+    fn matched(&self, matched: &Match) -> Option<Match> {
+        let place = self.places.get(matched.place as usize)?.place;
+        Some(Match { place, frame: *self.frames.get(&matched.frame)?, ..*matched })
+    }
+
+    /// The link between the same places; none where they are one, or linked already.
+    fn link(&mut self, link: &Link, session: SessionId) -> Option<Option<Link>> {
+        let (from, to) = (*self.places.get(link.from as usize)?, *self.places.get(link.to as usize)?);
+        let (from, to) = (&from, &to);
+        if from.place == to.place || !self.linked.insert((from.place, to.place)) {
+            return Some(None);
+        }
+        self.linked.insert((to.place, from.place));
+        let drift_rad_per_m = self.of_source.drift_rad_per_m(session);
+        let driven = |measured: &RelativePose| {
+            let pose = without_drift(measured.pose(), drift_rad_per_m);
+            let measured = RelativePose::new(pose, *measured.covariance()).unwrap_or(*measured);
+            match to.at {
+                None => LinkKind::Driven(between(from, to, &measured)),
+                Some(_) => LinkKind::Closed(between(from, to, &measured)),
+            }
+        };
+        let kind = match &link.kind {
+            LinkKind::Session => LinkKind::Session,
+            LinkKind::Odometry(relative) => driven(&self.noise.from_above(relative)),
+            LinkKind::Driven(measured) => driven(measured),
+            LinkKind::Closed(measured) => LinkKind::Closed(between(from, to, measured)),
+        };
+        Some(Some(Link { from: from.place, to: to.place, kind }))
+    }
+
+    /// The same belief; what was believed of places that are one now adds up.
+    fn belief(&self, belief: &Belief) -> Option<Belief> {
+        let mut places: BTreeMap<PlaceId, f64> = BTreeMap::new();
+        for &(place, probability) in &belief.places {
+            *places.entry(self.places.get(place as usize)?.place).or_insert(0.0) += probability;
+        }
+        Some(Belief { places: places.into_iter().collect(), ..*belief })
+    }
+}
+
+/// A way between places of the source, as one between those of the target that they became.
+fn between(from: &Joined, to: &Joined, measured: &RelativePose) -> RelativePose {
+    let ahead = from.at.map_or(*measured, |at| at.then(measured));
+    to.at.map_or(ahead, |at| ahead.then(&at.back()))
+}
