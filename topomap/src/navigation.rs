@@ -280,8 +280,10 @@ impl Navigator {
             Seen::Corrected => self.closed(odometry),
             Seen::Found => {
                 self.closed(odometry);
-                if let Task::LookAround(LookAround { goal, .. }) = self.task {
-                    self.task = Task::Plan { goal };
+                match &self.task {
+                    Task::LookAround(LookAround { goal, .. }) => self.task = Task::Plan { goal: *goal },
+                    Task::Follow(journey) => self.task = Task::Plan { goal: journey.goal },
+                    Task::Nothing | Task::Plan { .. } | Task::Arrived => {}
                 }
             }
             Seen::Kidnapped => self.lose(None),

@@ -31,6 +31,8 @@ enum Fixes {
 
 /// A robot whose wheels are off, a line of 12 m along x, and a link.
 struct World {
+    /// Of each closure.
+    evidence: f64,
     truth: PlanarPose,
     wheels: PlanarPose,
     drift_rad_per_m: f64,
@@ -69,6 +71,7 @@ impl World {
         let mut navigator = Navigator::new(NavigationSettings::default()).unwrap();
         navigator.go_to(Goal::Place(24));
         Self {
+            evidence: 100.0,
             truth: start,
             wheels: PlanarPose::identity(),
             drift_rad_per_m: 0.0,
@@ -107,7 +110,16 @@ impl World {
         };
         let covariance = Matrix3::from_diagonal(&Vector3::new(0.02, 0.006, 0.0012));
         let (at, from_view) = (MapPosition { part: 0, pose }, PlanarPose::identity());
-        Closure { place: (2.0 * x_m).max(0.0) as u32, frame: 1, at, from_view, covariance, probability: 0.99 }
+        let place = (2.0 * x_m).max(0.0) as u32;
+        Closure {
+            place,
+            frame: 1,
+            at,
+            from_view,
+            covariance,
+            probability: 0.99,
+            evidence: Some(self.evidence),
+        }
     }
 
     fn stamp_ns(&self) -> i64 {
@@ -278,17 +290,33 @@ fn without_vision_it_goes_on_is_less_and_less_sure_and_at_last_looks_around() {
 }
 
 #[test]
+fn carried_off_to_where_views_are_clear_it_plans_anew_at_once() {
+    let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+    world.run(100);
+    world.truth = PlanarPose::new(9.0, 0.1, 0.5);
+    for _ in 0..400 {
+        world.advance(true, true);
+        assert_ne!(world.status(), Status::Lost);
+    }
+    assert_eq!(world.status(), Status::Arrived);
+    assert!(world.truth.x_m() > 9.0);
+}
+
+#[test]
 fn carried_off_it_forgets_finds_out_and_wants_another_plan() {
     let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
     world.run(100);
     let episode = world.navigator.episode();
     world.truth = PlanarPose::new(9.0, 0.1, 0.5);
-    let mut statuses = Vec::new();
-    for _ in 0..400 {
+    // Views that show that it is elsewhere, and not clearly where.
+    world.evidence = 40.0;
+    while world.status() != Status::Lost {
+        assert_ne!(world.status(), Status::Arrived);
         world.advance(true, true);
-        statuses.push(world.status());
     }
-    assert!(world.navigator.episode() > episode && statuses.contains(&Status::Lost));
+    assert!(world.navigator.episode() > episode && world.navigator.localization().is_none());
+    world.evidence = 100.0;
+    world.run(400);
     assert_eq!(world.status(), Status::Arrived);
     // What was under way from before is not listened to.
     let sight = Sight::Closure(world.closure());

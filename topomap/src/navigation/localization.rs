@@ -10,7 +10,7 @@ use crate::event::{FrameEvent, FrameId, Reason};
 use crate::mapper::{Decided, FrameArchive, FrameError, FrameInput, Localizer, Mapper};
 use crate::relative_pose::{ClosureNoise, RelativePose};
 use crate::relaxation::{PlanarPose, Pose};
-use crate::verification::{Candidate, Motion, Views};
+use crate::verification::{Candidate, Motion, TwoView, Views};
 
 /// Recognises a map's places for a robot that drives along it, and changes nothing of the map.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -60,6 +60,20 @@ pub struct Closure {
     pub covariance: Matrix3<f64>,
     /// That both frames show the same place, in [0, 1].
     pub probability: f64,
+    /// What these two views alone say for that, in inliers: see [`Candidate::own_evidence`]; `None` without
+    /// keypoints.
+    pub evidence: Option<f64>,
+}
+
+impl Closure {
+    /// Whether it may tell a robot where it is which does not know: from near, by these two views alone, and looking much
+    /// the same way. What the frames before say does not count: a robot that stands and looks says the same again and
+    /// again.
+    fn tells_where(&self, settings: &LocalizationSettings) -> bool {
+        self.evidence.is_none_or(|evidence| evidence >= settings.found_evidence)
+            && self.covariance[(0, 0)].sqrt() <= settings.found_along_m
+            && self.from_view.heading_rad().abs() <= settings.found_turn_rad
+    }
 }
 
 impl Lookout {
@@ -128,7 +142,12 @@ fn closure(
     };
     let at = MapPosition { part, pose: place.compose(at_frame.pose()).compose(&turn) };
     let (place, frame, probability) = (matched.place, matched.frame, candidate.probability());
-    Ok(Some(Closure { place, frame, at, from_view: turn, covariance, probability }))
+    let evidence = candidate.view.as_ref().map(TwoView::evidence);
+    // Where a robot has just been carried off, the frames before speak for where it was.
+    if evidence.is_some_and(|evidence| evidence < settings.least_evidence) {
+        return Ok(None);
+    }
+    Ok(Some(Closure { place, frame, at, from_view: turn, covariance, probability, evidence }))
 }
 
 /// Where the robot is in the frame of the earlier view, and how well that is known.
@@ -202,6 +221,8 @@ struct Unconfirmed {
     closure: Closure,
     odometry: PlanarPose,
     count: u32,
+    /// Those of them that may tell a lost robot where it is.
+    telling: u32,
 }
 
 /// What came of a closure.
@@ -209,7 +230,7 @@ struct Unconfirmed {
 pub enum Seen {
     /// It corrects what is believed.
     Corrected,
-    /// It says where a robot is that did not know.
+    /// It says where a robot is that did not know, or was mistaken.
     Found,
     /// It is not believed, yet.
     Unconfirmed,
@@ -284,9 +305,10 @@ impl PoseFilter {
         settings: &LocalizationSettings,
     ) -> Seen {
         let Some(fix) = &self.fix else {
-            let count = self.confirm(closure, odometry, settings);
-            let is_near = closure.covariance[(0, 0)].sqrt() <= settings.found_along_m;
-            return if is_near && count >= settings.confirmations {
+            if !closure.tells_where(settings) {
+                return Seen::Unconfirmed;
+            }
+            return if self.confirm(closure, odometry, settings) >= settings.confirmations {
                 self.unconfirmed = None;
                 self.fix = Some(Fix::of(closure, (stamp_ns, odometry), &self.wheels));
                 Seen::Found
@@ -302,7 +324,15 @@ impl PoseFilter {
             self.unconfirmed = None;
             return Seen::Corrected;
         }
-        if self.confirm(closure, odometry, settings) < settings.contradictions {
+        let count = self.confirm(closure, odometry, settings);
+        let telling = self.unconfirmed.map_or(0, |unconfirmed| unconfirmed.telling);
+        if closure.tells_where(settings) && telling >= settings.confirmations {
+            // It has been carried off, and there is no need to look around.
+            self.forget();
+            self.fix = Some(Fix::of(closure, (stamp_ns, odometry), &self.wheels));
+            return Seen::Found;
+        }
+        if count < settings.contradictions {
             return Seen::Unconfirmed;
         }
         self.forget();
@@ -311,11 +341,12 @@ impl PoseFilter {
 
     /// How many closures in a row agree with this one, and itself.
     fn confirm(&mut self, closure: &Closure, odometry: &PlanarPose, settings: &LocalizationSettings) -> u32 {
-        let count = match &self.unconfirmed {
-            Some(before) if before.agrees(closure, odometry, settings) => before.count + 1,
-            Some(_) | None => 1,
+        let (before, telling_before) = match &self.unconfirmed {
+            Some(before) if before.agrees(closure, odometry, settings) => (before.count, before.telling),
+            Some(_) | None => (0, 0),
         };
-        self.unconfirmed = Some(Unconfirmed { closure: *closure, odometry: *odometry, count });
+        let (count, telling) = (before + 1, telling_before + u32::from(closure.tells_where(settings)));
+        self.unconfirmed = Some(Unconfirmed { closure: *closure, odometry: *odometry, count, telling });
         count
     }
 }
@@ -429,7 +460,7 @@ fn way_m(motion: &PlanarPose) -> f64 {
 mod tests {
     use super::*;
     use crate::event::Match;
-    use crate::verification::{Similarity, TwoView};
+    use crate::verification::Similarity;
     use proptest::prelude::*;
 
     fn view(ln_scale: f64, shift_widths: f64) -> Candidate {
@@ -463,7 +494,7 @@ mod tests {
     fn closure(pose: PlanarPose) -> Closure {
         let covariance = Matrix3::from_diagonal(&Vector3::new(0.02, 0.006, 0.001));
         let (at, from_view) = (MapPosition { part: 0, pose }, PlanarPose::identity());
-        Closure { place: 0, frame: 1, at, from_view, covariance, probability: 0.99 }
+        Closure { place: 0, frame: 1, at, from_view, covariance, probability: 0.99, evidence: Some(100.0) }
     }
 
     /// A drive along a wavy way: truth and wheels that are off by `drift_rad_per_m` and `scale`.
@@ -484,8 +515,9 @@ mod tests {
 
     fn found(settings: &LocalizationSettings, drive: &[(i64, PlanarPose, PlanarPose)]) -> PoseFilter {
         let mut filter = PoseFilter::new(settings);
-        for (number, (stamp_ns, truth, wheels)) in drive[..2].iter().enumerate() {
-            let expected = if number == 0 { Seen::Unconfirmed } else { Seen::Found };
+        let needed = settings.confirmations as usize;
+        for (number, (stamp_ns, truth, wheels)) in drive[..needed].iter().enumerate() {
+            let expected = if number + 1 < needed { Seen::Unconfirmed } else { Seen::Found };
             assert_eq!(filter.see(&closure(*truth), (*stamp_ns, wheels), settings), expected);
         }
         filter
@@ -498,7 +530,7 @@ mod tests {
         fn wheels_are_learnt(drift in -0.1..0.1f64, scale in -0.08..0.08f64) {
             let (settings, drive) = (LocalizationSettings::default(), drive(drift, scale));
             let mut filter = found(&settings, &drive);
-            let (seen, blind) = drive[2..].split_at(900);
+            let (seen, blind) = drive[settings.confirmations as usize..].split_at(900);
             for (stamp_ns, truth, wheels) in seen.iter().step_by(10) {
                 prop_assert_eq!(filter.see(&closure(*truth), (*stamp_ns, wheels), &settings), Seen::Corrected);
             }
@@ -534,7 +566,9 @@ mod tests {
         let elsewhere = PlanarPose::new(20.0, -7.0, 1.0);
         let see = |filter: &mut PoseFilter, index: usize, jump: &PlanarPose| {
             let (stamp_ns, truth, wheels) = &drive[index];
-            filter.see(&closure(jump.compose(truth)), (*stamp_ns, wheels), &settings)
+            // Views that do not tell a lost robot where it is: these two views say little.
+            let weak = Closure { evidence: Some(settings.least_evidence), ..closure(jump.compose(truth)) };
+            filter.see(&weak, (*stamp_ns, wheels), &settings)
         };
         assert_eq!(see(&mut filter, 10, &elsewhere), Seen::Unconfirmed);
         assert_eq!(see(&mut filter, 20, &PlanarPose::identity()), Seen::Corrected);
@@ -549,6 +583,33 @@ mod tests {
         }
         assert_eq!(see(&mut filter, 50 + 10 * last, &elsewhere), Seen::Kidnapped);
         assert_eq!(filter.at(&drive[100].2, &settings), None);
+    }
+
+    #[test]
+    fn clear_views_that_agree_elsewhere_tell_at_once_where_it_was_put_down_and_weak_ones_tell_a_lost_robot_nothing()
+     {
+        let (settings, drive) = (LocalizationSettings::default(), drive(0.0, 0.0));
+        let mut filter = found(&settings, &drive);
+        let elsewhere = PlanarPose::new(20.0, -7.0, 1.0);
+        let mut see = |index: usize, evidence: f64| {
+            let (stamp_ns, truth, wheels) = &drive[index];
+            let closure = Closure { evidence: Some(evidence), ..closure(elsewhere.compose(truth)) };
+            (filter.see(&closure, (*stamp_ns, wheels), &settings), filter.at(wheels, &settings))
+        };
+        for number in 1..settings.confirmations as usize {
+            assert_eq!(see(10 + number, settings.found_evidence).0, Seen::Unconfirmed);
+        }
+        let (seen, at) = see(20, settings.found_evidence);
+        assert_eq!(seen, Seen::Found);
+        let missed = elsewhere.compose(&drive[20].1).inverse().compose(&at.unwrap().pose);
+        assert!(missed.x_m().hypot(missed.y_m()) < 0.1, "{missed:?}");
+
+        let mut lost = PoseFilter::new(&settings);
+        for (stamp_ns, truth, wheels) in &drive[..20] {
+            let weak = Closure { evidence: Some(settings.found_evidence - 1.0), ..closure(*truth) };
+            assert_eq!(lost.see(&weak, (*stamp_ns, wheels), &settings), Seen::Unconfirmed);
+        }
+        assert_eq!(lost.at(&drive[20].2, &settings), None);
     }
 
     #[test]

@@ -45,11 +45,17 @@ pub struct LocalizationSettings {
     pub gate_chi_squared: f64,
     /// Contradictions in a row, each in agreement with the one before, that make what is believed wrong; at least 1.
     pub contradictions: u32,
+    /// Least evidence of a closure, of its two views alone, in inliers: what the frames before say is no closure.
+    pub least_evidence: f64,
     /// Closures in agreement that a robot needs which does not know where it is; at least 1.
     pub confirmations: u32,
     /// Largest standard deviation along the way of a closure that tells a robot where it is which does not know, in
     /// metres: no view from afar.
     pub found_along_m: f64,
+    /// Least evidence of such a closure, of its two views alone, in inliers.
+    pub found_evidence: f64,
+    /// Largest turn from the earlier view to such a closure, in radians.
+    pub found_turn_rad: f64,
     /// How far two closures in agreement may disagree, in metres.
     pub agreement_m: f64,
     /// The same of headings, in radians.
@@ -163,8 +169,11 @@ impl Default for LocalizationSettings {
             turn_noise: 0.03,
             gate_chi_squared: 25.0,
             contradictions: 4,
-            confirmations: 2,
+            least_evidence: 30.0,
+            confirmations: 3,
             found_along_m: 0.6,
+            found_evidence: 60.0,
+            found_turn_rad: 0.6,
             agreement_m: 0.8,
             agreement_rad: 0.35,
         }
@@ -272,8 +281,11 @@ impl LocalizationSettings {
             ("turn_noise", self.turn_noise, 0.0, 1.0),
             ("gate_chi_squared", self.gate_chi_squared, 1.0, 1e6),
             ("contradictions", f64::from(self.contradictions), 1.0, 1000.0),
+            ("least_evidence", self.least_evidence, 0.0, 1e6),
             ("confirmations", f64::from(self.confirmations), 1.0, 1000.0),
             ("found_along_m", self.found_along_m, 1e-3, 100.0),
+            ("found_evidence", self.found_evidence, 0.0, 1e6),
+            ("found_turn_rad", self.found_turn_rad, 1e-3, 3.2),
             ("agreement_m", self.agreement_m, 0.01, 10.0),
             ("agreement_rad", self.agreement_rad, 0.01, 3.2),
         ]
