@@ -258,7 +258,7 @@ async fn bad_odometry_is_refused() {
             "millimetres from the Earth's centre",
             |frame| frame.odometry = Some(at(6.4e9)),
             Code::InvalidArgument,
-            "6400000000 m from the origin of its frame; send metres",
+            "6.4e9 m from the origin of its frame; send metres",
         ),
         bad(
             "beyond all numbers",

@@ -30,8 +30,8 @@ pub enum OdometryError {
     },
     /// The position is in no unit that a robot drives in.
     #[error(
-        "the odometry's position is {value} m from the origin of its frame; send metres in a frame that begins near the \
-         robot, at most {max} m from it", max = Odometry::MAX_POSITION_M
+        "the odometry's position is {value:e} m from the origin of its frame; send metres in a frame that begins near the \
+         robot, at most {max:e} m from it", max = Odometry::MAX_POSITION_M
     )]
     TooFar {
         /// The coordinate given.
@@ -39,7 +39,7 @@ pub enum OdometryError {
     },
     /// A variance that says nothing.
     #[error(
-        "the odometry's covariance has the value {value}; send m² and rad² up to {max}, or leave it out if it is not \
+        "the odometry's covariance has the value {value:e}; send m² and rad² up to {max:e}, or leave it out if it is not \
          known", max = Odometry::MAX_VARIANCE
     )]
     TooUnsure {

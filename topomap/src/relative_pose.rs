@@ -36,7 +36,7 @@ pub enum RelativePoseError {
         norm: f64,
     },
     /// A number beyond all that robots measure.
-    #[error("a relative pose has the number {value}; send metres, m² and rad²")]
+    #[error("a relative pose has the number {value:e}; send metres, m² and rad²")]
     TooLarge {
         /// The number.
         value: f64,

@@ -176,7 +176,7 @@ pub(super) async fn bad_frames(ground: &Ground) -> Cases {
             "negative eigenvalue",
         ),
         ("a jump", Box::new(|f| f.odometry = Some(at(1e6))), invalid, "jumped 1000000.0 m"),
-        ("a jump beyond all numbers", Box::new(|f| f.odometry = Some(at(-f64::MAX))), invalid, "jumped"),
+        ("a jump beyond all numbers", Box::new(|f| f.odometry = Some(at(-f64::MAX))), invalid, "send metres"),
     ];
     for (case, spoil, code, fragment) in cases {
         let mut bad = good(robot.next);
