@@ -246,6 +246,14 @@ async fn people_send_and_stop_a_robot_that_is_led() {
         (Some("arrived"), Some(goal.into())),
         "{led}"
     );
+    // What it was told of one goal is nothing of the next.
+    let name = "maps/taught/navigations/robot";
+    assert_eq!(
+        client.navigation(name).await.unwrap().guidance.unwrap().status(),
+        v1::NavigationStatus::Arrived
+    );
+    let sent = client.set_goal(name, to_place(goal)).await.unwrap();
+    assert_eq!((sent.guidance, sent.goal), (None, Some(to_place(goal))));
     let stopped = waypost.json(&["navigate", "taught", "robot", "--cancel"]);
     assert!(stopped["goal_place"].is_null(), "{stopped}");
 }

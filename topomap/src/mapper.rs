@@ -206,10 +206,10 @@ impl Mapper {
         }
         self.check_words(&input.observation)?;
         if let (Some((then_ns, before)), Some(now)) = (&session.last_odometry, &input.odometry) {
-            let distance_m = now.distance_m(before);
             let elapsed_s = (input.stamp_ns.saturating_sub(*then_ns)) as f64 * 1e-9;
             let max_speed_m_per_s = self.settings.max_speed_m_per_s;
-            if distance_m > JUMP_SLACK_M + max_speed_m_per_s * elapsed_s {
+            if now.has_jumped(before, elapsed_s, max_speed_m_per_s) {
+                let distance_m = now.distance_m(before);
                 return Err(FrameError::OdometryJump { distance_m, elapsed_s, max_speed_m_per_s });
             }
         }
@@ -447,6 +447,3 @@ const MAX_COMPARED_FRAMES: usize = 32;
 
 /// Frames at one place without a turn of the wheels that say nothing against them.
 const STANDING_FRAMES: u64 = 30;
-
-/// Distance that odometry may move in no time: stamps and poses are never quite of one instant.
-const JUMP_SLACK_M: f64 = 1.0;

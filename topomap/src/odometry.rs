@@ -54,6 +54,9 @@ pub enum OdometryError {
     NotACovariance,
 }
 
+/// Distance that odometry may move in no time: stamps and poses are never quite of one instant.
+const JUMP_SLACK_M: f64 = 1.0;
+
 impl Odometry {
     /// Farthest that a coordinate may lie from the frame's origin, in metres: beyond any place on Earth. What is measured
     /// from one odometry to the next is then finite, however often it is added up.
@@ -132,6 +135,12 @@ impl Odometry {
     #[must_use]
     pub fn distance_m(&self, other: &Odometry) -> f64 {
         (self.pose.translation.vector - other.pose.translation.vector).norm()
+    }
+
+    /// Whether it lies further from an earlier one, in metres, than a robot of that speed comes in that time.
+    #[must_use]
+    pub fn has_jumped(&self, before: &Odometry, elapsed_s: f64, max_speed_m_per_s: f64) -> bool {
+        self.distance_m(before) > JUMP_SLACK_M + max_speed_m_per_s * elapsed_s
     }
 
     /// Appends the byte form; the bits of every number are kept.

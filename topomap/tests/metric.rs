@@ -160,8 +160,19 @@ impl Robot {
 
     /// The robot measures where it was at a frame, seen from an earlier one; wrong by `wrong`.
     fn measure(&mut self, later: FrameId, earlier: FrameId, wrong: &PlanarPose) -> Result<(), MeasureError> {
+        self.measure_within(0.01, later, earlier, wrong)
+    }
+
+    /// The same, known to within `sigma`, in metres and radians.
+    fn measure_within(
+        &mut self,
+        sigma: f64,
+        later: FrameId,
+        earlier: FrameId,
+        wrong: &PlanarPose,
+    ) -> Result<(), MeasureError> {
         let pose = self.truth[earlier as usize].inverse().compose(&self.truth[later as usize]).compose(wrong);
-        let pose = RelativePose::new(pose, Matrix3::identity() * 1e-4).unwrap();
+        let pose = RelativePose::new(pose, Matrix3::identity() * (sigma * sigma)).unwrap();
         let before = self.log[..later as usize].iter().rev().find_map(|event| match event {
             MapEvent::Frame(event) if event.session == self.event(later).session => Some(event.as_ref()),
             MapEvent::Frame(_) | MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
@@ -476,6 +487,12 @@ fn what_a_robot_measures_is_used() {
     assert_eq!((event.decision.reason, closure.frame), (Reason::LoopClosure, first));
     assert!(apart_m(&robot.on_the_map(), &robot.pose) > 0.14, "{:?}", robot.on_the_map());
 
+    // One that is worse than the closure leaves the robot where the closure put it.
+    let closed = robot.on_the_map();
+    robot.measure_within(20.0, event.frame, first, &PlanarPose::new(8.0, 0.0, 0.0)).unwrap();
+    assert!(apart_m(&robot.on_the_map(), &closed) < 0.02, "{:?}", robot.on_the_map());
+    let links = links + 1;
+
     robot.measure(event.frame, first, &PlanarPose::identity()).unwrap();
     assert!(apart_m(&robot.on_the_map(), &robot.pose) < 1e-9, "{:?}", robot.on_the_map());
     assert_eq!(robot.mapper.map().links().len(), links + 1);
@@ -542,6 +559,11 @@ fn measurements_that_nothing_follows_from_are_refused() {
     ] {
         assert_eq!(robot.measure(later, earlier, &right), Err(error), "{later} from {earlier}");
     }
+    robot.go(0.8, 0.0);
+    robot.see();
+    let stays = robot.see().frame;
+    let unsure = robot.measure_within(3.0, stays, stays - 1, &right);
+    assert!(matches!(unsure, Err(MeasureError::TooUnsure { spacing_m: 0.5, .. })), "{unsure:?}");
     robot.go(0.8, 0.0);
     let last = robot.see().frame;
     assert_eq!(robot.measure(last, blind, &right), Err(MeasureError::NoMetres { which: "earlier" }));

@@ -137,7 +137,7 @@ pub(super) struct Navigation {
     name: String,
     /// Whether the robot has a stream open.
     connected: bool,
-    /// What it was told last; null before its first wheel report.
+    /// What it was told last; null before its first wheel report since it has its goal.
     #[schema(required)]
     guidance: Option<Guidance>,
     #[schema(required)]

@@ -28,10 +28,6 @@ use crate::error::ServiceError;
 use crate::extraction::{LoadedModel, Observed};
 use crate::storage::MapId;
 
-/// How fast wheels may be between two reports, and what their stamps may be wrong by.
-const MAX_SPEED_M_PER_S: f64 = 100.0;
-const JUMP_SLACK_M: f64 = 1.0;
-
 /// What a way costs that is driven the other way round, in times its length.
 const AGAINST_THE_WAY_FACTOR: f64 = 4.0;
 
@@ -105,6 +101,8 @@ pub(crate) struct Navigation {
     model: Arc<LoadedModel>,
     intrinsics: Intrinsics,
     settings: NavigationSettings,
+    /// Of the map: odometry that is faster has jumped.
+    max_speed_m_per_s: f64,
     /// The navigator's clock begins here.
     since: Instant,
     /// One frame is looked at after the other.
@@ -180,8 +178,11 @@ impl Service {
             name => check_id("navigation name", name)?.to_owned(),
         };
         let (stream, taken_over) = (self.new_stream(), CancellationToken::new());
-        let fresh =
-            || Navigation::new((row.id, &map, &navigation), run.clone(), model.clone(), intrinsics, settings);
+        let fresh = || {
+            let (named, driven) =
+                ((row.id, map.as_str(), navigation.as_str()), (settings, mapper.max_speed_m_per_s));
+            Navigation::new(named, run.clone(), model.clone(), intrinsics, driven)
+        };
         let opened = self.navigations.open((row.id, &navigation), &run, (&room, &taken_over), fresh)?;
         let stream = NavigationStream {
             service: self.clone(),
@@ -287,7 +288,7 @@ impl Navigation {
         run: String,
         model: Arc<LoadedModel>,
         intrinsics: Intrinsics,
-        settings: NavigationSettings,
+        (settings, max_speed_m_per_s): (NavigationSettings, f64),
     ) -> Result<Self, ServiceError> {
         let navigator = Navigator::new(settings).map_err(ServiceError::invalid)?;
         Ok(Self {
@@ -298,6 +299,7 @@ impl Navigation {
             model,
             intrinsics,
             settings,
+            max_speed_m_per_s,
             since: Instant::now(),
             lookout: tokio::sync::Mutex::new(Lookout::new()),
             state: Mutex::new(State {
@@ -324,12 +326,15 @@ impl Navigation {
         let mut state = self.state();
         state.navigator.go_to(goal);
         (state.goal, state.route, state.goal_refusal) = (Some(goal), None, None);
+        // Of the goal before: whoever waits for the arrival must not take it for that at this one.
+        state.guidance = None;
     }
 
     fn stop(&self) {
         let mut state = self.state();
         state.navigator.cancel();
         (state.goal, state.route, state.goal_refusal) = (None, None, None);
+        state.guidance = None;
     }
 
     /// Has a way planned if the robot waits for one. It stands meanwhile.
@@ -400,8 +405,8 @@ impl Navigation {
             )));
         }
         let elapsed_s = (report.stamp_ns - last_ns) as f64 * 1e-9;
-        let distance_m = report.odometry.distance_m(before);
-        if distance_m > JUMP_SLACK_M + MAX_SPEED_M_PER_S * elapsed_s {
+        if report.odometry.has_jumped(before, elapsed_s, self.max_speed_m_per_s) {
+            let distance_m = report.odometry.distance_m(before);
             return Err(ServiceError::invalid(format_args!(
                 "the odometry jumped {distance_m:.1} m in {elapsed_s:.3} s; if the odom frame was reset, open a new \
                  navigation; if not, check units (metres, nanoseconds)"

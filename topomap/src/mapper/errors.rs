@@ -73,7 +73,7 @@ pub enum FrameError {
 }
 
 /// Why what a robot measured by itself was not taken. Nothing has changed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum MeasureError {
     /// The frames are one, or the wrong way round.
     #[error("the earlier frame did not come in before the other; name the frame first that came in last")]
@@ -92,6 +92,17 @@ pub enum MeasureError {
         "both frames are of one place and the robot has driven on since; send what it measures before its next frame"
     )]
     TooLate,
+    /// The robot is known better already.
+    #[error(
+        "the measurement's position is known to {sigma_m:.2} m alone, and the robot is at a place of {spacing_m} m already; \
+         leave it out, or send the covariance of what is really known"
+    )]
+    TooUnsure {
+        /// Standard deviation of the position in the place's frame, in metres.
+        sigma_m: f64,
+        /// The map's place spacing, in metres.
+        spacing_m: f64,
+    },
 }
 
 /// An earlier frame could not be read back.

@@ -54,9 +54,14 @@ impl Mapper {
             .map
             .session(later.session)
             .is_some_and(|session| session.last_sequence == Some(later.sequence));
-        let goes_on_from = (is_last && at_place == place).then(|| odometry.clone());
-        if link.is_none() && goes_on_from.is_none() {
-            return Err(MeasureError::TooLate);
+        let is_there = is_last && at_place == place;
+        // As of frames: wheels go on from where the robot surely was.
+        let (sigma_m, spacing_m) = (at.position_sigma_m(), self.settings.place_spacing.distance_m);
+        let goes_on_from = (is_there && sigma_m <= spacing_m).then(|| odometry.clone());
+        match (link, &goes_on_from) {
+            (None, None) if is_there => return Err(MeasureError::TooUnsure { sigma_m, spacing_m }),
+            (None, None) => return Err(MeasureError::TooLate),
+            (Some(_), _) | (None, Some(_)) => {}
         }
         Ok(MeasuredEvent {
             position: self.map.events(),

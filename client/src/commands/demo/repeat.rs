@@ -23,7 +23,7 @@ const SESSION: &str = "teaching";
 const ROBOT: &str = "robot";
 const TEACHING_SPEED_M_S: f64 = 0.4;
 const SPEED_M_S: f64 = 0.5;
-/// For a way of half a minute's drive a minute.
+/// The way takes a minute.
 const PATIENCE: Duration = Duration::from_secs(150);
 
 /// What `--json` prints of it.
