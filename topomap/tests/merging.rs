@@ -1,40 +1,23 @@
 //! Maps of the same places become one, others stay apart; and what both have seen is learnt once.
 #![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
 
-use std::f64::consts::{FRAC_PI_2, TAU};
-use std::ops::ControlFlow;
+mod building;
 
+use building::{
+    Between, Robot, WORDS, ahead, apart_m, first, judged, matches, model, model_of, plan, second, seen,
+    unique,
+};
 use fabmap::appearance::{Appearance, PlaceId};
-use fabmap::chow_liu::{ChowLiuTree, TreeTrainingSettings};
-use fabmap::descriptor::{DescriptorKind, Descriptors};
-use fabmap::detector::DetectorModel;
-use fabmap::model::Model;
-use fabmap::observation::Observation;
-use fabmap::vocabulary::{Vocabulary, VocabularySettings};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use topomap::event::{FrameEvent, FrameId, MapEvent, Reason};
-use topomap::mapper::{ArchiveError, FrameArchive, FrameInput, Mapper, MapperSettings};
+use topomap::event::{MapEvent, Reason};
+use topomap::mapper::{Mapper, MapperSettings};
 use topomap::merging::{
-    Apart, KnownMap, Layout, MergeError, MergeObserver, MergePlan, MergeSettings, PlaceMatch, Verdict,
-    ViewsBetween, find_matches, join, judge,
+    Apart, MergeError, MergeObserver, MergeSettings, PlaceMatch, Verdict, find_matches, join,
 };
-use topomap::odometry::Odometry;
 use topomap::relative_pose::RelativePose;
 use topomap::relaxation::{PlanarPose, Pose};
-use topomap::verification::{Motion, Similarity, TwoView, Views};
-
-const WORDS: u32 = 1000;
-const FOCAL_LENGTH_WIDTHS: f64 = 0.8;
-
-/// What stands where: a pose of the building to one that looks the same.
-type Looks = fn(&PlanarPose) -> PlanarPose;
-
-/// A building in which nothing looks like anything else.
-fn unique(pose: &PlanarPose) -> PlanarPose {
-    *pose
-}
 
 /// Another one.
 fn elsewhere(pose: &PlanarPose) -> PlanarPose {
@@ -46,223 +29,11 @@ fn repeated(pose: &PlanarPose) -> PlanarPose {
     PlanarPose::new(pose.x_m().rem_euclid(10.0), pose.y_m(), pose.heading_rad())
 }
 
-/// A map, and where the robots that made it truly were.
-#[derive(Clone)]
-struct Robot {
-    mapper: Mapper,
-    log: Vec<MapEvent>,
-    /// Of each event's frame, in the building; anything for openings.
-    truth: Vec<PlanarPose>,
-    looks: Looks,
-    pose: PlanarPose,
-    odometry: PlanarPose,
-    /// Share of each distance, and radians a metre, that wheels are wrong by.
-    bias: [f64; 2],
-    sequence: u64,
-}
-
-fn seen(looks: Looks, earlier: &PlanarPose, current: &PlanarPose) -> TwoView {
-    let apart = looks(earlier).inverse().compose(&looks(current));
-    let near = apart.x_m().hypot(apart.y_m()) < 0.6 && apart.heading_rad().abs() < 0.4;
-    let shift = FOCAL_LENGTH_WIDTHS * apart.heading_rad().tan();
-    let motion =
-        Similarity { rotation_rad: 0.0, ln_scale: 0.05 * apart.x_m(), translation_widths: [shift, 0.0] };
-    let inliers = if near { 120 } else { 3 };
-    let motion = near.then_some(Motion::Similarity(motion));
-    TwoView { matches: 500, inliers, distinct_inliers: inliers, motion }
-}
-
-impl Views for Robot {
-    fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
-        Ok(Some(seen(self.looks, &self.truth[earlier as usize], &self.pose)))
-    }
-
-    fn focal_length_widths(&self) -> Option<f64> {
-        Some(FOCAL_LENGTH_WIDTHS)
-    }
-}
-
-/// Frames of two maps; buildings look as the source's does.
-struct Between<'a>(&'a Robot, &'a Robot);
-
-impl ViewsBetween for Between<'_> {
-    fn compare(&self, source: FrameId, target: FrameId) -> Result<Option<TwoView>, ArchiveError> {
-        let (looks, other) = (self.0.looks, self.1.looks);
-        let current = looks(&self.0.truth[source as usize]);
-        let earlier = other(&self.1.truth[target as usize]);
-        Ok(Some(seen(unique, &earlier, &current)))
-    }
-
-    fn focal_length_widths(&self, _source: FrameId) -> Option<f64> {
-        Some(FOCAL_LENGTH_WIDTHS)
-    }
-}
-
-impl FrameArchive for Robot {
-    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
-        Ok(Some(self.event(frame).observation.clone()))
-    }
-
-    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
-        Ok(self.event(frame).at)
-    }
-}
-
 impl Robot {
-    fn new(looks: Looks, pose: PlanarPose, bias: [f64; 2]) -> Self {
-        let mut mapper = Mapper::new(&model(), MapperSettings::default()).unwrap();
-        let opened = MapEvent::SessionOpened { session: 0 };
-        mapper.apply(&opened).unwrap();
-        let (log, truth) = (vec![opened], vec![pose]);
-        Self { mapper, log, truth, looks, pose, odometry: PlanarPose::new(3.0, -7.0, 1.0), bias, sequence: 0 }
-    }
-
-    fn event(&self, frame: FrameId) -> &FrameEvent {
-        match &self.log[frame as usize] {
-            MapEvent::Frame(event) => event,
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => panic!("{frame} is no frame"),
-        }
-    }
-
-    fn go(&mut self, distance_m: f64, turn_rad: f64) {
-        self.pose = self.pose.compose(&PlanarPose::new(distance_m, 0.0, turn_rad));
-        let [share, drift] = self.bias;
-        let felt = PlanarPose::new(distance_m * (1.0 + share), 0.0, turn_rad + drift * distance_m);
-        self.odometry = self.odometry.compose(&felt);
-        self.see();
-    }
-
-    fn see(&mut self) {
-        self.sequence += 1;
-        let ground = self.odometry.on_the_ground();
-        let (position, rotation) = (ground.translation, ground.rotation.coords);
-        let orientation = [rotation.x, rotation.y, rotation.z, rotation.w];
-        let input = FrameInput {
-            session: 0,
-            sequence: self.sequence,
-            stamp_ns: self.sequence as i64 * 1_000_000_000,
-            odometry: Some(Odometry::new([position.x, position.y, 0.0], orientation, None).unwrap()),
-            observation: view(&(self.looks)(&self.pose), self.sequence),
-        };
-        let event = self.mapper.decide(input, self, self, &mut ()).unwrap().event;
-        let event = MapEvent::Frame(Box::new(event));
-        self.mapper.apply(&event).unwrap();
-        self.log.push(event);
-        self.truth.push(self.pose);
-    }
-
-    fn known(&self) -> KnownMap<'_> {
-        KnownMap { mapper: &self.mapper, archive: self }
-    }
-
-    fn layout(&self) -> Layout<'_> {
-        let settings = self.mapper.settings();
-        Layout { poses: self.mapper.poses(), noise: settings.odometry_noise, spacing: settings.place_spacing }
-    }
-
     /// Where the frame that made a place truly was.
     fn made_at(&self, place: PlaceId) -> PlanarPose {
         self.truth[self.mapper.map().places()[place as usize].frames[0].frame as usize]
     }
-
-    /// The target after the source has joined it.
-    fn joined_by(&self, source: &Robot, plan: &MergePlan) -> Robot {
-        let mut joined = self.clone();
-        for event in join((&source.mapper, &self.mapper), plan, &source.log).unwrap() {
-            let stored = MapEvent::from_bytes(&event.to_bytes(), WORDS as usize).unwrap();
-            assert_eq!(stored, event);
-            joined.mapper.fold(&stored).unwrap();
-            joined.log.push(stored);
-        }
-        joined.mapper.relax();
-        joined.truth.extend(&source.truth);
-        joined
-    }
-}
-
-/// What is seen from a cell of 0.4 m and 30 degrees, and of its neighbours.
-fn view(pose: &PlanarPose, noise: u64) -> Observation {
-    let mut noise = ChaCha8Rng::seed_from_u64(noise);
-    let cell = |value: f64, side: f64| (value / side).round() as i64;
-    let sector = cell(pose.heading_rad(), TAU / 12.0).rem_euclid(12);
-    let seed = (cell(pose.x_m(), 0.4) * 1_000 + cell(pose.y_m(), 0.4)) * 100 + sector;
-    let mut own = ChaCha8Rng::seed_from_u64(seed as u64);
-    let mut words: Vec<u32> = (0..40).map(|_| own.random_range(0..WORDS)).collect();
-    words.retain(|_| noise.random_bool(0.85));
-    words.extend((0..5).map(|_| noise.random_range(0..WORDS)));
-    Observation::from_words(words, WORDS as usize).unwrap()
-}
-
-fn model_of(words: u32) -> Model {
-    let mut random = ChaCha8Rng::seed_from_u64(7);
-    let rows: Vec<u8> = (0..words as usize * 32).map(|_| random.random()).collect();
-    let descriptors = Descriptors::new(DescriptorKind::Binary, 32, rows).unwrap();
-    let settings = VocabularySettings { words, seed: 1, iterations: 1 };
-    let vocabulary = Vocabulary::train(&descriptors, &settings, &mut |_| ControlFlow::Continue(())).unwrap();
-    let image = |seed: u64| {
-        let mut random = ChaCha8Rng::seed_from_u64(seed);
-        let seen: Vec<u32> = (0..40).map(|_| random.random_range(0..words)).collect();
-        Observation::from_words(seen, words as usize).unwrap()
-    };
-    let training: Vec<Observation> = (0..200).map(image).collect();
-    let tree = ChowLiuTree::train(&training, words as usize, TreeTrainingSettings::default(), &mut |_| {
-        ControlFlow::Continue(())
-    });
-    Model::new("test".to_owned(), vocabulary, tree.unwrap(), DetectorModel::default(), training).unwrap()
-}
-
-fn model() -> Model {
-    model_of(WORDS)
-}
-
-const STEP_M: f64 = 0.6;
-
-fn ahead(robot: &mut Robot, steps: usize) {
-    (0..steps).for_each(|_| robot.go(STEP_M, 0.0));
-}
-
-fn turn_left(robot: &mut Robot) {
-    (0..6).for_each(|_| robot.go(0.0, FRAC_PI_2 / 6.0));
-}
-
-/// Along a corridor of 18 m, and on round its corner.
-fn first(looks: Looks) -> Robot {
-    let mut robot = Robot::new(looks, PlanarPose::new(0.1, 0.0, 0.0), [0.01, 0.003]);
-    ahead(&mut robot, 30);
-    turn_left(&mut robot);
-    ahead(&mut robot, 10);
-    robot
-}
-
-/// Out of a side corridor, along the last half of it, round the corner and further.
-fn second(looks: Looks) -> Robot {
-    let mut robot = Robot::new(looks, PlanarPose::new(9.2, 6.0, -FRAC_PI_2), [-0.01, -0.003]);
-    ahead(&mut robot, 10);
-    turn_left(&mut robot);
-    ahead(&mut robot, 15);
-    turn_left(&mut robot);
-    ahead(&mut robot, 16);
-    robot
-}
-
-fn matches(source: &Robot, target: &Robot) -> Vec<PlaceMatch> {
-    let settings = MergeSettings::default();
-    find_matches(source.known(), target.known(), &Between(source, target), &settings, &()).unwrap()
-}
-
-fn judged(source: &Robot, target: &Robot, matches: &[PlaceMatch]) -> Verdict {
-    judge(source.layout(), target.layout(), matches, &MergeSettings::default())
-}
-
-fn plan(source: &Robot, target: &Robot) -> MergePlan {
-    match judged(source, target, &matches(source, target)) {
-        Verdict::Overlap(plan) => plan,
-        Verdict::Apart(apart) => panic!("{apart}"),
-    }
-}
-
-fn apart_m(a: &PlanarPose, b: &PlanarPose) -> f64 {
-    (a.x_m() - b.x_m()).hypot(a.y_m() - b.y_m())
 }
 
 #[test]

@@ -11,6 +11,7 @@ use crate::event::{
 };
 use crate::mapper::Mapper;
 use crate::place_poses::PlacePoses;
+use crate::rebased::Rebased;
 use crate::relative_pose::{OdometryNoise, RelativePose};
 use crate::verification::{Candidate, VerificationSettings};
 use crate::wheel_drift::without_drift;
@@ -49,20 +50,13 @@ pub fn join<'a>(
     (0..).zip(log).map(told).collect()
 }
 
-/// Where a place of the source is on the target.
-#[derive(Clone, Copy, Debug)]
-struct Joined {
-    place: PlaceId,
-    /// The source's place in the frame of the target's; `None` if it is that place.
-    at: Option<RelativePose>,
-}
-
 struct Joining<'a> {
     of_source: &'a PlacePoses,
     /// By places of the source: the match that each is fused by.
     fused: HashMap<PlaceId, &'a FusedPlace>,
     noise: OdometryNoise,
-    places: Vec<Joined>,
+    /// What places of the source are on the target.
+    places: Vec<Rebased>,
     frames: BTreeMap<FrameId, FrameId>,
     sessions: BTreeMap<SessionId, SessionId>,
     next_event: u64,
@@ -113,7 +107,7 @@ impl<'a> Joining<'a> {
         let link = event.link.and_then(|link| {
             let (from, to) = (self.places.get(link.from as usize)?, self.places.get(link.to as usize)?);
             let LinkKind::Closed(measured) = link.kind else { return None };
-            let kind = LinkKind::Closed(between(from, to, &measured));
+            let kind = LinkKind::Closed(from.way_to(to, &measured));
             (from.place != to.place).then_some(Link { from: from.place, to: to.place, kind })
         });
         Some(MeasuredEvent {
@@ -122,7 +116,7 @@ impl<'a> Joining<'a> {
             frame: *self.frames.get(&event.frame)?,
             earlier: *self.frames.get(&event.earlier)?,
             place: joined.place,
-            at: joined.at.map_or(event.at, |of_place| of_place.then(&event.at)),
+            at: joined.seen(&event.at),
             link,
             goes_on_from: event.goes_on_from.clone(),
         })
@@ -136,10 +130,7 @@ impl<'a> Joining<'a> {
             .collect::<Option<_>>()?;
         let decision = self.decision(&event.decision, &mut candidates)?;
         let joined = event.decision.place.map(|place| self.places[place as usize]);
-        let at = match (event.at, joined.and_then(|joined| joined.at)) {
-            (Some(at), Some(of_place)) => Some(of_place.then(&at)),
-            (at, _) => at,
-        };
+        let at = event.at.map(|at| joined.map_or(at, |joined| joined.seen(&at)));
         Some(FrameEvent {
             frame,
             session: *self.sessions.get(&event.session)?,
@@ -178,11 +169,11 @@ impl<'a> Joining<'a> {
             return None;
         }
         let Some(&FusedPlace { matched, at }) = self.fused.get(&place).copied() else {
-            self.places.push(Joined { place: self.next_place, at: None });
+            self.places.push(Rebased { place: self.next_place, at: None });
             self.next_place += 1;
             return Some(Decision { place: Some(self.next_place - 1), closure, ..*decision });
         };
-        self.places.push(Joined { place: matched.target, at: Some(at) });
+        self.places.push(Rebased { place: matched.target, at: Some(at) });
         let log_odds = (matched.posterior / (1.0 - matched.posterior).max(f64::MIN_POSITIVE)).ln();
         let PlaceMatch { target: place, target_frame: frame, posterior, view, .. } = matched;
         let closure = Match { place, posterior, log_odds: log_odds.max(f64::MIN), frame };
@@ -209,15 +200,15 @@ impl<'a> Joining<'a> {
             let pose = without_drift(measured.pose(), drift_rad_per_m);
             let measured = RelativePose::new(pose, *measured.covariance()).unwrap_or(*measured);
             match to.at {
-                None => LinkKind::Driven(between(from, to, &measured)),
-                Some(_) => LinkKind::Closed(between(from, to, &measured)),
+                None => LinkKind::Driven(from.way_to(to, &measured)),
+                Some(_) => LinkKind::Closed(from.way_to(to, &measured)),
             }
         };
         let kind = match &link.kind {
             LinkKind::Session => LinkKind::Session,
             LinkKind::Odometry(relative) => driven(&self.noise.from_above(relative)),
             LinkKind::Driven(measured) => driven(measured),
-            LinkKind::Closed(measured) => LinkKind::Closed(between(from, to, measured)),
+            LinkKind::Closed(measured) => LinkKind::Closed(from.way_to(to, measured)),
         };
         Some(Some(Link { from: from.place, to: to.place, kind }))
     }
@@ -230,10 +221,4 @@ impl<'a> Joining<'a> {
         }
         Some(Belief { places: places.into_iter().collect(), ..*belief })
     }
-}
-
-/// A way between places of the source, as one between those of the target that they became.
-fn between(from: &Joined, to: &Joined, measured: &RelativePose) -> RelativePose {
-    let ahead = from.at.map_or(*measured, |at| at.then(measured));
-    to.at.map_or(ahead, |at| ahead.then(&at.back()))
 }
