@@ -30,7 +30,7 @@ const KEEP_ALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 /// An image, and 64 KiB for all else.
 const MAX_REQUEST_BYTES: usize = MAX_IMAGE_BYTES + (64 << 10);
 /// A page of places is the longest answer: 100 places with 100 frames each, about 2 MiB.
-const MAX_ANSWER_BYTES: usize = 16 << 20;
+pub(crate) const MAX_ANSWER_BYTES: usize = 16 << 20;
 pub(crate) const PAGE_SIZE: u32 = 100;
 const CHUNK_BYTES: usize = 1 << 20;
 
@@ -427,6 +427,10 @@ impl Client {
 
     fn jobs_client(&self) -> JobServiceClient<Transport> {
         JobServiceClient::new(self.transport.clone())
+    }
+
+    pub(crate) fn transport(&self) -> Transport {
+        self.transport.clone()
     }
 
     pub(crate) fn maps_client(&self) -> MapServiceClient<Transport> {

@@ -4,6 +4,7 @@ pub(crate) mod demo;
 pub(crate) mod explain;
 pub(crate) mod job;
 pub(crate) mod map;
+pub(crate) mod merge;
 pub(crate) mod model;
 pub(crate) mod navigate;
 pub(crate) mod query;

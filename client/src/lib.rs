@@ -43,6 +43,7 @@ mod client;
 mod error;
 mod link_end;
 mod looks;
+mod merges;
 mod navigation;
 mod options;
 mod session;

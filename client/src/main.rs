@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use commands::{demo, explain, job, map, model, navigate, query, session, stream, token};
+use commands::{demo, explain, job, map, merge, model, navigate, query, session, stream, token};
 use failure::{EXIT_CODES, Failure};
 use output::Output;
 use waypost_client::ClientOptions;
@@ -95,13 +95,16 @@ enum Command {
     /// Train, list, show, copy and delete models
     #[command(subcommand, after_help = EXIT_CODES)]
     Model(model::Command),
-    /// Look after work at the server that takes long: trainings and imports of maps
+    /// Look after work at the server that takes long: trainings, imports and merges of maps
     #[command(subcommand, after_help = EXIT_CODES)]
     Job(job::Command),
     /// Create, list, show, copy and delete maps
     #[command(subcommand, after_help = EXIT_CODES)]
     Map(map::Command),
-    /// List the sessions of a map, and what was decided about their frames
+    /// Look at, commit, discard and undo merges of maps; `waypost map merge` asks for one
+    #[command(subcommand, after_help = EXIT_CODES)]
+    Merge(merge::Command),
+    /// List and remove the sessions of a map, and see what was decided about their frames
     #[command(subcommand, after_help = EXIT_CODES)]
     Session(session::Command),
     /// Create, list and delete tokens
@@ -148,6 +151,7 @@ async fn run(Arguments { globals, command }: Arguments) -> Result<(), Failure> {
         Command::Model(command) => model::run(command, &server, output).await,
         Command::Job(command) => job::run(command, &server, output).await,
         Command::Map(command) => map::run(command, &server, output).await,
+        Command::Merge(command) => merge::run(command, &server, output).await,
         Command::Session(command) => session::run(command, &server, output).await,
         Command::Query(arguments) => query::run(arguments, &server, output).await,
         Command::Explain(arguments) => explain::run(arguments, &server, output).await,

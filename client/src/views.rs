@@ -60,6 +60,8 @@ impl From<v1::Job> for JobView {
             v1::job::Kind::Unspecified => "unspecified",
             v1::job::Kind::TrainModel => "train_model",
             v1::job::Kind::ImportMap => "import_map",
+            v1::job::Kind::MergeMaps => "merge_maps",
+            v1::job::Kind::RemoveSessions => "remove_sessions",
         };
         let v1::Job {
             name,

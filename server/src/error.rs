@@ -157,6 +157,7 @@ impl From<StorageError> for ServiceError {
             StorageError::Exists
             | StorageError::InUse
             | StorageError::JobEnded
+            | StorageError::Retold
             | StorageError::Directory { .. }
             | StorageError::Locked { .. }
             | StorageError::Newer { .. }

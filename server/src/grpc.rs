@@ -5,6 +5,7 @@ mod convert;
 mod frames;
 mod jobs;
 mod maps;
+mod merges;
 mod models;
 mod navigation;
 mod requests;
@@ -21,6 +22,7 @@ use tonic::{Status, Streaming};
 use waypost_proto::FILE_DESCRIPTOR_SET;
 use waypost_proto::v1::job_service_server::JobServiceServer;
 use waypost_proto::v1::map_service_server::MapServiceServer;
+use waypost_proto::v1::merge_service_server::MergeServiceServer;
 use waypost_proto::v1::model_service_server::ModelServiceServer;
 use waypost_proto::v1::navigation_service_server::NavigationServiceServer;
 use waypost_proto::v1::session_service_server::SessionServiceServer;
@@ -101,6 +103,7 @@ pub(crate) async fn serve(
         .add_service(limited!(ModelServiceServer::new(adapter())))
         .add_service(limited!(JobServiceServer::new(adapter())))
         .add_service(limited!(MapServiceServer::new(adapter())))
+        .add_service(limited!(MergeServiceServer::new(adapter())))
         .add_service(limited!(SessionServiceServer::new(adapter())))
         .add_service(limited!(NavigationServiceServer::new(adapter())))
         .add_service(limited!(TokenServiceServer::new(adapter())))

@@ -1,4 +1,4 @@
-//! REST, for people: what the maps hold, and where robots are to go. It changes no map.
+//! REST, for people: what the maps hold, where robots are to go, and which maps are to be one.
 
 mod access;
 mod description;
@@ -8,6 +8,7 @@ mod frames;
 mod geometry;
 mod jobs;
 mod maps;
+mod merges;
 mod models;
 mod navigations;
 mod pages;
@@ -143,6 +144,10 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(navigations::get_navigation))
         .routes(routes!(navigations::set_goal, navigations::cancel_goal))
         .routes(routes!(navigations::plan_route))
+        .routes(routes!(merges::list_merges, merges::merge_maps))
+        .routes(routes!(merges::get_merge))
+        .routes(routes!(merges::get_merge_picture))
+        .routes(routes!(merges::decide_merge))
         .routes(routes!(models::list_models))
         .routes(routes!(models::get_model))
         .routes(routes!(jobs::list_jobs))
@@ -177,7 +182,7 @@ fn nothing_here() -> HttpError {
 /// The router itself adds which methods are allowed.
 async fn wrong_method() -> Response {
     let message = "this route does not take that method: the header Allow says which it takes, and /docs what \
-                   each does; what changes a map goes over gRPC";
+                   each does; what else changes a map goes over gRPC";
     error_response(StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed", message.to_owned())
 }
 

@@ -9,6 +9,7 @@ pub(crate) mod map_settings;
 mod map_writer;
 pub(crate) mod maps;
 mod measurements;
+pub(crate) mod merges;
 pub(crate) mod models;
 pub(crate) mod names;
 pub(crate) mod navigations;
@@ -33,6 +34,7 @@ use crate::extraction::{Extraction, LoadedModel};
 use crate::metrics::{Levels, Metrics};
 use crate::service::jobs::Jobs;
 use crate::service::map_writer::OpenMaps;
+use crate::service::merges::Merges;
 use crate::service::navigations::Navigations;
 use crate::service::removal::Removals;
 use crate::service::snapshots::Snapshots;
@@ -51,6 +53,7 @@ pub(crate) struct Service {
     open_maps: OpenMaps,
     navigations: Navigations,
     jobs: Jobs,
+    merges: Merges,
     snapshots: Snapshots,
     removals: Removals,
     uploads: Arc<Semaphore>,
@@ -75,6 +78,7 @@ impl Service {
             open_maps: OpenMaps::default(),
             navigations: Navigations::default(),
             jobs: Jobs::default(),
+            merges: Merges::default(),
             snapshots: Snapshots::default(),
             removals: Removals::default(),
             uploads: Arc::new(Semaphore::new(models::MAX_UPLOADS)),
@@ -93,6 +97,7 @@ impl Service {
     /// What an earlier server left unfinished when it went down is settled before anyone asks.
     pub(crate) async fn settle(&self) -> Result<(), ServiceError> {
         self.settle_jobs().await?;
+        self.settle_merges().await?;
         Ok(self.storage.retire_imports().await?)
     }
 

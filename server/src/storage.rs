@@ -7,8 +7,10 @@ mod jobs;
 mod log;
 mod maps;
 mod media;
+mod merges;
 mod models;
 mod removal;
+mod retelling;
 mod snapshots;
 mod tokens;
 
@@ -17,10 +19,12 @@ pub(crate) use frames::{FrameRow, SessionSummary};
 pub(crate) use inspection::{Inspection, inspect};
 pub(crate) use jobs::{JobEnd, JobKind, JobRow, StoredJobState};
 pub(crate) use log::{ClosureRow, LogEntry, StoredFrame, reason_name};
-pub(crate) use maps::{MapCounts, MapId, MapRow, SessionRow};
+pub(crate) use maps::{MapCounts, MapEdition, MapId, MapRow, SessionRow};
 pub(crate) use media::{MapBytes, Medium, MediumKind, StoredFeatures};
+pub(crate) use merges::{JoinedLog, JoinedSession, MergeOutcome, MergeRow, MergeState};
 pub(crate) use models::ModelRow;
 pub(crate) use removal::Removal;
+pub(crate) use retelling::RetoldLog;
 pub(crate) use snapshots::{FormerModelRow, ImportedMap, MapView, MediaRow, StoredSession};
 pub(crate) use tokens::{SecretHash, TokenRow};
 
@@ -74,6 +78,8 @@ pub(crate) enum StorageError {
     InUse,
     #[error("the job has ended already")]
     JobEnded,
+    #[error("the log was told anew, or deleted, since it was read")]
+    Retold,
     #[error("the database holds what cannot be read: {0}; restore it from a copy")]
     Damaged(String),
     #[error("the database failed: {0}")]

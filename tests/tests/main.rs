@@ -22,6 +22,7 @@ mod licences;
 mod load;
 mod localize;
 mod mapping;
+mod merging;
 mod navigation;
 mod openapi;
 mod operations;

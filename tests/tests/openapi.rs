@@ -53,6 +53,17 @@ impl Call {
         Self { method, path, asked: asked.to_owned(), body }
     }
 
+    fn merge(body: &str) -> Self {
+        let (path, body) = ("/v1/merges".to_owned(), Some(("application/json", body.as_bytes().to_vec())));
+        Self { method: "post", asked: path.clone(), path, body }
+    }
+
+    fn decision(asked: &str, body: &str) -> Self {
+        let path = "/v1/merges/{merge}/decision".to_owned();
+        let body = Some(("application/json", body.as_bytes().to_vec()));
+        Self { method: "put", path, asked: asked.to_owned(), body }
+    }
+
     async fn answer(&self, server: &Server) -> Answer {
         let url = server.url(&self.asked);
         let method = self.method.to_uppercase().parse().unwrap();
@@ -67,7 +78,7 @@ impl Call {
 
 /// Questions to every route.
 fn good_calls(surveyed: &Surveyed) -> Vec<Call> {
-    let Surveyed { job, words_hash, .. } = surveyed;
+    let Surveyed { job, words_hash, merges: [proposed, apart], .. } = surveyed;
     let histogram =
         json!({ "words_hash": words_hash, "histogram": { "words": [0, 1, 2], "counts": [1, 1, 3] } });
     let list = json!({ "words_hash": words_hash, "words": {
@@ -138,6 +149,12 @@ fn good_calls(surveyed: &Surveyed) -> Vec<Call> {
             r#"{"position": {"part": 0, "x_m": 1, "y_m": -0.5}}"#,
         ),
         Call::goal("delete", "/v1/maps/drive/navigations/scout/goal", ""),
+        Call::get("/v1/merges", "/v1/merges"),
+        Call::get("/v1/merges/{merge}", format!("/v1/merges/{proposed}")),
+        Call::get("/v1/merges/{merge}", format!("/v1/merges/{apart}")),
+        Call::get("/v1/merges/{merge}/picture", format!("/v1/merges/{proposed}/picture")),
+        Call::decision(&format!("/v1/merges/{proposed}/decision"), r#"{"decision": "discard"}"#),
+        Call::merge(r#"{"sources": ["maps/empty"], "target": "maps/drive", "min_support": 7}"#),
         Call::get("/v1/models", "/v1/models"),
         Call::get("/v1/models/{model}", "/v1/models/shipped"),
         Call::get("/v1/jobs", "/v1/jobs"),
@@ -150,10 +167,28 @@ fn bad_calls(method: &'static str, path: &str) -> Vec<(StatusCode, Call)> {
     let nowhere = path.replace("{map}", "nowhere").replace("{session}", "none").replace("{word}", "0");
     let nowhere = nowhere.replace("{place}", "0").replace("{sequence}", "1").replace("{job}", "999999");
     let nowhere = nowhere.replace("{model}", "nothing").replace("{navigation}", "nobody");
+    let nowhere = nowhere.replace("{merge}", "999999");
     let body = ["post", "put"].contains(&method).then(|| ("application/json", b"{}".to_vec()));
     let asked = format!("{nowhere}?no_such_parameter=1");
     let mut calls = vec![(StatusCode::BAD_REQUEST, Call { method, path: path.to_owned(), asked, body })];
-    if method == "post" {
+    if method == "post" && path == "/v1/merges" {
+        for body in [
+            "",
+            "{}",
+            r#"{"sources": ["maps/drive"], "target": "maps/drive"}"#,
+            r#"{"sources": ["maps/drive"], "target": "drive", "min_support": 2}"#,
+            r#"{"sources": ["maps/drive"], "target": "maps/new", "once_found": "maybe"}"#,
+        ] {
+            calls.push((StatusCode::BAD_REQUEST, Call::merge(body)));
+        }
+        let nowhere = r#"{"sources": ["maps/nowhere"], "target": "maps/drive"}"#;
+        calls.push((StatusCode::NOT_FOUND, Call::merge(nowhere)));
+    } else if method == "put" && path.ends_with("/decision") {
+        calls.push((StatusCode::NOT_FOUND, Call::decision(&nowhere, r#"{"decision": "commit"}"#)));
+        for body in ["", "{}", r#"{"decision": "maybe"}"#, r#"{"decision": "undo", "why": 1}"#] {
+            calls.push((StatusCode::BAD_REQUEST, Call::decision(&nowhere, body)));
+        }
+    } else if method == "post" {
         let asked = nowhere.as_str();
         calls.push((StatusCode::UNSUPPORTED_MEDIA_TYPE, Call::query(asked, "text/plain", Vec::new())));
         calls.push((StatusCode::PAYLOAD_TOO_LARGE, Call::query(asked, "image/png", vec![0; (16 << 20) + 1])));

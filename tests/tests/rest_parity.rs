@@ -12,6 +12,7 @@ use tonic::{Response, Status};
 use waypost_proto::v1;
 use waypost_proto::v1::job_service_client::JobServiceClient;
 use waypost_proto::v1::map_service_client::MapServiceClient;
+use waypost_proto::v1::merge_service_client::MergeServiceClient;
 use waypost_proto::v1::model_service_client::ModelServiceClient;
 use waypost_proto::v1::navigation_service_client::NavigationServiceClient;
 use waypost_proto::v1::query_request::Content;
@@ -23,7 +24,8 @@ static CONTRACT: LazyLock<DescriptorPool> =
     LazyLock::new(|| DescriptorPool::decode(waypost_proto::FILE_DESCRIPTOR_SET).unwrap());
 
 /// Plain fields whose zero value says that there is none.
-const ZERO_IS_NONE: [&str; 5] = [
+const ZERO_IS_NONE: [&str; 6] = [
+    "waypost.v1.Merge.error",
     "waypost.v1.Map.state_hash",
     "waypost.v1.Place.word_hits",
     "waypost.v1.Job.error",
@@ -117,6 +119,7 @@ struct Both {
     sessions: SessionServiceClient<Channel>,
     models: ModelServiceClient<Channel>,
     navigations: NavigationServiceClient<Channel>,
+    merges: MergeServiceClient<Channel>,
     jobs: JobServiceClient<Channel>,
 }
 
@@ -129,6 +132,7 @@ impl Both {
             sessions: SessionServiceClient::new(channel.clone()),
             models: ModelServiceClient::new(channel.clone()),
             navigations: NavigationServiceClient::new(channel.clone()),
+            merges: MergeServiceClient::new(channel.clone()),
             jobs: JobServiceClient::new(channel),
         }
     }
@@ -199,7 +203,7 @@ async fn maps_and_places_are_the_same() {
             both.maps.clone().list_maps(v1::ListMapsRequest { page_size, page_token }).await
         })
         .await;
-    assert_eq!(listed.len(), 2);
+    assert_eq!(listed.len(), 3);
     for map in ["drive", "empty", "nowhere", "No"] {
         let name = format!("maps/{map}");
         for (view, query) in [(v1::MapView::Unspecified, ""), (v1::MapView::Full, "?view=full")] {
@@ -419,6 +423,30 @@ async fn models_and_jobs_are_the_same() {
         let over_grpc = both.jobs.clone().get_job(v1::GetJobRequest { name: format!("jobs/{job}") }).await;
         both.agree(&format!("/v1/jobs/{job}"), "waypost.v1.Job", over_grpc).await;
     }
+    both.server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn merges_are_the_same() {
+    let Surveyed { server, merges, .. } = Surveyed::start().await;
+    let both = Both::of(server).await;
+    let message = ("waypost.v1.ListMergesResponse", "merges");
+    let listed = both
+        .lists_agree("/v1/merges", message, async |page_size, page_token| {
+            both.merges.clone().list_merges(v1::ListMergesRequest { page_size, page_token }).await
+        })
+        .await;
+    assert_eq!((&listed[0]["state"], &listed[1]["state"]), (&json!("apart"), &json!("proposed")));
+    assert!(listed[1]["sources"][0]["overlap"]["fused_places"].as_u64().unwrap() >= 5, "{}", listed[1]);
+    for merge in [merges[0].as_str(), merges[1].as_str(), "999999", "first"] {
+        let request = v1::GetMergeRequest { name: format!("merges/{merge}") };
+        let over_grpc = both.merges.clone().get_merge(request).await;
+        both.agree(&format!("/v1/merges/{merge}"), "waypost.v1.Merge", over_grpc).await;
+    }
+    let request = v1::GetMergePictureRequest { name: format!("merges/{}", merges[0]) };
+    let picture = both.merges.clone().get_merge_picture(request).await.unwrap().into_inner().svg;
+    let over_http = get(&both.server, &format!("/v1/merges/{}/picture", merges[0])).await;
+    assert!(over_http.body == picture && !picture.is_empty());
     both.server.stop().await;
 }
 

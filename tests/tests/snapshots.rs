@@ -234,7 +234,7 @@ async fn names_are_checked_and_kept_for_the_map_that_comes() {
             case,
             (code, &message),
             Code::AlreadyExists,
-            "a map new is being imported; choose another",
+            "a map new is being imported or made of others; choose another",
         );
     }
     uploading

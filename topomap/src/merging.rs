@@ -162,6 +162,26 @@ pub struct Overlap {
     pub confirmed: usize,
 }
 
+impl MergePlan {
+    /// The same plan for a target that has grown since: by so many places beyond the first so many, and events likewise.
+    /// What another merge was to add to the target by then comes after what has come in between.
+    #[must_use]
+    pub fn on_a_grown_target(
+        mut self,
+        (places, later_places): (PlaceId, PlaceId),
+        (events, later_events): (FrameId, FrameId),
+    ) -> Self {
+        let place = |place: &mut PlaceId| *place += if *place < places { 0 } else { later_places };
+        let fused = self.fused.iter_mut().map(|fused| &mut fused.matched);
+        for matched in fused.chain(&mut self.matches).chain(&mut self.rejected) {
+            place(&mut matched.target);
+            matched.target_frame += if matched.target_frame < events { 0 } else { later_events };
+        }
+        place(&mut self.parts.1);
+        self
+    }
+}
+
 impl PlaceMatch {
     /// See [`TwoView::evidence`]; 0 where words decided alone.
     #[must_use]

@@ -7,6 +7,7 @@ use clap::{Subcommand, ValueEnum};
 use serde_json::json;
 use waypost_client::{Client, ClientOptions, v1};
 
+use super::merge;
 use super::model::short;
 use super::snapshot::{self, Replacing};
 use crate::failure::Failure;
@@ -92,6 +93,15 @@ pub(crate) enum Command {
         /// Name of the new map, if not the one that it had
         #[arg(long, default_value = "", hide_default_value = true)]
         name: String,
+    },
+    /// Make maps one: what both have seen becomes the same places; Ctrl-C cancels
+    Merge(merge::Merging),
+    /// Tell what each of two maps has that the other has not; changes nothing
+    Diff {
+        /// Name of a map
+        first: String,
+        /// Name of the other
+        second: String,
     },
     /// Delete a map with all its sessions
     Rm {
@@ -311,6 +321,8 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         Command::Import { file, name } => {
             show(snapshot::import(&client, &file, &name, output).await?, output)
         }
+        Command::Merge(merging) => merge::merge(&client, merging, output).await,
+        Command::Diff { first, second } => merge::diff(&client, [&first, &second], output).await,
         Command::Rm { name } => {
             client.delete_map(&name).await?;
             output.result(&json!({ "deleted": name }), |out| writeln!(out, "deleted {name}"))
@@ -433,11 +445,7 @@ async fn poses(
     replacing.check(path)?;
     let mut text = Vec::new();
     client.export_poses(request, &mut text).await?;
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".partial");
-    let partial = PathBuf::from(partial);
-    std::fs::write(&partial, &text).map_err(Failure::file("write", &partial))?;
-    std::fs::rename(&partial, path).map_err(Failure::file("write", path))?;
+    replacing.write(path, &text)?;
     let lines = text.iter().filter(|&&byte| byte == b'\n').count();
     output.result(&json!({ "file": path, "lines": lines }), |out| {
         writeln!(out, "{lines} lines in {}", path.display())

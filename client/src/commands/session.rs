@@ -5,6 +5,7 @@ use serde::Serialize;
 use serde_json::json;
 use waypost_client::{Client, ClientOptions, v1};
 
+use super::job;
 use crate::failure::Failure;
 use crate::output::{Output, table};
 use crate::views::{FrameRow, SessionView};
@@ -19,6 +20,13 @@ pub(crate) enum Command {
     },
     /// List the frames of a session with what was decided about them
     Frames {
+        /// Name of the map
+        map: String,
+        /// Name of the session
+        session: String,
+    },
+    /// Take a session out of its map, with its images and all that only it has shown. It cannot be undone
+    Rm {
         /// Name of the map
         map: String,
         /// Name of the session
@@ -45,6 +53,13 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         Command::Frames { map, session } => {
             let map = map.strip_prefix("maps/").unwrap_or(&map);
             frames(client.frames(&format!("maps/{map}/sessions/{session}")).await?, output)
+        }
+        Command::Rm { map, session } => {
+            let map = map.strip_prefix("maps/").unwrap_or(&map);
+            let name = format!("maps/{map}/sessions/{session}");
+            let job = client.remove_session(&name).await?;
+            job::follow(&client, &job.name, output).await?;
+            output.result(&json!({ "removed": name }), |out| writeln!(out, "removed {name}"))
         }
     }
 }

@@ -43,6 +43,19 @@ impl Replacing {
         }
         Ok(())
     }
+
+    /// Writes a file that appears under its name only when it is complete.
+    ///
+    /// # Errors
+    /// [`Failure`] if it may not be replaced, or cannot be written.
+    pub(super) fn write(self, path: &Path, content: &[u8]) -> Result<(), Failure> {
+        self.check(path)?;
+        let mut partial = path.as_os_str().to_owned();
+        partial.push(".partial");
+        let partial = PathBuf::from(partial);
+        std::fs::write(&partial, content).map_err(Failure::file("write", &partial))?;
+        std::fs::rename(&partial, path).map_err(Failure::file("write", path))
+    }
 }
 
 /// The file appears under its name only when it is complete.

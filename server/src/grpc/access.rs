@@ -18,7 +18,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, no_longer_admitted};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 45] = [
+const METHODS: [(&str, Access); 53] = [
     ("/waypost.v1.SessionService/Stream", Access::Robot),
     ("/waypost.v1.SessionService/Query", Access::Robot),
     ("/waypost.v1.SessionService/ListSessions", Access::Robot),
@@ -47,6 +47,14 @@ const METHODS: [(&str, Access); 45] = [
     ("/waypost.v1.MapService/RebindMap", Access::Admin),
     ("/waypost.v1.MapService/ExportMap", Access::Admin),
     ("/waypost.v1.MapService/ImportMap", Access::Admin),
+    ("/waypost.v1.MapService/RemoveSession", Access::Admin),
+    ("/waypost.v1.MergeService/GetMerge", Access::Robot),
+    ("/waypost.v1.MergeService/ListMerges", Access::Robot),
+    ("/waypost.v1.MergeService/GetMergePicture", Access::Robot),
+    ("/waypost.v1.MergeService/MergeMaps", Access::Admin),
+    ("/waypost.v1.MergeService/CommitMerge", Access::Admin),
+    ("/waypost.v1.MergeService/DiscardMerge", Access::Admin),
+    ("/waypost.v1.MergeService/UndoMerge", Access::Admin),
     ("/waypost.v1.ModelService/ListModels", Access::Robot),
     ("/waypost.v1.ModelService/GetModel", Access::Robot),
     ("/waypost.v1.ModelService/ExportModel", Access::Robot),

@@ -69,6 +69,8 @@ pub(super) fn job(status: JobStatus) -> v1::Job {
     let kind = match kind {
         JobKind::TrainModel => Kind::TrainModel,
         JobKind::ImportMap => Kind::ImportMap,
+        JobKind::MergeMaps => Kind::MergeMaps,
+        JobKind::RemoveSessions => Kind::RemoveSessions,
     };
     v1::Job {
         name: format!("jobs/{number}"),

@@ -173,6 +173,14 @@ impl MapService for Adapter {
         }
         Ok(Response::new(job(self.service.start_map_import(upload).await?)))
     }
+
+    async fn remove_session(
+        &self,
+        request: Request<v1::RemoveSessionRequest>,
+    ) -> Result<Response<v1::Job>, Status> {
+        let v1::RemoveSessionRequest { name } = request.into_inner();
+        Ok(Response::new(job(self.service.remove_session(&name).await?)))
+    }
 }
 
 fn settings_request(settings: v1::MapSettings) -> Result<MapSettingsRequest, ServiceError> {

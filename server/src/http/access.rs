@@ -11,7 +11,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use futures::stream::{self, StreamExt};
 use http::uri::Authority;
-use http::{HeaderMap, HeaderValue, header};
+use http::{HeaderMap, HeaderValue, Method, header};
 use http_body::Body as _;
 use tokio_util::sync::CancellationToken;
 
@@ -23,9 +23,12 @@ use crate::service::tokens::{Access, no_longer_admitted};
 /// What tells whether the server lives is asked by machines that hold no token.
 const OPEN: [&str; 2] = ["/healthz", "/readyz"];
 
-/// Serves those who may see it; all that is here reads, so any token will do.
+/// What changes maps is for administrators; where a robot is sent to is for its operators, too.
+const CHANGES_MAPS: &str = "/v1/merges";
+
+/// Serves those who may see it, and lets those decide who may.
 pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request, next: Next) -> Response {
-    let access = if OPEN.contains(&request.uri().path()) { Access::Open } else { Access::Robot };
+    let access = access(request.method(), request.uri().path());
     if access != Access::Open && service.tokens().serve_this_machine() && !addresses_this_machine(&request) {
         return refusal(ServiceError::PermissionDenied {
             message: "this server has no token, so it is for this machine alone and answers to localhost or an IP \
@@ -42,6 +45,16 @@ pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request,
             () = deleted.cancelled() => refusal(no_longer_admitted()),
         },
         Err(error) => refusal(error),
+    }
+}
+
+fn access(method: &Method, path: &str) -> Access {
+    if OPEN.contains(&path) {
+        Access::Open
+    } else if path.starts_with(CHANGES_MAPS) && !method.is_safe() {
+        Access::Admin
+    } else {
+        Access::Robot
     }
 }
 

@@ -52,6 +52,7 @@ const PAGE_POLICY: HeaderValue = HeaderValue::from_static(
         (name = "sessions", description = "Runs of robots: what they saw, and what they were told."),
         (name = "navigations", description = "Robots that are led along a map: where they are, and where they are to go."),
         (name = "models", description = "What is learnt before a robot drives."),
+        (name = "merges", description = "Maps that become one: looked for, proposed with their evidence, decided."),
         (name = "jobs", description = "Work that takes longer than a call."),
         (name = "exports", description = "Whole tables, sent as they are read. Rows that a robot adds meanwhile may \
             be in or not."),

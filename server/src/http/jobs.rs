@@ -61,7 +61,7 @@ pub(super) struct Job {
     #[schema(required)]
     model: Option<Model>,
     kind: JobKind,
-    /// What it made, as `models/{hash}` or `maps/{map}`.
+    /// What it made, as `models/{hash}`, `maps/{map}` or `merges/{number}`.
     #[schema(required)]
     result: Option<String>,
     create_time_ns: i64,
@@ -75,6 +75,8 @@ pub(super) struct Job {
 enum JobKind {
     TrainModel,
     ImportMap,
+    MergeMaps,
+    RemoveSessions,
 }
 
 #[derive(Clone, Copy, Debug, Serialize, ToSchema)]
@@ -102,6 +104,8 @@ impl From<jobs::JobStatus> for Job {
         let kind = match kind {
             storage::JobKind::TrainModel => JobKind::TrainModel,
             storage::JobKind::ImportMap => JobKind::ImportMap,
+            storage::JobKind::MergeMaps => JobKind::MergeMaps,
+            storage::JobKind::RemoveSessions => JobKind::RemoveSessions,
         };
         Self {
             name: format!("jobs/{number}"),

@@ -157,3 +157,11 @@ pub(super) struct JobPath {
     #[param(value_type = u64)]
     pub(super) job: String,
 }
+
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Path)]
+pub(super) struct MergePath {
+    /// Number of the merge.
+    #[param(value_type = u64)]
+    pub(super) merge: String,
+}

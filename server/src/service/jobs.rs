@@ -43,7 +43,7 @@ pub(crate) enum JobState {
 /// What a job made.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct JobResult {
-    /// `models/{hash}` or `maps/{map}`.
+    /// `models/{hash}`, `maps/{map}` or `merges/{number}`.
     pub(crate) name: String,
     /// The model that a training made, unless it was deleted since.
     pub(crate) model: Option<Box<ModelRow>>,

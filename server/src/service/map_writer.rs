@@ -11,6 +11,7 @@ mod requests;
 mod views;
 
 pub(super) use open_maps::OpenMaps;
+pub(super) use recent::Recent;
 pub(super) use requests::{
     FrameFailure, FrameRequest, FrameSource, FrameWork, LookRequest, MapHandle, MeasuredFrames,
     OpenedSession, PlaceSummary, PlanFrom, SessionOpening, StreamOpening, WriterGone,
@@ -37,7 +38,7 @@ use waypost_vision::verification::Verifier;
 
 use self::checkpoints::Checkpoints;
 use self::localizers::Localizers;
-use self::recent::{Recent, RecentFrame};
+use self::recent::RecentFrame;
 use self::requests::{FrameReply, MapRequest, Usage};
 use self::views::CurrentView;
 use super::camera::Intrinsics;

@@ -275,7 +275,7 @@ impl Service {
                 (Some(state_hash), Some(self.storage.map_bytes(row.id).await?))
             }
         };
-        let MapRow { id: _, name, model, settings: _, created_ns } = row;
+        let MapRow { id: _, name, model, settings: _, created_ns, edition: _ } = row;
         Ok(MapView { map: name, model, settings, created_ns, counts, state_hash, bytes })
     }
 }

@@ -25,6 +25,7 @@ use super::maps::FrameReference;
 use super::names::{check_id, map_in, session_name};
 use crate::error::ServiceError;
 use crate::extraction::{LoadedModel, Observed};
+use crate::storage::MapEdition;
 
 /// How often a stream whose map was dropped from memory looks whether it still exists.
 const REOPENED_POLL: Duration = Duration::from_millis(500);
@@ -338,9 +339,9 @@ impl SessionStream {
 
     /// The writer went away before the frame was stored: the map was deleted, or dropped from memory.
     async fn writer_gone(&self, sequence: u64, generation: u64) -> FrameOutcome {
-        let map_id = self.order().map.id();
+        let edition = self.order().map.edition();
         match self.service.map_row(&self.map).await {
-            Ok(row) if row.id != map_id => FrameOutcome::Ended(self.replaced()),
+            Ok(row) if row.edition() != edition => FrameOutcome::Ended(self.replaced(row.edition(), edition)),
             Ok(_) => self.refused_for_now(sequence, generation, WriterGone.into()),
             Err(error @ ServiceError::NotFound { .. }) => FrameOutcome::Ended(error),
             Err(error) => self.refused_for_now(sequence, generation, error),
@@ -358,7 +359,9 @@ impl SessionStream {
             }
             match self.service.map_row(&self.map).await {
                 Err(error @ ServiceError::NotFound { .. }) => return error,
-                Ok(row) if row.id != map.id() => return self.replaced(),
+                Ok(row) if row.edition() != map.edition() => {
+                    return self.replaced(row.edition(), map.edition());
+                }
                 // Dropped from memory: the next frame opens it again.
                 Ok(_) | Err(_) => tokio::time::sleep(REOPENED_POLL).await,
             }
@@ -383,8 +386,8 @@ impl SessionStream {
         match self.service.open_map(&self.map).await {
             Ok(map) => {
                 let mut order = self.order();
-                if map.id() != order.map.id() {
-                    return Err(FrameOutcome::Ended(self.replaced()));
+                if map.edition() != order.map.edition() {
+                    return Err(FrameOutcome::Ended(self.replaced(map.edition(), order.map.edition())));
                 }
                 order.begin_anew(map.clone());
                 Ok(map)
@@ -394,7 +397,14 @@ impl SessionStream {
         }
     }
 
-    fn replaced(&self) -> ServiceError {
+    /// The map is not the one that the session was opened on.
+    fn replaced(&self, now: MapEdition, before: MapEdition) -> ServiceError {
+        if now.map == before.map {
+            return ServiceError::unavailable(format_args!(
+                "sessions were removed from the map {}; open the session anew and send what was not acknowledged",
+                self.map
+            ));
+        }
         ServiceError::not_found(format_args!(
             "there is no map {} any more: it was deleted, and another of its name made; open a new session",
             self.map

@@ -23,7 +23,7 @@ pub(super) struct Snapshots {
     reserved: Arc<ReservedNames>,
 }
 
-/// Names of maps that are being imported.
+/// Names of maps that are being imported, or made of others.
 #[derive(Debug, Default)]
 struct ReservedNames {
     names: Mutex<BTreeSet<String>>,
@@ -31,7 +31,7 @@ struct ReservedNames {
 
 /// A name that nobody else can take for a map. Free again when dropped.
 #[derive(Debug)]
-struct Reservation {
+pub(super) struct Reservation {
     name: String,
     among: Arc<ReservedNames>,
 }
@@ -54,8 +54,8 @@ impl Snapshots {
 }
 
 impl Service {
-    /// Keeps a name for a map that is being imported.
-    async fn reserve(&self, map: &str) -> Result<Reservation, ServiceError> {
+    /// Keeps a name for a map that is being imported, or made of others.
+    pub(super) async fn reserve(&self, map: &str) -> Result<Reservation, ServiceError> {
         if !self.snapshots.reserved.lock().insert(map.to_owned()) {
             return Err(reserved(map));
         }
@@ -64,6 +64,12 @@ impl Service {
             None => Ok(reservation),
             Some(_) => Err(map_exists(map)),
         }
+    }
+}
+
+impl Reservation {
+    pub(super) fn name(&self) -> &str {
+        &self.name
     }
 }
 
@@ -81,6 +87,8 @@ impl Drop for Reservation {
 
 fn reserved(map: &str) -> ServiceError {
     ServiceError::AlreadyExists {
-        message: format!("a map {map} is being imported; choose another name, or cancel that import first"),
+        message: format!(
+            "a map {map} is being imported or made of others; choose another name, or cancel or discard that first"
+        ),
     }
 }

@@ -23,6 +23,8 @@ pub(crate) struct JobRow {
 pub(crate) enum JobKind {
     TrainModel,
     ImportMap,
+    MergeMaps,
+    RemoveSessions,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -145,10 +147,14 @@ pub(super) async fn end_job(
 }
 
 impl JobKind {
+    const ALL: [Self; 4] = [Self::TrainModel, Self::ImportMap, Self::MergeMaps, Self::RemoveSessions];
+
     fn name(self) -> &'static str {
         match self {
             JobKind::TrainModel => "train_model",
             JobKind::ImportMap => "import_map",
+            JobKind::MergeMaps => "merge_maps",
+            JobKind::RemoveSessions => "remove_sessions",
         }
     }
 }
@@ -169,10 +175,7 @@ fn job(row: &SqliteRow) -> Result<JobRow, StorageError> {
     let (kind, state): (&str, &str) = (row.try_get("kind")?, row.try_get("state")?);
     Ok(JobRow {
         number: from_sql(row.try_get("number")?)?,
-        kind: [JobKind::TrainModel, JobKind::ImportMap]
-            .into_iter()
-            .find(|known| known.name() == kind)
-            .ok_or_else(|| damaged(kind))?,
+        kind: JobKind::ALL.into_iter().find(|known| known.name() == kind).ok_or_else(|| damaged(kind))?,
         state: [
             StoredJobState::Running,
             StoredJobState::Succeeded,

@@ -17,6 +17,15 @@ pub(crate) struct MapRow {
     /// JSON.
     pub(crate) settings: String,
     pub(crate) created_ns: i64,
+    /// How often its log was told anew.
+    pub(crate) edition: u64,
+}
+
+/// A map at some edition: what was read of it holds for no other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct MapEdition {
+    pub(crate) map: MapId,
+    pub(crate) edition: u64,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -35,6 +44,12 @@ pub(crate) struct MapCounts {
     pub(crate) links: u64,
 }
 
+impl MapRow {
+    pub(crate) fn edition(&self) -> MapEdition {
+        MapEdition { map: self.id, edition: self.edition }
+    }
+}
+
 impl Storage {
     pub(crate) async fn create_map(
         &self,
@@ -51,12 +66,12 @@ impl Storage {
             .execute(&self.writer)
             .await?;
         let (name, model, settings) = (name.to_owned(), model.to_owned(), settings.to_owned());
-        Ok(MapRow { id: done.last_insert_rowid(), name, model, settings, created_ns })
+        Ok(MapRow { id: done.last_insert_rowid(), name, model, settings, created_ns, edition: 0 })
     }
 
     pub(crate) async fn map(&self, name: &str) -> Result<Option<MapRow>, StorageError> {
         let row = sqlx::query(
-            "SELECT id, name, model, settings, created_ns FROM maps WHERE name = ? AND state = 'live'",
+            "SELECT id, name, model, settings, created_ns, edition FROM maps WHERE name = ? AND state = 'live'",
         )
         .bind(name)
         .fetch_optional(&self.readers)
@@ -67,7 +82,7 @@ impl Storage {
     /// Maps whose name comes after `after`, by name.
     pub(crate) async fn maps(&self, after: &str, limit: u32) -> Result<Vec<MapRow>, StorageError> {
         let rows = sqlx::query(
-            "SELECT id, name, model, settings, created_ns FROM maps \
+            "SELECT id, name, model, settings, created_ns, edition FROM maps \
              WHERE name > ? AND state = 'live' ORDER BY name LIMIT ?",
         )
         .bind(after)
@@ -188,5 +203,6 @@ pub(super) fn map(row: &SqliteRow) -> Result<MapRow, StorageError> {
         model: row.try_get("model")?,
         settings: row.try_get("settings")?,
         created_ns: row.try_get("created_ns")?,
+        edition: from_sql(row.try_get("edition")?)?,
     })
 }

@@ -69,7 +69,7 @@ impl Storage {
         let mut snapshot = self.exporters.begin().await?;
         // The first read is what fixes the view.
         let row = sqlx::query(
-            "SELECT id, name, model, settings, created_ns FROM maps WHERE name = ? AND state = 'live'",
+            "SELECT id, name, model, settings, created_ns, edition FROM maps WHERE name = ? AND state = 'live'",
         )
         .bind(name)
         .fetch_optional(&mut *snapshot)

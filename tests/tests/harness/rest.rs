@@ -65,12 +65,15 @@ pub(crate) struct Surveyed {
     pub(crate) server: Server,
     /// Number of a training that has ended well.
     pub(crate) job: String,
+    /// Numbers of merges into `drive`: of a map that overlaps with it, which waits for a decision, and of one that does
+    /// not.
+    pub(crate) merges: [String; 2],
     /// A hash of the words that the maps' model knows.
     pub(crate) words_hash: String,
 }
 
 impl Surveyed {
-    /// Maps `drive`, which keeps images, and `empty`; in `drive` the sessions `first`, with a camera and odometry,
+    /// Maps `drive`, which keeps images, its copy `twin`, and `empty`; in `drive` the sessions `first`, with a camera and odometry,
     /// and `second`, which comes back to places of the first; a trained model beside the shipped one.
     pub(crate) async fn start() -> Self {
         let server = Server::start().await;
@@ -96,8 +99,27 @@ impl Surveyed {
         let matches = client.matches("drive").await.unwrap();
         assert!(!matches.is_empty(), "no loop was closed");
         let job = trained(&client).await;
-        Self { server, job, words_hash: model.words_hash }
+        let twin = server.directory().join("twin.waypost-map");
+        let mut file = tokio::fs::File::create(&twin).await.unwrap();
+        client.export_map("drive", &mut file).await.unwrap();
+        let imported = client.import_map("twin", tokio::fs::File::open(&twin).await.unwrap()).await.unwrap();
+        super::followed(&client, &imported).await;
+        let merges = [proposed(&client, "twin").await, proposed(&client, "empty").await];
+        Self { server, job, merges, words_hash: model.words_hash }
     }
+}
+
+/// The number of a merge of a map into `drive`, once it was looked for.
+async fn proposed(client: &Client, map: &str) -> String {
+    let request = v1::MergeMapsRequest {
+        sources: vec![format!("maps/{map}")],
+        target: "maps/drive".to_owned(),
+        ..v1::MergeMapsRequest::default()
+    };
+    let merge = client.merge_maps(request).await.unwrap();
+    let job = client.job(&merge.job).await.unwrap();
+    super::followed(client, &job).await;
+    merge.name.strip_prefix("merges/").unwrap().to_owned()
 }
 
 /// Robots `robot`, which is to go to place 1, and `scout`, which stands; in the map `drive`.

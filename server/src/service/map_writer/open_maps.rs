@@ -199,6 +199,24 @@ impl Service {
         }
     }
 
+    /// Closes a map and does something to its log, whether or not whoever asked is still there. Streams go on: their
+    /// next frame opens it again.
+    pub(crate) async fn with_map_closed<T: Send + 'static>(
+        self: &Arc<Self>,
+        name: &str,
+        work: impl FnOnce(&Handle) -> Result<T, ServiceError> + Send + 'static,
+    ) -> Result<T, ServiceError> {
+        self.map_row(name).await?;
+        let mut slot = self.open_maps.slot(name).lock_owned().await;
+        let working = tokio::spawn(async move {
+            slot.close().await;
+            let runtime = Handle::current();
+            let worked = tokio::task::spawn_blocking(move || work(&runtime)).await;
+            worked.map_err(ServiceError::internal)?
+        });
+        working.await.map_err(ServiceError::internal)?
+    }
+
     /// Closes a map and deletes it, whether or not whoever asked is still there. Whether there was one.
     /// Its name is free at once; its rows are taken away in the background.
     pub(crate) async fn close_and_delete_map(self: &Arc<Self>, name: &str) -> Result<bool, ServiceError> {
@@ -245,7 +263,7 @@ fn open(
     let events = mapper.map().events();
     tracing::info!(map = map.name, events, replayed = events - checkpoint_events, "map opened");
     let (sender, receiver) = mpsc::channel(QUEUE);
-    let handle = MapHandle::new(map.id, sender);
+    let handle = MapHandle::new(map.edition(), sender);
     let usage = handle.usage().clone();
     usage.set_memory_bytes(mapper.memory_bytes());
     let thread = std::thread::Builder::new().name(format!("map-{}", map.id));

@@ -2,6 +2,7 @@
 //! take longer than all the rest.
 
 use std::collections::{HashMap, VecDeque};
+use std::hash::Hash;
 
 use fabmap::observation::Observation;
 use topomap::event::{FrameEvent, FrameId};
@@ -11,11 +12,11 @@ use crate::storage::StoredFrame;
 
 /// Something of some frames, the latest that were asked for.
 #[derive(Debug)]
-pub(super) struct Recent<T> {
+pub(in crate::service) struct Recent<T, Key = FrameId> {
     most: usize,
-    frames: HashMap<FrameId, T>,
+    frames: HashMap<Key, T>,
     /// Oldest first.
-    order: VecDeque<FrameId>,
+    order: VecDeque<Key>,
 }
 
 /// What is on the disk of a frame: a kilobyte or two.
@@ -27,17 +28,17 @@ pub(super) struct RecentFrame {
     pub(super) at: Option<RelativePose>,
 }
 
-impl<T> Recent<T> {
+impl<T, Key: Copy + Eq + Hash> Recent<T, Key> {
     /// Of `most` frames at most.
-    pub(super) fn new(most: usize) -> Self {
+    pub(in crate::service) fn new(most: usize) -> Self {
         Self { most, frames: HashMap::new(), order: VecDeque::new() }
     }
 
-    pub(super) fn get(&self, frame: FrameId) -> Option<&T> {
+    pub(in crate::service) fn get(&self, frame: Key) -> Option<&T> {
         self.frames.get(&frame)
     }
 
-    pub(super) fn keep(&mut self, frame: FrameId, value: T) {
+    pub(in crate::service) fn keep(&mut self, frame: Key, value: T) {
         if self.frames.insert(frame, value).is_none() {
             self.order.push_back(frame);
         }

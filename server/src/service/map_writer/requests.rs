@@ -23,7 +23,7 @@ use crate::error::ServiceError;
 use crate::service::camera::Intrinsics;
 use crate::service::maps::PlacePose;
 use crate::service::sessions::{FrameAnswer, FrameTimings, MatchView};
-use crate::storage::{MapId, Medium};
+use crate::storage::{MapEdition, MapId, Medium};
 
 /// Requests that wait for a map's writer, at most; senders wait beyond that.
 pub(super) const QUEUE: usize = 128;
@@ -243,7 +243,7 @@ pub(crate) struct QueryAnswer {
 /// A way to an open map's writer. Cheap to clone; the writer ends when all are gone.
 #[derive(Clone, Debug)]
 pub(crate) struct MapHandle {
-    id: MapId,
+    edition: MapEdition,
     requests: mpsc::Sender<MapRequest>,
     usage: Arc<Usage>,
 }
@@ -289,8 +289,8 @@ impl From<WriterGone> for ServiceError {
 }
 
 impl MapHandle {
-    pub(in crate::service) fn new(id: MapId, requests: mpsc::Sender<MapRequest>) -> Self {
-        Self { id, requests, usage: Arc::new(Usage::new()) }
+    pub(in crate::service) fn new(edition: MapEdition, requests: mpsc::Sender<MapRequest>) -> Self {
+        Self { edition, requests, usage: Arc::new(Usage::new()) }
     }
 
     pub(super) fn usage(&self) -> &Arc<Usage> {
@@ -298,7 +298,12 @@ impl MapHandle {
     }
 
     pub(crate) fn id(&self) -> MapId {
-        self.id
+        self.edition.map
+    }
+
+    /// The map, as often told anew as when it was opened.
+    pub(crate) fn edition(&self) -> MapEdition {
+        self.edition
     }
 
     /// Completes when the writer has ended.

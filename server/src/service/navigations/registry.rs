@@ -74,7 +74,7 @@ impl Navigations {
         self.led().get(&(map, name.to_owned())).map(|led| led.navigation.clone())
     }
 
-    pub(super) fn of_map(&self, map: MapId) -> Vec<Arc<Navigation>> {
+    pub(in crate::service) fn of_map(&self, map: MapId) -> Vec<Arc<Navigation>> {
         let led = self.led();
         led.iter().filter(|((of, _), _)| *of == map).map(|(_, led)| led.navigation.clone()).collect()
     }

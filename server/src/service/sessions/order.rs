@@ -99,9 +99,10 @@ mod tests {
     use tokio::sync::mpsc;
 
     use super::*;
+    use crate::storage::MapEdition;
 
     fn order() -> Order {
-        Order::new(MapHandle::new(1, mpsc::channel(1).0), None)
+        Order::new(MapHandle::new(MapEdition { map: 1, edition: 0 }, mpsc::channel(1).0), None)
     }
 
     fn for_now() -> ServiceError {

@@ -1,0 +1,380 @@
+//! Maps that become one: looked for, proposed, and then committed, discarded or undone.
+
+mod commit;
+mod picture;
+mod report;
+mod search;
+mod source;
+mod undo;
+
+pub(crate) use report::{MapOverlap, MatchedPlaces, MergeReport, MergedSource, SourceOutcome};
+
+use std::collections::{BTreeSet, HashMap};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use topomap::merging::{MergePlan, MergeSettings};
+
+use self::search::Found;
+use super::jobs::{JobOutcome, JobReporter};
+use super::models::Page;
+use super::names::{bad_page_token, check_id, id_in, map_in, numbered_page, page_size};
+use super::snapshots::Reservation;
+use super::{Service, now_ns};
+use crate::error::ServiceError;
+use crate::storage::{JobKind, MapId, MapRow, MergeRow, MergeState, StorageError};
+
+/// Most maps that go into another at a time.
+const MAX_SOURCES: usize = 16;
+
+/// Proposals that may wait for a decision at a time.
+const MAX_PROPOSALS: usize = 32;
+
+const FORGOTTEN: &str = "the server was stopped or restarted before this was decided; it has changed nothing, so ask for it again";
+
+/// A merge as it stands.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct MergeView {
+    pub(crate) number: u64,
+    /// The name of the map that the sources go into.
+    pub(crate) target: String,
+    /// What works on it, or did last.
+    pub(crate) job: u64,
+    pub(crate) state: MergeState,
+    pub(crate) report: MergeReport,
+    /// Why it failed.
+    pub(crate) error: Option<String>,
+    pub(crate) created_ns: i64,
+}
+
+/// What is to be done once an overlap is found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum OnceFound {
+    /// Somebody decides.
+    Propose,
+    Commit,
+}
+
+/// Maps that are to become one.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct MergeRequest {
+    /// `maps/{map}` each.
+    pub(crate) sources: Vec<String>,
+    /// `maps/{map}`; made of the first source if there is no such map.
+    pub(crate) target: String,
+    pub(crate) once_found: OnceFound,
+    /// Least matches that agree with each other; the default if `None`.
+    pub(crate) min_support: Option<u32>,
+}
+
+/// What was found and is not decided yet. Kept in memory: it would be of no use to a server that has not read the maps.
+#[derive(Debug, Default)]
+pub(super) struct Merges {
+    proposals: Mutex<HashMap<u64, Proposal>>,
+}
+
+/// How sources go into a target.
+#[derive(Clone, Debug)]
+struct Proposal {
+    target: Target,
+    /// In the order in which they join.
+    joining: Vec<Joining>,
+    report: MergeReport,
+}
+
+/// The map that others go into, as it was when it was looked at.
+#[derive(Clone, Debug)]
+struct Target {
+    /// Either the target itself, or the source that it is to be a copy of.
+    base: MapRow,
+    events: u64,
+    places: u32,
+    /// Held while a map of this name is to be made.
+    new: Option<Arc<Reservation>>,
+}
+
+/// A source that overlaps with the target, or with what others bring.
+#[derive(Clone, Debug)]
+struct Joining {
+    /// Its place among the sources of the report.
+    source: usize,
+    row: MapRow,
+    events: u64,
+    plan: MergePlan,
+}
+
+impl Service {
+    /// Begins to look for maps on each other.
+    pub(crate) async fn merge_maps(
+        self: &Arc<Self>,
+        request: MergeRequest,
+    ) -> Result<MergeView, ServiceError> {
+        let MergeRequest { sources, target, once_found, min_support } = request;
+        let settings = merge_settings(min_support)?;
+        let (target, sources) = self.to_merge(&sources, &target).await?;
+        if self.merges.proposals().len() >= MAX_PROPOSALS {
+            return Err(ServiceError::ResourceExhausted {
+                message: format!(
+                    "{MAX_PROPOSALS} merges wait for a decision; commit or discard some of them first"
+                ),
+            });
+        }
+        let report = MergeReport::asked(&sources);
+        let name = target.name().to_owned();
+        let number = self.storage.insert_merge(&name, &report.to_json()?, now_ns()).await?;
+        let work = |service: Arc<Self>, reporter: JobReporter| async move {
+            let outcome = service.search(number, target, sources, &settings, once_found, &reporter).await;
+            service.note_failure(number, &outcome).await;
+            outcome
+        };
+        let job = self.start_job(JobKind::MergeMaps, work).await?;
+        self.storage.set_merge_job(number, job.number).await?;
+        self.merge_of_number(number).await
+    }
+
+    /// A merge by `merges/{number}`.
+    pub(crate) async fn merge(&self, name: &str) -> Result<MergeView, ServiceError> {
+        self.merge_of_number(merge_in(name)?).await
+    }
+
+    /// All merges, newest first.
+    pub(crate) async fn list_merges(&self, size: u32, token: &str) -> Result<Page<MergeView>, ServiceError> {
+        let size = page_size(size)?;
+        let before = numbered_page(token).map_err(|_| bad_page_token())?;
+        let mut rows = self.storage.merges(before, size + 1).await?;
+        let more = rows.len() > size as usize;
+        rows.truncate(size as usize);
+        let next = rows.last().filter(|_| more).map_or_else(String::new, |row| row.number.to_string());
+        let items = rows.into_iter().map(view).collect::<Result<_, _>>()?;
+        Ok(Page { items, next })
+    }
+
+    /// The maps before and after, as SVG.
+    pub(crate) async fn merge_picture(&self, name: &str) -> Result<String, ServiceError> {
+        let view = self.merge(name).await?;
+        self.storage.merge_picture(view.number).await?.ok_or_else(|| {
+            ServiceError::precondition(format_args!(
+                "{name} has no picture: the maps were not looked at to the end"
+            ))
+        })
+    }
+
+    /// Makes the maps one, as was proposed.
+    pub(crate) async fn commit_merge(self: &Arc<Self>, name: &str) -> Result<MergeView, ServiceError> {
+        let view = self.merge(name).await?;
+        let number = view.number;
+        // Taken out: it is committed once.
+        let proposal =
+            self.merges.proposals().remove(&number).ok_or_else(|| undecidable(&view, "committed"))?;
+        let work = |service: Arc<Self>, reporter: JobReporter| async move {
+            let kept = proposal.clone();
+            let outcome = service.commit(number, proposal, &reporter).await;
+            match &outcome {
+                // Somebody may think again.
+                JobOutcome::Cancelled => {
+                    service.merges.proposals().insert(number, kept);
+                }
+                JobOutcome::Stored { .. } | JobOutcome::Failed(_) => {
+                    service.note_failure(number, &outcome).await;
+                }
+            }
+            outcome
+        };
+        let job = self.start_job(JobKind::MergeMaps, work).await?;
+        self.storage.set_merge_job(number, job.number).await?;
+        self.merge_of_number(number).await
+    }
+
+    /// Leaves the maps as they are.
+    pub(crate) async fn discard_merge(&self, name: &str) -> Result<MergeView, ServiceError> {
+        let view = self.merge(name).await?;
+        let proposed = self.merges.proposals().remove(&view.number).is_some();
+        if !proposed || !self.storage.discard_merge(view.number).await? {
+            return Err(undecidable(&view, "discarded"));
+        }
+        self.merge_of_number(view.number).await
+    }
+
+    /// At the start of a server: what an earlier one looked for or proposed is forgotten.
+    pub(crate) async fn settle_merges(&self) -> Result<(), ServiceError> {
+        Ok(self.storage.fail_open_merges(FORGOTTEN).await?)
+    }
+
+    async fn merge_of_number(&self, number: u64) -> Result<MergeView, ServiceError> {
+        let row = self.storage.merge(number).await?;
+        view(row.ok_or_else(|| no_such_merge(&format!("merges/{number}")))?)
+    }
+
+    /// The target and the sources of a request, as rows.
+    async fn to_merge(
+        &self,
+        sources: &[String],
+        target: &str,
+    ) -> Result<(MergeTarget, Vec<MapRow>), ServiceError> {
+        let target = check_id("map name", map_in(target)?)?;
+        let mut names = BTreeSet::new();
+        let mut rows = Vec::new();
+        for source in sources {
+            let source = map_in(source)?;
+            if !names.insert(source) {
+                return Err(ServiceError::invalid(format_args!(
+                    "the map {source} is named twice; a map overlaps with itself everywhere, so name each once"
+                )));
+            }
+            let row = self.map_row(source).await?;
+            // Named among the sources, the target is what the others go into all the same.
+            if source != target {
+                rows.push(row);
+            }
+        }
+        let existing = self.storage.map(target).await?;
+        let target = match existing {
+            Some(row) => MergeTarget { base: row, new: None },
+            None if rows.len() < 2 => {
+                return Err(ServiceError::invalid(format_args!(
+                    "there is no map {target} yet: name two maps or more that it is to be made of, or a target that \
+                     there is"
+                )));
+            }
+            None => {
+                let new = self.reserve(target).await?;
+                MergeTarget { base: rows.remove(0), new: Some(Arc::new(new)) }
+            }
+        };
+        if rows.is_empty() {
+            return Err(ServiceError::invalid(format_args!(
+                "nothing is to go into the map {}; name the maps that are",
+                target.base.name
+            )));
+        }
+        if rows.len() > MAX_SOURCES {
+            return Err(ServiceError::invalid(format_args!(
+                "at most {MAX_SOURCES} maps go into another at a time, not {}; merge them in several steps",
+                rows.len()
+            )));
+        }
+        self.check_words(&target.base, &rows).await?;
+        Ok((target, rows))
+    }
+
+    /// Words mean the same only if they are of one vocabulary.
+    async fn check_words(&self, base: &MapRow, sources: &[MapRow]) -> Result<(), ServiceError> {
+        let model = self.loaded_model(&base.model).await?;
+        for source in sources {
+            let other = self.loaded_model(&source.model).await?;
+            if other.words_hash != model.words_hash {
+                return Err(ServiceError::precondition(format_args!(
+                    "the maps {} and {} have models of different words (words_hash {} and {}), which cannot be compared; \
+                     make one of them anew with the other's model: `waypost map rebuild {} --model {} --into NEW-NAME`",
+                    base.name,
+                    source.name,
+                    model.words_hash,
+                    other.words_hash,
+                    source.name,
+                    &base.model[..12]
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// The merge says why its job failed, too.
+    async fn note_failure(&self, number: u64, outcome: &JobOutcome) {
+        let error = match outcome {
+            JobOutcome::Stored { .. } => return,
+            JobOutcome::Failed(error) => error.to_string(),
+            JobOutcome::Cancelled if self.stopping.is_cancelled() => FORGOTTEN.to_owned(),
+            JobOutcome::Cancelled => "it was cancelled; ask for it again".to_owned(),
+        };
+        if let Err(error) = self.storage.fail_merge(number, &error).await {
+            tracing::warn!(merge = number, %error, "the end of a merge could not be stored");
+        }
+    }
+}
+
+impl Merges {
+    fn proposals(&self) -> MutexGuard<'_, HashMap<u64, Proposal>> {
+        self.proposals.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Where the sources are to go.
+struct MergeTarget {
+    /// The target, or the source that it is to begin with.
+    base: MapRow,
+    new: Option<Arc<Reservation>>,
+}
+
+impl MergeTarget {
+    fn name(&self) -> &str {
+        self.new.as_ref().map_or(&self.base.name, |new| new.name())
+    }
+}
+
+impl Proposal {
+    fn made_of(found: Found, target: Target) -> Self {
+        let Found { joining, report } = found;
+        Self { target, joining, report }
+    }
+}
+
+impl Target {
+    /// `None` for a copy, which is a map of its own.
+    fn existing(&self) -> Option<MapId> {
+        self.new.is_none().then_some(self.base.id)
+    }
+}
+
+fn merge_settings(min_support: Option<u32>) -> Result<MergeSettings, ServiceError> {
+    let mut settings = MergeSettings::default();
+    if let Some(min_support) = min_support {
+        settings.min_support = min_support as usize;
+    }
+    settings.check().map_err(ServiceError::invalid)?;
+    Ok(settings)
+}
+
+fn view(row: MergeRow) -> Result<MergeView, ServiceError> {
+    let MergeRow { number, target, map: _, job, state, report, error, created_ns } = row;
+    let report = MergeReport::from_json(&report)?;
+    Ok(MergeView { number, target, job, state, report, error, created_ns })
+}
+
+fn merge_in(name: &str) -> Result<u64, ServiceError> {
+    id_in("merges", name)?.parse().map_err(|_| no_such_merge(name))
+}
+
+fn no_such_merge(name: &str) -> ServiceError {
+    ServiceError::not_found(format_args!("there is no merge {name}; list the merges to see what there is"))
+}
+
+fn undecidable(merge: &MergeView, what: &str) -> ServiceError {
+    let MergeView { number, state, .. } = merge;
+    ServiceError::precondition(match state {
+        MergeState::Searching => {
+            format!("merges/{number} is still being looked for; wait for jobs/{}", merge.job)
+        }
+        MergeState::Proposed => format!("merges/{number} is being committed by jobs/{}", merge.job),
+        MergeState::Apart
+        | MergeState::Committed
+        | MergeState::Discarded
+        | MergeState::Undone
+        | MergeState::Failed => format!(
+            "merges/{number} is {} and cannot be {what}; ask for a new one if you want the maps merged",
+            state.name()
+        ),
+    })
+}
+
+/// A source that is no longer what the merge was looked for with.
+fn changed(error: StorageError) -> ServiceError {
+    match error {
+        StorageError::Retold => ServiceError::Aborted {
+            message: "a map was deleted, or sessions were removed from it, since it was looked at; ask for the merge again"
+                .to_owned(),
+        },
+        StorageError::JobEnded => ServiceError::Aborted {
+            message: "the merge was decided otherwise meanwhile; look at it, and ask for it again if need be".to_owned(),
+        },
+        error => error.into(),
+    }
+}

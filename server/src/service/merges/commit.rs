@@ -1,0 +1,280 @@
+//! What was proposed comes about: whole, or not at all.
+
+use std::collections::BTreeSet;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use tokio::runtime::Handle;
+use tokio::sync::OwnedSemaphorePermit;
+use topomap::event::MapEvent;
+use topomap::mapper::Mapper;
+use topomap::merging::join;
+
+use super::search::Stopped;
+use super::source::{Models, ReadMap, joined_sessions, read_on};
+use super::{Joining, MergeReport, Proposal, Target, changed};
+use crate::error::ServiceError;
+use crate::service::jobs::{JobOutcome, JobReporter};
+use crate::service::maps::map_exists;
+use crate::service::names::map_name;
+use crate::service::{Service, now_ns};
+use crate::storage::{
+    JobEnd, JoinedLog, JoinedSession, MapEdition, MapId, MergeOutcome, MergeState, SessionRow, Storage,
+    StorageError,
+};
+
+/// Events, and frames' media, that a new map is made of at a time: other maps' commits get their turn in between.
+const EVENTS_PIECE: u64 = 500;
+const MEDIA_PIECE: u64 = 32;
+
+/// Longest name of a session.
+const MAX_NAME_LEN: usize = 63;
+
+/// The maps of a proposal, read once more: beside the robots, who go on meanwhile.
+struct Reading {
+    storage: Storage,
+    runtime: Handle,
+    /// The base's, then those of the sources.
+    models: Models,
+    /// The base as far as it was read.
+    base: Base,
+    sources: Vec<ReadMap>,
+}
+
+struct Base {
+    id: MapId,
+    mapper: Mapper,
+    log: Vec<MapEvent>,
+    sessions: Vec<SessionRow>,
+}
+
+impl Service {
+    /// Makes the maps one.
+    pub(super) async fn commit(
+        self: &Arc<Self>,
+        number: u64,
+        proposal: Proposal,
+        reporter: &JobReporter,
+    ) -> JobOutcome {
+        let Some(turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
+        self.commit_in_turn(number, proposal, reporter, turn).await
+    }
+
+    /// The same for a job that has its turn already.
+    pub(super) async fn commit_in_turn(
+        self: &Arc<Self>,
+        number: u64,
+        proposal: Proposal,
+        reporter: &JobReporter,
+        _turn: OwnedSemaphorePermit,
+    ) -> JobOutcome {
+        let committed = match proposal.target.existing() {
+            Some(map) => self.append(number, map, proposal, reporter).await,
+            None => self.make(number, proposal, reporter).await,
+        };
+        match committed {
+            Ok(end) => JobOutcome::Stored { end, model: None },
+            Err(stopped) => stopped.into(),
+        }
+    }
+
+    /// Into a map that is there. Its robots wait for as long as it takes to append and open it anew.
+    async fn append(
+        self: &Arc<Self>,
+        number: u64,
+        map: MapId,
+        proposal: Proposal,
+        reporter: &JobReporter,
+    ) -> Result<JobEnd, Stopped> {
+        let mut reading = self.read_again(&proposal, reporter, None).await?;
+        let name = proposal.target.base.name.clone();
+        // The last moment to stop.
+        Stopped::unless(reporter.progress("storing the map", 0.0))?;
+        let (storage, end) = (self.storage.clone(), reporter.succeeded(map_name(&name)));
+        let stored_end = end.clone();
+        let appending = move |runtime: &Handle| {
+            let row = runtime.block_on(storage.map_of_id(map))?;
+            if row.map(|row| row.edition()) != Some(proposal.target.base.edition()) {
+                return Err(changed(StorageError::Retold));
+            }
+            reading.read_on()?;
+            reading.base.sessions = runtime.block_on(storage.sessions(map))?;
+            let (joined, report) = reading.join(&proposal)?;
+            let outcome = MergeOutcome { number, state: MergeState::Committed, report: report.to_json()? };
+            runtime.block_on(storage.append_merged(map, &joined, &outcome, &stored_end)).map_err(changed)
+        };
+        self.with_map_closed(&name, appending).await?;
+        Ok(end)
+    }
+
+    /// As a map of its own, which nobody sees before it is whole.
+    async fn make(
+        self: &Arc<Self>,
+        number: u64,
+        proposal: Proposal,
+        reporter: &JobReporter,
+    ) -> Result<JobEnd, Stopped> {
+        let reading = self.read_again(&proposal, reporter, Some(proposal.target.events)).await?;
+        let Target { base, events: base_events, places: _, new } = &proposal.target;
+        let name = new.as_ref().map_or_else(String::new, |new| new.name().to_owned());
+        let (joined, mut report) = reading.join(&proposal)?;
+        let of_sources: u64 = joined.iter().map(|log| log.events.len() as u64).sum();
+        report.made_events = Some(base_events + of_sources);
+        let report = report.to_json()?;
+        let map =
+            self.storage.begin_merged_map(&name, base, now_ns()).await.map_err(|error| match error {
+                StorageError::Exists => map_exists(&name),
+                error => error.into(),
+            })?;
+        let end = reporter.succeeded(map_name(&name));
+        let stored = async {
+            self.store((base.id, map), *base_events, &joined, number, reporter).await?;
+            let made_of: Vec<MapEdition> =
+                std::iter::once(base.edition()).chain(joined.iter().map(|log| log.source)).collect();
+            let outcome = MergeOutcome { number, state: MergeState::Committed, report };
+            let finished = self.storage.finish_merged_map(map, &made_of, &outcome, &end).await;
+            finished.map_err(|error| Stopped::Failed(changed(error)))
+        };
+        match stored.await {
+            Ok(()) => Ok(end),
+            Err(stopped) => {
+                self.give_up_import(map).await;
+                Err(stopped)
+            }
+        }
+    }
+
+    /// Copies the base, and adds what the sources' logs have become, piece by piece.
+    async fn store(
+        &self,
+        maps: (MapId, MapId),
+        base_events: u64,
+        joined: &[JoinedLog],
+        merge: u64,
+        reporter: &JobReporter,
+    ) -> Result<(), Stopped> {
+        let (base, map) = maps;
+        let all = base_events + joined.iter().map(|log| log.events.len() as u64).sum::<u64>();
+        let go_on = |stored: u64| -> ControlFlow<()> {
+            reporter.progress("storing the map", stored as f64 / all.max(1) as f64)
+        };
+        for from in (0..base_events).step_by(EVENTS_PIECE as usize) {
+            Stopped::unless(go_on(from))?;
+            let piece = from..(from + EVENTS_PIECE).min(base_events);
+            self.storage.copy_log(maps, piece).await.map_err(ServiceError::from)?;
+        }
+        self.store_media((base, map), base_events, 0, &go_on).await?;
+        for log in joined {
+            self.storage.add_joined_sessions(map, log, merge).await.map_err(ServiceError::from)?;
+            let positions = log.from..;
+            let entries: Vec<(u64, MapEvent)> = positions.zip(log.events.iter().cloned()).collect();
+            for piece in entries.chunks(EVENTS_PIECE as usize) {
+                Stopped::unless(go_on(piece[0].0))?;
+                self.storage.import_piece(map, piece, &[]).await.map_err(ServiceError::from)?;
+            }
+            self.store_media((log.source.map, map), log.events.len() as u64, log.from, &go_on).await?;
+        }
+        Ok(())
+    }
+
+    async fn store_media(
+        &self,
+        maps: (MapId, MapId),
+        events: u64,
+        from: u64,
+        go_on: &impl Fn(u64) -> ControlFlow<()>,
+    ) -> Result<(), Stopped> {
+        for first in (0..events).step_by(MEDIA_PIECE as usize) {
+            Stopped::unless(go_on(from + first))?;
+            let piece = first..(first + MEDIA_PIECE).min(events);
+            self.storage.copy_media(maps, piece, from).await.map_err(ServiceError::from)?;
+        }
+        Ok(())
+    }
+
+    async fn read_again(
+        &self,
+        proposal: &Proposal,
+        reporter: &JobReporter,
+        base_events: Option<u64>,
+    ) -> Result<Reading, Stopped> {
+        let mut models = vec![self.loaded_model(&proposal.target.base.model).await?];
+        for joining in &proposal.joining {
+            models.push(self.loaded_model(&joining.row.model).await?);
+        }
+        let (storage, runtime, reporter) = (self.storage.clone(), Handle::current(), reporter.clone());
+        let (base, joining) = (proposal.target.base.clone(), proposal.joining.clone());
+        let work = move || {
+            let disk = (&runtime, &storage);
+            let sessions = runtime.block_on(storage.sessions(base.id)).map_err(ServiceError::from)?;
+            let read = ReadMap::read(disk, base, &models[0], base_events)?;
+            let base = Base { id: read.row.id, mapper: read.mapper, log: read.log.events, sessions };
+            let mut sources = Vec::new();
+            for (index, Joining { source: _, row, events, plan: _ }) in joining.iter().enumerate() {
+                let fraction = (index + 1) as f64 / models.len() as f64;
+                Stopped::unless(reporter.progress("reading the maps", fraction))?;
+                let source = ReadMap::read(disk, row.clone(), &models[index + 1], Some(*events))?;
+                if source.row.edition() != row.edition() {
+                    return Err(Stopped::Failed(changed(StorageError::Retold)));
+                }
+                sources.push(source);
+            }
+            Ok(Reading { storage, runtime, models, base, sources })
+        };
+        tokio::task::spawn_blocking(work).await.map_err(ServiceError::internal)?
+    }
+}
+
+impl Reading {
+    /// What robots have added to the base since. Blocks.
+    fn read_on(&mut self) -> Result<(), ServiceError> {
+        let Self { storage, runtime, models, base, .. } = self;
+        read_on((runtime, storage), base.id, &models[0], None, (&mut base.mapper, &mut base.log))
+    }
+
+    /// The sources' logs as the target's, each on top of those before.
+    fn join(mut self, proposal: &Proposal) -> Result<(Vec<JoinedLog>, MergeReport), ServiceError> {
+        let Proposal { target, joining, report } = proposal;
+        let mut report = report.clone();
+        let mapper = &mut self.base.mapper;
+        let later_events = mapper.map().events() - target.events;
+        let later_places = mapper.map().places().len() as u32 - target.places;
+        let mut names: BTreeSet<String> =
+            self.base.sessions.into_iter().map(|session| session.name).collect();
+        let mut joined = Vec::new();
+        for (Joining { source, row, events: _, plan }, read) in joining.iter().zip(&self.sources) {
+            let from = mapper.map().events();
+            // What was planned for the target is said of it as it was then.
+            let plan =
+                plan.clone().on_a_grown_target((target.places, later_places), (target.events, later_events));
+            let events =
+                join((&read.mapper, mapper), &plan, &read.log.events).map_err(ServiceError::internal)?;
+            for event in &events {
+                mapper.fold(event).map_err(ServiceError::internal)?;
+            }
+            let sessions: Vec<JoinedSession> = joined_sessions(&read.log.events, &events)
+                .map(|(of_source, number)| {
+                    let name = unused_name(&row.name, read.session(of_source), &names);
+                    names.insert(name.clone());
+                    JoinedSession { of_source, number, name }
+                })
+                .collect();
+            report.sources[*source].sessions = sessions.iter().map(|session| session.name.clone()).collect();
+            joined.push(JoinedLog { source: row.edition(), from, events, sessions });
+        }
+        Ok((joined, report))
+    }
+}
+
+/// A session keeps its name, unless the target has one of that name.
+fn unused_name(map: &str, session: &str, taken: &BTreeSet<String>) -> String {
+    let cut = |name: String, room: usize| name[..name.len().min(room)].to_owned();
+    let names = std::iter::once(session.to_owned())
+        .chain(std::iter::once(cut(format!("{map}-{session}"), MAX_NAME_LEN)))
+        .chain((2_u64..).map(|number| {
+            let end = format!("-{number}");
+            cut(format!("{map}-{session}"), MAX_NAME_LEN - end.len()) + &end
+        }));
+    let mut unused = names.filter(|name| !taken.contains(name));
+    unused.next().unwrap_or_default()
+}

@@ -1,0 +1,156 @@
+//! Maps before and after, as in the overview paper's figure 5: trajectories blue, links within a session red, links
+//! between sessions green.
+
+use std::collections::BTreeMap;
+
+use fabmap::appearance::PlaceId;
+use maud::{Markup, html};
+use topomap::event::{FrameEvent, MapEvent, SessionId};
+use topomap::relaxation::{PlanarPose, Pose as _};
+
+use super::source::ReadMap;
+
+const TRAJECTORY: &str = "#1459aa";
+const WITHIN: &str = "#d01020";
+const BETWEEN: &str = "#208050";
+
+const PANEL_PX: f64 = 420.0;
+const GAP_PX: f64 = 20.0;
+const LINE_PX: f64 = 20.0;
+
+/// Panels beside each other.
+const COLUMNS: usize = 3;
+
+/// A map, drawn in metres: of its parts the one with most places.
+pub(super) struct Panel {
+    title: String,
+    trajectories: Vec<Vec<[f64; 2]>>,
+    within: Vec<[[f64; 2]; 2]>,
+    between: Vec<[[f64; 2]; 2]>,
+}
+
+impl Panel {
+    pub(super) fn of(title: &str, map: &ReadMap) -> Self {
+        let poses = map.mapper.poses();
+        let places = map.mapper.map().places().len() as PlaceId;
+        let mut sizes: BTreeMap<PlaceId, usize> = BTreeMap::new();
+        (0..places)
+            .filter_map(|place| poses.part(place))
+            .for_each(|part| *sizes.entry(part).or_default() += 1);
+        let largest = sizes.into_iter().max_by_key(|&(part, size)| (size, std::cmp::Reverse(part)));
+        let part = largest.map(|(part, _)| part);
+        let of_place = |place: PlaceId| poses.pose(place).copied().filter(|_| poses.part(place) == part);
+        let at = |pose: PlanarPose| [pose.x_m(), pose.y_m()];
+        let mut panel = Self {
+            title: title.to_owned(),
+            trajectories: Vec::new(),
+            within: Vec::new(),
+            between: Vec::new(),
+        };
+        let mut paths: BTreeMap<SessionId, Vec<[f64; 2]>> = BTreeMap::new();
+        for event in map.log.events.iter().filter_map(frame) {
+            let placed = event.decision.place.and_then(of_place).zip(event.at);
+            if let Some((place, of_robot)) = placed {
+                paths.entry(event.session).or_default().push(at(place.compose(of_robot.pose())));
+            }
+            let Some(link) = event.link else { continue };
+            let Some((from, to)) = of_place(link.from).zip(of_place(link.to)) else { continue };
+            let makers = [link.from, link.to].map(|place| poses.maker(place));
+            let links = if makers[0] == makers[1] { &mut panel.within } else { &mut panel.between };
+            links.push([at(from), at(to)]);
+        }
+        panel.trajectories = paths.into_values().collect();
+        panel
+    }
+
+    /// Least and largest x and y.
+    fn bounds(&self) -> Option<[[f64; 2]; 2]> {
+        let mut points = self.trajectories.iter().flatten().chain(self.within.iter().flatten());
+        let &first = points.next()?;
+        Some(points.fold([first, first], |[least, most], point| {
+            [[least[0].min(point[0]), least[1].min(point[1])], [most[0].max(point[0]), most[1].max(point[1])]]
+        }))
+    }
+
+    fn draw(&self, left: f64, top: f64, px_per_m: f64) -> Markup {
+        let bounds = self.bounds();
+        let place = |[x, y]: [f64; 2]| {
+            let [[x_min, _], [_, y_max]] = bounds.unwrap_or_default();
+            [px_per_m * (x - x_min), px_per_m * (y_max - y)]
+        };
+        html! {
+            g transform={ "translate(" (number(left)) " " (number(top)) ")" } {
+                text x="0" y="14" font-weight="bold" { (self.title) }
+                @if bounds.is_none() { text x="0" y="36" { "nothing on it is measured" } }
+                g transform={ "translate(0 " (LINE_PX + 6.0) ")" } fill="none" stroke-linecap="round" {
+                    @for path in &self.trajectories {
+                        polyline stroke=(TRAJECTORY) stroke-width="3" stroke-opacity="0.55" points=(points(path, place)) {}
+                    }
+                    (lines(&self.within, WITHIN, place))
+                    (lines(&self.between, BETWEEN, place))
+                }
+            }
+        }
+    }
+}
+
+/// All panels at one scale, referring to nothing outside. All text is escaped by `html!`.
+pub(super) fn svg(panels: &[Panel]) -> String {
+    let extent = |panel: &Panel| {
+        panel.bounds().map_or(1.0, |[least, most]| (most[0] - least[0]).max(most[1] - least[1]))
+    };
+    let largest_m = panels.iter().map(extent).fold(1.0, f64::max);
+    let px_per_m = PANEL_PX / largest_m;
+    let rows = panels.len().div_ceil(COLUMNS);
+    let (across, down) = (PANEL_PX + GAP_PX, PANEL_PX + GAP_PX + LINE_PX);
+    let width = GAP_PX + across * panels.len().min(COLUMNS) as f64;
+    let height = GAP_PX + LINE_PX + down * rows as f64;
+    let legend =
+        [("trajectories", TRAJECTORY), ("links within a session", WITHIN), ("between sessions", BETWEEN)];
+    let bar_m = 10_f64.powf((largest_m / 2.0).log10().floor());
+    html! {
+        svg xmlns="http://www.w3.org/2000/svg" viewBox={ "0 0 " (number(width)) " " (number(height)) }
+            width=(number(width)) height=(number(height)) font-family="sans-serif" font-size="13" {
+            rect width="100%" height="100%" fill="white" {}
+            text x=(GAP_PX) y="20" {
+                @for (what, colour) in legend { tspan fill=(colour) { "■ " } (what) "   " }
+            }
+            line x1=(number(width - GAP_PX - bar_m * px_per_m)) x2=(number(width - GAP_PX)) y1="24" y2="24"
+                stroke="black" stroke-width="2" {}
+            text x=(number(width - GAP_PX)) y="18" text-anchor="end" { (bar_m) " m" }
+            @for (index, panel) in panels.iter().enumerate() {
+                (panel.draw(
+                    GAP_PX + across * (index % COLUMNS) as f64,
+                    GAP_PX + LINE_PX + down * (index / COLUMNS) as f64,
+                    px_per_m,
+                ))
+            }
+        }
+    }
+    .into_string()
+}
+
+fn lines(links: &[[[f64; 2]; 2]], colour: &str, place: impl Fn([f64; 2]) -> [f64; 2]) -> Markup {
+    let d = links.iter().map(|&[from, to]| {
+        let ([x1, y1], [x2, y2]) = (place(from), place(to));
+        format!("M{} {}L{} {}", number(x1), number(y1), number(x2), number(y2))
+    });
+    html! { path stroke=(colour) stroke-width="1.2" d=(d.collect::<String>()) {} }
+}
+
+fn points(path: &[[f64; 2]], place: impl Fn([f64; 2]) -> [f64; 2]) -> String {
+    let point = |&point: &[f64; 2]| place(point).map(number).join(",");
+    path.iter().map(point).collect::<Vec<_>>().join(" ")
+}
+
+/// Tenths of a pixel are enough.
+fn number(value: f64) -> String {
+    format!("{value:.1}")
+}
+
+fn frame(event: &MapEvent) -> Option<&FrameEvent> {
+    match event {
+        MapEvent::Frame(event) => Some(event),
+        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+    }
+}

@@ -1,0 +1,151 @@
+//! What was found out about maps that are to become one; kept as JSON beside the merge.
+
+use serde::{Deserialize, Serialize};
+use topomap::merging::{MergePlan, Overlap, PlaceMatch};
+use topomap::relaxation::PlanarPose;
+
+use crate::error::ServiceError;
+use crate::storage::MapRow;
+
+/// Matches that are told of, the strongest.
+const MOST_TOLD: usize = 500;
+
+/// All that is known of a merge.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct MergeReport {
+    pub(crate) sources: Vec<MergedSource>,
+    /// Events of the log of the map that the merge has made; `None` if the map was there before.
+    pub(crate) made_events: Option<u64>,
+}
+
+/// A map that is to go into another.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct MergedSource {
+    pub(crate) map: String,
+    /// Log events when it was looked at: what came later is not merged.
+    pub(crate) events: u64,
+    pub(crate) places: u64,
+    pub(crate) outcome: SourceOutcome,
+    /// Its sessions, by the names that they have in the target; empty before it is committed.
+    pub(crate) sessions: Vec<String>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum SourceOutcome {
+    /// It was not looked for yet.
+    Open,
+    Overlaps(Box<MapOverlap>),
+    /// It overlaps with nothing, as far as can be told: why.
+    Apart(String),
+}
+
+/// How a source lies on the target.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct MapOverlap {
+    /// The frame of the source's part in that of the target's: x and y in metres, heading in radians.
+    pub(crate) transformation: [f64; 3],
+    /// The lowest places of the parts that the transformation is between.
+    pub(crate) source_part: u32,
+    pub(crate) target_part: u32,
+    /// Matches that agree with each other and with both maps.
+    pub(crate) agreeing: u64,
+    pub(crate) rejected: u64,
+    /// Matches of the next best set, which contradicts these.
+    pub(crate) rival_support: u64,
+    /// Places of the source that become places of the target.
+    pub(crate) fused_places: u64,
+    /// Places of the source that lie where the target has places, too, and those of them that match.
+    pub(crate) overlapping_places: u64,
+    pub(crate) confirmed_places: u64,
+    pub(crate) cost_before: f64,
+    pub(crate) cost_after: f64,
+    /// The strongest of the matches that agree.
+    pub(crate) strongest: Vec<MatchedPlaces>,
+}
+
+/// A place of the source, and the one of the target that it is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct MatchedPlaces {
+    pub(crate) source_place: u32,
+    pub(crate) target_place: u32,
+    /// The frames that were compared: `maps/{map}/sessions/{session}/frames/{sequence}`.
+    pub(crate) source_frame: String,
+    pub(crate) target_frame: String,
+    /// By words alone, among all places of the target and "somewhere new".
+    pub(crate) posterior: f64,
+    /// By geometry, in nats; 0 where words decided alone.
+    pub(crate) evidence: f64,
+}
+
+impl MergeReport {
+    pub(super) fn asked(sources: &[MapRow]) -> Self {
+        let source = |row: &MapRow| MergedSource {
+            map: row.name.clone(),
+            events: 0,
+            places: 0,
+            outcome: SourceOutcome::Open,
+            sessions: Vec::new(),
+        };
+        Self { sources: sources.iter().map(source).collect(), made_events: None }
+    }
+
+    /// Whether every source overlaps.
+    pub(super) fn all_overlap(&self) -> bool {
+        self.sources.iter().all(|source| matches!(source.outcome, SourceOutcome::Overlaps(_)))
+    }
+
+    pub(super) fn to_json(&self) -> Result<String, ServiceError> {
+        serde_json::to_string(self).map_err(ServiceError::internal)
+    }
+
+    pub(super) fn from_json(json: &str) -> Result<Self, ServiceError> {
+        serde_json::from_str(json).map_err(ServiceError::internal)
+    }
+}
+
+impl MapOverlap {
+    /// `frames` names the frame of the source and that of the target.
+    pub(super) fn of(plan: &MergePlan, frames: impl Fn(&PlaceMatch) -> [String; 2]) -> Self {
+        let MergePlan {
+            transformation,
+            parts: (source_part, target_part),
+            fused,
+            matches,
+            rejected,
+            rival_support,
+            overlap: Overlap { places, confirmed },
+            cost_before,
+            cost_after,
+        } = plan;
+        let told = |matched: &PlaceMatch| {
+            let [source_frame, target_frame] = frames(matched);
+            MatchedPlaces {
+                source_place: matched.source,
+                target_place: matched.target,
+                source_frame,
+                target_frame,
+                posterior: matched.posterior,
+                evidence: matched.evidence(),
+            }
+        };
+        Self {
+            transformation: numbers(transformation),
+            source_part: *source_part,
+            target_part: *target_part,
+            agreeing: matches.len() as u64,
+            rejected: rejected.len() as u64,
+            rival_support: *rival_support as u64,
+            fused_places: fused.len() as u64,
+            overlapping_places: *places as u64,
+            confirmed_places: *confirmed as u64,
+            cost_before: *cost_before,
+            cost_after: *cost_after,
+            strongest: matches.iter().take(MOST_TOLD).map(told).collect(),
+        }
+    }
+}
+
+fn numbers(pose: &PlanarPose) -> [f64; 3] {
+    [pose.x_m(), pose.y_m(), pose.heading_rad()]
+}

@@ -1,0 +1,220 @@
+//! The search for maps on each other: it changes nothing.
+
+use std::sync::Arc;
+
+use tokio::runtime::Handle;
+use topomap::mapper::MapperSettings;
+use topomap::merging::{MergeError, MergeObserver, MergeSettings, Verdict, find_matches, join, judge};
+
+use super::picture::{Panel, svg};
+use super::source::{Between, Models, ReadMap};
+use super::{Joining, MapOverlap, MergeReport, MergeTarget, OnceFound, Proposal, SourceOutcome, Target};
+use crate::error::ServiceError;
+use crate::service::Service;
+use crate::service::jobs::{JobOutcome, JobReporter};
+use crate::service::map_writer::verifier;
+use crate::storage::{MapRow, MergeOutcome, MergeState, Storage};
+
+/// What was found, and how it looks.
+pub(super) struct Found {
+    pub(super) joining: Vec<Joining>,
+    pub(super) report: MergeReport,
+}
+
+/// Why a job of a merge did not come to its end.
+pub(super) enum Stopped {
+    Cancelled,
+    Failed(ServiceError),
+}
+
+/// What the blocking part of a search works with.
+struct Search {
+    runtime: Handle,
+    storage: Storage,
+    target: MergeTarget,
+    sources: Vec<MapRow>,
+    /// The base's, then those of the sources.
+    models: Models,
+    settings: MergeSettings,
+    reporter: JobReporter,
+}
+
+impl Service {
+    /// Looks for every source on the target; proposes what was found, or commits it, if all overlap.
+    pub(super) async fn search(
+        self: &Arc<Self>,
+        number: u64,
+        target: MergeTarget,
+        sources: Vec<MapRow>,
+        settings: &MergeSettings,
+        once_found: OnceFound,
+        reporter: &JobReporter,
+    ) -> JobOutcome {
+        let Some(turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
+        let (proposal, picture) = match self.look_for(target, sources, settings, reporter).await {
+            Ok(found) => found,
+            Err(stopped) => return stopped.into(),
+        };
+        let overlap = proposal.report.all_overlap();
+        let state = if overlap { MergeState::Proposed } else { MergeState::Apart };
+        let report = match proposal.report.to_json() {
+            Ok(report) => report,
+            Err(error) => return JobOutcome::Failed(error),
+        };
+        let outcome = MergeOutcome { number, state, report };
+        if overlap && once_found == OnceFound::Commit {
+            return match self.storage.end_search(&outcome, Some(&picture), None).await {
+                Ok(()) => self.commit_in_turn(number, proposal, reporter, turn).await,
+                Err(error) => JobOutcome::Failed(error.into()),
+            };
+        }
+        if overlap {
+            self.merges.proposals().insert(number, proposal);
+        }
+        let end = reporter.succeeded(format!("merges/{number}"));
+        match self.storage.end_search(&outcome, Some(&picture), Some(&end)).await {
+            Ok(()) => JobOutcome::Stored { end, model: None },
+            Err(error) => {
+                self.merges.proposals().remove(&number);
+                JobOutcome::Failed(error.into())
+            }
+        }
+    }
+
+    async fn look_for(
+        &self,
+        target: MergeTarget,
+        sources: Vec<MapRow>,
+        settings: &MergeSettings,
+        reporter: &JobReporter,
+    ) -> Result<(Proposal, String), Stopped> {
+        let mut models = vec![self.loaded_model(&target.base.model).await?];
+        for source in &sources {
+            models.push(self.loaded_model(&source.model).await?);
+        }
+        let search = Search {
+            runtime: Handle::current(),
+            storage: self.storage.clone(),
+            target,
+            sources,
+            models,
+            settings: *settings,
+            reporter: reporter.clone(),
+        };
+        let looking = tokio::task::spawn_blocking(move || search.look());
+        looking.await.map_err(ServiceError::internal)?
+    }
+}
+
+impl Search {
+    /// Sources that overlap with nothing are looked for again whenever another has brought new places. Blocks.
+    fn look(self) -> Result<(Proposal, String), Stopped> {
+        let mut report = MergeReport::asked(&self.sources);
+        let mut merged = self.read(self.target.base.clone(), 0)?;
+        let (events, places) = (merged.log.events.len() as u64, merged.mapper.map().places().len() as u32);
+        let mut panels = vec![Panel::of(&format!("{} before", merged.row.name), &merged)];
+        let mut left = Vec::new();
+        for (index, row) in self.sources.iter().enumerate() {
+            let source = self.read(row.clone(), index + 1)?;
+            panels.push(Panel::of(&format!("{} before", row.name), &source));
+            report.sources[index].events = source.log.events.len() as u64;
+            report.sources[index].places = source.mapper.map().places().len() as u64;
+            left.push((index, source));
+        }
+        let mut joining = Vec::new();
+        loop {
+            let before = left.len();
+            let mut apart = Vec::new();
+            for (index, source) in left {
+                let plan = match self.meet(&source, &merged)? {
+                    Verdict::Overlap(plan) => plan,
+                    Verdict::Apart(why) => {
+                        report.sources[index].outcome = SourceOutcome::Apart(why.to_string());
+                        apart.push((index, source));
+                        continue;
+                    }
+                };
+                let frames = |matched: &topomap::merging::PlaceMatch| {
+                    [source.frame_name(matched.source_frame), merged.frame_name(matched.target_frame)]
+                };
+                let overlap = MapOverlap::of(&plan, frames);
+                report.sources[index].outcome = SourceOutcome::Overlaps(Box::new(overlap));
+                let joined = join((&source.mapper, &merged.mapper), &plan, &source.log.events);
+                merged.take(&source, joined.map_err(ServiceError::internal)?)?;
+                let events = source.log.events.len() as u64;
+                joining.push(Joining { source: index, row: source.row, events, plan });
+            }
+            left = apart;
+            if left.is_empty() || left.len() == before {
+                break;
+            }
+        }
+        if !joining.is_empty() {
+            panels.push(Panel::of("together", &merged));
+        }
+        let target = Target { base: merged.row, events, places, new: self.target.new };
+        let picture = svg(&panels);
+        Ok((Proposal::made_of(Found { joining, report }, target), picture))
+    }
+
+    fn read(&self, row: MapRow, model: usize) -> Result<ReadMap, Stopped> {
+        self.go_on("reading the maps", model as f64 / self.models.len() as f64)?;
+        Ok(ReadMap::read((&self.runtime, &self.storage), row, &self.models[model], None)?)
+    }
+
+    /// What is said of a source and the target.
+    fn meet(&self, source: &ReadMap, target: &ReadMap) -> Result<Verdict, Stopped> {
+        let settings: &MapperSettings = target.mapper.settings();
+        let disk = (&self.runtime, &self.storage);
+        let views = Between::new(disk, &source.log, &target.log, verifier(settings));
+        let places = source.mapper.map().places().len();
+        let observer = Progress { reporter: &self.reporter, places };
+        let found = find_matches(source.known(), target.known(), &views, &self.settings, &observer);
+        let matches = found.map_err(|error| match error {
+            MergeError::Ended => Stopped::Cancelled,
+            MergeError::Vocabulary { .. } | MergeError::Setting { .. } => {
+                Stopped::Failed(ServiceError::precondition(error))
+            }
+            MergeError::Archive(error) => Stopped::Failed(ServiceError::unavailable(error)),
+        })?;
+        self.go_on("judging what was found", 0.0)?;
+        Ok(judge(source.layout(), target.layout(), &matches, &self.settings))
+    }
+
+    fn go_on(&self, stage: &'static str, fraction: f64) -> Result<(), Stopped> {
+        Stopped::unless(self.reporter.progress(stage, fraction))
+    }
+}
+
+struct Progress<'a> {
+    reporter: &'a JobReporter,
+    places: usize,
+}
+
+impl MergeObserver for Progress<'_> {
+    fn goes_on(&self, places: usize) -> bool {
+        let fraction = places as f64 / self.places.max(1) as f64;
+        self.reporter.progress("looking for each other's places", fraction).is_continue()
+    }
+}
+
+impl Stopped {
+    pub(super) fn unless(goes_on: std::ops::ControlFlow<()>) -> Result<(), Self> {
+        if goes_on.is_continue() { Ok(()) } else { Err(Self::Cancelled) }
+    }
+}
+
+impl From<ServiceError> for Stopped {
+    fn from(error: ServiceError) -> Self {
+        Self::Failed(error)
+    }
+}
+
+impl From<Stopped> for JobOutcome {
+    fn from(stopped: Stopped) -> Self {
+        match stopped {
+            Stopped::Cancelled => Self::Cancelled,
+            Stopped::Failed(error) => Self::Failed(error),
+        }
+    }
+}

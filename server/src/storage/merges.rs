@@ -1,0 +1,496 @@
+//! Maps that become one: what was found, and how it is stored.
+
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, Sqlite, Transaction};
+use topomap::event::{MapEvent, SessionId};
+
+use super::jobs::end_job;
+use super::log::insert_event;
+use super::{JobEnd, MapEdition, MapId, MapRow, Storage, StorageError, from_sql, to_sql};
+
+/// A merge as the table has it.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct MergeRow {
+    pub(crate) number: u64,
+    /// The name of the map that the sources go into.
+    pub(crate) target: String,
+    /// That map, once it has them and while it is there.
+    pub(crate) map: Option<MapId>,
+    /// What works on it, or did last.
+    pub(crate) job: u64,
+    pub(crate) state: MergeState,
+    /// JSON.
+    pub(crate) report: String,
+    /// Why it failed, for the user.
+    pub(crate) error: Option<String>,
+    pub(crate) created_ns: i64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum MergeState {
+    Searching,
+    /// Found; somebody has to decide.
+    Proposed,
+    /// The maps do not overlap.
+    Apart,
+    Committed,
+    Discarded,
+    Undone,
+    Failed,
+}
+
+/// What a merge has come to.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct MergeOutcome {
+    pub(crate) number: u64,
+    pub(crate) state: MergeState,
+    /// JSON.
+    pub(crate) report: String,
+}
+
+/// A source's log, told anew as the target's.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct JoinedLog {
+    pub(crate) source: MapEdition,
+    /// Position of its first event in the target's log; the others follow one by one.
+    pub(crate) from: u64,
+    pub(crate) events: Vec<MapEvent>,
+    pub(crate) sessions: Vec<JoinedSession>,
+}
+
+/// A session of a source, as one of the target.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct JoinedSession {
+    pub(crate) of_source: SessionId,
+    pub(crate) number: SessionId,
+    pub(crate) name: String,
+}
+
+const COLUMNS: &str = "number, target, map_id, job, state, report, error, created_ns";
+
+impl Storage {
+    /// Adds a merge that is looked for; gives its number.
+    pub(crate) async fn insert_merge(
+        &self,
+        target: &str,
+        report: &str,
+        created_ns: i64,
+    ) -> Result<u64, StorageError> {
+        self.write(async |transaction| {
+            let done = sqlx::query(
+                "INSERT INTO merges (target, job, state, report, created_ns) VALUES (?, 0, 'searching', ?, ?)",
+            )
+            .bind(target)
+            .bind(report)
+            .bind(created_ns)
+            .execute(&mut **transaction)
+            .await?;
+            from_sql(done.last_insert_rowid())
+        })
+        .await
+    }
+
+    pub(crate) async fn merge(&self, number: u64) -> Result<Option<MergeRow>, StorageError> {
+        let query = format!("SELECT {COLUMNS} FROM merges WHERE number = ?");
+        let row = sqlx::query(sqlx::AssertSqlSafe(query))
+            .bind(to_sql(number))
+            .fetch_optional(&self.readers)
+            .await?;
+        row.as_ref().map(merge).transpose()
+    }
+
+    /// Merges with a number below `before` (all if `None`), newest first.
+    pub(crate) async fn merges(
+        &self,
+        before: Option<u64>,
+        limit: u32,
+    ) -> Result<Vec<MergeRow>, StorageError> {
+        let query = format!("SELECT {COLUMNS} FROM merges WHERE number < ? ORDER BY number DESC LIMIT ?");
+        let rows = sqlx::query(sqlx::AssertSqlSafe(query))
+            .bind(before.map_or(i64::MAX, to_sql))
+            .bind(limit)
+            .fetch_all(&self.readers)
+            .await?;
+        rows.iter().map(merge).collect()
+    }
+
+    /// The maps before and after, as SVG.
+    pub(crate) async fn merge_picture(&self, number: u64) -> Result<Option<String>, StorageError> {
+        let row = sqlx::query("SELECT picture FROM merges WHERE number = ?")
+            .bind(to_sql(number))
+            .fetch_optional(&self.readers)
+            .await?;
+        Ok(row.map(|row| row.try_get("picture")).transpose()?.flatten())
+    }
+
+    /// Says which job works on a merge.
+    pub(crate) async fn set_merge_job(&self, number: u64, job: u64) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            sqlx::query("UPDATE merges SET job = ? WHERE number = ?")
+                .bind(to_sql(job))
+                .bind(to_sql(number))
+                .execute(&mut **transaction)
+                .await?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// Notes what the search has found, with its picture; ends its job, too, if nothing is to follow.
+    pub(crate) async fn end_search(
+        &self,
+        outcome: &MergeOutcome,
+        picture: Option<&str>,
+        end: Option<&JobEnd>,
+    ) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            sqlx::query("UPDATE merges SET picture = ? WHERE number = ?")
+                .bind(picture)
+                .bind(to_sql(outcome.number))
+                .execute(&mut **transaction)
+                .await?;
+            set_outcome(transaction, outcome, MergeState::Searching).await?;
+            match end {
+                Some(end) => end_job(transaction, end).await,
+                None => Ok(()),
+            }
+        })
+        .await
+    }
+
+    /// A proposal that nobody wants; whether it was one.
+    pub(crate) async fn discard_merge(&self, number: u64) -> Result<bool, StorageError> {
+        self.write(async |transaction| {
+            let done =
+                sqlx::query("UPDATE merges SET state = 'discarded' WHERE number = ? AND state = 'proposed'")
+                    .bind(to_sql(number))
+                    .execute(&mut **transaction)
+                    .await?;
+            Ok(done.rows_affected() == 1)
+        })
+        .await
+    }
+
+    /// A search that came to no end, or a proposal that cannot be committed.
+    pub(crate) async fn fail_merge(&self, number: u64, error: &str) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            sqlx::query(
+                "UPDATE merges SET state = 'failed', error = ? WHERE number = ? AND state IN ('searching', 'proposed')",
+            )
+            .bind(error)
+            .bind(to_sql(number))
+            .execute(&mut **transaction)
+            .await?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// All that are looked for or wait for a decision have failed: for the start of a server, which knows nothing of them.
+    pub(crate) async fn fail_open_merges(&self, error: &str) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            sqlx::query(
+                "UPDATE merges SET state = 'failed', error = ? WHERE state IN ('searching', 'proposed')",
+            )
+            .bind(error)
+            .execute(&mut **transaction)
+            .await?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// A map by its number, if it is there.
+    pub(crate) async fn map_of_id(&self, map: MapId) -> Result<Option<MapRow>, StorageError> {
+        let row = sqlx::query(
+            "SELECT id, name, model, settings, created_ns, edition FROM maps WHERE id = ? AND state = 'live'",
+        )
+        .bind(map)
+        .fetch_optional(&self.readers)
+        .await?;
+        row.as_ref().map(super::maps::map).transpose()
+    }
+
+    /// Appends sources to a map's log, with their sessions and media, and ends merge and job: all or nothing.
+    /// [`StorageError::Retold`] if a source was told anew or deleted since it was read.
+    pub(crate) async fn append_merged(
+        &self,
+        target: MapId,
+        joined: &[JoinedLog],
+        outcome: &MergeOutcome,
+        end: &JobEnd,
+    ) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            for log in joined {
+                check_edition(transaction, log.source).await?;
+                insert_sessions(transaction, target, log, outcome.number).await?;
+                for (position, event) in (log.from..).zip(&log.events) {
+                    insert_event(transaction, target, to_sql(position), event).await?;
+                }
+                let events = log.events.len() as u64;
+                copy_media(transaction, (log.source.map, target), 0..events, log.from).await?;
+            }
+            commit(transaction, target, outcome, end).await
+        })
+        .await
+    }
+
+    /// Begins a map that is to hold several: one that nobody sees yet, with the base's sessions.
+    /// [`StorageError::Exists`] if the name is taken.
+    pub(crate) async fn begin_merged_map(
+        &self,
+        name: &str,
+        base: &MapRow,
+        created_ns: i64,
+    ) -> Result<MapId, StorageError> {
+        self.write(async |transaction| {
+            let done = sqlx::query(
+                "INSERT INTO maps (name, model, settings, created_ns, state) VALUES (?, ?, ?, ?, 'importing')",
+            )
+            .bind(name)
+            .bind(&base.model)
+            .bind(&base.settings)
+            .bind(created_ns)
+            .execute(&mut **transaction)
+            .await?;
+            let map = done.last_insert_rowid();
+            sqlx::query(
+                "INSERT INTO map_models (map_id, until_events, model) \
+                 SELECT ?, until_events, model FROM map_models WHERE map_id = ?",
+            )
+            .bind(map)
+            .bind(base.id)
+            .execute(&mut **transaction)
+            .await?;
+            Ok(map)
+        })
+        .await
+    }
+
+    /// Copies log events of a base with their sessions, as they are.
+    pub(crate) async fn copy_log(
+        &self,
+        (base, map): (MapId, MapId),
+        positions: std::ops::Range<u64>,
+    ) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            sqlx::query(
+                "INSERT INTO sessions (map_id, number, name, camera, opened_ns, merge) \
+                 SELECT ?1, number, name, camera, opened_ns, merge FROM sessions \
+                 WHERE map_id = ?2 AND number IN \
+                 (SELECT session FROM log WHERE map_id = ?2 AND position >= ?3 AND position < ?4) \
+                 ON CONFLICT DO NOTHING",
+            )
+            .bind(map)
+            .bind(base)
+            .bind(to_sql(positions.start))
+            .bind(to_sql(positions.end))
+            .execute(&mut **transaction)
+            .await?;
+            const REST: &str = "position, session, sequence, stamp_ns, reason, place, posterior, matched_frame, \
+                                probability, link_from, link_to, event";
+            let copy = format!(
+                "INSERT INTO log (map_id, {REST}) SELECT ?, {REST} FROM log \
+                 WHERE map_id = ? AND position >= ? AND position < ?"
+            );
+            sqlx::query(sqlx::AssertSqlSafe(copy))
+                .bind(map)
+                .bind(base)
+                .bind(to_sql(positions.start))
+                .bind(to_sql(positions.end))
+                .execute(&mut **transaction)
+                .await?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// Copies what a source keeps of its frames to the same frames of a target, `from` positions later.
+    pub(crate) async fn copy_media(
+        &self,
+        maps: (MapId, MapId),
+        positions: std::ops::Range<u64>,
+        from: u64,
+    ) -> Result<(), StorageError> {
+        self.write(async |transaction| copy_media(transaction, maps, positions, from).await).await
+    }
+
+    /// Adds the sessions of a source, before its events.
+    pub(crate) async fn add_joined_sessions(
+        &self,
+        map: MapId,
+        log: &JoinedLog,
+        merge: u64,
+    ) -> Result<(), StorageError> {
+        self.write(async |transaction| insert_sessions(transaction, map, log, merge).await).await
+    }
+
+    /// Shows a map that holds several, and ends merge and job: all or nothing. [`StorageError::Retold`] if one of those
+    /// it was made of was told anew or deleted since it was read.
+    pub(crate) async fn finish_merged_map(
+        &self,
+        map: MapId,
+        made_of: &[MapEdition],
+        outcome: &MergeOutcome,
+        end: &JobEnd,
+    ) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            for &edition in made_of {
+                check_edition(transaction, edition).await?;
+            }
+            sqlx::query("UPDATE maps SET state = 'live' WHERE id = ? AND state = 'importing'")
+                .bind(map)
+                .execute(&mut **transaction)
+                .await?;
+            commit(transaction, map, outcome, end).await
+        })
+        .await
+    }
+
+    /// Takes out of sight the map that a merge has made, and ends merge and job: all or nothing.
+    pub(crate) async fn undo_merged_map(
+        &self,
+        map: MapId,
+        outcome: &MergeOutcome,
+        end: &JobEnd,
+    ) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            sqlx::query(
+                "UPDATE maps SET name = '~' || id, state = 'deleting' WHERE id = ? AND state = 'live'",
+            )
+            .bind(map)
+            .execute(&mut **transaction)
+            .await?;
+            set_outcome(transaction, outcome, MergeState::Committed).await?;
+            end_job(transaction, end).await
+        })
+        .await
+    }
+}
+
+async fn commit(
+    transaction: &mut Transaction<'_, Sqlite>,
+    map: MapId,
+    outcome: &MergeOutcome,
+    end: &JobEnd,
+) -> Result<(), StorageError> {
+    sqlx::query("UPDATE merges SET map_id = ? WHERE number = ?")
+        .bind(map)
+        .bind(to_sql(outcome.number))
+        .execute(&mut **transaction)
+        .await?;
+    set_outcome(transaction, outcome, MergeState::Proposed).await?;
+    end_job(transaction, end).await
+}
+
+/// [`StorageError::JobEnded`] unless the merge was `before`: what was discarded meanwhile must not come about.
+pub(super) async fn set_outcome(
+    transaction: &mut Transaction<'_, Sqlite>,
+    outcome: &MergeOutcome,
+    before: MergeState,
+) -> Result<(), StorageError> {
+    let MergeOutcome { number, state, report } = outcome;
+    let done = sqlx::query("UPDATE merges SET state = ?, report = ? WHERE number = ? AND state = ?")
+        .bind(state.name())
+        .bind(report)
+        .bind(to_sql(*number))
+        .bind(before.name())
+        .execute(&mut **transaction)
+        .await?;
+    if done.rows_affected() == 1 { Ok(()) } else { Err(StorageError::JobEnded) }
+}
+
+async fn check_edition(
+    transaction: &mut Transaction<'_, Sqlite>,
+    MapEdition { map, edition }: MapEdition,
+) -> Result<(), StorageError> {
+    let row = sqlx::query("SELECT 1 FROM maps WHERE id = ? AND edition = ? AND state = 'live'")
+        .bind(map)
+        .bind(to_sql(edition))
+        .fetch_optional(&mut **transaction)
+        .await?;
+    if row.is_some() { Ok(()) } else { Err(StorageError::Retold) }
+}
+
+async fn insert_sessions(
+    transaction: &mut Transaction<'_, Sqlite>,
+    map: MapId,
+    log: &JoinedLog,
+    merge: u64,
+) -> Result<(), StorageError> {
+    for JoinedSession { of_source, number, name } in &log.sessions {
+        sqlx::query(
+            "INSERT INTO sessions (map_id, number, name, camera, opened_ns, merge) \
+             SELECT ?, ?, ?, camera, opened_ns, ? FROM sessions WHERE map_id = ? AND number = ?",
+        )
+        .bind(map)
+        .bind(number)
+        .bind(name)
+        .bind(to_sql(merge))
+        .bind(log.source.map)
+        .bind(of_source)
+        .execute(&mut **transaction)
+        .await?;
+    }
+    Ok(())
+}
+
+async fn copy_media(
+    transaction: &mut Transaction<'_, Sqlite>,
+    (source, map): (MapId, MapId),
+    positions: std::ops::Range<u64>,
+    from: u64,
+) -> Result<(), StorageError> {
+    sqlx::query(
+        "INSERT INTO frame_media (map_id, position, kind, content) \
+         SELECT ?, position + ?, kind, content FROM frame_media \
+         WHERE map_id = ? AND position >= ? AND position < ?",
+    )
+    .bind(map)
+    .bind(to_sql(from))
+    .bind(source)
+    .bind(to_sql(positions.start))
+    .bind(to_sql(positions.end))
+    .execute(&mut **transaction)
+    .await?;
+    Ok(())
+}
+
+impl MergeState {
+    const ALL: [Self; 7] = [
+        Self::Searching,
+        Self::Proposed,
+        Self::Apart,
+        Self::Committed,
+        Self::Discarded,
+        Self::Undone,
+        Self::Failed,
+    ];
+
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            MergeState::Searching => "searching",
+            MergeState::Proposed => "proposed",
+            MergeState::Apart => "apart",
+            MergeState::Committed => "committed",
+            MergeState::Discarded => "discarded",
+            MergeState::Undone => "undone",
+            MergeState::Failed => "failed",
+        }
+    }
+}
+
+fn merge(row: &SqliteRow) -> Result<MergeRow, StorageError> {
+    let state: &str = row.try_get("state")?;
+    let known = MergeState::ALL.into_iter().find(|known| known.name() == state);
+    Ok(MergeRow {
+        number: from_sql(row.try_get("number")?)?,
+        target: row.try_get("target")?,
+        map: row.try_get("map_id")?,
+        job: from_sql(row.try_get("job")?)?,
+        state: known.ok_or_else(|| StorageError::Damaged(format!("a merge that is {state}")))?,
+        report: row.try_get("report")?,
+        error: row.try_get("error")?,
+        created_ns: row.try_get("created_ns")?,
+    })
+}

@@ -1,0 +1,165 @@
+//! A log that is told anew, without some sessions.
+
+use std::collections::BTreeMap;
+
+use sqlx::{Row, Sqlite, Transaction};
+use topomap::event::{FrameId, MapEvent, SessionId};
+
+use super::checkpoints::CHECKPOINT_PIECES;
+use super::jobs::end_job;
+use super::log::insert_event;
+use super::merges::set_outcome;
+use super::{JobEnd, MapEdition, MapId, MergeOutcome, MergeState, Storage, StorageError, from_sql, to_sql};
+
+/// A log as it is to be from some position on.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct RetoldLog {
+    /// The map, as it was read.
+    pub(crate) map: MapEdition,
+    /// The first position that is another.
+    pub(crate) from: u64,
+    pub(crate) events: Vec<MapEvent>,
+    /// Where the events from there on were that are still there, and where they are now: none comes later than it did.
+    pub(crate) kept: BTreeMap<FrameId, FrameId>,
+    pub(crate) removed_sessions: Vec<SessionId>,
+    /// Numbers that the others have now, by those that they had: none is higher than it was.
+    pub(crate) sessions: BTreeMap<SessionId, SessionId>,
+}
+
+impl Storage {
+    /// Replaces the end of a map's log, with its media and sessions, and ends a job and the merge that it undoes: all or
+    /// nothing. The checkpoint goes. [`StorageError::Retold`] if it was told anew or deleted since it was read.
+    pub(crate) async fn retell(
+        &self,
+        log: &RetoldLog,
+        undone: Option<&MergeOutcome>,
+        end: &JobEnd,
+    ) -> Result<(), StorageError> {
+        let RetoldLog { map: MapEdition { map, edition }, from, events, kept, removed_sessions, sessions } =
+            log;
+        self.write(async |transaction| {
+            let done = sqlx::query(
+                "UPDATE maps SET edition = edition + 1 WHERE id = ? AND edition = ? AND state = 'live'",
+            )
+            .bind(map)
+            .bind(to_sql(*edition))
+            .execute(&mut **transaction)
+            .await?;
+            if done.rows_affected() != 1 {
+                return Err(StorageError::Retold);
+            }
+            // A list of numbers is JSON already.
+            let positions = format!("{:?}", kept.keys().collect::<Vec<_>>());
+            sqlx::query(
+                "DELETE FROM frame_media WHERE map_id = ? AND position >= ? \
+                 AND position NOT IN (SELECT value FROM json_each(?))",
+            )
+            .bind(map)
+            .bind(to_sql(*from))
+            .bind(positions)
+            .execute(&mut **transaction)
+            .await?;
+            // In order, so that each finds its new position free.
+            for (before, now) in kept.iter().filter(|(before, now)| before != now) {
+                sqlx::query("UPDATE frame_media SET position = ? WHERE map_id = ? AND position = ?")
+                    .bind(to_sql(*now))
+                    .bind(map)
+                    .bind(to_sql(*before))
+                    .execute(&mut **transaction)
+                    .await?;
+            }
+            move_former_models(transaction, log).await?;
+            sqlx::query("DELETE FROM log WHERE map_id = ? AND position >= ?")
+                .bind(map)
+                .bind(to_sql(*from))
+                .execute(&mut **transaction)
+                .await?;
+            for (position, event) in (*from..).zip(events) {
+                insert_event(transaction, *map, to_sql(position), event).await?;
+            }
+            for session in removed_sessions {
+                sqlx::query("DELETE FROM sessions WHERE map_id = ? AND number = ?")
+                    .bind(map)
+                    .bind(session)
+                    .execute(&mut **transaction)
+                    .await?;
+            }
+            // In order, so that each finds its new number free.
+            for (before, now) in sessions.iter().filter(|(before, now)| before != now) {
+                sqlx::query("UPDATE sessions SET number = ? WHERE map_id = ? AND number = ?")
+                    .bind(now)
+                    .bind(map)
+                    .bind(before)
+                    .execute(&mut **transaction)
+                    .await?;
+            }
+            for table in CHECKPOINT_PIECES.into_iter().map(|(table, ..)| table).chain(["checkpoints"]) {
+                sqlx::query(sqlx::AssertSqlSafe(format!("DELETE FROM {table} WHERE map_id = ?")))
+                    .bind(map)
+                    .execute(&mut **transaction)
+                    .await?;
+            }
+            if let Some(undone) = undone {
+                set_outcome(transaction, undone, MergeState::Committed).await?;
+            }
+            end_job(transaction, end).await
+        })
+        .await
+    }
+
+    /// Events of a map's log.
+    pub(crate) async fn log_events(&self, map: MapId) -> Result<u64, StorageError> {
+        let events = sqlx::query_scalar("SELECT coalesce(max(position) + 1, 0) FROM log WHERE map_id = ?")
+            .bind(map)
+            .fetch_one(&self.readers)
+            .await?;
+        from_sql(events)
+    }
+
+    /// The sessions that a merge has brought to a map.
+    pub(crate) async fn sessions_of_merge(
+        &self,
+        map: MapId,
+        merge: u64,
+    ) -> Result<Vec<SessionId>, StorageError> {
+        let numbers = sqlx::query_scalar("SELECT number FROM sessions WHERE map_id = ? AND merge = ?")
+            .bind(map)
+            .bind(to_sql(merge))
+            .fetch_all(&self.readers)
+            .await?;
+        Ok(numbers)
+    }
+}
+
+/// A former model was in use up to an event that may be another by now.
+async fn move_former_models(
+    transaction: &mut Transaction<'_, Sqlite>,
+    log: &RetoldLog,
+) -> Result<(), StorageError> {
+    let rows =
+        sqlx::query("SELECT until_events, model FROM map_models WHERE map_id = ? AND until_events > ?")
+            .bind(log.map.map)
+            .bind(to_sql(log.from))
+            .fetch_all(&mut **transaction)
+            .await?;
+    sqlx::query("DELETE FROM map_models WHERE map_id = ? AND until_events > ?")
+        .bind(log.map.map)
+        .bind(to_sql(log.from))
+        .execute(&mut **transaction)
+        .await?;
+    for row in rows {
+        let (until_events, model): (u64, String) =
+            (from_sql(row.try_get("until_events")?)?, row.try_get("model")?);
+        let kept = log.kept.range(log.from..until_events).count() as u64;
+        // Of two that have come to end at the same event, the later one was in use for none.
+        sqlx::query(
+            "INSERT INTO map_models (map_id, until_events, model) VALUES (?, ?, ?) ON CONFLICT DO NOTHING",
+        )
+        .bind(log.map.map)
+        .bind(to_sql(log.from + kept))
+        .bind(model)
+        .execute(&mut **transaction)
+        .await?;
+    }
+    Ok(())
+}

@@ -1,0 +1,363 @@
+//! Maps of a simulated building become one through the real server, and two again.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use topomap::relaxation::{PlanarPose, Pose as _};
+use topomap::trajectory::from_tum;
+use waypost_client::v1::merge::State;
+use waypost_client::v1::merge_maps_request::OnceFound;
+use waypost_client::v1::merge_source::Outcome;
+use waypost_client::{Client, Code, FrameContent, FrameInput, FrameOutcome, SessionOptions, v1};
+use waypost_sim::camera::Camera;
+use waypost_sim::render::{CameraRig, Mount, Sensor};
+use waypost_sim::robot::WheelErrors;
+use waypost_sim::route::Route;
+use waypost_sim::scene::Scene;
+use waypost_sim::simulation::{CameraFrame, Simulation, SimulationSettings};
+use waypost_sim::worlds::NamedWorld;
+
+use crate::harness::{
+    Server, ServerProcess, assert_status, followed, found, get, http, import_model, map_request,
+    model_of_other_words, refused, session_options, state_hash, stream, take_model,
+};
+
+const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * std::f64::consts::PI;
+
+/// Twice round a ring of corridors: a round each day.
+struct Rounds {
+    scene: Arc<Scene>,
+    rig: CameraRig,
+    frames: Vec<CameraFrame>,
+}
+
+impl Rounds {
+    fn new() -> Self {
+        let world = NamedWorld::Loop;
+        let scene = Arc::new(Scene::new(world.plan(3)));
+        let camera = Camera::of_field_of_view(FIELD_OF_VIEW_RAD, (320, 240)).unwrap();
+        let rig = CameraRig::new(camera, Mount::default(), Sensor::default()).unwrap();
+        let route = Route::named(scene.plan(), &world.route("twice").unwrap(), 0.25).unwrap();
+        let wheels = WheelErrors { scale: 0.01, drift_rad_per_m: 0.2_f64.to_radians(), ..WheelErrors::NONE };
+        let settings = SimulationSettings { wheels, seed: 3, ..SimulationSettings::new(rig.clone()) };
+        let mut simulation = Simulation::new(scene.clone(), route.start(), settings).unwrap();
+        let recording = simulation.drive_along(&route, 0.4).unwrap();
+        Self { scene, rig, frames: recording.frames().cloned().collect() }
+    }
+
+    /// A round, the first or the second.
+    fn day(&self, day: usize) -> &[CameraFrame] {
+        let half = self.frames.len() / 2;
+        if day == 0 { &self.frames[..half] } else { &self.frames[half..] }
+    }
+
+    fn inputs<'a>(&'a self, frames: &'a [CameraFrame]) -> impl Iterator<Item = FrameInput> + 'a {
+        frames.iter().map(|frame| {
+            let (position, [x, y, z, w]) = frame.odometry.position_and_orientation();
+            let pose = v1::Pose {
+                position_m: Some(v1::Vector3 { x: position[0], y: position[1], z: position[2] }),
+                orientation: Some(v1::Quaternion { x, y, z, w }),
+            };
+            let covariance = frame.odometry.covariance_6x6().to_vec();
+            FrameInput {
+                sequence: frame.number + 1,
+                stamp_ns: frame.stamp_ns + 1,
+                content: FrameContent::Image(self.scene.render(&self.rig, &frame.shot).to_png().unwrap()),
+                odometry: Some(v1::Odometry { pose: Some(pose), covariance }),
+            }
+        })
+    }
+
+    /// Where a frame truly was, in the frame of another.
+    fn truth(&self, from: &CameraFrame, to: &CameraFrame) -> PlanarPose {
+        let at = |frame: &CameraFrame| {
+            let pose = &frame.shot.pose;
+            PlanarPose::new(pose.x_m, pose.y_m, pose.heading_rad)
+        };
+        at(from).inverse().compose(&at(to))
+    }
+
+    /// Makes a map of a day.
+    async fn map(&self, client: &Client, model: &v1::Model, map: &str, day: usize) {
+        client.create_map(map_request(map, &model.name)).await.unwrap();
+        let outcomes = self.drive(client, map, "robot", self.day(day)).await;
+        assert_eq!(outcomes.len(), self.day(day).len());
+    }
+
+    async fn drive(
+        &self,
+        client: &Client,
+        map: &str,
+        session: &str,
+        frames: &[CameraFrame],
+    ) -> Vec<v1::FrameAnswer> {
+        let camera = v1::Camera {
+            model: Some(v1::camera::Model::FieldOfView(v1::FieldOfView {
+                horizontal_rad: FIELD_OF_VIEW_RAD,
+            })),
+            image_width_px: 320,
+            image_height_px: 240,
+            base_to_camera: None,
+        };
+        let options = SessionOptions { camera: Some(camera), ..session_options(map, session) };
+        let outcomes = stream(client.open_session(options).await.unwrap(), self.inputs(frames)).await;
+        let answer = |outcome| match outcome {
+            FrameOutcome::Answer(answer) => answer,
+            FrameOutcome::Refusal(refusal) => panic!("{refusal:?}"),
+        };
+        outcomes.into_iter().map(answer).collect()
+    }
+
+    /// Root mean square of how far the frames of a session are from the truth, in the frame of the first day's first.
+    async fn rmse_m(&self, client: &Client, session: &str) -> f64 {
+        let request = v1::ExportPosesRequest {
+            name: session.to_owned(),
+            format: v1::export_poses_request::Format::Tum.into(),
+            frame: v1::export_poses_request::Frame::Map.into(),
+            body: v1::export_poses_request::Body::Base.into(),
+        };
+        let mut text = Vec::new();
+        client.export_poses(request, &mut text).await.unwrap();
+        let poses = from_tum(&text).unwrap();
+        let squares = poses.iter().map(|stamped| {
+            let frame = self.frames.iter().find(|frame| frame.stamp_ns + 1 == stamped.stamp_ns).unwrap();
+            let (truth, position) = (self.truth(&self.frames[0], frame), stamped.pose.translation.vector);
+            (truth.x_m() - position.x).powi(2) + (truth.y_m() - position.y).powi(2)
+        });
+        (squares.sum::<f64>() / poses.len() as f64).sqrt()
+    }
+}
+
+fn request(sources: &[&str], target: &str, once_found: OnceFound) -> v1::MergeMapsRequest {
+    v1::MergeMapsRequest {
+        sources: sources.iter().map(|map| format!("maps/{map}")).collect(),
+        target: format!("maps/{target}"),
+        once_found: once_found.into(),
+        min_support: None,
+    }
+}
+
+/// The merge once its job is done.
+async fn done(client: &Client, merge: &v1::Merge) -> v1::Merge {
+    let job = client.job(&merge.job).await.unwrap();
+    followed(client, &job).await;
+    client.merge(&merge.name).await.unwrap()
+}
+
+fn overlap(merge: &v1::Merge) -> &v1::MapOverlap {
+    match &merge.sources[0].outcome {
+        Some(Outcome::Overlap(overlap)) => overlap,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_maps_become_one_and_two_again() {
+    let rounds = Rounds::new();
+    let directory = tempfile::tempdir().unwrap();
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let model = import_model(&client).await;
+    rounds.map(&client, &model, "monday", 0).await;
+    rounds.map(&client, &model, "tuesday", 1).await;
+    let before = [state_hash(&client, "monday").await, state_hash(&client, "tuesday").await];
+
+    // A preview changes nothing, and says how the maps lie to each other.
+    let asked = client.merge_maps(request(&["monday", "tuesday"], "week", OnceFound::Propose)).await.unwrap();
+    let proposed = done(&client, &asked).await;
+    assert_eq!(proposed.state(), State::Proposed, "{proposed:?}");
+    let found_overlap = overlap(&proposed);
+    println!("{found_overlap:?}");
+    assert!(found_overlap.agreeing_matches >= 20 && found_overlap.fused_places >= 20, "{found_overlap:?}");
+    assert!(found_overlap.confirmed_places * 10 >= found_overlap.overlapping_places * 6);
+    let pose = found_overlap.transformation.unwrap();
+    let (position, orientation) = (pose.position_m.unwrap(), pose.orientation.unwrap());
+    let told = PlanarPose::new(position.x, position.y, 2.0 * orientation.z.atan2(orientation.w));
+    let apart = told.inverse().compose(&rounds.truth(&rounds.frames[0], &rounds.day(1)[0]));
+    assert!(apart.x_m().hypot(apart.y_m()) < 1.0 && apart.heading_rad().abs() < 0.1, "{apart:?}");
+    let strongest = &found_overlap.strongest_matches[0];
+    assert!(strongest.source_frame.starts_with("maps/tuesday/sessions/robot/frames/"), "{strongest:?}");
+    assert!(strongest.target_frame.starts_with("maps/monday/sessions/robot/frames/"), "{strongest:?}");
+    let picture = String::from_utf8(client.merge_picture(&proposed.name).await.unwrap()).unwrap();
+    assert!(picture.contains("tuesday before") && picture.contains("together"), "{picture:.400}");
+    assert_eq!(get(&server, &format!("/v1/{}/picture", proposed.name)).await.text(), picture);
+    assert_eq!([state_hash(&client, "monday").await, state_hash(&client, "tuesday").await], before);
+    assert_eq!(refused(client.map("week", v1::MapView::Full).await).0, Code::NotFound);
+    // The name is kept for it meanwhile.
+    let taken = refused(client.create_map(map_request("week", &model.name)).await);
+    assert_eq!(taken.0, Code::AlreadyExists, "{taken:?}");
+
+    let committed = done(&client, &client.commit_merge(&proposed.name).await.unwrap()).await;
+    assert_eq!(committed.state(), State::Committed, "{committed:?}");
+    assert_eq!(committed.sources[0].sessions, ["tuesday-robot"]);
+    let week = client.map("week", v1::MapView::Full).await.unwrap();
+    assert_eq!((week.sessions, week.frames), (2, rounds.frames.len() as u64));
+    let fewer = found_overlap.fused_places;
+    let maps = [
+        client.map("monday", v1::MapView::Full).await.unwrap(),
+        client.map("tuesday", v1::MapView::Full).await.unwrap(),
+    ];
+    assert_eq!(week.places, maps[0].places + maps[1].places - fewer);
+    assert_eq!([&maps[0].state_hash, &maps[1].state_hash], [&before[0], &before[1]]);
+    for session in ["robot", "tuesday-robot"] {
+        let rmse_m = rounds.rmse_m(&client, &format!("maps/week/sessions/{session}")).await;
+        println!("{session}: {rmse_m} m");
+        assert!(rmse_m < 0.6, "{session}: {rmse_m} m");
+    }
+    let frame = format!("maps/week/sessions/tuesday-robot/frames/{}", rounds.day(1)[0].number + 1);
+    let image = client.frame_picture(&frame, None).await.unwrap();
+    assert!(!image.is_empty());
+
+    // What is committed cannot be decided again; the sources may go, and the map stays.
+    for refusal in [client.commit_merge(&committed.name).await, client.discard_merge(&committed.name).await] {
+        assert_eq!(refused(refusal).0, Code::FailedPrecondition);
+    }
+    client.delete_map("tuesday").await.unwrap();
+    server.stop().await;
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    assert_eq!(state_hash(&client, "week").await, week.state_hash);
+
+    // Another robot starts anywhere in it, lost, and is anchored at what it recognises.
+    let answers = rounds.drive(&client, "week", "third", &rounds.day(1)[20..40]).await;
+    let anchored = answers.iter().position(|answer| answer.reason() == v1::Reason::LoopClosure);
+    let anchored = anchored.unwrap_or_else(|| panic!("{answers:?}"));
+    assert!(answers[anchored..].iter().all(|answer| answer.map_pose.as_ref().unwrap().part == 0));
+    // So the merge's map is not that of the merge alone any more, and does not go as a whole.
+    let undone = client.undo_merge(&committed.name).await.unwrap();
+    let job = client.job(&undone.job).await.unwrap();
+    let last = followed(&client, &job).await.pop().unwrap();
+    assert!(last.error.contains("sessions have driven in the map week since"), "{last:?}");
+    let job = client.remove_session("maps/week/sessions/third").await.unwrap();
+    assert_eq!(followed(&client, &job).await.pop().unwrap().state(), v1::job::State::Succeeded);
+    assert_eq!(state_hash(&client, "week").await, week.state_hash);
+    let undone = done(&client, &client.undo_merge(&committed.name).await.unwrap()).await;
+    assert_eq!(undone.state(), State::Undone, "{undone:?}");
+    assert_eq!(refused(client.map("week", v1::MapView::Full).await).0, Code::NotFound);
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_merge_into_a_map_is_there_whole_or_not_at_all_and_can_be_undone() {
+    const KILLS: u64 = 6;
+    let rounds = Rounds::new();
+    let directory = tempfile::tempdir().unwrap();
+    let mut server = ServerProcess::start(directory.path());
+    let client = server.client().await;
+    let model = import_model(&client).await;
+    rounds.map(&client, &model, "monday", 0).await;
+    rounds.map(&client, &model, "tuesday", 1).await;
+    let monday = client.map("monday", v1::MapView::Full).await.unwrap();
+    let tuesday = client.map("tuesday", v1::MapView::Full).await.unwrap();
+
+    // Killed at some moment of it; each time the map is as it was, or whole, and then it is undone.
+    let mut random = ChaCha8Rng::seed_from_u64(8);
+    let (mut whole, mut nothing) = (0, 0);
+    for kill in 0..KILLS {
+        let client = server.client().await;
+        let asked = client.merge_maps(request(&["tuesday"], "monday", OnceFound::Commit)).await.unwrap();
+        if kill == KILLS - 1 {
+            done(&client, &asked).await;
+        } else {
+            tokio::time::sleep(Duration::from_millis(random.random_range(0..1_000) * kill)).await;
+        }
+        server.kill();
+        server = ServerProcess::start(directory.path());
+        let client = server.client().await;
+        let merge = client.merge(&asked.name).await.unwrap();
+        let now = client.map("monday", v1::MapView::Full).await.unwrap();
+        assert_eq!(state_hash(&client, "tuesday").await, tuesday.state_hash);
+        if merge.state() == State::Committed {
+            whole += 1;
+            assert_eq!((now.sessions, now.frames), (2, monday.frames + tuesday.frames));
+            let undone = done(&client, &client.undo_merge(&merge.name).await.unwrap()).await;
+            assert_eq!(undone.state(), State::Undone, "{undone:?}");
+            let back = client.map("monday", v1::MapView::Full).await.unwrap();
+            assert_eq!((back.state_hash, back.sessions), (monday.state_hash.clone(), 1));
+        } else {
+            nothing += 1;
+            assert_eq!(merge.state(), State::Failed);
+            assert!(merge.error.contains("ask for it again"), "{merge:?}");
+            assert_eq!(now.state_hash, monday.state_hash);
+        }
+    }
+    println!("{whole} whole, {nothing} nothing");
+    assert!(whole >= 1 && nothing >= 1, "{whole} whole, {nothing} nothing");
+
+    // A robot that drives in the target meanwhile notices nothing, and stays when the merge is undone.
+    let client = server.client().await;
+    let driving = rounds.drive(&client, "monday", "meanwhile", rounds.day(1));
+    let merging = async {
+        let asked = client.merge_maps(request(&["tuesday"], "monday", OnceFound::Commit)).await.unwrap();
+        done(&client, &asked).await
+    };
+    let (answers, merge) = tokio::join!(driving, merging);
+    assert_eq!((answers.len(), merge.state()), (rounds.day(1).len(), State::Committed), "{merge:?}");
+    let both = client.map("monday", v1::MapView::Full).await.unwrap();
+    assert_eq!((both.sessions, both.frames), (3, monday.frames + 2 * tuesday.frames));
+    let undone = done(&client, &client.undo_merge(&merge.name).await.unwrap()).await;
+    assert_eq!(undone.state(), State::Undone, "{undone:?}");
+    let after = client.map("monday", v1::MapView::Full).await.unwrap();
+    assert_eq!((after.sessions, after.frames), (2, monday.frames + tuesday.frames));
+    let sessions = client.sessions("monday").await.unwrap();
+    let names: Vec<&str> = sessions.iter().map(|session| session.name.rsplit('/').next().unwrap()).collect();
+    assert_eq!(names, ["robot", "meanwhile"]);
+    for session in names {
+        let rmse_m = rounds.rmse_m(&client, &format!("maps/monday/sessions/{session}")).await;
+        assert!(rmse_m < 1.0, "{session}: {rmse_m} m");
+    }
+    server.stop();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_merged_is_said() {
+    let server = Server::start().await;
+    let client = server.client().await;
+    let model = import_model(&client).await;
+    let other = take_model(&client, "other", &model_of_other_words()).await;
+    client.create_map(map_request("empty", &model.name)).await.unwrap();
+    client.create_map(map_request("bare", &model.name)).await.unwrap();
+    client.create_map(crate::harness::by_words_request("foreign", &other.name)).await.unwrap();
+    for (sources, target, code, fragment) in [
+        (&["empty", "empty"][..], "new", Code::InvalidArgument, "named twice"),
+        (&["empty"], "new", Code::InvalidArgument, "name two maps or more"),
+        (&["empty"], "empty", Code::InvalidArgument, "nothing is to go into the map empty"),
+        (&[], "empty", Code::InvalidArgument, "nothing is to go into"),
+        (&["nowhere"], "empty", Code::NotFound, "there is no map nowhere"),
+        (&["foreign"], "empty", Code::FailedPrecondition, "different words"),
+        (&["foreign", "empty"], "new", Code::FailedPrecondition, "different words"),
+        (&["No"], "empty", Code::InvalidArgument, "is no map name"),
+    ] {
+        let answer = refused(client.merge_maps(request(sources, target, OnceFound::Commit)).await);
+        assert_status(&format!("{sources:?} into {target}"), (answer.0, &answer.1), code, fragment);
+    }
+    let few = v1::MergeMapsRequest { min_support: Some(2), ..request(&["bare"], "empty", OnceFound::Commit) };
+    let answer = refused(client.merge_maps(few).await);
+    assert_status("support", (answer.0, &answer.1), Code::InvalidArgument, "least support cannot be 2");
+    assert_eq!(refused(client.merge("merges/77").await).0, Code::NotFound);
+    assert_eq!(refused(client.merge("77").await).0, Code::InvalidArgument);
+    assert_eq!(refused(client.commit_merge("merges/77").await).0, Code::NotFound);
+    assert_eq!(refused(client.remove_session("maps/empty/sessions/none").await).0, Code::NotFound);
+
+    // Nothing overlaps with an empty map: that is an answer.
+    let asked = client.merge_maps(request(&["bare"], "empty", OnceFound::Commit)).await.unwrap();
+    let apart = done(&client, &asked).await;
+    assert_eq!(apart.state(), State::Apart);
+    let Some(Outcome::Apart(why)) = &apart.sources[0].outcome else { panic!("{apart:?}") };
+    assert!(why.contains("no places"), "{why}");
+    // It is seen over REST, too, and asked for there.
+    let list = found(&server, "/v1/merges").await;
+    assert_eq!(list["merges"][0]["state"], "apart");
+    let body = r#"{"sources": ["maps/bare"], "target": "maps/empty"}"#;
+    let asked = http()
+        .post(server.url("/v1/merges"))
+        .header("content-type", "application/json")
+        .body(body)
+        .send()
+        .await
+        .unwrap();
+    assert!(asked.status().is_success(), "{asked:?}");
+    server.stop().await;
+}
