@@ -14,6 +14,7 @@ mod consistency;
 mod joining;
 mod judgement;
 mod matching;
+mod steps;
 mod ways;
 
 use fabmap::appearance::PlaceId;
@@ -123,7 +124,7 @@ pub enum Verdict {
 /// How a source joins a target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MergePlan {
-    /// The frame of the source's part in that of the target's.
+    /// The frame of the source's part in that of the target's; the identity where one of the maps knows no metres.
     pub transformation: PlanarPose,
     /// The lowest places of the two parts, source and target, that the transformation is between.
     pub parts: (PlaceId, PlaceId),
@@ -149,7 +150,7 @@ pub struct FusedPlace {
     /// Of its matches that with the place that it lies nearest to.
     pub matched: PlaceMatch,
     /// Pose of the place of the source in the frame of that of the target, with both maps as one: what this match and
-    /// all others say together.
+    /// all others say together. Where one of the maps knows no metres, only that it is somewhere near.
     pub at: RelativePose,
 }
 
@@ -201,8 +202,8 @@ impl Overlap {
 /// Why two maps stay two.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Apart {
-    /// One of the maps has no places that wheels or closures join.
-    #[error("one of the maps has no places joined by metres")]
+    /// One of the maps has no two places that are linked.
+    #[error("one of the maps has no two places that are linked; drive on until it has some")]
     NothingMeasured,
     /// Nothing looks alike.
     #[error("no place of the one looks like one of the other")]

@@ -29,6 +29,8 @@ pub struct PlacePoses {
     links: Vec<usize>,
     /// What the edges were measured as.
     ways: Ways,
+    /// Ends of the links that measured nothing.
+    unmeasured: Vec<(PlaceId, PlaceId)>,
     /// Turn that the wheels of sessions see where there is none, in radians per metre.
     drifts: BTreeMap<SessionId, f64>,
     by_position: HashMap<Cell, Vec<PlaceId>>,
@@ -71,6 +73,7 @@ impl Default for PlacePoses {
             members: HashMap::new(),
             links: Vec::new(),
             ways: Ways::default(),
+            unmeasured: Vec::new(),
             drifts: BTreeMap::new(),
             by_position: HashMap::new(),
             settled: Settled::Yes,
@@ -125,6 +128,17 @@ impl PlacePoses {
             };
             Link { from: way.from as PlaceId, to: way.to as PlaceId, kind: kind(way.measured) }
         })
+    }
+
+    /// Ends of all links, measured or not: a session went from the one to the other.
+    pub fn linked(&self) -> impl Iterator<Item = (PlaceId, PlaceId)> + '_ {
+        self.measured_links().map(|link| (link.from, link.to)).chain(self.unmeasured.iter().copied())
+    }
+
+    /// Whether a measured way joins any two places.
+    #[must_use]
+    pub fn has_metres(&self) -> bool {
+        !self.members.is_empty()
     }
 
     /// Edges of the graph that are not contradicted.
@@ -205,7 +219,10 @@ impl PlacePoses {
     pub(crate) fn add_link(&mut self, number: usize, link: &Link, noise: &OdometryNoise) {
         let Link { from, to, kind } = *link;
         let (measured, kind) = match kind {
-            LinkKind::Session => return,
+            LinkKind::Session => {
+                self.unmeasured.push((from, to));
+                return;
+            }
             LinkKind::Odometry(relative) => (noise.from_above(&relative), EdgeKind::Odometry),
             LinkKind::Driven(measured) => (measured, EdgeKind::Odometry),
             LinkKind::Closed(measured) => (measured, EdgeKind::Closure),

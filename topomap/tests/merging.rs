@@ -29,6 +29,90 @@ fn repeated(pose: &PlanarPose) -> PlanarPose {
     PlanarPose::new(pose.x_m().rem_euclid(10.0), pose.y_m(), pose.heading_rad())
 }
 
+/// The same drive, of a robot whose wheels nobody reads.
+fn without_metres(drive: impl Fn(&mut Robot), looks: building::Looks, pose: PlanarPose) -> Robot {
+    let mut robot = Robot::new(looks, pose, [0.0; 2]);
+    robot.runs.get_mut(&0).unwrap().odometry = None;
+    drive(&mut robot);
+    robot
+}
+
+fn along(steps: usize) -> impl Fn(&mut Robot) {
+    move |robot| ahead(robot, steps)
+}
+
+#[test]
+fn maps_without_metres_are_joined_in_step() {
+    let target = without_metres(along(30), unique, PlanarPose::new(0.1, 0.0, 0.0));
+    let source = without_metres(along(30), unique, PlanarPose::new(9.1, 0.0, 0.0));
+    let plan = plan(&source, &target);
+    assert_eq!(plan.transformation, PlanarPose::identity());
+    assert!(plan.fused.len() >= 10, "{} places fused", plan.fused.len());
+    for fused in &plan.fused {
+        let [a, b] = [source.made_at(fused.matched.source), target.made_at(fused.matched.target)];
+        assert!(apart_m(&a, &b) < 1.3, "{fused:?}");
+    }
+    let joined = target.joined_by(&source, &plan);
+    let [of_target, of_source] = [&target, &source].map(|robot| robot.mapper.map().places().len());
+    assert_eq!(joined.mapper.map().places().len(), of_target + of_source - plan.fused.len());
+    assert!(!joined.mapper.poses().has_metres());
+    // The source's way goes on from the target's.
+    let last = (of_target..joined.mapper.map().places().len()).map(|place| place as PlaceId);
+    assert!(
+        last.clone().count() >= 10
+            && last.into_iter().all(|place| !joined.mapper.map().linked(place).is_empty())
+    );
+
+    let other = without_metres(along(30), elsewhere, PlanarPose::new(9.1, 0.0, 0.0));
+    assert!(matches!(judged(&other, &target, &matches(&other, &target)), Verdict::Apart(_)));
+}
+
+/// One map knows metres, the other none: the places that both have seen are joined all the same.
+#[test]
+fn a_map_without_metres_joins_one_with_them() {
+    let target = first(unique);
+    let source = without_metres(along(20), unique, PlanarPose::new(6.1, 0.0, 0.0));
+    for (source, target) in [(&source, &target), (&target, &source)] {
+        let plan = plan(source, target);
+        assert!(plan.fused.len() >= 10, "{} places fused", plan.fused.len());
+        let joined = target.joined_by(source, &plan);
+        assert!(joined.mapper.poses().has_metres());
+    }
+}
+
+/// Ten halls in a row that look the same, and a robot that has been in one of them.
+#[test]
+fn without_metres_too_halls_that_look_the_same_are_none_to_merge_by() {
+    let made = |from_m: f64, steps: usize| {
+        let mut robot = without_metres(along(steps), unique, PlanarPose::new(from_m, 0.0, 0.0));
+        robot.looks = repeated;
+        robot
+    };
+    let (target, source) = (made(0.1, 32), made(10.1, 12));
+    let mut found = Vec::new();
+    for place in 0..source.mapper.map().places().len() as PlaceId {
+        for other in 0..target.mapper.map().places().len() as PlaceId {
+            let view = seen(repeated, &target.made_at(other), &source.made_at(place));
+            if view.motion.is_some() {
+                let (source_frame, target_frame) = (1 + u64::from(place), 1 + u64::from(other));
+                let (source, view, measured) = (place, Some(view), None);
+                let matched = PlaceMatch {
+                    source,
+                    target: other,
+                    source_frame,
+                    target_frame,
+                    posterior: 0.9,
+                    view,
+                    measured,
+                };
+                found.push(matched);
+            }
+        }
+    }
+    let verdict = judged(&source, &target, &found);
+    assert!(matches!(verdict, Verdict::Apart(Apart::Ambiguous { .. })), "{verdict:?}");
+}
+
 impl Robot {
     /// Where the frame that made a place truly was.
     fn made_at(&self, place: PlaceId) -> PlanarPose {
@@ -174,6 +258,27 @@ fn halls_that_look_the_same_are_none_to_merge_by() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
+
+    /// The same where nobody knows metres.
+    #[test]
+    fn wrong_matches_change_nothing_without_metres(seed in any::<u64>()) {
+        let target = without_metres(along(30), unique, PlanarPose::new(0.1, 0.0, 0.0));
+        let source = without_metres(along(30), unique, PlanarPose::new(9.1, 0.0, 0.0));
+        let true_ones = matches(&source, &target);
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut all = true_ones.clone();
+        for like in true_ones.iter().take(true_ones.len() / 4) {
+            let [a, b] = [&source, &target].map(|robot| robot.mapper.map().places().len() as PlaceId);
+            all.push(PlaceMatch { source: random.random_range(0..a), target: random.random_range(0..b), ..*like });
+        }
+        let Verdict::Overlap(plan) = judged(&source, &target, &all) else { return Err(TestCaseError::fail("apart")) };
+        for fused in &plan.fused {
+            let [a, b] = [source.made_at(fused.matched.source), target.made_at(fused.matched.target)];
+            prop_assert!(apart_m(&a, &b) < 2.0, "{fused:?}");
+        }
+        prop_assert!(plan.fused.len() >= 10);
+        prop_assert_eq!(plan.matches.len() + plan.rejected.len(), all.len());
+    }
 
     /// A fifth of the matches lead anywhere: none of them is believed, and the places that are fused are as right.
     #[test]

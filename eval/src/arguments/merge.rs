@@ -8,6 +8,7 @@ use waypost_eval::choices::Choices;
 use waypost_eval::commands::map::training::MapTraining;
 use waypost_eval::commands::map::{ModelSource, WheelChoice};
 use waypost_eval::commands::merge::kitti::{self, KittiMergeOptions};
+use waypost_eval::commands::merge::passes::{self, PassesOptions};
 use waypost_eval::commands::merge::{self, MergeOptions, MergeScenario};
 use waypost_eval::error::EvalError;
 
@@ -27,6 +28,11 @@ pub(crate) struct MergeArguments {
     /// poses.txt and loops.csv. Its true loops stand in for recognition.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["scenario", "route", "model", "out"])]
     kitti: Option<PathBuf>,
+    /// In place of a simulated world, real images without odometry, of a building that was walked through twice: a folder
+    /// with images and an index.csv that says of each frame its pass, 1 or 2, and its floor. The passes are merged, and then
+    /// every floor of the one with every floor of the other.
+    #[arg(long, value_name = "DIR", requires = "model", conflicts_with_all = ["scenario", "kitti", "route", "trials", "false_matches", "out"])]
+    passes: Option<PathBuf>,
     /// The route of the sessions, in the office.
     #[arg(long, value_name = "NAME", default_value = "98m")]
     route: String,
@@ -74,6 +80,10 @@ impl MergeArguments {
         let default = MergeSettings::default();
         let merge = MergeSettings { min_support: self.min_support.unwrap_or(default.min_support), ..default };
         let (wheels, false_share) = (WheelChoice::Biased { scale, drift_rad_per_m }, self.false_matches);
+        if let (Some(folder), Some(model)) = (&self.passes, &self.model) {
+            let options = PassesOptions { folder: folder.clone(), model: model.clone(), seed, merge };
+            return print_if(json, &passes::run(&options)?);
+        }
         if let Some(folder) = self.kitti {
             let merge = MergeSettings { min_total_evidence: 0.0, ..merge };
             let options = KittiMergeOptions { folder, seed, trials, wheels, false_share, merge };

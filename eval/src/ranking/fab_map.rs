@@ -58,6 +58,18 @@ impl FabMap {
     pub fn mapper(&self) -> &Mapper {
         &self.mapper
     }
+
+    /// What was decided so far.
+    #[must_use]
+    pub fn log(&self) -> &EventLog {
+        &self.log
+    }
+
+    /// What the frames so far showed, by index in the sequence.
+    #[must_use]
+    pub fn features(&self) -> &[FeatureRecord] {
+        &self.features
+    }
 }
 
 impl Ranking for FabMap {

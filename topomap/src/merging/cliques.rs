@@ -51,10 +51,20 @@ impl Agreements {
             if set.len() + remaining.len() <= beat {
                 return Vec::new();
             }
-            let next = remaining.into_iter().map(|member| (in_common(&self.rows[member], &left), member));
-            let Some((_, next)) = next.max_by(|a, b| a.0.cmp(&b.0).then(b.1.cmp(&a.1))) else { return set };
-            set.push(next);
-            left = both(&left, &self.rows[next]);
+            let count = |&member: &usize| (in_common(&self.rows[member], &left), member);
+            let counted: Vec<(usize, usize)> = remaining.iter().map(count).collect();
+            let most = counted.iter().max_by(|a, b| a.0.cmp(&b.0).then(b.1.cmp(&a.1)));
+            let Some(&(agreeing, next)) = most else { return set };
+            if agreeing + 1 < remaining.len() {
+                set.push(next);
+                left = both(&left, &self.rows[next]);
+                continue;
+            }
+            // Those that agree with all that is left would come next, one by one.
+            for (_, member) in counted.into_iter().filter(|&(others, _)| others == agreeing) {
+                set.push(member);
+                left[member / 64] &= !(1 << (member % 64));
+            }
         }
     }
 }

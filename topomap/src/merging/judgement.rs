@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use fabmap::appearance::PlaceId;
 
 use super::consistency::{Consistency, Measured};
+use super::steps::in_step;
 use super::ways::Ways;
 use super::{Apart, FusedPlace, MergePlan, MergeSettings, Overlap, PlaceMatch, Verdict};
 use crate::event::{Link, LinkKind, SessionId};
@@ -59,8 +60,11 @@ fn agreed(
     matches: &[PlaceMatch],
     settings: &MergeSettings,
 ) -> Result<MergePlan, Apart> {
-    if source.poses.poses().len() < 2 || target.poses.poses().len() < 2 {
+    if source.poses.linked().next().is_none() || target.poses.linked().next().is_none() {
         return Err(Apart::NothingMeasured);
+    }
+    if !source.poses.has_metres() || !target.poses.has_metres() {
+        return in_step(source, target, matches, settings);
     }
     let (parts, strongest) = strongest_of_one_pair_of_parts(source, target, matches)?;
     let compared: Vec<Measured> = strongest.iter().take(MAX_COMPARED).filter_map(measured).collect();
