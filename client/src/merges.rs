@@ -1,9 +1,9 @@
-//! Calls about maps that become one.
+//! Calls that make maps of maps.
 
 use waypost_proto::v1;
 use waypost_proto::v1::merge_service_client::MergeServiceClient;
 
-use crate::client::{Client, MAX_ANSWER_BYTES, PAGE_SIZE, Transport};
+use crate::client::{Client, MAX_ANSWER_BYTES, PAGE_SIZE, Transport, map_name};
 use crate::error::Error;
 
 impl Client {
@@ -81,6 +81,16 @@ impl Client {
     pub async fn remove_session(&self, name: &str) -> Result<v1::Job, Error> {
         let request = v1::RemoveSessionRequest { name: name.to_owned() };
         self.taken(self.maps_client().remove_session(request).await)
+    }
+
+    /// Makes a new map of what a map keeps of its frames, with a model of other words; the job that comes back does so.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND, ALREADY_EXISTS, or FAILED_PRECONDITION if the map does not keep what it takes.
+    pub async fn rebuild_map(&self, map: &str, model: &str, into: &str) -> Result<v1::Job, Error> {
+        let (name, map_id) = (map_name(map), into.strip_prefix("maps/").unwrap_or(into).to_owned());
+        let request = v1::RebuildMapRequest { name, model: model.to_owned(), map_id };
+        self.taken(self.maps_client().rebuild_map(request).await)
     }
 
     fn merges_client(&self) -> MergeServiceClient<Transport> {

@@ -62,6 +62,7 @@ impl From<v1::Job> for JobView {
             v1::job::Kind::ImportMap => "import_map",
             v1::job::Kind::MergeMaps => "merge_maps",
             v1::job::Kind::RemoveSessions => "remove_sessions",
+            v1::job::Kind::RebuildMap => "rebuild_map",
         };
         let v1::Job {
             name,

@@ -15,6 +15,7 @@ pub(crate) mod names;
 pub(crate) mod navigations;
 pub(crate) mod pictures;
 pub(crate) mod queries;
+mod rebuilding;
 mod removal;
 pub(crate) mod sessions;
 pub(crate) mod snapshots;

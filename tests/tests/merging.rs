@@ -20,8 +20,8 @@ use waypost_sim::simulation::{CameraFrame, Simulation, SimulationSettings};
 use waypost_sim::worlds::NamedWorld;
 
 use crate::harness::{
-    Server, ServerProcess, assert_status, followed, found, get, http, import_model, map_request,
-    model_of_other_words, refused, session_options, state_hash, stream, take_model,
+    Server, ServerProcess, answers, assert_status, followed, found, frame, get, http, images, import_model,
+    map_request, model_of_other_words, refused, session_options, state_hash, stream, take_model,
 };
 
 const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * std::f64::consts::PI;
@@ -346,7 +346,7 @@ async fn what_cannot_be_merged_is_said() {
     let apart = done(&client, &asked).await;
     assert_eq!(apart.state(), State::Apart);
     let Some(Outcome::Apart(why)) = &apart.sources[0].outcome else { panic!("{apart:?}") };
-    assert!(why.contains("no places"), "{why}");
+    assert!(why.contains("no two places"), "{why}");
     // It is seen over REST, too, and asked for there.
     let list = found(&server, "/v1/merges").await;
     assert_eq!(list["merges"][0]["state"], "apart");
@@ -359,5 +359,49 @@ async fn what_cannot_be_merged_is_said() {
         .await
         .unwrap();
     assert!(asked.status().is_success(), "{asked:?}");
+    server.stop().await;
+}
+
+/// The words of a map can be made anew from the descriptors that it keeps, and are as if its robots had sent them there.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_map_is_made_anew_with_another_model() {
+    const FRAMES: u64 = 30;
+    let (server, client) = Server::with_map().await;
+    answers(&client, "drive", "robot", (1..=FRAMES).map(frame)).await;
+    let shipped = import_model(&client).await;
+    let settings = v1::TrainModelSettings {
+        display_name: "fewer words".to_owned(),
+        extractor: shipped.extractor,
+        words: 300,
+        seed: 1,
+        image_count: 40,
+    };
+    let images = futures::stream::iter(images()[..40].iter().cloned().map(Ok));
+    let job = client.train_model(settings, images).await.unwrap();
+    let other = followed(&client, &job).await.pop().unwrap().model.unwrap();
+    let job = client.rebuild_map("drive", &other.name, "anew").await.unwrap();
+    assert_eq!(followed(&client, &job).await.pop().unwrap().result, "maps/anew");
+    client.create_map(map_request("sent", &other.name)).await.unwrap();
+    answers(&client, "sent", "robot", (1..=FRAMES).map(frame)).await;
+    assert_eq!(state_hash(&client, "anew").await, state_hash(&client, "sent").await);
+    let anew = client.map("anew", v1::MapView::Full).await.unwrap();
+    assert_eq!((anew.frames, &anew.model), (FRAMES, &other.name));
+
+    // Asked for again, it goes on with what has come since.
+    answers(&client, "drive", "robot", (FRAMES + 1..=FRAMES + 3).map(frame)).await;
+    let job = client.rebuild_map("drive", &other.name, "anew").await.unwrap();
+    followed(&client, &job).await;
+    assert_eq!(client.map("anew", v1::MapView::Full).await.unwrap().frames, FRAMES + 3);
+
+    let foreign = take_model(&client, "foreign", &model_of_other_words()).await;
+    for (map, model, into, code, fragment) in [
+        ("drive", &foreign, "new", Code::FailedPrecondition, "give a model of the same features"),
+        ("drive", &other, "drive", Code::AlreadyExists, "there is a map drive already"),
+        ("drive", &other, "New", Code::InvalidArgument, "is no map name"),
+        ("nowhere", &other, "new", Code::NotFound, "there is no map nowhere"),
+    ] {
+        let answer = refused(client.rebuild_map(map, &model.name, into).await);
+        assert_status(map, (answer.0, &answer.1), code, fragment);
+    }
     server.stop().await;
 }

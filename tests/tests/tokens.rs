@@ -16,13 +16,14 @@ use crate::harness::{
 };
 
 /// Methods that a robot may not call.
-const FOR_ADMINS: [&str; 17] = [
+const FOR_ADMINS: [&str; 18] = [
     "/waypost.v1.MapService/CreateMap",
     "/waypost.v1.MapService/DeleteMap",
     "/waypost.v1.MapService/RebindMap",
     "/waypost.v1.MapService/ExportMap",
     "/waypost.v1.MapService/ImportMap",
     "/waypost.v1.MapService/RemoveSession",
+    "/waypost.v1.MapService/RebuildMap",
     "/waypost.v1.MergeService/MergeMaps",
     "/waypost.v1.MergeService/CommitMerge",
     "/waypost.v1.MergeService/DiscardMerge",

@@ -7,9 +7,9 @@ use clap::{Subcommand, ValueEnum};
 use serde_json::json;
 use waypost_client::{Client, ClientOptions, v1};
 
-use super::merge;
 use super::model::short;
 use super::snapshot::{self, Replacing};
+use super::{job, merge};
 use crate::failure::Failure;
 use crate::output::{Output, table};
 use crate::views::{ClosureView, FrameView, MapSummary, PlacePoseView, PlaceView, SettingsView, StorageView};
@@ -96,6 +96,18 @@ pub(crate) enum Command {
     },
     /// Make maps one: what both have seen becomes the same places; Ctrl-C cancels
     Merge(merge::Merging),
+    /// Make a map anew with a model of other words, from the images or descriptors that it keeps; Ctrl-C cancels, and the
+    /// same command goes on
+    Rebuild {
+        /// Name of the map; it stays as it is
+        name: String,
+        /// Hash of the model, its beginning, or a display name that only one model has
+        #[arg(long)]
+        model: String,
+        /// Name of the new map
+        #[arg(long, value_name = "MAP")]
+        into: String,
+    },
     /// Tell what each of two maps has that the other has not; changes nothing
     Diff {
         /// Name of a map
@@ -322,6 +334,11 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
             show(snapshot::import(&client, &file, &name, output).await?, output)
         }
         Command::Merge(merging) => merge::merge(&client, merging, output).await,
+        Command::Rebuild { name, model, into } => {
+            let job = client.rebuild_map(&name, &model, &into).await?;
+            let job = job::follow(&client, &job.name, output).await?;
+            show(client.map(&job.result, v1::MapView::Unspecified).await?, output)
+        }
         Command::Diff { first, second } => merge::diff(&client, [&first, &second], output).await,
         Command::Rm { name } => {
             client.delete_map(&name).await?;

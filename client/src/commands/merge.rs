@@ -96,9 +96,8 @@ struct SourceView {
 
 #[derive(Serialize)]
 struct OverlapView {
-    x_m: f64,
-    y_m: f64,
-    heading_rad: f64,
+    /// Null where one of the maps knows no metres.
+    lies_at: Option<LiesAt>,
     source_part: u32,
     target_part: u32,
     agreeing_matches: u64,
@@ -110,6 +109,13 @@ struct OverlapView {
     cost_before: f64,
     cost_after: f64,
     strongest_matches: Vec<MatchView>,
+}
+
+#[derive(Serialize)]
+struct LiesAt {
+    x_m: f64,
+    y_m: f64,
+    heading_rad: f64,
 }
 
 #[derive(Serialize)]
@@ -269,9 +275,7 @@ fn show(merge: v1::Merge, output: Output) -> Result<(), Failure> {
 
 fn show_overlap(overlap: &OverlapView, out: &mut dyn Write) -> io::Result<()> {
     let OverlapView {
-        x_m,
-        y_m,
-        heading_rad,
+        lies_at,
         source_part: _,
         target_part: _,
         agreeing_matches,
@@ -284,8 +288,16 @@ fn show_overlap(overlap: &OverlapView, out: &mut dyn Write) -> io::Result<()> {
         cost_after,
         strongest_matches,
     } = overlap;
-    let degrees = heading_rad.to_degrees();
-    writeln!(out, "  lies at              x {x_m:.2} m, y {y_m:.2} m, turned by {degrees:.1} degrees")?;
+    match lies_at {
+        Some(LiesAt { x_m, y_m, heading_rad }) => {
+            let degrees = heading_rad.to_degrees();
+            writeln!(
+                out,
+                "  lies at              x {x_m:.2} m, y {y_m:.2} m, turned by {degrees:.1} degrees"
+            )?;
+        }
+        None => writeln!(out, "  lies at              not known: one of the maps has no odometry")?,
+    }
     writeln!(out, "  matches              {agreeing_matches} agree, {rejected_matches} do not")?;
     writeln!(out, "  next best way        {rival_matches} matches")?;
     writeln!(out, "  fused places         {fused_places}")?;
@@ -363,8 +375,10 @@ impl From<v1::MapOverlap> for OverlapView {
             cost_after,
             strongest_matches,
         } = overlap;
-        let v1::Pose { position_m, orientation } = transformation.unwrap_or_default();
-        let (position, orientation) = (position_m.unwrap_or_default(), orientation.unwrap_or_default());
+        let lies_at = transformation.map(|v1::Pose { position_m, orientation }| {
+            let (position, orientation) = (position_m.unwrap_or_default(), orientation.unwrap_or_default());
+            LiesAt { x_m: position.x, y_m: position.y, heading_rad: 2.0 * orientation.z.atan2(orientation.w) }
+        });
         let matched = |matched: v1::PlaceMatch| {
             let v1::PlaceMatch {
                 source_place,
@@ -377,9 +391,7 @@ impl From<v1::MapOverlap> for OverlapView {
             MatchView { source_place, target_place, source_frame, target_frame, posterior, evidence_nats }
         };
         Self {
-            x_m: position.x,
-            y_m: position.y,
-            heading_rad: 2.0 * orientation.z.atan2(orientation.w),
+            lies_at,
             source_part,
             target_part,
             agreeing_matches,

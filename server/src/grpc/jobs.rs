@@ -71,6 +71,7 @@ pub(super) fn job(status: JobStatus) -> v1::Job {
         JobKind::ImportMap => Kind::ImportMap,
         JobKind::MergeMaps => Kind::MergeMaps,
         JobKind::RemoveSessions => Kind::RemoveSessions,
+        JobKind::RebuildMap => Kind::RebuildMap,
     };
     v1::Job {
         name: format!("jobs/{number}"),

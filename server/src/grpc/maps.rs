@@ -174,6 +174,14 @@ impl MapService for Adapter {
         Ok(Response::new(job(self.service.start_map_import(upload).await?)))
     }
 
+    async fn rebuild_map(
+        &self,
+        request: Request<v1::RebuildMapRequest>,
+    ) -> Result<Response<v1::Job>, Status> {
+        let v1::RebuildMapRequest { name, model, map_id } = request.into_inner();
+        Ok(Response::new(job(self.service.rebuild_map(&name, &model, &map_id).await?)))
+    }
+
     async fn remove_session(
         &self,
         request: Request<v1::RemoveSessionRequest>,

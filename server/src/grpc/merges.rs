@@ -117,7 +117,7 @@ fn source(source: MergedSource) -> v1::MergeSource {
 
 fn overlap(overlap: MapOverlap) -> v1::MapOverlap {
     let MapOverlap {
-        transformation: [x_m, y_m, heading_rad],
+        transformation,
         source_part,
         target_part,
         agreeing,
@@ -137,7 +137,8 @@ fn overlap(overlap: MapOverlap) -> v1::MapOverlap {
         v1::PlaceMatch { source_place, target_place, source_frame, target_frame, posterior, evidence_nats }
     };
     v1::MapOverlap {
-        transformation: Some(planar_pose(&PlanarPose::new(x_m, y_m, heading_rad))),
+        transformation: transformation
+            .map(|[x_m, y_m, heading_rad]| planar_pose(&PlanarPose::new(x_m, y_m, heading_rad))),
         source_part,
         target_part,
         agreeing_matches: agreeing,

@@ -77,6 +77,7 @@ enum JobKind {
     ImportMap,
     MergeMaps,
     RemoveSessions,
+    RebuildMap,
 }
 
 #[derive(Clone, Copy, Debug, Serialize, ToSchema)]
@@ -106,6 +107,7 @@ impl From<jobs::JobStatus> for Job {
             storage::JobKind::ImportMap => JobKind::ImportMap,
             storage::JobKind::MergeMaps => JobKind::MergeMaps,
             storage::JobKind::RemoveSessions => JobKind::RemoveSessions,
+            storage::JobKind::RebuildMap => JobKind::RebuildMap,
         };
         Self {
             name: format!("jobs/{number}"),

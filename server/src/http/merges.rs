@@ -214,8 +214,9 @@ struct MergeSource {
 /// How a source lies on the target.
 #[derive(Debug, Serialize, ToSchema)]
 struct MapOverlap {
-    /// The frame of the source's part in that of the target's.
-    transformation: Pose,
+    /// The frame of the source's part in that of the target's; null where one of the maps knows no metres.
+    #[schema(required)]
+    transformation: Option<Pose>,
     /// The lowest places of the parts that the transformation is between.
     source_part: u32,
     target_part: u32,
@@ -298,7 +299,7 @@ impl From<MergedSource> for MergeSource {
 impl From<merges::MapOverlap> for MapOverlap {
     fn from(overlap: merges::MapOverlap) -> Self {
         let merges::MapOverlap {
-            transformation: [x_m, y_m, heading_rad],
+            transformation,
             source_part,
             target_part,
             agreeing,
@@ -318,7 +319,8 @@ impl From<merges::MapOverlap> for MapOverlap {
             PlaceMatch { source_place, target_place, source_frame, target_frame, posterior, evidence_nats }
         };
         Self {
-            transformation: PlanarPose::new(x_m, y_m, heading_rad).on_the_ground().into(),
+            transformation: transformation
+                .map(|[x_m, y_m, heading_rad]| PlanarPose::new(x_m, y_m, heading_rad).on_the_ground().into()),
             source_part,
             target_part,
             agreeing_matches: agreeing,

@@ -28,6 +28,16 @@ pub(crate) enum Content {
     },
     /// A word for each feature.
     Words(WordList),
+    /// Features whose words are to be those of another model; robots do not send them.
+    Described(Described),
+}
+
+/// Features that were described before.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Described {
+    /// With descriptors such as the model's words are made of.
+    pub(crate) features: Arc<FeatureRecord>,
+    pub(crate) thumbnail: Option<Vec<u8>>,
 }
 
 /// The features of an image; position i of each list is feature i.
@@ -97,6 +107,9 @@ impl Service {
                 off_the_async_threads(move || histogram(&model, words, counts)).await
             }
             Content::Words(list) => off_the_async_threads(move || word_list(&model, list, keep)).await,
+            Content::Described(described) => {
+                off_the_async_threads(move || described_anew(&model, &described, keep)).await
+            }
         }
     }
 }
@@ -172,6 +185,25 @@ fn word_list(model: &LoadedModel, list: WordList, keep: Keep) -> Result<Checked,
     let features = features.map_err(ServiceError::internal)?;
     let kept = (keep >= Keep::Features).then(|| features.to_bytes());
     let media = kept.map(|content| Medium { kind: MediumKind::Features, content }).into_iter().collect();
+    Ok(Checked { observation, features: Some(features), media })
+}
+
+/// The same features with words of another model.
+fn described_anew(model: &LoadedModel, described: &Described, keep: Keep) -> Result<Checked, ServiceError> {
+    let Described { features, thumbnail } = described;
+    let descriptors = features.descriptors().ok_or_else(|| ServiceError::internal("no descriptors"))?;
+    let words = model.model.vocabulary().words(descriptors).map_err(ServiceError::internal)?;
+    let observation = Observation::from_words(words.iter().copied(), model.model.vocabulary().len());
+    let observation = observation.map_err(ServiceError::internal)?;
+    let (size_px, keypoints) = (features.image_size_px(), features.keypoints().to_vec());
+    let features = FeatureRecord::new(size_px, keypoints, words, Some(descriptors.clone()));
+    let features = features.map_err(ServiceError::internal)?;
+    let mut media = Vec::new();
+    if keep >= Keep::Features {
+        media.push(Medium { kind: MediumKind::Features, content: features.to_bytes() });
+        let thumbnail = thumbnail.clone().map(|content| Medium { kind: MediumKind::Thumbnail, content });
+        media.extend(thumbnail);
+    }
     Ok(Checked { observation, features: Some(features), media })
 }
 

@@ -25,6 +25,7 @@ pub(crate) enum JobKind {
     ImportMap,
     MergeMaps,
     RemoveSessions,
+    RebuildMap,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -147,7 +148,8 @@ pub(super) async fn end_job(
 }
 
 impl JobKind {
-    const ALL: [Self; 4] = [Self::TrainModel, Self::ImportMap, Self::MergeMaps, Self::RemoveSessions];
+    const ALL: [Self; 5] =
+        [Self::TrainModel, Self::ImportMap, Self::MergeMaps, Self::RemoveSessions, Self::RebuildMap];
 
     fn name(self) -> &'static str {
         match self {
@@ -155,6 +157,7 @@ impl JobKind {
             JobKind::ImportMap => "import_map",
             JobKind::MergeMaps => "merge_maps",
             JobKind::RemoveSessions => "remove_sessions",
+            JobKind::RebuildMap => "rebuild_map",
         }
     }
 }

@@ -6,7 +6,7 @@ use topomap::event::{MapEvent, SessionId};
 
 use super::jobs::end_job;
 use super::log::insert_event;
-use super::{JobEnd, MapEdition, MapId, MapRow, Storage, StorageError, from_sql, to_sql};
+use super::{JobEnd, MapEdition, MapId, MapRow, Storage, StorageError, StoredSession, from_sql, to_sql};
 
 /// A merge as the table has it.
 #[derive(Clone, Debug, PartialEq)]
@@ -198,6 +198,17 @@ impl Storage {
             Ok(())
         })
         .await
+    }
+
+    /// The sessions of a map with all that is stored of them.
+    pub(crate) async fn stored_sessions(&self, map: MapId) -> Result<Vec<StoredSession>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT number, name, camera, opened_ns FROM sessions WHERE map_id = ? ORDER BY number",
+        )
+        .bind(map)
+        .fetch_all(&self.readers)
+        .await?;
+        rows.iter().map(super::snapshots::stored_session).collect()
     }
 
     /// A map by its number, if it is there.

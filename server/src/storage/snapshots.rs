@@ -197,15 +197,7 @@ impl MapView {
         .bind(self.map.id)
         .fetch_all(&mut *self.snapshot)
         .await?;
-        let session = |row: &SqliteRow| {
-            Ok(StoredSession {
-                number: row.try_get("number")?,
-                name: row.try_get("name")?,
-                camera: row.try_get("camera")?,
-                opened_ns: row.try_get("opened_ns")?,
-            })
-        };
-        rows.iter().map(session).collect()
+        rows.iter().map(stored_session).collect()
     }
 
     /// The next events as they are stored, from position `from` on; none at the end of the log.
@@ -243,4 +235,13 @@ impl MapView {
         };
         rows.iter().map(media).collect()
     }
+}
+
+pub(super) fn stored_session(row: &SqliteRow) -> Result<StoredSession, StorageError> {
+    Ok(StoredSession {
+        number: row.try_get("number")?,
+        name: row.try_get("name")?,
+        camera: row.try_get("camera")?,
+        opened_ns: row.try_get("opened_ns")?,
+    })
 }

@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 use topomap::merging::{MergePlan, Overlap, PlaceMatch};
-use topomap::relaxation::PlanarPose;
 
 use crate::error::ServiceError;
 use crate::storage::MapRow;
@@ -43,8 +42,9 @@ pub(crate) enum SourceOutcome {
 /// How a source lies on the target.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct MapOverlap {
-    /// The frame of the source's part in that of the target's: x and y in metres, heading in radians.
-    pub(crate) transformation: [f64; 3],
+    /// The frame of the source's part in that of the target's: x and y in metres, heading in radians. `None` where one of
+    /// the maps knows no metres.
+    pub(crate) transformation: Option<[f64; 3]>,
     /// The lowest places of the parts that the transformation is between.
     pub(crate) source_part: u32,
     pub(crate) target_part: u32,
@@ -78,6 +78,13 @@ pub(crate) struct MatchedPlaces {
     pub(crate) evidence: f64,
 }
 
+/// Whether both maps know metres.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Metres {
+    Known,
+    Unknown,
+}
+
 impl MergeReport {
     pub(super) fn asked(sources: &[MapRow]) -> Self {
         let source = |row: &MapRow| MergedSource {
@@ -105,8 +112,9 @@ impl MergeReport {
 }
 
 impl MapOverlap {
-    /// `frames` names the frame of the source and that of the target.
-    pub(super) fn of(plan: &MergePlan, frames: impl Fn(&PlaceMatch) -> [String; 2]) -> Self {
+    /// How a source with metres, or without, joins a target. `frames` names the frame of the source and that of the
+    /// target.
+    pub(super) fn of(plan: &MergePlan, metres: Metres, frames: impl Fn(&PlaceMatch) -> [String; 2]) -> Self {
         let MergePlan {
             transformation,
             parts: (source_part, target_part),
@@ -130,7 +138,12 @@ impl MapOverlap {
             }
         };
         Self {
-            transformation: numbers(transformation),
+            transformation: match metres {
+                Metres::Known => {
+                    Some([transformation.x_m(), transformation.y_m(), transformation.heading_rad()])
+                }
+                Metres::Unknown => None,
+            },
             source_part: *source_part,
             target_part: *target_part,
             agreeing: matches.len() as u64,
@@ -144,8 +157,4 @@ impl MapOverlap {
             strongest: matches.iter().take(MOST_TOLD).map(told).collect(),
         }
     }
-}
-
-fn numbers(pose: &PlanarPose) -> [f64; 3] {
-    [pose.x_m(), pose.y_m(), pose.heading_rad()]
 }

@@ -7,6 +7,7 @@ use topomap::mapper::MapperSettings;
 use topomap::merging::{MergeError, MergeObserver, MergeSettings, Verdict, find_matches, join, judge};
 
 use super::picture::{Panel, svg};
+use super::report::Metres;
 use super::source::{Between, Models, ReadMap};
 use super::{Joining, MapOverlap, MergeReport, MergeTarget, OnceFound, Proposal, SourceOutcome, Target};
 use crate::error::ServiceError;
@@ -137,7 +138,9 @@ impl Search {
                 let frames = |matched: &topomap::merging::PlaceMatch| {
                     [source.frame_name(matched.source_frame), merged.frame_name(matched.target_frame)]
                 };
-                let overlap = MapOverlap::of(&plan, frames);
+                let known = [&source, &merged].iter().all(|map| map.mapper.poses().has_metres());
+                let metres = if known { Metres::Known } else { Metres::Unknown };
+                let overlap = MapOverlap::of(&plan, metres, frames);
                 report.sources[index].outcome = SourceOutcome::Overlaps(Box::new(overlap));
                 let joined = join((&source.mapper, &merged.mapper), &plan, &source.log.events);
                 merged.take(&source, joined.map_err(ServiceError::internal)?)?;
