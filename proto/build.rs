@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use prost::Message;
 
-const FILES: [&str; 5] = [
+const FILES: [&str; 6] = [
     "waypost/v1/model.proto",
     "waypost/v1/map.proto",
     "waypost/v1/session.proto",
     "waypost/v1/navigation.proto",
+    "waypost/v1/appearance.proto",
     "waypost/v1/token.proto",
 ];
 

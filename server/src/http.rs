@@ -1,6 +1,7 @@
-//! REST, for people: what the maps hold, and where robots are to go. It changes no map.
+//! REST, for people: what the maps hold, what places are called, and where robots are to go. It lets no map grow.
 
 mod access;
+mod appearance;
 mod description;
 mod explanations;
 mod exports;
@@ -143,6 +144,9 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(navigations::get_navigation))
         .routes(routes!(navigations::set_goal, navigations::cancel_goal))
         .routes(routes!(navigations::plan_route))
+        .routes(routes!(appearance::list_labels))
+        .routes(routes!(appearance::set_label, appearance::delete_label))
+        .routes(routes!(appearance::get_appearance_graph))
         .routes(routes!(models::list_models))
         .routes(routes!(models::get_model))
         .routes(routes!(jobs::list_jobs))
@@ -177,7 +181,7 @@ fn nothing_here() -> HttpError {
 /// The router itself adds which methods are allowed.
 async fn wrong_method() -> Response {
     let message = "this route does not take that method: the header Allow says which it takes, and /docs what \
-                   each does; what changes a map goes over gRPC";
+                   each does; what lets a map grow goes over gRPC";
     error_response(StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed", message.to_owned())
 }
 

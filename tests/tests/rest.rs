@@ -258,8 +258,15 @@ async fn health_and_reflection_answer() {
     let mut names: Vec<String> = services.service.into_iter().map(|service| service.name).collect();
     names.retain(|name| name.starts_with("waypost."));
     names.sort();
-    let expected =
-        ["JobService", "MapService", "ModelService", "NavigationService", "SessionService", "TokenService"];
+    let expected = [
+        "AppearanceService",
+        "JobService",
+        "MapService",
+        "ModelService",
+        "NavigationService",
+        "SessionService",
+        "TokenService",
+    ];
     assert_eq!(names, expected.map(|name| format!("waypost.v1.{name}")));
     let answer = in_time(answers.message()).await.unwrap().unwrap().message_response;
     let Some(MessageResponse::FileDescriptorResponse(file)) = answer else { panic!("{answer:?}") };

@@ -23,7 +23,7 @@ use crate::service::tokens::{Access, no_longer_admitted};
 /// What tells whether the server lives is asked by machines that hold no token.
 const OPEN: [&str; 2] = ["/healthz", "/readyz"];
 
-/// Serves those who may see it; all that is here reads, so any token will do.
+/// Serves those who may see it; all that is here reads, names places or sends robots, as any token may over gRPC.
 pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request, next: Next) -> Response {
     let access = if OPEN.contains(&request.uri().path()) { Access::Open } else { Access::Robot };
     if access != Access::Open && service.tokens().serve_this_machine() && !addresses_this_machine(&request) {
