@@ -4,12 +4,13 @@ use std::path::PathBuf;
 
 use prost::Message;
 
-const FILES: [&str; 6] = [
+const FILES: [&str; 7] = [
     "waypost/v1/model.proto",
     "waypost/v1/map.proto",
     "waypost/v1/session.proto",
     "waypost/v1/navigation.proto",
     "waypost/v1/merge.proto",
+    "waypost/v1/appearance.proto",
     "waypost/v1/token.proto",
 ];
 

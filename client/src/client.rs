@@ -9,6 +9,7 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Response, Status, Streaming};
 use waypost_proto::v1;
+use waypost_proto::v1::appearance_service_client::AppearanceServiceClient;
 use waypost_proto::v1::job_service_client::JobServiceClient;
 use waypost_proto::v1::map_service_client::MapServiceClient;
 use waypost_proto::v1::model_service_client::ModelServiceClient;
@@ -435,6 +436,10 @@ impl Client {
 
     pub(crate) fn maps_client(&self) -> MapServiceClient<Transport> {
         MapServiceClient::new(self.transport.clone()).max_decoding_message_size(MAX_ANSWER_BYTES)
+    }
+
+    pub(crate) fn appearance_client(&self) -> AppearanceServiceClient<Transport> {
+        AppearanceServiceClient::new(self.transport.clone()).max_decoding_message_size(MAX_ANSWER_BYTES)
     }
 
     fn tokens_client(&self) -> TokenServiceClient<Transport> {

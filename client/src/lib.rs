@@ -39,6 +39,7 @@ pub use session::{
 pub use tonic::Code;
 pub use waypost_proto::v1;
 
+mod appearance;
 mod client;
 mod error;
 mod link_end;

@@ -41,7 +41,8 @@ pub struct NavigationOptions {
     pub map: String,
     /// Name of the robot. If empty, the server makes one up.
     pub navigation_id: String,
-    /// How the robot sees; its field of view, or a calibration, is needed.
+    /// How the robot sees; its field of view, or a calibration, is needed. On a map that is navigated by appearance, a
+    /// panorama or a hyperbolic mirror.
     pub camera: v1::Camera,
     /// `words_hash` of the model that the robot makes its words with; empty for one that sends images.
     pub words_hash: String,
@@ -145,7 +146,19 @@ impl Client {
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND if it is not being led.
     pub async fn set_goal(&self, name: &str, goal: v1::Goal) -> Result<v1::Navigation, Error> {
-        let request = v1::SetGoalRequest { name: name.to_owned(), goal: Some(goal) };
+        let request = v1::SetGoalRequest { name: name.to_owned(), goal: Some(goal), image_goal: None };
+        let response = self.taken(self.navigations_client().set_goal(request).await)?;
+        response.navigation.ok_or(Error::Protocol("it answered without the navigation"))
+    }
+
+    /// Sends a robot that is led by appearance to where a panorama was taken, a JPEG or PNG.
+    ///
+    /// # Errors
+    /// [`Error::Status`]: NOT_FOUND if it is not being led or the image looks like no place, FAILED_PRECONDITION if the map
+    /// is not navigated by appearance.
+    pub async fn set_image_goal(&self, name: &str, image: Vec<u8>) -> Result<v1::Navigation, Error> {
+        let image_goal = Some(v1::ImageGoal { image });
+        let request = v1::SetGoalRequest { name: name.to_owned(), goal: None, image_goal };
         let response = self.taken(self.navigations_client().set_goal(request).await)?;
         response.navigation.ok_or(Error::Protocol("it answered without the navigation"))
     }
@@ -256,7 +269,16 @@ impl Navigation {
         let _ = self.messages.try_send(Request::Wheels(report));
     }
 
-    /// Hands a frame with odometry over, twice a second or so; [`NavigationEvent::Seen`] says what it showed. Without a
+    /// Reports of a robot without wheels, by appearance, whether its own reflex drives at the moment, 10 to 50 times a second;
+    /// the next command comes of it. Without a connection it is dropped.
+    pub fn report_reflex(&self, stamp_ns: i64, reflex: bool) {
+        let obeyed_number = lock(&self.held).obeyed;
+        let report = v1::WheelReport { stamp_ns, odometry: None, obeyed_number, reflex };
+        let _ = self.messages.try_send(Request::Wheels(report));
+    }
+
+    /// Hands a frame with odometry over, twice a second or so; by appearance a panorama, four times a second, that needs
+    /// none: a command comes of it, too. [`NavigationEvent::Seen`] says what it showed. Without a
     /// connection it is dropped.
     pub fn see(&self, frame: FrameInput) {
         let FrameInput { sequence, stamp_ns, content, odometry } = frame;
@@ -275,6 +297,17 @@ impl Navigation {
     /// Why the navigation is over, if it is: see [`Navigation::next`].
     pub async fn go_to(&mut self, goal: v1::Goal) -> Result<(), Error> {
         match self.messages.send(Request::Goal(goal)).await {
+            Ok(()) => Ok(()),
+            Err(_closed) => self.ending().await,
+        }
+    }
+
+    /// Goes to where a panorama was taken, a JPEG or PNG, by appearance; waits while messages pile up.
+    ///
+    /// # Errors
+    /// As [`go_to`](Self::go_to).
+    pub async fn go_to_image(&mut self, image: Vec<u8>) -> Result<(), Error> {
+        match self.messages.send(Request::ImageGoal(v1::ImageGoal { image })).await {
             Ok(()) => Ok(()),
             Err(_closed) => self.ending().await,
         }
@@ -415,7 +448,7 @@ impl Exchange {
             run_id: self.run_id.clone(),
             camera: Some(camera.clone()),
             words_hash: words_hash.clone(),
-            goal: *goal,
+            goal: goal.clone(),
             driving: Some(*driving),
         }
     }
@@ -460,7 +493,7 @@ impl Exchange {
     fn last_goal_that_waited(&mut self) -> Option<Request> {
         let mut last = None;
         while let Ok(message) = self.to_send.try_recv() {
-            if let Request::Goal(_) | Request::Stop(_) = message {
+            if let Request::Goal(_) | Request::ImageGoal(_) | Request::Stop(_) = message {
                 last = Some(message);
             }
         }
@@ -470,8 +503,9 @@ impl Exchange {
     /// A server that was started anew is to be told the goal again.
     fn remember(&mut self, message: &Request) {
         match message {
-            Request::Goal(goal) => self.options.goal = Some(*goal),
-            Request::Stop(_) => self.options.goal = None,
+            Request::Goal(goal) => self.options.goal = Some(goal.clone()),
+            // Which place it is, the server alone knows: after a start anew it is to be asked for again.
+            Request::Stop(_) | Request::ImageGoal(_) => self.options.goal = None,
             Request::Open(_) | Request::Wheels(_) | Request::Frame(_) => {}
         }
     }
@@ -505,7 +539,7 @@ impl Exchange {
 
 /// Wheels and frames that do not fit are dropped: a robot that drives has no use for what is late.
 async fn put(link: &Link, content: Request) {
-    let is_goal = matches!(content, Request::Goal(_) | Request::Stop(_));
+    let is_goal = matches!(content, Request::Goal(_) | Request::ImageGoal(_) | Request::Stop(_));
     let message = v1::NavigateRequest { content: Some(content) };
     // If the call is over, its responses tell why.
     if is_goal {

@@ -264,6 +264,7 @@ pub(crate) struct SettingsView {
     pub(crate) verification: &'static str,
     pub(crate) place_spacing_m: Option<f64>,
     pub(crate) place_spacing_rad: Option<f64>,
+    pub(crate) navigation_strategy: &'static str,
 }
 
 impl From<v1::MapSettings> for SettingsView {
@@ -292,6 +293,11 @@ impl From<v1::MapSettings> for SettingsView {
             v1::map_settings::Verification::Similarity => "similarity",
             v1::map_settings::Verification::Epipolar => "epipolar",
         };
+        let navigation_strategy = match settings.navigation_strategy() {
+            v1::map_settings::NavigationStrategy::Unspecified => "unspecified",
+            v1::map_settings::NavigationStrategy::TopoMetric => "topo-metric",
+            v1::map_settings::NavigationStrategy::Appearance => "appearance",
+        };
         let v1::MapSettings {
             dependence: _,
             new_place: _,
@@ -304,6 +310,7 @@ impl From<v1::MapSettings> for SettingsView {
             verification: _,
             place_spacing_m,
             place_spacing_rad,
+            navigation_strategy: _,
         } = settings;
         Self {
             dependence,
@@ -317,6 +324,7 @@ impl From<v1::MapSettings> for SettingsView {
             verification,
             place_spacing_m,
             place_spacing_rad,
+            navigation_strategy,
         }
     }
 }

@@ -16,10 +16,12 @@ use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::features::{
     ExtractError, Extractor, FeatureError, FeatureSettings, Features, SettingsError,
 };
-use waypost_vision::image::{GreyImage, ImageError};
+use waypost_vision::image::{self, GreyImage, ImageError};
+use waypost_vision::panorama;
 
 use self::admission::Admission;
 use crate::error::ServiceError;
+use crate::service::camera::PanoramicOptics;
 use crate::service::map_settings::Keep;
 use crate::storage::{Medium, MediumKind};
 
@@ -81,18 +83,19 @@ impl Extraction {
         Self { cores: Arc::new(Semaphore::new(cores)), admission: Admission::new(cores) }
     }
 
-    /// Decodes a robot's image and turns it into words, and into what is to be kept of it. Refused, with
-    /// the time to wait, if too many are waiting already: then the next turn is that of its `stream`.
+    /// Decodes a robot's image and turns it into words, and into what is to be kept of it; `optics` are those of a
+    /// camera that sees all around. Refused, with the time to wait, if too many are waiting already: then the next turn is that of its `stream`.
     pub(crate) async fn observe(
         &self,
         model: Arc<LoadedModel>,
         image: Bytes,
         keep: Keep,
+        optics: Option<PanoramicOptics>,
         stream: Option<u64>,
     ) -> Result<Observed, ServiceError> {
         let admitted = self.admission.admit(stream, Instant::now()).map_err(ServiceError::overloaded)?;
         self.run(move || {
-            let observed = observe(&model, image, keep);
+            let observed = observe(&model, image, keep, optics);
             admitted.done(Instant::now());
             observed
         })
@@ -133,9 +136,17 @@ impl Extraction {
 const THUMBNAIL_WIDTH_PX: u32 = 160;
 const THUMBNAIL_QUALITY: u8 = 75;
 
-fn observe(model: &LoadedModel, bytes: Bytes, keep: Keep) -> Result<Observed, ServiceError> {
+fn observe(
+    model: &LoadedModel,
+    bytes: Bytes,
+    keep: Keep,
+    optics: Option<PanoramicOptics>,
+) -> Result<Observed, ServiceError> {
     let start = Instant::now();
-    let (image, features) = extract(&model.extractor, &bytes)?;
+    let (image, features) = match optics {
+        Some(optics) => extract_around(&model.extractor, &bytes, &optics)?,
+        None => extract(&model.extractor, &bytes)?,
+    };
     let extracted = start.elapsed();
     let Features { keypoints, descriptors } = features;
     let words = model.model.vocabulary().words(&descriptors).map_err(ServiceError::internal)?;
@@ -165,6 +176,19 @@ fn extract(extractor: &Extractor, image: &[u8]) -> Result<(GreyImage, Features),
         Err(ExtractError::Image(error)) => Err(image_error(&error)),
         Err(ExtractError::Feature(error)) => Err(feature_error(&error)),
     }
+}
+
+/// The same of a camera that sees all around: what lies across the panorama's seam is whole.
+fn extract_around(
+    extractor: &Extractor,
+    image: &[u8],
+    optics: &PanoramicOptics,
+) -> Result<(GreyImage, Features), ServiceError> {
+    let image = image::decode(image).map_err(|error| image_error(&error))?;
+    let panorama = optics.panorama(image, extractor.settings().image_width())?;
+    let features = panorama::extract(extractor, &panorama).map_err(|error| feature_error(&error))?;
+    let features = optics.of_the_world(features, (panorama.width(), panorama.height()));
+    Ok((panorama, features))
 }
 
 fn image_error(error: &ImageError) -> ServiceError {

@@ -1,6 +1,7 @@
 //! gRPC: `waypost.v1` spoken over the service layer. Conversions here, decisions there.
 
 mod access;
+mod appearance;
 mod convert;
 mod frames;
 mod jobs;
@@ -20,6 +21,7 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 use tonic::{Status, Streaming};
 use waypost_proto::FILE_DESCRIPTOR_SET;
+use waypost_proto::v1::appearance_service_server::AppearanceServiceServer;
 use waypost_proto::v1::job_service_server::JobServiceServer;
 use waypost_proto::v1::map_service_server::MapServiceServer;
 use waypost_proto::v1::merge_service_server::MergeServiceServer;
@@ -106,6 +108,7 @@ pub(crate) async fn serve(
         .add_service(limited!(MergeServiceServer::new(adapter())))
         .add_service(limited!(SessionServiceServer::new(adapter())))
         .add_service(limited!(NavigationServiceServer::new(adapter())))
+        .add_service(limited!(AppearanceServiceServer::new(adapter())))
         .add_service(limited!(TokenServiceServer::new(adapter())))
         .serve_with_incoming_shutdown(connections, shutdown)
         .await?;

@@ -1,6 +1,7 @@
-//! REST, for people: what the maps hold, where robots are to go, and which maps are to be one.
+//! REST, for people: what the maps hold, what places are called, where robots are to go, and which maps are to be one.
 
 mod access;
+mod appearance;
 mod description;
 mod explanations;
 mod exports;
@@ -148,6 +149,9 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(merges::get_merge))
         .routes(routes!(merges::get_merge_picture))
         .routes(routes!(merges::decide_merge))
+        .routes(routes!(appearance::list_labels))
+        .routes(routes!(appearance::set_label, appearance::delete_label))
+        .routes(routes!(appearance::get_appearance_graph))
         .routes(routes!(models::list_models))
         .routes(routes!(models::get_model))
         .routes(routes!(jobs::list_jobs))

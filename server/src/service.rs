@@ -1,6 +1,7 @@
 //! What Waypost does for those who ask, whatever protocol they speak: gRPC and REST are thin
 //! adapters over this.
 
+pub(crate) mod appearance;
 pub(crate) mod camera;
 pub(crate) mod content;
 pub(crate) mod frames;

@@ -1,12 +1,12 @@
 //! How far it is to the next thing all around, and the reflex that keeps a robot from running into it.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 use nalgebra::Vector2;
 
 use crate::floor_plan::{FloorPlan, Thing};
 use crate::people::Person;
-use crate::pose::Pose;
+use crate::pose::{Pose, wrapped};
 use crate::random::{derived_seed, unit};
 use crate::range::{self, OutOfRange};
 
@@ -95,6 +95,31 @@ impl RangeScan {
             (x > 0.0 && inside > 0.0).then(|| (x - inside.sqrt()).max(0.0))
         };
         self.points().filter_map(touches).fold(f64::INFINITY, f64::min)
+    }
+
+    /// The heading nearest to the wanted one, within a quarter turn, in which a round hull has room for 35 cm and 5 cm to
+    /// either side; the wanted one if there is none. What a camera sees past, a robot may not get past: a corner of a wall, a
+    /// table's. From straight ahead to the left, in (-π, π].
+    #[must_use]
+    pub fn free_heading_rad(&self, wanted_rad: f64, radius_m: f64) -> f64 {
+        const ROOM_M: f64 = 0.35;
+        const MARGIN_M: f64 = 0.05;
+        let radius_m = radius_m + MARGIN_M;
+        let room_m = |heading: f64| {
+            let (sin, cos) = heading.sin_cos();
+            let turned = self.points().map(|(x, y)| (x * cos + y * sin, y * cos - x * sin));
+            let gaps = turned.filter_map(|(along, aside)| {
+                let inside = radius_m * radius_m - aside * aside;
+                (along > 0.0 && inside > 0.0).then(|| along - inside.sqrt())
+            });
+            gaps.fold(f64::INFINITY, f64::min)
+        };
+        let around = (0..=36).map(|step| {
+            let aside = FRAC_PI_2 * f64::from((step + 1) / 2) / 18.0;
+            wanted_rad + if step % 2 == 0 { aside } else { -aside }
+        });
+        let free = around.into_iter().find(|&heading| room_m(heading) >= ROOM_M);
+        wrapped(free.unwrap_or(wanted_rad))
     }
 
     /// 1.0 if there is more room to the left, -1.0 if to the right.
@@ -221,6 +246,26 @@ mod tests {
         assert!((scan.ranges_m[0] - (2.0 - Person::RADIUS_M)).abs() < 1e-9);
         assert!((scan.room_ahead_m(0.2) - (2.0 - Person::RADIUS_M - 0.2)).abs() < 0.02);
         assert_eq!(scan.ranges_m[180], 5.0);
+    }
+
+    #[test]
+    fn a_robot_slides_along_what_is_in_its_way() {
+        let free = |ranges_m: Vec<f64>, wanted| RangeScan { ranges_m }.free_heading_rad(wanted, 0.2);
+        // A wall half a metre to one side, an open floor else.
+        let beside_a_wall = |wall_rad: f64| {
+            let range = |beam: u32| {
+                let along = (TAU * f64::from(beam) / 90.0 - wall_rad).cos();
+                if along > 0.07 { (0.3 / along).min(8.0) } else { 8.0 }
+            };
+            (0..90).map(range).collect::<Vec<f64>>()
+        };
+        for wanted in [-2.0, 0.0, 1.0] {
+            assert!((free(vec![3.0; 90], wanted) - wanted).abs() < 1e-9);
+            let turned = wrapped(free(beside_a_wall(wanted + 0.3), wanted) - wanted);
+            assert!(turned < -0.5 && turned > -FRAC_PI_2 - 0.1, "{turned}, away from the wall");
+        }
+        // Walled in, there is no better heading than the wanted one.
+        assert!((free(vec![0.28; 90], 0.4) - 0.4).abs() < 1e-9);
     }
 
     #[test]

@@ -90,6 +90,7 @@ async fn maps_that_cannot_be_made() {
         verification: v1::map_settings::Verification::Epipolar.into(),
         place_spacing_m: Some(0.3),
         place_spacing_rad: Some(0.25),
+        navigation_strategy: v1::map_settings::NavigationStrategy::Appearance.into(),
     };
     let made = client.create_map(bare(all)).await.unwrap();
     assert_eq!(made.settings, Some(all));

@@ -75,8 +75,14 @@ async fn a_camera_that_cannot_be_is_refused() {
     let panorama = |projection, vertical_rad| Model::Panorama(v1::Panorama { projection, vertical_rad });
     let mirror = |inner_radius_px, outer_radius_px, eccentricity| {
         let (center_x_px, center_y_px) = (320.0, 180.0);
-        let mirror =
-            v1::HyperbolicMirror { center_x_px, center_y_px, inner_radius_px, outer_radius_px, eccentricity };
+        let mirror = v1::HyperbolicMirror {
+            center_x_px,
+            center_y_px,
+            inner_radius_px,
+            outer_radius_px,
+            eccentricity,
+            ..v1::HyperbolicMirror::default()
+        };
         Model::HyperbolicMirror(mirror)
     };
     let models = [

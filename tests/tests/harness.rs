@@ -2,6 +2,7 @@
 
 mod command_line;
 mod models;
+mod panoramas;
 mod process;
 mod proxy;
 mod reference;
@@ -14,6 +15,7 @@ mod words;
 
 pub(crate) use command_line::{CommandLine, folder, json_object, path};
 pub(crate) use models::{model_of_other_words, recalibrated_model, take_model};
+pub(crate) use panoramas::{Panoramas, TaughtPlace, by_looks_request, taught_hall};
 pub(crate) use process::{Built, ServerProcess, run_to_its_end};
 pub(crate) use proxy::Proxy;
 pub(crate) use reference::{BY_WORDS_THRESHOLD, Reference, reference, reference_by_words};

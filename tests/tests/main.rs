@@ -3,6 +3,7 @@
 
 mod harness;
 
+mod appearance_navigation;
 mod bad_frames;
 mod bad_requests;
 mod bad_sessions;

@@ -3,8 +3,9 @@
 use jsonschema::Validator;
 use reqwest::StatusCode;
 use serde_json::{Value, json};
+use waypost_client::v1;
 
-use crate::harness::{Answer, Server, Surveyed, found, get, http, images, led, workspace};
+use crate::harness::{Answer, Server, Surveyed, found, get, http, images, led, taught_hall, workspace};
 
 /// Writes the description anew when it is set.
 const RENEW: &str = "RENEW_OPENAPI";
@@ -62,6 +63,12 @@ impl Call {
         let path = "/v1/merges/{merge}/decision".to_owned();
         let body = Some(("application/json", body.as_bytes().to_vec()));
         Self { method: "put", path, asked: asked.to_owned(), body }
+    }
+
+    fn label(method: &'static str, asked: &str, body: &str) -> Self {
+        let path = "/v1/maps/{map}/places/{place}/label".to_owned();
+        let body = Some(("application/json", body.as_bytes().to_vec()));
+        Self { method, path, asked: asked.to_owned(), body }
     }
 
     async fn answer(&self, server: &Server) -> Answer {
@@ -155,6 +162,12 @@ fn good_calls(surveyed: &Surveyed) -> Vec<Call> {
         Call::get("/v1/merges/{merge}/picture", format!("/v1/merges/{proposed}/picture")),
         Call::decision(&format!("/v1/merges/{proposed}/decision"), r#"{"decision": "discard"}"#),
         Call::merge(r#"{"sources": ["maps/empty"], "target": "maps/drive", "min_support": 7}"#),
+        Call::label("put", "/v1/maps/looks/places/0/label", r#"{"label": "hall"}"#),
+        Call::label("put", "/v1/maps/looks/places/1/label", r#"{"label": "the end", "reach": "space"}"#),
+        Call::get("/v1/maps/{map}/labels", "/v1/maps/looks/labels"),
+        Call::get("/v1/maps/{map}/labels", "/v1/maps/drive/labels"),
+        Call::get("/v1/maps/{map}/appearance-graph", "/v1/maps/looks/appearance-graph"),
+        Call::label("delete", "/v1/maps/looks/places/0/label", ""),
         Call::get("/v1/models", "/v1/models"),
         Call::get("/v1/models/{model}", "/v1/models/shipped"),
         Call::get("/v1/jobs", "/v1/jobs"),
@@ -193,6 +206,13 @@ fn bad_calls(method: &'static str, path: &str) -> Vec<(StatusCode, Call)> {
         calls.push((StatusCode::UNSUPPORTED_MEDIA_TYPE, Call::query(asked, "text/plain", Vec::new())));
         calls.push((StatusCode::PAYLOAD_TOO_LARGE, Call::query(asked, "image/png", vec![0; (16 << 20) + 1])));
         calls.push((StatusCode::NOT_FOUND, Call::query(asked, "image/jpeg", images()[0].clone())));
+    } else if path.ends_with("/label") {
+        calls.push((StatusCode::NOT_FOUND, Call::label(method, &nowhere, r#"{"label": "hall"}"#)));
+        for body in ["", "{}", r#"{"label": 1}"#, r#"{"label": " "}"#, r#"{"label": "a", "reach": "map"}"#] {
+            if method == "put" {
+                calls.push((StatusCode::BAD_REQUEST, Call::label("put", &nowhere, body)));
+            }
+        }
     } else if method == "put" {
         calls.push((StatusCode::NOT_FOUND, Call::goal("put", &nowhere, r#"{"place": 0}"#)));
         for body in
@@ -278,7 +298,12 @@ impl Description {
 async fn every_answer_is_as_described() {
     let surveyed = Surveyed::start().await;
     let description = Description::of(&surveyed.server).await;
-    let _led = led(&surveyed.server.client().await).await;
+    let client = surveyed.server.client().await;
+    let _led = led(&client).await;
+    let model = client.model("shipped").await.unwrap();
+    taught_hall(&client, &model.name).await;
+    // It is taken away before it is set.
+    client.set_label("maps/looks/places/0", "hall", v1::LabelReach::Place).await.unwrap();
     let calls = good_calls(&surveyed);
     for (method, path) in description.operations() {
         let described: Vec<&Call> =

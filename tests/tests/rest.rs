@@ -259,6 +259,7 @@ async fn health_and_reflection_answer() {
     names.retain(|name| name.starts_with("waypost."));
     names.sort();
     let expected = [
+        "AppearanceService",
         "JobService",
         "MapService",
         "MergeService",

@@ -10,6 +10,7 @@ use serde_json::{Map, Value, json};
 use tonic::transport::Channel;
 use tonic::{Response, Status};
 use waypost_proto::v1;
+use waypost_proto::v1::appearance_service_client::AppearanceServiceClient;
 use waypost_proto::v1::job_service_client::JobServiceClient;
 use waypost_proto::v1::map_service_client::MapServiceClient;
 use waypost_proto::v1::merge_service_client::MergeServiceClient;
@@ -18,7 +19,9 @@ use waypost_proto::v1::navigation_service_client::NavigationServiceClient;
 use waypost_proto::v1::query_request::Content;
 use waypost_proto::v1::session_service_client::SessionServiceClient;
 
-use crate::harness::{Answer, Server, Surveyed, channel, found, get, http, images, led};
+use crate::harness::{
+    Answer, Server, Surveyed, channel, found, get, http, images, import_model, led, taught_hall,
+};
 
 static CONTRACT: LazyLock<DescriptorPool> =
     LazyLock::new(|| DescriptorPool::decode(waypost_proto::FILE_DESCRIPTOR_SET).unwrap());
@@ -120,6 +123,7 @@ struct Both {
     models: ModelServiceClient<Channel>,
     navigations: NavigationServiceClient<Channel>,
     merges: MergeServiceClient<Channel>,
+    appearance: AppearanceServiceClient<Channel>,
     jobs: JobServiceClient<Channel>,
 }
 
@@ -133,6 +137,7 @@ impl Both {
             models: ModelServiceClient::new(channel.clone()),
             navigations: NavigationServiceClient::new(channel.clone()),
             merges: MergeServiceClient::new(channel.clone()),
+            appearance: AppearanceServiceClient::new(channel.clone()),
             jobs: JobServiceClient::new(channel),
         }
     }
@@ -203,7 +208,7 @@ async fn maps_and_places_are_the_same() {
             both.maps.clone().list_maps(v1::ListMapsRequest { page_size, page_token }).await
         })
         .await;
-    assert_eq!(listed.len(), 3);
+    assert_eq!(listed.len(), 4);
     for map in ["drive", "empty", "nowhere", "No"] {
         let name = format!("maps/{map}");
         for (view, query) in [(v1::MapView::Unspecified, ""), (v1::MapView::Full, "?view=full")] {
@@ -505,6 +510,55 @@ async fn navigations_and_routes_are_the_same() {
         both.agree(&path, "waypost.v1.Route", route).await;
     }
     assert!((2..5).contains(&planned), "{planned} ways");
+    both.server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn labels_and_appearance_graphs_are_the_same() {
+    let (server, client) = Server::with_map().await;
+    let model = import_model(&client).await;
+    taught_hall(&client, &model.name).await;
+    let both = Both::of(server).await;
+    for (place, label) in [(0, "hall"), (2, "Küche"), (3, "hall")] {
+        let path = format!("/v1/maps/looks/places/{place}/label");
+        let request = http().put(both.server.url(&path)).json(&json!({ "label": label }));
+        let named = v1::SetLabelRequest {
+            place: format!("maps/looks/places/{place}"),
+            label: label.to_owned(),
+            reach: v1::LabelReach::Place.into(),
+        };
+        let over_grpc = both.appearance.clone().set_label(named).await;
+        same(&path, &Answer::to(request).await, "waypost.v1.SetLabelResponse", over_grpc);
+    }
+    let message = ("waypost.v1.ListLabelsResponse", "labels");
+    let labels = both
+        .lists_agree("/v1/maps/looks/labels", message, async |page_size, page_token| {
+            let map = "maps/looks".to_owned();
+            both.appearance.clone().list_labels(v1::ListLabelsRequest { map, page_size, page_token }).await
+        })
+        .await;
+    assert_eq!(labels.len(), 3);
+    for map in ["looks", "drive", "nowhere"] {
+        let request = v1::GetAppearanceGraphRequest { map: format!("maps/{map}") };
+        let over_grpc = both.appearance.clone().get_appearance_graph(request).await;
+        let path = format!("/v1/maps/{map}/appearance-graph");
+        let graph = both.agree(&path, "waypost.v1.AppearanceGraph", over_grpc).await;
+        assert_eq!(
+            graph["links"].as_array().is_some_and(|links| !links.is_empty()),
+            map == "looks",
+            "{graph}"
+        );
+    }
+    for (place, told) in [(0, true), (0, false), (999, false)] {
+        let path = format!("/v1/maps/looks/places/{place}/label");
+        let over_rest = Answer::to(http().delete(both.server.url(&path))).await;
+        assert_eq!(over_rest.status == StatusCode::OK, told, "{}", over_rest.text());
+        let request = v1::DeleteLabelRequest { place: format!("maps/looks/places/{place}") };
+        let over_grpc = both.appearance.clone().delete_label(request).await;
+        if !told {
+            same(&path, &over_rest, "waypost.v1.DeleteLabelResponse", over_grpc);
+        }
+    }
     both.server.stop().await;
 }
 

@@ -5,6 +5,7 @@
 //! Zivkovic & Kröse, ICRA 2007. Begin with [`AppearanceNavigator::observe`].
 
 mod smoothing;
+mod steering;
 
 use std::collections::BTreeMap;
 
@@ -14,6 +15,7 @@ use crate::appearance_graph::{
 use crate::mapper::ArchiveError;
 
 pub use smoothing::SmoothedHeading;
+pub use steering::HeadingSteering;
 
 /// What the robot sees now.
 pub trait Sight: Panorama {

@@ -15,7 +15,7 @@ pub use localizer::{Localizer, Queried};
 pub use measuring::Measurement;
 use poses::Located;
 pub use poses::MapPose;
-pub use settings::MapperSettings;
+pub use settings::{MapperSettings, PlaceRule};
 
 use fabmap::appearance::PlaceId;
 use fabmap::model::Model;
@@ -145,8 +145,12 @@ impl Mapper {
             observer.completed(Stage::Verification);
         }
         let proposal = self.propose(&input, session, &recognition, &candidates, archive)?;
-        let decision =
-            growth.limit(self.associate(&input, session, &recognition, &candidates, (archive, views))?);
+        let decision = match (growth, self.settings.place_rule) {
+            (Growth::Grows, PlaceRule::EachFrame) => self.place_of_its_own(&input, session, &recognition),
+            (Growth::Grows, PlaceRule::Unrecognized) | (Growth::ReadOnly, _) => {
+                growth.limit(self.associate(&input, session, &recognition, &candidates, (archive, views))?)
+            }
+        };
         if growth == Growth::Grows {
             self.check_that_wheels_turn(&input, session, &recognition, &decision)?;
         }
@@ -345,6 +349,30 @@ impl Mapper {
             return Ok(Decision { reason: Reason::GeometryRefused, closure, ..new_place });
         }
         Ok(Decision { reason: Reason::LoopClosure, place: Some(place), posterior: probability, closure })
+    }
+
+    /// A new place whatever is recognised, unless wheels say that the robot is at its last one still.
+    fn place_of_its_own(&self, input: &FrameInput, session: &Session, recognition: &Recognition) -> Decision {
+        let posterior = &recognition.posterior;
+        let new_place = Decision {
+            reason: Reason::NewPlace,
+            place: Some(self.recognizer.places() as PlaceId),
+            posterior: posterior.new_place,
+            closure: None,
+        };
+        if self.shows_too_little(&input.observation) {
+            let posterior = session.belief.new_place;
+            return Decision { reason: Reason::TooFewWords, place: None, posterior, ..new_place };
+        }
+        match (self.pose_of_robot(session, input.odometry.as_ref()), &session.stay) {
+            (Some(robot), Some(stay)) if self.is_at(&robot, stay.place) => Decision {
+                reason: Reason::SamePlace,
+                place: Some(stay.place),
+                posterior: posterior.places[stay.place as usize],
+                closure: None,
+            },
+            (_, _) => new_place,
+        }
     }
 
     /// Whether the place learns this look. A new place always does, or it would have no appearance.

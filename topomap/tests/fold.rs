@@ -19,7 +19,7 @@ use topomap::event::{FrameId, LinkKind, MapEvent, Reason};
 use topomap::map::{Place, decode_place};
 use topomap::mapper::{
     ArchiveError, FoldError, FrameArchive, FrameError, FrameInput, Localizer, Mapper, MapperError,
-    MapperSettings, RestoreError,
+    MapperSettings, PlaceRule, RestoreError,
 };
 use topomap::odometry::Odometry;
 use topomap::relative_pose::RelativePose;
@@ -101,6 +101,23 @@ fn drive(mapper: &mut Mapper, log: &mut Log, steps: &[(u32, u64)], seed: u64) {
         mapper.apply(&event).unwrap();
         log.0.push(event);
     }
+}
+
+/// Whatever is recognised; but who only looks recognises as ever.
+#[test]
+fn each_frame_makes_a_place_where_that_is_the_rule() {
+    let settings = MapperSettings { place_rule: PlaceRule::EachFrame, ..settings() };
+    let (mut mapper, mut log) = (Mapper::new(&model(), settings).unwrap(), Log(Vec::new()));
+    // Without odometry: only every third frame of a drive has any, so each stands alone.
+    drive(&mut mapper, &mut log, &[(0, 3), (0, 3), (0, 4), (0, 3), (1, 3), (1, 9), (1, 3)], 5);
+    assert_eq!(mapper.map().places().len(), 7);
+    let observation = view(9, &mut ChaCha8Rng::seed_from_u64(8));
+    let found = mapper.query(&observation, &log, &NoViews, &mut ()).unwrap();
+    assert_eq!(found.recognition.posterior.best_place().map(|(place, _)| place), Some(5));
+    // The log has it all.
+    let mut replayed = Mapper::new(&model(), settings).unwrap();
+    replay(&mut replayed, &log.0);
+    assert_eq!(replayed.state_hash(), mapper.state_hash());
 }
 
 fn replay<'a>(mapper: &mut Mapper, events: impl IntoIterator<Item = &'a MapEvent>) {

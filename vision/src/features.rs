@@ -147,6 +147,22 @@ pub struct Keypoint {
     pub response: f32,
 }
 
+impl Features {
+    /// Those whose keypoints are wanted.
+    #[must_use]
+    pub fn filtered(self, is_wanted: impl Fn(&Keypoint) -> bool) -> Self {
+        let Self { keypoints, descriptors } = self;
+        let wanted = keypoints.iter().zip(descriptors.rows()).filter(|(keypoint, _)| is_wanted(keypoint));
+        let (kept, rows): (Vec<Keypoint>, Vec<&[u8]>) =
+            wanted.map(|(keypoint, row)| (*keypoint, row)).unzip();
+        // Rows of descriptors are rows of descriptors.
+        match Descriptors::new(descriptors.kind(), descriptors.width(), rows.concat()) {
+            Ok(descriptors) => Self { keypoints: kept, descriptors },
+            Err(_) => Self { keypoints, descriptors },
+        }
+    }
+}
+
 impl Keypoint {
     fn from_opencv(keypoint: &KeyPoint, offset_px: f32) -> Self {
         Self {

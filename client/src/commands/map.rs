@@ -1,5 +1,7 @@
 //! `waypost map`: places joined by links.
 
+mod labels;
+
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -41,6 +43,12 @@ pub(crate) enum Command {
     },
     /// List the places of a map, oldest first
     Places {
+        /// Name of the map
+        name: String,
+    },
+    Label(labels::Labelling),
+    /// List what places are called
+    Labels {
         /// Name of the map
         name: String,
     },
@@ -163,6 +171,17 @@ pub(crate) struct Creation {
     /// The same for how far it turns, in radians
     #[arg(long, value_name = "RAD")]
     place_spacing_rad: Option<f64>,
+    /// How robots are led along the map; appearance takes panoramas, and a map that keeps features
+    #[arg(long, value_enum)]
+    strategy: Option<Strategy>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Strategy {
+    /// Along places that wheels measured, by a camera that looks ahead; the server's default
+    TopoMetric,
+    /// By looks alone: panoramas, no odometry
+    Appearance,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -245,6 +264,7 @@ impl Creation {
             verification,
             place_spacing_m,
             place_spacing_rad,
+            strategy,
         } = self;
         let dependence = match dependence {
             None => v1::map_settings::Dependence::Unspecified,
@@ -282,6 +302,12 @@ impl Creation {
             .into(),
             place_spacing_m,
             place_spacing_rad,
+            navigation_strategy: match strategy {
+                None => v1::map_settings::NavigationStrategy::Unspecified,
+                Some(Strategy::TopoMetric) => v1::map_settings::NavigationStrategy::TopoMetric,
+                Some(Strategy::Appearance) => v1::map_settings::NavigationStrategy::Appearance,
+            }
+            .into(),
         };
         let map_id = name.strip_prefix("maps/").unwrap_or(&name).to_owned();
         v1::CreateMapRequest { map_id, model, settings: Some(settings) }
@@ -297,6 +323,8 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         Command::Rebind { name, model } => show(client.rebind_map(&name, &model).await?, output),
         Command::Matches { name } => matches(client.matches(&name).await?, output),
         Command::Places { name } => places(client.places(&name).await?, output),
+        Command::Label(labelling) => labels::label(&client, labelling, output).await,
+        Command::Labels { name } => labels::list(&client, &name, output).await,
         Command::Export { name, file, force } => {
             snapshot::export(&client, &name, &file, Replacing::of(force), output).await
         }
@@ -418,6 +446,7 @@ fn show_settings(settings: &SettingsView, out: &mut dyn Write) -> io::Result<()>
         verification,
         place_spacing_m,
         place_spacing_rad,
+        navigation_strategy,
     } = settings;
     let or_default = |value: &Option<f64>| value.map_or("the model's".to_owned(), |value| value.to_string());
     writeln!(out, "  dependence           {dependence}")?;
@@ -431,6 +460,7 @@ fn show_settings(settings: &SettingsView, out: &mut dyn Write) -> io::Result<()>
     let (distance_m, angle_rad) =
         (place_spacing_m.unwrap_or_default(), place_spacing_rad.unwrap_or_default());
     writeln!(out, "  place spacing        {distance_m} m, {:.1} degrees", angle_rad.to_degrees())?;
+    writeln!(out, "  navigation           {navigation_strategy}")?;
     writeln!(out, "  keeps                {keep}")
 }
 
@@ -532,11 +562,12 @@ mod tests {
     fn what_is_given_is_passed_on() {
         let settings = request(
             "a --model m --dependence naive-bayes --new-place mean-field --closure-threshold 0.9 \
-             --guard-frames 0 --true-positive-rate 0.4 --false-positive-rate 0.01",
+             --guard-frames 0 --true-positive-rate 0.4 --false-positive-rate 0.01 --strategy appearance",
         )
         .settings
         .unwrap();
         assert_eq!(settings.dependence(), v1::map_settings::Dependence::NaiveBayes);
+        assert_eq!(settings.navigation_strategy(), v1::map_settings::NavigationStrategy::Appearance);
         assert_eq!(settings.new_place(), v1::map_settings::NewPlace::MeanField);
         assert_eq!((settings.closure_threshold, settings.guard_frames), (Some(0.9), Some(0)));
         assert_eq!((settings.true_positive_rate, settings.false_positive_rate), (Some(0.4), Some(0.01)));

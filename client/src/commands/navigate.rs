@@ -1,5 +1,6 @@
 //! `waypost navigate`: send a robot somewhere, and watch it go.
 
+use std::path::PathBuf;
 use std::time::Duration;
 
 use indicatif::ProgressBar;
@@ -25,8 +26,14 @@ pub(crate) struct Arguments {
     /// Name of the robot; without it, the robots are listed
     robot: Option<String>,
     /// Place to go to
-    #[arg(long, value_name = "PLACE", requires = "robot", conflicts_with_all = ["to_position", "cancel"])]
+    #[arg(long, value_name = "PLACE", requires = "robot", conflicts_with_all = ["to_position", "to_label", "to_image", "cancel"])]
     to: Option<u32>,
+    /// Label of the place to go to; of several, as of a room, the middle of the nearest ones
+    #[arg(long, value_name = "LABEL", requires = "robot", conflicts_with_all = ["to_position", "to_image", "cancel"])]
+    to_label: Option<String>,
+    /// Panorama of where to go, a JPEG or PNG; the map must be navigated by appearance
+    #[arg(long, value_name = "FILE", requires = "robot", conflicts_with_all = ["to_position", "cancel"])]
+    to_image: Option<PathBuf>,
     /// Position to go to, in metres on the map: the place nearest to it
     #[arg(long, value_name = "X,Y", value_parser = position, requires = "robot", conflicts_with = "cancel")]
     to_position: Option<[f64; 2]>,
@@ -48,6 +55,10 @@ struct Led {
     connected: bool,
     status: &'static str,
     goal_place: Option<u32>,
+    goal_label: Option<String>,
+    subgoal_place: Option<u32>,
+    heading_rad: Option<f64>,
+    similarity: Option<f64>,
     left_m: Option<f64>,
     place: Option<u32>,
     x_m: Option<f64>,
@@ -61,7 +72,7 @@ struct Led {
 }
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
-    let Arguments { map, robot, to, to_position, cancel } = arguments;
+    let Arguments { map, robot, to, to_label, to_image, to_position, cancel } = arguments;
     let client = Client::connect(server).await?;
     let Some(robot) = robot else { return list(&client, &map, output).await };
     let map = map.strip_prefix("maps/").unwrap_or(&map);
@@ -69,11 +80,15 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     if cancel {
         return show(&client.cancel_goal(&name).await?, output);
     }
-    let target = match (to, to_position) {
-        (Some(place), _) => Some(v1::goal::Target::Place(place)),
-        (None, Some([x_m, y_m])) => Some(v1::goal::Target::Position(v1::PositionGoal { part: 0, x_m, y_m })),
-        (None, None) => None,
-    };
+    if let Some(file) = to_image {
+        let image = std::fs::read(&file).map_err(Failure::file("read", &file))?;
+        client.set_image_goal(&name, image).await?;
+    }
+    let position = to_position.map(|[x_m, y_m]| v1::PositionGoal { part: 0, x_m, y_m });
+    let target = to
+        .map(v1::goal::Target::Place)
+        .or(position.map(v1::goal::Target::Position))
+        .or(to_label.map(v1::goal::Target::Label));
     if let Some(target) = target {
         client.set_goal(&name, v1::Goal { target: Some(target) }).await?;
     }
@@ -120,8 +135,29 @@ fn live(navigation: &v1::Navigation) -> String {
             position.x, position.y, at.position_sigma_m, at.place, at.since_closure_m
         );
     }
+    if let Some(by_looks) = guidance.and_then(|guidance| guidance.appearance.as_ref()) {
+        line += &live_by_looks(by_looks);
+    }
     if !navigation.connected {
         line += ", not connected";
+    }
+    line
+}
+
+fn live_by_looks(guidance: &v1::AppearanceGuidance) -> String {
+    let v1::AppearanceGuidance { heading_rad, subgoal_place, goal_place, similarity, left: _ } = guidance;
+    let mut line = String::new();
+    if let Some(goal) = goal_place {
+        line += &format!(", to place {goal}");
+    }
+    if let Some(subgoal) = subgoal_place {
+        line += &format!(" by place {subgoal}");
+    }
+    if let Some(similarity) = similarity {
+        line += &format!(" ({:.0} % alike)", similarity * 100.0);
+    }
+    if let Some(heading_rad) = heading_rad {
+        line += &format!(", heading {:.0}°", heading_rad.to_degrees());
     }
     line
 }
@@ -161,14 +197,23 @@ impl From<&v1::Navigation> for Led {
         let position = localization.and_then(|at| at.pose.as_ref()?.position_m);
         let asked = goal.as_ref().and_then(|goal| match &goal.target {
             Some(v1::goal::Target::Place(place)) => Some(*place),
-            Some(v1::goal::Target::Position(_)) | None => None,
+            Some(v1::goal::Target::Position(_) | v1::goal::Target::Label(_)) | None => None,
         });
+        let goal_label = goal.as_ref().and_then(|goal| match &goal.target {
+            Some(v1::goal::Target::Label(label)) => Some(label.clone()),
+            Some(v1::goal::Target::Place(_) | v1::goal::Target::Position(_)) | None => None,
+        });
+        let by_looks = guidance.as_ref().and_then(|guidance| guidance.appearance.as_ref());
         let reached = route.as_ref().and_then(|route| route.waypoints.last()).map(|last| last.place);
         Self {
             name: name.clone(),
             connected: *connected,
             status: status_name(status(navigation)),
-            goal_place: asked.or(reached),
+            goal_place: asked.or(reached).or(by_looks.and_then(|looks| looks.goal_place)),
+            goal_label,
+            subgoal_place: by_looks.and_then(|looks| looks.subgoal_place),
+            heading_rad: by_looks.and_then(|looks| looks.heading_rad),
+            similarity: by_looks.and_then(|looks| looks.similarity),
             left_m: guidance.as_ref().and_then(|guidance| guidance.left_m),
             place: localization.map(|at| at.place),
             x_m: position.map(|position| position.x),

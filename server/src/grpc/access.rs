@@ -18,7 +18,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, no_longer_admitted};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 54] = [
+const METHODS: [(&str, Access); 58] = [
     ("/waypost.v1.SessionService/Stream", Access::Robot),
     ("/waypost.v1.SessionService/Query", Access::Robot),
     ("/waypost.v1.SessionService/ListSessions", Access::Robot),
@@ -35,6 +35,11 @@ const METHODS: [(&str, Access); 54] = [
     ("/waypost.v1.NavigationService/GetNavigation", Access::Robot),
     ("/waypost.v1.NavigationService/ListNavigations", Access::Robot),
     ("/waypost.v1.NavigationService/PlanRoute", Access::Robot),
+    ("/waypost.v1.AppearanceService/ListLabels", Access::Robot),
+    // As goals: whoever may send a robot somewhere may say what that is called.
+    ("/waypost.v1.AppearanceService/SetLabel", Access::Robot),
+    ("/waypost.v1.AppearanceService/DeleteLabel", Access::Robot),
+    ("/waypost.v1.AppearanceService/GetAppearanceGraph", Access::Robot),
     ("/waypost.v1.MapService/ListMaps", Access::Robot),
     ("/waypost.v1.MapService/GetMap", Access::Robot),
     ("/waypost.v1.MapService/ListPlaces", Access::Robot),

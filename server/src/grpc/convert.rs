@@ -150,9 +150,18 @@ fn camera_model(model: Model) -> Result<CameraModel, ServiceError> {
                 inner_radius_px,
                 outer_radius_px,
                 eccentricity,
+                horizon_radius_px,
+                ahead_rad,
             } = mirror;
             let center_px = [center_x_px, center_y_px];
-            CameraModel::HyperbolicMirror { center_px, inner_radius_px, outer_radius_px, eccentricity }
+            CameraModel::HyperbolicMirror {
+                center_px,
+                inner_radius_px,
+                outer_radius_px,
+                eccentricity,
+                horizon_radius_px,
+                ahead_rad,
+            }
         }
     })
 }

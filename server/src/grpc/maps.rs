@@ -18,8 +18,8 @@ use super::convert::{known, planar_pose};
 use super::jobs::job;
 use crate::error::ServiceError;
 use crate::service::maps::{
-    Detail, FrameReference, Keep, LoopClosureView, MapSettings, MapSettingsRequest, MapView, PlacePose,
-    PlaceView, WordPlace,
+    Detail, FrameReference, Keep, LoopClosureView, MapSettings, MapSettingsRequest, MapView,
+    NavigationStrategy, PlacePose, PlaceView, WordPlace,
 };
 use crate::service::models::Page;
 use crate::service::names::{map_in, map_name, model_name, place_in, place_name};
@@ -204,6 +204,7 @@ fn settings_request(settings: v1::MapSettings) -> Result<MapSettingsRequest, Ser
         verification,
         place_spacing_m,
         place_spacing_rad,
+        navigation_strategy,
     } = settings;
     Ok(MapSettingsRequest {
         dependence: match known("dependence", dependence)? {
@@ -237,6 +238,11 @@ fn settings_request(settings: v1::MapSettings) -> Result<MapSettingsRequest, Ser
         },
         place_spacing_m,
         place_spacing_rad,
+        strategy: match known("navigation_strategy", navigation_strategy)? {
+            map_settings::NavigationStrategy::Unspecified => None,
+            map_settings::NavigationStrategy::TopoMetric => Some(NavigationStrategy::TopoMetric),
+            map_settings::NavigationStrategy::Appearance => Some(NavigationStrategy::Appearance),
+        },
     })
 }
 
@@ -272,7 +278,7 @@ fn storage(bytes: MapBytes, frames: u64) -> v1::MapStorage {
 }
 
 fn settings_message(settings: &MapSettings) -> v1::MapSettings {
-    let MapSettings { mapper, keep } = *settings;
+    let MapSettings { mapper, keep, strategy } = *settings;
     let MapperSettings {
         recognizer,
         closure_threshold,
@@ -282,6 +288,7 @@ fn settings_message(settings: &MapSettings) -> v1::MapSettings {
         min_words: _,
         max_speed_m_per_s: _,
         place_spacing: PlaceSpacing { distance_m, angle_rad },
+        place_rule: _,
         odometry_noise: _,
         prior_frames: _,
     } = mapper;
@@ -320,6 +327,11 @@ fn settings_message(settings: &MapSettings) -> v1::MapSettings {
         .into(),
         place_spacing_m: Some(distance_m),
         place_spacing_rad: Some(angle_rad),
+        navigation_strategy: match strategy {
+            NavigationStrategy::TopoMetric => map_settings::NavigationStrategy::TopoMetric,
+            NavigationStrategy::Appearance => map_settings::NavigationStrategy::Appearance,
+        }
+        .into(),
     }
 }
 

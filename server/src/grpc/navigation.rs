@@ -1,11 +1,12 @@
+use bytes::Bytes;
 use futures::stream::BoxStream;
 use futures::{FutureExt, StreamExt};
 use prost::Message;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
-use topomap::navigation::planning::{Goal, MapPosition, Route, Travel, Waypoint};
-use topomap::navigation::{Driver, Guidance, Localization, Seen, Sight, VelocityCommand, WheelReport};
+use topomap::navigation::planning::{MapPosition, Route, Travel, Waypoint};
+use topomap::navigation::{Driver, Guidance, Localization, Seen, VelocityCommand};
 use waypost_proto::v1;
 use waypost_proto::v1::navigation_service_server::NavigationService;
 use waypost_proto::v1::{goal, navigate_request, navigate_response};
@@ -18,7 +19,8 @@ use crate::error::ServiceError;
 use crate::service::models::Page;
 use crate::service::names::model_name;
 use crate::service::navigations::{
-    Against, Driving, FrameSeen, GoalRefusal, NavigationOpening, NavigationStream, NavigationView,
+    Against, AppearanceView, BodyReport, Driving, FrameSeen, Goal, GoalRefusal, GoalRequest, Looked,
+    NavigationOpening, NavigationStream, NavigationView, Told,
 };
 use crate::service::sessions::Frame;
 
@@ -56,8 +58,15 @@ impl NavigationService for Adapter {
         &self,
         request: Request<v1::SetGoalRequest>,
     ) -> Result<Response<v1::SetGoalResponse>, Status> {
-        let v1::SetGoalRequest { name, goal } = request.into_inner();
-        let view = self.service.set_goal(&name, needed(goal)?).await?;
+        let v1::SetGoalRequest { name, goal, image_goal } = request.into_inner();
+        let goal = match (goal, image_goal) {
+            (None, Some(image)) => self::image_goal(image)?,
+            (goal, None) => GoalRequest::Goal(needed(goal)?),
+            (Some(_), Some(_)) => {
+                return Err(ServiceError::invalid("send a goal or an image, not both").into());
+            }
+        };
+        let view = self.service.set_goal(&name, goal).await?;
         Ok(Response::new(v1::SetGoalResponse { navigation: Some(navigation(view)) }))
     }
 
@@ -152,8 +161,8 @@ fn answer(
     let content = match request.content {
         Some(navigate_request::Content::Wheels(message)) => {
             let stamp_ns = message.stamp_ns;
-            match wheel_report(message).and_then(|report| stream.wheels(report)) {
-                Ok(said) => navigate_response::Content::Guidance(guidance(stamp_ns, said)),
+            match body_report(message).and_then(|report| stream.report(report)) {
+                Ok(told) => navigate_response::Content::Guidance(guidance(told)),
                 Err(error) => navigate_response::Content::WheelRefusal(v1::WheelRefusal {
                     stamp_ns,
                     status: Some(as_message(&error)),
@@ -164,10 +173,22 @@ fn answer(
             let sequence = message.sequence;
             match frames.try_send(frame(message)) {
                 Ok(()) => return None,
-                Err(_) => navigate_response::Content::Seen(seen(FrameSeen { sequence, seen: None })),
+                Err(_) => navigate_response::Content::Seen(seen(FrameSeen {
+                    sequence,
+                    seen: None,
+                    place: None,
+                    probability: None,
+                })),
             }
         }
         Some(navigate_request::Content::Goal(message)) => match needed(Some(message)) {
+            Ok(goal) => {
+                stream.go_to(GoalRequest::Goal(goal));
+                return None;
+            }
+            Err(error) => return Some(Err(error.into())),
+        },
+        Some(navigate_request::Content::ImageGoal(message)) => match image_goal(message) {
             Ok(goal) => {
                 stream.go_to(goal);
                 return None;
@@ -197,16 +218,24 @@ async fn look(stream: NavigationStream, mut frames: mpsc::Receiver<TakenFrame>, 
             }
             Err(refused) => Err(refused),
         };
-        let content = match looked {
-            Ok(looked) => navigate_response::Content::Seen(seen(looked)),
-            Err((sequence, error)) => navigate_response::Content::Refusal(v1::FrameRefusal {
-                sequence,
-                last_committed_sequence: None,
-                status: Some(as_message(&error)),
-            }),
+        let contents = match looked {
+            Ok(Looked { seen: what, told }) => {
+                let told = told.map(|told| navigate_response::Content::Guidance(guidance(told)));
+                [Some(navigate_response::Content::Seen(seen(what))), told]
+            }
+            Err((sequence, error)) => {
+                let refusal = navigate_response::Content::Refusal(v1::FrameRefusal {
+                    sequence,
+                    last_committed_sequence: None,
+                    status: Some(as_message(&error)),
+                });
+                [Some(refusal), None]
+            }
         };
-        if responses.send(respond(content)).await.is_err() {
-            return;
+        for content in contents.into_iter().flatten() {
+            if responses.send(respond(content)).await.is_err() {
+                return;
+            }
         }
     }
 }
@@ -245,32 +274,39 @@ fn needed(message: Option<v1::Goal>) -> Result<Goal, ServiceError> {
         Some(goal::Target::Position(v1::PositionGoal { part, x_m, y_m })) if (x_m + y_m).is_finite() => {
             Ok(Goal::Position { part, position_m: [x_m, y_m] })
         }
+        Some(goal::Target::Label(label)) => Ok(Goal::Label(label)),
         Some(goal::Target::Position(_)) => {
             Err(ServiceError::invalid("the goal's position is not finite; give metres in the map's frame"))
         }
-        None => Err(ServiceError::invalid("the goal is empty; name a place or a position")),
+        None => Err(ServiceError::invalid("the goal is empty; name a place, a position or a label")),
     }
 }
 
-fn wheel_report(message: v1::WheelReport) -> Result<WheelReport, ServiceError> {
+fn image_goal(message: v1::ImageGoal) -> Result<GoalRequest, ServiceError> {
+    let v1::ImageGoal { image } = message;
+    if image.is_empty() {
+        return Err(ServiceError::invalid("the goal has no image; send a JPEG or PNG that was taken there"));
+    }
+    Ok(GoalRequest::Image(Bytes::from(image)))
+}
+
+fn body_report(message: v1::WheelReport) -> Result<BodyReport, ServiceError> {
     let v1::WheelReport { stamp_ns, odometry: moved, obeyed_number, reflex } = message;
     if stamp_ns <= 0 {
         return Err(ServiceError::invalid(
             "the report has no stamp; send when the odometry was read, in nanoseconds above 0",
         ));
     }
-    let moved = moved.ok_or_else(|| {
-        ServiceError::invalid("the report has no odometry; send where the wheels put the robot")
-    })?;
-    Ok(WheelReport {
+    Ok(BodyReport {
         stamp_ns,
-        odometry: odometry(moved)?,
+        odometry: moved.map(odometry).transpose()?,
         obeyed: obeyed_number,
         driver: if reflex { Driver::Reflex } else { Driver::Commands },
     })
 }
 
-fn guidance(stamp_ns: i64, guidance: Guidance) -> v1::Guidance {
+fn guidance(told: Told) -> v1::Guidance {
+    let Told { stamp_ns, guidance, appearance } = told;
     let Guidance { command, status, localization, left_m, heading_to_target_rad } = guidance;
     let VelocityCommand { number, forward_m_s, turn_rad_s, valid_ns } = command;
     v1::Guidance {
@@ -280,7 +316,13 @@ fn guidance(stamp_ns: i64, guidance: Guidance) -> v1::Guidance {
         localization: localization.map(localization_message),
         left_m,
         target_heading_rad: heading_to_target_rad,
+        appearance: appearance.map(appearance_guidance),
     }
+}
+
+fn appearance_guidance(view: AppearanceView) -> v1::AppearanceGuidance {
+    let AppearanceView { heading_rad, subgoal, goal, similarity, left } = view;
+    v1::AppearanceGuidance { heading_rad, subgoal_place: subgoal, goal_place: goal, similarity, left }
 }
 
 fn status_code(status: topomap::navigation::Status) -> v1::NavigationStatus {
@@ -319,26 +361,17 @@ fn localization_message(localization: Localization) -> v1::Localization {
 
 fn seen(frame: FrameSeen) -> v1::FrameSeen {
     use v1::frame_seen::Outcome;
-    let FrameSeen { sequence, seen } = frame;
+    let FrameSeen { sequence, seen, place, probability } = frame;
     let outcome = match seen {
-        Some((_, Seen::Corrected)) => Outcome::Corrected,
-        Some((_, Seen::Found)) => Outcome::Found,
-        Some((_, Seen::Unconfirmed)) => Outcome::Unconfirmed,
-        Some((_, Seen::Kidnapped)) => Outcome::Kidnapped,
-        Some((_, Seen::Stale)) => Outcome::Stale,
-        Some((_, Seen::Nothing)) => Outcome::Nothing,
+        Some(Seen::Corrected) => Outcome::Corrected,
+        Some(Seen::Found) => Outcome::Found,
+        Some(Seen::Unconfirmed) => Outcome::Unconfirmed,
+        Some(Seen::Kidnapped) => Outcome::Kidnapped,
+        Some(Seen::Stale) => Outcome::Stale,
+        Some(Seen::Nothing) => Outcome::Nothing,
         None => Outcome::Skipped,
     };
-    let closure = seen.and_then(|(look, _)| match look.sight {
-        Sight::Closure(closure) => Some(closure),
-        Sight::Unknown | Sight::TooLittle => None,
-    });
-    v1::FrameSeen {
-        sequence,
-        outcome: outcome.into(),
-        place: closure.map(|closure| closure.place),
-        probability: closure.map(|closure| closure.probability),
-    }
+    v1::FrameSeen { sequence, outcome: outcome.into(), place, probability }
 }
 
 fn goal_message(goal: Goal) -> v1::Goal {
@@ -347,13 +380,14 @@ fn goal_message(goal: Goal) -> v1::Goal {
         Goal::Position { part, position_m: [x_m, y_m] } => {
             goal::Target::Position(v1::PositionGoal { part, x_m, y_m })
         }
+        Goal::Label(label) => goal::Target::Label(label),
     };
     v1::Goal { target: Some(target) }
 }
 
 fn goal_refusal(refusal: GoalRefusal) -> v1::GoalRefusal {
     let GoalRefusal { goal, message } = refusal;
-    v1::GoalRefusal { goal: Some(goal_message(goal)), message }
+    v1::GoalRefusal { goal: goal.map(goal_message), message }
 }
 
 fn navigation(view: NavigationView) -> v1::Navigation {
@@ -362,7 +396,7 @@ fn navigation(view: NavigationView) -> v1::Navigation {
     v1::Navigation {
         name,
         connected,
-        guidance: told.map(|(stamp_ns, told)| guidance(stamp_ns, told)),
+        guidance: told.map(guidance),
         goal: goal.map(goal_message),
         route: way.map(route),
         goal_refusal: goal_refusal.map_or_else(String::new, |GoalRefusal { goal: _, message }| message),

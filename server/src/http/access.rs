@@ -26,7 +26,7 @@ const OPEN: [&str; 2] = ["/healthz", "/readyz"];
 /// What changes maps is for administrators; where a robot is sent to is for its operators, too.
 const CHANGES_MAPS: &str = "/v1/merges";
 
-/// Serves those who may see it, and lets those decide who may.
+/// Serves those who may see it: all else that is here reads, names places or sends robots, as any token may over gRPC.
 pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request, next: Next) -> Response {
     let access = access(request.method(), request.uri().path());
     if access != Access::Open && service.tokens().serve_this_machine() && !addresses_this_machine(&request) {

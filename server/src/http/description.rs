@@ -34,7 +34,7 @@ const PAGE_POLICY: HeaderValue = HeaderValue::from_static(
     info(
         title = "Waypost REST",
         description = "What Waypost's maps hold, for people, scripts and other languages. It answers what gRPC \
-            (`waypost.v1`) answers, field by field; what changes a map goes over gRPC alone.\n\n\
+            (`waypost.v1`) answers, field by field; what lets a map grow goes over gRPC alone.\n\n\
             - **Names** are paths, as in gRPC: `maps/demo/sessions/monday/frames/7`.\n\
             - **Fields** are always there; one that has no value is `null`. New ones may come: ignore what you \
             do not know.\n\

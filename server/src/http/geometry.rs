@@ -133,6 +133,10 @@ struct HyperbolicMirror {
     outer_radius_px: f64,
     /// Eccentricity of the hyperbola.
     eccentricity: f64,
+    /// How far from the centre the horizon is seen; 0 if it is not known.
+    horizon_radius_px: f64,
+    /// Where ahead lies in the image, from its right counter-clockwise.
+    ahead_rad: f64,
 }
 
 impl Camera {
@@ -184,9 +188,24 @@ impl From<v1::Panorama> for Panorama {
 
 impl From<v1::HyperbolicMirror> for HyperbolicMirror {
     fn from(mirror: v1::HyperbolicMirror) -> Self {
-        let v1::HyperbolicMirror { center_x_px, center_y_px, inner_radius_px, outer_radius_px, eccentricity } =
-            mirror;
-        Self { center_x_px, center_y_px, inner_radius_px, outer_radius_px, eccentricity }
+        let v1::HyperbolicMirror {
+            center_x_px,
+            center_y_px,
+            inner_radius_px,
+            outer_radius_px,
+            eccentricity,
+            horizon_radius_px,
+            ahead_rad,
+        } = mirror;
+        Self {
+            center_x_px,
+            center_y_px,
+            inner_radius_px,
+            outer_radius_px,
+            eccentricity,
+            horizon_radius_px,
+            ahead_rad,
+        }
     }
 }
 

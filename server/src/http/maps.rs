@@ -155,6 +155,16 @@ struct MapSettings {
     /// The same for how far it turns.
     #[schema(exclusive_minimum = 0)]
     place_spacing_rad: f64,
+    navigation_strategy: NavigationStrategy,
+}
+
+/// How robots are led along the map: along places that wheels measured, by a camera that looks ahead; or by looks alone,
+/// with panoramas.
+#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+enum NavigationStrategy {
+    TopoMetric,
+    Appearance,
 }
 
 /// How loop closures are verified by where features are: not at all, by a motion in the image plane, by epipolar
@@ -268,7 +278,7 @@ impl MapStorage {
 
 impl From<maps::MapSettings> for MapSettings {
     fn from(settings: maps::MapSettings) -> Self {
-        let maps::MapSettings { mapper, keep } = settings;
+        let maps::MapSettings { mapper, keep, strategy } = settings;
         let MapperSettings {
             recognizer,
             closure_threshold,
@@ -278,6 +288,7 @@ impl From<maps::MapSettings> for MapSettings {
             min_words: _,
             max_speed_m_per_s: _,
             place_spacing: PlaceSpacing { distance_m, angle_rad },
+            place_rule: _,
             odometry_noise: _,
             prior_frames: _,
         } = mapper;
@@ -312,6 +323,10 @@ impl From<maps::MapSettings> for MapSettings {
             },
             place_spacing_m: distance_m,
             place_spacing_rad: angle_rad,
+            navigation_strategy: match strategy {
+                maps::NavigationStrategy::TopoMetric => NavigationStrategy::TopoMetric,
+                maps::NavigationStrategy::Appearance => NavigationStrategy::Appearance,
+            },
         }
     }
 }

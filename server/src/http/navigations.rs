@@ -1,10 +1,14 @@
 //! Robots that are led: seen, sent and stopped. They themselves are led over gRPC.
 
+use std::fmt::Display;
 use std::sync::Arc;
 
 use axum::Json;
+use axum::body::Bytes;
 use axum::extract::State;
-use axum::extract::rejection::JsonRejection;
+use axum::extract::rejection::BytesRejection;
+use axum::http::HeaderMap;
+use axum::http::header::CONTENT_TYPE;
 use serde::{Deserialize, Serialize};
 use topomap::navigation::planning::{self, Travel};
 use topomap::navigation::{self as leading};
@@ -12,13 +16,16 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::HttpError;
 use super::description::Refusals;
+use super::frames::ImageFile;
 use super::geometry::Pose;
 use super::parameters::{InPath, InQuery, MapPath, NavigationPath, Nothing, Paging, Parameters};
 use crate::error::ServiceError;
 use crate::service::Service;
 use crate::service::models::Page;
 use crate::service::names::{map_name, navigation_name};
-use crate::service::navigations::{Against, GoalRefusal, NavigationView};
+use crate::service::navigations::{
+    Against, AppearanceView, Goal as Wanted, GoalRefusal, GoalRequest, NavigationView, Told,
+};
 
 /// The robots that are led along a map, by name. One whose stream is gone is forgotten after a minute.
 #[utoipa::path(get, path = "/v1/maps/{map}/navigations", tag = "navigations", params(MapPath, Paging),
@@ -46,23 +53,40 @@ pub(super) async fn get_navigation(
 
 /// Sends the robot to a goal, in place of where it was going.
 #[utoipa::path(put, path = "/v1/maps/{map}/navigations/{navigation}/goal", tag = "navigations", params(NavigationPath),
-    request_body(content = Goal, description = "A place, or the place nearest to a position."),
+    request_body(content((Goal = "application/json"), (ImageFile = "image/jpeg"), (ImageFile = "image/png")),
+        description = "A place, the place nearest to a position, or a label. By appearance also a panorama: the robot goes \
+                       to where it was taken."),
     responses((status = 200, description = "The navigation.", body = Navigation), Refusals))]
 pub(super) async fn set_goal(
     State(service): State<Arc<Service>>,
     InPath(NavigationPath { map, navigation }): InPath<NavigationPath>,
     InQuery(Nothing {}): InQuery<Nothing>,
-    goal: Result<Json<Goal>, JsonRejection>,
+    headers: HeaderMap,
+    body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<Navigation>, HttpError> {
-    let Json(goal) = goal.map_err(|rejection| {
-        ServiceError::invalid(format_args!(
-            "{}; send {{\"place\": NUMBER}} or {{\"position\": {{\"part\": 0, \"x_m\": X, \"y_m\": Y}}}} as \
-             application/json",
-            rejection.body_text()
-        ))
-    })?;
-    let view = service.set_goal(&navigation_name(&map, &navigation), goal.try_into()?).await?;
+    let goal = wanted(&headers, body)?;
+    let view = service.set_goal(&navigation_name(&map, &navigation), goal).await?;
     Ok(Json(view.into()))
+}
+
+/// What a body asks for.
+fn wanted(headers: &HeaderMap, body: Result<Bytes, BytesRejection>) -> Result<GoalRequest, ServiceError> {
+    let unfit = |why: &dyn Display| {
+        ServiceError::invalid(format_args!(
+            "{why}; send {{\"place\": NUMBER}}, {{\"position\": {{\"part\": 0, \"x_m\": X, \"y_m\": Y}}}} or \
+             {{\"label\": \"kitchen\"}} as application/json, or a panorama as image/jpeg or image/png"
+        ))
+    };
+    let body = body.map_err(|rejection| unfit(&rejection.body_text()))?;
+    let declared = headers.get(CONTENT_TYPE).map_or("", |declared| declared.to_str().unwrap_or("not text"));
+    match declared.split(';').next().unwrap_or_default().trim().to_ascii_lowercase().as_str() {
+        "image/jpeg" | "image/png" => Ok(GoalRequest::Image(body)),
+        "application/json" => {
+            let goal: Goal = serde_json::from_slice(&body).map_err(|error| unfit(&error))?;
+            Ok(GoalRequest::Goal(goal.try_into()?))
+        }
+        _ => Err(unfit(&format_args!("the body is declared as {declared:?}, which no goal is"))),
+    }
 }
 
 /// Takes the robot's goal away: it stops.
@@ -117,7 +141,7 @@ pub(super) async fn plan_route(
         AgainstTheWay::Forbidden => Against::Forbidden,
         AgainstTheWay::Costly => Against::Costly,
     };
-    let goal = planning::Goal::Place(to);
+    let goal = Wanted::Place(to);
     Ok(Json(service.plan_route(&map_name(&map), from, goal, against).await?.into()))
 }
 
@@ -168,6 +192,29 @@ struct Guidance {
     /// Where to the robot is to look, in the map's frame.
     #[schema(required)]
     target_heading_rad: Option<f64>,
+    /// By appearance; null before the robot has a goal and has seen something.
+    #[schema(required)]
+    appearance: Option<AppearanceGuidance>,
+}
+
+/// Where to drive by what a panorama shows.
+#[derive(Debug, Serialize, ToSchema)]
+struct AppearanceGuidance {
+    /// From straight ahead to the left; null where nothing has shown it, and at the goal.
+    #[schema(required)]
+    heading_rad: Option<f64>,
+    /// The place that the robot steers to.
+    #[schema(required)]
+    subgoal_place: Option<u32>,
+    /// The place that it goes to.
+    #[schema(required)]
+    goal_place: Option<u32>,
+    /// What the panorama and the subgoal's image have in common.
+    #[schema(required, minimum = 0, maximum = 1)]
+    similarity: Option<f64>,
+    /// Sum of 1 / similarity along the path from the subgoal to the goal.
+    #[schema(required)]
+    left: Option<f64>,
 }
 
 /// How fast to drive.
@@ -181,7 +228,8 @@ struct VelocityCommand {
     valid_ns: i64,
 }
 
-/// How it goes: `searching` means by wheels alone for a while, `blocked` that it is to move and does not.
+/// How it goes: `searching` means by wheels alone for a while, or by appearance that it recovers and keeps its heading;
+/// `blocked` that it is to move and does not.
 #[derive(Debug, Serialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 enum Status {
@@ -211,7 +259,7 @@ struct Localization {
     since_closure_m: f64,
 }
 
-/// Where to go. Either a place or a position.
+/// Where to go. Either a place, a position or a label.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"place": 17}))]
@@ -220,6 +268,10 @@ pub(super) struct Goal {
     place: Option<u32>,
     #[serde(default)]
     position: Option<Position>,
+    /// What somebody has called a place, or several. By appearance, the robot goes to the nearest by the shortest path, or
+    /// rather to the middle of those that links join with that one; else one place alone may have it.
+    #[serde(default)]
+    label: Option<String>,
 }
 
 /// A position on the map.
@@ -267,8 +319,9 @@ impl From<NavigationView> for Navigation {
     }
 }
 
-impl From<(i64, leading::Guidance)> for Guidance {
-    fn from((stamp_ns, guidance): (i64, leading::Guidance)) -> Self {
+impl From<Told> for Guidance {
+    fn from(told: Told) -> Self {
+        let Told { stamp_ns, guidance, appearance } = told;
         let leading::Guidance { command, status, localization, left_m, heading_to_target_rad } = guidance;
         let leading::VelocityCommand { number, forward_m_s, turn_rad_s, valid_ns } = command;
         Self {
@@ -278,7 +331,15 @@ impl From<(i64, leading::Guidance)> for Guidance {
             localization: localization.map(Localization::from),
             left_m,
             target_heading_rad: heading_to_target_rad,
+            appearance: appearance.map(AppearanceGuidance::from),
         }
+    }
+}
+
+impl From<AppearanceView> for AppearanceGuidance {
+    fn from(view: AppearanceView) -> Self {
+        let AppearanceView { heading_rad, subgoal, goal, similarity, left } = view;
+        Self { heading_rad, subgoal_place: subgoal, goal_place: goal, similarity, left }
     }
 }
 
@@ -319,31 +380,32 @@ impl From<leading::Localization> for Localization {
     }
 }
 
-impl From<planning::Goal> for Goal {
-    fn from(goal: planning::Goal) -> Self {
+impl From<Wanted> for Goal {
+    fn from(goal: Wanted) -> Self {
+        let empty = Self { place: None, position: None, label: None };
         match goal {
-            planning::Goal::Place(place) => Self { place: Some(place), position: None },
-            planning::Goal::Position { part, position_m: [x_m, y_m] } => {
-                Self { place: None, position: Some(Position { part, x_m, y_m }) }
+            Wanted::Place(place) => Self { place: Some(place), ..empty },
+            Wanted::Position { part, position_m: [x_m, y_m] } => {
+                Self { position: Some(Position { part, x_m, y_m }), ..empty }
             }
+            Wanted::Label(label) => Self { label: Some(label), ..empty },
         }
     }
 }
 
-impl TryFrom<Goal> for planning::Goal {
+impl TryFrom<Goal> for Wanted {
     type Error = ServiceError;
 
     fn try_from(goal: Goal) -> Result<Self, ServiceError> {
-        match goal {
-            Goal { place: Some(place), position: None } => Ok(Self::Place(place)),
-            Goal { place: None, position: Some(Position { part, x_m, y_m }) } => {
-                Ok(Self::Position { part, position_m: [x_m, y_m] })
-            }
-            Goal { place: None, position: None } => {
-                Err(ServiceError::invalid("the goal is empty; name a place or a position"))
-            }
-            Goal { place: Some(_), position: Some(_) } => {
-                Err(ServiceError::invalid("send a place or a position, not both"))
+        let Goal { place, position, label } = goal;
+        let position =
+            position.map(|Position { part, x_m, y_m }| Self::Position { part, position_m: [x_m, y_m] });
+        let mut named = [place.map(Self::Place), position, label.map(Self::Label)].into_iter().flatten();
+        match (named.next(), named.next()) {
+            (Some(goal), None) => Ok(goal),
+            (None, _) => Err(ServiceError::invalid("the goal is empty; name a place, a position or a label")),
+            (Some(_), Some(_)) => {
+                Err(ServiceError::invalid("send a place, a position or a label, and one of them alone"))
             }
         }
     }

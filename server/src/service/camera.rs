@@ -1,11 +1,14 @@
 //! Cameras as robots declare them: checked here, kept with the session, used where geometry is.
 
+mod panoramic;
+
 use prost::Message;
 use topomap::odometry::{Odometry, OdometryError};
 use waypost_proto::v1;
 use waypost_proto::v1::camera::Model;
 use waypost_vision::verification::{Distortion, Pinhole};
 
+pub(crate) use self::panoramic::PanoramicOptics;
 use crate::error::ServiceError;
 
 /// How a robot sees; lengths in pixels of the images it sends.
@@ -19,12 +22,34 @@ pub(crate) struct Camera {
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum CameraModel {
-    Pinhole { focal_px: [f64; 2], center_px: [f64; 2], distortion: Vec<f64> },
-    FieldOfView { horizontal_rad: f64 },
-    Fisheye { focal_px: [f64; 2], center_px: [f64; 2], distortion: Vec<f64> },
-    Cylindrical { vertical_rad: f64 },
-    Equirectangular { vertical_rad: Option<f64> },
-    HyperbolicMirror { center_px: [f64; 2], inner_radius_px: f64, outer_radius_px: f64, eccentricity: f64 },
+    Pinhole {
+        focal_px: [f64; 2],
+        center_px: [f64; 2],
+        distortion: Vec<f64>,
+    },
+    FieldOfView {
+        horizontal_rad: f64,
+    },
+    Fisheye {
+        focal_px: [f64; 2],
+        center_px: [f64; 2],
+        distortion: Vec<f64>,
+    },
+    Cylindrical {
+        vertical_rad: f64,
+    },
+    Equirectangular {
+        vertical_rad: Option<f64>,
+    },
+    HyperbolicMirror {
+        center_px: [f64; 2],
+        inner_radius_px: f64,
+        outer_radius_px: f64,
+        eccentricity: f64,
+        /// 0 if it is not known.
+        horizon_radius_px: f64,
+        ahead_rad: f64,
+    },
 }
 
 impl Camera {
@@ -79,7 +104,14 @@ impl CameraModel {
                     format!("the panorama's vertical angle must be above 0 and at most pi, not {angle} rad")
                 })
             }
-            CameraModel::HyperbolicMirror { center_px, inner_radius_px, outer_radius_px, eccentricity } => {
+            CameraModel::HyperbolicMirror {
+                center_px,
+                inner_radius_px,
+                outer_radius_px,
+                eccentricity,
+                horizon_radius_px,
+                ahead_rad,
+            } => {
                 require(center_px.iter().all(|c| c.is_finite()), || {
                     "the mirror's centre is not finite".to_owned()
                 })?;
@@ -94,6 +126,18 @@ impl CameraModel {
                 let hyperbola = *eccentricity > 1.0 && eccentricity.is_finite();
                 require(hyperbola, || {
                     format!("the mirror's eccentricity must be above 1, not {eccentricity}")
+                })?;
+                let known = *horizon_radius_px >= 0.0 && horizon_radius_px.is_finite();
+                require(known, || {
+                    format!(
+                        "the mirror's horizon must be seen at a radius above 0, not {horizon_radius_px} px; leave it \
+                         out if it is not known"
+                    )
+                })?;
+                require(ahead_rad.is_finite(), || {
+                    format!(
+                        "ahead lies at {ahead_rad} rad in the mirror's image; send radians, or leave it out"
+                    )
                 })
             }
         }
@@ -226,12 +270,15 @@ mod tests {
 
     #[test]
     fn cameras_that_do_not_exist_are_refused() {
-        let mirror = |inner, outer, eccentricity| CameraModel::HyperbolicMirror {
+        let mirror = |inner, outer, eccentricity, horizon, ahead| CameraModel::HyperbolicMirror {
             center_px: [0.0; 2],
             inner_radius_px: inner,
             outer_radius_px: outer,
             eccentricity,
+            horizon_radius_px: horizon,
+            ahead_rad: ahead,
         };
+        assert_eq!(check(mirror(5.0, 10.0, 1.2, 0.0, 0.0)), Ok(()));
         let impossible = [
             pinhole(0.0, vec![]),
             pinhole(f64::NAN, vec![]),
@@ -239,8 +286,11 @@ mod tests {
             pinhole(500.0, vec![f64::NAN; 4]),
             CameraModel::FieldOfView { horizontal_rad: 90.0 },
             CameraModel::Cylindrical { vertical_rad: 0.0 },
-            mirror(10.0, 5.0, 1.2),
-            mirror(5.0, 10.0, 0.9),
+            mirror(10.0, 5.0, 1.2, 8.0, 0.0),
+            mirror(5.0, 10.0, 0.9, 8.0, 0.0),
+            mirror(5.0, 10.0, 1.2, -8.0, 0.0),
+            mirror(5.0, 10.0, 1.2, f64::INFINITY, 0.0),
+            mirror(5.0, 10.0, 1.2, 8.0, f64::NAN),
         ];
         for model in impossible {
             assert!(matches!(check(model.clone()), Err(ServiceError::InvalidArgument { .. })), "{model:?}");

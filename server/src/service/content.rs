@@ -10,6 +10,7 @@ use waypost_vision::features::Keypoint;
 use waypost_vision::image::MAX_SIDE_PX;
 
 use super::Service;
+use super::camera::PanoramicOptics;
 use super::map_settings::Keep;
 use crate::error::ServiceError;
 use crate::extraction::{LoadedModel, Observed};
@@ -86,14 +87,15 @@ impl Words {
 }
 
 impl Service {
-    /// What a frame's content shows, and what is to be kept of it. `stream` is what it came by; a query
-    /// comes by none.
+    /// What a frame's content shows, and what is to be kept of it. `optics` are those of a camera that sees all around;
+    /// `stream` is what it came by; a query comes by none.
     pub(crate) async fn observe(
         &self,
         model: Arc<LoadedModel>,
         content: Content,
         words: Words,
         keep: Keep,
+        optics: Option<PanoramicOptics>,
         stream: Option<u64>,
     ) -> Result<Observed, ServiceError> {
         if let (Content::Histogram { .. } | Content::Words(_), Words::Undeclared) = (&content, words) {
@@ -102,7 +104,7 @@ impl Service {
             ));
         }
         match content {
-            Content::Image(image) => self.extraction.observe(model, image, keep, stream).await,
+            Content::Image(image) => self.extraction.observe(model, image, keep, optics, stream).await,
             Content::Histogram { words, counts } => {
                 off_the_async_threads(move || histogram(&model, words, counts)).await
             }

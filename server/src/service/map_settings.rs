@@ -6,7 +6,7 @@ use fabmap::new_place::NewPlaceMethod;
 use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::{RecognizerSettings, Scorer};
 use serde::{Deserialize, Serialize};
-use topomap::mapper::MapperSettings;
+use topomap::mapper::{MapperSettings, PlaceRule};
 use topomap::odometry_prior::PlaceSpacing;
 use topomap::relative_pose::OdometryNoise;
 use topomap::verification::{VerificationMethod, VerificationSettings};
@@ -18,6 +18,28 @@ use crate::error::ServiceError;
 pub(crate) struct MapSettings {
     pub(crate) mapper: MapperSettings,
     pub(crate) keep: Keep,
+    pub(crate) strategy: NavigationStrategy,
+}
+
+/// How robots are led along a map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum NavigationStrategy {
+    /// Along places that wheels measured, by a camera that looks ahead.
+    #[default]
+    TopoMetric,
+    /// By looks alone, with panoramas.
+    Appearance,
+}
+
+impl NavigationStrategy {
+    /// An appearance graph wants images one by one, and finds by itself which show the same.
+    fn place_rule(self) -> PlaceRule {
+        match self {
+            NavigationStrategy::TopoMetric => PlaceRule::Unrecognized,
+            NavigationStrategy::Appearance => PlaceRule::EachFrame,
+        }
+    }
 }
 
 /// What a map keeps of each frame; each keeps all of the ones before it.
@@ -47,6 +69,7 @@ pub(crate) struct MapSettingsRequest {
     pub(crate) verification: Option<VerificationMethod>,
     pub(crate) place_spacing_m: Option<f64>,
     pub(crate) place_spacing_rad: Option<f64>,
+    pub(crate) strategy: Option<NavigationStrategy>,
 }
 
 impl MapSettingsRequest {
@@ -64,7 +87,14 @@ impl MapSettingsRequest {
             verification,
             place_spacing_m,
             place_spacing_rad,
+            strategy,
         } = self;
+        let (keep, strategy) = (keep.unwrap_or_default(), strategy.unwrap_or_default());
+        if strategy == NavigationStrategy::Appearance && keep < Keep::Features {
+            return Err(ServiceError::invalid(
+                "a map that is navigated by appearance compares features: let it keep features or images, not words alone",
+            ));
+        }
         let defaults = MapperSettings::default();
         let detector = match (true_positive_rate, false_positive_rate) {
             (None, None) => None,
@@ -101,9 +131,10 @@ impl MapSettingsRequest {
                 distance_m: place_spacing_m.unwrap_or(defaults.place_spacing.distance_m),
                 angle_rad: place_spacing_rad.unwrap_or(defaults.place_spacing.angle_rad),
             },
+            place_rule: strategy.place_rule(),
             ..defaults
         };
-        Ok(MapSettings { mapper, keep: keep.unwrap_or_default() })
+        Ok(MapSettings { mapper, keep, strategy })
     }
 }
 
@@ -130,6 +161,9 @@ struct StoredSettings {
     /// Maps that were made before places had poses take the defaults of then.
     #[serde(default)]
     metric: StoredMetric,
+    /// Maps that were made before it was a setting are led along places that wheels measured.
+    #[serde(default)]
+    navigation_strategy: NavigationStrategy,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -267,7 +301,7 @@ struct StoredDetector {
 
 /// Settings as the JSON that the database keeps.
 pub(super) fn to_json(settings: &MapSettings) -> Result<String, ServiceError> {
-    let MapSettings { mapper, keep } = *settings;
+    let MapSettings { mapper, keep, strategy } = *settings;
     let MapperSettings {
         recognizer,
         closure_threshold,
@@ -277,6 +311,8 @@ pub(super) fn to_json(settings: &MapSettings) -> Result<String, ServiceError> {
         min_words,
         max_speed_m_per_s,
         place_spacing: PlaceSpacing { distance_m, angle_rad },
+        // By the strategy.
+        place_rule: _,
         odometry_noise,
         prior_frames,
     } = mapper;
@@ -325,6 +361,7 @@ pub(super) fn to_json(settings: &MapSettings) -> Result<String, ServiceError> {
             heading_floor_rad,
             prior_frames: prior_frames as u64,
         },
+        navigation_strategy: strategy,
     };
     serde_json::to_string(&stored).map_err(ServiceError::internal)
 }
@@ -346,6 +383,7 @@ pub(crate) fn from_json(json: &str) -> Result<MapSettings, ServiceError> {
         keep,
         verification,
         metric,
+        navigation_strategy: strategy,
     } = serde_json::from_str(json).map_err(ServiceError::internal)?;
     let StoredMetric {
         place_spacing_m,
@@ -383,6 +421,7 @@ pub(crate) fn from_json(json: &str) -> Result<MapSettings, ServiceError> {
         min_words: usize::try_from(min_words).unwrap_or(usize::MAX),
         max_speed_m_per_s,
         place_spacing: PlaceSpacing { distance_m: place_spacing_m, angle_rad: place_spacing_rad },
+        place_rule: strategy.place_rule(),
         odometry_noise: OdometryNoise {
             translation_share,
             heading_rad_per_m,
@@ -392,7 +431,7 @@ pub(crate) fn from_json(json: &str) -> Result<MapSettings, ServiceError> {
         },
         prior_frames: usize::try_from(prior_frames).unwrap_or(usize::MAX),
     };
-    Ok(MapSettings { mapper, keep })
+    Ok(MapSettings { mapper, keep, strategy })
 }
 
 #[cfg(test)]
@@ -413,12 +452,14 @@ mod tests {
             verification: Some(VerificationMethod::Epipolar),
             place_spacing_m: Some(0.25),
             place_spacing_rad: Some(0.1),
+            strategy: Some(NavigationStrategy::Appearance),
         };
         let settings = asked.with_defaults().unwrap();
         assert_eq!((settings.mapper.closure_threshold, settings.mapper.guard_frames), (0.7, 3));
         assert_eq!(from_json(&to_json(&settings).unwrap()), Ok(settings));
         let defaults = MapSettingsRequest::default().with_defaults().unwrap();
-        assert_eq!(defaults, MapSettings { mapper: MapperSettings::default(), keep: Keep::Features });
+        let (keep, strategy) = (Keep::Features, NavigationStrategy::TopoMetric);
+        assert_eq!(defaults, MapSettings { mapper: MapperSettings::default(), keep, strategy });
     }
 
     #[test]
@@ -441,12 +482,25 @@ mod tests {
             "looks_per_stay":3,"min_words":10,"max_speed_m_per_s":100.0}"#;
         let settings = from_json(stored).unwrap();
         assert_eq!((settings.mapper.guard_frames, settings.keep), (20, Keep::Words));
+        assert_eq!(settings.strategy, NavigationStrategy::TopoMetric);
         assert_eq!(settings.mapper.verification.method, VerificationMethod::None);
         assert_eq!(settings.mapper.recognizer.new_place, NewPlaceMethod::Sampled);
         assert_eq!(
             settings.mapper.place_spacing,
             PlaceSpacing { distance_m: 0.5, angle_rad: 10_f64.to_radians() }
         );
+    }
+
+    #[test]
+    fn appearance_takes_features() {
+        let asked = |keep| MapSettingsRequest {
+            keep,
+            strategy: Some(NavigationStrategy::Appearance),
+            ..MapSettingsRequest::default()
+        };
+        assert!(asked(Some(Keep::Images)).with_defaults().is_ok() && asked(None).with_defaults().is_ok());
+        let refused = asked(Some(Keep::Words)).with_defaults().unwrap_err();
+        assert!(refused.to_string().contains("keep features"), "{refused}");
     }
 
     #[test]

@@ -8,7 +8,7 @@ use topomap::mapper::Mapper;
 use topomap::relaxation::PlanarPose;
 
 use super::map_settings;
-pub(crate) use super::map_settings::{Keep, MapSettings, MapSettingsRequest};
+pub(crate) use super::map_settings::{Keep, MapSettings, MapSettingsRequest, NavigationStrategy};
 use super::map_writer::PlaceSummary;
 pub(crate) use super::map_writer::WordPlace;
 use super::models::Page;

@@ -1,31 +1,32 @@
-//! Robots that are led along a map. Commands come of odometry at once, beside the stream; the map's writer is asked
-//! for looks and plans alone.
+//! Robots that are led along a map, by its strategy: along places that wheels measured, or by looks alone.
 
+mod appearance;
 mod registry;
+mod topo_metric;
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
+use std::sync::Arc;
 
+use bytes::Bytes;
+use fabmap::appearance::PlaceId;
 use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio_util::sync::CancellationToken;
-use topomap::event::SessionId;
-use topomap::mapper::{FrameInput, Localizer};
-use topomap::navigation::planning::{Goal, Route};
+use topomap::navigation::planning::{self, Route};
 use topomap::navigation::settings::{AgainstTheWay, NavigationSettings};
-use topomap::navigation::{Guidance, Look, Lookout, Navigator, Seen, Sight, WheelReport};
+use topomap::navigation::{Driver, Guidance, Seen};
 use topomap::odometry::Odometry;
 
+use self::appearance::AppearanceGuide;
 pub(crate) use self::registry::Navigations;
+use self::topo_metric::TopoMetricGuide;
 use super::Service;
-use super::camera::Intrinsics;
 use super::content::Words;
-use super::map_settings::{self, Keep};
-use super::map_writer::{LookRequest, PlanFrom};
+use super::map_settings::{self, NavigationStrategy};
+use super::map_writer::PlanFrom;
 use super::models::Page;
 use super::names::{check_id, map_in, navigation_in, navigation_name, page_size};
 use super::sessions::{Frame, taken_over};
 use crate::error::ServiceError;
-use crate::extraction::{LoadedModel, Observed};
+use crate::extraction::LoadedModel;
 use crate::storage::MapId;
 
 /// What a way costs that is driven the other way round, in times its length.
@@ -46,6 +47,27 @@ pub(crate) struct NavigationOpening {
     pub(crate) driving: Driving,
 }
 
+/// Where a robot is to go.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Goal {
+    Place(PlaceId),
+    /// The place nearest to it.
+    Position {
+        part: PlaceId,
+        position_m: [f64; 2],
+    },
+    /// A place that people call so.
+    Label(String),
+}
+
+/// The same as it is asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum GoalRequest {
+    Goal(Goal),
+    /// Where this panorama was taken: a JPEG or PNG.
+    Image(Bytes),
+}
+
 /// What may be chosen of how a robot drives.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Driving {
@@ -62,13 +84,22 @@ pub(crate) enum Against {
     Costly,
 }
 
+/// What a robot says of itself.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct BodyReport {
+    pub(crate) stamp_ns: i64,
+    pub(crate) odometry: Option<Odometry>,
+    /// Number of the latest command that it obeyed.
+    pub(crate) obeyed: Option<u64>,
+    pub(crate) driver: Driver,
+}
+
 /// A navigation as it is now.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct NavigationView {
     pub(crate) name: String,
     pub(crate) connected: bool,
-    /// What the robot was told last, and the stamp of the report that it answered.
-    pub(crate) guidance: Option<(i64, Guidance)>,
+    pub(crate) guidance: Option<Told>,
     pub(crate) goal: Option<Goal>,
     pub(crate) route: Option<Route>,
     pub(crate) goal_refusal: Option<GoalRefusal>,
@@ -76,10 +107,34 @@ pub(crate) struct NavigationView {
     pub(crate) closures: u64,
 }
 
+/// What a robot was told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Told {
+    /// Of the report or the panorama that it answers.
+    pub(crate) stamp_ns: i64,
+    pub(crate) guidance: Guidance,
+    /// Where to drive by looks.
+    pub(crate) appearance: Option<AppearanceView>,
+}
+
+/// Where to drive by looks.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct AppearanceView {
+    /// From straight ahead to the left.
+    pub(crate) heading_rad: Option<f64>,
+    pub(crate) subgoal: Option<PlaceId>,
+    pub(crate) goal: Option<PlaceId>,
+    /// Of what is seen with the subgoal.
+    pub(crate) similarity: Option<f64>,
+    /// Sum of 1 / similarity to the goal.
+    pub(crate) left: Option<f64>,
+}
+
 /// Why a robot is not led to its goal.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct GoalRefusal {
-    pub(crate) goal: Goal,
+    /// None if it was an image.
+    pub(crate) goal: Option<Goal>,
     pub(crate) message: String,
 }
 
@@ -88,54 +143,40 @@ pub(crate) struct GoalRefusal {
 pub(crate) struct FrameSeen {
     pub(crate) sequence: u64,
     /// None if it was not looked at.
-    pub(crate) seen: Option<(Look, Seen)>,
+    pub(crate) seen: Option<Seen>,
+    pub(crate) place: Option<PlaceId>,
+    pub(crate) probability: Option<f64>,
 }
 
-/// A robot that is led: it outlives its stream for a while.
-#[derive(Debug)]
-pub(crate) struct Navigation {
+/// A frame that was looked at, and what the robot is told to it at once.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Looked {
+    pub(crate) seen: FrameSeen,
+    pub(crate) told: Option<Told>,
+}
+
+/// Which robot is led, and in which map.
+#[derive(Clone, Debug)]
+struct Identity {
     map_id: MapId,
     map: String,
     name: String,
     run: String,
     model: Arc<LoadedModel>,
-    intrinsics: Intrinsics,
-    settings: NavigationSettings,
-    /// Of the map: odometry that is faster has jumped.
-    max_speed_m_per_s: f64,
-    /// The navigator's clock begins here.
-    since: Instant,
-    /// One frame is looked at after the other.
-    lookout: tokio::sync::Mutex<Lookout>,
-    state: Mutex<State>,
-    refusals: watch::Sender<Option<GoalRefusal>>,
 }
 
-#[derive(Debug)]
-struct State {
-    navigator: Navigator,
-    last_report: Option<(i64, Odometry)>,
-    guidance: Option<(i64, Guidance)>,
-    goal: Option<Goal>,
-    route: Option<Route>,
-    goal_refusal: Option<GoalRefusal>,
-    planning: Planning,
-    last_sequence: Option<u64>,
-    frames: u64,
-    closures: u64,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Planning {
-    No,
-    UnderWay,
+/// Leads one robot; it outlives its stream for a while.
+#[derive(Clone, Debug)]
+enum Guide {
+    TopoMetric(Arc<TopoMetricGuide>),
+    Appearance(Arc<AppearanceGuide>),
 }
 
 /// A stream by which a robot is led.
 #[derive(Clone, Debug)]
 pub(crate) struct NavigationStream {
     service: Arc<Service>,
-    navigation: Arc<Navigation>,
+    guide: Guide,
     words: Words,
     stream: u64,
     resumed: bool,
@@ -150,43 +191,47 @@ impl Service {
         opening: NavigationOpening,
     ) -> Result<NavigationStream, ServiceError> {
         let NavigationOpening { map, navigation, run, camera, words_hash, goal, driving } = opening;
-        let settings = driving.settings()?;
+        // Ranges are checked whatever the strategy is.
+        driving.settings()?;
         let map = map_in(&map)?.to_owned();
         if !run.is_empty() {
             check_id("run id", &run)?;
         }
-        let intrinsics = camera.as_deref().and_then(Intrinsics::of_camera).ok_or_else(|| {
-            ServiceError::invalid(
-                "a robot is steered by how far its image has shifted: declare a camera with a pinhole calibration or a \
-                 field of view",
-            )
-        })?;
         let room = self.room_for_a_stream()?;
         let row = self.map_row(&map).await?;
         let model = self.loaded_model(&row.model).await?;
         let words = Words::declared(&words_hash, &model)?;
-        let mapper = map_settings::from_json(&row.settings)?.mapper;
-        if !mapper.verification.method.verifies() {
-            return Err(ServiceError::precondition(format_args!(
-                "the map {map} recognises by words alone, and by words no robot can be steered; make a map with \
-                 verification"
-            )));
+        let settings = map_settings::from_json(&row.settings)?;
+        match settings.strategy {
+            NavigationStrategy::TopoMetric => topo_metric::check(&map, camera.as_deref(), &settings)?,
+            NavigationStrategy::Appearance => appearance::check(&map, camera.as_deref())?,
         }
         self.open_map_of(&row).await?;
-        let navigation = match navigation.as_str() {
+        let name = match navigation.as_str() {
             "" => self.navigations.unused_name(row.id),
             name => check_id("navigation name", name)?.to_owned(),
         };
         let (stream, taken_over) = (self.new_stream(), CancellationToken::new());
+        let (key, named) = ((row.id, name.as_str()), run.as_str());
         let fresh = || {
-            let (named, driven) =
-                ((row.id, map.as_str(), navigation.as_str()), (settings, mapper.max_speed_m_per_s));
-            Navigation::new(named, run.clone(), model.clone(), intrinsics, driven)
+            let (map, name, run) = (map.clone(), name.clone(), run.clone());
+            let identity = Identity { map_id: row.id, map, name, run, model: model.clone() };
+            Ok(match settings.strategy {
+                NavigationStrategy::TopoMetric => Guide::TopoMetric(Arc::new(TopoMetricGuide::new(
+                    identity,
+                    camera.as_deref(),
+                    driving,
+                    settings.mapper.max_speed_m_per_s,
+                )?)),
+                NavigationStrategy::Appearance => {
+                    Guide::Appearance(Arc::new(AppearanceGuide::new(identity, camera.as_deref(), driving)?))
+                }
+            })
         };
-        let opened = self.navigations.open((row.id, &navigation), &run, (&room, &taken_over), fresh)?;
+        let opened = self.navigations.open(key, named, (&room, &taken_over), fresh)?;
         let stream = NavigationStream {
             service: self.clone(),
-            navigation: opened.navigation,
+            guide: opened.guide,
             words,
             stream,
             resumed: opened.resumed,
@@ -194,13 +239,13 @@ impl Service {
             _room: room,
         };
         if let Some(goal) = goal.filter(|_| !stream.resumed) {
-            stream.go_to(goal);
+            stream.guide.go_to(self, GoalRequest::Goal(goal)).await?;
         }
         Ok(stream)
     }
 
     pub(crate) async fn navigation(&self, name: &str) -> Result<NavigationView, ServiceError> {
-        Ok(self.navigations.view(&*self.led(name).await?))
+        Ok(self.navigations.view(&self.led(name).await?))
     }
 
     /// The navigations in a map, by name.
@@ -216,7 +261,7 @@ impl Service {
             .navigations
             .of_map(row.id)
             .iter()
-            .map(|navigation| self.navigations.view(navigation))
+            .map(|guide| self.navigations.view(guide))
             .filter(|view| view.name.as_str() > token)
             .collect();
         let more = items.len() > size;
@@ -229,18 +274,17 @@ impl Service {
     pub(crate) async fn set_goal(
         self: &Arc<Self>,
         name: &str,
-        goal: Goal,
+        goal: GoalRequest,
     ) -> Result<NavigationView, ServiceError> {
-        let navigation = self.led(name).await?;
-        navigation.go_to(goal);
-        navigation.plan_if_wanted(self);
-        Ok(self.navigations.view(&navigation))
+        let guide = self.led(name).await?;
+        guide.go_to(self, goal).await?;
+        Ok(self.navigations.view(&guide))
     }
 
     pub(crate) async fn cancel_goal(&self, name: &str) -> Result<NavigationView, ServiceError> {
-        let navigation = self.led(name).await?;
-        navigation.stop();
-        Ok(self.navigations.view(&navigation))
+        let guide = self.led(name).await?;
+        guide.stop();
+        Ok(self.navigations.view(&guide))
     }
 
     /// Which way would be taken.
@@ -251,12 +295,14 @@ impl Service {
         goal: Goal,
         against: Against,
     ) -> Result<Route, ServiceError> {
-        let map = self.open_map(map_in(map)?).await?;
+        let row = self.map_row(map_in(map)?).await?;
+        let goal = self.measured_goal(&row, GoalRequest::Goal(goal)).await?;
+        let map = self.open_map_of(&row).await?;
         let settings = Driving { against, ..Driving::default() }.settings()?.planning;
         map.plan(PlanFrom::Place(from), goal, settings).await?.map_err(ServiceError::precondition)
     }
 
-    async fn led(&self, name: &str) -> Result<Arc<Navigation>, ServiceError> {
+    async fn led(&self, name: &str) -> Result<Guide, ServiceError> {
         let (map, navigation) = navigation_in(name)?;
         let row = self.map_row(map).await?;
         self.navigations.find((row.id, navigation)).ok_or_else(|| {
@@ -282,227 +328,150 @@ impl Driving {
     }
 }
 
-impl Navigation {
-    fn new(
-        (map_id, map, name): (MapId, &str, &str),
-        run: String,
-        model: Arc<LoadedModel>,
-        intrinsics: Intrinsics,
-        (settings, max_speed_m_per_s): (NavigationSettings, f64),
-    ) -> Result<Self, ServiceError> {
-        let navigator = Navigator::new(settings).map_err(ServiceError::invalid)?;
-        Ok(Self {
-            map_id,
-            map: map.to_owned(),
-            name: name.to_owned(),
-            run,
-            model,
-            intrinsics,
-            settings,
-            max_speed_m_per_s,
-            since: Instant::now(),
-            lookout: tokio::sync::Mutex::new(Lookout::new()),
-            state: Mutex::new(State {
-                navigator,
-                last_report: None,
-                guidance: None,
-                goal: None,
-                route: None,
-                goal_refusal: None,
-                planning: Planning::No,
-                last_sequence: None,
-                frames: 0,
-                closures: 0,
-            }),
-            refusals: watch::Sender::new(None),
-        })
-    }
-
-    fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn go_to(&self, goal: Goal) {
-        let mut state = self.state();
-        state.navigator.go_to(goal);
-        (state.goal, state.route, state.goal_refusal) = (Some(goal), None, None);
-        // Of the goal before: whoever waits for the arrival must not take it for that at this one.
-        state.guidance = None;
-    }
-
-    fn stop(&self) {
-        let mut state = self.state();
-        state.navigator.cancel();
-        (state.goal, state.route, state.goal_refusal) = (None, None, None);
-        state.guidance = None;
-    }
-
-    /// Has a way planned if the robot waits for one. It stands meanwhile.
-    fn plan_if_wanted(self: &Arc<Self>, service: &Arc<Service>) {
-        let wanted = {
-            let mut state = self.state();
-            let Some(wanted) = state.navigator.wanted_route().filter(|_| state.planning == Planning::No)
-            else {
-                return;
-            };
-            state.planning = Planning::UnderWay;
-            wanted
-        };
-        let (navigation, service) = (self.clone(), service.clone());
-        tokio::spawn(async move {
-            let planned = navigation.planned(&service, PlanFrom::Robot(wanted.from), wanted.goal).await;
-            let mut state = navigation.state();
-            state.planning = Planning::No;
-            if state.goal != Some(wanted.goal) {
-                return;
-            }
-            match planned {
-                Ok(route) => {
-                    state.navigator.follow(&route);
-                    state.route = Some(route);
-                }
-                // The map is opened anew: the next report asks again.
-                Err(ServiceError::Unavailable { .. }) => {}
-                Err(error) => {
-                    state.navigator.cancel();
-                    let refusal = GoalRefusal { goal: wanted.goal, message: error.to_string() };
-                    (state.goal, state.goal_refusal) = (None, Some(refusal.clone()));
-                    navigation.refusals.send_replace(Some(refusal));
-                }
-            }
-        });
-    }
-
-    async fn planned(
-        &self,
-        service: &Arc<Service>,
-        from: PlanFrom,
-        goal: Goal,
-    ) -> Result<Route, ServiceError> {
-        let map = service.open_map(&self.map).await?;
-        if map.id() != self.map_id {
-            return Err(self.replaced());
+impl From<planning::Goal> for Goal {
+    fn from(goal: planning::Goal) -> Self {
+        match goal {
+            planning::Goal::Place(place) => Self::Place(place),
+            planning::Goal::Position { part, position_m } => Self::Position { part, position_m },
         }
-        map.plan(from, goal, self.settings.planning).await?.map_err(ServiceError::precondition)
     }
+}
 
+impl GoalRequest {
+    /// As a refusal names it.
+    fn goal(&self) -> Option<Goal> {
+        match self {
+            GoalRequest::Goal(goal) => Some(goal.clone()),
+            GoalRequest::Image(_) => None,
+        }
+    }
+}
+
+impl Identity {
     fn replaced(&self) -> ServiceError {
         ServiceError::not_found(format_args!(
             "there is no map {} any more: it was deleted, and another of its name made; open a new navigation",
             self.map
         ))
     }
+}
 
-    /// A wheel report that no wheels make.
-    fn check(&self, report: &WheelReport) -> Result<(), ServiceError> {
-        let state = self.state();
-        let Some((last_ns, before)) = &state.last_report else { return Ok(()) };
-        if report.stamp_ns <= *last_ns {
-            return Err(ServiceError::precondition(format_args!(
-                "the stamp {} ns is not after {last_ns} ns, the last report's; send reports in order, with the \
-                 robot's own steady clock",
-                report.stamp_ns
-            )));
+impl Guide {
+    fn identity(&self) -> &Identity {
+        match self {
+            Guide::TopoMetric(guide) => guide.identity(),
+            Guide::Appearance(guide) => guide.identity(),
         }
-        let elapsed_s = (report.stamp_ns - last_ns) as f64 * 1e-9;
-        if report.odometry.has_jumped(before, elapsed_s, self.max_speed_m_per_s) {
-            let distance_m = report.odometry.distance_m(before);
-            return Err(ServiceError::invalid(format_args!(
-                "the odometry jumped {distance_m:.1} m in {elapsed_s:.3} s; if the odom frame was reset, open a new \
-                 navigation; if not, check units (metres, nanoseconds)"
-            )));
+    }
+
+    fn is(&self, other: &Guide) -> bool {
+        match (self, other) {
+            (Guide::TopoMetric(guide), Guide::TopoMetric(other)) => Arc::ptr_eq(guide, other),
+            (Guide::Appearance(guide), Guide::Appearance(other)) => Arc::ptr_eq(guide, other),
+            (Guide::TopoMetric(_), Guide::Appearance(_)) | (Guide::Appearance(_), Guide::TopoMetric(_)) => {
+                false
+            }
         }
-        Ok(())
+    }
+
+    fn view(&self, connected: bool) -> NavigationView {
+        match self {
+            Guide::TopoMetric(guide) => guide.view(connected),
+            Guide::Appearance(guide) => guide.view(connected),
+        }
+    }
+
+    async fn go_to(&self, service: &Arc<Service>, goal: GoalRequest) -> Result<(), ServiceError> {
+        match self {
+            Guide::TopoMetric(guide) => guide.go_to(service, goal).await,
+            Guide::Appearance(guide) => {
+                let asked = guide.ask();
+                guide.go_to(service, goal, asked).await
+            }
+        }
+    }
+
+    fn stop(&self) {
+        match self {
+            Guide::TopoMetric(guide) => guide.stop(),
+            Guide::Appearance(guide) => {
+                guide.stop();
+            }
+        }
     }
 }
 
 impl NavigationStream {
     /// `maps/{map}/navigations/{navigation}`.
     pub(crate) fn name(&self) -> String {
-        navigation_name(&self.navigation.map, &self.navigation.name)
+        let Identity { map, name, .. } = self.guide.identity();
+        navigation_name(map, name)
     }
 
     pub(crate) fn model_hash(&self) -> &str {
-        &self.navigation.model.hash
+        &self.guide.identity().model.hash
     }
 
     pub(crate) fn words_hash(&self) -> &str {
-        &self.navigation.model.words_hash
+        &self.guide.identity().model.words_hash
     }
 
     /// Whether an earlier stream's navigation goes on, and its last frame.
     pub(crate) fn resumed(&self) -> (bool, Option<u64>) {
-        (self.resumed, self.navigation.state().last_sequence)
+        let last = match &self.guide {
+            Guide::TopoMetric(guide) => guide.last_sequence(),
+            Guide::Appearance(guide) => guide.last_sequence(),
+        };
+        (self.resumed, last)
     }
 
     /// Hears why goals are refused.
     pub(crate) fn refusals(&self) -> watch::Receiver<Option<GoalRefusal>> {
-        self.navigation.refusals.subscribe()
+        match &self.guide {
+            Guide::TopoMetric(guide) => guide.refusals(),
+            Guide::Appearance(guide) => guide.refusals(),
+        }
     }
 
-    /// Answers odometry with a command.
-    pub(crate) fn wheels(&self, report: WheelReport) -> Result<Guidance, ServiceError> {
-        self.navigation.check(&report)?;
-        let now_ns = i64::try_from(self.navigation.since.elapsed().as_nanos()).unwrap_or(i64::MAX);
-        let guidance = {
-            let mut state = self.navigation.state();
-            let guidance = state.navigator.drive(&report, now_ns);
-            state.guidance = Some((report.stamp_ns, guidance));
-            state.last_report = Some((report.stamp_ns, report.odometry));
-            guidance
-        };
-        self.navigation.plan_if_wanted(&self.service);
-        Ok(guidance)
+    /// Answers what the robot says of itself with a command.
+    pub(crate) fn report(&self, report: BodyReport) -> Result<Told, ServiceError> {
+        match &self.guide {
+            Guide::TopoMetric(guide) => guide.report(&self.service, report),
+            Guide::Appearance(guide) => guide.report(&report),
+        }
     }
 
-    pub(crate) fn go_to(&self, goal: Goal) {
-        self.navigation.go_to(goal);
-        self.navigation.plan_if_wanted(&self.service);
+    /// Goes to a goal; where it cannot be gone to, refusals say so.
+    pub(crate) fn go_to(&self, goal: GoalRequest) {
+        let service = self.service.clone();
+        match &self.guide {
+            Guide::TopoMetric(guide) => guide.clone().go_to_in_time(&service, goal),
+            Guide::Appearance(guide) => {
+                let (guide, asked) = (guide.clone(), guide.stop());
+                tokio::spawn(async move {
+                    let named = goal.goal();
+                    if let Err(error) = guide.go_to(&service, goal, asked).await {
+                        guide.refuse(asked, GoalRefusal { goal: named, message: error.to_string() });
+                    }
+                });
+            }
+        }
     }
 
     pub(crate) fn stop(&self) {
-        self.navigation.stop();
+        self.guide.stop();
     }
 
     /// Looks at a frame, after those before it.
-    pub(crate) async fn look(&self, frame: Frame) -> Result<FrameSeen, ServiceError> {
-        let Frame { sequence, stamp_ns, content, odometry } = frame;
-        if odometry.is_none() {
-            return Err(ServiceError::invalid(
-                "the frame has no odometry; while a robot is led, send where its wheels were when the image was taken",
-            ));
+    pub(crate) async fn look(&self, frame: Frame) -> Result<Looked, ServiceError> {
+        let (words, stream) = (self.words, self.stream);
+        match &self.guide {
+            Guide::TopoMetric(guide) => {
+                let seen = guide.look(&self.service, frame, words, stream).await?;
+                Ok(Looked { seen, told: None })
+            }
+            Guide::Appearance(guide) => guide.look(&self.service, frame, words, stream).await,
         }
-        let Self { service, navigation, .. } = self;
-        let mut lookout = navigation.lookout.lock().await;
-        let episode = navigation.state().navigator.episode();
-        let observed = service
-            .observe(navigation.model.clone(), content, self.words, Keep::Words, Some(self.stream))
-            .await?;
-        let Observed { observation, features, media: _, extract: _, quantize: _ } = observed;
-        let session: SessionId = Localizer::SESSION;
-        let request = LookRequest {
-            lookout: lookout.clone(),
-            episode,
-            settings: navigation.settings.localization,
-            input: FrameInput { session, sequence, stamp_ns, odometry, observation },
-            features,
-            intrinsics: navigation.intrinsics,
-        };
-        let map = service.open_map(&navigation.map).await?;
-        if map.id() != navigation.map_id {
-            return Err(navigation.replaced());
-        }
-        let (after, look) = map.look(request).await?;
-        *lookout = after;
-        let seen = {
-            let mut state = navigation.state();
-            state.last_sequence = Some(sequence);
-            state.frames += 1;
-            state.closures += u64::from(matches!(look.sight, Sight::Closure(_)));
-            state.navigator.see(&look)
-        };
-        navigation.plan_if_wanted(service);
-        Ok(FrameSeen { sequence, seen: Some((look, seen)) })
     }
 
     /// Why the stream is over, when it is.

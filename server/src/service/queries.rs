@@ -66,7 +66,7 @@ impl Service {
         let row = self.map_row(map).await?;
         let model = self.loaded_model(&row.model).await?;
         let words = Words::declared(words_hash, &model)?;
-        let observed = self.observe(model, content, words, Keep::Words, None).await?;
+        let observed = self.observe(model, content, words, Keep::Words, None, None).await?;
         self.open_map_of(&row).await?.query(observed.observation, observed.features, explained).await
     }
 

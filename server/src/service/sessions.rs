@@ -15,8 +15,9 @@ use topomap::verification::{Candidate, Motion, Similarity, TwoView};
 
 use self::order::Order;
 use super::Service;
+use super::camera::PanoramicOptics;
 use super::content::{Content, Words};
-use super::map_settings::{self, Keep};
+use super::map_settings::{self, Keep, MapSettings, NavigationStrategy};
 pub(crate) use super::map_writer::SessionMode;
 use super::map_writer::{
     FrameFailure, FrameRequest, FrameSource, FrameWork, MapHandle, SessionOpening, StreamOpening, WriterGone,
@@ -133,6 +134,9 @@ pub(crate) struct SessionStream {
     model: Arc<LoadedModel>,
     keep: Keep,
     words: Words,
+    strategy: NavigationStrategy,
+    /// Of a camera that sees all around.
+    optics: Option<PanoramicOptics>,
     source: FrameSource,
     session_name: String,
     stream: u64,
@@ -187,7 +191,19 @@ impl Service {
         let row = self.map_row(map).await?;
         let model = self.loaded_model(&row.model).await?;
         let words = Words::declared(words_hash, &model)?;
-        let keep = map_settings::from_json(&row.settings)?.keep;
+        let MapSettings { keep, strategy, .. } = map_settings::from_json(&row.settings)?;
+        // A session that is resumed keeps the camera that it began with.
+        let stored = match &name {
+            Some(name) => self.storage.session_camera(row.id, name).await?,
+            None => None,
+        };
+        let optics = stored.as_deref().or(camera.as_deref()).and_then(PanoramicOptics::of_camera);
+        if strategy == NavigationStrategy::Appearance && optics.is_none() {
+            return Err(ServiceError::precondition(format_args!(
+                "the map {map} is navigated by appearance, which takes panoramas: declare a camera that is a panorama, or \
+                 a hyperbolic mirror with the radius of its horizon"
+            )));
+        }
         let open = self.open_map_of(&row).await?;
         let taken_over = CancellationToken::new();
         let opened_by =
@@ -204,6 +220,8 @@ impl Service {
             model,
             keep,
             words,
+            strategy,
+            optics,
             source: session.source,
             stream,
             last_committed,
@@ -273,7 +291,8 @@ impl SessionStream {
             }
         }
         let (model, stream) = (self.model.clone(), Some(self.stream));
-        let observed = self.service.observe(model, content, self.words, self.keep, stream).await?;
+        let (words, keep, optics) = (self.words, self.keep, self.optics);
+        let observed = self.service.observe(model, content, words, keep, optics, stream).await?;
         let Observed { observation, features, media, extract, quantize } = observed;
         let session = match self.source {
             FrameSource::Session(session) => session,
@@ -320,6 +339,9 @@ impl SessionStream {
                 let mut order = self.order();
                 order.submitted.remove(&sequence);
                 order.last_committed = order.last_committed.max(Some(answer.last_committed));
+                if self.strategy == NavigationStrategy::Appearance {
+                    self.service.grow_graph(&order.map, &self.map);
+                }
                 FrameOutcome::Answered(Box::new(answer))
             }
             Ok(Err(FrameFailure::Refused(error @ ServiceError::Unavailable { .. }))) => {

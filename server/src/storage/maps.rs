@@ -169,6 +169,20 @@ impl Storage {
         rows.iter().map(|row| Ok((row.try_get("number")?, row.try_get("camera")?))).collect()
     }
 
+    /// The camera that a session declared, an encoded `waypost.v1.Camera`.
+    pub(crate) async fn session_camera(
+        &self,
+        map: MapId,
+        session: &str,
+    ) -> Result<Option<Vec<u8>>, StorageError> {
+        let row = sqlx::query("SELECT camera FROM sessions WHERE map_id = ? AND name = ?")
+            .bind(map)
+            .bind(session)
+            .fetch_optional(&self.readers)
+            .await?;
+        Ok(row.map(|row| row.try_get("camera")).transpose()?.flatten())
+    }
+
     /// Adds a session and its event at `position` of the map's log, in one transaction.
     pub(crate) async fn open_session(
         &self,

@@ -1,5 +1,8 @@
 //! Maps that become one: what was found, and how it is stored.
 
+use std::collections::BTreeMap;
+
+use fabmap::appearance::PlaceId;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, Sqlite, Transaction};
 use topomap::event::{MapEvent, SessionId};
@@ -56,6 +59,8 @@ pub(crate) struct JoinedLog {
     pub(crate) from: u64,
     pub(crate) events: Vec<MapEvent>,
     pub(crate) sessions: Vec<JoinedSession>,
+    /// What the source's places are in the target.
+    pub(crate) places: BTreeMap<PlaceId, PlaceId>,
 }
 
 /// A session of a source, as one of the target.
@@ -234,7 +239,7 @@ impl Storage {
         self.write(async |transaction| {
             for log in joined {
                 check_edition(transaction, log.source).await?;
-                insert_sessions(transaction, target, log, outcome.number).await?;
+                insert_sessions_and_labels(transaction, target, log, outcome.number).await?;
                 for (position, event) in (log.from..).zip(&log.events) {
                     insert_event(transaction, target, to_sql(position), event).await?;
                 }
@@ -273,6 +278,11 @@ impl Storage {
             .bind(base.id)
             .execute(&mut **transaction)
             .await?;
+            sqlx::query("INSERT INTO labels (map_id, place, label) SELECT ?, place, label FROM labels WHERE map_id = ?")
+                .bind(map)
+                .bind(base.id)
+                .execute(&mut **transaction)
+                .await?;
             Ok(map)
         })
         .await
@@ -326,14 +336,14 @@ impl Storage {
         self.write(async |transaction| copy_media(transaction, maps, positions, from).await).await
     }
 
-    /// Adds the sessions of a source, before its events.
+    /// Adds the sessions of a source, and what its places are called, before its events.
     pub(crate) async fn add_joined_sessions(
         &self,
         map: MapId,
         log: &JoinedLog,
         merge: u64,
     ) -> Result<(), StorageError> {
-        self.write(async |transaction| insert_sessions(transaction, map, log, merge).await).await
+        self.write(async |transaction| insert_sessions_and_labels(transaction, map, log, merge).await).await
     }
 
     /// Shows a map that holds several, and ends merge and job: all or nothing. [`StorageError::Retold`] if one of those
@@ -423,7 +433,7 @@ async fn check_edition(
     if row.is_some() { Ok(()) } else { Err(StorageError::Retold) }
 }
 
-async fn insert_sessions(
+async fn insert_sessions_and_labels(
     transaction: &mut Transaction<'_, Sqlite>,
     map: MapId,
     log: &JoinedLog,
@@ -442,6 +452,21 @@ async fn insert_sessions(
         .bind(of_source)
         .execute(&mut **transaction)
         .await?;
+    }
+    let rows = sqlx::query("SELECT place, label FROM labels WHERE map_id = ?")
+        .bind(log.source.map)
+        .fetch_all(&mut **transaction)
+        .await?;
+    for row in rows {
+        let (place, label): (PlaceId, String) = (row.try_get("place")?, row.try_get("label")?);
+        let Some(joined) = log.places.get(&place) else { continue };
+        // What the target calls a place counts.
+        sqlx::query("INSERT INTO labels (map_id, place, label) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
+            .bind(map)
+            .bind(joined)
+            .bind(label)
+            .execute(&mut **transaction)
+            .await?;
     }
     Ok(())
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use fabmap::appearance::PlaceId;
 use sqlx::{Row, Sqlite, Transaction};
 use topomap::event::{FrameId, MapEvent, SessionId};
 
@@ -21,6 +22,8 @@ pub(crate) struct RetoldLog {
     pub(crate) events: Vec<MapEvent>,
     /// Where the events from there on were that are still there, and where they are now: none comes later than it did.
     pub(crate) kept: BTreeMap<FrameId, FrameId>,
+    /// What each place is now, by the number that it had; `None` if it is gone.
+    pub(crate) places: Vec<Option<PlaceId>>,
     pub(crate) removed_sessions: Vec<SessionId>,
     /// Numbers that the others have now, by those that they had: none is higher than it was.
     pub(crate) sessions: BTreeMap<SessionId, SessionId>,
@@ -35,8 +38,15 @@ impl Storage {
         undone: Option<&MergeOutcome>,
         end: &JobEnd,
     ) -> Result<(), StorageError> {
-        let RetoldLog { map: MapEdition { map, edition }, from, events, kept, removed_sessions, sessions } =
-            log;
+        let RetoldLog {
+            map: MapEdition { map, edition },
+            from,
+            events,
+            kept,
+            places: _,
+            removed_sessions,
+            sessions,
+        } = log;
         self.write(async |transaction| {
             let done = sqlx::query(
                 "UPDATE maps SET edition = edition + 1 WHERE id = ? AND edition = ? AND state = 'live'",
@@ -69,6 +79,7 @@ impl Storage {
                     .await?;
             }
             move_former_models(transaction, log).await?;
+            move_labels(transaction, log).await?;
             sqlx::query("DELETE FROM log WHERE map_id = ? AND position >= ?")
                 .bind(map)
                 .bind(to_sql(*from))
@@ -160,6 +171,25 @@ async fn move_former_models(
         .bind(model)
         .execute(&mut **transaction)
         .await?;
+    }
+    Ok(())
+}
+
+/// Places keep what they are called, whatever their numbers.
+async fn move_labels(transaction: &mut Transaction<'_, Sqlite>, log: &RetoldLog) -> Result<(), StorageError> {
+    let rows = sqlx::query("DELETE FROM labels WHERE map_id = ? RETURNING place, label")
+        .bind(log.map.map)
+        .fetch_all(&mut **transaction)
+        .await?;
+    for row in rows {
+        let (place, label): (PlaceId, String) = (row.try_get("place")?, row.try_get("label")?);
+        let Some(now) = log.places.get(place as usize).copied().flatten() else { continue };
+        sqlx::query("INSERT INTO labels (map_id, place, label) VALUES (?, ?, ?)")
+            .bind(log.map.map)
+            .bind(now)
+            .bind(label)
+            .execute(&mut **transaction)
+            .await?;
     }
     Ok(())
 }

@@ -83,6 +83,8 @@ pub(super) async fn cameras(ground: &Ground) -> Cases {
         inner_radius_px: 20.0,
         outer_radius_px: 90.0,
         eccentricity: 1.2,
+        horizon_radius_px: 60.0,
+        ahead_rad: 0.0,
     };
     let panorama = |projection, vertical_rad| Model::Panorama(v1::Panorama { projection, vertical_rad });
     let view = |horizontal_rad| Model::FieldOfView(v1::FieldOfView { horizontal_rad });
@@ -154,6 +156,16 @@ pub(super) async fn cameras(ground: &Ground) -> Cases {
             "mirror, eccentricity infinite",
             Model::HyperbolicMirror(v1::HyperbolicMirror { eccentricity: infinite, ..mirror }),
             "must be above 1",
+        ),
+        (
+            "mirror, horizon negative",
+            Model::HyperbolicMirror(v1::HyperbolicMirror { horizon_radius_px: -1.0, ..mirror }),
+            "at a radius above 0",
+        ),
+        (
+            "mirror, ahead NaN",
+            Model::HyperbolicMirror(v1::HyperbolicMirror { ahead_rad: nan, ..mirror }),
+            "send radians",
         ),
     ] {
         let camera = v1::Camera { model: Some(model), ..v1::Camera::default() };

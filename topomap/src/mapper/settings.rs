@@ -6,6 +6,17 @@ use crate::odometry_prior::PlaceSpacing;
 use crate::relative_pose::OdometryNoise;
 use crate::verification::VerificationSettings;
 
+/// When a frame of a session that lets the map grow makes a place of its own.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PlaceRule {
+    /// Where no place is recognised.
+    #[default]
+    Unrecognized,
+    /// Always, unless wheels say that the robot is at its last place still: for maps whose images are to be seen one by one,
+    /// such as an appearance graph's. Nothing closes a loop.
+    EachFrame,
+}
+
 /// How a map decides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapperSettings {
@@ -26,6 +37,8 @@ pub struct MapperSettings {
     pub max_speed_m_per_s: f64,
     /// Where there is odometry: how far a robot goes before it is at another place.
     pub place_spacing: PlaceSpacing,
+    /// When a frame makes a place.
+    pub place_rule: PlaceRule,
     /// How far wheels can be trusted, where their own covariance does not say.
     pub odometry_noise: OdometryNoise,
     /// Earlier frames that the prior with odometry looks back on, 1 to [`crate::map::MAX_PAST_FRAMES`].
@@ -80,6 +93,7 @@ impl Default for MapperSettings {
             min_words: 10,
             max_speed_m_per_s: 100.0,
             place_spacing: PlaceSpacing::default(),
+            place_rule: PlaceRule::default(),
             odometry_noise: OdometryNoise::default(),
             prior_frames: MAX_PAST_FRAMES,
         }

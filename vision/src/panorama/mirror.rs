@@ -101,6 +101,37 @@ impl HyperbolicMirror {
         (depth > 0.0).then(|| self.focal_px * cosine / depth)
     }
 
+    /// How much a ray rises that is seen at a radius: [`HyperbolicMirror::radius_px`] the other way round.
+    #[must_use]
+    pub fn elevation_rad(&self, radius_px: f64) -> f64 {
+        // f cos φ + ρ sin φ = ρ ξ.
+        let length = self.focal_px.hypot(radius_px);
+        radius_px.atan2(self.focal_px) - (radius_px * self.parameter / length).acos()
+    }
+
+    /// Columns and rows of a panorama `width_px` wide that shows all that the ring does, but no slope above π / 2 up or
+    /// down: the panorama has at most half as many rows as columns.
+    #[must_use]
+    pub fn panorama_size_px(&self, width_px: u32) -> (u32, u32) {
+        let slopes = self.radii_px().map(|radius| self.elevation_rad(radius).tan().abs());
+        let half = f64::from(width_px) / TAU * slopes[0].max(slopes[1]);
+        let most = (width_px / 4).max(1);
+        (width_px, 2 * (half.ceil() as u32).clamp(1, most))
+    }
+
+    /// Whether the rows of a panorama of `size_px` within `margin_px` of a row show the ring, and nothing beyond its edges.
+    #[must_use]
+    pub fn shows_row(&self, size_px: (u32, u32), row: f64, margin_px: f64) -> bool {
+        let (width, height) = (f64::from(size_px.0), f64::from(size_px.1));
+        let [lowest, highest] = self.radii_px().map(|radius| self.elevation_rad(radius).tan());
+        let slope = |row: f64| TAU / width * ((height - 1.0) / 2.0 - row);
+        slope(row + margin_px) >= lowest && slope(row - margin_px) <= highest
+    }
+
+    fn radii_px(&self) -> [f64; 2] {
+        [self.inner_radius_px, self.outer_radius_px]
+    }
+
     /// Column and row of a direction, counter-clockwise from ahead and up from the horizon; `None` outside of the ring.
     #[must_use]
     pub fn project(&self, azimuth_rad: f64, elevation_rad: f64) -> Option<[f64; 2]> {

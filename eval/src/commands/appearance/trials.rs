@@ -1,6 +1,6 @@
 //! Drives to goals, by looks alone, people in the way or not.
 
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::PI;
 
 use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
@@ -9,11 +9,11 @@ use rayon::prelude::*;
 use serde::Serialize;
 use topomap::appearance_graph::{ImageId, Overlap, Panorama};
 use topomap::appearance_navigation::{
-    AppearanceNavigator, Body, Guidance, NavigationSettings, NavigationStatus, Sight,
+    AppearanceNavigator, Body, Guidance, HeadingSteering, NavigationSettings, NavigationStatus, Sight,
 };
 use topomap::mapper::ArchiveError;
 use waypost_sim::people::{Behaviour, Person, Walker};
-use waypost_sim::pose::{Pose, wrapped};
+use waypost_sim::pose::Pose;
 use waypost_sim::range_sensor::{RangeScan, ReflexSettings};
 use waypost_sim::robot::{Body as RobotBody, Command};
 use waypost_sim::simulation::{CameraTrigger, Obedience, Simulation, SimulationSettings};
@@ -25,9 +25,6 @@ use super::eye::{Eye, TaughtMap};
 
 /// From image to image of a map, in metres.
 pub const SPACING_M: f64 = 0.5;
-
-/// Metres a second where the way is straight ahead.
-const SPEED_M_S: f64 = 0.4;
 
 /// From observation to observation, in nanoseconds.
 const OBSERVATION_NS: i64 = 250_000_000;
@@ -243,35 +240,10 @@ fn is_beside_people(simulation: &Simulation) -> bool {
 /// around.
 fn command(guidance: &Guidance, scan: &RangeScan) -> Command {
     let valid_ns = OBSERVATION_NS + OBSERVATION_NS / 2;
-    let Some(heading) = guidance.heading_rad.map(|heading| free_heading_rad(scan, heading)) else {
-        return Command { forward_m_s: 0.0, turn_rad_s: 0.5, valid_ns };
-    };
-    let forward_m_s = SPEED_M_S * (1.0 - heading.abs() / 0.8).max(0.0);
-    Command { forward_m_s, turn_rad_s: (1.8 * heading).clamp(-1.2, 1.2), valid_ns }
-}
-
-/// The heading nearest to the wanted one, within a quarter turn, in which the hull has room. What a camera sees past, the
-/// robot may not get past: a corner of a wall, a table's.
-fn free_heading_rad(scan: &RangeScan, wanted: f64) -> f64 {
-    const ROOM_M: f64 = 0.35;
-    const MARGIN_M: f64 = 0.05;
-    let radius_m = RobotBody::default().radius_m + MARGIN_M;
-    let beams = scan.ranges_m.len() as f64;
-    let room_m = |heading: f64| {
-        let points = scan.ranges_m.iter().enumerate().filter_map(|(beam, range)| {
-            let angle = TAU * beam as f64 / beams - heading;
-            let (along, aside) = (range * angle.cos(), range * angle.sin());
-            let inside = radius_m * radius_m - aside * aside;
-            (along > 0.0 && inside > 0.0).then(|| along - inside.sqrt())
-        });
-        points.fold(f64::INFINITY, f64::min)
-    };
-    let around = (0..=36).map(|step| {
-        let aside = FRAC_PI_2 * f64::from((step + 1) / 2) / 18.0;
-        wanted + if step % 2 == 0 { aside } else { -aside }
-    });
-    let free = around.into_iter().find(|&heading| room_m(heading) >= ROOM_M);
-    wrapped(free.unwrap_or(wanted))
+    let heading_rad =
+        guidance.heading_rad.map(|heading| scan.free_heading_rad(heading, RobotBody::default().radius_m));
+    let [forward_m_s, turn_rad_s] = HeadingSteering::default().steer(heading_rad);
+    Command { forward_m_s, turn_rad_s, valid_ns }
 }
 
 /// Positions of the images along the metrically shortest way from one to another, over links that a robot can drive.
@@ -350,31 +322,4 @@ fn distance_to_line(point: Vector2<f64>, line: &[Vector2<f64>]) -> f64 {
     let (from, way) = (line[0], line[1] - line[0]);
     let share = ((point - from).dot(&way) / way.norm_squared().max(1e-12)).clamp(0.0, 1.0);
     (from + way * share - point).norm()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A wall half a metre to one side, an open floor else.
-    fn beside_a_wall(wall_rad: f64) -> RangeScan {
-        let range = |beam: u32| {
-            let along = (TAU * f64::from(beam) / 90.0 - wall_rad).cos();
-            if along > 0.07 { (0.3 / along).min(8.0) } else { 8.0 }
-        };
-        RangeScan { ranges_m: (0..90).map(range).collect() }
-    }
-
-    #[test]
-    fn the_robot_slides_along_what_is_in_its_way() {
-        let open = RangeScan { ranges_m: vec![3.0; 90] };
-        for wanted in [-2.0, 0.0, 1.0] {
-            assert!((free_heading_rad(&open, wanted) - wanted).abs() < 1e-9);
-            let turned = wrapped(free_heading_rad(&beside_a_wall(wanted + 0.3), wanted) - wanted);
-            assert!(turned < -0.5 && turned > -FRAC_PI_2 - 0.1, "{turned}, away from the wall");
-        }
-        // Walled in, there is no better heading than the wanted one.
-        let nowhere = RangeScan { ranges_m: vec![0.28; 90] };
-        assert!((free_heading_rad(&nowhere, 0.4) - 0.4).abs() < 1e-9);
-    }
 }

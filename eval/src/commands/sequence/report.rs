@@ -304,6 +304,7 @@ impl SystemSummary {
             min_words,
             max_speed_m_per_s: _,
             place_spacing: _,
+            place_rule: _,
             odometry_noise: _,
             prior_frames: _,
         } = *settings;

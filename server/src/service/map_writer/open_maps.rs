@@ -58,7 +58,7 @@ impl OpenMaps {
     async fn close_unused(&self, budget_bytes: u64) -> bool {
         let mut open = self.usages();
         open.sort_by_key(|(_, handle)| handle.usage().last_asked());
-        let mut memory_bytes: u64 = open.iter().map(|(_, handle)| handle.usage().memory_bytes()).sum();
+        let mut memory_bytes: u64 = open.iter().map(|(_, handle)| handle.memory_bytes()).sum();
         let mut closed = false;
         for (slot, handle) in open {
             let usage = handle.usage();
@@ -68,7 +68,7 @@ impl OpenMaps {
             // Under the lock, so that who opens it again waits until it is closed.
             let Ok(mut slot) = slot.try_lock() else { continue };
             if handle.close_unused().await {
-                memory_bytes -= usage.memory_bytes().min(memory_bytes);
+                memory_bytes -= handle.memory_bytes().min(memory_bytes);
                 slot.close().await;
                 closed = true;
             }

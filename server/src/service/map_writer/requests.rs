@@ -20,6 +20,7 @@ use waypost_vision::feature_record::FeatureRecord;
 
 use super::localizers::LocalizerId;
 use crate::error::ServiceError;
+use crate::service::appearance::GrowingGraph;
 use crate::service::camera::Intrinsics;
 use crate::service::maps::PlacePose;
 use crate::service::sessions::{FrameAnswer, FrameTimings, MatchView};
@@ -246,6 +247,8 @@ pub(crate) struct MapHandle {
     edition: MapEdition,
     requests: mpsc::Sender<MapRequest>,
     usage: Arc<Usage>,
+    /// Beside the writer, which knows nothing of it.
+    appearance: Arc<GrowingGraph>,
 }
 
 /// How an open map is used.
@@ -290,7 +293,17 @@ impl From<WriterGone> for ServiceError {
 
 impl MapHandle {
     pub(in crate::service) fn new(edition: MapEdition, requests: mpsc::Sender<MapRequest>) -> Self {
-        Self { edition, requests, usage: Arc::new(Usage::new()) }
+        Self { edition, requests, usage: Arc::new(Usage::new()), appearance: Arc::default() }
+    }
+
+    /// What the map's panoramas have in common.
+    pub(crate) fn appearance(&self) -> &Arc<GrowingGraph> {
+        &self.appearance
+    }
+
+    /// What the open map takes, its graph of panoramas included.
+    pub(super) fn memory_bytes(&self) -> u64 {
+        self.usage.memory_bytes() + self.appearance.memory_bytes()
     }
 
     pub(super) fn usage(&self) -> &Arc<Usage> {

@@ -11,7 +11,7 @@ use topomap::mapper::Mapper;
 use topomap::merging::join;
 
 use super::search::Stopped;
-use super::source::{Models, ReadMap, joined_sessions, read_on};
+use super::source::{Models, ReadMap, joined_places, joined_sessions, read_on};
 use super::{Joining, MergeReport, Proposal, Target, changed};
 use crate::error::ServiceError;
 use crate::service::jobs::{JobOutcome, JobReporter};
@@ -260,7 +260,8 @@ impl Reading {
                 })
                 .collect();
             report.sources[*source].sessions = sessions.iter().map(|session| session.name.clone()).collect();
-            joined.push(JoinedLog { source: row.edition(), from, events, sessions });
+            let places = joined_places(&read.log.events, &events).collect();
+            joined.push(JoinedLog { source: row.edition(), from, events, sessions, places });
         }
         Ok((joined, report))
     }

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use fabmap::appearance::PlaceId;
 use fabmap::observation::Observation;
 use tokio::runtime::Handle;
 use topomap::event::{FrameId, MapEvent, SessionId};
@@ -108,6 +109,17 @@ pub(super) fn joined_sessions<'a>(
         (&MapEvent::SessionOpened { session: before }, &MapEvent::SessionOpened { session: after }) => {
             Some((before, after))
         }
+        _ => None,
+    })
+}
+
+/// Places of a source, with what they are once its log is told anew.
+pub(super) fn joined_places<'a>(
+    source: &'a [MapEvent],
+    joined: &'a [MapEvent],
+) -> impl Iterator<Item = (PlaceId, PlaceId)> + 'a {
+    source.iter().zip(joined).filter_map(|(before, after)| match (before, after) {
+        (MapEvent::Frame(before), MapEvent::Frame(after)) => before.decision.place.zip(after.decision.place),
         _ => None,
     })
 }

@@ -129,6 +129,7 @@ impl Service {
                 from: from as u64,
                 events: retold.events[from..].to_vec(),
                 kept,
+                places: retold.places,
                 sessions: retold.sessions,
                 removed_sessions: sessions,
             };
@@ -148,7 +149,7 @@ impl Service {
 
     /// Places may have other numbers afterwards: a robot must not end up at another place than it was sent to.
     fn check_nobody_is_led(&self, map: &MapRow) -> Result<(), ServiceError> {
-        if self.navigations.of_map(map.id).is_empty() {
+        if !self.navigations.any_on(map.id) {
             return Ok(());
         }
         Err(ServiceError::precondition(format_args!(

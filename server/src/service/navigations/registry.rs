@@ -7,9 +7,8 @@ use std::time::{Duration, Instant};
 use tokio::sync::OwnedSemaphorePermit;
 use tokio_util::sync::CancellationToken;
 
-use super::{Navigation, NavigationView, State};
+use super::{Guide, Identity, NavigationView};
 use crate::error::ServiceError;
-use crate::service::names::navigation_name;
 use crate::storage::MapId;
 
 /// How long a robot's navigation waits for it to come back.
@@ -23,7 +22,7 @@ pub(crate) struct Navigations {
 
 #[derive(Debug)]
 struct Led {
-    navigation: Arc<Navigation>,
+    guide: Guide,
     /// There for as long as the stream is open.
     room: Weak<OwnedSemaphorePermit>,
     taken_over: CancellationToken,
@@ -32,7 +31,7 @@ struct Led {
 }
 
 pub(super) struct Opened {
-    pub(super) navigation: Arc<Navigation>,
+    pub(super) guide: Guide,
     pub(super) resumed: bool,
 }
 
@@ -43,17 +42,17 @@ impl Navigations {
         (map, name): (MapId, &str),
         run: &str,
         (room, taken_over): (&Arc<OwnedSemaphorePermit>, &CancellationToken),
-        fresh: impl FnOnce() -> Result<Navigation, ServiceError>,
+        fresh: impl FnOnce() -> Result<Guide, ServiceError>,
     ) -> Result<Opened, ServiceError> {
         let mut led = self.led();
         let key = (map, name.to_owned());
-        let same_run = |before: &Led| !run.is_empty() && before.navigation.run == run;
+        let same_run = |before: &Led| !run.is_empty() && before.guide.identity().run == run;
         if let Some(before) = led.get_mut(&key) {
             if same_run(before) {
                 before.taken_over.cancel();
                 (before.room, before.taken_over) = (Arc::downgrade(room), taken_over.clone());
                 before.alone_since = None;
-                return Ok(Opened { navigation: before.navigation.clone(), resumed: true });
+                return Ok(Opened { guide: before.guide.clone(), resumed: true });
             }
             if before.is_open() {
                 return Err(ServiceError::precondition(format_args!(
@@ -62,21 +61,25 @@ impl Navigations {
                 )));
             }
         }
-        let navigation = Arc::new(fresh()?);
+        let guide = fresh()?;
         let room = Arc::downgrade(room);
-        let entry =
-            Led { navigation: navigation.clone(), room, taken_over: taken_over.clone(), alone_since: None };
+        let entry = Led { guide: guide.clone(), room, taken_over: taken_over.clone(), alone_since: None };
         led.insert(key, entry);
-        Ok(Opened { navigation, resumed: false })
+        Ok(Opened { guide, resumed: false })
     }
 
-    pub(super) fn find(&self, (map, name): (MapId, &str)) -> Option<Arc<Navigation>> {
-        self.led().get(&(map, name.to_owned())).map(|led| led.navigation.clone())
+    pub(super) fn find(&self, (map, name): (MapId, &str)) -> Option<Guide> {
+        self.led().get(&(map, name.to_owned())).map(|led| led.guide.clone())
     }
 
-    pub(in crate::service) fn of_map(&self, map: MapId) -> Vec<Arc<Navigation>> {
+    /// Whether any robot is led along a map, or was a moment ago.
+    pub(in crate::service) fn any_on(&self, map: MapId) -> bool {
+        self.led().keys().any(|(of, _)| *of == map)
+    }
+
+    pub(super) fn of_map(&self, map: MapId) -> Vec<Guide> {
         let led = self.led();
-        led.iter().filter(|((of, _), _)| *of == map).map(|(_, led)| led.navigation.clone()).collect()
+        led.iter().filter(|((of, _), _)| *of == map).map(|(_, led)| led.guide.clone()).collect()
     }
 
     pub(super) fn unused_name(&self, map: MapId) -> String {
@@ -85,23 +88,13 @@ impl Navigations {
         names.into_iter().find(|name| !led.contains_key(&(map, name.clone()))).unwrap_or_default()
     }
 
-    pub(super) fn view(&self, navigation: &Navigation) -> NavigationView {
-        let connected = self
-            .led()
-            .get(&(navigation.map_id, navigation.name.clone()))
-            .is_some_and(|led| led.is_open() && std::ptr::eq(&*led.navigation, navigation));
-        let state = navigation.state();
-        let State { guidance, goal, route, goal_refusal, frames, closures, .. } = &*state;
-        NavigationView {
-            name: navigation_name(&navigation.map, &navigation.name),
-            connected,
-            guidance: *guidance,
-            goal: *goal,
-            route: route.clone(),
-            goal_refusal: goal_refusal.clone(),
-            frames: *frames,
-            closures: *closures,
-        }
+    pub(super) fn view(&self, guide: &Guide) -> NavigationView {
+        let Identity { map_id, name, .. } = guide.identity();
+        let led = self.led();
+        let connected =
+            led.get(&(*map_id, name.clone())).is_some_and(|led| led.is_open() && led.guide.is(guide));
+        drop(led);
+        guide.view(connected)
     }
 
     /// All but those that have waited for too long.

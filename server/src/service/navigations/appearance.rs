@@ -1,0 +1,438 @@
+//! A robot that is led by looks alone: each panorama is answered with where to drive. Neither odometry nor the map's writer
+//! is asked.
+
+mod journey;
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use fabmap::appearance::PlaceId;
+use fabmap::observation::Observation;
+use tokio::sync::watch;
+use topomap::appearance_graph::{ImageId, LINK_SIMILARITY};
+use topomap::appearance_navigation::{Body, HeadingSteering};
+use topomap::navigation::settings::NavigationSettings;
+use topomap::navigation::{Driver, Guidance, Seen, Status, VelocityCommand};
+use topomap::odometry::Odometry;
+use waypost_vision::panorama::PanoramicView;
+
+use self::journey::{Journey, Step, most_similar};
+use super::{
+    AppearanceView, BodyReport, Driving, FrameSeen, Goal, GoalRefusal, GoalRequest, Identity, Looked,
+    NavigationView, Told,
+};
+use crate::error::ServiceError;
+use crate::extraction::Observed;
+use crate::service::Service;
+use crate::service::appearance::Graph;
+use crate::service::camera::PanoramicOptics;
+use crate::service::content::{Content, Words};
+use crate::service::map_settings::Keep;
+use crate::service::names::navigation_name;
+use crate::service::sessions::Frame;
+
+/// How long a robot is led by one panorama, by its wheels.
+const PANORAMA_HOLDS: Duration = Duration::from_secs(1);
+
+/// Leads one robot.
+#[derive(Debug)]
+pub(super) struct AppearanceGuide {
+    identity: Identity,
+    optics: PanoramicOptics,
+    steering: HeadingSteering,
+    /// What was seen last: one panorama is looked at after the other.
+    before: tokio::sync::Mutex<Option<Arc<PanoramicView>>>,
+    state: Mutex<State>,
+    refusals: watch::Sender<Option<GoalRefusal>>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    /// Counts goals that were asked for or taken away: the way to an earlier one is found too late.
+    asked: u64,
+    journey: Option<Journey>,
+    goal_refusal: Option<GoalRefusal>,
+    heading: Option<Heading>,
+    last_report: Option<Report>,
+    /// Number of the last command.
+    commands: u64,
+    told: Option<Told>,
+    last_frame: Option<(u64, i64)>,
+    frames: u64,
+    closures: u64,
+}
+
+/// What the last panorama said.
+#[derive(Clone, Copy, Debug)]
+struct Heading {
+    status: Status,
+    view: AppearanceView,
+    /// Of the odometry at the panorama.
+    yaw_rad: Option<f64>,
+    since: Instant,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Report {
+    stamp_ns: i64,
+    driver: Driver,
+}
+
+/// A panorama as it is compared.
+struct Panorama {
+    view: Arc<PanoramicView>,
+    observation: Observation,
+}
+
+/// Refuses a camera that does not see all around.
+pub(super) fn check(map: &str, camera: Option<&[u8]>) -> Result<(), ServiceError> {
+    optics(camera).map(drop).ok_or_else(|| {
+        ServiceError::invalid(format_args!(
+            "the map {map} is navigated by appearance, which takes panoramas: declare a camera that is a panorama, or a \
+             hyperbolic mirror with the radius of its horizon"
+        ))
+    })
+}
+
+fn optics(camera: Option<&[u8]>) -> Option<PanoramicOptics> {
+    camera.and_then(PanoramicOptics::of_camera)
+}
+
+impl AppearanceGuide {
+    pub(super) fn new(
+        identity: Identity,
+        camera: Option<&[u8]>,
+        driving: Driving,
+    ) -> Result<Self, ServiceError> {
+        check(&identity.map, camera)?;
+        let optics =
+            optics(camera).ok_or_else(|| ServiceError::internal("a camera that was checked is gone"))?;
+        let defaults = HeadingSteering::default();
+        let Driving { speed_m_s, max_turn_rad_s, against: _ } = driving;
+        let steering = HeadingSteering {
+            speed_m_s: speed_m_s.unwrap_or(defaults.speed_m_s),
+            max_turn_rad_s: max_turn_rad_s.unwrap_or(defaults.max_turn_rad_s),
+            ..defaults
+        };
+        Ok(Self {
+            identity,
+            optics,
+            steering,
+            before: tokio::sync::Mutex::new(None),
+            state: Mutex::default(),
+            refusals: watch::Sender::new(None),
+        })
+    }
+
+    pub(super) fn identity(&self) -> &Identity {
+        &self.identity
+    }
+
+    pub(super) fn view(&self, connected: bool) -> NavigationView {
+        let state = self.state();
+        let State { told, journey, goal_refusal, frames, closures, .. } = &*state;
+        NavigationView {
+            name: navigation_name(&self.identity.map, &self.identity.name),
+            connected,
+            guidance: *told,
+            goal: journey.as_ref().map(|journey| journey.asked.clone()),
+            route: None,
+            goal_refusal: goal_refusal.clone(),
+            frames: *frames,
+            closures: *closures,
+        }
+    }
+
+    pub(super) fn last_sequence(&self) -> Option<u64> {
+        self.state().last_frame.map(|(sequence, _)| sequence)
+    }
+
+    pub(super) fn refusals(&self) -> watch::Receiver<Option<GoalRefusal>> {
+        self.refusals.subscribe()
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The number of a goal that is about to be asked for.
+    pub(super) fn ask(&self) -> u64 {
+        let mut state = self.state();
+        state.asked += 1;
+        state.asked
+    }
+
+    /// The robot stands from now on; the number of a goal that may be asked for in place of what it had.
+    pub(super) fn stop(&self) -> u64 {
+        let mut state = self.state();
+        state.asked += 1;
+        (state.journey, state.goal_refusal, state.heading, state.told) = (None, None, None, None);
+        state.asked
+    }
+
+    pub(super) fn refuse(&self, asked: u64, refusal: GoalRefusal) {
+        let mut state = self.state();
+        if state.asked == asked {
+            state.goal_refusal = Some(refusal.clone());
+            drop(state);
+            self.refusals.send_replace(Some(refusal));
+        }
+    }
+
+    /// Sets out for a goal, unless another one was `asked` for since.
+    pub(super) async fn go_to(
+        &self,
+        service: &Arc<Service>,
+        goal: GoalRequest,
+        asked: u64,
+    ) -> Result<(), ServiceError> {
+        let row = service.map_row(&self.identity.map).await?;
+        if row.id != self.identity.map_id {
+            return Err(self.identity.replaced());
+        }
+        let graph = service.graph_of(&row).await?;
+        let (goal, places) = match goal {
+            GoalRequest::Goal(Goal::Place(place)) => (Goal::Place(place), vec![place]),
+            GoalRequest::Goal(Goal::Label(label)) => {
+                let places = service.labelled(&row, &label).await?;
+                (Goal::Label(label), places)
+            }
+            GoalRequest::Goal(Goal::Position { .. }) => {
+                return Err(ServiceError::precondition(format_args!(
+                    "the map {} is navigated by appearance and has no metres; name a place, a label, or send an image",
+                    row.name
+                )));
+            }
+            GoalRequest::Image(image) => {
+                let place = self.place_of(service, graph.clone(), image).await?;
+                (Goal::Place(place), vec![place])
+            }
+        };
+        let images = self.reachable(&graph, &places)?;
+        let mut state = self.state();
+        if state.asked == asked {
+            state.journey = Some(Journey::new(asked, goal, graph, images));
+            // Of the goal before: whoever waits for the arrival must not take it for that at this one.
+            (state.goal_refusal, state.heading, state.told) = (None, None, None);
+        }
+        Ok(())
+    }
+
+    /// The images of places that a way may lead to.
+    fn reachable(&self, graph: &Graph, places: &[PlaceId]) -> Result<Vec<ImageId>, ServiceError> {
+        let map = &self.identity.map;
+        let named = |places: &[PlaceId]| places.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
+        let images: Vec<ImageId> = places.iter().filter_map(|&place| graph.image_of(place)).collect();
+        if images.is_empty() {
+            return Err(ServiceError::not_found(format_args!(
+                "the place {} is no node of the map {map}'s appearance graph: there is no such place, or no panorama \
+                 made it; get the graph to see which there are",
+                named(places)
+            )));
+        }
+        let is_linked = |image: &ImageId| !graph.appearance().neighbours(*image).is_empty();
+        let linked: Vec<ImageId> = images.iter().copied().filter(is_linked).collect();
+        if linked.is_empty() && graph.places().len() > 1 {
+            return Err(ServiceError::precondition(format_args!(
+                "the place {} of the map {map} looks like no other place, so no way leads there; teach the way to it",
+                named(places)
+            )));
+        }
+        Ok(if linked.is_empty() { images } else { linked })
+    }
+
+    /// The place that looks most like an image.
+    async fn place_of(
+        &self,
+        service: &Arc<Service>,
+        graph: Arc<Graph>,
+        image: bytes::Bytes,
+    ) -> Result<PlaceId, ServiceError> {
+        let seen = self.panorama(service, Content::Image(image), Words::Undeclared, None).await?;
+        let searching = {
+            let graph = graph.clone();
+            move || most_similar(&graph, &seen)
+        };
+        let found = tokio::task::spawn_blocking(searching).await.map_err(ServiceError::internal)?;
+        found.and_then(|image| graph.place_of(image)).ok_or_else(|| {
+            ServiceError::not_found(format_args!(
+                "the image looks like no place of the map {}; send a panorama that was taken there",
+                self.identity.map
+            ))
+        })
+    }
+
+    async fn panorama(
+        &self,
+        service: &Arc<Service>,
+        content: Content,
+        words: Words,
+        stream: Option<u64>,
+    ) -> Result<Panorama, ServiceError> {
+        let (model, optics) = (self.identity.model.clone(), Some(self.optics));
+        let observed = service.observe(model, content, words, Keep::Words, optics, stream).await?;
+        let Observed { observation, features, media: _, extract: _, quantize: _ } = observed;
+        let view = features.and_then(|features| self.optics.view(&features)).ok_or_else(|| {
+            ServiceError::invalid(
+                "by appearance a robot is led by how features look, which words do not tell: send the panorama itself",
+            )
+        })?;
+        Ok(Panorama { view: Arc::new(view), observation })
+    }
+
+    /// Looks at a panorama, after those before it, and says where to drive.
+    pub(super) async fn look(
+        &self,
+        service: &Arc<Service>,
+        frame: Frame,
+        words: Words,
+        stream: u64,
+    ) -> Result<Looked, ServiceError> {
+        let Frame { sequence, stamp_ns, content, odometry } = frame;
+        let mut before = self.before.lock().await;
+        self.check_order(sequence, stamp_ns)?;
+        let seen = Arc::new(self.panorama(service, content, words, Some(stream)).await?);
+        let (journey, body) = {
+            let mut state = self.state();
+            state.last_frame = Some((sequence, stamp_ns));
+            state.frames += 1;
+            (state.journey.clone(), state.body())
+        };
+        let last = before.replace(seen.view.clone());
+        let step = match journey {
+            Some(journey) if !journey.has_arrived => Some(stepped(journey, seen, last, body).await?),
+            Some(_) | None => None,
+        };
+        let mut state = self.state();
+        let mut subgoal = None;
+        if let Some((journey, step)) = step
+            && state.journey.as_ref().is_some_and(|now| now.number == journey.number)
+        {
+            let heading = self.heading(&journey, &step, odometry.as_ref());
+            subgoal = heading.view.subgoal.filter(|_| step.similarity.is_some_and(|s| s > LINK_SIMILARITY));
+            state.closures += u64::from(subgoal.is_some());
+            (state.journey, state.heading) = (Some(journey), Some(heading));
+        }
+        let told = state.tell(stamp_ns, odometry.as_ref().map(yaw_rad), &self.steering);
+        let outcome = if subgoal.is_some() { Seen::Corrected } else { Seen::Nothing };
+        let seen = FrameSeen { sequence, seen: Some(outcome), place: subgoal, probability: None };
+        Ok(Looked { seen, told: Some(told) })
+    }
+
+    fn heading(&self, journey: &Journey, step: &Step, odometry: Option<&Odometry>) -> Heading {
+        let place = |image: Option<ImageId>| journey.graph.place_of(image?);
+        Heading {
+            status: step.status,
+            view: AppearanceView {
+                heading_rad: step.heading_rad.map(|heading| self.optics.of_the_robot(heading)),
+                subgoal: place(step.subgoal),
+                goal: place(journey.goal()),
+                similarity: step.similarity,
+                left: step.left,
+            },
+            yaw_rad: odometry.map(yaw_rad),
+            since: Instant::now(),
+        }
+    }
+
+    /// Answers what the robot says of itself with where to drive, as far as it has turned since the last panorama.
+    pub(super) fn report(&self, report: &BodyReport) -> Result<Told, ServiceError> {
+        let BodyReport { stamp_ns, odometry, obeyed: _, driver } = report;
+        let mut state = self.state();
+        if let Some(last) = state.last_report.filter(|last| *stamp_ns <= last.stamp_ns) {
+            return Err(ServiceError::precondition(format_args!(
+                "the stamp {stamp_ns} ns is not after {} ns, the last report's; send reports in order, with the robot's \
+                 own steady clock",
+                last.stamp_ns
+            )));
+        }
+        let yaw_rad = odometry.as_ref().map(yaw_rad);
+        state.last_report = Some(Report { stamp_ns: *stamp_ns, driver: *driver });
+        Ok(state.tell(*stamp_ns, yaw_rad, &self.steering))
+    }
+
+    fn check_order(&self, sequence: u64, stamp_ns: i64) -> Result<(), ServiceError> {
+        match self.state().last_frame {
+            Some((last, last_ns)) if sequence <= last || stamp_ns <= last_ns => {
+                Err(ServiceError::precondition(format_args!(
+                    "the frame {sequence} of {stamp_ns} ns comes after the frame {last} of {last_ns} ns; number frames \
+                     upwards, and stamp them with the robot's own steady clock"
+                )))
+            }
+            Some(_) | None => Ok(()),
+        }
+    }
+}
+
+/// The navigator's work, off the async threads.
+async fn stepped(
+    mut journey: Journey,
+    seen: Arc<Panorama>,
+    before: Option<Arc<PanoramicView>>,
+    body: Body,
+) -> Result<(Journey, Step), ServiceError> {
+    let stepping = tokio::task::spawn_blocking(move || {
+        let step = journey.step(&seen, before.as_deref(), body)?;
+        Ok((journey, step))
+    });
+    stepping.await.map_err(ServiceError::internal)?
+}
+
+impl State {
+    fn body(&self) -> Body {
+        match self.last_report.map(|report| report.driver) {
+            Some(Driver::Reflex) => Body::Held,
+            Some(Driver::Commands) | None => Body::Free,
+        }
+    }
+
+    /// The next command; `yaw_rad` is that of the odometry at this moment.
+    fn tell(&mut self, stamp_ns: i64, yaw_rad: Option<f64>, steering: &HeadingSteering) -> Told {
+        self.commands += 1;
+        let heading = self.heading.filter(|_| self.journey.is_some());
+        let mut view = heading.map(|heading| heading.view);
+        if let (Some(view), Some(then), Some(now)) =
+            (&mut view, heading.and_then(|heading| heading.yaw_rad), yaw_rad)
+        {
+            view.heading_rad = view.heading_rad.map(|heading| wrapped(heading - (now - then)));
+        }
+        let status = match (&self.journey, heading) {
+            (None, _) => Status::Idle,
+            (Some(_), None) => Status::Searching,
+            (Some(_), Some(Heading { status: Status::Following | Status::Searching, .. }))
+                if self.body() == Body::Held =>
+            {
+                Status::Blocked
+            }
+            (Some(_), Some(heading)) => heading.status,
+        };
+        let is_led = heading.is_some_and(|heading| heading.since.elapsed() < PANORAMA_HOLDS);
+        let [forward_m_s, turn_rad_s] = match status {
+            Status::Following | Status::Searching | Status::Lost | Status::Blocked if is_led => {
+                steering.steer(view.and_then(|view| view.heading_rad))
+            }
+            Status::Following
+            | Status::Searching
+            | Status::Lost
+            | Status::Blocked
+            | Status::Idle
+            | Status::Arrived => [0.0; 2],
+        };
+        let valid_ns = NavigationSettings::default().steering.valid_ns;
+        let command = VelocityCommand { number: self.commands, forward_m_s, turn_rad_s, valid_ns };
+        let guidance =
+            Guidance { command, status, localization: None, left_m: None, heading_to_target_rad: None };
+        let told = Told { stamp_ns, guidance, appearance: view };
+        self.told = Some(told);
+        told
+    }
+}
+
+/// To the left, seen from above.
+fn yaw_rad(odometry: &Odometry) -> f64 {
+    odometry.pose().rotation.euler_angles().2
+}
+
+fn wrapped(angle_rad: f64) -> f64 {
+    angle_rad.sin().atan2(angle_rad.cos())
+}

@@ -1,0 +1,386 @@
+//! A robot that is led along places that wheels measured. Commands come of odometry at once, beside the stream; the map's
+//! writer is asked for looks and plans alone.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+use tokio::sync::watch;
+use topomap::event::SessionId;
+use topomap::mapper::{FrameInput, Localizer};
+use topomap::navigation::planning::{self, Route};
+use topomap::navigation::settings::NavigationSettings;
+use topomap::navigation::{Lookout, Navigator, Sight, WheelReport};
+use topomap::odometry::Odometry;
+
+use super::{BodyReport, Driving, FrameSeen, Goal, GoalRefusal, GoalRequest, Identity, NavigationView, Told};
+use crate::error::ServiceError;
+use crate::extraction::Observed;
+use crate::service::Service;
+use crate::service::camera::Intrinsics;
+use crate::service::content::Words;
+use crate::service::map_settings::{Keep, MapSettings};
+use crate::service::map_writer::{LookRequest, PlanFrom};
+use crate::service::names::navigation_name;
+use crate::service::sessions::Frame;
+use crate::storage::MapRow;
+
+/// Leads one robot.
+#[derive(Debug)]
+pub(super) struct TopoMetricGuide {
+    identity: Identity,
+    intrinsics: Intrinsics,
+    settings: NavigationSettings,
+    /// Of the map: odometry that is faster has jumped.
+    max_speed_m_per_s: f64,
+    /// The navigator's clock begins here.
+    since: Instant,
+    /// One frame is looked at after the other.
+    lookout: tokio::sync::Mutex<Lookout>,
+    state: Mutex<State>,
+    refusals: watch::Sender<Option<GoalRefusal>>,
+}
+
+#[derive(Debug)]
+struct State {
+    navigator: Navigator,
+    last_report: Option<(i64, Odometry)>,
+    told: Option<Told>,
+    goal: Option<planning::Goal>,
+    route: Option<Route>,
+    goal_refusal: Option<GoalRefusal>,
+    planning: Planning,
+    last_sequence: Option<u64>,
+    frames: u64,
+    closures: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Planning {
+    No,
+    UnderWay,
+}
+
+/// Refuses a camera, and a map, by which no robot can be steered.
+pub(super) fn check(map: &str, camera: Option<&[u8]>, settings: &MapSettings) -> Result<(), ServiceError> {
+    intrinsics(camera)?;
+    if settings.mapper.verification.method.verifies() {
+        return Ok(());
+    }
+    Err(ServiceError::precondition(format_args!(
+        "the map {map} recognises by words alone, and by words no robot can be steered; make a map with verification"
+    )))
+}
+
+fn intrinsics(camera: Option<&[u8]>) -> Result<Intrinsics, ServiceError> {
+    camera.and_then(Intrinsics::of_camera).ok_or_else(|| {
+        ServiceError::invalid(
+            "a robot is steered by how far its image has shifted: declare a camera with a pinhole calibration or a \
+             field of view; panoramas are for maps with the navigation strategy appearance",
+        )
+    })
+}
+
+impl Service {
+    /// A goal on a map with metres.
+    pub(super) async fn measured_goal(
+        &self,
+        row: &MapRow,
+        goal: GoalRequest,
+    ) -> Result<planning::Goal, ServiceError> {
+        match goal {
+            GoalRequest::Goal(Goal::Place(place)) => Ok(planning::Goal::Place(place)),
+            GoalRequest::Goal(Goal::Position { part, position_m }) => {
+                Ok(planning::Goal::Position { part, position_m })
+            }
+            GoalRequest::Goal(Goal::Label(label)) => match self.labelled(row, &label).await?.as_slice() {
+                [place] => Ok(planning::Goal::Place(*place)),
+                places => {
+                    let numbers: Vec<String> = places.iter().map(u32::to_string).collect();
+                    Err(ServiceError::precondition(format_args!(
+                        "{label:?} are {} places of the map {}, and a robot goes to one: name it by its number ({})",
+                        places.len(),
+                        row.name,
+                        numbers.join(", ")
+                    )))
+                }
+            },
+            GoalRequest::Image(_) => Err(ServiceError::precondition(format_args!(
+                "where an image was taken is a goal on maps with the navigation strategy appearance; on the map {} ask \
+                 with a query which place it shows, and go there",
+                row.name
+            ))),
+        }
+    }
+}
+
+impl TopoMetricGuide {
+    pub(super) fn new(
+        identity: Identity,
+        camera: Option<&[u8]>,
+        driving: Driving,
+        max_speed_m_per_s: f64,
+    ) -> Result<Self, ServiceError> {
+        let (intrinsics, settings) = (intrinsics(camera)?, driving.settings()?);
+        let navigator = Navigator::new(settings).map_err(ServiceError::invalid)?;
+        Ok(Self {
+            identity,
+            intrinsics,
+            settings,
+            max_speed_m_per_s,
+            since: Instant::now(),
+            lookout: tokio::sync::Mutex::new(Lookout::new()),
+            state: Mutex::new(State {
+                navigator,
+                last_report: None,
+                told: None,
+                goal: None,
+                route: None,
+                goal_refusal: None,
+                planning: Planning::No,
+                last_sequence: None,
+                frames: 0,
+                closures: 0,
+            }),
+            refusals: watch::Sender::new(None),
+        })
+    }
+
+    pub(super) fn identity(&self) -> &Identity {
+        &self.identity
+    }
+
+    pub(super) fn view(&self, connected: bool) -> NavigationView {
+        let state = self.state();
+        let State { told, goal, route, goal_refusal, frames, closures, .. } = &*state;
+        NavigationView {
+            name: navigation_name(&self.identity.map, &self.identity.name),
+            connected,
+            guidance: *told,
+            goal: goal.map(Goal::from),
+            route: route.clone(),
+            goal_refusal: goal_refusal.clone(),
+            frames: *frames,
+            closures: *closures,
+        }
+    }
+
+    pub(super) fn last_sequence(&self) -> Option<u64> {
+        self.state().last_sequence
+    }
+
+    pub(super) fn refusals(&self) -> watch::Receiver<Option<GoalRefusal>> {
+        self.refusals.subscribe()
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) async fn go_to(
+        self: &Arc<Self>,
+        service: &Arc<Service>,
+        goal: GoalRequest,
+    ) -> Result<(), ServiceError> {
+        let row = service.map_row(&self.identity.map).await?;
+        if row.id != self.identity.map_id {
+            return Err(self.identity.replaced());
+        }
+        self.head_for(service.measured_goal(&row, goal).await?);
+        self.plan_if_wanted(service);
+        Ok(())
+    }
+
+    /// The same without waiting; refusals tell why it was refused.
+    pub(super) fn go_to_in_time(self: Arc<Self>, service: &Arc<Service>, goal: GoalRequest) {
+        let known = match goal {
+            GoalRequest::Goal(Goal::Place(place)) => planning::Goal::Place(place),
+            GoalRequest::Goal(Goal::Position { part, position_m }) => {
+                planning::Goal::Position { part, position_m }
+            }
+            GoalRequest::Goal(Goal::Label(_)) | GoalRequest::Image(_) => {
+                self.stop();
+                let service = service.clone();
+                tokio::spawn(async move {
+                    let named = goal.goal();
+                    if let Err(error) = self.go_to(&service, goal).await {
+                        self.refuse(GoalRefusal { goal: named, message: error.to_string() });
+                    }
+                });
+                return;
+            }
+        };
+        self.head_for(known);
+        self.plan_if_wanted(service);
+    }
+
+    fn head_for(&self, goal: planning::Goal) {
+        let mut state = self.state();
+        state.navigator.go_to(goal);
+        (state.goal, state.route, state.goal_refusal) = (Some(goal), None, None);
+        // Of the goal before: whoever waits for the arrival must not take it for that at this one.
+        state.told = None;
+    }
+
+    pub(super) fn stop(&self) {
+        let mut state = self.state();
+        state.navigator.cancel();
+        (state.goal, state.route, state.goal_refusal) = (None, None, None);
+        state.told = None;
+    }
+
+    fn refuse(&self, refusal: GoalRefusal) {
+        self.state().goal_refusal = Some(refusal.clone());
+        self.refusals.send_replace(Some(refusal));
+    }
+
+    /// Has a way planned if the robot waits for one. It stands meanwhile.
+    fn plan_if_wanted(self: &Arc<Self>, service: &Arc<Service>) {
+        let wanted = {
+            let mut state = self.state();
+            let Some(wanted) = state.navigator.wanted_route().filter(|_| state.planning == Planning::No)
+            else {
+                return;
+            };
+            state.planning = Planning::UnderWay;
+            wanted
+        };
+        let (guide, service) = (self.clone(), service.clone());
+        tokio::spawn(async move {
+            let planned = guide.planned(&service, PlanFrom::Robot(wanted.from), wanted.goal).await;
+            let mut state = guide.state();
+            state.planning = Planning::No;
+            if state.goal != Some(wanted.goal) {
+                return;
+            }
+            match planned {
+                Ok(route) => {
+                    state.navigator.follow(&route);
+                    state.route = Some(route);
+                }
+                // The map is opened anew: the next report asks again.
+                Err(ServiceError::Unavailable { .. }) => {}
+                Err(error) => {
+                    state.navigator.cancel();
+                    state.goal = None;
+                    drop(state);
+                    let goal = Some(wanted.goal.into());
+                    guide.refuse(GoalRefusal { goal, message: error.to_string() });
+                }
+            }
+        });
+    }
+
+    async fn planned(
+        &self,
+        service: &Arc<Service>,
+        from: PlanFrom,
+        goal: planning::Goal,
+    ) -> Result<Route, ServiceError> {
+        let map = service.open_map(&self.identity.map).await?;
+        if map.id() != self.identity.map_id {
+            return Err(self.identity.replaced());
+        }
+        map.plan(from, goal, self.settings.planning).await?.map_err(ServiceError::precondition)
+    }
+
+    /// A wheel report that no wheels make.
+    fn check(&self, report: &WheelReport) -> Result<(), ServiceError> {
+        let state = self.state();
+        let Some((last_ns, before)) = &state.last_report else { return Ok(()) };
+        if report.stamp_ns <= *last_ns {
+            return Err(ServiceError::precondition(format_args!(
+                "the stamp {} ns is not after {last_ns} ns, the last report's; send reports in order, with the \
+                 robot's own steady clock",
+                report.stamp_ns
+            )));
+        }
+        let elapsed_s = (report.stamp_ns - last_ns) as f64 * 1e-9;
+        if report.odometry.has_jumped(before, elapsed_s, self.max_speed_m_per_s) {
+            let distance_m = report.odometry.distance_m(before);
+            return Err(ServiceError::invalid(format_args!(
+                "the odometry jumped {distance_m:.1} m in {elapsed_s:.3} s; if the odom frame was reset, open a new \
+                 navigation; if not, check units (metres, nanoseconds)"
+            )));
+        }
+        Ok(())
+    }
+
+    /// Answers odometry with a command.
+    pub(super) fn report(
+        self: &Arc<Self>,
+        service: &Arc<Service>,
+        report: BodyReport,
+    ) -> Result<Told, ServiceError> {
+        let BodyReport { stamp_ns, odometry, obeyed, driver } = report;
+        let odometry = odometry.ok_or_else(|| {
+            ServiceError::invalid("the report has no odometry; send where the wheels put the robot")
+        })?;
+        let report = WheelReport { stamp_ns, odometry, obeyed, driver };
+        self.check(&report)?;
+        let now_ns = i64::try_from(self.since.elapsed().as_nanos()).unwrap_or(i64::MAX);
+        let told = {
+            let mut state = self.state();
+            let guidance = state.navigator.drive(&report, now_ns);
+            let told = Told { stamp_ns, guidance, appearance: None };
+            state.told = Some(told);
+            state.last_report = Some((report.stamp_ns, report.odometry));
+            told
+        };
+        self.plan_if_wanted(service);
+        Ok(told)
+    }
+
+    /// Looks at a frame, after those before it.
+    pub(super) async fn look(
+        self: &Arc<Self>,
+        service: &Arc<Service>,
+        frame: Frame,
+        words: Words,
+        stream: u64,
+    ) -> Result<FrameSeen, ServiceError> {
+        let Frame { sequence, stamp_ns, content, odometry } = frame;
+        if odometry.is_none() {
+            return Err(ServiceError::invalid(
+                "the frame has no odometry; while a robot is led, send where its wheels were when the image was taken",
+            ));
+        }
+        let mut lookout = self.lookout.lock().await;
+        let episode = self.state().navigator.episode();
+        let model = self.identity.model.clone();
+        let observed = service.observe(model, content, words, Keep::Words, None, Some(stream)).await?;
+        let Observed { observation, features, media: _, extract: _, quantize: _ } = observed;
+        let session: SessionId = Localizer::SESSION;
+        let request = LookRequest {
+            lookout: lookout.clone(),
+            episode,
+            settings: self.settings.localization,
+            input: FrameInput { session, sequence, stamp_ns, odometry, observation },
+            features,
+            intrinsics: self.intrinsics,
+        };
+        let map = service.open_map(&self.identity.map).await?;
+        if map.id() != self.identity.map_id {
+            return Err(self.identity.replaced());
+        }
+        let (after, look) = map.look(request).await?;
+        *lookout = after;
+        let closure = match look.sight {
+            Sight::Closure(closure) => Some(closure),
+            Sight::Unknown | Sight::TooLittle => None,
+        };
+        let seen = {
+            let mut state = self.state();
+            state.last_sequence = Some(sequence);
+            state.frames += 1;
+            state.closures += u64::from(closure.is_some());
+            state.navigator.see(&look)
+        };
+        self.plan_if_wanted(service);
+        Ok(FrameSeen {
+            sequence,
+            seen: Some(seen),
+            place: closure.map(|closure| closure.place),
+            probability: closure.map(|closure| closure.probability),
+        })
+    }
+}

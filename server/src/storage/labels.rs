@@ -1,0 +1,110 @@
+//! What people call places, and which frame each place began with.
+
+use fabmap::appearance::PlaceId;
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+use topomap::event::FrameId;
+
+use super::{MapId, Storage, StorageError, from_sql};
+
+/// A place with what people call it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct LabelRow {
+    pub(crate) place: PlaceId,
+    pub(crate) label: String,
+}
+
+impl Storage {
+    /// Places with labels from `from` on, by number.
+    pub(crate) async fn labels(
+        &self,
+        map: MapId,
+        from: PlaceId,
+        limit: u32,
+    ) -> Result<Vec<LabelRow>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT place, label FROM labels WHERE map_id = ? AND place >= ? ORDER BY place LIMIT ?",
+        )
+        .bind(map)
+        .bind(from)
+        .bind(limit)
+        .fetch_all(&self.readers)
+        .await?;
+        let label =
+            |row: &SqliteRow| Ok(LabelRow { place: row.try_get("place")?, label: row.try_get("label")? });
+        rows.iter().map(label).collect()
+    }
+
+    /// The places that bear a label, by number.
+    pub(crate) async fn labelled(&self, map: MapId, label: &str) -> Result<Vec<PlaceId>, StorageError> {
+        let rows = sqlx::query("SELECT place FROM labels WHERE map_id = ? AND label = ? ORDER BY place")
+            .bind(map)
+            .bind(label)
+            .fetch_all(&self.readers)
+            .await?;
+        rows.iter().map(|row| Ok(row.try_get("place")?)).collect()
+    }
+
+    /// The labels that there are, each once, by name.
+    pub(crate) async fn label_names(&self, map: MapId, limit: u32) -> Result<Vec<String>, StorageError> {
+        let rows = sqlx::query("SELECT DISTINCT label FROM labels WHERE map_id = ? ORDER BY label LIMIT ?")
+            .bind(map)
+            .bind(limit)
+            .fetch_all(&self.readers)
+            .await?;
+        rows.iter().map(|row| Ok(row.try_get("label")?)).collect()
+    }
+
+    /// Puts one label on places, in place of what they had; all or none. [`StorageError::InUse`] if the map is gone.
+    pub(crate) async fn put_labels(
+        &self,
+        map: MapId,
+        places: &[PlaceId],
+        label: &str,
+    ) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            for place in places {
+                sqlx::query("INSERT OR REPLACE INTO labels (map_id, place, label) VALUES (?, ?, ?)")
+                    .bind(map)
+                    .bind(place)
+                    .bind(label)
+                    .execute(&mut **transaction)
+                    .await?;
+            }
+            Ok(())
+        })
+        .await
+    }
+
+    /// Whether there was one.
+    pub(crate) async fn delete_label(&self, map: MapId, place: PlaceId) -> Result<bool, StorageError> {
+        self.write(async |transaction| {
+            let done = sqlx::query("DELETE FROM labels WHERE map_id = ? AND place = ?")
+                .bind(map)
+                .bind(place)
+                .execute(&mut **transaction)
+                .await?;
+            Ok(done.rows_affected() > 0)
+        })
+        .await
+    }
+
+    /// The frame that made each place from `from` on, by place.
+    pub(crate) async fn first_frames(
+        &self,
+        map: MapId,
+        from: PlaceId,
+        limit: u32,
+    ) -> Result<Vec<(PlaceId, FrameId)>, StorageError> {
+        let rows = sqlx::query(
+            "SELECT place, min(position) AS first FROM log WHERE map_id = ? AND place >= ? \
+             GROUP BY place ORDER BY place LIMIT ?",
+        )
+        .bind(map)
+        .bind(from)
+        .bind(limit)
+        .fetch_all(&self.readers)
+        .await?;
+        rows.iter().map(|row| Ok((row.try_get("place")?, from_sql(row.try_get("first")?)?))).collect()
+    }
+}
