@@ -21,6 +21,7 @@ pub use self::localization::{Closure, Look, Lookout, Seen, Sight};
 use self::localization::{Estimate, PoseFilter};
 use self::path::{GlobalPath, LocalPath};
 pub use self::planning::{Goal, MapPosition, PlanError, Route};
+use self::settings::SupervisionSettings;
 pub use self::settings::{NavigationSettings, NavigationSettingsError};
 use self::steering::Steering;
 pub use self::steering::VelocityCommand;
@@ -40,7 +41,7 @@ pub struct Navigator {
     /// Driven since then, in metres.
     since_closure_m: f64,
     /// Frames since then that showed something, and nothing known.
-    unknown_looks: u32,
+    unknown: UnknownLooks,
     /// Of the last frame.
     evidence: f64,
     episode: u64,
@@ -192,6 +193,29 @@ struct Journey {
     joined: bool,
 }
 
+/// Frames since the last closure in which something known should have been seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct UnknownLooks {
+    driving: u32,
+    standing: u32,
+    /// Driven from the closure to the last of those while driving, in metres.
+    at_m: f64,
+}
+
+impl UnknownLooks {
+    fn add(&mut self, since_closure_m: f64) {
+        if since_closure_m - self.at_m > MOVED_M {
+            (self.driving, self.at_m) = (self.driving + 1, since_closure_m);
+        } else {
+            self.standing += 1;
+        }
+    }
+
+    fn are_too_many(&self, settings: &SupervisionSettings) -> bool {
+        self.driving >= settings.unknown_looks || self.standing >= settings.unknown_looks_standing
+    }
+}
+
 /// Whether the robot moves when it is told to all along.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct MotionWatch {
@@ -215,7 +239,7 @@ impl Navigator {
             wheels: None,
             closed_at: None,
             since_closure_m: 0.0,
-            unknown_looks: 0,
+            unknown: UnknownLooks::default(),
             evidence: 0.0,
             episode: 0,
             task: Task::Nothing,
@@ -301,10 +325,11 @@ impl Navigator {
         };
         let shown = (closure, &look.glimpses);
         let seen = self.filter.see(shown, (look.stamp_ns, odometry), &self.settings.localization);
-        let missed = look.sight == Sight::Unknown && self.should_recognise(odometry);
-        self.unknown_looks += u32::from(missed);
-        if missed && self.unknown_looks >= self.settings.supervision.unknown_looks {
-            self.lose(self.closed_at);
+        if look.sight == Sight::Unknown && self.should_recognise(odometry) {
+            self.unknown.add(self.since_closure_m);
+            if self.unknown.are_too_many(&self.settings.supervision) {
+                self.lose(self.closed_at);
+            }
         }
         match seen {
             Seen::Corrected => self.closed(odometry),
@@ -388,7 +413,7 @@ impl Navigator {
     fn lose(&mut self, back_to: Option<PlanarPose>) {
         self.filter.forget();
         self.episode += 1;
-        (self.since_closure_m, self.unknown_looks, self.evidence) = (0.0, 0, 0.0);
+        (self.since_closure_m, self.unknown, self.evidence) = (0.0, UnknownLooks::default(), 0.0);
         let goal = match &self.task {
             Task::LookAround(LookAround { goal, .. }) | Task::Plan { goal } | Task::Face { goal, .. } => {
                 *goal
@@ -418,7 +443,7 @@ impl Navigator {
 
     /// A closure at `odometry` was believed: the local path begins where that puts the robot.
     fn closed(&mut self, odometry: &PlanarPose) {
-        self.unknown_looks = 0;
+        self.unknown = UnknownLooks::default();
         let Some(now) = self.wheels else { return };
         self.closed_at = Some(*odometry);
         let since = odometry.inverse().compose(&now.odometry);

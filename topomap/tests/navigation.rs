@@ -32,6 +32,7 @@ enum Fixes {
 }
 
 /// A robot whose wheels are off, a line of 12 m along x, and a link.
+#[derive(Clone)]
 struct World {
     /// Of each closure.
     evidence: f64,
@@ -429,4 +430,27 @@ fn on_its_way_it_is_lost_where_nothing_is_known_and_goes_back_as_it_came() {
     world.knows = true;
     world.run(1500);
     assert_eq!(world.status(), Status::Arrived);
+}
+
+#[test]
+fn somebody_who_stands_before_it_for_a_while_does_not_make_it_lost() {
+    let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+    world.run(150);
+    world.knows = false;
+    let steps = |looks: u32| u64::from(looks) * STEPS_PER_FRAME;
+    let standing = NavigationSettings::default().supervision.unknown_looks_standing;
+    for _ in 0..steps(standing - 2) {
+        world.advance(true, false);
+        assert_ne!(world.status(), Status::Lost);
+    }
+    let mut left = world.clone();
+    world.knows = true;
+    world.run(1500);
+    assert_eq!(world.status(), Status::Arrived);
+    // Who never goes away has been mistaken for a wall.
+    left.knows = false;
+    for _ in 0..steps(4) {
+        left.advance(true, false);
+    }
+    assert_eq!(left.status(), Status::Lost);
 }

@@ -139,9 +139,11 @@ pub struct SupervisionSettings {
     pub lost_sigma_m: f64,
     /// Way without a closure at which it is lost, in metres.
     pub lost_m: f64,
-    /// Frames without a closure at which it is lost that show something, and nothing known, where it should be known; at
-    /// least 1.
+    /// Frames without a closure at which it is lost that show something, and nothing known, where it should be known, as it
+    /// drives on; at least 1.
     pub unknown_looks: u32,
+    /// The same while it does not move: somebody stands before it; at least 1.
+    pub unknown_looks_standing: u32,
     /// How near to its way a robot recognises it, in metres.
     pub near_m: f64,
     /// How far it may look away from it for that, in radians.
@@ -228,6 +230,7 @@ impl Default for SupervisionSettings {
             lost_sigma_m: 0.8,
             lost_m: 6.0,
             unknown_looks: 6,
+            unknown_looks_standing: 24,
             near_m: 0.5,
             near_rad: 0.5,
             spin_rad_s: 0.25,
@@ -358,6 +361,7 @@ impl SupervisionSettings {
             ("lost_sigma_m", self.lost_sigma_m, 0.01, 1000.0),
             ("lost_m", self.lost_m, 0.01, 1e6),
             ("unknown_looks", f64::from(self.unknown_looks), 1.0, 1e6),
+            ("unknown_looks_standing", f64::from(self.unknown_looks_standing), 1.0, 1e6),
             ("near_m", self.near_m, 0.01, 100.0),
             ("near_rad", self.near_rad, 0.01, 3.2),
             ("spin_rad_s", self.spin_rad_s, 0.01, 10.0),
