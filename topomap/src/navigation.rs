@@ -36,6 +36,8 @@ pub struct Navigator {
     filter: PoseFilter,
     /// The last odometry.
     wheels: Option<Reading>,
+    /// Who drove then.
+    driver: Driver,
     /// Odometry of the last closure.
     closed_at: Option<PlanarPose>,
     /// Driven since then, in metres.
@@ -203,11 +205,12 @@ struct UnknownLooks {
 }
 
 impl UnknownLooks {
-    fn add(&mut self, since_closure_m: f64) {
-        if since_closure_m - self.at_m > MOVED_M {
-            (self.driving, self.at_m) = (self.driving + 1, since_closure_m);
-        } else {
-            self.standing += 1;
+    fn add(&mut self, driver: Driver, since_closure_m: f64) {
+        let moved = since_closure_m - self.at_m > MOVED_M;
+        self.at_m = since_closure_m;
+        match driver {
+            Driver::Commands if moved => self.driving += 1,
+            Driver::Commands | Driver::Reflex => self.standing += 1,
         }
     }
 
@@ -237,6 +240,7 @@ impl Navigator {
             filter: PoseFilter::new(&settings.localization),
             settings,
             wheels: None,
+            driver: Driver::Commands,
             closed_at: None,
             since_closure_m: 0.0,
             unknown: UnknownLooks::default(),
@@ -326,7 +330,7 @@ impl Navigator {
         let shown = (closure, &look.glimpses);
         let seen = self.filter.see(shown, (look.stamp_ns, odometry), &self.settings.localization);
         if look.sight == Sight::Unknown && self.should_recognise(odometry) {
-            self.unknown.add(self.since_closure_m);
+            self.unknown.add(self.driver, self.since_closure_m);
             if self.unknown.are_too_many(&self.settings.supervision) {
                 self.lose(self.closed_at);
             }
@@ -352,6 +356,7 @@ impl Navigator {
     pub fn drive(&mut self, report: &WheelReport, now_ns: i64) -> Guidance {
         let odometry = PlanarPose::seen_from_above(report.odometry.pose());
         let (elapsed_s, moved) = self.take(report.stamp_ns, odometry);
+        self.driver = report.driver;
         self.forget_obeyed(report.obeyed);
         if self.is_too_unsure() {
             self.lose(self.closed_at);

@@ -38,6 +38,7 @@ struct World {
     evidence: f64,
     /// Whether it sees what was taught.
     knows: bool,
+    driver: Driver,
     truth: PlanarPose,
     wheels: PlanarPose,
     drift_rad_per_m: f64,
@@ -80,6 +81,7 @@ impl World {
         Self {
             evidence: 100.0,
             knows: true,
+            driver: Driver::Commands,
             truth: start,
             wheels: PlanarPose::identity(),
             drift_rad_per_m: 0.0,
@@ -156,7 +158,7 @@ impl World {
             stamp_ns: self.stamp_ns(),
             odometry: odometry(&self.wheels),
             obeyed,
-            driver: Driver::Commands,
+            driver: self.driver,
         };
         self.reports.push_back((self.step + self.delay_steps, report));
         if sees && self.step.is_multiple_of(STEPS_PER_FRAME) {
@@ -453,4 +455,17 @@ fn somebody_who_stands_before_it_for_a_while_does_not_make_it_lost() {
         left.advance(true, false);
     }
     assert_eq!(left.status(), Status::Lost);
+}
+
+#[test]
+fn its_reflex_may_turn_it_away_for_a_while() {
+    let drive = |driver: Driver| {
+        let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+        world.run(150);
+        (world.knows, world.driver) = (false, driver);
+        let looks = NavigationSettings::default().supervision.unknown_looks + 2;
+        (0..u64::from(looks) * STEPS_PER_FRAME).for_each(|_| world.advance(true, true));
+        world.navigator.localization().is_some()
+    };
+    assert!(drive(Driver::Reflex) && !drive(Driver::Commands));
 }
