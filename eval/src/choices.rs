@@ -8,7 +8,7 @@ use topomap::relaxation::Closures;
 use topomap::verification::VerificationMethod;
 
 use crate::commands::calibrate::DetectorChoice;
-use crate::commands::navigate::Trial;
+use crate::commands::navigate::{Lighting, Trial};
 use crate::commands::posegraph::GraphStart;
 use crate::dataset::Verdict;
 
@@ -57,7 +57,11 @@ pub const NAVIGATION_TRIALS: Choices<Trial> = &[
     ("shortcut", Trial::Shortcut),
     ("sparse", Trial::Sparse),
     ("kidnapped", Trial::Kidnapped),
+    ("facing", Trial::Facing),
 ];
+
+/// Light of the day on which a way is driven again.
+pub const LIGHTINGS: Choices<Lighting> = &[("as-taught", Lighting::AsTaught), ("another", Lighting::Another)];
 
 /// Where relaxation of a pose graph starts from.
 pub const GRAPH_STARTS: Choices<GraphStart> = &[

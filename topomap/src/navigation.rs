@@ -7,6 +7,7 @@
 pub mod localization;
 pub mod path;
 pub mod planning;
+mod search;
 pub mod settings;
 pub mod steering;
 
@@ -20,6 +21,7 @@ pub use self::localization::{Closure, Look, Lookout, Seen, Sight};
 use self::localization::{Estimate, PoseFilter};
 use self::path::{GlobalPath, LocalPath};
 pub use self::planning::{Goal, MapPosition, PlanError, Route};
+use self::settings::SupervisionSettings;
 pub use self::settings::{NavigationSettings, NavigationSettingsError};
 use self::steering::Steering;
 pub use self::steering::VelocityCommand;
@@ -34,16 +36,20 @@ pub struct Navigator {
     filter: PoseFilter,
     /// The last odometry.
     wheels: Option<Reading>,
+    /// Who drove then.
+    driver: Driver,
     /// Odometry of the last closure.
     closed_at: Option<PlanarPose>,
     /// Driven since then, in metres.
     since_closure_m: f64,
     /// Frames since then that showed something, and nothing known.
-    unknown_looks: u32,
+    unknown: UnknownLooks,
     /// Of the last frame.
     evidence: f64,
     episode: u64,
     task: Task,
+    /// Where the robot is to look at its goal, in the map's frame.
+    facing_rad: Option<f64>,
     steering: Steering,
     commands: u64,
     /// Commands that the robot may not have obeyed yet, oldest first.
@@ -159,6 +165,11 @@ enum Task {
         goal: Goal,
     },
     Follow(Box<Journey>),
+    /// It is there, and turns to where it is to look.
+    Face {
+        goal: Goal,
+        heading_rad: f64,
+    },
     Arrived,
 }
 
@@ -180,6 +191,32 @@ struct Journey {
     local: LocalPath,
     /// The point of the path that the robot is nearest to.
     progress: usize,
+    /// Whether it has been so near to the path that it should recognise what it sees.
+    joined: bool,
+}
+
+/// Frames since the last closure in which something known should have been seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct UnknownLooks {
+    driving: u32,
+    standing: u32,
+    /// Driven from the closure to the last of those while driving, in metres.
+    at_m: f64,
+}
+
+impl UnknownLooks {
+    fn add(&mut self, driver: Driver, since_closure_m: f64) {
+        let moved = since_closure_m - self.at_m > MOVED_M;
+        self.at_m = since_closure_m;
+        match driver {
+            Driver::Commands if moved => self.driving += 1,
+            Driver::Commands | Driver::Reflex => self.standing += 1,
+        }
+    }
+
+    fn are_too_many(&self, settings: &SupervisionSettings) -> bool {
+        self.driving >= settings.unknown_looks || self.standing >= settings.unknown_looks_standing
+    }
 }
 
 /// Whether the robot moves when it is told to all along.
@@ -203,12 +240,14 @@ impl Navigator {
             filter: PoseFilter::new(&settings.localization),
             settings,
             wheels: None,
+            driver: Driver::Commands,
             closed_at: None,
             since_closure_m: 0.0,
-            unknown_looks: 0,
+            unknown: UnknownLooks::default(),
             evidence: 0.0,
             episode: 0,
             task: Task::Nothing,
+            facing_rad: None,
             steering: Steering::default(),
             commands: 0,
             on_the_way: VecDeque::new(),
@@ -218,7 +257,20 @@ impl Navigator {
 
     /// Sends the robot to a goal, in place of where it was going.
     pub fn go_to(&mut self, goal: Goal) {
-        self.task = self.start(goal);
+        (self.task, self.facing_rad) = (self.start(goal), None);
+    }
+
+    /// The same, and at the goal it turns on the spot until it looks to `heading_rad`, in the frame of the goal's part of
+    /// the map.
+    ///
+    /// # Errors
+    /// [`PlanError::NotFinite`] if that is no number; it goes on as before then.
+    pub fn go_to_facing(&mut self, goal: Goal, heading_rad: f64) -> Result<(), PlanError> {
+        if !heading_rad.is_finite() {
+            return Err(PlanError::NotFinite);
+        }
+        (self.task, self.facing_rad) = (self.start(goal), Some(heading_rad));
+        Ok(())
     }
 
     /// The robot is to stop and has no goal any more.
@@ -244,7 +296,7 @@ impl Navigator {
         let progress = path.nearest(&robot, 0, self.settings.path.window_m);
         let local = path.local(&robot, progress, &self.settings.path);
         self.steering.reset();
-        self.task = Task::Follow(Box::new(Journey { goal: *goal, path, local, progress }));
+        self.task = Task::Follow(Box::new(Journey { goal: *goal, path, local, progress, joined: false }));
     }
 
     /// Rises whenever nothing that was seen before counts any more; [`Lookout::look`] wants it of when a frame came.
@@ -258,7 +310,9 @@ impl Navigator {
     pub fn path(&self) -> Option<&GlobalPath> {
         match &self.task {
             Task::Follow(journey) => Some(&journey.path),
-            Task::Nothing | Task::LookAround(_) | Task::Plan { .. } | Task::Arrived => None,
+            Task::Nothing | Task::LookAround(_) | Task::Plan { .. } | Task::Face { .. } | Task::Arrived => {
+                None
+            }
         }
     }
 
@@ -268,14 +322,19 @@ impl Navigator {
             return Seen::Stale;
         }
         self.evidence = look.evidence;
-        let (Sight::Closure(closure), Some(odometry)) = (&look.sight, &look.odometry) else {
-            self.unknown_looks += u32::from(look.sight == Sight::Unknown);
-            if self.unknown_looks >= self.settings.supervision.unknown_looks && self.estimate().is_some() {
+        let Some(odometry) = &look.odometry else { return Seen::Nothing };
+        let closure = match &look.sight {
+            Sight::Closure(closure) => Some(closure),
+            Sight::Unknown | Sight::TooLittle => None,
+        };
+        let shown = (closure, &look.glimpses);
+        let seen = self.filter.see(shown, (look.stamp_ns, odometry), &self.settings.localization);
+        if look.sight == Sight::Unknown && self.should_recognise(odometry) {
+            self.unknown.add(self.driver, self.since_closure_m);
+            if self.unknown.are_too_many(&self.settings.supervision) {
                 self.lose(self.closed_at);
             }
-            return Seen::Nothing;
-        };
-        let seen = self.filter.see(closure, (look.stamp_ns, odometry), &self.settings.localization);
+        }
         match seen {
             Seen::Corrected => self.closed(odometry),
             Seen::Found => {
@@ -283,6 +342,7 @@ impl Navigator {
                 match &self.task {
                     Task::LookAround(LookAround { goal, .. }) => self.task = Task::Plan { goal: *goal },
                     Task::Follow(journey) => self.task = Task::Plan { goal: journey.goal },
+                    Task::Face { goal, .. } => self.task = Task::Plan { goal: *goal },
                     Task::Nothing | Task::Plan { .. } | Task::Arrived => {}
                 }
             }
@@ -296,6 +356,7 @@ impl Navigator {
     pub fn drive(&mut self, report: &WheelReport, now_ns: i64) -> Guidance {
         let odometry = PlanarPose::seen_from_above(report.odometry.pose());
         let (elapsed_s, moved) = self.take(report.stamp_ns, odometry);
+        self.driver = report.driver;
         self.forget_obeyed(report.obeyed);
         if self.is_too_unsure() {
             self.lose(self.closed_at);
@@ -317,7 +378,7 @@ impl Navigator {
         let localization = self.localization();
         let left_m = match &self.task {
             Task::Follow(journey) => Some(journey.path.left_m(journey.progress)),
-            Task::Arrived => Some(0.0),
+            Task::Face { .. } | Task::Arrived => Some(0.0),
             Task::Nothing | Task::LookAround(_) | Task::Plan { .. } => None,
         };
         let command = self.command(motion, now_ns);
@@ -357,9 +418,11 @@ impl Navigator {
     fn lose(&mut self, back_to: Option<PlanarPose>) {
         self.filter.forget();
         self.episode += 1;
-        (self.since_closure_m, self.unknown_looks, self.evidence) = (0.0, 0, 0.0);
+        (self.since_closure_m, self.unknown, self.evidence) = (0.0, UnknownLooks::default(), 0.0);
         let goal = match &self.task {
-            Task::LookAround(LookAround { goal, .. }) | Task::Plan { goal } => *goal,
+            Task::LookAround(LookAround { goal, .. }) | Task::Plan { goal } | Task::Face { goal, .. } => {
+                *goal
+            }
             Task::Follow(journey) => journey.goal,
             Task::Nothing | Task::Arrived => return,
         };
@@ -385,7 +448,7 @@ impl Navigator {
 
     /// A closure at `odometry` was believed: the local path begins where that puts the robot.
     fn closed(&mut self, odometry: &PlanarPose) {
-        self.unknown_looks = 0;
+        self.unknown = UnknownLooks::default();
         let Some(now) = self.wheels else { return };
         self.closed_at = Some(*odometry);
         let since = odometry.inverse().compose(&now.odometry);
@@ -394,8 +457,31 @@ impl Navigator {
         let robot = self.allowing_for_commands(&estimate.pose);
         if let Task::Follow(journey) = &mut self.task {
             let settings = &self.settings.path;
+            journey.joined = true;
             journey.progress = journey.path.nearest(&robot, journey.progress, settings.window_m);
             journey.local = journey.path.local(&robot, journey.progress, settings);
+        }
+    }
+
+    /// Whether a robot that is where it is believed to be sees there what was seen when the way was taught.
+    ///
+    /// One that was found off its way first comes to it; one that its reflex turned away from it has been carried off as
+    /// likely as not.
+    fn should_recognise(&mut self, odometry: &PlanarPose) -> bool {
+        let Some(Estimate { pose, .. }) = self.filter.at(odometry, &self.settings.localization) else {
+            return false;
+        };
+        match &mut self.task {
+            Task::Follow(journey) => {
+                let (supervision, window_m) = (&self.settings.supervision, self.settings.path.window_m);
+                let (away_m, turned_rad) = journey.path.away(&pose, journey.progress, window_m);
+                journey.joined |= away_m <= supervision.near_m && turned_rad <= supervision.near_rad;
+                journey.joined
+            }
+            Task::Face { .. } => false,
+            // It looks where it was told to.
+            Task::Arrived if self.facing_rad.is_some() => false,
+            Task::Nothing | Task::LookAround(_) | Task::Plan { .. } | Task::Arrived => true,
         }
     }
 
@@ -426,6 +512,7 @@ impl Navigator {
                 (motion, Status::Lost, None)
             }
             Task::Follow(_) => self.steer(elapsed_s),
+            Task::Face { heading_rad, .. } => self.face(*heading_rad, elapsed_s),
         }
     }
 
@@ -439,6 +526,7 @@ impl Navigator {
     ) -> [f64; 2] {
         let supervision = &self.settings.supervision;
         let looked_ns = now_ns.saturating_sub(*looks.since_ns.get_or_insert(now_ns));
+        looks.turned_rad += turned_rad;
         let promising = self.evidence >= supervision.promising_evidence || self.filter.is_confirming();
         if looked_ns < supervision.look_first_ns {
             return [0.0; 2];
@@ -447,12 +535,17 @@ impl Navigator {
             let robot = self.allowing_for_commands(&now.odometry);
             let way = robot.inverse().compose(&back_to);
             if way.x_m().hypot(way.y_m()) > BACK_M {
-                return self.steering.steer(way.y_m().atan2(way.x_m()), elapsed_s, &self.settings.steering);
+                // Backwards, the way that it came: it turns enough as it is.
+                let error_rad = (-way.y_m()).atan2(-way.x_m());
+                let [speed_m_s, turn_rad_s] =
+                    self.steering.steer(error_rad, elapsed_s, &self.settings.steering);
+                return [-speed_m_s, turn_rad_s];
             }
         }
         looks.back_to = None;
-        looks.turned_rad += turned_rad;
         let supervision = &self.settings.supervision;
+        // On as it turned on the way back, so that it sees first what it has not seen.
+        let to_the_right = looks.turned_rad < -TURNED_RAD;
         let turn_rad_s = if looks.turned_rad.abs() >= supervision.spin_rad {
             0.0
         } else if promising {
@@ -460,7 +553,7 @@ impl Navigator {
         } else {
             supervision.spin_rad_s
         };
-        [0.0, turn_rad_s]
+        [0.0, if to_the_right { -turn_rad_s } else { turn_rad_s }]
     }
 
     /// At the first point of the local path that is far enough away.
@@ -475,14 +568,35 @@ impl Navigator {
         let here = Vector2::new(robot.x_m(), robot.y_m());
         let end_m = journey.path.points().last().map_or(0.0, |end| (end - here).norm());
         if journey.path.left_m(journey.progress) <= settings.arrived_m && end_m <= settings.rejoin_m {
-            self.task = Task::Arrived;
-            return ([0.0; 2], Status::Arrived, None);
+            let goal = journey.goal;
+            self.steering.reset();
+            return if let Some(heading_rad) = self.facing_rad {
+                self.task = Task::Face { goal, heading_rad };
+                ([0.0; 2], status, Some(heading_rad))
+            } else {
+                self.task = Task::Arrived;
+                ([0.0; 2], Status::Arrived, None)
+            };
         }
         let to_target = journey.local.target(&robot, settings.target_m) - here;
         let heading_rad = to_target.y.atan2(to_target.x);
         let error_rad = PlanarPose::new(0.0, 0.0, heading_rad - robot.heading_rad()).heading_rad();
         let motion = self.steering.steer(error_rad, elapsed_s, &self.settings.steering);
         (motion, status, Some(heading_rad))
+    }
+
+    /// Turns on the spot.
+    fn face(&mut self, heading_rad: f64, elapsed_s: f64) -> ([f64; 2], Status, Option<f64>) {
+        let status = self.following();
+        let Some(estimate) = self.estimate() else { return ([0.0; 2], Status::Lost, None) };
+        let robot = self.allowing_for_commands(&estimate.pose);
+        let error_rad = PlanarPose::new(0.0, 0.0, heading_rad - robot.heading_rad()).heading_rad();
+        if error_rad.abs() <= FACED_RAD {
+            self.task = Task::Arrived;
+            return ([0.0; 2], Status::Arrived, None);
+        }
+        let [_, turn_rad_s] = self.steering.steer(error_rad, elapsed_s, &self.settings.steering);
+        ([0.0, turn_rad_s], status, Some(heading_rad))
     }
 
     fn following(&self) -> Status {
@@ -525,6 +639,12 @@ impl Navigator {
 
 /// A robot that is so near to where it went back to is there.
 const BACK_M: f64 = 0.1;
+
+/// A robot looks to where it should within this.
+const FACED_RAD: f64 = 0.03;
+
+/// Less than this is no turn.
+const TURNED_RAD: f64 = 0.2;
 
 /// Commands that are kept for a robot that says which one it obeys, at most.
 const MOST_ON_THE_WAY: usize = 256;

@@ -6,13 +6,15 @@ use std::collections::VecDeque;
 
 use nalgebra::{Matrix3, Vector3};
 use proptest::prelude::*;
-use topomap::navigation::planning::{Travel, Waypoint};
+use topomap::navigation::localization::Glimpses;
+use topomap::navigation::planning::{PlanError, Travel, Waypoint};
 use topomap::navigation::{
     Closure, Driver, Goal, Guidance, Look, MapPosition, NavigationSettings, Navigator, Route, Seen, Sight,
     Status, VelocityCommand, WheelReport,
 };
 use topomap::odometry::Odometry;
 use topomap::relaxation::{PlanarPose, Pose};
+use topomap::verification::VerificationSettings;
 
 const STEP_NS: i64 = 50_000_000;
 const STEPS_PER_FRAME: u64 = 10;
@@ -30,9 +32,13 @@ enum Fixes {
 }
 
 /// A robot whose wheels are off, a line of 12 m along x, and a link.
+#[derive(Clone)]
 struct World {
     /// Of each closure.
     evidence: f64,
+    /// Whether it sees what was taught.
+    knows: bool,
+    driver: Driver,
     truth: PlanarPose,
     wheels: PlanarPose,
     drift_rad_per_m: f64,
@@ -53,6 +59,8 @@ struct World {
 
 const LENGTH_M: f64 = 12.0;
 
+const NOTHING: Glimpses = [None; VerificationSettings::MAX_CANDIDATES];
+
 fn route() -> Route {
     let waypoint = |place: u32| {
         let pose = PlanarPose::new(0.5 * f64::from(place), 0.0, 0.0);
@@ -72,6 +80,8 @@ impl World {
         navigator.go_to(Goal::Place(24));
         Self {
             evidence: 100.0,
+            knows: true,
+            driver: Driver::Commands,
             truth: start,
             wheels: PlanarPose::identity(),
             drift_rad_per_m: 0.0,
@@ -148,16 +158,17 @@ impl World {
             stamp_ns: self.stamp_ns(),
             odometry: odometry(&self.wheels),
             obeyed,
-            driver: Driver::Commands,
+            driver: self.driver,
         };
         self.reports.push_back((self.step + self.delay_steps, report));
         if sees && self.step.is_multiple_of(STEPS_PER_FRAME) {
-            let sight = Sight::Closure(self.closure());
+            let sight = if self.knows { Sight::Closure(self.closure()) } else { Sight::Unknown };
+            let evidence = if self.knows { 100.0 } else { 0.0 };
             let episode = self.navigator.episode();
             let (stamp_ns, odometry) = (self.stamp_ns(), Some(self.wheels));
             self.looks.push_back((
                 self.step + self.delay_steps,
-                Look { stamp_ns, odometry, sight, evidence: 100.0, episode },
+                Look { stamp_ns, odometry, sight, evidence, glimpses: NOTHING, episode },
             ));
         }
         self.serve();
@@ -320,7 +331,8 @@ fn carried_off_it_forgets_finds_out_and_wants_another_plan() {
     assert_eq!(world.status(), Status::Arrived);
     // What was under way from before is not listened to.
     let sight = Sight::Closure(world.closure());
-    let old = Look { stamp_ns: 1 << 50, odometry: Some(world.wheels), sight, evidence: 0.0, episode };
+    let (stamp_ns, odometry) = (1 << 50, Some(world.wheels));
+    let old = Look { stamp_ns, odometry, sight, evidence: 0.0, glimpses: NOTHING, episode };
     assert_eq!(world.navigator.see(&old), Seen::Stale);
 }
 
@@ -364,4 +376,96 @@ fn a_reflex_is_told_of_and_a_cancelled_robot_stands() {
         (Status::Idle, 0.0, 0.0)
     );
     assert!(guidance.localization.is_some() && world.navigator.path().is_none());
+}
+
+#[test]
+fn a_goal_may_say_where_to_look() {
+    for heading_rad in [-2.5, -0.6, 0.0, 1.2, 3.1] {
+        let mut world = World::new(PlanarPose::new(0.2, 0.1, 0.0), Fixes::Perfect);
+        world.drift_rad_per_m = 0.05;
+        world.navigator.go_to_facing(Goal::Place(24), heading_rad).unwrap();
+        world.run(1500);
+        (0..20).for_each(|_| world.advance(true, true));
+        assert_eq!(world.status(), Status::Arrived);
+        let off = PlanarPose::new(0.0, 0.0, world.truth.heading_rad() - heading_rad).heading_rad();
+        assert!(off.abs() < 0.1 && (world.truth.x_m() - LENGTH_M).abs() < 0.15, "{:?}", world.truth);
+    }
+    let mut world = World::new(PlanarPose::new(0.2, 0.1, 0.0), Fixes::Perfect);
+    assert_eq!(world.navigator.go_to_facing(Goal::Place(24), f64::NAN), Err(PlanError::NotFinite));
+}
+
+/// It looks away from what was taught as it turns to where it is to look: that is no reason to be lost.
+#[test]
+fn views_that_are_not_those_of_the_way_say_nothing_while_it_is_not_on_it() {
+    let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+    world.navigator.go_to_facing(Goal::Place(24), 3.0).unwrap();
+    while world.truth.heading_rad().abs() < 0.5 {
+        world.advance(true, true);
+        assert!(world.step < 2000);
+    }
+    world.knows = false;
+    for _ in 0..400 {
+        world.advance(true, true);
+        assert_ne!(world.status(), Status::Lost);
+    }
+    assert_eq!(world.status(), Status::Arrived);
+    assert!(world.navigator.localization().is_some());
+}
+
+#[test]
+fn on_its_way_it_is_lost_where_nothing_is_known_and_goes_back_as_it_came() {
+    let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+    world.run(150);
+    world.knows = false;
+    let knew_x_m = world.truth.x_m();
+    while world.status() != Status::Lost {
+        world.advance(true, true);
+        assert!(world.step < 400);
+    }
+    assert!(world.truth.x_m() - knew_x_m > 0.5);
+    let (first, looked_to) = (world.commands.len(), world.truth.heading_rad());
+    while world.truth.x_m() > knew_x_m + 0.2 {
+        world.advance(true, true);
+        assert!((world.truth.heading_rad() - looked_to).abs() < 0.1 && world.step < 1000);
+    }
+    assert!(world.commands[first..].iter().any(|command| command.forward_m_s < 0.0));
+    world.knows = true;
+    world.run(1500);
+    assert_eq!(world.status(), Status::Arrived);
+}
+
+#[test]
+fn somebody_who_stands_before_it_for_a_while_does_not_make_it_lost() {
+    let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+    world.run(150);
+    world.knows = false;
+    let steps = |looks: u32| u64::from(looks) * STEPS_PER_FRAME;
+    let standing = NavigationSettings::default().supervision.unknown_looks_standing;
+    for _ in 0..steps(standing - 2) {
+        world.advance(true, false);
+        assert_ne!(world.status(), Status::Lost);
+    }
+    let mut left = world.clone();
+    world.knows = true;
+    world.run(1500);
+    assert_eq!(world.status(), Status::Arrived);
+    // Who never goes away has been mistaken for a wall.
+    left.knows = false;
+    for _ in 0..steps(4) {
+        left.advance(true, false);
+    }
+    assert_eq!(left.status(), Status::Lost);
+}
+
+#[test]
+fn its_reflex_may_turn_it_away_for_a_while() {
+    let drive = |driver: Driver| {
+        let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+        world.run(150);
+        (world.knows, world.driver) = (false, driver);
+        let looks = NavigationSettings::default().supervision.unknown_looks + 2;
+        (0..u64::from(looks) * STEPS_PER_FRAME).for_each(|_| world.advance(true, true));
+        world.navigator.localization().is_some()
+    };
+    assert!(drive(Driver::Reflex) && !drive(Driver::Commands));
 }

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use topomap::navigation::NavigationSettings;
-use waypost_eval::choices::{NAVIGATION_TRIALS, name_of};
-use waypost_eval::commands::navigate::{self, Conditions, NavigateOptions, Trial};
+use waypost_eval::choices::{LIGHTINGS, NAVIGATION_TRIALS, name_of};
+use waypost_eval::commands::navigate::{self, Conditions, Lighting, NavigateOptions, Trial};
 use waypost_eval::error::EvalError;
 use waypost_sim::worlds::NamedWorld;
 
@@ -24,7 +24,7 @@ pub(crate) struct NavigateArguments {
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     /// What the robot is to do: drive the way again; go to its end without the detour in it; drive on images every 40 cm
-    /// what was taught every 5 cm; be carried off and find out.
+    /// what was taught every 5 cm; be carried off and find out; drive the way again and look some other way at its end.
     #[arg(long, value_parser = choice(NAVIGATION_TRIALS), default_value = name_of(NAVIGATION_TRIALS, &Trial::default()))]
     trial: Trial,
     /// The world.
@@ -45,6 +45,12 @@ pub(crate) struct NavigateArguments {
     /// How long no image is sent, once on the way, in seconds.
     #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = seconds)]
     blind: f64,
+    /// People beside the way, who come and stand before the robot for a while.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=20))]
+    people: u32,
+    /// The light in which the way is driven again.
+    #[arg(long, value_parser = choice(LIGHTINGS), default_value = name_of(LIGHTINGS, &Lighting::default()))]
+    light: Lighting,
     /// The model file; without it, a model is trained on drives in other worlds.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -58,8 +64,24 @@ pub(crate) struct NavigateArguments {
 
 impl NavigateArguments {
     pub(crate) fn run(self) -> Result<(), EvalError> {
-        let Self { trials, seed, trial, world, route, drop, delay, jitter, blind, model, out, json } = self;
-        let conditions = Conditions { drop, delay_s: delay, jitter_s: jitter, blind_s: blind };
+        let Self {
+            trials,
+            seed,
+            trial,
+            world,
+            route,
+            drop,
+            delay,
+            jitter,
+            blind,
+            people,
+            light,
+            model,
+            out,
+            json,
+        } = self;
+        let conditions =
+            Conditions { drop, delay_s: delay, jitter_s: jitter, blind_s: blind, people, lighting: light };
         let settings = NavigationSettings::default();
         let options = NavigateOptions { trial, trials, seed, world, route, conditions, settings, model, out };
         print_if(json, &navigate::run(&options)?)

@@ -16,6 +16,7 @@ use serde::Serialize;
 use topomap::mapper::MapperSettings;
 use topomap::odometry::OdometryError;
 use waypost_sim::camera::CameraError;
+use waypost_sim::people::PersonError;
 use waypost_sim::range::OutOfRange;
 use waypost_sim::robot::WheelErrors;
 use waypost_sim::route::RouteError;
@@ -152,6 +153,9 @@ pub enum MapError {
     /// The camera cannot be.
     #[error(transparent)]
     Camera(#[from] CameraError),
+    /// There is no room for a person.
+    #[error(transparent)]
+    Person(#[from] PersonError),
     /// The robot does not fit.
     #[error(transparent)]
     Blocked(#[from] RouteError),
@@ -190,6 +194,7 @@ impl MapError {
         match self {
             MapError::Route { .. } | MapError::SeedOfTraining | MapError::OutOfRange(_) => 2,
             MapError::Camera(_)
+            | MapError::Person(_)
             | MapError::Blocked(_)
             | MapError::Simulation(_)
             | MapError::Drive(_)

@@ -56,6 +56,8 @@ pub enum Trial {
     Sparse,
     /// Be carried off on the way, put down elsewhere on it, and find out.
     Kidnapped,
+    /// Drive the way again, and look some other way at its end.
+    Facing,
 }
 
 /// What lies between robot and server.
@@ -69,6 +71,20 @@ pub struct Conditions {
     pub jitter_s: f64,
     /// For how long nothing is seen, once on the way, in seconds.
     pub blind_s: f64,
+    /// People beside the way: they come and stand before the robot, and go again.
+    pub people: u32,
+    /// Light of the day on which the way is driven again.
+    pub lighting: Lighting,
+}
+
+/// Light of a day.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Lighting {
+    /// As when the way was taught.
+    #[default]
+    AsTaught,
+    /// Drawn: within 30 % as bright, other lamps, from elsewhere.
+    Another,
 }
 
 /// Drives and judges.
@@ -117,7 +133,7 @@ fn trial(
     let seen = repeat::repeat(options, seed, &taught, (model, extractor), Vision::All)?;
     let by_wheels: Option<Drive> = match options.trial {
         Trial::Kidnapped => None,
-        Trial::Repeat | Trial::Shortcut | Trial::Sparse => {
+        Trial::Repeat | Trial::Shortcut | Trial::Sparse | Trial::Facing => {
             Some(repeat::repeat(options, seed, &taught, (model, extractor), Vision::OnlyBeforeStarting)?)
         }
     };

@@ -5,12 +5,13 @@ use fabmap::recognizer::StageObserver;
 use nalgebra::{Matrix2, Matrix3, Matrix3x5, Matrix5, Vector2, Vector3, Vector5};
 
 use super::planning::MapPosition;
+use super::search::Search;
 use super::settings::LocalizationSettings;
 use crate::event::{FrameEvent, FrameId, Reason};
 use crate::mapper::{Decided, FrameArchive, FrameError, FrameInput, Localizer, Mapper};
 use crate::relative_pose::{ClosureNoise, RelativePose};
 use crate::relaxation::{PlanarPose, Pose};
-use crate::verification::{Candidate, Motion, TwoView, Views};
+use crate::verification::{Candidate, Motion, TwoView, VerificationSettings, Views};
 
 /// Recognises a map's places for a robot that drives along it, and changes nothing of the map.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -30,9 +31,15 @@ pub struct Look {
     pub sight: Sight,
     /// What speaks for the place that most speaks for, recognised or not, in inliers: see [`Candidate::evidence`].
     pub evidence: f64,
+    /// Each view that it was compared with and that something speaks for, recognised or not: that two views of one scene
+    /// are alike says where the robot may be.
+    pub glimpses: Glimpses,
     /// See [`super::Navigator::episode`].
     pub episode: u64,
 }
+
+/// Where a frame may have been taken.
+pub type Glimpses = [Option<Closure>; VerificationSettings::MAX_CANDIDATES];
 
 /// What a frame shows of the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,7 +76,7 @@ impl Closure {
     /// Whether it may tell a robot where it is which does not know: from near, by these two views alone, and looking much
     /// the same way. What the frames before say does not count: a robot that stands and looks says the same again and
     /// again.
-    fn tells_where(&self, settings: &LocalizationSettings) -> bool {
+    pub(super) fn tells_where(&self, settings: &LocalizationSettings) -> bool {
         self.evidence.is_none_or(|evidence| evidence >= settings.found_evidence)
             && self.covariance[(0, 0)].sqrt() <= settings.found_along_m
             && self.from_view.heading_rad().abs() <= settings.found_turn_rad
@@ -100,6 +107,7 @@ impl Lookout {
         let localizer = if episode == self.episode { &self.localizer } else { &fresh };
         let Decided { event, .. } = mapper.localize(localizer, input, archive, views, observer)?;
         let closure = closure(mapper, &event, archive, views, settings)?;
+        let glimpses = glimpses(mapper, &event, archive, views, settings)?;
         if episode != self.episode {
             *self = Self { localizer: fresh, episode };
         }
@@ -118,7 +126,7 @@ impl Lookout {
             ) => Sight::Unknown,
         };
         let evidence = event.candidates.iter().map(Candidate::evidence).fold(0.0, f64::max);
-        Ok(Look { stamp_ns: event.stamp_ns, odometry, sight, evidence, episode })
+        Ok(Look { stamp_ns: event.stamp_ns, odometry, sight, evidence, glimpses, episode })
     }
 }
 
@@ -131,6 +139,37 @@ fn closure(
     settings: &LocalizationSettings,
 ) -> Result<Option<Closure>, FrameError> {
     let Some(candidate) = mapper.nearest_view(&event.candidates) else { return Ok(None) };
+    // Where a robot has just been carried off, the frames before speak for where it was.
+    if candidate.view.is_some() && candidate.own_evidence() < settings.least_evidence {
+        return Ok(None);
+    }
+    located(mapper, candidate, archive, views, settings)
+}
+
+fn glimpses(
+    mapper: &Mapper,
+    event: &FrameEvent,
+    archive: &dyn FrameArchive,
+    views: &dyn Views,
+    settings: &LocalizationSettings,
+) -> Result<Glimpses, FrameError> {
+    let mut glimpses = [None; VerificationSettings::MAX_CANDIDATES];
+    for (glimpse, candidate) in glimpses.iter_mut().zip(&event.candidates) {
+        if candidate.own_evidence() > 0.0 {
+            *glimpse = located(mapper, candidate, archive, views, settings)?;
+        }
+    }
+    Ok(glimpses)
+}
+
+/// Where the robot is if it is a candidate that it sees.
+fn located(
+    mapper: &Mapper,
+    candidate: &Candidate,
+    archive: &dyn FrameArchive,
+    views: &dyn Views,
+    settings: &LocalizationSettings,
+) -> Result<Option<Closure>, FrameError> {
     let matched = candidate.matched;
     let at_frame = archive.at(matched.frame)?.unwrap_or_else(RelativePose::none);
     let poses = mapper.poses();
@@ -143,10 +182,6 @@ fn closure(
     let at = MapPosition { part, pose: place.compose(at_frame.pose()).compose(&turn) };
     let (place, frame, probability) = (matched.place, matched.frame, candidate.probability());
     let evidence = candidate.view.as_ref().map(TwoView::evidence);
-    // Where a robot has just been carried off, the frames before speak for where it was.
-    if evidence.is_some_and(|evidence| evidence < settings.least_evidence) {
-        return Ok(None);
-    }
     Ok(Some(Closure { place, frame, at, from_view: turn, covariance, probability, evidence }))
 }
 
@@ -190,6 +225,7 @@ pub(super) struct PoseFilter {
     fix: Option<Fix>,
     wheels: Wheels,
     unconfirmed: Option<Unconfirmed>,
+    search: Search,
 }
 
 /// What was believed at a closure.
@@ -272,7 +308,7 @@ impl PoseFilter {
         let sigmas = Vector2::new(settings.drift_sigma_rad_per_m, settings.scale_sigma);
         let covariance = Matrix2::from_diagonal(&sigmas.map(|sigma| sigma * sigma));
         let wheels = Wheels { drift_rad_per_m: 0.0, scale: 0.0, covariance };
-        Self { fix: None, wheels, unconfirmed: None }
+        Self { fix: None, wheels, unconfirmed: None, search: Search::default() }
     }
 
     /// The robot may be anywhere; its wheels are still the same.
@@ -281,11 +317,12 @@ impl PoseFilter {
             self.wheels.covariance = fix.covariance.fixed_view::<2, 2>(3, 3).into_owned();
         }
         self.unconfirmed = None;
+        self.search = Search::default();
     }
 
-    /// Whether a closure waits for another one that agrees.
+    /// Whether the last frame showed clearly where it was taken, and waits for others that agree.
     pub(super) fn is_confirming(&self) -> bool {
-        self.unconfirmed.is_some()
+        self.search.is_promising()
     }
 
     /// Where the robot is when its wheels say `odometry`.
@@ -297,25 +334,25 @@ impl PoseFilter {
         Some(Estimate { part, node, probability, closed_ns, pose, covariance })
     }
 
-    /// Takes a closure in.
+    /// Takes in what a frame showed.
     pub(super) fn see(
         &mut self,
-        closure: &Closure,
+        (closure, glimpses): (Option<&Closure>, &Glimpses),
         (stamp_ns, odometry): (i64, &PlanarPose),
         settings: &LocalizationSettings,
     ) -> Seen {
         let Some(fix) = &self.fix else {
-            if !closure.tells_where(settings) {
-                return Seen::Unconfirmed;
-            }
-            return if self.confirm(closure, odometry, settings) >= settings.confirmations {
-                self.unconfirmed = None;
-                self.fix = Some(Fix::of(closure, (stamp_ns, odometry), &self.wheels));
-                Seen::Found
-            } else {
-                Seen::Unconfirmed
+            return match self.search.see(odometry, closure, glimpses, settings) {
+                Some(found) => {
+                    self.forget();
+                    self.fix = Some(Fix::of(&found, (stamp_ns, odometry), &self.wheels));
+                    Seen::Found
+                }
+                None if closure.is_some() => Seen::Unconfirmed,
+                None => Seen::Nothing,
             };
         };
+        let Some(closure) = closure else { return Seen::Nothing };
         if stamp_ns <= fix.stamp_ns {
             return Seen::Stale;
         }
@@ -497,6 +534,17 @@ mod tests {
         Closure { place: 0, frame: 1, at, from_view, covariance, probability: 0.99, evidence: Some(100.0) }
     }
 
+    fn see(
+        filter: &mut PoseFilter,
+        closure: &Closure,
+        when: (i64, &PlanarPose),
+        settings: &LocalizationSettings,
+    ) -> Seen {
+        let mut glimpses = [None; VerificationSettings::MAX_CANDIDATES];
+        glimpses[0] = Some(*closure);
+        filter.see((Some(closure), &glimpses), when, settings)
+    }
+
     /// A drive along a wavy way: truth and wheels that are off by `drift_rad_per_m` and `scale`.
     fn drive(drift_rad_per_m: f64, scale: f64) -> Vec<(i64, PlanarPose, PlanarPose)> {
         let (mut truth, mut wheels) = (PlanarPose::new(3.0, 1.0, 0.5), PlanarPose::identity());
@@ -518,7 +566,7 @@ mod tests {
         let needed = settings.confirmations as usize;
         for (number, (stamp_ns, truth, wheels)) in drive[..needed].iter().enumerate() {
             let expected = if number + 1 < needed { Seen::Unconfirmed } else { Seen::Found };
-            assert_eq!(filter.see(&closure(*truth), (*stamp_ns, wheels), settings), expected);
+            assert_eq!(see(&mut filter, &closure(*truth), (*stamp_ns, wheels), settings), expected);
         }
         filter
     }
@@ -532,7 +580,7 @@ mod tests {
             let mut filter = found(&settings, &drive);
             let (seen, blind) = drive[settings.confirmations as usize..].split_at(900);
             for (stamp_ns, truth, wheels) in seen.iter().step_by(10) {
-                prop_assert_eq!(filter.see(&closure(*truth), (*stamp_ns, wheels), &settings), Seen::Corrected);
+                prop_assert_eq!(see(&mut filter, &closure(*truth), (*stamp_ns, wheels), &settings), Seen::Corrected);
             }
             prop_assert!((filter.wheels.drift_rad_per_m - drift).abs() < 0.01, "{:?}", filter.wheels);
             prop_assert!((filter.wheels.scale - scale).abs() < 0.03, "{:?}", filter.wheels);
@@ -548,13 +596,13 @@ mod tests {
             let (settings, drive) = (LocalizationSettings::default(), drive(0.05, 0.02));
             let mut filter = found(&settings, &drive);
             let (stamp_ns, truth, wheels) = drive[at];
-            prop_assert_eq!(filter.see(&closure(truth), (stamp_ns, &wheels), &settings), Seen::Corrected);
+            prop_assert_eq!(see(&mut filter, &closure(truth), (stamp_ns, &wheels), &settings), Seen::Corrected);
             let later = drive[at + late].2;
             let told = filter.at(&later, &settings).unwrap();
             prop_assert!(told.position_sigma_m() > filter.at(&wheels, &settings).unwrap().position_sigma_m());
             // Older ones count no more.
             let (stamp_ns, truth, wheels) = drive[at - 5];
-            prop_assert_eq!(filter.see(&closure(truth), (stamp_ns, &wheels), &settings), Seen::Stale);
+            prop_assert_eq!(see(&mut filter, &closure(truth), (stamp_ns, &wheels), &settings), Seen::Stale);
             prop_assert_eq!(filter.at(&later, &settings), Some(told));
         }
     }
@@ -568,7 +616,7 @@ mod tests {
             let (stamp_ns, truth, wheels) = &drive[index];
             // Views that do not tell a lost robot where it is: these two views say little.
             let weak = Closure { evidence: Some(settings.least_evidence), ..closure(jump.compose(truth)) };
-            filter.see(&weak, (*stamp_ns, wheels), &settings)
+            super::tests::see(filter, &weak, (*stamp_ns, wheels), &settings)
         };
         assert_eq!(see(&mut filter, 10, &elsewhere), Seen::Unconfirmed);
         assert_eq!(see(&mut filter, 20, &PlanarPose::identity()), Seen::Corrected);
@@ -594,7 +642,10 @@ mod tests {
         let mut see = |index: usize, evidence: f64| {
             let (stamp_ns, truth, wheels) = &drive[index];
             let closure = Closure { evidence: Some(evidence), ..closure(elsewhere.compose(truth)) };
-            (filter.see(&closure, (*stamp_ns, wheels), &settings), filter.at(wheels, &settings))
+            (
+                super::tests::see(&mut filter, &closure, (*stamp_ns, wheels), &settings),
+                filter.at(wheels, &settings),
+            )
         };
         for number in 1..settings.confirmations as usize {
             assert_eq!(see(10 + number, settings.found_evidence).0, Seen::Unconfirmed);
@@ -607,7 +658,10 @@ mod tests {
         let mut lost = PoseFilter::new(&settings);
         for (stamp_ns, truth, wheels) in &drive[..20] {
             let weak = Closure { evidence: Some(settings.found_evidence - 1.0), ..closure(*truth) };
-            assert_eq!(lost.see(&weak, (*stamp_ns, wheels), &settings), Seen::Unconfirmed);
+            assert_eq!(
+                super::tests::see(&mut lost, &weak, (*stamp_ns, wheels), &settings),
+                Seen::Unconfirmed
+            );
         }
         assert_eq!(lost.at(&drive[20].2, &settings), None);
     }

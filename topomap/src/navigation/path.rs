@@ -86,6 +86,15 @@ impl GlobalPath {
         LocalPath { global: Arc::clone(self), line, rejoins, target: 0 }
     }
 
+    /// How far a robot is from the nearest point, in metres, and how far it looks away from how the path leads on there, in
+    /// radians.
+    pub(super) fn away(&self, robot: &PlanarPose, around: usize, window_m: f64) -> (f64, f64) {
+        let nearest = self.nearest(robot, around, window_m);
+        let here = Vector2::new(robot.x_m(), robot.y_m());
+        let leads_on = self.direction(nearest);
+        ((self.points[nearest] - here).norm(), leads_on.angle(&direction(robot.heading_rad())))
+    }
+
     fn steps(&self, length_m: f64) -> usize {
         (length_m / self.spacing_m).round() as usize
     }

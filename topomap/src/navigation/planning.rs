@@ -103,8 +103,8 @@ pub enum PlanError {
         /// The setting.
         reach_m: f64,
     },
-    /// A position that is no number.
-    #[error("the goal's position is not finite; give metres in the map's frame")]
+    /// A position or a heading that is no number.
+    #[error("the goal's position or heading is not finite; give metres and radians in the map's frame")]
     NotFinite,
 }
 

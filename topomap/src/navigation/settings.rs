@@ -56,6 +56,11 @@ pub struct LocalizationSettings {
     pub found_evidence: f64,
     /// Largest turn from the earlier view to such a closure, in radians.
     pub found_turn_rad: f64,
+    /// Least evidence of all that a robot saw while it looked all around for where that puts it, in inliers: of each
+    /// heading, in steps of 10 degrees, the most that its views alone have.
+    pub search_evidence: f64,
+    /// Most that may speak for anywhere else, as a share of that.
+    pub search_rival: f64,
     /// How far two closures in agreement may disagree, in metres.
     pub agreement_m: f64,
     /// The same of headings, in radians.
@@ -134,8 +139,15 @@ pub struct SupervisionSettings {
     pub lost_sigma_m: f64,
     /// Way without a closure at which it is lost, in metres.
     pub lost_m: f64,
-    /// Frames in a row at which it is lost that show something, and nothing known; at least 1.
+    /// Frames without a closure at which it is lost that show something, and nothing known, where it should be known, as it
+    /// drives on; at least 1.
     pub unknown_looks: u32,
+    /// The same while it does not move: somebody stands before it; at least 1.
+    pub unknown_looks_standing: u32,
+    /// How near to its way a robot recognises it, in metres.
+    pub near_m: f64,
+    /// How far it may look away from it for that, in radians.
+    pub near_rad: f64,
     /// How fast it turns to look around, in rad/s.
     pub spin_rad_s: f64,
     /// How fast while a closure waits to be confirmed, or something speaks for a place, in rad/s.
@@ -172,8 +184,10 @@ impl Default for LocalizationSettings {
             least_evidence: 30.0,
             confirmations: 3,
             found_along_m: 0.6,
-            found_evidence: 60.0,
+            found_evidence: 100.0,
             found_turn_rad: 0.6,
+            search_evidence: 100.0,
+            search_rival: 0.4,
             agreement_m: 0.8,
             agreement_rad: 0.35,
         }
@@ -216,6 +230,9 @@ impl Default for SupervisionSettings {
             lost_sigma_m: 0.8,
             lost_m: 6.0,
             unknown_looks: 6,
+            unknown_looks_standing: 24,
+            near_m: 0.5,
+            near_rad: 0.5,
             spin_rad_s: 0.25,
             confirming_rad_s: 0.1,
             promising_evidence: 40.0,
@@ -286,6 +303,8 @@ impl LocalizationSettings {
             ("found_along_m", self.found_along_m, 1e-3, 100.0),
             ("found_evidence", self.found_evidence, 0.0, 1e6),
             ("found_turn_rad", self.found_turn_rad, 1e-3, 3.2),
+            ("search_evidence", self.search_evidence, 0.0, 1e6),
+            ("search_rival", self.search_rival, 0.0, 1.0),
             ("agreement_m", self.agreement_m, 0.01, 10.0),
             ("agreement_rad", self.agreement_rad, 0.01, 3.2),
         ]
@@ -342,6 +361,9 @@ impl SupervisionSettings {
             ("lost_sigma_m", self.lost_sigma_m, 0.01, 1000.0),
             ("lost_m", self.lost_m, 0.01, 1e6),
             ("unknown_looks", f64::from(self.unknown_looks), 1.0, 1e6),
+            ("unknown_looks_standing", f64::from(self.unknown_looks_standing), 1.0, 1e6),
+            ("near_m", self.near_m, 0.01, 100.0),
+            ("near_rad", self.near_rad, 0.01, 3.2),
             ("spin_rad_s", self.spin_rad_s, 0.01, 10.0),
             ("confirming_rad_s", self.confirming_rad_s, 0.0, 10.0),
             ("promising_evidence", self.promising_evidence, 0.0, 1e6),

@@ -7,7 +7,7 @@ use super::settings::SteeringSettings;
 pub struct VelocityCommand {
     /// Rises by one with each command; a robot tells with its odometry which one it obeys.
     pub number: u64,
-    /// Speed ahead, in m/s.
+    /// Speed ahead, in m/s; below 0 where a lost robot goes back as it came.
     pub forward_m_s: f64,
     /// Turn to the left, in rad/s.
     pub turn_rad_s: f64,

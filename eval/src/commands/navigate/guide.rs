@@ -1,12 +1,14 @@
 //! What a server does for a robot that it leads, in process.
 
+use fabmap::appearance::PlaceId;
 use fabmap::model::Model;
 use topomap::mapper::{FrameInput, Localizer};
 use topomap::navigation::planning::plan;
 use topomap::navigation::{
-    Goal, Guidance, Look, Lookout, NavigationSettings, Navigator, PlanError, Seen, WheelReport,
+    Goal, Guidance, Look, Lookout, MapPosition, NavigationSettings, Navigator, PlanError, Seen, WheelReport,
 };
 use topomap::odometry::Odometry;
+use topomap::relaxation::{PlanarPose, Pose as _};
 use waypost_sim::render::Shot;
 use waypost_vision::features::Extractor;
 use waypost_vision::verification::{Pinhole, Verifier};
@@ -37,10 +39,17 @@ impl<'a> Guide<'a> {
         taught: &'a Taught,
         (model, extractor): (&'a Model, Extractor),
         settings: NavigationSettings,
+        facing_rad: Option<f64>,
     ) -> Result<Self, EvalError> {
         let verifier = Verifier::new(taught.mapped.mapper.settings().verification, 0);
         let mut navigator = Navigator::new(settings)?;
-        navigator.go_to(Goal::Place(taught.goal));
+        let goal = Goal::Place(taught.goal);
+        match (facing_rad, taught.mapped.mapper.poses().pose(taught.goal)) {
+            (Some(facing_rad), Some(pose)) => {
+                navigator.go_to_facing(goal, pose.heading_rad() + facing_rad)?;
+            }
+            (Some(_) | None, Some(_) | None) => navigator.go_to(goal),
+        }
         let (lookout, looks, planned_m) = (Lookout::new(), 0, None);
         Ok(Self { taught, model, extractor, verifier, lookout, navigator, settings, looks, planned_m })
     }
@@ -81,6 +90,15 @@ impl<'a> Guide<'a> {
         let guidance = self.navigator.drive(report, now_ns);
         self.plan()?;
         Ok(guidance)
+    }
+
+    /// Where the robot is believed to be, in the frame of the place that is believed to be nearest.
+    pub(super) fn believed(&self) -> Option<(PlaceId, PlanarPose)> {
+        let MapPosition { part, pose } = self.navigator.localization()?.at;
+        let poses = self.taught.mapped.mapper.poses();
+        let of_part = (0..).zip(poses.poses()).filter(|&(place, _)| poses.part(place) == Some(part));
+        let apart = of_part.map(|(place, origin)| (place, origin.inverse().compose(&pose)));
+        apart.min_by(|(_, a), (_, b)| a.x_m().hypot(a.y_m()).total_cmp(&b.x_m().hypot(b.y_m())))
     }
 
     fn plan(&mut self) -> Result<(), EvalError> {

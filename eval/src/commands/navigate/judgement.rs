@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector2;
 use serde::Serialize;
 use topomap::navigation::{Seen, Status};
+use topomap::relaxation::{PlanarPose, Pose as _};
 
 use super::repeat::{Drive, FALSE_M, FALSE_RAD, name};
 use super::teaching::Taught;
@@ -83,6 +84,9 @@ pub struct NavigateRun {
     pub seed: u64,
     /// Whether it arrived.
     pub arrived: bool,
+    /// How far off it looked at the end, in degrees, if it was told where to look.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub facing_error_deg: Option<f64>,
     /// What the robot said at the end.
     pub status: &'static str,
     /// Mean.
@@ -152,6 +156,9 @@ pub struct KidnappingRun {
 /// How far from the goal a robot may end: a place's spacing.
 const ARRIVED_M: f64 = 0.5;
 
+/// How far off it may look there, if it was told where to look.
+const FACING_RAD: f64 = 0.175;
+
 const SAMPLE_M: f64 = 0.05;
 
 impl NavigateRun {
@@ -183,6 +190,7 @@ impl NavigateRun {
         Self {
             seed,
             arrived: arrived(seen, taught),
+            facing_error_deg: facing_error_rad(seen, taught).map(f64::to_degrees),
             status: seen.status.map_or("none", name),
             cross_track_m_mean: mean(&errors),
             cross_track_m_p95: quantile(errors.clone(), 0.95).unwrap_or(0.0),
@@ -212,7 +220,17 @@ impl NavigateRun {
 }
 
 fn arrived(drive: &Drive, taught: &Taught) -> bool {
-    drive.status == Some(Status::Arrived) && goal_error_m(drive, taught) <= ARRIVED_M
+    drive.status == Some(Status::Arrived)
+        && goal_error_m(drive, taught) <= ARRIVED_M
+        && facing_error_rad(drive, taught).is_none_or(|radians| radians <= FACING_RAD)
+}
+
+/// Of where the robot looks at the end, if it was told where to.
+fn facing_error_rad(drive: &Drive, taught: &Taught) -> Option<f64> {
+    let turned = PlanarPose::new(0.0, 0.0, drive.facing_rad?);
+    let wanted = taught.truth_of_place(taught.goal)?.compose(&turned);
+    let ends = PlanarPose::new(0.0, 0.0, drive.end_heading_rad);
+    Some(PlanarPose::new(0.0, 0.0, wanted.heading_rad()).inverse().compose(&ends).heading_rad().abs())
 }
 
 fn goal_error_m(drive: &Drive, taught: &Taught) -> f64 {
@@ -250,6 +268,7 @@ pub(super) fn report(options: &NavigateOptions, runs: Vec<NavigateRun>) -> Navig
         Trial::Shortcut => "shortcut",
         Trial::Sparse => "sparse",
         Trial::Kidnapped => "kidnapped",
+        Trial::Facing => "facing",
     };
     NavigateReport {
         trial,

@@ -1,5 +1,7 @@
 //! The drive that follows the map: robot, link and server, in simulated time.
 
+use std::f64::consts::PI;
+
 use fabmap::model::Model;
 use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
@@ -10,7 +12,9 @@ use topomap::navigation::{
     Driver, Guidance, NavigationSettings, Seen, Sight, Status, VelocityCommand, WheelReport,
 };
 use topomap::relaxation::{PlanarPose, Pose as _};
+use waypost_sim::light::Light;
 use waypost_sim::link::{Link, LinkSettings, Order};
+use waypost_sim::people::{Behaviour, Person};
 use waypost_sim::pose::Pose;
 use waypost_sim::robot::{Command, OdometryReading, WheelErrors};
 use waypost_sim::simulation::{CameraFrame, CameraTrigger, Obedience, Simulation, SimulationSettings, Tick};
@@ -18,7 +22,7 @@ use waypost_vision::features::Extractor;
 
 use super::guide::{Guide, sent};
 use super::teaching::Taught;
-use super::{NavigateOptions, Trial};
+use super::{Lighting, NavigateOptions, Trial};
 use crate::commands::map::MapError;
 use crate::commands::map::drive::{SPEED_M_S, camera_rig, planar};
 use crate::error::EvalError;
@@ -40,6 +44,9 @@ pub(super) struct Drive {
     pub(super) seconds: f64,
     pub(super) status: Option<Status>,
     pub(super) end: [f64; 2],
+    pub(super) end_heading_rad: f64,
+    /// Where the robot was to look at the end, from how the place there was taught.
+    pub(super) facing_rad: Option<f64>,
     pub(super) planned_m: Option<f64>,
     pub(super) looks: Vec<Looked>,
     /// Seconds in each status.
@@ -76,6 +83,9 @@ pub(super) struct Kidnapping {
     /// Whether any belief after it, from the first one on, was of another place.
     pub(super) believed_elsewhere: u32,
 }
+
+/// How far from the way people wait, in metres.
+const BESIDE_M: f64 = 0.8;
 
 const PERIOD_NS: i64 = 40_000_000;
 const FRAME_PERIOD_NS: i64 = 500_000_000;
@@ -146,6 +156,7 @@ pub(super) fn repeat(
     let Course { mut drive, simulation, guide, status, .. } = course;
     let end = simulation.robot().pose();
     drive.collisions = simulation.collisions();
+    drive.end_heading_rad = end.heading_rad;
     (drive.status, drive.end, drive.planned_m) = (Some(status), [end.x_m, end.y_m], guide.planned_m);
     Ok(drive)
 }
@@ -166,9 +177,16 @@ impl<'a> Course<'a> {
             trigger: CameraTrigger::Period { period_ns: FRAME_PERIOD_NS },
             ..SimulationSettings::new(camera_rig()?)
         };
-        let simulation = Simulation::new(taught.drive.scene.clone(), taught.route.start(), settings)
+        let mut simulation = Simulation::new(taught.drive.scene.clone(), taught.route.start(), settings)
             .map_err(MapError::from)?;
         let conditions = options.conditions;
+        match conditions.lighting {
+            Lighting::AsTaught => {}
+            Lighting::Another => simulation.set_light(Light::drawn(seed)),
+        }
+        for (person, behaviour) in people(taught, conditions.people) {
+            simulation.add_person(person, behaviour).map_err(MapError::from)?;
+        }
         let ns = |seconds: f64| (seconds * 1e9) as i64;
         let link = LinkSettings {
             latency_ns: ns(conditions.delay_s),
@@ -186,12 +204,16 @@ impl<'a> Course<'a> {
         let expected_s = taught.length_m() / SPEED_M_S;
         let blind_from_ns = ns(expected_s * random.random_range(0.15..0.75));
         let kidnapped_at_m = taught.length_m() * random.random_range(0.2..0.7);
+        let facing_rad = match options.trial {
+            Trial::Facing => Some(random.random_range(-PI..PI)),
+            Trial::Repeat | Trial::Shortcut | Trial::Sparse | Trial::Kidnapped => None,
+        };
         Ok(Self {
             options,
             taught,
             vision,
             simulation,
-            guide: Guide::new(taught, model, navigation)?,
+            guide: Guide::new(taught, model, navigation, facing_rad)?,
             frames: Link::new(of_frames, 4 * seed)?,
             wheels: Link::new(link, 4 * seed + 1)?,
             commands: Link::new(link, 4 * seed + 2)?,
@@ -201,7 +223,7 @@ impl<'a> Course<'a> {
             random,
             blind_from_ns,
             kidnapped_at_m,
-            drive: Drive::default(),
+            drive: Drive { facing_rad, ..Drive::default() },
         })
     }
 
@@ -247,7 +269,10 @@ impl<'a> Course<'a> {
                 let moved = last.pose.relative(&frame.odometry.pose);
                 moved.position().norm() >= SPARSE.0 || moved.heading_rad.abs() >= SPARSE.1
             }
-            (Trial::Repeat | Trial::Shortcut | Trial::Sparse | Trial::Kidnapped, Some(_) | None) => true,
+            (
+                Trial::Repeat | Trial::Shortcut | Trial::Sparse | Trial::Kidnapped | Trial::Facing,
+                Some(_) | None,
+            ) => true,
         };
         !dark && !unwanted && dense
     }
@@ -271,17 +296,22 @@ impl<'a> Course<'a> {
         let recognised = closure.map(|closure| closure.frame);
         let position = Vector2::new(truth.x_m(), truth.y_m());
         self.drive.looks.push(Looked { position, seen, apart, on_the_way, recognised });
-        self.judge_kidnapping(frame.stamp_ns, seen, apart);
+        self.judge_kidnapping(frame.stamp_ns, seen);
         Ok(())
     }
 
-    fn judge_kidnapping(&mut self, stamp_ns: i64, seen: Seen, apart: Option<(f64, f64)>) {
+    fn judge_kidnapping(&mut self, stamp_ns: i64, seen: Seen) {
+        let robot = planar(self.simulation.robot().pose());
+        let believed = self.guide.believed().and_then(|(place, from_place)| {
+            let apart = self.taught.truth_of_place(place)?.compose(&from_place).inverse().compose(&robot);
+            Some((apart.x_m().hypot(apart.y_m()), apart.heading_rad().abs()))
+        });
         let Some(kidnapping) = &mut self.drive.kidnapping else { return };
         let seconds = stamp_ns as f64 * 1e-9;
         if seconds <= kidnapping.at_s {
             return;
         }
-        let elsewhere = apart.is_some_and(|(metres, radians)| metres > FALSE_M || radians > FALSE_RAD);
+        let elsewhere = believed.is_some_and(|(metres, radians)| metres > FALSE_M || radians > FALSE_RAD);
         match seen {
             Seen::Corrected | Seen::Found if elsewhere => kidnapping.believed_elsewhere += 1,
             Seen::Corrected | Seen::Found => {
@@ -320,7 +350,7 @@ impl<'a> Course<'a> {
         let ticks = &self.taught.drive.recording.ticks;
         loop {
             let there = ticks[self.random.random_range(0..ticks.len())].truth;
-            let heading_rad = self.random.random_range(-std::f64::consts::PI..std::f64::consts::PI);
+            let heading_rad = self.random.random_range(-PI..PI);
             if there.distance_m(&tick.truth) >= 4.0 {
                 self.simulation.kidnap(Pose { heading_rad, ..there }).map_err(MapError::from)?;
                 break;
@@ -330,6 +360,28 @@ impl<'a> Course<'a> {
         self.drive.kidnapping = Some(Kidnapping { at_s, ..Kidnapping::default() });
         Ok(())
     }
+}
+
+/// Those who wait beside the way, where there is room for them, at even distances along it.
+fn people(taught: &Taught, count: u32) -> Vec<(Person, Behaviour)> {
+    let plan = taught.drive.scene.plan();
+    let ticks = &taught.drive.recording.ticks;
+    let beside = |number: u32| {
+        let share = f64::from(number + 1) / f64::from(count + 1);
+        let about = (share * ticks.len() as f64) as usize;
+        ticks.iter().skip(about).flat_map(|tick| [-1.0, 1.0].map(|side| (tick.truth, side))).find_map(
+            |(way, side)| {
+                let across = Vector2::new(-way.heading_rad.sin(), way.heading_rad.cos());
+                let position = way.position() + side * BESIDE_M * across;
+                let has_room = plan.clearance_m(position) > 2.0 * Person::RADIUS_M;
+                has_room.then(|| Pose::new(position.x, position.y, 0.0))
+            },
+        )
+    };
+    let person = |(look, pose)| {
+        (Person { pose, look }, Behaviour::Blocking { notice_m: 2.0, patience_s: 6.0, speed_m_s: 0.7 })
+    };
+    (0..count).filter_map(|number| Some((u64::from(number), beside(number)?))).map(person).collect()
 }
 
 /// It never gives up, however unsure it is.

@@ -38,7 +38,7 @@ pub(super) fn teach(
     (model, extractor): (&Model, Extractor),
 ) -> Result<Taught, EvalError> {
     let (world, route) = match options.trial {
-        Trial::Repeat | Trial::Sparse | Trial::Kidnapped => {
+        Trial::Repeat | Trial::Sparse | Trial::Kidnapped | Trial::Facing => {
             (options.world, named_route(options.world, &options.route)?)
         }
         Trial::Shortcut => (NamedWorld::Office, detour()),
