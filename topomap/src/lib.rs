@@ -4,6 +4,7 @@
 
 pub mod appearance_graph;
 pub mod appearance_navigation;
+pub mod budget;
 pub mod checkpoint;
 pub mod epipolar;
 pub mod event;

@@ -1,6 +1,7 @@
 //! A log without some of its sessions is the log as it would be if they had not been.
 #![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
 
+mod budget;
 mod building;
 
 use std::collections::{BTreeMap, BTreeSet};

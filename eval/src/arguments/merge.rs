@@ -8,6 +8,7 @@ use waypost_eval::choices::Choices;
 use waypost_eval::commands::map::training::MapTraining;
 use waypost_eval::commands::map::{ModelSource, WheelChoice};
 use waypost_eval::commands::merge::kitti::{self, KittiMergeOptions};
+use waypost_eval::commands::merge::large::{self, LargeOptions};
 use waypost_eval::commands::merge::passes::{self, PassesOptions};
 use waypost_eval::commands::merge::{self, MergeOptions, MergeScenario};
 use waypost_eval::error::EvalError;
@@ -33,6 +34,14 @@ pub(crate) struct MergeArguments {
     /// every floor of the one with every floor of the other.
     #[arg(long, value_name = "DIR", requires = "model", conflicts_with_all = ["scenario", "kitti", "route", "trials", "false_matches", "out"])]
     passes: Option<PathBuf>,
+    /// In place of a simulated world, two maps of so many places each, drawn at random and seen in words alone; half of
+    /// their places are the same. How long it takes is measured.
+    #[arg(long, value_name = "N", conflicts_with_all = ["scenario", "kitti", "passes", "route", "trials", "model", "false_matches", "out"],
+        value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
+    large: Option<u32>,
+    /// Threads that the large maps are merged on.
+    #[arg(long, value_name = "N", default_value_t = 2, requires = "large", value_parser = threads)]
+    threads: usize,
     /// The route of the sessions, in the office.
     #[arg(long, value_name = "NAME", default_value = "98m")]
     route: String,
@@ -69,6 +78,11 @@ pub(crate) struct MergeArguments {
 
 const SCENARIOS: Choices<MergeScenario> = MergeScenario::ALL;
 
+fn threads(text: &str) -> Result<usize, String> {
+    let threads: usize = text.parse().map_err(|_| "it must be a number".to_owned())?;
+    if (1..=1024).contains(&threads) { Ok(threads) } else { Err("it must be 1 to 1024".to_owned()) }
+}
+
 fn share(text: &str) -> Result<f64, String> {
     let share: f64 = text.parse().map_err(|_| "it must be a number".to_owned())?;
     if (0.0..1.0).contains(&share) { Ok(share) } else { Err("it must be at least 0 and below 1".to_owned()) }
@@ -80,6 +94,10 @@ impl MergeArguments {
         let default = MergeSettings::default();
         let merge = MergeSettings { min_support: self.min_support.unwrap_or(default.min_support), ..default };
         let (wheels, false_share) = (WheelChoice::Biased { scale, drift_rad_per_m }, self.false_matches);
+        if let Some(places) = self.large {
+            let options = LargeOptions { places, threads: self.threads, seed, merge };
+            return print_if(json, &large::run(&options)?);
+        }
         if let (Some(folder), Some(model)) = (&self.passes, &self.model) {
             let options = PassesOptions { folder: folder.clone(), model: model.clone(), seed, merge };
             return print_if(json, &passes::run(&options)?);

@@ -1,6 +1,7 @@
 //! `waypost-eval merge`: drives become maps, maps become one, and that is held against the truth.
 
 pub mod kitti;
+pub mod large;
 pub mod passes;
 mod picture;
 mod sessions;

@@ -35,6 +35,9 @@ const MOST_TURN: f64 = 1.5;
 /// Places apart that matches speak for each other: as many as a closure's frames.
 const FRAMES_IN_A_ROW: f64 = 8.0;
 
+/// How often both maps are laid over each other anew.
+const MAX_SETTLING: usize = 4;
+
 /// Metres along the source's links within which a match says where a place of the source lies on the target.
 const LAID_WITHIN_M: f64 = 3.0;
 
@@ -82,7 +85,7 @@ fn agreed(
     if overlap.confirmed_share() < settings.min_confirmed_share {
         return Err(Apart::Contradicted(overlap));
     }
-    let joined = joined_poses(source, target, &nearest_views(&members));
+    let joined = settled(source, target, &strongest, &members, settings);
     let first_of_source = target.poses.poses().len() as PlaceId;
     let at_root = joined
         .pose(first_of_source + parts.0)
@@ -121,6 +124,36 @@ fn agreed(
         cost_before: source.poses.cost() + target.poses.cost(),
         cost_after: joined.cost(),
     })
+}
+
+/// Both maps as one by matches that agree, and then by all that fit that: a few wrong ones that agree by pairs, for nobody
+/// knows how wheels have drifted, bend the map until all right ones have their say. As long as that makes more fit.
+fn settled(
+    source: Layout<'_>,
+    target: Layout<'_>,
+    strongest: &[PlaceMatch],
+    agreeing: &[PlaceMatch],
+    settings: &MergeSettings,
+) -> PlacePoses {
+    let first_of_source = target.poses.poses().len() as PlaceId;
+    let fitting = |joined: &PlacePoses| {
+        let fits = |matched: &&PlaceMatch| {
+            misfit(matched, joined, first_of_source) <= PlanarPose::CHI_SQUARED_HUNDRED
+        };
+        let fitting: Vec<PlaceMatch> = strongest.iter().filter(fits).copied().collect();
+        supported(source, &fitting, settings)
+    };
+    let mut joined = joined_poses(source, target, &nearest_views(agreeing));
+    let mut kept = fitting(&joined);
+    for _ in 0..MAX_SETTLING {
+        let again = joined_poses(source, target, &nearest_views(&kept));
+        let more = fitting(&again);
+        if more.len() <= kept.len() {
+            break;
+        }
+        (joined, kept) = (again, more);
+    }
+    joined
 }
 
 fn measured(matched: &PlaceMatch) -> Option<Measured> {
