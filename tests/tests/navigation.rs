@@ -319,10 +319,12 @@ async fn what_cannot_be_led_is_refused_with_the_way_out() {
         assert_status(case, (said, &message), code, fragment);
     }
 
-    let position = v1::PositionGoal { part: 0, x_m: f64::NAN, y_m: 0.0 };
-    let goal = Some(v1::Goal { target: Some(v1::goal::Target::Position(position)) });
-    let (said, message) = refused(client.navigate(NavigationOptions { goal, ..good() }).await);
-    assert_status("a goal that is NaN", (said, &message), Code::InvalidArgument, "not finite");
+    for (x_m, heading_rad) in [(f64::NAN, None), (0.0, Some(f64::INFINITY))] {
+        let position = v1::PositionGoal { part: 0, x_m, y_m: 0.0, heading_rad };
+        let goal = Some(v1::Goal { target: Some(v1::goal::Target::Position(position)) });
+        let (said, message) = refused(client.navigate(NavigationOptions { goal, ..good() }).await);
+        assert_status("a goal that is not finite", (said, &message), Code::InvalidArgument, "not finite");
+    }
 
     // One commander a robot.
     let mut navigation = client.navigate(good()).await.unwrap();

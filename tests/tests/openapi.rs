@@ -153,7 +153,7 @@ fn good_calls(surveyed: &Surveyed) -> Vec<Call> {
         Call::goal(
             "put",
             "/v1/maps/drive/navigations/scout/goal",
-            r#"{"position": {"part": 0, "x_m": 1, "y_m": -0.5}}"#,
+            r#"{"position": {"part": 0, "x_m": 1, "y_m": -0.5, "heading_rad": 1.5}}"#,
         ),
         Call::goal("delete", "/v1/maps/drive/navigations/scout/goal", ""),
         Call::get("/v1/merges", "/v1/merges"),

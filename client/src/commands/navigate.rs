@@ -37,6 +37,9 @@ pub(crate) struct Arguments {
     /// Position to go to, in metres on the map: the place nearest to it
     #[arg(long, value_name = "X,Y", value_parser = position, requires = "robot", conflicts_with = "cancel")]
     to_position: Option<[f64; 2]>,
+    /// Where to the robot is to look there, in radians on the map
+    #[arg(long, value_name = "RAD", requires = "to_position", allow_negative_numbers = true)]
+    facing: Option<f64>,
     /// Take its goal away: it stops
     #[arg(long, requires = "robot")]
     cancel: bool,
@@ -72,7 +75,7 @@ struct Led {
 }
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
-    let Arguments { map, robot, to, to_label, to_image, to_position, cancel } = arguments;
+    let Arguments { map, robot, to, to_label, to_image, to_position, facing, cancel } = arguments;
     let client = Client::connect(server).await?;
     let Some(robot) = robot else { return list(&client, &map, output).await };
     let map = map.strip_prefix("maps/").unwrap_or(&map);
@@ -84,7 +87,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         let image = std::fs::read(&file).map_err(Failure::file("read", &file))?;
         client.set_image_goal(&name, image).await?;
     }
-    let position = to_position.map(|[x_m, y_m]| v1::PositionGoal { part: 0, x_m, y_m });
+    let position = to_position.map(|[x_m, y_m]| v1::PositionGoal { part: 0, x_m, y_m, heading_rad: facing });
     let target = to
         .map(v1::goal::Target::Place)
         .or(position.map(v1::goal::Target::Position))

@@ -271,13 +271,15 @@ fn against(message: i32) -> Result<Against, ServiceError> {
 fn needed(message: Option<v1::Goal>) -> Result<Goal, ServiceError> {
     match message.and_then(|message| message.target) {
         Some(goal::Target::Place(place)) => Ok(Goal::Place(place)),
-        Some(goal::Target::Position(v1::PositionGoal { part, x_m, y_m })) if (x_m + y_m).is_finite() => {
-            Ok(Goal::Position { part, position_m: [x_m, y_m] })
+        Some(goal::Target::Position(v1::PositionGoal { part, x_m, y_m, heading_rad }))
+            if (x_m + y_m + heading_rad.unwrap_or(0.0)).is_finite() =>
+        {
+            Ok(Goal::Position { part, position_m: [x_m, y_m], heading_rad })
         }
         Some(goal::Target::Label(label)) => Ok(Goal::Label(label)),
-        Some(goal::Target::Position(_)) => {
-            Err(ServiceError::invalid("the goal's position is not finite; give metres in the map's frame"))
-        }
+        Some(goal::Target::Position(_)) => Err(ServiceError::invalid(
+            "the goal's position or heading is not finite; give metres and radians in the map's frame",
+        )),
         None => Err(ServiceError::invalid("the goal is empty; name a place, a position or a label")),
     }
 }
@@ -377,8 +379,8 @@ fn seen(frame: FrameSeen) -> v1::FrameSeen {
 fn goal_message(goal: Goal) -> v1::Goal {
     let target = match goal {
         Goal::Place(place) => goal::Target::Place(place),
-        Goal::Position { part, position_m: [x_m, y_m] } => {
-            goal::Target::Position(v1::PositionGoal { part, x_m, y_m })
+        Goal::Position { part, position_m: [x_m, y_m], heading_rad } => {
+            goal::Target::Position(v1::PositionGoal { part, x_m, y_m, heading_rad })
         }
         Goal::Label(label) => goal::Target::Label(label),
     };

@@ -282,6 +282,9 @@ struct Position {
     part: u32,
     x_m: f64,
     y_m: f64,
+    /// Where to the robot is to look once it is there, in the same frame; null for any way.
+    #[serde(default)]
+    heading_rad: Option<f64>,
 }
 
 /// A way over places.
@@ -385,8 +388,8 @@ impl From<Wanted> for Goal {
         let empty = Self { place: None, position: None, label: None };
         match goal {
             Wanted::Place(place) => Self { place: Some(place), ..empty },
-            Wanted::Position { part, position_m: [x_m, y_m] } => {
-                Self { position: Some(Position { part, x_m, y_m }), ..empty }
+            Wanted::Position { part, position_m: [x_m, y_m], heading_rad } => {
+                Self { position: Some(Position { part, x_m, y_m, heading_rad }), ..empty }
             }
             Wanted::Label(label) => Self { label: Some(label), ..empty },
         }
@@ -398,8 +401,11 @@ impl TryFrom<Goal> for Wanted {
 
     fn try_from(goal: Goal) -> Result<Self, ServiceError> {
         let Goal { place, position, label } = goal;
-        let position =
-            position.map(|Position { part, x_m, y_m }| Self::Position { part, position_m: [x_m, y_m] });
+        let position = position.map(|Position { part, x_m, y_m, heading_rad }| Self::Position {
+            part,
+            position_m: [x_m, y_m],
+            heading_rad,
+        });
         let mut named = [place.map(Self::Place), position, label.map(Self::Label)].into_iter().flatten();
         match (named.next(), named.next()) {
             (Some(goal), None) => Ok(goal),

@@ -55,6 +55,8 @@ pub(crate) enum Goal {
     Position {
         part: PlaceId,
         position_m: [f64; 2],
+        /// Where to look there, in the part's frame.
+        heading_rad: Option<f64>,
     },
     /// A place that people call so.
     Label(String),
@@ -296,7 +298,7 @@ impl Service {
         against: Against,
     ) -> Result<Route, ServiceError> {
         let row = self.map_row(map_in(map)?).await?;
-        let goal = self.measured_goal(&row, GoalRequest::Goal(goal)).await?;
+        let goal = self.measured_goal(&row, GoalRequest::Goal(goal)).await?.goal;
         let map = self.open_map_of(&row).await?;
         let settings = Driving { against, ..Driving::default() }.settings()?.planning;
         map.plan(PlanFrom::Place(from), goal, settings).await?.map_err(ServiceError::precondition)
@@ -325,15 +327,6 @@ impl Driving {
         };
         settings.check().map_err(ServiceError::invalid)?;
         Ok(settings)
-    }
-}
-
-impl From<planning::Goal> for Goal {
-    fn from(goal: planning::Goal) -> Self {
-        match goal {
-            planning::Goal::Place(place) => Self::Place(place),
-            planning::Goal::Position { part, position_m } => Self::Position { part, position_m },
-        }
     }
 }
 

@@ -4,6 +4,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
+use fabmap::appearance::PlaceId;
 use tokio::sync::watch;
 use topomap::event::SessionId;
 use topomap::mapper::{FrameInput, Localizer};
@@ -45,7 +46,7 @@ struct State {
     navigator: Navigator,
     last_report: Option<(i64, Odometry)>,
     told: Option<Told>,
-    goal: Option<planning::Goal>,
+    goal: Option<MeasuredGoal>,
     route: Option<Route>,
     goal_refusal: Option<GoalRefusal>,
     planning: Planning,
@@ -54,10 +55,32 @@ struct State {
     closures: u64,
 }
 
+/// Where to go, and where to look there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct MeasuredGoal {
+    pub(super) goal: planning::Goal,
+    heading_rad: Option<f64>,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Planning {
     No,
     UnderWay,
+}
+
+impl MeasuredGoal {
+    fn place(place: PlaceId) -> Self {
+        Self { goal: planning::Goal::Place(place), heading_rad: None }
+    }
+}
+
+impl From<MeasuredGoal> for Goal {
+    fn from(MeasuredGoal { goal, heading_rad }: MeasuredGoal) -> Self {
+        match goal {
+            planning::Goal::Place(place) => Self::Place(place),
+            planning::Goal::Position { part, position_m } => Self::Position { part, position_m, heading_rad },
+        }
+    }
 }
 
 /// Refuses a camera, and a map, by which no robot can be steered.
@@ -86,14 +109,14 @@ impl Service {
         &self,
         row: &MapRow,
         goal: GoalRequest,
-    ) -> Result<planning::Goal, ServiceError> {
+    ) -> Result<MeasuredGoal, ServiceError> {
         match goal {
-            GoalRequest::Goal(Goal::Place(place)) => Ok(planning::Goal::Place(place)),
-            GoalRequest::Goal(Goal::Position { part, position_m }) => {
-                Ok(planning::Goal::Position { part, position_m })
+            GoalRequest::Goal(Goal::Place(place)) => Ok(MeasuredGoal::place(place)),
+            GoalRequest::Goal(Goal::Position { part, position_m, heading_rad }) => {
+                Ok(MeasuredGoal { goal: planning::Goal::Position { part, position_m }, heading_rad })
             }
             GoalRequest::Goal(Goal::Label(label)) => match self.labelled(row, &label).await?.as_slice() {
-                [place] => Ok(planning::Goal::Place(*place)),
+                [place] => Ok(MeasuredGoal::place(*place)),
                 places => {
                     let numbers: Vec<String> = places.iter().map(u32::to_string).collect();
                     Err(ServiceError::precondition(format_args!(
@@ -193,9 +216,9 @@ impl TopoMetricGuide {
     /// The same without waiting; refusals tell why it was refused.
     pub(super) fn go_to_in_time(self: Arc<Self>, service: &Arc<Service>, goal: GoalRequest) {
         let known = match goal {
-            GoalRequest::Goal(Goal::Place(place)) => planning::Goal::Place(place),
-            GoalRequest::Goal(Goal::Position { part, position_m }) => {
-                planning::Goal::Position { part, position_m }
+            GoalRequest::Goal(Goal::Place(place)) => MeasuredGoal::place(place),
+            GoalRequest::Goal(Goal::Position { part, position_m, heading_rad }) => {
+                MeasuredGoal { goal: planning::Goal::Position { part, position_m }, heading_rad }
             }
             GoalRequest::Goal(Goal::Label(_)) | GoalRequest::Image(_) => {
                 self.stop();
@@ -213,9 +236,17 @@ impl TopoMetricGuide {
         self.plan_if_wanted(service);
     }
 
-    fn head_for(&self, goal: planning::Goal) {
+    fn head_for(&self, goal: MeasuredGoal) {
         let mut state = self.state();
-        state.navigator.go_to(goal);
+        match goal.heading_rad {
+            None => state.navigator.go_to(goal.goal),
+            // Looked at when it came in: it is finite.
+            Some(heading_rad) => {
+                if let Err(error) = state.navigator.go_to_facing(goal.goal, heading_rad) {
+                    tracing::error!(%error, "a goal's heading was not checked");
+                }
+            }
+        }
         (state.goal, state.route, state.goal_refusal) = (Some(goal), None, None);
         // Of the goal before: whoever waits for the arrival must not take it for that at this one.
         state.told = None;
@@ -249,9 +280,7 @@ impl TopoMetricGuide {
             let planned = guide.planned(&service, PlanFrom::Robot(wanted.from), wanted.goal).await;
             let mut state = guide.state();
             state.planning = Planning::No;
-            if state.goal != Some(wanted.goal) {
-                return;
-            }
+            let Some(goal) = state.goal.filter(|goal| goal.goal == wanted.goal) else { return };
             match planned {
                 Ok(route) => {
                     state.navigator.follow(&route);
@@ -263,7 +292,7 @@ impl TopoMetricGuide {
                     state.navigator.cancel();
                     state.goal = None;
                     drop(state);
-                    let goal = Some(wanted.goal.into());
+                    let goal = Some(goal.into());
                     guide.refuse(GoalRefusal { goal, message: error.to_string() });
                 }
             }
