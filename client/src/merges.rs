@@ -83,6 +83,14 @@ impl Client {
         self.taken(self.maps_client().remove_session(request).await)
     }
 
+    /// Says which places a map can do without to have no more than `max_places`, and drops them if asked to.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND, or FAILED_PRECONDITION if a robot is led through the map.
+    pub async fn trim_map(&self, request: v1::TrimMapRequest) -> Result<v1::TrimMapResponse, Error> {
+        self.taken(self.maps_client().trim_map(request).await)
+    }
+
     /// Makes a new map of what a map keeps of its frames, with a model of other words; the job that comes back does so.
     ///
     /// # Errors

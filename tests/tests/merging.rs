@@ -286,6 +286,24 @@ async fn a_merge_into_a_map_is_there_whole_or_not_at_all_and_can_be_undone() {
     println!("{whole} whole, {nothing} nothing");
     assert!(whole >= 1 && nothing >= 1, "{whole} whole, {nothing} nothing");
 
+    // A budget of places: what goes is said first, then done.
+    let client = server.client().await;
+    let budget = |mode: v1::trim_map_request::Mode| v1::TrimMapRequest {
+        name: "maps/tuesday".to_owned(),
+        max_places: 60,
+        mode: mode.into(),
+    };
+    let said = client.trim_map(budget(v1::trim_map_request::Mode::Preview)).await.unwrap();
+    assert_eq!((said.places_left, said.over), (60, 0), "{said:?}");
+    assert_eq!(said.dropped.len() as u64, tuesday.places - 60);
+    assert!(said.dropped.iter().all(|dropped| dropped.why.is_some()));
+    assert_eq!(state_hash(&client, "tuesday").await, tuesday.state_hash);
+    assert_eq!(client.trim_map(budget(v1::trim_map_request::Mode::Apply)).await.unwrap(), said);
+    let trimmed = client.map("tuesday", v1::MapView::Full).await.unwrap();
+    assert_eq!((trimmed.places, trimmed.frames), (60, tuesday.frames));
+    let again = client.trim_map(budget(v1::trim_map_request::Mode::Apply)).await.unwrap();
+    assert!(again.dropped.is_empty() && again.places_left == 60, "{again:?}");
+
     // A robot that drives in the target meanwhile notices nothing, and stays when the merge is undone.
     let client = server.client().await;
     let driving = rounds.drive(&client, "monday", "meanwhile", rounds.day(1));

@@ -353,7 +353,7 @@ async fn what_a_crash_left_of_an_import_is_taken_away() {
     assert!(client.maps().await.unwrap().is_empty());
     let cut_off = client.job(&job.name).await.unwrap();
     assert_eq!((cut_off.state(), cut_off.result.as_str()), (v1::job::State::Failed, ""));
-    assert!(cut_off.error.contains("it has changed nothing, so start it again"), "{cut_off:?}");
+    assert!(cut_off.error.contains("start it again: nothing will be there twice"), "{cut_off:?}");
     rows_become(directory.path(), &empty).await;
     imported(&client, "", file).await;
     assert_eq!(state_hash(&client, "drive").await, reference().maps[10].state_hash);

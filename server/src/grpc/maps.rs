@@ -5,6 +5,7 @@ use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::RecognizerSettings;
 use futures::stream::{self, BoxStream, StreamExt};
 use tonic::{Request, Response, Status, Streaming};
+use topomap::budget::{self, Dispensable};
 use topomap::mapper::MapperSettings;
 use topomap::odometry_prior::PlaceSpacing;
 use topomap::verification::VerificationMethod;
@@ -21,6 +22,7 @@ use crate::service::maps::{
     Detail, FrameReference, Keep, LoopClosureView, MapSettings, MapSettingsRequest, MapView,
     NavigationStrategy, PlacePose, PlaceView, WordPlace,
 };
+use crate::service::merges::{Trimmed, Trimming};
 use crate::service::models::Page;
 use crate::service::names::{map_in, map_name, model_name, place_in, place_name};
 use crate::service::trajectories::{TrajectoryBody, TrajectoryFormat, TrajectoryFrame};
@@ -174,6 +176,22 @@ impl MapService for Adapter {
         Ok(Response::new(job(self.service.start_map_import(upload).await?)))
     }
 
+    async fn trim_map(
+        &self,
+        request: Request<v1::TrimMapRequest>,
+    ) -> Result<Response<v1::TrimMapResponse>, Status> {
+        use v1::trim_map_request::Mode;
+        let v1::TrimMapRequest { name, max_places, mode } = request.into_inner();
+        let trimming = match known::<Mode>("mode", mode)? {
+            Mode::Unspecified | Mode::Preview => Trimming::Preview,
+            Mode::Apply => Trimming::Apply,
+        };
+        let Trimmed { dropped, places_left, over } =
+            self.service.trim_map(&name, max_places, trimming).await?;
+        let dropped = dropped.into_iter().map(dropped_place).collect();
+        Ok(Response::new(v1::TrimMapResponse { dropped, places_left, over }))
+    }
+
     async fn rebuild_map(
         &self,
         request: Request<v1::RebuildMapRequest>,
@@ -189,6 +207,18 @@ impl MapService for Adapter {
         let v1::RemoveSessionRequest { name } = request.into_inner();
         Ok(Response::new(job(self.service.remove_session(&name).await?)))
     }
+}
+
+fn dropped_place(dropped: Dispensable) -> v1::DroppedPlace {
+    use v1::dropped_place::Why;
+    let Dispensable { place, why } = dropped;
+    let why = match why {
+        budget::Why::Redundant { of, alike } => Why::Redundant(v1::RedundantPlace { of_place: of, alike }),
+        budget::Why::LeastSeen { looks, apart } => {
+            Why::LeastSeen(v1::LeastSeenPlace { looks: looks.into(), apart })
+        }
+    };
+    v1::DroppedPlace { place, why: Some(why) }
 }
 
 fn settings_request(settings: v1::MapSettings) -> Result<MapSettingsRequest, ServiceError> {

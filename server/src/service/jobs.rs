@@ -91,7 +91,7 @@ const KEPT: Duration = Duration::from_secs(30 * 24 * 60 * 60);
 const STOPPING: Duration = Duration::from_secs(5);
 
 const CUT_OFF: &str =
-    "the server was stopped or restarted while this job ran; it has changed nothing, so start it again";
+    "the server was stopped or restarted while this job ran; start it again: nothing will be there twice";
 
 impl Default for Jobs {
     fn default() -> Self {

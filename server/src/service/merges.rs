@@ -5,9 +5,11 @@ mod picture;
 mod report;
 mod search;
 mod source;
+mod trim;
 mod undo;
 
 pub(crate) use report::{MapOverlap, MatchedPlaces, MergeReport, MergedSource, SourceOutcome};
+pub(crate) use trim::{Trimmed, Trimming};
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

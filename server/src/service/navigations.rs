@@ -10,7 +10,7 @@ use bytes::Bytes;
 use fabmap::appearance::PlaceId;
 use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio_util::sync::CancellationToken;
-use topomap::navigation::planning::{self, Route};
+use topomap::navigation::planning::Route;
 use topomap::navigation::settings::{AgainstTheWay, NavigationSettings};
 use topomap::navigation::{Driver, Guidance, Seen};
 use topomap::odometry::Odometry;

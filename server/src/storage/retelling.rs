@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use fabmap::appearance::PlaceId;
 use sqlx::{Row, Sqlite, Transaction};
 use topomap::event::{FrameId, MapEvent, SessionId};
+use topomap::retelling::Retold;
 
 use super::checkpoints::CHECKPOINT_PIECES;
 use super::jobs::end_job;
@@ -29,14 +30,37 @@ pub(crate) struct RetoldLog {
     pub(crate) sessions: BTreeMap<SessionId, SessionId>,
 }
 
+impl RetoldLog {
+    /// What is another in a log that was told anew.
+    pub(crate) fn new(map: MapEdition, before: &[MapEvent], retold: Retold) -> Self {
+        let Retold { mut events, frames, sessions, places, dropped: _ } = retold;
+        let same = before.iter().zip(&events).take_while(|(before, now)| before == now).count();
+        let opened = before.iter().filter_map(|event| match event {
+            MapEvent::SessionOpened { session } => Some(*session),
+            MapEvent::Frame(_) | MapEvent::Measured(_) => None,
+        });
+        let removed_sessions = opened.filter(|session| !sessions.contains_key(session)).collect();
+        let kept = frames.range(same as u64..).map(|(before, now)| (*before, *now)).collect();
+        Self {
+            map,
+            from: same as u64,
+            events: events.split_off(same),
+            kept,
+            places,
+            removed_sessions,
+            sessions,
+        }
+    }
+}
+
 impl Storage {
-    /// Replaces the end of a map's log, with its media and sessions, and ends a job and the merge that it undoes: all or
+    /// Replaces the end of a map's log, with its media and sessions, and ends a job and the merge that it undoes, if there are such: all or
     /// nothing. The checkpoint goes. [`StorageError::Retold`] if it was told anew or deleted since it was read.
     pub(crate) async fn retell(
         &self,
         log: &RetoldLog,
         undone: Option<&MergeOutcome>,
-        end: &JobEnd,
+        end: Option<&JobEnd>,
     ) -> Result<(), StorageError> {
         let RetoldLog {
             map: MapEdition { map, edition },
@@ -113,7 +137,10 @@ impl Storage {
             if let Some(undone) = undone {
                 set_outcome(transaction, undone, MergeState::Committed).await?;
             }
-            end_job(transaction, end).await
+            match end {
+                Some(end) => end_job(transaction, end).await,
+                None => Ok(()),
+            }
         })
         .await
     }

@@ -74,7 +74,9 @@ impl Service {
         let work = |service: Arc<Self>, reporter: JobReporter| async move {
             let end = reporter.succeeded(format!("merges/{number}"));
             let (storage, stored_end, map_name) = (service.storage.clone(), end.clone(), map.name.clone());
+            let asking = service.clone();
             let undoing = move |runtime: &Handle| {
+                asking.check_nobody_is_led(&map)?;
                 let events = runtime.block_on(storage.log_events(map.id))?;
                 if events != made_events {
                     return Err(ServiceError::precondition(format_args!(
@@ -116,24 +118,16 @@ impl Service {
         };
         let end = reporter.succeeded(map_name(&map.name));
         let (storage, stored_end, name) = (self.storage.clone(), end.clone(), map.name.clone());
+        let service = self.clone();
         let retelling = move |runtime: &Handle| {
+            // Asked again: it may have waited for its turn.
+            service.check_nobody_is_led(&map)?;
             let read = ReadMap::read((runtime, &storage), map, &model, None)?;
             let removed: BTreeSet<SessionId> = sessions.iter().copied().collect();
             let retold = without_sessions(read.mapper.settings(), &read.log.events, &removed);
             let retold = retold.map_err(ServiceError::internal)?;
-            let same = read.log.events.iter().zip(&retold.events).take_while(|(before, now)| before == now);
-            let from = same.count();
-            let kept = retold.frames.range(from as u64..).map(|(before, now)| (*before, *now)).collect();
-            let log = RetoldLog {
-                map: read.row.edition(),
-                from: from as u64,
-                events: retold.events[from..].to_vec(),
-                kept,
-                places: retold.places,
-                sessions: retold.sessions,
-                removed_sessions: sessions,
-            };
-            let stored = runtime.block_on(storage.retell(&log, undone.as_ref(), &stored_end));
+            let log = RetoldLog::new(read.row.edition(), &read.log.events, retold);
+            let stored = runtime.block_on(storage.retell(&log, undone.as_ref(), Some(&stored_end)));
             stored.map_err(|error| match error {
                 StorageError::Retold => ServiceError::Aborted {
                     message: "sessions were removed from the map meanwhile; try again".to_owned(),
@@ -148,7 +142,7 @@ impl Service {
     }
 
     /// Places may have other numbers afterwards: a robot must not end up at another place than it was sent to.
-    fn check_nobody_is_led(&self, map: &MapRow) -> Result<(), ServiceError> {
+    pub(super) fn check_nobody_is_led(&self, map: &MapRow) -> Result<(), ServiceError> {
         if !self.navigations.any_on(map.id) {
             return Ok(());
         }
