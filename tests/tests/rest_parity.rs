@@ -208,7 +208,7 @@ async fn maps_and_places_are_the_same() {
             both.maps.clone().list_maps(v1::ListMapsRequest { page_size, page_token }).await
         })
         .await;
-    assert_eq!(listed.len(), 4);
+    assert_eq!(listed.len(), 3);
     for map in ["drive", "empty", "nowhere", "No"] {
         let name = format!("maps/{map}");
         for (view, query) in [(v1::MapView::Unspecified, ""), (v1::MapView::Full, "?view=full")] {

@@ -16,7 +16,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use topomap::merging::{MergePlan, MergeSettings};
 
-use self::search::Found;
 use super::jobs::{JobOutcome, JobReporter};
 use super::models::Page;
 use super::names::{bad_page_token, check_id, id_in, map_in, numbered_page, page_size};
@@ -31,7 +30,8 @@ const MAX_SOURCES: usize = 16;
 /// Proposals that may wait for a decision at a time.
 const MAX_PROPOSALS: usize = 32;
 
-const FORGOTTEN: &str = "the server was stopped or restarted before this was decided; it has changed nothing, so ask for it again";
+const FORGOTTEN: &str = "the server was stopped or restarted before this was decided; it has changed nothing, so \
+                         ask for it again";
 
 /// A merge as it stands.
 #[derive(Clone, Debug, PartialEq)]
@@ -309,13 +309,6 @@ struct MergeTarget {
 impl MergeTarget {
     fn name(&self) -> &str {
         self.new.as_ref().map_or(&self.base.name, |new| new.name())
-    }
-}
-
-impl Proposal {
-    fn made_of(found: Found, target: Target) -> Self {
-        let Found { joining, report } = found;
-        Self { target, joining, report }
     }
 }
 

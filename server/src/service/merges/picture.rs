@@ -101,8 +101,10 @@ pub(super) fn svg(panels: &[Panel]) -> String {
     };
     let largest_m = panels.iter().map(extent).fold(1.0, f64::max);
     let px_per_m = PANEL_PX / largest_m;
+    let tall = |panel: &Panel| panel.bounds().map_or(0.0, |[least, most]| most[1] - least[1]);
+    let tallest_px = panels.iter().map(tall).fold(0.0, f64::max) * px_per_m;
     let rows = panels.len().div_ceil(COLUMNS);
-    let (across, down) = (PANEL_PX + GAP_PX, PANEL_PX + GAP_PX + LINE_PX);
+    let (across, down) = (PANEL_PX + GAP_PX, tallest_px + GAP_PX + 2.0 * LINE_PX);
     let width = GAP_PX + across * panels.len().min(COLUMNS) as f64;
     let height = GAP_PX + LINE_PX + down * rows as f64;
     let legend =

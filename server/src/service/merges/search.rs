@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use tokio::runtime::Handle;
 use topomap::mapper::MapperSettings;
-use topomap::merging::{MergeError, MergeObserver, MergeSettings, Verdict, find_matches, join, judge};
+use topomap::merging::{
+    MergeError, MergeObserver, MergeSettings, PlaceMatch, Verdict, find_matches, join, judge,
+};
 
 use super::picture::{Panel, svg};
 use super::report::Metres;
@@ -15,12 +17,6 @@ use crate::service::Service;
 use crate::service::jobs::{JobOutcome, JobReporter};
 use crate::service::map_writer::verifier;
 use crate::storage::{MapRow, MergeOutcome, MergeState, Storage};
-
-/// What was found, and how it looks.
-pub(super) struct Found {
-    pub(super) joining: Vec<Joining>,
-    pub(super) report: MergeReport,
-}
 
 /// Why a job of a merge did not come to its end.
 pub(super) enum Stopped {
@@ -125,29 +121,7 @@ impl Search {
         let mut joining = Vec::new();
         loop {
             let before = left.len();
-            let mut apart = Vec::new();
-            for (index, source) in left {
-                let plan = match self.meet(&source, &merged)? {
-                    Verdict::Overlap(plan) => plan,
-                    Verdict::Apart(why) => {
-                        report.sources[index].outcome = SourceOutcome::Apart(why.to_string());
-                        apart.push((index, source));
-                        continue;
-                    }
-                };
-                let frames = |matched: &topomap::merging::PlaceMatch| {
-                    [source.frame_name(matched.source_frame), merged.frame_name(matched.target_frame)]
-                };
-                let known = [&source, &merged].iter().all(|map| map.mapper.poses().has_metres());
-                let metres = if known { Metres::Known } else { Metres::Unknown };
-                let overlap = MapOverlap::of(&plan, metres, frames);
-                report.sources[index].outcome = SourceOutcome::Overlaps(Box::new(overlap));
-                let joined = join((&source.mapper, &merged.mapper), &plan, &source.log.events);
-                merged.take(&source, joined.map_err(ServiceError::internal)?)?;
-                let events = source.log.events.len() as u64;
-                joining.push(Joining { source: index, row: source.row, events, plan });
-            }
-            left = apart;
+            left = self.try_all(left, &mut merged, &mut joining, &mut report)?;
             if left.is_empty() || left.len() == before {
                 break;
             }
@@ -157,7 +131,40 @@ impl Search {
         }
         let target = Target { base: merged.row, events, places, new: self.target.new };
         let picture = svg(&panels);
-        Ok((Proposal::made_of(Found { joining, report }, target), picture))
+        Ok((Proposal { target, joining, report }, picture))
+    }
+
+    /// Looks for each source on what is merged so far, and takes in those that overlap; the others come back. Blocks.
+    fn try_all(
+        &self,
+        sources: Vec<(usize, ReadMap)>,
+        merged: &mut ReadMap,
+        joining: &mut Vec<Joining>,
+        report: &mut MergeReport,
+    ) -> Result<Vec<(usize, ReadMap)>, Stopped> {
+        let mut apart = Vec::new();
+        for (index, source) in sources {
+            let outcome = &mut report.sources[index].outcome;
+            let plan = match self.meet(&source, merged)? {
+                Verdict::Overlap(plan) => plan,
+                Verdict::Apart(why) => {
+                    *outcome = SourceOutcome::Apart(why.to_string());
+                    apart.push((index, source));
+                    continue;
+                }
+            };
+            let frames = |matched: &PlaceMatch| {
+                [source.frame_name(matched.source_frame), merged.frame_name(matched.target_frame)]
+            };
+            let known = [&source, &*merged].iter().all(|map| map.mapper.poses().has_metres());
+            let metres = if known { Metres::Known } else { Metres::Unknown };
+            *outcome = SourceOutcome::Overlaps(Box::new(MapOverlap::of(&plan, metres, frames)));
+            let joined = join((&source.mapper, &merged.mapper), &plan, &source.log.events);
+            merged.take(&source, joined.map_err(ServiceError::internal)?)?;
+            let events = source.log.events.len() as u64;
+            joining.push(Joining { source: index, row: source.row, events, plan });
+        }
+        Ok(apart)
     }
 
     fn read(&self, row: MapRow, model: usize) -> Result<ReadMap, Stopped> {
