@@ -83,6 +83,15 @@ impl Client {
         self.taken(self.maps_client().remove_session(request).await)
     }
 
+    /// Makes what a map holds now its new beginning, and wipes from the disk what was removed; the job that comes back does
+    /// so.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND.
+    pub async fn compact_map(&self, map: &str) -> Result<v1::Job, Error> {
+        self.taken(self.maps_client().compact_map(v1::CompactMapRequest { name: map_name(map) }).await)
+    }
+
     /// Says which places a map can do without to have no more than `max_places`, and drops them if asked to.
     ///
     /// # Errors

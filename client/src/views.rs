@@ -63,6 +63,7 @@ impl From<v1::Job> for JobView {
             v1::job::Kind::MergeMaps => "merge_maps",
             v1::job::Kind::RemoveSessions => "remove_sessions",
             v1::job::Kind::RebuildMap => "rebuild_map",
+            v1::job::Kind::CompactMap => "compact_map",
         };
         let v1::Job {
             name,

@@ -326,7 +326,47 @@ async fn a_merge_into_a_map_is_there_whole_or_not_at_all_and_can_be_undone() {
         let rmse_m = rounds.rmse_m(&client, &format!("maps/monday/sessions/{session}")).await;
         assert!(rmse_m < 1.0, "{session}: {rmse_m} m");
     }
+
+    // A map that is compacted keeps what was merged into it.
+    let asked = client.merge_maps(request(&["tuesday"], "monday", OnceFound::Commit)).await.unwrap();
+    let merge = done(&client, &asked).await;
+    assert_eq!(merge.state(), State::Committed, "{merge:?}");
+    let before = state_hash(&client, "monday").await;
+    let job = client.compact_map("monday").await.unwrap();
+    assert_eq!(followed(&client, &job).await.pop().unwrap().result, "maps/monday");
+    let answer = refused(client.undo_merge(&merge.name).await);
+    assert_status("compacted", (answer.0, &answer.1), Code::FailedPrecondition, "deleted or compacted since");
+    assert_eq!(state_hash(&client, "monday").await, before);
     server.stop();
+}
+
+/// What was removed is between the rows of the file until the map is compacted.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_removed_is_wiped_from_the_disk() {
+    let (server, client) = Server::with_map().await;
+    answers(&client, "drive", "robot", (1..=5).map(frame)).await;
+    answers(&client, "drive", "visitor", (60..=64).map(frame)).await;
+    let seen = client
+        .frame_image("maps/drive/sessions/visitor/frames/62", v1::get_frame_image_request::Size::Thumbnail)
+        .await;
+    let seen = seen.unwrap().image;
+    let middle = &seen[seen.len() / 2..seen.len() / 2 + 48];
+    let traces = || {
+        let files = ["waypost.sqlite", "waypost.sqlite-wal"].map(|file| server.directory().join(file));
+        let bytes: Vec<u8> = files.iter().flat_map(|file| std::fs::read(file).unwrap_or_default()).collect();
+        bytes.windows(middle.len()).filter(|window| *window == middle).count()
+    };
+    assert!(traces() > 0);
+    let job = client.remove_session("maps/drive/sessions/visitor").await.unwrap();
+    followed(&client, &job).await;
+    assert!(traces() > 0, "there is nothing to wipe");
+    let hash = state_hash(&client, "drive").await;
+    let job = client.compact_map("drive").await.unwrap();
+    assert_eq!(followed(&client, &job).await.pop().unwrap().state(), v1::job::State::Succeeded);
+    assert_eq!(traces(), 0);
+    assert_eq!(state_hash(&client, "drive").await, hash);
+    assert_eq!(refused(client.compact_map("nowhere").await).0, Code::NotFound);
+    server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -410,6 +450,29 @@ async fn a_map_is_made_anew_with_another_model() {
     let job = client.rebuild_map("drive", &other.name, "anew").await.unwrap();
     followed(&client, &job).await;
     assert_eq!(client.map("anew", v1::MapView::Full).await.unwrap().frames, FRAMES + 3);
+
+    // Of two sessions that are removed at once, neither takes another one's place.
+    for session in ["second", "third", "fourth"] {
+        answers(&client, "anew", session, (1..=3).map(frame)).await;
+    }
+    let jobs = [
+        client.remove_session("maps/anew/sessions/robot").await.unwrap(),
+        client.remove_session("maps/anew/sessions/third").await.unwrap(),
+    ];
+    let mut ends = Vec::new();
+    for job in &jobs {
+        ends.push(followed(&client, job).await.pop().unwrap());
+    }
+    assert_eq!(ends[0].state(), v1::job::State::Succeeded, "{ends:?}");
+    let left = client.sessions("anew").await.unwrap();
+    let left: Vec<&str> = left.iter().map(|session| session.name.rsplit('/').next().unwrap()).collect();
+    match ends[1].state() {
+        v1::job::State::Succeeded => assert_eq!(left, ["second", "fourth"]),
+        _ => {
+            assert!(ends[1].error.contains("try again"), "{ends:?}");
+            assert_eq!(left, ["second", "third", "fourth"]);
+        }
+    }
 
     let foreign = take_model(&client, "foreign", &model_of_other_words()).await;
     for (map, model, into, code, fragment) in [

@@ -16,7 +16,7 @@ use crate::harness::{
 };
 
 /// Methods that a robot may not call.
-const FOR_ADMINS: [&str; 19] = [
+const FOR_ADMINS: [&str; 20] = [
     "/waypost.v1.MapService/CreateMap",
     "/waypost.v1.MapService/DeleteMap",
     "/waypost.v1.MapService/RebindMap",
@@ -25,6 +25,7 @@ const FOR_ADMINS: [&str; 19] = [
     "/waypost.v1.MapService/RemoveSession",
     "/waypost.v1.MapService/RebuildMap",
     "/waypost.v1.MapService/TrimMap",
+    "/waypost.v1.MapService/CompactMap",
     "/waypost.v1.MergeService/MergeMaps",
     "/waypost.v1.MergeService/CommitMerge",
     "/waypost.v1.MergeService/DiscardMerge",

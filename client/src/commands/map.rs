@@ -116,6 +116,12 @@ pub(crate) enum Command {
         #[arg(long, value_name = "MAP")]
         into: String,
     },
+    /// Make what a map holds now its new beginning: merges into it can no longer be undone, and what was removed, from any
+    /// map, is wiped from the disk
+    Compact {
+        /// Name of the map
+        name: String,
+    },
     /// Say which places a map can do without to have no more than so many, and why
     Trim {
         /// Name of the map
@@ -377,6 +383,11 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
             let job = client.rebuild_map(&name, &model, &into).await?;
             let job = job::follow(&client, &job.name, output).await?;
             show(client.map(&job.result, v1::MapView::Unspecified).await?, output)
+        }
+        Command::Compact { name } => {
+            let job = client.compact_map(&name).await?;
+            job::follow(&client, &job.name, output).await?;
+            output.result(&json!({ "compacted": name }), |out| writeln!(out, "compacted {name}"))
         }
         Command::Trim { name, places, apply } => {
             use v1::trim_map_request::Mode;

@@ -18,7 +18,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, no_longer_admitted};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 59] = [
+const METHODS: [(&str, Access); 60] = [
     ("/waypost.v1.SessionService/Stream", Access::Robot),
     ("/waypost.v1.SessionService/Query", Access::Robot),
     ("/waypost.v1.SessionService/ListSessions", Access::Robot),
@@ -55,6 +55,7 @@ const METHODS: [(&str, Access); 59] = [
     ("/waypost.v1.MapService/RemoveSession", Access::Admin),
     ("/waypost.v1.MapService/RebuildMap", Access::Admin),
     ("/waypost.v1.MapService/TrimMap", Access::Admin),
+    ("/waypost.v1.MapService/CompactMap", Access::Admin),
     ("/waypost.v1.MergeService/GetMerge", Access::Robot),
     ("/waypost.v1.MergeService/ListMerges", Access::Robot),
     ("/waypost.v1.MergeService/GetMergePicture", Access::Robot),

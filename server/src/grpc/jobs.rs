@@ -72,6 +72,7 @@ pub(super) fn job(status: JobStatus) -> v1::Job {
         JobKind::MergeMaps => Kind::MergeMaps,
         JobKind::RemoveSessions => Kind::RemoveSessions,
         JobKind::RebuildMap => Kind::RebuildMap,
+        JobKind::CompactMap => Kind::CompactMap,
     };
     v1::Job {
         name: format!("jobs/{number}"),

@@ -192,6 +192,14 @@ impl MapService for Adapter {
         Ok(Response::new(v1::TrimMapResponse { dropped, places_left, over }))
     }
 
+    async fn compact_map(
+        &self,
+        request: Request<v1::CompactMapRequest>,
+    ) -> Result<Response<v1::Job>, Status> {
+        let v1::CompactMapRequest { name } = request.into_inner();
+        Ok(Response::new(job(self.service.compact_map(&name).await?)))
+    }
+
     async fn rebuild_map(
         &self,
         request: Request<v1::RebuildMapRequest>,

@@ -78,6 +78,7 @@ enum JobKind {
     MergeMaps,
     RemoveSessions,
     RebuildMap,
+    CompactMap,
 }
 
 #[derive(Clone, Copy, Debug, Serialize, ToSchema)]
@@ -108,6 +109,7 @@ impl From<jobs::JobStatus> for Job {
             storage::JobKind::MergeMaps => JobKind::MergeMaps,
             storage::JobKind::RemoveSessions => JobKind::RemoveSessions,
             storage::JobKind::RebuildMap => JobKind::RebuildMap,
+            storage::JobKind::CompactMap => JobKind::CompactMap,
         };
         Self {
             name: format!("jobs/{number}"),

@@ -26,6 +26,7 @@ pub(crate) enum JobKind {
     MergeMaps,
     RemoveSessions,
     RebuildMap,
+    CompactMap,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -148,8 +149,14 @@ pub(super) async fn end_job(
 }
 
 impl JobKind {
-    const ALL: [Self; 5] =
-        [Self::TrainModel, Self::ImportMap, Self::MergeMaps, Self::RemoveSessions, Self::RebuildMap];
+    const ALL: [Self; 6] = [
+        Self::TrainModel,
+        Self::ImportMap,
+        Self::MergeMaps,
+        Self::RemoveSessions,
+        Self::RebuildMap,
+        Self::CompactMap,
+    ];
 
     fn name(self) -> &'static str {
         match self {
@@ -158,6 +165,7 @@ impl JobKind {
             JobKind::MergeMaps => "merge_maps",
             JobKind::RemoveSessions => "remove_sessions",
             JobKind::RebuildMap => "rebuild_map",
+            JobKind::CompactMap => "compact_map",
         }
     }
 }

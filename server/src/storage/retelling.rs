@@ -145,6 +145,28 @@ impl Storage {
         .await
     }
 
+    /// Makes all sessions of a map its own: what merges have brought is not taken out again.
+    pub(crate) async fn end_undoing(&self, map: MapId) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            for forget in [
+                "UPDATE sessions SET merge = NULL WHERE map_id = ?",
+                "UPDATE merges SET map_id = NULL WHERE map_id = ?",
+            ] {
+                sqlx::query(forget).bind(map).execute(&mut **transaction).await?;
+            }
+            Ok(())
+        })
+        .await
+    }
+
+    /// Writes the database anew without what was deleted, which is still between the rows until then, and in the
+    /// write-ahead log. Commits wait meanwhile.
+    pub(crate) async fn wipe_deleted(&self) -> Result<(), StorageError> {
+        sqlx::query("VACUUM").execute(&self.writer).await?;
+        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&self.writer).await?;
+        Ok(())
+    }
+
     /// Events of a map's log.
     pub(crate) async fn log_events(&self, map: MapId) -> Result<u64, StorageError> {
         let events = sqlx::query_scalar("SELECT coalesce(max(position) + 1, 0) FROM log WHERE map_id = ?")

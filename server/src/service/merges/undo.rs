@@ -14,7 +14,7 @@ use crate::error::ServiceError;
 use crate::service::Service;
 use crate::service::frames::no_such_session;
 use crate::service::jobs::{JobOutcome, JobReporter, JobStatus};
-use crate::service::names::{map_name, session_in};
+use crate::service::names::{map_in, map_name, session_in};
 use crate::storage::{JobKind, MapRow, MergeOutcome, MergeState, RetoldLog, StorageError};
 
 impl Service {
@@ -32,7 +32,8 @@ impl Service {
         };
         let map = map.ok_or_else(|| {
             ServiceError::precondition(format_args!(
-                "the map {} is deleted, and the merge with it",
+                "the map {} was deleted or compacted since; what a merge has brought to a compacted map is taken out by its \
+                 sessions",
                 view.target
             ))
         })?;
@@ -61,6 +62,30 @@ impl Service {
             service.take_out(row, vec![number], None, &reporter).await
         };
         self.start_job(JobKind::RemoveSessions, work).await
+    }
+
+    /// Makes what a map holds now its new beginning, and wipes from the disk what was removed.
+    pub(crate) async fn compact_map(self: &Arc<Self>, name: &str) -> Result<JobStatus, ServiceError> {
+        let map = self.map_row(map_in(name)?).await?;
+        let work = |service: Arc<Self>, reporter: JobReporter| async move {
+            let Some(_turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
+            // The last moment to stop.
+            if Stopped::unless(reporter.progress("writing the database anew", 0.0)).is_err() {
+                return JobOutcome::Cancelled;
+            }
+            let compacted = async {
+                service.storage.end_undoing(map.id).await?;
+                service.storage.wipe_deleted().await?;
+                let end = reporter.succeeded(map_name(&map.name));
+                service.storage.end_job(&end).await?;
+                Ok::<_, StorageError>(end)
+            };
+            match compacted.await {
+                Ok(end) => JobOutcome::Stored { end, model: None },
+                Err(error) => JobOutcome::Failed(error.into()),
+            }
+        };
+        self.start_job(JobKind::CompactMap, work).await
     }
 
     /// A map that a merge has made goes as a whole, as long as nothing has come to it since.
@@ -122,16 +147,19 @@ impl Service {
         let retelling = move |runtime: &Handle| {
             // Asked again: it may have waited for its turn.
             service.check_nobody_is_led(&map)?;
+            let edition = map.edition();
             let read = ReadMap::read((runtime, &storage), map, &model, None)?;
+            // Sessions may have other numbers by now than those that are to go.
+            if read.row.edition() != edition {
+                return Err(retold_meanwhile());
+            }
             let removed: BTreeSet<SessionId> = sessions.iter().copied().collect();
             let retold = without_sessions(read.mapper.settings(), &read.log.events, &removed);
             let retold = retold.map_err(ServiceError::internal)?;
             let log = RetoldLog::new(read.row.edition(), &read.log.events, retold);
             let stored = runtime.block_on(storage.retell(&log, undone.as_ref(), Some(&stored_end)));
             stored.map_err(|error| match error {
-                StorageError::Retold => ServiceError::Aborted {
-                    message: "sessions were removed from the map meanwhile; try again".to_owned(),
-                },
+                StorageError::Retold => retold_meanwhile(),
                 error => changed(error),
             })
         };
@@ -152,4 +180,8 @@ impl Service {
             map.name
         )))
     }
+}
+
+fn retold_meanwhile() -> ServiceError {
+    ServiceError::Aborted { message: "sessions were removed from the map meanwhile; try again".to_owned() }
 }
