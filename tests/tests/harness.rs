@@ -1,6 +1,7 @@
 //! What every test needs: servers, the shipped drive and model, streams.
 
 mod command_line;
+mod evo;
 mod models;
 mod panoramas;
 mod process;
@@ -14,6 +15,7 @@ mod told;
 mod words;
 
 pub(crate) use command_line::{CommandLine, folder, json_object, path};
+pub(crate) use evo::evo_rmse_m;
 pub(crate) use models::{model_of_other_words, recalibrated_model, take_model};
 pub(crate) use panoramas::{Panoramas, TaughtPlace, by_looks_request, taught_hall};
 pub(crate) use process::{Built, ServerProcess, run_to_its_end};

@@ -1,6 +1,5 @@
 //! A simulated robot maps a building over gRPC; what comes back, and what is exported, is judged against the truth.
 
-use std::process::Command;
 use std::sync::Arc;
 
 use topomap::g2o::G2o;
@@ -16,8 +15,8 @@ use waypost_sim::simulation::{CameraFrame, Simulation, SimulationSettings};
 use waypost_sim::worlds::NamedWorld;
 
 use crate::harness::{
-    Built, CommandLine, Server, assert_status, followed, frame, get, import_model, json_object, map_request,
-    model_file, path, refused, run_to_its_end, session_options, state_hash, stream, workspace,
+    Built, CommandLine, Server, assert_status, evo_rmse_m, followed, frame, get, import_model, json_object,
+    map_request, model_file, path, refused, run_to_its_end, session_options, state_hash, stream, workspace,
 };
 
 const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * std::f64::consts::PI;
@@ -433,11 +432,6 @@ async fn a_session_without_odometry_leaves_the_metres_of_others_alone() {
 async fn evo_reads_what_is_exported() {
     use v1::export_poses_request::{Body, Format, Frame};
     const SESSION: &str = "maps/drive/sessions/robot";
-    let evo = std::env::var("WAYPOST_EVO").unwrap_or_else(|_| "evo_ape".to_owned());
-    if Command::new(&evo).arg("--help").output().is_err() {
-        eprintln!("skipped: {evo} is not there; install evo, or name its evo_ape by WAYPOST_EVO");
-        return;
-    }
     let drive = Drive::new(3, "twice");
     let server = Server::start().await;
     let client = server.client().await;
@@ -451,26 +445,15 @@ async fn evo_reads_what_is_exported() {
             pose: drive.truth(frame).on_the_ground(),
         })
         .collect();
-    let directory = tempfile::tempdir().unwrap();
     for (format, name, truth) in
         [(Format::Tum, "tum", to_tum(&truth)), (Format::Kitti, "kitti", to_kitti(&truth))]
     {
         let text = exported(&client, SESSION, format, Frame::Map, Body::Base).await;
-        let [true_file, map_file] = ["truth", "map"].map(|of| directory.path().join(format!("{of}.{name}")));
-        std::fs::write(&true_file, truth).unwrap();
-        std::fs::write(&map_file, &text).unwrap();
-        let judged = Command::new(&evo)
-            .args([name, path(&true_file), path(&map_file)])
-            .env("HOME", directory.path())
-            .output()
-            .unwrap();
-        let said = String::from_utf8_lossy(&judged.stdout).into_owned();
-        assert!(judged.status.success(), "{said}{}", String::from_utf8_lossy(&judged.stderr));
-        let rmse = said.lines().find_map(|line| line.trim().strip_prefix("rmse")?.trim().parse::<f64>().ok());
+        let Some(rmse_m) = evo_rmse_m(name, &truth, &text) else { break };
         let own = drive.rmse_m(
             &from_tum(&exported(&client, SESSION, Format::Tum, Frame::Map, Body::Base).await).unwrap(),
         );
-        assert!((rmse.expect(&said) - own).abs() < 1e-4, "{said} against {own}");
+        assert!((rmse_m - own).abs() < 1e-4, "{rmse_m} against {own}");
     }
     server.stop().await;
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use topomap::relaxation::{PlanarPose, Pose as _};
-use topomap::trajectory::from_tum;
+use topomap::trajectory::{StampedPose, from_tum, to_tum};
 use waypost_client::v1::merge::State;
 use waypost_client::v1::merge_maps_request::OnceFound;
 use waypost_client::v1::merge_source::Outcome;
@@ -20,8 +20,9 @@ use waypost_sim::simulation::{CameraFrame, Simulation, SimulationSettings};
 use waypost_sim::worlds::NamedWorld;
 
 use crate::harness::{
-    Server, ServerProcess, answers, assert_status, followed, found, frame, get, http, images, import_model,
-    map_request, model_of_other_words, refused, session_options, state_hash, stream, take_model,
+    Server, ServerProcess, answers, assert_status, evo_rmse_m, followed, found, frame, get, http, images,
+    import_model, map_request, model_of_other_words, refused, session_options, state_hash, stream,
+    take_model,
 };
 
 const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * std::f64::consts::PI;
@@ -110,8 +111,8 @@ impl Rounds {
         outcomes.into_iter().map(answer).collect()
     }
 
-    /// Root mean square of how far the frames of a session are from the truth, in the frame of the first day's first.
-    async fn rmse_m(&self, client: &Client, session: &str) -> f64 {
+    /// A drive on the map as TUM.
+    async fn exported(&self, client: &Client, session: &str) -> Vec<u8> {
         let request = v1::ExportPosesRequest {
             name: session.to_owned(),
             format: v1::export_poses_request::Format::Tum.into(),
@@ -120,7 +121,12 @@ impl Rounds {
         };
         let mut text = Vec::new();
         client.export_poses(request, &mut text).await.unwrap();
-        let poses = from_tum(&text).unwrap();
+        text
+    }
+
+    /// Root mean square of how far the frames of a session are from the truth, in the frame of the first day's first.
+    async fn rmse_m(&self, client: &Client, session: &str) -> f64 {
+        let poses = from_tum(&self.exported(client, session).await).unwrap();
         let squares = poses.iter().map(|stamped| {
             let frame = self.frames.iter().find(|frame| frame.stamp_ns + 1 == stamped.stamp_ns).unwrap();
             let (truth, position) = (self.truth(&self.frames[0], frame), stamped.pose.translation.vector);
@@ -205,6 +211,19 @@ async fn two_maps_become_one_and_two_again() {
         let rmse_m = rounds.rmse_m(&client, &format!("maps/week/sessions/{session}")).await;
         println!("{session}: {rmse_m} m");
         assert!(rmse_m < 0.6, "{session}: {rmse_m} m");
+    }
+    // Both days as one trajectory, as everybody judges one.
+    let mut both = Vec::new();
+    for session in ["robot", "tuesday-robot"] {
+        both.extend(rounds.exported(&client, &format!("maps/week/sessions/{session}")).await);
+    }
+    let truth = rounds.frames.iter().map(|frame| StampedPose {
+        stamp_ns: frame.stamp_ns + 1,
+        pose: rounds.truth(&rounds.frames[0], frame).on_the_ground(),
+    });
+    if let Some(rmse_m) = evo_rmse_m("tum", &to_tum(&truth.collect::<Vec<_>>()), &both) {
+        println!("by evo {rmse_m} m");
+        assert!(rmse_m < 0.5, "{rmse_m} m");
     }
     let frame = format!("maps/week/sessions/tuesday-robot/frames/{}", rounds.day(1)[0].number + 1);
     let image = client.frame_picture(&frame, None).await.unwrap();
