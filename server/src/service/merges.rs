@@ -128,7 +128,13 @@ impl Service {
             service.note_failure(number, &outcome).await;
             outcome
         };
-        let job = self.start_job(JobKind::MergeMaps, work).await?;
+        let job = match self.start_job(JobKind::MergeMaps, work).await {
+            Ok(job) => job,
+            Err(error) => {
+                self.note_failure(number, &JobOutcome::Failed(error.clone())).await;
+                return Err(error);
+            }
+        };
         self.storage.set_merge_job(number, job.number).await?;
         self.merge_of_number(number).await
     }
@@ -167,6 +173,7 @@ impl Service {
         // Taken out: it is committed once.
         let proposal =
             self.merges.proposals().remove(&number).ok_or_else(|| undecidable(&view, "committed"))?;
+        let kept = proposal.clone();
         let work = |service: Arc<Self>, reporter: JobReporter| async move {
             let kept = proposal.clone();
             let outcome = service.commit(number, proposal, &reporter).await;
@@ -181,7 +188,13 @@ impl Service {
             }
             outcome
         };
-        let job = self.start_job(JobKind::MergeMaps, work).await?;
+        let job = match self.start_job(JobKind::MergeMaps, work).await {
+            Ok(job) => job,
+            Err(error) => {
+                self.merges.proposals().insert(number, kept);
+                return Err(error);
+            }
+        };
         self.storage.set_merge_job(number, job.number).await?;
         self.merge_of_number(number).await
     }
@@ -189,10 +202,11 @@ impl Service {
     /// Leaves the maps as they are.
     pub(crate) async fn discard_merge(&self, name: &str) -> Result<MergeView, ServiceError> {
         let view = self.merge(name).await?;
-        let proposed = self.merges.proposals().remove(&view.number).is_some();
+        let proposed = self.merges.proposals().contains_key(&view.number);
         if !proposed || !self.storage.discard_merge(view.number).await? {
             return Err(undecidable(&view, "discarded"));
         }
+        self.merges.proposals().remove(&view.number);
         self.merge_of_number(view.number).await
     }
 

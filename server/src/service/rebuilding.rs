@@ -108,6 +108,16 @@ impl Service {
             if reporter.progress("looking at the frames anew", fraction) == ControlFlow::Break(()) {
                 return Err(Stopped::Cancelled);
             }
+            // Positions mean something else once sessions were removed.
+            let now = self.storage.map_of_id(rebuild.source.id).await.map_err(ServiceError::from)?;
+            if now.map(|row| row.edition()) != Some(rebuild.source.edition()) {
+                return Err(Stopped::Failed(ServiceError::Aborted {
+                    message: format!(
+                        "the map {} was deleted, or sessions were removed from it, meanwhile; ask for the rebuilding again",
+                        rebuild.source.name
+                    ),
+                }));
+            }
             let mut page = Vec::new();
             let mut keep = |LogEntry { position: _, event, media: _ }: LogEntry| {
                 page.push(event);

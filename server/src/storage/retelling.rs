@@ -34,7 +34,12 @@ impl RetoldLog {
     /// What is another in a log that was told anew.
     pub(crate) fn new(map: MapEdition, before: &[MapEvent], retold: Retold) -> Self {
         let Retold { mut events, frames, sessions, places, dropped: _ } = retold;
-        let same = before.iter().zip(&events).take_while(|(before, now)| before == now).count();
+        // An event that has come to stand where one like it was removed is another, with other media.
+        let stays = |position: u64, before: &MapEvent, now: &MapEvent| {
+            frames.get(&position) == Some(&position) && before == now
+        };
+        let both = (0..).zip(before.iter().zip(&events));
+        let same = both.take_while(|&(position, (before, now))| stays(position, before, now)).count();
         let opened = before.iter().filter_map(|event| match event {
             MapEvent::SessionOpened { session } => Some(*session),
             MapEvent::Frame(_) | MapEvent::Measured(_) => None,
@@ -54,8 +59,9 @@ impl RetoldLog {
 }
 
 impl Storage {
-    /// Replaces the end of a map's log, with its media and sessions, and ends a job and the merge that it undoes, if there are such: all or
-    /// nothing. The checkpoint goes. [`StorageError::Retold`] if it was told anew or deleted since it was read.
+    /// Replaces the end of a map's log, with its media and sessions, and ends a job and the merge that it undoes, if
+    /// there are such: all or nothing. The checkpoint goes. [`StorageError::Retold`] if the log was told anew or the map
+    /// deleted since it was read.
     pub(crate) async fn retell(
         &self,
         log: &RetoldLog,
@@ -160,11 +166,13 @@ impl Storage {
     }
 
     /// Writes the database anew without what was deleted, which is still between the rows until then, and in the
-    /// write-ahead log. Commits wait meanwhile.
+    /// write-ahead log. Commits wait meanwhile. [`StorageError::InUse`] if somebody reads from that log for so long that
+    /// it cannot be emptied.
     pub(crate) async fn wipe_deleted(&self) -> Result<(), StorageError> {
         sqlx::query("VACUUM").execute(&self.writer).await?;
-        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&self.writer).await?;
-        Ok(())
+        let emptied = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(&self.writer).await?;
+        let busy: i64 = emptied.try_get("busy")?;
+        if busy == 0 { Ok(()) } else { Err(StorageError::InUse) }
     }
 
     /// Events of a map's log.

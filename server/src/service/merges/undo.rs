@@ -82,6 +82,10 @@ impl Service {
             };
             match compacted.await {
                 Ok(end) => JobOutcome::Stored { end, model: None },
+                Err(StorageError::InUse) => JobOutcome::Failed(ServiceError::unavailable(
+                    "what was removed is still in the write-ahead log, which somebody reads: wait until exports have \
+                     ended, and compact the map again",
+                )),
                 Err(error) => JobOutcome::Failed(error.into()),
             }
         };
