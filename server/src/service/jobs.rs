@@ -84,6 +84,33 @@ pub(crate) enum JobOutcome {
     Cancelled,
 }
 
+/// Why the work of a job did not come to its end.
+pub(super) enum Stopped {
+    Cancelled,
+    Failed(ServiceError),
+}
+
+impl Stopped {
+    pub(super) fn unless(goes_on: ControlFlow<()>) -> Result<(), Self> {
+        if goes_on.is_continue() { Ok(()) } else { Err(Self::Cancelled) }
+    }
+}
+
+impl From<ServiceError> for Stopped {
+    fn from(error: ServiceError) -> Self {
+        Self::Failed(error)
+    }
+}
+
+impl From<Stopped> for JobOutcome {
+    fn from(stopped: Stopped) -> Self {
+        match stopped {
+            Stopped::Cancelled => Self::Cancelled,
+            Stopped::Failed(error) => Self::Failed(error),
+        }
+    }
+}
+
 /// How long jobs that have ended are kept.
 const KEPT: Duration = Duration::from_secs(30 * 24 * 60 * 60);
 

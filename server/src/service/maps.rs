@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use fabmap::appearance::PlaceId;
 use fabmap::observation::WordId;
-use topomap::mapper::Mapper;
+use topomap::mapper::{Mapper, MapperSettings};
 use topomap::relaxation::PlanarPose;
 
 use super::map_settings;
@@ -15,6 +15,7 @@ use super::models::Page;
 use super::names::{bad_page_token, check_id, map_in, numbered_page, page_size, place_in, session_name};
 use super::{Service, now_ns};
 use crate::error::ServiceError;
+use crate::extraction::LoadedModel;
 use crate::storage::{MapBytes, MapCounts, MapId, MapRow, SessionRow, StorageError, StoredFrame};
 
 /// A map as people see it.
@@ -91,10 +92,7 @@ impl Service {
         let settings = settings.with_defaults()?;
         let model = self.find_model(model).await?;
         let loaded = self.loaded_model(&model.hash).await?;
-        // Settings that no recognizer can be made of are refused now, not at the first frame.
-        let check = move || Mapper::new(&loaded.model, settings.mapper).map(drop);
-        let checked = tokio::task::spawn_blocking(check).await.map_err(ServiceError::internal)?;
-        checked.map_err(ServiceError::invalid)?;
+        check_recognizer(loaded, settings.mapper).await?;
         let json = map_settings::to_json(&settings)?;
         let created = self.storage.create_map(map, &model.hash, &json, now_ns()).await;
         let row = created.map_err(|error| match error {
@@ -208,9 +206,7 @@ impl Service {
             )));
         }
         let settings = map_settings::from_json(&row.settings)?.mapper;
-        let check = move || Mapper::new(&loaded.model, settings).map(drop);
-        let checked = tokio::task::spawn_blocking(check).await.map_err(ServiceError::internal)?;
-        checked.map_err(ServiceError::invalid)?;
+        check_recognizer(loaded, settings).await?;
         if model.hash != row.model {
             self.close_and_rebind_map(map, model.hash).await?;
         }
@@ -278,6 +274,16 @@ impl Service {
         let MapRow { id: _, name, model, settings: _, created_ns, edition: _ } = row;
         Ok(MapView { map: name, model, settings, created_ns, counts, state_hash, bytes })
     }
+}
+
+/// Settings that no recognizer can be made of are refused now, not at the first frame.
+pub(super) async fn check_recognizer(
+    model: Arc<LoadedModel>,
+    settings: MapperSettings,
+) -> Result<(), ServiceError> {
+    let check = move || Mapper::new(&model.model, settings).map(drop);
+    let checked = tokio::task::spawn_blocking(check).await.map_err(ServiceError::internal)?;
+    checked.map_err(ServiceError::invalid)
 }
 
 pub(super) fn map_exists(map: &str) -> ServiceError {

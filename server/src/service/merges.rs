@@ -1,15 +1,15 @@
 //! Maps that become one: looked for, proposed, and then committed, discarded or undone.
 
 mod commit;
+mod housekeeping;
 mod picture;
 mod report;
 mod search;
 mod source;
-mod trim;
 mod undo;
 
+pub(crate) use housekeeping::{Trimmed, Trimming};
 pub(crate) use report::{MapOverlap, MatchedPlaces, MergeReport, MergedSource, SourceOutcome};
-pub(crate) use trim::{Trimmed, Trimming};
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -1,20 +1,18 @@
 //! A map made anew with another model, from what it keeps of its frames.
 
 use std::collections::{HashMap, VecDeque};
-use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use bytes::Bytes;
 use futures::stream::{self, StreamExt};
 use topomap::event::{FrameEvent, MapEvent, SessionId};
-use topomap::mapper::Mapper;
 use waypost_vision::feature_record::FeatureRecord;
 
 use super::content::{Content, Described};
-use super::jobs::{JobOutcome, JobReporter, JobStatus};
+use super::jobs::{JobOutcome, JobReporter, JobStatus, Stopped};
 use super::map_settings::{self, Keep};
 use super::map_writer::SessionMode;
-use super::maps::map_exists;
+use super::maps::{check_recognizer, map_exists};
 use super::names::{check_id, map_in, map_name};
 use super::sessions::{Frame, FrameOutcome, PreparedFrame, SessionStream};
 use super::{Service, now_ns};
@@ -38,12 +36,6 @@ struct Rebuild {
     into: String,
 }
 
-/// Why it came to no end.
-enum Stopped {
-    Cancelled,
-    Failed(ServiceError),
-}
-
 impl Service {
     /// Begins to make a map anew with another model. If that was begun before and cut off, it goes on where it was.
     pub(crate) async fn rebuild_map(
@@ -59,10 +51,7 @@ impl Service {
         let before = self.loaded_model(&source.model).await?;
         let settings = map_settings::from_json(&source.settings)?;
         check_kept(&source, settings.keep, &before, &loaded)?;
-        let (check, mapper_settings) = (loaded.clone(), settings.mapper);
-        let check = move || Mapper::new(&check.model, mapper_settings).map(drop);
-        let checked = tokio::task::spawn_blocking(check).await.map_err(ServiceError::internal)?;
-        checked.map_err(ServiceError::invalid)?;
+        check_recognizer(loaded, settings.mapper).await?;
         match self.storage.map(&into).await? {
             None => {
                 self.snapshots.check_unreserved(&into)?;
@@ -94,8 +83,7 @@ impl Service {
                     Err(error) => JobOutcome::Failed(error.into()),
                 }
             }
-            Err(Stopped::Cancelled) => JobOutcome::Cancelled,
-            Err(Stopped::Failed(error)) => JobOutcome::Failed(error),
+            Err(stopped) => stopped.into(),
         }
     }
 
@@ -105,9 +93,7 @@ impl Service {
         let mut streams: HashMap<SessionId, SessionStream> = HashMap::new();
         for from in (0..events).step_by(EVENTS_PAGE as usize) {
             let fraction = from as f64 / events as f64;
-            if reporter.progress("looking at the frames anew", fraction) == ControlFlow::Break(()) {
-                return Err(Stopped::Cancelled);
-            }
+            Stopped::unless(reporter.progress("looking at the frames anew", fraction))?;
             // Positions mean something else once sessions were removed.
             let now = self.storage.map_of_id(rebuild.source.id).await.map_err(ServiceError::from)?;
             if now.map(|row| row.edition()) != Some(rebuild.source.edition()) {
@@ -240,11 +226,5 @@ fn taken(outcome: FrameOutcome) -> Result<(), ServiceError> {
     match outcome {
         FrameOutcome::Answered(_) => Ok(()),
         FrameOutcome::Refused { error, .. } | FrameOutcome::Ended(error) => Err(error),
-    }
-}
-
-impl From<ServiceError> for Stopped {
-    fn from(error: ServiceError) -> Self {
-        Self::Failed(error)
     }
 }

@@ -176,27 +176,21 @@ impl Service {
         )))
     }
 
-    /// Closes a map and binds it to another model, whether or not whoever asked is still there. Streams go
-    /// on: their next frame opens it again.
+    /// Closes a map and binds it to another model.
     pub(crate) async fn close_and_rebind_map(
         self: &Arc<Self>,
         name: &str,
         model: String,
     ) -> Result<(), ServiceError> {
-        let row = self.map_row(name).await?;
-        let mut slot = self.open_maps.slot(name).lock_owned().await;
-        let service = self.clone();
-        let rebinding = tokio::spawn(async move {
-            slot.close().await;
-            service.storage.rebind_map(row.id, &model).await
-        });
-        match rebinding.await.map_err(ServiceError::internal)? {
+        let (map, storage) = (self.map_row(name).await?.id, self.storage.clone());
+        let rebind = move |runtime: &Handle| match runtime.block_on(storage.rebind_map(map, &model)) {
             Ok(()) => Ok(()),
             Err(StorageError::InUse) => {
                 Err(ServiceError::not_found("the model was deleted just now; name another"))
             }
             Err(error) => Err(error.into()),
-        }
+        };
+        self.with_map_closed(name, rebind).await
     }
 
     /// Closes a map and does something to its log, whether or not whoever asked is still there. Streams go on: their

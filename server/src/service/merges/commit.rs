@@ -10,11 +10,10 @@ use topomap::event::MapEvent;
 use topomap::mapper::Mapper;
 use topomap::merging::join;
 
-use super::search::Stopped;
 use super::source::{Models, ReadMap, joined_places, joined_sessions, read_on};
 use super::{Joining, MergeReport, Proposal, Target, changed};
 use crate::error::ServiceError;
-use crate::service::jobs::{JobOutcome, JobReporter};
+use crate::service::jobs::{JobOutcome, JobReporter, Stopped};
 use crate::service::maps::map_exists;
 use crate::service::names::map_name;
 use crate::service::{Service, now_ns};

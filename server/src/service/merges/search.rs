@@ -14,15 +14,9 @@ use super::source::{Between, Models, ReadMap};
 use super::{Joining, MapOverlap, MergeReport, MergeTarget, OnceFound, Proposal, SourceOutcome, Target};
 use crate::error::ServiceError;
 use crate::service::Service;
-use crate::service::jobs::{JobOutcome, JobReporter};
+use crate::service::jobs::{JobOutcome, JobReporter, Stopped};
 use crate::service::map_writer::verifier;
 use crate::storage::{MapRow, MergeOutcome, MergeState, Storage};
-
-/// Why a job of a merge did not come to its end.
-pub(super) enum Stopped {
-    Cancelled,
-    Failed(ServiceError),
-}
 
 /// What the blocking part of a search works with.
 struct Search {
@@ -205,26 +199,5 @@ impl MergeObserver for Progress<'_> {
     fn goes_on(&self, places: usize) -> bool {
         let fraction = places as f64 / self.places.max(1) as f64;
         self.reporter.progress("looking for each other's places", fraction).is_continue()
-    }
-}
-
-impl Stopped {
-    pub(super) fn unless(goes_on: std::ops::ControlFlow<()>) -> Result<(), Self> {
-        if goes_on.is_continue() { Ok(()) } else { Err(Self::Cancelled) }
-    }
-}
-
-impl From<ServiceError> for Stopped {
-    fn from(error: ServiceError) -> Self {
-        Self::Failed(error)
-    }
-}
-
-impl From<Stopped> for JobOutcome {
-    fn from(stopped: Stopped) -> Self {
-        match stopped {
-            Stopped::Cancelled => Self::Cancelled,
-            Stopped::Failed(error) => Self::Failed(error),
-        }
     }
 }

@@ -7,14 +7,13 @@ use tokio::runtime::Handle;
 use topomap::event::SessionId;
 use topomap::retelling::without_sessions;
 
-use super::search::Stopped;
 use super::source::ReadMap;
 use super::{MergeView, changed, undecidable};
 use crate::error::ServiceError;
 use crate::service::Service;
 use crate::service::frames::no_such_session;
-use crate::service::jobs::{JobOutcome, JobReporter, JobStatus};
-use crate::service::names::{map_in, map_name, session_in};
+use crate::service::jobs::{JobOutcome, JobReporter, JobStatus, Stopped};
+use crate::service::names::{map_name, session_in};
 use crate::storage::{JobKind, MapRow, MergeOutcome, MergeState, RetoldLog, StorageError};
 
 impl Service {
@@ -62,34 +61,6 @@ impl Service {
             service.take_out(row, vec![number], None, &reporter).await
         };
         self.start_job(JobKind::RemoveSessions, work).await
-    }
-
-    /// Makes what a map holds now its new beginning, and wipes from the disk what was removed.
-    pub(crate) async fn compact_map(self: &Arc<Self>, name: &str) -> Result<JobStatus, ServiceError> {
-        let map = self.map_row(map_in(name)?).await?;
-        let work = |service: Arc<Self>, reporter: JobReporter| async move {
-            let Some(_turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
-            // The last moment to stop.
-            if Stopped::unless(reporter.progress("writing the database anew", 0.0)).is_err() {
-                return JobOutcome::Cancelled;
-            }
-            let compacted = async {
-                service.storage.end_undoing(map.id).await?;
-                service.storage.wipe_deleted().await?;
-                let end = reporter.succeeded(map_name(&map.name));
-                service.storage.end_job(&end).await?;
-                Ok::<_, StorageError>(end)
-            };
-            match compacted.await {
-                Ok(end) => JobOutcome::Stored { end, model: None },
-                Err(StorageError::InUse) => JobOutcome::Failed(ServiceError::unavailable(
-                    "what was removed is still in the write-ahead log, which somebody reads: wait until exports have \
-                     ended, and compact the map again",
-                )),
-                Err(error) => JobOutcome::Failed(error.into()),
-            }
-        };
-        self.start_job(JobKind::CompactMap, work).await
     }
 
     /// A map that a merge has made goes as a whole, as long as nothing has come to it since.

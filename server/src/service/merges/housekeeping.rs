@@ -1,4 +1,4 @@
-//! A map that is to have so many places only.
+//! A map that is to have so many places only, and what was removed wiped from the disk.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -12,8 +12,9 @@ use super::source::ReadMap;
 use crate::error::ServiceError;
 use crate::extraction::LoadedModel;
 use crate::service::Service;
-use crate::service::names::map_in;
-use crate::storage::{MapRow, RetoldLog, Storage};
+use crate::service::jobs::{JobOutcome, JobReporter, JobStatus, Stopped};
+use crate::service::names::{map_in, map_name};
+use crate::storage::{JobKind, MapRow, RetoldLog, Storage, StorageError};
 
 /// What is asked of a map with too many places.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,6 +33,34 @@ pub(crate) struct Trimmed {
 }
 
 impl Service {
+    /// Makes what a map holds now its new beginning, and wipes from the disk what was removed.
+    pub(crate) async fn compact_map(self: &Arc<Self>, name: &str) -> Result<JobStatus, ServiceError> {
+        let map = self.map_row(map_in(name)?).await?;
+        let work = |service: Arc<Self>, reporter: JobReporter| async move {
+            let Some(_turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
+            // The last moment to stop.
+            if Stopped::unless(reporter.progress("writing the database anew", 0.0)).is_err() {
+                return JobOutcome::Cancelled;
+            }
+            let compacted = async {
+                service.storage.end_undoing(map.id).await?;
+                service.storage.wipe_deleted().await?;
+                let end = reporter.succeeded(map_name(&map.name));
+                service.storage.end_job(&end).await?;
+                Ok::<_, StorageError>(end)
+            };
+            match compacted.await {
+                Ok(end) => JobOutcome::Stored { end, model: None },
+                Err(StorageError::InUse) => JobOutcome::Failed(ServiceError::unavailable(
+                    "what was removed is still in the write-ahead log, which somebody reads: wait until exports have \
+                     ended, and compact the map again",
+                )),
+                Err(error) => JobOutcome::Failed(error.into()),
+            }
+        };
+        self.start_job(JobKind::CompactMap, work).await
+    }
+
     /// Drops the places that a map can do without, until it has no more than so many.
     pub(crate) async fn trim_map(
         self: &Arc<Self>,
