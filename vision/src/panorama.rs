@@ -3,6 +3,7 @@
 //! Rays are of length 1, in axes x forward, y left, z up. A camera that looks into a mirror is unwrapped first
 //! ([`mirror`]).
 
+pub mod compass;
 pub mod mirror;
 
 use std::f64::consts::{PI, TAU};
