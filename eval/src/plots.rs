@@ -2,11 +2,13 @@
 
 mod curves;
 mod growth;
+mod headings;
 mod new_place;
 mod reliability;
 
 pub use curves::{Panel, compared_curves_svg};
 pub use growth::growth_svg;
+pub use headings::{HeadingErrors, heading_errors_svg};
 pub use new_place::{FalseAccepts, false_accepts_svg};
 pub use reliability::reliability_svg;
 

@@ -7,6 +7,8 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use waypost_eval::commands::appearance::{self, AppearanceOptions, AppearanceReport, Part};
 use waypost_eval::error::EvalError;
 
+use crate::refuse;
+
 /// Send a simulated robot with a panoramic camera to goals by looks alone, in buildings that it has images of.
 #[derive(Args)]
 pub(crate) struct AppearanceArguments {
@@ -22,9 +24,12 @@ pub(crate) struct AppearanceArguments {
     /// Panoramas of the graph that is made through the index, and by all pairs to compare.
     #[arg(long, value_name = "N", default_value_t = 600, value_parser = clap::value_parser!(u16).range(2..=5000))]
     panoramas: u16,
-    /// What to measure [default: all].
+    /// What to measure [default: all that needs no --data, and with it the compass, too].
     #[arg(long, value_name = "PART", num_args = 1.., value_parser = parts())]
     parts: Option<Vec<Part>>,
+    /// Folder panorama_alife with the recorded panoramas of a real robot, for the compass.
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
     /// Folder for the pictures; made if it does not exist.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -35,10 +40,15 @@ pub(crate) struct AppearanceArguments {
 
 impl AppearanceArguments {
     pub(crate) fn run(self) -> Result<AppearanceReport, EvalError> {
-        let Self { trials, seed, people, panoramas, parts, out, json: _ } = self;
+        let Self { trials, seed, people, panoramas, parts, data, out, json: _ } = self;
+        if data.is_none() && parts.as_ref().is_some_and(|parts| parts.contains(&Part::Compass)) {
+            refuse(
+                "the compass is measured on recorded panoramas; give their folder with --data, or leave out compass",
+            );
+        }
         let parts = parts.unwrap_or_else(|| Part::ALL.to_vec());
         let (people, panoramas) = (people.into(), panoramas.into());
-        appearance::run(&AppearanceOptions { trials, seed, people, panoramas, parts, out })
+        appearance::run(&AppearanceOptions { trials, seed, people, panoramas, parts, data, out })
     }
 }
 

@@ -1,6 +1,8 @@
-//! `waypost-eval appearance`: a simulated robot with a panoramic camera goes where it was never shown, by looks alone.
+//! `waypost-eval appearance`: a simulated robot with a panoramic camera goes where it was never shown, by looks alone; and
+//! what whole panoramas of a real robot are worth as a compass.
 
 pub mod candidates;
+pub mod compass;
 pub mod eye;
 pub mod headings;
 pub mod picture;
@@ -19,11 +21,13 @@ use waypost_sim::simulation::SimulationError;
 use waypost_vision::features::FeatureError;
 use waypost_vision::image::ImageError;
 use waypost_vision::panorama::PanoramaError;
+use waypost_vision::panorama::compass::SizesDiffer;
 
 use crate::error::EvalError;
 use crate::files;
 
 use self::candidates::{IndexFigures, LookAlikeFigures};
+use self::compass::CompassFigures;
 use self::eye::{Acuity, Eye};
 use self::headings::HeadingFigures;
 use self::trials::{Drive, DrivenMap};
@@ -44,6 +48,8 @@ pub struct AppearanceOptions {
     pub panoramas: usize,
     /// What is measured.
     pub parts: Vec<Part>,
+    /// Folder of the recorded panoramas; without it there is no compass to measure.
+    pub data: Option<PathBuf>,
     /// Folder for the pictures.
     pub out: Option<PathBuf>,
 }
@@ -59,11 +65,13 @@ pub enum Part {
     Index,
     /// Links in a building whose offices look alike.
     LookAlikes,
+    /// Headings by whole panoramas, recorded by a real robot.
+    Compass,
 }
 
 impl Part {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Headings, Self::Drives, Self::Index, Self::LookAlikes];
+    pub const ALL: [Self; 5] = [Self::Headings, Self::Drives, Self::Index, Self::LookAlikes, Self::Compass];
 
     /// What the command line calls it.
     #[must_use]
@@ -73,6 +81,7 @@ impl Part {
             Self::Drives => "drives",
             Self::Index => "index",
             Self::LookAlikes => "look-alikes",
+            Self::Compass => "compass",
         }
     }
 
@@ -108,6 +117,8 @@ pub struct AppearanceReport {
     pub index: Option<IndexFigures>,
     /// Of the building whose offices look alike.
     pub look_alikes: Option<LookAlikeFigures>,
+    /// Of whole panoramas.
+    pub compass: Option<CompassFigures>,
     /// Drive by drive.
     pub drives: Vec<Drive>,
 }
@@ -148,6 +159,17 @@ pub enum AppearanceError {
     /// A goal that the map does not have.
     #[error(transparent)]
     Goal(#[from] NoSuchImage),
+    /// A file of the recorded panoramas is not as it was published.
+    #[error("{path}: {reason}; give the folder of recordings as it was published")]
+    Recording {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// Recorded panoramas of different sizes.
+    #[error(transparent)]
+    Sizes(#[from] SizesDiffer),
     /// An image of the map that is not there.
     #[error(transparent)]
     Archive(#[from] ArchiveError),
@@ -163,19 +185,23 @@ pub fn run(options: &AppearanceOptions) -> Result<AppearanceReport, EvalError> {
     }
     let (fine, coarse) = (Eye::new(Acuity::FINE)?, Eye::new(Acuity::COARSE)?);
     let is_asked = |part| options.parts.contains(&part);
-    let headings =
-        is_asked(Part::Headings).then(|| headings::measure(&fine, &seeds(options, GRIDS))).transpose()?;
+    let headings = is_asked(Part::Headings).then(|| measure_headings(&fine, options)).transpose()?;
     let drives = is_asked(Part::Drives).then(|| drive(&coarse, options)).transpose()?.unwrap_or_default();
     let index = is_asked(Part::Index)
         .then(|| candidates::measure(&coarse, options.panoramas, options.seed))
         .transpose()?;
     let look_alikes =
         is_asked(Part::LookAlikes).then(|| candidates::look_alikes(&coarse, options.seed)).transpose()?;
+    let compass = match &options.data {
+        Some(folder) if is_asked(Part::Compass) => Some(compass::measure(folder)?),
+        Some(_) | None => None,
+    };
     Ok(AppearanceReport {
         links_lost_fraction: index.as_ref().map(|index| index.links_lost_fraction),
         pair_check_ratio: index.as_ref().map(|index| index.pair_check_ratio),
         index,
         look_alikes,
+        compass,
         heading_error_std_rad: headings.as_ref().map(|headings| headings.heading_error_std_rad),
         trials: drives.len(),
         arrived: drives.iter().filter(|drive| drive.arrived).count(),
@@ -189,6 +215,16 @@ pub fn run(options: &AppearanceOptions) -> Result<AppearanceReport, EvalError> {
 
 fn seeds(options: &AppearanceOptions, count: u32) -> Vec<u64> {
     (options.seed..).take(count as usize).collect()
+}
+
+fn measure_headings(eye: &Eye, options: &AppearanceOptions) -> Result<HeadingFigures, EvalError> {
+    let figures = headings::measure(eye, &seeds(options, GRIDS))?;
+    if let Some(out) = &options.out {
+        let path = out.join("heading-errors.svg");
+        let not_drawn = |reason| EvalError::Plot { path: path.clone(), reason };
+        files::write(&path, headings::svg(&figures).map_err(not_drawn)?.as_bytes())?;
+    }
+    Ok(figures)
 }
 
 fn drive(eye: &Eye, options: &AppearanceOptions) -> Result<Vec<Drive>, EvalError> {

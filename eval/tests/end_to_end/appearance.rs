@@ -16,15 +16,20 @@ fn the_robot_comes_to_both_goals_and_the_graph_is_drawn() {
     let ratio = report["path_ratio_mean"].as_f64().unwrap();
     assert!((0.9..1.2).contains(&ratio), "{report}");
     assert_eq!(report["headings"], Value::Null, "not asked for");
+    for figure in ["heading_error_std_rad", "links_lost_fraction", "pair_check_ratio"] {
+        assert_eq!(report.get(figure), Some(&Value::Null), "{figure} is named, and was not asked for");
+    }
+    assert_eq!(report["collisions"], 0, "{report}");
+    assert_eq!(report["path_ratio_by_people"][0], report["path_ratio_mean"], "{report}");
     let picture = fs::read_to_string(out.join("appearance-7.svg")).unwrap();
     assert!(picture.contains("a-to-c") && picture.contains("b-to-c") && picture.contains("stroke-opacity"));
 }
 
 #[test]
 fn what_cannot_be_measured_is_refused() {
-    for arguments in
-        [&["--trials", "0"], &["--people", "9"], &["--parts", "everything"], &["--panoramas", "1"]]
-    {
+    let numbers = [["--trials", "0"], ["--people", "9"], ["--panoramas", "1"]];
+    let no_recordings = [["--parts", "compass"], ["--parts", "everything"]];
+    for arguments in numbers.iter().chain(&no_recordings) {
         waypost_eval(&[&["appearance"], &arguments[..]].concat()).refusal(2);
     }
 }

@@ -8,20 +8,20 @@ use crate::tool::{frame_rows, proposal, waypost_eval, waypost_eval_on_threads};
 /// Set to a folder of datasets to run on it instead of the one beside the repository.
 const DATA_VARIABLE: &str = "WAYPOST_DATA";
 
-fn data_folder() -> Option<PathBuf> {
+/// The folder that has these datasets; `None`, said aloud, where it does not.
+fn data_folder(names: &[&str]) -> Option<PathBuf> {
     let beside_the_repository = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data"));
     let folder = std::env::var_os(DATA_VARIABLE).map_or_else(beside_the_repository, PathBuf::from);
-    ["michigan_12months", "train_outdoor"].iter().all(|name| folder.join(name).is_dir()).then_some(folder)
+    let is_there = names.iter().all(|name| folder.join(name).is_dir());
+    if !is_there {
+        println!("skipped: no {}; set {DATA_VARIABLE} to the folder that has them", names.join(" and "));
+    }
+    is_there.then_some(folder)
 }
 
 #[test]
 fn twelve_months_of_five_places() {
-    let Some(data) = data_folder() else {
-        println!(
-            "skipped: no michigan_12months and train_outdoor; set {DATA_VARIABLE} to the folder that has them"
-        );
-        return;
-    };
+    let Some(data) = data_folder(&["michigan_12months", "train_outdoor"]) else { return };
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (training, sequence) = (data.join("train_outdoor"), data.join("michigan_12months"));
@@ -72,4 +72,26 @@ fn twelve_months_of_five_places() {
 
     let baseline = run(2, "baseline", &["--ranking", "tf-idf"]);
     assert!(baseline["average_precision"].as_f64().unwrap() > 0.5, "{baseline}");
+}
+
+#[test]
+fn whole_panoramas_are_a_compass() {
+    let Some(data) = data_folder(&["panorama_alife"]) else { return };
+    let data = data.join("panorama_alife").display().to_string();
+    let report = waypost_eval(&["appearance", "--parts", "compass", "--data", &data, "--json"]).json();
+    let compass = &report["compass"];
+    assert_eq!(
+        (compass["taught"].as_u64(), compass["repeats"][1]["frames"].as_u64()),
+        (Some(455), Some(136))
+    );
+    let median = |sizes: &serde_json::Value| sizes["median"].as_f64().unwrap();
+    let over_four_seconds = &compass["turns"][3];
+    assert!(median(&over_four_seconds["error"]) < 0.3 * median(&over_four_seconds["turned"]), "{compass}");
+    for repeat in compass["repeats"].as_array().unwrap() {
+        assert!(
+            median(&repeat["against_tracks"]) < 0.15 && median(&repeat["against_recorded"]) < 0.15,
+            "{repeat}"
+        );
+        assert!(repeat["oriented"].as_u64().unwrap() >= 20, "{repeat}");
+    }
 }

@@ -16,6 +16,7 @@ use waypost_vision::panorama::PanoramicView;
 
 use super::AppearanceError;
 use super::eye::Eye;
+use crate::plots::{self, HeadingErrors};
 
 /// From position to position of the grid, in metres.
 const SPACING_M: f64 = 1.0;
@@ -23,11 +24,15 @@ const SPACING_M: f64 = 1.0;
 /// Draws of each search where the two ways to search are compared.
 const DRAWS: usize = 100;
 
-/// Classes of the histogram: those in the middle are [`CLASS_RAD`] wide, the outermost hold all that is further off.
+/// Classes of the histogram, [`CLASS_RAD`] wide each, with 0 in the middle of the middle one.
 pub const CLASSES: usize = 61;
 
 /// Width of a class of the histogram, in radians.
 pub const CLASS_RAD: f64 = 0.01;
+
+/// Standard deviation of the heading's error in a real room of about this size: Booij, Terwijn, Zivkovic and Kröse, ICRA
+/// 2007, figure 3.
+const PUBLISHED_STD_RAD: f64 = 0.31;
 
 /// Errors of headings, over all grids.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -46,8 +51,10 @@ pub struct HeadingFigures {
     pub heading_error_max_rad: f64,
     /// Root mean square of the rotation's error, in radians.
     pub rotation_error_std_rad: f64,
-    /// Errors by class of 0.01 rad, 0 in the middle of the middle one; the outermost hold all that is further off.
+    /// Errors by class of 0.01 rad, 0 in the middle of the middle one.
     pub histogram: Vec<usize>,
+    /// Errors beyond its outermost classes.
+    pub outside_histogram: usize,
     /// Planar four-point and general eight-point search, half of the pairs being wrong.
     pub with_half_outliers: [SolverFigures; 2],
 }
@@ -103,11 +110,7 @@ pub fn measure(eye: &Eye, seeds: &[u64]) -> Result<HeadingFigures, AppearanceErr
     let of = |which: usize| errors.iter().map(move |error| error[which]).collect::<Vec<f64>>();
     let mut sizes: Vec<f64> = of(0).iter().map(|error| error.abs()).collect();
     sizes.sort_by(f64::total_cmp);
-    let mut histogram = vec![0; CLASSES];
-    for error in of(0) {
-        let class = (error / CLASS_RAD).round() + (CLASSES / 2) as f64;
-        histogram[class.clamp(0.0, (CLASSES - 1) as f64) as usize] += 1;
-    }
+    let histogram = histogram(&of(0));
     Ok(HeadingFigures {
         grids: grids.len(),
         pairs: found.len(),
@@ -116,12 +119,39 @@ pub fn measure(eye: &Eye, seeds: &[u64]) -> Result<HeadingFigures, AppearanceErr
         heading_error_median_rad: sizes.get(sizes.len() / 2).copied().unwrap_or(PI),
         heading_error_max_rad: sizes.last().copied().unwrap_or(PI),
         rotation_error_std_rad: root_mean_square(&of(1)),
+        outside_histogram: errors.len() - histogram.iter().sum::<usize>(),
         histogram,
         with_half_outliers: [
             compared::<PlanarMotion>("planar four-point", &grids),
             compared::<GeneralMotion>("general eight-point", &grids),
         ],
     })
+}
+
+/// The histogram as one file of SVG.
+///
+/// # Errors
+/// The plotting library's words.
+pub fn svg(figures: &HeadingFigures) -> Result<String, String> {
+    plots::heading_errors_svg(&HeadingErrors {
+        classes: &figures.histogram,
+        class_rad: CLASS_RAD,
+        outside: figures.outside_histogram,
+        without_heading: figures.without_heading,
+        std_rad: figures.heading_error_std_rad,
+        published_std_rad: PUBLISHED_STD_RAD,
+    })
+}
+
+fn histogram(errors_rad: &[f64]) -> Vec<usize> {
+    let mut classes = vec![0; CLASSES];
+    for error in errors_rad {
+        let class = (error / CLASS_RAD).round() + (CLASSES / 2) as f64;
+        if (0.0..CLASSES as f64).contains(&class) {
+            classes[class as usize] += 1;
+        }
+    }
+    classes
 }
 
 impl Grid {
@@ -251,4 +281,17 @@ impl Heading for GeneralMotion {
 
 fn root_mean_square(errors: &[f64]) -> f64 {
     (errors.iter().map(|error| error * error).sum::<f64>() / errors.len().max(1) as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_off_further_than_the_classes_reach_is_in_none() {
+        let classes = histogram(&[0.0, 0.004, -0.006, 0.302, -0.31, 3.1]);
+        let counted: Vec<(usize, usize)> =
+            classes.into_iter().enumerate().filter(|class| class.1 > 0).collect();
+        assert_eq!(counted, [(CLASSES / 2 - 1, 1), (CLASSES / 2, 2), (CLASSES - 1, 1)]);
+    }
 }
