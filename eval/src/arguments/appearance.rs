@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use waypost_eval::commands::appearance::{self, AppearanceOptions, AppearanceReport, Part};
+use waypost_eval::commands::appearance::{self, AppearanceOptions, Part};
 use waypost_eval::error::EvalError;
 
-use crate::refuse;
+use crate::{print_if, refuse};
 
 /// Send a simulated robot with a panoramic camera to goals by looks alone, in buildings that it has images of.
 #[derive(Args)]
@@ -35,12 +35,12 @@ pub(crate) struct AppearanceArguments {
     out: Option<PathBuf>,
     /// Print one JSON object on stdout.
     #[arg(long)]
-    pub(crate) json: bool,
+    json: bool,
 }
 
 impl AppearanceArguments {
-    pub(crate) fn run(self) -> Result<AppearanceReport, EvalError> {
-        let Self { trials, seed, people, panoramas, parts, data, out, json: _ } = self;
+    pub(crate) fn run(self) -> Result<(), EvalError> {
+        let Self { trials, seed, people, panoramas, parts, data, out, json } = self;
         if data.is_none() && parts.as_ref().is_some_and(|parts| parts.contains(&Part::Compass)) {
             refuse(
                 "the compass is measured on recorded panoramas; give their folder with --data, or leave out compass",
@@ -48,7 +48,8 @@ impl AppearanceArguments {
         }
         let parts = parts.unwrap_or_else(|| Part::ALL.to_vec());
         let (people, panoramas) = (people.into(), panoramas.into());
-        appearance::run(&AppearanceOptions { trials, seed, people, panoramas, parts, data, out })
+        let options = AppearanceOptions { trials, seed, people, panoramas, parts, data, out };
+        print_if(json, &appearance::run(&options)?)
     }
 }
 

@@ -13,7 +13,8 @@ use waypost_eval::commands::merge::passes::{self, PassesOptions};
 use waypost_eval::commands::merge::{self, MergeOptions, MergeScenario};
 use waypost_eval::error::EvalError;
 
-use crate::{choice, print_if, with_default};
+use crate::arguments::values::{choice, with_default};
+use crate::print_if;
 
 /// Makes one map of several, and holds it against the truth.
 ///

@@ -9,7 +9,8 @@ use waypost_eval::commands::navigate::{self, Conditions, Lighting, NavigateOptio
 use waypost_eval::error::EvalError;
 use waypost_sim::worlds::NamedWorld;
 
-use crate::{choice, print_if, worlds};
+use crate::arguments::values::{choice, worlds};
+use crate::print_if;
 
 /// Teach a simulated robot a way, lead it along that way again by camera and wheels, and hold it against the truth.
 ///
