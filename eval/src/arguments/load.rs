@@ -153,6 +153,7 @@ impl WordSourceArguments {
     }
 }
 
+/// A duration, a rate or a factor.
 fn positive(text: &str) -> Result<f64, String> {
     let value = text.parse::<f64>().map_err(|error| error.to_string())?;
     if (0.1..=3600.0).contains(&value) { Ok(value) } else { Err("give a number from 0.1 to 3600".to_owned()) }

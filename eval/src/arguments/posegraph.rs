@@ -11,7 +11,6 @@ use waypost_eval::error::EvalError;
 use crate::arguments::values::choice;
 use crate::print_if;
 
-/// A duration, a rate or a factor.
 /// Relax a pose graph: SE(2) or SE(3), from odometry alone unless told otherwise.
 ///
 /// The cost is the sum of eᵀΩe, without a factor of one half: g2o's chi2. Edges between consecutive ids are odometry,
