@@ -1,6 +1,7 @@
 //! What every test needs: servers, the shipped drive and model, streams.
 
 mod command_line;
+mod driving;
 mod evo;
 mod models;
 mod panoramas;
@@ -15,6 +16,7 @@ mod told;
 mod words;
 
 pub(crate) use command_line::{CommandLine, folder, json_object, path};
+pub(crate) use driving::{Building, Drive, camera_ahead, exported, frame_input, odometry, planar};
 pub(crate) use evo::evo_rmse_m;
 pub(crate) use models::{model_of_other_words, recalibrated_model, take_model};
 pub(crate) use panoramas::{Panoramas, TaughtPlace, by_looks_request, taught_hall};

@@ -1,127 +1,37 @@
 //! A simulated robot maps a building over gRPC; what comes back, and what is exported, is judged against the truth.
 
-use std::sync::Arc;
-
 use topomap::g2o::G2o;
 use topomap::relaxation::{EdgeKind, PlanarPose, Pose as _};
-use topomap::trajectory::{StampedPose, from_tum, to_kitti, to_tum};
-use waypost_client::{Client, Code, FrameContent, FrameInput, FrameOutcome, SessionOptions, v1};
-use waypost_sim::camera::Camera;
-use waypost_sim::render::{CameraRig, Mount, Sensor};
+use topomap::trajectory::{from_tum, to_kitti, to_tum};
+use waypost_client::{Client, Code, FrameInput, FrameOutcome, SessionOptions, v1};
 use waypost_sim::robot::WheelErrors;
-use waypost_sim::route::Route;
-use waypost_sim::scene::Scene;
-use waypost_sim::simulation::{CameraFrame, Simulation, SimulationSettings};
 use waypost_sim::worlds::NamedWorld;
 
 use crate::harness::{
-    Built, CommandLine, Server, assert_status, evo_rmse_m, followed, frame, get, import_model, json_object,
-    map_request, model_file, path, refused, run_to_its_end, session_options, state_hash, stream, workspace,
+    Building, Built, CommandLine, Drive, Server, assert_status, camera_ahead, evo_rmse_m, exported, followed,
+    frame, get, import_model, json_object, map_request, model_file, odometry, path, planar, refused,
+    run_to_its_end, session_options, state_hash, stream, workspace,
 };
 
-const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * std::f64::consts::PI;
-
-/// Twice round a ring of corridors with wheels that are five percent and two degrees a metre off.
-struct Drive {
-    scene: Arc<Scene>,
-    rig: CameraRig,
-    frames: Vec<CameraFrame>,
-}
-
-impl Drive {
-    fn new(seed: u64, route: &str) -> Self {
-        let world = NamedWorld::Loop;
-        let scene = Arc::new(Scene::new(world.plan(seed)));
-        let camera = Camera::of_field_of_view(FIELD_OF_VIEW_RAD, (320, 240)).unwrap();
-        let rig = CameraRig::new(camera, Mount::default(), Sensor::default()).unwrap();
-        let route = Route::named(scene.plan(), &world.route(route).unwrap(), 0.25).unwrap();
-        let wheels = WheelErrors { scale: 0.05, drift_rad_per_m: 2_f64.to_radians(), ..WheelErrors::NONE };
-        let settings = SimulationSettings { wheels, seed, ..SimulationSettings::new(rig.clone()) };
-        let mut simulation = Simulation::new(scene.clone(), route.start(), settings).unwrap();
-        let recording = simulation.drive_along(&route, 0.4).unwrap();
-        let frames = recording.frames().cloned().collect();
-        Self { scene, rig, frames }
-    }
-
-    fn inputs(&self) -> impl Iterator<Item = FrameInput> + '_ {
-        self.frames.iter().map(|frame| {
-            let (position, [x, y, z, w]) = frame.odometry.position_and_orientation();
-            let odometry = v1::Odometry {
-                pose: Some(v1::Pose {
-                    position_m: Some(v1::Vector3 { x: position[0], y: position[1], z: position[2] }),
-                    orientation: Some(v1::Quaternion { x, y, z, w }),
-                }),
-                covariance: frame.odometry.covariance_6x6().to_vec(),
-            };
-            FrameInput {
-                sequence: frame.number + 1,
-                stamp_ns: frame.stamp_ns + 1,
-                content: FrameContent::Image(self.scene.render(&self.rig, &frame.shot).to_png().unwrap()),
-                odometry: Some(odometry),
-            }
-        })
-    }
-
-    /// The true pose at a frame, in the frame of the first.
-    fn truth(&self, frame: usize) -> PlanarPose {
-        let at = |frame: usize| {
-            let pose = &self.frames[frame].shot.pose;
-            PlanarPose::new(pose.x_m, pose.y_m, pose.heading_rad)
-        };
-        at(0).inverse().compose(&at(frame))
-    }
-
-    /// Root mean square of how far poses are from the truth.
-    fn rmse_m(&self, poses: &[StampedPose]) -> f64 {
-        let squares = poses.iter().map(|stamped| {
-            let frame = self.frames.iter().position(|frame| frame.stamp_ns + 1 == stamped.stamp_ns).unwrap();
-            let (truth, position) = (self.truth(frame), stamped.pose.translation.vector);
-            (truth.x_m() - position.x).powi(2) + (truth.y_m() - position.y).powi(2)
-        });
-        (squares.sum::<f64>() / poses.len() as f64).sqrt()
-    }
+/// Round a ring of corridors with wheels that are five percent and two degrees a metre off.
+fn drive_round(seed: u64, route: &str) -> Drive {
+    let wheels = WheelErrors { scale: 0.05, drift_rad_per_m: 2_f64.to_radians(), ..WheelErrors::NONE };
+    Drive::new(Building::new(NamedWorld::Loop, seed, route), wheels, seed)
 }
 
 fn camera() -> v1::Camera {
-    v1::Camera {
-        model: Some(v1::camera::Model::FieldOfView(v1::FieldOfView { horizontal_rad: FIELD_OF_VIEW_RAD })),
-        image_width_px: 320,
-        image_height_px: 240,
-        base_to_camera: Some(v1::Pose {
-            position_m: Some(v1::Vector3 { x: 0.1, y: 0.0, z: 0.5 }),
-            orientation: Some(v1::Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }),
-        }),
-    }
-}
-
-async fn exported(
-    client: &Client,
-    name: &str,
-    format: v1::export_poses_request::Format,
-    frame: v1::export_poses_request::Frame,
-    body: v1::export_poses_request::Body,
-) -> Vec<u8> {
-    let request = v1::ExportPosesRequest {
-        name: name.to_owned(),
-        format: format.into(),
-        frame: frame.into(),
-        body: body.into(),
+    let base_to_camera = v1::Pose {
+        position_m: Some(v1::Vector3 { x: 0.1, y: 0.0, z: 0.5 }),
+        orientation: Some(v1::Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }),
     };
-    let mut text = Vec::new();
-    client.export_poses(request, &mut text).await.unwrap();
-    text
-}
-
-fn planar(pose: &v1::Pose) -> PlanarPose {
-    let (position, orientation) = (pose.position_m.unwrap(), pose.orientation.unwrap());
-    PlanarPose::new(position.x, position.y, 2.0 * orientation.z.atan2(orientation.w))
+    v1::Camera { base_to_camera: Some(base_to_camera), ..camera_ahead() }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_robot_maps_a_building_and_the_map_undoes_what_its_wheels_drift() {
     use v1::export_poses_request::{Body, Format, Frame};
     const SESSION: &str = "maps/drive/sessions/robot";
-    let drive = Drive::new(3, "twice");
+    let drive = drive_round(3, "twice");
     let directory = tempfile::tempdir().unwrap();
     let server = Server::start_on(directory.path()).await;
     let client = server.client().await;
@@ -134,9 +44,7 @@ async fn a_robot_maps_a_building_and_the_map_undoes_what_its_wheels_drift() {
         let FrameOutcome::Answer(answer) = outcome else { panic!("{outcome:?}") };
         closures += usize::from(answer.reason() == v1::Reason::LoopClosure);
         let Some(pose) = &answer.map_pose else { panic!("{answer:?}") };
-        let (position, [x, y, z, w]) = frame.odometry.position_and_orientation();
-        assert_eq!((x, y), (0.0, 0.0));
-        let odometry = PlanarPose::new(position[0], position[1], 2.0 * z.atan2(w));
+        let odometry = planar(&odometry(&frame.odometry).pose.unwrap());
         let corrected = planar(pose.map_to_odom.as_ref().unwrap()).compose(&odometry);
         let robot = planar(pose.robot.as_ref().unwrap());
         let apart = corrected.inverse().compose(&robot);
@@ -233,7 +141,7 @@ fn measurement(session: &str, (frame, earlier): (u64, &str), pose: &PlanarPose) 
 async fn closures_that_a_robot_measures_make_its_map_true() {
     use v1::export_poses_request::{Body, Format, Frame};
     const SESSION: &str = "maps/drive/sessions/robot";
-    let drive = Drive::new(5, "twice");
+    let drive = drive_round(5, "twice");
     let directory = tempfile::tempdir().unwrap();
     let server = Server::start_on(directory.path()).await;
     let client = server.client().await;
@@ -299,7 +207,7 @@ async fn closures_that_a_robot_measures_make_its_map_true() {
 #[tokio::test(flavor = "multi_thread")]
 async fn measurements_that_say_nothing_are_refused() {
     const SESSION: &str = "maps/drive/sessions/robot";
-    let drive = Drive::new(3, "once");
+    let drive = drive_round(3, "once");
     let server = Server::start().await;
     let client = server.client().await;
     let model = import_model(&client).await;
@@ -388,7 +296,7 @@ async fn measurements_that_say_nothing_are_refused() {
 /// A robot without odometry in a map that has it: places that it makes lie nowhere, those of others stay where they are.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_session_without_odometry_leaves_the_metres_of_others_alone() {
-    let drive = Drive::new(3, "once");
+    let drive = drive_round(3, "once");
     let server = Server::start().await;
     let client = server.client().await;
     let model = import_model(&client).await;
@@ -398,7 +306,7 @@ async fn a_session_without_odometry_leaves_the_metres_of_others_alone() {
     let before = client.places("drive").await.unwrap();
     assert!(before.iter().all(|place| place.pose.is_some()));
 
-    let other = Drive::new(4, "once");
+    let other = drive_round(4, "once");
     let blind = |input| FrameInput { odometry: None, ..input };
     let inputs: Vec<FrameInput> = drive.inputs().map(blind).collect();
     let elsewhere = other.inputs().take(8).map(|input| FrameInput {
@@ -432,19 +340,14 @@ async fn a_session_without_odometry_leaves_the_metres_of_others_alone() {
 async fn evo_reads_what_is_exported() {
     use v1::export_poses_request::{Body, Format, Frame};
     const SESSION: &str = "maps/drive/sessions/robot";
-    let drive = Drive::new(3, "twice");
+    let drive = drive_round(3, "twice");
     let server = Server::start().await;
     let client = server.client().await;
     let model = import_model(&client).await;
     client.create_map(map_request("drive", &model.name)).await.unwrap();
     let options = SessionOptions { camera: Some(camera()), ..session_options("drive", "robot") };
     stream(client.open_session(options).await.unwrap(), drive.inputs()).await;
-    let truth: Vec<StampedPose> = (0..drive.frames.len())
-        .map(|frame| StampedPose {
-            stamp_ns: drive.frames[frame].stamp_ns + 1,
-            pose: drive.truth(frame).on_the_ground(),
-        })
-        .collect();
+    let truth = drive.true_poses();
     for (format, name, truth) in
         [(Format::Tum, "tum", to_tum(&truth)), (Format::Kitti, "kitti", to_kitti(&truth))]
     {
@@ -526,7 +429,7 @@ async fn poses_that_nobody_measured_are_refused_with_the_way_out() {
 #[test]
 fn the_command_line_writes_trajectories_and_graphs() {
     let waypost = CommandLine::new();
-    let drive = Drive::new(4, "once");
+    let drive = drive_round(4, "once");
     waypost.text(&["model", "import", path(&model_file()), "--name", "shipped"]);
     waypost.text(&["map", "create", "drive", "--model", "shipped", "--place-spacing-m", "0.4"]);
     let runtime = tokio::runtime::Runtime::new().unwrap();

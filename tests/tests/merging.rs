@@ -1,83 +1,39 @@
 //! Maps of a simulated building become one through the real server, and two again.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use topomap::relaxation::{PlanarPose, Pose as _};
-use topomap::trajectory::{StampedPose, from_tum, to_tum};
+use topomap::relaxation::Pose as _;
+use topomap::trajectory::{from_tum, to_tum};
+use waypost_client::v1::export_poses_request::{Body, Format, Frame};
 use waypost_client::v1::merge::State;
 use waypost_client::v1::merge_maps_request::OnceFound;
 use waypost_client::v1::merge_source::Outcome;
-use waypost_client::{Client, Code, FrameContent, FrameInput, FrameOutcome, SessionOptions, v1};
-use waypost_sim::camera::Camera;
-use waypost_sim::render::{CameraRig, Mount, Sensor};
+use waypost_client::{Client, Code, FrameOutcome, SessionOptions, v1};
 use waypost_sim::robot::WheelErrors;
-use waypost_sim::route::Route;
-use waypost_sim::scene::Scene;
-use waypost_sim::simulation::{CameraFrame, Simulation, SimulationSettings};
+use waypost_sim::simulation::CameraFrame;
 use waypost_sim::worlds::NamedWorld;
 
 use crate::harness::{
-    Server, ServerProcess, answers, assert_status, evo_rmse_m, followed, found, frame, get, http, images,
-    import_model, map_request, model_of_other_words, refused, session_options, state_hash, stream,
-    take_model,
+    Building, Drive, Server, ServerProcess, answers, assert_status, camera_ahead, evo_rmse_m, exported,
+    followed, found, frame, get, http, images, import_model, map_request, model_of_other_words, planar,
+    refused, session_options, state_hash, stream, take_model,
 };
 
-const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * std::f64::consts::PI;
-
 /// Twice round a ring of corridors: a round each day.
-struct Rounds {
-    scene: Arc<Scene>,
-    rig: CameraRig,
-    frames: Vec<CameraFrame>,
-}
+struct Rounds(Drive);
 
 impl Rounds {
     fn new() -> Self {
-        let world = NamedWorld::Loop;
-        let scene = Arc::new(Scene::new(world.plan(3)));
-        let camera = Camera::of_field_of_view(FIELD_OF_VIEW_RAD, (320, 240)).unwrap();
-        let rig = CameraRig::new(camera, Mount::default(), Sensor::default()).unwrap();
-        let route = Route::named(scene.plan(), &world.route("twice").unwrap(), 0.25).unwrap();
         let wheels = WheelErrors { scale: 0.01, drift_rad_per_m: 0.2_f64.to_radians(), ..WheelErrors::NONE };
-        let settings = SimulationSettings { wheels, seed: 3, ..SimulationSettings::new(rig.clone()) };
-        let mut simulation = Simulation::new(scene.clone(), route.start(), settings).unwrap();
-        let recording = simulation.drive_along(&route, 0.4).unwrap();
-        Self { scene, rig, frames: recording.frames().cloned().collect() }
+        Self(Drive::new(Building::new(NamedWorld::Loop, 3, "twice"), wheels, 3))
     }
 
     /// A round, the first or the second.
     fn day(&self, day: usize) -> &[CameraFrame] {
-        let half = self.frames.len() / 2;
-        if day == 0 { &self.frames[..half] } else { &self.frames[half..] }
-    }
-
-    fn inputs<'a>(&'a self, frames: &'a [CameraFrame]) -> impl Iterator<Item = FrameInput> + 'a {
-        frames.iter().map(|frame| {
-            let (position, [x, y, z, w]) = frame.odometry.position_and_orientation();
-            let pose = v1::Pose {
-                position_m: Some(v1::Vector3 { x: position[0], y: position[1], z: position[2] }),
-                orientation: Some(v1::Quaternion { x, y, z, w }),
-            };
-            let covariance = frame.odometry.covariance_6x6().to_vec();
-            FrameInput {
-                sequence: frame.number + 1,
-                stamp_ns: frame.stamp_ns + 1,
-                content: FrameContent::Image(self.scene.render(&self.rig, &frame.shot).to_png().unwrap()),
-                odometry: Some(v1::Odometry { pose: Some(pose), covariance }),
-            }
-        })
-    }
-
-    /// Where a frame truly was, in the frame of another.
-    fn truth(&self, from: &CameraFrame, to: &CameraFrame) -> PlanarPose {
-        let at = |frame: &CameraFrame| {
-            let pose = &frame.shot.pose;
-            PlanarPose::new(pose.x_m, pose.y_m, pose.heading_rad)
-        };
-        at(from).inverse().compose(&at(to))
+        let (first, second) = self.0.frames.split_at(self.0.frames.len() / 2);
+        if day == 0 { first } else { second }
     }
 
     /// Makes a map of a day.
@@ -94,16 +50,8 @@ impl Rounds {
         session: &str,
         frames: &[CameraFrame],
     ) -> Vec<v1::FrameAnswer> {
-        let camera = v1::Camera {
-            model: Some(v1::camera::Model::FieldOfView(v1::FieldOfView {
-                horizontal_rad: FIELD_OF_VIEW_RAD,
-            })),
-            image_width_px: 320,
-            image_height_px: 240,
-            base_to_camera: None,
-        };
-        let options = SessionOptions { camera: Some(camera), ..session_options(map, session) };
-        let outcomes = stream(client.open_session(options).await.unwrap(), self.inputs(frames)).await;
+        let options = SessionOptions { camera: Some(camera_ahead()), ..session_options(map, session) };
+        let outcomes = stream(client.open_session(options).await.unwrap(), self.0.inputs_of(frames)).await;
         let answer = |outcome| match outcome {
             FrameOutcome::Answer(answer) => answer,
             FrameOutcome::Refusal(refusal) => panic!("{refusal:?}"),
@@ -113,26 +61,12 @@ impl Rounds {
 
     /// A drive on the map as TUM.
     async fn exported(&self, client: &Client, session: &str) -> Vec<u8> {
-        let request = v1::ExportPosesRequest {
-            name: session.to_owned(),
-            format: v1::export_poses_request::Format::Tum.into(),
-            frame: v1::export_poses_request::Frame::Map.into(),
-            body: v1::export_poses_request::Body::Base.into(),
-        };
-        let mut text = Vec::new();
-        client.export_poses(request, &mut text).await.unwrap();
-        text
+        exported(client, session, Format::Tum, Frame::Map, Body::Base).await
     }
 
     /// Root mean square of how far the frames of a session are from the truth, in the frame of the first day's first.
     async fn rmse_m(&self, client: &Client, session: &str) -> f64 {
-        let poses = from_tum(&self.exported(client, session).await).unwrap();
-        let squares = poses.iter().map(|stamped| {
-            let frame = self.frames.iter().find(|frame| frame.stamp_ns + 1 == stamped.stamp_ns).unwrap();
-            let (truth, position) = (self.truth(&self.frames[0], frame), stamped.pose.translation.vector);
-            (truth.x_m() - position.x).powi(2) + (truth.y_m() - position.y).powi(2)
-        });
-        (squares.sum::<f64>() / poses.len() as f64).sqrt()
+        self.0.rmse_m(&from_tum(&self.exported(client, session).await).unwrap())
     }
 }
 
@@ -179,9 +113,7 @@ async fn two_maps_become_one_and_two_again() {
     assert!(found_overlap.agreeing_matches >= 20 && found_overlap.fused_places >= 20, "{found_overlap:?}");
     assert!(found_overlap.confirmed_places * 10 >= found_overlap.overlapping_places * 6);
     let pose = found_overlap.transformation.unwrap();
-    let (position, orientation) = (pose.position_m.unwrap(), pose.orientation.unwrap());
-    let told = PlanarPose::new(position.x, position.y, 2.0 * orientation.z.atan2(orientation.w));
-    let apart = told.inverse().compose(&rounds.truth(&rounds.frames[0], &rounds.day(1)[0]));
+    let apart = planar(&pose).inverse().compose(&rounds.0.truth(rounds.day(0).len()));
     assert!(apart.x_m().hypot(apart.y_m()) < 1.0 && apart.heading_rad().abs() < 0.1, "{apart:?}");
     let strongest = &found_overlap.strongest_matches[0];
     assert!(strongest.source_frame.starts_with("maps/tuesday/sessions/robot/frames/"), "{strongest:?}");
@@ -199,7 +131,7 @@ async fn two_maps_become_one_and_two_again() {
     assert_eq!(committed.state(), State::Committed, "{committed:?}");
     assert_eq!(committed.sources[0].sessions, ["tuesday-robot"]);
     let week = client.map("week", v1::MapView::Full).await.unwrap();
-    assert_eq!((week.sessions, week.frames), (2, rounds.frames.len() as u64));
+    assert_eq!((week.sessions, week.frames), (2, rounds.0.frames.len() as u64));
     let fewer = found_overlap.fused_places;
     let maps = [
         client.map("monday", v1::MapView::Full).await.unwrap(),
@@ -217,11 +149,7 @@ async fn two_maps_become_one_and_two_again() {
     for session in ["robot", "tuesday-robot"] {
         both.extend(rounds.exported(&client, &format!("maps/week/sessions/{session}")).await);
     }
-    let truth = rounds.frames.iter().map(|frame| StampedPose {
-        stamp_ns: frame.stamp_ns + 1,
-        pose: rounds.truth(&rounds.frames[0], frame).on_the_ground(),
-    });
-    if let Some(rmse_m) = evo_rmse_m("tum", &to_tum(&truth.collect::<Vec<_>>()), &both) {
+    if let Some(rmse_m) = evo_rmse_m("tum", &to_tum(&rounds.0.true_poses()), &both) {
         println!("by evo {rmse_m} m");
         assert!(rmse_m < 0.5, "{rmse_m} m");
     }

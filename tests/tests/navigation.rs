@@ -8,86 +8,40 @@ use waypost_client::{
     Client, ClientOptions, Code, Command, FrameContent, FrameInput, Navigation, NavigationEvent,
     NavigationOptions, Reading, SessionOptions, v1,
 };
-use waypost_sim::camera::Camera;
 use waypost_sim::pose::Pose;
-use waypost_sim::render::{CameraRig, Mount, Sensor};
-use waypost_sim::robot::{OdometryReading, WheelErrors};
-use waypost_sim::route::Route;
-use waypost_sim::scene::Scene;
-use waypost_sim::simulation::{CameraFrame, CameraTrigger, Obedience, Simulation, SimulationSettings};
+use waypost_sim::robot::WheelErrors;
+use waypost_sim::simulation::{CameraFrame, CameraTrigger, Obedience, Simulation};
 use waypost_sim::worlds::NamedWorld;
 
 use crate::harness::{
-    CommandLine, Proxy, Server, answers_of, assert_status, by_words_request, channel, frame, import_model,
-    in_time, map_request, refused, session_options, state_hash,
+    Building, CommandLine, Proxy, Server, answers_of, assert_status, by_words_request, camera_ahead, channel,
+    frame, frame_input, import_model, in_time, map_request, odometry, refused, session_options, state_hash,
 };
 
-const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * std::f64::consts::PI;
-
-/// A way of some metres through an office, and what a robot sees there.
-struct Building {
-    scene: Arc<Scene>,
-    rig: CameraRig,
-    route: Route,
+/// The first metres of a way through an office.
+fn way(length_m: f64) -> Building {
+    let mut office = Building::new(NamedWorld::Office, 2, "teach");
+    office.route = office.route.cut(length_m);
+    office
 }
 
-impl Building {
-    fn new(length_m: f64) -> Self {
-        let world = NamedWorld::Office;
-        let scene = Arc::new(Scene::new(world.plan(2)));
-        let camera = Camera::of_field_of_view(FIELD_OF_VIEW_RAD, (320, 240)).unwrap();
-        let rig = CameraRig::new(camera, Mount::default(), Sensor::default()).unwrap();
-        let route = Route::named(scene.plan(), &world.route("teach").unwrap(), 0.25).unwrap().cut(length_m);
-        Self { scene, rig, route }
-    }
-
-    fn robot(&self, seed: u64, trigger: CameraTrigger) -> Simulation {
-        let wheels = WheelErrors::drawn(seed);
-        let settings =
-            SimulationSettings { wheels, seed, trigger, ..SimulationSettings::new(self.rig.clone()) };
-        Simulation::new(self.scene.clone(), self.route.start(), settings).unwrap()
-    }
-
-    fn frame(&self, frame: &CameraFrame) -> FrameInput {
-        FrameInput {
-            sequence: frame.number + 1,
-            stamp_ns: frame.stamp_ns + 1,
-            content: FrameContent::Image(self.scene.render(&self.rig, &frame.shot).to_jpeg().unwrap()),
-            odometry: Some(odometry(&frame.odometry)),
-        }
-    }
-
-    /// Teaches the map `taught`; true poses of the way, and the place that it ends at.
-    async fn teach(&self, client: &Client) -> (Vec<Pose>, u32) {
-        let model = import_model(client).await;
-        client.create_map(map_request("taught", &model.name)).await.unwrap();
-        let moved = CameraTrigger::Moved { distance_m: 0.5, angle_rad: 10_f64.to_radians() };
-        let taught = self.robot(1, moved).drive_along(&self.route, 0.4).unwrap();
-        let frames: Vec<FrameInput> = taught.frames().map(|frame| self.frame(frame)).collect();
-        let options = SessionOptions { camera: Some(camera()), ..session_options("taught", "teacher") };
-        let answers = answers_of(client, options, frames).await;
-        (taught.ticks.iter().map(|tick| tick.truth).collect(), answers.last().unwrap().place.unwrap())
-    }
+fn follower(building: &Building, seed: u64) -> Simulation {
+    building.robot(WheelErrors::drawn(seed), seed, CameraTrigger::Period { period_ns: 500_000_000 })
 }
 
-fn camera() -> v1::Camera {
-    v1::Camera {
-        model: Some(v1::camera::Model::FieldOfView(v1::FieldOfView { horizontal_rad: FIELD_OF_VIEW_RAD })),
-        image_width_px: 320,
-        image_height_px: 240,
-        base_to_camera: None,
-    }
+fn sent(building: &Building, frame: &CameraFrame) -> FrameInput {
+    frame_input(frame, building.image(&frame.shot).to_jpeg().unwrap())
 }
 
-fn odometry(reading: &OdometryReading) -> v1::Odometry {
-    let ([x, y, z], [i, j, k, w]) = reading.position_and_orientation();
-    v1::Odometry {
-        pose: Some(v1::Pose {
-            position_m: Some(v1::Vector3 { x, y, z }),
-            orientation: Some(v1::Quaternion { x: i, y: j, z: k, w }),
-        }),
-        covariance: reading.covariance_6x6().to_vec(),
-    }
+/// Teaches the map `taught`; true poses of the way, and the place that it ends at.
+async fn teach(building: &Building, client: &Client) -> (Vec<Pose>, u32) {
+    let model = import_model(client).await;
+    client.create_map(map_request("taught", &model.name)).await.unwrap();
+    let taught = building.driven(WheelErrors::drawn(1), 1);
+    let frames: Vec<FrameInput> = taught.frames().map(|frame| sent(building, frame)).collect();
+    let options = SessionOptions { camera: Some(camera_ahead()), ..session_options("taught", "teacher") };
+    let answers = answers_of(client, options, frames).await;
+    (taught.ticks.iter().map(|tick| tick.truth).collect(), answers.last().unwrap().place.unwrap())
 }
 
 fn to_place(place: u32) -> v1::Goal {
@@ -133,7 +87,7 @@ async fn drive(
             reflex: tick.obedience == Obedience::Reflex,
         });
         if let Some(frame) = &tick.frame {
-            navigation.see(building.frame(frame));
+            navigation.see(sent(building, frame));
         }
         led.truth.push(tick.truth);
         led.stood.push(command == Command::default());
@@ -147,9 +101,9 @@ async fn drive(
 /// It repeats what it was taught with other wheels, loses the connection on the way, stands until it is back, and goes on.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_robot_drives_the_way_that_it_was_taught_though_the_connection_breaks() {
-    let building = Building::new(8.0);
+    let building = way(8.0);
     let server = Server::start().await;
-    let (taught, goal) = building.teach(&server.client().await).await;
+    let (taught, goal) = teach(&building, &server.client().await).await;
     let hash = state_hash(&server.client().await, "taught").await;
 
     let proxy = Arc::new(Proxy::start().await);
@@ -159,11 +113,11 @@ async fn a_robot_drives_the_way_that_it_was_taught_though_the_connection_breaks(
     let options = NavigationOptions {
         navigation_id: "robot".to_owned(),
         goal: Some(to_place(goal)),
-        ..NavigationOptions::new("taught", camera())
+        ..NavigationOptions::new("taught", camera_ahead())
     };
     let mut navigation = client.navigate(options).await.unwrap();
     assert_eq!(navigation.opened().navigation, "maps/taught/navigations/robot");
-    let mut robot = building.robot(7, CameraTrigger::Period { period_ns: 500_000_000 });
+    let mut robot = follower(&building, 7);
     let (mut cut_at, mut stood) = (None, false);
     let led = drive(&building, &mut robot, &mut navigation, |step, command| {
         let driving = command.forward_m_s > 0.3;
@@ -223,14 +177,16 @@ async fn a_robot_drives_the_way_that_it_was_taught_though_the_connection_breaks(
 /// A person sends it somewhere else, and stops it.
 #[tokio::test(flavor = "multi_thread")]
 async fn people_send_and_stop_a_robot_that_is_led() {
-    let building = Building::new(4.0);
+    let building = way(4.0);
     let waypost = CommandLine::new();
     let client = Client::connect(&waypost.endpoint()).await.unwrap();
-    let (_, goal) = building.teach(&client).await;
-    let options =
-        NavigationOptions { navigation_id: "robot".to_owned(), ..NavigationOptions::new("taught", camera()) };
+    let (_, goal) = teach(&building, &client).await;
+    let options = NavigationOptions {
+        navigation_id: "robot".to_owned(),
+        ..NavigationOptions::new("taught", camera_ahead())
+    };
     let mut navigation = client.navigate(options).await.unwrap();
-    let mut robot = building.robot(8, CameraTrigger::Period { period_ns: 500_000_000 });
+    let mut robot = follower(&building, 8);
     let refusal = waypost.fails(&["navigate", "taught", "nobody", "--to", "1"]);
     assert!(refusal.0 == 4 && refusal.1.contains("no robot nobody is being led"), "{refusal:?}");
     assert!(waypost.text(&["navigate", "taught"]).contains("robot"));
@@ -265,15 +221,20 @@ async fn what_cannot_be_led_is_refused_with_the_way_out() {
     client.create_map(by_words_request("words", &model.name)).await.unwrap();
     let good = || NavigationOptions {
         navigation_id: "robot".to_owned(),
-        ..NavigationOptions::new("drive", camera())
+        ..NavigationOptions::new("drive", camera_ahead())
     };
     let speed =
         |speed_m_s| v1::DrivingSettings { speed_m_s: Some(speed_m_s), ..v1::DrivingSettings::default() };
     let fisheye =
         v1::Fisheye { fx_px: 100.0, fy_px: 100.0, cx_px: 50.0, cy_px: 50.0, distortion: Vec::new() };
     for (case, options, code, fragment) in [
-        ("no map", NavigationOptions::new("nowhere", camera()), Code::NotFound, "nowhere"),
-        ("by words", NavigationOptions::new("words", camera()), Code::FailedPrecondition, "verification"),
+        ("no map", NavigationOptions::new("nowhere", camera_ahead()), Code::NotFound, "nowhere"),
+        (
+            "by words",
+            NavigationOptions::new("words", camera_ahead()),
+            Code::FailedPrecondition,
+            "verification",
+        ),
         (
             "no camera",
             NavigationOptions { camera: v1::Camera::default(), ..good() },
@@ -283,7 +244,7 @@ async fn what_cannot_be_led_is_refused_with_the_way_out() {
         (
             "a fisheye",
             NavigationOptions {
-                camera: v1::Camera { model: Some(v1::camera::Model::Fisheye(fisheye)), ..camera() },
+                camera: v1::Camera { model: Some(v1::camera::Model::Fisheye(fisheye)), ..camera_ahead() },
                 ..good()
             },
             Code::InvalidArgument,
@@ -409,8 +370,11 @@ async fn a_stream_begins_by_opening() {
         Code::InvalidArgument,
         "must open a navigation",
     );
-    let open =
-        || v1::OpenNavigation { map: "maps/drive".to_owned(), camera: Some(camera()), ..Default::default() };
+    let open = || v1::OpenNavigation {
+        map: "maps/drive".to_owned(),
+        camera: Some(camera_ahead()),
+        ..Default::default()
+    };
     let twice = [request(Content::Open(open())), stop(), request(Content::Open(open()))];
     let mut answers = service.navigate(futures::stream::iter(twice)).await.unwrap().into_inner();
     let opened = in_time(answers.message()).await.unwrap().unwrap();

@@ -1,0 +1,169 @@
+//! A simulated robot with wheels and a camera ahead: where it drives, what it sends, and where it truly was.
+
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+use topomap::relaxation::{PlanarPose, Pose as _};
+use topomap::trajectory::StampedPose;
+use waypost_client::v1::export_poses_request::{Body, Format, Frame};
+use waypost_client::{Client, FrameContent, FrameInput, v1};
+use waypost_sim::camera::Camera;
+use waypost_sim::image::GreyImage;
+use waypost_sim::render::{CameraRig, Mount, Sensor, Shot};
+use waypost_sim::robot::{OdometryReading, WheelErrors};
+use waypost_sim::route::Route;
+use waypost_sim::scene::Scene;
+use waypost_sim::simulation::{CameraFrame, CameraTrigger, Recording, Simulation, SimulationSettings};
+use waypost_sim::worlds::NamedWorld;
+
+const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * PI;
+const IMAGE_PX: (u32, u32) = (320, 240);
+
+/// From the way to walls and furniture: a little more than a robot's radius.
+const CLEARANCE_M: f64 = 0.25;
+
+/// A building with a way through it, and the camera of the robots there.
+pub(crate) struct Building {
+    scene: Arc<Scene>,
+    rig: CameraRig,
+    pub(crate) route: Route,
+}
+
+impl Building {
+    pub(crate) fn new(world: NamedWorld, seed: u64, route: &str) -> Self {
+        let scene = Arc::new(Scene::new(world.plan(seed)));
+        let camera = Camera::of_field_of_view(FIELD_OF_VIEW_RAD, IMAGE_PX).unwrap();
+        let rig = CameraRig::new(camera, Mount::default(), Sensor::default()).unwrap();
+        let named = world.route(route).unwrap();
+        let route = Route::named(scene.plan(), &named, CLEARANCE_M).unwrap();
+        Self { scene, rig, route }
+    }
+
+    /// A robot at the way's start.
+    pub(crate) fn robot(&self, wheels: WheelErrors, seed: u64, trigger: CameraTrigger) -> Simulation {
+        let settings =
+            SimulationSettings { wheels, seed, trigger, ..SimulationSettings::new(self.rig.clone()) };
+        Simulation::new(self.scene.clone(), self.route.start(), settings).unwrap()
+    }
+
+    /// The way, driven with an image every 50 cm or 10 degrees.
+    pub(crate) fn driven(&self, wheels: WheelErrors, seed: u64) -> Recording {
+        let trigger = SimulationSettings::new(self.rig.clone()).trigger;
+        self.robot(wheels, seed, trigger).drive_along(&self.route, 0.4).unwrap()
+    }
+
+    pub(crate) fn image(&self, shot: &Shot) -> GreyImage {
+        self.scene.render(&self.rig, shot)
+    }
+}
+
+/// A drive along a building's way.
+pub(crate) struct Drive {
+    building: Building,
+    pub(crate) frames: Vec<CameraFrame>,
+}
+
+impl Drive {
+    pub(crate) fn new(building: Building, wheels: WheelErrors, seed: u64) -> Self {
+        let frames = building.driven(wheels, seed).frames().cloned().collect();
+        Self { building, frames }
+    }
+
+    /// What the robot sends.
+    pub(crate) fn inputs(&self) -> impl Iterator<Item = FrameInput> + '_ {
+        self.inputs_of(&self.frames)
+    }
+
+    /// What it sends of some frames of the drive, whole images.
+    pub(crate) fn inputs_of<'a>(
+        &'a self,
+        frames: &'a [CameraFrame],
+    ) -> impl Iterator<Item = FrameInput> + 'a {
+        frames.iter().map(|frame| frame_input(frame, self.building.image(&frame.shot).to_png().unwrap()))
+    }
+
+    /// The true pose at a frame, in the frame of the first.
+    pub(crate) fn truth(&self, frame: usize) -> PlanarPose {
+        let at = |frame: usize| {
+            let pose = &self.frames[frame].shot.pose;
+            PlanarPose::new(pose.x_m, pose.y_m, pose.heading_rad)
+        };
+        at(0).inverse().compose(&at(frame))
+    }
+
+    /// The true poses of all frames.
+    pub(crate) fn true_poses(&self) -> Vec<StampedPose> {
+        let stamped = |frame: usize| StampedPose {
+            stamp_ns: self.frames[frame].stamp_ns + 1,
+            pose: self.truth(frame).on_the_ground(),
+        };
+        (0..self.frames.len()).map(stamped).collect()
+    }
+
+    /// Root mean square of how far poses are from the truth.
+    pub(crate) fn rmse_m(&self, poses: &[StampedPose]) -> f64 {
+        let squares = poses.iter().map(|stamped| {
+            let frame = self.frames.iter().position(|frame| frame.stamp_ns + 1 == stamped.stamp_ns).unwrap();
+            let (truth, position) = (self.truth(frame), stamped.pose.translation.vector);
+            (truth.x_m() - position.x).powi(2) + (truth.y_m() - position.y).powi(2)
+        });
+        (squares.sum::<f64>() / poses.len() as f64).sqrt()
+    }
+}
+
+/// What a session declares of the camera; nothing of where it is mounted.
+pub(crate) fn camera_ahead() -> v1::Camera {
+    v1::Camera {
+        model: Some(v1::camera::Model::FieldOfView(v1::FieldOfView { horizontal_rad: FIELD_OF_VIEW_RAD })),
+        image_width_px: IMAGE_PX.0,
+        image_height_px: IMAGE_PX.1,
+        base_to_camera: None,
+    }
+}
+
+/// A frame as it goes to the server; stamps begin above 0.
+pub(crate) fn frame_input(frame: &CameraFrame, image: Vec<u8>) -> FrameInput {
+    FrameInput {
+        sequence: frame.number + 1,
+        stamp_ns: frame.stamp_ns + 1,
+        content: FrameContent::Image(image),
+        odometry: Some(odometry(&frame.odometry)),
+    }
+}
+
+/// What the wheels say.
+pub(crate) fn odometry(reading: &OdometryReading) -> v1::Odometry {
+    let ([x, y, z], [i, j, k, w]) = reading.position_and_orientation();
+    v1::Odometry {
+        pose: Some(v1::Pose {
+            position_m: Some(v1::Vector3 { x, y, z }),
+            orientation: Some(v1::Quaternion { x: i, y: j, z: k, w }),
+        }),
+        covariance: reading.covariance_6x6().to_vec(),
+    }
+}
+
+/// A pose on the ground.
+pub(crate) fn planar(pose: &v1::Pose) -> PlanarPose {
+    let (position, orientation) = (pose.position_m.unwrap(), pose.orientation.unwrap());
+    PlanarPose::new(position.x, position.y, 2.0 * orientation.z.atan2(orientation.w))
+}
+
+/// The file of a session's poses, or of a map's graph.
+pub(crate) async fn exported(
+    client: &Client,
+    name: &str,
+    format: Format,
+    frame: Frame,
+    body: Body,
+) -> Vec<u8> {
+    let request = v1::ExportPosesRequest {
+        name: name.to_owned(),
+        format: format.into(),
+        frame: frame.into(),
+        body: body.into(),
+    };
+    let mut text = Vec::new();
+    client.export_poses(request, &mut text).await.unwrap();
+    text
+}
