@@ -4,27 +4,32 @@
 //! answered with a command ([`Navigator::drive`]). In between is a plan ([`planning::plan`]). The navigator itself knows no
 //! map: whoever holds one looks at frames and plans, when [`Navigator::wanted_route`] asks for it.
 
+mod commands;
 pub mod localization;
 pub mod path;
 pub mod planning;
+mod pose_filter;
 mod search;
 pub mod settings;
 pub mod steering;
+mod supervision;
+mod tasks;
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 
 use fabmap::appearance::PlaceId;
-use nalgebra::Vector2;
 
-pub use self::localization::{Closure, Look, Lookout, Seen, Sight};
-use self::localization::{Estimate, PoseFilter};
-use self::path::{GlobalPath, LocalPath};
+use self::commands::CommandsOnTheWay;
+pub use self::localization::{Closure, Look, Lookout, Sight};
+use self::path::GlobalPath;
 pub use self::planning::{Goal, MapPosition, PlanError, Route};
-use self::settings::SupervisionSettings;
+pub use self::pose_filter::Seen;
+use self::pose_filter::{Estimate, PoseFilter};
 pub use self::settings::{NavigationSettings, NavigationSettingsError};
 use self::steering::Steering;
 pub use self::steering::VelocityCommand;
+use self::supervision::{Motion, MotionWatch, UnknownLooks};
+use self::tasks::{Journey, LookAround, Task};
 use crate::odometry::Odometry;
 use crate::relaxation::{PlanarPose, Pose};
 
@@ -51,9 +56,7 @@ pub struct Navigator {
     /// Where the robot is to look at its goal, in the map's frame.
     facing_rad: Option<f64>,
     steering: Steering,
-    commands: u64,
-    /// Commands that the robot may not have obeyed yet, oldest first.
-    on_the_way: VecDeque<Sent>,
+    commands: CommandsOnTheWay,
     watch: MotionWatch,
 }
 
@@ -147,88 +150,6 @@ struct Reading {
     odometry: PlanarPose,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Sent {
-    number: u64,
-    at_ns: i64,
-    forward_m_s: f64,
-    turn_rad_s: f64,
-}
-
-#[derive(Clone, Debug)]
-enum Task {
-    Nothing,
-    /// It is not known where the robot is.
-    LookAround(LookAround),
-    /// It is known, and a way is wanted.
-    Plan {
-        goal: Goal,
-    },
-    Follow(Box<Journey>),
-    /// It is there, and turns to where it is to look.
-    Face {
-        goal: Goal,
-        heading_rad: f64,
-    },
-    Arrived,
-}
-
-/// It looks, goes back to where it knew, and turns.
-#[derive(Clone, Copy, Debug)]
-struct LookAround {
-    goal: Goal,
-    since_ns: Option<i64>,
-    /// Where it last recognised something, by its wheels, until it is there.
-    back_to: Option<PlanarPose>,
-    turned_rad: f64,
-}
-
-/// A way, and how far the robot has come.
-#[derive(Clone, Debug)]
-struct Journey {
-    goal: Goal,
-    path: Arc<GlobalPath>,
-    local: LocalPath,
-    /// The point of the path that the robot is nearest to.
-    progress: usize,
-    /// Whether it has been so near to the path that it should recognise what it sees.
-    joined: bool,
-}
-
-/// Frames since the last closure in which something known should have been seen.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct UnknownLooks {
-    driving: u32,
-    standing: u32,
-    /// Driven from the closure to the last of those while driving, in metres.
-    at_m: f64,
-}
-
-impl UnknownLooks {
-    fn add(&mut self, driver: Driver, since_closure_m: f64) {
-        let moved = since_closure_m - self.at_m > MOVED_M;
-        self.at_m = since_closure_m;
-        match driver {
-            Driver::Commands if moved => self.driving += 1,
-            Driver::Commands | Driver::Reflex => self.standing += 1,
-        }
-    }
-
-    fn are_too_many(&self, settings: &SupervisionSettings) -> bool {
-        self.driving >= settings.unknown_looks || self.standing >= settings.unknown_looks_standing
-    }
-}
-
-/// Whether the robot moves when it is told to all along.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct MotionWatch {
-    /// Where it was when it last moved, or was told to stand.
-    still: Option<(i64, PlanarPose)>,
-    /// When it was last judged: after a pause in which commands lapsed it begins anew.
-    judged_ns: Option<i64>,
-    waits_until_ns: Option<i64>,
-}
-
 impl Navigator {
     /// A robot that may be anywhere, and has no goal.
     ///
@@ -249,8 +170,7 @@ impl Navigator {
             task: Task::Nothing,
             facing_rad: None,
             steering: Steering::default(),
-            commands: 0,
-            on_the_way: VecDeque::new(),
+            commands: CommandsOnTheWay::default(),
             watch: MotionWatch::default(),
         })
     }
@@ -357,7 +277,7 @@ impl Navigator {
         let odometry = PlanarPose::seen_from_above(report.odometry.pose());
         let (elapsed_s, moved) = self.take(report.stamp_ns, odometry);
         self.driver = report.driver;
-        self.forget_obeyed(report.obeyed);
+        self.commands.forget_obeyed(report.obeyed);
         if self.is_too_unsure() {
             self.lose(self.closed_at);
         }
@@ -381,7 +301,7 @@ impl Navigator {
             Task::Face { .. } | Task::Arrived => Some(0.0),
             Task::Nothing | Task::LookAround(_) | Task::Plan { .. } => None,
         };
-        let command = self.command(motion, now_ns);
+        let command = self.commands.give(motion, now_ns, self.settings.steering.valid_ns);
         Guidance { command, status, localization, left_m, heading_to_target_rad }
     }
 
@@ -494,209 +414,8 @@ impl Navigator {
         })
     }
 
-    /// Speed ahead and turn to the left, and why.
-    fn wanted_motion(
-        &mut self,
-        elapsed_s: f64,
-        [_, turned_rad]: [f64; 2],
-        now_ns: i64,
-    ) -> ([f64; 2], Status, Option<f64>) {
-        match &self.task {
-            Task::Nothing => ([0.0; 2], Status::Idle, None),
-            Task::Arrived => ([0.0; 2], Status::Arrived, None),
-            Task::Plan { .. } => ([0.0; 2], self.following(), None),
-            Task::LookAround(looks) => {
-                let mut looks = *looks;
-                let motion = self.look_around(&mut looks, elapsed_s, turned_rad, now_ns);
-                self.task = Task::LookAround(looks);
-                (motion, Status::Lost, None)
-            }
-            Task::Follow(_) => self.steer(elapsed_s),
-            Task::Face { heading_rad, .. } => self.face(*heading_rad, elapsed_s),
-        }
-    }
-
-    /// Stands, goes back to where it knew, and turns: slowly where something speaks for a place.
-    fn look_around(
-        &mut self,
-        looks: &mut LookAround,
-        elapsed_s: f64,
-        turned_rad: f64,
-        now_ns: i64,
-    ) -> [f64; 2] {
-        let supervision = &self.settings.supervision;
-        let looked_ns = now_ns.saturating_sub(*looks.since_ns.get_or_insert(now_ns));
-        looks.turned_rad += turned_rad;
-        let promising = self.evidence >= supervision.promising_evidence || self.filter.is_confirming();
-        if looked_ns < supervision.look_first_ns {
-            return [0.0; 2];
-        }
-        if let (Some(back_to), Some(now), false) = (looks.back_to, self.wheels, promising) {
-            let robot = self.allowing_for_commands(&now.odometry);
-            let way = robot.inverse().compose(&back_to);
-            if way.x_m().hypot(way.y_m()) > BACK_M {
-                // Backwards, the way that it came: it turns enough as it is.
-                let error_rad = (-way.y_m()).atan2(-way.x_m());
-                let [speed_m_s, turn_rad_s] =
-                    self.steering.steer(error_rad, elapsed_s, &self.settings.steering);
-                return [-speed_m_s, turn_rad_s];
-            }
-        }
-        looks.back_to = None;
-        let supervision = &self.settings.supervision;
-        // On as it turned on the way back, so that it sees first what it has not seen.
-        let to_the_right = looks.turned_rad < -TURNED_RAD;
-        let turn_rad_s = if looks.turned_rad.abs() >= supervision.spin_rad {
-            0.0
-        } else if promising {
-            supervision.confirming_rad_s
-        } else {
-            supervision.spin_rad_s
-        };
-        [0.0, if to_the_right { -turn_rad_s } else { turn_rad_s }]
-    }
-
-    /// At the first point of the local path that is far enough away.
-    fn steer(&mut self, elapsed_s: f64) -> ([f64; 2], Status, Option<f64>) {
-        let status = self.following();
-        let Some(estimate) = self.estimate() else { return ([0.0; 2], Status::Lost, None) };
-        let robot = self.allowing_for_commands(&estimate.pose);
-        let Task::Follow(journey) = &mut self.task else { return ([0.0; 2], status, None) };
-        let settings = &self.settings.path;
-        let nearest = journey.path.nearest(&robot, journey.progress, settings.window_m);
-        journey.progress = journey.progress.max(nearest);
-        let here = Vector2::new(robot.x_m(), robot.y_m());
-        let end_m = journey.path.points().last().map_or(0.0, |end| (end - here).norm());
-        if journey.path.left_m(journey.progress) <= settings.arrived_m && end_m <= settings.rejoin_m {
-            let goal = journey.goal;
-            self.steering.reset();
-            return if let Some(heading_rad) = self.facing_rad {
-                self.task = Task::Face { goal, heading_rad };
-                ([0.0; 2], status, Some(heading_rad))
-            } else {
-                self.task = Task::Arrived;
-                ([0.0; 2], Status::Arrived, None)
-            };
-        }
-        let to_target = journey.local.target(&robot, settings.target_m) - here;
-        let heading_rad = to_target.y.atan2(to_target.x);
-        let error_rad = PlanarPose::new(0.0, 0.0, heading_rad - robot.heading_rad()).heading_rad();
-        let motion = self.steering.steer(error_rad, elapsed_s, &self.settings.steering);
-        (motion, status, Some(heading_rad))
-    }
-
-    /// Turns on the spot.
-    fn face(&mut self, heading_rad: f64, elapsed_s: f64) -> ([f64; 2], Status, Option<f64>) {
-        let status = self.following();
-        let Some(estimate) = self.estimate() else { return ([0.0; 2], Status::Lost, None) };
-        let robot = self.allowing_for_commands(&estimate.pose);
-        let error_rad = PlanarPose::new(0.0, 0.0, heading_rad - robot.heading_rad()).heading_rad();
-        if error_rad.abs() <= FACED_RAD {
-            self.task = Task::Arrived;
-            return ([0.0; 2], Status::Arrived, None);
-        }
-        let [_, turn_rad_s] = self.steering.steer(error_rad, elapsed_s, &self.settings.steering);
-        ([0.0, turn_rad_s], status, Some(heading_rad))
-    }
-
-    fn following(&self) -> Status {
-        let supervision = &self.settings.supervision;
-        let recent = self.localization().is_some_and(|now| {
-            now.since_closure_m <= supervision.searching_m && now.since_closure_ns <= supervision.searching_ns
-        });
-        if recent { Status::Following } else { Status::Searching }
-    }
-
-    fn command(&mut self, [forward_m_s, turn_rad_s]: [f64; 2], now_ns: i64) -> VelocityCommand {
-        let number = self.commands;
-        self.commands += 1;
-        self.on_the_way.push_back(Sent { number, at_ns: now_ns, forward_m_s, turn_rad_s });
-        while self.on_the_way.len() > MOST_ON_THE_WAY {
-            self.on_the_way.pop_front();
-        }
-        VelocityCommand { number, forward_m_s, turn_rad_s, valid_ns: self.settings.steering.valid_ns }
-    }
-
-    fn forget_obeyed(&mut self, obeyed: Option<u64>) {
-        match obeyed {
-            Some(obeyed) => self.on_the_way.retain(|sent| sent.number > obeyed),
-            None => self.on_the_way.clear(),
-        }
-    }
-
-    /// Where the robot will be when the next command comes to it: it does first what it was told before.
+    /// Where the robot will be when the next command comes to it.
     fn allowing_for_commands(&self, pose: &PlanarPose) -> PlanarPose {
-        let mut pose = *pose;
-        let ends = self.on_the_way.iter().skip(1).map(|sent| sent.at_ns);
-        for (sent, end_ns) in self.on_the_way.iter().zip(ends) {
-            let valid_ns = self.settings.steering.valid_ns;
-            let seconds = end_ns.saturating_sub(sent.at_ns).clamp(0, valid_ns) as f64 * 1e-9;
-            pose = pose.compose(&arc(sent.forward_m_s * seconds, sent.turn_rad_s * seconds));
-        }
-        pose
-    }
-}
-
-/// A robot that is so near to where it went back to is there.
-const BACK_M: f64 = 0.1;
-
-/// A robot looks to where it should within this.
-const FACED_RAD: f64 = 0.03;
-
-/// Less than this is no turn.
-const TURNED_RAD: f64 = 0.2;
-
-/// Commands that are kept for a robot that says which one it obeys, at most.
-const MOST_ON_THE_WAY: usize = 256;
-
-/// Where driving so far while turning so far ends.
-fn arc(way_m: f64, turn_rad: f64) -> PlanarPose {
-    let half = PlanarPose::new(0.0, 0.0, turn_rad / 2.0);
-    let chord = if turn_rad.abs() < 1e-6 { 1.0 } else { (turn_rad / 2.0).sin() / (turn_rad / 2.0) };
-    half.compose(&PlanarPose::new(way_m * chord, 0.0, 0.0)).compose(&half)
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Motion {
-    Free,
-    Waiting,
-}
-
-/// What counts as having moved.
-const MOVED_M: f64 = 0.02;
-const MOVED_RAD: f64 = 0.03;
-
-impl MotionWatch {
-    fn judge(
-        &mut self,
-        [forward_m_s, turn_rad_s]: [f64; 2],
-        odometry: &PlanarPose,
-        now_ns: i64,
-        settings: &NavigationSettings,
-    ) -> Motion {
-        let is_told_to_move = forward_m_s.abs() > 1e-3 || turn_rad_s.abs() > 1e-2;
-        let paused = |judged_ns: i64| now_ns.saturating_sub(judged_ns) > settings.steering.valid_ns;
-        if !is_told_to_move || self.judged_ns.is_some_and(paused) {
-            *self = Self::default();
-        }
-        self.judged_ns = Some(now_ns);
-        if let Some(until_ns) = self.waits_until_ns {
-            if now_ns < until_ns {
-                return Motion::Waiting;
-            }
-            (self.still, self.waits_until_ns) = (None, None);
-        }
-        let (since_ns, from) = *self.still.get_or_insert((now_ns, *odometry));
-        let moved = from.inverse().compose(odometry);
-        let has_moved = moved.x_m().hypot(moved.y_m()) > MOVED_M || moved.heading_rad().abs() > MOVED_RAD;
-        if has_moved {
-            self.still = Some((now_ns, *odometry));
-            return Motion::Free;
-        }
-        if now_ns.saturating_sub(since_ns) < settings.supervision.blocked_ns {
-            return Motion::Free;
-        }
-        self.waits_until_ns = Some(now_ns.saturating_add(settings.supervision.blocked_wait_ns));
-        Motion::Waiting
+        self.commands.obeyed_from(pose, self.settings.steering.valid_ns)
     }
 }

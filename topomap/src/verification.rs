@@ -325,6 +325,18 @@ pub struct Candidate {
     pub support: f64,
 }
 
+#[cfg(test)]
+impl Candidate {
+    /// A view that a good deal speaks for, whose image has grown and shifted by so much.
+    pub(crate) fn shifted(ln_scale: f64, shift_widths: f64) -> Self {
+        let motion = Similarity { rotation_rad: 0.0, ln_scale, translation_widths: [shift_widths, 0.0] };
+        let motion = Some(Motion::Similarity(motion));
+        let view = TwoView { matches: 90, inliers: 80, distinct_inliers: 80, motion };
+        let matched = Match { place: 0, posterior: 1.0, log_odds: 9.0, frame: 1 };
+        Self { matched, view: Some(view), support: 0.0 }
+    }
+}
+
 impl Candidate {
     /// min(1, e / 20) (e + support) with e the pair's own evidence, in inliers: what this frame and the last ones
     /// say together, once this one says enough. A robot that has just left its old way still has the support, and

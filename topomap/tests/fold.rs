@@ -1,75 +1,36 @@
 //! A map is the fold of its log: live, replayed, and restored from a checkpoint it is the same.
 #![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
 
+mod log_archive;
+mod words;
+
 use std::collections::BTreeMap;
-use std::ops::ControlFlow;
 
 use fabmap::appearance::{Appearance, PlaceId};
-use fabmap::chow_liu::{ChowLiuTree, TreeTrainingSettings};
-use fabmap::descriptor::{DescriptorKind, Descriptors};
-use fabmap::detector::DetectorModel;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
-use fabmap::vocabulary::{Vocabulary, VocabularySettings};
+use log_archive::LogArchive;
 use proptest::prelude::*;
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use topomap::checkpoint::{Block, BlockWriter, Changes, LINKS_PER_PIECE, Pieces, Restoration, decode_block};
-use topomap::event::{FrameId, LinkKind, MapEvent, Reason};
+use topomap::event::{LinkKind, MapEvent, Reason};
 use topomap::map::{Place, decode_place};
 use topomap::mapper::{
-    ArchiveError, FoldError, FrameArchive, FrameError, FrameInput, Localizer, Mapper, MapperError,
-    MapperSettings, PlaceRule, RestoreError,
+    FoldError, FrameError, FrameInput, Localizer, Mapper, MapperError, MapperSettings, PlaceRule,
+    RestoreError,
 };
 use topomap::odometry::Odometry;
-use topomap::relative_pose::RelativePose;
 use topomap::verification::NoViews;
+use words::{WORDS, model_of, view_of};
 
-const WORDS: u32 = 1000;
-
-/// The log itself answers for earlier frames.
-struct Log(Vec<MapEvent>);
-
-impl FrameArchive for Log {
-    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
-        match &self.0[frame as usize] {
-            MapEvent::Frame(event) => Ok(Some(event.observation.clone())),
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => {
-                Err(ArchiveError { frame, why: "not a frame".to_owned() })
-            }
-        }
-    }
-
-    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
-        match &self.0[frame as usize] {
-            MapEvent::Frame(event) => Ok(event.at),
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => {
-                Err(ArchiveError { frame, why: "not a frame".to_owned() })
-            }
-        }
-    }
-}
-
-/// A place shows about 40 words of its own choice; a view of it most of these and some others.
 fn view(place: u64, noise: &mut ChaCha8Rng) -> Observation {
-    let mut own = ChaCha8Rng::seed_from_u64(place);
-    let mut words: Vec<u32> = (0..40).map(|_| own.random_range(0..WORDS)).collect();
-    words.retain(|_| noise.random_bool(0.8));
-    words.extend((0..6).map(|_| noise.random_range(0..WORDS)));
-    Observation::from_words(words, WORDS as usize).unwrap()
+    view_of(place, 0.8, 6, noise)
 }
 
 fn model() -> Model {
-    let mut random = ChaCha8Rng::seed_from_u64(7);
-    let rows: Vec<u8> = (0..WORDS as usize * 32).map(|_| random.random()).collect();
-    let descriptors = Descriptors::new(DescriptorKind::Binary, 32, rows).unwrap();
-    let settings = VocabularySettings { words: WORDS, seed: 1, iterations: 1 };
-    let vocabulary = Vocabulary::train(&descriptors, &settings, &mut |_| ControlFlow::Continue(())).unwrap();
-    let training: Vec<Observation> = (1000..1200).map(|place| view(place, &mut random)).collect();
-    let tree = ChowLiuTree::train(&training, WORDS as usize, TreeTrainingSettings::default(), &mut |_| {
-        ControlFlow::Continue(())
-    });
-    Model::new("test".to_owned(), vocabulary, tree.unwrap(), DetectorModel::default(), training).unwrap()
+    let noise = |place: u64| ChaCha8Rng::seed_from_u64(1_000_000 + place);
+    model_of((1000..1200).map(|place| view(place, &mut noise(place))).collect(), WORDS)
 }
 
 fn settings() -> MapperSettings {
@@ -82,13 +43,13 @@ fn odometry(step: u64) -> Odometry {
 }
 
 /// Drives sessions through places; every third frame has odometry.
-fn drive(mapper: &mut Mapper, log: &mut Log, steps: &[(u32, u64)], seed: u64) {
+fn drive(mapper: &mut Mapper, log: &mut Vec<MapEvent>, steps: &[(u32, u64)], seed: u64) {
     let mut noise = ChaCha8Rng::seed_from_u64(seed);
     for (step, &(session, place)) in (1u64..).zip(steps) {
         while mapper.map().session(session).is_none() {
             let opened = MapEvent::SessionOpened { session: mapper.map().next_session() };
             mapper.apply(&opened).unwrap();
-            log.0.push(opened);
+            log.push(opened);
         }
         let input = FrameInput {
             session,
@@ -97,9 +58,11 @@ fn drive(mapper: &mut Mapper, log: &mut Log, steps: &[(u32, u64)], seed: u64) {
             odometry: step.is_multiple_of(3).then(|| odometry(step)),
             observation: view(place, &mut noise),
         };
-        let event = MapEvent::Frame(Box::new(mapper.decide(input, log, &NoViews, &mut ()).unwrap().event));
+        let event = MapEvent::Frame(Box::new(
+            mapper.decide(input, &LogArchive(log), &NoViews, &mut ()).unwrap().event,
+        ));
         mapper.apply(&event).unwrap();
-        log.0.push(event);
+        log.push(event);
     }
 }
 
@@ -107,16 +70,16 @@ fn drive(mapper: &mut Mapper, log: &mut Log, steps: &[(u32, u64)], seed: u64) {
 #[test]
 fn each_frame_makes_a_place_where_that_is_the_rule() {
     let settings = MapperSettings { place_rule: PlaceRule::EachFrame, ..settings() };
-    let (mut mapper, mut log) = (Mapper::new(&model(), settings).unwrap(), Log(Vec::new()));
+    let (mut mapper, mut log) = (Mapper::new(&model(), settings).unwrap(), Vec::new());
     // Without odometry: only every third frame of a drive has any, so each stands alone.
     drive(&mut mapper, &mut log, &[(0, 3), (0, 3), (0, 4), (0, 3), (1, 3), (1, 9), (1, 3)], 5);
     assert_eq!(mapper.map().places().len(), 7);
     let observation = view(9, &mut ChaCha8Rng::seed_from_u64(8));
-    let found = mapper.query(&observation, &log, &NoViews, &mut ()).unwrap();
+    let found = mapper.query(&observation, &LogArchive(&log), &NoViews, &mut ()).unwrap();
     assert_eq!(found.recognition.posterior.best_place().map(|(place, _)| place), Some(5));
     // The log has it all.
     let mut replayed = Mapper::new(&model(), settings).unwrap();
-    replay(&mut replayed, &log.0);
+    replay(&mut replayed, &log);
     assert_eq!(replayed.state_hash(), mapper.state_hash());
 }
 
@@ -200,11 +163,11 @@ impl Stored {
 
 #[test]
 fn pieces_that_do_not_add_up_are_no_map() {
-    let (model, mut log) = (model(), Log(Vec::new()));
+    let (model, mut log) = (model(), Vec::new());
     let mut mapper = Mapper::new(&model, settings()).unwrap();
     drive(&mut mapper, &mut log, &[(0, 1), (0, 2), (0, 3), (1, 1), (1, 2)], 3);
     let mut changes = Changes::default();
-    log.0.iter().for_each(|event| changes.follow(event));
+    log.iter().for_each(|event| changes.follow(event));
     let pieces = mapper.pieces(&changes);
     let places: Vec<_> =
         pieces.places.iter().map(|(id, bytes)| (*id, decode_place(bytes, WORDS as usize).unwrap())).collect();
@@ -241,17 +204,17 @@ proptest! {
     ) {
         let model = model();
         let mut live = Mapper::new(&model, settings()).unwrap();
-        let mut log = Log(Vec::new());
+        let mut log = Vec::new();
         drive(&mut live, &mut log, &steps, seed);
 
         let mut replayed = Mapper::new(&model, settings()).unwrap();
-        replay(&mut replayed, &log.0);
+        replay(&mut replayed, &log);
         prop_assert_eq!(replayed.state_hash(), live.state_hash());
         prop_assert_eq!(replayed.map(), live.map());
 
         // Checkpoints on the way, of what changed since the one before; some places are sealed in between.
         let mut half = Mapper::new(&model, settings()).unwrap();
-        let (mut stored, mut events) = (Stored::default(), log.0.as_slice());
+        let (mut stored, mut events) = (Stored::default(), log.as_slice());
         for cut in cuts {
             let (now, later) = events.split_at(cut.index(events.len() + 1));
             let mut changes = Changes::since(half.map());
@@ -271,9 +234,9 @@ proptest! {
 
         // And all three decide the next frame alike, to the bit.
         let next = FrameInput { session: steps[0].0, sequence: 10_000, stamp_ns: i64::MAX, odometry: None, observation: view(3, &mut ChaCha8Rng::seed_from_u64(seed)) };
-        let decided = live.decide(next.clone(), &log, &NoViews, &mut ()).unwrap();
-        prop_assert_eq!(&replayed.decide(next.clone(), &log, &NoViews, &mut ()).unwrap(), &decided);
-        prop_assert_eq!(&restored.decide(next, &log, &NoViews, &mut ()).unwrap(), &decided);
+        let decided = live.decide(next.clone(), &LogArchive(&log), &NoViews, &mut ()).unwrap();
+        prop_assert_eq!(&replayed.decide(next.clone(), &LogArchive(&log), &NoViews, &mut ()).unwrap(), &decided);
+        prop_assert_eq!(&restored.decide(next, &LogArchive(&log), &NoViews, &mut ()).unwrap(), &decided);
     }
 
     /// A robot that only looks is told what a new session would be told, and changes nothing.
@@ -282,13 +245,13 @@ proptest! {
         steps in proptest::collection::vec((0..2u32, 0..8u64), 1..40), seen in proptest::collection::vec(0..10u64, 1..12), seed in any::<u64>(),
     ) {
         let mut mapper = Mapper::new(&model(), settings()).unwrap();
-        let mut log = Log(Vec::new());
+        let mut log = Vec::new();
         drive(&mut mapper, &mut log, &steps, seed);
         let (before, first) = (mapper.state_hash(), seen[0]);
         let mut localizer = Localizer::new();
         for (step, place) in (1i64..).zip(seen) {
             let input = one_frame(Localizer::SESSION, step as u64, step, place);
-            let decided = mapper.localize(&localizer, input, &log, &NoViews, &mut ()).unwrap();
+            let decided = mapper.localize(&localizer, input, &LogArchive(&log), &NoViews, &mut ()).unwrap();
             prop_assert!(!decided.event.learnt && decided.event.link.is_none());
             prop_assert!(decided.event.decision.place.is_none_or(|place| (place as usize) < mapper.recognizer().places()));
             localizer.follow(&decided.event, &mapper);
@@ -297,9 +260,9 @@ proptest! {
         prop_assert_eq!(mapper.state_hash(), before);
 
         let opened = mapper.map().next_session();
-        let localized = mapper.localize(&Localizer::new(), one_frame(Localizer::SESSION, 1, 1, first), &log, &NoViews, &mut ()).unwrap();
+        let localized = mapper.localize(&Localizer::new(), one_frame(Localizer::SESSION, 1, 1, first), &LogArchive(&log), &NoViews, &mut ()).unwrap();
         mapper.apply(&MapEvent::SessionOpened { session: opened }).unwrap();
-        let mapped = mapper.decide(one_frame(opened, 1, 1, first), &log, &NoViews, &mut ()).unwrap();
+        let mapped = mapper.decide(one_frame(opened, 1, 1, first), &LogArchive(&log), &NoViews, &mut ()).unwrap();
         prop_assert_eq!(&localized.recognition, &mapped.recognition);
         prop_assert_eq!(localized.event.proposal, mapped.event.proposal);
         prop_assert_eq!(localized.event.decision.reason, mapped.event.decision.reason);
@@ -310,13 +273,13 @@ proptest! {
     fn damaged_events_are_refused_or_folded_but_never_panic(flip in any::<prop::sample::Index>(), bit in 0..8u8) {
         let model = model();
         let mut mapper = Mapper::new(&model, settings()).unwrap();
-        let mut log = Log(Vec::new());
+        let mut log = Vec::new();
         drive(&mut mapper, &mut log, &[(0, 1), (0, 2), (0, 1)], 5);
-        let mut bytes = log.0.last().unwrap().to_bytes();
+        let mut bytes = log.last().unwrap().to_bytes();
         let position = flip.index(bytes.len());
         bytes[position] ^= 1 << bit;
         let mut replayed = Mapper::new(&model, settings()).unwrap();
-        replay(&mut replayed, &log.0[..log.0.len() - 1]);
+        replay(&mut replayed, &log[..log.len() - 1]);
         if let Ok(event) = MapEvent::from_bytes(&bytes, WORDS as usize) {
             let _ = replayed.apply(&event);
         }
@@ -331,30 +294,30 @@ fn one_frame(session: u32, sequence: u64, stamp_ns: i64, place: u64) -> FrameInp
 /// A mapper with a log and an open session, one call a frame.
 struct Robot {
     mapper: Mapper,
-    log: Log,
+    log: Vec<MapEvent>,
 }
 
 impl Robot {
     fn new() -> Self {
-        let mut robot = Self { mapper: Mapper::new(&model(), settings()).unwrap(), log: Log(Vec::new()) };
+        let mut robot = Self { mapper: Mapper::new(&model(), settings()).unwrap(), log: Vec::new() };
         robot.fold(MapEvent::SessionOpened { session: 0 });
         robot
     }
 
     fn fold(&mut self, event: MapEvent) {
         self.mapper.apply(&event).unwrap();
-        self.log.0.push(event);
+        self.log.push(event);
     }
 
     fn see(&mut self, input: FrameInput) -> topomap::event::FrameEvent {
-        let event = self.mapper.decide(input, &self.log, &NoViews, &mut ()).unwrap().event;
+        let event = self.mapper.decide(input, &LogArchive(&self.log), &NoViews, &mut ()).unwrap().event;
         self.fold(MapEvent::Frame(Box::new(event.clone())));
         event
     }
 
     fn refusal(&self, input: FrameInput) -> FrameError {
         let before = self.mapper.state_hash();
-        let refused = self.mapper.decide(input, &self.log, &NoViews, &mut ()).unwrap_err();
+        let refused = self.mapper.decide(input, &LogArchive(&self.log), &NoViews, &mut ()).unwrap_err();
         assert_eq!(self.mapper.state_hash(), before);
         refused
     }
@@ -503,10 +466,10 @@ fn a_query_finds_the_place_and_its_gates_say_why() {
     }
     let before = robot.mapper.state_hash();
     let again = one_frame(0, 100, 100, 2);
-    let queried = robot.mapper.query(&again.observation, &robot.log, &NoViews, &mut ()).unwrap();
+    let queried = robot.mapper.query(&again.observation, &LogArchive(&robot.log), &NoViews, &mut ()).unwrap();
     let matched = queried.matched.unwrap();
     assert_eq!((matched.place, matched.frame, queried.accepted), (1, 2, true));
-    let decided = robot.mapper.decide(again.clone(), &robot.log, &NoViews, &mut ()).unwrap();
+    let decided = robot.mapper.decide(again.clone(), &LogArchive(&robot.log), &NoViews, &mut ()).unwrap();
     let gates = robot.mapper.gates(&again, &decided.recognition, matched.place).unwrap();
     // Left four frames ago, as the guard asks.
     assert_eq!((gates.guard.value, gates.guard.required), (6.0, 4.0));
@@ -517,10 +480,10 @@ fn a_query_finds_the_place_and_its_gates_say_why() {
     assert_eq!(robot.mapper.gates(&again, &decided.recognition, 99), None);
 
     let nothing = Observation::from_words([1, 2], WORDS as usize).unwrap();
-    let queried = robot.mapper.query(&nothing, &robot.log, &NoViews, &mut ()).unwrap();
+    let queried = robot.mapper.query(&nothing, &LogArchive(&robot.log), &NoViews, &mut ()).unwrap();
     assert_eq!((queried.matched, queried.accepted), (None, false));
     let foreign = Observation::from_words([WORDS], WORDS as usize + 1).unwrap();
-    let refused = robot.mapper.query(&foreign, &robot.log, &NoViews, &mut ());
+    let refused = robot.mapper.query(&foreign, &LogArchive(&robot.log), &NoViews, &mut ());
     assert_eq!(refused, Err(FrameError::ForeignWord { word: WORDS, vocabulary_len: WORDS as usize }));
     assert_eq!(robot.mapper.state_hash(), before);
 }

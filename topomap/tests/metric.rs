@@ -1,18 +1,15 @@
 //! Places joined by metres: spacing, poses that loop closures correct, the prior with odometry, bad odometry.
 #![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
 
-use std::f64::consts::{FRAC_PI_2, TAU};
-use std::ops::ControlFlow;
+mod words;
 
-use fabmap::chow_liu::{ChowLiuTree, TreeTrainingSettings};
+use std::f64::consts::{FRAC_PI_2, TAU};
+
 use fabmap::codec::{Reader, Writer};
-use fabmap::descriptor::{DescriptorKind, Descriptors};
-use fabmap::detector::DetectorModel;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
-use fabmap::vocabulary::{Vocabulary, VocabularySettings};
 use nalgebra::Matrix3;
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use topomap::event::{FrameEvent, FrameId, LinkKind, MapEvent, Reason};
 use topomap::mapper::{
@@ -24,8 +21,8 @@ use topomap::odometry_prior::PlaceSpacing;
 use topomap::relative_pose::RelativePose;
 use topomap::relaxation::{PlanarPose, Pose};
 use topomap::verification::{Motion, Similarity, TwoView, Views};
+use words::{WORDS, model_of, view_of};
 
-const WORDS: u32 = 1000;
 const FOCAL_LENGTH_WIDTHS: f64 = 0.8;
 
 /// A robot that drives on a plane, its wheels, and a camera that sees words by where it is.
@@ -200,25 +197,12 @@ fn view(pose: &PlanarPose, noise: u64) -> Observation {
     let cell = |value: f64, side: f64| (value / side).round() as i64;
     let sector = cell(pose.heading_rad(), TAU / 12.0).rem_euclid(12);
     let seed = (cell(pose.x_m(), 0.4) * 1_000 + cell(pose.y_m(), 0.4)) * 100 + sector;
-    let mut own = ChaCha8Rng::seed_from_u64(seed as u64);
-    let mut words: Vec<u32> = (0..40).map(|_| own.random_range(0..WORDS)).collect();
-    words.retain(|_| noise.random_bool(0.85));
-    words.extend((0..5).map(|_| noise.random_range(0..WORDS)));
-    Observation::from_words(words, WORDS as usize).unwrap()
+    view_of(seed as u64, 0.85, 5, &mut noise)
 }
 
 fn model() -> Model {
-    let mut random = ChaCha8Rng::seed_from_u64(7);
-    let rows: Vec<u8> = (0..WORDS as usize * 32).map(|_| random.random()).collect();
-    let descriptors = Descriptors::new(DescriptorKind::Binary, 32, rows).unwrap();
-    let settings = VocabularySettings { words: WORDS, seed: 1, iterations: 1 };
-    let vocabulary = Vocabulary::train(&descriptors, &settings, &mut |_| ControlFlow::Continue(())).unwrap();
     let far = |place: u64| view(&PlanarPose::new(1e3 + place as f64, -1e3, 0.0), place);
-    let training: Vec<Observation> = (0..200).map(far).collect();
-    let tree = ChowLiuTree::train(&training, WORDS as usize, TreeTrainingSettings::default(), &mut |_| {
-        ControlFlow::Continue(())
-    });
-    Model::new("test".to_owned(), vocabulary, tree.unwrap(), DetectorModel::default(), training).unwrap()
+    model_of((0..200).map(far).collect(), WORDS)
 }
 
 /// A round of 4 m a side, in steps of 0.4 m.

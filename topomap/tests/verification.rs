@@ -1,32 +1,26 @@
 //! What geometry says decides: closures, what is remembered of them, and what the log keeps.
 #![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
 
-use std::ops::ControlFlow;
+mod log_archive;
+mod words;
 
-use fabmap::chow_liu::{ChowLiuTree, TreeTrainingSettings};
 use fabmap::codec::{Reader, Writer};
-use fabmap::descriptor::{DescriptorKind, Descriptors};
-use fabmap::detector::DetectorModel;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
-use fabmap::vocabulary::{Vocabulary, VocabularySettings};
+use log_archive::LogArchive;
 use nalgebra::{UnitQuaternion, UnitVector3, Vector3};
 use proptest::prelude::*;
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use topomap::checkpoint::{Changes, Pieces, Restoration};
 use topomap::event::{FrameEvent, FrameId, MapEvent, Match, Reason};
 use topomap::map::decode_place;
-use topomap::mapper::{
-    ArchiveError, FrameArchive, FrameInput, Localizer, Mapper, MapperError, MapperSettings,
-};
-use topomap::relative_pose::RelativePose;
+use topomap::mapper::{ArchiveError, FrameInput, Localizer, Mapper, MapperError, MapperSettings};
 use topomap::verification::{
     Candidate, Motion, NoViews, Quantity, Similarity, TwoView, VerificationError, VerificationMethod,
     VerificationSettings, Views,
 };
-
-const WORDS: u32 = 1000;
+use words::{WORDS, model_of, view_of};
 
 /// A map in the making. Frames of one place share words; what geometry finds is said by the place that a frame
 /// truly shows, which words alone may not tell.
@@ -57,28 +51,6 @@ impl Views for Truth<'_> {
     }
 }
 
-struct Archive<'a>(&'a [MapEvent]);
-
-impl FrameArchive for Archive<'_> {
-    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
-        match &self.0[frame as usize] {
-            MapEvent::Frame(event) => Ok(Some(event.observation.clone())),
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => {
-                Err(ArchiveError { frame, why: "not a frame".to_owned() })
-            }
-        }
-    }
-
-    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
-        match &self.0[frame as usize] {
-            MapEvent::Frame(event) => Ok(event.at),
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => {
-                Err(ArchiveError { frame, why: "not a frame".to_owned() })
-            }
-        }
-    }
-}
-
 fn plane(matches: u32, inliers: u32, translation_widths: [f64; 2]) -> TwoView {
     let motion = Similarity { rotation_rad: 0.1, ln_scale: -0.2, translation_widths };
     let motion = Some(Motion::Similarity(motion));
@@ -86,25 +58,11 @@ fn plane(matches: u32, inliers: u32, translation_widths: [f64; 2]) -> TwoView {
 }
 
 fn view(place: u64, noise: u64) -> Observation {
-    let mut own = ChaCha8Rng::seed_from_u64(place);
-    let mut noise = ChaCha8Rng::seed_from_u64(1_000_000 + noise);
-    let mut words: Vec<u32> = (0..40).map(|_| own.random_range(0..WORDS)).collect();
-    words.retain(|_| noise.random_bool(0.8));
-    words.extend((0..6).map(|_| noise.random_range(0..WORDS)));
-    Observation::from_words(words, WORDS as usize).unwrap()
+    view_of(place, 0.8, 6, &mut ChaCha8Rng::seed_from_u64(1_000_000 + noise))
 }
 
 fn model() -> Model {
-    let mut random = ChaCha8Rng::seed_from_u64(7);
-    let rows: Vec<u8> = (0..WORDS as usize * 32).map(|_| random.random()).collect();
-    let descriptors = Descriptors::new(DescriptorKind::Binary, 32, rows).unwrap();
-    let settings = VocabularySettings { words: WORDS, seed: 1, iterations: 1 };
-    let vocabulary = Vocabulary::train(&descriptors, &settings, &mut |_| ControlFlow::Continue(())).unwrap();
-    let training: Vec<Observation> = (1000..1200).map(|place| view(place, place)).collect();
-    let tree = ChowLiuTree::train(&training, WORDS as usize, TreeTrainingSettings::default(), &mut |_| {
-        ControlFlow::Continue(())
-    });
-    Model::new("test".to_owned(), vocabulary, tree.unwrap(), DetectorModel::default(), training).unwrap()
+    model_of((1000..1200).map(|place| view(place, place)).collect(), WORDS)
 }
 
 fn settings() -> MapperSettings {
@@ -127,7 +85,7 @@ impl World {
     }
 
     fn decide(&self, place: u64, views: &dyn Views) -> FrameEvent {
-        self.mapper.decide(self.input(place), &Archive(&self.log), views, &mut ()).unwrap().event
+        self.mapper.decide(self.input(place), &LogArchive(&self.log), views, &mut ()).unwrap().event
     }
 
     fn see(&mut self, place: u64, views: impl Fn(&[u64]) -> FrameEventViews) -> FrameEvent {
@@ -338,7 +296,7 @@ fn a_query_is_verified_too() {
     }
     let ask = |truly, inliers| {
         let truth = Truth { shows: &world.shows, current: truly, inliers, shift_widths: 0.1 };
-        world.mapper.query(&view(2, 777), &Archive(&world.log), &truth, &mut ()).unwrap()
+        world.mapper.query(&view(2, 777), &LogArchive(&world.log), &truth, &mut ()).unwrap()
     };
     let found = ask(2, 40);
     assert_eq!((found.accepted, found.matched.unwrap().place), (true, 1));
@@ -432,7 +390,7 @@ proptest! {
             let input = FrameInput { stamp_ns: step as i64 + 1, ..input };
             let truth = Truth { shows: &world.shows, current: place, inliers: 40, shift_widths: 0.1 };
             let event =
-                world.mapper.localize(&localizer, input, &Archive(&world.log), &truth, &mut ()).unwrap().event;
+                world.mapper.localize(&localizer, input, &LogArchive(&world.log), &truth, &mut ()).unwrap().event;
             let proposed = event.proposal.unwrap();
             prop_assert_eq!(u64::from(proposed.place), place - 1);
             localizer.follow(&event, &world.mapper);

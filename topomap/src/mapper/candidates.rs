@@ -231,32 +231,26 @@ pub(super) fn most_likely(candidates: &[Candidate]) -> Option<&Candidate> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::event::Match;
-    use crate::verification::{Motion, Similarity};
-
-    fn seen(ln_scale: f64, shift_widths: f64) -> Candidate {
-        let motion = Similarity { rotation_rad: 0.0, ln_scale, translation_widths: [shift_widths, 0.0] };
-        let view = TwoView {
-            matches: 90,
-            inliers: 80,
-            distinct_inliers: 80,
-            motion: Some(Motion::Similarity(motion)),
-        };
-        let matched = Match { place: 0, posterior: 0.5, log_odds: 0.0, frame: 1 };
-        Candidate { matched, view: Some(view), support: 0.0 }
-    }
 
     #[test]
     fn the_end_of_a_corridor_is_nearer_where_it_is_no_larger() {
-        assert_eq!(distance_widths(&seen(0.0, 0.0)), 0.0);
+        assert_eq!(distance_widths(&Candidate::shifted(0.0, 0.0)), 0.0);
         // Half as large again, in the middle as before; and a turn of five degrees.
-        assert!(distance_widths(&seen(0.3, 0.0)) > distance_widths(&seen(0.0, 0.07)));
-        assert!(distance_widths(&seen(0.02, 0.05)) < distance_widths(&seen(0.02, 0.1)));
+        assert!(
+            distance_widths(&Candidate::shifted(0.3, 0.0)) > distance_widths(&Candidate::shifted(0.0, 0.07))
+        );
+        assert!(
+            distance_widths(&Candidate::shifted(0.02, 0.05))
+                < distance_widths(&Candidate::shifted(0.02, 0.1))
+        );
         // By integration over the image: points at (x, y) move by (s - 1) times that.
         let at = |index: u32, count: u32| (f64::from(index) + 0.5) / f64::from(count) - 0.5;
         let points = (0..400).flat_map(|x| (0..300).map(move |y| (at(x, 400), 0.75 * at(y, 300))));
         let squares: f64 = points.map(|(x, y)| (x * x + y * y) * (0.3_f64.exp() - 1.0).powi(2)).sum();
         let by_integration = (squares / 120_000.0).sqrt();
-        assert!((distance_widths(&seen(0.3, 0.0)) - by_integration).abs() < 1e-3, "{by_integration}");
+        assert!(
+            (distance_widths(&Candidate::shifted(0.3, 0.0)) - by_integration).abs() < 1e-3,
+            "{by_integration}"
+        );
     }
 }

@@ -2,14 +2,9 @@
 
 use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, TAU};
-use std::ops::ControlFlow;
 
-use fabmap::chow_liu::{ChowLiuTree, TreeTrainingSettings};
-use fabmap::descriptor::{DescriptorKind, Descriptors};
-use fabmap::detector::DetectorModel;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
-use fabmap::vocabulary::{Vocabulary, VocabularySettings};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use topomap::event::{FrameEvent, FrameId, MapEvent, SessionId};
@@ -21,8 +16,13 @@ use topomap::odometry::Odometry;
 use topomap::relative_pose::RelativePose;
 use topomap::relaxation::{PlanarPose, Pose};
 use topomap::verification::{Motion, Similarity, TwoView, Views};
+use words::view_of;
 
-pub(crate) const WORDS: u32 = 1000;
+#[path = "../words/mod.rs"]
+mod words;
+
+pub(crate) use words::WORDS;
+
 pub(crate) const FOCAL_LENGTH_WIDTHS: f64 = 0.8;
 
 /// What stands where: a pose of the building to one that looks the same.
@@ -192,29 +192,16 @@ pub(crate) fn view(pose: &PlanarPose, noise: u64) -> Observation {
     let cell = |value: f64, side: f64| (value / side).round() as i64;
     let sector = cell(pose.heading_rad(), TAU / 12.0).rem_euclid(12);
     let seed = (cell(pose.x_m(), 0.4) * 1_000 + cell(pose.y_m(), 0.4)) * 100 + sector;
-    let mut own = ChaCha8Rng::seed_from_u64(seed as u64);
-    let mut words: Vec<u32> = (0..40).map(|_| own.random_range(0..WORDS)).collect();
-    words.retain(|_| noise.random_bool(0.85));
-    words.extend((0..5).map(|_| noise.random_range(0..WORDS)));
-    Observation::from_words(words, WORDS as usize).unwrap()
+    view_of(seed as u64, 0.85, 5, &mut noise)
 }
 
 pub(crate) fn model_of(words: u32) -> Model {
-    let mut random = ChaCha8Rng::seed_from_u64(7);
-    let rows: Vec<u8> = (0..words as usize * 32).map(|_| random.random()).collect();
-    let descriptors = Descriptors::new(DescriptorKind::Binary, 32, rows).unwrap();
-    let settings = VocabularySettings { words, seed: 1, iterations: 1 };
-    let vocabulary = Vocabulary::train(&descriptors, &settings, &mut |_| ControlFlow::Continue(())).unwrap();
     let image = |seed: u64| {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let seen: Vec<u32> = (0..40).map(|_| random.random_range(0..words)).collect();
         Observation::from_words(seen, words as usize).unwrap()
     };
-    let training: Vec<Observation> = (0..200).map(image).collect();
-    let tree = ChowLiuTree::train(&training, words as usize, TreeTrainingSettings::default(), &mut |_| {
-        ControlFlow::Continue(())
-    });
-    Model::new("test".to_owned(), vocabulary, tree.unwrap(), DetectorModel::default(), training).unwrap()
+    words::model_of((0..200).map(image).collect(), words)
 }
 
 pub(crate) fn model() -> Model {
