@@ -1,5 +1,8 @@
 //! Why a stream ended, and whether another attempt is worth it.
 
+use std::time::Duration;
+
+use tokio::time::timeout;
 use tonic::{Code, Status};
 
 use crate::error::{Error, broken_connection};
@@ -11,7 +14,29 @@ pub(crate) enum LinkEnd {
     Final(Error),
 }
 
+/// Opening a large map takes a server seconds.
+const OPENING_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// What the server answers to the opening of `what`, if it does so in time.
+pub(crate) async fn opened<T>(
+    what: &str,
+    opening: impl Future<Output = Result<T, Status>>,
+) -> Result<T, LinkEnd> {
+    match timeout(OPENING_TIMEOUT, opening).await {
+        Ok(answered) => answered.map_err(|status| LinkEnd::of(&status)),
+        Err(_elapsed) => {
+            let waited_s = OPENING_TIMEOUT.as_secs();
+            Err(LinkEnd::Broken(format!("it did not open the {what} within {waited_s} s")))
+        }
+    }
+}
+
 impl LinkEnd {
+    /// A stream that ended without a word.
+    pub(crate) fn closed() -> Self {
+        LinkEnd::Broken("it closed the stream".to_owned())
+    }
+
     /// A stream that ended with a status.
     pub(crate) fn of(status: &Status) -> Self {
         if let Some(reason) = broken_connection(status) {

@@ -21,10 +21,8 @@ use super::window::{Settled, Window};
 use super::{FrameInput, FrameOutcome, SessionOptions};
 use crate::client::Transport;
 use crate::error::Error;
-use crate::link_end::LinkEnd;
+use crate::link_end::{self, LinkEnd};
 
-/// Opening a large map takes a server seconds.
-const OPENING_TIMEOUT: Duration = Duration::from_secs(30);
 /// All is answered by then; this is courtesy.
 const CLOSING_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -126,19 +124,14 @@ impl Exchange {
             let first = responses.message().await?;
             Ok((responses, first.and_then(|response| response.content)))
         };
-        match timeout(OPENING_TIMEOUT, opening).await {
-            Ok(Ok((responses, Some(Response::Opened(opened))))) => {
+        match link_end::opened("session", opening).await? {
+            (responses, Some(Response::Opened(opened))) => {
                 self.on_opened(opened)?;
                 Ok(Link { requests, responses })
             }
-            Ok(Ok((_, None))) => Err(LinkEnd::Broken("it closed the stream".to_owned())),
-            Ok(Ok((_, Some(Response::Answer(_) | Response::Refusal(_))))) => {
+            (_, None) => Err(LinkEnd::closed()),
+            (_, Some(Response::Answer(_) | Response::Refusal(_))) => {
                 Err(LinkEnd::Final(Error::Protocol("it answered before the session was opened")))
-            }
-            Ok(Err(status)) => Err(LinkEnd::of(&status)),
-            Err(_elapsed) => {
-                let waited_s = OPENING_TIMEOUT.as_secs();
-                Err(LinkEnd::Broken(format!("it did not open the session within {waited_s} s")))
             }
         }
     }
@@ -224,7 +217,7 @@ impl Exchange {
     ) -> Result<Option<(String, Duration)>, LinkEnd> {
         let response = response.map_err(|status| LinkEnd::of(&status))?;
         let Some(v1::StreamResponse { content }) = response else {
-            return Err(LinkEnd::Broken("it closed the stream".to_owned()));
+            return Err(LinkEnd::closed());
         };
         let outcome = match content {
             Some(Response::Answer(answer)) => FrameOutcome::Answer(answer),
