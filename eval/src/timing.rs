@@ -143,6 +143,15 @@ pub(crate) fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     values.get(rank.max(1) - 1).copied()
 }
 
+/// Time that this thread has spent on a processor, in seconds, whatever else the machine does; `None` where the system does
+/// not tell.
+#[must_use]
+pub fn thread_seconds() -> Option<f64> {
+    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    let nanoseconds: u64 = told.split_whitespace().next()?.parse().ok()?;
+    Some(nanoseconds as f64 * 1e-9)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

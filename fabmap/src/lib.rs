@@ -18,6 +18,7 @@ pub mod new_place;
 pub mod observation;
 pub mod place_filter;
 pub mod recognizer;
+pub mod signature;
 mod slices;
 pub mod tf_idf;
 pub mod vocabulary;

@@ -2,13 +2,14 @@
 
 mod admission;
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use fabmap::descriptor::Descriptors;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
+use fabmap::signature::Signatures;
 use tokio::sync::Semaphore;
 use tokio_util::task::AbortOnDropHandle;
 use tracing::Span;
@@ -40,6 +41,7 @@ pub(crate) struct LoadedModel {
     /// Hash of extractor and vocabulary.
     pub(crate) words_hash: String,
     extractor: Extractor,
+    signatures: OnceLock<Signatures>,
 }
 
 /// What an image shows, and how long it took to see it.
@@ -68,7 +70,12 @@ impl LoadedModel {
             )));
         }
         let (hash, words_hash) = (model.hash().to_string(), model.words_hash().to_string());
-        Ok(Self { hash, words_hash, extractor, model })
+        Ok(Self { hash, words_hash, extractor, model, signatures: OnceLock::new() })
+    }
+
+    /// Of the model's words. They are made when a map without metres first needs them.
+    pub(crate) fn signatures(&self) -> &Signatures {
+        self.signatures.get_or_init(|| Signatures::new(self.model.vocabulary()))
     }
 }
 

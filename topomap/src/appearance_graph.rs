@@ -3,9 +3,10 @@
 //! Nodes are panoramic images. Two are linked where their similarity S is above [`LINK_SIMILARITY`]: matches that one
 //! planar motion explains, over the smaller number of features. A link is 1 / S long, so that the shortest path goes
 //! over views with much in common (Booij, Terwijn, Zivkovic & Kröse, ICRA 2007). Images come one by one, each compared
-//! with all earlier ones or with the few that an index names ([`candidates`]).
+//! with all earlier ones, or with those that an index and the links so far promise a link with ([`candidates`]).
 
 pub mod candidates;
+mod promise;
 mod spaces;
 
 use std::cmp::Reverse;
@@ -50,13 +51,14 @@ pub trait Panorama {
 }
 
 /// With which images a new one is compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Checks {
-    /// With all that are named.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Checks<'a> {
+    /// With all.
     All,
-    /// With those that are linked to what the image has been linked to so far, most promising first, until so many in a
-    /// row were not similar; then with the named ones in their order, until as many were not.
-    UntilMisses(usize),
+    /// With those that are likely to be similar, by what its features vote for each image
+    /// ([`candidates::CandidateIndex::votes`]) and by the links that it has been found to have so far: the likeliest first,
+    /// down to one in 300.
+    Promising(&'a [f64]),
 }
 
 /// An image that has come to the map.
@@ -102,71 +104,27 @@ pub struct NoSuchImage {
     pub images: usize,
 }
 
-/// Similarities of an image that is about to be added.
-#[derive(Default)]
-struct Found {
-    similarities: BTreeMap<ImageId, f64>,
-}
-
-impl Found {
-    /// Compares with one more; whether it is similar.
-    fn check(&mut self, panorama: &impl Panorama, candidate: ImageId) -> Result<bool, ArchiveError> {
-        let similarity = panorama.overlap(candidate)?.map_or(0.0, |overlap| overlap.similarity());
-        self.similarities.insert(candidate, similarity);
-        Ok(similarity > LINK_SIMILARITY)
-    }
-}
-
 impl AppearanceGraph {
-    /// Adds an image and links it to those of `candidates` that it is similar to.
+    /// Adds an image and links it to those that it is similar to, of those that it is compared with.
     ///
     /// # Errors
     /// [`ArchiveError`] if one of them cannot be read now; nothing is added then.
-    pub fn add(
-        &mut self,
-        panorama: &impl Panorama,
-        candidates: impl IntoIterator<Item = ImageId>,
-        checks: Checks,
-    ) -> Result<Added, ArchiveError> {
-        let mut found = Found::default();
-        let mut misses = 0;
-        for candidate in candidates {
-            if found.similarities.contains_key(&candidate) {
-                continue;
+    pub fn add(&mut self, panorama: &impl Panorama, checks: Checks<'_>) -> Result<Added, ArchiveError> {
+        let similarity =
+            |image| Ok(panorama.overlap(image)?.map_or(0.0, |overlap: Overlap| overlap.similarity()));
+        let found: BTreeMap<ImageId, f64> = match checks {
+            Checks::All => {
+                let all = (0..self.len() as ImageId).map(|image| Ok((image, similarity(image)?)));
+                all.collect::<Result<_, ArchiveError>>()?
             }
-            let is_linked = found.check(panorama, candidate)?;
-            misses = if is_linked { 0 } else { misses + 1 };
-            match checks {
-                Checks::UntilMisses(most) if misses >= most => break,
-                Checks::UntilMisses(most) if is_linked => self.spread(panorama, &mut found, most)?,
-                Checks::All | Checks::UntilMisses(_) => {}
-            }
-        }
+            Checks::Promising(votes) => promise::compared(self, votes, similarity)?,
+        };
         let image = self.add_image();
-        let compared = found.similarities.len();
-        for (candidate, similarity) in found.similarities {
-            self.link(image, candidate, similarity);
+        let checks = found.len();
+        for (other, similarity) in found {
+            self.link(image, other, similarity);
         }
-        Ok(Added { image, checks: compared })
-    }
-
-    /// Compares with neighbours of what has been found similar, by Σ S(image, found) S(found, neighbour), until `most` in
-    /// a row were not similar.
-    fn spread(&self, panorama: &impl Panorama, found: &mut Found, most: usize) -> Result<(), ArchiveError> {
-        let mut misses = 0;
-        while misses < most {
-            let mut promise: BTreeMap<ImageId, f64> = BTreeMap::new();
-            for (&image, &similarity) in
-                found.similarities.iter().filter(|(_, found)| **found > LINK_SIMILARITY)
-            {
-                let open =
-                    self.neighbours(image).iter().filter(|link| !found.similarities.contains_key(&link.to));
-                open.for_each(|link| *promise.entry(link.to).or_default() += similarity * link.similarity);
-            }
-            let Some((&next, _)) = promise.iter().max_by(|a, b| a.1.total_cmp(b.1)) else { break };
-            misses = if found.check(panorama, next)? { 0 } else { misses + 1 };
-        }
-        Ok(())
+        Ok(Added { image, checks })
     }
 
     /// Adds an image without links.

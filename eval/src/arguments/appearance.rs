@@ -21,9 +21,13 @@ pub(crate) struct AppearanceArguments {
     /// Most people in the robot's way, each number up to it tried.
     #[arg(long, value_name = "K", default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=8))]
     people: u8,
-    /// Panoramas of the graph that is made through the index, and by all pairs to compare.
+    /// Panoramas of the graph that is made through the index, of as many buildings as have room for them.
     #[arg(long, value_name = "N", default_value_t = 600, value_parser = clap::value_parser!(u16).range(2..=5000))]
     panoramas: u16,
+    /// Panoramas that are compared with all others, to see which links the index does not lead to; all if there are no
+    /// more.
+    #[arg(long, value_name = "N", default_value_t = 600, value_parser = clap::value_parser!(u16).range(1..))]
+    reference: u16,
     /// What to measure [default: all that needs no --data, and with it the compass, too].
     #[arg(long, value_name = "PART", num_args = 1.., value_parser = parts())]
     parts: Option<Vec<Part>>,
@@ -40,15 +44,15 @@ pub(crate) struct AppearanceArguments {
 
 impl AppearanceArguments {
     pub(crate) fn run(self) -> Result<(), EvalError> {
-        let Self { trials, seed, people, panoramas, parts, data, out, json } = self;
+        let Self { trials, seed, people, panoramas, reference, parts, data, out, json } = self;
         if data.is_none() && parts.as_ref().is_some_and(|parts| parts.contains(&Part::Compass)) {
             refuse(
                 "the compass is measured on recorded panoramas; give their folder with --data, or leave out compass",
             );
         }
         let parts = parts.unwrap_or_else(|| Part::ALL.to_vec());
-        let (people, panoramas) = (people.into(), panoramas.into());
-        let options = AppearanceOptions { trials, seed, people, panoramas, parts, data, out };
+        let (people, panoramas, reference) = (people.into(), panoramas.into(), reference.into());
+        let options = AppearanceOptions { trials, seed, people, panoramas, reference, parts, data, out };
         print_if(json, &appearance::run(&options)?)
     }
 }

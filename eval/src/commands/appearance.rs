@@ -5,11 +5,14 @@ pub mod candidates;
 pub mod compass;
 pub mod eye;
 pub mod headings;
+pub mod index;
 pub mod picture;
 pub mod trials;
 
 use std::path::PathBuf;
 
+use fabmap::signature::SignatureError;
+use fabmap::vocabulary::VocabularyError;
 use serde::Serialize;
 use topomap::appearance_graph::NoSuchImage;
 use topomap::mapper::ArchiveError;
@@ -26,10 +29,11 @@ use waypost_vision::panorama::compass::SizesDiffer;
 use crate::error::EvalError;
 use crate::files;
 
-use self::candidates::{IndexFigures, LookAlikeFigures};
+use self::candidates::LookAlikeFigures;
 use self::compass::CompassFigures;
 use self::eye::{Acuity, Eye};
 use self::headings::HeadingFigures;
+use self::index::{IndexFigures, IndexOptions};
 use self::trials::{Drive, DrivenMap};
 
 /// Buildings that headings are measured in.
@@ -46,6 +50,8 @@ pub struct AppearanceOptions {
     pub people: usize,
     /// Panoramas of the graph that is made through the index.
     pub panoramas: usize,
+    /// Panoramas that are compared with all others, to see which links the index does not lead to.
+    pub reference: usize,
     /// What is measured.
     pub parts: Vec<Part>,
     /// Folder of the recorded panoramas; without it there is no compass to measure.
@@ -170,6 +176,12 @@ pub enum AppearanceError {
     /// Recorded panoramas of different sizes.
     #[error(transparent)]
     Sizes(#[from] SizesDiffer),
+    /// No words can be learnt.
+    #[error(transparent)]
+    Vocabulary(#[from] VocabularyError),
+    /// Words that are not those of the features.
+    #[error(transparent)]
+    Signatures(#[from] SignatureError),
     /// An image of the map that is not there.
     #[error(transparent)]
     Archive(#[from] ArchiveError),
@@ -188,7 +200,10 @@ pub fn run(options: &AppearanceOptions) -> Result<AppearanceReport, EvalError> {
     let headings = is_asked(Part::Headings).then(|| measure_headings(&fine, options)).transpose()?;
     let drives = is_asked(Part::Drives).then(|| drive(&coarse, options)).transpose()?.unwrap_or_default();
     let index = is_asked(Part::Index)
-        .then(|| candidates::measure(&coarse, options.panoramas, options.seed))
+        .then(|| {
+            let &AppearanceOptions { panoramas, reference, seed, .. } = options;
+            index::measure(&coarse, &IndexOptions { panoramas, reference, seed })
+        })
         .transpose()?;
     let look_alikes =
         is_asked(Part::LookAlikes).then(|| candidates::look_alikes(&coarse, options.seed)).transpose()?;

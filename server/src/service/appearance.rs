@@ -9,7 +9,7 @@ use fabmap::appearance::PlaceId;
 use tokio::runtime::Handle;
 
 use self::graph::Ground;
-pub(crate) use self::graph::{Graph, GrowingGraph};
+pub(crate) use self::graph::{Graph, GrowingGraph, Shown};
 pub(crate) use self::labels::LabelReach;
 use super::Service;
 use super::map_settings::{self, NavigationStrategy};

@@ -26,20 +26,23 @@ impl Panorama for InARow {
 fn similar_images_are_linked_and_no_others() {
     let mut all = AppearanceGraph::default();
     for image in 0..20 {
-        let added = all.add(&InARow(image), (0..image).rev(), Checks::All).unwrap();
+        let added = all.add(&InARow(image), Checks::All).unwrap();
         assert_eq!(added, Added { image, checks: image as usize });
     }
     // 80 / 3 of 400 features are above a twentieth, 80 / 4 are not.
     assert_eq!(all.neighbours(10).iter().map(|link| link.to).collect::<Vec<_>>(), [7, 8, 9, 11, 12, 13]);
     assert_eq!(all.similarity(3, 4), Some(0.2));
     assert_eq!(all.links().count(), 19 + 18 + 17);
+    // Votes for the one before, and no other: its neighbours lead to the rest.
     let mut few = AppearanceGraph::default();
-    let checks: usize = (0..20)
-        .map(|image| few.add(&InARow(image), (0..image).rev(), Checks::UntilMisses(2)).unwrap().checks)
-        .sum();
+    for image in 0..20 {
+        let votes: Vec<f64> = (0..image).map(|other| if other + 1 == image { 0.1 } else { 0.002 }).collect();
+        let added = few.add(&InARow(image), Checks::Promising(&votes)).unwrap();
+        assert!(added.checks <= 8, "{added:?}");
+    }
     assert_eq!(few, all);
-    // Three links, and twice two misses at most.
-    assert!(checks <= 7 * 20, "{checks}");
+    // Without votes nothing is compared.
+    assert_eq!(few.add(&InARow(20), Checks::Promising(&[])).unwrap(), Added { image: 20, checks: 0 });
 }
 
 #[test]

@@ -7,12 +7,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 
 use fabmap::appearance::PlaceId;
-use fabmap::likelihood::{Dependence, ObservationModel};
-use fabmap::observation::Observation;
 use tokio::runtime::Handle;
 use tokio::sync::{Mutex, OwnedMutexGuard};
 use tokio_util::sync::CancellationToken;
-use topomap::appearance_graph::candidates::CandidateIndex;
+use topomap::appearance_graph::candidates::{CandidateIndex, IndexedFeature};
 use topomap::appearance_graph::{AppearanceGraph, Checks, ImageId, Overlap, Panorama};
 use topomap::epipolar::SearchSettings;
 use topomap::event::FrameId;
@@ -26,11 +24,8 @@ use crate::extraction::LoadedModel;
 use crate::service::camera::PanoramicOptics;
 use crate::storage::{MapId, Storage, StoredFeatures};
 
-/// Images that the index names to a panorama, on its way into the graph or of a robot that is lost.
-pub(super) const MAX_NAMED: usize = 64;
-
-/// Comparisons in a row that lead to no link, after which a panorama has all its links.
-const MISSES: usize = 4;
+/// Images that the index names to a robot that is lost.
+const MAX_NAMED: usize = 64;
 
 /// Places that are taken in before others see them.
 const PIECE: u32 = 64;
@@ -75,6 +70,13 @@ struct Growth {
     next_place: PlaceId,
 }
 
+/// A panorama as it is compared, and as the index has it.
+#[derive(Clone, Debug)]
+pub(crate) struct Shown {
+    pub(crate) view: Arc<PanoramicView>,
+    indexed: Vec<IndexedFeature>,
+}
+
 /// A panorama that comes to the graph.
 struct Coming<'a> {
     view: &'a PanoramicView,
@@ -87,14 +89,27 @@ impl Panorama for Coming<'_> {
     }
 }
 
+impl Shown {
+    /// None if the features came without descriptors, or lie in no panorama.
+    pub(crate) fn new(
+        model: &LoadedModel,
+        optics: &PanoramicOptics,
+        features: &FeatureRecord,
+    ) -> Result<Option<Self>, ServiceError> {
+        let Some(view) = optics.view(features) else { return Ok(None) };
+        let signed = model.signatures().sign(features.words(), view.descriptors());
+        let signed = signed.map_err(ServiceError::internal)?.into_iter();
+        let indexed = signed.zip(view.rays()).map(|(word, ray)| IndexedFeature::new(word, ray)).collect();
+        Ok(Some(Self { view: Arc::new(view), indexed }))
+    }
+}
+
 impl Graph {
-    fn empty(model: &LoadedModel) -> Self {
-        let model = &model.model;
-        let model = ObservationModel::new(model.tree(), *model.detector(), Dependence::ChowLiu);
+    fn empty() -> Self {
         Self {
             places: Vec::new(),
             views: Vec::new(),
-            index: CandidateIndex::new(Arc::new(model)),
+            index: CandidateIndex::default(),
             links: AppearanceGraph::default(),
             spaces: OnceLock::new(),
         }
@@ -123,12 +138,12 @@ impl Graph {
         view.compare(self.views.get(image as usize)?, &SearchSettings::default()).overlap
     }
 
-    /// The images that may show what was observed: all of a small map, else those that the index names.
-    pub(crate) fn candidates(&self, observation: &Observation) -> Vec<ImageId> {
+    /// The images that may show what a panorama does: all of a small map, else those that the index names.
+    pub(crate) fn candidates(&self, shown: &Shown) -> Vec<ImageId> {
         if self.places.len() <= MAX_NAMED {
             return (0..self.places.len() as ImageId).collect();
         }
-        self.index.most_likely(observation, MAX_NAMED)
+        self.index.most_voted(&shown.indexed, MAX_NAMED)
     }
 
     /// Convex spaces by image. It takes a while at first.
@@ -144,18 +159,13 @@ impl Graph {
     }
 
     /// Adds the panorama of a place that is above all others.
-    fn add(
-        &mut self,
-        place: PlaceId,
-        view: PanoramicView,
-        observation: &Observation,
-    ) -> Result<(), ArchiveError> {
-        let coming = Coming { view: &view, earlier: &self.views };
-        let named = self.index.most_likely(observation, MAX_NAMED);
-        self.links.add(&coming, named, Checks::UntilMisses(MISSES))?;
-        self.index.add(observation);
+    fn add(&mut self, place: PlaceId, shown: Shown) -> Result<(), ArchiveError> {
+        let coming = Coming { view: &shown.view, earlier: &self.views };
+        let votes = self.index.votes(&shown.indexed);
+        self.links.add(&coming, Checks::Promising(&votes))?;
+        self.index.add(&shown.indexed);
         self.places.push(place);
-        self.views.push(Arc::new(view));
+        self.views.push(shown.view);
         self.spaces = OnceLock::new();
         Ok(())
     }
@@ -163,7 +173,7 @@ impl Graph {
     fn memory_bytes(&self) -> u64 {
         let ray = size_of::<[f64; 3]>();
         let view = |view: &Arc<PanoramicView>| view.descriptors().as_bytes().len() + ray * view.rays().len();
-        self.views.iter().map(view).sum::<usize>() as u64
+        (self.views.iter().map(view).sum::<usize>() + self.index.memory_bytes()) as u64
     }
 }
 
@@ -190,14 +200,14 @@ impl GrowingGraph {
         growing.await.map_err(ServiceError::internal)?
     }
 
-    /// What the views take.
+    /// What the views and their index take.
     pub(crate) fn memory_bytes(&self) -> u64 {
         self.memory_bytes.load(Ordering::Relaxed)
     }
 
     fn take_in(&self, ground: &Ground, mut growth: OwnedMutexGuard<Growth>) -> Result<(), ServiceError> {
         let Growth { graph, next_place } = &mut *growth;
-        let graph = graph.get_or_insert_with(|| Arc::new(Graph::empty(&ground.model)));
+        let graph = graph.get_or_insert_with(|| Arc::new(Graph::empty()));
         loop {
             let places = ground.storage.first_frames(ground.map, *next_place, PIECE);
             let places = ground.runtime.block_on(places)?;
@@ -208,8 +218,8 @@ impl GrowingGraph {
                     if ground.stopping.is_cancelled() {
                         return Err(ServiceError::stopping());
                     }
-                    if let Some((view, observation)) = ground.panorama(frame)? {
-                        growing.add(place, view, &observation).map_err(FrameError::from)?;
+                    if let Some(shown) = ground.panorama(frame)? {
+                        growing.add(place, shown).map_err(FrameError::from)?;
                     }
                     *next_place = place + 1;
                 }
@@ -225,7 +235,7 @@ impl GrowingGraph {
 
 impl Ground {
     /// What a frame shows all around; none if its camera does not, or its features are not kept.
-    fn panorama(&self, frame: FrameId) -> Result<Option<(PanoramicView, Observation)>, ServiceError> {
+    fn panorama(&self, frame: FrameId) -> Result<Option<Shown>, ServiceError> {
         let stored = self.runtime.block_on(self.storage.features(self.map, frame))?;
         let Some(StoredFeatures { features, camera }) = stored else { return Ok(None) };
         let Some(optics) = camera.as_deref().and_then(PanoramicOptics::of_camera) else { return Ok(None) };
@@ -236,9 +246,6 @@ impl Ground {
                 return Ok(None);
             }
         };
-        let words = self.model.model.vocabulary().len();
-        let observation = Observation::from_words(features.words().iter().copied(), words);
-        let observation = observation.map_err(ServiceError::internal)?;
-        Ok(optics.view(&features).map(|view| (view, observation)))
+        Shown::new(&self.model, &optics, &features)
     }
 }

@@ -7,7 +7,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use fabmap::appearance::PlaceId;
-use fabmap::observation::Observation;
 use tokio::sync::watch;
 use topomap::appearance_graph::{ImageId, LINK_SIMILARITY};
 use topomap::appearance_navigation::{Body, HeadingSteering};
@@ -24,7 +23,7 @@ use super::{
 use crate::error::ServiceError;
 use crate::extraction::Observed;
 use crate::service::Service;
-use crate::service::appearance::Graph;
+use crate::service::appearance::{Graph, Shown};
 use crate::service::camera::PanoramicOptics;
 use crate::service::content::{Content, Words};
 use crate::service::map_settings::Keep;
@@ -76,12 +75,6 @@ struct Heading {
 struct Report {
     stamp_ns: i64,
     driver: Driver,
-}
-
-/// A panorama as it is compared.
-struct Panorama {
-    view: Arc<PanoramicView>,
-    observation: Observation,
 }
 
 /// Refuses a camera that does not see all around.
@@ -268,16 +261,23 @@ impl AppearanceGuide {
         content: Content,
         words: Words,
         stream: Option<u64>,
-    ) -> Result<Panorama, ServiceError> {
-        let (model, optics) = (self.identity.model.clone(), Some(self.optics));
-        let observed = service.observe(model, content, words, Keep::Words, optics, stream).await?;
-        let Observed { observation, features, media: _, extract: _, quantize: _ } = observed;
-        let view = features.and_then(|features| self.optics.view(&features)).ok_or_else(|| {
+    ) -> Result<Shown, ServiceError> {
+        let (model, optics) = (self.identity.model.clone(), self.optics);
+        let observed =
+            service.observe(model.clone(), content, words, Keep::Words, Some(optics), stream).await?;
+        let Observed { observation: _, features, media: _, extract: _, quantize: _ } = observed;
+        let shown = match features {
+            Some(features) => {
+                let shown = move || Shown::new(&model, &optics, &features);
+                tokio::task::spawn_blocking(shown).await.map_err(ServiceError::internal)??
+            }
+            None => None,
+        };
+        shown.ok_or_else(|| {
             ServiceError::invalid(
                 "by appearance a robot is led by how features look, which words do not tell: send the panorama itself",
             )
-        })?;
-        Ok(Panorama { view: Arc::new(view), observation })
+        })
     }
 
     /// Looks at a panorama, after those before it, and says where to drive.
@@ -367,7 +367,7 @@ impl AppearanceGuide {
 /// The navigator's work, off the async threads.
 async fn stepped(
     mut journey: Journey,
-    seen: Arc<Panorama>,
+    seen: Arc<Shown>,
     before: Option<Arc<PanoramicView>>,
     body: Body,
 ) -> Result<(Journey, Step), ServiceError> {

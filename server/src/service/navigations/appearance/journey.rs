@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use topomap::appearance_graph::{AppearanceGraph, ImageId, LINK_SIMILARITY, Overlap, Panorama as Compared};
+use topomap::appearance_graph::{AppearanceGraph, ImageId, LINK_SIMILARITY, Overlap, Panorama};
 use topomap::appearance_navigation::{
     AppearanceNavigator, Body, Guidance, NavigationSettings, NavigationStatus, Sight,
 };
@@ -13,9 +13,8 @@ use topomap::mapper::{ArchiveError, FrameError};
 use topomap::navigation::Status;
 use waypost_vision::panorama::PanoramicView;
 
-use super::Panorama;
 use crate::error::ServiceError;
-use crate::service::appearance::Graph;
+use crate::service::appearance::{Graph, Shown};
 use crate::service::navigations::Goal;
 
 /// On the way to a goal, over the graph as it was when that was asked for.
@@ -46,13 +45,13 @@ pub(super) struct Step {
 /// What the robot sees, and all that it has been compared with so far.
 struct Sighting<'a> {
     graph: &'a Graph,
-    seen: &'a Panorama,
+    seen: &'a Shown,
     before: Option<&'a PanoramicView>,
     overlaps: RefCell<BTreeMap<ImageId, Option<Overlap>>>,
 }
 
 impl<'a> Sighting<'a> {
-    fn new(graph: &'a Graph, seen: &'a Panorama, before: Option<&'a PanoramicView>) -> Self {
+    fn new(graph: &'a Graph, seen: &'a Shown, before: Option<&'a PanoramicView>) -> Self {
         Self { graph, seen, before, overlaps: RefCell::default() }
     }
 
@@ -71,14 +70,14 @@ impl<'a> Sighting<'a> {
 
     /// The image that looks most like what is seen, and enough so.
     fn most_similar(&self) -> Option<ImageId> {
-        let named = self.graph.candidates(&self.seen.observation).into_iter();
+        let named = self.graph.candidates(self.seen).into_iter();
         let similar = named.map(|image| (self.similarity(image), image));
         let similar = similar.filter(|(similarity, _)| *similarity > LINK_SIMILARITY);
         similar.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1))).map(|(_, image)| image)
     }
 }
 
-impl Compared for Sighting<'_> {
+impl Panorama for Sighting<'_> {
     fn overlap(&self, image: ImageId) -> Result<Option<Overlap>, ArchiveError> {
         Ok(self.compared(image))
     }
@@ -92,12 +91,12 @@ impl Sight for Sighting<'_> {
     }
 
     fn relocalization_candidates(&self) -> Vec<ImageId> {
-        self.graph.candidates(&self.seen.observation)
+        self.graph.candidates(self.seen)
     }
 }
 
 /// The image of a graph that looks most like a panorama; none if none does enough.
-pub(super) fn most_similar(graph: &Graph, seen: &Panorama) -> Option<ImageId> {
+pub(super) fn most_similar(graph: &Graph, seen: &Shown) -> Option<ImageId> {
     Sighting::new(graph, seen, None).most_similar()
 }
 
@@ -119,7 +118,7 @@ impl Journey {
     /// Takes a panorama, after the one `before`.
     pub(super) fn step(
         &mut self,
-        seen: &Panorama,
+        seen: &Shown,
         before: Option<&PanoramicView>,
         body: Body,
     ) -> Result<Step, ServiceError> {

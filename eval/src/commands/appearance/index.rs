@@ -1,0 +1,271 @@
+//! A graph through the index against one of all pairs.
+
+use std::ops::ControlFlow;
+
+use fabmap::descriptor::{DescriptorKind, Descriptors};
+use fabmap::signature::Signatures;
+use fabmap::vocabulary::{Vocabulary, VocabularySettings};
+use rayon::prelude::*;
+use serde::Serialize;
+use topomap::appearance_graph::candidates::{CandidateIndex, IndexedFeature};
+use topomap::appearance_graph::{AppearanceGraph, Checks, ImageId, LINK_SIMILARITY, Overlap, Panorama};
+use topomap::mapper::ArchiveError;
+use waypost_sim::pose::Pose;
+use waypost_sim::scene::Scene;
+use waypost_sim::worlds::NamedWorld;
+use waypost_vision::panorama::PanoramicView;
+
+use super::AppearanceError;
+use super::eye::{Eye, scattered};
+use crate::commands::map::training::FIRST_TRAINING_SEED;
+use crate::error::EvalError;
+use crate::memory;
+use crate::timing::thread_seconds;
+
+/// Words of the panoramas' vocabulary.
+const WORDS: u32 = 3_000;
+
+/// Buildings that the words are learnt in.
+const TRAINING_BUILDINGS: u64 = 3;
+
+/// From image to image in metres: some 1,200 find place in the large office.
+const SPACING_M: f64 = 0.5;
+
+/// Two images that are further apart share no room, or too little to be told.
+const FAR_M: f64 = 6.0;
+
+/// How large a graph is made, and how much of it is looked over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IndexOptions {
+    /// Panoramas, of as many buildings as have room for them.
+    pub panoramas: usize,
+    /// Panoramas that are compared with all others, to see which links are lost: evenly spread, all if there are no more.
+    pub reference: usize,
+    /// Of the first building; the others have the next ones.
+    pub seed: u64,
+}
+
+/// What the index saves, and what it costs.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct IndexFigures {
+    /// Panoramas.
+    pub panoramas: usize,
+    /// Buildings that they are of.
+    pub buildings: usize,
+    /// Panoramas that were compared with all others.
+    pub reference: usize,
+    /// Links that those have.
+    pub links: usize,
+    /// Comparisons of each with each.
+    pub pair_checks_of_all: usize,
+    /// Comparisons through the index.
+    pub pair_checks: usize,
+    /// The first over the second.
+    pub pair_check_ratio: f64,
+    /// Share of the links that the index does not lead to.
+    pub links_lost_fraction: f64,
+    /// Similarities of the links that it does not lead to, the largest first.
+    pub lost_similarities: Vec<f64>,
+    /// Links between images that are further apart than 6 m, or of different buildings.
+    pub links_far_apart: usize,
+    /// Time on the processor for the graph through the index, on one thread: words and signatures, votes, comparisons.
+    /// `None` where the system does not tell, as all times.
+    pub seconds: Option<IndexSeconds>,
+    /// Time on the processor for comparing all pairs on one thread, by the pairs that were compared.
+    pub seconds_of_all: Option<f64>,
+    /// The longest that one panorama took through the index, in milliseconds.
+    pub panorama_ms_max: Option<f64>,
+    /// What the index takes, in MiB.
+    pub index_mib: f64,
+    /// The most memory that was held so far, in MiB.
+    pub peak_mib: Option<f64>,
+}
+
+/// Where the time goes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct IndexSeconds {
+    /// Words, and where within their words features lie.
+    pub words: f64,
+    /// Votes, and taking the panorama into the index.
+    pub votes: f64,
+    /// Comparisons of two panoramas.
+    pub comparisons: f64,
+    /// All of it.
+    pub total: f64,
+}
+
+/// Panoramas of some buildings.
+struct Seen {
+    views: Vec<PanoramicView>,
+    /// Building and pose of each.
+    poses: Vec<(u64, Pose)>,
+}
+
+/// What came of the index.
+struct Built {
+    graph: AppearanceGraph,
+    checks: usize,
+    seconds: Option<IndexSeconds>,
+    panorama_ms_max: Option<f64>,
+    index_mib: f64,
+}
+
+/// A comparison of two images, the later one first.
+struct Compared {
+    images: (ImageId, ImageId),
+    similarity: f64,
+}
+
+/// A view on its way into a graph of others.
+struct Coming<'a> {
+    eye: &'a Eye,
+    view: &'a PanoramicView,
+    earlier: &'a [PanoramicView],
+}
+
+impl Panorama for Coming<'_> {
+    fn overlap(&self, image: ImageId) -> Result<Option<Overlap>, ArchiveError> {
+        Ok(self.view.compare(&self.earlier[image as usize], &self.eye.search).overlap)
+    }
+}
+
+/// Builds the graph of panoramas of the large office through the index, and looks which links it lacks.
+///
+/// # Errors
+/// [`EvalError`] if no words can be learnt.
+pub fn measure(eye: &Eye, options: &IndexOptions) -> Result<IndexFigures, EvalError> {
+    let vocabulary = train(eye)?;
+    let seen = see(eye, options)?;
+    let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+    let built = one_thread.install(|| through_index(eye, &vocabulary, &seen.views))?;
+    let (compared, compared_seconds) = compared_with_all(eye, &seen.views, options.reference);
+    let links: Vec<&Compared> = compared.iter().filter(|pair| pair.similarity > LINK_SIMILARITY).collect();
+    let is_lost = |pair: &&&Compared| built.graph.similarity(pair.images.0, pair.images.1).is_none();
+    let mut lost: Vec<f64> = links.iter().filter(is_lost).map(|pair| pair.similarity).collect();
+    lost.sort_by(|a, b| b.total_cmp(a));
+    let is_far = |pair: &&&Compared| {
+        let [a, b] = [pair.images.0, pair.images.1].map(|image| &seen.poses[image as usize]);
+        a.0 != b.0 || a.1.distance_m(&b.1) > FAR_M
+    };
+    let panoramas = seen.views.len();
+    let pair_checks_of_all = panoramas * panoramas.saturating_sub(1) / 2;
+    Ok(IndexFigures {
+        panoramas,
+        buildings: seen.poses.last().map_or(0, |(last, _)| (last - options.seed + 1) as usize),
+        reference: options.reference.min(panoramas),
+        links: links.len(),
+        pair_checks_of_all,
+        pair_checks: built.checks,
+        pair_check_ratio: pair_checks_of_all as f64 / built.checks.max(1) as f64,
+        links_lost_fraction: lost.len() as f64 / links.len().max(1) as f64,
+        lost_similarities: lost,
+        links_far_apart: links.iter().filter(is_far).count(),
+        seconds: built.seconds,
+        seconds_of_all: compared_seconds
+            .map(|seconds| seconds * pair_checks_of_all as f64 / compared.len().max(1) as f64),
+        panorama_ms_max: built.panorama_ms_max,
+        index_mib: built.index_mib,
+        peak_mib: memory::peak_mib(),
+    })
+}
+
+/// Panoramas of building after building.
+fn see(eye: &Eye, options: &IndexOptions) -> Result<Seen, AppearanceError> {
+    let mut seen = Seen { views: Vec::new(), poses: Vec::new() };
+    for seed in options.seed.. {
+        let plan = NamedWorld::Office.plan(seed);
+        let mut poses = scattered(&plan, SPACING_M, seed);
+        poses.truncate(options.panoramas - seen.views.len());
+        seen.views.extend(eye.see_all(&Scene::new(plan), &poses, seed)?);
+        seen.poses.extend(poses.into_iter().map(|pose| (seed, pose)));
+        if seen.views.len() == options.panoramas {
+            break;
+        }
+    }
+    Ok(seen)
+}
+
+/// Image by image: words, votes, comparisons.
+fn through_index(
+    eye: &Eye,
+    vocabulary: &Vocabulary,
+    views: &[PanoramicView],
+) -> Result<Built, AppearanceError> {
+    let signatures = Signatures::new(vocabulary);
+    let (mut index, mut graph) = (CandidateIndex::default(), AppearanceGraph::default());
+    let (mut checks, mut seconds, mut slowest) = (0, Some(IndexSeconds::default()), 0.0_f64);
+    for (image, view) in views.iter().enumerate() {
+        let began = thread_seconds();
+        let words = vocabulary.words(view.descriptors())?;
+        let signed = signatures.sign(&words, view.descriptors())?.into_iter();
+        let features: Vec<IndexedFeature> =
+            signed.zip(view.rays()).map(|(word, ray)| IndexedFeature::new(word, ray)).collect();
+        let signed = thread_seconds();
+        let votes = index.votes(&features);
+        index.add(&features);
+        let voted = thread_seconds();
+        let coming = Coming { eye, view, earlier: &views[..image] };
+        checks += graph.add(&coming, Checks::Promising(&votes))?.checks;
+        seconds = seconds.zip(began).zip(signed).zip(voted).zip(thread_seconds()).map(
+            |((((so_far, began), signed), voted), compared)| {
+                slowest = slowest.max(compared - began);
+                so_far.and([began, signed, voted, compared])
+            },
+        );
+    }
+    let index_mib = index.memory_bytes() as f64 / f64::from(1 << 20);
+    let panorama_ms_max = seconds.map(|_| 1e3 * slowest);
+    Ok(Built { graph, checks, seconds, panorama_ms_max, index_mib })
+}
+
+impl IndexSeconds {
+    /// One panorama more, with the times between its stages.
+    fn and(self, [began, signed, voted, compared]: [f64; 4]) -> Self {
+        Self {
+            words: self.words + signed - began,
+            votes: self.votes + voted - signed,
+            comparisons: self.comparisons + compared - voted,
+            total: self.total + compared - began,
+        }
+    }
+}
+
+/// Compares so many images with all others, and each pair once; and the time that took, by each thread's own clock.
+fn compared_with_all(eye: &Eye, views: &[PanoramicView], reference: usize) -> (Vec<Compared>, Option<f64>) {
+    let count = views.len();
+    let is_reference: Vec<bool> =
+        (0..count).map(|image| reference >= count || image * reference % count < reference).collect();
+    let row = |image: usize| {
+        let began = thread_seconds();
+        let others = (0..image).filter(|&other| is_reference[image] || is_reference[other]);
+        let pairs: Vec<Compared> = others
+            .map(|other| {
+                let overlap = views[image].compare(&views[other], &eye.search).overlap;
+                let similarity = overlap.map_or(0.0, |overlap| overlap.similarity());
+                Compared { images: (image as ImageId, other as ImageId), similarity }
+            })
+            .collect();
+        (pairs, thread_seconds().zip(began).map(|(ended, began)| ended - began))
+    };
+    let (pairs, seconds): (Vec<Vec<Compared>>, Vec<Option<f64>>) =
+        (0..count).into_par_iter().map(row).unzip();
+    (pairs.into_iter().flatten().collect(), seconds.into_iter().sum())
+}
+
+/// Words of panoramas, from buildings that nothing is reported of.
+fn train(eye: &Eye) -> Result<Vocabulary, AppearanceError> {
+    let mut rows: Vec<u8> = Vec::new();
+    let (mut kind, mut width) = (DescriptorKind::Float, 0);
+    for seed in FIRST_TRAINING_SEED..FIRST_TRAINING_SEED + TRAINING_BUILDINGS {
+        let plan = NamedWorld::Office.plan(seed);
+        let poses = scattered(&plan, 1.5, seed);
+        for view in eye.see_all(&Scene::new(plan), &poses, seed)? {
+            (kind, width) = (view.descriptors().kind(), view.descriptors().width());
+            rows.extend_from_slice(view.descriptors().as_bytes());
+        }
+    }
+    let descriptors =
+        Descriptors::new(kind, width, rows).map_err(fabmap::vocabulary::VocabularyError::from)?;
+    let settings = VocabularySettings { words: WORDS, ..VocabularySettings::default() };
+    Ok(Vocabulary::train(&descriptors, &settings, &mut |_| ControlFlow::Continue(()))?)
+}
