@@ -4,7 +4,7 @@ use std::fs;
 
 use serde_json::Value;
 
-use crate::tool::waypost_eval;
+use crate::tool::{waypost_eval, waypost_eval_on_threads};
 
 #[test]
 fn the_robot_comes_to_both_goals_and_the_graph_is_drawn() {
@@ -26,8 +26,25 @@ fn the_robot_comes_to_both_goals_and_the_graph_is_drawn() {
 }
 
 #[test]
+fn the_index_leads_to_nearly_all_links_whatever_the_threads() {
+    let arguments = ["appearance", "--json", "--parts", "index", "--panoramas", "120", "--seed", "7"];
+    let report = waypost_eval_on_threads(3, &arguments).json();
+    let index = &report["index"];
+    assert_eq!((&index["panoramas"], &index["reference"]), (&Value::from(120), &Value::from(120)));
+    assert!(index["links"].as_u64().unwrap() > 80, "{index}");
+    assert_eq!(index["links_far_apart"], 0, "{index}");
+    let (lost, ratio) = (&report["links_lost_fraction"], &report["pair_check_ratio"]);
+    assert!(lost.as_f64().unwrap() < 0.03 && ratio.as_f64().unwrap() > 15.0, "{index}");
+    // Some of the images are enough to look for lost links: each pair of theirs counts once.
+    let sample = waypost_eval_on_threads(1, &[&arguments[..], &["--reference", "12"]].concat()).json();
+    let links = |report: &Value| report["index"]["links"].as_u64().unwrap();
+    assert!((1..links(&report)).contains(&links(&sample)), "{sample}");
+    assert_eq!(sample["index"]["pair_checks"], index["pair_checks"]);
+}
+
+#[test]
 fn what_cannot_be_measured_is_refused() {
-    let numbers = [["--trials", "0"], ["--people", "9"], ["--panoramas", "1"]];
+    let numbers = [["--trials", "0"], ["--people", "9"], ["--panoramas", "1"], ["--reference", "0"]];
     let no_recordings = [["--parts", "compass"], ["--parts", "everything"]];
     for arguments in numbers.iter().chain(&no_recordings) {
         waypost_eval(&[&["appearance"], &arguments[..]].concat()).refusal(2);
