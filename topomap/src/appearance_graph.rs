@@ -21,6 +21,10 @@ pub type ImageId = u32;
 /// Similarity above which two images are linked.
 pub const LINK_SIMILARITY: f64 = 0.05;
 
+/// Matches that one motion has to explain for two images to have anything in common: up to six of a hundred wrong ones
+/// agree by chance.
+pub const MIN_CONSTRAINED: u32 = 8;
+
 /// What two panoramic images have in common.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Overlap {
@@ -33,9 +37,12 @@ pub struct Overlap {
 }
 
 impl Overlap {
-    /// S, in [0, 1].
+    /// S, in [0, 1]; 0 if fewer than [`MIN_CONSTRAINED`] matches agree, however few features there are.
     #[must_use]
     pub fn similarity(&self) -> f64 {
+        if self.constrained < MIN_CONSTRAINED {
+            return 0.0;
+        }
         f64::from(self.constrained) / f64::from(self.features.max(1))
     }
 }

@@ -46,6 +46,13 @@ fn similar_images_are_linked_and_no_others() {
 }
 
 #[test]
+fn a_few_matches_of_few_features_are_no_similarity() {
+    let of = |constrained| Overlap { constrained, features: 29, motion: PlanarMotion::new(0.0, 0.0) };
+    assert_eq!(of(MIN_CONSTRAINED - 1).similarity(), 0.0);
+    assert!((of(MIN_CONSTRAINED).similarity() - 8.0 / 29.0).abs() < 1e-12);
+}
+
+#[test]
 fn the_shortest_path_prefers_views_with_much_in_common() {
     // Straight from 0 to 3 is 1 / 0.1; over 1 and 2 it is 3 / 0.5.
     let graph = graph(5, &[(0, 3, 0.1), (0, 1, 0.5), (1, 2, 0.5), (2, 3, 0.5), (0, 2, 0.05)]);

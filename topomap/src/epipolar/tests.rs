@@ -4,6 +4,7 @@ use nalgebra::{Isometry2, Point2, Vector2};
 use proptest::prelude::*;
 
 use super::*;
+use crate::appearance_graph::MIN_CONSTRAINED;
 
 fn wrapped(angle_rad: f64) -> f64 {
     angle_rad.sin().atan2(angle_rad.cos())
@@ -177,5 +178,21 @@ proptest! {
             let reversed = back.reprojection(&pair);
             prop_assert!(reversed.off_plane_rad < 1e-6 && reversed.behind_rad > 0.0);
         }
+    }
+}
+
+/// What is matched by mistake agrees less than two views have to.
+#[test]
+fn wrong_pairs_hardly_agree() {
+    for (count, seed) in [10, 30, 100].into_iter().flat_map(|count| (0..60).map(move |seed| (count, seed))) {
+        let mut random = ChaCha8Rng::seed_from_u64(1000 * seed + count);
+        let mut ray = || {
+            let [azimuth, slope] = [random.random_range(-PI..PI), random.random_range(-0.78..0.78)];
+            Vector3::new(azimuth.cos(), azimuth.sin(), slope).normalize()
+        };
+        let pairs: Vec<RayPair> = (0..count).map(|_| RayPair { current: ray(), target: ray() }).collect();
+        let agreeing = search::<PlanarMotion>(&pairs, &SearchSettings::default())
+            .map_or(0, |consensus| consensus.inliers.len());
+        assert!(agreeing < MIN_CONSTRAINED as usize, "{agreeing} of {count}");
     }
 }
