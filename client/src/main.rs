@@ -17,6 +17,7 @@ mod failure;
 mod images;
 mod odometry;
 mod output;
+mod panorama;
 mod progress;
 mod replay;
 mod robot_words;

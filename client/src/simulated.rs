@@ -140,7 +140,7 @@ pub(crate) async fn drive(
             on_seen(&what, pose)?;
             seen.push((what, *pose));
         }
-        let told = guidance.borrow().unwrap_or_default();
+        let told = guidance.borrow().clone().unwrap_or_default();
         if told.status() == v1::NavigationStatus::Arrived {
             return Ok(LedDrive { ticks, seen });
         }

@@ -15,6 +15,7 @@ use topomap::g2o::{G2oError, NamingError};
 use topomap::mapper::{FoldError, FrameError, MapperError};
 use topomap::merging::{JoinError, MergeError};
 use topomap::navigation::{NavigationSettingsError, PlanError};
+use waypost_sim::image::ImageError as SimulatedImageError;
 use waypost_sim::link::LinkError;
 use waypost_vision::features::{ExtractError, SettingsError};
 
@@ -186,6 +187,9 @@ pub enum EvalError {
     /// What lies between robot and server is no link.
     #[error(transparent)]
     Link(#[from] LinkError),
+    /// What a simulated robot sees cannot be written as an image.
+    #[error(transparent)]
+    SimulatedImage(#[from] SimulatedImageError),
     /// A simulated robot could not be sent by looks.
     #[error(transparent)]
     Appearance(#[from] AppearanceError),
@@ -306,6 +310,7 @@ impl EvalError {
             | EvalError::Fold { .. }
             | EvalError::Plan(_)
             | EvalError::Appearance(_)
+            | EvalError::SimulatedImage(_)
             | EvalError::Merge(_)
             | EvalError::Join(_)
             | EvalError::Read { .. }

@@ -15,7 +15,7 @@ use waypost_sim::simulation::{CameraTrigger, Obedience, Simulation, SimulationSe
 
 use crate::harness::{
     Answer, CommandLine, Panoramas, Server, TaughtPlace, assert_status, by_looks_request, found, get, http,
-    import_model, in_time, map_request, refused, session_options, state_hash,
+    import_model, in_time, map_request, path, refused, session_options, state_hash, taught_at,
 };
 
 /// From room b through the hall, into room c; and through room c.
@@ -57,8 +57,8 @@ async fn look(
     let content = FrameContent::Image(panoramas.image(&shot));
     let mut guidance = navigation.guidance();
     navigation.see(FrameInput { sequence, stamp_ns, content, odometry: None });
-    let told = guidance.wait_for(|told| told.is_some_and(|told| told.stamp_ns == stamp_ns));
-    in_time(told).await.unwrap().unwrap()
+    let told = guidance.wait_for(|told| told.as_ref().is_some_and(|told| told.stamp_ns == stamp_ns));
+    in_time(told).await.unwrap().clone().unwrap()
 }
 
 fn robot_at(panoramas: &Panoramas, start: Pose) -> Simulation {
@@ -79,9 +79,14 @@ fn robot_at(panoramas: &Panoramas, start: Pose) -> Simulation {
 }
 
 /// Drives by the server's headings, around what its own range sensor sees in the way; where it went.
-async fn drive(panoramas: &Panoramas, robot: &mut Simulation, navigation: &mut Navigation) -> Vec<Pose> {
+async fn drive(
+    panoramas: &Panoramas,
+    robot: &mut Simulation,
+    navigation: &mut Navigation,
+    from_sequence: u64,
+) -> Vec<Pose> {
     let mut path = Vec::new();
-    for sequence in 1..400 {
+    for sequence in from_sequence..from_sequence + 400 {
         let told = look(panoramas, robot, navigation, sequence).await;
         let command = told.command.unwrap();
         assert_eq!(command.valid_ns, 500_000_000);
@@ -104,7 +109,7 @@ async fn drive(panoramas: &Panoramas, robot: &mut Simulation, navigation: &mut N
             path.push(tick.truth);
         }
     }
-    let led = navigation.guidance().borrow().unwrap();
+    let led = navigation.guidance().borrow().clone().unwrap();
     panic!("not there, at {:?}: {led:?}", robot.robot().pose());
 }
 
@@ -168,7 +173,7 @@ async fn a_robot_goes_to_a_room_by_looks_alone() {
     let goal = "/v1/maps/looks/navigations/robot/goal";
     let sent = ask(&server, Method::PUT, goal, json!({ "label": "kitchen" })).await;
     assert_eq!(sent.json()["goal"]["label"], json!("kitchen"), "{}", sent.text());
-    drive(&panoramas, &mut robot, &mut navigation).await;
+    drive(&panoramas, &mut robot, &mut navigation, 1).await;
     let end = *robot.robot().pose();
     assert_eq!(room_of(&panoramas, &end), "room c", "{end:?}");
     let view = found(&server, "/v1/maps/looks/navigations/robot").await;
@@ -319,15 +324,16 @@ async fn what_cannot_be_led_by_looks_is_refused_with_the_way_out() {
     in_time(waited).await;
     navigation.see(frame(3, panoramas.taken_at(taught[4].pose, 1)));
     let mut guidance = navigation.guidance();
-    let told = in_time(guidance.wait_for(|told| told.is_some_and(|told| told.stamp_ns == 3_000_000_000)));
-    let told = told.await.unwrap().unwrap();
+    let told =
+        in_time(guidance.wait_for(|told| told.as_ref().is_some_and(|told| told.stamp_ns == 3_000_000_000)));
+    let told = told.await.unwrap().clone().unwrap();
     assert_eq!(told.status(), v1::NavigationStatus::Following, "{told:?}");
     let heading_rad = told.appearance.unwrap().heading_rad.unwrap();
     // It looks along the corridor, and the hall lies behind it.
     assert!(heading_rad.abs() > 2.6 && told.command.unwrap().forward_m_s == 0.0, "{told:?}");
     navigation.report_reflex(3_100_000_000, true);
-    let blocked = guidance.wait_for(|told| told.is_some_and(|told| told.stamp_ns == 3_100_000_000));
-    assert_eq!(in_time(blocked).await.unwrap().unwrap().status(), v1::NavigationStatus::Blocked);
+    let blocked = guidance.wait_for(|told| told.as_ref().is_some_and(|told| told.stamp_ns == 3_100_000_000));
+    assert_eq!(in_time(blocked).await.unwrap().as_ref().unwrap().status(), v1::NavigationStatus::Blocked);
     navigation.report(Reading { stamp_ns: 3_000_000_000, odometry: v1::Odometry::default(), reflex: false });
     let refusal = async {
         loop {
@@ -348,11 +354,19 @@ async fn the_command_line_names_places_and_sends_robots_there() {
     let waypost = CommandLine::new();
     waypost.prepare();
     let client = Client::connect(&waypost.endpoint()).await.unwrap();
-    let made = waypost.json(&["map", "create", "other", "--model", "shipped", "--strategy", "appearance"]);
+    let made = waypost.json(&["map", "create", "looks", "--model", "shipped", "--strategy", "appearance"]);
     assert_eq!(made["settings"]["navigation_strategy"], json!("appearance"), "{made}");
-    let model = client.model("shipped").await.unwrap();
-    let taught = panoramas.teach(&client, ("looks", &model.name), &[&[[9.2, 2.0], [9.2, 5.0]]]).await;
-    let last = taught.last().unwrap();
+    let (folder, taught) = (tempfile::tempdir().unwrap(), taught_at(&[&[[9.2, 2.0], [9.2, 5.0]]]));
+    for (number, pose) in (1..).zip(&taught) {
+        std::fs::write(folder.path().join(format!("{number:03}.jpg")), panoramas.taken_at(*pose, number))
+            .unwrap();
+    }
+    let images = path(folder.path());
+    let refusal = waypost.fails(&["stream", images, "--map", "looks"]);
+    assert!(refusal.1.contains("waypost stream --panorama"), "{refusal:?}");
+    let streamed = waypost.json(&["stream", images, "--map", "looks", "--panorama", "cylindrical"]);
+    assert_eq!(streamed["places_created"], json!(taught.len()), "{streamed}");
+    let last = TaughtPlace { place: taught.len() as u32 - 1, pose: taught[taught.len() - 1] };
     let place = last.place.to_string();
     let named = waypost.json(&["map", "label", "looks", &place, "the end"]);
     assert_eq!(named["labels"][0]["label"], json!("the end"), "{named}");
@@ -374,13 +388,39 @@ async fn the_command_line_names_places_and_sends_robots_there() {
     };
     in_time(waited).await;
     let mut robot = robot_at(&panoramas, Pose::new(9.1, 2.6, -1.5));
-    drive(&panoramas, &mut robot, &mut navigation).await;
+    drive(&panoramas, &mut robot, &mut navigation, 1).await;
     let (waypost, led) = in_time(sent).await.unwrap();
     assert_eq!((&led["status"], &led["goal_label"]), (&json!("arrived"), &json!("the end")), "{led}");
     assert_eq!(led["goal_place"].as_u64(), Some(last.place.into()), "{led}");
     assert!(robot.robot().pose().distance_m(&last.pose) < 1.5);
-    let file = tempfile::NamedTempFile::new().unwrap();
-    std::fs::write(file.path(), panoramas.taken_at(last.pose, 3)).unwrap();
+
+    // There already, as an image of the place says.
+    let file = folder.path().join("there.jpg");
+    std::fs::write(&file, panoramas.taken_at(last.pose, 3)).unwrap();
+    let sent = tokio::task::spawn_blocking(move || {
+        let led = waypost.json(&["navigate", "looks", "robot", "--to-image", path(&file)]);
+        (waypost, led)
+    });
+    let goes_there = async {
+        while client
+            .navigation("maps/looks/navigations/robot")
+            .await
+            .unwrap()
+            .goal
+            .is_none_or(|goal| goal.target != Some(v1::goal::Target::Place(last.place)))
+        {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    in_time(goes_there).await;
+    robot.advance();
+    drive(&panoramas, &mut robot, &mut navigation, 1000).await;
+    let (waypost, led) = in_time(sent).await.unwrap();
+    assert_eq!(
+        (&led["status"], led["goal_place"].as_u64()),
+        (&json!("arrived"), Some(last.place.into())),
+        "{led}"
+    );
     let again = waypost.json(&["navigate", "looks", "robot", "--cancel"]);
     assert!(again["goal_place"].is_null(), "{again}");
     let removed = waypost.json(&["map", "label", "looks", &place, "--remove"]);

@@ -4,6 +4,7 @@
 mod harness;
 
 mod appearance_navigation;
+mod appearance_ways;
 mod bad_frames;
 mod bad_requests;
 mod bad_sessions;

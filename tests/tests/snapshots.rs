@@ -22,11 +22,16 @@ use crate::harness::{
     state_hash, wire, workspace,
 };
 
-/// A snapshot that version 1 of the format was written in.
+/// Snapshots of the format's versions. The second has labels.
 const VERSION_1: &str = "tests/tests/fixtures/map-v1.snapshot";
+const VERSION_2: &str = "tests/tests/fixtures/map-v2.snapshot";
 
-/// State hash of the map in it.
+/// State hashes of the maps in them.
 const VERSION_1_STATE: &str = include_str!("fixtures/map-v1.state-hash").trim_ascii();
+const VERSION_2_STATE: &str = include_str!("fixtures/map-v2.state-hash").trim_ascii();
+
+/// What people call places of the second.
+const LABELS: [(&str, &str); 2] = [("maps/fixture/places/0", "kitchen"), ("maps/fixture/places/1", "Küche")];
 
 async fn export(client: &Client, map: &str) -> Vec<u8> {
     let mut file = Vec::new();
@@ -73,6 +78,7 @@ async fn rows(directory: &Path) -> Vec<(&'static str, i64)> {
         "log",
         "frame_media",
         "map_models",
+        "labels",
         "checkpoints",
         "checkpoint_sessions",
         "checkpoint_links",
@@ -112,6 +118,12 @@ async fn a_map_comes_back_as_it_was_and_goes_on() {
     let again = first_return();
     let stored = answers(&client, "drive", "second", (again..again + 10).map(frame)).await;
     bound_before(server.directory()).await;
+    for (place, label) in [(0, "hall"), (1, "Küche"), (2, "hall")] {
+        let place = format!("maps/drive/places/{place}");
+        client.set_label(&place, label, v1::LabelReach::Place).await.unwrap();
+    }
+    let labels = client.labels("drive").await.unwrap();
+    assert_eq!(labels.len(), 3);
     let file = export(&client, "drive").await;
     assert!(export(&client, "maps/drive").await == file, "two snapshots of one state differ");
     let map = client.map("drive", v1::MapView::Full).await.unwrap();
@@ -130,6 +142,7 @@ async fn a_map_comes_back_as_it_was_and_goes_on() {
     assert_eq!(there.places("drive").await.unwrap(), client.places("drive").await.unwrap());
     assert_eq!(there.matches("drive").await.unwrap(), client.matches("drive").await.unwrap());
     assert_eq!(there.models().await.unwrap()[0].display_name, "shipped");
+    assert_eq!(there.labels("drive").await.unwrap(), labels);
     assert!(export(&there, "drive").await == file, "the snapshot of the imported map differs");
 
     // A session goes on: the stored answers, then new ones, as at home.
@@ -511,22 +524,28 @@ fn maps_are_copied_on_the_command_line() {
 
 /// Snapshots are kept for years.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_snapshot_of_version_1_opens() {
-    let server = Server::start().await;
-    let client = server.client().await;
-    let file = std::fs::read(workspace().join(VERSION_1)).unwrap();
-    imported(&client, "", file.clone()).await;
-    let map = client.map("fixture", v1::MapView::Full).await.unwrap();
-    assert_eq!(map.state_hash, VERSION_1_STATE);
-    assert_eq!((map.frames, map.sessions), (14, 2));
-    assert!(map.places > 1 && map.links > 0, "{map:?}");
-    let media = rows(server.directory()).await.into_iter().find(|(table, _)| *table == "frame_media");
-    assert_eq!(media, Some(("frame_media", 28)));
-    let (mut raw, opened) = RawStream::open(&server.endpoint(), open("fixture", "first")).await.unwrap();
-    assert_eq!(opened.last_committed_sequence, Some(10));
-    assert!(raw.answered(wire(frame(10))).await.resent);
-    assert!(!raw.answered(wire(frame(11))).await.resent);
-    server.stop().await;
+async fn snapshots_of_all_versions_open() {
+    for (version, state, labels) in
+        [(VERSION_1, VERSION_1_STATE, &[][..]), (VERSION_2, VERSION_2_STATE, &LABELS[..])]
+    {
+        let server = Server::start().await;
+        let client = server.client().await;
+        imported(&client, "", std::fs::read(workspace().join(version)).unwrap()).await;
+        let map = client.map("fixture", v1::MapView::Full).await.unwrap();
+        assert_eq!(map.state_hash, state, "{version}");
+        assert_eq!((map.frames, map.sessions), (14, 2));
+        assert!(map.places > 1 && map.links > 0, "{map:?}");
+        let media = rows(server.directory()).await.into_iter().find(|(table, _)| *table == "frame_media");
+        assert_eq!(media, Some(("frame_media", 28)));
+        let found = client.labels("fixture").await.unwrap();
+        let found: Vec<_> = found.iter().map(|row| (row.place.as_str(), row.label.as_str())).collect();
+        assert_eq!(found, labels, "{version}");
+        let (mut raw, opened) = RawStream::open(&server.endpoint(), open("fixture", "first")).await.unwrap();
+        assert_eq!(opened.last_committed_sequence, Some(10));
+        assert!(raw.answered(wire(frame(10))).await.resent);
+        assert!(!raw.answered(wire(frame(11))).await.resent);
+        server.stop().await;
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -549,12 +568,15 @@ async fn write_fixture() {
     answers(&client, "fixture", "second", (3..=6).map(frame)).await;
     for kind in ["features", "thumbnail"] {
         let insert = format!(
-            "INSERT INTO frame_media SELECT map_id, position, '{kind}', randomblob(40) FROM log WHERE sequence IS NOT NULL"
+            "INSERT OR REPLACE INTO frame_media SELECT map_id, position, '{kind}', randomblob(40) FROM log WHERE sequence IS NOT NULL"
         );
         sql(server.directory(), &insert).await;
     }
     sql(server.directory(), "INSERT INTO map_models SELECT id, 2, model FROM maps").await;
-    let file: PathBuf = workspace().join(VERSION_1);
+    for (place, label) in LABELS {
+        client.set_label(place, label, v1::LabelReach::Place).await.unwrap();
+    }
+    let file: PathBuf = workspace().join(VERSION_2);
     std::fs::create_dir_all(file.parent().unwrap()).unwrap();
     std::fs::write(&file, export(&client, "fixture").await).unwrap();
     std::fs::write(file.with_extension("state-hash"), state_hash(&client, "fixture").await + "\n").unwrap();

@@ -10,6 +10,7 @@
 mod general;
 mod planar;
 mod reprojection;
+mod turning;
 
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -18,6 +19,7 @@ use rand_chacha::ChaCha8Rng;
 pub use general::GeneralMotion;
 pub use planar::PlanarMotion;
 pub use reprojection::{Reprojection, reprojection};
+pub use turning::{Turn, turn};
 
 /// One thing as it is seen from two places: rays of length 1, x forward, y left, z up.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -21,6 +21,7 @@ mod rebased;
 pub mod relative_pose;
 pub mod relaxation;
 pub mod retelling;
+pub mod standing;
 pub mod trajectory;
 pub mod verification;
 mod wheel_drift;

@@ -146,13 +146,15 @@ impl Mapper {
         }
         let proposal = self.propose(&input, session, &recognition, &candidates, archive)?;
         let decision = match (growth, self.settings.place_rule) {
-            (Growth::Grows, PlaceRule::EachFrame) => self.place_of_its_own(&input, session, &recognition),
+            (Growth::Grows, PlaceRule::EachFrame) => {
+                self.place_of_its_own(&input, session, &recognition, views)?
+            }
             (Growth::Grows, PlaceRule::Unrecognized) | (Growth::ReadOnly, _) => {
                 growth.limit(self.associate(&input, session, &recognition, &candidates, (archive, views))?)
             }
         };
         if growth == Growth::Grows {
-            self.check_that_wheels_turn(&input, session, &recognition, &decision)?;
+            self.check_that_wheels_turn(&input, session, &recognition, &decision, views)?;
         }
         let located = self.locate(&input, session, &decision, &candidates, (archive, views))?;
         let (learnt, link) = match growth {
@@ -227,6 +229,7 @@ impl Mapper {
         session: &Session,
         recognition: &Recognition,
         decision: &Decision,
+        views: &dyn Views,
     ) -> Result<(), FrameError> {
         let (Reason::SamePlace, Some(place), Some(now)) = (decision.reason, decision.place, &input.odometry)
         else {
@@ -241,7 +244,11 @@ impl Mapper {
         let frames = session.frames + 1 - session.left.back().map_or(0, |left| left.number);
         let stands = session.past.len() == MAX_PAST_FRAMES
             && session.past.iter().all(|past| past.odometry.pose() == now.pose());
-        if stands && frames > STANDING_FRAMES && !looks_like_here {
+        if stands
+            && frames > STANDING_FRAMES
+            && !looks_like_here
+            && !self.is_on_the_same_spot(place, input.session, views)?
+        {
             return Err(FrameError::OdometryStandsStill { frames });
         }
         Ok(())
@@ -351,8 +358,14 @@ impl Mapper {
         Ok(Decision { reason: Reason::LoopClosure, place: Some(place), posterior: probability, closure })
     }
 
-    /// A new place whatever is recognised, unless wheels say that the robot is at its last one still.
-    fn place_of_its_own(&self, input: &FrameInput, session: &Session, recognition: &Recognition) -> Decision {
+    /// A new place whatever is recognised, unless the robot is at its last one still.
+    fn place_of_its_own(
+        &self,
+        input: &FrameInput,
+        session: &Session,
+        recognition: &Recognition,
+        views: &dyn Views,
+    ) -> Result<Decision, FrameError> {
         let posterior = &recognition.posterior;
         let new_place = Decision {
             reason: Reason::NewPlace,
@@ -362,17 +375,35 @@ impl Mapper {
         };
         if self.shows_too_little(&input.observation) {
             let posterior = session.belief.new_place;
-            return Decision { reason: Reason::TooFewWords, place: None, posterior, ..new_place };
+            return Ok(Decision { reason: Reason::TooFewWords, place: None, posterior, ..new_place });
         }
-        match (self.pose_of_robot(session, input.odometry.as_ref()), &session.stay) {
-            (Some(robot), Some(stay)) if self.is_at(&robot, stay.place) => Decision {
+        let Some(stay) = &session.stay else { return Ok(new_place) };
+        let robot = self.pose_of_robot(session, input.odometry.as_ref());
+        let stands = robot.is_some_and(|robot| self.is_at(&robot, stay.place))
+            || self.is_on_the_same_spot(stay.place, input.session, views)?;
+        Ok(if stands {
+            Decision {
                 reason: Reason::SamePlace,
                 place: Some(stay.place),
                 posterior: posterior.places[stay.place as usize],
                 closure: None,
-            },
-            (_, _) => new_place,
-        }
+            }
+        } else {
+            new_place
+        })
+    }
+
+    /// Whether the frame shows all around what the first of the session's frames at `place` does: not the last one, or a
+    /// robot that creeps would never leave.
+    fn is_on_the_same_spot(
+        &self,
+        place: PlaceId,
+        current: SessionId,
+        views: &dyn Views,
+    ) -> Result<bool, FrameError> {
+        let frames = self.map.places().get(place as usize).map_or(&[][..], |place| &place.frames);
+        let Some(first) = frames.iter().find(|frame| frame.session == current) else { return Ok(false) };
+        Ok(views.turned(first.frame)?.is_some_and(|view| view.is_from_the_same_spot()))
     }
 
     /// Whether the place learns this look. A new place always does, or it would have no appearance.

@@ -8,6 +8,7 @@ use nalgebra::{Quaternion, UnitQuaternion, UnitVector3, Vector3};
 
 use crate::event::{FrameId, Match, decode_option, encode_option};
 use crate::mapper::ArchiveError;
+use crate::standing::TurnedView;
 
 /// Compares the frame that is being decided with earlier ones; whoever keeps keypoints implements it.
 pub trait Views {
@@ -24,6 +25,15 @@ pub trait Views {
     /// [`ArchiveError`] if one cannot be read now.
     fn compare_all(&self, earlier: &[FrameId]) -> Result<Vec<Option<TwoView>>, ArchiveError> {
         earlier.iter().map(|&frame| self.compare(frame)).collect()
+    }
+
+    /// What the current frame and `earlier` have in common if the robot has at most turned on the spot; `None` if one of the
+    /// two does not show all around.
+    ///
+    /// # Errors
+    /// [`ArchiveError`] if the earlier one cannot be read now.
+    fn turned(&self, _earlier: FrameId) -> Result<Option<TurnedView>, ArchiveError> {
+        Ok(None)
     }
 
     /// Focal length of the current frame's camera along x, in image widths; `None` if its model is not known.

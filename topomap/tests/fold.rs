@@ -14,14 +14,15 @@ use proptest::prelude::*;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use topomap::checkpoint::{Block, BlockWriter, Changes, LINKS_PER_PIECE, Pieces, Restoration, decode_block};
-use topomap::event::{LinkKind, MapEvent, Reason};
+use topomap::event::{FrameId, LinkKind, MapEvent, Reason};
 use topomap::map::{Place, decode_place};
 use topomap::mapper::{
-    FoldError, FrameError, FrameInput, Localizer, Mapper, MapperError, MapperSettings, PlaceRule,
-    RestoreError,
+    ArchiveError, FoldError, FrameError, FrameInput, Localizer, Mapper, MapperError, MapperSettings,
+    PlaceRule, RestoreError,
 };
 use topomap::odometry::Odometry;
-use topomap::verification::NoViews;
+use topomap::standing::TurnedView;
+use topomap::verification::{NoViews, TwoView, Views};
 use words::{WORDS, model_of, view_of};
 
 fn view(place: u64, noise: &mut ChaCha8Rng) -> Observation {
@@ -78,6 +79,50 @@ fn each_frame_makes_a_place_where_that_is_the_rule() {
     let found = mapper.query(&observation, &LogArchive(&log), &NoViews, &mut ()).unwrap();
     assert_eq!(found.recognition.posterior.best_place().map(|(place, _)| place), Some(5));
     // The log has it all.
+    let mut replayed = Mapper::new(&model(), settings).unwrap();
+    replay(&mut replayed, &log);
+    assert_eq!(replayed.state_hash(), mapper.state_hash());
+}
+
+/// A camera that sees all around, and has seen from here what `place` shows.
+struct StandsAt(FrameId);
+
+impl Views for StandsAt {
+    fn compare(&self, _earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
+        Ok(None)
+    }
+
+    fn turned(&self, earlier: FrameId) -> Result<Option<TurnedView>, ArchiveError> {
+        let turned = if earlier == self.0 { 395 } else { 90 };
+        Ok(Some(TurnedView { features: 500, matches: 400, turned }))
+    }
+
+    fn focal_length_widths(&self) -> Option<f64> {
+        None
+    }
+}
+
+/// What is seen from the spot where the place's first frame was taken is another look at it, and logged as that.
+#[test]
+fn who_stands_makes_no_place_where_each_frame_does() {
+    let settings = MapperSettings { place_rule: PlaceRule::EachFrame, ..settings() };
+    let (mut mapper, mut log) = (Mapper::new(&model(), settings).unwrap(), Vec::new());
+    drive(&mut mapper, &mut log, &[(0, 3), (1, 3)], 5);
+    let mut noise = ChaCha8Rng::seed_from_u64(11);
+    let mut decisions = Vec::new();
+    // Frames 0 and 2 of the log open sessions.
+    for (step, views) in (10_u64..).zip([StandsAt(1), StandsAt(1), StandsAt(3), StandsAt(6), StandsAt(1)]) {
+        let (observation, stamp_ns) = (view(3, &mut noise), step as i64 * 1_000_000_000);
+        let input = FrameInput { session: 0, sequence: step, stamp_ns, odometry: None, observation };
+        let decided = mapper.decide(input, &LogArchive(&log), &views, &mut ()).unwrap().event;
+        decisions.push((decided.decision.reason, decided.decision.place));
+        let event = MapEvent::Frame(Box::new(decided));
+        mapper.apply(&event).unwrap();
+        log.push(event);
+    }
+    let (same, new) = (Reason::SamePlace, Reason::NewPlace);
+    let expected = [(same, Some(0)), (same, Some(0)), (new, Some(2)), (same, Some(2)), (new, Some(3))];
+    assert_eq!(decisions, expected);
     let mut replayed = Mapper::new(&model(), settings).unwrap();
     replay(&mut replayed, &log);
     assert_eq!(replayed.state_hash(), mapper.state_hash());

@@ -12,6 +12,7 @@ use fabmap::descriptor::Descriptors;
 use nalgebra::Vector3;
 use topomap::appearance_graph::Overlap;
 use topomap::epipolar::{self, PlanarMotion, RayPair, SearchSettings};
+use topomap::standing::TurnedView;
 
 use crate::features::{Extractor, FeatureError, FeatureSettings, Features, Keypoint};
 use crate::image::{GreyImage, ImageError};
@@ -216,6 +217,19 @@ impl PanoramicView {
             (Some(overlap), found.inliers)
         });
         PanoramicComparison { overlap, matches, constrained }
+    }
+
+    /// What this view and that of the target have in common if the camera has at most turned on the spot, each ray to
+    /// `tolerance_rad`.
+    #[must_use]
+    pub fn turned(&self, target: &PanoramicView, tolerance_rad: f64) -> TurnedView {
+        let pairs = self.ray_pairs(target, &self.matches(target));
+        let turn = epipolar::turn(&pairs, tolerance_rad);
+        TurnedView {
+            features: self.rays.len().min(target.rays.len()) as u32,
+            matches: pairs.len() as u32,
+            turned: turn.map_or(0, |turn| turn.agreeing as u32),
+        }
     }
 
     /// The rays of matches.

@@ -63,6 +63,7 @@ struct Led {
     heading_rad: Option<f64>,
     similarity: Option<f64>,
     left_m: Option<f64>,
+    detail: String,
     place: Option<u32>,
     x_m: Option<f64>,
     y_m: Option<f64>,
@@ -112,12 +113,22 @@ async fn watch(client: &Client, name: &str, output: Output) -> Result<v1::Naviga
         if before.replace(status) != Some(status) {
             tell(&view, output, &navigation)?;
         }
+        if let Some(why) = nowhere_to_go(&navigation) {
+            return Err(Failure::Unfit(why));
+        }
         if status == NavigationStatus::Arrived || navigation.goal.is_none() {
             view.finish_and_clear();
             return Ok(navigation);
         }
         tokio::time::sleep(POLL_INTERVAL).await;
     }
+}
+
+/// Why the robot will not move, whatever it sees.
+fn nowhere_to_go(navigation: &v1::Navigation) -> Option<String> {
+    let guidance =
+        navigation.guidance.as_ref().filter(|guidance| guidance.status() == NavigationStatus::Blocked)?;
+    (!guidance.detail.is_empty()).then(|| guidance.detail.clone())
 }
 
 /// A line for each change, which stays.
@@ -140,6 +151,9 @@ fn live(navigation: &v1::Navigation) -> String {
     }
     if let Some(by_looks) = guidance.and_then(|guidance| guidance.appearance.as_ref()) {
         line += &live_by_looks(by_looks);
+    }
+    if let Some(why) = nowhere_to_go(navigation) {
+        line += &format!(", {why}");
     }
     if !navigation.connected {
         line += ", not connected";
@@ -218,6 +232,7 @@ impl From<&v1::Navigation> for Led {
             heading_rad: by_looks.and_then(|looks| looks.heading_rad),
             similarity: by_looks.and_then(|looks| looks.similarity),
             left_m: guidance.as_ref().and_then(|guidance| guidance.left_m),
+            detail: guidance.as_ref().map_or_else(String::new, |guidance| guidance.detail.clone()),
             place: localization.map(|at| at.place),
             x_m: position.map(|position| position.x),
             y_m: position.map(|position| position.y),

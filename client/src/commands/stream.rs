@@ -12,6 +12,7 @@ use crate::failure::{EXIT_CODES, Failure};
 use crate::images::{ImageFile, images_of};
 use crate::odometry;
 use crate::output::Output;
+use crate::panorama::{Projection, camera};
 use crate::progress;
 use crate::replay::{Replay, Sent, Stamps};
 use crate::robot_words::{ContentMaker, WordForm};
@@ -54,6 +55,10 @@ pub(crate) struct Arguments {
         default_missing_value = "keypoints"
     )]
     words: Option<WordForm>,
+    /// The images are panoramas that go all the way round, with the robot's front in the middle; maps with the navigation
+    /// strategy appearance take no others
+    #[arg(long, value_enum, value_name = "PROJECTION", conflicts_with = "words")]
+    panorama: Option<Projection>,
     /// Only look where the robot is: the map stays as it is
     #[arg(long)]
     localize: bool,
@@ -82,9 +87,13 @@ struct Summary {
 }
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
-    let Arguments { dir, map, session, odometry, rate, words, localize, csv } = arguments;
+    let Arguments { dir, map, session, odometry, rate, words, panorama, localize, csv } = arguments;
     let images = images_of(&dir)?;
     let stamps = stamps(&images, odometry.as_deref(), rate)?;
+    let camera = match (panorama, images.first()) {
+        (Some(projection), Some(first)) => Some(camera(projection, first)?),
+        (_, _) => None,
+    };
     let mut table = csv.as_deref().map(Table::create).transpose()?;
 
     let client = Client::connect(server).await?;
@@ -93,7 +102,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let words_hash = contents.words_hash();
     let run_id = format!("{:016x}", RandomState::new().hash_one(()));
     let options =
-        SessionOptions { session_id: session, mode, words_hash, run_id, ..SessionOptions::new(&map) };
+        SessionOptions { session_id: session, mode, words_hash, run_id, camera, ..SessionOptions::new(&map) };
     let replay = Replay { images, stamps, pace_hz: rate, contents };
     let session = client.open_session(options).await?;
     let opened = session.opened().clone();

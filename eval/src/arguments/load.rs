@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 use waypost_eval::commands::load::{
-    self, GrowthOptions, LeadingOptions, OverloadOptions, RobotsOptions, ServerOptions, WordSource,
-    WordsOptions,
+    self, GrowthOptions, LeadingOptions, OverloadOptions, PanoramasOptions, RobotsOptions, ServerOptions,
+    WordSource, WordsOptions,
 };
 use waypost_eval::error::EvalError;
 use waypost_eval::workload::WorkloadSettings;
@@ -88,6 +88,19 @@ enum Scenario {
         #[arg(long, value_name = "S", default_value_t = 20.0, value_parser = positive)]
         seconds: f64,
     },
+    /// Panoramas into maps with and without an appearance graph: answers' latencies, and how long the graph takes to be built
+    /// anew.
+    Panoramas {
+        /// Panoramas, taken all over a simulated office.
+        #[arg(long, value_name = "N", default_value_t = 600)]
+        panoramas: usize,
+        /// Panoramas a second.
+        #[arg(long, value_name = "HZ", default_value_t = 4.0, value_parser = positive)]
+        rate_hz: f64,
+        /// Of building and poses.
+        #[arg(long, value_name = "S", default_value_t = 1)]
+        seed: u64,
+    },
     /// Four robots in one map, alone and beside clients that do not read their answers.
     Robots {
         #[command(flatten)]
@@ -137,6 +150,9 @@ impl LoadArguments {
                     json,
                     &load::leading(&server, &LeadingOptions { images, robots, rate_hz, duration })?,
                 )
+            }
+            Scenario::Panoramas { panoramas, rate_hz, seed } => {
+                print_if(json, &load::panoramas(&server, &PanoramasOptions { panoramas, rate_hz, seed })?)
             }
             Scenario::Robots { source, rate_hz, seconds } => {
                 let (source, duration) = (source.source(), Duration::from_secs_f64(seconds));

@@ -4,6 +4,7 @@ mod contents;
 mod growth;
 mod leading;
 mod overload;
+mod panoramas;
 mod report;
 mod robot;
 mod robots;
@@ -14,6 +15,7 @@ mod words;
 pub use growth::{GrowthOptions, GrowthReport};
 pub use leading::{LeadingOptions, LeadingReport};
 pub use overload::{OverloadOptions, OverloadReport};
+pub use panoramas::{PanoramasOptions, PanoramasReport};
 pub use report::{LatencyReport, ServerUse};
 pub use robots::{RobotsOptions, RobotsReport};
 pub use words::{WordsOptions, WordsReport};
@@ -76,6 +78,16 @@ pub fn robots(server: &ServerOptions, options: &RobotsOptions) -> Result<RobotsR
 /// [`EvalError`].
 pub fn leading(server: &ServerOptions, options: &LeadingOptions) -> Result<LeadingReport, EvalError> {
     let report = block_on(leading::run(server, options))?;
+    eprint!("{}", report.table());
+    Ok(report)
+}
+
+/// Panoramas into maps with and without an appearance graph.
+///
+/// # Errors
+/// [`EvalError`].
+pub fn panoramas(server: &ServerOptions, options: &PanoramasOptions) -> Result<PanoramasReport, EvalError> {
+    let report = block_on(panoramas::run(server, options))?;
     eprint!("{}", report.table());
     Ok(report)
 }

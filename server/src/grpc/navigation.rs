@@ -20,7 +20,7 @@ use crate::service::models::Page;
 use crate::service::names::model_name;
 use crate::service::navigations::{
     Against, AppearanceView, BodyReport, Driving, FrameSeen, Goal, GoalRefusal, GoalRequest, Looked,
-    NavigationOpening, NavigationStream, NavigationView, Told,
+    NavigationOpening, NavigationStream, NavigationView, PlannedWay, Told, WayByLooks,
 };
 use crate::service::sessions::Frame;
 
@@ -104,7 +104,7 @@ impl NavigationService for Adapter {
         let v1::PlanRouteRequest { map, from_place, goal, against_the_way } = request.into_inner();
         let against = against(against_the_way)?;
         let planned = self.service.plan_route(&map, from_place, needed(goal)?, against).await?;
-        Ok(Response::new(v1::PlanRouteResponse { route: Some(route(planned)) }))
+        Ok(Response::new(v1::PlanRouteResponse { route: Some(way(planned)) }))
     }
 }
 
@@ -308,6 +308,7 @@ fn body_report(message: v1::WheelReport) -> Result<BodyReport, ServiceError> {
 }
 
 fn guidance(told: Told) -> v1::Guidance {
+    let detail = told.detail();
     let Told { stamp_ns, guidance, appearance } = told;
     let Guidance { command, status, localization, left_m, heading_to_target_rad } = guidance;
     let VelocityCommand { number, forward_m_s, turn_rad_s, valid_ns } = command;
@@ -319,11 +320,12 @@ fn guidance(told: Told) -> v1::Guidance {
         left_m,
         target_heading_rad: heading_to_target_rad,
         appearance: appearance.map(appearance_guidance),
+        detail,
     }
 }
 
 fn appearance_guidance(view: AppearanceView) -> v1::AppearanceGuidance {
-    let AppearanceView { heading_rad, subgoal, goal, similarity, left } = view;
+    let AppearanceView { heading_rad, subgoal, goal, similarity, left, unjoined: _ } = view;
     v1::AppearanceGuidance { heading_rad, subgoal_place: subgoal, goal_place: goal, similarity, left }
 }
 
@@ -417,5 +419,17 @@ fn route(route: Route) -> v1::Route {
             Travel::Against => true,
         },
     };
-    v1::Route { part, waypoints: waypoints.into_iter().map(waypoint).collect(), length_m }
+    let waypoints = waypoints.into_iter().map(waypoint).collect();
+    v1::Route { part, waypoints, length_m, appearance_length: None }
+}
+
+fn way(planned: PlannedWay) -> v1::Route {
+    match planned {
+        PlannedWay::Measured(measured) => route(measured),
+        PlannedWay::ByLooks(WayByLooks { places, length }) => {
+            let waypoint = |place| v1::Waypoint { place, pose: None, against: false };
+            let waypoints = places.into_iter().map(waypoint).collect();
+            v1::Route { part: 0, waypoints, length_m: 0.0, appearance_length: Some(length) }
+        }
+    }
 }

@@ -24,7 +24,8 @@ use crate::service::Service;
 use crate::service::models::Page;
 use crate::service::names::{map_name, navigation_name};
 use crate::service::navigations::{
-    Against, AppearanceView, Goal as Wanted, GoalRefusal, GoalRequest, NavigationView, Told,
+    Against, AppearanceView, Goal as Wanted, GoalRefusal, GoalRequest, NavigationView, PlannedWay, Told,
+    WayByLooks,
 };
 
 /// The robots that are led along a map, by name. One whose stream is gone is forgotten after a minute.
@@ -129,7 +130,7 @@ impl Parameters for Ends {
     const TAKES: &str = "from=PLACE, to=PLACE and against_the_way=forbidden or costly";
 }
 
-/// Which way a robot would take from one place to another.
+/// Which way a robot would take from one place to another. By appearance it has neither poses nor metres.
 #[utoipa::path(get, path = "/v1/maps/{map}/route", tag = "navigations", params(MapPath, Ends),
     responses((status = 200, description = "The way.", body = Route), Refusals))]
 pub(super) async fn plan_route(
@@ -195,6 +196,8 @@ struct Guidance {
     /// By appearance; null before the robot has a goal and has seen something.
     #[schema(required)]
     appearance: Option<AppearanceGuidance>,
+    /// Why it goes so, and how to mend it; empty where there is nothing to say.
+    detail: String,
 }
 
 /// Where to drive by what a panorama shows.
@@ -229,7 +232,7 @@ struct VelocityCommand {
 }
 
 /// How it goes: `searching` means by wheels alone for a while, or by appearance that it recovers and keeps its heading;
-/// `blocked` that it is to move and does not.
+/// `blocked` that it is to move and does not, or by appearance that no links lead to its goal: then `detail` says so.
 #[derive(Debug, Serialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 enum Status {
@@ -290,18 +293,23 @@ struct Position {
 /// A way over places.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct Route {
-    /// The part of the map that it runs in.
+    /// The part of the map that it runs in; 0 by appearance.
     part: u32,
     waypoints: Vec<Waypoint>,
+    /// 0 by appearance.
     length_m: f64,
+    /// By appearance: the sum of 1 / similarity from waypoint to waypoint.
+    #[schema(required)]
+    appearance_length: Option<f64>,
 }
 
 /// A place on a way.
 #[derive(Debug, Serialize, ToSchema)]
 struct Waypoint {
     place: u32,
-    /// Where it is, and how the robot that learnt it stood there.
-    pose: Pose,
+    /// Where it is, and how the robot that learnt it stood there; null by appearance.
+    #[schema(required)]
+    pose: Option<Pose>,
     /// Whether it is come to the other way round than it was taught.
     against: bool,
 }
@@ -324,6 +332,7 @@ impl From<NavigationView> for Navigation {
 
 impl From<Told> for Guidance {
     fn from(told: Told) -> Self {
+        let detail = told.detail();
         let Told { stamp_ns, guidance, appearance } = told;
         let leading::Guidance { command, status, localization, left_m, heading_to_target_rad } = guidance;
         let leading::VelocityCommand { number, forward_m_s, turn_rad_s, valid_ns } = command;
@@ -335,13 +344,14 @@ impl From<Told> for Guidance {
             left_m,
             target_heading_rad: heading_to_target_rad,
             appearance: appearance.map(AppearanceGuidance::from),
+            detail,
         }
     }
 }
 
 impl From<AppearanceView> for AppearanceGuidance {
     fn from(view: AppearanceView) -> Self {
-        let AppearanceView { heading_rad, subgoal, goal, similarity, left } = view;
+        let AppearanceView { heading_rad, subgoal, goal, similarity, left, unjoined: _ } = view;
         Self { heading_rad, subgoal_place: subgoal, goal_place: goal, similarity, left }
     }
 }
@@ -422,12 +432,26 @@ impl From<planning::Route> for Route {
         let planning::Route { part, waypoints, length_m } = route;
         let waypoint = |planning::Waypoint { place, pose, travel }| Waypoint {
             place,
-            pose: pose.on_the_ground().into(),
+            pose: Some(pose.on_the_ground().into()),
             against: match travel {
                 Travel::Along => false,
                 Travel::Against => true,
             },
         };
-        Self { part, waypoints: waypoints.into_iter().map(waypoint).collect(), length_m }
+        let waypoints = waypoints.into_iter().map(waypoint).collect();
+        Self { part, waypoints, length_m, appearance_length: None }
+    }
+}
+
+impl From<PlannedWay> for Route {
+    fn from(planned: PlannedWay) -> Self {
+        match planned {
+            PlannedWay::Measured(route) => route.into(),
+            PlannedWay::ByLooks(WayByLooks { places, length }) => {
+                let waypoint = |place| Waypoint { place, pose: None, against: false };
+                let waypoints = places.into_iter().map(waypoint).collect();
+                Self { part: 0, waypoints, length_m: 0.0, appearance_length: Some(length) }
+            }
+        }
     }
 }

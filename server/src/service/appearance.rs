@@ -11,6 +11,7 @@ use tokio::runtime::Handle;
 use self::graph::Ground;
 pub(crate) use self::graph::{Graph, GrowingGraph, Shown};
 pub(crate) use self::labels::LabelReach;
+pub(super) use self::labels::check_label;
 use super::Service;
 use super::map_settings::{self, NavigationStrategy};
 use super::map_writer::MapHandle;

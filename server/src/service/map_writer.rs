@@ -41,7 +41,7 @@ use self::localizers::Localizers;
 use self::recent::RecentFrame;
 use self::requests::{FrameReply, MapRequest, Usage};
 use self::views::CurrentView;
-use super::camera::Intrinsics;
+use super::camera::{Intrinsics, PanoramicOptics};
 use super::maps::reference;
 use super::now_ns;
 use super::sessions::{FrameAnswer, FrameTimings, GeometryView, MatchView, taken_over};
@@ -70,6 +70,8 @@ struct MapWriter {
     sessions: Vec<SessionRow>,
     /// Of the sessions' cameras, where geometry can use them.
     intrinsics: HashMap<SessionId, Intrinsics>,
+    /// The same of cameras that see all around.
+    around: HashMap<SessionId, PanoramicOptics>,
     /// The latest stream of each session, and how to tell it that a later one took over: frames of an
     /// older one are refused.
     streams: HashMap<SessionId, (u64, CancellationToken)>,
@@ -225,7 +227,8 @@ impl MapWriter {
     ) -> Result<LogEntry, ServiceError> {
         let archive = Archive { writer: self };
         let intrinsics = self.intrinsics.get(&input.session);
-        let features = features.map(|features| SeenFeatures::new(features, intrinsics));
+        let around = self.around.get(&input.session).copied();
+        let features = features.map(|features| SeenFeatures::new(features, intrinsics).all_around(around));
         let views = CurrentView { writer: self, current: features.clone(), verifier: &self.verifier };
         let event = self.mapper.decide(input, &archive, &views, clock)?.event;
         let position = event.frame;
@@ -372,6 +375,7 @@ impl MapWriter {
         self.checkpoints.changes().follow(&event);
         self.sessions.push(session);
         self.intrinsics.extend(camera.and_then(Intrinsics::of_camera).map(|known| (number, known)));
+        self.around.extend(camera.and_then(PanoramicOptics::of_camera).map(|known| (number, known)));
         Ok(OpenedSession { source: FrameSource::Session(number), name, last_committed: None })
     }
 

@@ -16,6 +16,7 @@ use topomap::navigation::{Driver, Guidance, Seen};
 use topomap::odometry::Odometry;
 
 use self::appearance::AppearanceGuide;
+pub(crate) use self::appearance::Unjoined;
 pub(crate) use self::registry::Navigations;
 use self::topo_metric::TopoMetricGuide;
 use super::Service;
@@ -130,6 +131,24 @@ pub(crate) struct AppearanceView {
     pub(crate) similarity: Option<f64>,
     /// Sum of 1 / similarity to the goal.
     pub(crate) left: Option<f64>,
+    /// Why the robot is not led, if that is because nothing joins the goal with where it is.
+    pub(crate) unjoined: Option<Unjoined>,
+}
+
+/// A way that was planned.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum PlannedWay {
+    Measured(Route),
+    ByLooks(WayByLooks),
+}
+
+/// A way over places that can be matched from each other.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct WayByLooks {
+    /// From the start to the goal, both among them.
+    pub(crate) places: Vec<PlaceId>,
+    /// Sum of 1 / similarity.
+    pub(crate) length: f64,
 }
 
 /// Why a robot is not led to its goal.
@@ -296,12 +315,19 @@ impl Service {
         from: u32,
         goal: Goal,
         against: Against,
-    ) -> Result<Route, ServiceError> {
+    ) -> Result<PlannedWay, ServiceError> {
         let row = self.map_row(map_in(map)?).await?;
+        match map_settings::from_json(&row.settings)?.strategy {
+            NavigationStrategy::TopoMetric => {}
+            NavigationStrategy::Appearance => {
+                return Ok(PlannedWay::ByLooks(self.plan_by_looks(&row, from, &goal).await?));
+            }
+        }
         let goal = self.measured_goal(&row, GoalRequest::Goal(goal)).await?.goal;
         let map = self.open_map_of(&row).await?;
         let settings = Driving { against, ..Driving::default() }.settings()?.planning;
-        map.plan(PlanFrom::Place(from), goal, settings).await?.map_err(ServiceError::precondition)
+        let route = map.plan(PlanFrom::Place(from), goal, settings).await?;
+        route.map(PlannedWay::Measured).map_err(ServiceError::precondition)
     }
 
     async fn led(&self, name: &str) -> Result<Guide, ServiceError> {
@@ -327,6 +353,14 @@ impl Driving {
         };
         settings.check().map_err(ServiceError::invalid)?;
         Ok(settings)
+    }
+}
+
+impl Told {
+    /// Why it goes as it does, and how to mend it; empty where there is nothing to say.
+    pub(crate) fn detail(&self) -> String {
+        let unjoined = self.appearance.and_then(|by_looks| by_looks.unjoined);
+        unjoined.map_or_else(String::new, |unjoined| unjoined.of_the_robot())
     }
 }
 

@@ -10,6 +10,7 @@ use tokio_util::sync::CancellationToken;
 use topomap::event::{FrameEvent, FrameId, MapEvent, Reason};
 use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameError, FrameInput, Gate, Gates, Mapper};
 use topomap::relative_pose::RelativePose;
+use topomap::standing::TurnedView;
 use topomap::verification::{Bound, Candidate, Check, Quantity, TwoView, Verdict, Views};
 use waypost_vision::verification::Verifier;
 
@@ -232,6 +233,12 @@ impl Views for ReplayedView<'_> {
         let Some(current) = &self.current else { return Ok(None) };
         let earlier = self.replay.features(earlier)?;
         Ok(earlier.map(|earlier| compare(&self.verifier, &earlier, current).view))
+    }
+
+    fn turned(&self, earlier: FrameId) -> Result<Option<TurnedView>, ArchiveError> {
+        let Some(current) = &self.current else { return Ok(None) };
+        let earlier = self.replay.features(earlier)?;
+        Ok(earlier.and_then(|earlier| current.turned(&earlier)))
     }
 
     fn focal_length_widths(&self) -> Option<f64> {

@@ -200,8 +200,8 @@ impl Service {
         let optics = stored.as_deref().or(camera.as_deref()).and_then(PanoramicOptics::of_camera);
         if strategy == NavigationStrategy::Appearance && optics.is_none() {
             return Err(ServiceError::precondition(format_args!(
-                "the map {map} is navigated by appearance, which takes panoramas: declare a camera that is a panorama, or \
-                 a hyperbolic mirror with the radius of its horizon"
+                "the map {map} is navigated by appearance, which takes panoramas: declare a camera that is a panorama \
+                 (waypost stream --panorama), or a hyperbolic mirror with the radius of its horizon"
             )));
         }
         let open = self.open_map_of(&row).await?;

@@ -1,8 +1,8 @@
 //! What people call places, and which frame each place began with.
 
 use fabmap::appearance::PlaceId;
-use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, Sqlite, Transaction};
 use topomap::event::FrameId;
 
 use super::{MapId, Storage, StorageError, from_sql};
@@ -30,9 +30,7 @@ impl Storage {
         .bind(limit)
         .fetch_all(&self.readers)
         .await?;
-        let label =
-            |row: &SqliteRow| Ok(LabelRow { place: row.try_get("place")?, label: row.try_get("label")? });
-        rows.iter().map(label).collect()
+        rows.iter().map(label_row).collect()
     }
 
     /// The places that bear a label, by number.
@@ -64,12 +62,7 @@ impl Storage {
     ) -> Result<(), StorageError> {
         self.write(async |transaction| {
             for place in places {
-                sqlx::query("INSERT OR REPLACE INTO labels (map_id, place, label) VALUES (?, ?, ?)")
-                    .bind(map)
-                    .bind(place)
-                    .bind(label)
-                    .execute(&mut **transaction)
-                    .await?;
+                insert_label(transaction, map, *place, label).await?;
             }
             Ok(())
         })
@@ -107,4 +100,24 @@ impl Storage {
         .await?;
         rows.iter().map(|row| Ok((row.try_get("place")?, from_sql(row.try_get("first")?)?))).collect()
     }
+}
+
+/// Puts a label on a place, in place of what it had.
+pub(super) async fn insert_label(
+    transaction: &mut Transaction<'_, Sqlite>,
+    map: MapId,
+    place: PlaceId,
+    label: &str,
+) -> Result<(), StorageError> {
+    sqlx::query("INSERT OR REPLACE INTO labels (map_id, place, label) VALUES (?, ?, ?)")
+        .bind(map)
+        .bind(place)
+        .bind(label)
+        .execute(&mut **transaction)
+        .await?;
+    Ok(())
+}
+
+pub(super) fn label_row(row: &SqliteRow) -> Result<LabelRow, StorageError> {
+    Ok(LabelRow { place: row.try_get("place")?, label: row.try_get("label")? })
 }

@@ -1,19 +1,24 @@
 //! Maps read out as they stand, and brought in piece by piece.
 
+use fabmap::appearance::PlaceId;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, Sqlite, Transaction};
 use topomap::event::{MapEvent, SessionId};
 
 use super::jobs::end_job;
+use super::labels::{insert_label, label_row};
 use super::log::insert_event;
 use super::maps::map;
-use super::{JobEnd, MapId, MapRow, MediumKind, ModelRow, Storage, StorageError, from_sql, to_sql};
+use super::{JobEnd, LabelRow, MapId, MapRow, MediumKind, ModelRow, Storage, StorageError, from_sql, to_sql};
 
 /// Log events that are read at a time.
 const EVENTS_PAGE: u32 = 500;
 
 /// Media that are read at a time: they may be whole images.
 const MEDIA_PAGE: u32 = 8;
+
+/// Labels that are read at a time.
+const LABELS_PAGE: u32 = 500;
 
 /// A session with all that is stored of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -131,6 +136,7 @@ impl Storage {
         map: MapId,
         events: &[(u64, MapEvent)],
         media: &[MediaRow],
+        labels: &[LabelRow],
     ) -> Result<(), StorageError> {
         self.write(async |transaction| {
             for (position, event) in events {
@@ -144,6 +150,9 @@ impl Storage {
                     .bind(content)
                     .execute(&mut **transaction)
                     .await?;
+            }
+            for LabelRow { place, label } in labels {
+                insert_label(transaction, map, *place, label).await?;
             }
             Ok(())
         })
@@ -234,6 +243,22 @@ impl MapView {
             Ok(MediaRow { position, kind: MediumKind::of(kind)?, content: row.try_get("content")? })
         };
         rows.iter().map(media).collect()
+    }
+
+    /// The next labels, from that of a place on; none after the last.
+    pub(crate) async fn labels(&mut self, from: PlaceId) -> Result<Vec<LabelRow>, StorageError> {
+        let rows = sqlx::query(
+            // One that was put while places were renumbered may be of none.
+            "SELECT place, label FROM labels WHERE map_id = ? AND place >= ? \
+             AND EXISTS (SELECT 1 FROM log WHERE log.map_id = labels.map_id AND log.place = labels.place) \
+             ORDER BY place LIMIT ?",
+        )
+        .bind(self.map.id)
+        .bind(from)
+        .bind(LABELS_PAGE)
+        .fetch_all(&mut *self.snapshot)
+        .await?;
+        rows.iter().map(label_row).collect()
     }
 }
 

@@ -70,7 +70,7 @@ impl Panoramas {
         lines: &[&[[f64; 2]]],
     ) -> Vec<TaughtPlace> {
         client.create_map(by_looks_request(map, model)).await.unwrap();
-        let poses: Vec<Pose> = lines.iter().flat_map(|line| along(line)).collect();
+        let poses = taught_at(lines);
         let frames = (1..).zip(&poses).map(|(sequence, &pose)| FrameInput {
             sequence,
             stamp_ns: 1_000_000_000 * sequence as i64,
@@ -103,6 +103,11 @@ pub(crate) fn by_looks_request(map: &str, model: &str) -> v1::CreateMapRequest {
         ..v1::MapSettings::default()
     };
     v1::CreateMapRequest { settings: Some(settings), ..map_request(map, model) }
+}
+
+/// Where panoramas are taken to teach lines.
+pub(crate) fn taught_at(lines: &[&[[f64; 2]]]) -> Vec<Pose> {
+    lines.iter().flat_map(|line| along(line)).collect()
 }
 
 /// A pose every half metre along a line, looking along it.

@@ -4,7 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use topomap::event::{FrameEvent, MapEvent};
 
-use super::file::{EVENT, MAP, MEDIUM, MODEL, SESSION, records, sealed};
+use super::file::{EVENT, LABEL, MAP, MEDIUM, MODEL, SESSION, records, sealed};
 use super::*;
 use crate::harness::model_file;
 
@@ -12,7 +12,7 @@ use crate::harness::model_file;
 const WORDS: usize = 120;
 
 fn fixture() -> Vec<u8> {
-    std::fs::read(workspace().join(VERSION_1)).unwrap()
+    std::fs::read(workspace().join(VERSION_2)).unwrap()
 }
 
 /// What a file is refused with: at once, or by the job.
@@ -82,7 +82,7 @@ fn replace(content: &mut [u8], from: &str, to: &str) {
 /// Right by their checksum, and wrong all the same.
 #[tokio::test(flavor = "multi_thread")]
 async fn forged_files_are_refused_and_leave_nothing() {
-    let cases: [(&str, Edit, &str); 25] = [
+    let cases: [(&str, Edit, &str); 28] = [
         ("no map", |r| drop(r.remove(0)), "out of order"),
         ("no model", |r| drop(r.remove(1)), "out of order"),
         ("two maps", |r| r.insert(1, r[0].clone()), "there twice"),
@@ -145,7 +145,7 @@ async fn forged_files_are_refused_and_leave_nothing() {
         (
             "medium beyond",
             |r| {
-                let m = r.len() - 1;
+                let m = first(r, LABEL) - 1;
                 r[m].1[0] = 100;
             },
             "frame 100, which does not exist",
@@ -157,6 +157,30 @@ async fn forged_files_are_refused_and_leave_nothing() {
                 r[m].1[1] = 9;
             },
             "a medium of kind 9",
+        ),
+        (
+            "label of no place",
+            |r| {
+                let l = r.len() - 1;
+                r[l].1[0] = 99;
+            },
+            "it calls the place 99 \"Küche\", which does not exist",
+        ),
+        (
+            "no label",
+            |r| {
+                let l = first(r, LABEL);
+                replace(&mut r[l].1, "kitchen", "kitche ");
+            },
+            "is no label",
+        ),
+        (
+            "labels out of order",
+            |r| {
+                let l = first(r, LABEL);
+                r.swap(l, l + 1);
+            },
+            "a record of kind 7 out of order",
         ),
         ("record's kind", |r| r.push((9, Vec::new())), "a record of kind 9"),
         ("map's name", |r| replace(&mut r[0].1, "fixture", "Fixture"), "is no map name"),
@@ -255,7 +279,7 @@ async fn other_files_are_refused_at_once() {
             "this is not a Waypost snapshot file; check which file",
         ),
         ("an image", images()[0].clone(), "this is not a Waypost snapshot file"),
-        ("a newer version", with(8, &[2]), "format version 2, this program reads up to 1; update Waypost"),
+        ("a newer version", with(8, &[3]), "format version 3, this program reads up to 2; update Waypost"),
         ("version 0", with(8, &[0]), "format version 0"),
         ("a huge record", with(13, &u32::MAX.to_le_bytes()), "a record of kind 1 with 4294967295 bytes"),
         ("a record beyond the end", with(13, &(16_u32 << 20).to_le_bytes()), "it was cut short"),

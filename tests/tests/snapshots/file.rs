@@ -7,6 +7,7 @@ pub(super) const MODEL: u8 = 2;
 pub(super) const SESSION: u8 = 4;
 pub(super) const EVENT: u8 = 5;
 pub(super) const MEDIUM: u8 = 6;
+pub(super) const LABEL: u8 = 7;
 const END: u8 = 255;
 const HEADER_BYTES: usize = 12;
 
@@ -25,14 +26,14 @@ pub(super) fn records(file: &[u8]) -> Vec<(u8, Vec<u8>)> {
 /// A snapshot of these records, whatever they are.
 pub(super) fn sealed(records: &[(u8, Vec<u8>)]) -> Vec<u8> {
     let mut file = b"WPSNAP\r\n".to_vec();
-    file.extend(1_u32.to_le_bytes());
+    file.extend(2_u32.to_le_bytes());
     for (kind, content) in records {
         file.push(*kind);
         file.extend((content.len() as u32).to_le_bytes());
         file.extend(content);
     }
     let mut counts = Vec::new();
-    for kind in [3, SESSION, EVENT, MEDIUM] {
+    for kind in [3, SESSION, EVENT, MEDIUM, LABEL] {
         varint(records.iter().filter(|(of, _)| *of == kind).count() as u64, &mut counts);
     }
     file.push(END);

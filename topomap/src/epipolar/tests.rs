@@ -196,3 +196,34 @@ fn wrong_pairs_hardly_agree() {
         assert!(agreeing < MIN_CONSTRAINED as usize, "{agreeing} of {count}");
     }
 }
+
+/// Rotation by noise alone would be found wrong by about so much.
+const TURN_TOLERANCE_RAD: f64 = 0.012;
+
+proptest! {
+    /// With half of the pairs wrong, R is that of the two poses, in sign as in size.
+    #[test]
+    fn a_turn_on_the_spot_is_found(from_rad in -3.1..3.1f64, to_rad in -3.1..3.1f64, seed in 0_u64..1000) {
+        let [current, target] = [to_rad, from_rad].map(|heading| Isometry2::new(Vector2::new(1.0, -2.0), heading));
+        let pairs = with_outliers(seen(&current, &target, 200, 0.002, seed), seed + 1);
+        let found = turn(&pairs, TURN_TOLERANCE_RAD).unwrap();
+        // A robot that has turned left sees what it saw further to the right.
+        let error = wrapped(found.rotation_rad - (from_rad - to_rad));
+        prop_assert!(error.abs() < 0.01, "{found:?}");
+        prop_assert!((95..=120).contains(&found.agreeing), "{found:?}");
+    }
+
+    /// Whatever is named by a pair explains no more.
+    #[test]
+    fn no_turn_explains_a_way(way_rad in -3.1..3.1f64, turned_rad in -3.1..3.1f64, seed in 0_u64..1000) {
+        let way = Vector2::new(way_rad.cos(), way_rad.sin()) * 0.3;
+        let [current, target] = [Isometry2::new(way, turned_rad), Isometry2::identity()];
+        let pairs = seen(&current, &target, 200, 0.002, seed);
+        prop_assert!(turn(&pairs, TURN_TOLERANCE_RAD).unwrap().agreeing < 100);
+    }
+}
+
+#[test]
+fn of_no_pairs_there_is_no_turn() {
+    assert_eq!(turn(&[], TURN_TOLERANCE_RAD), None);
+}

@@ -12,8 +12,9 @@ pub enum PlaceRule {
     /// Where no place is recognised.
     #[default]
     Unrecognized,
-    /// Always, unless wheels say that the robot is at its last place still: for maps whose images are to be seen one by one,
-    /// such as an appearance graph's. Nothing closes a loop.
+    /// Always, unless the robot is at its last place still, by its wheels or because it sees from the same spot what the
+    /// place shows all around: for maps whose images are to be seen one by one, such as an appearance graph's. Nothing closes
+    /// a loop.
     EachFrame,
 }
 

@@ -121,7 +121,8 @@ impl Service {
     }
 }
 
-fn check_label(label: &str) -> Result<(), ServiceError> {
+/// Refuses what is no label.
+pub(in crate::service) fn check_label(label: &str) -> Result<(), ServiceError> {
     let length = label.chars().count();
     let fits = (1..=MAX_LABEL_LEN).contains(&length)
         && label.trim() == label

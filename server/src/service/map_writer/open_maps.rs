@@ -22,7 +22,7 @@ use super::{MOST_RECENT, MOST_RECENT_FEATURES, MapWriter};
 use crate::error::ServiceError;
 use crate::extraction::LoadedModel;
 use crate::metrics::Metrics;
-use crate::service::camera::Intrinsics;
+use crate::service::camera::{Intrinsics, PanoramicOptics};
 use crate::service::{Service, map_settings};
 use crate::storage::{LogEntry, MapRow, Storage, StorageError};
 
@@ -252,8 +252,11 @@ fn open(
     };
     let sessions = runtime.block_on(storage.sessions(map.id))?;
     let cameras = runtime.block_on(storage.cameras(map.id))?;
-    let known = |(session, camera): (SessionId, Vec<u8>)| Some((session, Intrinsics::of_camera(&camera)?));
-    let intrinsics = cameras.into_iter().filter_map(known).collect();
+    let known = |(session, camera): &(SessionId, Vec<u8>)| Some((*session, Intrinsics::of_camera(camera)?));
+    let intrinsics = cameras.iter().filter_map(known).collect();
+    let known =
+        |(session, camera): &(SessionId, Vec<u8>)| Some((*session, PanoramicOptics::of_camera(camera)?));
+    let around = cameras.iter().filter_map(known).collect();
     let events = mapper.map().events();
     tracing::info!(map = map.name, events, replayed = events - checkpoint_events, "map opened");
     let (sender, receiver) = mpsc::channel(QUEUE);
@@ -274,6 +277,7 @@ fn open(
         runtime,
         sessions,
         intrinsics,
+        around,
         streams,
         localizers,
         pending,

@@ -4,14 +4,16 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use tokio::runtime::Handle;
+use topomap::epipolar::SearchSettings;
 use topomap::event::FrameId;
 use topomap::mapper::ArchiveError;
+use topomap::standing::TurnedView;
 use topomap::verification::{TwoView, VerificationMethod, VerificationSettings, Views};
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::verification::{Comparison, Pinhole, Verifier, View};
 
 use super::MapWriter;
-use crate::service::camera::Intrinsics;
+use crate::service::camera::{Intrinsics, PanoramicOptics};
 use crate::storage::{MapId, Storage, StorageError, StoredFeatures};
 
 /// Two views always give the same answer, on whichever server.
@@ -33,12 +35,25 @@ pub(crate) fn verifier(settings: &topomap::mapper::MapperSettings) -> Verifier {
 pub(crate) struct SeenFeatures {
     pub(crate) features: Arc<FeatureRecord>,
     pub(crate) camera: Option<Pinhole>,
+    /// Of a camera that sees all around.
+    around: Option<PanoramicOptics>,
 }
 
 impl SeenFeatures {
     pub(super) fn new(features: Arc<FeatureRecord>, intrinsics: Option<&Intrinsics>) -> Self {
         let camera = intrinsics.and_then(|intrinsics| intrinsics.of_image(features.image_size_px()));
-        Self { features, camera }
+        Self { features, camera, around: None }
+    }
+
+    /// The same, by a camera that may see all around.
+    pub(super) fn all_around(self, around: Option<PanoramicOptics>) -> Self {
+        Self { around, ..self }
+    }
+
+    /// What both have in common if the camera has at most turned on the spot; `None` if one does not see all around.
+    pub(crate) fn turned(&self, earlier: &SeenFeatures) -> Option<TurnedView> {
+        let [current, earlier] = [self, earlier].map(|seen| seen.around?.view(&seen.features));
+        Some(current?.turned(&earlier?, SearchSettings::default().tolerance_rad))
     }
 
     /// Focal length along x, in image widths; `None` if the camera is not known.
@@ -76,6 +91,12 @@ impl Views for CurrentView<'_> {
         Ok(features.par_iter().map(view).collect())
     }
 
+    fn turned(&self, earlier: FrameId) -> Result<Option<TurnedView>, ArchiveError> {
+        let Some(current) = &self.current else { return Ok(None) };
+        let earlier = self.writer.features(earlier)?;
+        Ok(earlier.and_then(|earlier| current.turned(&earlier)))
+    }
+
     fn focal_length_widths(&self) -> Option<f64> {
         self.current.as_ref()?.focal_length_widths()
     }
@@ -110,7 +131,8 @@ pub(crate) fn stored_features(
     match FeatureRecord::from_bytes(&features) {
         Ok(features) => {
             let intrinsics = camera.as_deref().and_then(Intrinsics::of_camera);
-            Ok(Some(SeenFeatures::new(Arc::new(features), intrinsics.as_ref())))
+            let around = camera.as_deref().and_then(PanoramicOptics::of_camera);
+            Ok(Some(SeenFeatures::new(Arc::new(features), intrinsics.as_ref()).all_around(around)))
         }
         Err(error) => {
             tracing::error!(map, frame, %error, "a frame's features cannot be read; it is no longer compared");

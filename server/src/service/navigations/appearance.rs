@@ -1,6 +1,7 @@
 //! A robot that is led by looks alone: each panorama is answered with where to drive. Neither odometry nor the map's writer
 //! is asked.
 
+mod goals;
 mod journey;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -15,10 +16,11 @@ use topomap::navigation::{Driver, Guidance, Seen, Status, VelocityCommand};
 use topomap::odometry::Odometry;
 use waypost_vision::panorama::PanoramicView;
 
+pub(crate) use self::goals::Unjoined;
 use self::journey::{Journey, Step, most_similar};
 use super::{
     AppearanceView, BodyReport, Driving, FrameSeen, Goal, GoalRefusal, GoalRequest, Identity, Looked,
-    NavigationView, Told,
+    NavigationView, Told, WayByLooks,
 };
 use crate::error::ServiceError;
 use crate::extraction::Observed;
@@ -29,6 +31,7 @@ use crate::service::content::{Content, Words};
 use crate::service::map_settings::Keep;
 use crate::service::names::navigation_name;
 use crate::service::sessions::Frame;
+use crate::storage::MapRow;
 
 /// How long a robot is led by one panorama, by its wheels.
 const PANORAMA_HOLDS: Duration = Duration::from_secs(1);
@@ -85,6 +88,47 @@ pub(super) fn check(map: &str, camera: Option<&[u8]>) -> Result<(), ServiceError
              hyperbolic mirror with the radius of its horizon"
         ))
     })
+}
+
+impl Service {
+    /// The way by looks from a place to a goal.
+    pub(super) async fn plan_by_looks(
+        self: &Arc<Self>,
+        row: &MapRow,
+        from: PlaceId,
+        goal: &Goal,
+    ) -> Result<WayByLooks, ServiceError> {
+        let graph = self.graph_of(row).await?;
+        let goals = self.images_of(row, &graph, goal).await?;
+        let Some(here) = graph.image_of(from) else {
+            return Err(ServiceError::not_found(format_args!(
+                "the place {from} is no node of the map {}'s appearance graph; get the graph to see which there are",
+                row.name
+            )));
+        };
+        let planning = tokio::task::spawn_blocking(move || WayByLooks::plan(&graph, here, &goals));
+        planning.await.map_err(ServiceError::internal)?
+    }
+
+    /// The images that a goal names.
+    async fn images_of(
+        &self,
+        row: &MapRow,
+        graph: &Graph,
+        goal: &Goal,
+    ) -> Result<Vec<ImageId>, ServiceError> {
+        let places = match goal {
+            Goal::Place(place) => vec![*place],
+            Goal::Label(label) => self.labelled(row, label).await?,
+            Goal::Position { .. } => {
+                return Err(ServiceError::precondition(format_args!(
+                    "the map {} is navigated by appearance and has no metres; name a place, a label, or send an image",
+                    row.name
+                )));
+            }
+        };
+        goals::images(&row.name, graph, &places)
+    }
 }
 
 fn optics(camera: Option<&[u8]>) -> Option<PanoramicOptics> {
@@ -184,24 +228,11 @@ impl AppearanceGuide {
             return Err(self.identity.replaced());
         }
         let graph = service.graph_of(&row).await?;
-        let (goal, places) = match goal {
-            GoalRequest::Goal(Goal::Place(place)) => (Goal::Place(place), vec![place]),
-            GoalRequest::Goal(Goal::Label(label)) => {
-                let places = service.labelled(&row, &label).await?;
-                (Goal::Label(label), places)
-            }
-            GoalRequest::Goal(Goal::Position { .. }) => {
-                return Err(ServiceError::precondition(format_args!(
-                    "the map {} is navigated by appearance and has no metres; name a place, a label, or send an image",
-                    row.name
-                )));
-            }
-            GoalRequest::Image(image) => {
-                let place = self.place_of(service, graph.clone(), image).await?;
-                (Goal::Place(place), vec![place])
-            }
+        let goal = match goal {
+            GoalRequest::Goal(goal) => goal,
+            GoalRequest::Image(image) => Goal::Place(self.place_of(service, graph.clone(), image).await?),
         };
-        let images = self.reachable(&graph, &places)?;
+        let images = service.images_of(&row, &graph, &goal).await?;
         let mut state = self.state();
         if state.asked == asked {
             state.journey = Some(Journey::new(asked, goal, graph, images));
@@ -209,29 +240,6 @@ impl AppearanceGuide {
             (state.goal_refusal, state.heading, state.told) = (None, None, None);
         }
         Ok(())
-    }
-
-    /// The images of places that a way may lead to.
-    fn reachable(&self, graph: &Graph, places: &[PlaceId]) -> Result<Vec<ImageId>, ServiceError> {
-        let map = &self.identity.map;
-        let named = |places: &[PlaceId]| places.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
-        let images: Vec<ImageId> = places.iter().filter_map(|&place| graph.image_of(place)).collect();
-        if images.is_empty() {
-            return Err(ServiceError::not_found(format_args!(
-                "the place {} is no node of the map {map}'s appearance graph: there is no such place, or no panorama \
-                 made it; get the graph to see which there are",
-                named(places)
-            )));
-        }
-        let is_linked = |image: &ImageId| !graph.appearance().neighbours(*image).is_empty();
-        let linked: Vec<ImageId> = images.iter().copied().filter(is_linked).collect();
-        if linked.is_empty() && graph.places().len() > 1 {
-            return Err(ServiceError::precondition(format_args!(
-                "the place {} of the map {map} looks like no other place, so no way leads there; teach the way to it",
-                named(places)
-            )));
-        }
-        Ok(if linked.is_empty() { images } else { linked })
     }
 
     /// The place that looks most like an image.
@@ -329,6 +337,7 @@ impl AppearanceGuide {
                 goal: place(journey.goal()),
                 similarity: step.similarity,
                 left: step.left,
+                unjoined: step.unjoined,
             },
             yaw_rad: odometry.map(yaw_rad),
             since: Instant::now(),
@@ -407,8 +416,9 @@ impl State {
             (Some(_), Some(heading)) => heading.status,
         };
         let is_led = heading.is_some_and(|heading| heading.since.elapsed() < PANORAMA_HOLDS);
+        let waits = view.is_some_and(|view| view.unjoined.is_some());
         let [forward_m_s, turn_rad_s] = match status {
-            Status::Following | Status::Searching | Status::Lost | Status::Blocked if is_led => {
+            Status::Following | Status::Searching | Status::Lost | Status::Blocked if is_led && !waits => {
                 steering.steer(view.and_then(|view| view.heading_rad))
             }
             Status::Following

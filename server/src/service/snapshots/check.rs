@@ -16,10 +16,11 @@ use waypost_proto::v1;
 use super::format::{MapRecord, Record, SnapshotError, SnapshotReader};
 use crate::error::ServiceError;
 use crate::extraction::LoadedModel;
+use crate::service::appearance::check_label;
 use crate::service::map_settings;
 use crate::service::models::{check_display_name, row_of};
 use crate::service::names::check_id;
-use crate::storage::{FormerModelRow, ImportedMap, MediaRow, StoredSession};
+use crate::storage::{FormerModelRow, ImportedMap, LabelRow, MediaRow, StoredSession};
 
 /// Why a snapshot was not taken.
 #[derive(Debug)]
@@ -47,7 +48,7 @@ pub(super) fn map_of(file: &File) -> Result<MapRecord, NotTaken> {
     }
 }
 
-/// Checks the whole file; gives all of it but log and media, with `name` as the map's name.
+/// Checks the whole file; gives all of it but log, media and labels, with `name` as the map's name.
 pub(super) fn check(file: &File, name: &str, progress: Progress<'_>) -> Result<ImportedMap, NotTaken> {
     check_sum(file, progress)?;
     let mut snapshot = reader(file)?;
@@ -75,6 +76,7 @@ pub(super) fn check(file: &File, name: &str, progress: Progress<'_>) -> Result<I
             Record::Session(session) => sessions.push(session),
             Record::Event { position, event } => log.take(position, &event)?,
             Record::Medium(medium) => log.check_medium(&medium)?,
+            Record::Label(label) => log.check_label(&label)?,
             Record::Map(_) | Record::Model { .. } => return Err(refused("it holds more than one map")),
         }
         go_on(progress(snapshot.bytes()))?;
@@ -191,6 +193,14 @@ impl Log {
             return Ok(());
         }
         Err(refused(format_args!("it holds an image of frame {}, which does not exist", medium.position)))
+    }
+
+    fn check_label(&self, row: &LabelRow) -> Result<(), NotTaken> {
+        let LabelRow { place, label } = row;
+        if self.mapper.map().places().get(*place as usize).is_none() {
+            return Err(refused(format_args!("it calls the place {place} {label:?}, which does not exist")));
+        }
+        Ok(check_label(label)?)
     }
 
     fn check_former_models(&self, former_models: &[FormerModelRow]) -> Result<(), NotTaken> {

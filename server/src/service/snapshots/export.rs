@@ -105,6 +105,14 @@ fn write(mut view: MapView, outlet: &Outlet) -> Result<(), ServiceError> {
             outlet.put(&mut writer, &Record::Medium(medium))?;
         }
     }
+    let mut next = Some(0);
+    while let Some(from) = next {
+        let labels = runtime.block_on(view.labels(from))?;
+        next = labels.last().and_then(|last| last.place.checked_add(1));
+        for label in labels {
+            outlet.put(&mut writer, &Record::Label(label))?;
+        }
+    }
     outlet.hand_out(&writer.finish())
 }
 

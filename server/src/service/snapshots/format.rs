@@ -1,4 +1,4 @@
-//! The byte form of a snapshot: a map with its model as one checksummed file. Version 1:
+//! The byte form of a snapshot: a map with its model as one checksummed file. Version 2:
 //!
 //! ```text
 //! snapshot = "WPSNAP\r\n"  version u32  record*
@@ -11,13 +11,16 @@
 //!    4  session: number varint, name, flag u8, camera if 1, opened_ns i64  rising number
 //!    5  event: position varint, then the event up to the end               0, 1, 2, …
 //!    6  medium: position varint, kind u8, then the content up to the end   rising position, kind
-//!  255  end: number of former models, sessions, events and media as varints, then
+//!    7  label: place varint, what people call it                           rising place
+//!  255  end: number of former models, sessions, events, media and labels as varints, then
 //!       the SHA-256 of every byte of the file before it                    one, the last
 //! ```
 //!
 //! Numbers and texts are those of [`fabmap::codec`]. Kinds come in rising order. An event is what
 //! `MapEvent::to_bytes` makes, the model what `Model::to_bytes` makes; each has a version of its own.
 //! Hashes of models are 64 hexadecimal digits. Kinds of media: 0 features, 1 image, 2 thumbnail.
+//!
+//! Version 1 has neither labels nor their number in the end; it is read still.
 
 use std::io::{self, Read};
 
@@ -25,10 +28,13 @@ use fabmap::codec::{DecodeError, Reader, Writer};
 use sha2::{Digest, Sha256};
 
 use crate::service::models::MAX_MODEL_BYTES;
-use crate::storage::{FormerModelRow, MediaRow, MediumKind, StoredSession};
+use crate::storage::{FormerModelRow, LabelRow, MediaRow, MediumKind, StoredSession};
 
 const MAGIC: [u8; 8] = *b"WPSNAP\r\n";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
+
+/// The first version that has labels.
+const WITH_LABELS: u32 = 2;
 
 const MAP: u8 = 1;
 const MODEL: u8 = 2;
@@ -36,6 +42,7 @@ const FORMER_MODEL: u8 = 3;
 const SESSION: u8 = 4;
 const EVENT: u8 = 5;
 const MEDIUM: u8 = 6;
+const LABEL: u8 = 7;
 const END: u8 = 255;
 
 const HASH_BYTES: usize = 32;
@@ -55,6 +62,7 @@ pub(super) enum Record {
     Session(StoredSession),
     Event { position: u64, event: Vec<u8> },
     Medium(MediaRow),
+    Label(LabelRow),
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -74,6 +82,7 @@ struct Counts {
     sessions: u64,
     events: u64,
     media: u64,
+    labels: u64,
 }
 
 /// Why a snapshot cannot be read.
@@ -153,6 +162,12 @@ impl SnapshotWriter {
                 counts.media += 1;
                 MEDIUM
             }
+            Record::Label(LabelRow { place, label }) => {
+                writer.varint(u64::from(*place));
+                writer.str(label);
+                counts.labels += 1;
+                LABEL
+            }
         };
         let content = writer.into_bytes();
         let length = u32::try_from(content.len()).unwrap_or(u32::MAX);
@@ -175,9 +190,9 @@ impl SnapshotWriter {
 
     /// Ends the snapshot; gives what was not yet taken.
     pub(super) fn finish(mut self) -> Vec<u8> {
-        let Counts { former_models, sessions, events, media } = self.counts;
+        let Counts { former_models, sessions, events, media, labels } = self.counts;
         let mut writer = Writer::default();
-        [former_models, sessions, events, media].into_iter().for_each(|count| writer.varint(count));
+        [former_models, sessions, events, media, labels].into_iter().for_each(|count| writer.varint(count));
         let counts = writer.into_bytes();
         self.put(&[END]);
         self.put(&((counts.len() + HASH_BYTES) as u32).to_le_bytes());
@@ -196,6 +211,7 @@ impl SnapshotWriter {
 #[derive(Debug)]
 pub(super) struct SnapshotReader<R> {
     source: R,
+    version: u32,
     hash: Sha256,
     counts: Counts,
     /// Kind of the record before, and its key within the kind.
@@ -208,7 +224,7 @@ impl<R: Read> SnapshotReader<R> {
     /// Reads the beginning.
     pub(super) fn open(source: R) -> Result<Self, SnapshotError> {
         let (counts, hash) = (Counts::default(), Sha256::new());
-        let mut reader = Self { source, hash, counts, last: None, bytes: 0, ended: false };
+        let mut reader = Self { source, version: VERSION, hash, counts, last: None, bytes: 0, ended: false };
         let magic = reader.take(MAGIC.len())?;
         if magic != MAGIC {
             return Err(DecodeError::Magic { expected: "Waypost snapshot" }.into());
@@ -218,6 +234,7 @@ impl<R: Read> SnapshotReader<R> {
         if found == 0 || found > VERSION {
             return Err(DecodeError::Version { found, newest: VERSION }.into());
         }
+        reader.version = found;
         reader.hash.update(magic);
         reader.hash.update(version);
         Ok(reader)
@@ -244,6 +261,9 @@ impl<R: Read> SnapshotReader<R> {
             return Ok(None);
         }
         self.hash.update(&content);
+        if kind == LABEL && self.version < WITH_LABELS {
+            return Err(no_such_kind(kind).into());
+        }
         let record = decode(kind, content)?;
         self.check_order(&record)?;
         Ok(Some(record))
@@ -264,6 +284,7 @@ impl<R: Read> SnapshotReader<R> {
             sessions: reader.varint()?,
             events: reader.varint()?,
             media: reader.varint()?,
+            labels: if self.version < WITH_LABELS { 0 } else { reader.varint()? },
         };
         reader.end()?;
         if counts != self.counts {
@@ -308,6 +329,10 @@ impl<R: Read> SnapshotReader<R> {
             Record::Medium(medium) => {
                 counts.media += 1;
                 (MEDIUM, medium.position, media_code(medium.kind))
+            }
+            Record::Label(label) => {
+                counts.labels += 1;
+                (LABEL, u64::from(label.place), 0)
             }
         };
         let in_order = match self.last {
@@ -384,10 +409,15 @@ fn decode(kind: u8, content: Vec<u8>) -> Result<Record, DecodeError> {
             let rest = reader.remaining();
             return Ok(Record::Medium(MediaRow { position, kind, content: last(content, rest) }));
         }
-        other => return Err(DecodeError::invalid(format_args!("a record of kind {other}"))),
+        LABEL => Record::Label(LabelRow { place: reader.varint_u32()?, label: reader.str()?.to_owned() }),
+        other => return Err(no_such_kind(other)),
     };
     reader.end()?;
     Ok(record)
+}
+
+fn no_such_kind(kind: u8) -> DecodeError {
+    DecodeError::invalid(format_args!("a record of kind {kind}"))
 }
 
 /// The last `count` bytes.

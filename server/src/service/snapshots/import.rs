@@ -18,7 +18,7 @@ use crate::service::Service;
 use crate::service::jobs::{JobOutcome, JobReporter, JobStatus};
 use crate::service::maps::map_exists;
 use crate::service::names::{check_id, map_name};
-use crate::storage::{ImportedMap, JobKind, MapId, MediaRow, Storage, StorageError};
+use crate::storage::{ImportedMap, JobKind, LabelRow, MapId, MediaRow, Storage, StorageError};
 
 /// Largest snapshot that is taken in.
 const MAX_SNAPSHOT_BYTES: u64 = 16 << 30;
@@ -177,7 +177,7 @@ impl Service {
         tokio::task::spawn_blocking(work).await.map_err(ServiceError::internal)?
     }
 
-    /// Stores log and media, piece by piece.
+    /// Stores log, media and labels, piece by piece.
     async fn store_log(
         &self,
         map: MapId,
@@ -207,7 +207,7 @@ impl Service {
 }
 
 async fn store_piece(storage: &Storage, map: MapId, piece: &Piece) -> Result<(), ServiceError> {
-    Ok(storage.import_piece(map, &piece.events, &piece.media).await?)
+    Ok(storage.import_piece(map, &piece.events, &piece.media, &piece.labels).await?)
 }
 
 /// What is stored in one transaction.
@@ -216,17 +216,23 @@ struct Piece {
     /// By position.
     events: Vec<(u64, MapEvent)>,
     media: Vec<MediaRow>,
+    labels: Vec<LabelRow>,
 }
 
-/// The next events and media; none at the end.
+impl Piece {
+    fn rows(&self) -> usize {
+        let Self { events, media, labels } = self;
+        events.len() + media.len() + labels.len()
+    }
+}
+
+/// The next events, media and labels; none at the end.
 fn next_piece(
     snapshot: &mut SnapshotReader<BufReader<&File>>,
     words: usize,
 ) -> Result<Option<Piece>, NotTaken> {
     let (mut piece, begin) = (Piece::default(), snapshot.bytes());
-    let is_full = |piece: &Piece, read: u64| {
-        piece.events.len() + piece.media.len() >= PIECE_ROWS || read - begin >= PIECE_BYTES as u64
-    };
+    let is_full = |piece: &Piece, read: u64| piece.rows() >= PIECE_ROWS || read - begin >= PIECE_BYTES as u64;
     while let Some(record) = snapshot.next()? {
         match record {
             Record::Map(_) | Record::Model { .. } | Record::FormerModel(_) | Record::Session(_) => continue,
@@ -236,13 +242,13 @@ fn next_piece(
                 piece.events.push((position, event));
             }
             Record::Medium(medium) => piece.media.push(medium),
+            Record::Label(label) => piece.labels.push(label),
         }
         if is_full(&piece, snapshot.bytes()) {
             break;
         }
     }
-    let is_empty = piece.events.is_empty() && piece.media.is_empty();
-    Ok((!is_empty).then_some(piece))
+    Ok((piece.rows() > 0).then_some(piece))
 }
 
 /// Refuses what would leave too little of the disk.

@@ -1,10 +1,10 @@
 //! The way to one goal, panorama by panorama.
 
 use std::cell::RefCell;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use topomap::appearance_graph::{AppearanceGraph, ImageId, LINK_SIMILARITY, Overlap, Panorama};
+use topomap::appearance_graph::{ImageId, LINK_SIMILARITY, Overlap, Panorama};
 use topomap::appearance_navigation::{
     AppearanceNavigator, Body, Guidance, NavigationSettings, NavigationStatus, Sight,
 };
@@ -13,6 +13,7 @@ use topomap::mapper::{ArchiveError, FrameError};
 use topomap::navigation::Status;
 use waypost_vision::panorama::PanoramicView;
 
+use super::goals::{self, Unjoined};
 use crate::error::ServiceError;
 use crate::service::appearance::{Graph, Shown};
 use crate::service::navigations::Goal;
@@ -27,6 +28,8 @@ pub(super) struct Journey {
     pub(super) has_arrived: bool,
     /// Where it may end: in the middle of the nearest ones, once it is known where the robot is.
     goals: Vec<ImageId>,
+    /// By image: whether links lead from it to any of them.
+    leading: Arc<[bool]>,
     navigator: Option<AppearanceNavigator>,
 }
 
@@ -40,6 +43,8 @@ pub(super) struct Step {
     /// Of what is seen with the subgoal.
     pub(super) similarity: Option<f64>,
     pub(super) left: Option<f64>,
+    /// Why it is not led, if that is because nothing joins the goal with where it is.
+    pub(super) unjoined: Option<Unjoined>,
 }
 
 /// What the robot sees, and all that it has been compared with so far.
@@ -68,9 +73,9 @@ impl<'a> Sighting<'a> {
         self.compared(image).map_or(0.0, |overlap| overlap.similarity())
     }
 
-    /// The image that looks most like what is seen, and enough so.
-    fn most_similar(&self) -> Option<ImageId> {
-        let named = self.graph.candidates(self.seen).into_iter();
+    /// Of the images that `is_wanted`, the one that looks most like what is seen, and enough so.
+    fn most_similar(&self, is_wanted: impl Fn(ImageId) -> bool) -> Option<ImageId> {
+        let named = self.graph.candidates(self.seen).into_iter().filter(|&image| is_wanted(image));
         let similar = named.map(|image| (self.similarity(image), image));
         let similar = similar.filter(|(similarity, _)| *similarity > LINK_SIMILARITY);
         similar.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1))).map(|(_, image)| image)
@@ -97,13 +102,14 @@ impl Sight for Sighting<'_> {
 
 /// The image of a graph that looks most like a panorama; none if none does enough.
 pub(super) fn most_similar(graph: &Graph, seen: &Shown) -> Option<ImageId> {
-    Sighting::new(graph, seen, None).most_similar()
+    Sighting::new(graph, seen, None).most_similar(|_| true)
 }
 
 impl Journey {
     /// To the middle of the nearest `goals`; there is one at least.
     pub(super) fn new(number: u64, asked: Goal, graph: Arc<Graph>, goals: Vec<ImageId>) -> Self {
-        Self { number, asked, graph, has_arrived: false, goals, navigator: None }
+        let leading = goals::leading(graph.appearance(), &goals).into();
+        Self { number, asked, graph, has_arrived: false, goals, leading, navigator: None }
     }
 
     /// Where it ends, if that is known.
@@ -124,15 +130,8 @@ impl Journey {
     ) -> Result<Step, ServiceError> {
         let graph = self.graph.clone();
         let sighting = Sighting::new(&graph, seen, before);
-        let goal = self.goal().or_else(|| self.nearest_goal(&sighting));
-        let Some(goal) = goal else {
-            return Ok(Step {
-                status: Status::Lost,
-                heading_rad: None,
-                subgoal: None,
-                similarity: None,
-                left: None,
-            });
+        let Some(goal) = self.goal().or_else(|| self.nearest_goal(&sighting)) else {
+            return Ok(self.not_led(&sighting));
         };
         let mut navigator = match self.navigator.take() {
             Some(navigator) => navigator,
@@ -142,6 +141,9 @@ impl Journey {
         let guidance = navigator.observe(graph.appearance(), &sighting, body).map_err(FrameError::from)?;
         self.navigator = Some(navigator);
         let Guidance { status, subgoal, heading_rad, remaining, compared: _ } = guidance;
+        if status == NavigationStatus::Lost {
+            return Ok(self.not_led(&sighting));
+        }
         self.has_arrived = status == NavigationStatus::Arrived;
         let similarity = subgoal.and_then(|subgoal| sighting.compared(subgoal));
         Ok(Step {
@@ -156,64 +158,33 @@ impl Journey {
             subgoal,
             similarity: similarity.map(|overlap| overlap.similarity()),
             left: remaining,
+            unjoined: None,
         })
     }
 
-    /// Of several goals the nearest by the shortest path, or rather the middle of those that hang together with it: whoever
-    /// goes to a room goes into it. None while it is not known where the robot is, or no path leads to any.
+    /// The goal that is meant; none while the robot sees nothing from which a way leads to any.
     fn nearest_goal(&self, sighting: &Sighting<'_>) -> Option<ImageId> {
-        let here = sighting.most_similar()?;
-        let distances = self.graph.appearance().distances_to(here).ok()?;
-        let reached = self.goals.iter().filter_map(|&goal| Some((distances.of(goal)?, goal)));
-        let nearest = reached.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        nearest.map(|(_, goal)| {
-            middle(self.graph.appearance(), &joined(self.graph.appearance(), &self.goals, goal))
-        })
+        let here = sighting.most_similar(|image| self.leads(image))?;
+        goals::nearest(self.graph.appearance(), &self.goals, here)
     }
-}
 
-/// Those of `images` that links among them join with one of them.
-fn joined(graph: &AppearanceGraph, images: &[ImageId], one: ImageId) -> Vec<ImageId> {
-    let (mut found, mut next) = (BTreeSet::from([one]), vec![one]);
-    while let Some(image) = next.pop() {
-        for link in graph.neighbours(image) {
-            if images.contains(&link.to) && found.insert(link.to) {
-                next.push(link.to);
-            }
-        }
+    fn leads(&self, image: ImageId) -> bool {
+        self.leading.get(image as usize).copied().unwrap_or(false)
     }
-    found.into_iter().collect()
-}
 
-/// That of some images, one at least, from which the paths to the others are shortest in all.
-fn middle(graph: &AppearanceGraph, images: &[ImageId]) -> ImageId {
-    let total = |&from: &ImageId| {
-        let distances = graph.distances_to(from).ok();
-        let paths = images.iter().map(|&to| distances.as_ref().and_then(|paths| paths.of(to)));
-        paths.map(|path| path.unwrap_or(f64::INFINITY)).sum::<f64>()
-    };
-    let totals = images.iter().map(|image| (total(image), *image));
-    let least = totals.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    least.map_or_else(|| images[0], |(_, image)| image)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_middle_of_what_hangs_together_is_found() {
-        // A chain of seven and one beside it.
-        let mut graph = AppearanceGraph::default();
-        for _ in 0..8 {
-            graph.add_image();
-        }
-        (0..6).for_each(|image| graph.link(image, image + 1, 0.5));
-        let joined = |images: &[ImageId], one| super::joined(&graph, images, one);
-        assert_eq!(joined(&[2, 3, 4, 6, 7], 2), [2, 3, 4]);
-        assert_eq!(joined(&[2, 3, 4, 6, 7], 6), [6]);
-        assert_eq!(middle(&graph, &[2, 3, 4]), 3);
-        assert_eq!(middle(&graph, &[0, 1, 2, 3, 4]), 2);
-        assert_eq!(middle(&graph, &[7]), 7);
+    /// For a robot that sees nothing from which a way leads to the goal: it stands if it knows all the same where it is, and
+    /// looks around otherwise.
+    fn not_led(&self, sighting: &Sighting<'_>) -> Step {
+        let here = sighting.most_similar(|image| !self.leads(image));
+        let unjoined = here.and_then(|here| {
+            let place = |image| self.graph.place_of(image);
+            Some(Unjoined {
+                from: place(here)?,
+                goal: place(*self.goals.first()?)?,
+                others: self.goals.len() - 1,
+            })
+        });
+        let status = if unjoined.is_some() { Status::Blocked } else { Status::Lost };
+        Step { status, heading_rad: None, subgoal: None, similarity: None, left: None, unjoined }
     }
 }

@@ -6,6 +6,7 @@ fn records() -> Vec<Record> {
         Record::Session(StoredSession { number, name, camera, opened_ns: 5 })
     };
     let medium = |position, kind| Record::Medium(MediaRow { position, kind, content: vec![7; 9] });
+    let label = |place, label: &str| Record::Label(LabelRow { place, label: label.to_owned() });
     vec![
         Record::Map(MapRecord {
             name: "hall".to_owned(),
@@ -21,6 +22,8 @@ fn records() -> Vec<Record> {
         Record::Event { position: 1, event: vec![] },
         medium(1, MediumKind::Features),
         medium(1, MediumKind::Thumbnail),
+        label(0, "kitchen"),
+        label(7, "Küche"),
     ]
 }
 
@@ -101,11 +104,34 @@ fn each_damage_has_its_own_name() {
         read(&damaged).unwrap_err()
     };
     assert_eq!(read(b"WPMODEL\n and more").unwrap_err(), DecodeError::Magic { expected: "Waypost snapshot" });
-    assert_eq!(replaced(8, &[2]), DecodeError::Version { found: 2, newest: 1 });
+    assert_eq!(replaced(8, &[3]), DecodeError::Version { found: 3, newest: 2 });
     assert_eq!(replaced(whole.len() - 1, &[0, 0][..1]), DecodeError::Checksum);
     assert!(matches!(replaced(13, &u32::MAX.to_le_bytes()), DecodeError::Invalid { .. }));
     assert!(matches!(replaced(13, &(16u32 << 20).to_le_bytes()), DecodeError::Truncated { .. }));
     let mut longer = whole.clone();
     longer.extend([0; 3]);
     assert_eq!(read(&longer).unwrap_err(), DecodeError::Trailing { bytes: 3 });
+}
+
+/// What the first version's writer made of records.
+fn written_before(records: &[Record]) -> Vec<u8> {
+    let whole = write(records);
+    let end = whole.len() - HASH_BYTES;
+    let mut bytes = whole[..end].to_vec();
+    bytes[MAGIC.len()] = 1;
+    // One number less in the end.
+    bytes.pop();
+    let length = bytes.len() - 4 - 4;
+    bytes[length] -= 1;
+    let hash = Sha256::digest(&bytes);
+    bytes.extend(hash);
+    bytes
+}
+
+#[test]
+fn the_first_version_is_read_and_has_no_labels() {
+    let without = &records()[..9];
+    assert_eq!(read(&written_before(without)), Ok(without.to_vec()));
+    let error = read(&written_before(&records())).unwrap_err();
+    assert!(error.to_string().contains("a record of kind 7"), "{error}");
 }

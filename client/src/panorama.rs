@@ -1,0 +1,57 @@
+//! A camera that sees all around, as far as its images tell.
+
+use std::f64::consts::PI;
+
+use waypost_client::v1;
+
+use crate::failure::Failure;
+use crate::images::ImageFile;
+
+/// How a panorama's rows look out. It goes all the way round, its pixels are square, and the horizon is in the middle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Projection {
+    /// On an upright cylinder
+    Cylindrical,
+    /// By elevation
+    Equirectangular,
+}
+
+/// The camera of images like `first`.
+pub(crate) fn camera(projection: Projection, first: &ImageFile) -> Result<v1::Camera, Failure> {
+    let size = image::image_dimensions(&first.path).map_err(|error| {
+        Failure::Unfit(format!(
+            "{} is no image that can be read: {error}; send JPEG or PNG",
+            first.path.display()
+        ))
+    })?;
+    Ok(camera_of(projection, size))
+}
+
+fn camera_of(projection: Projection, (image_width_px, image_height_px): (u32, u32)) -> v1::Camera {
+    // Half of the height, in widths of a circle of radius 1.
+    let half = PI * f64::from(image_height_px) / f64::from(image_width_px.max(1));
+    let (projection, vertical_rad) = match projection {
+        Projection::Cylindrical => (v1::panorama::Projection::Cylindrical, 2.0 * half.atan()),
+        Projection::Equirectangular => (v1::panorama::Projection::Equirectangular, 2.0 * half),
+    };
+    let panorama = v1::Panorama { projection: projection.into(), vertical_rad };
+    let model = Some(v1::camera::Model::Panorama(panorama));
+    v1::Camera { model, image_width_px, image_height_px, base_to_camera: None }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn square_pixels_say_how_far_up_a_panorama_looks() {
+        let vertical_rad = |projection, size| match camera_of(projection, size).model {
+            Some(v1::camera::Model::Panorama(panorama)) => panorama.vertical_rad,
+            other => panic!("{other:?}"),
+        };
+        assert!((vertical_rad(Projection::Equirectangular, (1024, 512)) - PI).abs() < 1e-12);
+        // As far up as a quarter of its way round: the slope is 1 where the height is the width over π.
+        let cylinder = vertical_rad(Projection::Cylindrical, (314_159, 100_000));
+        assert!((cylinder - PI / 2.0).abs() < 1e-5, "{cylinder}");
+    }
+}

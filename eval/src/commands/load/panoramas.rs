@@ -1,0 +1,215 @@
+//! Panoramas into maps with and without an appearance graph: what the graph costs those who stream, and how long it takes to
+//! build it anew.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use rayon::prelude::*;
+use serde::Serialize;
+use tokio::sync::mpsc;
+use tokio::time::{MissedTickBehavior, interval};
+use waypost_client::{Client, FrameContent, FrameInput, FrameOutcome, SessionOptions, v1};
+use waypost_sim::scene::Scene;
+use waypost_sim::worlds::NamedWorld;
+
+use super::ServerOptions;
+use super::report::LatencyReport;
+use super::server::ServerUnderLoad;
+use crate::commands::appearance::eye::{Acuity, Eye, scattered, still};
+use crate::error::EvalError;
+
+/// Between panoramas of the building, in metres.
+const SPACING_M: f64 = 0.4;
+
+/// From question to question for the graph.
+const ASKING: Duration = Duration::from_secs(1);
+
+/// What is streamed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PanoramasOptions {
+    /// Panoramas, 1024 columns wide.
+    pub panoramas: usize,
+    /// Panoramas a second.
+    pub rate_hz: f64,
+    /// Of building and poses.
+    pub seed: u64,
+}
+
+/// How long a robot waited for its answers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PanoramasReport {
+    /// Name of the scenario.
+    pub scenario: &'static str,
+    /// Panoramas that each map was sent.
+    pub panoramas: usize,
+    /// See [`PanoramasOptions::rate_hz`].
+    pub rate_hz: f64,
+    /// From sending to the answer, where the map has no graph.
+    pub without_graph: LatencyReport,
+    /// The same where a graph grows beside the stream.
+    pub with_graph: LatencyReport,
+    /// The same where somebody asks for it every second.
+    pub with_graph_asked_for: LatencyReport,
+    /// From the last answer until the graph had it all, in seconds.
+    pub graph_behind_s: f64,
+    /// Its places and links.
+    pub places: usize,
+    /// See `places`.
+    pub links: usize,
+    /// Until a server that was started anew gave the graph, in seconds: the map was opened and the graph built.
+    pub rebuilt_s: f64,
+    /// Until it gave it again.
+    pub given_again_s: f64,
+}
+
+pub(super) async fn run(
+    server: &ServerOptions,
+    options: &PanoramasOptions,
+) -> Result<PanoramasReport, EvalError> {
+    let (images, camera) = images(options)?;
+    let options_of_server = server;
+    let server = ServerUnderLoad::start(server).await?;
+    let client = Client::connect(&server.endpoint()).await?;
+    let model = client.models().await?.pop().ok_or(EvalError::Protocol("the model is gone"))?.name;
+    for (map, strategy) in [
+        ("without", v1::map_settings::NavigationStrategy::TopoMetric),
+        ("with", v1::map_settings::NavigationStrategy::Appearance),
+        ("asked", v1::map_settings::NavigationStrategy::Appearance),
+    ] {
+        let settings = v1::MapSettings { navigation_strategy: strategy.into(), ..v1::MapSettings::default() };
+        let (map_id, model) = (map.to_owned(), model.clone());
+        client.create_map(v1::CreateMapRequest { map_id, model, settings: Some(settings) }).await?;
+    }
+    let drive = |map| stream(&client, map, (&images, &camera), options.rate_hz);
+    let without_graph = drive("without").await?;
+    let with_graph = drive("with").await?;
+    let began = Instant::now();
+    let graph = client.appearance_graph("with").await?;
+    let graph_behind_s = began.elapsed().as_secs_f64();
+    let with_graph_asked_for = tokio::select! {
+        latencies = drive("asked") => latencies?,
+        error = ask(&client, "asked") => return Err(error),
+    };
+    drop(client);
+    let server = server.restart(options_of_server).await?;
+    let client = Client::connect(&server.endpoint()).await?;
+    let [rebuilt_s, given_again_s] = [time(&client, &graph).await?, time(&client, &graph).await?];
+    server.stop().await?;
+    Ok(PanoramasReport {
+        scenario: "panoramas",
+        panoramas: images.len(),
+        rate_hz: options.rate_hz,
+        without_graph,
+        with_graph,
+        with_graph_asked_for,
+        graph_behind_s,
+        places: graph.nodes.len(),
+        links: graph.links.len(),
+        rebuilt_s,
+        given_again_s,
+    })
+}
+
+/// Panoramas all over the large office, and the camera that took them.
+fn images(options: &PanoramasOptions) -> Result<(Vec<Vec<u8>>, v1::Camera), EvalError> {
+    let PanoramasOptions { panoramas, rate_hz: _, seed } = options;
+    let acuity = Acuity::FINE;
+    let eye = Eye::new(acuity)?;
+    let plan = NamedWorld::Office.plan(*seed);
+    let poses = scattered(&plan, SPACING_M, *seed);
+    let scene = Scene::new(plan);
+    let shots: Vec<_> = (0..).zip(poses).take(*panoramas).map(|(number, pose)| still(pose, number)).collect();
+    let jpeg = |shot| Ok(scene.render(&eye.rig, shot).to_jpeg()?);
+    let images: Result<Vec<Vec<u8>>, EvalError> = shots.par_iter().map(jpeg).collect();
+    let (image_width_px, image_height_px) = acuity.size_px;
+    let half = std::f64::consts::PI * f64::from(image_height_px) / f64::from(image_width_px);
+    let projection = v1::panorama::Projection::Cylindrical.into();
+    let panorama = v1::Panorama { projection, vertical_rad: 2.0 * half.atan() };
+    let model = Some(v1::camera::Model::Panorama(panorama));
+    Ok((images?, v1::Camera { model, image_width_px, image_height_px, base_to_camera: None }))
+}
+
+/// Streams at a rate, and waits for all answers; how long each took.
+async fn stream(
+    client: &Client,
+    map: &str,
+    (images, camera): (&[Vec<u8>], &v1::Camera),
+    rate_hz: f64,
+) -> Result<LatencyReport, EvalError> {
+    let options = SessionOptions { camera: Some(camera.clone()), ..SessionOptions::new(map) };
+    let (mut sender, mut outcomes) = client.open_session(options).await?.split();
+    let (sent, mut sendings) = mpsc::unbounded_channel();
+    let sending = async move {
+        let mut pace = interval(Duration::from_secs_f64(1.0 / rate_hz));
+        pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        for (sequence, image) in (1..).zip(images) {
+            pace.tick().await;
+            // Whoever receives it is there for as long as this one.
+            let _ = sent.send((sequence, Instant::now()));
+            let (stamp_ns, content) = (1_000_000_000 * sequence as i64, FrameContent::Image(image.clone()));
+            sender.send(FrameInput { sequence, stamp_ns, content, odometry: None }).await?;
+        }
+        Ok::<(), EvalError>(())
+    };
+    let receiving = async move {
+        let (mut under_way, mut latencies) = (BTreeMap::new(), Vec::new());
+        while let Some(outcome) = outcomes.next().await? {
+            while let Ok((sequence, at)) = sendings.try_recv() {
+                under_way.insert(sequence, at);
+            }
+            match outcome {
+                FrameOutcome::Answer(answer) => {
+                    let at: Option<Instant> = under_way.remove(&answer.sequence);
+                    latencies.extend(at.map(|at| at.elapsed()));
+                }
+                FrameOutcome::Refusal(_) => return Err(EvalError::Protocol("a panorama was refused")),
+            }
+        }
+        Ok(latencies)
+    };
+    let (sent, latencies) = tokio::join!(sending, receiving);
+    let latencies = latencies?;
+    sent?;
+    Ok(LatencyReport::of(latencies))
+}
+
+/// Asks for the graph for as long as it is answered.
+async fn ask(client: &Client, map: &str) -> EvalError {
+    let mut asking = interval(ASKING);
+    asking.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        asking.tick().await;
+        if let Err(error) = client.appearance_graph(map).await {
+            return error.into();
+        }
+    }
+}
+
+/// Seconds until the graph is given, as it was before.
+async fn time(client: &Client, before: &v1::AppearanceGraph) -> Result<f64, EvalError> {
+    let began = Instant::now();
+    let graph = client.appearance_graph("with").await?;
+    let seconds = began.elapsed().as_secs_f64();
+    if graph == *before {
+        Ok(seconds)
+    } else {
+        Err(EvalError::Protocol("the graph is another one when built anew"))
+    }
+}
+
+impl PanoramasReport {
+    pub(super) fn table(&self) -> String {
+        let Self { scenario: _, panoramas, rate_hz, without_graph, with_graph, with_graph_asked_for, .. } =
+            self;
+        let Self { graph_behind_s, places, links, rebuilt_s, given_again_s, .. } = self;
+        format!(
+            "{panoramas} panoramas at {rate_hz} Hz into each map; from sending to the answer\n  \
+             without a graph             {}\n  beside a graph              {}\n  … that is asked for each s  {}\n\
+             graph of {places} places and {links} links: {graph_behind_s:.2} s behind the last answer, {rebuilt_s:.2} s after a \
+             start, {given_again_s:.2} s when it is there\n",
+            without_graph.text(),
+            with_graph.text(),
+            with_graph_asked_for.text(),
+        )
+    }
+}
