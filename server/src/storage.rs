@@ -1,5 +1,6 @@
 //! Models, maps and logs in one SQLite file. All SQL of the project is in this module.
 
+mod appearance;
 mod checkpoints;
 mod frames;
 mod inspection;
@@ -15,6 +16,7 @@ mod retelling;
 mod snapshots;
 mod tokens;
 
+pub(crate) use appearance::{KeptLinks, LinkRow};
 pub(crate) use checkpoints::{CheckpointView, StoredBlock};
 pub(crate) use frames::{FrameRow, SessionSummary};
 pub(crate) use inspection::{Inspection, inspect};

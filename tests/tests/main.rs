@@ -3,6 +3,7 @@
 
 mod harness;
 
+mod appearance_links;
 mod appearance_navigation;
 mod appearance_ways;
 mod bad_frames;

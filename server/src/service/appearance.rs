@@ -1,6 +1,7 @@
 //! Maps without metres: which places can be matched from which, the spaces that they form, and what people call them.
 
 mod graph;
+mod growth;
 mod labels;
 
 use std::sync::Arc;
@@ -8,8 +9,9 @@ use std::sync::Arc;
 use fabmap::appearance::PlaceId;
 use tokio::runtime::Handle;
 
-use self::graph::Ground;
-pub(crate) use self::graph::{Graph, GrowingGraph, Shown};
+pub(crate) use self::graph::{Graph, Shown};
+use self::growth::Ground;
+pub(crate) use self::growth::GrowingGraph;
 pub(crate) use self::labels::LabelReach;
 pub(super) use self::labels::check_label;
 use super::Service;
@@ -17,7 +19,7 @@ use super::map_settings::{self, NavigationStrategy};
 use super::map_writer::MapHandle;
 use super::names::{map_in, map_name};
 use crate::error::ServiceError;
-use crate::storage::MapRow;
+use crate::storage::{MapEdition, MapRow};
 
 /// The graph of a map, for people.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,20 +80,20 @@ impl Service {
             )));
         }
         let map = self.open_map_of(row).await?;
-        map.appearance().up_to_date(self.ground(row).await?).await
+        map.appearance().up_to_date(self.ground(map.edition(), row).await?).await
     }
 
     /// Has the graph of an open map take in what came lately.
     pub(super) fn grow_graph(self: &Arc<Self>, map: &MapHandle, name: &str) {
         let Some(growing) = map.appearance().wanted() else { return };
-        let (service, name, id) = (self.clone(), name.to_owned(), map.id());
+        let (service, name, map) = (self.clone(), name.to_owned(), map.edition());
         self.jobs.track(async move {
             let grown = async {
                 let row = service.map_row(&name).await?;
-                if row.id != id {
+                if row.edition() != map {
                     return Ok(());
                 }
-                growing.grow(service.ground(&row).await?).await
+                growing.grow(service.ground(map, &row).await?).await
             };
             match grown.await {
                 Ok(()) => {}
@@ -102,11 +104,11 @@ impl Service {
         });
     }
 
-    async fn ground(&self, row: &MapRow) -> Result<Ground, ServiceError> {
+    async fn ground(&self, map: MapEdition, row: &MapRow) -> Result<Ground, ServiceError> {
         Ok(Ground {
             storage: self.storage.clone(),
             runtime: Handle::current(),
-            map: row.id,
+            map,
             model: self.loaded_model(&row.model).await?,
             stopping: self.stopping.clone(),
         })

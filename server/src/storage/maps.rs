@@ -1,5 +1,5 @@
-use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, Sqlite, Transaction};
 use topomap::event::{MapEvent, SessionId};
 
 use super::{Storage, StorageError, from_sql, to_sql};
@@ -219,4 +219,17 @@ pub(super) fn map(row: &SqliteRow) -> Result<MapRow, StorageError> {
         created_ns: row.try_get("created_ns")?,
         edition: from_sql(row.try_get("edition")?)?,
     })
+}
+
+/// [`StorageError::Retold`] if the log was told anew since, or the map deleted.
+pub(super) async fn check_edition(
+    transaction: &mut Transaction<'_, Sqlite>,
+    MapEdition { map, edition }: MapEdition,
+) -> Result<(), StorageError> {
+    let row = sqlx::query("SELECT 1 FROM maps WHERE id = ? AND edition = ? AND state = 'live'")
+        .bind(map)
+        .bind(to_sql(edition))
+        .fetch_optional(&mut **transaction)
+        .await?;
+    if row.is_some() { Ok(()) } else { Err(StorageError::Retold) }
 }

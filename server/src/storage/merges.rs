@@ -9,6 +9,7 @@ use topomap::event::{MapEvent, SessionId};
 
 use super::jobs::end_job;
 use super::log::insert_event;
+use super::maps::check_edition;
 use super::{JobEnd, MapEdition, MapId, MapRow, Storage, StorageError, StoredSession, from_sql, to_sql};
 
 /// A merge as the table has it.
@@ -419,18 +420,6 @@ pub(super) async fn set_outcome(
         .execute(&mut **transaction)
         .await?;
     if done.rows_affected() == 1 { Ok(()) } else { Err(StorageError::JobEnded) }
-}
-
-async fn check_edition(
-    transaction: &mut Transaction<'_, Sqlite>,
-    MapEdition { map, edition }: MapEdition,
-) -> Result<(), StorageError> {
-    let row = sqlx::query("SELECT 1 FROM maps WHERE id = ? AND edition = ? AND state = 'live'")
-        .bind(map)
-        .bind(to_sql(edition))
-        .fetch_optional(&mut **transaction)
-        .await?;
-    if row.is_some() { Ok(()) } else { Err(StorageError::Retold) }
 }
 
 async fn insert_sessions_and_labels(

@@ -8,12 +8,14 @@ use super::{MapId, Storage, StorageError};
 
 /// What belongs to a map beside its checkpoint, by table: the key within the map, and how many rows are deleted at a time.
 /// Images are large.
-const TABLES: [(&str, &str, u32); 6] = [
+const TABLES: [(&str, &str, u32); 8] = [
     ("frame_media", "position", 32),
     ("log", "position", 500),
     ("checkpoints", "events", 1),
     ("map_models", "until_events", 500),
     ("labels", "place", 500),
+    ("appearance_links", "place", 500),
+    ("appearance_graphs", "next_place", 1),
     ("sessions", "number", 500),
 ];
 

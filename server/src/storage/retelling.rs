@@ -7,6 +7,7 @@ use sqlx::{Row, Sqlite, Transaction};
 use topomap::event::{FrameId, MapEvent, SessionId};
 use topomap::retelling::Retold;
 
+use super::appearance::forget_links;
 use super::checkpoints::CHECKPOINT_PIECES;
 use super::jobs::end_job;
 use super::log::insert_event;
@@ -60,7 +61,7 @@ impl RetoldLog {
 
 impl Storage {
     /// Replaces the end of a map's log, with its media and sessions, and ends a job and the merge that it undoes, if
-    /// there are such: all or nothing. The checkpoint goes. [`StorageError::Retold`] if the log was told anew or the map
+    /// there are such: all or nothing. The checkpoint goes, and what panoramas were found to have in common. [`StorageError::Retold`] if the log was told anew or the map
     /// deleted since it was read.
     pub(crate) async fn retell(
         &self,
@@ -140,6 +141,7 @@ impl Storage {
                     .execute(&mut **transaction)
                     .await?;
             }
+            forget_links(transaction, *map).await?;
             if let Some(undone) = undone {
                 set_outcome(transaction, undone, MergeState::Committed).await?;
             }
