@@ -64,7 +64,7 @@ pub enum Checks<'a> {
     All,
     /// With those that are likely to be similar, by what its features vote for each image
     /// ([`candidates::CandidateIndex::votes`]) and by the links that it has been found to have so far: the likeliest first,
-    /// down to one in 300.
+    /// down to six in a thousand.
     Promising(&'a [f64]),
 }
 

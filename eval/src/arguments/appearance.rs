@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use waypost_eval::commands::appearance::eye::Acuity;
 use waypost_eval::commands::appearance::{self, AppearanceOptions, Part};
 use waypost_eval::error::EvalError;
 
@@ -28,6 +29,12 @@ pub(crate) struct AppearanceArguments {
     /// more.
     #[arg(long, value_name = "N", default_value_t = 600, value_parser = clap::value_parser!(u16).range(1..))]
     reference: u16,
+    /// How fine the panoramas of that graph are: 512x128 with 300 features, or 1024x256 with 500.
+    #[arg(long, value_name = "ACUITY", default_value = "coarse", value_parser = acuity())]
+    acuity: Acuity,
+    /// Model with the words of the index [default: 3,000 words of three other buildings].
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
     /// What to measure [default: all that needs no --data, and with it the compass, too].
     #[arg(long, value_name = "PART", num_args = 1.., value_parser = parts())]
     parts: Option<Vec<Part>>,
@@ -44,7 +51,7 @@ pub(crate) struct AppearanceArguments {
 
 impl AppearanceArguments {
     pub(crate) fn run(self) -> Result<(), EvalError> {
-        let Self { trials, seed, people, panoramas, reference, parts, data, out, json } = self;
+        let Self { trials, seed, people, panoramas, reference, acuity, model, parts, data, out, json } = self;
         if data.is_none() && parts.as_ref().is_some_and(|parts| parts.contains(&Part::Compass)) {
             refuse(
                 "the compass is measured on recorded panoramas; give their folder with --data, or leave out compass",
@@ -52,9 +59,16 @@ impl AppearanceArguments {
         }
         let parts = parts.unwrap_or_else(|| Part::ALL.to_vec());
         let (people, panoramas, reference) = (people.into(), panoramas.into(), reference.into());
-        let options = AppearanceOptions { trials, seed, people, panoramas, reference, parts, data, out };
+        let options =
+            AppearanceOptions { trials, seed, people, panoramas, reference, acuity, model, parts, data, out };
         print_if(json, &appearance::run(&options)?)
     }
+}
+
+fn acuity() -> impl TypedValueParser<Value = Acuity> {
+    let named = |name: &str| Acuity::NAMED.iter().find(|(known, _)| *known == name);
+    PossibleValuesParser::new(Acuity::NAMED.map(|(name, _)| name))
+        .try_map(move |name| named(&name).map(|(_, acuity)| *acuity).ok_or("not one of them"))
 }
 
 fn parts() -> impl TypedValueParser<Value = Part> {

@@ -52,6 +52,10 @@ pub struct AppearanceOptions {
     pub panoramas: usize,
     /// Panoramas that are compared with all others, to see which links the index does not lead to.
     pub reference: usize,
+    /// How fine those panoramas are.
+    pub acuity: Acuity,
+    /// File with the words of the index; without it they are learnt of panoramas of other buildings.
+    pub model: Option<PathBuf>,
     /// What is measured.
     pub parts: Vec<Part>,
     /// Folder of the recorded panoramas; without it there is no compass to measure.
@@ -201,8 +205,10 @@ pub fn run(options: &AppearanceOptions) -> Result<AppearanceReport, EvalError> {
     let drives = is_asked(Part::Drives).then(|| drive(&coarse, options)).transpose()?.unwrap_or_default();
     let index = is_asked(Part::Index)
         .then(|| {
-            let &AppearanceOptions { panoramas, reference, seed, .. } = options;
-            index::measure(&coarse, &IndexOptions { panoramas, reference, seed })
+            let AppearanceOptions { panoramas, reference, seed, acuity, model, .. } = options;
+            let (panoramas, reference, seed) = (*panoramas, *reference, *seed);
+            let index = IndexOptions { panoramas, reference, seed, model: model.as_deref() };
+            index::measure(&Eye::new(*acuity)?, &index)
         })
         .transpose()?;
     let look_alikes =

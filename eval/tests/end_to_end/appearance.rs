@@ -43,6 +43,18 @@ fn the_index_leads_to_nearly_all_links_whatever_the_threads() {
 }
 
 #[test]
+fn the_index_does_with_words_that_were_learnt_elsewhere() {
+    let model = concat!(env!("CARGO_MANIFEST_DIR"), "/../demo/model.waypost");
+    let arguments = ["appearance", "--json", "--parts", "index", "--panoramas", "120", "--seed", "7"];
+    let foreign = ["--acuity", "fine", "--reference", "40", "--model"];
+    let report = waypost_eval(&[&arguments[..], &foreign, &[model]].concat()).json();
+    let (lost, ratio) = (&report["links_lost_fraction"], &report["pair_check_ratio"]);
+    assert!(lost.as_f64().unwrap() < 0.03 && ratio.as_f64().unwrap() > 10.0, "{report}");
+    let missing = [&arguments[..], &["--model", "nowhere.waypost"]].concat();
+    assert!(waypost_eval(&missing).refusal(1).contains("nowhere.waypost cannot be read"));
+}
+
+#[test]
 fn what_cannot_be_measured_is_refused() {
     let numbers = [["--trials", "0"], ["--people", "9"], ["--panoramas", "1"], ["--reference", "0"]];
     let no_recordings = [["--parts", "compass"], ["--parts", "everything"]];

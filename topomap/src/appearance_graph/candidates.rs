@@ -55,8 +55,10 @@ const BLOCK_IMAGES: usize = 256;
 /// tolerance of a matched ray.
 const HORIZON_SLOPE: u16 = 30;
 
-/// Share of a signature's bits at whose square a vote falls by e. From 0.19 to 0.25 it makes little difference.
-const BITS_SHARE: f64 = 0.22;
+/// Share of a signature's bits at whose square a vote falls by e. The larger it is, the more do features count that merely
+/// share a word: those of a vocabulary that was learnt elsewhere, whose centres are not in the middle of what falls to them,
+/// differ in fewer than half of the bits.
+const BITS_SHARE: f64 = 0.16;
 
 /// A whole vote. Votes are integers, so that it does not matter in which order they are counted.
 const WHOLE_VOTE: f64 = 65_536.0;

@@ -36,6 +36,9 @@ impl Acuity {
     pub const FINE: Self = Self { size_px: (1024, 256), features: 500 };
     /// As one drives a hundred times.
     pub const COARSE: Self = Self { size_px: (512, 128), features: 300 };
+
+    /// What the command line calls them.
+    pub const NAMED: [(&'static str, Self); 2] = [("coarse", Self::COARSE), ("fine", Self::FINE)];
 }
 
 /// Metres between a robot's middle and walls or furniture where images of a map are taken.

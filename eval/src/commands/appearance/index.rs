@@ -1,6 +1,7 @@
 //! A graph through the index against one of all pairs.
 
 use std::ops::ControlFlow;
+use std::path::Path;
 
 use fabmap::descriptor::{DescriptorKind, Descriptors};
 use fabmap::signature::Signatures;
@@ -19,6 +20,7 @@ use super::AppearanceError;
 use super::eye::{Eye, scattered};
 use crate::commands::map::training::FIRST_TRAINING_SEED;
 use crate::error::EvalError;
+use crate::files;
 use crate::memory;
 use crate::timing::thread_seconds;
 
@@ -36,13 +38,15 @@ const FAR_M: f64 = 6.0;
 
 /// How large a graph is made, and how much of it is looked over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct IndexOptions {
+pub struct IndexOptions<'a> {
     /// Panoramas, of as many buildings as have room for them.
     pub panoramas: usize,
     /// Panoramas that are compared with all others, to see which links are lost: evenly spread, all if there are no more.
     pub reference: usize,
     /// Of the first building; the others have the next ones.
     pub seed: u64,
+    /// File with the words; without it they are learnt of panoramas of other buildings.
+    pub model: Option<&'a Path>,
 }
 
 /// What the index saves, and what it costs.
@@ -132,9 +136,12 @@ impl Panorama for Coming<'_> {
 /// Builds the graph of panoramas of the large office through the index, and looks which links it lacks.
 ///
 /// # Errors
-/// [`EvalError`] if no words can be learnt.
-pub fn measure(eye: &Eye, options: &IndexOptions) -> Result<IndexFigures, EvalError> {
-    let vocabulary = train(eye)?;
+/// [`EvalError`] if there are no words for the panoramas.
+pub fn measure(eye: &Eye, options: &IndexOptions<'_>) -> Result<IndexFigures, EvalError> {
+    let vocabulary = match options.model {
+        Some(path) => files::read_model(path)?.0.vocabulary().clone(),
+        None => train(eye)?,
+    };
     let seen = see(eye, options)?;
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     let built = one_thread.install(|| through_index(eye, &vocabulary, &seen.views))?;
@@ -170,7 +177,7 @@ pub fn measure(eye: &Eye, options: &IndexOptions) -> Result<IndexFigures, EvalEr
 }
 
 /// Panoramas of building after building.
-fn see(eye: &Eye, options: &IndexOptions) -> Result<Seen, AppearanceError> {
+fn see(eye: &Eye, options: &IndexOptions<'_>) -> Result<Seen, AppearanceError> {
     let mut seen = Seen { views: Vec::new(), poses: Vec::new() };
     for seed in options.seed.. {
         let plan = NamedWorld::Office.plan(seed);

@@ -47,7 +47,7 @@ fn plain_votes(features: &[IndexedFeature], earlier: &[IndexedFeature]) -> f64 {
         });
         let votes = alike.map(|other| {
             let bits = f64::from(feature.signature.differing_bits(other.signature));
-            (-(bits / 128.0 / 0.22).powi(2)).exp()
+            (-(bits / 128.0 / 0.16).powi(2)).exp()
         });
         votes.fold(0.0, f64::max)
     };
