@@ -1,7 +1,9 @@
 //! A camera that sees all around, as far as its images tell.
 
 use std::f64::consts::PI;
+use std::path::Path;
 
+use serde::Deserialize;
 use waypost_client::v1;
 
 use crate::failure::Failure;
@@ -16,15 +18,48 @@ pub(crate) enum Projection {
     Equirectangular,
 }
 
-/// The camera of images like `first`.
+/// What a file tells of a camera that looks up into a hyperbolic mirror: `waypost.v1.HyperbolicMirror`.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Mirror {
+    center_x_px: f64,
+    center_y_px: f64,
+    inner_radius_px: f64,
+    outer_radius_px: f64,
+    eccentricity: f64,
+    horizon_radius_px: f64,
+    #[serde(default)]
+    ahead_rad: f64,
+}
+
+/// The camera of panoramas like `first`.
 pub(crate) fn camera(projection: Projection, first: &ImageFile) -> Result<v1::Camera, Failure> {
-    let size = image::image_dimensions(&first.path).map_err(|error| {
+    Ok(camera_of(projection, size_px(first)?))
+}
+
+/// The camera of images like `first` that a file of JSON describes.
+pub(crate) fn mirror_camera(file: &Path, first: &ImageFile) -> Result<v1::Camera, Failure> {
+    let name = file.display();
+    let text = std::fs::read_to_string(file).map_err(|error| {
+        Failure::Unfit(format!("{name} cannot be read: {error}; check the path and its permissions"))
+    })?;
+    let mirror = serde_json::from_str(&text).map_err(|error| {
+        Failure::Unfit(format!(
+            "{name} describes no mirror: {error}; write a JSON object with the numbers center_x_px, center_y_px, \
+             inner_radius_px, outer_radius_px, eccentricity and horizon_radius_px, and with ahead_rad if the robot's front \
+             is not to the right in the images"
+        ))
+    })?;
+    Ok(camera_of_mirror(mirror, size_px(first)?))
+}
+
+fn size_px(first: &ImageFile) -> Result<(u32, u32), Failure> {
+    image::image_dimensions(&first.path).map_err(|error| {
         Failure::Unfit(format!(
             "{} is no image that can be read: {error}; send JPEG or PNG",
             first.path.display()
         ))
-    })?;
-    Ok(camera_of(projection, size))
+    })
 }
 
 fn camera_of(projection: Projection, (image_width_px, image_height_px): (u32, u32)) -> v1::Camera {
@@ -36,6 +71,29 @@ fn camera_of(projection: Projection, (image_width_px, image_height_px): (u32, u3
     };
     let panorama = v1::Panorama { projection: projection.into(), vertical_rad };
     let model = Some(v1::camera::Model::Panorama(panorama));
+    v1::Camera { model, image_width_px, image_height_px, base_to_camera: None }
+}
+
+fn camera_of_mirror(mirror: Mirror, (image_width_px, image_height_px): (u32, u32)) -> v1::Camera {
+    let Mirror {
+        center_x_px,
+        center_y_px,
+        inner_radius_px,
+        outer_radius_px,
+        eccentricity,
+        horizon_radius_px,
+        ahead_rad,
+    } = mirror;
+    let mirror = v1::HyperbolicMirror {
+        center_x_px,
+        center_y_px,
+        inner_radius_px,
+        outer_radius_px,
+        eccentricity,
+        horizon_radius_px,
+        ahead_rad,
+    };
+    let model = Some(v1::camera::Model::HyperbolicMirror(mirror));
     v1::Camera { model, image_width_px, image_height_px, base_to_camera: None }
 }
 

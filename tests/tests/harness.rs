@@ -19,7 +19,7 @@ pub(crate) use command_line::{CommandLine, folder, json_object, path};
 pub(crate) use driving::{Building, Drive, camera_ahead, exported, frame_input, odometry, planar};
 pub(crate) use evo::evo_rmse_m;
 pub(crate) use models::{model_of_other_words, recalibrated_model, take_model};
-pub(crate) use panoramas::{Panoramas, TaughtPlace, by_looks_request, taught_at, taught_hall};
+pub(crate) use panoramas::{PANORAMA_PX, Panoramas, TaughtPlace, by_looks_request, taught_at, taught_hall};
 pub(crate) use process::{Built, ServerProcess, run_to_its_end};
 pub(crate) use proxy::Proxy;
 pub(crate) use reference::{BY_WORDS_THRESHOLD, Reference, reference, reference_by_words};

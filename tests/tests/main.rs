@@ -4,6 +4,7 @@
 mod harness;
 
 mod appearance_links;
+mod appearance_mirror;
 mod appearance_navigation;
 mod appearance_ways;
 mod bad_frames;

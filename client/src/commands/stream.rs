@@ -12,7 +12,7 @@ use crate::failure::{EXIT_CODES, Failure};
 use crate::images::{ImageFile, images_of};
 use crate::odometry;
 use crate::output::Output;
-use crate::panorama::{Projection, camera};
+use crate::panorama::{Projection, camera, mirror_camera};
 use crate::progress;
 use crate::replay::{Replay, Sent, Stamps};
 use crate::robot_words::{ContentMaker, WordForm};
@@ -59,6 +59,11 @@ pub(crate) struct Arguments {
     /// strategy appearance take no others
     #[arg(long, value_enum, value_name = "PROJECTION", conflicts_with = "words")]
     panorama: Option<Projection>,
+    /// The images are of a camera that looks up into a hyperbolic mirror: a JSON file with center_x_px, center_y_px,
+    /// inner_radius_px, outer_radius_px, eccentricity, horizon_radius_px and, where the robot's front is not to the right,
+    /// ahead_rad
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["words", "panorama"])]
+    mirror: Option<PathBuf>,
     /// Only look where the robot is: the map stays as it is
     #[arg(long)]
     localize: bool,
@@ -87,12 +92,13 @@ struct Summary {
 }
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
-    let Arguments { dir, map, session, odometry, rate, words, panorama, localize, csv } = arguments;
+    let Arguments { dir, map, session, odometry, rate, words, panorama, mirror, localize, csv } = arguments;
     let images = images_of(&dir)?;
     let stamps = stamps(&images, odometry.as_deref(), rate)?;
-    let camera = match (panorama, images.first()) {
-        (Some(projection), Some(first)) => Some(camera(projection, first)?),
-        (_, _) => None,
+    let camera = match (panorama, mirror, images.first()) {
+        (Some(projection), _, Some(first)) => Some(camera(projection, first)?),
+        (None, Some(file), Some(first)) => Some(mirror_camera(&file, first)?),
+        (_, _, _) => None,
     };
     let mut table = csv.as_deref().map(Table::create).transpose()?;
 

@@ -201,7 +201,7 @@ impl Service {
         if strategy == NavigationStrategy::Appearance && optics.is_none() {
             return Err(ServiceError::precondition(format_args!(
                 "the map {map} is navigated by appearance, which takes panoramas: declare a camera that is a panorama \
-                 (waypost stream --panorama), or a hyperbolic mirror with the radius of its horizon"
+                 (waypost stream --panorama), or a hyperbolic mirror with the radius of its horizon (--mirror)"
             )));
         }
         let open = self.open_map_of(&row).await?;
