@@ -56,12 +56,12 @@ pub(crate) struct Arguments {
     )]
     words: Option<WordForm>,
     /// The images are panoramas that go all the way round, with the robot's front in the middle; maps with the navigation
-    /// strategy appearance take no others
+    /// strategy appearance take these, or those of a --mirror
     #[arg(long, value_enum, value_name = "PROJECTION", conflicts_with = "words")]
     panorama: Option<Projection>,
     /// The images are of a camera that looks up into a hyperbolic mirror: a JSON file with center_x_px, center_y_px,
-    /// inner_radius_px, outer_radius_px, eccentricity, horizon_radius_px and, where the robot's front is not to the right,
-    /// ahead_rad
+    /// inner_radius_px, outer_radius_px, eccentricity (above 1), horizon_radius_px and, where the robot's front is not to
+    /// the right, ahead_rad (counter-clockwise from there)
     #[arg(long, value_name = "FILE", conflicts_with_all = ["words", "panorama"])]
     mirror: Option<PathBuf>,
     /// Only look where the robot is: the map stays as it is
