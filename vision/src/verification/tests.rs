@@ -5,6 +5,8 @@ use std::f64::consts::TAU;
 use fabmap::descriptor::{DescriptorKind, Descriptors};
 use nalgebra::{Isometry3, Matrix3, SMatrix, UnitQuaternion, Vector3};
 use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
 use rand::RngExt;
 use topomap::verification::Similarity;
 
@@ -142,6 +144,28 @@ fn motions_in_space() -> impl Strategy<Value = Isometry3<f64>> {
         })
 }
 
+/// Of a few motions another one, near by, explains nearly as much, so this is about how many are found.
+#[test]
+fn motions_in_space_are_found_with_known_intrinsics() {
+    const MOTIONS: usize = 2000;
+    let method = VerificationMethod::Epipolar;
+    let verifier = Verifier::new(VerificationSettings { method, ..VerificationSettings::default() }, SEED);
+    let strategy = (motions_in_space(), 0..30usize, any::<u32>());
+    let mut runner = TestRunner::deterministic();
+    let mut missed = 0;
+    for _ in 0..MOTIONS {
+        let (motion, others, seed) = strategy.new_tree(&mut runner).unwrap().current();
+        let (earlier, current) = in_space(&motion, (90, others), 0.5, u64::from(seed));
+        let view = |features| View { features, camera: Some(CAMERA) };
+        let found = verifier.compare(view(&earlier), view(&current));
+        let Some(Motion::Essential { rotation, direction }) = found.motion else { panic!("{found:?}") };
+        let turned = rotation.angle_to(&motion.rotation);
+        let aside = direction.dot(&motion.translation.vector.normalize()).clamp(-1.0, 1.0).acos();
+        missed += usize::from(found.inliers < 80 || turned >= 0.05 || aside >= 0.3);
+    }
+    assert!(missed * 200 <= MOTIONS, "{missed} of {MOTIONS} are not found");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
@@ -206,20 +230,6 @@ proptest! {
         let view = compare(VerificationMethod::Similarity, &earlier, &current);
         prop_assert!(view.inliers < VerificationSettings::default().min_inliers, "{view:?}");
         prop_assert!((view.matches as usize) < count / 2 + 10, "keypoints that turn at random are left out");
-    }
-
-    #[test]
-    fn a_motion_in_space_is_found_with_known_intrinsics(motion in motions_in_space(), others in 0..30usize, seed in any::<u32>()) {
-        let (earlier, current) = in_space(&motion, (90, others), 0.5, u64::from(seed));
-        let settings = VerificationSettings { method: VerificationMethod::Epipolar, ..VerificationSettings::default() };
-        let view = |features| View { features, camera: Some(CAMERA) };
-        let found = Verifier::new(settings, SEED).compare(view(&earlier), view(&current));
-        let Some(Motion::Essential { rotation, direction }) = found.motion else { panic!("{found:?}") };
-        // Of a short step and a turn a neighbour of theirs explains nearly as much: once in thousands it is found instead.
-        prop_assert!(found.inliers >= 72, "{found:?}");
-        let turned = rotation.angle_to(&motion.rotation);
-        let aside = direction.dot(&motion.translation.vector.normalize()).clamp(-1.0, 1.0).acos();
-        prop_assert!(turned < 0.05 && aside < 0.4, "rotation off by {turned}, direction by {aside}");
     }
 
     /// A camera that stands still, or only turns, leaves open where it went: no reason to see another scene.
