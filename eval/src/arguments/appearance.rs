@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use waypost_eval::commands::appearance::eye::Acuity;
+use waypost_eval::commands::appearance::index::WordSource;
 use waypost_eval::commands::appearance::{self, AppearanceOptions, Part};
 use waypost_eval::error::EvalError;
 
@@ -32,9 +33,12 @@ pub(crate) struct AppearanceArguments {
     /// How fine the panoramas of that graph are: 512x128 with 300 features, or 1024x256 with 500.
     #[arg(long, value_name = "ACUITY", default_value = "coarse", value_parser = acuity())]
     acuity: Acuity,
-    /// Model with the words of the index [default: 3,000 words of three other buildings].
-    #[arg(long, value_name = "FILE")]
+    /// Model with the words of the index [default: they are learnt of panoramas of three other buildings].
+    #[arg(long, value_name = "FILE", conflicts_with = "words")]
     model: Option<PathBuf>,
+    /// How many words are learnt.
+    #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(2..=20_000))]
+    words: u32,
     /// What to measure [default: all that needs no --data, and with it the compass, too].
     #[arg(long, value_name = "PART", num_args = 1.., value_parser = parts())]
     parts: Option<Vec<Part>>,
@@ -51,7 +55,8 @@ pub(crate) struct AppearanceArguments {
 
 impl AppearanceArguments {
     pub(crate) fn run(self) -> Result<(), EvalError> {
-        let Self { trials, seed, people, panoramas, reference, acuity, model, parts, data, out, json } = self;
+        let Self { trials, seed, people, panoramas, reference, acuity, model, words, parts, data, out, json } =
+            self;
         if data.is_none() && parts.as_ref().is_some_and(|parts| parts.contains(&Part::Compass)) {
             refuse(
                 "the compass is measured on recorded panoramas; give their folder with --data, or leave out compass",
@@ -59,8 +64,9 @@ impl AppearanceArguments {
         }
         let parts = parts.unwrap_or_else(|| Part::ALL.to_vec());
         let (people, panoramas, reference) = (people.into(), panoramas.into(), reference.into());
+        let words = model.map_or(WordSource::Panoramas(words), WordSource::Model);
         let options =
-            AppearanceOptions { trials, seed, people, panoramas, reference, acuity, model, parts, data, out };
+            AppearanceOptions { trials, seed, people, panoramas, reference, acuity, words, parts, data, out };
         print_if(json, &appearance::run(&options)?)
     }
 }

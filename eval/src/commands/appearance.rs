@@ -33,7 +33,7 @@ use self::candidates::LookAlikeFigures;
 use self::compass::CompassFigures;
 use self::eye::{Acuity, Eye};
 use self::headings::HeadingFigures;
-use self::index::{IndexFigures, IndexOptions};
+use self::index::{IndexFigures, IndexOptions, WordSource};
 use self::trials::{Drive, DrivenMap};
 
 /// Buildings that headings are measured in.
@@ -54,8 +54,8 @@ pub struct AppearanceOptions {
     pub reference: usize,
     /// How fine those panoramas are.
     pub acuity: Acuity,
-    /// File with the words of the index; without it they are learnt of panoramas of other buildings.
-    pub model: Option<PathBuf>,
+    /// Where the words of the index are from.
+    pub words: WordSource,
     /// What is measured.
     pub parts: Vec<Part>,
     /// Folder of the recorded panoramas; without it there is no compass to measure.
@@ -205,9 +205,9 @@ pub fn run(options: &AppearanceOptions) -> Result<AppearanceReport, EvalError> {
     let drives = is_asked(Part::Drives).then(|| drive(&coarse, options)).transpose()?.unwrap_or_default();
     let index = is_asked(Part::Index)
         .then(|| {
-            let AppearanceOptions { panoramas, reference, seed, acuity, model, .. } = options;
+            let AppearanceOptions { panoramas, reference, seed, acuity, words, .. } = options;
             let (panoramas, reference, seed) = (*panoramas, *reference, *seed);
-            let index = IndexOptions { panoramas, reference, seed, model: model.as_deref() };
+            let index = IndexOptions { panoramas, reference, seed, words };
             index::measure(&Eye::new(*acuity)?, &index)
         })
         .transpose()?;

@@ -56,7 +56,8 @@ fn the_index_does_with_words_that_were_learnt_elsewhere() {
 
 #[test]
 fn what_cannot_be_measured_is_refused() {
-    let numbers = [["--trials", "0"], ["--people", "9"], ["--panoramas", "1"], ["--reference", "0"]];
+    let numbers =
+        [["--trials", "0"], ["--people", "9"], ["--panoramas", "1"], ["--reference", "0"], ["--words", "1"]];
     let no_recordings = [["--parts", "compass"], ["--parts", "everything"]];
     for arguments in numbers.iter().chain(&no_recordings) {
         waypost_eval(&[&["appearance"], &arguments[..]].concat()).refusal(2);

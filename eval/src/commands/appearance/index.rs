@@ -1,7 +1,7 @@
 //! A graph through the index against one of all pairs.
 
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::PathBuf;
 
 use fabmap::descriptor::{DescriptorKind, Descriptors};
 use fabmap::signature::Signatures;
@@ -24,9 +24,6 @@ use crate::files;
 use crate::memory;
 use crate::timing::thread_seconds;
 
-/// Words of the panoramas' vocabulary.
-const WORDS: u32 = 3_000;
-
 /// Buildings that the words are learnt in.
 const TRAINING_BUILDINGS: u64 = 3;
 
@@ -45,8 +42,17 @@ pub struct IndexOptions<'a> {
     pub reference: usize,
     /// Of the first building; the others have the next ones.
     pub seed: u64,
-    /// File with the words; without it they are learnt of panoramas of other buildings.
-    pub model: Option<&'a Path>,
+    /// Where the words are from.
+    pub words: &'a WordSource,
+}
+
+/// Where the words of an index are from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum WordSource {
+    /// The file of a model.
+    Model(PathBuf),
+    /// Panoramas of three other buildings, of which so many are learnt.
+    Panoramas(u32),
 }
 
 /// What the index saves, and what it costs.
@@ -138,9 +144,9 @@ impl Panorama for Coming<'_> {
 /// # Errors
 /// [`EvalError`] if there are no words for the panoramas.
 pub fn measure(eye: &Eye, options: &IndexOptions<'_>) -> Result<IndexFigures, EvalError> {
-    let vocabulary = match options.model {
-        Some(path) => files::read_model(path)?.0.vocabulary().clone(),
-        None => train(eye)?,
+    let vocabulary = match options.words {
+        WordSource::Model(path) => files::read_model(path)?.0.vocabulary().clone(),
+        WordSource::Panoramas(words) => train(eye, *words)?,
     };
     let seen = see(eye, options)?;
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
@@ -260,7 +266,7 @@ fn compared_with_all(eye: &Eye, views: &[PanoramicView], reference: usize) -> (V
 }
 
 /// Words of panoramas, from buildings that nothing is reported of.
-fn train(eye: &Eye) -> Result<Vocabulary, AppearanceError> {
+fn train(eye: &Eye, words: u32) -> Result<Vocabulary, AppearanceError> {
     let mut rows: Vec<u8> = Vec::new();
     let (mut kind, mut width) = (DescriptorKind::Float, 0);
     for seed in FIRST_TRAINING_SEED..FIRST_TRAINING_SEED + TRAINING_BUILDINGS {
@@ -273,6 +279,6 @@ fn train(eye: &Eye) -> Result<Vocabulary, AppearanceError> {
     }
     let descriptors =
         Descriptors::new(kind, width, rows).map_err(fabmap::vocabulary::VocabularyError::from)?;
-    let settings = VocabularySettings { words: WORDS, ..VocabularySettings::default() };
+    let settings = VocabularySettings { words, ..VocabularySettings::default() };
     Ok(Vocabulary::train(&descriptors, &settings, &mut |_| ControlFlow::Continue(()))?)
 }
