@@ -7,7 +7,7 @@ TARGET := $(or $(CARGO_TARGET_DIR),target)/release
 # Where the Python client is tested in, with every version pinned.
 PYTHON := $(abspath $(or $(CARGO_TARGET_DIR),target)/python)
 
-.PHONY: demo test test-python serve build setup check bench
+.PHONY: demo test test-python serve build setup check deny bench
 
 # Drive a real recorded sequence through a real server, and compare the loop closures with the truth.
 demo: build
@@ -27,7 +27,8 @@ serve: build
 	$(TARGET)/waypost-server --data-dir $(DATA_DIR)
 
 build: setup
-	$(CARGO) build --release --locked --workspace --bins --features waypost-client/words,waypost-client/demo
+	$(CARGO) build --release --locked --workspace --bins
+	scripts/split-symbols $(TARGET) waypost-server waypost
 
 setup:
 	scripts/setup
@@ -36,8 +37,13 @@ setup:
 check: setup
 	$(CARGO) fmt --all -- --check
 	$(CARGO) clippy --release --locked --workspace --all-targets -- -D warnings
-	$(CARGO) clippy --release --locked -p waypost-client --all-targets -- -D warnings
+	$(CARGO) clippy --release --locked -p waypost-client -p waypost-cli --no-default-features --all-targets -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --locked --workspace --no-deps
+
+# Licences, sources and advisories of what is built in, where cargo-deny is installed.
+deny:
+	@if $(CARGO) deny --version >/dev/null 2>&1; then $(CARGO) deny check; \
+	else echo "cargo-deny is not installed: cargo install --locked cargo-deny" >&2; fi
 
 bench: setup
 	$(CARGO) bench --locked --workspace

@@ -75,13 +75,10 @@ def test_the_stages_build_on_what_the_repository_says() -> None:
     setup = re.search(r"^build_packages=\((.+)\)$", (REPOSITORY / "scripts/setup").read_text(), re.MULTILINE)
     assert setup
     assert packages(builder) == set(setup[1].split())
-    # As `make build` does.
-    makefile = (REPOSITORY / "Makefile").read_text()
-    features = re.search(r"--bins (--features \S+)", makefile)
-    assert features
     [build] = [run for run in arguments("RUN", builder) if "cargo build" in run]
     assert "--release --locked" in build
-    assert features[1] in build
+    # With all that the binaries can do, as `make build`.
+    assert "--no-default-features" not in build
 
 
 def test_the_runtime_has_the_libraries_that_the_binaries_ask_for() -> None:

@@ -1,14 +1,14 @@
-//! What can go wrong between an application and the server.
+//! Errors of calls and streams.
 
 use std::error::Error as _;
 use std::time::Duration;
 
 use tonic::{Code, Status};
 
-/// What went wrong, and what to do about it.
+/// What went wrong. The message says what to do about it.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// The address of the server cannot be read.
+    /// The server's address is invalid.
     #[error(
         "`{endpoint}` is not the address of a server ({reason}); write it as http://HOST:PORT or https://HOST:PORT"
     )]
@@ -31,22 +31,22 @@ pub enum Error {
         /// What the network said.
         reason: String,
     },
-    /// The server refused. Its message says how to mend it.
+    /// The server refused. Its message says how to correct the request.
     #[error("{message}")]
     Status {
-        /// What kind of refusal.
+        /// The kind of refusal.
         code: Code,
-        /// What is wrong and how to mend it, from the server.
+        /// The server's message.
         message: String,
     },
-    /// A session could not be brought back within [`give_up_after`](crate::Reconnection::give_up_after).
+    /// A stream could not be reopened within [`give_up_after`](crate::Reconnection::give_up_after).
     #[error(
         "lost the server for {} s with {unacknowledged} frames unacknowledged ({reason}); \
          once it is back, open the same session again and send them again",
         waited.as_secs()
     )]
     SessionLost {
-        /// Frames that were given to the session and have no outcome.
+        /// Frames of the session without an outcome.
         unacknowledged: usize,
         /// Time since the server last made progress.
         waited: Duration,
@@ -65,7 +65,7 @@ pub enum Error {
         /// The last one that the server now knows.
         last_committed: Option<u64>,
     },
-    /// The session has ended; [`Outcomes::next`](crate::Outcomes::next) told why.
+    /// The session has ended; [`Outcomes::next`](crate::Outcomes::next) says why.
     #[error("the session has ended, so frame {sequence} was not sent; see the last outcome for why")]
     SessionEnded {
         /// The frame that was not sent.
@@ -74,24 +74,24 @@ pub enum Error {
     /// Sequence numbers have to rise.
     #[error("frame {sequence} follows frame {last}; number frames so that every number is above the last")]
     SequenceNotRising {
-        /// The number given.
+        /// The number of the frame.
         sequence: u64,
-        /// The number before.
+        /// The number of the frame before.
         last: u64,
     },
-    /// What was to be uploaded could not be read; nothing was changed at the server.
+    /// The data to upload could not be read; the server has changed nothing.
     #[error("cannot read what to upload: {0}")]
     Read(std::io::Error),
-    /// What was downloaded could not be written.
+    /// The downloaded data could not be written.
     #[error("cannot write what was downloaded: {0}")]
     Write(std::io::Error),
-    /// The server answered with something that the contract does not allow.
+    /// The server's response violates the contract.
     #[error("the server broke the protocol: {0}; use a server and a client of the same version")]
     Protocol(&'static str),
 }
 
 impl Error {
-    /// A call's status: the server's own, or one that stands for a broken connection.
+    /// The error of a call's status: from the server, or made here when the connection broke.
     pub(crate) fn from_status(status: &Status, endpoint: &str) -> Self {
         match broken_connection(status) {
             Some(reason) => Error::Connection { endpoint: endpoint.to_owned(), reason },
@@ -99,7 +99,7 @@ impl Error {
         }
     }
 
-    /// What the server said, or what became of an answer that was none.
+    /// The error of a status that the server sent.
     pub(crate) fn refused(status: &Status) -> Self {
         let message = match status.message() {
             // The first byte of a message is a flag in gRPC, and `{` in the JSON of the other port.
@@ -113,12 +113,13 @@ impl Error {
 const NOT_GRPC: &str = "what answers at this address does not speak gRPC; it may be the server's HTTP port, 7601 unless \
                         set otherwise: give the one for robots, 7600 unless set otherwise";
 
-/// The reason, if a status was not sent by the server but made up here when the connection broke.
+/// The reason, if the status was made here because the connection broke.
 pub(crate) fn broken_connection(status: &Status) -> Option<String> {
     status.source().map(innermost)
 }
 
-/// The innermost cause is what the operating system said; what is around it says "transport error".
+/// The innermost cause, which comes from the operating system; the outer ones say "transport
+/// error".
 pub(crate) fn innermost(error: &(dyn std::error::Error + 'static)) -> String {
     let mut cause = error;
     while let Some(deeper) = cause.source() {

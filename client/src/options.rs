@@ -1,4 +1,4 @@
-//! How to reach a server.
+//! Address, token and certificates.
 
 use std::fmt;
 
@@ -9,9 +9,9 @@ use tonic::{Request, Status};
 
 use crate::error::Error;
 
-/// A server's address, and what it asks for before it serves.
+/// A server's address, with the token and the certificates for it.
 ///
-/// An address alone will do, where no token is needed: it turns into options by itself.
+/// Where neither is needed, the address alone converts into options.
 #[derive(Clone)]
 pub struct ClientOptions {
     pub(crate) endpoint: String,
@@ -26,26 +26,26 @@ impl ClientOptions {
         Self { endpoint: endpoint.into(), token: None, ca: None, identity: None }
     }
 
-    /// Sends the secret of a token with every call, also of sessions that reconnect.
+    /// Sends the secret of a token with every call, and when sessions reconnect.
     #[must_use]
     pub fn with_token(self, secret: impl Into<String>) -> Self {
         Self { token: Some(secret.into()), ..self }
     }
 
-    /// Trusts the authorities in `pem`, and no others, to have issued the server's certificate. Without
-    /// this, those that the system trusts.
+    /// Trusts only the authorities in `pem` to issue the server's certificate. Without this, those
+    /// that the system trusts.
     #[must_use]
     pub fn with_ca(self, pem: impl Into<Vec<u8>>) -> Self {
         Self { ca: Some(pem.into()), ..self }
     }
 
-    /// Shows a certificate to a server that asks for one; both in PEM.
+    /// Authenticates with a certificate, for servers that require one; both in PEM.
     #[must_use]
     pub fn with_identity(self, certificate: impl AsRef<[u8]>, key: impl AsRef<[u8]>) -> Self {
         Self { identity: Some(Identity::from_pem(certificate, key)), ..self }
     }
 
-    /// What goes with every call.
+    /// The header of every call.
     pub(crate) fn bearer(&self) -> Result<Bearer, Error> {
         let header = self.token.as_ref().map(|token| format!("Bearer {}", token.trim()).parse());
         let mut header: Option<MetadataValue<Ascii>> = header.transpose().map_err(|_| {
@@ -57,7 +57,7 @@ impl ClientOptions {
         Ok(Bearer { header })
     }
 
-    /// For an address that begins with https.
+    /// The TLS configuration of an `https` address.
     pub(crate) fn tls(&self) -> Result<ClientTlsConfig, Error> {
         let mut tls = match &self.ca {
             Some(pem) if !pem.windows(CERTIFICATE.len()).any(|window| window == CERTIFICATE.as_bytes()) => {
@@ -74,7 +74,7 @@ impl ClientOptions {
         Ok(tls)
     }
 
-    /// Certificates are of no use to an address that begins with http.
+    /// Checks an `http` address: it takes no certificates.
     pub(crate) fn check_plain(&self) -> Result<(), Error> {
         if self.ca.is_none() && self.identity.is_none() {
             return Ok(());
@@ -113,7 +113,7 @@ impl From<&ClientOptions> for ClientOptions {
     }
 }
 
-/// Puts the token on every call.
+/// Adds the token to every call.
 #[derive(Clone, Default)]
 pub(crate) struct Bearer {
     header: Option<MetadataValue<Ascii>>,

@@ -5,18 +5,19 @@ use serde::Serialize;
 use crate::dataset::Verdict;
 
 /// Bins of a reliability diagram.
-pub const BINS: usize = 10;
+pub(crate) const BINS: usize = 10;
 
 /// Predictions in [`BINS`] bins of equal mass, by probability: how sure the system was in each, and
 /// how often it was right.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Reliability {
-    bins: Vec<ReliabilityBin>,
+pub(crate) struct Reliability {
+    /// The bins, least probable first; none without predictions.
+    pub(crate) bins: Vec<ReliabilityBin>,
 }
 
 /// One bin of a reliability diagram.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct ReliabilityBin {
+pub(crate) struct ReliabilityBin {
     /// Predictions in it.
     pub predictions: usize,
     /// Mean of the probabilities reported, in [0, 1].
@@ -28,7 +29,7 @@ pub struct ReliabilityBin {
 
 /// A reported probability with what the truth says of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Prediction {
+pub(crate) struct Prediction {
     /// That the prediction is right, as reported, in [0, 1].
     pub probability: f64,
     /// What the truth says; neutral ones are left out.
@@ -38,8 +39,7 @@ pub struct Prediction {
 impl Reliability {
     /// Bins the predictions; bins differ in size by at most one. With fewer predictions than bins there
     /// is one bin for each.
-    #[must_use]
-    pub fn of(predictions: &[Prediction]) -> Self {
+    pub(crate) fn of(predictions: &[Prediction]) -> Self {
         let judged = by_probability(predictions);
         let bins = judged.len().min(BINS);
         let border = |bin: usize| bin * judged.len() / bins;
@@ -48,16 +48,9 @@ impl Reliability {
         }
     }
 
-    /// The bins, least probable first; none without predictions.
-    #[must_use]
-    pub fn bins(&self) -> &[ReliabilityBin] {
-        &self.bins
-    }
-
     /// Σ_b (n_b / n) |mean probability - share right|, in [0, 1]: Naeini, Cooper & Hauskrecht 2015, with
     /// bins of equal mass. `None` without predictions.
-    #[must_use]
-    pub fn expected_calibration_error(&self) -> Option<f64> {
+    pub(crate) fn expected_calibration_error(&self) -> Option<f64> {
         let all: usize = self.bins.iter().map(|bin| bin.predictions).sum();
         let weighted = |bin: &ReliabilityBin| {
             bin.predictions as f64 / all as f64 * (bin.mean_probability - bin.share_right).abs()
@@ -126,8 +119,8 @@ mod tests {
             .map(|i| (f64::from(i) * 0.05, if i < 10 { Verdict::False } else { Verdict::True }))
             .collect();
         let reliability = Reliability::of(&predictions(&twenty));
-        assert!(reliability.bins().iter().all(|bin| bin.predictions == 2));
-        let ReliabilityBin { mean_probability, share_right, .. } = reliability.bins()[5];
+        assert!(reliability.bins.iter().all(|bin| bin.predictions == 2));
+        let ReliabilityBin { mean_probability, share_right, .. } = reliability.bins[5];
         assert!((mean_probability - 0.525).abs() < 1e-12 && share_right == 1.0);
         // Means 0.025, 0.125, ... 0.425 against 0, and 0.525, ... 0.925 against 1: 2 × (5 × 0.225 + 5 × 0.275) / 20.
         assert!((reliability.expected_calibration_error().unwrap() - 0.25).abs() < 1e-12);

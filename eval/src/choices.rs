@@ -1,81 +1,53 @@
-//! The names under which the command line and the summaries know the choices of the paper.
+//! The names under which the command line and the summaries know the choices of the paper, and what else several commands'
+//! arguments are read by.
 
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+
+use clap::ValueEnum;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use fabmap::likelihood::Dependence;
 use fabmap::new_place::NewPlaceMethod;
 use fabmap::recognizer::Scorer;
-use topomap::event::Reason;
-use topomap::relaxation::Closures;
-use topomap::verification::VerificationMethod;
+use posegraph::Closures;
+use topomap::evidence::VerificationMethod;
+use topomap::log::Reason;
+use waypost_sim::worlds::NamedWorld;
+use waypost_vision::features::Feature;
 
-use crate::commands::calibrate::DetectorChoice;
-use crate::commands::navigate::{Lighting, Trial};
-use crate::commands::posegraph::GraphStart;
 use crate::dataset::Verdict;
 
 /// The values of a choice with their names.
-pub type Choices<T> = &'static [(&'static str, T)];
+pub(crate) type Choices<T> = &'static [(&'static str, T)];
 
 /// Whether words depend on each other.
-pub const DEPENDENCES: Choices<Dependence> =
-    &[("chow-liu", Dependence::ChowLiu), ("naive-bayes", Dependence::NaiveBayes)];
+pub(crate) const DEPENDENCES: Choices<Dependence> =
+    &[("chow_liu", Dependence::ChowLiu), ("naive_bayes", Dependence::NaiveBayes)];
 
 /// How places nobody has seen are stood in for.
-pub const NEW_PLACE_METHODS: Choices<NewPlaceMethod> = &[
-    ("mean-field", NewPlaceMethod::MeanField),
+pub(crate) const NEW_PLACE_METHODS: Choices<NewPlaceMethod> = &[
+    ("mean_field", NewPlaceMethod::MeanField),
     ("sampled", NewPlaceMethod::Sampled),
     ("tail", NewPlaceMethod::Tail),
-    ("tempered-tail", NewPlaceMethod::TemperedTail),
+    ("tempered_tail", NewPlaceMethod::TemperedTail),
 ];
 
 /// How likelihoods are evaluated.
-pub const SCORERS: Choices<Scorer> = &[("index", Scorer::Index), ("dense", Scorer::Dense)];
+pub(crate) const SCORERS: Choices<Scorer> = &[("index", Scorer::Index), ("dense", Scorer::Dense)];
 
 /// How closures are verified.
-pub const VERIFICATION_METHODS: Choices<VerificationMethod> = &[
+pub(crate) const VERIFICATION_METHODS: Choices<VerificationMethod> = &[
     ("none", VerificationMethod::None),
     ("similarity", VerificationMethod::Similarity),
     ("epipolar", VerificationMethod::Epipolar),
 ];
 
-/// Which system ranks earlier frames.
-pub const RANKINGS: Choices<RankingName> = &[
-    ("fab-map", RankingName::FabMap),
-    ("likelihood", RankingName::Likelihood),
-    ("tf-idf", RankingName::TfIdf),
-];
-
-/// Where the detector's rates come from.
-pub const DETECTORS: Choices<DetectorChoice> = &[
-    ("fixed", DetectorChoice::Fixed),
-    ("tempered", DetectorChoice::Tempered),
-    ("learned", DetectorChoice::Learned),
-];
-
-/// What a robot that is led is to do.
-pub const NAVIGATION_TRIALS: Choices<Trial> = &[
-    ("repeat", Trial::Repeat),
-    ("shortcut", Trial::Shortcut),
-    ("sparse", Trial::Sparse),
-    ("kidnapped", Trial::Kidnapped),
-    ("facing", Trial::Facing),
-];
-
-/// Light of the day on which a way is driven again.
-pub const LIGHTINGS: Choices<Lighting> = &[("as-taught", Lighting::AsTaught), ("another", Lighting::Another)];
-
-/// Where relaxation of a pose graph starts from.
-pub const GRAPH_STARTS: Choices<GraphStart> = &[
-    ("odometry", GraphStart::Odometry),
-    ("chordal", GraphStart::Chordal),
-    ("best", GraphStart::Best),
-    ("file", GraphStart::File),
-];
-
 /// Whether closures of a pose graph may be wrong.
-pub const CLOSURES: Choices<Closures> = &[("judged", Closures::Judged), ("trusted", Closures::Trusted)];
+pub(crate) const CLOSURES: Choices<Closures> =
+    &[("judged", Closures::Judged), ("trusted", Closures::Trusted)];
 
 /// Why a frame was decided as it was.
-pub const REASONS: Choices<Reason> = &[
+pub(crate) const REASONS: Choices<Reason> = &[
     ("new-place", Reason::NewPlace),
     ("same-place", Reason::SamePlace),
     ("loop-closure", Reason::LoopClosure),
@@ -85,35 +57,60 @@ pub const REASONS: Choices<Reason> = &[
 ];
 
 /// What the truth says of a proposal, if there is one.
-pub const VERDICTS: Choices<Option<Verdict>> = &[
+pub(crate) const VERDICTS: Choices<Option<Verdict>> = &[
     ("true", Some(Verdict::True)),
     ("false", Some(Verdict::False)),
     ("neutral", Some(Verdict::Neutral)),
     ("none", None),
 ];
 
-/// A system, by name alone.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum RankingName {
-    /// FAB-MAP with its map and filter.
-    #[default]
-    FabMap,
-    /// FAB-MAP's likelihood alone: no map, no motion, no filter.
-    Likelihood,
-    /// The baseline.
-    TfIdf,
-}
-
 /// Name of a value; empty if the list lacks it.
-#[must_use]
-pub fn name_of<T: PartialEq>(choices: Choices<T>, value: &T) -> &'static str {
+pub(crate) fn name_of<T: PartialEq>(choices: Choices<T>, value: &T) -> &'static str {
     choices.iter().find(|(_, choice)| choice == value).map_or("", |(name, _)| name)
 }
 
+/// What the command line calls one of our own choices.
+pub(crate) fn own_name(value: &impl ValueEnum) -> String {
+    value.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
+}
+
 /// Value of a name.
-#[must_use]
-pub fn value_of<T: Copy>(choices: Choices<T>, name: &str) -> Option<T> {
+pub(crate) fn value_of<T: Copy>(choices: Choices<T>, name: &str) -> Option<T> {
     choices.iter().find(|(choice, _)| *choice == name).map(|&(_, value)| value)
+}
+
+/// Reads one of the choices by its name.
+pub(crate) fn choice<T: Copy + Send + Sync + 'static>(
+    choices: Choices<T>,
+) -> impl TypedValueParser<Value = T> {
+    PossibleValuesParser::new(choices.iter().map(|(name, _)| *name))
+        .try_map(|name| value_of(choices, &name).ok_or("not one of the choices"))
+}
+
+/// Reads a local feature by its name.
+pub(crate) fn features() -> impl TypedValueParser<Value = Feature> {
+    PossibleValuesParser::new(Feature::ALL.map(Feature::name)).try_map(|name| name.parse::<Feature>())
+}
+
+/// Reads a simulated world by its name.
+pub(crate) fn worlds() -> impl TypedValueParser<Value = NamedWorld> {
+    PossibleValuesParser::new(NamedWorld::ALL.map(NamedWorld::name))
+        .try_map(|name| NamedWorld::from_name(&name).ok_or("not one of the worlds"))
+}
+
+/// Reads a number of a range.
+pub(crate) fn number(
+    range: RangeInclusive<f64>,
+) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+    move |text| match text.parse() {
+        Ok(number) if range.contains(&number) => Ok(number),
+        Ok(_) | Err(_) => Err(format!("give a number from {} to {}", range.start(), range.end())),
+    }
+}
+
+/// Help of an argument whose default is not an argument itself.
+pub(crate) fn with_default(text: &str, default: impl Display) -> String {
+    format!("{text} [default: {default}]")
 }
 
 #[cfg(test)]

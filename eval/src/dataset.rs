@@ -2,12 +2,16 @@
 
 use std::collections::HashSet;
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use csv::StringRecord;
+
+use crate::files;
 
 /// A drive to be run: its images in order of time and which of them show the same place.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sequence {
+pub(crate) struct Sequence {
     /// Name of its folder.
     pub name: String,
     /// Frame `i` is image `i`.
@@ -18,14 +22,14 @@ pub struct Sequence {
 
 /// Pairs of frames (query, earlier match) that are known to be loops, and those nobody judges.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Truth {
+pub(crate) struct Truth {
     loops: HashSet<(usize, usize)>,
     ignored: HashSet<(usize, usize)>,
 }
 
 /// What the truth says of a proposed pair of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Verdict {
+pub(crate) enum Verdict {
     /// A loop.
     True,
     /// Not a loop.
@@ -34,106 +38,17 @@ pub enum Verdict {
     Neutral,
 }
 
-/// A folder that is no dataset.
-#[derive(Debug, thiserror::Error)]
-pub enum DatasetError {
-    /// There is no such folder.
-    #[error("there is no folder {path}; give a folder that holds images, or a subfolder images/ of them")]
-    MissingFolder {
-        /// The folder asked for.
-        path: PathBuf,
-    },
-    /// The folder has no images.
-    #[error(
-        "{path} has no image; put .jpg, .jpeg or .png files into it, named so that their names sort by time"
-    )]
-    NoImages {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// An image of a format that is not read; leaving it out would shift all that follow it.
-    #[error("{path} is neither JPEG nor PNG; convert it, or move it out of the folder")]
-    ForeignImage {
-        /// The image.
-        path: PathBuf,
-    },
-    /// The sequence has no truth.
-    #[error(
-        "there is no {path}; write the known loops into it, one pair of frame numbers a line under the header \
-         query_index,match_index (the header alone if there are none)"
-    )]
-    MissingTruth {
-        /// The file.
-        path: PathBuf,
-    },
-    /// A file or folder cannot be read.
-    #[error("{path} cannot be read ({reason}); check its permissions")]
-    Unreadable {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system says.
-        reason: io::Error,
-    },
-    /// The list of pairs does not name its columns.
-    #[error("{path} line 1: the header has no column {column}; begin the file with query_index,match_index")]
-    Header {
-        /// The file.
-        path: PathBuf,
-        /// The column that is not there.
-        column: &'static str,
-    },
-    /// A line is not a pair of frame numbers.
-    #[error("{path} line {line}: {reason}; write two frame numbers, counted from 0, separated by a comma")]
-    Line {
-        /// The file.
-        path: PathBuf,
-        /// The line, from 1.
-        line: u64,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A frame that the sequence does not have.
-    #[error(
-        "{path} line {line}: frame {index} is beyond the sequence, whose {frames} frames are numbered from 0; \
-         correct the line, or add the images that are missing"
-    )]
-    BeyondSequence {
-        /// The file.
-        path: PathBuf,
-        /// The line, from 1.
-        line: u64,
-        /// The frame's number.
-        index: usize,
-        /// Frames of the sequence.
-        frames: usize,
-    },
-    /// A match that is not earlier than its query.
-    #[error(
-        "{path} line {line}: match {match_index} is not earlier than query {query_index}; write the later frame first"
-    )]
-    MatchNotEarlier {
-        /// The file.
-        path: PathBuf,
-        /// The line, from 1.
-        line: u64,
-        /// The query.
-        query_index: usize,
-        /// Its match.
-        match_index: usize,
-    },
-}
-
 impl Sequence {
     /// Opens a folder with `images/`, `loops.csv` and, if there is one, `ignore.csv`.
-    ///
-    /// # Errors
-    /// [`DatasetError`].
-    pub fn open(folder: &Path) -> Result<Self, DatasetError> {
+    pub(crate) fn open(folder: &Path) -> Result<Self> {
         let images = image_files(folder)?;
         let loops = folder.join("loops.csv");
-        if !loops.is_file() {
-            return Err(DatasetError::MissingTruth { path: loops });
-        }
+        ensure!(
+            loops.is_file(),
+            "there is no {}; write the known loops into it, one pair of frame numbers a line under the header \
+             query_index,match_index (the header alone if there are none)",
+            loops.display()
+        );
         let ignored = folder.join("ignore.csv");
         let truth = Truth {
             loops: pairs(&loops, images.len())?,
@@ -145,14 +60,13 @@ impl Sequence {
 
 impl Truth {
     /// Takes pairs (query, match) of known loops, and pairs to be counted neither way.
-    #[must_use]
-    pub fn new(loops: HashSet<(usize, usize)>, ignored: HashSet<(usize, usize)>) -> Self {
+    #[cfg(test)]
+    pub(crate) fn new(loops: HashSet<(usize, usize)>, ignored: HashSet<(usize, usize)>) -> Self {
         Self { loops, ignored }
     }
 
     /// Judges a proposal. A pair in both lists is a loop.
-    #[must_use]
-    pub fn verdict(&self, query: usize, earlier: usize) -> Verdict {
+    pub(crate) fn verdict(&self, query: usize, earlier: usize) -> Verdict {
         if self.loops.contains(&(query, earlier)) {
             Verdict::True
         } else if self.ignored.contains(&(query, earlier)) {
@@ -162,15 +76,8 @@ impl Truth {
         }
     }
 
-    /// Whether the pair is a known loop.
-    #[must_use]
-    pub fn is_loop(&self, query: usize, earlier: usize) -> bool {
-        self.loops.contains(&(query, earlier))
-    }
-
     /// Frames that have a loop at least `gap` frames back: those that recall is counted over.
-    #[must_use]
-    pub fn queries_with_loop(&self, gap: usize) -> usize {
+    pub(crate) fn queries_with_loop(&self, gap: usize) -> usize {
         let far_enough = self.loops.iter().filter(|(query, earlier)| query - earlier >= gap);
         far_enough.map(|&(query, _)| query).collect::<HashSet<_>>().len()
     }
@@ -178,80 +85,106 @@ impl Truth {
 
 /// The JPEG and PNG files of `folder/images`, or of `folder` itself if it has no such subfolder,
 /// sorted by name.
-///
-/// # Errors
-/// [`DatasetError`] if there is no such folder, or no image in it, or one of another format.
-pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+pub(crate) fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
     let subfolder = folder.join("images");
     let folder = if subfolder.is_dir() { subfolder } else { folder.to_owned() };
-    if !folder.is_dir() {
-        return Err(DatasetError::MissingFolder { path: folder });
-    }
-    let unreadable = |reason| DatasetError::Unreadable { path: folder.clone(), reason };
+    ensure!(
+        folder.is_dir(),
+        "there is no folder {}; give a folder that holds images, or a subfolder images/ of them",
+        folder.display()
+    );
     let mut images = Vec::new();
-    for entry in fs::read_dir(&folder).map_err(unreadable)? {
-        let path = entry.map_err(unreadable)?.path();
+    for entry in fs::read_dir(&folder).map_err(files::not_read(&folder))? {
+        let path = entry.map_err(files::not_read(&folder))?.path();
         let is_hidden = path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."));
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
         match extension.as_deref() {
             Some("jpg" | "jpeg" | "png") if !is_hidden => images.push(path),
             Some("bmp" | "gif" | "pgm" | "ppm" | "tif" | "tiff" | "webp") if !is_hidden => {
-                return Err(DatasetError::ForeignImage { path });
+                bail!("{} is neither JPEG nor PNG; convert it, or move it out of the folder", path.display());
             }
             Some(_) | None => {}
         }
     }
-    if images.is_empty() {
-        return Err(DatasetError::NoImages { path: folder });
-    }
+    ensure!(
+        !images.is_empty(),
+        "{} has no image; put .jpg, .jpeg or .png files into it, named so that their names sort by time",
+        folder.display()
+    );
     images.sort();
     Ok(images)
 }
 
 /// Reads a list of pairs `query_index,match_index` of a sequence of `frames` frames.
-pub(crate) fn pairs(path: &Path, frames: usize) -> Result<HashSet<(usize, usize)>, DatasetError> {
-    let text = fs::read(path).map_err(|reason| DatasetError::Unreadable { path: path.to_owned(), reason })?;
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_slice());
-    let not_csv = |error: csv::Error| DatasetError::Line {
-        path: path.to_owned(),
-        line: error.position().map_or(1, csv::Position::line),
-        reason: error.to_string(),
+pub(crate) fn pairs(path: &Path, frames: usize) -> Result<HashSet<(usize, usize)>> {
+    let rows = rows(path, ["query_index", "match_index"])?;
+    let pair = |row: &Row<2>| {
+        let query = frame(&row.fields[0], frames)?;
+        let earlier = frame(&row.fields[1], frames)?;
+        ensure!(
+            earlier < query,
+            "match {earlier} is not earlier than query {query}; write the later frame first"
+        );
+        Ok((query, earlier))
     };
-    let header = reader.headers().map_err(not_csv)?;
-    let column = |name: &'static str| {
-        let position = header.iter().position(|column| column == name);
-        position.ok_or(DatasetError::Header { path: path.to_owned(), column: name })
-    };
-    let (query_column, match_column) = (column("query_index")?, column("match_index")?);
+    rows.iter().map(|row| pair(row).with_context(|| row.place(path))).collect()
+}
 
-    let mut pairs = HashSet::new();
-    for record in reader.records() {
-        let record = record.map_err(not_csv)?;
-        let line = record.position().map_or(1, csv::Position::line);
-        let frame = |column: usize| {
-            let text = record.get(column).unwrap_or_default();
-            let index: usize = text.parse().map_err(|_| DatasetError::Line {
-                path: path.to_owned(),
-                line,
-                reason: format!("\"{text}\" is no frame number"),
-            })?;
-            if index >= frames {
-                return Err(DatasetError::BeyondSequence { path: path.to_owned(), line, index, frames });
-            }
-            Ok(index)
-        };
-        let (query_index, match_index) = (frame(query_column)?, frame(match_column)?);
-        if match_index >= query_index {
-            return Err(DatasetError::MatchNotEarlier {
-                path: path.to_owned(),
-                line,
-                query_index,
-                match_index,
-            });
-        }
-        pairs.insert((query_index, match_index));
+fn frame(text: &str, frames: usize) -> Result<usize> {
+    let index: usize = text.parse().map_err(|_| {
+        anyhow!(
+            "\"{text}\" is no frame number; write two frame numbers, counted from 0, separated by a comma"
+        )
+    })?;
+    ensure!(
+        index < frames,
+        "frame {index} is beyond the sequence, whose {frames} frames are numbered from 0; correct the line, or add the \
+         images that are missing"
+    );
+    Ok(index)
+}
+
+/// A row of a table, with the fields that were asked for.
+pub(crate) struct Row<const FIELDS: usize> {
+    /// From 1.
+    line: u64,
+    pub(crate) fields: [String; FIELDS],
+}
+
+impl<const FIELDS: usize> Row<FIELDS> {
+    /// For messages: the file and the line.
+    pub(crate) fn place(&self, path: &Path) -> String {
+        format!("{} line {}", path.display(), self.line)
     }
-    Ok(pairs)
+}
+
+/// Reads a table with a header, and of each row the fields in these columns.
+pub(crate) fn rows<const FIELDS: usize>(path: &Path, columns: [&str; FIELDS]) -> Result<Vec<Row<FIELDS>>> {
+    let text = files::read(path)?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_slice());
+    let not_csv = |error: csv::Error| {
+        let line = error.position().map_or(1, csv::Position::line);
+        anyhow!(
+            "{} line {line}: {error}; write fields separated by commas, as many as the header has",
+            path.display()
+        )
+    };
+    let header = reader.headers().map_err(not_csv)?.clone();
+    let position = |column: &str| {
+        header.iter().position(|other| other == column).with_context(|| {
+            let path = path.display();
+            format!(
+                "{path} line 1: the header has no column {column}; begin the file with {}",
+                columns.join(",")
+            )
+        })
+    };
+    let positions = columns.iter().map(|column| position(column)).collect::<Result<Vec<usize>>>()?;
+    let row = |record: StringRecord| Row {
+        line: record.position().map_or(1, csv::Position::line),
+        fields: std::array::from_fn(|field| record.get(positions[field]).unwrap_or_default().to_owned()),
+    };
+    reader.records().map(|record| Ok(row(record.map_err(not_csv)?))).collect()
 }
 
 fn name_of(folder: &Path) -> String {
@@ -280,8 +213,9 @@ mod tests {
         folder
     }
 
-    fn refused(loops: &str) -> DatasetError {
-        Sequence::open(dataset(5, Some(loops), None).path()).unwrap_err()
+    fn assert_refused(loops: &str, says: &str) {
+        let refusal = Sequence::open(dataset(5, Some(loops), None).path()).unwrap_err();
+        assert!(format!("{refusal:#}").contains(says), "{refusal:#}");
     }
 
     #[test]
@@ -325,39 +259,34 @@ mod tests {
     fn what_is_not_there_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let missing = folder.path().join("nowhere");
-        assert!(
-            matches!(Sequence::open(&missing), Err(DatasetError::MissingFolder { path }) if path == missing)
-        );
-        assert!(matches!(Sequence::open(folder.path()), Err(DatasetError::NoImages { .. })));
+        let refusal = |folder: &Path| Sequence::open(folder).unwrap_err().to_string();
+        assert!(refusal(&missing).starts_with(&format!("there is no folder {}", missing.display())));
+        assert!(refusal(folder.path()).contains("has no image"));
         let no_truth = dataset(2, None, None);
-        assert!(matches!(
-            Sequence::open(no_truth.path()),
-            Err(DatasetError::MissingTruth { path }) if path.ends_with("loops.csv")
-        ));
+        let truth = no_truth.path().join("loops.csv");
+        assert!(refusal(no_truth.path()).starts_with(&format!("there is no {};", truth.display())));
     }
 
     #[test]
     fn an_image_that_would_be_left_out_is_refused() {
         let folder = dataset(2, Some("query_index,match_index\n"), None);
         fs::write(folder.path().join("images/000000b.ppm"), b"").unwrap();
-        assert!(matches!(Sequence::open(folder.path()), Err(DatasetError::ForeignImage { .. })));
+        let refusal = Sequence::open(folder.path()).unwrap_err().to_string();
+        assert!(refusal.contains("000000b.ppm is neither JPEG nor PNG"), "{refusal}");
     }
 
     #[test]
     fn errors_in_the_truth_name_the_line() {
-        assert!(matches!(refused("3,0\n4,1\n"), DatasetError::Header { column: "query_index", .. }));
-        assert!(matches!(refused(""), DatasetError::Header { .. }));
+        assert_refused("3,0\n4,1\n", "line 1: the header has no column query_index");
+        assert_refused("", "the header has no column");
         let header = "query_index,match_index\n";
-        assert!(matches!(refused(&format!("{header}3,0\nthree,0\n")), DatasetError::Line { line: 3, .. }));
-        assert!(matches!(refused(&format!("{header}3\n")), DatasetError::Line { line: 2, .. }));
-        assert!(matches!(refused(&format!("{header}-1,0\n")), DatasetError::Line { line: 2, .. }));
-        assert!(matches!(
-            refused(&format!("{header}\n3,0\n5,0\n")),
-            DatasetError::BeyondSequence { line: 4, index: 5, frames: 5, .. }
-        ));
-        assert!(matches!(
-            refused(&format!("{header}2,2\n")),
-            DatasetError::MatchNotEarlier { line: 2, query_index: 2, match_index: 2, .. }
-        ));
+        assert_refused(&format!("{header}3,0\nthree,0\n"), "line 3: \"three\" is no frame number");
+        assert_refused(&format!("{header}3\n"), "line 2:");
+        assert_refused(&format!("{header}-1,0\n"), "line 2: \"-1\" is no frame number");
+        assert_refused(
+            &format!("{header}\n3,0\n5,0\n"),
+            "line 4: frame 5 is beyond the sequence, whose 5 frames",
+        );
+        assert_refused(&format!("{header}2,2\n"), "line 2: match 2 is not earlier than query 2");
     }
 }

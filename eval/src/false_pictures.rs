@@ -3,16 +3,16 @@
 use std::io::Cursor;
 use std::path::Path;
 
+use anyhow::{Context, Result};
 use image::imageops::{self, FilterType};
-use image::{ImageFormat, ImageReader, RgbImage};
+use image::{ImageFormat, RgbImage};
 
 use crate::dataset::Sequence;
-use crate::error::EvalError;
 use crate::files;
 
 /// A frame and the earlier one that it was held for, by index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Mistake {
+pub(crate) struct Mistake {
     /// The frame.
     pub frame: usize,
     /// What it was held for.
@@ -24,13 +24,10 @@ const HEIGHT_PX: u32 = 240;
 
 /// Writes a picture for each mistake into `folder`: `<frame>-<held for>.jpg`, the frame to the left. What an
 /// earlier run left there goes.
-///
-/// # Errors
-/// [`EvalError::Write`], [`EvalError::Read`], or [`EvalError::Plot`] for an image that cannot be decoded.
-pub fn write_all(folder: &Path, sequence: &Sequence, mistakes: &[Mistake]) -> Result<(), EvalError> {
+pub(crate) fn write_all(folder: &Path, sequence: &Sequence, mistakes: &[Mistake]) -> Result<()> {
     match std::fs::remove_dir_all(folder) {
         Err(reason) if reason.kind() != std::io::ErrorKind::NotFound => {
-            return Err(EvalError::Write { path: folder.to_owned(), reason });
+            return Err(files::not_written(folder)(reason));
         }
         Ok(()) | Err(_) => {}
     }
@@ -44,17 +41,14 @@ pub fn write_all(folder: &Path, sequence: &Sequence, mistakes: &[Mistake]) -> Re
         let mut bytes = Cursor::new(Vec::new());
         beside(&pair)
             .write_to(&mut bytes, ImageFormat::Jpeg)
-            .map_err(|error| EvalError::Plot { path: path.clone(), reason: error.to_string() })?;
+            .with_context(|| format!("{} could not be drawn", path.display()))?;
         files::write(&path, bytes.get_ref())?;
     }
     Ok(())
 }
 
-fn shrunk(path: &Path) -> Result<RgbImage, EvalError> {
-    let unreadable = |reason: String| EvalError::Plot { path: path.to_owned(), reason };
-    let reader = ImageReader::new(Cursor::new(files::read(path)?)).with_guessed_format();
-    let reader = reader.map_err(|error| unreadable(error.to_string()))?;
-    let image = reader.decode().map_err(|error| unreadable(error.to_string()))?;
+fn shrunk(path: &Path) -> Result<RgbImage> {
+    let image = image::load_from_memory(&files::read(path)?).with_context(|| path.display().to_string())?;
     Ok(image.resize(u32::MAX, HEIGHT_PX, FilterType::Triangle).into_rgb8())
 }
 

@@ -1,56 +1,37 @@
-//! `waypost-eval`: the command line of the evaluation.
+//! `waypost-eval`: how good is it? Models trained and sequences run in process, simulated robots driven, and a server put
+//! under load.
+//!
+//! [`commands`] has one file per command, whose options are what the command line takes; each is a story told by its
+//! function `run`. A [`dataset`] is streamed once, in order, through a [`ranking`]; its proposals are judged against the
+//! truth and swept into [`precision_recall`].
 
-mod arguments;
+mod calibration;
+mod choices;
+mod commands;
+mod dataset;
+mod error;
+mod event_log;
+mod false_pictures;
+mod files;
+mod match_matrix;
+mod memory;
+mod observing;
+mod plots;
+mod precision_recall;
+mod progress;
+mod ranking;
+mod timing;
+mod workload;
 
 use std::io::{self, Write};
-use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::error::ErrorKind;
-use clap::{CommandFactory, Parser, Subcommand};
-use serde::Serialize;
-use waypost_eval::error::EvalError;
+use anyhow::{Context, Result};
+use clap::{Parser, Subcommand};
+use serde_json::to_string;
 
-use arguments::appearance::AppearanceArguments;
-use arguments::calibrate::CalibrateArguments;
-use arguments::compare::CompareArguments;
-use arguments::load::LoadArguments;
-use arguments::map::MapArguments;
-use arguments::merge::MergeArguments;
-use arguments::navigate::NavigateArguments;
-use arguments::new_place::NewPlaceArguments;
-use arguments::posegraph::PosegraphArguments;
-use arguments::scale::ScaleArguments;
-use arguments::sequence::SequenceArguments;
-use arguments::train::TrainArguments;
-use arguments::train_scale::TrainScaleArguments;
-use arguments::visits::VisitsArguments;
-
-fn main() -> ExitCode {
-    let outcome = match Cli::parse().command {
-        Command::Train(arguments) => arguments.run(),
-        Command::Calibrate(arguments) => arguments.run(),
-        Command::Sequence(arguments) => arguments.run(),
-        Command::NewPlace(arguments) => arguments.run(),
-        Command::Scale(arguments) => arguments.run(),
-        Command::Compare(arguments) => arguments.run(),
-        Command::Visits(arguments) => arguments.run(),
-        Command::Load(arguments) => arguments.run(),
-        Command::TrainScale(arguments) => arguments.run(),
-        Command::Posegraph(arguments) => arguments.run(),
-        Command::Map(arguments) => arguments.run(),
-        Command::Navigate(arguments) => arguments.run(),
-        Command::Appearance(arguments) => arguments.run(),
-        Command::Merge(arguments) => arguments.run(),
-    };
-    match outcome {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::from(error.exit_code())
-        }
-    }
-}
+use commands::{appearance, load, map, merge, navigate, posegraph, scale, sequence, train};
+use error::Refused;
 
 /// Measures Waypost: trains models, runs sequences in process and judges what is recognised, puts a server
 /// under load.
@@ -61,38 +42,48 @@ fn main() -> ExitCode {
 struct Cli {
     #[command(subcommand)]
     command: Command,
+    /// Print one JSON object on stdout.
+    #[arg(long, global = true)]
+    json: bool,
 }
 
 #[derive(Subcommand)]
 enum Command {
-    Train(TrainArguments),
-    Calibrate(CalibrateArguments),
-    Sequence(Box<SequenceArguments>),
-    Compare(CompareArguments),
-    Visits(Box<VisitsArguments>),
-    NewPlace(NewPlaceArguments),
-    Scale(ScaleArguments),
-    Load(LoadArguments),
-    TrainScale(TrainScaleArguments),
-    Posegraph(PosegraphArguments),
-    Map(Box<MapArguments>),
-    Navigate(NavigateArguments),
-    Appearance(AppearanceArguments),
-    Merge(Box<MergeArguments>),
+    Train(train::TrainOptions),
+    Sequence(Box<sequence::SequenceOptions>),
+    Scale(scale::ScaleOptions),
+    Load(load::LoadOptions),
+    Posegraph(posegraph::PoseGraphOptions),
+    Map(Box<map::MapOptions>),
+    Navigate(navigate::NavigateOptions),
+    Appearance(appearance::AppearanceOptions),
+    Merge(Box<merge::MergeOptions>),
 }
 
-/// The one object on stdout.
-fn print_if(json: bool, report: &impl Serialize) -> Result<(), EvalError> {
-    if !json {
-        return Ok(());
+fn main() -> ExitCode {
+    match run(&Cli::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::from(if error.is::<Refused>() { 2 } else { 1 })
+        }
     }
-    let not_printed = |reason: io::Error| EvalError::Write { path: PathBuf::from("stdout"), reason };
-    let mut stdout = io::stdout().lock();
-    serde_json::to_writer(&mut stdout, report).map_err(|error| not_printed(error.into()))?;
-    writeln!(stdout).map_err(not_printed)
 }
 
-/// Ends the program as it ends where clap finds arguments that cannot be together.
-fn refuse(message: &str) -> ! {
-    Cli::command().error(ErrorKind::ArgumentConflict, message).exit()
+fn run(cli: &Cli) -> Result<()> {
+    let report = match &cli.command {
+        Command::Train(options) => to_string(&train::run(options)?),
+        Command::Sequence(options) => to_string(&sequence::run(options)?),
+        Command::Scale(options) => to_string(&scale::run(options)?),
+        Command::Load(options) => to_string(&load::run(options)?),
+        Command::Posegraph(options) => to_string(&posegraph::run(options)?),
+        Command::Map(options) => to_string(&map::run(options)?),
+        Command::Navigate(options) => to_string(&navigate::run(options)?),
+        Command::Appearance(options) => to_string(&appearance::run(options)?),
+        Command::Merge(options) => to_string(&merge::run(options)?),
+    }?;
+    if cli.json {
+        writeln!(io::stdout().lock(), "{report}").context("stdout cannot be written")?;
+    }
+    Ok(())
 }

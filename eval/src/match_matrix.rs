@@ -7,7 +7,7 @@ use crate::dataset::{Truth, Verdict};
 /// Scores of frame i (row, downwards) against earlier frames j (column, to the right), the darker
 /// the higher. Cells of true loops are orange, of neutral pairs blue; above the diagonal it is grey.
 #[derive(Clone, Debug)]
-pub struct MatchMatrix {
+pub(crate) struct MatchMatrix {
     scale: Scale,
     /// Row i has i shades, 0 (no match) to 255.
     rows: Vec<Vec<u8>>,
@@ -15,7 +15,7 @@ pub struct MatchMatrix {
 
 /// How a score becomes a shade.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scale {
+pub(crate) enum Scale {
     /// Posteriors, by their square root: 1 is black, 0.1 can be seen, what smoothing leaves cannot.
     Posterior,
     /// Cosines, by their square, from 0 to the largest of the row.
@@ -29,13 +29,12 @@ const MIN_SIDE_PX: usize = 800;
 
 impl MatchMatrix {
     /// An empty matrix.
-    #[must_use]
-    pub fn new(scale: Scale) -> Self {
+    pub(crate) fn new(scale: Scale) -> Self {
         Self { scale, rows: Vec::new() }
     }
 
     /// Adds the next frame's scores, each in [0, 1], against all frames before it.
-    pub fn push(&mut self, scores: &[f64]) {
+    pub(crate) fn push(&mut self, scores: &[f64]) {
         let highest = scores.iter().copied().fold(0.0, f64::max);
         let darkness = |score: f64| match self.scale {
             Scale::Posterior => score.sqrt(),
@@ -47,10 +46,7 @@ impl MatchMatrix {
     }
 
     /// The picture as PNG.
-    ///
-    /// # Errors
-    /// [`ImageError`] if it cannot be encoded.
-    pub fn to_png(&self, truth: &Truth) -> Result<Vec<u8>, ImageError> {
+    pub(crate) fn to_png(&self, truth: &Truth) -> Result<Vec<u8>, ImageError> {
         let mut png = std::io::Cursor::new(Vec::new());
         self.draw(truth).write_to(&mut png, ImageFormat::Png)?;
         Ok(png.into_inner())
@@ -64,8 +60,8 @@ impl MatchMatrix {
         let side = u32::try_from(side.max(1)).unwrap_or(u32::MAX);
         RgbImage::from_fn(side, side, |x, y| {
             let first = |pixel: u32| pixel as usize / pixels_per_cell * cells_per_pixel;
-            let (row, column) = (first(y), first(x));
-            self.colour(row..row + cells_per_pixel, column..column + cells_per_pixel, truth)
+            let block = |pixel: u32| first(pixel)..first(pixel) + cells_per_pixel;
+            self.colour(block(y), block(x), truth)
         })
     }
 
@@ -77,7 +73,8 @@ impl MatchMatrix {
         truth: &Truth,
     ) -> Rgb<u8> {
         let mut darkest: Option<u8> = None;
-        let (mut is_loop, mut is_neutral) = (false, false);
+        let mut is_loop = false;
+        let mut is_neutral = false;
         for row in rows {
             for column in columns.clone() {
                 let Some(&shade) = self.rows.get(row).and_then(|row| row.get(column)) else { continue };
@@ -108,8 +105,8 @@ const NEUTRAL_MATCHED: Rgb<u8> = Rgb([20, 60, 140]);
 
 fn between(light: Rgb<u8>, dark: Rgb<u8>, shade: u8) -> Rgb<u8> {
     let mix = |light: u8, dark: u8| {
-        let (light, dark, shade) = (u32::from(light), u32::from(dark), u32::from(shade));
-        ((light * (255 - shade) + dark * shade) / 255) as u8
+        let shade = u32::from(shade);
+        ((u32::from(light) * (255 - shade) + u32::from(dark) * shade) / 255) as u8
     };
     Rgb(std::array::from_fn(|channel| mix(light[channel], dark[channel])))
 }

@@ -1,14 +1,12 @@
 //! Memory of this process, as Linux tells it.
 
 /// Memory that is not swapped out, in MiB; `None` where the system does not tell.
-#[must_use]
-pub fn resident_mib() -> Option<f64> {
+pub(crate) fn resident_mib() -> Option<f64> {
     status_mib("VmRSS:")
 }
 
 /// The most memory that was held so far, in MiB; `None` where the system does not tell.
-#[must_use]
-pub fn peak_mib() -> Option<f64> {
+pub(crate) fn peak_mib() -> Option<f64> {
     status_mib("VmHWM:")
 }
 

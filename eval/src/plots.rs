@@ -1,37 +1,31 @@
 //! Plots as SVG.
 
-mod curves;
 mod growth;
 mod headings;
-mod new_place;
 mod reliability;
 
-pub use curves::{Panel, compared_curves_svg};
-pub use growth::growth_svg;
-pub use headings::{HeadingErrors, heading_errors_svg};
-pub use new_place::{FalseAccepts, false_accepts_svg};
-pub use reliability::reliability_svg;
+pub(crate) use growth::growth_svg;
+pub(crate) use headings::{HeadingErrors, heading_errors_svg};
+pub(crate) use reliability::reliability_svg;
 
+use anyhow::{Context, Result};
 use plotters::prelude::*;
 
 use crate::precision_recall::PrecisionRecall;
-
-/// Precision over recall, with the point of the largest recall at 100 % precision marked. Empty
-/// axes if there is no frame with a loop.
-///
-/// # Errors
-/// The plotting library's words.
-pub fn precision_recall_svg(title: &str, curve: &PrecisionRecall) -> Result<String, String> {
-    let mut svg = String::new();
-    draw(title, curve, &mut svg).map_err(|error| error.to_string())?;
-    Ok(svg)
-}
 
 const SIZE_PX: (u32, u32) = (720, 560);
 const CURVE: RGBColor = RGBColor(20, 90, 170);
 const CLEAN: RGBColor = RGBColor(200, 60, 0);
 
-fn draw(title: &str, curve: &PrecisionRecall, svg: &mut String) -> Result<(), Box<dyn std::error::Error>> {
+/// Precision over recall, with the point of the largest recall at 100 % precision marked. Empty
+/// axes if there is no frame with a loop.
+pub(crate) fn precision_recall_svg(title: &str, curve: &PrecisionRecall) -> Result<String> {
+    let mut svg = String::new();
+    draw(title, curve, &mut svg).context("the curve could not be drawn")?;
+    Ok(svg)
+}
+
+fn draw(title: &str, curve: &PrecisionRecall, svg: &mut String) -> Result<()> {
     let percent = |fraction: Option<f64>| match fraction {
         Some(fraction) => format!("{:.1} %", 100.0 * fraction),
         None => "none (no loops)".to_owned(),
@@ -64,7 +58,7 @@ fn draw(title: &str, curve: &PrecisionRecall, svg: &mut String) -> Result<(), Bo
         .draw()?;
 
     let points: Vec<(f64, f64)> = curve
-        .points()
+        .points
         .iter()
         .filter_map(|point| curve.recall(point).map(|recall| (recall, point.precision())))
         .collect();

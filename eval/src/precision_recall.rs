@@ -9,14 +9,16 @@ use crate::dataset::Verdict;
 /// Proposals of one score pass the threshold together: there is one operating point per different
 /// score, and no result depends on how equal scores happen to be ordered.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PrecisionRecall {
-    points: Vec<OperatingPoint>,
-    queries_with_loop: usize,
+pub(crate) struct PrecisionRecall {
+    /// One point per different score, highest threshold first.
+    pub(crate) points: Vec<OperatingPoint>,
+    /// Frames that have a loop.
+    pub(crate) queries_with_loop: usize,
 }
 
 /// What passes a threshold: all proposals with at least this score.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct OperatingPoint {
+pub(crate) struct OperatingPoint {
     /// The lowest score that passes.
     pub threshold: f64,
     /// Proposals that are loops.
@@ -29,7 +31,7 @@ pub struct OperatingPoint {
 
 /// A proposal with what the truth says of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct JudgedProposal {
+pub(crate) struct JudgedProposal {
     /// The system's own score; higher is surer.
     pub score: f64,
     /// What the truth says.
@@ -38,8 +40,7 @@ pub struct JudgedProposal {
 
 impl PrecisionRecall {
     /// Sweeps the threshold over all scores; `queries_with_loop` frames have a loop.
-    #[must_use]
-    pub fn sweep(mut proposals: Vec<JudgedProposal>, queries_with_loop: usize) -> Self {
+    pub(crate) fn sweep(mut proposals: Vec<JudgedProposal>, queries_with_loop: usize) -> Self {
         proposals.sort_by(|a, b| b.score.total_cmp(&a.score));
         let mut passed =
             OperatingPoint { threshold: 0.0, true_proposals: 0, false_proposals: 0, neutral_proposals: 0 };
@@ -58,30 +59,16 @@ impl PrecisionRecall {
         Self { points, queries_with_loop }
     }
 
-    /// One point per different score, highest threshold first.
-    #[must_use]
-    pub fn points(&self) -> &[OperatingPoint] {
-        &self.points
-    }
-
-    /// Frames that have a loop.
-    #[must_use]
-    pub fn queries_with_loop(&self) -> usize {
-        self.queries_with_loop
-    }
-
     /// Share of the frames with a loop that got a true proposal at this point; `None` if there is
     /// no frame with a loop.
-    #[must_use]
-    pub fn recall(&self, point: &OperatingPoint) -> Option<f64> {
+    pub(crate) fn recall(&self, point: &OperatingPoint) -> Option<f64> {
         (self.queries_with_loop > 0).then(|| point.true_proposals as f64 / self.queries_with_loop as f64)
     }
 
     /// The largest recall at which no false proposal passes; 0 if the best score is a false
     /// proposal's (a true one of the same score does not help); `None` if there is no frame with a
     /// loop.
-    #[must_use]
-    pub fn recall_at_100_precision(&self) -> Option<f64> {
+    pub(crate) fn recall_at_100_precision(&self) -> Option<f64> {
         let clean = self.points.iter().take_while(|point| point.false_proposals == 0).last();
         match clean {
             Some(point) => self.recall(point),
@@ -93,8 +80,7 @@ impl PrecisionRecall {
     /// of the precision at the threshold that their true proposal just passes, 0 for those without
     /// one. With no equal scores it is the sum of the precisions at every true proposal divided by
     /// the number of frames with a loop. `None` if there is no frame with a loop.
-    #[must_use]
-    pub fn average_precision(&self) -> Option<f64> {
+    pub(crate) fn average_precision(&self) -> Option<f64> {
         let mut sum = 0.0;
         let mut before = 0;
         for point in &self.points {
@@ -105,16 +91,14 @@ impl PrecisionRecall {
     }
 
     /// What passes if every proposal does.
-    #[must_use]
-    pub fn unthresholded(&self) -> Option<&OperatingPoint> {
+    pub(crate) fn unthresholded(&self) -> Option<&OperatingPoint> {
         self.points.last()
     }
 }
 
 impl OperatingPoint {
     /// Share of the true among the judged; 1 while none has been judged.
-    #[must_use]
-    pub fn precision(&self) -> f64 {
+    pub(crate) fn precision(&self) -> f64 {
         let judged = self.true_proposals + self.false_proposals;
         if judged == 0 { 1.0 } else { self.true_proposals as f64 / judged as f64 }
     }
@@ -141,9 +125,9 @@ mod tests {
         let curve = sweep(&[(0.2, True), (0.9, True), (0.4, False), (0.7, True)], 5);
         assert_close(curve.recall_at_100_precision(), 2.0 / 5.0);
         assert_close(curve.average_precision(), (1.0 + 1.0 + 0.75) / 5.0);
-        let precisions: Vec<f64> = curve.points().iter().map(OperatingPoint::precision).collect();
+        let precisions: Vec<f64> = curve.points.iter().map(OperatingPoint::precision).collect();
         assert_eq!(precisions, [1.0, 1.0, 2.0 / 3.0, 0.75]);
-        let recalls: Vec<_> = curve.points().iter().filter_map(|point| curve.recall(point)).collect();
+        let recalls: Vec<_> = curve.points.iter().filter_map(|point| curve.recall(point)).collect();
         assert_eq!(recalls, [0.2, 0.4, 0.4, 0.6]);
     }
 
@@ -157,7 +141,7 @@ mod tests {
         ];
         for order in orders {
             let curve = sweep(&order, 4);
-            assert_eq!(curve.points().len(), 2);
+            assert_eq!(curve.points.len(), 2);
             assert_close(curve.recall_at_100_precision(), 0.25);
             assert_close(curve.average_precision(), (1.0 + 2.0 * 0.75) / 4.0);
         }

@@ -4,31 +4,21 @@ mod fab_map;
 mod likelihood;
 mod tf_idf;
 
-pub use fab_map::FabMap;
-pub use likelihood::LikelihoodRanking;
-pub use tf_idf::TfIdfRanking;
+pub(crate) use fab_map::FabMap;
+pub(crate) use likelihood::LikelihoodRanking;
+pub(crate) use tf_idf::TfIdfRanking;
 
+use anyhow::Result;
 use fabmap::appearance::PlaceId;
-use fabmap::observation::Observation;
-use topomap::event::Reason;
-use waypost_vision::feature_record::FeatureRecord;
+use topomap::log::Reason;
 
-use crate::error::EvalError;
-use crate::timing::{FrameTimes, FrameWatch};
+use crate::observing::Observed;
+use crate::timing::{FrameWatch, StageTimes};
 
 /// A system that recognises places.
-pub trait Ranking {
+pub(crate) trait Ranking {
     /// Takes the next frame, number `index`, and answers which earlier one shows the same place.
-    ///
-    /// # Errors
-    /// [`EvalError::Frame`] or [`EvalError::Fold`].
-    fn rank(
-        &mut self,
-        index: usize,
-        observation: Observation,
-        features: FeatureRecord,
-        watch: FrameWatch,
-    ) -> Result<Ranked, EvalError>;
+    fn rank(&mut self, index: usize, seen: Observed, watch: FrameWatch) -> Result<Ranked>;
 
     /// Places on the map; `None` for a system that has none.
     fn places(&self) -> Option<usize>;
@@ -36,7 +26,7 @@ pub trait Ranking {
 
 /// The answer to one frame.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Ranked {
+pub(crate) struct Ranked {
     /// Different words that the frame shows.
     pub words: usize,
     /// The earlier frame that is most likely a loop, whatever was decided.
@@ -47,16 +37,16 @@ pub struct Ranked {
     /// cosine.
     pub similarities: Vec<f64>,
     /// How long it took.
-    pub times: FrameTimes,
+    pub times: StageTimes,
 }
 
 /// An earlier frame with how sure the system is of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Proposal {
+pub(crate) struct Proposal {
     /// Index of the earlier frame.
     pub frame: usize,
     /// What proposals are ordered by: the log-odds of the place's posterior, in nats, or the cosine; with
-    /// geometry, [`topomap::verification::Candidate::score`].
+    /// geometry, [`topomap::evidence::Candidate::score`].
     pub score: f64,
     /// The posterior probability of its place; `None` for a system without probabilities.
     pub posterior: Option<f64>,
@@ -66,7 +56,7 @@ pub struct Proposal {
 
 /// What a system that maps decided about a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RankedDecision {
+pub(crate) struct RankedDecision {
     /// Why.
     pub reason: Reason,
     /// The place that the frame belongs to.

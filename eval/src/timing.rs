@@ -5,9 +5,10 @@ use std::time::Instant;
 use fabmap::recognizer::{Stage, StageObserver};
 use serde::Serialize;
 
-/// Wall time of one frame's stages, in milliseconds; `None` for a stage that it did not go through.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct FrameTimes {
+/// Wall time of the stages of one frame, or their medians over many, in milliseconds; `None` for a stage that was not gone
+/// through.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub(crate) struct StageTimes {
     /// Decoding the image, features and their descriptors.
     pub extract: Option<f64>,
     /// Descriptors to words.
@@ -24,40 +25,18 @@ pub struct FrameTimes {
     pub total: Option<f64>,
 }
 
-/// Medians of the stages over all frames, in milliseconds; null for a stage that no frame went
-/// through.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct MedianTimes {
-    /// See [`FrameTimes::extract`].
-    pub extract: Option<f64>,
-    /// See [`FrameTimes::quantize`].
-    pub quantize: Option<f64>,
-    /// See [`FrameTimes::likelihood`].
-    pub likelihood: Option<f64>,
-    /// See [`FrameTimes::new_place`].
-    pub new_place: Option<f64>,
-    /// See [`FrameTimes::filter`].
-    pub filter: Option<f64>,
-    /// See [`FrameTimes::verify`].
-    pub verify: Option<f64>,
-    /// See [`FrameTimes::total`].
-    pub total: Option<f64>,
-}
-
 /// A watch that runs along with one frame: each stage is the time since the one before ended.
 #[derive(Clone, Copy, Debug)]
-pub struct FrameWatch {
+pub(crate) struct FrameWatch {
     started: Instant,
     stage_began: Instant,
-    times: FrameTimes,
+    times: StageTimes,
 }
 
-impl MedianTimes {
+impl StageTimes {
     /// The medians of each stage by itself.
-    #[must_use]
-    pub fn of(frames: &[FrameTimes]) -> Self {
-        let median_of =
-            |stage: fn(&FrameTimes) -> Option<f64>| median(frames.iter().filter_map(stage).collect());
+    pub(crate) fn medians(frames: &[Self]) -> Self {
+        let median_of = |stage: fn(&Self) -> Option<f64>| median(frames.iter().filter_map(stage).collect());
         Self {
             extract: median_of(|times| times.extract),
             quantize: median_of(|times| times.quantize),
@@ -69,11 +48,10 @@ impl MedianTimes {
         }
     }
 
-    /// The stages in order, with their names.
-    #[must_use]
-    pub fn stages(&self) -> [(&'static str, Option<f64>); 7] {
+    /// The stages that were gone through, in order, with their names: `extract 1.23, quantize 4.56`.
+    pub(crate) fn text(&self) -> String {
         let Self { extract, quantize, likelihood, new_place, filter, verify, total } = *self;
-        [
+        let stages = [
             ("extract", extract),
             ("quantize", quantize),
             ("likelihood", likelihood),
@@ -81,32 +59,32 @@ impl MedianTimes {
             ("filter", filter),
             ("verify", verify),
             ("total", total),
-        ]
+        ];
+        let stages = stages.into_iter().filter_map(|(stage, time)| Some(format!("{stage} {:.2}", time?)));
+        stages.collect::<Vec<String>>().join(", ")
     }
 }
 
 impl FrameWatch {
     /// The frame's image has been read and its work begins.
-    #[must_use]
-    pub fn start() -> Self {
+    pub(crate) fn start() -> Self {
         let now = Instant::now();
-        Self { started: now, stage_began: now, times: FrameTimes::default() }
+        Self { started: now, stage_began: now, times: StageTimes::default() }
     }
 
     /// The features have been extracted.
-    pub fn extracted(&mut self) {
+    pub(crate) fn extracted(&mut self) {
         self.times.extract = Some(self.end_stage_ms());
     }
 
     /// The words have been found.
-    pub fn quantized(&mut self) {
+    pub(crate) fn quantized(&mut self) {
         self.times.quantize = Some(self.end_stage_ms());
     }
 
     /// The frame is decided and on the map.
-    #[must_use]
-    pub fn stop(self) -> FrameTimes {
-        FrameTimes { total: Some(self.started.elapsed().as_secs_f64() * 1e3), ..self.times }
+    pub(crate) fn stop(self) -> StageTimes {
+        StageTimes { total: Some(milliseconds(self.started)), ..self.times }
     }
 
     fn end_stage_ms(&mut self) -> f64 {
@@ -128,6 +106,11 @@ impl StageObserver for FrameWatch {
     }
 }
 
+/// Time since then, in milliseconds.
+pub(crate) fn milliseconds(since: Instant) -> f64 {
+    since.elapsed().as_secs_f64() * 1e3
+}
+
 /// The middle value, or the mean of the two in the middle; `None` of none.
 pub(crate) fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
@@ -143,10 +126,14 @@ pub(crate) fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     values.get(rank.max(1) - 1).copied()
 }
 
+/// Root of the mean of the squares; 0 of none.
+pub(crate) fn root_mean_square(values: &[f64]) -> f64 {
+    (values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64).sqrt()
+}
+
 /// Time that this thread has spent on a processor, in seconds, whatever else the machine does; `None` where the system does
 /// not tell.
-#[must_use]
-pub fn thread_seconds() -> Option<f64> {
+pub(crate) fn thread_seconds() -> Option<f64> {
     let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     let nanoseconds: u64 = told.split_whitespace().next()?.parse().ok()?;
     Some(nanoseconds as f64 * 1e-9)
@@ -174,8 +161,8 @@ mod tests {
 
     #[test]
     fn stages_are_taken_apart_and_missing_ones_left_out() {
-        let frame = |extract, filter| FrameTimes { extract: Some(extract), filter, ..FrameTimes::default() };
-        let medians = MedianTimes::of(&[frame(1.0, None), frame(3.0, Some(7.0)), frame(8.0, None)]);
+        let frame = |extract, filter| StageTimes { extract: Some(extract), filter, ..StageTimes::default() };
+        let medians = StageTimes::medians(&[frame(1.0, None), frame(3.0, Some(7.0)), frame(8.0, None)]);
         assert_eq!((medians.extract, medians.filter, medians.verify), (Some(3.0), Some(7.0), None));
     }
 

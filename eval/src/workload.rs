@@ -6,19 +6,23 @@
 //! another image's. Random numbers are drawn otherwise, so equal seeds give other images of the
 //! same distribution.
 
-pub mod files;
+pub(crate) mod files;
+mod model;
 
 use std::collections::BTreeSet;
 
-use fabmap::chow_liu::{ChowLiuError, ChowLiuTree, WordDependence};
+use anyhow::Result;
+use fabmap::chow_liu::{ChowLiuTree, WordDependence};
 use fabmap::observation::{Observation, WordId};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
+use crate::error::refused;
+
 /// What the images are like; the defaults are those of the baselines.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WorkloadSettings {
+pub(crate) struct WorkloadSettings {
     /// V: words of the vocabulary, at least 1.
     pub words: u32,
     /// Mean number of words in an image; at most half the vocabulary, as no word is more frequent
@@ -54,7 +58,7 @@ impl Default for WorkloadSettings {
 /// The distribution that images are drawn from. The image of a number is always the same, however
 /// many are drawn and on however many threads.
 #[derive(Clone, Debug)]
-pub struct Workload {
+pub(crate) struct Workload {
     settings: WorkloadSettings,
     tree: ChowLiuTree,
     /// p(z_q = 1 | z_pq = 0): with which a word is seen whatever its parent.
@@ -63,28 +67,9 @@ pub struct Workload {
     most_spontaneous: Vec<f64>,
 }
 
-/// Settings that make no distribution of images.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum WorkloadError {
-    /// Images of more words than the vocabulary can fill, or of none.
-    #[error(
-        "images of {words_per_image} words cannot be had of {words}; give a vocabulary of at least twice the words of \
-         an image"
-    )]
-    WordsPerImage {
-        /// Words of the vocabulary.
-        words: u32,
-        /// Mean number of words in an image.
-        words_per_image: f64,
-    },
-    /// A probability is none.
-    #[error(transparent)]
-    Tree(#[from] ChowLiuError),
-}
-
 /// What an image is drawn for; images of different uses are independent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Use {
+pub(crate) enum Use {
     /// A place on the map.
     Place = 1,
     /// One of the training images.
@@ -97,7 +82,7 @@ pub enum Use {
 
 /// A revisit: what was seen and where.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Revisit {
+pub(crate) struct Revisit {
     /// The place visited.
     pub place: u32,
     /// What is seen there this time.
@@ -121,34 +106,34 @@ const BLOCK_WORDS: usize = 128;
 
 impl Workload {
     /// The distribution of these settings.
-    ///
-    /// # Errors
-    /// [`WorkloadError`] if the settings make no distribution.
-    pub fn new(settings: WorkloadSettings) -> Result<Self, WorkloadError> {
+    pub(crate) fn new(settings: WorkloadSettings) -> Result<Self> {
         let most = MAX_MARGINAL * f64::from(settings.words);
         if !(settings.words_per_image > 0.0 && settings.words_per_image <= most) {
             let WorkloadSettings { words, words_per_image, .. } = settings;
-            return Err(WorkloadError::WordsPerImage { words, words_per_image });
+            return Err(refused(format_args!(
+                "images of {words_per_image} words cannot be had of {words}; give a vocabulary of at least twice the \
+                 words of an image"
+            )));
         }
         let marginals = marginals(&settings);
         let mut random = stream(settings.seed, TREE_STREAM, 0);
         let rows = marginals.iter().enumerate().map(|(word, &marginal)| {
             if word == 0 {
                 return WordDependence {
-                    parent: 0,
+                    parent: WordId::new(0),
                     marginal,
                     given_parent_seen: marginal,
                     given_parent_unseen: marginal,
                 };
             }
             let parent = random.random_range(word / 2..word);
-            coupled(parent as WordId, marginal, marginals[parent], settings.boost)
+            coupled(WordId::from_index(parent), marginal, marginals[parent], settings.boost)
         });
-        Ok(Self::over(settings, ChowLiuTree::from_rows(rows)?))
+        Ok(Self::over(settings, ChowLiuTree::from_rows(rows).map_err(refused)?))
     }
 
     fn over(settings: WorkloadSettings, tree: ChowLiuTree) -> Self {
-        let words = 0..tree.len() as WordId;
+        let words = WordId::first(tree.len());
         let spontaneous: Vec<f64> = words.map(|word| tree.conditional(word, true, false)).collect();
         let largest = |block: &[f64]| block.iter().copied().fold(0.0, f64::max);
         let most_spontaneous = spontaneous.chunks(BLOCK_WORDS).map(largest).collect();
@@ -156,38 +141,25 @@ impl Workload {
     }
 
     /// The tree that the images come from.
-    #[must_use]
-    pub fn tree(&self) -> &ChowLiuTree {
+    pub(crate) fn tree(&self) -> &ChowLiuTree {
         &self.tree
     }
 
     /// The first `count` images of a use.
-    #[must_use]
-    pub fn images(&self, of: Use, count: u32) -> Vec<Observation> {
+    pub(crate) fn images(&self, of: Use, count: u32) -> Vec<Observation> {
         (0..count).into_par_iter().map(|index| self.image(of, index)).collect()
     }
 
     /// One image: an ancestral sample of the tree.
-    #[must_use]
-    pub fn image(&self, of: Use, index: u32) -> Observation {
+    pub(crate) fn image(&self, of: Use, index: u32) -> Observation {
         let words = self.draw(&mut stream(self.settings.seed, of as u64, index));
         self.observation(words)
     }
 
-    /// Revisit number `index` of a uniformly chosen one of `places`, which must not be empty: each of
-    /// the place's words with probability `kept_share`, and the words of a fresh image each with
-    /// probability 1 - `kept_share`.
-    #[must_use]
-    pub fn revisit(&self, index: u32, places: &[Observation]) -> Revisit {
-        let mut random = stream(self.settings.seed, REVISIT_STREAM, index);
-        let place = random.random_range(0..places.len());
-        let observation = self.changed(&places[place], index, &mut random);
-        Revisit { place: place as u32, observation }
-    }
-
-    /// The same among the first `places` images for a map, at least 1, which need not be at hand.
-    #[must_use]
-    pub fn revisit_to_one_of(&self, index: u32, places: u32) -> Revisit {
+    /// Revisit number `index` of a uniformly chosen one of the first `places` images for a map, at least 1: each of
+    /// the place's words with probability `kept_share`, and the words of a fresh image each with probability
+    /// 1 - `kept_share`.
+    pub(crate) fn revisit_to_one_of(&self, index: u32, places: u32) -> Revisit {
         let mut random = stream(self.settings.seed, REVISIT_STREAM, index);
         let place = random.random_range(0..places as usize) as u32;
         let observation = self.changed(&self.image(Use::Place, place), index, &mut random);
@@ -195,16 +167,14 @@ impl Workload {
     }
 
     /// A revisit to a given place.
-    #[must_use]
-    pub fn revisit_to(&self, index: u32, place: u32) -> Observation {
+    pub(crate) fn revisit_to(&self, index: u32, place: u32) -> Observation {
         let mut random = stream(self.settings.seed, REVISIT_STREAM, index);
         self.changed(&self.image(Use::Place, place), index, &mut random)
     }
 
     /// What is seen of a place in `looks` looks, at least 1: all of it, then each of its words with
     /// probability `kept_share`. So a place has the same words however often it is looked at.
-    #[must_use]
-    pub fn looks(&self, place: u32, looks: u8) -> Vec<Observation> {
+    pub(crate) fn looks(&self, place: u32, looks: u8) -> Vec<Observation> {
         let whole = self.image(Use::Place, place);
         let mut random = stream(self.settings.seed, LOOK_STREAM, place);
         let kept_share = self.settings.kept_share;
@@ -232,7 +202,7 @@ impl Workload {
         let mut seen: BTreeSet<WordId> = words.iter().copied().collect();
         while let Some(word) = words.pop() {
             for &child in self.tree.children(word) {
-                let unseen = self.spontaneous[child as usize];
+                let unseen = self.spontaneous[child.index()];
                 let because_of_parent = (self.tree.conditional(child, true, true) - unseen) / (1.0 - unseen);
                 if random.random::<f64>() < because_of_parent && seen.insert(child) {
                     words.push(child);
@@ -254,7 +224,7 @@ impl Workload {
                 position += (uniform.ln() / (1.0 - rate).ln()) as usize;
                 let Some(&own) = block.get(position) else { break };
                 if random.random::<f64>() * rate < own {
-                    words.push((first + position) as WordId);
+                    words.push(WordId::from_index(first + position));
                 }
                 position += 1;
             }
@@ -276,7 +246,8 @@ fn marginals(settings: &WorkloadSettings) -> Vec<f64> {
         .map(|rank| (f64::from(rank) + settings.zipf_offset).powf(-settings.zipf_exponent))
         .collect();
     let sum = |scale: f64| base.iter().map(|base| (scale * base).min(MAX_MARGINAL)).sum::<f64>();
-    let (mut below, mut above) = (0.0, 1e9);
+    let mut below = 0.0;
+    let mut above = 1e9;
     for _ in 0..200 {
         let middle = 0.5 * (below + above);
         if sum(middle) > settings.words_per_image { above = middle } else { below = middle }
@@ -335,15 +306,15 @@ mod tests {
     fn the_tree_keeps_the_marginals() {
         let workload = small();
         let tree = workload.tree();
-        for word in 1..400 {
+        for word in WordId::first(400).skip(1) {
             let parent = tree.parent(word).unwrap();
-            assert!((word / 2..word).contains(&parent));
+            assert!((word.number() / 2..word.number()).contains(&parent.number()));
             let (p, pp) = (tree.marginal(word, true), tree.marginal(parent, true));
             let (seen, unseen) = (tree.conditional(word, true, true), tree.conditional(word, true, false));
             assert!((seen * pp + unseen * (1.0 - pp) - p).abs() < 1e-12);
             assert!(seen > p && seen <= (p + 0.3 * (1.0 - p)).min(0.95) + 1e-12 && unseen >= 0.2 * p - 1e-12);
         }
-        assert_eq!(tree.parent(0), None);
+        assert_eq!(tree.parent(WordId::new(0)), None);
     }
 
     #[test]
@@ -353,7 +324,7 @@ mod tests {
         let tree = workload.tree();
         let words = images.iter().map(Observation::len).sum::<usize>() as f64 / f64::from(IMAGES);
         assert!((words - 40.0).abs() < 0.5, "{words} words an image");
-        for word in 0..400 {
+        for word in WordId::first(400) {
             let parent = tree.parent(word).unwrap_or(word);
             let (mut given, mut seen) = ([0.0; 2], [0.0; 2]);
             for image in &images {
@@ -376,9 +347,9 @@ mod tests {
     fn a_revisit_is_half_the_place_and_half_another_image() {
         let workload = small();
         let places = workload.images(Use::Place, 50);
-        let revisits: Vec<Revisit> = (0..IMAGES).map(|index| workload.revisit(index, &places)).collect();
+        let revisits: Vec<Revisit> = (0..IMAGES).map(|index| workload.revisit_to_one_of(index, 50)).collect();
         // p(z | place) = 1 - (1 - kept l)(1 - (1 - kept) p), word by word.
-        for word in [0, 7, 150, 399] {
+        for word in [0, 7, 150, 399].map(WordId::new) {
             let marginal = workload.tree().marginal(word, true);
             for there in [false, true] {
                 let at = |revisit: &&Revisit| places[revisit.place as usize].contains(word) == there;
@@ -399,9 +370,7 @@ mod tests {
         let images = workload.images(Use::Place, 30);
         assert_eq!(images[..10], again.images(Use::Place, 10)[..]);
         assert_ne!(images, workload.images(Use::NewQuery, 30));
-        assert_eq!(workload.revisit(3, &images), again.revisit(3, &images));
-        let revisit = workload.revisit_to_one_of(3, 30);
-        assert_eq!(workload.revisit(3, &images), revisit);
+        assert_eq!(workload.revisit_to_one_of(3, 30), again.revisit_to_one_of(3, 30));
         let words = images[7].words();
         let looks = workload.looks(7, 4);
         assert!(looks[0] == images[7] && looks.len() == 4);

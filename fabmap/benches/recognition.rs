@@ -7,13 +7,13 @@ use std::sync::Arc;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use fabmap::appearance::Appearance;
-use fabmap::bail_out::{BailOutRisk, DenseScorer};
+use fabmap::baselines::{BailOutRisk, DenseScorer};
 use fabmap::chow_liu::{ChowLiuTree, WordDependence};
 use fabmap::detector::DetectorModel;
 use fabmap::inverted_index::{InvertedIndex, QueryWeights};
 use fabmap::likelihood::{Dependence, ObservationModel};
 use fabmap::new_place::{NewPlace, NewPlaceMethod, SampleWorkspace};
-use fabmap::observation::Observation;
+use fabmap::observation::{Observation, WordId};
 use fabmap::place_filter::{FilterSettings, MotionPrior, PlaceDistribution, PlaceFilter};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -35,7 +35,7 @@ fn observation(random: &mut ChaCha8Rng) -> Observation {
 
 fn model(random: &mut ChaCha8Rng) -> ObservationModel {
     let rows = (0..WORDS).map(|word| WordDependence {
-        parent: if word == 0 { 0 } else { random.random_range(word / 2..word) },
+        parent: WordId::new(if word == 0 { 0 } else { random.random_range(word / 2..word) }),
         marginal: 0.03,
         given_parent_seen: 0.2,
         given_parent_unseen: 0.02,

@@ -1,5 +1,5 @@
-//! Twenty filter updates over a fixed map, for callgrind to count: instructions can be compared between commits on a
-//! machine where times cannot. `scripts/count-instructions` runs it.
+//! Twenty filter updates over a fixed map, for callgrind to count: instructions can be compared
+//! between commits on a machine where times cannot. `scripts/count-instructions` runs it.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use fabmap::appearance::Appearance;
 use fabmap::chow_liu::{ChowLiuTree, WordDependence};
 use fabmap::detector::DetectorModel;
 use fabmap::likelihood::{Dependence, ObservationModel};
-use fabmap::observation::Observation;
+use fabmap::observation::{Observation, WordId};
 use fabmap::place_filter::MotionPrior;
 use fabmap::recognizer::{Recognition, Recognizer, RecognizerSettings, Workspace};
 use rand::{RngExt, SeedableRng};
@@ -21,7 +21,7 @@ const UPDATES: usize = 20;
 fn main() {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let rows = (0..WORDS).map(|word| WordDependence {
-        parent: if word == 0 { 0 } else { random.random_range(word / 2..word) },
+        parent: WordId::new(if word == 0 { 0 } else { random.random_range(word / 2..word) }),
         marginal: 0.03,
         given_parent_seen: 0.2,
         given_parent_unseen: 0.02,

@@ -9,8 +9,8 @@ pub type PlaceId = u32;
 /// The appearance of a place L_i: n looks, and for each word the k of them that showed it.
 ///
 /// p(e_q = 1 | L_i) follows from the word, k and n alone. The counts are bounded: at
-/// [`Appearance::MAX_LOOKS`] all are halved before the next look, so that the place goes on learning
-/// and a (k, n) fits one byte. A word once seen keeps k ≥ 1.
+/// [`Appearance::MAX_LOOKS`] all are halved before the next look, so that the place goes on
+/// learning and a (k, n) fits one byte. A word once seen keeps k ≥ 1.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Appearance {
     looks: u8,
@@ -19,7 +19,7 @@ pub struct Appearance {
 }
 
 impl Appearance {
-    /// Most looks that are told apart.
+    /// Most looks that are counted; then all counts are halved.
     pub const MAX_LOOKS: u8 = 15;
 
     /// The appearance after a single look.
@@ -87,23 +87,24 @@ impl Appearance {
         writer.varint(self.words.len() as u64);
         let mut previous = 0;
         for (word, k) in self.word_hits() {
-            writer.varint(u64::from(word - previous) << 1 | u64::from(k > 1));
+            writer.varint(u64::from(word.number() - previous) << 1 | u64::from(k > 1));
             if k > 1 {
                 writer.u8(k);
             }
-            previous = word;
+            previous = word.number();
         }
     }
 
-    /// Appends a shorter byte form, for many places together: n, number of words, how many words lie between each and
-    /// the one before; where n > 1 a bit per word, set if its k is not 1, and four bits with k for each of those.
+    /// Appends a shorter byte form, for many places together: n, number of words, how many words
+    /// lie between each and the one before; where n > 1 a bit per word, set if its k is not 1, and
+    /// four bits with k for each of those.
     pub fn encode_packed(&self, writer: &mut Writer) {
         writer.u8(self.looks);
         writer.varint(self.words.len() as u64);
         let mut next = 0;
         for &word in &self.words {
-            writer.varint(u64::from(word - next));
-            next = word + 1;
+            writer.varint(u64::from(word.number() - next));
+            next = word.number() + 1;
         }
         if self.looks > 1 {
             for hits in self.hits.chunks(8) {
@@ -129,7 +130,7 @@ impl Appearance {
             if word >= vocabulary_len as u64 {
                 return Err(impossible_word(word));
             }
-            words.push(word as WordId);
+            words.push(WordId::new(word as u32));
             next = word + 1;
         }
         let mut hits = vec![1; len];
@@ -153,8 +154,8 @@ impl Appearance {
     /// Reads what [`Appearance::encode`] wrote.
     ///
     /// # Errors
-    /// [`DecodeError`] if the bytes are cut, name a word not below `vocabulary_len` or twice, or hold
-    /// counts that no looks give.
+    /// [`DecodeError`] if the bytes are cut, name a word not below `vocabulary_len` or twice, or
+    /// hold counts that no looks give.
     pub fn decode(reader: &mut Reader<'_>, vocabulary_len: usize) -> Result<Self, DecodeError> {
         let (looks, len) = decode_counts(reader, vocabulary_len)?;
         let mut appearance = Self { looks, words: Vec::with_capacity(len), hits: Vec::with_capacity(len) };
@@ -169,7 +170,7 @@ impl Appearance {
             if k == 0 || k > looks {
                 return Err(impossible_hits(k, looks));
             }
-            appearance.words.push(word as WordId);
+            appearance.words.push(WordId::new(word as u32));
             appearance.hits.push(k);
             previous = word;
         }
@@ -199,60 +200,4 @@ fn impossible_hits(k: u8, looks: u8) -> DecodeError {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn looks() -> impl Strategy<Value = Vec<Vec<WordId>>> {
-        proptest::collection::vec(proptest::collection::vec(0..20u32, 0..8), 0..40)
-    }
-
-    proptest! {
-        #[test]
-        fn counts_are_those_of_a_plain_tally(looks in looks()) {
-            let mut appearance = Appearance::default();
-            let (mut n, mut tally) = (0u8, [0u8; 20]);
-            for look in &looks {
-                appearance.observe(&Observation::from_words(look.iter().copied(), 20).unwrap());
-                if n == 15 {
-                    n = 7;
-                    tally.iter_mut().filter(|k| **k > 0).for_each(|k| *k = (*k / 2).max(1));
-                }
-                n += 1;
-                (0..20).filter(|word| look.contains(word)).for_each(|word| tally[word as usize] += 1);
-            }
-            prop_assert_eq!(appearance.looks(), n);
-            for word in 0..20u32 {
-                prop_assert_eq!(appearance.hits(word), tally[word as usize]);
-                prop_assert!(appearance.hits(word) <= n);
-            }
-        }
-
-        #[test]
-        fn bytes_give_the_appearance_back(looks in looks()) {
-            let mut appearance = Appearance::default();
-            for look in &looks {
-                appearance.observe(&Observation::from_words(look.iter().copied(), 20).unwrap());
-            }
-            let mut writer = Writer::default();
-            appearance.encode(&mut writer);
-            let bytes = writer.into_bytes();
-            prop_assert_eq!(Appearance::decode(&mut Reader::new(&bytes), 20), Ok(appearance.clone()));
-            let mut writer = Writer::default();
-            appearance.encode_packed(&mut writer);
-            let bytes = writer.into_bytes();
-            let mut reader = Reader::new(&bytes);
-            prop_assert_eq!(Appearance::decode_packed(&mut reader, 20), Ok(appearance));
-            prop_assert_eq!(reader.remaining(), 0);
-        }
-
-        #[test]
-        fn foreign_bytes_never_make_impossible_counts(bytes in proptest::collection::vec(any::<u8>(), 0..60)) {
-            let plain = Appearance::decode(&mut Reader::new(&bytes), 300);
-            let packed = Appearance::decode_packed(&mut Reader::new(&bytes), 300);
-            for appearance in [plain, packed].into_iter().flatten() {
-                prop_assert!(appearance.word_hits().all(|(word, k)| word < 300 && (1..=appearance.looks()).contains(&k)));
-            }
-        }
-    }
-}
+mod tests;

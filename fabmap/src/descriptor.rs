@@ -1,5 +1,9 @@
 //! Local feature descriptors as rows of bytes, compared in integers.
 
+mod distances;
+
+pub(crate) use distances::lower_distances;
+
 /// How two descriptor rows are compared.
 ///
 /// Both kinds are stored as bytes: a float descriptor (SIFT, RootSIFT) is rounded to one byte a
@@ -21,8 +25,8 @@ impl DescriptorKind {
     #[inline]
     pub fn distance(self, a: &[u8], b: &[u8]) -> u32 {
         match self {
-            DescriptorKind::Float => squared_euclidean(a, b),
-            DescriptorKind::Binary => hamming(a, b),
+            DescriptorKind::Float => distances::squared_euclidean(a, b),
+            DescriptorKind::Binary => distances::hamming(a, b),
         }
     }
 }
@@ -132,7 +136,7 @@ impl Descriptors {
     pub fn distances_to(&self, row: &[u8], distances: &mut [u32]) {
         assert_eq!((row.len(), distances.len()), (self.width, self.len()), "width and number of rows");
         distances.fill(u32::MAX);
-        crate::vocabulary::lower_distances(self.kind, row, &self.bytes, distances);
+        lower_distances(self.kind, row, &self.bytes, distances);
     }
 
     /// All rows as one slice.
@@ -166,29 +170,6 @@ impl Descriptors {
             found_width: other.width,
         })
     }
-}
-
-/// Differences fit 16 bits and are squared from there: compilers make that one vector instruction.
-#[inline(always)]
-fn squared_euclidean(a: &[u8], b: &[u8]) -> u32 {
-    let squares = a.iter().zip(b).map(|(&x, &y)| {
-        let difference = i16::from(x) - i16::from(y);
-        i32::from(difference) * i32::from(difference)
-    });
-    squares.sum::<i32>().unsigned_abs()
-}
-
-#[inline(always)]
-fn hamming(a: &[u8], b: &[u8]) -> u32 {
-    let (a_words, a_rest) = a.as_chunks::<8>();
-    let (b_words, b_rest) = b.as_chunks::<8>();
-    let whole: u32 = a_words
-        .iter()
-        .zip(b_words)
-        .map(|(&x, &y)| (u64::from_le_bytes(x) ^ u64::from_le_bytes(y)).count_ones())
-        .sum();
-    let rest: u32 = a_rest.iter().zip(b_rest).map(|(&x, &y)| (x ^ y).count_ones()).sum();
-    whole + rest
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use crate::appearance::{Appearance, PlaceId};
 use crate::likelihood::ObservationModel;
 use crate::new_place::NewPlaceMethod;
 use crate::observation::{Observation, WordId};
-use crate::recognizer::Recognition;
+use crate::recognition::Recognition;
 
 /// Why one place got its posterior for one observation.
 ///
@@ -95,7 +95,7 @@ fn strongest_words(
         let nats = model.log_term(state, hits, looks) - model.log_term(state, 0, 0);
         WordEvidence { word, seen: state.seen, hits, looks, nats }
     };
-    let mut all: Vec<WordEvidence> = (0..model.vocabulary_len() as WordId).map(evidence).collect();
+    let mut all: Vec<WordEvidence> = WordId::first(model.vocabulary_len()).map(evidence).collect();
     all.sort_by(|a, b| b.nats.total_cmp(&a.nats).then_with(|| a.word.cmp(&b.word)));
     let words_for = all.iter().copied().take(words).take_while(|evidence| evidence.nats > 0.0).collect();
     let words_against =

@@ -13,6 +13,7 @@ mod block;
 mod directory;
 mod heavy_words;
 mod place_words;
+mod posting;
 mod prefetch;
 mod weights;
 
@@ -25,15 +26,17 @@ use rayon::prelude::*;
 use crate::appearance::{Appearance, PlaceId};
 use crate::likelihood::{ObservationModel, WordState};
 use crate::observation::{Observation, WordId};
-use block::{BLOCK_PLACES, Block};
+use block::Block;
+use posting::BLOCK_PLACES;
 
 /// Blocks that are made side by side of places that came together.
 const BLOCKS_AT_A_TIME: usize = 16;
 
 /// Places with their appearances, indexed by word.
 ///
-/// Exact for any number of looks per place, in any tree: every word's weight is within 5e-13 nats. Sums are of
-/// integers, so that neither the order in which looks came nor the number of threads changes a bit of them.
+/// Exact for any number of looks per place, in any tree: every word's weight is within 5e-13 nats.
+/// Sums are of integers, so that neither the order in which looks came nor the number of threads
+/// changes a bit of them.
 #[derive(Clone, Debug)]
 pub struct InvertedIndex {
     model: Arc<ObservationModel>,
@@ -58,8 +61,9 @@ impl InvertedIndex {
         scores
     }
 
-    /// The same from the informative words of the observation, for who has them:
-    /// [`ObservationModel::informative_words`] of this index's model. `weights` and `scores` are overwritten.
+    /// [`InvertedIndex::log_likelihoods`] from the informative words of the observation, as
+    /// [`ObservationModel::informative_words`] of this index's model gives them. `weights` and
+    /// `scores` are overwritten.
     pub fn log_likelihoods_into(
         &self,
         informative: &[WordState],
@@ -92,7 +96,7 @@ impl InvertedIndex {
         &self.model
     }
 
-    /// A place's appearance; `None` if there is no such place. It is put together from the postings.
+    /// A place's appearance; `None` if there is no such place. It is read from the postings.
     #[must_use]
     pub fn appearance(&self, place: PlaceId) -> Option<Appearance> {
         let (block, place) = (place as usize / BLOCK_PLACES, place as usize % BLOCK_PLACES);
@@ -122,8 +126,8 @@ impl InvertedIndex {
         self.blocks.iter().map(|block| block.postings() as u64).sum()
     }
 
-    /// Memory that the index takes for its places: postings, their directory, and what is kept per place. Without
-    /// the model, which does not grow.
+    /// Memory that the index takes for its places: postings, their directory, and what is kept per
+    /// place. Without the model, which does not grow.
     #[must_use]
     pub fn memory_bytes(&self) -> usize {
         self.blocks.capacity() * size_of::<Block>()
@@ -140,8 +144,8 @@ impl InvertedIndex {
         place
     }
 
-    /// Adds places in order, whole blocks side by side. Of many it takes a fraction of the time of adding them one
-    /// by one.
+    /// Adds places in order, whole blocks side by side. Of many it takes a fraction of the time of
+    /// adding them one by one.
     ///
     /// # Panics
     /// See [`InvertedIndex::add`].
@@ -173,7 +177,7 @@ impl InvertedIndex {
     fn count(&mut self, appearance: &Appearance) {
         let words = self.model.vocabulary_len();
         let last_word = appearance.word_hits().next_back().map(|(word, _)| word);
-        assert!(last_word.is_none_or(|word| (word as usize) < words), "a place of another vocabulary");
+        assert!(last_word.is_none_or(|word| word.index() < words), "a place of another vocabulary");
         self.places_of_looks[usize::from(appearance.looks())] += 1;
     }
 
@@ -202,7 +206,7 @@ impl InvertedIndex {
     pub fn observe(&mut self, place: PlaceId, observation: &Observation) {
         let words = self.model.vocabulary_len();
         let last_word = observation.words().last();
-        assert!(last_word.is_none_or(|&word| (word as usize) < words), "a look of another vocabulary");
+        assert!(last_word.is_none_or(|&word| word.index() < words), "a look of another vocabulary");
         let (block, place) = (place as usize / BLOCK_PLACES, place as usize % BLOCK_PLACES);
         let block = &mut self.blocks[block];
         self.places_of_looks[usize::from(block.looks(place))] -= 1;
@@ -212,129 +216,4 @@ impl InvertedIndex {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::test_worlds::{self, World};
-    use proptest::prelude::*;
-
-    proptest! {
-        #[test]
-        fn the_index_is_the_dense_evaluation(world in test_worlds::worlds(40, 12)) {
-            let World { model, appearances, observations } = world;
-            let model = Arc::new(model);
-            let mut index = InvertedIndex::new(model.clone());
-            for appearance in &appearances {
-                index.add(appearance);
-            }
-            for z in &observations {
-                for (place, (sparse, appearance)) in index.log_likelihoods(z).iter().zip(&appearances).enumerate() {
-                    let dense = model.dense_log_likelihood(z, appearance);
-                    prop_assert!((dense - sparse).abs() <= 1e-9 * dense.abs(), "place {place}: {dense} {sparse}");
-                }
-            }
-        }
-
-        #[test]
-        fn looks_one_by_one_give_the_index_of_the_final_counts(
-            world in test_worlds::worlds(25, 3), looks in proptest::collection::vec((0..4u32, 0..4usize), 1..60),
-        ) {
-            let World { model, observations, .. } = world;
-            let model = Arc::new(model);
-            let mut grown = InvertedIndex::new(model.clone());
-            for (place, look) in looks {
-                let z = &observations[look % observations.len()];
-                if place as usize >= grown.len() { grown.add(&Appearance::of(z)); } else { grown.observe(place, z); }
-            }
-            let mut restored = InvertedIndex::new(model);
-            grown.appearances().for_each(|appearance| { restored.add(&appearance); });
-            for z in &observations {
-                let (a, b) = (grown.log_likelihoods(z), restored.log_likelihoods(z));
-                prop_assert!(a.iter().zip(&b).all(|(a, b)| a.to_bits() == b.to_bits()));
-            }
-        }
-    }
-
-    /// Words of a fifth of the places are heavy; looks take places out of them, and bring new words.
-    #[test]
-    fn heavy_words_are_the_dense_evaluation_however_often_places_were_looked_at() {
-        let World { model, observations, .. } = test_worlds::fixed(60, 5000, 11);
-        let model = Arc::new(model);
-        let mut index = InvertedIndex::new(model.clone());
-        let mut appearances: Vec<Appearance> = observations.iter().map(Appearance::of).collect();
-        appearances.iter().for_each(|appearance| {
-            index.add(appearance);
-        });
-        for round in 0..4 {
-            let mut scores = Vec::new();
-            for z in &observations[round..round + 3] {
-                index.log_likelihoods_into(
-                    &model.informative_words(z),
-                    &mut QueryWeights::default(),
-                    &mut scores,
-                );
-                for (appearance, score) in appearances.iter().zip(&scores).skip(round).step_by(7) {
-                    let dense = model.dense_log_likelihood(z, appearance);
-                    assert!((dense - score).abs() <= 1e-9 * dense.abs(), "round {round}: {dense} {score}");
-                }
-            }
-            assert!(index.appearances().eq(appearances.iter().cloned()));
-            let with = |word| {
-                let places = (0..).zip(&appearances).filter(move |(_, place)| place.hits(word) > 0);
-                places.map(|(place, _)| place).collect::<Vec<PlaceId>>()
-            };
-            assert_eq!(index.places_with(9), with(9));
-            assert_eq!(
-                index.postings(),
-                appearances.iter().map(|place| place.word_hits().len() as u64).sum::<u64>()
-            );
-            for place in (round..5000).step_by(2 + round) {
-                let look = &observations[(place * 31 + round) % 5000];
-                appearances[place].observe(look);
-                index.observe(place as PlaceId, look);
-            }
-        }
-        let mut restored = InvertedIndex::new(model);
-        restored.extend(appearances);
-        for z in &observations[..20] {
-            let (grown, restored) = (index.log_likelihoods(z), restored.log_likelihoods(z));
-            assert!(
-                grown.iter().zip(&restored).all(|(grown, restored)| grown.to_bits() == restored.to_bits())
-            );
-        }
-    }
-
-    #[test]
-    fn weights_may_be_used_again_for_another_vocabulary() {
-        let mut weights = QueryWeights::default();
-        for words in [200, 60, 130] {
-            let World { model, observations, .. } = test_worlds::fixed(words, 40, 5);
-            let model = Arc::new(model);
-            let mut index = InvertedIndex::new(model.clone());
-            index.extend(observations.iter().map(Appearance::of));
-            for z in &observations {
-                let mut scores = Vec::new();
-                index.log_likelihoods_into(&model.informative_words(z), &mut weights, &mut scores);
-                assert_eq!(scores, index.log_likelihoods(z), "{words} words");
-            }
-        }
-    }
-
-    #[test]
-    fn many_blocks_on_any_number_of_threads_give_the_same_bits() {
-        let World { model, observations, .. } = test_worlds::fixed(60, 5000, 7);
-        let mut index = InvertedIndex::new(Arc::new(model));
-        for z in &observations {
-            index.add(&Appearance::of(z));
-        }
-        let scores = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| index.log_likelihoods(&observations[17]))
-                .iter()
-                .map(|s| s.to_bits())
-                .collect::<Vec<_>>()
-        };
-        assert_eq!(scores(1), scores(3));
-        let last = index.model().dense_log_likelihood(&observations[17], &index.appearance(4999).unwrap());
-        assert!((f64::from_bits(scores(1)[4999]) - last).abs() < 1e-9 * last.abs());
-    }
-}
+mod tests;

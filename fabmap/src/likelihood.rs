@@ -6,9 +6,9 @@
 use std::sync::OnceLock;
 
 use crate::appearance::Appearance;
-use crate::calibration::EvidenceExponent;
 use crate::chow_liu::ChowLiuTree;
 use crate::detector::DetectorModel;
+use crate::evidence_exponent::EvidenceExponent;
 use crate::observation::{Observation, WordId};
 use crate::slices;
 
@@ -31,17 +31,18 @@ pub struct ObservationModel {
     /// Σ_q ln p(z_q = 0 | z_pq = 0, k_q = 0, n) for n = 0..=MAX_LOOKS: the log-likelihood that
     /// nothing is seen at a place where nothing was seen in n looks.
     nothing_seen: Vec<f64>,
-    /// Per word: how much likelier it makes an observation that shows neither the word nor its parent if
-    /// it was seen in the one look at a place, and not missed.
+    /// Per word: how much likelier it makes an observation that shows neither the word nor its
+    /// parent if it was seen in the one look at a place, and not missed.
     unseen_gain_of_one_look: Vec<f64>,
     /// Per word, for the states of [`INFORMATIVE_STATES`]. Made when first asked for.
     one_look: OnceLock<Vec<[OneLook; 3]>>,
-    /// By [`count_index`]: p(k of n looks show a word | e = 1) and the same for e = 0, over the larger of the two.
+    /// By [`count_index`]: p(k of n looks show a word | e = 1) and the same for e = 0, over the
+    /// larger of the two.
     evidence_of_looks: Vec<[f64; 2]>,
 }
 
-/// What an informative word says of a place that was looked at once, beyond what it would say if neither it nor its
-/// parent were seen; in nats.
+/// What an informative word says of a place that was looked at once, beyond what it would say if
+/// neither it nor its parent were seen; in nats.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct OneLook {
     /// Of any place.
@@ -61,8 +62,8 @@ pub(crate) const fn count_index(hits: u8, looks: u8) -> usize {
 /// (z_q, z_pq) of an informative word.
 const INFORMATIVE_STATES: [(bool, bool); 3] = [(false, true), (true, false), (true, true)];
 
-/// ln p(Z | L) of one Z for many places that were looked at once: what they have in common is computed
-/// once.
+/// ln p(Z | L) of one Z for many places that were looked at once: what they have in common is
+/// computed once.
 #[derive(Clone, Debug)]
 pub struct SingleLooks<'a> {
     model: &'a ObservationModel,
@@ -108,8 +109,8 @@ impl ObservationModel {
         model.with_exponent(exponent)
     }
 
-    /// The same model with every term, and so every likelihood, raised to `exponent`: all that is made
-    /// of it (places, samples, the average place) is tempered alike.
+    /// The same model with every term, and so every likelihood, raised to `exponent`: all that is
+    /// made of it (places, samples, the average place) is tempered alike.
     #[must_use]
     pub fn with_exponent(mut self, exponent: EvidenceExponent) -> Self {
         self.exponent = exponent;
@@ -145,20 +146,20 @@ impl ObservationModel {
     /// Newman 2008, eq. (9). Slow on purpose: time grows with the vocabulary.
     #[must_use]
     pub fn dense_log_likelihood(&self, observation: &Observation, place: &Appearance) -> f64 {
-        (0..self.vocabulary_len() as WordId)
+        WordId::first(self.vocabulary_len())
             .map(|word| self.log_term(self.word_state(word, observation), place.hits(word), place.looks()))
             .sum()
     }
 
-    /// ln p(Z | L_avg): the mean-field approximation of a place nobody has seen, Cummins & Newman
+    /// ln p(Z | L_avg): the mean-field approximation of an unknown place, Cummins & Newman
     /// 2008, eq. (16). The average place is one with no looks at all.
     #[must_use]
     pub fn dense_log_likelihood_of_average_place(&self, observation: &Observation) -> f64 {
         self.dense_log_likelihood(observation, &Appearance::default())
     }
 
-    /// ln p(z_q | z_pq, L_i) = ln Σ_s p(z_q | e_q = s, z_pq) p(e_q = s | L_i) at a place where the word
-    /// was seen in `hits` of `looks`, times the exponent. Cummins & Newman 2008, eq. (10).
+    /// ln p(z_q | z_pq, L_i) = ln Σ_s p(z_q | e_q = s, z_pq) p(e_q = s | L_i) at a place where the
+    /// word was seen in `hits` of `looks`, times the exponent. Cummins & Newman 2008, eq. (10).
     #[must_use]
     pub fn log_term(&self, state: WordState, hits: u8, looks: u8) -> f64 {
         let belief = self.detector.belief(self.tree.marginal(state.word, true), hits, looks);
@@ -223,10 +224,10 @@ impl ObservationModel {
     pub(crate) fn one_look(&self, state: WordState) -> OneLook {
         let by_word = self.one_look.get_or_init(|| {
             let states = |word| INFORMATIVE_STATES.map(|state| self.evaluate_one_look(word, state));
-            (0..self.vocabulary_len() as WordId).map(states).collect()
+            WordId::first(self.vocabulary_len()).map(states).collect()
         });
         let position = 2 * usize::from(state.seen) + usize::from(state.parent_seen) - 1;
-        by_word[state.word as usize][position]
+        by_word[state.word.index()][position]
     }
 
     fn evaluate_one_look(&self, word: WordId, (seen, parent_seen): (bool, bool)) -> OneLook {
@@ -237,11 +238,13 @@ impl ObservationModel {
         }
     }
 
-    /// For n = 0..=`most_looks` and k = 0..=n, in the order of [`count_index`]: how much more than "neither the word nor
-    /// its parent is seen" the word's state says of a place where the word was seen in k of n looks, in nats.
+    /// For n = 0..=`most_looks` and k = 0..=n, in the order of [`count_index`]: how much more than
+    /// "neither the word nor its parent is seen" the word's state says of a place where the word
+    /// was seen in k of n looks, in nats.
     ///
-    /// As ln [Σ_s p(z_q | e_q = s, z_pq) p(e_q = s | L)] less the same of the unseen state, in which the normaliser of
-    /// p(e_q | L) cancels: p(e_q = s | L) ∝ p(e_q = s) Π p(z|e_q = s) over the looks.
+    /// As ln [Σ_s p(z_q | e_q = s, z_pq) p(e_q = s | L)] less the same of the unseen state, in
+    /// which the normaliser of p(e_q | L) cancels: p(e_q = s | L) ∝ p(e_q = s) Π p(z|e_q = s) over
+    /// the looks.
     pub(crate) fn gains_over_unseen(&self, state: WordState, most_looks: u8, gains: &mut [f64; COUNTS]) {
         let marginal = self.tree.marginal(state.word, true);
         let weighted = |state| {
@@ -256,12 +259,12 @@ impl ObservationModel {
         gains[counts].iter_mut().for_each(|gain| *gain *= self.exponent.value());
     }
 
-    /// Σ over the words of a place of what they say, beyond what they would if the place did not have them, to a query
-    /// that shows neither them nor their parents; in nats.
+    /// Σ over the words of a place of what they say, beyond what they would if the place did not
+    /// have them, to a query that shows neither them nor their parents; in nats.
     pub(crate) fn unseen_gain(&self, appearance: &Appearance) -> f64 {
         let looks = appearance.looks();
         if looks == 1 {
-            return appearance.word_hits().map(|(word, _)| self.unseen_gain_of_one_look[word as usize]).sum();
+            return appearance.word_hits().map(|(word, _)| self.unseen_gain_of_one_look[word.index()]).sum();
         }
         let gain =
             |(word, hits)| self.log_term(unseen(word), hits, looks) - self.log_term(unseen(word), 0, looks);
@@ -283,7 +286,7 @@ impl ObservationModel {
     }
 
     fn unseen_words(&self) -> impl Iterator<Item = WordState> {
-        (0..self.vocabulary_len() as WordId).map(unseen)
+        WordId::first(self.vocabulary_len()).map(unseen)
     }
 }
 
@@ -299,7 +302,7 @@ impl SingleLooks<'_> {
             while informative.next_if(|&&(informative, _)| informative < word).is_some() {}
             match informative.peek() {
                 Some(&&(informative, gain)) if informative == word => gain,
-                Some(_) | None => self.model.unseen_gain_of_one_look[word as usize],
+                Some(_) | None => self.model.unseen_gain_of_one_look[word.index()],
             }
         });
         self.empty_place + gains.sum::<f64>()
@@ -312,61 +315,4 @@ pub(crate) fn unseen(word: WordId) -> WordState {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::test_worlds::{self, World};
-    use proptest::prelude::*;
-
-    proptest! {
-        #[test]
-        fn an_exponent_scales_every_log_likelihood(world in test_worlds::worlds(30, 3), exponent in 0.01..1.0f64) {
-            let World { model, observations, appearances } = world;
-            let tempered = model.clone().with_exponent(EvidenceExponent::new(exponent).unwrap());
-            for (z, place) in observations.iter().zip(&appearances) {
-                let plain = exponent * model.dense_log_likelihood(z, place);
-                let value = tempered.dense_log_likelihood(z, place);
-                prop_assert!((value - plain).abs() <= 1e-9 * plain.abs(), "{value} {plain}");
-                let plain = exponent * model.dense_log_likelihood(z, &Appearance::of(z));
-                let value = tempered.single_looks(z).log_likelihood(z);
-                prop_assert!((value - plain).abs() <= 1e-9 * plain.abs(), "{value} {plain}");
-            }
-        }
-
-        #[test]
-        fn the_sparse_average_place_is_the_dense_one(world in test_worlds::worlds(30, 4)) {
-            let World { model, observations, .. } = world;
-            for z in &observations {
-                let dense = model.dense_log_likelihood_of_average_place(z);
-                let sparse = model.log_likelihood_of_empty_place(&model.informative_words(z), 0);
-                prop_assert!((dense - sparse).abs() <= 1e-9 * dense.abs(), "{dense} {sparse}");
-            }
-        }
-
-        #[test]
-        fn a_single_look_is_the_dense_place(world in test_worlds::worlds(30, 4)) {
-            let World { model, observations, .. } = world;
-            for z in &observations {
-                let single_looks = model.single_looks(z);
-                for place in &observations {
-                    let dense = model.dense_log_likelihood(z, &Appearance::of(place));
-                    let single = single_looks.log_likelihood(place);
-                    prop_assert!((dense - single).abs() <= 1e-9 * dense.abs(), "{dense} {single}");
-                }
-            }
-        }
-
-        /// Σ_Z p(Z | L) over all observations of a small vocabulary. Naive Bayes is a distribution; the
-        /// Chow-Liu form is one too, because each factor sums to 1 over z_q whatever the parent.
-        #[test]
-        fn likelihoods_are_probabilities(world in test_worlds::worlds(7, 3)) {
-            let World { model, appearances, .. } = world;
-            for place in &appearances {
-                let total: f64 = (0..1u32 << 7)
-                    .map(|bits| Observation::from_words((0..7).filter(|q| bits >> q & 1 == 1), 7).unwrap())
-                    .map(|z| model.dense_log_likelihood(&z, place).exp())
-                    .sum();
-                prop_assert!((total - 1.0).abs() < 1e-9, "{total}");
-            }
-        }
-    }
-}
+mod tests;

@@ -9,15 +9,15 @@ use std::str::FromStr;
 
 use sha2::{Digest, Sha256};
 
-use crate::calibration::EvidenceExponent;
 use crate::chow_liu::ChowLiuTree;
 use crate::codec::{Container, DecodeError, Reader, Writer};
 use crate::detector::DetectorModel;
-use crate::observation::Observation;
+use crate::evidence_exponent::EvidenceExponent;
+use crate::observation::{Observation, WordId};
 use crate::vocabulary::Vocabulary;
 
-/// Extractor, vocabulary, Chow-Liu tree, detector model with its calibration, and sampling set. Immutable, and named by
-/// the hash of its content.
+/// Extractor, vocabulary, Chow-Liu tree, detector model with its calibration, and sampling set.
+/// Immutable, and named by the hash of its content.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
     extractor: String,
@@ -47,7 +47,7 @@ pub enum ModelError {
     #[error("the sampling set has word {word}, the vocabulary {vocabulary} words; quantize the samples anew")]
     SampleWord {
         /// The word.
-        word: u32,
+        word: WordId,
         /// Words of the vocabulary.
         vocabulary: usize,
     },
@@ -56,8 +56,8 @@ pub enum ModelError {
 /// `.waypost` model files.
 const CONTAINER: Container = Container { magic: *b"WPMODEL\n", name: "Waypost model", version: 2 };
 
-/// A model whose likelihoods count in full is written as version 1 wrote it, byte by byte: its name is
-/// the hash of these bytes, and maps know it by that name.
+/// A model whose likelihoods count in full is written as version 1 wrote it, byte by byte: its name
+/// is the hash of these bytes, and maps know it by that name.
 const WITHOUT_EXPONENT: Container = Container { version: 1, ..CONTAINER };
 
 impl Model {
@@ -77,7 +77,7 @@ impl Model {
             return Err(ModelError::TreeSize { tree: tree.len(), vocabulary: vocabulary.len() });
         }
         let last_words = sampling_set.iter().filter_map(|sample| sample.words().last());
-        if let Some(&word) = last_words.max().filter(|&&word| word as usize >= vocabulary.len()) {
+        if let Some(&word) = last_words.max().filter(|&&word| word.index() >= vocabulary.len()) {
             return Err(ModelError::SampleWord { word, vocabulary: vocabulary.len() });
         }
         let evidence_exponent = EvidenceExponent::NONE;

@@ -11,7 +11,7 @@ use crate::observation::Observation;
 
 use tail::Tail;
 
-/// How the places nobody has seen are stood in for.
+/// What stands in for the places that the map does not have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum NewPlaceMethod {
     /// By one average place. Cummins & Newman 2008, eq. (16).
@@ -19,13 +19,13 @@ pub enum NewPlaceMethod {
     /// By a sampling set: observations of other places, each a place of its own. Cummins & Newman
     /// 2008, eq. (17).
     Sampled,
-    /// By what the likeliest of as many unrelated places as the map has would reach, from the tail of
-    /// the sampling set. The mean of a sample is outdone by the best of a large map; this grows with
-    /// the map as that does.
+    /// By what the likeliest of as many unrelated places as the map has would reach, from the tail
+    /// of the sampling set. The mean of a sample is outdone by the best of a large map; this grows
+    /// with the map as that does.
     #[default]
     Tail,
-    /// By the tail of the sampling set too, and likelihood ratios are tempered to it: a place is the
-    /// more likely than "somewhere new" the rarer it is that an unrelated place is as likely.
+    /// By the tail of the sampling set too, and likelihood ratios are tempered to it: a place is
+    /// the more likely than "somewhere new" the rarer it is that an unrelated place is as likely.
     /// Words depend on each other in more ways than a tree has edges, so that untempered ratios
     /// overstate what they say. Posteriors come out much lower: a threshold for them must too.
     TemperedTail,
@@ -53,14 +53,14 @@ enum StandIn {
     Samples(Box<InvertedIndex>, Summary),
 }
 
-/// What the term of one observation is worked out in. Kept between observations it saves their allocations.
+/// Buffers for the term of one observation; reusing them saves allocations.
 #[derive(Clone, Debug, Default)]
 pub struct SampleWorkspace {
     weights: QueryWeights,
     log_likelihoods: Vec<f64>,
 }
 
-/// What is made of the likelihoods of the samples.
+/// How the likelihoods of the samples are summed up.
 #[derive(Clone, Copy, Debug)]
 enum Summary {
     Mean,
@@ -78,8 +78,8 @@ impl NewPlace {
     /// may be as good as [`NewPlaceMethod::Tail`], its share of the prior considered.
     const MISTAKEN_SHARE: f64 = 0.01;
 
-    /// c: density of ln p(Z | L) of a place that Z shows, per factor e of the tail. Such values spread over
-    /// some twenty of them.
+    /// c: density of ln p(Z | L) of a place that Z shows, per factor e of the tail. Such values
+    /// spread over some twenty of them.
     const MATCHES_PER_FOLD: f64 = 0.05;
 
     /// # Errors
@@ -124,13 +124,14 @@ impl NewPlace {
     ///
     /// - mean field: ln p(Z | L_avg);
     /// - sampled: ln [(1/n_s) Σ_u p(Z | L_u)] over the n_s samples;
-    /// - tail: y - ln n, where y is exceeded by the likeliest of n unrelated places in a share α = 1 %
-    ///   of all observations; at least the sampled term. Such a place has 1/n of the prior that all
-    ///   places share, so it is as good as "somewhere new" where ln p(Z | L) - ln n reaches this;
-    /// - tempered tail: such that p(Z | L) / p(Z | L_new), tempered, is c / P(an unrelated place is as
-    ///   likely): the density of ln p(Z | L) at a place that Z shows over the density at one that it
-    ///   does not, where the tail's is P / scale. With n places the best unrelated one reaches about
-    ///   n c, whatever n is.
+    /// - tail: y - ln n, where y is exceeded by the likeliest of n unrelated places in a share α =
+    ///   1 % of all observations; at least the sampled term. Such a place has 1/n of the prior that
+    ///   all places share, so it is as good as "somewhere new" where ln p(Z | L) - ln n reaches
+    ///   this;
+    /// - tempered tail: such that p(Z | L) / p(Z | L_new), tempered, is c / P(an unrelated place is
+    ///   as likely): the density of ln p(Z | L) at a place that Z shows over the density at one
+    ///   that it does not, where the tail's is P / scale. With n places the best unrelated one
+    ///   reaches about n c, whatever n is.
     #[must_use]
     pub fn term(
         &self,
@@ -147,7 +148,8 @@ impl NewPlace {
                 match summary {
                     Summary::Mean => untempered(log_mean_exp(scores)),
                     Summary::Tail => {
-                        let (places, mean) = (places.max(1), log_mean_exp(scores));
+                        let places = places.max(1);
+                        let mean = log_mean_exp(scores);
                         let best = Tail::fit(scores).exceeded_by_best_of(places, Self::MISTAKEN_SHARE);
                         untempered(mean.max(best - (places as f64).ln()))
                     }
@@ -188,106 +190,4 @@ pub(crate) fn log_sum_exp(values: &[f64]) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::test_worlds::{self, World};
-    use proptest::prelude::*;
-
-    fn term(new_place: &NewPlace, informative: &[WordState], places: usize) -> NewPlaceTerm {
-        new_place.term(informative, places, &mut SampleWorkspace::default())
-    }
-
-    proptest! {
-        #[test]
-        fn the_sampled_term_is_the_mean_over_the_samples(world in test_worlds::worlds(20, 2)) {
-            let World { model, observations, .. } = world;
-            let model = Arc::new(model);
-            let new_place = NewPlace::new(NewPlaceMethod::Sampled, &model, &observations).unwrap();
-            for z in &observations {
-                let mean = observations.iter()
-                    .map(|sample| model.dense_log_likelihood(z, &Appearance::of(sample)).exp())
-                    .sum::<f64>() / observations.len() as f64;
-                let term = term(&new_place, &model.informative_words(z), 7).log_likelihood;
-                prop_assert!((term - mean.ln()).abs() <= 1e-9 * term.abs().max(1.0), "{term} {}", mean.ln());
-            }
-        }
-
-        /// Written from the definition, over dense likelihoods; of fewer than a hundred samples, a quarter is
-        /// the tail.
-        #[test]
-        fn the_tail_is_that_of_the_dense_likelihoods(
-            world in test_worlds::worlds(20, 1), samples in test_worlds::observations(20), places in 0..100_000usize,
-        ) {
-            let World { model, observations, .. } = world;
-            let model = Arc::new(model);
-            let new_place = NewPlace::new(NewPlaceMethod::Tail, &model, &samples).unwrap();
-            for z in &observations {
-                let mut dense: Vec<f64> = samples.iter()
-                    .map(|sample| model.dense_log_likelihood(z, &Appearance::of(sample)))
-                    .collect();
-                dense.sort_by(|a, b| b.total_cmp(a));
-                let n_s = dense.len() as f64;
-                let mean = (dense.iter().map(|l| l.exp()).sum::<f64>() / n_s).ln();
-                let top = ((n_s / 4.0).floor().max(1.0) as usize).min(dense.len() - 1);
-                let scale = dense[..top].iter().map(|l| l - dense[top]).sum::<f64>() / (top as f64).max(1.0);
-                let n = places.max(1) as f64;
-                let best = dense[top] + scale * (n * (top as f64).max(1.0) / n_s / 0.01).ln();
-                let term = term(&new_place, &model.informative_words(z), places).log_likelihood;
-                let expected = mean.max(best - n.ln());
-                prop_assert!((term - expected).abs() <= 1e-8 * term.abs().max(1.0), "{term} {expected}");
-            }
-        }
-
-        /// The ratio against "somewhere new" is c over the share of unrelated places that are as likely,
-        /// as far as the tail is one of scale 1 or more.
-        #[test]
-        fn tempered_ratios_are_those_of_the_tail(
-            world in test_worlds::worlds(20, 1), samples in test_worlds::observations(20), nats in 0.0..500.0f64,
-        ) {
-            let World { model, observations, .. } = world;
-            let model = Arc::new(model);
-            let new_place = NewPlace::new(NewPlaceMethod::TemperedTail, &model, &samples).unwrap();
-            for z in &observations {
-                let mut dense: Vec<f64> = samples.iter()
-                    .map(|sample| model.dense_log_likelihood(z, &Appearance::of(sample)))
-                    .collect();
-                dense.sort_by(|a, b| b.total_cmp(a));
-                let n_s = dense.len() as f64;
-                let top = ((n_s / 4.0).floor().max(1.0) as usize).min(dense.len() - 1);
-                let scale = dense[..top].iter().map(|l| l - dense[top]).sum::<f64>() / (top as f64).max(1.0);
-                let share = (top as f64).max(1.0) / n_s;
-                let term = term(&new_place, &model.informative_words(z), 1);
-                prop_assert!(term.temperature >= 1.0);
-                prop_assert!((term.temperature - scale.max(1.0)).abs() <= 1e-8 * scale.max(1.0));
-                if scale > 1.0 {
-                    let unrelated_as_likely = share.ln() - nats / scale;
-                    let expected = 0.05f64.ln() - unrelated_as_likely;
-                    let found = (dense[top] + nats - term.log_likelihood) / term.temperature;
-                    prop_assert!((found - expected).abs() < 1e-6 * (1.0 + nats), "{found} {expected}");
-                }
-            }
-        }
-
-        #[test]
-        fn log_sum_exp_is_the_plain_sum(values in proptest::collection::vec(-20.0..20.0f64, 1..30)) {
-            let plain = values.iter().map(|v| v.exp()).sum::<f64>().ln();
-            prop_assert!((log_sum_exp(&values) - plain).abs() < 1e-9);
-        }
-    }
-
-    #[test]
-    fn a_sum_of_tiny_likelihoods_is_not_zero() {
-        assert!((log_sum_exp(&[-5000.0, -5000.0]) - (-5000.0 + 2f64.ln())).abs() < 1e-9);
-        assert_eq!(log_sum_exp(&[]), f64::NEG_INFINITY);
-    }
-
-    #[test]
-    fn sampling_needs_samples() {
-        let World { model, .. } = test_worlds::fixed(5, 1, 1);
-        let model = Arc::new(model);
-        assert!(NewPlace::new(NewPlaceMethod::Sampled, &model, &[]).is_err());
-        assert!(NewPlace::new(NewPlaceMethod::Tail, &model, &[]).is_err());
-        assert!(NewPlace::new(NewPlaceMethod::TemperedTail, &model, &[]).is_err());
-        assert!(NewPlace::new(NewPlaceMethod::MeanField, &model, &[]).is_ok());
-    }
-}
+mod tests;

@@ -2,8 +2,7 @@
 
 use crate::codec::{DecodeError, Reader, Writer};
 
-/// Number of a visual word, counted from 0.
-pub type WordId = u32;
+pub use crate::ids::WordId;
 
 /// An observation Z: the words seen in one image, ascending, each with how often it was seen.
 ///
@@ -48,12 +47,12 @@ impl Observation {
     /// # Errors
     /// [`ObservationError::UnknownWord`] if a word is not below `vocabulary_len`.
     pub fn from_words(
-        words: impl IntoIterator<Item = WordId>,
+        words: impl IntoIterator<Item: Into<WordId>>,
         vocabulary_len: usize,
     ) -> Result<Self, ObservationError> {
-        let mut sorted: Vec<WordId> = words.into_iter().collect();
+        let mut sorted: Vec<WordId> = words.into_iter().map(Into::into).collect();
         sorted.sort_unstable();
-        if let Some(&word) = sorted.last().filter(|&&last| last as usize >= vocabulary_len) {
+        if let Some(&word) = sorted.last().filter(|&&last| last.index() >= vocabulary_len) {
             return Err(ObservationError::UnknownWord { word, vocabulary_len });
         }
         let mut observation = Self::default();
@@ -67,14 +66,16 @@ impl Observation {
     /// Collects words with how often each was seen, in any order.
     ///
     /// # Errors
-    /// [`ObservationError`] if a word is not below `vocabulary_len`, is there twice, or was seen no times.
+    /// [`ObservationError`] if a word is not below `vocabulary_len`, is there twice, or was seen no
+    /// times.
     pub fn from_word_counts(
-        word_counts: impl IntoIterator<Item = (WordId, u32)>,
+        word_counts: impl IntoIterator<Item = (impl Into<WordId>, u32)>,
         vocabulary_len: usize,
     ) -> Result<Self, ObservationError> {
-        let mut sorted: Vec<(WordId, u32)> = word_counts.into_iter().collect();
+        let mut sorted: Vec<(WordId, u32)> =
+            word_counts.into_iter().map(|(word, count)| (word.into(), count)).collect();
         sorted.sort_unstable();
-        if let Some(&(word, _)) = sorted.last().filter(|(last, _)| *last as usize >= vocabulary_len) {
+        if let Some(&(word, _)) = sorted.last().filter(|(last, _)| last.index() >= vocabulary_len) {
             return Err(ObservationError::UnknownWord { word, vocabulary_len });
         }
         if let Some(pair) = sorted.windows(2).find(|pair| pair[0].0 == pair[1].0) {
@@ -96,6 +97,12 @@ impl Observation {
     /// Words with how often each was seen (at least once), ascending by word.
     pub fn word_counts(&self) -> impl Iterator<Item = (WordId, u32)> + '_ {
         self.words.iter().copied().zip(self.counts.iter().copied())
+    }
+
+    /// The numbers of the words seen, ascending, and beside them how often each was seen.
+    #[must_use]
+    pub fn histogram(&self) -> (Vec<u32>, Vec<u32>) {
+        (self.words.iter().copied().map(u32::from).collect(), self.counts.clone())
     }
 
     /// Number of different words seen.
@@ -123,11 +130,11 @@ impl Observation {
         let mut previous = 0;
         for (word, count) in self.word_counts() {
             let repeated = u64::from(count > 1);
-            writer.varint(u64::from(word - previous) << 1 | repeated);
+            writer.varint(u64::from(word.number() - previous) << 1 | repeated);
             if count > 1 {
                 writer.varint(u64::from(count));
             }
-            previous = word;
+            previous = word.number();
         }
     }
 
@@ -153,7 +160,7 @@ impl Observation {
             if count == 0 {
                 return Err(DecodeError::invalid("a word counted 0 times"));
             }
-            observation.words.push(word as WordId);
+            observation.words.push(WordId::new(word as u32));
             observation.counts.push(count);
             previous = word;
         }
@@ -176,8 +183,8 @@ mod tests {
             if let Some(&(word, count)) = counts.first() {
                 let repeated = counts.iter().copied().chain([(word, count)]);
                 prop_assert_eq!(Observation::from_word_counts(repeated, 5000), Err(ObservationError::RepeatedWord { word }));
-                let unknown = Observation::from_word_counts(counts.iter().copied(), word as usize);
-                prop_assert_eq!(unknown, Err(ObservationError::UnknownWord { word, vocabulary_len: word as usize }));
+                let unknown = Observation::from_word_counts(counts.iter().copied(), word.index());
+                prop_assert_eq!(unknown, Err(ObservationError::UnknownWord { word, vocabulary_len: word.index() }));
                 let unseen = Observation::from_word_counts([(word, 0)], 5000);
                 prop_assert_eq!(unseen, Err(ObservationError::UnseenWord { word }));
             }
@@ -198,7 +205,7 @@ mod tests {
         fn foreign_bytes_never_make_an_unsorted_observation(bytes in proptest::collection::vec(any::<u8>(), 0..60)) {
             if let Ok(observation) = Observation::decode(&mut Reader::new(&bytes), 300) {
                 prop_assert!(observation.words().is_sorted_by(|a, b| a < b));
-                prop_assert!(observation.words().iter().all(|&word| word < 300));
+                prop_assert!(observation.words().iter().all(|&word| word.index() < 300));
             }
         }
     }
@@ -206,13 +213,16 @@ mod tests {
     #[test]
     fn words_are_counted_and_sorted() {
         let observation = Observation::from_words([7, 2, 7, 0], 8).unwrap();
-        assert_eq!(observation.word_counts().collect::<Vec<_>>(), [(0, 1), (2, 1), (7, 2)]);
-        assert!(observation.contains(2) && !observation.contains(3));
+        assert_eq!(
+            observation.word_counts().collect::<Vec<_>>(),
+            [(0, 1), (2, 1), (7, 2)].map(|(word, count)| (WordId::new(word), count))
+        );
+        assert!(observation.contains(WordId::new(2)) && !observation.contains(WordId::new(3)));
     }
 
     #[test]
     fn a_word_beyond_the_vocabulary_is_refused() {
         let refused = Observation::from_words([1, 8], 8);
-        assert_eq!(refused, Err(ObservationError::UnknownWord { word: 8, vocabulary_len: 8 }));
+        assert_eq!(refused, Err(ObservationError::UnknownWord { word: WordId::new(8), vocabulary_len: 8 }));
     }
 }

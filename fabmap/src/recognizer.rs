@@ -2,9 +2,8 @@
 
 use std::sync::Arc;
 
-use rayon::prelude::*;
-
 use crate::appearance::{Appearance, PlaceId};
+use crate::baselines;
 use crate::detector::DetectorModel;
 use crate::explanation::Explanation;
 use crate::inverted_index::{InvertedIndex, QueryWeights};
@@ -12,9 +11,9 @@ use crate::likelihood::{Dependence, ObservationModel, WordState};
 use crate::model::Model;
 use crate::new_place::{NewPlace, NewPlaceMethod, NoSamplesError, SampleWorkspace};
 use crate::observation::Observation;
-use crate::place_filter::{
-    FilterError, FilterSettings, MotionPrior, PlaceDistribution, PlaceFilter, PlacePrior,
-};
+use crate::place_filter::{FilterError, FilterSettings, MotionPrior, PlaceFilter};
+
+pub use crate::recognition::{Association, Recognition};
 
 /// FAB-MAP over a growing set of places.
 #[derive(Clone, Debug)]
@@ -30,7 +29,7 @@ pub struct Recognizer {
 pub struct RecognizerSettings {
     /// Words coupled by the tree, or independent.
     pub dependence: Dependence,
-    /// How places nobody has seen are stood in for.
+    /// What stands in for the places that the map does not have.
     pub new_place: NewPlaceMethod,
     /// Which evaluation of the likelihood is used; both give the same values.
     pub scorer: Scorer,
@@ -46,7 +45,7 @@ pub enum Scorer {
     /// The inverted index.
     #[default]
     Index,
-    /// Every word of every place: the oracle, for comparison.
+    /// Every word of every place, see [`crate::baselines`]: the same values, slowly.
     Dense,
 }
 
@@ -61,36 +60,14 @@ pub enum RecognizerError {
     NoSamples(#[from] NoSamplesError),
 }
 
-/// What one observation says about where the robot is.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Recognition {
-    /// ln p(Z | L_i) per place, in nats.
-    pub log_likelihoods: Vec<f64>,
-    /// ln p(Z | L_new), in nats.
-    pub new_place_log_likelihood: f64,
-    /// Before the observation.
-    pub prior: PlacePrior,
-    /// After it.
-    pub posterior: PlaceDistribution,
-}
-
-/// What observations are worked on in; see [`Recognizer::recognize_into`].
+/// Buffers that are reused between observations; see [`Recognizer::recognize_into`].
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
     weights: QueryWeights,
     samples: SampleWorkspace,
 }
 
-/// Which place an observation belongs to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Association {
-    /// A place that is not on the map.
-    New,
-    /// A place that is.
-    Seen(PlaceId),
-}
-
-/// A step of the work on one frame, for whoever measures time.
+/// A step of the work on one frame, for measuring how long it takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Stage {
     /// ln p(Z | L_i) of all places.
@@ -103,7 +80,7 @@ pub enum Stage {
     Verification,
 }
 
-/// Hears when a stage is completed. This crate has no clock; `()` ignores it.
+/// Called when a stage is completed. This crate has no clock; `()` does nothing.
 pub trait StageObserver {
     /// `stage` has just been completed.
     fn completed(&mut self, stage: Stage);
@@ -125,11 +102,12 @@ impl Recognizer {
         Self::over(Arc::new(observation_model), model.sampling_set(), settings)
     }
 
-    /// The same over an observation model that has been made from the settings' dependence and detector, or
-    /// from others.
+    /// The same over an observation model that has been made from the settings' dependence and
+    /// detector, or from others.
     ///
     /// # Errors
-    /// [`RecognizerError`] if a setting is out of range, or samples are asked for and there are none.
+    /// [`RecognizerError`] if a setting is out of range, or samples are asked for and there are
+    /// none.
     pub fn over(
         model: Arc<ObservationModel>,
         sampling_set: &[Observation],
@@ -146,7 +124,14 @@ impl Recognizer {
 
     /// Where the robot is, given what it sees and where motion puts it.
     #[must_use]
-    pub fn recognize(
+    pub fn recognize(&self, observation: &Observation, motion: &MotionPrior) -> Recognition {
+        self.recognize_observed(observation, motion, &mut ())
+    }
+
+    /// [`Recognizer::recognize`]; `observer` is called as each stage ends, to measure how long it
+    /// took.
+    #[must_use]
+    pub fn recognize_observed(
         &self,
         observation: &Observation,
         motion: &MotionPrior,
@@ -157,8 +142,9 @@ impl Recognizer {
         recognition
     }
 
-    /// The same into `recognition`, which is overwritten. With both kept from one observation to the next nothing that
-    /// grows with the map is allocated.
+    /// [`Recognizer::recognize_observed`] into `recognition`, which is overwritten. If `workspace`
+    /// and `recognition` are kept from one observation to the next, nothing that grows with the map
+    /// is allocated.
     pub fn recognize_into(
         &self,
         observation: &Observation,
@@ -187,7 +173,7 @@ impl Recognizer {
         self.index.len()
     }
 
-    /// Memory that this takes, in bytes, roughly; without the [`Model`] that it was made of.
+    /// Memory in use, in bytes, roughly; without the [`Model`].
     #[must_use]
     pub fn memory_bytes(&self) -> usize {
         self.index.memory_bytes() + self.index.model().memory_bytes() + self.new_place.memory_bytes()
@@ -254,23 +240,7 @@ impl Recognizer {
     ) {
         match self.scorer {
             Scorer::Index => self.index.log_likelihoods_into(informative, &mut workspace.weights, scores),
-            Scorer::Dense => {
-                let model = self.index.model();
-                let places: Vec<Appearance> = self.index.appearances().collect();
-                let dense = |place| model.dense_log_likelihood(observation, place);
-                places.par_iter().map(dense).collect_into_vec(scores);
-            }
-        }
-    }
-}
-
-impl Recognition {
-    /// The largest of the posterior, "somewhere new" included; a known place wins a tie.
-    #[must_use]
-    pub fn association(&self) -> Association {
-        match self.posterior.best_place() {
-            Some((place, probability)) if probability >= self.posterior.new_place => Association::Seen(place),
-            Some(_) | None => Association::New,
+            Scorer::Dense => baselines::every_word_of_every_place(&self.index, observation, scores),
         }
     }
 }

@@ -1,8 +1,8 @@
 //! Exponentials, logarithms, sums and maxima of whole slices.
 //!
-//! Written without branches, so that the compiler makes vector code of them, for the widest registers that
-//! the processor has. Each lane does the same operations in the same order whatever the width, so all
-//! processors come to the same bits.
+//! Written without branches, so that the compiler makes vector code of them, for the widest
+//! registers that the processor has. Each lane does the same operations in the same order whatever
+//! the width, so all processors give the same bits.
 #![cfg_attr(
     target_arch = "x86_64",
     expect(
@@ -42,13 +42,15 @@ macro_rules! for_this_processor {
 }
 
 for_this_processor! {
-    /// exp((x - origin) · scale) of every x, and the sum of them, in one order whatever the processor. Within
-    /// 2e-15 of the exact value, relatively; what is below e^-708 is 0, and arguments must be below 700.
+    /// exp((x - origin) · scale) of every x, and the sum of them, in one order whatever the
+    /// processor. Within 2e-15 of the exact value, relatively; what is below e^-708 is 0, and
+    /// arguments must be below 700.
     pub(crate) fn exponentials(values: &[f64], origin: f64, scale: f64, results: &mut [f64]) -> f64 = plain_exponentials
 }
 
 for_this_processor! {
-    /// ln((p[0] a + p[1] b) / (q[0] a + q[1] b)) of every pair (a, b); both sums must be normal and above 0.
+    /// ln((p[0] a + p[1] b) / (q[0] a + q[1] b)) of every pair (a, b); both sums must be normal and
+    /// above 0.
     pub(crate) fn log_ratios(pairs: &[[f64; 2]], p: [f64; 2], q: [f64; 2], results: &mut [f64]) = plain_log_ratios
 }
 
@@ -69,7 +71,8 @@ for_this_processor! {
 
 #[inline(always)]
 fn plain_exponentials(values: &[f64], origin: f64, scale: f64, results: &mut [f64]) -> f64 {
-    let (mut sums, mut rest) = ([0.0; LANES], 0.0);
+    let mut sums = [0.0; LANES];
+    let mut rest = 0.0;
     let (chunks, last) = values.as_chunks::<LANES>();
     let (result_chunks, result_last) = results.as_chunks_mut::<LANES>();
     for (values, results) in chunks.iter().zip(result_chunks) {
@@ -145,7 +148,8 @@ fn exponential(x: f64) -> f64 {
 /// 1/13!, 1/12!, …, 1.
 const fn taylor_coefficients() -> [f64; 13] {
     let mut coefficients = [1.0; 13];
-    let (mut factorial, mut order) = (1.0, 1);
+    let mut factorial = 1.0;
+    let mut order = 1;
     while order <= 13 {
         factorial *= order as f64;
         coefficients[13 - order] = 1.0 / factorial;
@@ -172,72 +176,4 @@ fn logarithm(x: f64) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    proptest! {
-        #[test]
-        fn exponentials_are_those_of_the_library(
-            values in proptest::collection::vec(-1500.0..300.0f64, 0..70), origin in -100.0..100.0f64, scale in 0.1..1.0f64,
-        ) {
-            let mut results = vec![f64::NAN; values.len()];
-            let total = exponentials(&values, origin, scale, &mut results);
-            for (x, result) in values.iter().zip(&results) {
-                let argument = (x - origin) * scale;
-                let exact = if argument < -708.0 { 0.0 } else { argument.exp() };
-                prop_assert!((result - exact).abs() <= 2e-15 * exact, "exp {argument}: {result} {exact}");
-            }
-            let plain: f64 = results.iter().sum();
-            prop_assert!((total - plain).abs() <= 1e-14 * plain);
-            let mut again = vec![0.0; values.len()];
-            prop_assert_eq!(plain_exponentials(&values, origin, scale, &mut again).to_bits(), total.to_bits());
-            prop_assert_eq!(again, results);
-        }
-
-        #[test]
-        fn logarithms_are_those_of_the_library(
-            pairs in proptest::collection::vec((0.0..1.0f64, 1e-90..1.0f64), 1..40), p in (0.0..1.0f64, 1e-9..1.0f64), q in (0.0..1.0f64, 1e-9..1.0f64),
-        ) {
-            let pairs: Vec<[f64; 2]> = pairs.into_iter().map(|(a, b)| [a, b]).collect();
-            let (p, q) = ([p.0, p.1], [q.0, q.1]);
-            let mut results = vec![f64::NAN; pairs.len()];
-            log_ratios(&pairs, p, q, &mut results);
-            for (&[a, b], result) in pairs.iter().zip(&results) {
-                let exact = ((p[0] * a + p[1] * b) / (q[0] * a + q[1] * b)).ln();
-                prop_assert!((result - exact).abs() <= 1e-15 + 4e-16 * exact.abs(), "{result} {exact}");
-            }
-        }
-
-        #[test]
-        fn sums_and_maxima(values in proptest::collection::vec(-900.0..900.0f64, 0..70), factor in -2.0..2.0f64) {
-            prop_assert_eq!(largest(&values), values.iter().copied().fold(f64::NEG_INFINITY, f64::max));
-            prop_assert!((sum(&values) - values.iter().sum::<f64>()).abs() < 1e-9);
-            let mut scaled = values.clone();
-            scale(&mut scaled, factor, 0.5);
-            prop_assert!(scaled.iter().zip(&values).all(|(scaled, value)| *scaled == value * factor + 0.5));
-        }
-    }
-
-    #[test]
-    fn the_logarithm_holds_from_end_to_end() {
-        for x in [
-            f64::MIN_POSITIVE,
-            1e-300,
-            0.5,
-            0.7071067811865475,
-            0.7071067811865477,
-            1.0,
-            SQRT_2,
-            7e9,
-            f64::MAX,
-        ] {
-            assert!(
-                (logarithm(x) - x.ln()).abs() <= 4e-16 * x.ln().abs(),
-                "{x}: {} {}",
-                logarithm(x),
-                x.ln()
-            );
-        }
-    }
-}
+mod tests;

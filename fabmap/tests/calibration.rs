@@ -15,8 +15,8 @@ use rand_chacha::ChaCha8Rng;
 
 const WORDS: usize = 400;
 
-/// Samples of a walk: every place has its elements and is seen twice in a row; an element that exists is
-/// seen at a rate of the image's own, one of `rates`, and any other word at 0.01.
+/// Samples of a walk: every place has its elements and is seen twice in a row; an element that
+/// exists is seen at a rate of the image's own, one of `rates`, and any other word at 0.01.
 fn model(places: usize, rates: [f64; 2]) -> Model {
     let mut random = ChaCha8Rng::seed_from_u64(9);
     let mut samples = Vec::new();
@@ -48,8 +48,8 @@ fn learnt(model: &Model, rates: Rates) -> Calibration {
     learn(model, rates, &mut |_| ControlFlow::Continue(())).unwrap()
 }
 
-/// Where some images are blurred, their words miss together, which neither detector nor tree expects: each
-/// word that is missing says less.
+/// Where some images are blurred, their words miss together, which neither detector nor tree
+/// expects: each word that is missing says less.
 #[test]
 fn words_that_depend_on_each_other_count_for_less() {
     let exponent = |rates| learnt(&model(150, rates), Rates::Fixed(DetectorModel::default())).exponent;

@@ -4,7 +4,7 @@
 use std::ops::ControlFlow;
 
 use fabmap::chow_liu::{ChowLiuTree, TreeTrainingSettings};
-use fabmap::observation::Observation;
+use fabmap::observation::{Observation, WordId};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -34,7 +34,7 @@ fn bits(images: &[Observation]) -> Vec<Vec<u64>> {
     let mut bits = vec![vec![0u64; IMAGES.div_ceil(64)]; WORDS];
     for (image, observation) in images.iter().enumerate() {
         for &word in observation.words() {
-            bits[word as usize][image / 64] |= 1 << (image % 64);
+            bits[word.index()][image / 64] |= 1 << (image % 64);
         }
     }
     bits
@@ -100,9 +100,9 @@ fn two_thousand_words_hold_as_much_information_as_the_best_tree() {
         ControlFlow::Continue(())
     })
     .unwrap();
-    let edges = (0..WORDS as u32).filter_map(|word| Some((word, tree.parent(word)?)));
+    let edges = WordId::first(WORDS).filter_map(|word| Some((word, tree.parent(word)?)));
     let total: f64 = edges
-        .map(|(word, parent)| mutual_information_nats(&bits[word as usize], &bits[parent as usize]).unwrap())
+        .map(|(word, parent)| mutual_information_nats(&bits[word.index()], &bits[parent.index()]).unwrap())
         .sum();
     let best = brute_force_total_nats(&bits);
     assert!(best > 1.0, "the images have something to say: {best} nats");

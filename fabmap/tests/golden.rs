@@ -38,7 +38,7 @@ fn tree() -> ChowLiuTree {
         let fields: Vec<&str> = line.split(' ').collect();
         let probability = |field: usize| fields[field].parse().unwrap();
         WordDependence {
-            parent: fields[0].parse().unwrap(),
+            parent: fields[0].parse::<u32>().unwrap().into(),
             marginal: probability(1),
             given_parent_seen: probability(2),
             given_parent_unseen: probability(3),

@@ -2,7 +2,14 @@
 //! beside this crate. No conversions: those live with the adapters that need them.
 #![allow(missing_docs, unreachable_pub, clippy::all, clippy::pedantic, clippy::restriction)]
 
+pub use json::status_code_name;
 pub use waypost::v1;
+
+#[cfg(feature = "clap")]
+pub mod flags;
+mod json;
+#[cfg(feature = "openapi")]
+mod openapi;
 
 /// The package `waypost`.
 pub mod waypost {

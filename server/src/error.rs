@@ -2,9 +2,11 @@
 
 use std::time::Duration;
 
+use topomap::evidence::ArchiveError;
 use topomap::mapper::FrameError;
 
-use crate::storage::StorageError;
+use crate::camera::CameraError;
+use crate::storage::{StorageError, StoredError};
 
 /// Why a request was not served. The message is for the one who asked and says how to mend it; what
 /// only the operator can mend is logged where it happened.
@@ -90,6 +92,10 @@ impl ServiceError {
         Self::FailedPrecondition { message: message.to_string() }
     }
 
+    pub(crate) fn aborted(message: impl std::fmt::Display) -> Self {
+        Self::Aborted { message: message.to_string() }
+    }
+
     pub(crate) fn unavailable(message: impl std::fmt::Display) -> Self {
         Self::Unavailable { message: message.to_string(), retry_after: None }
     }
@@ -142,6 +148,11 @@ impl ServiceError {
         )
     }
 
+    /// A later stream of the same robot goes on in place of this one.
+    pub(crate) fn taken_over() -> Self {
+        Self::Aborted { message: "a later stream took this session over; this one is closed".to_owned() }
+    }
+
     /// The server is going down in good order.
     pub(crate) fn stopping() -> Self {
         Self::unavailable(
@@ -169,6 +180,36 @@ impl From<StorageError> for ServiceError {
     }
 }
 
+impl From<CameraError> for ServiceError {
+    fn from(error: CameraError) -> Self {
+        Self::invalid(error)
+    }
+}
+
+impl From<ServiceError> for StoredError {
+    fn from(error: ServiceError) -> Self {
+        Self { code: error.code_name().to_owned(), message: error.to_string() }
+    }
+}
+
+impl From<StoredError> for ServiceError {
+    fn from(StoredError { code, message }: StoredError) -> Self {
+        match code.as_str() {
+            "invalid_argument" => Self::InvalidArgument { message },
+            "not_found" => Self::NotFound { message },
+            "already_exists" => Self::AlreadyExists { message },
+            "failed_precondition" => Self::FailedPrecondition { message },
+            "resource_exhausted" => Self::ResourceExhausted { message },
+            "unavailable" => Self::Unavailable { message, retry_after: None },
+            "unauthenticated" => Self::Unauthenticated { message },
+            "permission_denied" => Self::PermissionDenied { message },
+            "deadline_exceeded" => Self::DeadlineExceeded { message },
+            "internal" => Self::Internal,
+            _aborted_or_of_a_later_server => Self::Aborted { message },
+        }
+    }
+}
+
 impl From<FrameError> for ServiceError {
     fn from(error: FrameError) -> Self {
         match error {
@@ -179,7 +220,12 @@ impl From<FrameError> for ServiceError {
             FrameError::OdometryJump { .. }
             | FrameError::OdometryStandsStill { .. }
             | FrameError::ForeignWord { .. } => Self::invalid(error),
-            FrameError::Archive(_) => Self::unavailable(error),
         }
+    }
+}
+
+impl From<ArchiveError> for ServiceError {
+    fn from(error: ArchiveError) -> Self {
+        Self::unavailable(error)
     }
 }

@@ -2,13 +2,13 @@
 
 mod access;
 mod appearance;
-mod convert;
-mod frames;
 mod jobs;
+mod labels;
 mod maps;
 mod merges;
 mod models;
 mod navigation;
+mod recognition;
 mod requests;
 mod sessions;
 mod status;
@@ -23,19 +23,21 @@ use tonic::{Status, Streaming};
 use waypost_proto::FILE_DESCRIPTOR_SET;
 use waypost_proto::v1::appearance_service_server::AppearanceServiceServer;
 use waypost_proto::v1::job_service_server::JobServiceServer;
+use waypost_proto::v1::label_service_server::LabelServiceServer;
 use waypost_proto::v1::map_service_server::MapServiceServer;
 use waypost_proto::v1::merge_service_server::MergeServiceServer;
 use waypost_proto::v1::model_service_server::ModelServiceServer;
 use waypost_proto::v1::navigation_service_server::NavigationServiceServer;
+use waypost_proto::v1::recognition_service_server::RecognitionServiceServer;
 use waypost_proto::v1::session_service_server::SessionServiceServer;
 use waypost_proto::v1::token_service_server::TokenServiceServer;
 
-use crate::connections::{Connections, Limits};
 use crate::error::ServiceError;
 use crate::grpc::access::AccessLayer;
 use crate::grpc::requests::RequestLayer;
+use crate::net::connections::{Connections, Limits};
+use crate::net::tls::Tls;
 use crate::service::Service;
-use crate::tls::Tls;
 
 /// Largest message taken in: an image of 4 MiB is refused with an answer, not by ending the stream,
 /// even if it is a good deal too large.
@@ -108,6 +110,8 @@ pub(crate) async fn serve(
         .add_service(limited!(MergeServiceServer::new(adapter())))
         .add_service(limited!(SessionServiceServer::new(adapter())))
         .add_service(limited!(NavigationServiceServer::new(adapter())))
+        .add_service(limited!(RecognitionServiceServer::new(adapter())))
+        .add_service(limited!(LabelServiceServer::new(adapter())))
         .add_service(limited!(AppearanceServiceServer::new(adapter())))
         .add_service(limited!(TokenServiceServer::new(adapter())))
         .serve_with_incoming_shutdown(connections, shutdown)

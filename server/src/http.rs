@@ -6,7 +6,6 @@ mod description;
 mod explanations;
 mod exports;
 mod frames;
-mod geometry;
 mod jobs;
 mod maps;
 mod merges;
@@ -41,10 +40,10 @@ use utoipa::ToSchema;
 use utoipa_axum::router::{OpenApiRouter, UtoipaMethodRouterExt};
 use utoipa_axum::routes;
 
-use crate::connections::{Connections, Limits, Port};
 use crate::error::ServiceError;
+use crate::net::connections::{Connections, Limits, Port};
+use crate::net::tls::Tls;
 use crate::service::Service;
-use crate::tls::Tls;
 
 /// Largest body of a request.
 const MAX_BODY_BYTES: usize = 5 << 20;
@@ -126,7 +125,7 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(places::list_places))
         .routes(routes!(places::get_place))
         .routes(routes!(places::list_word_places))
-        .routes(routes!(maps::list_matches))
+        .routes(routes!(maps::list_loop_closures))
         .routes(routes!(queries::query).layer(DefaultBodyLimit::max(queries::MAX_BODY_BYTES)))
         .routes(routes!(sessions::list_sessions))
         .routes(routes!(sessions::get_session))
@@ -135,8 +134,8 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(frames::get_frame_image))
         .routes(routes!(explanations::explain_frame))
         .routes(routes!(pictures::get_frame_picture))
-        .routes(routes!(exports::export_matches_csv))
-        .routes(routes!(exports::export_matches_json))
+        .routes(routes!(exports::export_loop_closures_csv))
+        .routes(routes!(exports::export_loop_closures_json))
         .routes(routes!(exports::export_posteriors_csv))
         .routes(routes!(exports::export_posteriors_json))
         .routes(routes!(trajectories::export_trajectory))

@@ -2,19 +2,24 @@
 //!
 //! [`serve`] runs a server on sockets that the caller has bound, until the caller says stop.
 
+mod camera;
+mod clock;
 pub mod config;
-mod connections;
 mod error;
-mod extraction;
 mod grpc;
 mod http;
+mod ingest;
+mod map_settings;
 mod metrics;
+mod names;
+mod net;
 pub mod offline;
-mod request_id;
+mod open_map;
+mod pages;
 mod role;
 mod service;
 mod storage;
-mod tls;
+mod wire;
 
 use std::future::Future;
 use std::net::SocketAddr;
@@ -24,8 +29,8 @@ use std::time::Duration;
 
 use tokio::net::TcpListener;
 
+pub use crate::net::tls::{Tls, TlsError, TlsFiles};
 pub use crate::role::Role;
-pub use crate::tls::{Tls, TlsError, TlsFiles};
 
 use crate::config::Config;
 use crate::metrics::Metrics;
@@ -87,7 +92,7 @@ impl Server {
     /// While there is no token, everyone who reaches the server is served, from other machines too.
     #[must_use]
     pub fn allow_anonymous(self) -> Self {
-        self.service.tokens().set_anonymous(Anonymous::Everyone);
+        self.service.tokens.set_anonymous(Anonymous::Everyone);
         self
     }
 
@@ -97,7 +102,7 @@ impl Server {
     /// [`Exposed`].
     pub fn check_exposure(&self, addresses: [SocketAddr; 2]) -> Result<(), Exposed> {
         let Some(address) = exposed(addresses) else { return Ok(()) };
-        let tokens = self.service.tokens();
+        let tokens = &self.service.tokens;
         match tokens.anonymous() {
             Anonymous::Everyone | Anonymous::Refused => Ok(()),
             Anonymous::Local if tokens.is_empty() => Err(Exposed { address }),
@@ -130,8 +135,7 @@ impl Server {
             );
         }
         let Self { service, tls, map_memory_bytes } = self;
-        service.start_removals();
-        service.start_closing_unused_maps(map_memory_bytes);
+        service.start_upkeep(map_memory_bytes);
         let stopping = service.stopping().clone();
         let signal = stopping.clone();
         let watch = tokio::spawn(async move {
@@ -231,7 +235,7 @@ mod tests {
         offline::create_token(directory.path(), "operator", Role::Admin).await.unwrap();
         let server = Server::open(directory.path().to_owned()).await.unwrap();
         assert_eq!(server.check_exposure(addresses("0.0.0.0:1", "127.0.0.1:2")), Ok(()));
-        assert!(server.service.delete_token("tokens/operator").await.is_err());
+        assert!(server.service.tokens.delete("tokens/operator").await.is_err());
         server.service.stop().await;
     }
 }

@@ -121,13 +121,15 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
     server.check_exposure([grpc_address, http_address])?;
     let grpc = bind(grpc_address, "--grpc-address").await?;
     let http = bind(http_address, "--http-address").await?;
-    let (grpc_at, http_at) = (grpc.local_addr()?, http.local_addr()?);
+    let grpc_at = grpc.local_addr()?;
+    let http_at = http.local_addr()?;
     if let Some(file) = &ready_file {
         announce(file, &grpc_at.to_string(), &http_at.to_string())?;
     }
     tracing::info!(grpc = %grpc_at, http = %http_at, tls = encrypted, data_dir = %data_dir.display(), "serving");
 
-    let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+    let mut terminate = signal(SignalKind::terminate())?;
+    let mut interrupt = signal(SignalKind::interrupt())?;
     let mut asked_to_stop = async move || {
         tokio::select! {
             _ = terminate.recv() => {}

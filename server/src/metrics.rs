@@ -13,9 +13,6 @@ use metrics::{
 };
 use metrics_exporter_prometheus::{BuildError, Matcher, PrometheusBuilder, PrometheusRecorder};
 
-use crate::service::sessions::{FrameAnswer, FrameOutcome, FrameTimings};
-use crate::storage::reason_name;
-
 const GRPC_REQUESTS: &str = "waypost_grpc_requests_total";
 const GRPC_SECONDS: &str = "waypost_grpc_request_duration_seconds";
 const HTTP_REQUESTS: &str = "waypost_http_requests_total";
@@ -47,6 +44,26 @@ pub(crate) struct Metrics {
     open_streams: Gauge,
     commit_frames: Histogram,
     stages: Arc<Stages>,
+}
+
+/// Where a frame's time went.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct FrameTimings {
+    pub(crate) extract: Duration,
+    pub(crate) quantize: Duration,
+    pub(crate) likelihood: Duration,
+    pub(crate) new_place: Duration,
+    pub(crate) filter: Duration,
+    pub(crate) verification: Duration,
+    pub(crate) commit: Duration,
+    pub(crate) total: Duration,
+}
+
+impl FrameTimings {
+    /// Time spent on the frame itself; the rest of the total is waiting.
+    pub(crate) fn work(&self) -> Duration {
+        self.extract + self.quantize + self.likelihood + self.new_place + self.filter + self.verification
+    }
 }
 
 /// How long frames take, stage by stage.
@@ -109,7 +126,8 @@ impl Metrics {
     /// An HTTP request that was answered. `route` is the pattern, not the path: names of maps would make
     /// a metric each.
     pub(crate) fn http_request(&self, method: &str, route: &str, code: u16, took: Duration) {
-        let (method, route) = (known_method(method), route.to_owned());
+        let method = known_method(method);
+        let route = route.to_owned();
         let requests = self.local(|| {
             counter!(HTTP_REQUESTS, "method" => method, "route" => route.clone(), "code" => code.to_string())
         });
@@ -123,12 +141,8 @@ impl Metrics {
         OpenStream(self.open_streams.clone())
     }
 
-    /// What became of a frame.
-    pub(crate) fn frame(&self, outcome: &FrameOutcome) {
-        let (outcome, timings) = match outcome {
-            FrameOutcome::Answered(answer) => (answer_name(answer), answer.timings),
-            FrameOutcome::Refused { error, .. } | FrameOutcome::Ended(error) => (error.code_name(), None),
-        };
+    /// What became of a frame, in a word, and where its time went if it was decided.
+    pub(crate) fn frame(&self, outcome: &'static str, timings: Option<FrameTimings>) {
         self.local(|| counter!(FRAMES, "outcome" => outcome)).increment(1);
         let Some(timings) = timings else { return };
         let FrameTimings { extract, quantize, likelihood, new_place, filter, verification, commit, total } =
@@ -187,13 +201,6 @@ impl Drop for OpenStream {
     }
 }
 
-fn answer_name(answer: &FrameAnswer) -> &'static str {
-    if answer.timings.is_none() {
-        return "resent";
-    }
-    reason_name(answer.reason)
-}
-
 /// Clients may send any word as a method; each would be a metric of its own.
 fn known_method(method: &str) -> &'static str {
     ["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"]
@@ -227,15 +234,13 @@ fn describe() {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::error::ServiceError;
 
     const NOTHING: Levels = Levels { open_maps: 2, jobs_running: 1, database_bytes: Some(4096) };
 
     #[test]
     fn two_servers_count_apart() {
         let (first, second) = (Metrics::new().unwrap(), Metrics::new().unwrap());
-        let error = ServiceError::invalid("no image");
-        first.frame(&FrameOutcome::Refused { sequence: 1, last_committed: None, error });
+        first.frame("invalid_argument", None);
         let counted = "waypost_frames_total{outcome=\"invalid_argument\"} 1";
         assert!(first.render(NOTHING).lines().any(|line| line == counted), "{}", first.render(NOTHING));
         assert!(!second.render(NOTHING).contains("waypost_frames_total{"));

@@ -5,9 +5,9 @@ use std::path::Path;
 use tokio::net::TcpListener;
 
 use crate::config::Config;
+use crate::net::tls::Tls;
 use crate::role::Role;
 use crate::storage::{Inspection, inspect};
-use crate::tls::Tls;
 use crate::{Exposed, exposed, open};
 
 /// A token as it is listed.
@@ -25,7 +25,7 @@ pub struct ListedToken {
 /// If the directory cannot be used, or the token cannot be; the message says how to mend it.
 pub async fn create_token(data_dir: &Path, name: &str, role: Role) -> anyhow::Result<String> {
     let service = open(data_dir).await?;
-    let created = service.create_token(name, role).await;
+    let created = service.tokens.create(name, role).await;
     service.stop().await;
     Ok(created?.1)
 }
@@ -36,7 +36,7 @@ pub async fn create_token(data_dir: &Path, name: &str, role: Role) -> anyhow::Re
 /// If the directory cannot be used.
 pub async fn list_tokens(data_dir: &Path) -> anyhow::Result<Vec<ListedToken>> {
     let service = open(data_dir).await?;
-    let listed = service.tokens().list();
+    let listed = service.tokens.all();
     service.stop().await;
     Ok(listed.into_iter().map(|token| ListedToken { name: token.name, role: token.role }).collect())
 }
@@ -47,7 +47,7 @@ pub async fn list_tokens(data_dir: &Path) -> anyhow::Result<Vec<ListedToken>> {
 /// If the directory cannot be used, or the token must stay; the message says how to mend it.
 pub async fn delete_token(data_dir: &Path, name: &str) -> anyhow::Result<()> {
     let service = open(data_dir).await?;
-    let deleted = service.delete_token(&format!("tokens/{name}")).await;
+    let deleted = service.tokens.delete(&format!("tokens/{name}")).await;
     service.stop().await;
     Ok(deleted?)
 }

@@ -2,93 +2,126 @@
 //! adapters over this.
 
 pub(crate) mod appearance;
-pub(crate) mod camera;
-pub(crate) mod content;
+mod deleted_maps;
 pub(crate) mod frames;
 pub(crate) mod jobs;
-pub(crate) mod map_settings;
-mod map_writer;
+pub(crate) mod labels;
+mod map_names;
 pub(crate) mod maps;
 mod measurements;
 pub(crate) mod merges;
 pub(crate) mod models;
-pub(crate) mod names;
-pub(crate) mod navigations;
+pub(crate) mod navigation;
 pub(crate) mod pictures;
 pub(crate) mod queries;
-mod rebuilding;
-mod removal;
+mod read_map;
+pub(crate) mod rebuilding;
+pub(crate) mod rewriting;
 pub(crate) mod sessions;
+mod shared;
 pub(crate) mod snapshots;
+mod streams;
 pub(crate) mod tokens;
 pub(crate) mod trajectories;
 
-use std::collections::HashMap;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{SystemTime, UNIX_EPOCH};
-
-use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
+use self::appearance::AppearanceGraphs;
+use self::deleted_maps::DeletedMaps;
+use self::frames::Frames;
+use self::jobs::Jobs;
+use self::labels::Labels;
+use self::maps::Maps;
+use self::measurements::Measurements;
+use self::merges::Merges;
+use self::models::Models;
+use self::navigation::Navigation;
+use self::pictures::Pictures;
+use self::queries::Queries;
+use self::rebuilding::Rebuilding;
+use self::rewriting::Rewriting;
+use self::sessions::Sessions;
+use self::shared::Shared;
+use self::snapshots::Snapshots;
+use self::tokens::Tokens;
+use self::trajectories::Trajectories;
 use crate::error::ServiceError;
-use crate::extraction::{Extraction, LoadedModel};
 use crate::metrics::{Levels, Metrics};
-use crate::service::jobs::Jobs;
-use crate::service::map_writer::OpenMaps;
-use crate::service::merges::Merges;
-use crate::service::navigations::Navigations;
-use crate::service::removal::Removals;
-use crate::service::snapshots::Snapshots;
-use crate::service::tokens::Tokens;
+use crate::open_map::OpenMaps;
 use crate::storage::Storage;
 
-/// All that the server can do. Shared by every adapter.
+/// All that the server can do, by subject. Shared by every adapter.
 #[derive(Debug)]
 pub(crate) struct Service {
+    pub(crate) appearance: AppearanceGraphs,
+    pub(crate) frames: Frames,
+    pub(crate) jobs: Jobs,
+    pub(crate) labels: Labels,
+    pub(crate) maps: Maps,
+    pub(crate) measurements: Measurements,
+    pub(crate) merges: Merges,
+    pub(crate) models: Models,
+    pub(crate) navigation: Navigation,
+    pub(crate) pictures: Pictures,
+    pub(crate) queries: Queries,
+    pub(crate) rebuilding: Rebuilding,
+    pub(crate) rewriting: Rewriting,
+    pub(crate) sessions: Sessions,
+    pub(crate) snapshots: Snapshots,
+    pub(crate) tokens: Tokens,
+    pub(crate) trajectories: Trajectories,
     storage: Storage,
-    tokens: Tokens,
-    metrics: Metrics,
-    extraction: Extraction,
-    /// Models in use, by hash; they are immutable.
-    models: Mutex<HashMap<String, Arc<LoadedModel>>>,
     open_maps: OpenMaps,
-    navigations: Navigations,
-    jobs: Jobs,
-    merges: Merges,
-    snapshots: Snapshots,
-    removals: Removals,
-    uploads: Arc<Semaphore>,
-    /// Room for streams.
-    streams: Arc<Semaphore>,
-    /// Replays of a map for an explanation.
-    replays: Arc<Semaphore>,
-    /// Numbers streams, so that a later one on the same session is known from an earlier.
-    next_stream: AtomicU64,
+    deleted_maps: DeletedMaps,
+    metrics: Metrics,
     stopping: CancellationToken,
 }
 
 impl Service {
     pub(crate) fn new(storage: Storage, tokens: Tokens, metrics: Metrics) -> Self {
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let shared = Shared::new(storage, metrics);
+        let frames = shared.frames();
+        let models = shared.models();
+        let maps = shared.maps(&models);
+        let appearance = shared.appearance();
+        let sessions = shared.sessions(&appearance);
+        let labels = shared.labels(&maps, &appearance);
+        let rewriting = shared.rewriting();
+        let navigation = shared.navigation(&appearance, &labels);
+        let snapshots = shared.snapshots();
+        let Shared { storage, open_maps, extraction, jobs, names, deleted_maps, metrics, stopping, .. } =
+            shared;
         Self {
-            storage,
+            merges: Merges::new(rewriting.clone(), names, deleted_maps.clone(), stopping.clone()),
+            pictures: Pictures { storage: storage.clone(), frames: frames.clone() },
+            queries: Queries::new(frames.clone(), extraction),
+            measurements: Measurements { frames: frames.clone() },
+            trajectories: Trajectories { frames: frames.clone() },
+            rebuilding: Rebuilding { maps: maps.clone(), sessions: sessions.clone(), jobs: jobs.clone() },
+            appearance,
+            frames,
+            jobs,
+            labels,
+            maps,
+            models,
+            navigation,
+            rewriting,
+            sessions,
+            snapshots,
             tokens,
+            storage,
+            open_maps,
+            deleted_maps,
             metrics,
-            extraction: Extraction::new(cores),
-            models: Mutex::default(),
-            open_maps: OpenMaps::default(),
-            navigations: Navigations::default(),
-            jobs: Jobs::default(),
-            merges: Merges::default(),
-            snapshots: Snapshots::default(),
-            removals: Removals::default(),
-            uploads: Arc::new(Semaphore::new(models::MAX_UPLOADS)),
-            streams: Arc::new(Semaphore::new(sessions::MAX_STREAMS)),
-            replays: Arc::new(Semaphore::new(1)),
-            next_stream: AtomicU64::new(0),
-            stopping: CancellationToken::new(),
+            stopping,
         }
+    }
+
+    /// Begins what goes on in the background until the server stops: deleted maps lose their rows, and maps that nobody
+    /// uses are closed while open ones take more than `map_memory_bytes`.
+    pub(crate) fn start_upkeep(&self, map_memory_bytes: u64) {
+        self.jobs.track(self.deleted_maps.clone().keep_deleting());
+        self.jobs.track(self.open_maps.clone().keep_within(map_memory_bytes));
     }
 
     /// Cancelled when the server begins to stop: streams end then.
@@ -98,15 +131,15 @@ impl Service {
 
     /// What an earlier server left unfinished when it went down is settled before anyone asks.
     pub(crate) async fn settle(&self) -> Result<(), ServiceError> {
-        self.settle_jobs().await?;
-        self.settle_merges().await?;
+        self.jobs.settle().await?;
+        self.merges.settle().await?;
         Ok(self.storage.retire_imports().await?)
     }
 
     /// Ends streams and jobs, commits and checkpoints every map, closes the database.
     pub(crate) async fn stop(&self) {
         self.stopping.cancel();
-        self.stop_jobs().await;
+        self.jobs.stop().await;
         self.open_maps.close_all().await;
         self.storage.close().await;
     }
@@ -123,49 +156,15 @@ impl Service {
         })
     }
 
-    pub(crate) fn tokens(&self) -> &Tokens {
-        &self.tokens
-    }
-
     pub(crate) fn metrics(&self) -> &Metrics {
         &self.metrics
     }
 
     /// All metrics in Prometheus' text format.
     pub(crate) async fn rendered_metrics(&self) -> String {
-        let (open_maps, jobs_running) = (self.open_maps.count(), self.jobs.count());
+        let open_maps = self.open_maps.count();
+        let jobs_running = self.jobs.count();
         let database_bytes = self.storage.size_bytes().await.ok();
         self.metrics.render(Levels { open_maps, jobs_running, database_bytes })
     }
-
-    fn new_stream(&self) -> u64 {
-        self.next_stream.fetch_add(1, Ordering::Relaxed)
-    }
-
-    /// A model ready for work, read from the database if need be.
-    async fn loaded_model(&self, hash: &str) -> Result<Arc<LoadedModel>, ServiceError> {
-        if let Some(model) = self.cached_models().get(hash) {
-            return Ok(model.clone());
-        }
-        let file = self.storage.model_file(hash).await?;
-        let file = file.ok_or_else(|| ServiceError::not_found(format_args!("there is no model {hash}")))?;
-        let load = move || {
-            let model = fabmap::model::Model::from_bytes(&file).map_err(ServiceError::internal)?;
-            LoadedModel::new(model)
-        };
-        let loaded = tokio::task::spawn_blocking(load).await.map_err(ServiceError::internal)??;
-        let loaded = Arc::new(loaded);
-        self.cached_models().insert(hash.to_owned(), loaded.clone());
-        Ok(loaded)
-    }
-
-    fn cached_models(&self) -> std::sync::MutexGuard<'_, HashMap<String, Arc<LoadedModel>>> {
-        self.models.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// Now, in nanoseconds since 1970.
-fn now_ns() -> i64 {
-    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX)
 }

@@ -1,6 +1,7 @@
 //! Models, maps and logs in one SQLite file. All SQL of the project is in this module.
 
 mod appearance;
+mod cameras;
 mod checkpoints;
 mod frames;
 mod inspection;
@@ -18,9 +19,9 @@ mod tokens;
 
 pub(crate) use appearance::{KeptLinks, LinkRow};
 pub(crate) use checkpoints::{CheckpointView, StoredBlock};
-pub(crate) use frames::{FrameRow, SessionSummary};
+pub(crate) use frames::{FrameBytes, FrameRow, SessionSummary};
 pub(crate) use inspection::{Inspection, inspect};
-pub(crate) use jobs::{JobEnd, JobKind, JobRow, StoredJobState};
+pub(crate) use jobs::{JobEnd, JobKind, JobRow, StoredError, StoredJobState};
 pub(crate) use labels::LabelRow;
 pub(crate) use log::{ClosureRow, LogEntry, StoredFrame, reason_name};
 pub(crate) use maps::{MapCounts, MapEdition, MapId, MapRow, SessionRow};
@@ -39,7 +40,7 @@ use std::time::Duration;
 
 use sqlx::migrate::MigrateError;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{Connection, Sqlite, SqlitePool, Transaction};
+use sqlx::{AssertSqlSafe, Connection, Sqlite, SqlitePool, Transaction};
 
 /// The database of one data directory. Cheap to clone.
 ///
@@ -121,7 +122,10 @@ impl Storage {
         let options = options.read_only(true);
         let readers = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.clone()).await?;
         let exporters = SqlitePoolOptions::new().max_connections(EXPORTERS).connect_lazy_with(options);
-        Ok(Self { writer, readers, exporters, directory: directory.to_owned(), lock: Arc::new(lock) })
+        let storage =
+            Self { writer, readers, exporters, directory: directory.to_owned(), lock: Arc::new(lock) };
+        storage.rewrite_camera_messages().await?;
+        Ok(storage)
     }
 
     /// Where the database lies.
@@ -190,6 +194,9 @@ fn or_no_database(error: sqlx::Error, directory: &Path) -> StorageError {
 
 impl From<sqlx::Error> for StorageError {
     fn from(error: sqlx::Error) -> Self {
+        if let sqlx::Error::ColumnDecode { .. } = &error {
+            return Self::Damaged(error.to_string());
+        }
         if let Some(database) = error.as_database_error() {
             if database.is_unique_violation() {
                 return Self::Exists;
@@ -203,6 +210,20 @@ impl From<sqlx::Error> for StorageError {
         }
         Self::Sqlite(error)
     }
+}
+
+/// Deletes the first rows of a map in a table, by its key, as many as are deleted at a time; how many there were.
+async fn delete_some(
+    transaction: &mut Transaction<'_, Sqlite>,
+    map: MapId,
+    (table, key, rows): (&str, &str, u32),
+) -> Result<u64, StorageError> {
+    let delete = format!(
+        "DELETE FROM {table} WHERE map_id = ?1 AND {key} IN \
+         (SELECT {key} FROM {table} WHERE map_id = ?1 ORDER BY {key} LIMIT ?2)"
+    );
+    let done = sqlx::query(AssertSqlSafe(delete)).bind(map).bind(rows).execute(&mut **transaction).await?;
+    Ok(done.rows_affected())
 }
 
 /// SQLite's integers are signed; ours are counts and never reach 2^63.

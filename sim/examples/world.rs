@@ -2,8 +2,8 @@
 //!
 //! `cargo run --release -p waypost-sim --example world -- office 1 DIR [ROUTE]`
 //!
-//! Writes `plan.svg`, with the truth and what the wheels said, some images of the drive as `000.png` and so on, and
-//! panoramas as `panorama-000.png`.
+//! Writes `plan.svg`, with the truth and what the wheels said, some images of the drive as
+//! `000.png` and so on, and panoramas as `panorama-000.png`.
 
 use std::error::Error;
 use std::path::Path;

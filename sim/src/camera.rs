@@ -4,8 +4,8 @@ use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Vector2, Vector3};
 
-/// A camera without lens distortion that is held level. So each of its columns looks along one vertical plane, and each
-/// of its rows along one slope: all projections share one renderer.
+/// A camera without lens distortion that is held level. So each of its columns looks along one
+/// vertical plane, and each of its rows along one slope: all projections share one renderer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     projection: Projection,
@@ -13,7 +13,7 @@ pub struct Camera {
     height_px: u32,
 }
 
-/// How space comes to lie on the image.
+/// How space is projected onto the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Projection {
     Perspective { focal_px: [f64; 2], center_px: [f64; 2] },
@@ -35,7 +35,7 @@ pub enum CameraError {
         /// Rows.
         height_px: u32,
     },
-    /// A focal length that is not positive, or a centre that is no number.
+    /// A focal length that is not positive, or a centre that is not a number.
     #[error("focal lengths {focal_px:?} and centre {center_px:?}: the first must be positive, all finite")]
     Intrinsics {
         /// In x and y.
@@ -85,8 +85,8 @@ impl Camera {
     /// Most columns or rows.
     pub const MAX_SIDE_PX: u32 = 8192;
 
-    /// A pinhole camera, in pixels: focal lengths in x and y, and the column and row where its axis meets the image,
-    /// counted from the centre of the top left pixel.
+    /// A pinhole camera, in pixels: focal lengths in x and y, and the column and row where its axis
+    /// meets the image, counted from the centre of the top left pixel.
     ///
     /// # Errors
     /// [`CameraError`] if the numbers make no camera.
@@ -102,8 +102,8 @@ impl Camera {
         Self::of(Projection::Perspective { focal_px, center_px }, width_px, height_px)
     }
 
-    /// A pinhole camera with square pixels that looks through the middle of its image and sees `horizontal_rad` from
-    /// the left to the right edge.
+    /// A pinhole camera with square pixels that looks through the middle of its image and sees
+    /// `horizontal_rad` from the left to the right edge.
     ///
     /// # Errors
     /// [`CameraError`] if the numbers make no camera.
@@ -119,9 +119,10 @@ impl Camera {
         Self::perspective([focal_px; 2], center_px, (width_px, height_px))
     }
 
-    /// A panorama on an upright cylinder. Column c looks at the azimuth π - 2π (c + ½) / width: the middle is ahead,
-    /// left of it is left, and the edges meet behind. Rows have the columns' scale at the horizon, which is in the
-    /// middle: row r looks up by the slope 2π ((height - 1) / 2 - r) / width.
+    /// A panorama on an upright cylinder. Column c looks at the azimuth π - 2π (c + ½) / width: the
+    /// middle is ahead, left of it is left, and the edges meet behind. Rows have the columns' scale
+    /// at the horizon, which is in the middle: row r looks up by the slope 2π ((height - 1) / 2 -
+    /// r) / width.
     ///
     /// # Errors
     /// [`CameraError::Size`] if there are no pixels, or too many.
@@ -129,8 +130,8 @@ impl Camera {
         Self::of(Projection::Cylindrical, width_px, height_px)
     }
 
-    /// A panorama by azimuth and elevation. Columns as in [`Camera::cylindrical`]; row r looks up by the angle
-    /// 2π ((height - 1) / 2 - r) / width.
+    /// A panorama by azimuth and elevation. Columns as in [`Camera::cylindrical`]; row r looks up
+    /// by the angle 2π ((height - 1) / 2 - r) / width.
     ///
     /// # Errors
     /// [`CameraError`] if there are no pixels, or too many, or if it would reach beyond the poles.
@@ -149,6 +150,26 @@ impl Camera {
         Ok(Self { projection, width_px, height_px })
     }
 
+    /// Focal lengths in x and y and the centre, in pixels; `None` of a panorama.
+    #[must_use]
+    pub fn intrinsics_px(&self) -> Option<[[f64; 2]; 2]> {
+        match self.projection {
+            Projection::Perspective { focal_px, center_px } => Some([focal_px, center_px]),
+            Projection::Cylindrical | Projection::Equirectangular => None,
+        }
+    }
+
+    /// What it sees from the left to the right edge, in radians.
+    #[must_use]
+    pub fn field_of_view_rad(&self) -> f64 {
+        match self.projection {
+            Projection::Perspective { focal_px: [focal_px, _], .. } => {
+                2.0 * (f64::from(self.width_px) / 2.0 / focal_px).atan()
+            }
+            Projection::Cylindrical | Projection::Equirectangular => TAU,
+        }
+    }
+
     /// Columns.
     #[must_use]
     pub fn width_px(&self) -> u32 {
@@ -161,8 +182,9 @@ impl Camera {
         self.height_px
     }
 
-    /// Column and row where a point comes to lie, in the camera's frame (x forward, y left, z up), in metres. `None`
-    /// if it lies behind a perspective camera, or in the axis of a panorama; it may lie outside of the image.
+    /// Column and row where a point is projected, given in the camera's frame (x forward, y left, z
+    /// up), in metres. `None` if it lies behind a perspective camera, or in the axis of a panorama;
+    /// it may lie outside of the image.
     #[must_use]
     pub fn project(&self, point: &Vector3<f64>) -> Option<[f64; 2]> {
         let horizontal_m = point.xy().norm();

@@ -35,8 +35,8 @@ const LEGEND_M: f64 = 0.6;
 /// Points of a path that are nearer to the one before are not drawn.
 const APART_M: f64 = 0.1;
 
-/// One file of SVG with y upwards, as on a map: rooms, walls, furniture, the rooms' names, and the layers over them in
-/// their order.
+/// One file of SVG with y upwards, as on a map: rooms, walls, furniture, the rooms' names, and the
+/// layers over them in their order.
 #[must_use]
 pub fn plan_svg(plan: &FloorPlan, layers: &[Layer]) -> String {
     let [min, max] = bounds(plan, layers);
@@ -90,7 +90,7 @@ fn bounds(plan: &FloorPlan, layers: &[Layer]) -> [Vector2<f64>; 2] {
     points.fold(plan.bounds(), |[min, max], point| [min.inf(&point), max.sup(&point)])
 }
 
-/// The points of a path without those that nobody would see apart; both ends stay.
+/// The points of a path without those too close together to be seen; both ends stay.
 fn thinned(points: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
     let mut kept: Vec<Vector2<f64>> = Vec::new();
     for &point in points {
@@ -193,7 +193,8 @@ mod tests {
         assert_eq!(count("<polygon"), parts.rooms.len() + parts.furniture.len());
         assert_eq!(count("#333"), parts.walls.iter().filter(|wall| wall.bottom_m == 0.0).count());
         assert_eq!((count("<circle"), count("stroke-opacity"), count("truth &lt;here>")), (1, 1, 1));
-        // y is up: the lower end of the plan is further down in the file's own axes, which begin 0.5 m above 7 m.
+        // y is up: the lower end of the plan is further down in the file's own axes, which begin
+        // 0.5 m above 7 m.
         assert!(svg.contains("48.0,208.0 80.0,208.0"));
         assert!(svg.starts_with("<svg") && svg.ends_with("</svg>\n"));
     }

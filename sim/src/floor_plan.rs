@@ -44,8 +44,8 @@ pub struct Room {
     pub floor: Surface,
     /// What one looks up to.
     pub ceiling: Surface,
-    /// By how many quarters, counter-clockwise, the patterns of floor and ceiling are turned: look-alikes may lie in
-    /// different directions.
+    /// By how many quarters, counter-clockwise, the patterns of floor and ceiling are turned:
+    /// look-alikes may lie in different directions.
     pub quarter_turns: u8,
 }
 
@@ -60,7 +60,8 @@ pub struct Wall {
     pub bottom_m: f64,
     /// Where it ends above the floor, in metres.
     pub top_m: f64,
-    /// What is to be seen of it from the left and from the right, as one walks from its start to its end.
+    /// What is to be seen of it from the left and from the right, as one walks from its start to
+    /// its end.
     pub surfaces: [Surface; 2],
 }
 
@@ -128,7 +129,7 @@ impl FloorPlan {
     pub const CEILINGS_M: (f64, f64) = (2.0, 10.0);
     /// Longest wall or room, in metres.
     pub const MAX_SIDE_M: f64 = 200.0;
-    /// What begins higher than this above the floor is in nobody's way, in metres.
+    /// What begins higher than this above the floor is in no one's way, in metres.
     pub const HEADROOM_M: f64 = 1.9;
 
     /// # Errors
@@ -172,8 +173,8 @@ impl FloorPlan {
         self.parts.rooms.iter().find(|room| room.name == name)
     }
 
-    /// Metres from a point to the nearest wall or furniture that would be in a robot's way; 0 inside of furniture and
-    /// outside of all rooms.
+    /// Metres from a point to the nearest wall or furniture that would be in a robot's way; 0
+    /// inside of furniture and outside of all rooms.
     #[must_use]
     pub fn clearance_m(&self, point: Vector2<f64>) -> f64 {
         if self.room_index_at(point).is_none() { 0.0 } else { self.obstacles.distance_m(&self.parts, point) }
@@ -182,7 +183,8 @@ impl FloorPlan {
     /// Whether a round robot has room along a straight line.
     #[must_use]
     pub fn is_free_line(&self, from: Vector2<f64>, to: Vector2<f64>, radius_m: f64) -> bool {
-        // What touches the capsule is nearer to one of these points than its radius, or by a hair outside of it.
+        // What touches the capsule is nearer to one of these points than its radius, or by a hair
+        // outside of it.
         let steps = ((to - from).norm() / 0.02).ceil().max(1.0);
         (0..=steps as usize)
             .all(|step| self.clearance_m(from + (to - from) * (step as f64 / steps)) >= radius_m)

@@ -3,8 +3,9 @@
 use crate::random::{Draws, derived_seed, unit};
 use crate::range::{self, OutOfRange};
 
-/// Light and the camera's answer to it: grey value 255 (l v / 255)^gamma for a surface of grey value v, with l the gain,
-/// times the room's lamp, times 1 + directed cos (angle between the surface's normal and where the light comes from).
+/// Light and the camera's answer to it: grey value 255 (l v / 255)^gamma for a surface of grey
+/// value v, with l the gain, times the room's lamp, times 1 + directed cos (angle between the
+/// surface's normal and where the light comes from).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
     settings: LightSettings,
@@ -19,7 +20,8 @@ pub struct LightSettings {
     pub gamma: f64,
     /// Lamps of rooms are between 1 - spread and 1 + spread, in [0, 0.9].
     pub lamp_spread: f64,
-    /// How much brighter surfaces are that face the light than those that stand across, in [0, 0.9].
+    /// How much brighter surfaces are that face the light than those that stand across, in [0,
+    /// 0.9].
     pub directed: f64,
     /// Where the light comes from, seen from above, in radians.
     pub from_rad: f64,

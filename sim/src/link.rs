@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 pub struct LinkSettings {
     /// Least time on the way, in nanoseconds.
     pub latency_ns: i64,
-    /// What comes to that, evenly from 0 to this, in nanoseconds.
+    /// Further delay, evenly distributed from 0 to this, in nanoseconds.
     pub jitter_ns: i64,
     /// Share of messages that are lost, in [0, 1].
     pub loss: f64,
@@ -123,7 +123,8 @@ impl<T> Link<T> {
     pub fn send(&mut self, now_ns: i64, content: T) {
         let LinkSettings { latency_ns, jitter_ns, loss, order } = self.settings;
         // Drawn for every message, so that one setting does not change another's draws.
-        let (late, fate) = (self.random.random::<f64>(), self.random.random::<f64>());
+        let late = self.random.random::<f64>();
+        let fate = self.random.random::<f64>();
         let number = self.sent;
         self.sent += 1;
         if fate < loss {
@@ -171,7 +172,8 @@ mod tests {
         let mut link = Link::new(settings, 5).unwrap();
         (0..10_000).for_each(|number| link.send(number * MS, number * MS));
         assert_eq!(link.receive(300 * MS - 1), None);
-        let (mut count, mut delay) = (0, 0.0);
+        let mut count = 0;
+        let mut delay = 0.0;
         while let Some((arrival_ns, sent_ns)) = link.receive(i64::MAX) {
             assert!((300 * MS..=500 * MS).contains(&(arrival_ns - sent_ns)));
             count += 1;

@@ -37,12 +37,13 @@ pub enum Behaviour {
         /// Metres a second.
         speed_m_s: f64,
     },
-    /// Comes to a robot that it sees, stands before its camera, and after a while goes back to where it was: let that
-    /// be beside the robot's way, or nobody gets past.
+    /// Comes to a robot that it sees, stands before its camera, and after a while goes back to
+    /// where it was: let that be beside the robot's way, or neither gets past.
     Blocking {
         /// How near the robot has to come to be noticed, in metres.
         notice_m: f64,
-        /// How long it stands before the robot, in seconds; then it leaves the robot alone for twice as long.
+        /// How long it stands before the robot, in seconds; then it leaves the robot alone for
+        /// twice as long.
         patience_s: f64,
         /// Metres a second.
         speed_m_s: f64,
@@ -83,7 +84,7 @@ impl Walker {
     pub const DISTANCE_M: f64 = 0.2;
 
     /// # Errors
-    /// [`PersonError`] if there is no room where it starts, or a number is none.
+    /// [`PersonError`] if there is no room where it starts, or a setting is not a number.
     pub fn new(plan: &FloorPlan, person: Person, behaviour: Behaviour) -> Result<Self, PersonError> {
         let numbers: &[f64] = match &behaviour {
             Behaviour::Standing => &[],

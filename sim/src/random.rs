@@ -3,8 +3,8 @@
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// A seed for one of many things that share a seed (the finaliser of SplitMix64: Steele, Lea and Flood, Fast splittable
-/// pseudorandom number generators, OOPSLA 2014).
+/// A seed for one of many things that share a seed (the finaliser of SplitMix64: Steele, Lea and
+/// Flood, Fast splittable pseudorandom number generators, OOPSLA 2014).
 #[must_use]
 pub(crate) fn derived_seed(seed: u64, index: u64) -> u64 {
     let mut z = seed.wrapping_add((index.wrapping_add(1)).wrapping_mul(0x9e37_79b9_7f4a_7c15));

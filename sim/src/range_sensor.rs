@@ -1,4 +1,5 @@
-//! How far it is to the next thing all around, and the reflex that keeps a robot from running into it.
+//! How far it is to the next thing all around, and the reflex that keeps a robot from running into
+//! it.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -97,9 +98,10 @@ impl RangeScan {
         self.points().filter_map(touches).fold(f64::INFINITY, f64::min)
     }
 
-    /// The heading nearest to the wanted one, within a quarter turn, in which a round hull has room for 35 cm and 5 cm to
-    /// either side; the wanted one if there is none. What a camera sees past, a robot may not get past: a corner of a wall, a
-    /// table's. From straight ahead to the left, in (-π, π].
+    /// The heading nearest to the wanted one, within a quarter turn, in which a round hull has room
+    /// for 35 cm and 5 cm to either side; the wanted one if there is none. What a camera sees past,
+    /// a robot may not get past: a corner of a wall, a table's. From straight ahead to the left, in
+    /// (-π, π].
     #[must_use]
     pub fn free_heading_rad(&self, wanted_rad: f64, radius_m: f64) -> f64 {
         const ROOM_M: f64 = 0.35;
@@ -139,8 +141,8 @@ impl RangeScan {
     }
 }
 
-/// Stops a robot before it touches something, turns it to where there is room and drives it there for a moment. It lets
-/// commands through that do not go ahead.
+/// Stops a robot before it touches something, turns it to where there is room and drives it there
+/// for a moment. It lets commands through that do not go ahead.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reflex {
     settings: ReflexSettings,
@@ -197,7 +199,8 @@ impl Reflex {
         Self { settings, state: ReflexState::Resting }
     }
 
-    /// What it wants instead of driving ahead at `forward_m_s`: m/s ahead and rad/s to the left. `None` while it rests.
+    /// What it wants instead of driving ahead at `forward_m_s`: m/s ahead and rad/s to the left.
+    /// `None` while it rests.
     pub fn react(
         &mut self,
         scan: &RangeScan,

@@ -103,7 +103,8 @@ impl CameraRig {
         robot.compose(&Pose::new(self.mount.forward_m, 0.0, self.mount.yaw_rad))
     }
 
-    /// Poses of the robot during the exposure, one for each pixel that the image moves, and their weight.
+    /// Poses of the robot during the exposure, one for each pixel that the image moves, and their
+    /// weight.
     fn exposure(&self, shot: &Shot) -> Vec<Pose> {
         let [forward, turn] = shot.speed.map(|speed| speed * self.sensor.exposure_s);
         // Things are a metre away or more, mostly.
@@ -200,7 +201,7 @@ struct ToneCurve(Vec<f32>);
 
 impl ToneCurve {
     const STEPS: usize = 512;
-    /// Brightest light that it tells apart, in grey values.
+    /// Brightest light that it can distinguish, in grey values.
     const MOST: f32 = 1024.0;
 
     fn new(gamma: f64) -> Self {

@@ -12,7 +12,7 @@ use crate::range::{self, OutOfRange};
 
 pub use wheel_odometry::{OdometryReading, WheelErrors, WheelOdometry};
 
-/// What a robot is told to do.
+/// What a robot is commanded to do.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
     /// Metres a second; below 0 backwards.
@@ -116,8 +116,8 @@ impl Robot {
         &self.odometry
     }
 
-    /// Takes a command that has come at `now_ns`; it holds from then on. One that is no number is not obeyed: the robot
-    /// stops.
+    /// Takes a command that has come at `now_ns`; it holds from then on. One that is not a number
+    /// is not obeyed: the robot stops.
     pub fn command(&mut self, command: Command, now_ns: i64) {
         let is_finite = command.forward_m_s.is_finite() && command.turn_rad_s.is_finite();
         self.command = is_finite.then_some((command, now_ns.saturating_add(command.valid_ns)));
@@ -129,8 +129,9 @@ impl Robot {
         self.command.as_ref().filter(|(_, until_ns)| now_ns < *until_ns).map(|(command, _)| command)
     }
 
-    /// Drives for some seconds as it was commanded, or as `reflex` wants ([m/s, rad/s]), if it wants something. Where
-    /// that ends; the robot does not go there by itself, because something may be in the way.
+    /// Drives for some seconds as it was commanded, or as `reflex` wants ([m/s, rad/s]), if it
+    /// wants something. Where that ends; the robot does not go there by itself, because something
+    /// may be in the way.
     pub(crate) fn drive(&mut self, now_ns: i64, seconds: f64, reflex: Option<[f64; 2]>) -> Pose {
         let commanded =
             self.command_at(now_ns).map_or([0.0; 2], |command| [command.forward_m_s, command.turn_rad_s]);
@@ -143,14 +144,16 @@ impl Robot {
             approach(self.forward_m_s, forward, body.max_forward_m_s, body.max_acceleration_m_s2);
         self.turn_rad_s =
             approach(self.turn_rad_s, turn, body.max_turn_rad_s, body.max_turn_acceleration_rad_s2);
-        let (distance_m, turn_rad) = (self.forward_m_s * seconds, self.turn_rad_s * seconds);
+        let distance_m = self.forward_m_s * seconds;
+        let turn_rad = self.turn_rad_s * seconds;
         self.odometry.add(distance_m, turn_rad);
         let [distance_m, turn_rad] =
             self.slip.gripped(distance_m, turn_rad, body.track_m, self.odometry.errors());
         self.pose.driven(distance_m, turn_rad)
     }
 
-    /// Puts it somewhere, its odometry unaware: what moves it there, or keeps it there, are not its wheels.
+    /// Puts it somewhere, its odometry unaware: what moves it there, or keeps it there, are not its
+    /// wheels.
     pub(crate) fn put(&mut self, pose: Pose) {
         self.pose = pose;
     }

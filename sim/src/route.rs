@@ -49,7 +49,8 @@ impl Route {
     /// Largest radius at which corners are rounded, in metres.
     pub const CORNER_RADIUS_M: f64 = 0.6;
 
-    /// Straight lines from corner to corner, rounded where there is room; where it turns back, it does so on the spot.
+    /// Straight lines from corner to corner, rounded where there is room; where it turns back, it
+    /// does so on the spot.
     ///
     /// # Errors
     /// [`RouteError::TooShort`] if all corners are one.
@@ -111,7 +112,8 @@ impl Route {
     /// Where it starts, looking along it.
     #[must_use]
     pub fn start(&self) -> Pose {
-        let (first, ahead) = (self.points[0], self.at(0.1));
+        let first = self.points[0];
+        let ahead = self.at(0.1);
         let way = ahead - first;
         Pose::new(first.x, first.y, way.y.atan2(way.x))
     }
@@ -163,7 +165,8 @@ fn round_corner([before, corner, after]: [Vector2<f64>; 3], points: &mut Vec<Vec
     }
 }
 
-/// Drives along a route by the true pose, as a person with a joystick does who sees where the robot is.
+/// Drives along a route by the true pose, as a person with a joystick does who sees where the robot
+/// is.
 #[derive(Clone, Debug)]
 pub struct RouteFollower {
     route: Route,
@@ -196,7 +199,7 @@ impl RouteFollower {
     /// Speed ahead in m/s, at most `speed_m_s`, and turn to the left in rad/s; `None` at the end.
     pub fn steer(&mut self, pose: &Pose, speed_m_s: f64) -> Option<[f64; 2]> {
         let position = pose.position();
-        // What comes soon, so that a crossing of the route with itself is no short cut.
+        // What comes soon, so that a crossing of the route with itself is not taken as a short cut.
         let ahead = (0..=25).map(|step| self.along_m + SPACING_M * f64::from(step));
         let gap = |along_m: f64| (self.route.at(along_m) - position).norm();
         let nearest = ahead.min_by(|&a, &b| gap(a).total_cmp(&gap(b)));

@@ -16,7 +16,8 @@ use crate::scene::Scene;
 
 pub use recording::{DriveError, Recording};
 
-/// A robot in a building, people about. It advances by a fixed period; whoever drives it gives commands in between.
+/// A robot in a building with people in it. It advances by a fixed period; commands are given in
+/// between.
 #[derive(Clone, Debug)]
 pub struct Simulation {
     scene: Arc<Scene>,
@@ -45,7 +46,7 @@ pub struct SimulationSettings {
     pub wheels: WheelErrors,
     /// What it feels its way with.
     pub range_sensor: RangeSensor,
-    /// When it does not do as it is told; `None` obeys always.
+    /// When it ignores commands; `None` if it always obeys.
     pub reflex: Option<ReflexSettings>,
     /// How the building is lit.
     pub light: Light,
@@ -97,13 +98,13 @@ pub struct Tick {
     pub truth: Pose,
     /// Where its wheels say it is, in a frame that started at (0, 0, 0).
     pub odometry: OdometryReading,
-    /// Whether it does as it is told.
+    /// Whether it obeys commands.
     pub obedience: Obedience,
     /// The image that it takes now, if any.
     pub frame: Option<CameraFrame>,
 }
 
-/// Whether a robot does as it is told.
+/// Whether a robot obeys commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Obedience {
     /// It does.
@@ -143,7 +144,8 @@ enum Touch {
 const APART_M: f64 = 0.03;
 
 impl SimulationSettings {
-    /// A robot with perfect wheels, an image every 50 cm or 10 degrees, 50 steps a second and a reflex.
+    /// A robot with perfect wheels, an image every 50 cm or 10 degrees, 50 steps a second and a
+    /// reflex.
     #[must_use]
     pub fn new(rig: CameraRig) -> Self {
         Self {
@@ -181,7 +183,8 @@ impl Simulation {
     /// Everything at rest, the robot at `start`.
     ///
     /// # Errors
-    /// [`SimulationError`] if the settings make no simulation, or there is no room at the start.
+    /// [`SimulationError`] if the settings are not those of a simulation, or there is no room at
+    /// the start.
     pub fn new(
         scene: Arc<Scene>,
         start: Pose,
@@ -217,7 +220,7 @@ impl Simulation {
         Ok(())
     }
 
-    /// Gives the robot a command, which comes to it now.
+    /// Gives the robot a command, which arrives now.
     pub fn command(&mut self, command: Command) {
         self.robot.command(command, self.now_ns);
     }
@@ -242,7 +245,8 @@ impl Simulation {
     /// Lets a period pass.
     pub fn advance(&mut self) -> Tick {
         let seconds = self.settings.period_ns as f64 * 1e-9;
-        let (robot, radius_m) = (*self.robot.pose(), self.settings.body.radius_m);
+        let robot = *self.robot.pose();
+        let radius_m = self.settings.body.radius_m;
         for walker in &mut self.people {
             walker.advance(self.scene.plan(), &robot, radius_m, seconds);
         }

@@ -6,17 +6,22 @@ mod layout;
 use nalgebra::Vector2;
 
 use crate::floor_plan::FloorPlan;
+use crate::render::CameraRig;
+use crate::rigs::{camera_rig, gallery_camera_rig};
 
 pub use buildings::corridors;
 
 /// A building by its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum NamedWorld {
-    /// 30 x 20 m: a ring of corridors with a cross corridor, so that there are two loops, and rooms inside and outside.
+    /// 30 x 20 m: a ring of corridors with a cross corridor, so that there are two loops, and rooms
+    /// inside and outside.
     Office,
-    /// Two corridors with 24 offices that share furniture, wallpaper and layout and differ in a fifth of their texture.
+    /// Two corridors with 24 offices that share furniture, wallpaper and layout and differ in a
+    /// fifth of their texture.
     Corridors,
-    /// A U-shaped hall with three rooms, as Booij, Terwijn, Zivkovic and Kröse drove in (ICRA 2007).
+    /// A U-shaped hall with three rooms, as Booij, Terwijn, Zivkovic and Kröse drove in (ICRA
+    /// 2007).
     BooijOffice,
     /// A ring of corridors of 40 m and nothing else: for tests.
     Loop,
@@ -24,12 +29,22 @@ pub enum NamedWorld {
     BuildingA,
     /// The same six offices along another corridor, in another order.
     BuildingB,
+    /// A long straight hall with four rooms off it, photographs on all walls, seen by another
+    /// camera than the other worlds: for what is tuned on those.
+    Gallery,
 }
 
 impl NamedWorld {
     /// All of them.
-    pub const ALL: [Self; 6] =
-        [Self::Office, Self::Corridors, Self::BooijOffice, Self::Loop, Self::BuildingA, Self::BuildingB];
+    pub const ALL: [Self; 7] = [
+        Self::Office,
+        Self::Corridors,
+        Self::BooijOffice,
+        Self::Loop,
+        Self::BuildingA,
+        Self::BuildingB,
+        Self::Gallery,
+    ];
 
     /// What command lines call it.
     #[must_use]
@@ -41,6 +56,7 @@ impl NamedWorld {
             Self::Loop => "loop",
             Self::BuildingA => "building-a",
             Self::BuildingB => "building-b",
+            Self::Gallery => "gallery",
         }
     }
 
@@ -60,11 +76,26 @@ impl NamedWorld {
             Self::Loop => buildings::ring(seed),
             Self::BuildingA => buildings::offices_in_a_row(seed, [0, 1, 2, 3, 4, 5]),
             Self::BuildingB => buildings::offices_in_a_row(seed, [4, 2, 5, 0, 3, 1]),
+            Self::Gallery => buildings::gallery(seed),
         }
     }
 
-    /// Ways through it that are known to be free: a name, its corners, and how long it is to be in metres, if shorter
-    /// than to its last corner.
+    /// What the robots there see with.
+    #[must_use]
+    pub fn camera_rig(self) -> CameraRig {
+        match self {
+            Self::Gallery => gallery_camera_rig(),
+            Self::Office
+            | Self::Corridors
+            | Self::BooijOffice
+            | Self::Loop
+            | Self::BuildingA
+            | Self::BuildingB => camera_rig(),
+        }
+    }
+
+    /// Ways through it that are known to be free: a name, its corners, and how long it is to be in
+    /// metres, if shorter than to its last corner.
     #[must_use]
     pub fn routes(self) -> Vec<NamedRoute> {
         match self {
@@ -111,6 +142,7 @@ impl NamedWorld {
                     [[0.7, 5.0]].into_iter().chain(rooms).chain([[11.4, 5.0]]).collect();
                 vec![NamedRoute::new("offices", &corners)]
             }
+            Self::Gallery => gallery_routes(),
         }
     }
 
@@ -142,8 +174,23 @@ impl NamedRoute {
     }
 }
 
-/// As in Bazeille, Battesti and Filliat, table I (ECMR 2011): 38, 82 and 98 m with loops; 100 m with two loops; and a
-/// way of 30 m from room to room.
+/// Ways on which a robot comes back to the hall that it knows, and goes on beyond what it has seen.
+fn gallery_routes() -> Vec<NamedRoute> {
+    // The middle of the hall, and how far into the rooms.
+    let [hall, north, south] = [5.2, 8.7, 1.8];
+    let visit = |x: f64, room: f64| [[x, hall], [x, room], [x, hall]];
+    let start = [[1.5, hall]];
+    let north_rooms = [visit(7.5, north), visit(17.5, north)].concat();
+    let route = |name, pieces: &[&[[f64; 2]]]| NamedRoute::new(name, &pieces.concat());
+    vec![
+        route("frontier", &[&start, &visit(7.5, north), &[[22.5, hall]]]),
+        route("rooms", &[&start, &north_rooms, &north_rooms]).cut(62.0),
+        route("south", &[&start, &visit(11.5, south), &visit(19.5, south), &[[24.0, hall]]]),
+    ]
+}
+
+/// As in Bazeille, Battesti and Filliat, table I (ECMR 2011): 38, 82 and 98 m with loops; 100 m
+/// with two loops; and a way of 30 m from room to room.
 fn office_routes() -> Vec<NamedRoute> {
     // Middles of the corridors.
     let [west, middle, east, south, north] = [5.0, 13.0, 25.0, 5.0, 15.0];

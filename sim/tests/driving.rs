@@ -138,7 +138,8 @@ fn odometry_is_as_wrong_as_it_was_set() {
             runs.iter().map(|run| (run[axis] - mean).powi(2)).sum::<f64>() / (runs.len() - 1) as f64;
         (mean, variance.sqrt())
     };
-    // Over 9.4 m noise of 0.01 m/√m makes a scale error of 0.0033, and 0.005 rad/√m a drift of 0.0016 rad/m.
+    // Over 9.4 m noise of 0.01 m/√m makes a scale error of 0.0033, and 0.005 rad/√m a drift of
+    // 0.0016 rad/m.
     let ((scale_mean, scale_sigma), (drift_mean, drift_sigma)) = (statistics(0), statistics(1));
     assert!((scale_mean - scale).abs() < 0.003, "scale {scale_mean}");
     assert!((0.0022..0.0048).contains(&scale_sigma), "scale sigma {scale_sigma}");
@@ -314,7 +315,8 @@ fn every_world_can_be_driven() {
     }
 }
 
-/// Blocks of 8 x 8 pixels with strong edges in two directions (J. Shi and C. Tomasi, Good features to track, CVPR 1994).
+/// Blocks of 8 x 8 pixels with strong edges in two directions (J. Shi and C. Tomasi, Good features
+/// to track, CVPR 1994).
 fn blocks_with_corners(image: &GreyImage) -> usize {
     let slope = |x: u32, y: u32| {
         let difference = |a: u8, b: u8| (f64::from(b) - f64::from(a)) / 2.0;

@@ -100,7 +100,8 @@ fn changed(before: &GreyImage, after: &GreyImage) -> Option<([f64; 2], [f64; 2],
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// A thin post lands on the columns and rows that the pinhole formulas say, wherever camera and post are.
+    /// A thin post lands on the columns and rows that the pinhole formulas say, wherever camera and
+    /// post are.
     #[test]
     fn a_post_lands_where_a_pinhole_puts_it(
         [x, y] in [-2.0..2.0f64, -1.5..1.5], heading in -PI..PI, ahead in 1.0..1.9f64, aside in -0.4..0.4f64,

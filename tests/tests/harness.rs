@@ -16,7 +16,7 @@ mod told;
 mod words;
 
 pub(crate) use command_line::{CommandLine, folder, json_object, path};
-pub(crate) use driving::{Building, Drive, camera_ahead, exported, frame_input, odometry, planar};
+pub(crate) use driving::{Drive, building, camera_ahead, driven, exported, frame_input, odometry, planar};
 pub(crate) use evo::evo_rmse_m;
 pub(crate) use models::{model_of_other_words, recalibrated_model, take_model};
 pub(crate) use panoramas::{PANORAMA_PX, Panoramas, TaughtPlace, by_looks_request, taught_at, taught_hall};
@@ -25,8 +25,10 @@ pub(crate) use proxy::Proxy;
 pub(crate) use reference::{BY_WORDS_THRESHOLD, Reference, reference, reference_by_words};
 pub(crate) use rest::{Answer, Surveyed, found, get, http, led};
 pub(crate) use sequence::{SECOND_NS, first_return, frame, frame_count, images, model_file, workspace};
-pub(crate) use server::{Server, channel, channel_with_window, import_model, state_hash};
-pub(crate) use stream::{RawStream, answers, answers_of, open, session_options, stream, wire};
+pub(crate) use server::{Server, channel, channel_with_window, import_model, said, state_hash};
+pub(crate) use stream::{
+    RawStream, answers, answers_of, open, session_options, stream, stream_through, wire,
+};
 pub(crate) use told::{Told, ToldMatch, decided, decided_match, told, told_match};
 pub(crate) use words::{as_histogram, as_words, histogram, mapped, word_maker, words_options};
 

@@ -3,48 +3,82 @@
 
 mod harness;
 
-mod appearance_links;
-mod appearance_mirror;
-mod appearance_navigation;
-mod appearance_ways;
-mod bad_frames;
-mod bad_requests;
-mod bad_sessions;
-mod bad_table;
-mod checkpoints;
-mod command_line;
-mod config;
-mod connections;
-mod decisions;
-mod dependencies;
-mod disk_full;
-mod explain;
-mod frames;
-mod jobs;
-mod kill;
-mod licences;
-mod load;
-mod localize;
-mod mapping;
-mod merging;
-mod navigation;
-mod openapi;
-mod operations;
-mod overload;
-mod pictures;
-mod places;
-mod queries;
-mod rebind;
-mod resend;
-mod rest;
-mod rest_exports;
-mod rest_parity;
-mod restore;
-mod shutdown;
-mod snapshots;
-mod startup;
-mod tls;
-mod tokens;
-mod training;
-mod verification;
-mod words;
+/// What the repository promises of itself: who imports whom, and under which licences.
+mod house {
+    mod architecture;
+    mod dependencies;
+    mod licences;
+}
+
+/// Maps: what they keep, how they are told, restored, moved and explained.
+mod maps {
+    mod bad_requests;
+    mod checkpoints;
+    mod explain;
+    mod jobs;
+    mod mapping;
+    mod pictures;
+    mod places;
+    mod queries;
+    mod rebind;
+    mod restore;
+    mod snapshots;
+    mod structure;
+    mod training;
+}
+
+/// Maps that become one, and what is taken out of them again.
+mod merging {
+    mod compaction;
+    mod rebuilding;
+    mod refusals;
+    mod rounds;
+    mod whole_maps;
+}
+
+/// Robots that are led, by metres and by looks.
+mod navigation {
+    mod appearance_links;
+    mod appearance_mirror;
+    mod appearance_navigation;
+    mod appearance_ways;
+    mod metric;
+}
+
+/// What an operator relies on: settings, limits, access, crashes, full disks.
+mod operations {
+    mod command_line;
+    mod config;
+    mod connections;
+    mod disk_full;
+    mod kill;
+    mod operating;
+    mod shutdown;
+    mod startup;
+    mod tls;
+    mod tokens;
+}
+
+/// REST beside gRPC, and bad values in every field of either.
+mod rest {
+    mod bad_table;
+    mod errors_and_pages;
+    mod exports;
+    mod openapi;
+    mod parity;
+}
+
+/// Robots that stream frames: what they are told, and what they get wrong.
+mod robots {
+    mod bad_frames;
+    mod bad_sessions;
+    mod decisions;
+    mod frames;
+    mod golden;
+    mod load;
+    mod localize;
+    mod overload;
+    mod resend;
+    mod verification;
+    mod words;
+}

@@ -1,7 +1,9 @@
-//! A map's state in pieces: a checkpoint writes those that changed, and a map is put together from all of them.
+//! A map's state in pieces: a checkpoint writes those that changed, and a map is put together from
+//! all of them.
 //!
-//! A place is a piece of its own while it changes ([`crate::map::encode_place`]). Many that have come to rest are one
-//! sealed [`Block`]. Links are pieces of [`LINKS_PER_PIECE`], sessions one each, and the [`Head`] says what there is.
+//! A place is a piece of its own while it changes ([`crate::map::encode_place`]). Many that have
+//! come to rest are one sealed [`Block`]. Links are pieces of [`LINKS_PER_PIECE`], sessions one
+//! each, and the [`Head`] says what there is.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,9 +11,11 @@ use fabmap::appearance::{Appearance, PlaceId};
 use fabmap::codec::{Container, DecodeError, Reader, Writer};
 use fabmap::model::Model;
 
-use crate::event::{Link, MapEvent, SessionId};
+use crate::ids::SessionId;
+use crate::log::{Link, MapEvent};
 use crate::map::{Map, Place, SESSION_VERSION, Session, encode_place};
-use crate::mapper::{Mapper, MapperSettings, RestoreError};
+use crate::mapper::{Mapper, RestoreError};
+use crate::settings::MapperSettings;
 
 /// Links of one piece; only the last has fewer.
 pub const LINKS_PER_PIECE: usize = 512;
@@ -66,7 +70,7 @@ impl Changes {
         Self { links: map.links().len(), ..Self::default() }
     }
 
-    /// All of `map` but its places, for who writes those as blocks.
+    /// All of `map` but its places, where those are written as blocks.
     #[must_use]
     pub fn all_but_places(map: &Map) -> Self {
         Self { sessions: map.sessions().map(|(id, _)| id).collect(), ..Self::default() }
@@ -235,7 +239,8 @@ impl BlockWriter {
     }
 }
 
-/// The first place of a sealed block, and all of them in order, over a vocabulary of `vocabulary_len` words.
+/// The first place of a sealed block, and all of them in order, over a vocabulary of
+/// `vocabulary_len` words.
 ///
 /// # Errors
 /// [`DecodeError`] if the bytes are no block.
@@ -244,7 +249,8 @@ pub fn decode_block(
     vocabulary_len: usize,
 ) -> Result<(PlaceId, Vec<(Place, Appearance)>), DecodeError> {
     let mut reader = Reader::new(BLOCK.open(bytes)?.1);
-    let (first, places) = (reader.u32()?, reader.u32()?);
+    let first = reader.u32()?;
+    let places = reader.u32()?;
     let mut decoded = Vec::new();
     for _ in 0..places {
         let appearance = Appearance::decode_packed(&mut reader, vocabulary_len)?;

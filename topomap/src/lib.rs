@@ -2,26 +2,15 @@
 //!
 //! Pure: no I/O, no async, no pixels. Begin with [`mapper`], which tells the story.
 
-pub mod appearance_graph;
-pub mod appearance_navigation;
-pub mod budget;
+mod bytes;
 pub mod checkpoint;
-pub mod epipolar;
-pub mod event;
-pub mod g2o;
+pub mod evidence;
+pub mod ids;
+pub mod in_memory;
+pub mod log;
 pub mod map;
 pub mod mapper;
 pub mod merging;
-pub mod motion;
-pub mod navigation;
-pub mod odometry;
-pub mod odometry_prior;
-pub mod place_poses;
-mod rebased;
-pub mod relative_pose;
-pub mod relaxation;
-pub mod retelling;
-pub mod standing;
-pub mod trajectory;
-pub mod verification;
-mod wheel_drift;
+pub mod metric;
+pub mod rewriting;
+pub mod settings;

@@ -1,9 +1,11 @@
 //! The map: what the log adds up to.
 
 mod encoding;
+mod place_poses;
 
 pub(crate) use encoding::SESSION_VERSION;
 pub use encoding::{decode_place, encode_place};
+pub use place_poses::PlacePoses;
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -13,13 +15,10 @@ use fabmap::model::ContentHash;
 use fabmap::place_filter::Belief;
 use sha2::{Digest, Sha256};
 
-use crate::event::{FrameEvent, FrameId, Link, MeasuredEvent, SessionId};
-use crate::mapper::MapperSettings;
-use crate::odometry::Odometry;
-use crate::relative_pose::RelativePose;
-
-/// Frames that a session's prior looks back on, at most.
-pub const MAX_PAST_FRAMES: usize = 4;
+use crate::ids::{FrameId, SessionId};
+use crate::log::{FrameEvent, Link, MeasuredEvent};
+use crate::metric::{Odometry, RelativePose};
+use crate::settings::{MAX_PAST_FRAMES, MapperSettings};
 
 /// Places, links and sessions; appearances live in the recognizer's index, under the same ids.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -47,7 +46,7 @@ pub struct PlaceFrame {
     pub frame: FrameId,
     /// The session it came from.
     pub session: SessionId,
-    /// The how-manieth frame of that session it was, from 0.
+    /// Its number among the frames of that session, from 0.
     pub number: u64,
 }
 
@@ -76,7 +75,8 @@ pub struct Session {
     pub anchor: Option<Anchor>,
 }
 
-/// A frame whose place was not only recognised: where in it the robot was is known to within a place spacing.
+/// A frame whose place was not only recognised: where in it the robot was is known to within a
+/// place spacing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Anchor {
     /// The place.
@@ -99,7 +99,7 @@ pub struct Past {
 /// An earlier frame that one of a session's last frames has evidence for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighting {
-    /// The how-manieth frame of the session saw it.
+    /// Number of the session's frame that saw it, from 0.
     pub number: u64,
     /// The place that was seen.
     pub place: PlaceId,
@@ -112,7 +112,8 @@ pub struct Sighting {
 }
 
 impl Sighting {
-    /// Whether it is of `place`, or of a frame that the same session took within `frames` of `other`.
+    /// Whether it is of `place`, or of a frame that the same session took within `frames` of
+    /// `other`.
     #[must_use]
     pub fn is_near(&self, place: PlaceId, other: PlaceFrame, frames: u64) -> bool {
         let same_way =
@@ -152,7 +153,8 @@ impl Map {
         &self.places
     }
 
-    /// All links, in order of creation. Frames add at most one between two places; what robots measured comes on top.
+    /// All links, in order of creation. Frames add at most one between two places; what robots
+    /// measured comes on top.
     #[must_use]
     pub fn links(&self) -> &[Link] {
         &self.links
@@ -205,8 +207,11 @@ impl Map {
             + self.links.capacity() * size_of::<Link>()
     }
 
-    /// A map from all that it consists of.
-    pub(crate) fn from_parts(
+    /// A map from all that it consists of; `events` is the length of its log.
+    ///
+    /// # Errors
+    /// [`DecodeError`] if a link leads to or from a place that is not there.
+    pub fn from_parts(
         places: Vec<Place>,
         links: Vec<Link>,
         sessions: BTreeMap<SessionId, Session>,
@@ -229,8 +234,8 @@ impl Map {
         self.events += 1;
     }
 
-    /// Folds a frame in, except for appearances. The settings bound what a session remembers of the places it
-    /// left and of what it saw.
+    /// Folds a frame in, except for appearances. The settings bound what a session remembers of the
+    /// places it left and of what it saw.
     pub(crate) fn fold_frame(
         &mut self,
         event: &FrameEvent,
@@ -278,8 +283,9 @@ impl Map {
         }
     }
 
-    /// SHA-256 of all that the log decided: counts, frames of places, links with their measurements,
-    /// sessions with their beliefs. Equal logs give equal hashes, whatever happened in between.
+    /// SHA-256 of all that the log decided: counts, frames of places, links with their
+    /// measurements, sessions with their beliefs. Equal logs give equal hashes, whatever happened
+    /// in between.
     #[must_use]
     pub fn state_hash(&self, appearances: impl Iterator<Item = Appearance>) -> ContentHash {
         let mut hasher = Sha256::new();
@@ -325,7 +331,8 @@ impl Session {
         }
     }
 
-    /// Frames since the session was at `place`, if it is there or left it fewer than `guard_frames` ago.
+    /// Frames since the session was at `place`, if it is there or left it fewer than `guard_frames`
+    /// ago.
     #[must_use]
     pub fn frames_since(&self, place: PlaceId, guard_frames: u64) -> Option<u64> {
         match &self.stay {
@@ -379,7 +386,8 @@ impl Session {
     fn arrive(&mut self, place: PlaceId, event: &FrameEvent, guard_frames: u64) {
         let number = self.frames;
         let looks = self.looks_of_stay(place, guard_frames) + u32::from(event.learnt);
-        let (odometry, at) = (event.odometry.clone(), event.at);
+        let odometry = event.odometry.clone();
+        let at = event.at;
         let before = self.stay.replace(Stay { place, looks, odometry, at });
         if let Some(before) = before.filter(|before| before.place != place) {
             self.left.retain(|left| left.place != place && number - left.number < guard_frames);

@@ -1,32 +1,36 @@
 //! Two maps of the same places become one.
 //!
-//! [`find_matches`] asks for every place of one map where it is on the other; [`judge`] chooses the largest set of
-//! matches that agree with each other and says whether it is enough, or why not; [`join`] is the source's log told
-//! anew as what happened on the target. Nothing is changed by any of them: whoever holds the logs commits.
+//! [`find_matches`] asks for every place of one map where it is on the other; [`judge`] chooses the
+//! largest set of matches that agree with each other and says whether it is enough, or why not;
+//! [`join`] rewrites the source's log as what happened on the target. None of them changes
+//! anything: the holder of the logs commits.
 //!
-//! Wrong matches between two maps are no noise: offices that look alike agree with each other as well as true ones
-//! do. So what is looked for is the largest set of pairwise consistent matches (Mangelson et al., ICRA 2018) and
-//! not a robust minimum: graduated non-convexity has to start from some transformation between the maps, and there is
-//! none; a set of matches can moreover be compared with its rivals, which a minimum has not.
+//! Wrong matches between two maps are no noise: offices that look alike agree with each other as
+//! well as true ones do. So what is looked for is the largest set of pairwise consistent matches
+//! (Mangelson et al., ICRA 2018) and not a robust minimum: graduated non-convexity has to start
+//! from some transformation between the maps, and there is none; a set of matches can moreover be
+//! compared with its rivals, which a minimum has not.
 
 mod cliques;
 mod consistency;
 mod joining;
 mod judgement;
+mod layout;
 mod matching;
 mod steps;
 mod ways;
 
 use fabmap::appearance::PlaceId;
 
-use crate::event::FrameId;
-use crate::mapper::{ArchiveError, FrameArchive, Mapper};
-use crate::relative_pose::RelativePose;
-use crate::relaxation::PlanarPose;
-use crate::verification::TwoView;
+use crate::evidence::{ArchiveError, FrameArchive, TwoView};
+use crate::ids::FrameId;
+use crate::mapper::Mapper;
+use crate::metric::RelativePose;
+use posegraph::PlanarPose;
 
 pub use joining::{JoinError, join};
-pub use judgement::{Layout, joined_poses, judge};
+pub use judgement::{joined_poses, judge};
+pub use layout::Layout;
 pub use matching::find_matches;
 
 /// A map, and what its frames showed.
@@ -40,20 +44,22 @@ pub struct KnownMap<'a> {
 
 /// Compares frames of two maps; whoever keeps keypoints implements it.
 pub trait ViewsBetween: Sync {
-    /// What geometry finds between a frame of the target, the earlier view, and one of the source, the current view;
-    /// `None` if one of the two has no keypoints.
+    /// What geometry finds between a frame of the target, the earlier view, and one of the source,
+    /// the current view; `None` if one of the two has no keypoints.
     ///
     /// # Errors
     /// [`ArchiveError`] if one cannot be read now.
     fn compare(&self, source: FrameId, target: FrameId) -> Result<Option<TwoView>, ArchiveError>;
 
-    /// Focal length of the camera of a frame of the source along x, in image widths; `None` if its model is not known.
+    /// Focal length of the camera of a frame of the source along x, in image widths; `None` if its
+    /// model is not known.
     fn focal_length_widths(&self, source: FrameId) -> Option<f64>;
 }
 
 /// Hears how far the search is, and may end it.
 pub trait MergeObserver: Sync {
-    /// So many of the source's places have been looked for; from several threads. False ends the search.
+    /// So many of the source's places have been looked for; from several threads. False ends the
+    /// search.
     fn goes_on(&self, places: usize) -> bool;
 }
 
@@ -72,9 +78,11 @@ pub struct MergeSettings {
     pub min_evidence: f64,
     /// Least matches that agree with each other, at least 3.
     pub min_support: usize,
-    /// Least evidence of those together, at least 0: as a loop closure needs, whose frames add theirs up.
+    /// Least evidence of those together, at least 0: as a loop closure needs, whose frames add
+    /// theirs up.
     pub min_total_evidence: f64,
-    /// Largest share that the next best set of matches may have of the matches of the best, in [0, 1].
+    /// Largest share that the next best set of matches may have of the matches of the best, in [0,
+    /// 1].
     pub max_rival_share: f64,
     /// Least share of the source's places that match where the maps then overlap, in [0, 1].
     pub min_confirmed_share: f64,
@@ -104,11 +112,13 @@ pub struct PlaceMatch {
     pub source_frame: FrameId,
     /// With that frame of the target.
     pub target_frame: FrameId,
-    /// Probability of the place of the target among all its places and "somewhere new", by words alone.
+    /// Probability of the place of the target among all its places and "somewhere new", by words
+    /// alone.
     pub posterior: f64,
     /// What geometry found; `None` where words decided alone.
     pub view: Option<TwoView>,
-    /// Pose of the place of the source in the frame of the place of the target, if that was measured.
+    /// Pose of the place of the source in the frame of the place of the target, if that was
+    /// measured.
     pub measured: Option<RelativePose>,
 }
 
@@ -124,7 +134,8 @@ pub enum Verdict {
 /// How a source joins a target.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MergePlan {
-    /// The frame of the source's part in that of the target's; the identity where one of the maps knows no metres.
+    /// The frame of the source's part in that of the target's; the identity where one of the maps
+    /// knows no metres.
     pub transformation: PlanarPose,
     /// The lowest places of the two parts, source and target, that the transformation is between.
     pub parts: (PlaceId, PlaceId),
@@ -149,8 +160,9 @@ pub struct MergePlan {
 pub struct FusedPlace {
     /// Of its matches that with the place that it lies nearest to.
     pub matched: PlaceMatch,
-    /// Pose of the place of the source in the frame of that of the target, with both maps as one: what this match and
-    /// all others say together. Where one of the maps knows no metres, only that it is somewhere near.
+    /// Pose of the place of the source in the frame of that of the target, with both maps as one:
+    /// what this match and all others say together. Where one of the maps knows no metres, only
+    /// that it is somewhere near.
     pub at: RelativePose,
 }
 
@@ -164,8 +176,9 @@ pub struct Overlap {
 }
 
 impl MergePlan {
-    /// The same plan for a target that has grown since: by so many places beyond the first so many, and events likewise.
-    /// What another merge was to add to the target by then comes after what has come in between.
+    /// The same plan for a target that has grown since: by so many places beyond the first so many,
+    /// and events likewise. What another merge was to add to the target by then comes after what
+    /// has come in between.
     #[must_use]
     pub fn on_a_grown_target(
         mut self,

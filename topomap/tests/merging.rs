@@ -1,23 +1,21 @@
 //! Maps of the same places become one, others stay apart; and what both have seen is learnt once.
-#![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
 
-mod building;
-
-use building::{
+use crate::building::{
     Between, Robot, WORDS, ahead, apart_m, first, judged, matches, model, model_of, plan, second, seen,
     unique,
 };
 use fabmap::appearance::{Appearance, PlaceId};
+use posegraph::{PlanarPose, Pose};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use topomap::event::{MapEvent, Reason};
-use topomap::mapper::{Mapper, MapperSettings};
+use topomap::log::{MapEvent, Reason};
+use topomap::mapper::Mapper;
 use topomap::merging::{
     Apart, MergeError, MergeObserver, MergeSettings, PlaceMatch, Verdict, find_matches, join,
 };
-use topomap::relative_pose::RelativePose;
-use topomap::relaxation::{PlanarPose, Pose};
+use topomap::metric::RelativePose;
+use topomap::settings::MapperSettings;
 
 /// Another one.
 fn elsewhere(pose: &PlanarPose) -> PlanarPose {
@@ -30,7 +28,7 @@ fn repeated(pose: &PlanarPose) -> PlanarPose {
 }
 
 /// The same drive, of a robot whose wheels nobody reads.
-fn without_metres(drive: impl Fn(&mut Robot), looks: building::Looks, pose: PlanarPose) -> Robot {
+fn without_metres(drive: impl Fn(&mut Robot), looks: crate::building::Looks, pose: PlanarPose) -> Robot {
     let mut robot = Robot::new(looks, pose, [0.0; 2]);
     robot.runs.get_mut(&0).unwrap().odometry = None;
     drive(&mut robot);
@@ -219,7 +217,8 @@ fn other_buildings_stay_apart() {
     assert_eq!(judged(&source, &target, &matches(&source, &target)), Verdict::Apart(Apart::NoMatches));
 }
 
-/// The corridor's second half looks as its first: a robot that has been in one of them only may have been in either.
+/// The corridor's second half looks as its first: a robot that has been in one of them only may
+/// have been in either.
 #[test]
 fn halls_that_look_the_same_are_none_to_merge_by() {
     let along = |from_m: f64, steps: usize| {
@@ -280,7 +279,8 @@ proptest! {
         prop_assert_eq!(plan.matches.len() + plan.rejected.len(), all.len());
     }
 
-    /// A fifth of the matches lead anywhere: none of them is believed, and the places that are fused are as right.
+    /// A fifth of the matches lead anywhere: none of them is believed, and the places that are
+    /// fused are as right.
     #[test]
     fn wrong_matches_change_nothing(seed in any::<u64>()) {
         let (target, source) = (first(unique), second(unique));

@@ -1,229 +1,17 @@
-//! Places joined by metres: spacing, poses that loop closures correct, the prior with odometry, bad odometry.
-#![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
+//! Places joined by metres: spacing, poses that loop closures correct, the prior with odometry, bad
+//! odometry.
 
-mod words;
+use std::f64::consts::FRAC_PI_2;
 
-use std::f64::consts::{FRAC_PI_2, TAU};
-
-use fabmap::codec::{Reader, Writer};
-use fabmap::model::Model;
 use fabmap::observation::Observation;
-use nalgebra::Matrix3;
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-use topomap::event::{FrameEvent, FrameId, LinkKind, MapEvent, Reason};
-use topomap::mapper::{
-    ArchiveError, FrameArchive, FrameError, FrameInput, Localizer, Mapper, MapperError, MapperSettings,
-    MeasureError, Measurement,
-};
-use topomap::odometry::Odometry;
-use topomap::odometry_prior::PlaceSpacing;
-use topomap::relative_pose::RelativePose;
-use topomap::relaxation::{PlanarPose, Pose};
-use topomap::verification::{Motion, Similarity, TwoView, Views};
-use words::{WORDS, model_of, view_of};
+use posegraph::{PlanarPose, Pose};
+use topomap::in_memory::{self};
+use topomap::log::{FrameEvent, LinkKind, Reason};
+use topomap::mapper::{FrameError, FrameInput, Localizer, Mapper, MeasureError};
+use topomap::metric::{Odometry, RelativePose};
+use topomap::settings::{MapperError, MapperSettings, PlaceSpacing};
 
-const FOCAL_LENGTH_WIDTHS: f64 = 0.8;
-
-/// A robot that drives on a plane, its wheels, and a camera that sees words by where it is.
-struct Robot {
-    mapper: Mapper,
-    log: Vec<MapEvent>,
-    /// True pose of each event's frame; anything for openings.
-    truth: Vec<PlanarPose>,
-    pose: PlanarPose,
-    /// What the wheels believe.
-    odometry: PlanarPose,
-    /// Of the wheels: share of each distance, and radians per metre.
-    bias: [f64; 2],
-    session: u32,
-    sequence: u64,
-}
-
-/// What the camera sees of earlier frames.
-struct Camera<'a> {
-    robot: &'a Robot,
-    model: CameraModel,
-}
-
-#[derive(Clone, Copy, PartialEq)]
-enum CameraModel {
-    Known,
-    Unknown,
-}
-
-impl Views for Camera<'_> {
-    /// Near frames look alike, shifted by the turn between them.
-    fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
-        let apart = self.robot.truth[earlier as usize].inverse().compose(&self.robot.pose);
-        let near = apart.x_m().hypot(apart.y_m()) < 0.6 && apart.heading_rad().abs() < 0.4;
-        let shift = FOCAL_LENGTH_WIDTHS * apart.heading_rad().tan();
-        let motion =
-            Similarity { rotation_rad: 0.0, ln_scale: 0.05 * apart.x_m(), translation_widths: [shift, 0.0] };
-        let inliers = if near { 450 } else { 3 };
-        let motion = near.then_some(Motion::Similarity(motion));
-        Ok(Some(TwoView { matches: 500, inliers, distinct_inliers: inliers, motion }))
-    }
-
-    fn focal_length_widths(&self) -> Option<f64> {
-        (self.model == CameraModel::Known).then_some(FOCAL_LENGTH_WIDTHS)
-    }
-}
-
-impl FrameArchive for Robot {
-    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
-        Ok(Some(self.event(frame).observation.clone()))
-    }
-
-    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
-        Ok(self.event(frame).at)
-    }
-}
-
-impl Robot {
-    fn new(settings: MapperSettings, bias: [f64; 2]) -> Self {
-        let mut robot = Self {
-            mapper: Mapper::new(&model(), settings).unwrap(),
-            log: Vec::new(),
-            truth: Vec::new(),
-            pose: PlanarPose::identity(),
-            odometry: PlanarPose::identity(),
-            bias,
-            session: 0,
-            sequence: 0,
-        };
-        robot.begin();
-        robot
-    }
-
-    /// Begins a session where the robot stands.
-    fn begin(&mut self) {
-        self.session = self.mapper.map().next_session();
-        self.odometry = PlanarPose::identity();
-        let event = MapEvent::SessionOpened { session: self.session };
-        self.mapper.apply(&event).unwrap();
-        self.log.push(event);
-        self.truth.push(self.pose);
-    }
-
-    fn event(&self, frame: FrameId) -> &FrameEvent {
-        match &self.log[frame as usize] {
-            MapEvent::Frame(event) => event,
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => panic!("{frame} is no frame"),
-        }
-    }
-
-    fn go(&mut self, distance_m: f64, turn_rad: f64) {
-        let motion = PlanarPose::new(distance_m, 0.0, turn_rad);
-        self.pose = self.pose.compose(&motion);
-        let [share, drift] = self.bias;
-        let felt = PlanarPose::new(distance_m * (1.0 + share), 0.0, turn_rad + drift * distance_m.abs());
-        self.odometry = self.odometry.compose(&felt);
-    }
-
-    fn input(&mut self) -> FrameInput {
-        self.sequence += 1;
-        let ground = self.odometry.on_the_ground();
-        let (position, rotation) = (ground.translation, ground.rotation.coords);
-        let odometry = Odometry::new(
-            [position.x, position.y, 0.0],
-            [rotation.x, rotation.y, rotation.z, rotation.w],
-            None,
-        );
-        FrameInput {
-            session: self.session,
-            sequence: self.sequence,
-            stamp_ns: self.sequence as i64 * 1_000_000_000,
-            odometry: Some(odometry.unwrap()),
-            observation: view(&self.pose, self.sequence),
-        }
-    }
-
-    fn see(&mut self) -> FrameEvent {
-        let input = self.input();
-        self.take(input, CameraModel::Known)
-    }
-
-    fn take(&mut self, input: FrameInput, model: CameraModel) -> FrameEvent {
-        let decided = self.mapper.decide(input, self, &Camera { robot: self, model }, &mut ()).unwrap();
-        let event = MapEvent::Frame(Box::new(decided.event.clone()));
-        let stored = MapEvent::from_bytes(&event.to_bytes(), WORDS as usize).unwrap();
-        assert_eq!(stored, event);
-        self.mapper.apply(&stored).unwrap();
-        self.log.push(stored);
-        self.truth.push(self.pose);
-        decided.event
-    }
-
-    /// The robot measures where it was at a frame, seen from an earlier one; wrong by `wrong`.
-    fn measure(&mut self, later: FrameId, earlier: FrameId, wrong: &PlanarPose) -> Result<(), MeasureError> {
-        self.measure_within(0.01, later, earlier, wrong)
-    }
-
-    /// The same, known to within `sigma`, in metres and radians.
-    fn measure_within(
-        &mut self,
-        sigma: f64,
-        later: FrameId,
-        earlier: FrameId,
-        wrong: &PlanarPose,
-    ) -> Result<(), MeasureError> {
-        let pose = self.truth[earlier as usize].inverse().compose(&self.truth[later as usize]).compose(wrong);
-        let pose = RelativePose::new(pose, Matrix3::identity() * (sigma * sigma)).unwrap();
-        let before = self.log[..later as usize].iter().rev().find_map(|event| match event {
-            MapEvent::Frame(event) if event.session == self.event(later).session => Some(event.as_ref()),
-            MapEvent::Frame(_) | MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
-        });
-        let (later, earlier) = (self.event(later), self.event(earlier));
-        let event = self.mapper.measure(&Measurement { later, before, earlier, pose })?;
-        let event = MapEvent::Measured(Box::new(event));
-        let stored = MapEvent::from_bytes(&event.to_bytes(), WORDS as usize).unwrap();
-        assert_eq!(stored, event);
-        self.mapper.apply(&stored).unwrap();
-        self.log.push(stored);
-        self.truth.push(self.pose);
-        Ok(())
-    }
-
-    /// Where the map puts the robot.
-    fn on_the_map(&self) -> PlanarPose {
-        self.mapper.map_pose(self.mapper.map().session(self.session).unwrap()).unwrap().robot
-    }
-}
-
-/// What is seen from a cell of 0.4 m and 30 degrees, and of its neighbours.
-fn view(pose: &PlanarPose, noise: u64) -> Observation {
-    let mut noise = ChaCha8Rng::seed_from_u64(noise);
-    let cell = |value: f64, side: f64| (value / side).round() as i64;
-    let sector = cell(pose.heading_rad(), TAU / 12.0).rem_euclid(12);
-    let seed = (cell(pose.x_m(), 0.4) * 1_000 + cell(pose.y_m(), 0.4)) * 100 + sector;
-    view_of(seed as u64, 0.85, 5, &mut noise)
-}
-
-fn model() -> Model {
-    let far = |place: u64| view(&PlanarPose::new(1e3 + place as f64, -1e3, 0.0), place);
-    model_of((0..200).map(far).collect(), WORDS)
-}
-
-/// A round of 4 m a side, in steps of 0.4 m.
-fn round(robot: &mut Robot) -> Vec<FrameEvent> {
-    let mut events = Vec::new();
-    for _ in 0..4 {
-        for _ in 0..10 {
-            robot.go(0.4, 0.0);
-            events.push(robot.see());
-        }
-        for _ in 0..6 {
-            robot.go(0.0, FRAC_PI_2 / 6.0);
-            events.push(robot.see());
-        }
-    }
-    events
-}
-
-fn apart_m(a: &PlanarPose, b: &PlanarPose) -> f64 {
-    (a.x_m() - b.x_m()).hypot(a.y_m() - b.y_m())
-}
+use crate::rounds::{Camera, CameraModel, Robot, apart_m, model, round};
 
 #[test]
 fn a_robot_that_stays_within_the_spacing_stays_at_its_place() {
@@ -367,12 +155,14 @@ fn a_robot_with_odometry_is_expected_along_the_links_of_a_map_without() {
     robot.go(0.8, 0.0);
     let input = robot.input();
     let camera = Camera { robot: &robot, model: CameraModel::Known };
-    let prior = robot.mapper.decide(input, &robot, &camera, &mut ()).unwrap().recognition.prior;
+    let prior =
+        in_memory::decide(&robot.mapper, &robot.log, input, &camera, &mut ()).unwrap().recognition.prior;
     let [next, far] = [5, 10].map(|place| prior.of(place).unwrap());
     assert!(next > 2.0 * far, "{next} for the next place, {far} for a far one");
 }
 
-/// Wheels that say nothing would keep the robot at one place for ever; those of a robot that stands may.
+/// Wheels that say nothing would keep the robot at one place for ever; those of a robot that stands
+/// may.
 #[test]
 fn odometry_that_stands_still_while_the_robot_drives_is_refused() {
     let mut robot = Robot::new(MapperSettings { guard_frames: 4, ..MapperSettings::default() }, [0.0; 2]);
@@ -384,9 +174,10 @@ fn odometry_that_stands_still_while_the_robot_drives_is_refused() {
     let hash = robot.mapper.state_hash();
     robot.pose = PlanarPose::new(9.0, 4.0, 1.0);
     let input = robot.input();
-    let refused = robot.mapper.decide(
+    let refused = in_memory::decide(
+        &robot.mapper,
+        &robot.log,
         input.clone(),
-        &robot,
         &Camera { robot: &robot, model: CameraModel::Known },
         &mut (),
     );
@@ -398,8 +189,7 @@ fn odometry_that_stands_still_while_the_robot_drives_is_refused() {
     for sequence in 1..=50 {
         let input =
             FrameInput { session: Localizer::SESSION, sequence, stamp_ns: sequence as i64, ..input.clone() };
-        let camera = Camera { robot: &robot, model: CameraModel::Known };
-        let event = robot.mapper.localize(&localizer, input, &robot, &camera, &mut ()).unwrap().event;
+        let event = robot.localize(&localizer, input);
         localizer.follow(&event, &robot.mapper);
     }
     // The wheels turn again.
@@ -552,53 +342,6 @@ fn measurements_that_nothing_follows_from_are_refused() {
     let last = robot.see().frame;
     assert_eq!(robot.measure(last, blind, &right), Err(MeasureError::NoMetres { which: "earlier" }));
     assert_ne!(robot.mapper.state_hash(), hash);
-}
-
-/// A short drive with a loop that version 3 logged, and one with a measurement that version 4 did, events one after
-/// the other.
-#[test]
-fn logs_of_versions_3_and_4_still_fold() {
-    folds(include_bytes!("fixtures/log-v3.bin"));
-    folds(include_bytes!("fixtures/log-v4.bin"));
-}
-
-fn folds(bytes: &[u8]) {
-    let mut reader = Reader::new(bytes);
-    let mut mapper =
-        Mapper::new(&model(), MapperSettings { guard_frames: 4, ..MapperSettings::default() }).unwrap();
-    while reader.remaining() > 0 {
-        let event = MapEvent::from_bytes(reader.bytes().unwrap(), WORDS as usize).unwrap();
-        mapper.apply(&event).unwrap();
-    }
-    let kinds =
-        |kind: fn(&LinkKind) -> bool| mapper.map().links().iter().filter(|link| kind(&link.kind)).count();
-    assert_eq!(kinds(|kind| matches!(kind, LinkKind::Driven(_))), mapper.map().places().len() - 1);
-    assert!(kinds(|kind| matches!(kind, LinkKind::Closed(_))) > 0);
-    let pose = mapper.map_pose(mapper.map().session(0).unwrap()).unwrap();
-    assert!(pose.part == 0 && apart_m(&pose.robot, &PlanarPose::identity()) < 0.6, "{pose:?}");
-}
-
-#[test]
-#[ignore = "writes the fixture of a new format version"]
-fn write_fixture() {
-    let mut robot = Robot::new(MapperSettings { guard_frames: 4, ..MapperSettings::default() }, [0.01, 0.01]);
-    robot.see();
-    for _ in 0..4 {
-        for _ in 0..3 {
-            robot.go(0.6, 0.0);
-            robot.see();
-        }
-        for _ in 0..6 {
-            robot.go(0.0, FRAC_PI_2 / 6.0);
-            robot.see();
-        }
-    }
-    let last = robot.log.len() as u64 - 1;
-    robot.measure(last, 1, &PlanarPose::identity()).unwrap();
-    let mut writer = Writer::default();
-    robot.log.iter().for_each(|event| writer.bytes(&event.to_bytes()));
-    std::fs::write(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/log-v4.bin"), writer.into_bytes())
-        .unwrap();
 }
 
 #[test]

@@ -1,119 +1,24 @@
 //! What geometry says decides: closures, what is remembered of them, and what the log keeps.
-#![expect(clippy::unwrap_used, reason = "a test's own inputs are valid")]
 
-mod log_archive;
-mod words;
-
+use crate::words::WORDS;
 use fabmap::codec::{Reader, Writer};
-use fabmap::model::Model;
-use fabmap::observation::Observation;
-use log_archive::LogArchive;
-use nalgebra::{UnitQuaternion, UnitVector3, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, UnitVector3, Vector3};
+use posegraph::PlanarPose;
 use proptest::prelude::*;
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
 use topomap::checkpoint::{Changes, Pieces, Restoration};
-use topomap::event::{FrameEvent, FrameId, MapEvent, Match, Reason};
-use topomap::map::decode_place;
-use topomap::mapper::{ArchiveError, FrameInput, Localizer, Mapper, MapperError, MapperSettings};
-use topomap::verification::{
-    Candidate, Motion, NoViews, Quantity, Similarity, TwoView, VerificationError, VerificationMethod,
-    VerificationSettings, Views,
+use topomap::evidence::{
+    Candidate, Match, Placement, Quantity, Similarity, TwoView, VerificationError, VerificationMethod,
+    VerificationSettings, ViewMotion,
 };
-use words::{WORDS, model_of, view_of};
+use topomap::ids::FrameId;
+use topomap::in_memory::{self, NoViews, Views};
+use topomap::log::{MapEvent, Reason};
+use topomap::map::decode_place;
+use topomap::mapper::{FrameInput, Localizer, Mapper};
+use topomap::metric::RelativePose;
+use topomap::settings::{MapperError, MapperSettings};
 
-/// A map in the making. Frames of one place share words; what geometry finds is said by the place that a frame
-/// truly shows, which words alone may not tell.
-struct World {
-    mapper: Mapper,
-    log: Vec<MapEvent>,
-    /// By frame: the truth.
-    shows: Vec<u64>,
-}
-
-/// What the views are of: frames of one place have these inliers, others 3.
-struct Truth<'a> {
-    shows: &'a [u64],
-    current: u64,
-    inliers: u32,
-    shift_widths: f64,
-}
-
-impl Views for Truth<'_> {
-    fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
-        let same = self.shows[earlier as usize] == self.current;
-        let inliers = if same { self.inliers } else { 3 };
-        Ok(Some(plane(200, inliers, [self.shift_widths, 0.0])))
-    }
-
-    fn focal_length_widths(&self) -> Option<f64> {
-        None
-    }
-}
-
-fn plane(matches: u32, inliers: u32, translation_widths: [f64; 2]) -> TwoView {
-    let motion = Similarity { rotation_rad: 0.1, ln_scale: -0.2, translation_widths };
-    let motion = Some(Motion::Similarity(motion));
-    TwoView { matches, inliers, distinct_inliers: inliers, motion }
-}
-
-fn view(place: u64, noise: u64) -> Observation {
-    view_of(place, 0.8, 6, &mut ChaCha8Rng::seed_from_u64(1_000_000 + noise))
-}
-
-fn model() -> Model {
-    model_of((1000..1200).map(|place| view(place, place)).collect(), WORDS)
-}
-
-fn settings() -> MapperSettings {
-    let verification = VerificationSettings::default();
-    MapperSettings { guard_frames: 4, verification, ..MapperSettings::default() }
-}
-
-impl World {
-    fn new(settings: MapperSettings) -> Self {
-        let mut mapper = Mapper::new(&model(), settings).unwrap();
-        let opened = MapEvent::SessionOpened { session: 0 };
-        mapper.apply(&opened).unwrap();
-        Self { mapper, log: vec![opened], shows: vec![u64::MAX] }
-    }
-
-    fn input(&self, place: u64) -> FrameInput {
-        let sequence = self.log.len() as u64;
-        let observation = view(place, sequence);
-        FrameInput { session: 0, sequence, stamp_ns: sequence as i64, odometry: None, observation }
-    }
-
-    fn decide(&self, place: u64, views: &dyn Views) -> FrameEvent {
-        self.mapper.decide(self.input(place), &LogArchive(&self.log), views, &mut ()).unwrap().event
-    }
-
-    fn see(&mut self, place: u64, views: impl Fn(&[u64]) -> FrameEventViews) -> FrameEvent {
-        let FrameEventViews { inliers, shift_widths, truly } = views(&self.shows);
-        let truly = truly.unwrap_or(place);
-        let truth = Truth { shows: &self.shows, current: truly, inliers, shift_widths };
-        let event = self.decide(place, &truth);
-        let stored = MapEvent::Frame(Box::new(event.clone()));
-        let read = MapEvent::from_bytes(&stored.to_bytes(), WORDS as usize).unwrap();
-        assert_eq!(read, stored, "the byte form keeps all");
-        self.mapper.apply(&read).unwrap();
-        self.log.push(read);
-        self.shows.push(truly);
-        event
-    }
-
-    fn sees(&mut self, place: u64, inliers: u32) -> FrameEvent {
-        self.see(place, |_| FrameEventViews { inliers, shift_widths: 0.1, truly: None })
-    }
-}
-
-/// How the next frame compares.
-struct FrameEventViews {
-    inliers: u32,
-    shift_widths: f64,
-    /// The place that it truly shows, if that is not the one that its words are of.
-    truly: Option<u64>,
-}
+use crate::look_alikes::{FrameEventViews, Truth, World, model, plane, settings, view};
 
 #[test]
 fn geometry_confirms_what_words_are_sure_of() {
@@ -195,7 +100,8 @@ fn the_place_where_the_session_is_must_look_the_same() {
 }
 
 proptest! {
-    /// Written out: ln [p / (1 - p)] = -0.80 + 0.68 ln (1 + evidence) + 0.17 ln [posterior / (1 - posterior)].
+    /// Written out: ln [p / (1 - p)] = -0.80 + 0.68 ln (1 + evidence) + 0.17 ln [posterior / (1 -
+    /// posterior)].
     #[test]
     fn words_and_geometry_make_one_probability(
         inliers in 0..500u32, support in 0.0..2000.0f64, log_odds in -200.0..200.0f64,
@@ -212,7 +118,8 @@ proptest! {
     }
 }
 
-/// A second round: each frame's match stands beside those of the frames before, and adds to their evidence.
+/// A second round: each frame's match stands beside those of the frames before, and adds to their
+/// evidence.
 #[test]
 fn matches_in_line_support_each_other() {
     let mut world = World::new(settings());
@@ -268,7 +175,7 @@ fn geometry_closes_where_words_cannot() {
 fn nothing_is_compared_where_nothing_is_verified() {
     struct Unwanted;
     impl Views for Unwanted {
-        fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
+        fn compare(&self, earlier: FrameId) -> Option<TwoView> {
             panic!("frame {earlier} was compared")
         }
 
@@ -296,7 +203,7 @@ fn a_query_is_verified_too() {
     }
     let ask = |truly, inliers| {
         let truth = Truth { shows: &world.shows, current: truly, inliers, shift_widths: 0.1 };
-        world.mapper.query(&view(2, 777), &LogArchive(&world.log), &truth, &mut ()).unwrap()
+        in_memory::query(&world.mapper, &world.log, &view(2, 777), &truth).unwrap()
     };
     let found = ask(2, 40);
     assert_eq!((found.accepted, found.matched.unwrap().place), (true, 1));
@@ -330,18 +237,32 @@ fn settings_out_of_range_are_refused() {
     assert_eq!(refused(forgetless), VerificationError::ConsistencyFrames { value: 101 });
 }
 
-fn motions() -> impl Strategy<Value = Option<Motion>> {
+fn placements() -> impl Strategy<Value = Placement> {
+    let at = (prop::array::uniform3(-3.0..3.0f64), prop::array::uniform3(0.0..1.0f64), 0..500u32);
+    let at = at.prop_map(|([x, y, heading], variances, inliers)| {
+        let covariance = Matrix3::from_diagonal(&variances.into());
+        let pose = RelativePose::new(PlanarPose::new(x, y, heading), covariance).unwrap();
+        Placement::At { pose, inliers }
+    });
+    prop_oneof![Just(Placement::Unknown), Just(Placement::Nowhere), at]
+}
+
+fn motions() -> impl Strategy<Value = Option<ViewMotion>> {
     let number = -3.0..3.0f64;
     let similarity =
         [number.clone(), number.clone(), number.clone(), number.clone()].prop_map(|[a, b, x, y]| {
-            Some(Motion::Similarity(Similarity { rotation_rad: a, ln_scale: b, translation_widths: [x, y] }))
+            Some(ViewMotion::Similarity(Similarity {
+                rotation_rad: a,
+                ln_scale: b,
+                translation_widths: [x, y],
+            }))
         });
     let essential = [number.clone(), number.clone(), number.clone()].prop_map(|[a, b, c]| {
         let direction = UnitVector3::new_normalize(Vector3::new(a, b, 1.0 + c.abs()));
-        Some(Motion::Essential { rotation: UnitQuaternion::from_euler_angles(a, b, c), direction })
+        Some(ViewMotion::Essential { rotation: UnitQuaternion::from_euler_angles(a, b, c), direction })
     });
     let fundamental =
-        [number.clone(), number.clone(), number].prop_map(|row| Some(Motion::Fundamental([row; 3])));
+        [number.clone(), number.clone(), number].prop_map(|row| Some(ViewMotion::Fundamental([row; 3])));
     prop_oneof![Just(None), similarity, essential, fundamental]
 }
 
@@ -390,7 +311,7 @@ proptest! {
             let input = FrameInput { stamp_ns: step as i64 + 1, ..input };
             let truth = Truth { shows: &world.shows, current: place, inliers: 40, shift_widths: 0.1 };
             let event =
-                world.mapper.localize(&localizer, input, &LogArchive(&world.log), &truth, &mut ()).unwrap().event;
+                in_memory::localize(&world.mapper, &localizer, &world.log, input, &truth).unwrap().event;
             let proposed = event.proposal.unwrap();
             prop_assert_eq!(u64::from(proposed.place), place - 1);
             localizer.follow(&event, &world.mapper);
@@ -400,13 +321,13 @@ proptest! {
     #[test]
     fn candidates_survive_their_bytes(
         motion in motions(), inliers in 0..500u32, more in 0..500u32, distinct in 0.0..=1.0f64, support in 0.0..1e4f64,
-        seen in any::<bool>(), cut in any::<prop::sample::Index>(),
+        seen in any::<bool>(), placement in placements(), cut in any::<prop::sample::Index>(),
     ) {
         let mut world = World::new(settings());
         world.sees(1, 40);
         let mut event = world.decide(2, &NoViews);
         let distinct_inliers = (f64::from(inliers) * distinct) as u32;
-        let view = TwoView { matches: inliers + more, inliers, distinct_inliers, motion };
+        let view = TwoView { matches: inliers + more, inliers, distinct_inliers, motion, placement };
         let matched = Match { place: 0, posterior: 0.25, log_odds: -1.0, frame: 1 };
         event.candidates = vec![Candidate { matched, view: seen.then_some(view), support }];
         let event = MapEvent::Frame(Box::new(event));
@@ -460,11 +381,12 @@ fn write_fixture() {
 fn methods_have_their_own_bounds() {
     let settings =
         VerificationSettings { method: VerificationMethod::Epipolar, ..VerificationSettings::default() };
-    let turned = Motion::Essential {
+    let motion = Some(ViewMotion::Essential {
         rotation: UnitQuaternion::from_euler_angles(0.0, 0.9, 0.0),
         direction: Vector3::x_axis(),
-    };
-    let view = TwoView { matches: 90, inliers: 60, distinct_inliers: 50, motion: Some(turned) };
+    });
+    let placement = Placement::Unknown;
+    let view = TwoView { matches: 90, inliers: 60, distinct_inliers: 50, motion, placement };
     let failed: Vec<Quantity> = settings
         .of_one_scene(&view)
         .iter()

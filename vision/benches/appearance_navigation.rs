@@ -1,5 +1,5 @@
-//! One step of a navigation by looks at 500 features, from the features on: the subgoal, as many neighbours as are tried at
-//! most, none of which is seen well enough, and the image before.
+//! One step of a navigation by looks at 500 features, from the features on: the subgoal, as many
+//! neighbours as are tried at most, none of which is seen well enough, and the image before.
 //!
 //! `cargo bench -p waypost-vision --bench appearance_navigation`
 
@@ -10,17 +10,18 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use fabmap::descriptor::{DescriptorKind, Descriptors};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use topomap::appearance_graph::{AppearanceGraph, ImageId, Overlap, Panorama};
-use topomap::appearance_navigation::{AppearanceNavigator, Body, NavigationSettings, Sight};
-use topomap::epipolar::SearchSettings;
-use topomap::mapper::ArchiveError;
+use topomap::evidence::ArchiveError;
+use waypost_navigation::appearance::epipolar::SearchSettings;
+use waypost_navigation::appearance::graph::{AppearanceGraph, ImageId, Overlap, Panorama};
+use waypost_navigation::appearance::navigator::{AppearanceNavigator, Body, NavigationSettings, Sight};
 use waypost_vision::features::Keypoint;
 use waypost_vision::panorama::{PanoramicCamera, PanoramicView, Projection};
 
 const FEATURES: usize = 500;
 const SIZE_PX: (u32, u32) = (1024, 256);
 
-/// A room of things around, seen from `at`, of which a share is seen again; the rest is new each time.
+/// A room of things around, seen from `at`, of which a share is seen again; the rest is new each
+/// time.
 fn view(at: [f64; 2], shared: usize, seed: u64) -> PanoramicView {
     let mut room = ChaCha8Rng::seed_from_u64(1);
     let mut own = ChaCha8Rng::seed_from_u64(seed);

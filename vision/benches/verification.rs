@@ -5,12 +5,14 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use fabmap::WordId;
 use fabmap::descriptor::{DescriptorKind, Descriptors};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use topomap::verification::{VerificationMethod, VerificationSettings};
+use topomap::evidence::{VerificationMethod, VerificationSettings};
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::features::Keypoint;
+use waypost_vision::structure::RobotCamera;
 use waypost_vision::verification::{Pinhole, Verifier, View};
 
 const FEATURES: usize = 500;
@@ -30,7 +32,7 @@ fn views() -> [FeatureRecord; 2] {
         let mut word: u32 = random.random_range(0..5000);
         for (keypoints, words, rows) in &mut views {
             keypoints.push(Keypoint { x_px, y_px, size_px: 6.0, angle_rad: 1.0, response: 1.0 });
-            words.push(word);
+            words.push(WordId::new(word));
             rows.extend(row.iter().map(|&value| value + random.random_range(0..20u8)));
             if shared {
                 x_px += 12.0 + random.random_range(-3.0..3.0);
@@ -52,7 +54,7 @@ fn views() -> [FeatureRecord; 2] {
 
 fn verification(criterion: &mut Criterion) {
     let [earlier, current] = views();
-    let camera = Pinhole::ideal([500.0; 2], [319.5, 239.5]);
+    let camera = RobotCamera::ahead(Pinhole::ideal([500.0; 2], [319.5, 239.5]));
     for (name, method, camera) in [
         ("similarity", VerificationMethod::Similarity, None),
         ("fundamental", VerificationMethod::Epipolar, None),

@@ -13,8 +13,8 @@ use crate::mat;
 
 pub use settings::{Feature, FeatureSettings, SettingsError};
 
-/// How tall an image may be that features are looked for in, in widths of the settings: more than any camera
-/// delivers. Time and memory go with the area, and the width alone does not bound it.
+/// How tall an image may be that features are looked for in, in widths of the settings: more than
+/// any camera delivers. Time and memory go with the area, and the width alone does not bound it.
 pub const MAX_HEIGHT_WIDTHS: u32 = 4;
 
 /// Finds and describes the local features of images.
@@ -42,11 +42,11 @@ impl Extractor {
 
     /// The strongest features of `image`, strongest first.
     ///
-    /// The image is shrunk to the settings' width before; a narrower one is taken at its own size. One that
-    /// would still be taller than [`MAX_HEIGHT_WIDTHS`] such widths is shrunk further, to that height.
-    /// The order, and so the result, depends on the image and the settings alone: equal responses
-    /// are ordered by position, then size and angle. An image without structure has no features,
-    /// which is no error.
+    /// The image is shrunk to the settings' width before; a narrower one is taken at its own size.
+    /// One that would still be taller than [`MAX_HEIGHT_WIDTHS`] such widths is shrunk further, to
+    /// that height. The order, and so the result, depends on the image and the settings alone:
+    /// equal responses are ordered by position, then size and angle. An image without structure has
+    /// no features, which is no error.
     ///
     /// # Errors
     /// [`FeatureError`].
@@ -75,7 +75,8 @@ impl Extractor {
         Ok(Features { keypoints, descriptors })
     }
 
-    /// The width that an image is shrunk to, if it is wider: the settings', less for a very tall one.
+    /// The width that an image is shrunk to, if it is wider: the settings', less for a very tall
+    /// one.
     fn width_to_look_in(&self, image: &GreyImage) -> u32 {
         let width = self.settings.image_width();
         let tallest = u64::from(MAX_HEIGHT_WIDTHS * width);
@@ -97,7 +98,8 @@ impl Extractor {
     fn detect_and_describe(&self, image: &GreyImage) -> Result<Vec<(Keypoint, Vec<u8>)>, FeatureError> {
         mat::use_one_thread_per_call()?;
         let pixels = mat::borrow_grey(image.width(), image.height(), image.pixels())?;
-        let (mut found, mut matrix) = (Vector::<KeyPoint>::new(), Mat::default());
+        let mut found = Vector::<KeyPoint>::new();
+        let mut matrix = Mat::default();
         let most = i32::try_from(self.settings.max_features()).unwrap_or(i32::MAX);
         match self.settings.feature() {
             Feature::Sift | Feature::RootSift => {
@@ -270,13 +272,21 @@ fn round_to_byte(value: f64) -> u8 {
 // OpenCV's own defaults throughout, written out: they are part of what a model's words mean.
 
 fn sift(most: i32) -> opencv::Result<opencv::core::Ptr<SIFT>> {
-    let (octave_layers, contrast_threshold, edge_threshold, sigma) = (3, 0.04, 10.0, 1.6);
+    let octave_layers = 3;
+    let contrast_threshold = 0.04;
+    let edge_threshold = 10.0;
+    let sigma = 1.6;
     SIFT::create(most, octave_layers, contrast_threshold, edge_threshold, sigma)
 }
 
 fn orb(most: i32) -> opencv::Result<opencv::core::Ptr<ORB>> {
-    let (scale_factor, levels, first_level) = (1.2, 8, 0);
-    let (border_px, patch_px, points_compared, fast_threshold) = (31, 31, 2, 20);
+    let scale_factor = 1.2;
+    let levels = 8;
+    let first_level = 0;
+    let border_px = 31;
+    let patch_px = 31;
+    let points_compared = 2;
+    let fast_threshold = 20;
     ORB::create(
         most,
         scale_factor,
@@ -291,8 +301,11 @@ fn orb(most: i32) -> opencv::Result<opencv::core::Ptr<ORB>> {
 }
 
 fn akaze() -> opencv::Result<opencv::core::Ptr<AKAZE>> {
-    let (whole_descriptor, channels) = (0, 3);
-    let (threshold, octaves, octave_layers) = (0.001, 4, 4);
+    let whole_descriptor = 0;
+    let channels = 3;
+    let threshold = 0.001;
+    let octaves = 4;
+    let octave_layers = 4;
     AKAZE::create(
         AKAZE_DescriptorType::DESCRIPTOR_MLDB,
         whole_descriptor,

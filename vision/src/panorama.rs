@@ -1,25 +1,26 @@
-//! Images all around: from pixels to rays, features across the seam, and what two of them have in common.
+//! Images all around: from pixels to rays, features across the seam, and what two of them have in
+//! common.
 //!
-//! Rays are of length 1, in axes x forward, y left, z up. A camera that looks into a mirror is unwrapped first
-//! ([`mirror`]).
+//! Rays are of length 1, in axes x forward, y left, z up. A camera that looks into a mirror is
+//! unwrapped first ([`mirror`]).
 
-pub mod compass;
 pub mod mirror;
 
 use std::f64::consts::{PI, TAU};
 
 use fabmap::descriptor::Descriptors;
 use nalgebra::Vector3;
-use topomap::appearance_graph::Overlap;
-use topomap::epipolar::{self, PlanarMotion, RayPair, SearchSettings};
-use topomap::standing::TurnedView;
+use topomap::evidence::TurnedView;
+use waypost_navigation::appearance::epipolar::{self, PlanarMotion, RayPair, SearchSettings};
+use waypost_navigation::appearance::graph::Overlap;
 
 use crate::features::{Extractor, FeatureError, FeatureSettings, Features, Keypoint};
 use crate::image::{GreyImage, ImageError};
-use crate::verification::{self, Match};
+use crate::matching::{self, Match};
 
-/// How a panorama's columns and rows look out. Column c looks at the azimuth π - 2π (c + ½) / width: the middle is ahead,
-/// left of it is left, and the edges meet behind. The horizon is in the middle of the rows.
+/// How a panorama's columns and rows look out. Column c looks at the azimuth π - 2π (c + ½) /
+/// width: the middle is ahead, left of it is left, and the edges meet behind. The horizon is in the
+/// middle of the rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Projection {
     /// On an upright cylinder: row r looks up by the slope 2π ((height - 1) / 2 - r) / width.
@@ -61,7 +62,8 @@ pub enum PanoramaError {
 
 impl PanoramicCamera {
     /// # Errors
-    /// [`PanoramaError`] if there are no pixels, or an equirectangular panorama would reach beyond the poles.
+    /// [`PanoramaError`] if there are no pixels, or an equirectangular panorama would reach beyond
+    /// the poles.
     pub fn new(projection: Projection, (width_px, height_px): (u32, u32)) -> Result<Self, PanoramaError> {
         if width_px == 0 || height_px == 0 {
             return Err(PanoramaError::Size { width_px, height_px });
@@ -109,11 +111,12 @@ impl PanoramicCamera {
     }
 }
 
-/// Share of the width by which a panorama is repeated beyond its edges for extraction: no feature of use is larger.
+/// Share of the width by which a panorama is repeated beyond its edges for extraction: no feature
+/// of use is larger.
 const SEAM_WIDTHS: f64 = 1.0 / 16.0;
 
-/// The strongest features of a panorama, those across its seam among them; none twice. As [`Extractor::extract`]
-/// otherwise.
+/// The strongest features of a panorama, those across its seam among them; none twice. As
+/// [`Extractor::extract`] otherwise.
 ///
 /// # Errors
 /// [`FeatureError`].
@@ -134,7 +137,8 @@ pub fn extract(extractor: &Extractor, panorama: &GreyImage) -> Result<Features, 
         let column = f64::from(keypoint.x_px) - f64::from(seam);
         let scaled = |at: f64| ((at + 0.5) * factor - 0.5) as f32;
         within.contains(&column).then(|| {
-            let (x_px, y_px) = (scaled(column), scaled(f64::from(keypoint.y_px)));
+            let x_px = scaled(column);
+            let y_px = scaled(f64::from(keypoint.y_px));
             let size_px = (f64::from(keypoint.size_px) * factor) as f32;
             (Keypoint { x_px, y_px, size_px, ..*keypoint }, row)
         })
@@ -146,7 +150,8 @@ pub fn extract(extractor: &Extractor, panorama: &GreyImage) -> Result<Features, 
 
 /// The panorama with `seam` columns more to either side, which are those of the other end.
 fn padded(panorama: &GreyImage, seam: u32) -> Result<GreyImage, ImageError> {
-    let (width, seam_px) = (panorama.width() as usize, seam as usize);
+    let width = panorama.width() as usize;
+    let seam_px = seam as usize;
     let rows = panorama.pixels().chunks_exact(width);
     let pixels = rows.flat_map(|row| [&row[width - seam_px..], row, &row[..seam_px]].concat()).collect();
     GreyImage::new(panorama.width() + 2 * seam, panorama.height(), pixels)
@@ -164,7 +169,8 @@ pub struct PanoramicView {
 pub struct PanoramicComparison {
     /// From the current view to the target; `None` if no motion joins them.
     pub overlap: Option<Overlap>,
-    /// Features that look alike and like nothing else: `current` in the current view, `earlier` in the target.
+    /// Features that look alike and like nothing else: `current` in the current view, `earlier` in
+    /// the target.
     pub matches: Vec<Match>,
     /// Those of the matches, by index, that the motion explains.
     pub constrained: Vec<usize>,
@@ -199,7 +205,7 @@ impl PanoramicView {
     /// The features that are each other's nearest by far, in this view and the target.
     #[must_use]
     pub fn matches(&self, target: &PanoramicView) -> Vec<Match> {
-        let mut matches = verification::descriptor_matches(&target.descriptors, &self.descriptors);
+        let mut matches = matching::descriptor_matches(&target.descriptors, &self.descriptors);
         matches.retain(|matched| matched.distinct);
         matches
     }
@@ -219,8 +225,8 @@ impl PanoramicView {
         PanoramicComparison { overlap, matches, constrained }
     }
 
-    /// What this view and that of the target have in common if the camera has at most turned on the spot, each ray to
-    /// `tolerance_rad`.
+    /// What this view and that of the target have in common if the camera has at most turned on the
+    /// spot, each ray to `tolerance_rad`.
     #[must_use]
     pub fn turned(&self, target: &PanoramicView, tolerance_rad: f64) -> TurnedView {
         let pairs = self.ray_pairs(target, &self.matches(target));

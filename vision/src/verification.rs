@@ -1,24 +1,26 @@
-//! What geometry says of two views: the features that look alike, and the one motion that explains most of them.
+//! What geometry says of two views: the features that look alike, and the one motion that explains
+//! most of them.
 //!
-//! The motion is searched by RANSAC (Fischler & Bolles, CACM 1981) with a fixed seed, so two views always give the
-//! same answer. Whether that is enough is not decided here but in [`topomap::verification`].
+//! The motion is searched by RANSAC (Fischler & Bolles, CACM 1981) with a fixed seed, so two views
+//! always give the same answer. Whether that is enough is not decided here but in
+//! [`topomap::evidence`].
 
-mod camera;
+mod correspondence;
 mod epipolar;
-mod matching;
+mod epipolar_matrices;
 mod rigid_motion;
 mod similarity;
 
-use nalgebra::Complex;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use topomap::verification::{Motion, TwoView, VerificationMethod, VerificationSettings};
+use topomap::evidence::{Placement, TwoView, VerificationMethod, VerificationSettings, ViewMotion};
 
 use crate::feature_record::FeatureRecord;
+use crate::structure::{self, Located, Locating, RobotCamera, Sight};
+use correspondence::Correspondence;
 
-pub use camera::{Distortion, Pinhole};
-pub use matching::Match;
-pub(crate) use matching::descriptor_matches;
+pub use crate::camera::{Distortion, Pinhole};
+pub use crate::matching::Match;
 
 /// Compares views.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,17 +34,8 @@ pub struct Verifier {
 pub struct View<'a> {
     /// Keypoints, words and perhaps descriptors.
     pub features: &'a FeatureRecord,
-    /// Intrinsics of the camera, for the essential matrix.
-    pub camera: Option<Pinhole>,
-}
-
-/// A point of the earlier view with that of the current one: x + iy, to the right and down.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Correspondence {
-    earlier: Complex<f64>,
-    current: Complex<f64>,
-    /// The features that lie there.
-    of: Match,
+    /// The camera, for the essential matrix and for metres.
+    pub camera: Option<RobotCamera>,
 }
 
 /// What was found between two views, with what it was found by.
@@ -52,6 +45,14 @@ pub struct Comparison {
     pub view: TwoView,
     /// The matches that the motion explains.
     pub inliers: Vec<Match>,
+    /// The matches that structure measured by.
+    pub placed: Vec<Match>,
+}
+
+impl<'a> Sight<'a> {
+    fn of(view: View<'a>) -> Option<Self> {
+        Some(Self { features: view.features, camera: view.camera? })
+    }
 }
 
 impl Verifier {
@@ -63,9 +64,9 @@ impl Verifier {
 
     /// What is found between two views.
     ///
-    /// Features are matched by their descriptors if both views have them, else by their words. A pair that is
-    /// turned or scaled by more than the settings allow a whole view to be is left out. Swapped views give the
-    /// inverse motion, but for the random choices.
+    /// Features are matched by their descriptors if both views have them, else by their words. A
+    /// pair that is turned or scaled by more than the settings allow a whole view to be is left
+    /// out. Swapped views give the inverse motion, but for the random choices.
     #[must_use]
     pub fn compare(&self, earlier: View<'_>, current: View<'_>) -> TwoView {
         self.compare_with_matches(earlier, current).view
@@ -74,19 +75,20 @@ impl Verifier {
     /// The same as [`Verifier::compare`], with the matches behind it.
     #[must_use]
     pub fn compare_with_matches(&self, earlier: View<'_>, current: View<'_>) -> Comparison {
-        let mut matches = matching::matches(earlier.features, current.features);
+        let mut matches = crate::matching::matches(earlier.features, current.features);
         matches.retain(|matched| self.may_be_of_one_motion(matched, earlier.features, current.features));
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
+        let (placement, placed) = self.place(earlier, current, &matches);
         let found = match self.settings.method {
             VerificationMethod::None => None,
             VerificationMethod::Similarity => {
                 similarity::estimate(&in_widths(&matches, earlier, current), &mut random)
-                    .map(|(motion, inliers)| (Motion::Similarity(motion), inliers))
+                    .map(|(motion, inliers)| (ViewMotion::Similarity(motion), inliers))
             }
             VerificationMethod::Epipolar => match (earlier.camera, current.camera) {
                 (Some(from), Some(to)) => {
-                    let rays = rays(&matches, (earlier, from), (current, to));
-                    let tolerance = epipolar::TOLERANCE_WIDTHS * width(current) / to.focal_px[0];
+                    let rays = rays(&matches, (earlier, from.pinhole), (current, to.pinhole));
+                    let tolerance = epipolar::TOLERANCE_WIDTHS * width(current) / to.pinhole.focal_px[0];
                     epipolar::essential(&rays, tolerance, &mut random)
                 }
                 (None | Some(_), None | Some(_)) => {
@@ -101,11 +103,27 @@ impl Verifier {
             inliers: count(inliers.len()),
             distinct_inliers: count(inliers.iter().filter(|inlier| inlier.distinct).count()),
             motion,
+            placement,
         };
-        Comparison { view, inliers }
+        Comparison { view, inliers, placed }
     }
 
-    /// Keypoints turn and grow with the view. Those whose orientation or size is unknown may have done either.
+    /// Where structure puts the robot, with the matches that say so.
+    fn place(&self, earlier: View<'_>, current: View<'_>, matches: &[Match]) -> (Placement, Vec<Match>) {
+        let (Some(earlier), Some(current)) = (Sight::of(earlier), Sight::of(current)) else {
+            return (Placement::Unknown, Vec::new());
+        };
+        match structure::locate(earlier, current, matches, self.seed) {
+            Locating::Unknown => (Placement::Unknown, Vec::new()),
+            Locating::Nowhere => (Placement::Nowhere, Vec::new()),
+            Locating::At(Located { pose, inliers }) => {
+                (Placement::At { pose, inliers: count(inliers.len()) }, inliers)
+            }
+        }
+    }
+
+    /// Keypoints turn and grow with the view. Those whose orientation or size is unknown may have
+    /// done either.
     fn may_be_of_one_motion(
         &self,
         matched: &Match,
@@ -113,7 +131,8 @@ impl Verifier {
         current: &FeatureRecord,
     ) -> bool {
         let VerificationSettings { max_rotation_rad, max_ln_scale, .. } = self.settings;
-        let (from, to) = (earlier.keypoints()[matched.earlier], current.keypoints()[matched.current]);
+        let from = earlier.keypoints()[matched.earlier];
+        let to = current.keypoints()[matched.current];
         let turn_rad = f64::from(to.angle_rad - from.angle_rad);
         let turn_rad = turn_rad.sin().atan2(turn_rad.cos()).abs();
         let widths =
@@ -136,7 +155,8 @@ fn rays(
     correspondences(matches, (earlier, from), (current, to))
 }
 
-/// Where features are, after taking off a centre and dividing by a length. Those that lie nowhere are left out.
+/// Where features are, after taking off a centre and dividing by a length. Those that lie nowhere
+/// are left out.
 fn correspondences(
     matches: &[Match],
     (earlier, from): (View<'_>, Pinhole),
@@ -150,8 +170,8 @@ fn correspondences(
     pairs.filter(|pair| pair.earlier.is_finite() && pair.current.is_finite()).collect()
 }
 
-/// Image widths from the image's centre: the centre, so that a turn of the camera is no shift; widths, so that
-/// thresholds hold for images of any size.
+/// Image widths from the image's centre: the centre, so that a turn of the camera is not taken for
+/// a shift; widths, so that thresholds hold for images of any size.
 fn centred_in_widths(view: View<'_>) -> Pinhole {
     let height = f64::from(view.features.image_size_px().1);
     Pinhole::ideal([width(view); 2], [(width(view) - 1.0) / 2.0, (height - 1.0) / 2.0])
@@ -159,11 +179,6 @@ fn centred_in_widths(view: View<'_>) -> Pinhole {
 
 fn width(view: View<'_>) -> f64 {
     f64::from(view.features.image_size_px().0)
-}
-
-/// Twice the weight of a match, in RANSAC as in what is made of it: one that looks like others counts half.
-fn weight(pair: &Correspondence) -> u32 {
-    1 + u32::from(pair.of.distinct)
 }
 
 fn count(len: usize) -> u32 {

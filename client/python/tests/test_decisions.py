@@ -25,13 +25,13 @@ def test_decisions_are_those_that_the_rust_client_gets(client: waypost.Client, s
         assert row_of(answer, "rust") == expected
     assert client.map("python", full=True).state_hash == client.map("rust", full=True).state_hash
 
-    closures = [answer for answer in streamed if answer.closure]
+    closures = [answer for answer in streamed if answer.loop_closure]
     assert len(closures) >= 10, "the shipped drive closes loops"
-    for answer, match in zip(closures, client.matches("python")):
+    for answer, match in zip(closures, client.loop_closures("python")):
         assert answer.reason == waypost.Reason.LOOP_CLOSURE
-        assert answer.closure is not None
-        assert (answer.sequence, answer.closure.frame) == (match.frame.sequence, match.matched_frame)
-        assert answer.closure.frame.session == session.name == "maps/python/sessions/drive"
+        assert answer.loop_closure is not None
+        assert (answer.sequence, answer.loop_closure.frame) == (match.frame.sequence, match.matched_frame)
+        assert answer.loop_closure.frame.session == session.name == "maps/python/sessions/drive"
     assert len(closures) == client.map("python").loop_closures
     check_probabilities(streamed)
 
@@ -76,15 +76,15 @@ def row_of(answer: waypost.Answer, map_id: str) -> dict[str, Any]:
     row: dict[str, Any] = {
         "sequence": answer.sequence,
         "reason": answer.reason.name.lower(),
-        "place": answer.place,
+        "place_number": answer.place_number,
         "posterior": answer.posterior,
         "new_place_posterior": answer.new_place_posterior,
         "words": answer.words,
         "resent": answer.resent,
     }
-    matches = {"closure": answer.closure or answer.closure_below_threshold, "proposal": answer.proposal}
+    matches = {"match": answer.match, "best_candidate": answer.best_candidate}
     for name, match in matches.items():
-        row[f"{name}_place"] = match and match.place
+        row[f"{name}_place_number"] = match and match.place_number
         row[f"{name}_posterior"] = match and match.posterior
         row[f"{name}_log_odds"] = match and match.log_odds
         row[f"{name}_session"] = match and match.frame.session.replace("/python/", f"/{map_id}/")

@@ -82,9 +82,9 @@ def without_names(streamed: list[waypost.Answer]) -> list[dict[str, Any]]:
     plain = []
     for answer in streamed:
         told = decided(answer)
-        for name in ("closure", "closure_below_threshold", "proposal"):
+        for name in ("match", "best_candidate"):
             match = told[name]
-            told[name] = match and (match.place, match.posterior, match.log_odds, match.frame.sequence)
+            told[name] = match and (match.place_number, match.posterior, match.log_odds, match.frame.sequence)
         plain.append(told)
     return plain
 

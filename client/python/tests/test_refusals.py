@@ -25,7 +25,7 @@ def test_a_refused_frame_is_an_outcome_and_the_stream_goes_on(client: waypost.Cl
         outcomes = list(session.stream(frames))
     assert [outcome.sequence for outcome in outcomes] == [1, 2, 3, 4, 5]
     assert [isinstance(outcome, waypost.Refusal) for outcome in outcomes] == [False, True, True, True, False]
-    assert not any(outcome.closure for outcome in outcomes)
+    assert not any(outcome.loop_closure for outcome in outcomes)
     for outcome, hint in zip(outcomes[1:4], ["JPEG", "make it smaller", "odometry"]):
         assert isinstance(outcome, waypost.Refusal)
         assert isinstance(outcome.error, waypost.InvalidArgument)

@@ -15,7 +15,7 @@ from PIL import Image
 
 import waypost
 from waypost import answers, frames
-from waypost.v1 import geometry_pb2, map_pb2, session_pb2
+from waypost.v1 import geometry_pb2, map_pb2, recognition_pb2, session_pb2
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (48, 64), (1, 1, 3), (48, 64, 3)])
@@ -142,7 +142,7 @@ def test_words_become_messages() -> None:
     x, y = np.array([1.5, 2.0]), np.array([0.0, 4.0])
     words = waypost.WordList(np.array([9, 9]), x, y, (640, 360), angle_rad=x)
     sent = waypost.Frame(1, 1, words=words).to_proto()
-    expected = session_pb2.WordList(
+    expected = recognition_pb2.WordList(
         words=[9, 9], x_px=[1.5, 2], y_px=[0, 4], angle_rad=[1.5, 2], image_width_px=640, image_height_px=360
     )
     assert sent.words == expected
@@ -170,15 +170,15 @@ def test_what_are_no_words_is_refused(words: list[object], counts: list[int] | N
 @pytest.mark.parametrize(
     ("ours", "contract", "ours_alone"),
     [
-        (answers.Answer, session_pb2.FrameAnswer, {"probabilities", "closure_below_threshold"}),
-        (answers.QueryAnswer, session_pb2.QueryResponse, {"probabilities"}),
-        (answers.Match, session_pb2.Match, set()),
-        (answers.Geometry, session_pb2.Geometry, set()),
-        (answers.Similarity, session_pb2.Similarity, set()),
+        (answers.Answer, session_pb2.FrameAnswer, {"probabilities"}),
+        (answers.QueryAnswer, recognition_pb2.QueryResponse, {"probabilities"}),
+        (answers.Match, recognition_pb2.Match, set()),
+        (answers.Geometry, recognition_pb2.Geometry, set()),
+        (answers.Similarity, recognition_pb2.Similarity, set()),
         (answers.Timings, session_pb2.Timings, set()),
         (answers.FrameReference, map_pb2.FrameReference, set()),
         (answers.LoopClosure, map_pb2.LoopClosure, set()),
-        (frames.WordHistogram, session_pb2.WordHistogram, set()),
+        (frames.WordHistogram, recognition_pb2.WordHistogram, set()),
     ],
 )
 def test_every_field_of_the_contract_has_its_place(
@@ -190,16 +190,18 @@ def test_every_field_of_the_contract_has_its_place(
 
 
 def test_a_match_below_the_threshold_is_not_a_closure() -> None:
-    match = session_pb2.Match(place=4, posterior=0.6, frame=map_pb2.FrameReference(session="s", sequence=9))
+    match = recognition_pb2.Match(
+        place_number=4, posterior=0.6, frame=map_pb2.FrameReference(session="s", sequence=9)
+    )
     below = answers.answer(
-        session_pb2.FrameAnswer(reason=session_pb2.REASON_BELOW_THRESHOLD, closure=match, place=5)
+        session_pb2.FrameAnswer(reason=session_pb2.REASON_BELOW_THRESHOLD, match=match, place_number=5)
     )
-    assert below.closure is None
-    assert below.closure_below_threshold == waypost.Match(4, 0.6, waypost.FrameReference("s", 9, 0), 0.0)
+    assert below.loop_closure is None
+    assert below.match == waypost.Match(4, 0.6, waypost.FrameReference("s", 9, 0), 0.0)
     closing = answers.answer(
-        session_pb2.FrameAnswer(reason=session_pb2.REASON_LOOP_CLOSURE, closure=match, place=4)
+        session_pb2.FrameAnswer(reason=session_pb2.REASON_LOOP_CLOSURE, match=match, place_number=4)
     )
-    assert (closing.closure, closing.closure_below_threshold) == (below.closure_below_threshold, None)
+    assert closing.loop_closure == closing.match == below.match
 
 
 def test_an_unknown_reason_is_not_taken_for_another() -> None:

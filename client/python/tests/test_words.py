@@ -47,7 +47,7 @@ def mapped(server: Server) -> Mapped:
             kept = stub.GetFrame(session_pb2.GetFrameRequest(name=f"{name}/frames/{number}")).histogram
             counts = list(kept.counts) or None
             histograms.append(waypost.WordHistogram(list(kept.words), counts))  # type: ignore[arg-type]
-    assert any(answer.closure for answer in answers)
+    assert any(answer.loop_closure for answer in answers)
     return Mapped("mapped", answers, histograms, words_hash)
 
 
@@ -76,13 +76,18 @@ def as_list(histogram: waypost.WordHistogram) -> waypost.WordList:
 
 def told(answers: list[waypost.Answer]) -> list[dict[str, Any]]:
     """All that was decided, with matched frames by number: the maps have different names."""
-    matches = ("closure", "closure_below_threshold", "proposal")
+    matches = ("match", "best_candidate")
     plain = []
     for answer in answers:
         fields = decided(answer)
         for name in matches:
             match = fields.pop(name)
-            fields[name] = match and (match.place, match.posterior, match.log_odds, match.frame.sequence)
+            fields[name] = match and (
+                match.place_number,
+                match.posterior,
+                match.log_odds,
+                match.frame.sequence,
+            )
         plain.append(fields)
     return plain
 
@@ -119,8 +124,8 @@ def test_localizing_finds_places_and_changes_nothing(client: waypost.Client, map
     with client.session(mapped.map_id, "visitor", mode=waypost.Mode.LOCALIZE) as session:
         answers += answered(session, frames[10:])
     assert client.map(mapped.map_id, full=True) == before
-    places = [answer.place for answer in answers]
-    mapped_to = [answer.place for answer in mapped.answers[:20]]
+    places = [answer.place_number for answer in answers]
+    mapped_to = [answer.place_number for answer in mapped.answers[:20]]
     right = sum(place == where for place, where in zip(places, mapped_to))
     assert right >= 10, list(zip(places, mapped_to))
     assert not any(place is not None and place >= before.places for place in places)
@@ -132,16 +137,16 @@ def test_a_query_says_where_an_image_was_taken(client: waypost.Client, mapped: M
     found = client.query(mapped.map_id, image, explained_words=5)
     assert found.accepted
     assert found.match is not None
-    assert found.match.place == found.places[0] == mapped.answers[7].place
+    assert found.match.place_number == found.places[0] == mapped.answers[7].place_number
     assert found.match.frame.session == "maps/mapped/sessions/robot"
-    assert found.explanation is not None
-    assert found.explanation.place == found.match.place
-    assert 0 < len(found.explanation.words_for) <= 5
+    assert found.place_explanation is not None
+    assert found.place_explanation.place_number == found.match.place_number
+    assert 0 < len(found.place_explanation.words_for) <= 5
     assert found.places.dtype == np.uint32
     assert found.probabilities.sum() + found.new_place_posterior <= 1 + 1e-9
 
     by_words = client.query(mapped.map_id, mapped.histograms[7], words_hash=mapped.words_hash)
-    assert by_words.explanation is None
+    assert by_words.place_explanation is None
     np.testing.assert_array_equal(by_words.places, found.places)
     np.testing.assert_array_equal(by_words.probabilities, found.probabilities)
     assert (by_words.match, by_words.words) == (found.match, found.words)

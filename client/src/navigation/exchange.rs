@@ -1,97 +1,40 @@
 //! The task that keeps a navigation going: connect, send, receive, and again.
 
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
 
 use tokio::sync::{mpsc, oneshot, watch};
-use tokio::time::sleep;
-use tokio_stream::wrappers::ReceiverStream;
-use tonic::Streaming;
 use waypost_proto::v1;
 use waypost_proto::v1::navigate_request::Content as Request;
 use waypost_proto::v1::navigate_response::Content as Response;
 use waypost_proto::v1::navigation_service_client::NavigationServiceClient;
 
-use super::{Held, MESSAGES_AHEAD, NavigationEvent, NavigationOptions, lock};
+use super::command::{LastCommand, lock};
+use super::event::NavigationEvent;
+use super::options::NavigationOptions;
 use crate::client::Transport;
 use crate::error::Error;
-use crate::link_end::{self, LinkEnd};
-use crate::session::backoff::Backoff;
+use crate::reconnection::{self, Backoff, Exchange, LinkEnd};
 
-/// What it works with.
-pub(super) struct Exchange {
+/// Messages that wait to be sent. More would be too old to be of use to a moving robot.
+pub(super) const MESSAGES_AHEAD: usize = 64;
+
+type Link = reconnection::Link<v1::NavigateRequest, v1::NavigateResponse>;
+
+/// This side of a navigation.
+pub(super) struct NavigationExchange {
     pub(super) service: NavigationServiceClient<Transport>,
     pub(super) options: NavigationOptions,
     pub(super) run_id: String,
-    /// Gone when the application has been told.
+    /// None once the application knows that the navigation is open.
     pub(super) opened: Option<oneshot::Sender<v1::NavigationOpened>>,
     pub(super) to_send: mpsc::Receiver<Request>,
     pub(super) told: mpsc::Sender<NavigationEvent>,
     pub(super) guided: watch::Sender<Option<v1::Guidance>>,
-    pub(super) held: Arc<Mutex<Held>>,
+    pub(super) last_command: Arc<Mutex<LastCommand>>,
     pub(super) backoff: Backoff,
 }
 
-/// One connection.
-struct Link {
-    requests: mpsc::Sender<v1::NavigateRequest>,
-    responses: Streaming<v1::NavigateResponse>,
-}
-
-impl Exchange {
-    /// Until the application drops the navigation.
-    pub(super) async fn run(mut self) -> Result<(), Error> {
-        loop {
-            let end = match self.connect().await {
-                Ok(link) => self.converse(link).await,
-                Err(end) => Err(end),
-            };
-            match end {
-                Ok(()) => return Ok(()),
-                Err(LinkEnd::Final(error)) => return Err(error),
-                Err(LinkEnd::Broken(reason)) => {
-                    let now = tokio::time::Instant::now();
-                    if self.backoff.waited(now).is_zero() && self.opened.is_none() {
-                        self.tell(NavigationEvent::Disconnected { reason: reason.clone() });
-                    }
-                    let Some(delay) = self.backoff.next_delay(now) else {
-                        let waited = self.backoff.waited(now);
-                        return Err(Error::SessionLost { unacknowledged: 0, waited, reason });
-                    };
-                    sleep(delay).await;
-                }
-            }
-        }
-    }
-
-    async fn connect(&mut self) -> Result<Link, LinkEnd> {
-        let (requests, queue) = mpsc::channel(MESSAGES_AHEAD);
-        let opening = v1::NavigateRequest { content: Some(Request::Open(self.opening())) };
-        // The queue is empty: there is room.
-        let _ = requests.try_send(opening);
-        let opening = async {
-            let mut responses = self.service.navigate(ReceiverStream::new(queue)).await?.into_inner();
-            let first = responses.message().await?;
-            Ok((responses, first.and_then(|response| response.content)))
-        };
-        match link_end::opened("navigation", opening).await? {
-            (responses, Some(Response::Opened(opened))) => {
-                let link = Link { requests, responses };
-                // Before the application hears of it: what it sends from then on is not late.
-                if let Some(goal) = self.last_goal_that_waited() {
-                    self.remember(&goal);
-                    put(&link, goal).await;
-                }
-                self.on_opened(opened)?;
-                Ok(link)
-            }
-            (_, None) => Err(LinkEnd::closed()),
-            (_, Some(_)) => {
-                Err(LinkEnd::Final(Error::Protocol("it answered before the navigation was opened")))
-            }
-        }
-    }
-
+impl NavigationExchange {
     fn opening(&self) -> v1::OpenNavigation {
         let NavigationOptions { map, navigation_id, camera, words_hash, goal, driving, reconnection: _ } =
             &self.options;
@@ -114,51 +57,34 @@ impl Exchange {
         self.backoff.progress();
         let resumed = opened.resumed;
         match self.opened.take() {
-            // If nobody waits any more, the whole exchange is about to be dropped.
+            // If the application no longer waits, it has dropped the navigation.
             Some(on_opened) => drop(on_opened.send(opened)),
             None => self.tell(NavigationEvent::Reconnected { resumed }),
         }
         Ok(())
     }
 
-    async fn converse(&mut self, mut link: Link) -> Result<(), LinkEnd> {
-        loop {
-            tokio::select! {
-                message = self.to_send.recv() => match message {
-                    Some(message) => {
-                        self.remember(&message);
-                        put(&link, message).await;
-                    }
-                    None => return Ok(()),
-                },
-                response = link.responses.message() => {
-                    let response = response.map_err(|status| LinkEnd::of(&status))?;
-                    let Some(content) = response.and_then(|response| response.content) else {
-                        return Err(LinkEnd::closed());
-                    };
-                    self.on_response(content)?;
-                }
-            }
-        }
-    }
-
-    /// What waited for the connection is of a moment long past; a goal is not.
+    /// Of the messages that waited for the connection only the last goal counts; the others are too
+    /// old.
     fn last_goal_that_waited(&mut self) -> Option<Request> {
         let mut last = None;
         while let Ok(message) = self.to_send.try_recv() {
-            if let Request::Goal(_) | Request::ImageGoal(_) | Request::Stop(_) = message {
+            if let Request::Goal(_) | Request::Stop(_) = message {
                 last = Some(message);
             }
         }
         last
     }
 
-    /// A server that was started anew is to be told the goal again.
+    /// Keeps the goal for the next opening, since a restarted server does not know it.
     fn remember(&mut self, message: &Request) {
         match message {
-            Request::Goal(goal) => self.options.goal = Some(goal.clone()),
-            // Which place it is, the server alone knows: after a start anew it is to be asked for again.
-            Request::Stop(_) | Request::ImageGoal(_) => self.options.goal = None,
+            Request::Goal(goal) => {
+                // Only the server knows which place an image shows.
+                let is_image = matches!(goal.target, Some(v1::goal::Target::Image(_)));
+                self.options.goal = (!is_image).then(|| goal.clone());
+            }
+            Request::Stop(_) => self.options.goal = None,
             Request::Open(_) | Request::Wheels(_) | Request::Frame(_) => {}
         }
     }
@@ -167,7 +93,7 @@ impl Exchange {
         match content {
             Response::Guidance(guidance) => {
                 if let Some(command) = guidance.command {
-                    lock(&self.held).command = Some((command, Instant::now()));
+                    lock(&self.last_command).set(command);
                 }
                 self.guided.send_replace(Some(guidance));
             }
@@ -190,11 +116,68 @@ impl Exchange {
     }
 }
 
-/// Wheels and frames that do not fit are dropped: a robot that drives has no use for what is late.
+impl Exchange for NavigationExchange {
+    type Link = Link;
+
+    async fn connect(&mut self) -> Result<Link, LinkEnd> {
+        let opening = v1::NavigateRequest { content: Some(Request::Open(self.opening())) };
+        let (link, first) =
+            Link::open(MESSAGES_AHEAD, opening, |requests| self.service.navigate(requests)).await?;
+        match first.content {
+            Some(Response::Opened(opened)) => {
+                // Before the application is told, since what it sends from then on is up to date.
+                if let Some(goal) = self.last_goal_that_waited() {
+                    self.remember(&goal);
+                    put(&link, goal).await;
+                }
+                self.on_opened(opened).map(|()| link)
+            }
+            None => Err(LinkEnd::closed()),
+            Some(_) => Err(LinkEnd::Final(Error::Protocol("it answered before the navigation was opened"))),
+        }
+    }
+
+    async fn converse(&mut self, mut link: Link) -> Result<(), LinkEnd> {
+        loop {
+            tokio::select! {
+                message = self.to_send.recv() => match message {
+                    Some(message) => {
+                        self.remember(&message);
+                        put(&link, message).await;
+                    }
+                    None => return Ok(()),
+                },
+                response = link.next() => {
+                    self.on_response(response?.content.ok_or_else(LinkEnd::closed)?)?;
+                }
+            }
+        }
+    }
+
+    fn on_broken(&mut self, reason: &str) {
+        if !self.backoff.is_in_trouble() && self.opened.is_none() {
+            self.tell(NavigationEvent::Disconnected { reason: reason.to_owned() });
+        }
+    }
+
+    fn is_finished(&self) -> bool {
+        false
+    }
+
+    fn unacknowledged(&self) -> usize {
+        0
+    }
+
+    fn backoff(&mut self) -> &mut Backoff {
+        &mut self.backoff
+    }
+}
+
+/// Sends a message. Wheel reports and frames that do not fit are dropped: late ones are of no use.
 async fn put(link: &Link, content: Request) {
-    let is_goal = matches!(content, Request::Goal(_) | Request::ImageGoal(_) | Request::Stop(_));
+    let is_goal = matches!(content, Request::Goal(_) | Request::Stop(_));
     let message = v1::NavigateRequest { content: Some(content) };
-    // If the call is over, its responses tell why.
+    // If the call is over, its responses say why.
     if is_goal {
         let _ = link.requests.send(message).await;
     } else {

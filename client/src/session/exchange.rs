@@ -1,35 +1,31 @@
 //! The task that keeps a session going: connect, send, receive, and again.
 
-use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::time::Duration;
 
 use futures::future::OptionFuture;
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
 use tokio::sync::{Semaphore, mpsc, oneshot};
-use tokio::time::{Instant, sleep, sleep_until, timeout};
-use tokio_stream::wrappers::ReceiverStream;
-use tonic::{Status, Streaming};
+use tokio::time::{Instant, sleep_until, timeout};
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_client::SessionServiceClient;
 use waypost_proto::v1::stream_request::Content as Request;
 use waypost_proto::v1::stream_response::Content as Response;
 
-use super::backoff::Backoff;
+use super::options::SessionOptions;
 use super::window::{Settled, Window};
-use super::{FrameInput, FrameOutcome, SessionOptions};
 use crate::client::Transport;
 use crate::error::Error;
-use crate::link_end::{self, LinkEnd};
+use crate::frame::{FrameInput, FrameOutcome};
+use crate::reconnection::{self, Backoff, Exchange, LinkEnd};
 
-/// All is answered by then; this is courtesy.
+/// Time for the server to end the stream after the last answer.
 const CLOSING_TIMEOUT: Duration = Duration::from_secs(2);
 
-pub(super) struct Exchange {
+/// This side of a session.
+pub(super) struct SessionExchange {
     service: SessionServiceClient<Transport>,
     options: SessionOptions,
-    /// Gone when the application has been told.
+    /// None once the application knows that the session is open.
     opened: Option<oneshot::Sender<v1::SessionOpened>>,
     slots: Slots,
     frames: mpsc::UnboundedReceiver<FrameInput>,
@@ -38,13 +34,9 @@ pub(super) struct Exchange {
     backoff: Backoff,
 }
 
-/// One connection of the session.
-struct Link {
-    requests: mpsc::Sender<v1::StreamRequest>,
-    responses: Streaming<v1::StreamResponse>,
-}
+type Link = reconnection::Link<v1::StreamRequest, v1::StreamResponse>;
 
-/// Sending fails from when the exchange is gone.
+/// Closed with the exchange, so that sending fails afterwards.
 struct Slots(Arc<Semaphore>);
 
 impl Drop for Slots {
@@ -53,8 +45,8 @@ impl Drop for Slots {
     }
 }
 
-impl Exchange {
-    /// Also gives what tells that the session has been opened.
+impl SessionExchange {
+    /// Also returns the receiver of the server's first response.
     pub(super) fn new(
         service: SessionServiceClient<Transport>,
         options: SessionOptions,
@@ -63,10 +55,9 @@ impl Exchange {
         outcomes: mpsc::UnboundedSender<FrameOutcome>,
     ) -> (Self, oneshot::Receiver<v1::SessionOpened>) {
         let (opened, on_opened) = oneshot::channel();
-        let jitter = ChaCha8Rng::seed_from_u64(RandomState::new().hash_one(()));
         let exchange = Self {
             service,
-            backoff: Backoff::new(options.reconnection.clone(), jitter),
+            backoff: Backoff::new(options.reconnection.clone()),
             options,
             opened: Some(opened),
             slots: Slots(slots),
@@ -75,65 +66,6 @@ impl Exchange {
             window: Window::default(),
         };
         (exchange, on_opened)
-    }
-
-    /// Until every frame has its outcome and no more come.
-    pub(super) async fn run(mut self) -> Result<(), Error> {
-        loop {
-            let end = match self.connect().await {
-                Ok(link) => self.converse(link).await,
-                Err(end) => Err(end),
-            };
-            match end {
-                Ok(()) => return Ok(()),
-                Err(LinkEnd::Final(error)) => return Err(error),
-                Err(LinkEnd::Broken(reason)) => {
-                    self.window.send_again();
-                    if self.is_finished() {
-                        return Ok(());
-                    }
-                    let delay = self.next_delay(&reason)?;
-                    self.tell_of_loss(&reason);
-                    sleep(delay).await;
-                }
-            }
-        }
-    }
-
-    /// Once loudly; that further attempts fail is no news.
-    fn tell_of_loss(&self, reason: &str) {
-        let attempted_for = self.backoff.waited(Instant::now());
-        if attempted_for.is_zero() {
-            let unacknowledged = self.window.len();
-            tracing::warn!(
-                "lost the server ({reason}); trying again for {} s, {unacknowledged} frames unacknowledged",
-                self.options.reconnection.give_up_after.as_secs(),
-            );
-        } else {
-            tracing::debug!("no server yet ({reason}) after {:.1} s", attempted_for.as_secs_f64());
-        }
-    }
-
-    /// Opens the session, or opens it again.
-    async fn connect(&mut self) -> Result<Link, LinkEnd> {
-        // Room for the opening and a full window: a request never waits, nor is one ever too many.
-        let (requests, queue) = mpsc::channel(self.options.window_frames.get().saturating_add(1));
-        put(&requests, Request::Open(self.opening()))?;
-        let opening = async {
-            let mut responses = self.service.stream(ReceiverStream::new(queue)).await?.into_inner();
-            let first = responses.message().await?;
-            Ok((responses, first.and_then(|response| response.content)))
-        };
-        match link_end::opened("session", opening).await? {
-            (responses, Some(Response::Opened(opened))) => {
-                self.on_opened(opened)?;
-                Ok(Link { requests, responses })
-            }
-            (_, None) => Err(LinkEnd::closed()),
-            (_, Some(Response::Answer(_) | Response::Refusal(_))) => {
-                Err(LinkEnd::Final(Error::Protocol("it answered before the session was opened")))
-            }
-        }
     }
 
     fn opening(&self) -> v1::OpenSession {
@@ -147,13 +79,14 @@ impl Exchange {
         }
     }
 
-    /// Keeps the session's name for opening it again, and sees to it that nothing was forgotten.
+    /// Keeps the session's name for reopening it, and checks that the server has all that it
+    /// acknowledged.
     fn on_opened(&mut self, opened: v1::SessionOpened) -> Result<(), LinkEnd> {
         let Some((_, session_id)) = opened.session.rsplit_once('/') else {
             return Err(LinkEnd::Final(Error::Protocol("it named a session without its map")));
         };
         self.options.session_id = session_id.to_owned();
-        // A server that was restarted knows nothing of a robot that only looked, and has lost nothing by it.
+        // A localizing session stores nothing, so a restarted server has lost nothing of it.
         let kept = self.options.mode == v1::SessionMode::Map;
         if let Some(acknowledged) = self.window.last_acknowledged().filter(|_| kept)
             && opened.last_committed_sequence < Some(acknowledged)
@@ -165,60 +98,18 @@ impl Exchange {
             self.backoff.progress();
         }
         match self.opened.take() {
-            // If nobody waits any more, the whole exchange is about to be dropped.
+            // If the application no longer waits, it has dropped the session.
             Some(on_opened) => drop(on_opened.send(opened)),
             None => tracing::warn!("back at the server; sending {} frames again", self.window.len()),
         }
         Ok(())
     }
 
-    /// Sends what is to be sent and takes what comes, until all is done or the link ends.
-    async fn converse(&mut self, mut link: Link) -> Result<(), LinkEnd> {
-        let mut release_at = None;
-        loop {
-            while let Some(frame) = self.window.next_to_send() {
-                put(&link.requests, Request::Frame(frame))?;
-            }
-            self.deliver();
-            if self.is_finished() {
-                close(link).await;
-                return Ok(());
-            }
-            let release = release_at.filter(|_| self.window.only_postponed_left());
-            tokio::select! {
-                response = link.responses.message() => {
-                    if let Some((reason, hint)) = self.on_response(response)? {
-                        let at = match release_at {
-                            Some(at) => at,
-                            None => {
-                                let delay = self.next_delay(&reason).map_err(LinkEnd::Final)?;
-                                // A server that says when has kept the turn free, for a while.
-                                Instant::now() + if hint.is_zero() { delay } else { hint }
-                            }
-                        };
-                        release_at = Some(at.max(Instant::now() + hint));
-                    }
-                }
-                frame = self.frames.recv(), if !self.no_more_frames() => {
-                    frame.into_iter().for_each(|frame| self.window.push(frame));
-                }
-                Some(()) = OptionFuture::from(release.map(sleep_until)) => {
-                    self.window.release_postponed();
-                    release_at = None;
-                }
-            }
-        }
-    }
-
-    /// Gives reason and delay if the server asks to send a frame again.
+    /// Message and delay if the server asks to send a frame again.
     fn on_response(
         &mut self,
-        response: Result<Option<v1::StreamResponse>, Status>,
+        v1::StreamResponse { content }: v1::StreamResponse,
     ) -> Result<Option<(String, Duration)>, LinkEnd> {
-        let response = response.map_err(|status| LinkEnd::of(&status))?;
-        let Some(v1::StreamResponse { content }) = response else {
-            return Err(LinkEnd::closed());
-        };
         let outcome = match content {
             Some(Response::Answer(answer)) => FrameOutcome::Answer(answer),
             Some(Response::Refusal(refusal)) => FrameOutcome::Refusal(refusal),
@@ -238,9 +129,85 @@ impl Exchange {
 
     fn deliver(&mut self) {
         while let Some(outcome) = self.window.take_outcome() {
-            // Whoever drops the receiver drops this exchange with it.
+            // The receiver is dropped only together with this exchange.
             let _ = self.outcomes.send(outcome);
             self.slots.0.add_permits(1);
+        }
+    }
+
+    fn no_more_frames(&self) -> bool {
+        self.frames.is_closed() && self.frames.is_empty()
+    }
+}
+
+impl Exchange for SessionExchange {
+    type Link = Link;
+
+    async fn connect(&mut self) -> Result<Link, LinkEnd> {
+        // Room for the opening and a full window: no request ever waits.
+        let capacity = self.options.window_frames.get().saturating_add(1);
+        let opening = v1::StreamRequest { content: Some(Request::Open(self.opening())) };
+        let (link, first) = Link::open(capacity, opening, |requests| self.service.stream(requests)).await?;
+        match first.content {
+            Some(Response::Opened(opened)) => self.on_opened(opened).map(|()| link),
+            None => Err(LinkEnd::closed()),
+            Some(Response::Answer(_) | Response::Refusal(_)) => {
+                Err(LinkEnd::Final(Error::Protocol("it answered before the session was opened")))
+            }
+        }
+    }
+
+    /// Sends what is to be sent and takes what comes, until all is done or the link ends.
+    async fn converse(&mut self, mut link: Link) -> Result<(), LinkEnd> {
+        let mut release_at = None;
+        loop {
+            while let Some(frame) = self.window.next_to_send() {
+                put(&link.requests, Request::Frame(frame))?;
+            }
+            self.deliver();
+            if self.is_finished() {
+                close(link).await;
+                return Ok(());
+            }
+            let release = release_at.filter(|_| self.window.only_postponed_left());
+            tokio::select! {
+                response = link.next() => {
+                    if let Some((reason, hint)) = self.on_response(response?)? {
+                        let at = match release_at {
+                            Some(at) => at,
+                            None => {
+                                let unacknowledged = self.unacknowledged();
+                                let delay = self.backoff.delay_or_give_up(unacknowledged, &reason);
+                                let delay = delay.map_err(LinkEnd::Final)?;
+                                // The server reserves a turn at the time that it names.
+                                Instant::now() + if hint.is_zero() { delay } else { hint }
+                            }
+                        };
+                        release_at = Some(at.max(Instant::now() + hint));
+                    }
+                }
+                frame = self.frames.recv(), if !self.no_more_frames() => {
+                    frame.into_iter().for_each(|frame| self.window.push(frame));
+                }
+                Some(()) = OptionFuture::from(release.map(sleep_until)) => {
+                    self.window.release_postponed();
+                    release_at = None;
+                }
+            }
+        }
+    }
+
+    /// Warns once; further attempts that fail are for the debug log.
+    fn on_broken(&mut self, reason: &str) {
+        self.window.send_again();
+        if self.backoff.is_in_trouble() {
+            tracing::debug!("no server yet ({reason})");
+        } else {
+            let unacknowledged = self.window.len();
+            tracing::warn!(
+                "lost the server ({reason}); trying again for {} s, {unacknowledged} frames unacknowledged",
+                self.options.reconnection.give_up_after.as_secs(),
+            );
         }
     }
 
@@ -248,24 +215,19 @@ impl Exchange {
         self.window.len() == 0 && self.no_more_frames()
     }
 
-    fn no_more_frames(&self) -> bool {
-        self.frames.is_closed() && self.frames.is_empty()
+    fn unacknowledged(&self) -> usize {
+        self.window.len() + self.frames.len()
     }
 
-    fn next_delay(&mut self, reason: &str) -> Result<Duration, Error> {
-        let now = Instant::now();
-        self.backoff.next_delay(now).ok_or_else(|| Error::SessionLost {
-            unacknowledged: self.window.len() + self.frames.len(),
-            waited: self.backoff.waited(now),
-            reason: reason.to_owned(),
-        })
+    fn backoff(&mut self) -> &mut Backoff {
+        &mut self.backoff
     }
 }
 
 fn put(requests: &mpsc::Sender<v1::StreamRequest>, content: Request) -> Result<(), LinkEnd> {
     let request = v1::StreamRequest { content: Some(content) };
     match requests.try_send(request) {
-        // Closed: the call is over, and its responses tell why.
+        // Closed: the call is over, and its responses say why.
         Ok(()) | Err(mpsc::error::TrySendError::Closed(_)) => Ok(()),
         Err(mpsc::error::TrySendError::Full(_)) => {
             Err(LinkEnd::Final(Error::Protocol("more frames are on their way than the window holds")))

@@ -9,17 +9,17 @@ use tonic_types::pb::RetryInfo;
 use waypost_proto::google::rpc::Status;
 use waypost_proto::v1;
 
-use super::{FrameContent, FrameInput, FrameOutcome};
 use crate::MAX_IMAGE_BYTES;
 use crate::error::Error;
+use crate::frame::{FrameContent, FrameInput, FrameOutcome};
 
 /// Every frame from when the application gives it until it gets its outcome back.
 #[derive(Debug, Default)]
 pub(super) struct Window {
     entries: VecDeque<Entry>,
     last_acknowledged: Option<u64>,
-    /// Frames that may be on their way at once, since the server refused one for now: those behind a frame
-    /// that is refused again would be sent for nothing.
+    /// Most frames in flight after the server has postponed one. Frames behind one that is
+    /// postponed again would be uploaded for nothing.
     in_flight_limit: Option<usize>,
 }
 
@@ -31,16 +31,16 @@ struct Entry {
 
 #[derive(Debug)]
 enum Progress {
-    /// To be sent over the present connection.
+    /// Not yet sent over this connection.
     Waiting,
-    /// Sent over the present connection.
+    /// Sent over this connection.
     InFlight,
     /// The server asked to send it again later.
     Postponed,
     Done(Box<FrameOutcome>),
 }
 
-/// What an outcome of the server did.
+/// What became of a frame with a response.
 #[derive(Debug, PartialEq)]
 pub(super) enum Settled {
     /// The frame is done.
@@ -50,7 +50,7 @@ pub(super) enum Settled {
 }
 
 impl Window {
-    /// Takes a frame. One that no server would take is refused here.
+    /// Adds a frame. An image that is too long for any server is refused here.
     pub(super) fn push(&mut self, frame: FrameInput) {
         let progress = match &frame.content {
             FrameContent::Image(image) if image.len() > MAX_IMAGE_BYTES => {
@@ -61,8 +61,8 @@ impl Window {
         self.entries.push_back(Entry { frame, progress });
     }
 
-    /// The next frame to send, which then counts as sent. Nothing overtakes a postponed frame: once a
-    /// later one were durable, it could not be any more.
+    /// The next frame to send, which then counts as sent. No frame overtakes a postponed one: once
+    /// a higher number is committed, the server takes no lower one.
     pub(super) fn next_to_send(&mut self) -> Option<v1::Frame> {
         let in_flight = self.entries.iter().filter(|entry| matches!(entry.progress, Progress::InFlight));
         if self.in_flight_limit.is_some_and(|limit| in_flight.count() >= limit) {
@@ -72,7 +72,7 @@ impl Window {
             match entry.progress {
                 Progress::Waiting => {
                     entry.progress = Progress::InFlight;
-                    return Some(wire(entry.frame.clone()));
+                    return Some(entry.frame.clone().into());
                 }
                 Progress::Postponed => return None,
                 Progress::InFlight | Progress::Done(_) => {}
@@ -81,7 +81,7 @@ impl Window {
         None
     }
 
-    /// Takes an outcome from the server.
+    /// Records a response of the server.
     pub(super) fn settle(&mut self, outcome: FrameOutcome) -> Result<Settled, Error> {
         let sequence = outcome.sequence();
         let entry = self
@@ -132,8 +132,8 @@ impl Window {
         }
     }
 
-    /// The connection broke: everything without an outcome has to go over the next one, also frames
-    /// that were committed while their answer was lost. Those get the stored answer.
+    /// After a broken connection: every frame without an outcome is sent again, also those that
+    /// were committed while their answer was lost. They get the stored answer.
     pub(super) fn send_again(&mut self) {
         for entry in &mut self.entries {
             match entry.progress {
@@ -143,12 +143,12 @@ impl Window {
         }
     }
 
-    /// Frames that the application is owed an outcome for.
+    /// Frames in the window.
     pub(super) fn len(&self) -> usize {
         self.entries.len()
     }
 
-    /// Last frame that the server said was durable.
+    /// The last frame that the server reported as durable.
     pub(super) fn last_acknowledged(&self) -> Option<u64> {
         self.last_acknowledged
     }
@@ -160,15 +160,6 @@ impl Window {
         let status = Status { code: Code::InvalidArgument.into(), message, details: Vec::new() };
         v1::FrameRefusal { sequence, last_committed_sequence: self.last_acknowledged, status: Some(status) }
     }
-}
-
-fn wire(FrameInput { sequence, stamp_ns, content, odometry }: FrameInput) -> v1::Frame {
-    let content = match content {
-        FrameContent::Image(image) => v1::frame::Content::Image(image),
-        FrameContent::Histogram(histogram) => v1::frame::Content::Histogram(histogram),
-        FrameContent::Words(words) => v1::frame::Content::Words(words),
-    };
-    v1::Frame { sequence, stamp_ns, odometry, content: Some(content) }
 }
 
 /// The delay of a `google.rpc.RetryInfo`, or zero.
@@ -183,127 +174,4 @@ fn retry_delay(status: &Status) -> Duration {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn frame(sequence: u64) -> FrameInput {
-        FrameInput { sequence, stamp_ns: 0, content: FrameContent::Image(vec![1]), odometry: None }
-    }
-
-    fn window(sequences: std::ops::RangeInclusive<u64>) -> Window {
-        let mut window = Window::default();
-        sequences.for_each(|sequence| window.push(frame(sequence)));
-        window
-    }
-
-    fn answer(sequence: u64) -> FrameOutcome {
-        FrameOutcome::Answer(v1::FrameAnswer { sequence, ..Default::default() })
-    }
-
-    fn refusal(sequence: u64, code: Code) -> FrameOutcome {
-        let status = Status { code: code.into(), message: "because".to_owned(), details: Vec::new() };
-        FrameOutcome::Refusal(v1::FrameRefusal {
-            sequence,
-            last_committed_sequence: None,
-            status: Some(status),
-        })
-    }
-
-    fn sent(window: &mut Window) -> Vec<u64> {
-        std::iter::from_fn(|| window.next_to_send().map(|frame| frame.sequence)).collect()
-    }
-
-    fn taken(window: &mut Window) -> Vec<u64> {
-        std::iter::from_fn(|| window.take_outcome().map(|outcome| outcome.sequence())).collect()
-    }
-
-    #[test]
-    fn outcomes_leave_in_the_order_of_frames() {
-        let mut window = window(1..=3);
-        assert_eq!(sent(&mut window), [1, 2, 3]);
-        assert_eq!(window.settle(answer(2)).unwrap(), Settled::Done);
-        assert!(taken(&mut window).is_empty());
-        assert_eq!(window.settle(refusal(1, Code::InvalidArgument)).unwrap(), Settled::Done);
-        assert_eq!(taken(&mut window), [1, 2]);
-        assert_eq!((window.len(), window.last_acknowledged()), (1, Some(2)));
-    }
-
-    #[test]
-    fn all_frames_without_an_outcome_are_sent_again() {
-        let mut window = window(1..=4);
-        assert_eq!(sent(&mut window), [1, 2, 3, 4]);
-        window.settle(answer(1)).unwrap();
-        window.settle(answer(3)).unwrap();
-        window.send_again();
-        assert_eq!(sent(&mut window), [2, 4]);
-    }
-
-    #[test]
-    fn nothing_overtakes_a_postponed_frame() {
-        let mut window = window(1..=2);
-        assert_eq!(sent(&mut window), [1, 2]);
-        let settled = window.settle(refusal(1, Code::ResourceExhausted)).unwrap();
-        assert_eq!(settled, Settled::Postponed { message: "because".to_owned(), delay: Duration::ZERO });
-        window.push(frame(3));
-        assert!(sent(&mut window).is_empty());
-        assert!(!window.only_postponed_left());
-        window.settle(refusal(2, Code::Unavailable)).unwrap();
-        assert!(window.only_postponed_left());
-        window.release_postponed();
-        assert!(!window.only_postponed_left());
-        assert_eq!(sent(&mut window), [1]);
-    }
-
-    #[test]
-    fn after_a_refusal_frames_go_one_by_one_and_then_more_and_more() {
-        let mut window = window(1..=9);
-        assert_eq!(sent(&mut window).len(), 9);
-        for sequence in 1..=9 {
-            window.settle(refusal(sequence, Code::Unavailable)).unwrap();
-        }
-        window.release_postponed();
-        assert_eq!(sent(&mut window), [1]);
-        window.settle(answer(1)).unwrap();
-        assert_eq!(sent(&mut window), [2, 3]);
-        // One that is refused for good says nothing of how much the server can take.
-        window.settle(refusal(2, Code::InvalidArgument)).unwrap();
-        assert_eq!(sent(&mut window), [4]);
-        window.settle(answer(3)).unwrap();
-        assert_eq!(sent(&mut window), [5, 6, 7]);
-        window.settle(answer(4)).unwrap();
-        assert_eq!(sent(&mut window), [8, 9]);
-    }
-
-    #[test]
-    fn the_server_may_say_how_long_to_wait() {
-        let hint = RetryInfo { retry_delay: Some(prost_types::Duration { seconds: 1, nanos: 500_000_000 }) };
-        let detail = prost_types::Any {
-            type_url: "type.googleapis.com/google.rpc.RetryInfo".to_owned(),
-            value: hint.encode_to_vec(),
-        };
-        let status = Status { code: 8, message: String::new(), details: vec![detail] };
-        assert_eq!(retry_delay(&status), Duration::from_millis(1500));
-    }
-
-    #[test]
-    fn an_answer_to_nothing_is_an_error() {
-        let mut window = window(1..=1);
-        assert!(matches!(window.settle(answer(1)), Err(Error::Protocol(_))));
-        assert_eq!(sent(&mut window), [1]);
-        window.settle(answer(1)).unwrap();
-        assert!(matches!(window.settle(answer(1)), Err(Error::Protocol(_))));
-    }
-
-    #[test]
-    fn an_image_that_is_too_long_is_refused_in_its_turn() {
-        let mut window = window(1..=1);
-        window.push(FrameInput { content: FrameContent::Image(vec![0; MAX_IMAGE_BYTES + 1]), ..frame(2) });
-        window.push(frame(3));
-        assert_eq!(sent(&mut window), [1, 3]);
-        window.settle(answer(1)).unwrap();
-        assert!(matches!(window.take_outcome(), Some(FrameOutcome::Answer(_))));
-        let Some(FrameOutcome::Refusal(refusal)) = window.take_outcome() else { panic!("not refused") };
-        assert_eq!(refusal.status.unwrap().code, i32::from(Code::InvalidArgument));
-        assert_eq!(window.take_outcome(), None);
-    }
-}
+mod tests;

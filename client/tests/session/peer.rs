@@ -182,10 +182,6 @@ impl SessionService for Sessions {
         Ok(Response::new(UnboundedReceiverStream::new(responses)))
     }
 
-    async fn query(&self, _: Request<v1::QueryRequest>) -> Result<Response<v1::QueryResponse>, Status> {
-        Err(Status::unimplemented("this peer streams only"))
-    }
-
     async fn list_sessions(
         &self,
         _: Request<v1::ListSessionsRequest>,
@@ -229,10 +225,17 @@ impl SessionService for Sessions {
         Err(Status::unimplemented("this peer streams only"))
     }
 
-    async fn measure_closure(
+    async fn delete_session(
         &self,
-        _: Request<v1::MeasureClosureRequest>,
-    ) -> Result<Response<v1::MeasureClosureResponse>, Status> {
+        _: Request<v1::DeleteSessionRequest>,
+    ) -> Result<Response<v1::Job>, Status> {
+        Err(Status::unimplemented("this peer streams only"))
+    }
+
+    async fn add_relative_pose(
+        &self,
+        _: Request<v1::AddRelativePoseRequest>,
+    ) -> Result<Response<v1::AddRelativePoseResponse>, Status> {
         Err(Status::unimplemented("this peer streams only"))
     }
 }

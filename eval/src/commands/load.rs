@@ -12,97 +12,86 @@ mod server;
 mod stalled;
 mod words;
 
-pub use growth::{GrowthOptions, GrowthReport};
-pub use leading::{LeadingOptions, LeadingReport};
-pub use overload::{OverloadOptions, OverloadReport};
-pub use panoramas::{PanoramasOptions, PanoramasReport};
-pub use report::{LatencyReport, ServerUse};
-pub use robots::{RobotsOptions, RobotsReport};
-pub use words::{WordsOptions, WordsReport};
+use std::time::Duration;
 
-use std::path::PathBuf;
+use anyhow::{Context, Result};
+use clap::{Args, Subcommand};
+use serde::Serialize;
 
-use crate::error::EvalError;
+use crate::choices::number;
+use server::ServerOptions;
 
-/// The server that is put under load.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ServerOptions {
-    /// The program; `waypost-server` beside this one if `None`.
-    pub binary: Option<PathBuf>,
-    /// The model file that its map is made with.
-    pub model: PathBuf,
+/// Put a real server under load: it is started on a temporary directory, driven over gRPC, and stopped.
+#[derive(Args)]
+pub(crate) struct LoadOptions {
+    #[command(subcommand)]
+    scenario: Scenario,
+    #[command(flatten)]
+    server: ServerOptions,
 }
 
-/// Where robots take their words from.
-#[derive(Clone, Debug, PartialEq)]
-pub enum WordSource {
-    /// A folder of images: words with keypoints, made beforehand.
-    Images(PathBuf),
-    /// The training images of the model, as its sampling set remembers them: histograms.
-    SamplingSet,
+#[derive(Subcommand)]
+enum Scenario {
+    Words(words::WordsOptions),
+    Overload(overload::OverloadOptions),
+    Growth(growth::GrowthOptions),
+    Leading(leading::LeadingOptions),
+    Panoramas(panoramas::PanoramasOptions),
+    Robots(robots::RobotsOptions),
 }
 
-/// Streams of words into one map, and what the server adds to the time of computing.
-///
-/// # Errors
-/// [`EvalError`].
-pub fn words(server: &ServerOptions, options: &WordsOptions) -> Result<WordsReport, EvalError> {
-    let report = block_on(words::run(server, options))?;
-    eprint!("{}", report.table());
-    Ok(report)
+/// What came out.
+#[derive(Serialize)]
+#[serde(tag = "scenario", rename_all = "lowercase")]
+pub(crate) enum LoadReport {
+    Words(words::WordsReport),
+    Overload(Box<overload::OverloadReport>),
+    Growth(growth::GrowthReport),
+    Leading(leading::LeadingReport),
+    Panoramas(panoramas::PanoramasReport),
+    Robots(robots::RobotsReport),
 }
 
-/// Several times more images than the server can work off, and how it gets over that.
-///
-/// # Errors
-/// [`EvalError`].
-pub fn overload(server: &ServerOptions, options: &OverloadOptions) -> Result<OverloadReport, EvalError> {
-    let report = block_on(overload::run(server, options))?;
-    eprint!("{}", report.table());
-    Ok(report)
-}
-
-/// Four robots in one map, alone and beside clients that do not read their answers.
-///
-/// # Errors
-/// [`EvalError`].
-pub fn robots(server: &ServerOptions, options: &RobotsOptions) -> Result<RobotsReport, EvalError> {
-    let report = block_on(robots::run(server, options))?;
-    eprint!("{}", report.table());
-    Ok(report)
-}
-
-/// Robots that are led along one map, and how long they wait for commands.
-///
-/// # Errors
-/// [`EvalError`].
-pub fn leading(server: &ServerOptions, options: &LeadingOptions) -> Result<LeadingReport, EvalError> {
-    let report = block_on(leading::run(server, options))?;
-    eprint!("{}", report.table());
-    Ok(report)
-}
-
-/// Panoramas into maps with and without an appearance graph.
-///
-/// # Errors
-/// [`EvalError`].
-pub fn panoramas(server: &ServerOptions, options: &PanoramasOptions) -> Result<PanoramasReport, EvalError> {
-    let report = block_on(panoramas::run(server, options))?;
-    eprint!("{}", report.table());
-    Ok(report)
-}
-
-/// A map that grows large; the server is as [`ServerOptions::binary`] says.
-///
-/// # Errors
-/// [`EvalError`].
-pub fn growth(binary: Option<PathBuf>, options: &GrowthOptions) -> Result<GrowthReport, EvalError> {
-    let report = block_on(growth::run(binary, options))?;
-    eprint!("{}", report.table());
-    Ok(report)
-}
-
-fn block_on<T>(scenario: impl Future<Output = Result<T, EvalError>>) -> Result<T, EvalError> {
+/// Starts the server, drives robots as the scenario says, and says how long they waited.
+pub(crate) fn run(options: &LoadOptions) -> Result<LoadReport> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
-    runtime.map_err(EvalError::Runtime)?.block_on(scenario)
+    let report = runtime
+        .context("no threads can be started; end other programs")?
+        .block_on(drive(&options.server, &options.scenario))?;
+    eprint!("{}", report.table());
+    Ok(report)
+}
+
+async fn drive(server: &ServerOptions, scenario: &Scenario) -> Result<LoadReport> {
+    Ok(match scenario {
+        Scenario::Words(options) => LoadReport::Words(words::run(server, options).await?),
+        Scenario::Overload(options) => LoadReport::Overload(Box::new(overload::run(server, options).await?)),
+        Scenario::Growth(options) => LoadReport::Growth(growth::run(server, options).await?),
+        Scenario::Leading(options) => LoadReport::Leading(leading::run(server, options).await?),
+        Scenario::Panoramas(options) => LoadReport::Panoramas(panoramas::run(server, options).await?),
+        Scenario::Robots(options) => LoadReport::Robots(robots::run(server, options).await?),
+    })
+}
+
+impl LoadReport {
+    fn table(&self) -> String {
+        match self {
+            Self::Words(report) => report.table(),
+            Self::Overload(report) => report.table(),
+            Self::Growth(report) => report.table(),
+            Self::Leading(report) => report.table(),
+            Self::Panoramas(report) => report.table(),
+            Self::Robots(report) => report.table(),
+        }
+    }
+}
+
+/// Reads a rate or a factor.
+fn positive(text: &str) -> Result<f64, String> {
+    number(0.1..=3600.0)(text)
+}
+
+/// Reads a duration in seconds.
+fn seconds(text: &str) -> Result<Duration, String> {
+    positive(text).map(Duration::from_secs_f64)
 }

@@ -1,73 +1,98 @@
 //! `waypost-eval map`: a simulated robot drives a route and maps it, and its map is held against the truth.
 
-pub mod alignment;
-pub mod drive;
-pub mod judgement;
-pub mod kitti;
-pub mod mapping;
+pub(crate) mod alignment;
+mod closures;
+pub(crate) mod drive;
+pub(crate) mod judgement;
+pub(crate) mod kitti;
+pub(crate) mod mapping;
 mod picture;
-pub mod training;
+pub(crate) mod training;
 
 use std::path::PathBuf;
 
+use anyhow::Result;
+use clap::Args;
 use fabmap::model::Model;
-use fabmap::vocabulary::VocabularyError;
 use serde::Serialize;
-use topomap::mapper::MapperSettings;
-use topomap::odometry::OdometryError;
-use waypost_sim::camera::CameraError;
-use waypost_sim::people::PersonError;
-use waypost_sim::range::OutOfRange;
+use topomap::evidence::VerificationMethod;
+use topomap::settings::{MAX_PAST_FRAMES, MapperSettings};
 use waypost_sim::robot::WheelErrors;
-use waypost_sim::route::RouteError;
-use waypost_sim::simulation::{DriveError, SimulationError};
 use waypost_sim::worlds::{NamedRoute, NamedWorld};
-use waypost_vision::features::{Extractor, FeatureError, FeatureSettings};
-use waypost_vision::image::ImageError;
+use waypost_vision::features::{Extractor, Feature, FeatureSettings};
 
+use self::closures::{ClosureCheck, MeasuredFigures};
 use self::drive::Drive;
 use self::judgement::{CLOSURE_DEFINITIONS, Figures, MapTimes};
+use self::kitti::KittiReport;
 use self::mapping::Mapped;
-use self::training::{FIRST_TRAINING_SEED, MapTraining};
-use crate::error::EvalError;
-use crate::timing::{MedianTimes, median};
+use self::training::{MapTraining, check_seeds};
+use crate::choices::{VERIFICATION_METHODS, choice, features, name_of, worlds};
+use crate::error::refused;
+use crate::timing::{StageTimes, median};
 use crate::{files, progress};
 
-/// Where to drive, with what, and how often.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MapOptions {
+/// Drive a simulated robot along a route, map it in process and hold the map against the truth.
+///
+/// Each trial is another world, other wheels and other noise. Times are those of one thread. With --out, writes map.json
+/// and for each trial map-SEED.svg: raw odometry, corrected map and truth over the floor plan.
+#[derive(Args)]
+pub(crate) struct MapOptions {
     /// The world.
-    pub world: NamedWorld,
+    #[arg(long, default_value = NamedWorld::Office.name(), value_parser = worlds())]
+    world: NamedWorld,
     /// One of its routes.
-    pub route: String,
-    /// Of the first drive; the next ones take the next seeds. It decides about the world's looks, the wheels and the
-    /// camera's noise, and lies below [`FIRST_TRAINING_SEED`].
-    pub seed: u64,
-    /// Drives, at least 1.
-    pub trials: u32,
-    /// Where the model comes from.
-    pub model: ModelSource,
-    /// How wrong the wheels are.
-    pub wheels: WheelChoice,
-    /// How the map decides.
-    pub settings: MapperSettings,
-    /// Folder for the pictures.
-    pub out: Option<PathBuf>,
-}
-
-/// Where the model comes from.
-#[derive(Clone, Debug, PartialEq)]
-pub enum ModelSource {
-    /// A file.
-    File(PathBuf),
-    /// Drives in other worlds of the kinds; what was learnt is kept in the file, if there is to be one.
-    Drives(MapTraining, Option<PathBuf>),
+    #[arg(long, value_name = "NAME", required_unless_present = "kitti")]
+    route: Option<String>,
+    /// In place of a simulated world, a drive of known poses without images: a folder with poses.txt and loops.csv. Its
+    /// true loops stand in for recognition, simulated wheels for its odometry; the map layer works alone.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["route", "world", "trials", "model", "out", "prior_frames",
+          "verification", "feature", "words", "training_drives", "model_out"])]
+    kitti: Option<PathBuf>,
+    /// Seed of the first trial; the next ones take the next seeds.
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Drives.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    trials: u32,
+    /// The model file; without it, a model is trained on drives in other worlds.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["feature", "words", "training_drives", "model_out"])]
+    model: Option<PathBuf>,
+    /// The local feature that words are made of.
+    #[arg(long, default_value = Feature::Orb.name(), value_parser = features())]
+    feature: Feature,
+    /// Number of words.
+    #[arg(long, value_name = "N", default_value_t = MapTraining::default().words)]
+    words: u32,
+    /// Drives that the model is trained on.
+    #[arg(long, value_name = "N", default_value_t = MapTraining::default().drives,
+          value_parser = clap::value_parser!(u32).range(1..=1000))]
+    training_drives: u32,
+    /// File for the trained model.
+    #[arg(long, value_name = "FILE")]
+    model_out: Option<PathBuf>,
+    /// Of the wheels: measured way = (1 + X) true way [default: drawn for each trial, within 0.05].
+    #[arg(long, value_name = "X", requires = "drift_rad_per_m", allow_hyphen_values = true)]
+    scale_error: Option<f64>,
+    /// Of the wheels: turn that they see where there is none [default: drawn for each trial, within 3 degrees].
+    #[arg(long, value_name = "RAD", requires = "scale_error", allow_hyphen_values = true)]
+    drift_rad_per_m: Option<f64>,
+    /// Frames that the prior looks back on.
+    #[arg(long, value_name = "FRAMES", default_value_t = MAX_PAST_FRAMES as u32,
+          value_parser = clap::value_parser!(u32).range(1..=MAX_PAST_FRAMES as i64))]
+    prior_frames: u32,
+    #[arg(long = "verify", value_parser = choice(VERIFICATION_METHODS), help = "Geometry that has to agree",
+          default_value = name_of(VERIFICATION_METHODS, &MapperSettings::default().verification.method))]
+    verification: VerificationMethod,
+    /// Folder for the results; made if it does not exist.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
 }
 
 /// How wrong the wheels are.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum WheelChoice {
-    /// Drawn anew for each drive: [`WheelErrors::drawn`].
+#[derive(Clone, Copy)]
+pub(crate) enum WheelChoice {
+    /// Drawn for each drive: [`WheelErrors::drawn`].
     Drawn,
     /// The same for all.
     Biased {
@@ -78,9 +103,17 @@ pub enum WheelChoice {
     },
 }
 
+/// What came out.
+#[derive(Serialize)]
+#[serde(untagged)]
+pub(crate) enum MapOutcome {
+    Drives(Box<MapReport>),
+    Kitti(KittiReport),
+}
+
 /// What came out: medians over the drives, and the worst of them.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct MapReport {
+#[derive(Serialize)]
+pub(crate) struct MapReport {
     /// Name of the world.
     pub world: String,
     /// Name of the route.
@@ -104,9 +137,11 @@ pub struct MapReport {
     #[serde(flatten)]
     pub times: MapTimes,
     /// Medians of the stages over all frames of all drives.
-    pub stages_ms_p50: MedianTimes,
+    pub stages_ms_p50: StageTimes,
     /// The largest of each figure over the drives.
     pub worst: Figures,
+    /// How well closures measured, all drives together.
+    pub measured: MeasuredFigures,
     /// Medians where the prior looks back on one frame alone.
     pub with_one_prior_frame: Figures,
     /// How the figures are defined.
@@ -116,8 +151,8 @@ pub struct MapReport {
 }
 
 /// One drive.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct MapRun {
+#[derive(Clone, Serialize)]
+pub(crate) struct MapRun {
     /// Its seed.
     pub seed: u64,
     /// The wheels' scale error.
@@ -129,106 +164,35 @@ pub struct MapRun {
     /// What came of it.
     #[serde(flatten)]
     pub figures: Figures,
-}
-
-/// Why a simulated robot could not map its world.
-#[derive(Debug, thiserror::Error)]
-pub enum MapError {
-    /// The world has other routes.
-    #[error("{world} has no route {route}; there are {names}")]
-    Route {
-        /// The world.
-        world: &'static str,
-        /// The route asked for.
-        route: String,
-        /// Those it has.
-        names: String,
-    },
-    /// Models are trained in the worlds of those seeds.
-    #[error("seeds from {FIRST_TRAINING_SEED} on are those of the training drives; take lower ones")]
-    SeedOfTraining,
-    /// A number of the robot is out of its range.
-    #[error(transparent)]
-    OutOfRange(#[from] OutOfRange),
-    /// The camera cannot be.
-    #[error(transparent)]
-    Camera(#[from] CameraError),
-    /// There is no room for a person.
-    #[error(transparent)]
-    Person(#[from] PersonError),
-    /// The robot does not fit.
-    #[error(transparent)]
-    Blocked(#[from] RouteError),
-    /// The robot cannot start.
-    #[error(transparent)]
-    Simulation(#[from] SimulationError),
-    /// It did not arrive.
-    #[error(transparent)]
-    Drive(#[from] DriveError),
-    /// An image is none.
-    #[error(transparent)]
-    Image(#[from] ImageError),
-    /// An image has no place for features.
-    #[error(transparent)]
-    Features(FeatureError),
-    /// The model's words are of another feature than its extractor's.
-    #[error("the model's vocabulary does not fit its own extractor ({0}); train it anew")]
-    Vocabulary(VocabularyError),
-    /// A line that is no pose.
-    #[error("{path} line {line} is no pose; write 12 numbers, the rows of a 3 x 4 matrix")]
-    Poses {
-        /// The file.
-        path: PathBuf,
-        /// The line, from 1.
-        line: usize,
-    },
-    /// The wheels said what no wheels say.
-    #[error(transparent)]
-    Odometry(OdometryError),
-}
-
-impl MapError {
-    /// Exit code of the program: 2 if the command line asks for what cannot be, 1 for all else.
-    #[must_use]
-    pub fn exit_code(&self) -> u8 {
-        match self {
-            MapError::Route { .. } | MapError::SeedOfTraining | MapError::OutOfRange(_) => 2,
-            MapError::Camera(_)
-            | MapError::Person(_)
-            | MapError::Blocked(_)
-            | MapError::Simulation(_)
-            | MapError::Drive(_)
-            | MapError::Image(_)
-            | MapError::Features(_)
-            | MapError::Vocabulary(_)
-            | MapError::Poses { .. }
-            | MapError::Odometry(_) => 1,
-        }
-    }
+    /// Closures that were accepted.
+    pub closures: Vec<ClosureCheck>,
 }
 
 /// Drives and maps, and holds each map against its drive.
-///
-/// # Errors
-/// [`EvalError`].
-pub fn run(options: &MapOptions) -> Result<MapReport, EvalError> {
-    if options.seed.saturating_add(u64::from(options.trials)) > FIRST_TRAINING_SEED {
-        return Err(MapError::SeedOfTraining.into());
+pub(crate) fn run(options: &MapOptions) -> Result<MapOutcome> {
+    if let Some(folder) = &options.kitti {
+        return Ok(MapOutcome::Kitti(kitti::run(folder, options.seed, options.wheels())?));
     }
-    let route = named_route(options.world, &options.route)?;
-    let (model, extractor) = model_of(&options.model)?;
+    check_seeds(options.seed, options.trials)?;
+    let route = named_route(options.world, options.route.as_deref().unwrap_or_default())?;
+    let (model, extractor) = match &options.model {
+        Some(path) => files::read_model(path)?,
+        None => options.training()?.model(options.model_out.as_deref())?,
+    };
     if let Some(out) = &options.out {
         files::create_folder(out)?;
     }
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-    let one_frame = MapperSettings { prior_frames: 1, ..options.settings };
-    let (mut trials, mut with_one) = (Vec::new(), Vec::new());
+    let settings = options.settings();
+    let one_frame = MapperSettings { prior_frames: 1, ..settings };
+    let mut trials = Vec::new();
+    let mut with_one = Vec::new();
     let bar = progress::bar("drives", options.trials as usize);
     for seed in (options.seed..).take(options.trials as usize) {
-        let wheels = options.wheels.errors(seed);
+        let wheels = options.wheels().errors(seed);
         let drive = drive::drive(options.world, &route, seed, wheels)?;
         let map = |settings| one_thread.install(|| mapping::map(&drive.frames, &model, extractor, settings));
-        let mapped = map(options.settings)?;
+        let mapped = map(settings)?;
         with_one.push(judgement::judge(&drive.frames, &map(one_frame)?));
         if let Some(out) = &options.out {
             files::write(&out.join(format!("map-{seed}.svg")), picture::svg(&drive, &mapped).as_bytes())?;
@@ -239,34 +203,44 @@ pub fn run(options: &MapOptions) -> Result<MapReport, EvalError> {
     bar.finish_and_clear();
     let report = report(options, (&model, extractor), &trials, &with_one);
     if let Some(out) = &options.out {
-        files::write(&out.join("map.json"), &serde_json::to_vec_pretty(&report).unwrap_or_default())?;
+        files::write_json(&out.join("map.json"), &report)?;
     }
     eprint!("{}", report.table());
-    Ok(report)
+    Ok(MapOutcome::Drives(Box::new(report)))
+}
+
+impl MapOptions {
+    fn wheels(&self) -> WheelChoice {
+        match (self.scale_error, self.drift_rad_per_m) {
+            (Some(scale), Some(drift_rad_per_m)) => WheelChoice::Biased { scale, drift_rad_per_m },
+            (Some(_) | None, Some(_) | None) => WheelChoice::Drawn,
+        }
+    }
+
+    fn settings(&self) -> MapperSettings {
+        let mut settings =
+            MapperSettings { prior_frames: self.prior_frames as usize, ..MapperSettings::default() };
+        settings.verification.method = self.verification;
+        settings
+    }
+
+    fn training(&self) -> Result<MapTraining> {
+        let default = MapTraining::default().features;
+        let features = FeatureSettings::new(self.feature, default.max_features(), default.image_width());
+        Ok(MapTraining {
+            features: features.map_err(refused)?,
+            words: self.words,
+            drives: self.training_drives,
+        })
+    }
 }
 
 /// A route of a world.
-///
-/// # Errors
-/// [`MapError::Route`] if it has none of that name.
-pub fn named_route(world: NamedWorld, route: &str) -> Result<NamedRoute, MapError> {
+pub(crate) fn named_route(world: NamedWorld, route: &str) -> Result<NamedRoute> {
     world.route(route).ok_or_else(|| {
         let names: Vec<&str> = world.routes().iter().map(|route| route.name).collect();
-        MapError::Route { world: world.name(), route: route.to_owned(), names: names.join(", ") }
+        refused(format!("{} has no route {route}; there are {}", world.name(), names.join(", ")))
     })
-}
-
-pub(crate) fn model_of(source: &ModelSource) -> Result<(Model, Extractor), EvalError> {
-    match source {
-        ModelSource::File(path) => files::read_model(path),
-        ModelSource::Drives(training, out) => {
-            let model = training::train(training)?;
-            if let Some(out) = out {
-                files::write(out, &model.to_bytes())?;
-            }
-            Ok((model, Extractor::new(training.features)))
-        }
-    }
 }
 
 impl WheelChoice {
@@ -278,15 +252,6 @@ impl WheelChoice {
     }
 }
 
-impl Default for MapTraining {
-    fn default() -> Self {
-        // 3,000 words of ORB: features that a small robot has time for.
-        let features =
-            FeatureSettings::new(waypost_vision::features::Feature::Orb, 500, drive::IMAGE_SIZE_PX.0);
-        Self { features: features.unwrap_or_default(), words: 3_000, drives: 8 }
-    }
-}
-
 impl MapRun {
     fn of(seed: u64, wheels: WheelErrors, drive: &Drive, mapped: &Mapped) -> Self {
         Self {
@@ -295,6 +260,7 @@ impl MapRun {
             drift_rad_per_m: wheels.drift_rad_per_m,
             collisions: drive.recording.collisions,
             figures: judgement::judge(&drive.frames, mapped),
+            closures: closures::closures(&drive.frames, mapped),
         }
     }
 }
@@ -305,22 +271,24 @@ fn report(
     trials: &[(MapRun, f64, Mapped)],
     with_one: &[Figures],
 ) -> MapReport {
-    let MapOptions { world, route, seed, trials: count, settings, .. } = options;
     let figures: Vec<Figures> = trials.iter().map(|(run, ..)| run.figures.clone()).collect();
     let times: Vec<_> = trials.iter().flat_map(|(.., mapped)| mapped.times.iter().copied()).collect();
     MapReport {
-        world: world.name().to_owned(),
-        route: route.clone(),
-        seed: *seed,
-        trials: *count,
+        world: options.world.name().to_owned(),
+        route: options.route.clone().unwrap_or_default(),
+        seed: options.seed,
+        trials: options.trials,
         features: extractor.settings().to_string(),
         model_hash: model.hash().to_string(),
-        prior_frames: settings.prior_frames,
+        prior_frames: options.prior_frames as usize,
         length_m: median(trials.iter().map(|(_, length_m, _)| *length_m).collect()).unwrap_or(0.0),
         median: Figures::combined(&figures, median),
         times: MapTimes::of(trials.iter().map(|(.., mapped)| mapped)),
-        stages_ms_p50: MedianTimes::of(&times),
+        stages_ms_p50: StageTimes::medians(&times),
         worst: Figures::combined(&figures, |values| values.into_iter().reduce(f64::max)),
+        measured: MeasuredFigures::of(
+            &trials.iter().flat_map(|(run, ..)| run.closures.iter().cloned()).collect::<Vec<_>>(),
+        ),
         with_one_prior_frame: Figures::combined(with_one, median),
         definitions: CLOSURE_DEFINITIONS.into(),
         runs: trials.iter().map(|(run, ..)| run.clone()).collect(),
@@ -330,8 +298,7 @@ fn report(
 impl MapReport {
     fn table(&self) -> String {
         let percent = |fraction: f64| format!("{:.1} %", 100.0 * fraction);
-        let (median, worst, times, one) =
-            (&self.median, &self.worst, &self.times, &self.with_one_prior_frame);
+        let Self { median, worst, times, with_one_prior_frame: one, .. } = self;
         let mut table = format!(
             "{} {}, {} drives of {:.0} m, {:.0} images, {}\n\
              seed  revisits  missed  accepted  false  wheels m  map m  rigid m  scaled m  robot m  left out\n",
@@ -354,13 +321,8 @@ impl MapReport {
                 figures.map_closure_links,
             );
         }
-        let stages: Vec<String> = self
-            .stages_ms_p50
-            .stages()
-            .into_iter()
-            .filter_map(|(stage, time)| time.map(|time| format!("{stage} {time:.2}")))
-            .collect();
         table
+            + &self.measured.text()
             + &format!(
                 "closures are wrong by  {:.2} m, {:.1} degrees\n\
                  one frame in the prior missed {}, false {}\n\
@@ -372,7 +334,7 @@ impl MapReport {
                 percent(one.false_fraction),
                 times.ms_per_image_p50,
                 times.ms_per_image_p95,
-                stages.join(", "),
+                self.stages_ms_p50.text(),
                 times.relax_ms_p50,
                 times.relax_ms_p95,
                 times.relax_ms_max,

@@ -3,39 +3,53 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
+use anyhow::{Context, Result};
+use clap::{Args, ValueEnum};
+use posegraph::g2o::{G2o, NamedGraph};
+use posegraph::{Closures, Edge, EdgeKind, Pose, PoseGraph, RelaxationSettings, Relaxed, Start, relax};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
-use topomap::g2o::{G2o, NamedGraph};
-use topomap::relaxation::{
-    Closures, Edge, EdgeKind, Pose, PoseGraph, RelaxationSettings, Relaxed, Start, relax,
-};
 
-use crate::choices::{CLOSURES, GRAPH_STARTS, name_of};
-use crate::error::EvalError;
+use crate::choices::{CLOSURES, name_of, own_name};
+use crate::error::{fault, refused};
 use crate::files;
 use crate::timing::median;
 
-/// What to relax, and how.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PoseGraphOptions {
-    /// The graph, as g2o writes it.
-    pub file: PathBuf,
-    /// Where to start from.
-    pub start: GraphStart,
-    /// Whether closures may be wrong.
-    pub closures: Closures,
-    /// Wrong closures to add.
-    pub false_loops: Option<FalseLoops>,
-    /// How often the optimisation is timed.
-    pub repeats: u32,
-    /// Where the relaxed graph goes, if anywhere.
-    pub out: Option<PathBuf>,
+/// Relax a pose graph: SE(2) or SE(3), from odometry alone unless told otherwise.
+///
+/// The cost is the sum of eᵀΩe, without a factor of one half: g2o's chi2. Edges between consecutive ids are odometry,
+/// all others closures.
+#[derive(Args)]
+pub(crate) struct PoseGraphOptions {
+    /// The graph, as g2o writes it (VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX).
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// Judge closures, and leave out those that contradict what most agree on; `cost` counts those kept.
+    #[arg(long)]
+    robust: bool,
+    /// Where to start from: along odometry, rotations first, both (the lower minimum counts), or the file's vertices.
+    #[arg(long, value_enum, default_value_t)]
+    start: GraphStart,
+    /// Add wrong closures, as many as this share of the file's own, rounded up: between poses drawn at random, measured
+    /// as another closure is. The report then says what the file's own edges cost.
+    #[arg(long, value_name = "SHARE", value_parser = share)]
+    false_loops: Option<f64>,
+    /// Seed of the wrong closures.
+    #[arg(long, value_name = "S", default_value_t = 0, requires = "false_loops")]
+    seed: u64,
+    /// How often the optimisation is run; its time is the median.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    repeats: u32,
+    /// The file to write the relaxed graph to; it has all edges.
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
 }
 
 /// Where relaxation starts from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum GraphStart {
+#[derive(Clone, Copy, Debug, Default, Serialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum GraphStart {
     /// Along odometry.
     Odometry,
     /// Rotations first.
@@ -47,18 +61,16 @@ pub enum GraphStart {
     File,
 }
 
-/// Closures that are wrong: between poses drawn at random, measured as another closure of the graph is.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FalseLoops {
-    /// How many, as a share of the closures that the graph has; rounded up.
-    pub share: f64,
-    /// Seed of what is drawn.
-    pub seed: u64,
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(share) if share > 0.0 && share <= 1.0 => Ok(share),
+        Ok(_) | Err(_) => Err("give a share above 0, at most 1".to_owned()),
+    }
 }
 
 /// What came out.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct PoseGraphReport {
+#[derive(Serialize)]
+pub(crate) struct PoseGraphReport {
     /// 2 or 3.
     pub dimensions: usize,
     /// Poses of the graph.
@@ -68,7 +80,7 @@ pub struct PoseGraphReport {
     /// Edges that are not between consecutive poses.
     pub closures: usize,
     /// Where it started from.
-    pub start: &'static str,
+    pub start: GraphStart,
     /// Whether closures were judged.
     pub mode: &'static str,
     /// Cost of all edges at the start; null if there were several starts.
@@ -89,8 +101,8 @@ pub struct PoseGraphReport {
 }
 
 /// How wrong closures were dealt with.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct FalseLoopsReport {
+#[derive(Clone, Copy, Serialize)]
+pub(crate) struct FalseLoopsReport {
     /// Wrong closures added.
     pub added: usize,
     /// Those that were not judged wrong.
@@ -106,13 +118,9 @@ pub struct FalseLoopsReport {
 }
 
 /// Reads, relaxes and perhaps writes a graph.
-///
-/// # Errors
-/// [`EvalError`] if the file is no pose graph, lacks what was asked for, or a file cannot be read or written.
-pub fn run(options: &PoseGraphOptions) -> Result<PoseGraphReport, EvalError> {
+pub(crate) fn run(options: &PoseGraphOptions) -> Result<PoseGraphReport> {
     let bytes = files::read(&options.file)?;
-    let read =
-        G2o::read(&bytes).map_err(|reason| EvalError::PoseGraph { path: options.file.clone(), reason })?;
+    let read = G2o::read(&bytes).with_context(|| options.file.display().to_string())?;
     let (report, relaxed) = match &read {
         G2o::Planar(graph) => {
             let (report, relaxed) = relax_named(graph, options)?;
@@ -133,22 +141,27 @@ pub fn run(options: &PoseGraphOptions) -> Result<PoseGraphReport, EvalError> {
 fn relax_named<P: Pose<D>, const D: usize>(
     named: &NamedGraph<P, D>,
     options: &PoseGraphOptions,
-) -> Result<(PoseGraphReport, NamedGraph<P, D>), EvalError> {
+) -> Result<(PoseGraphReport, NamedGraph<P, D>)> {
+    let file = options.file.display();
     let graph = match options.false_loops {
-        Some(false_loops) => with_false_loops(named.graph(), false_loops)
-            .ok_or_else(|| EvalError::NoClosures { path: options.file.clone() })?,
+        Some(share) => with_false_loops(named.graph(), share, options.seed).ok_or_else(|| {
+            refused(format!(
+                "{file} has no closures, whose measurements false ones would have; leave out --false-loops"
+            ))
+        })?,
         None => named.graph().clone(),
     };
-    let settings = RelaxationSettings { closures: options.closures, ..RelaxationSettings::default() };
-    let from_file = || named.poses().ok_or_else(|| EvalError::NoVertices { path: options.file.clone() });
+    let closures = if options.robust { Closures::Judged } else { Closures::Trusted };
+    let settings = RelaxationSettings { closures, ..RelaxationSettings::default() };
+    let no_vertices = || refused(format!("{file} has no VERTEX lines to start from; choose --start best"));
     let start = match options.start {
         GraphStart::Odometry => Start::Odometry,
         GraphStart::Chordal => Start::Chordal,
         GraphStart::Best => Start::Best,
-        GraphStart::File => Start::Poses(from_file()?),
+        GraphStart::File => Start::Poses(named.poses().ok_or_else(no_vertices)?),
     };
     // Where there is one start, it is made before the watch runs.
-    let first = match (start, options.closures) {
+    let first = match (start, closures) {
         (Start::Best, _) | (_, Closures::Judged) => None,
         (_, Closures::Trusted) => {
             Some(relax(&graph, start, &RelaxationSettings { max_iterations: 0, ..settings }).poses)
@@ -166,8 +179,8 @@ fn relax_named<P: Pose<D>, const D: usize>(
         poses: graph.poses(),
         edges: edges.len(),
         closures: edges.iter().filter(is_closure).count(),
-        start: name_of(GRAPH_STARTS, &options.start),
-        mode: name_of(CLOSURES, &options.closures),
+        start: options.start,
+        mode: name_of(CLOSURES, &closures),
         start_cost: first.as_deref().map(|poses| graph.cost(poses)),
         cost: relaxed.cost,
         cost_of_all: graph.cost(&relaxed.poses),
@@ -177,14 +190,14 @@ fn relax_named<P: Pose<D>, const D: usize>(
         false_loops: options.false_loops.map(|_| judged(named.graph(), &relaxed)),
     };
     let out = NamedGraph::new(named.ids().to_vec(), graph, Some(relaxed.poses));
-    let out = out.map_err(EvalError::PoseGraphNames)?;
-    Ok((report, out))
+    Ok((report, out.map_err(fault)?))
 }
 
 /// The graph with wrong closures behind its own edges; `None` if it has no closure to take measurements from.
 fn with_false_loops<P: Pose<D>, const D: usize>(
     graph: &PoseGraph<P, D>,
-    FalseLoops { share, seed }: FalseLoops,
+    share: f64,
+    seed: u64,
 ) -> Option<PoseGraph<P, D>> {
     let closures: Vec<&Edge<P, D>> =
         graph.edges().iter().filter(|edge| edge.kind() == EdgeKind::Closure).collect();
@@ -243,7 +256,7 @@ impl PoseGraphReport {
             self.edges,
             self.closures,
             self.dimensions,
-            self.start,
+            own_name(&self.start),
             self.mode,
             self.left_out.len(),
             self.cost,

@@ -1,19 +1,19 @@
 //! `waypost-eval scale`: what a filter update, a new place and a look cost, and what the index takes, as a
-//! map grows.
+//! map grows; and how often a place is taken for another.
 
 mod bail_out;
+mod mistakes;
 mod report;
-
-pub use bail_out::BailOutReport;
-pub use report::{GrowthPoint, ScaleReport};
+mod source;
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
+use anyhow::Result;
+use clap::Args;
 use fabmap::appearance::{Appearance, PlaceId};
-use fabmap::bail_out::DenseScorer;
-use fabmap::chow_liu::ChowLiuTree;
+use fabmap::baselines::DenseScorer;
 use fabmap::codec::{Reader, Writer};
 use fabmap::detector::DetectorModel;
 use fabmap::inverted_index::InvertedIndex;
@@ -21,57 +21,63 @@ use fabmap::likelihood::{Dependence, ObservationModel};
 use fabmap::new_place::{NewPlace, NewPlaceMethod};
 use fabmap::observation::Observation;
 use fabmap::place_filter::{Belief, FilterSettings, MotionPrior, PlaceFilter};
-use fabmap::recognizer::{Recognition, Recognizer, RecognizerSettings, Stage, StageObserver, Workspace};
+use fabmap::recognizer::{Recognition, Recognizer, RecognizerSettings, Workspace};
 use rayon::prelude::*;
-use topomap::mapper::MapperError;
 
-use crate::error::EvalError;
-use crate::workload::files::WorkloadFiles;
-use crate::workload::{Use, Workload, WorkloadSettings};
+use self::bail_out::BailOutReport;
+use self::report::{GrowthPoint, ScaleReport};
+use self::source::{Opened, Source};
+use crate::choices::{NEW_PLACE_METHODS, choice, name_of};
+use crate::error::refused;
+use crate::timing::{FrameWatch, milliseconds};
+use crate::workload::WorkloadSettings;
 use crate::{memory, progress};
 
-/// What to measure.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ScaleOptions {
-    /// Where places and queries come from.
-    pub source: ScaleSource,
-    /// Threads that a query is spread over, at least 1.
-    pub threads: usize,
-    /// How "somewhere new" is stood in for.
-    pub new_place: NewPlaceMethod,
-    /// What to compare on the whole map beside the index.
-    pub compared: Compared,
-    /// Folder for the results; `None` writes none.
-    pub out: Option<PathBuf>,
-}
-
-/// What is compared on the whole map.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Compared {
-    /// The index alone is measured.
-    Nothing,
-    /// The dense scorer with places dropped early against without; it takes a byte for each word of each place.
-    BailOut,
-}
-
-/// Where places and queries come from.
-#[derive(Clone, Debug, PartialEq)]
-pub enum ScaleSource {
-    /// Drawn at random.
-    Drawn {
-        /// The distribution and its seed.
-        settings: WorkloadSettings,
-        /// Places of the map, at least 1.
-        places: u32,
-        /// Place i is looked at 1 + i mod `most_looks` times; at least 1.
-        most_looks: u8,
-        /// Observations in the sampling set, at least 1.
-        samples: u32,
-        /// Queries: revisits and new places in turn.
-        queries: u32,
-    },
-    /// Read from the files of the numpy generator.
-    Files(PathBuf),
+/// Grow a synthetic map and measure what a filter update, a new place and a look cost, and what the index takes.
+///
+/// A filter update is everything from a query's words to the normalised posterior and its top ten. With --out,
+/// writes scale.json and scale.svg.
+#[derive(Args)]
+pub(crate) struct ScaleOptions {
+    /// Places of the map.
+    #[arg(long, value_name = "N", default_value_t = 100_000,
+          value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    places: u32,
+    /// Number of words of the vocabulary.
+    #[arg(long, value_name = "V", default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1..))]
+    words: u32,
+    /// Threads that a query is spread over.
+    #[arg(long, value_name = "T", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: u16,
+    /// Most looks at a place: it is looked at from once to so often, and shows half of its words each time.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=15))]
+    most_looks: u8,
+    /// Observations in the sampling set.
+    #[arg(long, value_name = "N", default_value_t = 1_000, value_parser = clap::value_parser!(u32).range(1..))]
+    samples: u32,
+    /// Queries, revisits and new places in turn.
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..))]
+    queries: u32,
+    /// Seed of tree, places and queries.
+    #[arg(long, value_name = "S", default_value_t = WorkloadSettings::default().seed)]
+    seed: u64,
+    /// Take tree, places, samples and queries from the files of the numpy generator instead.
+    #[arg(long, value_name = "DIR",
+          conflicts_with_all = ["places", "words", "most_looks", "samples", "queries", "seed"])]
+    workload: Option<PathBuf>,
+    /// How places nobody has seen are stood in for.
+    #[arg(long, value_parser = choice(NEW_PLACE_METHODS),
+          default_value = name_of(NEW_PLACE_METHODS, &RecognizerSettings::default().new_place))]
+    new_place: NewPlaceMethod,
+    /// Compare the dense scorer with places dropped early and without; takes a byte for each word of each place.
+    #[arg(long)]
+    bail_out: bool,
+    /// Ask the whole map the queries once more, each by itself, and count how often a place is taken for another.
+    #[arg(long)]
+    mistakes: bool,
+    /// Folder for the results; made if it does not exist.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
 }
 
 /// Places added between two measurements of the clock's overhead, and drawn at once.
@@ -86,29 +92,21 @@ const TOP_PLACES: usize = 10;
 /// Places that are looked at once more at the end.
 const UPDATED_PLACES: u32 = 2000;
 
-/// Where the map's places and the queries come from, one by one.
-enum Source {
-    Drawn { workload: Box<Workload>, places: u32, most_looks: u8, queries: u32 },
-    Files { places: Vec<Observation>, queries: Vec<Observation> },
-}
-
 /// Measures a map as it grows.
-///
-/// # Errors
-/// [`EvalError`] if the workload cannot be had, or the results cannot be written.
-pub fn run(options: &ScaleOptions) -> Result<ScaleReport, EvalError> {
-    let (source, tree, training) = Source::open(&options.source)?;
+pub(crate) fn run(options: &ScaleOptions) -> Result<ScaleReport> {
+    let Opened { source, tree, training } = Source::open(options)?;
     let model = ObservationModel::new(&tree, DetectorModel::default(), Dependence::ChowLiu);
     let settings = RecognizerSettings { new_place: options.new_place, ..RecognizerSettings::default() };
-    let recognizer = Recognizer::over(Arc::new(model), &training, settings).map_err(MapperError::from)?;
-    let threads = rayon::ThreadPoolBuilder::new().num_threads(options.threads).build()?;
+    let recognizer = Recognizer::over(Arc::new(model), &training, settings).map_err(refused)?;
+    let threads = rayon::ThreadPoolBuilder::new().num_threads(usize::from(options.threads)).build()?;
     let mut measurement = Measurement { source, recognizer, threads, adding_us: Vec::new() };
     let growth = measurement.growth();
-    let bail_out = match options.compared {
-        Compared::Nothing => None,
-        Compared::BailOut => Some(measurement.bail_out(options.new_place, &training)?),
-    };
-    let report = ScaleReport { bail_out, ..measurement.report(growth, options.threads) };
+    let bail_out =
+        options.bail_out.then(|| measurement.bail_out(options.new_place, &training)).transpose()?;
+    let mistakes = options.mistakes.then(|| {
+        mistakes::count(&measurement.recognizer, &measurement.source.judged_queries(), &measurement.threads)
+    });
+    let report = ScaleReport { bail_out, mistakes, ..measurement.report(growth, options.threads) };
     report.write(options.out.as_deref())?;
     Ok(report)
 }
@@ -133,23 +131,20 @@ impl Measurement {
         growth
     }
 
-    fn bail_out(
-        &self,
-        new_place: NewPlaceMethod,
-        training: &[Observation],
-    ) -> Result<BailOutReport, EvalError> {
+    fn bail_out(&self, new_place: NewPlaceMethod, training: &[Observation]) -> Result<BailOutReport> {
         let index = self.recognizer.index();
         let scorer = DenseScorer::new(index.model().clone(), &index.appearances().collect::<Vec<_>>());
         let new_place = NewPlace::new(new_place, index.model(), training)?;
-        let filter = PlaceFilter::new(FilterSettings::default()).map_err(EvalError::Filter)?;
+        let filter = PlaceFilter::new(FilterSettings::default())?;
         let queries = self.source.queries(index.len() as u32);
         Ok(bail_out::compare(&scorer, &new_place, &filter, &queries, &self.threads))
     }
 
-    fn report(mut self, growth: Vec<GrowthPoint>, threads: usize) -> ScaleReport {
+    fn report(mut self, growth: Vec<GrowthPoint>, threads: u16) -> ScaleReport {
         let rss_mib = memory::resident_mib();
         let index = self.recognizer.index();
-        let (words, postings) = (index.model().vocabulary_len(), index.postings());
+        let words = index.model().vocabulary_len();
+        let postings = index.postings();
         let index_bytes = index.memory_bytes();
         let checkpoint = Checkpoint::of(index);
         let updating_us = self.look_again();
@@ -182,7 +177,7 @@ impl Measurement {
             for looks in looks {
                 let begun = Instant::now();
                 let place = self.recognizer.add_place(&Appearance::of(&looks[0]));
-                self.adding_us.push(microseconds(begun));
+                self.adding_us.push(1e3 * milliseconds(begun));
                 looks[1..].iter().for_each(|look| self.recognizer.observe_place(place, look));
             }
             bar.set_position(u64::from(end));
@@ -198,13 +193,13 @@ impl Measurement {
         let queries = self.source.queries(places as u32);
         let mut times = Vec::with_capacity(queries.len());
         let mut belief = Belief::unknown();
-        let (mut workspace, mut recognition) = (Workspace::default(), Recognition::default());
+        let mut workspace = Workspace::default();
+        let mut recognition = Recognition::default();
         for query in &queries {
-            let mut watch = StageWatch::start();
+            let mut watch = FrameWatch::start();
             let top = self.threads.install(|| {
                 let motion = MotionPrior::from_weights(belief.places.clone(), belief.remainder);
-                let (workspace, recognition) = (&mut workspace, &mut recognition);
-                self.recognizer.recognize_into(query, &motion, &mut watch, workspace, recognition);
+                self.recognizer.recognize_into(query, &motion, &mut watch, &mut workspace, &mut recognition);
                 recognition.posterior.top(TOP_PLACES)
             });
             times.push(watch.stop());
@@ -222,7 +217,7 @@ impl Measurement {
         let observe = |(place, look): (PlaceId, Observation)| {
             let begun = Instant::now();
             self.recognizer.observe_place(place, &look);
-            microseconds(begun)
+            1e3 * milliseconds(begun)
         };
         looks.into_iter().map(observe).collect()
     }
@@ -250,120 +245,6 @@ impl Checkpoint {
             Err(error) => unreachable!("what has just been encoded is decoded: {error}"),
         };
         index.extend((0..self.places).map(decode));
-        begun.elapsed().as_secs_f64() * 1e3
+        milliseconds(begun)
     }
-}
-
-/// When the stages of one update ended.
-struct StageWatch {
-    begun: Instant,
-    stage_begun: Instant,
-    times: StageTimes,
-}
-
-/// Times of one update, in milliseconds.
-#[derive(Clone, Copy, Debug, Default)]
-struct StageTimes {
-    likelihood_ms: f64,
-    new_place_ms: f64,
-    update_ms: f64,
-}
-
-impl StageWatch {
-    fn start() -> Self {
-        let begun = Instant::now();
-        Self { begun, stage_begun: begun, times: StageTimes::default() }
-    }
-
-    fn stop(self) -> StageTimes {
-        StageTimes { update_ms: milliseconds(self.begun.elapsed()), ..self.times }
-    }
-}
-
-impl StageObserver for StageWatch {
-    fn completed(&mut self, stage: Stage) {
-        let now = Instant::now();
-        let elapsed = milliseconds(now - std::mem::replace(&mut self.stage_begun, now));
-        match stage {
-            Stage::Likelihood => self.times.likelihood_ms = elapsed,
-            Stage::NewPlace => self.times.new_place_ms = elapsed,
-            Stage::Filter | Stage::Verification => {}
-        }
-    }
-}
-
-impl Source {
-    fn open(source: &ScaleSource) -> Result<(Self, ChowLiuTree, Vec<Observation>), EvalError> {
-        match source {
-            ScaleSource::Drawn { settings, places, most_looks, samples, queries } => {
-                let workload = Workload::new(*settings)?;
-                let (tree, training) = (workload.tree().clone(), workload.images(Use::Training, *samples));
-                let (places, most_looks, queries) = (*places, *most_looks, *queries);
-                Ok((
-                    Self::Drawn { workload: Box::new(workload), places, most_looks, queries },
-                    tree,
-                    training,
-                ))
-            }
-            ScaleSource::Files(folder) => {
-                let WorkloadFiles { tree, places, training, queries } = WorkloadFiles::open(folder)?;
-                let queries = queries.into_iter().map(|query| query.observation).collect();
-                Ok((Self::Files { places, queries }, tree, training))
-            }
-        }
-    }
-
-    fn places(&self) -> u32 {
-        match self {
-            Self::Drawn { places, .. } => *places,
-            Self::Files { places, .. } => places.len() as u32,
-        }
-    }
-
-    /// What is seen of a place, look by look.
-    fn looks(&self, place: u32) -> Vec<Observation> {
-        match self {
-            Self::Drawn { workload, most_looks, .. } => {
-                workload.looks(place, 1 + (place % u32::from(*most_looks)) as u8)
-            }
-            Self::Files { places, .. } => vec![places[place as usize].clone()],
-        }
-    }
-
-    /// The queries of a map of the first `places` places.
-    fn queries(&self, places: u32) -> Vec<Observation> {
-        match self {
-            Self::Drawn { workload, queries, .. } => {
-                let query = |index: u32| match index % 2 {
-                    0 => workload.revisit_to_one_of(index, places).observation,
-                    _ => workload.image(Use::NewQuery, index),
-                };
-                (0..*queries).into_par_iter().map(query).collect()
-            }
-            Self::Files { queries, .. } => queries.clone(),
-        }
-    }
-
-    /// Looks at places all over the map; those of files are other places' words, as good for measuring.
-    fn revisits(&self, count: u32, places: u32) -> Vec<(PlaceId, Observation)> {
-        let chosen = |index: u32| (u64::from(index) * u64::from(places) / u64::from(count)) as u32;
-        match self {
-            Self::Drawn { workload, .. } => {
-                let look = |index| (chosen(index), workload.revisit_to(index, chosen(index)));
-                (0..count).into_par_iter().map(look).collect()
-            }
-            Self::Files { queries, .. } => {
-                let looks = queries.iter().cycle();
-                (0..count).zip(looks).map(|(index, look)| (chosen(index), look.clone())).collect()
-            }
-        }
-    }
-}
-
-fn microseconds(since: Instant) -> f64 {
-    since.elapsed().as_secs_f64() * 1e6
-}
-
-fn milliseconds(duration: Duration) -> f64 {
-    duration.as_secs_f64() * 1e3
 }

@@ -1,9 +1,12 @@
-//! `waypost-eval train`: a model from folders of images.
+//! `waypost-eval train`: a model from folders of images, or another detector for a model that there is.
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use anyhow::{Context, Result};
+use clap::{Args, ValueEnum};
+use fabmap::calibration::{self, Calibration, EvidenceExponent, LearnError, Rates};
 use fabmap::chow_liu::TreeTrainingSettings;
 use fabmap::descriptor::Descriptors;
 use fabmap::detector::DetectorModel;
@@ -12,91 +15,121 @@ use fabmap::vocabulary::{Vocabulary, VocabularySettings};
 use indicatif::ProgressBar;
 use rayon::prelude::*;
 use serde::Serialize;
-use waypost_vision::features::{ExtractError, Extractor, FeatureSettings};
+use waypost_vision::features::{Extractor, Feature, FeatureSettings};
 
-use crate::commands::calibrate::{self, DetectorChoice};
+use crate::choices::features;
 use crate::dataset;
-use crate::error::EvalError;
+use crate::error::refused;
 use crate::{files, progress};
 
-/// What to train, from what.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TrainOptions {
-    /// Folders of images, or folders with a subfolder `images/` of them.
-    pub images: Vec<PathBuf>,
-    /// The features that words are made of.
-    pub features: FeatureSettings,
-    /// Where the words come from.
-    pub vocabulary: VocabularySource,
-    /// Where the detector's rates come from.
-    pub detector: DetectorChoice,
+/// Train a model (vocabulary, Chow-Liu tree, sampling set) from folders of images.
+#[derive(Args)]
+pub(crate) struct TrainOptions {
+    /// Folders of JPEG or PNG images, or folders with a subfolder images/ of them.
+    #[arg(long, required_unless_present = "recalibrate", num_args = 1.., value_name = "DIR")]
+    images: Vec<PathBuf>,
+    /// In place of images, a model file: how reliable its words are is learnt again, from the training images that it
+    /// remembers. Words stay the same, so that maps can be bound to the new model.
+    #[arg(long, value_name = "FILE",
+          conflicts_with_all = ["images", "feature", "words", "seed", "orb_vocabulary", "max_features", "image_width"])]
+    recalibrate: Option<PathBuf>,
+    /// The local feature that words are made of.
+    #[arg(long, default_value = FeatureSettings::default().feature().name(), value_parser = features())]
+    feature: Feature,
+    /// Number of words of the vocabulary.
+    #[arg(long, value_name = "N", default_value_t = VocabularySettings::default().words)]
+    words: u32,
+    /// Seed of the random choices; the same images and seed give the same model.
+    #[arg(long, value_name = "S", default_value_t = VocabularySettings::default().seed)]
+    seed: u64,
+    /// Take the words from an ORB vocabulary as text (ORBvoc.txt, as DBoW2 writes it) instead of the
+    /// images; needs --feature orb.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["words", "seed"])]
+    orb_vocabulary: Option<PathBuf>,
+    /// How reliable words are: published rates, those with an exponent learnt that tempers likelihoods, or
+    /// rates and exponent learnt from images that overlap the one before.
+    #[arg(long, value_enum, default_value_t)]
+    detector: DetectorChoice,
     /// The model file to write.
-    pub out: PathBuf,
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Most features taken from an image.
+    #[arg(long, value_name = "N", default_value_t = FeatureSettings::default().max_features())]
+    max_features: u32,
+    /// Width that larger images are shrunk to, in pixels.
+    #[arg(long, value_name = "PX", default_value_t = FeatureSettings::default().image_width())]
+    image_width: u32,
 }
 
-/// Where a model's words come from.
-#[derive(Clone, Debug, PartialEq)]
-pub enum VocabularySource {
-    /// Clustered from the training images: number of words, seed and iterations.
-    Images(VocabularySettings),
-    /// Imported from an ORB vocabulary as text, as DBoW2 writes it; tree and sampling set are still
-    /// learnt from the training images.
-    OrbText(PathBuf),
+/// Where the detector's rates come from.
+#[derive(Clone, Copy, Default, ValueEnum)]
+pub(crate) enum DetectorChoice {
+    /// Published rates, with likelihoods as they are. It asks nothing of the training images; the others need
+    /// neighbours that overlap.
+    Fixed,
+    /// Published rates, with the exponent learnt that makes their likelihoods comparable.
+    Tempered,
+    /// Rates and exponent learnt together; typical ones where too few training images overlap.
+    #[default]
+    Learned,
 }
 
 /// What came out.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct TrainReport {
-    /// Training images.
-    pub images: usize,
+#[derive(Serialize)]
+pub(crate) struct TrainReport {
+    /// Training images; null if the model's words were there.
+    images: Option<usize>,
     /// Descriptors found in them.
-    pub descriptors: usize,
+    descriptors: Option<usize>,
     /// Words of the vocabulary.
-    pub words: usize,
-    /// How long it took, in seconds.
-    pub seconds: TrainSeconds,
+    words: usize,
+    /// How long it took.
+    seconds: TrainSeconds,
     /// p(z=1|e=1).
-    pub true_positive_rate: f64,
+    true_positive_rate: f64,
     /// p(z=1|e=0).
-    pub false_positive_rate: f64,
+    false_positive_rate: f64,
     /// What likelihoods are raised to.
-    pub evidence_exponent: f64,
+    evidence_exponent: f64,
+    /// Pairs of overlapping training images that rates and exponent were learnt from; null if nothing was.
+    pairs: Option<usize>,
+    /// Mean of -ln p(what is right) over staged revisits and new places, in nats.
+    loss_nats: Option<f64>,
     /// Hash of the model's content, its name.
-    pub model_hash: String,
+    model_hash: String,
     /// Size of the model file.
-    pub bytes: usize,
+    bytes: usize,
 }
 
 /// How long training took, in seconds of wall time.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct TrainSeconds {
+#[derive(Serialize)]
+struct TrainSeconds {
     /// Decoding images and extracting features.
-    pub extract: f64,
+    extract: f64,
     /// Vocabulary, quantization, tree and detector.
-    pub train: f64,
+    train: f64,
 }
 
-/// Trains a model and writes it.
-///
-/// # Errors
-/// [`EvalError`]; no file is written then.
-pub fn run(options: &TrainOptions) -> Result<TrainReport, EvalError> {
-    let TrainOptions { images, features, vocabulary, detector, out } = options;
+/// Trains a model and writes it; if it fails, no file is written.
+pub(crate) fn run(options: &TrainOptions) -> Result<TrainReport> {
     let began = Instant::now();
-    let mut paths = Vec::new();
-    for folder in images {
-        paths.extend(dataset::image_files(folder)?);
-    }
-    let descriptors = extract_all(&paths, Extractor::new(*features))?;
-    let extracted = Instant::now();
-    let model = train(*features, vocabulary, &descriptors)?;
-    let (model, _) = calibrate::calibrated(&model, *detector)?;
+    let (extracted, images, model) = match &options.recalibrate {
+        Some(path) => (began, None, files::read_model(path)?.0),
+        None => {
+            let features = options.features()?;
+            let descriptors = extract_all(&options.images, Extractor::new(features))?;
+            let extracted = Instant::now();
+            let model = options.train(features, &descriptors)?;
+            (extracted, Some(descriptors), model)
+        }
+    };
+    let (model, learnt) = calibrated(&model, options.detector)?;
     let trained = Instant::now();
     let bytes = model.to_bytes();
-    files::write(out, &bytes)?;
+    files::write(&options.out, &bytes)?;
     let report = TrainReport {
-        images: paths.len(),
-        descriptors: descriptors.iter().map(Descriptors::len).sum(),
+        images: images.as_ref().map(Vec::len),
+        descriptors: images.map(|images| images.iter().map(Descriptors::len).sum()),
         words: model.vocabulary().len(),
         seconds: TrainSeconds {
             extract: extracted.duration_since(began).as_secs_f64(),
@@ -105,61 +138,92 @@ pub fn run(options: &TrainOptions) -> Result<TrainReport, EvalError> {
         true_positive_rate: model.detector().probability(true, true),
         false_positive_rate: model.detector().probability(true, false),
         evidence_exponent: model.evidence_exponent().value(),
+        pairs: learnt.map(|learnt| learnt.pairs),
+        loss_nats: learnt.map(|learnt| learnt.loss_nats),
         model_hash: model.hash().to_string(),
         bytes: bytes.len(),
     };
-    eprint!("{}", table(&report, *features, out));
+    eprint!("{}", report.table(model.extractor(), &options.out));
     Ok(report)
 }
 
-/// The descriptors of each image, in order of the paths; one image per thread.
-pub(crate) fn extract_all(paths: &[PathBuf], extractor: Extractor) -> Result<Vec<Descriptors>, EvalError> {
+impl TrainOptions {
+    fn features(&self) -> Result<FeatureSettings> {
+        if self.orb_vocabulary.is_some() && self.feature != Feature::Orb {
+            return Err(refused("an ORB vocabulary has words of ORB; add --feature orb"));
+        }
+        FeatureSettings::new(self.feature, self.max_features, self.image_width).map_err(refused)
+    }
+
+    fn train(&self, features: FeatureSettings, descriptors: &[Descriptors]) -> Result<Model> {
+        let tree = TreeTrainingSettings::default();
+        let detector = DetectorModel::default();
+        let extractor = features.to_string();
+        let bar = progress::bar("", PER_MILLE);
+        let mut observer = |progress| show(progress, &bar);
+        let model = match &self.orb_vocabulary {
+            None => {
+                let vocabulary = VocabularySettings {
+                    words: self.words,
+                    seed: self.seed,
+                    ..VocabularySettings::default()
+                };
+                let settings = ModelTrainingSettings { vocabulary, tree, detector };
+                Model::train(&extractor, descriptors, &settings, &mut observer)
+            }
+            Some(path) => {
+                let vocabulary = orb_vocabulary(path)?;
+                Model::train_over(vocabulary, &extractor, descriptors, tree, detector, &mut observer)
+            }
+        };
+        bar.finish_and_clear();
+        Ok(model?)
+    }
+}
+
+/// The descriptors of each image of these folders, in order of the paths; one image per thread.
+fn extract_all(folders: &[PathBuf], extractor: Extractor) -> Result<Vec<Descriptors>> {
+    let paths =
+        folders.iter().map(|folder| dataset::image_files(folder)).collect::<Result<Vec<_>>>()?.concat();
     let bar = progress::bar("features", paths.len());
-    let extracted: Result<Vec<Descriptors>, EvalError> = paths
-        .par_iter()
-        .map(|path| {
-            let descriptors = extract(path, extractor);
-            bar.inc(1);
-            descriptors
-        })
-        .collect();
+    let extracted = paths.par_iter().map(|path| {
+        let extracted = extractor.extract_encoded(&files::read(path)?);
+        let (_image, features) = extracted.with_context(|| path.display().to_string())?;
+        bar.inc(1);
+        Ok(features.descriptors)
+    });
+    let extracted = extracted.collect();
     bar.finish_and_clear();
     extracted
 }
 
-fn extract(path: &Path, extractor: Extractor) -> Result<Descriptors, EvalError> {
-    let unusable = |reason: ExtractError| EvalError::Image { path: path.to_owned(), reason };
-    let (_image, features) = extractor.extract_encoded(&files::read(path)?).map_err(unusable)?;
-    Ok(features.descriptors)
+fn orb_vocabulary(path: &Path) -> Result<Vocabulary> {
+    let text = String::from_utf8_lossy(&files::read(path)?).into_owned();
+    Vocabulary::from_orb_text(&text).with_context(|| path.display().to_string())
 }
 
-fn train(
-    features: FeatureSettings,
-    vocabulary: &VocabularySource,
-    descriptors: &[Descriptors],
-) -> Result<Model, EvalError> {
-    let (tree, detector) = (TreeTrainingSettings::default(), DetectorModel::default());
-    let extractor = features.to_string();
-    let bar = progress::bar("", PER_MILLE);
-    let mut observer = |progress| show(progress, &bar);
-    let model = match vocabulary {
-        VocabularySource::Images(vocabulary) => {
-            let settings = ModelTrainingSettings { vocabulary: vocabulary.clone(), tree, detector };
-            Model::train(&extractor, descriptors, &settings, &mut observer)
+/// The model over the same words as `choice` has it, and what was learnt for it. It fails if only the exponent was to
+/// be learnt and too few training images overlap.
+pub(crate) fn calibrated(model: &Model, choice: DetectorChoice) -> Result<(Model, Option<Calibration>)> {
+    let fixed = DetectorModel::default();
+    let bar = progress::bar("detector", PER_MILLE);
+    let mut observer = |fraction| {
+        bar.set_position((fraction * PER_MILLE as f64) as u64);
+        ControlFlow::Continue(())
+    };
+    let calibrated = match choice {
+        DetectorChoice::Fixed => (model.recalibrated(fixed, EvidenceExponent::NONE), None),
+        DetectorChoice::Tempered => {
+            let learnt = calibration::learn(model, Rates::Fixed(fixed), &mut observer)?;
+            (model.recalibrated(learnt.detector, learnt.exponent), Some(learnt))
         }
-        VocabularySource::OrbText(path) => {
-            let vocabulary = orb_vocabulary(path)?;
-            Model::train_over(vocabulary, &extractor, descriptors, tree, detector, &mut observer)
-        }
+        DetectorChoice::Learned => match calibration::calibrate(model, &mut observer) {
+            ControlFlow::Continue(calibrated) => calibrated,
+            ControlFlow::Break(()) => return Err(LearnError::Cancelled.into()),
+        },
     };
     bar.finish_and_clear();
-    Ok(model?)
-}
-
-fn orb_vocabulary(path: &Path) -> Result<Vocabulary, EvalError> {
-    let text = String::from_utf8_lossy(&files::read(path)?).into_owned();
-    Vocabulary::from_orb_text(&text)
-        .map_err(|reason| EvalError::OrbVocabulary { path: path.to_owned(), reason })
+    Ok(calibrated)
 }
 
 /// Steps of the bar of one stage.
@@ -176,28 +240,39 @@ fn show(progress: ModelTrainingProgress, bar: &ProgressBar) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }
 
-fn table(report: &TrainReport, features: FeatureSettings, out: &Path) -> String {
-    let TrainReport {
-        images,
-        descriptors,
-        words,
-        seconds,
-        true_positive_rate,
-        false_positive_rate,
-        evidence_exponent,
-        model_hash,
-        bytes,
-    } = report;
-    let TrainSeconds { extract, train } = seconds;
-    format!(
-        "model        {model_hash}\n\
-         file         {out} ({bytes} bytes)\n\
-         features     {features}\n\
-         images       {images}\n\
-         descriptors  {descriptors}\n\
-         words        {words}\n\
-         detector     p(z=1|e=1) {true_positive_rate}, p(z=1|e=0) {false_positive_rate}, exponent {evidence_exponent:.4}\n\
-         time         {extract:.1} s features, {train:.1} s training\n",
-        out = out.display(),
-    )
+impl TrainReport {
+    fn table(&self, features: &str, out: &Path) -> String {
+        let Self {
+            images,
+            descriptors,
+            words,
+            seconds: TrainSeconds { extract, train },
+            true_positive_rate,
+            false_positive_rate,
+            evidence_exponent,
+            pairs,
+            loss_nats,
+            model_hash,
+            bytes,
+        } = self;
+        let count = |count: Option<usize>| count.map_or("–".to_owned(), |count| count.to_string());
+        let learnt = match (pairs, loss_nats) {
+            (Some(pairs), Some(loss)) => format!("{pairs} overlapping pairs, loss {loss:.4} nats"),
+            (Some(_) | None, _) => "none of its images".to_owned(),
+        };
+        format!(
+            "model        {model_hash}\n\
+             file         {out} ({bytes} bytes)\n\
+             features     {features}\n\
+             images       {}\n\
+             descriptors  {}\n\
+             words        {words}\n\
+             detector     p(z=1|e=1) {true_positive_rate}, p(z=1|e=0) {false_positive_rate}, exponent {evidence_exponent:.4}\n\
+             learnt from  {learnt}\n\
+             time         {extract:.1} s features, {train:.1} s training\n",
+            count(*images),
+            count(*descriptors),
+            out = out.display(),
+        )
+    }
 }

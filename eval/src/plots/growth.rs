@@ -1,15 +1,13 @@
 //! Time over the size of the map.
 
+use anyhow::{Context, Result};
 use plotters::prelude::*;
 
 /// Median time of a filter update, in milliseconds, over the number of places; both axes logarithmic, with the line
 /// of proportional growth from the largest map down.
-///
-/// # Errors
-/// The plotting library's words.
-pub fn growth_svg(points: &[(usize, f64)]) -> Result<String, String> {
+pub(crate) fn growth_svg(points: &[(usize, f64)]) -> Result<String> {
     let mut svg = String::new();
-    draw(points, &mut svg).map_err(|error| error.to_string())?;
+    draw(points, &mut svg).context("the growth could not be drawn")?;
     Ok(svg)
 }
 
@@ -17,10 +15,10 @@ const SIZE_PX: (u32, u32) = (720, 480);
 const MEASURED: RGBColor = RGBColor(20, 90, 170);
 const PROPORTIONAL: RGBColor = RGBColor(120, 120, 120);
 
-fn draw(points: &[(usize, f64)], svg: &mut String) -> Result<(), Box<dyn std::error::Error>> {
+fn draw(points: &[(usize, f64)], svg: &mut String) -> Result<()> {
     let points: Vec<(f64, f64)> =
         points.iter().map(|&(places, milliseconds)| (places as f64, milliseconds.max(1e-6))).collect();
-    let &(most, slowest) = points.last().ok_or("nothing was measured")?;
+    let &(most, slowest) = points.last().context("nothing was measured")?;
     let proportional: Vec<(f64, f64)> = points.iter().map(|&(x, _)| (x, slowest * x / most)).collect();
     let all = || points.iter().chain(&proportional);
     let fewest = points.iter().map(|point| point.0).fold(most, f64::min);

@@ -1,10 +1,11 @@
 //! How far headings are off.
 
+use anyhow::{Context, Result};
 use plotters::prelude::*;
 
 /// A histogram of errors, and what it is held against.
 #[derive(Clone, Debug, PartialEq)]
-pub struct HeadingErrors<'a> {
+pub(crate) struct HeadingErrors<'a> {
     /// Errors by class, 0 in the middle of the middle one.
     pub classes: &'a [usize],
     /// Width of a class, in radians.
@@ -21,12 +22,9 @@ pub struct HeadingErrors<'a> {
 
 /// A bar for every class, on a logarithmic axis so that one error in thousands is seen, beside the normal distribution of
 /// the published standard deviation.
-///
-/// # Errors
-/// The plotting library's words.
-pub fn heading_errors_svg(errors: &HeadingErrors<'_>) -> Result<String, String> {
+pub(crate) fn heading_errors_svg(errors: &HeadingErrors<'_>) -> Result<String> {
     let mut svg = String::new();
-    draw(errors, &mut svg).map_err(|error| error.to_string())?;
+    draw(errors, &mut svg).context("the headings could not be drawn")?;
     Ok(svg)
 }
 
@@ -37,7 +35,7 @@ const PUBLISHED: RGBColor = RGBColor(200, 60, 0);
 /// Where bars begin: a class with one error is to be seen.
 const FLOOR: f64 = 0.5;
 
-fn draw(errors: &HeadingErrors<'_>, svg: &mut String) -> Result<(), Box<dyn std::error::Error>> {
+fn draw(errors: &HeadingErrors<'_>, svg: &mut String) -> Result<()> {
     let HeadingErrors { classes, class_rad, outside, without_heading, std_rad, published_std_rad } = *errors;
     let within: usize = classes.iter().sum();
     let all = within + outside;

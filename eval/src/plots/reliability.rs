@@ -1,17 +1,15 @@
 //! The reliability diagram.
 
+use anyhow::{Context, Result};
 use plotters::prelude::*;
 
 use crate::calibration::Reliability;
 
 /// Share that is right over mean probability, one point a bin, beside the diagonal on which reported
 /// probabilities are what they say. Empty axes without predictions.
-///
-/// # Errors
-/// The plotting library's words.
-pub fn reliability_svg(title: &str, reliability: &Reliability) -> Result<String, String> {
+pub(crate) fn reliability_svg(title: &str, reliability: &Reliability) -> Result<String> {
     let mut svg = String::new();
-    draw(title, reliability, &mut svg).map_err(|error| error.to_string())?;
+    draw(title, reliability, &mut svg).context("the reliability could not be drawn")?;
     Ok(svg)
 }
 
@@ -19,8 +17,8 @@ const SIZE_PX: (u32, u32) = (760, 640);
 const BINS: RGBColor = RGBColor(20, 90, 170);
 const RIGHT: RGBColor = RGBColor(150, 150, 150);
 
-fn draw(title: &str, reliability: &Reliability, svg: &mut String) -> Result<(), Box<dyn std::error::Error>> {
-    let predictions: usize = reliability.bins().iter().map(|bin| bin.predictions).sum();
+fn draw(title: &str, reliability: &Reliability, svg: &mut String) -> Result<()> {
+    let predictions: usize = reliability.bins.iter().map(|bin| bin.predictions).sum();
     let caption = match reliability.expected_calibration_error() {
         Some(error) => {
             format!("expected calibration error {error:.3}, {predictions} proposals, bins of equal mass")
@@ -47,7 +45,7 @@ fn draw(title: &str, reliability: &Reliability, svg: &mut String) -> Result<(), 
         .draw()?;
     chart.draw_series(LineSeries::new([(0.0, 0.0), (1.0, 1.0)], RIGHT.stroke_width(1)))?;
     let points: Vec<(f64, f64)> =
-        reliability.bins().iter().map(|bin| (bin.mean_probability, bin.share_right)).collect();
+        reliability.bins.iter().map(|bin| (bin.mean_probability, bin.share_right)).collect();
     chart.draw_series(LineSeries::new(points.iter().copied(), BINS.stroke_width(2)))?;
     chart.draw_series(points.into_iter().map(|point| Circle::new(point, 4, BINS.filled())))?;
     below_titles.present()?;

@@ -1,36 +1,34 @@
 //! FAB-MAP with its map, through the very function that the server calls.
 
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
 use fabmap::appearance::PlaceId;
 use fabmap::model::Model;
-use fabmap::observation::Observation;
 use fabmap::recognizer::Recognition;
-use topomap::event::{Decision, FrameId, MapEvent, Match, SessionId};
-use topomap::mapper::{ArchiveError, Decided, FrameInput, Mapper, MapperSettings};
-use topomap::verification::{Candidate, TwoView, Views};
+use topomap::evidence::{Candidate, Match};
+use topomap::ids::{FrameId, SessionId};
+use topomap::in_memory;
+use topomap::log::{Decision, FrameEvent, MapEvent};
+use topomap::mapper::{Decided, FrameInput, Mapper};
+use topomap::settings::MapperSettings;
 use waypost_vision::feature_record::FeatureRecord;
-use waypost_vision::verification::{Verifier, View};
+use waypost_vision::verification::Verifier;
 
 use super::{Proposal, Ranked, RankedDecision, Ranking};
-use crate::error::EvalError;
+use crate::error::{fault, refused};
 use crate::event_log::EventLog;
+use crate::observing::{CurrentView, Observed};
 use crate::timing::FrameWatch;
 
 /// FAB-MAP over a map that grows with the sequence, in one session.
 #[derive(Clone, Debug)]
-pub struct FabMap {
-    mapper: Mapper,
-    log: EventLog,
+pub(crate) struct FabMap {
+    pub(crate) mapper: Mapper,
+    pub(crate) log: EventLog,
     verifier: Verifier,
     /// Of all frames so far, by index in the sequence.
-    features: Vec<FeatureRecord>,
-}
-
-/// The frame that is being decided, beside all before it.
-struct CurrentView<'a> {
-    current: &'a FeatureRecord,
-    log: &'a EventLog,
-    earlier: &'a [FeatureRecord],
-    verifier: Verifier,
+    pub(crate) features: Vec<Arc<FeatureRecord>>,
 }
 
 /// The one session that a sequence is run in.
@@ -42,44 +40,18 @@ const FRAME_INTERVAL_NS: i64 = 1_000_000_000;
 
 impl FabMap {
     /// An empty map with an open session.
-    ///
-    /// # Errors
-    /// [`EvalError::Mapper`] if a setting is out of range.
-    pub fn new(model: &Model, settings: MapperSettings, seed: u64) -> Result<Self, EvalError> {
-        let mut mapper = Mapper::new(model, settings)?;
+    pub(crate) fn new(model: &Model, settings: MapperSettings, seed: u64) -> Result<Self> {
+        let mut mapper = Mapper::new(model, settings).map_err(refused)?;
         let opened = MapEvent::SessionOpened { session: SESSION };
-        mapper.apply(&opened).map_err(|reason| EvalError::Fold { index: 0, reason })?;
+        mapper.apply(&opened).map_err(fault)?;
         let verifier = Verifier::new(settings.verification, seed);
         Ok(Self { mapper, log: EventLog(vec![opened]), verifier, features: Vec::new() })
-    }
-
-    /// The map so far.
-    #[must_use]
-    pub fn mapper(&self) -> &Mapper {
-        &self.mapper
-    }
-
-    /// What was decided so far.
-    #[must_use]
-    pub fn log(&self) -> &EventLog {
-        &self.log
-    }
-
-    /// What the frames so far showed, by index in the sequence.
-    #[must_use]
-    pub fn features(&self) -> &[FeatureRecord] {
-        &self.features
     }
 }
 
 impl Ranking for FabMap {
-    fn rank(
-        &mut self,
-        index: usize,
-        observation: Observation,
-        features: FeatureRecord,
-        mut watch: FrameWatch,
-    ) -> Result<Ranked, EvalError> {
+    fn rank(&mut self, index: usize, seen: Observed, mut watch: FrameWatch) -> Result<Ranked> {
+        let Observed { observation, features } = seen;
         let words = observation.len();
         let input = FrameInput {
             session: SESSION,
@@ -88,17 +60,19 @@ impl Ranking for FabMap {
             odometry: None,
             observation,
         };
-        let Self { log, verifier, .. } = &*self;
-        let views = CurrentView { current: &features, log, earlier: &self.features, verifier: *verifier };
-        let Decided { event, recognition } = self
-            .mapper
-            .decide(input, &self.log, &views, &mut watch)
-            .map_err(|reason| EvalError::Frame { index, reason })?;
-        let (decision, proposal, new_place_posterior) =
-            (event.decision, event.proposal, event.new_place_posterior);
+        let views = CurrentView {
+            current: &features,
+            log: &self.log,
+            earlier: &self.features,
+            verifier: self.verifier,
+            camera: None,
+        };
+        let decided = in_memory::decide(&self.mapper, &self.log.0, input, &views, &mut watch);
+        let Decided { event, recognition, .. } = decided.with_context(|| format!("frame {index}"))?;
+        let FrameEvent { decision, proposal, new_place_posterior, .. } = event;
         let candidates = event.candidates.clone();
         let event = MapEvent::Frame(Box::new(event));
-        self.mapper.apply(&event).map_err(|reason| EvalError::Fold { index, reason })?;
+        self.mapper.apply(&event).map_err(fault).with_context(|| format!("frame {index}"))?;
         let times = watch.stop();
 
         let Decision { reason, place, posterior, closure } = decision;
@@ -125,7 +99,7 @@ impl Ranking for FabMap {
             times,
         };
         self.log.0.push(event);
-        self.features.push(features);
+        self.features.push(Arc::new(features));
         Ok(ranked)
     }
 
@@ -143,7 +117,7 @@ impl EventLog {
     /// The index in the sequence is the sequence number that the frame was sent with.
     fn proposal(&self, matched: Match, candidates: &[Candidate]) -> Option<Proposal> {
         let Match { place: _, posterior, log_odds, frame } = matched;
-        let index = usize::try_from(self.frame(frame)?.sequence).ok()?;
+        let index = self.index(frame)?;
         let candidate = candidate_of(candidates, frame);
         let score = candidate.map_or(log_odds, Candidate::score);
         let probability = Some(candidate.map_or(posterior, Candidate::probability));
@@ -153,19 +127,4 @@ impl EventLog {
 
 fn candidate_of(candidates: &[Candidate], frame: FrameId) -> Option<&Candidate> {
     candidates.iter().find(|candidate| candidate.matched.frame == frame)
-}
-
-impl Views for CurrentView<'_> {
-    fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
-        let index = self.log.frame(earlier).and_then(|event| usize::try_from(event.sequence).ok());
-        let Some(earlier) = index.and_then(|index| self.earlier.get(index)) else {
-            return Err(ArchiveError { frame: earlier, why: "it is not in the log".to_owned() });
-        };
-        let view = |features| View { features, camera: None };
-        Ok(Some(self.verifier.compare(view(earlier), view(self.current))))
-    }
-
-    fn focal_length_widths(&self) -> Option<f64> {
-        None
-    }
 }

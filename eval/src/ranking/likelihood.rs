@@ -1,15 +1,18 @@
 //! FAB-MAP's likelihood alone: every earlier frame a place of its own, no map, no motion, no filter.
 
+use std::collections::VecDeque;
+
+use anyhow::Result;
 use fabmap::appearance::Appearance;
 use fabmap::calibration::EvidenceExponent;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
 use fabmap::place_filter::MotionPrior;
 use fabmap::recognizer::{Recognition, Recognizer, RecognizerSettings};
-use waypost_vision::feature_record::FeatureRecord;
 
 use super::{Proposal, Ranked, Ranking};
-use crate::error::EvalError;
+use crate::error::refused;
+use crate::observing::Observed;
 use crate::timing::FrameWatch;
 
 /// Ranks earlier frames by what the observation alone says of them.
@@ -18,40 +21,31 @@ use crate::timing::FrameWatch;
 /// are taken in full: the exponent that calibrates them is left out, for it keeps the order of a frame's
 /// places; it would change the order among frames, and posteriors here are not calibrated.
 #[derive(Clone, Debug)]
-pub struct LikelihoodRanking {
+pub(crate) struct LikelihoodRanking {
     recognizer: Recognizer,
     /// Frames that are too near to be proposed yet, oldest first.
-    waiting: std::collections::VecDeque<Observation>,
+    waiting: VecDeque<Observation>,
     gap: usize,
 }
 
 impl LikelihoodRanking {
     /// Frames closer than `gap`, at least 1, are not proposed.
-    ///
-    /// # Errors
-    /// [`EvalError::Mapper`] if a setting is out of range.
-    pub fn new(model: &Model, settings: RecognizerSettings, gap: usize) -> Result<Self, EvalError> {
+    pub(crate) fn new(model: &Model, settings: RecognizerSettings, gap: usize) -> Result<Self> {
         let plain = model.recalibrated(*model.detector(), EvidenceExponent::NONE);
-        let recognizer = Recognizer::new(&plain, settings)
-            .map_err(|reason| EvalError::Mapper(topomap::mapper::MapperError::Recognizer(reason)))?;
-        Ok(Self { recognizer, waiting: std::collections::VecDeque::new(), gap })
+        let recognizer = Recognizer::new(&plain, settings).map_err(refused)?;
+        Ok(Self { recognizer, waiting: VecDeque::new(), gap })
     }
 }
 
 impl Ranking for LikelihoodRanking {
-    fn rank(
-        &mut self,
-        index: usize,
-        observation: Observation,
-        _features: FeatureRecord,
-        mut watch: FrameWatch,
-    ) -> Result<Ranked, EvalError> {
+    fn rank(&mut self, index: usize, seen: Observed, mut watch: FrameWatch) -> Result<Ranked> {
+        let Observed { observation, features: _ } = seen;
         if self.waiting.len() == self.gap
             && let Some(far_enough) = self.waiting.pop_front()
         {
             self.recognizer.add_place(&Appearance::of(&far_enough));
         }
-        let recognition = self.recognizer.recognize(&observation, &MotionPrior::even(), &mut watch);
+        let recognition = self.recognizer.recognize_observed(&observation, &MotionPrior::even(), &mut watch);
         let words = observation.len();
         self.waiting.push_back(observation);
         let mut similarities = recognition.posterior.places.clone();

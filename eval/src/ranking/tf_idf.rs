@@ -1,43 +1,35 @@
 //! The baseline: the most similar earlier image by tf-idf, without probabilities, places or time.
 
+use anyhow::Result;
+use fabmap::baselines::TfIdf;
 use fabmap::model::Model;
-use fabmap::observation::Observation;
 use fabmap::recognizer::{Stage, StageObserver};
-use fabmap::tf_idf::TfIdf;
-
-use waypost_vision::feature_record::FeatureRecord;
 
 use super::{Proposal, Ranked, Ranking};
-use crate::error::EvalError;
+use crate::observing::Observed;
 use crate::timing::FrameWatch;
 
 /// Ranks earlier frames by the cosine of their tf-idf vectors.
 #[derive(Clone, Debug)]
-pub struct TfIdfRanking {
+pub(crate) struct TfIdfRanking {
     tf_idf: TfIdf,
     gap: usize,
 }
 
 impl TfIdfRanking {
     /// Words weighted by the model's sampling set; frames closer than `gap` are not proposed.
-    #[must_use]
-    pub fn new(model: &Model, gap: usize) -> Self {
+    pub(crate) fn new(model: &Model, gap: usize) -> Self {
         Self { tf_idf: TfIdf::new(model.sampling_set(), model.vocabulary().len()), gap }
     }
 }
 
 impl Ranking for TfIdfRanking {
-    fn rank(
-        &mut self,
-        index: usize,
-        observation: Observation,
-        _features: FeatureRecord,
-        mut watch: FrameWatch,
-    ) -> Result<Ranked, EvalError> {
+    fn rank(&mut self, index: usize, seen: Observed, mut watch: FrameWatch) -> Result<Ranked> {
+        let observation = &seen.observation;
         let words = observation.len();
-        let similarities = self.tf_idf.similarities(&observation);
+        let similarities = self.tf_idf.similarities(observation);
         watch.completed(Stage::Likelihood);
-        self.tf_idf.add(&observation);
+        self.tf_idf.add(observation);
         let far_enough = (index + 1).saturating_sub(self.gap);
         let proposal = best(&similarities[..far_enough.min(similarities.len())]);
         Ok(Ranked { words, proposal, decision: None, times: watch.stop(), similarities })

@@ -4,15 +4,15 @@
 //! vocabulary, images; then per image its number of words and those, ascending. `truth.txt`: a line per query,
 //! the place or -1. `tree.txt`: a line per word, `parent p(q) p(q|parent) p(q|no parent)`.
 
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use anyhow::{Result, anyhow};
 use fabmap::chow_liu::{ChowLiuTree, WordDependence};
 use fabmap::observation::{Observation, WordId};
 
 /// A workload as the generator wrote it.
 #[derive(Clone, Debug)]
-pub struct WorkloadFiles {
+pub(crate) struct WorkloadFiles {
     /// The tree that all images were drawn from.
     pub tree: ChowLiuTree,
     /// The places of the map, one look each.
@@ -25,45 +25,23 @@ pub struct WorkloadFiles {
 
 /// An observation and where it was made.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Query {
+pub(crate) struct Query {
     /// The place visited; `None` for a new one.
     pub place: Option<u32>,
     /// What was seen.
     pub observation: Observation,
 }
 
-/// A folder that is no workload.
-#[derive(Debug, thiserror::Error)]
-pub enum WorkloadFileError {
-    /// A file cannot be read.
-    #[error("{path} cannot be read ({reason}); give the folder that the generator wrote with --out")]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        reason: io::Error,
-    },
-    /// A file does not hold what it should.
-    #[error("{path}: {problem}; generate the workload anew")]
-    Malformed {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        problem: String,
-    },
-}
-
 const MAGIC: u32 = u32::from_le_bytes(*b"BOW1");
 
 impl WorkloadFiles {
     /// Reads a folder.
-    ///
-    /// # Errors
-    /// [`WorkloadFileError`] if a file is missing, malformed, or does not fit the others.
-    pub fn open(folder: &Path) -> Result<Self, WorkloadFileError> {
+    pub(crate) fn open(folder: &Path) -> Result<Self> {
         let tree: ChowLiuTree = parse(&folder.join("tree.txt"), |bytes| tree(text(bytes)?))?;
         let read = |name: &str| parse(&folder.join(name), |bytes| images(bytes, tree.len()));
-        let (places, training, queries) = (read("places.bin")?, read("train.bin")?, read("queries.bin")?);
+        let places = read("places.bin")?;
+        let training = read("train.bin")?;
+        let queries = read("queries.bin")?;
         let truth =
             parse(&folder.join("truth.txt"), |bytes| truth(text(bytes)?, queries.len(), places.len()))?;
         let queries = truth.into_iter().zip(queries);
@@ -72,10 +50,12 @@ impl WorkloadFiles {
     }
 }
 
-fn parse<T>(path: &Path, parse: impl FnOnce(&[u8]) -> Result<T, String>) -> Result<T, WorkloadFileError> {
-    let bytes = std::fs::read(path)
-        .map_err(|reason| WorkloadFileError::Unreadable { path: path.to_owned(), reason })?;
-    parse(&bytes).map_err(|problem| WorkloadFileError::Malformed { path: path.to_owned(), problem })
+fn parse<T>(path: &Path, parse: impl FnOnce(&[u8]) -> Result<T, String>) -> Result<T> {
+    let bytes = std::fs::read(path).map_err(|reason| {
+        let path = path.display();
+        anyhow!("{path} cannot be read ({reason}); give the folder that the generator wrote with --out")
+    })?;
+    parse(&bytes).map_err(|problem| anyhow!("{}: {problem}; generate the workload anew", path.display()))
 }
 
 fn text(bytes: &[u8]) -> Result<&str, String> {
@@ -100,7 +80,7 @@ fn images(bytes: &[u8], vocabulary_len: usize) -> Result<Vec<Observation>, Strin
     let mut images = Vec::new();
     for _ in 0..count {
         let len = next()?;
-        let words = (0..len).map(|_| next()).collect::<Result<Vec<WordId>, _>>()?;
+        let words = (0..len).map(|_| next()).collect::<Result<Vec<u32>, _>>()?;
         images.push(Observation::from_words(words, vocabulary_len).map_err(|error| error.to_string())?);
     }
     match next() {
@@ -114,7 +94,7 @@ fn tree(text: &str) -> Result<ChowLiuTree, String> {
         let fields: Vec<&str> = line.split_ascii_whitespace().collect();
         let &[parent, marginal, seen, unseen] = &fields[..] else { return None };
         Some(WordDependence {
-            parent: parent.parse().ok()?,
+            parent: WordId::new(parent.parse().ok()?),
             marginal: marginal.parse().ok()?,
             given_parent_seen: seen.parse().ok()?,
             given_parent_unseen: unseen.parse().ok()?,
@@ -147,6 +127,7 @@ mod tests {
     use super::*;
     use crate::workload::{Use, Workload, WorkloadSettings};
     use std::fs;
+    use std::path::PathBuf;
 
     /// Written by the generator: `--V 60 --N 25 --W 12 --train 15 --queries 10 --seed 7`.
     fn fixture() -> PathBuf {
@@ -174,7 +155,7 @@ mod tests {
         let settings =
             WorkloadSettings { words: 60, words_per_image: 12.0, seed: 7, ..WorkloadSettings::default() };
         let workload = Workload::new(settings).unwrap();
-        for word in 0..60 {
+        for word in WordId::first(60) {
             let (theirs, ours) = (tree.marginal(word, true), workload.tree().marginal(word, true));
             assert!((theirs - ours).abs() < 1e-8, "word {word}: {theirs} {ours}");
             let Some(parent) = tree.parent(word) else { continue };
@@ -205,6 +186,7 @@ mod tests {
         assert!(refusal("truth.txt", &|_| b"-1\n".to_vec()).contains("1 lines for 10"));
         assert!(refusal("tree.txt", &|_| b"0 0.5 0.5\n".to_vec()).contains("line 1"));
         fs::remove_file(folder.path().join("tree.txt")).unwrap();
-        assert!(matches!(WorkloadFiles::open(folder.path()), Err(WorkloadFileError::Unreadable { .. })));
+        let message = WorkloadFiles::open(folder.path()).unwrap_err().to_string();
+        assert!(message.contains("tree.txt cannot be read"), "{message}");
     }
 }

@@ -58,8 +58,7 @@ fn the_index_does_with_words_that_were_learnt_elsewhere() {
 fn what_cannot_be_measured_is_refused() {
     let numbers =
         [["--trials", "0"], ["--people", "9"], ["--panoramas", "1"], ["--reference", "0"], ["--words", "1"]];
-    let no_recordings = [["--parts", "compass"], ["--parts", "everything"]];
-    for arguments in numbers.iter().chain(&no_recordings) {
+    for arguments in numbers.iter().chain(&[["--parts", "everything"]]) {
         waypost_eval(&[&["appearance"], &arguments[..]].concat()).refusal(2);
     }
 }

@@ -33,7 +33,7 @@ fn wrong_arguments_exit_with_2() {
     assert_says(sequence(&world, "model", &["--new-place-prior", "1"]).refusal(2), &["between 0 and 1"]);
     assert_says(sequence(&world, "model", &["--false-positive-rate", "0.5"]).refusal(2), &["below the true"]);
     assert_says(
-        sequence(&world, "model", &["--ranking", "tf-idf", "--dependence", "chow-liu"]).refusal(2),
+        sequence(&world, "model", &["--ranking", "tf-idf", "--dependence", "chow_liu"]).refusal(2),
         &["tf-idf", "leave out"],
     );
     let images = world.text("training");

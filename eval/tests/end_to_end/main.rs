@@ -3,11 +3,10 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking, helpers included")]
 
 mod appearance;
-mod comparing;
+mod calibrating;
 mod errors;
 mod mapping;
 mod navigating;
-mod new_place;
 mod posegraph;
 mod real_data;
 mod scale;

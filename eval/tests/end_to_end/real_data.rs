@@ -73,25 +73,3 @@ fn twelve_months_of_five_places() {
     let baseline = run(2, "baseline", &["--ranking", "tf-idf"]);
     assert!(baseline["average_precision"].as_f64().unwrap() > 0.5, "{baseline}");
 }
-
-#[test]
-fn whole_panoramas_are_a_compass() {
-    let Some(data) = data_folder(&["panorama_alife"]) else { return };
-    let data = data.join("panorama_alife").display().to_string();
-    let report = waypost_eval(&["appearance", "--parts", "compass", "--data", &data, "--json"]).json();
-    let compass = &report["compass"];
-    assert_eq!(
-        (compass["taught"].as_u64(), compass["repeats"][1]["frames"].as_u64()),
-        (Some(455), Some(136))
-    );
-    let median = |sizes: &serde_json::Value| sizes["median"].as_f64().unwrap();
-    let over_four_seconds = &compass["turns"][3];
-    assert!(median(&over_four_seconds["error"]) < 0.3 * median(&over_four_seconds["turned"]), "{compass}");
-    for repeat in compass["repeats"].as_array().unwrap() {
-        assert!(
-            median(&repeat["against_tracks"]) < 0.15 && median(&repeat["against_recorded"]) < 0.15,
-            "{repeat}"
-        );
-        assert!(repeat["oriented"].as_u64().unwrap() >= 20, "{repeat}");
-    }
-}

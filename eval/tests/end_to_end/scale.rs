@@ -4,7 +4,7 @@ use std::fs;
 
 use serde_json::Value;
 
-use crate::tool::waypost_eval;
+use crate::tool::{waypost_eval, waypost_eval_on_threads};
 
 const SMALL: [&str; 9] =
     ["scale", "--places", "5000", "--words", "2000", "--samples", "100", "--queries", "40"];
@@ -55,9 +55,48 @@ fn bail_out_evaluates_few_terms_and_decides_alike() {
     assert_eq!(report["bail_out_queries"], 40);
 }
 
+/// What the whole map takes for what, by one way to stand in for new places.
+fn mistakes(threads: usize, places: &str, new_place: &str, seed: &str) -> Value {
+    let workload =
+        ["scale", "--words", "3000", "--samples", "300", "--queries", "300", "--json", "--mistakes"];
+    let chosen = ["--places", places, "--new-place", new_place, "--seed", seed];
+    waypost_eval_on_threads(threads, &[&workload[..], &chosen].concat()).json()["mistakes"].clone()
+}
+
+#[test]
+fn the_tail_of_the_samples_stays_right_as_the_map_grows() {
+    for places in ["30", "900"] {
+        let tail = mistakes(2, places, "tail", "5");
+        assert_eq!((&tail["new_queries"], &tail["revisit_queries"]), (&Value::from(150), &Value::from(150)));
+        assert!(tail["false_accepts"].as_u64().unwrap() <= 3, "{tail}");
+        assert!(tail["revisits_accepted"].as_u64().unwrap() >= 145, "{tail}");
+        assert!(tail["ece"].as_f64().unwrap() <= 0.05, "{tail}");
+    }
+    let mistaken = |places| mistakes(2, places, "sampled", "5")["false_accepts"].as_u64().unwrap();
+    assert!(mistaken("900") > mistaken("30") + 10, "a mean was not outdone");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_mistakes_on_any_number_of_threads() {
+    assert_eq!(mistakes(1, "60", "sampled", "5"), mistakes(4, "60", "sampled", "5"));
+    assert_ne!(mistakes(2, "60", "sampled", "5"), mistakes(2, "60", "sampled", "6"));
+}
+
+#[test]
+fn what_cannot_be_measured_is_refused() {
+    assert!(waypost_eval(&["scale", "--words", "599"]).refusal(2).contains("at least twice"));
+    assert!(waypost_eval(&["scale", "--places", "0"]).refusal(2).contains("--places"));
+    assert!(waypost_eval(&["scale", "--workload", "nowhere"]).refusal(1).contains("nowhere/tree.txt"));
+    assert!(waypost_eval(&["scale", "--workload", "x", "--seed", "3"]).refusal(2).contains("--seed"));
+}
+
 #[test]
 fn the_generators_files_can_be_measured() {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/workload");
-    let report = waypost_eval(&["scale", "--workload", folder, "--json"]).json();
+    let report = waypost_eval(&["scale", "--workload", folder, "--mistakes", "--json"]).json();
+    assert_eq!(
+        (&report["mistakes"]["new_queries"], &report["mistakes"]["revisit_queries"]),
+        (&Value::from(5), &Value::from(5))
+    );
     assert_eq!([&report["places"], &report["words"], &report["postings"]], [25, 60, 278]);
 }

@@ -72,19 +72,6 @@ impl World {
         waypost_eval(&[&arguments[..], &settings].concat()).json();
     }
 
-    /// A sequence of so many visits of the same places, each two pixels to the right of the last; it is at
-    /// `path("visits")`.
-    pub(crate) fn visits(&self, visits: usize) {
-        let mut loops = "query_index,match_index\n".to_owned();
-        for index in 0..visits * PLACES {
-            let (visit, place) = (index / PLACES, index % PLACES);
-            let image = texture(place as u64, 2 * visit as u32);
-            save(&image, &self.path("visits").join(format!("images/{index:06}.png")));
-            (0..visit).for_each(|earlier| loops.push_str(&format!("{index},{}\n", earlier * PLACES + place)));
-        }
-        fs::write(self.path("visits").join("loops.csv"), loops).unwrap();
-    }
-
     /// Runs the sequence with `--json` and more arguments; results are at `path(out)`.
     pub(crate) fn run(&self, model: &str, out: &str, more: &[&str]) -> Value {
         let (sequence, model, out) = (self.text("sequence"), self.text(model), self.text(out));
@@ -187,7 +174,7 @@ fn index_and_dense_scorer_decide_alike() {
     let world = World::new();
     world.train("model");
     for variant in
-        [["--dependence", "chow-liu"], ["--new-place", "mean-field"], ["--dependence", "naive-bayes"]]
+        [["--dependence", "chow_liu"], ["--new-place", "mean_field"], ["--dependence", "naive_bayes"]]
     {
         let decisions = ["index", "dense"].map(|scorer| {
             world.run("model", scorer, &[&["--scorer", scorer], &variant[..]].concat());

@@ -3,9 +3,10 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::{EvidenceExponent, pairs};
+use super::pairs;
 use crate::appearance::Appearance;
 use crate::detector::DetectorModel;
+use crate::evidence_exponent::EvidenceExponent;
 use crate::inverted_index::InvertedIndex;
 use crate::likelihood::{Dependence, ObservationModel};
 use crate::model::Model;
@@ -66,9 +67,9 @@ const MAX_PAIRS: usize = 200;
 /// neither on the staged map nor samples of other places.
 const NEAR_SAMPLES: usize = 30;
 
-/// The model with the rates and the exponent that its own training images teach, and what was learnt; with what was
-/// learnt from other images, and `None`, if too few of its own overlap. `observer` as for [`learn`]; it breaks off
-/// what it cancels.
+/// The model with the rates and the exponent that its own training images teach, and what was
+/// learnt; with what was learnt from other images, and `None`, if too few of its own overlap.
+/// `observer` as for [`learn`]; it breaks off what it cancels.
 pub fn calibrate(
     model: &Model,
     observer: &mut dyn FnMut(f64) -> ControlFlow<()>,
@@ -85,14 +86,15 @@ pub fn calibrate(
     }
 }
 
-/// What 5,000 RootSIFT words of office floors come to, and of streets nearly, too.
+/// What is learnt for 5,000 RootSIFT words of office floors; streets give nearly the same.
 fn typical() -> (DetectorModel, EvidenceExponent) {
     let detector = DetectorModel::new(0.25, 0.01).unwrap_or_default();
     (detector, EvidenceExponent::new(0.12).unwrap_or(EvidenceExponent::NONE))
 }
 
-/// Learns how far the likelihoods of `model` can be trusted, from its sampling set, which has to be in
-/// order of time as training makes it. `observer` hears the fraction done, in [0, 1], and may cancel.
+/// Learns how far the likelihoods of `model` can be trusted, from its sampling set, which has to be
+/// in order of time as training makes it. `observer` is called with the fraction done, in [0, 1],
+/// and may cancel.
 ///
 /// # Errors
 /// [`LearnError`].
@@ -147,9 +149,9 @@ struct Trial {
     elsewhere: Vec<f64>,
 }
 
-/// Every query twice: against places looked at once, and against such that also took in the look
-/// before, as places of a map do. The samples of other places are single looks either way, as in the
-/// new-place term.
+/// Every query twice: against places looked at once, and against places that also have the look
+/// before it, as places of a map do. The samples of other places are single looks either way, as in
+/// the new-place term.
 fn trials(model: &Model, detector: DetectorModel, pairs: &[(usize, usize)]) -> Vec<Trial> {
     let samples = model.sampling_set();
     let observation_model = Arc::new(ObservationModel::new(model.tree(), detector, Dependence::ChowLiu));
@@ -177,11 +179,13 @@ fn trials(model: &Model, detector: DetectorModel, pairs: &[(usize, usize)]) -> V
 }
 
 impl Trial {
-    /// -ln p(the right place) with the neighbour on the map, and -ln p(new) without it; in either case
-    /// a new place is as probable beforehand as all known ones together, for so they are staged.
+    /// -ln p(the right place) with the neighbour on the map, and -ln p(new) without it; in either
+    /// case a new place is as probable beforehand as all known ones together, for so they are
+    /// staged.
     fn losses_nats(&self, exponent: f64) -> [f64; 2] {
         let tempered = |scores: &[f64]| -> Vec<f64> { scores.iter().map(|score| exponent * score).collect() };
-        let (others, elsewhere) = (tempered(&self.other_places), tempered(&self.elsewhere));
+        let others = tempered(&self.other_places);
+        let elsewhere = tempered(&self.elsewhere);
         let same = exponent * self.same_place;
         let known = log_sum_exp(&others);
         let new = log_sum_exp(&elsewhere) - (elsewhere.len() as f64).ln();
@@ -197,8 +201,9 @@ fn loss_nats(trials: &[Trial], exponent: f64) -> f64 {
     losses.iter().flatten().sum::<f64>() / (2 * losses.len()) as f64
 }
 
-/// The exponent of least loss, by golden section over its logarithm. The loss of a revisit is convex in
-/// the exponent; that of a new place, whose own score is a mean over samples, need not be.
+/// The exponent of least loss, by golden section over its logarithm. The loss of a revisit is
+/// convex in the exponent; that of a new place, whose own score is a mean over samples, need not
+/// be.
 fn best_exponent(trials: &[Trial]) -> (EvidenceExponent, f64) {
     const STEPS: usize = 16;
     let golden = (5f64.sqrt() - 1.0) / 2.0;

@@ -1,10 +1,10 @@
 //! Two looks at one place, found among training images that are in order of time.
 
+use crate::baselines::TfIdf;
 use crate::observation::Observation;
-use crate::tf_idf::TfIdf;
 
-/// Samples that follow each other and overlap: (earlier, later = earlier + 1), at most `most` of them,
-/// evenly spread.
+/// Samples that follow each other and overlap: (earlier, later = earlier + 1), at most `most` of
+/// them, evenly spread.
 ///
 /// They overlap if their tf-idf cosine is above that of 99 in 100 pairs half the set apart, which
 /// show different places. Images in no order have about as many such neighbours as chance gives.

@@ -3,30 +3,25 @@
 use super::directory::Directory;
 use super::heavy_words::{FEWEST_PLACES, HeavyWords, set_places};
 use super::place_words::PlaceWords;
+use super::posting::{BLOCK_PLACES, Posting, RecentByWord};
 use super::prefetch::prefetch;
 use super::weights::{CLASSES, FixedPoint, LookClass, QueryWeights, class_offset, fixed_point, nats};
 use crate::appearance::Appearance;
 use crate::likelihood::ObservationModel;
 use crate::observation::{Observation, WordId};
 
-/// Places whose scores stay in the first-level cache while all words of a query are added; so many that a place's
-/// number within the block leaves the four bits that its k needs in a posting of 16.
-pub(super) const BLOCK_PLACES: usize = 4096;
-
-/// A place within its block (the lower 12 bits) with the k of one word there.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Posting(u16);
-
-/// Postings by word, in three parts. Most are sealed, by word and then by place, and cost two bytes each. Words that an
-/// eighth of the places show are bits, for places that were looked at once. What has come since is at hand in no order,
-/// and is merged when it has become a thirty-second of the block, or an eighth of one that still grows: so adding is
-/// cheap, and so is looking through all that has come.
+/// Postings by word, in three parts. Most are sealed, by word and then by place, and cost two bytes
+/// each. Words that an eighth of the places show are bits, for places that were looked at once.
+/// What has come since is at hand in no order, and is merged when it has become a thirty-second of
+/// the block, or an eighth of one that still grows: so adding is cheap, and so is looking through
+/// all that has come.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Block {
     looks: Vec<u8>,
     /// [`class_offset`] of the looks.
     class_offsets: Vec<LookClass>,
-    /// Σ over the place's words: what they say to a query that shows neither word nor parent, in nats.
+    /// Σ over the place's words: what they say to a query that shows neither word nor parent, in
+    /// nats.
     unseen_gains: Vec<FixedPoint>,
     words: Vec<PlaceWords>,
     /// Places with other looks than one.
@@ -49,51 +44,6 @@ enum Location {
 
 /// Words whose postings are on their way from memory while those of another are added.
 const WORDS_AHEAD: usize = 16;
-
-/// Recent postings by word; of each in the order they came in.
-struct RecentByWord {
-    first: Vec<u32>,
-    postings: Vec<Posting>,
-}
-
-impl RecentByWord {
-    /// By counting, in time proportional to postings and words.
-    fn sorted(words_of: &[WordId], postings: &[Posting], words: usize) -> Self {
-        let mut first = vec![0; words + 1];
-        words_of.iter().for_each(|&word| first[word as usize + 1] += 1);
-        for word in 0..words {
-            first[word + 1] += first[word];
-        }
-        let mut next = first.clone();
-        let mut sorted = vec![Posting(0); postings.len()];
-        for (&word, &posting) in words_of.iter().zip(postings) {
-            sorted[next[word as usize] as usize] = posting;
-            next[word as usize] += 1;
-        }
-        Self { first, postings: sorted }
-    }
-
-    fn of(&self, word: WordId) -> &[Posting] {
-        let (first, end) = (self.first[word as usize], self.first[word as usize + 1]);
-        &self.postings[first as usize..end as usize]
-    }
-}
-
-impl Posting {
-    fn new(place: usize, hits: u8) -> Self {
-        Self((usize::from(hits) << 12 | place) as u16)
-    }
-
-    #[inline(always)]
-    fn place(self) -> usize {
-        usize::from(self.0) % BLOCK_PLACES
-    }
-
-    #[inline(always)]
-    fn hits(self) -> u8 {
-        (self.0 >> 12) as u8
-    }
-}
 
 impl Block {
     /// Number of places.
@@ -149,8 +99,8 @@ impl Block {
         if self.directory.is_empty() {
             return;
         }
-        // Runs are short and lie far apart: the processor would wait for each. So where a run lies is asked for
-        // two steps ahead, and the run itself one step ahead.
+        // Runs are short and lie far apart: the processor would wait for each. So where a run lies
+        // is asked for two steps ahead, and the run itself one step ahead.
         let mut ahead: [&[Posting]; WORDS_AHEAD] = [&[]; WORDS_AHEAD];
         for step in 0..query.words.len() + 2 * WORDS_AHEAD {
             if let Some(weight) = query.words.get(step) {
@@ -166,7 +116,8 @@ impl Block {
         }
     }
 
-    /// `add` gets each recent posting of an informative word with that word's position in the query.
+    /// `add` gets each recent posting of an informative word with that word's position in the
+    /// query.
     #[inline(always)]
     fn add_recent(&self, query: &QueryWeights, mut add: impl FnMut(usize, Posting)) {
         for (&word, &posting) in self.recent_words.iter().zip(&self.recent) {
@@ -176,7 +127,7 @@ impl Block {
         }
     }
 
-    /// Adds a place behind the others; there must be room. [`Block::settle`] is due after it, or after some.
+    /// Appends a place; there must be room. Call [`Block::settle`] after it, or after several.
     pub(super) fn add(&mut self, model: &ObservationModel, appearance: &Appearance) {
         let place = self.len();
         self.words.push(PlaceWords::new(appearance.word_hits().map(|(word, _)| word)));
@@ -205,7 +156,7 @@ impl Block {
                 Some((_, Location::Sealed(index))) => self.sealed[index] = posting,
                 Some((_, Location::Recent(index))) => self.recent[index] = posting,
                 other => {
-                    // With a second look it is no longer one of the places that bits can tell of.
+                    // Bits stand for places looked at once; with a second look it is one no longer.
                     if other.is_some() {
                         self.heavy.remove(word, place);
                     }
@@ -301,14 +252,14 @@ impl Block {
         }
     }
 
-    /// Seals the recent postings, and tells anew which words are heavy.
+    /// Seals the recent postings, and decides again which words are heavy.
     pub(super) fn merge(&mut self, words: usize) {
         let recent = RecentByWord::sorted(&self.recent_words, &self.recent, words);
         let mut sealed: Vec<Posting> = Vec::with_capacity(self.sealed.len() + self.recent.len());
         let mut directory = Directory::with_capacity(words);
         let mut heavy = HeavyWords::default();
         let mut heavy_before = self.heavy.iter().peekable();
-        for word in 0..words as WordId {
+        for word in WordId::first(words) {
             let start = sealed.len();
             directory.push(start);
             let known = self.sealed_of(word);
@@ -338,7 +289,8 @@ impl Block {
         }
     }
 
-    /// Takes from the postings of `word`, those from `start` on, what bits tell better.
+    /// Moves the postings of `word`, those from `start` on, into bits where there are enough for
+    /// that.
     fn make_heavy(&self, word: WordId, start: usize, sealed: &mut Vec<Posting>, heavy: &mut HeavyWords) {
         let seen_once = |posting: &Posting| self.looks[posting.place()] == 1;
         if sealed[start..].iter().filter(|posting| seen_once(posting)).count() < FEWEST_PLACES {

@@ -2,12 +2,12 @@
 
 use std::ops::Range;
 
-use super::block::BLOCK_PLACES;
+use super::posting::BLOCK_PLACES;
 use super::prefetch::prefetch;
 use crate::observation::WordId;
 
-/// Starts of runs that follow each other, one per word. The 14 words of a group share 32 bytes, so that a run is found
-/// with one line of memory.
+/// Starts of runs that follow each other, one per word. The 14 words of a group share 32 bytes, so
+/// that a run is found with one line of memory.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Directory {
     groups: Vec<Group>,
@@ -53,7 +53,7 @@ impl Directory {
     /// The run of a word; empty where there is nothing yet.
     #[inline(always)]
     pub(super) fn run(&self, word: WordId) -> Range<usize> {
-        let word = word as usize;
+        let word = word.index();
         let start = |word: usize| {
             let group = &self.groups[word / GROUP_WORDS];
             group.start as usize + usize::from(group.beyond[word % GROUP_WORDS])
@@ -61,10 +61,11 @@ impl Directory {
         if word + 1 < self.len { start(word)..start(word + 1) } else { 0..0 }
     }
 
-    /// Has the processor fetch what [`Directory::run`] reads; all but the next group, which is mostly not needed.
+    /// Has the processor fetch what [`Directory::run`] reads; all but the next group, which is
+    /// mostly not needed.
     #[inline(always)]
     pub(super) fn prefetch(&self, word: WordId) {
-        let group = word as usize / GROUP_WORDS;
+        let group = word.index() / GROUP_WORDS;
         prefetch(&self.groups[group..=group]);
     }
 
@@ -82,7 +83,7 @@ mod tests {
         #[test]
         fn runs_follow_each_other(lengths in proptest::collection::vec(prop_oneof![0..5usize, Just(BLOCK_PLACES)], 0..100)) {
             let mut directory = Directory::with_capacity(lengths.len());
-            prop_assert_eq!(directory.run(0), 0..0);
+            prop_assert_eq!(directory.run(WordId::new(0)), 0..0);
             let mut start = 0;
             for length in &lengths {
                 directory.push(start);
@@ -90,7 +91,7 @@ mod tests {
             }
             directory.push(start);
             let mut start = 0;
-            for (word, length) in (0..).zip(&lengths) {
+            for (word, length) in WordId::all().zip(&lengths) {
                 directory.prefetch(word);
                 prop_assert_eq!(directory.run(word), start..start + length);
                 start += length;

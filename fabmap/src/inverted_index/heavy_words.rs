@@ -4,15 +4,15 @@
     expect(unsafe_code, reason = "code compiled for AVX-512 is called after asking the processor for it")
 )]
 
-use super::block::BLOCK_PLACES;
+use super::posting::BLOCK_PLACES;
 use super::weights::{FixedPoint, QueryWeights};
 use crate::observation::WordId;
 
 /// The places of a block that were looked at once and showed a word.
 pub(super) type PlaceBits = [u64; BLOCK_PLACES / 64];
 
-/// A word with at least so many places takes no more memory as bits than as postings, and less time: eight places are
-/// added at once, whether they have the word or not.
+/// A word with at least so many places takes no more memory as bits than as postings, and less
+/// time: eight places are added at once, whether they have the word or not.
 pub(super) const FEWEST_PLACES: usize = BLOCK_PLACES / 8;
 
 /// Heavy words of a block, ascending.

@@ -13,10 +13,12 @@ pub(super) struct PlaceWords {
 impl PlaceWords {
     /// From words ascending, each once.
     pub(super) fn new(words: impl Iterator<Item = WordId>) -> Self {
-        let (mut writer, mut previous, mut len) = (Writer::default(), 0, 0);
+        let mut writer = Writer::default();
+        let mut previous = 0;
+        let mut len = 0;
         for word in words {
-            writer.varint(u64::from(word - previous));
-            previous = word;
+            writer.varint(u64::from(word.number() - previous));
+            previous = word.number();
             len += 1;
         }
         Self { bytes: writer.into_bytes().into_boxed_slice(), len }
@@ -32,7 +34,8 @@ impl PlaceWords {
         let mut bytes = self.bytes.iter();
         let mut word = 0;
         std::iter::from_fn(move || {
-            let (mut step, mut shift) = (0, 0);
+            let mut step = 0;
+            let mut shift = 0;
             loop {
                 let byte = *bytes.next()?;
                 step |= u32::from(byte & 0x7f) << shift;
@@ -42,7 +45,7 @@ impl PlaceWords {
                 shift += 7;
             }
             word += step;
-            Some(word)
+            Some(WordId::new(word))
         })
     }
 
@@ -59,7 +62,7 @@ mod tests {
     proptest! {
         #[test]
         fn words_come_back(words in proptest::collection::btree_set(any::<u32>(), 0..300)) {
-            let words: Vec<WordId> = words.into_iter().collect();
+            let words: Vec<WordId> = words.into_iter().map(WordId::new).collect();
             let kept = PlaceWords::new(words.iter().copied());
             prop_assert_eq!(kept.len(), words.len());
             prop_assert_eq!(kept.iter().collect::<Vec<_>>(), words);

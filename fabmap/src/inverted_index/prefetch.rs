@@ -7,8 +7,8 @@
 /// Bytes that come from memory together.
 const LINE_BYTES: usize = 64;
 
-/// Has the processor fetch all of `values` into its first-level cache while it goes on; where that cannot be asked for,
-/// nothing happens.
+/// Has the processor fetch all of `values` into its first-level cache while it goes on; where that
+/// cannot be asked for, nothing happens.
 #[inline(always)]
 pub(super) fn prefetch<T>(values: &[T]) {
     #[cfg(target_arch = "x86_64")]

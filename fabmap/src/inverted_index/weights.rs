@@ -4,9 +4,9 @@ use crate::appearance::Appearance;
 use crate::likelihood::{COUNTS, ObservationModel, WordState, count_index};
 use crate::observation::WordId;
 
-/// Nats as integers: sums of them are the same in any order, so that neither the order of postings nor the number
-/// of threads can be seen in a score. Within 2^-41 of the exact value, that is 5e-13 nats a word; sums of up to
-/// 8 million nats.
+/// Nats as integers: sums of them are the same in any order, so that neither the order of postings
+/// nor the number of threads can be seen in a score. Within 2^-41 of the exact value, that is 5e-13
+/// nats a word; sums of up to 8 million nats.
 pub(super) type FixedPoint = i64;
 
 const FIXED_POINTS_PER_NAT: f64 = (1_u64 << 40) as f64;
@@ -30,11 +30,12 @@ pub(super) const fn class_offset(looks: u8) -> LookClass {
     }
 }
 
-/// Weights by [`LookClass`]; a power of 2, so that an index can be reduced to it instead of checked.
+/// Weights by [`LookClass`]; a power of 2, so that an index can be reduced to it instead of
+/// checked.
 pub(super) const CLASSES: usize = 128;
 pub(super) type ClassWeights = [FixedPoint; CLASSES];
 
-/// A query, readied for the places of an index. Kept between queries it saves their allocations.
+/// A query, prepared for the places of an index; reusing it saves allocations.
 #[derive(Clone, Debug, Default)]
 pub struct QueryWeights {
     /// C_n(Z) by n.
@@ -44,11 +45,13 @@ pub struct QueryWeights {
     pub(super) of_classes: Vec<ClassWeights>,
     /// Per word of the vocabulary that is informative: its index in `words`.
     positions: Vec<u32>,
-    /// Per word of the vocabulary a bit: whether it is in `words`. Most are not, and the bits are near.
+    /// Per word of the vocabulary a bit: whether it is in `words`. Most are not, and the bits are
+    /// near.
     informative: Vec<u64>,
 }
 
-/// By how much a query that shows a word as it does differs from one that shows neither it nor its parent.
+/// By how much a query that shows a word as it does differs from one that shows neither it nor its
+/// parent.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct WordWeight {
     pub(super) word: WordId,
@@ -57,10 +60,10 @@ pub(super) struct WordWeight {
 }
 
 impl QueryWeights {
-    /// Readies a query for places of at most `most_looks`.
+    /// Prepares a query for places of at most `most_looks`.
     pub(super) fn prepare(&mut self, model: &ObservationModel, informative: &[WordState], most_looks: u8) {
         // Before the sizes change: the query before may have been of a larger vocabulary.
-        self.words.drain(..).for_each(|weight| self.informative[weight.word as usize / 64] = 0);
+        self.words.drain(..).for_each(|weight| self.informative[weight.word.index() / 64] = 0);
         self.positions.resize(model.vocabulary_len(), 0);
         self.informative.resize(model.vocabulary_len().div_ceil(64), 0);
         self.words.extend(informative.iter().map(|&state| WordWeight {
@@ -68,8 +71,8 @@ impl QueryWeights {
             of_one_look: fixed_point(model.one_look(state).at_places_with_it),
         }));
         for (position, weight) in (0..).zip(&self.words) {
-            self.positions[weight.word as usize] = position;
-            self.informative[weight.word as usize / 64] |= 1 << (weight.word % 64);
+            self.positions[weight.word.index()] = position;
+            self.informative[weight.word.index() / 64] |= 1 << (weight.word.number() % 64);
         }
         self.of_classes.clear();
         self.empty_place = std::array::from_fn(|looks| model.log_likelihood_of_nothing(looks as u8));
@@ -86,8 +89,8 @@ impl QueryWeights {
     /// Where a word is in `words`; `None` if it is not informative.
     #[inline(always)]
     pub(super) fn position(&self, word: WordId) -> Option<usize> {
-        let informative = self.informative[word as usize / 64] >> (word % 64) & 1 == 1;
-        informative.then(|| self.positions[word as usize] as usize)
+        let informative = self.informative[word.index() / 64] >> (word.number() % 64) & 1 == 1;
+        informative.then(|| self.positions[word.index()] as usize)
     }
 
     /// What a word adds at a place whose one look showed it; `None` if it is not informative.

@@ -88,7 +88,7 @@ impl From<TreeTrainingError> for ModelTrainingError {
 
 impl Model {
     /// Vocabulary, tree and sampling set from the descriptors of training images, one set an image.
-    /// `extractor` names how they were made. `observer` hears of the progress and may cancel.
+    /// `extractor` names how they were made. `observer` is called with the progress and may cancel.
     ///
     /// # Errors
     /// [`ModelTrainingError`].
@@ -147,7 +147,7 @@ fn observe_all(
     Ok(observations)
 }
 
-/// At most `wanted` descriptors, every so-manieth of all in order.
+/// At most `wanted` descriptors, evenly spaced over all of them in order.
 fn evenly_taken_descriptors(
     images: &[Descriptors],
     wanted: usize,

@@ -3,9 +3,9 @@
 /// The upper tail of log-likelihoods of places that have nothing to do with the observation.
 ///
 /// Above a high threshold t the tail of almost any distribution is a generalised Pareto one
-/// (Pickands 1975). A log-likelihood is a sum over many words, whose tail falls off as an exponential
-/// or faster: P(ln p(Z | L) > t + x) = share · exp(-x / scale), or less. The mean excess is the
-/// maximum-likelihood scale.
+/// (Pickands 1975). A log-likelihood is a sum over many words, whose tail falls off as an
+/// exponential or faster: P(ln p(Z | L) > t + x) = share · exp(-x / scale), or less. The mean
+/// excess is the maximum-likelihood scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Tail {
     threshold: f64,
@@ -16,11 +16,11 @@ pub(super) struct Tail {
 }
 
 impl Tail {
-    /// Share of the samples that the tail is fitted to: few enough to be a tail, enough of a thousand
-    /// for its scale.
+    /// Share of the samples that the tail is fitted to: few enough to be a tail, enough of a
+    /// thousand for its scale.
     const SHARE: f64 = 0.05;
-    /// Of fewer samples the tail is so many, but no more than a quarter: a scale found from less errs
-    /// by more than a fifth.
+    /// Of fewer samples the tail is so many, but no more than a quarter: a scale found from less
+    /// errs by more than a fifth.
     const FEWEST: usize = 25;
 
     /// Fits the tail to samples of at least one place, in any order; reorders them.
@@ -41,8 +41,8 @@ impl Tail {
         self.scale
     }
 
-    /// The log-likelihood y that the likeliest of `places` unrelated places exceeds with a probability
-    /// of at most `rate`: places · P(ln p(Z | L) > y) = rate.
+    /// The log-likelihood y that the likeliest of `places` unrelated places exceeds with a
+    /// probability of at most `rate`: places · P(ln p(Z | L) > y) = rate.
     pub(super) fn exceeded_by_best_of(&self, places: usize, rate: f64) -> f64 {
         self.threshold + self.scale * (places as f64 * self.share / rate).ln()
     }

@@ -3,8 +3,8 @@
 //! The first line is `k L scoring weighting`; each further line is a node,
 //! `parent is_leaf d0 … d31 weight`. Nodes are numbered by their order from 1; 0 is the root.
 
-use super::descent_tree::{DescentTree, DescentTreeBuilder, MAX_BRANCHING, MAX_DEPTH, TreeError};
 use crate::descriptor::DescriptorKind;
+use crate::quantizer::{DescentTree, DescentTreeBuilder, MAX_BRANCHING, MAX_DEPTH, TreeError};
 use std::str::{FromStr, SplitAsciiWhitespace};
 
 /// Bytes of an ORB descriptor.
@@ -142,3 +142,6 @@ fn parse_field<T: FromStr>(
 fn beginning(text: &str) -> String {
     text.chars().take(40).collect()
 }
+
+#[cfg(test)]
+pub(super) mod tests;

@@ -234,7 +234,11 @@ mod tests {
         };
         assert_found(no_reason, "Reason", "enum was removed");
         assert_found(|set| file(set).service.clear(), "SessionService", "service was removed");
-        assert_found(|set| file(set).service[0].method.clear(), "SessionService.Stream", "rpc was removed");
+        assert_found(
+            |set| drop(file(set).service[0].method.remove(0)),
+            "SessionService.Stream",
+            "rpc was removed",
+        );
         assert_found(
             |set| message(set, "Frame").field.retain(|field| field.name() != "odometry"),
             "Frame.odometry",
@@ -296,10 +300,10 @@ mod tests {
         );
         assert_found(
             |set| {
-                let place = field(set, "FrameAnswer", "place");
+                let place = field(set, "FrameAnswer", "place_number");
                 (place.proto3_optional, place.oneof_index) = (None, None);
             },
-            "FrameAnswer.place",
+            "FrameAnswer.place_number",
             "label was changed",
         );
         assert_found(
@@ -307,11 +311,13 @@ mod tests {
             "Frame.image",
             "oneof was changed",
         );
-        assert_found(
-            |set| message(set, "Frame").oneof_decl[0].name = Some("picture".to_owned()),
-            "Frame.image",
-            "oneof was changed",
+        let renamed = findings(|set| message(set, "Frame").oneof_decl[0].name = Some("picture".to_owned()));
+        let elements: Vec<&str> = renamed.iter().map(|finding| finding.element.as_str()).collect();
+        assert_eq!(
+            elements,
+            ["waypost.v1.Frame.histogram", "waypost.v1.Frame.image", "waypost.v1.Frame.words"]
         );
+        assert!(renamed.iter().all(|finding| finding.wrong.contains("oneof was changed")), "{renamed:?}");
         assert_found(
             |set| field(set, "Frame", "stamp_ns").json_name = Some("stamp".to_owned()),
             "Frame.stamp_ns",

@@ -283,25 +283,28 @@ mod tests {
     #[test]
     fn comments_and_exchanges_are_looked_at() {
         const SESSION: &str = "waypost/v1/session.proto";
+        const RECOGNITION: &str = "waypost/v1/recognition.proto";
         let bare = |set: &mut FileDescriptorSet| file(set, SESSION).source_code_info = None;
         assert_found(bare, "waypost.v1.SessionService", "no comment");
         assert_found(bare, "waypost.v1.SessionService.Stream", "no comment");
         assert_found(bare, "waypost.v1.Frame", "no comment");
         assert_found(
-            |set| file(set, SESSION).service[0].method[1].input_type = Some(".waypost.v1.Frame".to_owned()),
-            "waypost.v1.SessionService.Query",
+            |set| {
+                file(set, RECOGNITION).service[0].method[0].input_type = Some(".waypost.v1.Frame".to_owned());
+            },
+            "waypost.v1.RecognitionService.Query",
             "QueryRequest",
         );
         assert_found(
             |set| {
                 let response = Some(".waypost.v1.StreamResponse".to_owned());
-                file(set, SESSION).service[0].method[1].output_type = response;
+                file(set, RECOGNITION).service[0].method[0].output_type = response;
             },
-            "waypost.v1.SessionService.Query",
+            "waypost.v1.RecognitionService.Query",
             "QueryResponse",
         );
         assert_found(
-            |set| drop(file(set, SESSION).service[0].method.remove(1)),
+            |set| drop(file(set, RECOGNITION).service[0].method.remove(0)),
             "waypost.v1.QueryRequest",
             "one rpc, not 0",
         );

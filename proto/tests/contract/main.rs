@@ -68,7 +68,7 @@ fn the_contract_breaks_nobody() {
 /// A contract that was not read at all would be clean and break nobody.
 #[test]
 fn both_contracts_are_seen_whole() {
-    for (set, services) in [(contract(), 5), (released(), 4)] {
+    for (set, services) in [(contract(), 10), (released(), 8)] {
         let elements = elements::Elements::of(&set);
         assert!(elements.services.len() >= services, "{:?}", elements.services.keys());
         assert!(elements.messages.len() >= 50, "{:?}", elements.messages.keys());

@@ -20,7 +20,7 @@ use crate::service::tokens::{Access, no_longer_admitted};
 /// Every method, and what it asks of who calls it.
 const METHODS: [(&str, Access); 60] = [
     ("/waypost.v1.SessionService/Stream", Access::Robot),
-    ("/waypost.v1.SessionService/Query", Access::Robot),
+    ("/waypost.v1.RecognitionService/Query", Access::Robot),
     ("/waypost.v1.SessionService/ListSessions", Access::Robot),
     ("/waypost.v1.SessionService/GetSession", Access::Robot),
     ("/waypost.v1.SessionService/ListFrames", Access::Robot),
@@ -28,31 +28,31 @@ const METHODS: [(&str, Access); 60] = [
     ("/waypost.v1.SessionService/GetFrameImage", Access::Robot),
     ("/waypost.v1.SessionService/ExplainFrame", Access::Robot),
     ("/waypost.v1.SessionService/GetFramePicture", Access::Robot),
-    ("/waypost.v1.SessionService/MeasureClosure", Access::Robot),
+    ("/waypost.v1.SessionService/AddRelativePose", Access::Robot),
     ("/waypost.v1.NavigationService/Navigate", Access::Robot),
     ("/waypost.v1.NavigationService/SetGoal", Access::Robot),
     ("/waypost.v1.NavigationService/CancelGoal", Access::Robot),
     ("/waypost.v1.NavigationService/GetNavigation", Access::Robot),
     ("/waypost.v1.NavigationService/ListNavigations", Access::Robot),
     ("/waypost.v1.NavigationService/PlanRoute", Access::Robot),
-    ("/waypost.v1.AppearanceService/ListLabels", Access::Robot),
+    ("/waypost.v1.LabelService/ListLabels", Access::Robot),
     // As goals: whoever may send a robot somewhere may say what that is called.
-    ("/waypost.v1.AppearanceService/SetLabel", Access::Robot),
-    ("/waypost.v1.AppearanceService/DeleteLabel", Access::Robot),
+    ("/waypost.v1.LabelService/SetLabel", Access::Robot),
+    ("/waypost.v1.LabelService/DeleteLabel", Access::Robot),
     ("/waypost.v1.AppearanceService/GetAppearanceGraph", Access::Robot),
     ("/waypost.v1.MapService/ListMaps", Access::Robot),
     ("/waypost.v1.MapService/GetMap", Access::Robot),
     ("/waypost.v1.MapService/ListPlaces", Access::Robot),
     ("/waypost.v1.MapService/GetPlace", Access::Robot),
     ("/waypost.v1.MapService/ListWordPlaces", Access::Robot),
-    ("/waypost.v1.MapService/ListMatches", Access::Robot),
+    ("/waypost.v1.MapService/ListLoopClosures", Access::Robot),
     ("/waypost.v1.MapService/ExportPoses", Access::Robot),
     ("/waypost.v1.MapService/CreateMap", Access::Admin),
     ("/waypost.v1.MapService/DeleteMap", Access::Admin),
     ("/waypost.v1.MapService/RebindMap", Access::Admin),
     ("/waypost.v1.MapService/ExportMap", Access::Admin),
     ("/waypost.v1.MapService/ImportMap", Access::Admin),
-    ("/waypost.v1.MapService/RemoveSession", Access::Admin),
+    ("/waypost.v1.SessionService/DeleteSession", Access::Admin),
     ("/waypost.v1.MapService/RebuildMap", Access::Admin),
     ("/waypost.v1.MapService/TrimMap", Access::Admin),
     ("/waypost.v1.MapService/CompactMap", Access::Admin),
@@ -129,7 +129,7 @@ where
     fn call(&mut self, request: Request<Body>) -> Self::Future {
         // What is in no table may be added to a service one day; until then it is for admins.
         let access = known_method(request.uri().path()).map_or(Access::Admin, |(_, access)| access);
-        let deleted = match self.service.admit(bearer(request.headers()), access) {
+        let deleted = match self.service.tokens.admit(bearer(request.headers()), access) {
             // It must hear that it made the first token, or deleted its own.
             Ok(_) if request.uri().path().starts_with(TOKEN_SERVICE) => CancellationToken::new(),
             Ok(deleted) => deleted,

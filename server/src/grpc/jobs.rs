@@ -6,11 +6,10 @@ use waypost_proto::v1;
 use waypost_proto::v1::job_service_server::JobService;
 
 use super::Adapter;
-use super::models::model;
 use crate::error::ServiceError;
-use crate::service::jobs::{JobResult, JobState, JobStatus};
-use crate::service::models::Page;
-use crate::storage::JobKind;
+use crate::pages::Page;
+use crate::service::jobs::JobState;
+use crate::wire::jobs::job;
 
 #[tonic::async_trait]
 impl JobService for Adapter {
@@ -19,14 +18,14 @@ impl JobService for Adapter {
         request: Request<v1::ListJobsRequest>,
     ) -> Result<Response<v1::ListJobsResponse>, Status> {
         let v1::ListJobsRequest { page_size, page_token } = request.into_inner();
-        let Page { items, next } = self.service.list_jobs(page_size, &page_token).await?;
+        let Page { items, next } = self.service.jobs.list(page_size, &page_token).await?;
         let jobs = items.into_iter().map(job).collect();
         Ok(Response::new(v1::ListJobsResponse { jobs, next_page_token: next }))
     }
 
     async fn get_job(&self, request: Request<v1::GetJobRequest>) -> Result<Response<v1::Job>, Status> {
         let v1::GetJobRequest { name } = request.into_inner();
-        Ok(Response::new(job(self.service.job(&name).await?)))
+        Ok(Response::new(job(self.service.jobs.get(&name).await?)))
     }
 
     type WatchJobStream = BoxStream<'static, Result<v1::Job, Status>>;
@@ -36,7 +35,7 @@ impl JobService for Adapter {
         request: Request<v1::WatchJobRequest>,
     ) -> Result<Response<Self::WatchJobStream>, Status> {
         let v1::WatchJobRequest { name } = request.into_inner();
-        let statuses = WatchStream::new(self.service.watch_job(&name).await?);
+        let statuses = WatchStream::new(self.service.jobs.watch(&name).await?);
         let stopping = self.service.stopping().clone();
         let stopped = stopping.clone();
         let stopped =
@@ -52,38 +51,6 @@ impl JobService for Adapter {
 
     async fn cancel_job(&self, request: Request<v1::CancelJobRequest>) -> Result<Response<v1::Job>, Status> {
         let v1::CancelJobRequest { name } = request.into_inner();
-        Ok(Response::new(job(self.service.cancel_job(&name).await?)))
-    }
-}
-
-pub(super) fn job(status: JobStatus) -> v1::Job {
-    use v1::job::{Kind, State};
-    let JobStatus { number, kind, state, stage, fraction, created_ns, ended_ns } = status;
-    let (state, error, made) = match state {
-        JobState::Running => (State::Running, String::new(), None),
-        JobState::Succeeded(made) => (State::Succeeded, String::new(), Some(made)),
-        JobState::Failed(error) => (State::Failed, error, None),
-        JobState::Cancelled => (State::Cancelled, String::new(), None),
-    };
-    let (result, made) = made.map_or((String::new(), None), |JobResult { name, model }| (name, model));
-    let kind = match kind {
-        JobKind::TrainModel => Kind::TrainModel,
-        JobKind::ImportMap => Kind::ImportMap,
-        JobKind::MergeMaps => Kind::MergeMaps,
-        JobKind::RemoveSessions => Kind::RemoveSessions,
-        JobKind::RebuildMap => Kind::RebuildMap,
-        JobKind::CompactMap => Kind::CompactMap,
-    };
-    v1::Job {
-        name: format!("jobs/{number}"),
-        state: state.into(),
-        stage,
-        fraction,
-        error,
-        model: made.map(|made| model(*made)),
-        kind: kind.into(),
-        result,
-        create_time_ns: created_ns,
-        end_time_ns: ended_ns.unwrap_or_default(),
+        Ok(Response::new(job(self.service.jobs.cancel(&name).await?)))
     }
 }

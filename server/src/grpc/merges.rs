@@ -1,18 +1,11 @@
 use tonic::{Request, Response, Status};
-use topomap::relaxation::PlanarPose;
 use waypost_proto::v1;
-use waypost_proto::v1::merge_maps_request;
 use waypost_proto::v1::merge_service_server::MergeService;
-use waypost_proto::v1::merge_source::Outcome;
 
 use super::Adapter;
-use super::convert::{known, planar_pose};
-use crate::service::merges::{
-    MapOverlap, MatchedPlaces, MergeReport, MergeRequest, MergeView, MergedSource, OnceFound, SourceOutcome,
-};
-use crate::service::models::Page;
-use crate::service::names::map_name;
-use crate::storage::MergeState;
+use crate::pages::Page;
+use crate::service::merges::{CommitPolicy, MergeRequest};
+use crate::wire::merges::merge;
 
 #[tonic::async_trait]
 impl MergeService for Adapter {
@@ -20,20 +13,15 @@ impl MergeService for Adapter {
         &self,
         request: Request<v1::MergeMapsRequest>,
     ) -> Result<Response<v1::Merge>, Status> {
-        let v1::MergeMapsRequest { sources, target, once_found, min_support } = request.into_inner();
-        let once_found = match known::<merge_maps_request::OnceFound>("once_found", once_found)? {
-            merge_maps_request::OnceFound::Unspecified | merge_maps_request::OnceFound::Propose => {
-                OnceFound::Propose
-            }
-            merge_maps_request::OnceFound::Commit => OnceFound::Commit,
-        };
-        let request = MergeRequest { sources, target, once_found, min_support };
-        Ok(Response::new(merge(self.service.merge_maps(request).await?)))
+        let v1::MergeMapsRequest { sources, target, auto_commit, min_support } = request.into_inner();
+        let commit_policy = if auto_commit { CommitPolicy::Automatic } else { CommitPolicy::OnRequest };
+        let request = MergeRequest { sources, target, commit_policy, min_support };
+        Ok(Response::new(merge(self.service.merges.begin(request).await?)))
     }
 
     async fn get_merge(&self, request: Request<v1::GetMergeRequest>) -> Result<Response<v1::Merge>, Status> {
         let v1::GetMergeRequest { name } = request.into_inner();
-        Ok(Response::new(merge(self.service.merge(&name).await?)))
+        Ok(Response::new(merge(self.service.merges.get(&name).await?)))
     }
 
     async fn list_merges(
@@ -41,7 +29,7 @@ impl MergeService for Adapter {
         request: Request<v1::ListMergesRequest>,
     ) -> Result<Response<v1::ListMergesResponse>, Status> {
         let v1::ListMergesRequest { page_size, page_token } = request.into_inner();
-        let Page { items, next } = self.service.list_merges(page_size, &page_token).await?;
+        let Page { items, next } = self.service.merges.list(page_size, &page_token).await?;
         let merges = items.into_iter().map(merge).collect();
         Ok(Response::new(v1::ListMergesResponse { merges, next_page_token: next }))
     }
@@ -51,8 +39,9 @@ impl MergeService for Adapter {
         request: Request<v1::GetMergePictureRequest>,
     ) -> Result<Response<v1::GetMergePictureResponse>, Status> {
         let v1::GetMergePictureRequest { name } = request.into_inner();
-        let svg = self.service.merge_picture(&name).await?.into_bytes();
-        Ok(Response::new(v1::GetMergePictureResponse { svg }))
+        let picture = self.service.merges.picture(&name).await?.into_bytes();
+        let content_type = "image/svg+xml".to_owned();
+        Ok(Response::new(v1::GetMergePictureResponse { content_type, picture }))
     }
 
     async fn commit_merge(
@@ -60,7 +49,7 @@ impl MergeService for Adapter {
         request: Request<v1::CommitMergeRequest>,
     ) -> Result<Response<v1::Merge>, Status> {
         let v1::CommitMergeRequest { name } = request.into_inner();
-        Ok(Response::new(merge(self.service.commit_merge(&name).await?)))
+        Ok(Response::new(merge(self.service.merges.commit(&name).await?)))
     }
 
     async fn discard_merge(
@@ -68,7 +57,7 @@ impl MergeService for Adapter {
         request: Request<v1::DiscardMergeRequest>,
     ) -> Result<Response<v1::Merge>, Status> {
         let v1::DiscardMergeRequest { name } = request.into_inner();
-        Ok(Response::new(merge(self.service.discard_merge(&name).await?)))
+        Ok(Response::new(merge(self.service.merges.discard(&name).await?)))
     }
 
     async fn undo_merge(
@@ -76,79 +65,6 @@ impl MergeService for Adapter {
         request: Request<v1::UndoMergeRequest>,
     ) -> Result<Response<v1::Merge>, Status> {
         let v1::UndoMergeRequest { name } = request.into_inner();
-        Ok(Response::new(merge(self.service.undo_merge(&name).await?)))
-    }
-}
-
-fn merge(view: MergeView) -> v1::Merge {
-    use v1::merge::State;
-    let MergeView { number, target, job, state, report, error, created_ns } = view;
-    // How a map was made is for its undoing.
-    let MergeReport { sources, made_events: _ } = report;
-    let state = match state {
-        MergeState::Searching => State::Searching,
-        MergeState::Proposed => State::Proposed,
-        MergeState::Apart => State::Apart,
-        MergeState::Committed => State::Committed,
-        MergeState::Discarded => State::Discarded,
-        MergeState::Undone => State::Undone,
-        MergeState::Failed => State::Failed,
-    };
-    v1::Merge {
-        name: format!("merges/{number}"),
-        state: state.into(),
-        target: map_name(&target),
-        sources: sources.into_iter().map(source).collect(),
-        job: format!("jobs/{job}"),
-        error: error.unwrap_or_default(),
-        create_time_ns: created_ns,
-    }
-}
-
-fn source(source: MergedSource) -> v1::MergeSource {
-    let MergedSource { map, events, places, outcome, sessions } = source;
-    let outcome = match outcome {
-        SourceOutcome::Open => None,
-        SourceOutcome::Overlaps(found) => Some(Outcome::Overlap(overlap(*found))),
-        SourceOutcome::Apart(why) => Some(Outcome::Apart(why)),
-    };
-    v1::MergeSource { map: map_name(&map), events, places, outcome, sessions }
-}
-
-fn overlap(overlap: MapOverlap) -> v1::MapOverlap {
-    let MapOverlap {
-        transformation,
-        source_part,
-        target_part,
-        agreeing,
-        rejected,
-        rival_support,
-        fused_places,
-        overlapping_places,
-        confirmed_places,
-        cost_before,
-        cost_after,
-        strongest,
-    } = overlap;
-    let matched = |matched: MatchedPlaces| {
-        let MatchedPlaces { source_place, target_place, source_frame, target_frame, posterior, evidence } =
-            matched;
-        let evidence_nats = evidence;
-        v1::PlaceMatch { source_place, target_place, source_frame, target_frame, posterior, evidence_nats }
-    };
-    v1::MapOverlap {
-        transformation: transformation
-            .map(|[x_m, y_m, heading_rad]| planar_pose(&PlanarPose::new(x_m, y_m, heading_rad))),
-        source_part,
-        target_part,
-        agreeing_matches: agreeing,
-        rejected_matches: rejected,
-        rival_matches: rival_support,
-        fused_places,
-        overlapping_places,
-        confirmed_places,
-        cost_before,
-        cost_after,
-        strongest_matches: strongest.into_iter().map(matched).collect(),
+        Ok(Response::new(merge(self.service.merges.undo(&name).await?)))
     }
 }

@@ -6,10 +6,10 @@ use waypost_proto::v1::model_service_server::ModelService;
 use waypost_proto::v1::train_model_request::Content;
 
 use super::Adapter;
-use super::jobs::job;
-use crate::service::models::{MAX_MODEL_BYTES, Page};
-use crate::service::names::model_name;
-use crate::storage::ModelRow;
+use crate::pages::Page;
+use crate::service::models::MAX_MODEL_BYTES;
+use crate::wire::jobs::job;
+use crate::wire::models::model;
 
 /// Size of the chunks that a model file is sent in.
 const CHUNK_BYTES: usize = 1 << 20;
@@ -26,12 +26,13 @@ impl ModelService for Adapter {
             return Err(Status::invalid_argument("the first message of a training must be its settings"));
         };
         let v1::TrainModelSettings { display_name, extractor, words, seed, image_count } = settings;
-        let announced = (image_count > 0).then_some(image_count);
-        let mut upload = self.service.begin_training(&display_name, &extractor, words, seed, announced)?;
+        let extractor = extractor.unwrap_or_default();
+        let mut upload =
+            self.service.models.begin_training(&display_name, &extractor, words, seed, image_count)?;
         while let Some(v1::TrainModelRequest { content }) = self.next(&mut requests).await? {
             match content {
                 Some(Content::Image(image)) => {
-                    self.service.add_training_image(&mut upload, Bytes::from(image)).await?;
+                    self.service.models.add_training_image(&mut upload, Bytes::from(image)).await?;
                 }
                 Some(Content::Settings(_)) | None => {
                     return Err(Status::invalid_argument(
@@ -40,7 +41,7 @@ impl ModelService for Adapter {
                 }
             }
         }
-        Ok(Response::new(job(self.service.start_training(upload).await?)))
+        Ok(Response::new(job(self.service.models.start_training(upload).await?)))
     }
 
     async fn list_models(
@@ -48,14 +49,14 @@ impl ModelService for Adapter {
         request: Request<v1::ListModelsRequest>,
     ) -> Result<Response<v1::ListModelsResponse>, Status> {
         let v1::ListModelsRequest { page_size, page_token } = request.into_inner();
-        let Page { items, next } = self.service.list_models(page_size, &page_token).await?;
+        let Page { items, next } = self.service.models.list(page_size, &page_token).await?;
         let models = items.into_iter().map(model).collect();
         Ok(Response::new(v1::ListModelsResponse { models, next_page_token: next }))
     }
 
     async fn get_model(&self, request: Request<v1::GetModelRequest>) -> Result<Response<v1::Model>, Status> {
         let v1::GetModelRequest { name } = request.into_inner();
-        Ok(Response::new(model(self.service.find_model(&name).await?)))
+        Ok(Response::new(model(self.service.models.find(&name).await?)))
     }
 
     type ExportModelStream = BoxStream<'static, Result<v1::ExportModelResponse, Status>>;
@@ -65,7 +66,7 @@ impl ModelService for Adapter {
         request: Request<v1::ExportModelRequest>,
     ) -> Result<Response<Self::ExportModelStream>, Status> {
         let v1::ExportModelRequest { name } = request.into_inner();
-        let mut file = Bytes::from(self.service.export_model(&name).await?);
+        let mut file = Bytes::from(self.service.models.export(&name).await?);
         let chunks = std::iter::from_fn(move || {
             let chunk = file.split_to(file.len().min(CHUNK_BYTES));
             (!chunk.is_empty()).then(|| Ok(v1::ExportModelResponse { chunk: chunk.into() }))
@@ -88,7 +89,7 @@ impl ModelService for Adapter {
                 return Err(Status::resource_exhausted(message));
             }
         }
-        Ok(Response::new(model(self.service.import_model(&name.unwrap_or_default(), file).await?)))
+        Ok(Response::new(model(self.service.models.import(&name.unwrap_or_default(), file).await?)))
     }
 
     async fn delete_model(
@@ -96,21 +97,7 @@ impl ModelService for Adapter {
         request: Request<v1::DeleteModelRequest>,
     ) -> Result<Response<v1::DeleteModelResponse>, Status> {
         let v1::DeleteModelRequest { name } = request.into_inner();
-        self.service.delete_model(&name).await?;
+        self.service.models.delete(&name).await?;
         Ok(Response::new(v1::DeleteModelResponse {}))
-    }
-}
-
-pub(super) fn model(row: ModelRow) -> v1::Model {
-    let ModelRow { hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns } = row;
-    v1::Model {
-        name: model_name(&hash),
-        display_name,
-        extractor,
-        words: u32::try_from(words).unwrap_or(u32::MAX),
-        samples: u32::try_from(samples).unwrap_or(u32::MAX),
-        words_hash,
-        size_bytes,
-        create_time_ns: created_ns,
     }
 }

@@ -17,7 +17,7 @@ use tracing::{Instrument, Span};
 
 use super::access::known_method;
 use crate::metrics::OpenStream;
-use crate::request_id::RequestId;
+use crate::net::request_id::RequestId;
 use crate::service::Service;
 
 /// The method whose calls count as open streams.

@@ -1,36 +1,23 @@
-use std::time::Duration;
-
-use bytes::Bytes;
-use futures::FutureExt;
-use futures::stream::{self, BoxStream, Stream, StreamExt};
-use prost::Message;
+use futures::stream::{self, BoxStream, StreamExt};
 use tonic::{Request, Response, Status, Streaming};
-use topomap::event::Reason;
-use topomap::verification::Similarity;
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_server::SessionService;
-use waypost_proto::v1::{frame, query_request, stream_request, stream_response};
+use waypost_proto::v1::{stream_request, stream_response};
 
 use super::Adapter;
-use super::convert::{self, camera, histogram, known, odometry, word_list};
-use super::frames;
-use super::maps::frame_reference;
-use super::status::as_message;
 use crate::error::ServiceError;
-use crate::service::content::Content;
+use crate::names::model_name;
+use crate::open_map::SessionMode;
+use crate::pages::Page;
 use crate::service::frames::{FrameImage, ImageSize};
-use crate::service::models::Page;
-use crate::service::names::model_name;
 use crate::service::pictures::FramePicture;
-use crate::service::sessions::{
-    Frame, FrameAnswer, FrameOutcome, FrameTimings, GeometryView, MatchView, SessionMode, SessionStream,
-};
-
-/// Frames of one stream that are turned into words side by side.
-const PREPARED_AHEAD: usize = 2;
-
-/// Frames of one stream that wait for their commit.
-const SUBMITTED_AHEAD: usize = 8;
+use crate::service::sessions::{FrameOutcome, SessionStream};
+use crate::wire::geometry::{camera, map_pose_message, measured};
+use crate::wire::jobs::job;
+use crate::wire::known;
+use crate::wire::recognition::explanation;
+use crate::wire::sessions::{answer, frame, frame_record, listed_frame, session};
+use crate::wire::status::as_message;
 
 #[tonic::async_trait]
 impl SessionService for Adapter {
@@ -47,20 +34,14 @@ impl SessionService for Adapter {
         };
         let session = self.open(open).await?;
         let opened = stream::iter([Ok(opened(&session))]);
-        let responses = opened.chain(until_over(session.clone(), frames(session, requests)));
-        Ok(Response::new(responses.boxed()))
-    }
-
-    async fn query(&self, request: Request<v1::QueryRequest>) -> Result<Response<v1::QueryResponse>, Status> {
-        let v1::QueryRequest { map, content, words_hash, explained_words } = request.into_inner();
-        let content = match content {
-            Some(query_request::Content::Image(image)) => Content::Image(Bytes::from(image)),
-            Some(query_request::Content::Histogram(words)) => histogram(words),
-            Some(query_request::Content::Words(words)) => word_list(words),
-            None => return Err(Status::invalid_argument("the query shows nothing; send an image or words")),
-        };
-        let answer = self.service.query(&map, content, &words_hash, explained_words).await?;
-        Ok(Response::new(frames::query_response(answer)))
+        let frames = requests.map(|request| match request?.content {
+            Some(stream_request::Content::Frame(message)) => Ok(frame(message)),
+            Some(stream_request::Content::Open(_)) | None => {
+                Err(Status::invalid_argument("after the first message of a stream, each must be a frame"))
+            }
+        });
+        let outcomes = session.run(frames).map(|run| outcome(run?));
+        Ok(Response::new(opened.chain(outcomes).boxed()))
     }
 
     async fn list_sessions(
@@ -68,8 +49,8 @@ impl SessionService for Adapter {
         request: Request<v1::ListSessionsRequest>,
     ) -> Result<Response<v1::ListSessionsResponse>, Status> {
         let v1::ListSessionsRequest { map, page_size, page_token } = request.into_inner();
-        let Page { items, next } = self.service.list_sessions(&map, page_size, &page_token).await?;
-        let sessions = items.into_iter().map(frames::session).collect::<Result<_, _>>()?;
+        let Page { items, next } = self.service.frames.sessions(&map, page_size, &page_token).await?;
+        let sessions = items.into_iter().map(session).collect();
         Ok(Response::new(v1::ListSessionsResponse { sessions, next_page_token: next }))
     }
 
@@ -78,7 +59,7 @@ impl SessionService for Adapter {
         request: Request<v1::GetSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
         let v1::GetSessionRequest { name } = request.into_inner();
-        Ok(Response::new(frames::session(self.service.session(&name).await?)?))
+        Ok(Response::new(session(self.service.frames.session(&name).await?)))
     }
 
     async fn list_frames(
@@ -86,9 +67,9 @@ impl SessionService for Adapter {
         request: Request<v1::ListFramesRequest>,
     ) -> Result<Response<v1::ListFramesResponse>, Status> {
         let v1::ListFramesRequest { session, page_size, page_token } = request.into_inner();
-        let Page { items, next } = self.service.list_frames(&session, page_size, &page_token).await?;
-        let listed = items.into_iter().map(|view| v1::FrameRecord { histogram: None, ..frames::frame(view) });
-        Ok(Response::new(v1::ListFramesResponse { frames: listed.collect(), next_page_token: next }))
+        let Page { items, next } = self.service.frames.list(&session, page_size, &page_token).await?;
+        let frames = items.into_iter().map(listed_frame).collect();
+        Ok(Response::new(v1::ListFramesResponse { frames, next_page_token: next }))
     }
 
     async fn get_frame(
@@ -96,7 +77,7 @@ impl SessionService for Adapter {
         request: Request<v1::GetFrameRequest>,
     ) -> Result<Response<v1::FrameRecord>, Status> {
         let v1::GetFrameRequest { name } = request.into_inner();
-        Ok(Response::new(frames::frame(self.service.frame(&name).await?)))
+        Ok(Response::new(frame_record(self.service.frames.get(&name).await?)))
     }
 
     async fn get_frame_image(
@@ -106,11 +87,11 @@ impl SessionService for Adapter {
         use v1::get_frame_image_request::Size;
         let v1::GetFrameImageRequest { name, size } = request.into_inner();
         let size = match known("size", size)? {
-            Size::Unspecified => ImageSize::Best,
+            Size::Unspecified | Size::Largest => ImageSize::Best,
             Size::Original => ImageSize::Original,
             Size::Thumbnail => ImageSize::Thumbnail,
         };
-        let FrameImage { content_type, image } = self.service.frame_image(&name, size).await?;
+        let FrameImage { content_type, image } = self.service.frames.image(&name, size).await?;
         Ok(Response::new(v1::GetFrameImageResponse { content_type: content_type.to_owned(), image }))
     }
 
@@ -118,46 +99,38 @@ impl SessionService for Adapter {
         &self,
         request: Request<v1::ExplainFrameRequest>,
     ) -> Result<Response<v1::FrameExplanation>, Status> {
-        let v1::ExplainFrameRequest { name, place, words } = request.into_inner();
-        Ok(Response::new(frames::explanation(self.service.explain_frame(&name, place, words).await?)))
+        let v1::ExplainFrameRequest { name, place_number, max_words } = request.into_inner();
+        let explanation = self.service.queries.explain(&name, place_number, max_words).await?;
+        Ok(Response::new(self::explanation(explanation)))
     }
 
     async fn get_frame_picture(
         &self,
         request: Request<v1::GetFramePictureRequest>,
     ) -> Result<Response<v1::GetFramePictureResponse>, Status> {
-        let v1::GetFramePictureRequest { name, place } = request.into_inner();
-        let FramePicture { content_type, picture } = self.service.frame_picture(&name, place).await?;
+        let v1::GetFramePictureRequest { name, place_number } = request.into_inner();
+        let FramePicture { content_type, picture } = self.service.pictures.frame(&name, place_number).await?;
         Ok(Response::new(v1::GetFramePictureResponse { content_type: content_type.to_owned(), picture }))
     }
 
-    async fn measure_closure(
+    async fn add_relative_pose(
         &self,
-        request: Request<v1::MeasureClosureRequest>,
-    ) -> Result<Response<v1::MeasureClosureResponse>, Status> {
-        let v1::MeasureClosureRequest { frame, earlier_frame, pose, covariance } = request.into_inner();
-        let measured = convert::measured(pose, covariance)?;
-        let map_pose = self.service.measure_closure(&frame, &earlier_frame, measured).await?;
-        let map_pose = map_pose.as_ref().map(convert::map_pose);
-        Ok(Response::new(v1::MeasureClosureResponse { map_pose }))
+        request: Request<v1::AddRelativePoseRequest>,
+    ) -> Result<Response<v1::AddRelativePoseResponse>, Status> {
+        let v1::AddRelativePoseRequest { frame, earlier_frame, pose, covariance } = request.into_inner();
+        let measured = measured(pose, covariance)?;
+        let map_pose = self.service.measurements.add(&frame, &earlier_frame, measured).await?;
+        let map_pose = map_pose.as_ref().map(map_pose_message);
+        Ok(Response::new(v1::AddRelativePoseResponse { map_pose }))
     }
-}
 
-/// `frames`, until the session is over; then why.
-fn until_over(
-    session: SessionStream,
-    frames: impl Stream<Item = Result<v1::StreamResponse, Status>> + Send + 'static,
-) -> impl Stream<Item = Result<v1::StreamResponse, Status>> + Send {
-    let over = async move { session.over().await }.boxed();
-    stream::unfold(Some((frames.boxed(), over)), |state| async {
-        let (mut frames, mut over) = state?;
-        tokio::select! {
-            // What was answered before the end is still said.
-            biased;
-            response = frames.next() => response.map(|response| (response, Some((frames, over)))),
-            error = &mut over => Some((Err(error.into()), None)),
-        }
-    })
+    async fn delete_session(
+        &self,
+        request: Request<v1::DeleteSessionRequest>,
+    ) -> Result<Response<v1::Job>, Status> {
+        let v1::DeleteSessionRequest { name } = request.into_inner();
+        Ok(Response::new(job(self.service.rewriting.delete_session(&name).await?)))
+    }
 }
 
 impl Adapter {
@@ -173,73 +146,9 @@ impl Adapter {
                 ));
             }
         };
-        let encoded = match declared {
-            Some(declared) => {
-                let encoded = declared.encode_to_vec();
-                camera(declared)?;
-                Some(encoded)
-            }
-            None => None,
-        };
-        self.service.open_session(&map, &session_id, mode, encoded, &words_hash, &run_id).await
+        let camera = declared.map(camera).transpose()?;
+        self.service.sessions.open(&map, &session_id, mode, camera, &words_hash, &run_id).await
     }
-}
-
-/// Frames in, outcomes out, in the order they were sent; at most a few are under way at once.
-fn frames(
-    session: SessionStream,
-    requests: Streaming<v1::StreamRequest>,
-) -> impl Stream<Item = Result<v1::StreamResponse, Status>> + Send {
-    let (submitting, waiting) = (session.clone(), session.clone());
-    requests
-        .map(move |request| {
-            let session = session.clone();
-            async move {
-                match request?.content {
-                    Some(stream_request::Content::Frame(message)) => {
-                        Ok(session.prepare(frame(message)).await)
-                    }
-                    Some(stream_request::Content::Open(_)) | None => Err(Status::invalid_argument(
-                        "after the first message of a stream, each must be a frame",
-                    )),
-                }
-            }
-        })
-        .buffered(PREPARED_AHEAD)
-        .then(move |prepared| {
-            let session = submitting.clone();
-            async move {
-                match prepared {
-                    Ok(prepared) => Ok(session.submit(prepared).await),
-                    Err(status) => Err(status),
-                }
-            }
-        })
-        .map(move |pending| {
-            let session = waiting.clone();
-            async move { outcome(session.counted(session.outcome(pending?).await)) }
-        })
-        .buffered(SUBMITTED_AHEAD)
-}
-
-/// A frame, or its number and what is wrong with it.
-pub(super) fn frame(message: v1::Frame) -> Result<Frame, (u64, ServiceError)> {
-    let v1::Frame { sequence, stamp_ns, content, odometry: moved } = message;
-    let invalid = |message: &str| (sequence, ServiceError::invalid(message));
-    if i64::try_from(sequence).is_err() {
-        return Err(invalid("the sequence number must be below 2^63"));
-    }
-    if stamp_ns <= 0 {
-        return Err(invalid("the frame has no stamp; send when the image was taken, in nanoseconds above 0"));
-    }
-    let content = match content {
-        Some(frame::Content::Image(image)) => Content::Image(Bytes::from(image)),
-        Some(frame::Content::Histogram(words)) => histogram(words),
-        Some(frame::Content::Words(words)) => word_list(words),
-        None => return Err(invalid("the frame has no image and no words; send a JPEG, a PNG, or words")),
-    };
-    let moved = moved.map(odometry).transpose().map_err(|error| (sequence, error))?;
-    Ok(Frame { sequence, stamp_ns, content, odometry: moved })
 }
 
 fn opened(session: &SessionStream) -> v1::StreamResponse {
@@ -265,81 +174,4 @@ fn outcome(outcome: FrameOutcome) -> Result<v1::StreamResponse, Status> {
 
 fn respond(content: stream_response::Content) -> v1::StreamResponse {
     v1::StreamResponse { content: Some(content) }
-}
-
-pub(super) fn answer(answer: FrameAnswer) -> v1::FrameAnswer {
-    let FrameAnswer {
-        sequence,
-        last_committed,
-        reason,
-        place,
-        posterior,
-        new_place_posterior,
-        places,
-        closure,
-        proposal,
-        words,
-        timings,
-        map_pose,
-    } = answer;
-    v1::FrameAnswer {
-        sequence,
-        last_committed_sequence: last_committed,
-        reason: reason_code(reason).into(),
-        place,
-        posterior,
-        new_place_posterior,
-        places: places
-            .into_iter()
-            .map(|(place, posterior)| v1::PlaceProbability { place, posterior })
-            .collect(),
-        closure: closure.map(found),
-        proposal: proposal.map(found),
-        words: u32::try_from(words).unwrap_or(u32::MAX),
-        resent: timings.is_none(),
-        timings: timings.map(timings_message),
-        map_pose: map_pose.as_ref().map(convert::map_pose),
-    }
-}
-
-pub(super) fn reason_code(reason: Reason) -> v1::Reason {
-    match reason {
-        Reason::NewPlace => v1::Reason::NewPlace,
-        Reason::SamePlace => v1::Reason::SamePlace,
-        Reason::LoopClosure => v1::Reason::LoopClosure,
-        Reason::BelowThreshold => v1::Reason::BelowThreshold,
-        Reason::TooFewWords => v1::Reason::TooFewWords,
-        Reason::GeometryRefused => v1::Reason::GeometryRefused,
-    }
-}
-
-pub(super) fn found(found: MatchView) -> v1::Match {
-    let MatchView { place, posterior, log_odds, frame, geometry } = found;
-    let geometry = geometry.map(geometry_message);
-    v1::Match { place, posterior, log_odds, frame: Some(frame_reference(frame)), geometry }
-}
-
-fn geometry_message(geometry: GeometryView) -> v1::Geometry {
-    let GeometryView { matches, inliers, evidence, probability, similarity } = geometry;
-    let similarity = similarity.map(|similarity| {
-        let Similarity { rotation_rad, ln_scale, translation_widths: [x_widths, y_widths] } = similarity;
-        v1::Similarity { rotation_rad, ln_scale, x_widths, y_widths }
-    });
-    v1::Geometry { matches, inliers, evidence, similarity, probability }
-}
-
-fn timings_message(timings: FrameTimings) -> v1::Timings {
-    let FrameTimings { extract, quantize, likelihood, new_place, filter, verification, commit, total } =
-        timings;
-    let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
-    v1::Timings {
-        extract_ms: ms(extract),
-        quantize_ms: ms(quantize),
-        likelihood_ms: ms(likelihood),
-        new_place_ms: ms(new_place),
-        filter_ms: ms(filter),
-        verification_ms: ms(verification),
-        commit_ms: ms(commit),
-        total_ms: ms(total),
-    }
 }

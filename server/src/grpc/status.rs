@@ -1,10 +1,7 @@
 //! Errors of the service as gRPC statuses.
 
-use bytes::Bytes;
-use prost::Message;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt};
-use waypost_proto::google::rpc;
 
 use crate::error::ServiceError;
 
@@ -42,20 +39,6 @@ fn fitting(message: String) -> String {
     let head: String = message.chars().take(HEAD_CHARS).collect();
     let tail: String = message.chars().skip(chars - TAIL_CHARS).collect();
     format!("{head} […] {tail}")
-}
-
-/// A status as a message, for errors about one frame.
-pub(super) fn as_message(error: &ServiceError) -> rpc::Status {
-    let status = Status::from(error.clone());
-    // The details of a status are such a message, encoded.
-    match rpc::Status::decode(Bytes::copy_from_slice(status.details())) {
-        Ok(detailed) if detailed.code != 0 => detailed,
-        Ok(_) | Err(_) => rpc::Status {
-            code: status.code() as i32,
-            message: status.message().to_owned(),
-            details: Vec::new(),
-        },
-    }
 }
 
 fn code(error: &ServiceError) -> Code {

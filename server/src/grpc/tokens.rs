@@ -4,9 +4,9 @@ use waypost_proto::v1::token_service_server::TokenService;
 
 use super::Adapter;
 use crate::error::ServiceError;
+use crate::pages::Page;
 use crate::role::Role;
-use crate::service::models::Page;
-use crate::storage::TokenRow;
+use crate::service::tokens::TokenRow;
 
 #[tonic::async_trait]
 impl TokenService for Adapter {
@@ -17,7 +17,7 @@ impl TokenService for Adapter {
         let message = request.into_inner();
         let role = role(message.role)?;
         let v1::CreateTokenRequest { token_id, role: _ } = message;
-        let (created, secret) = self.service.create_token(&token_id, role).await?;
+        let (created, secret) = self.service.tokens.create(&token_id, role).await?;
         Ok(Response::new(v1::CreateTokenResponse { token: Some(token(created)), secret }))
     }
 
@@ -26,7 +26,7 @@ impl TokenService for Adapter {
         request: Request<v1::ListTokensRequest>,
     ) -> Result<Response<v1::ListTokensResponse>, Status> {
         let v1::ListTokensRequest { page_size, page_token } = request.into_inner();
-        let Page { items, next } = self.service.list_tokens(page_size, &page_token)?;
+        let Page { items, next } = self.service.tokens.list(page_size, &page_token)?;
         let tokens = items.into_iter().map(token).collect();
         Ok(Response::new(v1::ListTokensResponse { tokens, next_page_token: next }))
     }
@@ -36,7 +36,7 @@ impl TokenService for Adapter {
         request: Request<v1::DeleteTokenRequest>,
     ) -> Result<Response<v1::DeleteTokenResponse>, Status> {
         let v1::DeleteTokenRequest { name } = request.into_inner();
-        self.service.delete_token(&name).await?;
+        self.service.tokens.delete(&name).await?;
         Ok(Response::new(v1::DeleteTokenResponse {}))
     }
 }

@@ -29,7 +29,7 @@ const CHANGES_MAPS: &str = "/v1/merges";
 /// Serves those who may see it: all else that is here reads, names places or sends robots, as any token may over gRPC.
 pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request, next: Next) -> Response {
     let access = access(request.method(), request.uri().path());
-    if access != Access::Open && service.tokens().serve_this_machine() && !addresses_this_machine(&request) {
+    if access != Access::Open && service.tokens.serve_this_machine() && !addresses_this_machine(&request) {
         return refusal(ServiceError::PermissionDenied {
             message: "this server has no token, so it is for this machine alone and answers to localhost or an IP \
                       address, not to other names: a page in a browser could have made its own name lead here; ask \
@@ -38,7 +38,7 @@ pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request,
         });
     }
     let secret = secret(request.headers());
-    match service.admit(secret.as_deref(), access) {
+    match service.tokens.admit(secret.as_deref(), access) {
         Ok(deleted) => tokio::select! {
             biased;
             response = next.run(request) => response.map(|body| until_deleted(body, deleted)),
@@ -147,8 +147,8 @@ mod tests {
         let storage = Storage::open(directory.path()).await.unwrap();
         let tokens = Tokens::load(&storage).await.unwrap();
         let service = Arc::new(Service::new(storage, tokens, Metrics::new().unwrap()));
-        service.create_token("operator", Role::Admin).await.unwrap();
-        let (_, secret) = service.create_token("reader", Role::Robot).await.unwrap();
+        service.tokens.create("operator", Role::Admin).await.unwrap();
+        let (_, secret) = service.tokens.create("reader", Role::Robot).await.unwrap();
         let guarded = || {
             let routes = Router::new().route("/table", get(endless)).route("/whole", get(async || "whole"));
             routes.layer(from_fn_with_state(service.clone(), guard))
@@ -163,7 +163,7 @@ mod tests {
 
         let mut rows = ask("/table").await.into_body().into_data_stream();
         assert_eq!(rows.next().await.unwrap().unwrap().as_ref(), b"row\n");
-        service.delete_token("tokens/reader").await.unwrap();
+        service.tokens.delete("tokens/reader").await.unwrap();
         let broken_off = rows.next().await.unwrap().unwrap_err();
         assert!(broken_off.to_string().contains("was deleted"), "{broken_off}");
         assert!(rows.next().await.is_none());

@@ -10,53 +10,55 @@ use axum::response::{IntoResponse, Response};
 use futures::stream::{self, Stream, StreamExt, TryStreamExt};
 use serde::Serialize;
 use utoipa::ToSchema;
+use waypost_proto::v1;
 
 use super::HttpError;
 use super::description::Refusals;
-use super::frames::{FrameAnswer, PlaceProbability, Reason};
-use super::maps::{FrameReference, LoopClosure};
 use super::parameters::{InPath, InQuery, MapPath, Nothing};
 use crate::error::ServiceError;
+use crate::names::map_name;
+use crate::open_map::answers::FrameReference;
+use crate::pages::Page;
 use crate::service::Service;
 use crate::service::frames::FrameView;
 use crate::service::maps::LoopClosureView;
-use crate::service::models::Page;
-use crate::service::names::map_name;
+use crate::wire::maps::loop_closure;
+use crate::wire::sessions::listed_frame;
 
 /// Rows read at a time.
 const PAGE_ROWS: u32 = 1000;
 
 /// All loop closures of a map as CSV, oldest first.
-#[utoipa::path(get, path = "/v1/maps/{map}/matches.csv", tag = "exports", params(MapPath),
+#[utoipa::path(get, path = "/v1/maps/{map}/loop-closures.csv", tag = "exports", params(MapPath),
     responses((status = 200, description = "A header, then a line per loop closure.", body = String,
         content_type = "text/csv", example = json!("session,sequence,stamp_ns,matched_session,matched_sequence,\
-        matched_stamp_ns,place,posterior\n")), Refusals))]
-pub(super) async fn export_matches_csv(
+        matched_stamp_ns,place_number,posterior,probability\n")), Refusals))]
+pub(super) async fn export_loop_closures_csv(
     State(service): State<Arc<Service>>,
     InPath(MapPath { map }): InPath<MapPath>,
     InQuery(Nothing {}): InQuery<Nothing>,
 ) -> Result<Response, HttpError> {
-    let pages = first_of(matches(service, map_name(&map))).await?;
-    Ok(csv_file(&format!("{map}-matches.csv"), MATCH_COLUMNS, pages, MatchRow::from))
+    let pages = first_of(loop_closures(service, map_name(&map))).await?;
+    Ok(csv_file(&format!("{map}-loop-closures.csv"), LOOP_CLOSURE_COLUMNS, pages, LoopClosureLine::from))
 }
 
 /// All loop closures of a map as a JSON array, oldest first.
-#[utoipa::path(get, path = "/v1/maps/{map}/matches.json", tag = "exports", params(MapPath),
-    responses((status = 200, description = "All loop closures.", body = Vec<LoopClosure>), Refusals))]
-pub(super) async fn export_matches_json(
+#[utoipa::path(get, path = "/v1/maps/{map}/loop-closures.json", tag = "exports", params(MapPath),
+    responses((status = 200, description = "All loop closures.", body = Vec<v1::LoopClosure>), Refusals))]
+pub(super) async fn export_loop_closures_json(
     State(service): State<Arc<Service>>,
     InPath(MapPath { map }): InPath<MapPath>,
     InQuery(Nothing {}): InQuery<Nothing>,
 ) -> Result<Response, HttpError> {
-    let pages = first_of(matches(service, map_name(&map))).await?;
-    Ok(json_file(&format!("{map}-matches.json"), pages, LoopClosure::from))
+    let pages = first_of(loop_closures(service, map_name(&map))).await?;
+    Ok(json_file(&format!("{map}-loop-closures.json"), pages, loop_closure))
 }
 
 /// All frames of a map with what was decided about them as CSV, session by session.
 #[utoipa::path(get, path = "/v1/maps/{map}/posteriors.csv", tag = "exports", params(MapPath),
     responses((status = 200, body = String, content_type = "text/csv", description = "A header, then a line per \
-        frame: session, sequence, stamp_ns, reason, place, posterior, new_place_posterior, and the most probable \
-        places in columns place_1, posterior_1 to place_10, posterior_10."), Refusals))]
+        frame: session, sequence, stamp_ns, reason, place_number, posterior, new_place_posterior, and the \
+        most probable places in columns place_number_1, posterior_1 to place_number_10, posterior_10."), Refusals))]
 pub(super) async fn export_posteriors_csv(
     State(service): State<Arc<Service>>,
     InPath(MapPath { map }): InPath<MapPath>,
@@ -83,10 +85,13 @@ pub(super) async fn export_posteriors_json(
 /// Rows, a page at a time.
 type Rows<T> = Result<Vec<T>, ServiceError>;
 
-fn matches(service: Arc<Service>, map: String) -> impl Stream<Item = Rows<LoopClosureView>> + Send + 'static {
+fn loop_closures(
+    service: Arc<Service>,
+    map: String,
+) -> impl Stream<Item = Rows<LoopClosureView>> + Send + 'static {
     pages(move |token| {
         let (service, map) = (service.clone(), map.clone());
-        async move { service.list_matches(&map, PAGE_ROWS, &token).await }
+        async move { service.maps.loop_closures(&map, PAGE_ROWS, &token).await }
     })
 }
 
@@ -98,7 +103,7 @@ fn frames(
     let listing = service.clone();
     let sessions = pages(move |token| {
         let (service, map) = (listing.clone(), map.clone());
-        async move { service.list_sessions(&map, PAGE_ROWS, &token).await }
+        async move { service.frames.sessions(&map, PAGE_ROWS, &token).await }
     });
     let sessions = sessions.map_ok(|rows| stream::iter(rows).map(Ok::<_, ServiceError>)).try_flatten();
     sessions.map_ok(move |session| frames_of(service.clone(), session.name)).try_flatten()
@@ -111,7 +116,7 @@ fn frames_of(
     let of = session.clone();
     let frames = pages(move |token| {
         let (service, session) = (service.clone(), session.clone());
-        async move { service.list_frames(&session, PAGE_ROWS, &token).await }
+        async move { service.frames.list(&session, PAGE_ROWS, &token).await }
     });
     frames.map_ok(move |rows| rows.into_iter().map(|frame| (of.clone(), frame)).collect())
 }
@@ -188,27 +193,27 @@ fn file(
     (headers, Body::from_stream(content)).into_response()
 }
 
-const MATCH_COLUMNS: &[&str] = &[
+const LOOP_CLOSURE_COLUMNS: &[&str] = &[
     "session",
     "sequence",
     "stamp_ns",
     "matched_session",
     "matched_sequence",
     "matched_stamp_ns",
-    "place",
+    "place_number",
     "posterior",
     "probability",
 ];
 
-/// A line of the table of matches, in the order of [`MATCH_COLUMNS`].
+/// A line of the table of loop closures, in the order of [`LOOP_CLOSURE_COLUMNS`].
 #[derive(Debug, Serialize)]
-struct MatchRow(String, u64, i64, String, u64, i64, u32, f64, Option<f64>);
+struct LoopClosureLine(String, u64, i64, String, u64, i64, u32, f64, Option<f64>);
 
-impl From<LoopClosureView> for MatchRow {
+impl From<LoopClosureView> for LoopClosureLine {
     fn from(view: LoopClosureView) -> Self {
-        let LoopClosure { frame, matched_frame, place, posterior, probability } = view.into();
+        let LoopClosureView { frame, matched, place, posterior, probability } = view;
         let FrameReference { session, sequence, stamp_ns } = frame;
-        let FrameReference { session: at, sequence: number, stamp_ns: stamp } = matched_frame;
+        let FrameReference { session: at, sequence: number, stamp_ns: stamp } = matched;
         Self(session, sequence, stamp_ns, at, number, stamp, place, posterior, probability)
     }
 }
@@ -221,35 +226,36 @@ pub(super) struct FramePosterior {
     sequence: u64,
     /// When the image was taken, by the robot's clock.
     stamp_ns: i64,
-    reason: Reason,
-    /// The place the frame belongs to; null if too little was seen to say.
+    /// As in the frame's answer.
+    #[schema(example = "loop_closure")]
+    reason: &'static str,
+    /// The place that the frame belongs to; null if too little was seen to decide.
     #[schema(required)]
-    place: Option<u32>,
+    place_number: Option<u32>,
     /// Posterior probability of what was decided: of the place, or of a new one.
     posterior: f64,
     /// Probability of being somewhere new.
     new_place_posterior: f64,
     /// The most probable places, most probable first.
     #[schema(max_items = 10)]
-    places: Vec<PlaceProbability>,
+    places: Vec<v1::PlaceProbability>,
 }
 
 impl From<(String, FrameView)> for FramePosterior {
     fn from((session, frame): (String, FrameView)) -> Self {
         // In short: the rest is had frame by frame.
-        let FrameView { name: _, stamp_ns, answer, odometry: _, learnt: _, observation: _, bytes: _ } = frame;
-        let FrameAnswer {
-            sequence,
-            reason,
-            place,
-            posterior,
-            new_place_posterior,
-            places,
-            closure: _,
-            proposal: _,
-            words: _,
-        } = answer.into();
-        Self { session, sequence, stamp_ns, reason, place, posterior, new_place_posterior, places }
+        let frame = listed_frame(frame);
+        let answer = frame.answer.unwrap_or_default();
+        Self {
+            session,
+            sequence: answer.sequence,
+            stamp_ns: frame.stamp_ns,
+            reason: answer.reason().json_name(),
+            place_number: answer.place_number,
+            posterior: answer.posterior,
+            new_place_posterior: answer.new_place_posterior,
+            places: answer.places,
+        }
     }
 }
 
@@ -261,28 +267,28 @@ const POSTERIOR_COLUMNS: &[&str] = &[
     "sequence",
     "stamp_ns",
     "reason",
-    "place",
+    "place_number",
     "posterior",
     "new_place_posterior",
-    "place_1",
+    "place_number_1",
     "posterior_1",
-    "place_2",
+    "place_number_2",
     "posterior_2",
-    "place_3",
+    "place_number_3",
     "posterior_3",
-    "place_4",
+    "place_number_4",
     "posterior_4",
-    "place_5",
+    "place_number_5",
     "posterior_5",
-    "place_6",
+    "place_number_6",
     "posterior_6",
-    "place_7",
+    "place_number_7",
     "posterior_7",
-    "place_8",
+    "place_number_8",
     "posterior_8",
-    "place_9",
+    "place_number_9",
     "posterior_9",
-    "place_10",
+    "place_number_10",
     "posterior_10",
 ];
 
@@ -292,7 +298,7 @@ struct PosteriorLine(
     String,
     u64,
     i64,
-    Reason,
+    &'static str,
     Option<u32>,
     f64,
     f64,
@@ -306,16 +312,15 @@ impl From<FramePosterior> for PosteriorLine {
             sequence,
             stamp_ns,
             reason,
-            place,
+            place_number,
             posterior,
             new_place_posterior,
             places,
         } = row;
-        let place_at = |rank: usize| {
-            places.get(rank).map(|&PlaceProbability { place, posterior }| (place, posterior)).unzip()
-        };
+        let place_at =
+            |rank: usize| places.get(rank).map(|place| (place.place_number, place.posterior)).unzip();
         let most_probable = std::array::from_fn(place_at);
-        Self(session, sequence, stamp_ns, reason, place, posterior, new_place_posterior, most_probable)
+        Self(session, sequence, stamp_ns, reason, place_number, posterior, new_place_posterior, most_probable)
     }
 }
 

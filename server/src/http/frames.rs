@@ -5,23 +5,20 @@ use axum::extract::State;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG, IF_NONE_MATCH};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
-use fabmap::observation::Observation;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use sha2::{Digest, Sha256};
-use topomap::{event, verification};
 use utoipa::openapi::schema::{KnownFormat, SchemaFormat, Type};
 use utoipa::openapi::{ObjectBuilder, RefOr, Schema};
 use utoipa::{IntoParams, PartialSchema, ToSchema};
+use waypost_proto::v1;
 
 use super::HttpError;
 use super::description::Refusals;
-use super::geometry::Odometry;
-use super::maps::FrameReference;
 use super::parameters::{FramePath, InPath, InQuery, Nothing, Parameters};
 use crate::error::ServiceError;
 use crate::service::Service;
-use crate::service::frames::{FrameBytes, FrameImage, FrameView, ImageSize};
-use crate::service::sessions::{self, GeometryView, MatchView};
+use crate::service::frames::{FrameImage, ImageSize};
+use crate::wire::sessions::frame_record;
 
 impl FramePath {
     /// `maps/{map}/sessions/{session}/frames/{sequence}`.
@@ -34,33 +31,35 @@ impl FramePath {
 /// A frame: what was decided about it, where the wheels put the robot, and its words.
 #[utoipa::path(get, path = "/v1/maps/{map}/sessions/{session}/frames/{sequence}", tag = "sessions",
     params(FramePath),
-    responses((status = 200, description = "The frame.", body = FrameRecord), Refusals))]
+    responses((status = 200, description = "The frame.", body = v1::FrameRecord), Refusals))]
 pub(super) async fn get_frame(
     State(service): State<Arc<Service>>,
     InPath(path): InPath<FramePath>,
     InQuery(Nothing {}): InQuery<Nothing>,
-) -> Result<Json<FrameRecord>, HttpError> {
-    Ok(Json(service.frame(&path.name()).await?.into()))
+) -> Result<Json<v1::FrameRecord>, HttpError> {
+    Ok(Json(frame_record(service.frames.get(&path.name()).await?)))
 }
 
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct ImageChoice {
-    /// Left out, the image comes if it is kept, else the thumbnail.
+    /// `largest`: the image if it is kept, otherwise the thumbnail.
     #[param(inline)]
-    size: Option<Size>,
+    size: Size,
 }
 
-#[derive(Clone, Copy, Debug, Deserialize, ToSchema)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 enum Size {
+    #[default]
+    Largest,
     Original,
     Thumbnail,
 }
 
 impl Parameters for ImageChoice {
-    const TAKES: &str = "size=original or size=thumbnail";
+    const TAKES: &str = "size=largest, original or thumbnail";
 }
 
 /// What a frame looked like, as far as the map keeps it.
@@ -81,11 +80,11 @@ pub(super) async fn get_frame_image(
     headers: HeaderMap,
 ) -> Result<Response, HttpError> {
     let size = match size {
-        None => ImageSize::Best,
-        Some(Size::Original) => ImageSize::Original,
-        Some(Size::Thumbnail) => ImageSize::Thumbnail,
+        Size::Largest => ImageSize::Best,
+        Size::Original => ImageSize::Original,
+        Size::Thumbnail => ImageSize::Thumbnail,
     };
-    let FrameImage { content_type, image } = service.frame_image(&path.name(), size).await?;
+    let FrameImage { content_type, image } = service.frames.image(&path.name(), size).await?;
     unless_known(&headers, content_type, image).await
 }
 
@@ -133,237 +132,6 @@ fn entity_tag(image: &[u8]) -> String {
 fn names(list: &[u8], tag: &str) -> bool {
     let mut known = list.split(|&byte| byte == b',').map(<[u8]>::trim_ascii);
     known.any(|known| known == b"*" || known.strip_prefix(b"W/").unwrap_or(known) == tag.as_bytes())
-}
-
-/// A frame as the log keeps it.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct FrameRecord {
-    /// `maps/{map}/sessions/{session}/frames/{sequence}`
-    #[schema(example = "maps/demo/sessions/monday/frames/7")]
-    name: String,
-    /// When the image was taken, by the robot's clock.
-    stamp_ns: i64,
-    answer: FrameAnswer,
-    /// Where the wheels put the robot.
-    #[schema(required)]
-    odometry: Option<Odometry>,
-    /// Whether the place learnt its look from this frame.
-    learnt: bool,
-    storage: FrameStorage,
-    /// Its words. Not in lists.
-    #[schema(required)]
-    histogram: Option<WordHistogram>,
-}
-
-/// What was decided about a frame, as the robot was told.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct FrameAnswer {
-    pub(super) sequence: u64,
-    pub(super) reason: Reason,
-    /// The place the frame belongs to, as a number; null if too little was seen to say.
-    #[schema(required)]
-    pub(super) place: Option<u32>,
-    /// Posterior probability of what was decided: of the place, or of a new one.
-    pub(super) posterior: f64,
-    /// Probability of being somewhere new.
-    pub(super) new_place_posterior: f64,
-    /// The most probable places, most probable first.
-    #[schema(max_items = 10)]
-    pub(super) places: Vec<PlaceProbability>,
-    /// For `loop_closure`, `below_threshold` and `geometry_refused`: place and frame that matched.
-    #[schema(required)]
-    pub(super) closure: Option<Match>,
-    /// Whatever was decided: of the most probable place known from before the guard, the frame that matches
-    /// best; with geometry, of the place that it has most evidence for.
-    #[schema(required)]
-    pub(super) proposal: Option<Match>,
-    /// Different words seen.
-    pub(super) words: u64,
-}
-
-/// Why a frame was decided as it was: somewhere new was the most probable (`new_place`); the place that the
-/// session is at, or has just left (`same_place`); another place, at or above the map's threshold
-/// (`loop_closure`) or below it, so that a place was created (`below_threshold`); too few words to say
-/// anything (`too_few_words`); a known place above the threshold that geometry refused, so that a place was
-/// created (`geometry_refused`).
-#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum Reason {
-    NewPlace,
-    SamePlace,
-    LoopClosure,
-    BelowThreshold,
-    TooFewWords,
-    GeometryRefused,
-}
-
-#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
-pub(super) struct PlaceProbability {
-    pub(super) place: u32,
-    pub(super) posterior: f64,
-}
-
-/// An earlier frame of a place.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct Match {
-    place: u32,
-    posterior: f64,
-    frame: FrameReference,
-    /// ln [posterior / (1 - posterior)], nats: tells apart what rounds to 1.
-    log_odds: f64,
-    /// What geometry found between the two frames; null where it was not asked.
-    #[schema(required)]
-    geometry: Option<Geometry>,
-}
-
-/// Two views compared by where their features are.
-#[derive(Debug, Serialize, ToSchema)]
-struct Geometry {
-    /// Features that look alike.
-    matches: u32,
-    /// Those that one motion explains.
-    inliers: u32,
-    /// What this and the session's last frames say for the place, in inliers.
-    evidence: f64,
-    /// That both frames show the same place, by words and geometry together.
-    probability: f64,
-    /// The motion, if it was looked for in the image plane and one was found.
-    #[schema(required)]
-    similarity: Option<Similarity>,
-}
-
-/// x_current = s R x_earlier + t about the centres of the images.
-#[derive(Debug, Serialize, ToSchema)]
-struct Similarity {
-    /// Angle of R, from x to the right towards y down.
-    rotation_rad: f64,
-    /// ln s: above 0 if the current view is nearer.
-    ln_scale: f64,
-    /// t to the right, in widths of the image.
-    x_widths: f64,
-    /// t down, in widths of the image.
-    y_widths: f64,
-}
-
-/// What is kept of a frame, in bytes; 0 where nothing is.
-#[derive(Debug, Serialize, ToSchema)]
-struct FrameStorage {
-    /// Words and decision: always kept.
-    log_bytes: u64,
-    features_bytes: u64,
-    thumbnail_bytes: u64,
-    image_bytes: u64,
-}
-
-/// How often words were seen in an image; position i of each list is about the same word.
-#[derive(Debug, Serialize, ToSchema)]
-struct WordHistogram {
-    words: Vec<u32>,
-    counts: Vec<u32>,
-}
-
-impl FrameRecord {
-    /// As it is in a list.
-    pub(super) fn listed(view: FrameView) -> Self {
-        Self { histogram: None, ..view.into() }
-    }
-}
-
-impl From<FrameView> for FrameRecord {
-    fn from(view: FrameView) -> Self {
-        let FrameView { name, stamp_ns, answer, odometry, learnt, observation, bytes } = view;
-        let FrameBytes { log, features, thumbnail, image } = bytes;
-        Self {
-            name,
-            stamp_ns,
-            answer: answer.into(),
-            odometry: odometry.map(Odometry::from),
-            learnt,
-            storage: FrameStorage {
-                log_bytes: log,
-                features_bytes: features,
-                thumbnail_bytes: thumbnail,
-                image_bytes: image,
-            },
-            histogram: Some(WordHistogram::from(&observation)),
-        }
-    }
-}
-
-impl From<&Observation> for WordHistogram {
-    fn from(observation: &Observation) -> Self {
-        let (words, counts) = observation.word_counts().unzip();
-        Self { words, counts }
-    }
-}
-
-impl From<sessions::FrameAnswer> for FrameAnswer {
-    fn from(answer: sessions::FrameAnswer) -> Self {
-        let sessions::FrameAnswer {
-            sequence,
-            reason,
-            place,
-            posterior,
-            new_place_posterior,
-            places,
-            closure,
-            proposal,
-            words,
-            // These are of the stream that the answer went to.
-            last_committed: _,
-            timings: _,
-            map_pose: _,
-        } = answer;
-        Self {
-            sequence,
-            reason: reason.into(),
-            place,
-            posterior,
-            new_place_posterior,
-            places: places.into_iter().map(PlaceProbability::from).collect(),
-            closure: closure.map(Match::from),
-            proposal: proposal.map(Match::from),
-            words,
-        }
-    }
-}
-
-impl From<event::Reason> for Reason {
-    fn from(reason: event::Reason) -> Self {
-        match reason {
-            event::Reason::NewPlace => Self::NewPlace,
-            event::Reason::SamePlace => Self::SamePlace,
-            event::Reason::LoopClosure => Self::LoopClosure,
-            event::Reason::BelowThreshold => Self::BelowThreshold,
-            event::Reason::TooFewWords => Self::TooFewWords,
-            event::Reason::GeometryRefused => Self::GeometryRefused,
-        }
-    }
-}
-
-impl From<(u32, f64)> for PlaceProbability {
-    fn from((place, posterior): (u32, f64)) -> Self {
-        Self { place, posterior }
-    }
-}
-
-impl From<MatchView> for Match {
-    fn from(view: MatchView) -> Self {
-        let MatchView { place, posterior, log_odds, frame, geometry } = view;
-        Self { place, posterior, frame: frame.into(), log_odds, geometry: geometry.map(Geometry::from) }
-    }
-}
-
-impl From<GeometryView> for Geometry {
-    fn from(view: GeometryView) -> Self {
-        let GeometryView { matches, inliers, evidence, probability, similarity } = view;
-        let similarity = similarity.map(|similarity| {
-            let verification::Similarity { rotation_rad, ln_scale, translation_widths } = similarity;
-            let [x_widths, y_widths] = translation_widths;
-            Similarity { rotation_rad, ln_scale, x_widths, y_widths }
-        });
-        Self { matches, inliers, evidence, probability, similarity }
-    }
 }
 
 #[cfg(test)]

@@ -10,11 +10,11 @@ use maud::{DOCTYPE, Markup, html};
 
 use super::HttpError;
 use super::parameters::{InQuery, Paging};
+use crate::names::model_name;
+use crate::pages::Page;
 use crate::service::Service;
+use crate::service::maps::MapCounts;
 use crate::service::maps::MapView;
-use crate::service::models::Page;
-use crate::service::names::model_name;
-use crate::storage::MapCounts;
 
 /// What is sent loads nothing and runs nothing, unless the route says otherwise.
 const NOTHING_RUNS: HeaderValue = HeaderValue::from_static(
@@ -40,7 +40,7 @@ pub(super) async fn root(
     State(service): State<Arc<Service>>,
     InQuery(Paging { page_size, page_token }): InQuery<Paging>,
 ) -> Result<Response, HttpError> {
-    let maps = service.list_maps(page_size, &page_token).await?;
+    let maps = service.maps.list(page_size, &page_token).await?;
     Ok(([(CONTENT_SECURITY_POLICY, STYLE_ALONE)], Html(start_page(&maps).into_string())).into_response())
 }
 
@@ -104,10 +104,11 @@ fn row(MapView { map, model, counts, .. }: &MapView) -> Markup {
             td { (links) }
             td { a href={ (at) "/sessions" } { (sessions) } }
             td { (frames) }
-            td { a href={ (at) "/matches" } { (loop_closures) } }
+            td { a href={ (at) "/loop-closures" } { (loop_closures) } }
             td.text { a href={ "/v1/" (model_name(model)) } { (model.get(..8).unwrap_or(model)) } }
             td.text {
-                "matches: " a href={ (at) "/matches.csv" } { "CSV" } ", " a href={ (at) "/matches.json" } { "JSON" }
+                "loop closures: " a href={ (at) "/loop-closures.csv" } { "CSV" } ", "
+                a href={ (at) "/loop-closures.json" } { "JSON" }
                 "; posteriors: " a href={ (at) "/posteriors.csv" } { "CSV" } ", "
                 a href={ (at) "/posteriors.json" } { "JSON" }
             }

@@ -26,11 +26,11 @@ const IMAGES_WITHIN: HeaderValue = HeaderValue::from_static(
 pub(super) struct Beside {
     /// Number of the place whose frame is shown beside it: the one that was compared, or else the one of its latest
     /// 100 with the most words in common. Left out, the place that was, or could have been, matched.
-    place: Option<u32>,
+    place_number: Option<u32>,
 }
 
 impl Parameters for Beside {
-    const TAKES: &str = "place=NUMBER";
+    const TAKES: &str = "place_number=NUMBER";
 }
 
 /// A frame beside an earlier one, with what they have in common.
@@ -48,10 +48,10 @@ impl Parameters for Beside {
 pub(super) async fn get_frame_picture(
     State(service): State<Arc<Service>>,
     InPath(path): InPath<FramePath>,
-    InQuery(Beside { place }): InQuery<Beside>,
+    InQuery(Beside { place_number }): InQuery<Beside>,
     headers: HeaderMap,
 ) -> Result<Response, HttpError> {
-    let FramePicture { content_type, picture } = service.frame_picture(&path.name(), place).await?;
+    let FramePicture { content_type, picture } = service.pictures.frame(&path.name(), place_number).await?;
     let response = unless_known(&headers, content_type, picture).await?;
     Ok(([(CONTENT_SECURITY_POLICY, IMAGES_WITHIN)], response).into_response())
 }

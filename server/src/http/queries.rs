@@ -7,19 +7,19 @@ use axum::extract::rejection::BytesRejection;
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
+use waypost_proto::v1;
 
 use super::description::{QueryRefusals, Refusals};
-use super::explanations::PlaceExplanation;
-use super::frames::{ImageFile, Match, PlaceProbability};
+use super::frames::ImageFile;
 use super::parameters::{InPath, InQuery, MapPath, Parameters};
 use super::{HttpError, error_response};
 use crate::error::ServiceError;
+use crate::ingest::content::{self, Content};
+use crate::names::map_name;
 use crate::service::Service;
-use crate::service::content::{self, Content};
-use crate::service::names::map_name;
-use crate::service::queries::QueryAnswer;
+use crate::wire::recognition::query_response;
 
 /// Largest body taken in, as over gRPC: an image that is too large is refused with a reason.
 pub(super) const MAX_BODY_BYTES: usize = 16 << 20;
@@ -28,9 +28,9 @@ pub(super) const MAX_BODY_BYTES: usize = 16 << 20;
 #[serde(default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct Asked {
-    /// Explains the most probable place by so many words for and as many against it.
-    #[param(minimum = 0, maximum = 100, default = 0)]
-    explained_words: u32,
+    /// Explains the most probable place, with this many words for it and as many against it. No explanation if left out.
+    #[param(minimum = 0, maximum = 100)]
+    explained_words: Option<u32>,
 }
 
 impl Parameters for Asked {
@@ -43,16 +43,17 @@ impl Parameters for Asked {
 #[utoipa::path(post, path = "/v1/maps/{map}/query", tag = "maps", params(MapPath, Asked),
     request_body(description = "An image of at most 4 MiB and 16 megapixels, or words.",
         content((ImageFile = "image/jpeg"), (ImageFile = "image/png"), (WordQuery = "application/json"))),
-    responses((status = 200, description = "Where it was taken.", body = QueryResponse), Refusals, QueryRefusals))]
+    responses((status = 200, description = "Where it was taken.", body = v1::QueryResponse), Refusals, QueryRefusals))]
 pub(super) async fn query(
     State(service): State<Arc<Service>>,
     InPath(MapPath { map }): InPath<MapPath>,
     InQuery(Asked { explained_words }): InQuery<Asked>,
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
-) -> Result<Json<QueryResponse>, QueryError> {
+) -> Result<Json<v1::QueryResponse>, QueryError> {
     let (content, words_hash) = shown(&headers, body).await?;
-    Ok(Json(service.query(&map_name(&map), content, &words_hash, explained_words).await?.into()))
+    let answer = service.queries.query(&map_name(&map), content, &words_hash, explained_words).await?;
+    Ok(Json(query_response(answer)))
 }
 
 /// What a body shows, and of which words it is.
@@ -138,7 +139,9 @@ impl WordQuery {
     fn content(self) -> Result<(Content, String), ServiceError> {
         let Self { words_hash, histogram, words } = self;
         let content = match (histogram, words) {
-            (Some(Histogram { words, counts }), None) => Content::Histogram { words, counts },
+            (Some(Histogram { words, counts }), None) => {
+                Content::Histogram { words: words.into_iter().map(Into::into).collect(), counts }
+            }
             (None, Some(list)) => Content::Words(list.into()),
             (None, None) => {
                 return Err(ServiceError::invalid("the query shows nothing; send a histogram or words"));
@@ -154,42 +157,8 @@ impl WordQuery {
 impl From<WordList> for content::WordList {
     fn from(list: WordList) -> Self {
         let WordList { words, x_px, y_px, size_px, angle_rad, image_width_px, image_height_px } = list;
+        let words = words.into_iter().map(Into::into).collect();
         Self { words, x_px, y_px, size_px, angle_rad, image_width_px, image_height_px }
-    }
-}
-
-/// Where an image was taken.
-#[derive(Debug, Serialize, ToSchema)]
-pub(super) struct QueryResponse {
-    /// The most probable places, most probable first.
-    #[schema(max_items = 10)]
-    places: Vec<PlaceProbability>,
-    new_place_posterior: f64,
-    /// Of the most probable place, the frame that matches best; null if the map is empty or too few words
-    /// were seen.
-    #[schema(required)]
-    #[serde(rename = "match")]
-    matched: Option<Match>,
-    /// Whether the match reaches the map's threshold, and is more probable than a new place.
-    accepted: bool,
-    /// Different words seen.
-    words: u64,
-    /// If asked for and there is a place.
-    #[schema(required)]
-    explanation: Option<PlaceExplanation>,
-}
-
-impl From<QueryAnswer> for QueryResponse {
-    fn from(answer: QueryAnswer) -> Self {
-        let QueryAnswer { places, new_place_posterior, matched, accepted, words, explanation } = answer;
-        Self {
-            places: places.into_iter().map(PlaceProbability::from).collect(),
-            new_place_posterior,
-            matched: matched.map(Match::from),
-            accepted,
-            words,
-            explanation: explanation.map(PlaceExplanation::from),
-        }
     }
 }
 

@@ -10,7 +10,7 @@ use tracing::Instrument;
 
 use super::HttpError;
 use crate::error::ServiceError;
-use crate::request_id::RequestId;
+use crate::net::request_id::RequestId;
 use crate::service::Service;
 
 /// Within which an answer begins.

@@ -11,8 +11,8 @@ use utoipa::{IntoParams, ToSchema};
 use super::HttpError;
 use super::description::Refusals;
 use super::parameters::{InPath, InQuery, MapPath, Nothing, Parameters, SessionPath};
+use crate::names::{map_name, session_name};
 use crate::service::Service;
-use crate::service::names::{map_name, session_name};
 use crate::service::trajectories::{TrajectoryBody, TrajectoryFormat, TrajectoryFrame};
 
 #[derive(Debug, Default, Deserialize, IntoParams)]
@@ -83,7 +83,7 @@ pub(super) async fn export_trajectory(
         Body::Base => TrajectoryBody::Base,
         Body::Camera => TrajectoryBody::Camera,
     };
-    let text = service.trajectory(&session_name(&map, &session), format, frame, body).await?;
+    let text = service.trajectories.session(&session_name(&map, &session), format, frame, body).await?;
     Ok(text_file(&format!("{map}-{session}.{ending}"), text))
 }
 
@@ -95,7 +95,7 @@ pub(super) async fn export_graph(
     InPath(MapPath { map }): InPath<MapPath>,
     InQuery(Nothing {}): InQuery<Nothing>,
 ) -> Result<Response, HttpError> {
-    Ok(text_file(&format!("{map}.g2o"), service.pose_graph(&map_name(&map)).await?))
+    Ok(text_file(&format!("{map}.g2o"), service.trajectories.pose_graph(&map_name(&map)).await?))
 }
 
 fn text_file(name: &str, text: Vec<u8>) -> Response {

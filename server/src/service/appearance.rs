@@ -1,25 +1,19 @@
 //! Maps without metres: which places can be matched from which, the spaces that they form, and what people call them.
 
-mod graph;
-mod growth;
-mod labels;
-
 use std::sync::Arc;
 
 use fabmap::appearance::PlaceId;
 use tokio::runtime::Handle;
+use tokio_util::sync::CancellationToken;
 
-pub(crate) use self::graph::{Graph, Shown};
-use self::growth::Ground;
-pub(crate) use self::growth::GrowingGraph;
-pub(crate) use self::labels::LabelReach;
-pub(super) use self::labels::check_label;
-use super::Service;
-use super::map_settings::{self, NavigationStrategy};
-use super::map_writer::MapHandle;
-use super::names::{map_in, map_name};
+use super::jobs::Jobs;
 use crate::error::ServiceError;
-use crate::storage::{MapEdition, MapRow};
+use crate::ingest::model::LoadedModels;
+use crate::map_settings::{self, NavigationStrategy};
+use crate::names::{map_in, map_name};
+use crate::open_map::appearance::{Graph, Ground, LinkView};
+use crate::open_map::{MapHandle, OpenMaps};
+use crate::storage::{MapEdition, MapRow, Storage};
 
 /// The graph of a map, for people.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,25 +31,28 @@ pub(crate) struct NodeView {
     /// Convex space that it is in.
     pub(crate) space: u32,
     /// Empty if it has none.
-    pub(crate) label: String,
+    pub(crate) label: Option<String>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct LinkView {
-    pub(crate) from: PlaceId,
-    pub(crate) to: PlaceId,
-    pub(crate) similarity: f64,
+/// The appearance graphs of maps. Cheap to clone.
+#[derive(Clone, Debug)]
+pub(crate) struct AppearanceGraphs {
+    pub(super) storage: Storage,
+    pub(super) models: LoadedModels,
+    pub(super) open_maps: OpenMaps,
+    pub(super) jobs: Jobs,
+    pub(super) stopping: CancellationToken,
 }
 
-impl Service {
+impl AppearanceGraphs {
     /// The graph of a map with spaces and labels.
-    pub(crate) async fn appearance_graph(self: &Arc<Self>, map: &str) -> Result<GraphView, ServiceError> {
-        let row = self.map_row(map_in(map)?).await?;
-        let graph = self.graph_of(&row).await?;
+    pub(crate) async fn get(&self, map: &str) -> Result<GraphView, ServiceError> {
+        let row = self.open_maps.row(map_in(map)?).await?;
+        let graph = self.of(&row).await?;
         let labels = self.storage.labels(row.id, 0, u32::MAX).await?;
         let label = |place: PlaceId| {
             let found = labels.binary_search_by_key(&place, |row| row.place);
-            found.map_or_else(|_| String::new(), |index| labels[index].label.clone())
+            found.ok().map(|index| labels[index].label.clone())
         };
         let spaces = tokio::task::spawn_blocking({
             let graph = graph.clone();
@@ -71,7 +68,7 @@ impl Service {
     }
 
     /// The graph of a map with all that its log has by now.
-    pub(super) async fn graph_of(self: &Arc<Self>, row: &MapRow) -> Result<Arc<Graph>, ServiceError> {
+    pub(super) async fn of(&self, row: &MapRow) -> Result<Arc<Graph>, ServiceError> {
         if map_settings::from_json(&row.settings)?.strategy != NavigationStrategy::Appearance {
             return Err(ServiceError::precondition(format_args!(
                 "the map {} is not navigated by appearance, so its places form no graph of what they look like; make a \
@@ -79,21 +76,23 @@ impl Service {
                 row.name
             )));
         }
-        let map = self.open_map_of(row).await?;
+        let map = self.open_maps.open_of(row).await?;
         map.appearance().up_to_date(self.ground(map.edition(), row).await?).await
     }
 
     /// Has the graph of an open map take in what came lately.
-    pub(super) fn grow_graph(self: &Arc<Self>, map: &MapHandle, name: &str) {
+    pub(super) fn grow(&self, map: &MapHandle, name: &str) {
         let Some(growing) = map.appearance().wanted() else { return };
-        let (service, name, map) = (self.clone(), name.to_owned(), map.edition());
+        let graphs = self.clone();
+        let name = name.to_owned();
+        let map = map.edition();
         self.jobs.track(async move {
             let grown = async {
-                let row = service.map_row(&name).await?;
+                let row = graphs.open_maps.row(&name).await?;
                 if row.edition() != map {
                     return Ok(());
                 }
-                growing.grow(service.ground(map, &row).await?).await
+                growing.grow(graphs.ground(map, &row).await?).await
             };
             match grown.await {
                 Ok(()) => {}
@@ -109,7 +108,7 @@ impl Service {
             storage: self.storage.clone(),
             runtime: Handle::current(),
             map,
-            model: self.loaded_model(&row.model).await?,
+            model: self.models.get(&row.model).await?,
             stopping: self.stopping.clone(),
         })
     }

@@ -3,17 +3,19 @@
 use std::collections::HashMap;
 
 use fabmap::observation::Observation;
-use topomap::event::{FrameEvent, FrameId, Match};
-use topomap::odometry::Odometry;
-use topomap::verification::Candidate;
+use topomap::evidence::{Candidate, Match};
+use topomap::ids::FrameId;
+use topomap::log::FrameEvent;
+use topomap::metric::Odometry;
 
-use super::Service;
-use super::maps::reference;
-use super::models::Page;
-use super::names::{frame_in, frame_name, map_in, numbered_page, page_size, session_in, session_name};
-use super::sessions::{FrameAnswer, GeometryView, MatchView};
 use crate::error::ServiceError;
-use crate::storage::{FrameRow, MapRow, MediumKind, SessionRow, SessionSummary, StoredFrame};
+use crate::ingest::model::LoadedModels;
+use crate::names::{frame_in, frame_name, map_in, session_in, session_name};
+use crate::open_map::OpenMaps;
+use crate::open_map::answers::{FrameAnswer, GeometryView, MatchView, reference};
+use crate::pages::{Page, numbered_page, page_size};
+pub(crate) use crate::storage::{FrameBytes, SessionSummary};
+use crate::storage::{FrameRow, MapRow, MediumKind, SessionRow, Storage, StoredFrame};
 
 /// A session as people see it.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,15 +37,6 @@ pub(crate) struct FrameView {
     pub(crate) learnt: bool,
     pub(crate) observation: Observation,
     pub(crate) bytes: FrameBytes,
-}
-
-/// What is kept of a frame; 0 where nothing is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct FrameBytes {
-    pub(crate) log: u64,
-    pub(crate) features: u64,
-    pub(crate) thumbnail: u64,
-    pub(crate) image: u64,
 }
 
 /// Which picture of a frame is wanted.
@@ -68,16 +61,25 @@ pub(super) struct LocatedFrame {
     pub(super) position: FrameId,
 }
 
-impl Service {
+/// What the log keeps of sessions and frames. Cheap to clone.
+#[derive(Clone, Debug)]
+pub(crate) struct Frames {
+    pub(super) storage: Storage,
+    pub(super) models: LoadedModels,
+    pub(super) open_maps: OpenMaps,
+}
+
+impl Frames {
     /// The sessions of a map, oldest first.
-    pub(crate) async fn list_sessions(
+    pub(crate) async fn sessions(
         &self,
         name: &str,
         size: u32,
         token: &str,
     ) -> Result<Page<SessionView>, ServiceError> {
-        let (map, size) = (map_in(name)?, page_size(size)?);
-        let row = self.map_row(map).await?;
+        let map = map_in(name)?;
+        let size = page_size(size)?;
+        let row = self.open_maps.row(map).await?;
         let from = numbered_page(token)?.unwrap_or(0);
         let mut sessions = self.storage.session_summaries(row.id, from, size + 1).await?;
         let next = sessions.get(size as usize).map_or_else(String::new, |next| next.number.to_string());
@@ -88,7 +90,7 @@ impl Service {
 
     pub(crate) async fn session(&self, name: &str) -> Result<SessionView, ServiceError> {
         let (map, session) = session_in(name)?;
-        let row = self.map_row(map).await?;
+        let row = self.open_maps.row(map).await?;
         match self.storage.session_summary(row.id, session).await? {
             Some(summary) => Ok(SessionView { name: name.to_owned(), summary }),
             None => Err(no_such_session(map, session)),
@@ -96,14 +98,15 @@ impl Service {
     }
 
     /// The frames of a session, by sequence number.
-    pub(crate) async fn list_frames(
+    pub(crate) async fn list(
         &self,
         name: &str,
         size: u32,
         token: &str,
     ) -> Result<Page<FrameView>, ServiceError> {
-        let ((map, session), size) = (session_in(name)?, page_size(size)?);
-        let row = self.map_row(map).await?;
+        let (map, session) = session_in(name)?;
+        let size = page_size(size)?;
+        let row = self.open_maps.row(map).await?;
         let number = self.storage.session_number(row.id, session).await?;
         let number = number.ok_or_else(|| no_such_session(map, session))?;
         let after = numbered_page(token)?;
@@ -116,9 +119,9 @@ impl Service {
         Ok(Page { items: self.frame_views(&row, session, frames).await?, next })
     }
 
-    pub(crate) async fn frame(&self, name: &str) -> Result<FrameView, ServiceError> {
+    pub(crate) async fn get(&self, name: &str) -> Result<FrameView, ServiceError> {
         let (map, session, sequence) = frame_in(name)?;
-        let row = self.map_row(map).await?;
+        let row = self.open_maps.row(map).await?;
         let number = self.storage.session_number(row.id, session).await?;
         let number = number.ok_or_else(|| no_such_session(map, session))?;
         let words = self.vocabulary_len(&row).await?;
@@ -129,7 +132,7 @@ impl Service {
     }
 
     /// What a frame looked like, as far as the map keeps it.
-    pub(crate) async fn frame_image(&self, name: &str, size: ImageSize) -> Result<FrameImage, ServiceError> {
+    pub(crate) async fn image(&self, name: &str, size: ImageSize) -> Result<FrameImage, ServiceError> {
         let LocatedFrame { map, position } = self.locate(name).await?;
         let kinds: &[MediumKind] = match size {
             ImageSize::Best => &[MediumKind::Image, MediumKind::Thumbnail],
@@ -149,7 +152,7 @@ impl Service {
 
     pub(super) async fn locate(&self, name: &str) -> Result<LocatedFrame, ServiceError> {
         let (map, session, sequence) = frame_in(name)?;
-        let row = self.map_row(map).await?;
+        let row = self.open_maps.row(map).await?;
         let number = self.storage.session_number(row.id, session).await?;
         let number = number.ok_or_else(|| no_such_session(map, session))?;
         let position = self.storage.position_of_sequence(row.id, number, sequence).await?;
@@ -158,7 +161,7 @@ impl Service {
     }
 
     pub(super) async fn vocabulary_len(&self, map: &MapRow) -> Result<usize, ServiceError> {
-        Ok(self.loaded_model(&map.model).await?.model.vocabulary().len())
+        Ok(self.models.get(&map.model).await?.model.vocabulary().len())
     }
 
     /// Views of frames of one session; the frames that they matched are looked up together.
@@ -174,7 +177,7 @@ impl Service {
         let matched = self.storage.frames_by_position(map.id, positions.clone()).await?;
         if positions.iter().any(|position| !matched.contains_key(position)) {
             // It was deleted since the frames were read, or its log is damaged.
-            self.map_row(&map.name).await?;
+            self.open_maps.row(&map.name).await?;
         }
         let sessions = self.storage.sessions(map.id).await?;
         let known = Known { map: &map.name, sessions: &sessions, matched: &matched };
@@ -202,7 +205,7 @@ impl Known<'_> {
 }
 
 fn frame_view(row: FrameRow, session: &str, known: &Known<'_>) -> Result<FrameView, ServiceError> {
-    let FrameRow { event, log_bytes, features_bytes, thumbnail_bytes, image_bytes } = row;
+    let FrameRow { event, bytes } = row;
     let matched = |found| known.matched(found, &event.candidates);
     let answer = FrameAnswer::new(
         &event,
@@ -218,12 +221,7 @@ fn frame_view(row: FrameRow, session: &str, known: &Known<'_>) -> Result<FrameVi
         odometry: event.odometry,
         learnt: event.learnt,
         observation: event.observation,
-        bytes: FrameBytes {
-            log: log_bytes,
-            features: features_bytes,
-            thumbnail: thumbnail_bytes,
-            image: image_bytes,
-        },
+        bytes,
     })
 }
 

@@ -11,11 +11,13 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-use super::models::Page;
-use super::names::{bad_page_token, id_in, page_size};
-use super::{Service, now_ns};
+use super::deleted_maps::DeletedMaps;
+use crate::clock::now_ns;
 use crate::error::ServiceError;
-use crate::storage::{JobEnd, JobKind, JobRow, ModelRow, StoredJobState};
+use crate::names::id_in;
+use crate::pages::{Page, bad_page_token, page_size};
+pub(crate) use crate::storage::JobKind;
+use crate::storage::{JobEnd, JobRow, Storage, StoredError, StoredJobState};
 
 /// A job as it stands.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,25 +36,19 @@ pub(crate) struct JobStatus {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum JobState {
     Running,
-    Succeeded(JobResult),
-    /// Why, and how to mend it.
-    Failed(String),
+    /// What it made: `models/{hash}`, `maps/{map}` or `merges/{number}`.
+    Succeeded(String),
+    Failed(ServiceError),
     Cancelled,
 }
 
-/// What a job made.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct JobResult {
-    /// `models/{hash}`, `maps/{map}` or `merges/{number}`.
-    pub(crate) name: String,
-    /// The model that a training made, unless it was deleted since.
-    pub(crate) model: Option<Box<ModelRow>>,
-}
-
-/// The jobs that run; those that have ended are in the database.
-#[derive(Debug)]
+/// Jobs: those that run are here, those that have ended in the database. Cheap to clone.
+#[derive(Clone, Debug)]
 pub(crate) struct Jobs {
-    running: Mutex<HashMap<u64, RunningJob>>,
+    storage: Storage,
+    deleted_maps: DeletedMaps,
+    stopping: CancellationToken,
+    running: Arc<Mutex<HashMap<u64, RunningJob>>>,
     /// One heavy job at a time: robots are being served meanwhile.
     turn: Arc<Semaphore>,
     tasks: TaskTracker,
@@ -76,10 +72,7 @@ pub(crate) struct JobReporter {
 /// How a job came to its end.
 pub(crate) enum JobOutcome {
     /// It succeeded, and the database knows it: in the same transaction as what the job made.
-    Stored {
-        end: JobEnd,
-        model: Option<Box<ModelRow>>,
-    },
+    Stored(JobEnd),
     Failed(ServiceError),
     Cancelled,
 }
@@ -117,41 +110,50 @@ const KEPT: Duration = Duration::from_secs(30 * 24 * 60 * 60);
 /// How long a stop of the server waits for jobs to notice.
 const STOPPING: Duration = Duration::from_secs(5);
 
-const CUT_OFF: &str =
-    "the server was stopped or restarted while this job ran; start it again: nothing will be there twice";
-
-impl Default for Jobs {
-    fn default() -> Self {
-        Self { running: Mutex::default(), turn: Arc::new(Semaphore::new(1)), tasks: TaskTracker::new() }
-    }
+/// Why a job failed that still ran when the server stopped.
+fn interrupted() -> ServiceError {
+    ServiceError::aborted(
+        "the server was stopped or restarted while this job ran; start it again: nothing will be there twice",
+    )
 }
 
-impl Service {
-    pub(crate) async fn job(&self, name: &str) -> Result<JobStatus, ServiceError> {
-        Ok(self.watch_job(name).await?.borrow().clone())
+impl Jobs {
+    pub(super) fn new(storage: Storage, deleted_maps: DeletedMaps, stopping: CancellationToken) -> Self {
+        Self {
+            storage,
+            deleted_maps,
+            stopping,
+            running: Arc::default(),
+            turn: Arc::new(Semaphore::new(1)),
+            tasks: TaskTracker::new(),
+        }
+    }
+
+    pub(crate) async fn get(&self, name: &str) -> Result<JobStatus, ServiceError> {
+        Ok(self.watch(name).await?.borrow().clone())
     }
 
     /// The job now and whenever it has moved on; the last one is the end.
-    pub(crate) async fn watch_job(&self, name: &str) -> Result<watch::Receiver<JobStatus>, ServiceError> {
+    pub(crate) async fn watch(&self, name: &str) -> Result<watch::Receiver<JobStatus>, ServiceError> {
         let number = job_number(name)?;
-        if let Some(job) = self.jobs.running(number) {
+        if let Some(job) = self.running(number) {
             return Ok(job.status);
         }
         // In the database before it is gone from memory, so this finds whatever ended just now.
         let row = self.storage.job(number).await?.ok_or_else(|| no_such_job(name))?;
-        Ok(watch::channel(self.status_of(row).await?).1)
+        Ok(watch::channel(status_of(row)).1)
     }
 
     /// Asks a job to stop; one that has ended stays as it is.
-    pub(crate) async fn cancel_job(&self, name: &str) -> Result<JobStatus, ServiceError> {
-        if let Some(job) = self.jobs.running(job_number(name)?) {
+    pub(crate) async fn cancel(&self, name: &str) -> Result<JobStatus, ServiceError> {
+        if let Some(job) = self.running(job_number(name)?) {
             job.cancel.cancel();
         }
-        self.job(name).await
+        self.get(name).await
     }
 
     /// All jobs, newest first.
-    pub(crate) async fn list_jobs(&self, size: u32, token: &str) -> Result<Page<JobStatus>, ServiceError> {
+    pub(crate) async fn list(&self, size: u32, token: &str) -> Result<Page<JobStatus>, ServiceError> {
         let size = page_size(size)?;
         let before = if token.is_empty() { None } else { Some(token.parse().map_err(|_| bad_page_token())?) };
         let mut rows = self.storage.jobs(before, size + 1).await?;
@@ -160,24 +162,25 @@ impl Service {
         let next = rows.last().filter(|_| more).map_or_else(String::new, |row| row.number.to_string());
         let mut items = Vec::with_capacity(rows.len());
         for row in rows {
-            items.push(match self.jobs.running(row.number) {
+            items.push(match self.running(row.number) {
                 Some(job) => job.status.borrow().clone(),
-                None => self.status_of(row).await?,
+                None => status_of(row),
             });
         }
         Ok(Page { items, next })
     }
 
-    /// Starts a job and leaves it to itself: `work` is told where to report to.
-    pub(super) async fn start_job<Work>(
-        self: &Arc<Self>,
+    /// Starts a job and leaves it to itself. `work` reports to what it is given.
+    pub(super) async fn start<Work>(
+        &self,
         kind: JobKind,
-        work: impl FnOnce(Arc<Self>, JobReporter) -> Work,
+        work: impl FnOnce(JobReporter) -> Work,
     ) -> Result<JobStatus, ServiceError>
     where
         Work: Future<Output = JobOutcome> + Send + 'static,
     {
-        let (stage, created_ns) = ("waiting for another job", now_ns());
+        let stage = "waiting for another job";
+        let created_ns = now_ns();
         let number = self.storage.insert_job(kind, stage, created_ns).await?;
         let status = JobStatus {
             number,
@@ -188,34 +191,35 @@ impl Service {
             created_ns,
             ended_ns: None,
         };
-        let reporter = self.jobs.begin(&status);
+        let reporter = self.begin(&status);
         // Looked at after the job can be found: a stop that missed it is noticed here.
         if self.stopping.is_cancelled() {
             reporter.cancel.cancel();
         }
-        let (service, work) = (self.clone(), work(self.clone(), reporter.clone()));
-        self.jobs.tasks.spawn(async move {
+        let jobs = self.clone();
+        let work = work(reporter.clone());
+        self.tasks.spawn(async move {
             let outcome = match tokio::spawn(work).await {
                 Ok(outcome) => outcome,
                 Err(panic) => JobOutcome::Failed(ServiceError::internal(panic)),
             };
-            service.end_job(&reporter, outcome).await;
+            jobs.end(&reporter, outcome).await;
         });
         Ok(status)
     }
 
-    async fn end_job(&self, reporter: &JobReporter, outcome: JobOutcome) {
+    async fn end(&self, reporter: &JobReporter, outcome: JobOutcome) {
         let ended = |state, error| JobEnd { error, ..reporter.end(state) };
         let (end, state, stored) = match outcome {
-            JobOutcome::Stored { end, model } => {
-                let name = end.result.clone().unwrap_or_default();
-                (end, JobState::Succeeded(JobResult { name, model }), Ok(()))
+            JobOutcome::Stored(end) => {
+                let result = end.result.clone().unwrap_or_default();
+                (end, JobState::Succeeded(result), Ok(()))
             }
             // Nobody else cancels jobs when the server stops.
             JobOutcome::Cancelled if self.stopping.is_cancelled() => {
-                let end = ended(StoredJobState::Failed, Some(CUT_OFF.to_owned()));
+                let end = ended(StoredJobState::Failed, Some(interrupted().into()));
                 let stored = self.storage.end_job(&end).await;
-                (end, JobState::Failed(CUT_OFF.to_owned()), stored)
+                (end, JobState::Failed(interrupted()), stored)
             }
             JobOutcome::Cancelled => {
                 let end = ended(StoredJobState::Cancelled, None);
@@ -223,9 +227,9 @@ impl Service {
                 (end, JobState::Cancelled, stored)
             }
             JobOutcome::Failed(error) => {
-                let end = ended(StoredJobState::Failed, Some(error.to_string()));
+                let end = ended(StoredJobState::Failed, Some(StoredError::from(error.clone())));
                 let stored = self.storage.end_job(&end).await;
-                (end, JobState::Failed(error.to_string()), stored)
+                (end, JobState::Failed(error), stored)
             }
         };
         reporter.status.send_modify(|status| {
@@ -233,10 +237,10 @@ impl Service {
             (status.state, status.stage, status.ended_ns) = (state, end.stage, Some(end.ended_ns));
         });
         // What an import that did not succeed left is taken away once its end is noted.
-        self.removal_wanted();
+        self.deleted_maps.wanted();
         match stored {
             Ok(()) => {
-                self.jobs.lock().remove(&reporter.number);
+                self.lock().remove(&reporter.number);
             }
             // It is told from memory for as long as the server runs.
             Err(error) => {
@@ -246,8 +250,8 @@ impl Service {
     }
 
     /// At the start of a server: jobs of an earlier one that still ran were cut off.
-    pub(crate) async fn settle_jobs(&self) -> Result<(), ServiceError> {
-        let cut_off = self.storage.fail_running_jobs(CUT_OFF, now_ns()).await?;
+    pub(crate) async fn settle(&self) -> Result<(), ServiceError> {
+        let cut_off = self.storage.fail_running_jobs(&interrupted().into(), now_ns()).await?;
         if cut_off > 0 {
             tracing::warn!(jobs = cut_off, "jobs were cut off when the server went down");
         }
@@ -257,35 +261,30 @@ impl Service {
     }
 
     /// Cancels every job, waits for them to notice, and notes those that did not.
-    pub(super) async fn stop_jobs(&self) {
-        self.jobs.lock().values().for_each(|job| job.cancel.cancel());
-        self.jobs.tasks.close();
-        if tokio::time::timeout(STOPPING, self.jobs.tasks.wait()).await.is_err() {
+    pub(super) async fn stop(&self) {
+        self.lock().values().for_each(|job| job.cancel.cancel());
+        self.tasks.close();
+        if tokio::time::timeout(STOPPING, self.tasks.wait()).await.is_err() {
             tracing::warn!("some jobs did not end in time and were cut off");
-            if let Err(error) = self.storage.fail_running_jobs(CUT_OFF, now_ns()).await {
+            if let Err(error) = self.storage.fail_running_jobs(&interrupted().into(), now_ns()).await {
                 tracing::warn!(%error, "that they were cut off could not be stored");
             }
         }
     }
+}
 
-    async fn status_of(&self, row: JobRow) -> Result<JobStatus, ServiceError> {
-        let JobRow { number, kind, state, stage, result, error, created_ns, ended_ns } = row;
-        let (state, fraction) = match state {
-            // Not in memory yet: it has only just begun.
-            StoredJobState::Running => (JobState::Running, 0.0),
-            StoredJobState::Cancelled => (JobState::Cancelled, 0.0),
-            StoredJobState::Failed => (JobState::Failed(error.unwrap_or_default()), 0.0),
-            StoredJobState::Succeeded => {
-                let name = result.unwrap_or_default();
-                let model = match id_in("models", &name) {
-                    Ok(hash) => self.storage.models_by_hash(hash).await?.pop().map(Box::new),
-                    Err(_) => None,
-                };
-                (JobState::Succeeded(JobResult { name, model }), 1.0)
-            }
-        };
-        Ok(JobStatus { number, kind, state, stage, fraction, created_ns, ended_ns })
-    }
+fn status_of(row: JobRow) -> JobStatus {
+    let JobRow { number, kind, state, stage, result, error, created_ns, ended_ns } = row;
+    let (state, fraction) = match state {
+        // Not in memory yet: it has only just begun.
+        StoredJobState::Running => (JobState::Running, 0.0),
+        StoredJobState::Cancelled => (JobState::Cancelled, 0.0),
+        StoredJobState::Failed => {
+            (JobState::Failed(error.map_or(ServiceError::Internal, ServiceError::from)), 0.0)
+        }
+        StoredJobState::Succeeded => (JobState::Succeeded(result.unwrap_or_default()), 1.0),
+    };
+    JobStatus { number, kind, state, stage, fraction, created_ns, ended_ns }
 }
 
 impl Jobs {

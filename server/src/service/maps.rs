@@ -4,19 +4,23 @@ use std::sync::Arc;
 
 use fabmap::appearance::PlaceId;
 use fabmap::observation::WordId;
-use topomap::mapper::{Mapper, MapperSettings};
-use topomap::relaxation::PlanarPose;
+use tokio::runtime::Handle;
+use topomap::mapper::Mapper;
+use topomap::settings::MapperSettings;
 
-use super::map_settings;
-pub(crate) use super::map_settings::{Keep, MapSettings, MapSettingsRequest, NavigationStrategy};
-use super::map_writer::PlaceSummary;
-pub(crate) use super::map_writer::WordPlace;
-use super::models::Page;
-use super::names::{bad_page_token, check_id, map_in, numbered_page, page_size, place_in, session_name};
-use super::{Service, now_ns};
+use super::deleted_maps::DeletedMaps;
+use super::map_names::{MapNames, map_exists};
+use super::models::Models;
+use crate::clock::now_ns;
 use crate::error::ServiceError;
-use crate::extraction::LoadedModel;
-use crate::storage::{MapBytes, MapCounts, MapId, MapRow, SessionRow, StorageError, StoredFrame};
+use crate::ingest::model::{LoadedModel, LoadedModels};
+use crate::map_settings::{self, MapSettings};
+use crate::names::{check_id, map_in, place_in};
+use crate::open_map::answers::{FrameReference, PlacePose, PlaceSummary, WordPlace, reference};
+use crate::open_map::{OpenMaps, no_such_map};
+use crate::pages::{Page, bad_page_token, numbered_page, page_size};
+use crate::storage::{ClosureRow, MapId, MapRow, Storage, StorageError};
+pub(crate) use crate::storage::{MapBytes, MapCounts};
 
 /// A map as people see it.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,23 +56,6 @@ pub(crate) struct PlaceView {
     pub(crate) pose: Option<PlacePose>,
 }
 
-/// Where a place is.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct PlacePose {
-    /// The lowest place of its part, whose frame the pose is in.
-    pub(crate) part: PlaceId,
-    pub(crate) pose: PlanarPose,
-}
-
-/// A frame by its session and number.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct FrameReference {
-    /// `maps/{map}/sessions/{session}`.
-    pub(crate) session: String,
-    pub(crate) sequence: u64,
-    pub(crate) stamp_ns: i64,
-}
-
 /// An accepted loop closure.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct LoopClosureView {
@@ -80,18 +67,28 @@ pub(crate) struct LoopClosureView {
     pub(crate) probability: Option<f64>,
 }
 
-impl Service {
-    pub(crate) async fn create_map(
-        self: &Arc<Self>,
+/// Maps: made, listed, read, deleted. Cheap to clone.
+#[derive(Clone, Debug)]
+pub(crate) struct Maps {
+    pub(super) storage: Storage,
+    pub(super) models: Models,
+    pub(super) loaded: LoadedModels,
+    pub(super) open_maps: OpenMaps,
+    pub(super) names: MapNames,
+    pub(super) deleted_maps: DeletedMaps,
+}
+
+impl Maps {
+    pub(crate) async fn create(
+        &self,
         map: &str,
         model: &str,
-        settings: MapSettingsRequest,
+        settings: MapSettings,
     ) -> Result<MapView, ServiceError> {
         check_id("map name", map)?;
-        self.snapshots.check_unreserved(map)?;
-        let settings = settings.with_defaults()?;
-        let model = self.find_model(model).await?;
-        let loaded = self.loaded_model(&model.hash).await?;
+        self.names.check_unreserved(map)?;
+        let model = self.models.find(model).await?;
+        let loaded = self.loaded.get(&model.hash).await?;
         check_recognizer(loaded, settings.mapper).await?;
         let json = map_settings::to_json(&settings)?;
         let created = self.storage.create_map(map, &model.hash, &json, now_ns()).await;
@@ -103,16 +100,12 @@ impl Service {
         self.view(row, Detail::Basic).await
     }
 
-    pub(crate) async fn map(self: &Arc<Self>, name: &str, detail: Detail) -> Result<MapView, ServiceError> {
-        let row = self.map_row(map_in(name)?).await?;
+    pub(crate) async fn get(&self, name: &str, detail: Detail) -> Result<MapView, ServiceError> {
+        let row = self.open_maps.row(map_in(name)?).await?;
         self.view(row, detail).await
     }
 
-    pub(crate) async fn list_maps(
-        self: &Arc<Self>,
-        size: u32,
-        token: &str,
-    ) -> Result<Page<MapView>, ServiceError> {
+    pub(crate) async fn list(&self, size: u32, token: &str) -> Result<Page<MapView>, ServiceError> {
         let size = page_size(size)?;
         if !token.is_empty() {
             check_id("page token", token).map_err(|_| bad_page_token())?;
@@ -129,22 +122,32 @@ impl Service {
     }
 
     /// Deletes a map with all it holds. Streams into it end.
-    pub(crate) async fn delete_map(self: &Arc<Self>, name: &str) -> Result<(), ServiceError> {
+    pub(crate) async fn delete(&self, name: &str) -> Result<(), ServiceError> {
         let map = map_in(name)?;
-        self.map_row(map).await?;
-        let deleted = self.close_and_delete_map(map).await?;
+        self.open_maps.row(map).await?;
+        let storage = self.storage.clone();
+        let deleted_maps = self.deleted_maps.clone();
+        let name = map.to_owned();
+        let retire = move |runtime: &Handle| {
+            // Its name is free at once; its rows are deleted in the background.
+            let retired = runtime.block_on(storage.retire_map(&name));
+            deleted_maps.wanted();
+            Ok(retired?)
+        };
+        let deleted = self.open_maps.with_closed(map, retire).await?;
         if deleted { Ok(()) } else { Err(no_such_map(map)) }
     }
 
-    pub(crate) async fn list_places(
-        self: &Arc<Self>,
+    pub(crate) async fn places(
+        &self,
         name: &str,
         size: u32,
         token: &str,
     ) -> Result<Page<PlaceView>, ServiceError> {
-        let (map, size) = (map_in(name)?, page_size(size)?);
+        let map = map_in(name)?;
+        let size = page_size(size)?;
         let from = numbered_page(token)?.unwrap_or(0);
-        let open = self.open_map(map).await?;
+        let open = self.open_maps.open(map).await?;
         let (places, total) = open.places(from, size).await?;
         let end = from.saturating_add(size);
         let next = if end < total { end.to_string() } else { String::new() };
@@ -152,9 +155,9 @@ impl Service {
     }
 
     /// A place by `maps/{map}/places/{number}`.
-    pub(crate) async fn place(self: &Arc<Self>, name: &str) -> Result<PlaceView, ServiceError> {
+    pub(crate) async fn place(&self, name: &str) -> Result<PlaceView, ServiceError> {
         let (map, place) = place_in(name)?;
-        let open = self.open_map(map).await?;
+        let open = self.open_maps.open(map).await?;
         let no_such_place = || {
             ServiceError::not_found(format_args!(
                 "the map {map} has no place {place}; list its places to see what there is"
@@ -165,39 +168,37 @@ impl Service {
     }
 
     /// The places that have shown a word, by number.
-    pub(crate) async fn list_word_places(
-        self: &Arc<Self>,
+    pub(crate) async fn word_places(
+        &self,
         name: &str,
         word: WordId,
         size: u32,
         token: &str,
     ) -> Result<Page<WordPlace>, ServiceError> {
-        let (map, size) = (map_in(name)?, page_size(size)?);
+        let map = map_in(name)?;
+        let size = page_size(size)?;
         let from = numbered_page(token)?.unwrap_or(0);
-        let row = self.map_row(map).await?;
-        let words = self.vocabulary_len(&row).await?;
-        if word as usize >= words {
+        let row = self.open_maps.row(map).await?;
+        let words = self.loaded.get(&row.model).await?.model.vocabulary().len();
+        if word.index() >= words {
             return Err(ServiceError::invalid(format_args!(
                 "there is no word {word}; the map's vocabulary has the words 0 to {}",
                 words.saturating_sub(1)
             )));
         }
-        let mut items = self.open_map_of(&row).await?.word_places(word, from, size + 1).await?;
+        let mut items = self.open_maps.open_of(&row).await?.word_places(word, from, size + 1).await?;
         let next = items.get(size as usize).map_or_else(String::new, |next| next.place.to_string());
         items.truncate(size as usize);
         Ok(Page { items, next })
     }
 
     /// Goes on with another model over the same words.
-    pub(crate) async fn rebind_map(
-        self: &Arc<Self>,
-        name: &str,
-        model: &str,
-    ) -> Result<MapView, ServiceError> {
+    pub(crate) async fn rebind(&self, name: &str, model: &str) -> Result<MapView, ServiceError> {
         let map = map_in(name)?;
-        let row = self.map_row(map).await?;
-        let model = self.find_model(model).await?;
-        let (loaded, before) = (self.loaded_model(&model.hash).await?, self.loaded_model(&row.model).await?);
+        let row = self.open_maps.row(map).await?;
+        let model = self.models.find(model).await?;
+        let loaded = self.loaded.get(&model.hash).await?;
+        let before = self.loaded.get(&row.model).await?;
         if loaded.words_hash != before.words_hash {
             return Err(ServiceError::precondition(format_args!(
                 "the model models/{} has other words (words_hash {}) than the map (words_hash {}); a map can go on \
@@ -208,9 +209,18 @@ impl Service {
         let settings = map_settings::from_json(&row.settings)?.mapper;
         check_recognizer(loaded, settings).await?;
         if model.hash != row.model {
-            self.close_and_rebind_map(map, model.hash).await?;
+            let storage = self.storage.clone();
+            let id = row.id;
+            let rebind = move |runtime: &Handle| match runtime.block_on(storage.rebind_map(id, &model.hash)) {
+                Ok(()) => Ok(()),
+                Err(StorageError::InUse) => {
+                    Err(ServiceError::not_found("the model was deleted just now; name another"))
+                }
+                Err(error) => Err(error.into()),
+            };
+            self.open_maps.with_closed(map, rebind).await?;
         }
-        self.view(self.map_row(map).await?, Detail::Basic).await
+        self.view(self.open_maps.row(map).await?, Detail::Basic).await
     }
 
     /// Places with their frames as users name them, all looked up together.
@@ -232,14 +242,15 @@ impl Service {
         Ok(places.into_iter().map(view).collect())
     }
 
-    pub(crate) async fn list_matches(
+    pub(crate) async fn loop_closures(
         &self,
         name: &str,
         size: u32,
         token: &str,
     ) -> Result<Page<LoopClosureView>, ServiceError> {
-        let (map, size) = (map_in(name)?, page_size(size)?);
-        let row = self.map_row(map).await?;
+        let map = map_in(name)?;
+        let size = page_size(size)?;
+        let row = self.open_maps.row(map).await?;
         let after = numbered_page(token)?;
         let mut closures = self.storage.loop_closures(row.id, after, size + 1).await?;
         let more = closures.len() > size as usize;
@@ -247,7 +258,7 @@ impl Service {
         let sessions = self.storage.sessions(row.id).await?;
         let next =
             closures.last().filter(|_| more).map_or_else(String::new, |closure| closure.position.to_string());
-        let view = |closure: &crate::storage::ClosureRow| LoopClosureView {
+        let view = |closure: &ClosureRow| LoopClosureView {
             frame: reference(map, &sessions, &closure.frame),
             matched: reference(map, &sessions, &closure.matched),
             place: closure.place,
@@ -257,17 +268,13 @@ impl Service {
         Ok(Page { items: closures.iter().map(view).collect(), next })
     }
 
-    pub(super) async fn map_row(&self, map: &str) -> Result<MapRow, ServiceError> {
-        self.storage.map(map).await?.ok_or_else(|| no_such_map(map))
-    }
-
-    async fn view(self: &Arc<Self>, row: MapRow, detail: Detail) -> Result<MapView, ServiceError> {
+    async fn view(&self, row: MapRow, detail: Detail) -> Result<MapView, ServiceError> {
         let settings = map_settings::from_json(&row.settings)?;
         let counts = self.storage.map_counts(row.id).await?;
         let (state_hash, bytes) = match detail {
             Detail::Basic => (None, None),
             Detail::Full => {
-                let state_hash = self.open_map_of(&row).await?.state_hash().await?;
+                let state_hash = self.open_maps.open_of(&row).await?.state_hash().await?;
                 (Some(state_hash), Some(self.storage.map_bytes(row.id).await?))
             }
         };
@@ -284,25 +291,4 @@ pub(super) async fn check_recognizer(
     let check = move || Mapper::new(&model.model, settings).map(drop);
     let checked = tokio::task::spawn_blocking(check).await.map_err(ServiceError::internal)?;
     checked.map_err(ServiceError::invalid)
-}
-
-pub(super) fn map_exists(map: &str) -> ServiceError {
-    ServiceError::AlreadyExists {
-        message: format!("there is a map {map} already; choose another name, or delete it first"),
-    }
-}
-
-pub(super) fn no_such_map(map: &str) -> ServiceError {
-    ServiceError::not_found(format_args!(
-        "there is no map {map}; list the maps to see what there is, or create it"
-    ))
-}
-
-pub(super) fn reference(map: &str, sessions: &[SessionRow], frame: &StoredFrame) -> FrameReference {
-    let session = sessions.iter().find(|session| session.number == frame.session);
-    FrameReference {
-        session: session.map_or_else(String::new, |session| session_name(map, &session.name)),
-        sequence: frame.sequence,
-        stamp_ns: frame.stamp_ns,
-    }
 }

@@ -1,37 +1,38 @@
 //! Maps that become one: looked for, proposed, and then committed, discarded or undone.
 
 mod commit;
-mod housekeeping;
 mod picture;
 mod report;
 mod search;
-mod source;
 mod undo;
 
-pub(crate) use housekeeping::{Trimmed, Trimming};
+use self::report::forgotten;
 pub(crate) use report::{MapOverlap, MatchedPlaces, MergeReport, MergedSource, SourceOutcome};
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use tokio_util::sync::CancellationToken;
 use topomap::merging::{MergePlan, MergeSettings};
 
-use super::jobs::{JobOutcome, JobReporter};
-use super::models::Page;
-use super::names::{bad_page_token, check_id, id_in, map_in, numbered_page, page_size};
-use super::snapshots::Reservation;
-use super::{Service, now_ns};
+use super::deleted_maps::DeletedMaps;
+use super::jobs::{JobOutcome, JobReporter, Jobs};
+use super::map_names::{MapNames, Reservation};
+use super::rewriting::Rewriting;
+use crate::clock::now_ns;
 use crate::error::ServiceError;
-use crate::storage::{JobKind, MapId, MapRow, MergeRow, MergeState, StorageError};
+use crate::ingest::model::LoadedModels;
+use crate::names::{check_id, id_in, map_in};
+use crate::open_map::OpenMaps;
+use crate::pages::{Page, bad_page_token, numbered_page, page_size};
+pub(crate) use crate::storage::MergeState;
+use crate::storage::{JobKind, MapId, MapRow, MergeRow, Storage};
 
 /// Most maps that go into another at a time.
 const MAX_SOURCES: usize = 16;
 
 /// Proposals that may wait for a decision at a time.
 const MAX_PROPOSALS: usize = 32;
-
-const FORGOTTEN: &str = "the server was stopped or restarted before this was decided; it has changed nothing, so \
-                         ask for it again";
 
 /// A merge as it stands.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,16 +45,16 @@ pub(crate) struct MergeView {
     pub(crate) state: MergeState,
     pub(crate) report: MergeReport,
     /// Why it failed.
-    pub(crate) error: Option<String>,
+    pub(crate) error: Option<ServiceError>,
     pub(crate) created_ns: i64,
 }
 
-/// What is to be done once an overlap is found.
+/// When a merge whose overlap was found is committed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum OnceFound {
-    /// Somebody decides.
-    Propose,
-    Commit,
+pub(crate) enum CommitPolicy {
+    /// It is proposed, and somebody decides.
+    OnRequest,
+    Automatic,
 }
 
 /// Maps that are to become one.
@@ -63,15 +64,24 @@ pub(crate) struct MergeRequest {
     pub(crate) sources: Vec<String>,
     /// `maps/{map}`; made of the first source if there is no such map.
     pub(crate) target: String,
-    pub(crate) once_found: OnceFound,
+    pub(crate) commit_policy: CommitPolicy,
     /// Least matches that agree with each other; the default if `None`.
     pub(crate) min_support: Option<u32>,
 }
 
-/// What was found and is not decided yet. Kept in memory: it would be of no use to a server that has not read the maps.
-#[derive(Debug, Default)]
-pub(super) struct Merges {
-    proposals: Mutex<HashMap<u64, Proposal>>,
+/// Merges of maps. Cheap to clone.
+#[derive(Clone, Debug)]
+pub(crate) struct Merges {
+    storage: Storage,
+    models: LoadedModels,
+    open_maps: OpenMaps,
+    jobs: Jobs,
+    names: MapNames,
+    deleted_maps: DeletedMaps,
+    rewriting: Rewriting,
+    stopping: CancellationToken,
+    /// What was found and is not decided yet. In memory: it is of no use to a server that has not read the maps.
+    proposals: Arc<Mutex<HashMap<u64, Proposal>>>,
 }
 
 /// How sources go into a target.
@@ -104,16 +114,24 @@ struct Joining {
     plan: MergePlan,
 }
 
-impl Service {
+impl Merges {
+    pub(super) fn new(
+        rewriting: Rewriting,
+        names: MapNames,
+        deleted_maps: DeletedMaps,
+        stopping: CancellationToken,
+    ) -> Self {
+        let Rewriting { storage, models, open_maps, jobs, .. } = rewriting.clone();
+        let proposals = Arc::default();
+        Self { storage, models, open_maps, jobs, names, deleted_maps, rewriting, stopping, proposals }
+    }
+
     /// Begins to look for maps on each other.
-    pub(crate) async fn merge_maps(
-        self: &Arc<Self>,
-        request: MergeRequest,
-    ) -> Result<MergeView, ServiceError> {
-        let MergeRequest { sources, target, once_found, min_support } = request;
+    pub(crate) async fn begin(&self, request: MergeRequest) -> Result<MergeView, ServiceError> {
+        let MergeRequest { sources, target, commit_policy, min_support } = request;
         let settings = merge_settings(min_support)?;
         let (target, sources) = self.to_merge(&sources, &target).await?;
-        if self.merges.proposals().len() >= MAX_PROPOSALS {
+        if self.proposals().len() >= MAX_PROPOSALS {
             return Err(ServiceError::ResourceExhausted {
                 message: format!(
                     "{MAX_PROPOSALS} merges wait for a decision; commit or discard some of them first"
@@ -123,12 +141,13 @@ impl Service {
         let report = MergeReport::asked(&sources);
         let name = target.name().to_owned();
         let number = self.storage.insert_merge(&name, &report.to_json()?, now_ns()).await?;
-        let work = |service: Arc<Self>, reporter: JobReporter| async move {
-            let outcome = service.search(number, target, sources, &settings, once_found, &reporter).await;
-            service.note_failure(number, &outcome).await;
+        let merges = self.clone();
+        let work = |reporter: JobReporter| async move {
+            let outcome = merges.search(number, target, sources, &settings, commit_policy, &reporter).await;
+            merges.note_failure(number, &outcome).await;
             outcome
         };
-        let job = match self.start_job(JobKind::MergeMaps, work).await {
+        let job = match self.jobs.start(JobKind::MergeMaps, work).await {
             Ok(job) => job,
             Err(error) => {
                 self.note_failure(number, &JobOutcome::Failed(error.clone())).await;
@@ -140,12 +159,12 @@ impl Service {
     }
 
     /// A merge by `merges/{number}`.
-    pub(crate) async fn merge(&self, name: &str) -> Result<MergeView, ServiceError> {
+    pub(crate) async fn get(&self, name: &str) -> Result<MergeView, ServiceError> {
         self.merge_of_number(merge_in(name)?).await
     }
 
     /// All merges, newest first.
-    pub(crate) async fn list_merges(&self, size: u32, token: &str) -> Result<Page<MergeView>, ServiceError> {
+    pub(crate) async fn list(&self, size: u32, token: &str) -> Result<Page<MergeView>, ServiceError> {
         let size = page_size(size)?;
         let before = numbered_page(token).map_err(|_| bad_page_token())?;
         let mut rows = self.storage.merges(before, size + 1).await?;
@@ -157,8 +176,8 @@ impl Service {
     }
 
     /// The maps before and after, as SVG.
-    pub(crate) async fn merge_picture(&self, name: &str) -> Result<String, ServiceError> {
-        let view = self.merge(name).await?;
+    pub(crate) async fn picture(&self, name: &str) -> Result<String, ServiceError> {
+        let view = self.get(name).await?;
         self.storage.merge_picture(view.number).await?.ok_or_else(|| {
             ServiceError::precondition(format_args!(
                 "{name} has no picture: the maps were not looked at to the end"
@@ -167,31 +186,31 @@ impl Service {
     }
 
     /// Makes the maps one, as was proposed.
-    pub(crate) async fn commit_merge(self: &Arc<Self>, name: &str) -> Result<MergeView, ServiceError> {
-        let view = self.merge(name).await?;
+    pub(crate) async fn commit(&self, name: &str) -> Result<MergeView, ServiceError> {
+        let view = self.get(name).await?;
         let number = view.number;
         // Taken out: it is committed once.
-        let proposal =
-            self.merges.proposals().remove(&number).ok_or_else(|| undecidable(&view, "committed"))?;
+        let proposal = self.proposals().remove(&number).ok_or_else(|| undecidable(&view, "committed"))?;
         let kept = proposal.clone();
-        let work = |service: Arc<Self>, reporter: JobReporter| async move {
+        let merges = self.clone();
+        let work = |reporter: JobReporter| async move {
             let kept = proposal.clone();
-            let outcome = service.commit(number, proposal, &reporter).await;
+            let outcome = merges.join(number, proposal, &reporter).await;
             match &outcome {
                 // Somebody may think again.
                 JobOutcome::Cancelled => {
-                    service.merges.proposals().insert(number, kept);
+                    merges.proposals().insert(number, kept);
                 }
-                JobOutcome::Stored { .. } | JobOutcome::Failed(_) => {
-                    service.note_failure(number, &outcome).await;
+                JobOutcome::Stored(_) | JobOutcome::Failed(_) => {
+                    merges.note_failure(number, &outcome).await;
                 }
             }
             outcome
         };
-        let job = match self.start_job(JobKind::MergeMaps, work).await {
+        let job = match self.jobs.start(JobKind::MergeMaps, work).await {
             Ok(job) => job,
             Err(error) => {
-                self.merges.proposals().insert(number, kept);
+                self.proposals().insert(number, kept);
                 return Err(error);
             }
         };
@@ -200,19 +219,19 @@ impl Service {
     }
 
     /// Leaves the maps as they are.
-    pub(crate) async fn discard_merge(&self, name: &str) -> Result<MergeView, ServiceError> {
-        let view = self.merge(name).await?;
-        let proposed = self.merges.proposals().contains_key(&view.number);
+    pub(crate) async fn discard(&self, name: &str) -> Result<MergeView, ServiceError> {
+        let view = self.get(name).await?;
+        let proposed = self.proposals().contains_key(&view.number);
         if !proposed || !self.storage.discard_merge(view.number).await? {
             return Err(undecidable(&view, "discarded"));
         }
-        self.merges.proposals().remove(&view.number);
+        self.proposals().remove(&view.number);
         self.merge_of_number(view.number).await
     }
 
     /// At the start of a server: what an earlier one looked for or proposed is forgotten.
-    pub(crate) async fn settle_merges(&self) -> Result<(), ServiceError> {
-        Ok(self.storage.fail_open_merges(FORGOTTEN).await?)
+    pub(crate) async fn settle(&self) -> Result<(), ServiceError> {
+        Ok(self.storage.fail_open_merges(&forgotten().into()).await?)
     }
 
     async fn merge_of_number(&self, number: u64) -> Result<MergeView, ServiceError> {
@@ -236,7 +255,7 @@ impl Service {
                     "the map {source} is named twice; a map overlaps with itself everywhere, so name each once"
                 )));
             }
-            let row = self.map_row(source).await?;
+            let row = self.open_maps.row(source).await?;
             // Named among the sources, the target is what the others go into all the same.
             if source != target {
                 rows.push(row);
@@ -252,7 +271,7 @@ impl Service {
                 )));
             }
             None => {
-                let new = self.reserve(target).await?;
+                let new = self.names.reserve(target).await?;
                 MergeTarget { base: rows.remove(0), new: Some(Arc::new(new)) }
             }
         };
@@ -274,9 +293,9 @@ impl Service {
 
     /// Words mean the same only if they are of one vocabulary.
     async fn check_words(&self, base: &MapRow, sources: &[MapRow]) -> Result<(), ServiceError> {
-        let model = self.loaded_model(&base.model).await?;
+        let model = self.models.get(&base.model).await?;
         for source in sources {
-            let other = self.loaded_model(&source.model).await?;
+            let other = self.models.get(&source.model).await?;
             if other.words_hash != model.words_hash {
                 return Err(ServiceError::precondition(format_args!(
                     "the maps {} and {} have models of different words (words_hash {} and {}), which cannot be compared; \
@@ -296,12 +315,12 @@ impl Service {
     /// The merge says why its job failed, too.
     async fn note_failure(&self, number: u64, outcome: &JobOutcome) {
         let error = match outcome {
-            JobOutcome::Stored { .. } => return,
-            JobOutcome::Failed(error) => error.to_string(),
-            JobOutcome::Cancelled if self.stopping.is_cancelled() => FORGOTTEN.to_owned(),
-            JobOutcome::Cancelled => "it was cancelled; ask for it again".to_owned(),
+            JobOutcome::Stored(_) => return,
+            JobOutcome::Failed(error) => error.clone(),
+            JobOutcome::Cancelled if self.stopping.is_cancelled() => forgotten(),
+            JobOutcome::Cancelled => ServiceError::aborted("it was cancelled; ask for it again"),
         };
-        if let Err(error) = self.storage.fail_merge(number, &error).await {
+        if let Err(error) = self.storage.fail_merge(number, &error.into()).await {
             tracing::warn!(merge = number, %error, "the end of a merge could not be stored");
         }
     }
@@ -345,6 +364,7 @@ fn merge_settings(min_support: Option<u32>) -> Result<MergeSettings, ServiceErro
 fn view(row: MergeRow) -> Result<MergeView, ServiceError> {
     let MergeRow { number, target, map: _, job, state, report, error, created_ns } = row;
     let report = MergeReport::from_json(&report)?;
+    let error = error.map(ServiceError::from);
     Ok(MergeView { number, target, job, state, report, error, created_ns })
 }
 
@@ -363,7 +383,7 @@ fn undecidable(merge: &MergeView, what: &str) -> ServiceError {
             format!("merges/{number} is still being looked for; wait for jobs/{}", merge.job)
         }
         MergeState::Proposed => format!("merges/{number} is being committed by jobs/{}", merge.job),
-        MergeState::Apart
+        MergeState::NoOverlap
         | MergeState::Committed
         | MergeState::Discarded
         | MergeState::Undone
@@ -372,18 +392,4 @@ fn undecidable(merge: &MergeView, what: &str) -> ServiceError {
             state.name()
         ),
     })
-}
-
-/// A source that is no longer what the merge was looked for with.
-fn changed(error: StorageError) -> ServiceError {
-    match error {
-        StorageError::Retold => ServiceError::Aborted {
-            message: "a map was deleted, or sessions were removed from it, since it was looked at; ask for the merge again"
-                .to_owned(),
-        },
-        StorageError::JobEnded => ServiceError::Aborted {
-            message: "the merge was decided otherwise meanwhile; look at it, and ask for it again if need be".to_owned(),
-        },
-        error => error.into(),
-    }
 }

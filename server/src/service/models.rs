@@ -4,6 +4,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use crate::ingest::Extractor;
 use bytes::Bytes;
 use fabmap::calibration;
 use fabmap::chow_liu::TreeTrainingSettings;
@@ -11,15 +12,17 @@ use fabmap::descriptor::Descriptors;
 use fabmap::detector::DetectorModel;
 use fabmap::model::{Model, ModelTrainingError, ModelTrainingSettings, TrainingStage};
 use fabmap::vocabulary::VocabularySettings;
-use tokio::sync::OwnedSemaphorePermit;
-use waypost_vision::features::Extractor;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-use super::jobs::{JobOutcome, JobReporter, JobStatus};
-use super::names::{bad_page_token, id_in, model_name, page_size};
-use super::{Service, now_ns};
+use super::jobs::{JobOutcome, JobReporter, JobStatus, Jobs};
+use crate::clock::now_ns;
 use crate::error::ServiceError;
-use crate::extraction::{LoadedModel, extractor};
-use crate::storage::{JobKind, ModelRow, StorageError};
+use crate::ingest::extraction::Extraction;
+use crate::ingest::model::{LoadedModel, LoadedModels, extractor};
+use crate::names::{id_in, model_name};
+use crate::pages::{Page, bad_page_token, page_size};
+pub(crate) use crate::storage::ModelRow;
+use crate::storage::{JobKind, Storage, StorageError};
 
 /// Largest model file that is taken in.
 pub(crate) const MAX_MODEL_BYTES: usize = 512 << 20;
@@ -28,7 +31,7 @@ pub(crate) const MAX_MODEL_BYTES: usize = 512 << 20;
 const MAX_TRAINING_BYTES: usize = 1 << 30;
 
 /// Trainings that may upload, wait or run at the same time.
-pub(super) const MAX_UPLOADS: usize = 3;
+const MAX_UPLOADS: usize = 3;
 
 const MAX_DISPLAY_NAME_CHARS: usize = 100;
 
@@ -38,13 +41,6 @@ const REMOVAL_POLL: Duration = Duration::from_millis(20);
 
 /// Fewest digits of a hash that name a model.
 const MIN_HASH_DIGITS: usize = 6;
-
-/// A page of a list; `next` is the token of the next page, empty on the last.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Page<T> {
-    pub(crate) items: Vec<T>,
-    pub(crate) next: String,
-}
 
 /// Training images as they come in: features are extracted at once, pixels are not kept.
 #[derive(Debug)]
@@ -60,8 +56,22 @@ pub(crate) struct TrainingUpload {
     room: OwnedSemaphorePermit,
 }
 
-impl Service {
-    /// Begins a training: settings first, then images, then [`Service::start_training`].
+/// Models: trained, imported, looked up. Cheap to clone.
+#[derive(Clone, Debug)]
+pub(crate) struct Models {
+    storage: Storage,
+    loaded: LoadedModels,
+    extraction: Extraction,
+    jobs: Jobs,
+    uploads: Arc<Semaphore>,
+}
+
+impl Models {
+    pub(super) fn new(storage: Storage, loaded: LoadedModels, extraction: Extraction, jobs: Jobs) -> Self {
+        Self { storage, loaded, extraction, jobs, uploads: Arc::new(Semaphore::new(MAX_UPLOADS)) }
+    }
+
+    /// Begins a training: settings first, then images, then [`Models::start_training`].
     pub(crate) fn begin_training(
         &self,
         display_name: &str,
@@ -123,10 +133,7 @@ impl Service {
     }
 
     /// Trains in the background.
-    pub(crate) async fn start_training(
-        self: &Arc<Self>,
-        upload: TrainingUpload,
-    ) -> Result<JobStatus, ServiceError> {
+    pub(crate) async fn start_training(&self, upload: TrainingUpload) -> Result<JobStatus, ServiceError> {
         if upload.images.is_empty() {
             return Err(ServiceError::invalid("no training image was sent; send the settings, then images"));
         }
@@ -136,10 +143,9 @@ impl Service {
                 "{announced} images were announced and {came} came; send them all, or announce none"
             )));
         }
-        self.start_job(JobKind::TrainModel, |service, reporter| async move {
-            service.train(upload, &reporter).await
-        })
-        .await
+        let models = self.clone();
+        let work = |reporter: JobReporter| async move { models.train(upload, &reporter).await };
+        self.jobs.start(JobKind::TrainModel, work).await
     }
 
     async fn train(&self, upload: TrainingUpload, reporter: &JobReporter) -> JobOutcome {
@@ -185,20 +191,11 @@ impl Service {
         if let Err(error) = self.storage.put_trained_model(&row, &file, &end).await {
             return JobOutcome::Failed(error.into());
         }
-        // As it is stored: it may have been there already, under another display name.
-        match self.find_model(&model_name(&row.hash)).await {
-            Ok(row) => JobOutcome::Stored { end, model: Some(Box::new(row)) },
-            // Deleted just now, or not to be read: the job has succeeded all the same.
-            Err(_) => JobOutcome::Stored { end, model: None },
-        }
+        JobOutcome::Stored(end)
     }
 
     /// Takes in a model file.
-    pub(crate) async fn import_model(
-        &self,
-        display_name: &str,
-        file: Vec<u8>,
-    ) -> Result<ModelRow, ServiceError> {
+    pub(crate) async fn import(&self, display_name: &str, file: Vec<u8>) -> Result<ModelRow, ServiceError> {
         let display_name = check_display_name(display_name)?;
         let decode = move || {
             let model = Model::from_bytes(&file).map_err(ServiceError::invalid)?;
@@ -207,16 +204,16 @@ impl Service {
             Ok::<_, ServiceError>((row_of(&loaded.model, display_name, &file), file))
         };
         let (row, file) = tokio::task::spawn_blocking(decode).await.map_err(ServiceError::internal)??;
-        self.store_model(row, &file).await
+        self.store(row, &file).await
     }
 
-    async fn store_model(&self, row: ModelRow, file: &[u8]) -> Result<ModelRow, ServiceError> {
+    async fn store(&self, row: ModelRow, file: &[u8]) -> Result<ModelRow, ServiceError> {
         self.storage.put_model(&row, file).await?;
-        self.find_model(&row.hash).await
+        self.find(&row.hash).await
     }
 
     /// A model by `models/{hash}`, a beginning of its hash, or its display name.
-    pub(crate) async fn find_model(&self, reference: &str) -> Result<ModelRow, ServiceError> {
+    pub(crate) async fn find(&self, reference: &str) -> Result<ModelRow, ServiceError> {
         let (hash, display_name) = match reference.strip_prefix("models/") {
             Some(_) => (id_in("models", reference)?, None),
             None if reference.is_empty() => {
@@ -241,7 +238,7 @@ impl Service {
         }
     }
 
-    pub(crate) async fn list_models(&self, size: u32, token: &str) -> Result<Page<ModelRow>, ServiceError> {
+    pub(crate) async fn list(&self, size: u32, token: &str) -> Result<Page<ModelRow>, ServiceError> {
         let size = page_size(size)?;
         let after = match token.split_once('.') {
             Some((created_ns, hash)) if is_full_hash(hash) => {
@@ -259,19 +256,19 @@ impl Service {
     }
 
     /// The model file.
-    pub(crate) async fn export_model(&self, reference: &str) -> Result<Vec<u8>, ServiceError> {
-        let model = self.find_model(reference).await?;
+    pub(crate) async fn export(&self, reference: &str) -> Result<Vec<u8>, ServiceError> {
+        let model = self.find(reference).await?;
         let file = self.storage.model_file(&model.hash).await?;
         file.ok_or_else(|| ServiceError::not_found(format_args!("the model {} was just deleted", model.hash)))
     }
 
-    pub(crate) async fn delete_model(&self, reference: &str) -> Result<(), ServiceError> {
-        let model = self.find_model(reference).await?;
+    pub(crate) async fn delete(&self, reference: &str) -> Result<(), ServiceError> {
+        let model = self.find(reference).await?;
         let deadline = Instant::now() + MAP_REMOVAL;
         loop {
             match self.storage.delete_model(&model.hash).await {
                 Ok(_) => {
-                    self.cached_models().remove(&model.hash);
+                    self.loaded.forget(&model.hash);
                     return Ok(());
                 }
                 // Rows of a map that was deleted just now may still be there.

@@ -2,27 +2,24 @@
 
 mod drawing;
 
-use std::sync::Arc;
-
+use crate::ingest::{Comparison, FeatureRecord, Keypoint};
 use fabmap::appearance::PlaceId;
 use fabmap::observation::{Observation, WordId};
 use tokio::runtime::Handle;
-use topomap::event::{FrameEvent, FrameId, MapEvent, Match};
-use topomap::mapper::{ArchiveError, FrameError, MapperSettings};
-use topomap::verification::VerificationMethod;
-use waypost_vision::feature_record::FeatureRecord;
-use waypost_vision::features::Keypoint;
+use topomap::evidence::{ArchiveError, Match, Placement, VerificationMethod};
+use topomap::ids::FrameId;
+use topomap::log::{FrameEvent, MapEvent};
+use topomap::settings::MapperSettings;
 
 use self::drawing::{Mark, Panel, Picture, StillImage};
-use super::Service;
-use super::frames::{LocatedFrame, content_type};
-use super::map_settings;
-use super::map_writer::{SeenFeatures, compare, stored_features, verifier};
-use super::maps::reference;
-use super::names::frame_name;
+use super::frames::{Frames, LocatedFrame, content_type};
 use super::queries::{GateView, probability, verdict_views};
 use crate::error::ServiceError;
-use crate::storage::{MapRow, MediumKind, reason_name};
+use crate::map_settings;
+use crate::names::frame_name;
+use crate::open_map::answers::reference;
+use crate::open_map::{SeenFeatures, compare, stored_features, verifier};
+use crate::storage::{MapRow, MediumKind, Storage, reason_name};
 
 /// Frames of a place that the most alike is chosen from, the latest.
 const MAX_FRAMES_OF_PLACE: u32 = 100;
@@ -42,26 +39,34 @@ struct ShownFrame {
     image: Option<StillImage>,
 }
 
-impl Service {
+/// Frames beside others, drawn. Cheap to clone.
+#[derive(Clone, Debug)]
+pub(crate) struct Pictures {
+    pub(super) storage: Storage,
+    pub(super) frames: Frames,
+}
+
+impl Pictures {
     /// A frame beside an earlier one of `place`: the one that it was compared with, or that has most words in
     /// common. Left out, the place is the one that was, or could have been, matched.
-    pub(crate) async fn frame_picture(
-        self: &Arc<Self>,
+    pub(crate) async fn frame(
+        &self,
         name: &str,
         place: Option<PlaceId>,
     ) -> Result<FramePicture, ServiceError> {
-        let LocatedFrame { map, position } = self.locate(name).await?;
+        let LocatedFrame { map, position } = self.frames.locate(name).await?;
         let current = self.shown_frame(&map, position).await?;
         let (place, earlier) = self.counterpart(&map, &current, place).await?;
         let earlier = self.shown_frame(&map, earlier).await?;
         let settings = map_settings::from_json(&map.settings)?.mapper;
-        let (storage, runtime) = (self.storage.clone(), Handle::current());
+        let storage = self.storage.clone();
+        let runtime = Handle::current();
         let drawing = tokio::task::spawn_blocking(move || {
             let features = |frame: &ShownFrame| stored_features(&runtime, &storage, map.id, frame.position);
             let seen = [features(&current)?, features(&earlier)?];
             Ok::<_, ArchiveError>(side_by_side([current, earlier], &seen, place, &settings).to_svg())
         });
-        let svg = drawing.await.map_err(ServiceError::internal)?.map_err(FrameError::from)?;
+        let svg = drawing.await.map_err(ServiceError::internal)??;
         Ok(FramePicture { content_type: "image/svg+xml", picture: svg.into_bytes() })
     }
 
@@ -82,7 +87,7 @@ impl Service {
     }
 
     async fn frame_event(&self, map: &MapRow, position: FrameId) -> Result<FrameEvent, ServiceError> {
-        let words = self.vocabulary_len(map).await?;
+        let words = self.frames.vocabulary_len(map).await?;
         match self.storage.event_at(map.id, position, words).await? {
             Some(MapEvent::Frame(event)) => Ok(*event),
             Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None => Err(deleted(map)),
@@ -132,19 +137,20 @@ fn side_by_side(
     place: PlaceId,
     settings: &MapperSettings,
 ) -> Picture {
-    let joined = match (settings.verification.method, seen) {
+    let comparison = match (settings.verification.method, seen) {
         (VerificationMethod::Similarity | VerificationMethod::Epipolar, [Some(current), Some(earlier)]) => {
-            compare(&verifier(settings), earlier, current).inliers
+            Some(compare(&verifier(settings), earlier, current))
         }
-        (VerificationMethod::None, _) | (_, [None, _] | [_, None]) => Vec::new(),
+        (VerificationMethod::None, _) | (_, [None, _] | [_, None]) => None,
     };
-    let (ours, theirs) = (current.event.observation.clone(), earlier.event.observation.clone());
+    let ours = current.event.observation.clone();
+    let theirs = earlier.event.observation.clone();
     Picture {
         heading: heading(&current.event, place),
         verdict: verdict(&current.event, place, settings),
-        summary: summary([&ours, &theirs], joined.len()),
+        summary: summary([&ours, &theirs], comparison.as_ref()),
         panels: [current.panel(seen[0].as_ref(), &theirs), earlier.panel(seen[1].as_ref(), &ours)],
-        joined: joined.into_iter().map(|matched| [matched.current, matched.earlier]).collect(),
+        joined: comparison.as_ref().map(joined).unwrap_or_default(),
     }
 }
 
@@ -201,12 +207,33 @@ fn verdict(event: &FrameEvent, place: PlaceId, settings: &MapperSettings) -> Vec
     candidate.map(|candidate| verdict_views(&verdict(candidate))).unwrap_or_default()
 }
 
-fn summary([ours, theirs]: [&Observation; 2], joined: usize) -> String {
+/// Features that structure measured by, or else those that the motion of the view joins.
+fn joined(comparison: &Comparison) -> Vec<[usize; 2]> {
+    let Comparison { view: _, inliers, placed } = comparison;
+    let shown = if placed.is_empty() { inliers } else { placed };
+    shown.iter().map(|matched| [matched.current, matched.earlier]).collect()
+}
+
+fn summary([ours, theirs]: [&Observation; 2], comparison: Option<&Comparison>) -> String {
     let common = shared_words(ours, theirs);
     let words = format!("{common} words in common, of {} here and {} there", ours.len(), theirs.len());
-    match joined {
-        0 => words,
-        joined => format!("{words}; {joined} features joined by one motion"),
+    match comparison.map(|comparison| (comparison.view.placement, comparison.inliers.len())) {
+        Some((Placement::At { pose, inliers }, _)) => {
+            let sigma_m = pose.position_sigma_m();
+            let pose = pose.pose();
+            format!(
+                "{words}; {inliers} features of known depth put the robot {:.2} m ahead of there and {:.2} m to the left, \
+                 turned by {:.1} degrees, to {sigma_m:.2} m",
+                pose.x_m(),
+                pose.y_m(),
+                pose.heading_rad().to_degrees()
+            )
+        }
+        Some((Placement::Nowhere, _)) => {
+            format!("{words}; features of known depth contradict each other: the robot was not near there")
+        }
+        None | Some((Placement::Unknown, 0)) => words,
+        Some((Placement::Unknown, joined)) => format!("{words}; {joined} features joined by one motion"),
     }
 }
 

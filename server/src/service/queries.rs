@@ -4,25 +4,23 @@ use std::sync::Arc;
 
 use fabmap::appearance::PlaceId;
 use fabmap::explanation::Explanation;
-use fabmap::observation::Observation;
 use tokio::runtime::Handle;
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
-use topomap::event::{FrameEvent, FrameId, MapEvent, Reason};
-use topomap::mapper::{ArchiveError, Decided, FrameArchive, FrameError, FrameInput, Gate, Gates, Mapper};
-use topomap::relative_pose::RelativePose;
-use topomap::standing::TurnedView;
-use topomap::verification::{Bound, Candidate, Check, Quantity, TwoView, Verdict, Views};
-use waypost_vision::verification::Verifier;
+use topomap::evidence::{ArchiveError, Bound, Candidate, Check, Quantity, Verdict};
+use topomap::ids::FrameId;
+use topomap::log::{FrameEvent, MapEvent, Reason};
+use topomap::mapper::{Decided, EarlierFrame, FrameInput, Gate, Gates, Mapper};
 
-use super::Service;
-use super::content::{Content, Words};
-use super::frames::LocatedFrame;
-use super::map_settings::{self, Keep};
-pub(crate) use super::map_writer::QueryAnswer;
-use super::map_writer::{SeenFeatures, compare, stored_features, verifier};
-use super::names::map_in;
+use super::frames::{Frames, LocatedFrame};
 use crate::error::ServiceError;
-use crate::extraction::LoadedModel;
+use crate::ingest::content::{Content, Words};
+use crate::ingest::extraction::Extraction;
+use crate::ingest::model::{LoadedModel, LoadedModels};
+use crate::map_settings::{self, Keep};
+use crate::names::map_in;
+pub(crate) use crate::open_map::answers::QueryAnswer;
+use crate::open_map::{FrameStore, OpenMaps, SeenFeatures, compared, stored_features, verifier};
 use crate::storage::{LogEntry, MapRow, Storage, StorageError};
 
 /// Words for, and as many against, that an explanation lists at most.
@@ -53,37 +51,54 @@ pub(crate) struct GateView {
     pub(crate) description: String,
 }
 
-impl Service {
+/// Queries and explanations. Cheap to clone.
+#[derive(Clone, Debug)]
+pub(crate) struct Queries {
+    storage: Storage,
+    models: LoadedModels,
+    open_maps: OpenMaps,
+    extraction: Extraction,
+    frames: Frames,
+    /// One replay at a time: it takes as much memory as the map, and a core.
+    replays: Arc<Semaphore>,
+}
+
+impl Queries {
+    pub(super) fn new(frames: Frames, extraction: Extraction) -> Self {
+        let Frames { storage, models, open_maps } = frames.clone();
+        Self { storage, models, open_maps, extraction, frames, replays: Arc::new(Semaphore::new(1)) }
+    }
+
     /// Where one image, or bag of words, was taken. Nothing is remembered of it.
     pub(crate) async fn query(
-        self: &Arc<Self>,
+        &self,
         map: &str,
         content: Content,
         words_hash: &str,
-        explained_words: u32,
+        explained_words: Option<u32>,
     ) -> Result<QueryAnswer, ServiceError> {
         let map = map_in(map)?;
-        let explained = explained_words_of(explained_words)?;
-        let row = self.map_row(map).await?;
-        let model = self.loaded_model(&row.model).await?;
+        let explained = explained_words_of(explained_words.unwrap_or(0))?;
+        let row = self.open_maps.row(map).await?;
+        let model = self.models.get(&row.model).await?;
         let words = Words::declared(words_hash, &model)?;
-        let observed = self.observe(model, content, words, Keep::Words, None, None).await?;
-        self.open_map_of(&row).await?.query(observed.observation, observed.features, explained).await
+        let observed = self.extraction.observe(model, content, words, Keep::Words, None, None).await?;
+        self.open_maps.open_of(&row).await?.query(observed.observation, observed.features, explained).await
     }
 
     /// Replays the map up to a frame and decides that frame again, this time telling why.
-    pub(crate) async fn explain_frame(
-        self: &Arc<Self>,
+    pub(crate) async fn explain(
+        &self,
         name: &str,
         place: Option<PlaceId>,
-        words: u32,
+        max_words: Option<u32>,
     ) -> Result<FrameExplanation, ServiceError> {
-        let words = explained_words_of(if words == 0 { DEFAULT_EXPLAINED_WORDS } else { words })?;
-        let LocatedFrame { map, position } = self.locate(name).await?;
+        let words = explained_words_of(max_words.unwrap_or(DEFAULT_EXPLAINED_WORDS))?;
+        let LocatedFrame { map, position } = self.frames.locate(name).await?;
         let model = self.model_then(&map, position).await?;
-        // One at a time: a replay takes as much memory as the map, and a core.
         let turn = self.replays.clone().acquire_owned().await.map_err(|_| ServiceError::stopping())?;
-        let (abandoned, name) = (CancellationToken::new(), name.to_owned());
+        let abandoned = CancellationToken::new();
+        let name = name.to_owned();
         let _abandon = abandoned.clone().drop_guard();
         let replay =
             Replay { storage: self.storage.clone(), runtime: Handle::current(), map, model, abandoned };
@@ -97,13 +112,13 @@ impl Service {
     /// The model that a map had when a frame was decided; the present one if that is gone.
     async fn model_then(&self, map: &MapRow, position: FrameId) -> Result<Arc<LoadedModel>, ServiceError> {
         if let Some(former) = self.storage.former_model(map.id, position).await? {
-            match self.loaded_model(&former).await {
+            match self.models.get(&former).await {
                 Ok(model) => return Ok(model),
                 Err(ServiceError::NotFound { .. }) => {}
                 Err(error) => return Err(error),
             }
         }
-        self.loaded_model(&map.model).await
+        self.models.get(&map.model).await
     }
 }
 
@@ -143,8 +158,11 @@ impl Replay {
             odometry: event.odometry.clone(),
             observation: event.observation.clone(),
         };
-        let views = ReplayedView::new(self, position, verifier(mapper.settings()))?;
-        let decided = mapper.decide(input.clone(), self, &views, &mut ())?;
+        let current = self.features(position)?;
+        let recognized = mapper.recognize(input.clone(), &mut ())?;
+        let verifier = verifier(mapper.settings());
+        let (proposed, comparisons) = compared(recognized, self, current.as_ref(), &verifier)?;
+        let decided = proposed.decide(&comparisons)?;
         let explained = place.or_else(|| contested_place(&event, &decided));
         let places = mapper.recognizer().places();
         if let Some(place) = place.filter(|&place| place as usize >= places) {
@@ -161,7 +179,7 @@ impl Replay {
         gates
             .extend(candidate.map(|candidate| verdict_views(&mapper.verdict(candidate))).unwrap_or_default());
         Ok(FrameExplanation {
-            picture: explained.map(|place| format!("/v1/{name}/picture?place={place}")),
+            picture: explained.map(|place| format!("/v1/{name}/picture?place_number={place}")),
             name,
             reason: event.decision.reason,
             gates,
@@ -192,61 +210,19 @@ impl Replay {
     }
 }
 
-impl FrameArchive for Replay {
-    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
-        Ok(self.event(frame)?.map(|event| event.observation))
-    }
-
-    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
-        Ok(self.event(frame)?.and_then(|event| event.at))
-    }
-}
-
-impl Replay {
-    fn event(&self, frame: FrameId) -> Result<Option<Box<FrameEvent>>, ArchiveError> {
+impl FrameStore for Replay {
+    fn earlier_frame(&self, frame: FrameId) -> Result<Option<EarlierFrame>, ArchiveError> {
         let words = self.model.model.vocabulary().len();
         match self.runtime.block_on(self.storage.event_at(self.map.id, frame, words)) {
-            Ok(Some(MapEvent::Frame(event))) => Ok(Some(event)),
+            Ok(Some(MapEvent::Frame(event))) => {
+                Ok(Some(EarlierFrame { observation: event.observation, at: event.at }))
+            }
             Ok(Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None)
             | Err(StorageError::Damaged(_)) => Ok(None),
             Err(error) => Err(ArchiveError { frame, why: error.to_string() }),
         }
     }
-}
 
-/// The frame that is decided again, beside those before it.
-struct ReplayedView<'a> {
-    replay: &'a Replay,
-    current: Option<SeenFeatures>,
-    verifier: Verifier,
-}
-
-impl<'a> ReplayedView<'a> {
-    fn new(replay: &'a Replay, frame: FrameId, verifier: Verifier) -> Result<Self, ServiceError> {
-        let current = replay.features(frame).map_err(FrameError::from)?;
-        Ok(Self { replay, current, verifier })
-    }
-}
-
-impl Views for ReplayedView<'_> {
-    fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
-        let Some(current) = &self.current else { return Ok(None) };
-        let earlier = self.replay.features(earlier)?;
-        Ok(earlier.map(|earlier| compare(&self.verifier, &earlier, current).view))
-    }
-
-    fn turned(&self, earlier: FrameId) -> Result<Option<TurnedView>, ArchiveError> {
-        let Some(current) = &self.current else { return Ok(None) };
-        let earlier = self.replay.features(earlier)?;
-        Ok(earlier.and_then(|earlier| current.turned(&earlier)))
-    }
-
-    fn focal_length_widths(&self) -> Option<f64> {
-        self.current.as_ref()?.focal_length_widths()
-    }
-}
-
-impl Replay {
     fn features(&self, frame: FrameId) -> Result<Option<SeenFeatures>, ArchiveError> {
         stored_features(&self.runtime, &self.storage, self.map.id, frame)
     }
@@ -322,9 +298,10 @@ pub(super) fn verdict_views(verdict: &Verdict) -> Vec<GateView> {
 /// As many digits as tell something.
 fn digits(quantity: Quantity, value: f64) -> String {
     match quantity {
-        Quantity::Inliers | Quantity::Evidence => format!("{value:.0}"),
+        Quantity::Inliers | Quantity::Evidence | Quantity::PlacedInliers => format!("{value:.0}"),
         Quantity::Posterior => probability(value),
-        Quantity::RotationRad => format!("{value:.3} rad"),
+        Quantity::RotationRad | Quantity::HeadingRad => format!("{value:.3} rad"),
+        Quantity::DistanceM => format!("{value:.2} m"),
         Quantity::LnScale => format!("ln {value:.3}"),
         Quantity::TranslationWidths => format!("{value:.3} widths"),
     }
@@ -338,6 +315,9 @@ fn gate_name(quantity: Quantity) -> &'static str {
         Quantity::RotationRad => "rotation",
         Quantity::LnScale => "scale",
         Quantity::TranslationWidths => "translation",
+        Quantity::PlacedInliers => "placed_inliers",
+        Quantity::DistanceM => "distance",
+        Quantity::HeadingRad => "heading",
     }
 }
 

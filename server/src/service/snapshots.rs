@@ -5,90 +5,44 @@ mod export;
 mod format;
 mod import;
 
-use std::collections::BTreeSet;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
 
-use super::Service;
-use super::maps::map_exists;
-use crate::error::ServiceError;
-use crate::storage::EXPORTERS;
+use super::deleted_maps::DeletedMaps;
+use super::jobs::Jobs;
+use super::map_names::MapNames;
+use crate::storage::{EXPORTERS, Storage};
 
-/// What exports and imports under way share.
-#[derive(Debug)]
-pub(super) struct Snapshots {
+/// Maps out and in as files. Cheap to clone.
+#[derive(Clone, Debug)]
+pub(crate) struct Snapshots {
+    storage: Storage,
+    jobs: Jobs,
+    names: MapNames,
+    deleted_maps: DeletedMaps,
+    stopping: CancellationToken,
     exports: Arc<Semaphore>,
     uploads: Arc<Semaphore>,
-    reserved: Arc<ReservedNames>,
-}
-
-/// Names of maps that are being imported, or made of others.
-#[derive(Debug, Default)]
-struct ReservedNames {
-    names: Mutex<BTreeSet<String>>,
-}
-
-/// A name that nobody else can take for a map. Free again when dropped.
-#[derive(Debug)]
-pub(super) struct Reservation {
-    name: String,
-    among: Arc<ReservedNames>,
-}
-
-impl Default for Snapshots {
-    fn default() -> Self {
-        Self {
-            exports: Arc::new(Semaphore::new(EXPORTERS as usize)),
-            uploads: Arc::new(Semaphore::new(import::MAX_IMPORTS)),
-            reserved: Arc::default(),
-        }
-    }
 }
 
 impl Snapshots {
-    /// Refuses a name that an import has reserved.
-    pub(super) fn check_unreserved(&self, map: &str) -> Result<(), ServiceError> {
-        if self.reserved.lock().contains(map) { Err(reserved(map)) } else { Ok(()) }
-    }
-}
-
-impl Service {
-    /// Keeps a name for a map that is being imported, or made of others.
-    pub(super) async fn reserve(&self, map: &str) -> Result<Reservation, ServiceError> {
-        if !self.snapshots.reserved.lock().insert(map.to_owned()) {
-            return Err(reserved(map));
+    pub(super) fn new(
+        storage: Storage,
+        jobs: Jobs,
+        names: MapNames,
+        deleted_maps: DeletedMaps,
+        stopping: CancellationToken,
+    ) -> Self {
+        Self {
+            storage,
+            jobs,
+            names,
+            deleted_maps,
+            stopping,
+            exports: Arc::new(Semaphore::new(EXPORTERS as usize)),
+            uploads: Arc::new(Semaphore::new(import::MAX_IMPORTS)),
         }
-        let reservation = Reservation { name: map.to_owned(), among: self.snapshots.reserved.clone() };
-        match self.storage.map(map).await? {
-            None => Ok(reservation),
-            Some(_) => Err(map_exists(map)),
-        }
-    }
-}
-
-impl Reservation {
-    pub(super) fn name(&self) -> &str {
-        &self.name
-    }
-}
-
-impl ReservedNames {
-    fn lock(&self) -> MutexGuard<'_, BTreeSet<String>> {
-        self.names.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Drop for Reservation {
-    fn drop(&mut self) {
-        self.among.lock().remove(&self.name);
-    }
-}
-
-fn reserved(map: &str) -> ServiceError {
-    ServiceError::AlreadyExists {
-        message: format!(
-            "a map {map} is being imported or made of others; choose another name, or cancel or discard that first"
-        ),
     }
 }

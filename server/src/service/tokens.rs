@@ -8,12 +8,13 @@ use sha2::{Digest, Sha256};
 use tokio::sync::Mutex as AsyncMutex;
 use tokio_util::sync::CancellationToken;
 
-use super::models::Page;
-use super::names::{check_id, id_in, page_size};
-use super::{Service, now_ns};
+use crate::clock::now_ns;
 use crate::error::ServiceError;
+use crate::names::{check_id, id_in};
+use crate::pages::{Page, page_size};
 use crate::role::Role;
-use crate::storage::{SecretHash, Storage, StorageError, TokenRow};
+pub(crate) use crate::storage::TokenRow;
+use crate::storage::{SecretHash, Storage, StorageError};
 
 /// Begins every secret, so that people and scanners know one that they come across.
 const PREFIX: &str = "waypost_";
@@ -43,10 +44,11 @@ pub(crate) enum Anonymous {
     Refused,
 }
 
-/// All tokens, in memory: to check one costs no query.
-#[derive(Debug)]
+/// All tokens, in memory: to check one costs no query. Cheap to clone.
+#[derive(Clone, Debug)]
 pub(crate) struct Tokens {
-    known: Mutex<Known>,
+    storage: Storage,
+    known: Arc<Mutex<Known>>,
     /// Held while tokens change, in the database and here.
     changing: Arc<AsyncMutex<()>>,
 }
@@ -71,7 +73,7 @@ impl Tokens {
     pub(crate) async fn load(storage: &Storage) -> Result<Self, StorageError> {
         let mut known = Known::default();
         storage.tokens().await?.into_iter().for_each(|token| known.add(token));
-        Ok(Self { known: Mutex::new(known), changing: Arc::default() })
+        Ok(Self { storage: storage.clone(), known: Arc::new(Mutex::new(known)), changing: Arc::default() })
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -79,7 +81,7 @@ impl Tokens {
     }
 
     /// All, by name.
-    pub(crate) fn list(&self) -> Vec<TokenRow> {
+    pub(crate) fn all(&self) -> Vec<TokenRow> {
         let mut tokens: Vec<TokenRow> = self.lock().tokens().cloned().collect();
         tokens.sort_by(|a, b| a.name.cmp(&b.name));
         tokens
@@ -165,7 +167,7 @@ impl Known {
     }
 }
 
-impl Service {
+impl Tokens {
     /// Lets a call in, or says why not. What comes back is cancelled when its token is deleted; the
     /// call must end then.
     pub(crate) fn admit(
@@ -176,7 +178,7 @@ impl Service {
         if access == Access::Open {
             return Ok(CancellationToken::new());
         }
-        let known = self.tokens.lock();
+        let known = self.lock();
         if known.by_hash.is_empty() && known.anonymous != Anonymous::Refused {
             return Ok(known.without_token.clone());
         }
@@ -204,20 +206,17 @@ impl Service {
     }
 
     /// Makes a token; gives its secret too, which is not kept.
-    pub(crate) async fn create_token(
-        self: &Arc<Self>,
-        name: &str,
-        role: Role,
-    ) -> Result<(TokenRow, String), ServiceError> {
+    pub(crate) async fn create(&self, name: &str, role: Role) -> Result<(TokenRow, String), ServiceError> {
         let name = check_id("token name", name)?.to_owned();
         let secret = new_secret()?;
         let token = TokenRow { name: name.clone(), role, secret_sha256: hash(&secret), created_ns: now_ns() };
-        let (service, changing) = (self.clone(), self.tokens.changing.clone().lock_owned().await);
+        let tokens = self.clone();
+        let changing = self.changing.clone().lock_owned().await;
         // A task of its own: whoever asked may go away, but database and memory must agree.
         let created = tokio::spawn(async move {
             let _changing = changing;
-            service.tokens.lock().check_new(role)?;
-            match service.storage.put_token(&token).await {
+            tokens.lock().check_new(role)?;
+            match tokens.storage.put_token(&token).await {
                 Ok(()) => {}
                 Err(StorageError::Exists) => {
                     let message = format!("there is a token {name} already; choose another name");
@@ -225,7 +224,7 @@ impl Service {
                 }
                 Err(error) => return Err(error.into()),
             }
-            service.tokens.lock().add(token.clone());
+            tokens.lock().add(token.clone());
             Ok(token)
         });
         let token = created.await.map_err(ServiceError::internal)??;
@@ -234,14 +233,15 @@ impl Service {
     }
 
     /// Deletes `tokens/{token}`; what is being done with it ends.
-    pub(crate) async fn delete_token(self: &Arc<Self>, name: &str) -> Result<(), ServiceError> {
+    pub(crate) async fn delete(&self, name: &str) -> Result<(), ServiceError> {
         let name = check_id("token name", id_in("tokens", name)?)?.to_owned();
-        let (service, changing) = (self.clone(), self.tokens.changing.clone().lock_owned().await);
+        let tokens = self.clone();
+        let changing = self.changing.clone().lock_owned().await;
         let deleted = tokio::spawn(async move {
             let _changing = changing;
-            service.tokens.lock().check_deletion(&name)?;
-            service.storage.delete_token(&name).await?;
-            service.tokens.lock().remove(&name);
+            tokens.lock().check_deletion(&name)?;
+            tokens.storage.delete_token(&name).await?;
+            tokens.lock().remove(&name);
             Ok::<_, ServiceError>(name)
         });
         let name = deleted.await.map_err(ServiceError::internal)??;
@@ -250,12 +250,12 @@ impl Service {
     }
 
     /// Tokens after the name `page_token`, by name.
-    pub(crate) fn list_tokens(&self, size: u32, page_token: &str) -> Result<Page<TokenRow>, ServiceError> {
+    pub(crate) fn list(&self, size: u32, page_token: &str) -> Result<Page<TokenRow>, ServiceError> {
         let size = page_size(size)? as usize;
         if !page_token.is_empty() {
             check_id("page token", page_token)?;
         }
-        let mut items = self.tokens.list();
+        let mut items = self.all();
         items.retain(|token| token.name.as_str() > page_token);
         let more = items.len() > size;
         items.truncate(size);
@@ -287,99 +287,4 @@ fn hash(secret: &str) -> SecretHash {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    async fn service(directory: &std::path::Path) -> Arc<Service> {
-        let storage = Storage::open(directory).await.unwrap();
-        let tokens = Tokens::load(&storage).await.unwrap();
-        Arc::new(Service::new(storage, tokens, crate::metrics::Metrics::new().unwrap()))
-    }
-
-    fn is_unauthenticated(admitted: &Result<CancellationToken, ServiceError>) -> bool {
-        matches!(admitted, Err(ServiceError::Unauthenticated { .. }))
-    }
-
-    #[tokio::test]
-    async fn roles_open_what_they_are_for() {
-        let directory = tempfile::tempdir().unwrap();
-        let service = service(directory.path()).await;
-        let before = service.admit(None, Access::Admin).unwrap();
-        let (_, admin) = service.create_token("operator", Role::Admin).await.unwrap();
-        assert!(before.is_cancelled(), "what was let in without a token must end");
-        let (_, robot) = service.create_token("robot", Role::Robot).await.unwrap();
-        for access in [Access::Robot, Access::Admin] {
-            assert!(is_unauthenticated(&service.admit(None, access)));
-            assert!(is_unauthenticated(&service.admit(Some(""), access)));
-            assert!(is_unauthenticated(&service.admit(Some(&robot[..robot.len() - 1]), access)));
-            assert!(service.admit(Some(&admin), access).is_ok());
-        }
-        assert!(service.admit(None, Access::Open).is_ok());
-        assert!(service.admit(Some(&robot), Access::Robot).is_ok());
-        let denied = service.admit(Some(&robot), Access::Admin);
-        assert!(matches!(denied, Err(ServiceError::PermissionDenied { .. })), "{denied:?}");
-        service.stop().await;
-    }
-
-    #[tokio::test]
-    async fn a_token_outlives_the_server_and_only_its_hash_is_stored() {
-        let directory = tempfile::tempdir().unwrap();
-        let first = service(directory.path()).await;
-        let (_, secret) = first.create_token("operator", Role::Admin).await.unwrap();
-        first.stop().await;
-        drop(first);
-        assert!(secret.starts_with(PREFIX) && secret.len() == PREFIX.len() + 64, "{secret}");
-        let file = std::fs::read(directory.path().join("waypost.sqlite")).unwrap();
-        let holds = |bytes: &[u8]| file.windows(bytes.len()).any(|window| window == bytes);
-        assert!(holds(&hash(&secret)) && !holds(&secret.as_bytes()[PREFIX.len()..]));
-        let second = service(directory.path()).await;
-        let admitted = second.admit(Some(&secret), Access::Admin).unwrap();
-        second.delete_token("tokens/operator").await.unwrap();
-        assert!(admitted.is_cancelled());
-        assert!(second.admit(None, Access::Admin).is_ok(), "with no token left, everyone is served again");
-        second.stop().await;
-    }
-
-    #[tokio::test]
-    async fn nobody_is_locked_out_and_no_door_is_left_open() {
-        let directory = tempfile::tempdir().unwrap();
-        let service = service(directory.path()).await;
-        let refused = |result: Result<(), ServiceError>| match result {
-            Err(ServiceError::FailedPrecondition { message }) => message,
-            other => panic!("{other:?}"),
-        };
-        let first_robot = service.create_token("robot", Role::Robot).await.map(drop);
-        assert!(refused(first_robot).contains("the first token must be an admin's"));
-        service.create_token("operator", Role::Admin).await.unwrap();
-        service.create_token("robot", Role::Robot).await.unwrap();
-        let exists = service.create_token("robot", Role::Robot).await;
-        assert!(matches!(exists, Err(ServiceError::AlreadyExists { .. })), "{exists:?}");
-        let last_admin = service.delete_token("tokens/operator").await;
-        assert!(refused(last_admin).contains("create another admin token first"));
-        service.delete_token("tokens/robot").await.unwrap();
-        service.tokens.set_anonymous(Anonymous::Refused);
-        let last = service.delete_token("tokens/operator").await;
-        assert!(refused(last).contains("the last token"));
-        let missing = service.delete_token("tokens/nobody").await;
-        assert!(matches!(missing, Err(ServiceError::NotFound { .. })), "{missing:?}");
-        service.stop().await;
-    }
-
-    #[tokio::test]
-    async fn lists_go_by_name_in_pages() {
-        let directory = tempfile::tempdir().unwrap();
-        let service = service(directory.path()).await;
-        for name in ["c", "a", "b"] {
-            service.create_token(name, Role::Admin).await.unwrap();
-        }
-        let names = |page: &Page<TokenRow>| {
-            page.items.iter().map(|token| token.name.clone()).collect::<Vec<_>>().join(" ")
-        };
-        let first = service.list_tokens(2, "").unwrap();
-        assert_eq!((names(&first).as_str(), first.next.as_str()), ("a b", "b"));
-        let second = service.list_tokens(2, &first.next).unwrap();
-        assert_eq!((names(&second).as_str(), second.next.as_str()), ("c", ""));
-        assert!(service.list_tokens(2, "no/token").is_err());
-        service.stop().await;
-    }
-}
+mod tests;

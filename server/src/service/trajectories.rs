@@ -1,21 +1,19 @@
 //! Where robots were, as text that other tools read.
 
 use std::collections::HashMap;
-use std::sync::Arc;
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use prost::Message;
-use topomap::event::{FrameEvent, FrameId, MeasuredEvent};
-use topomap::g2o::{G2o, NamedGraph};
-use topomap::place_poses::PlacePoses;
-use topomap::relaxation::Pose;
-use topomap::trajectory::{StampedPose, to_kitti, to_tum};
-use waypost_proto::v1;
+use posegraph::Pose;
+use posegraph::g2o::{G2o, NamedGraph};
+use posegraph::trajectory::{StampedPose, to_kitti, to_tum};
+use topomap::ids::FrameId;
+use topomap::log::{FrameEvent, MeasuredEvent};
+use topomap::map::PlacePoses;
 
-use super::Service;
-use super::frames::no_such_session;
-use super::names::{map_in, session_in};
+use super::frames::{Frames, no_such_session};
+use crate::camera::Camera;
 use crate::error::ServiceError;
+use crate::names::{map_in, session_in};
 use crate::storage::FrameRow;
 
 /// Frames read at a time.
@@ -46,31 +44,39 @@ pub(crate) enum TrajectoryBody {
     Camera,
 }
 
-impl Service {
+/// Where robots were, written out. Cheap to clone.
+#[derive(Clone, Debug)]
+pub(crate) struct Trajectories {
+    pub(super) frames: Frames,
+}
+
+impl Trajectories {
     /// Where a session's robot was at each of its frames.
-    pub(crate) async fn trajectory(
-        self: &Arc<Self>,
+    pub(crate) async fn session(
+        &self,
         name: &str,
         format: TrajectoryFormat,
         frame: TrajectoryFrame,
         body: TrajectoryBody,
     ) -> Result<Vec<u8>, ServiceError> {
         let (map, session) = session_in(name)?;
-        let row = self.map_row(map).await?;
-        let summary = self.storage.session_summary(row.id, session).await?;
+        let row = self.frames.open_maps.row(map).await?;
+        let summary = self.frames.storage.session_summary(row.id, session).await?;
         let summary = summary.ok_or_else(|| no_such_session(map, session))?;
         let mount = match body {
             TrajectoryBody::Base => Isometry3::identity(),
-            TrajectoryBody::Camera => mount(summary.camera.as_deref(), name)?,
+            TrajectoryBody::Camera => mount(summary.camera.as_ref(), name)?,
         };
-        let poses = self.open_map(map).await?.poses().await?;
-        let words = self.vocabulary_len(&row).await?;
-        let measured = self.storage.measured_of_session(row.id, summary.number, words).await?;
+        let poses = self.frames.open_maps.open(map).await?.poses().await?;
+        let words = self.frames.vocabulary_len(&row).await?;
+        let measured = self.frames.storage.measured_of_session(row.id, summary.number, words).await?;
         let measured: HashMap<FrameId, MeasuredEvent> =
             measured.into_iter().map(|event| (event.frame, event)).collect();
-        let (mut stamped, mut after): (Vec<Located>, _) = (Vec::new(), None);
+        let mut stamped: Vec<Located> = Vec::new();
+        let mut after = None;
         loop {
-            let frames = self.storage.frames_of_session(row.id, summary.number, after, PAGE, words).await?;
+            let frames =
+                self.frames.storage.frames_of_session(row.id, summary.number, after, PAGE, words).await?;
             after = frames.last().map(|frame| frame.event.sequence);
             let located = |row: &FrameRow| located(&row.event, measured.get(&row.event.frame), frame, &poses);
             stamped.extend(frames.iter().filter_map(located));
@@ -92,10 +98,10 @@ impl Service {
     }
 
     /// A map's pose graph as g2o: its places, and the ways between them that were measured.
-    pub(crate) async fn pose_graph(self: &Arc<Self>, name: &str) -> Result<Vec<u8>, ServiceError> {
+    pub(crate) async fn pose_graph(&self, name: &str) -> Result<Vec<u8>, ServiceError> {
         let map = map_in(name)?;
-        self.map_row(map).await?;
-        let poses = self.open_map(map).await?.poses().await?;
+        self.frames.open_maps.row(map).await?;
+        let poses = self.frames.open_maps.open(map).await?.poses().await?;
         if poses.graph().edges().is_empty() {
             return Err(ServiceError::precondition(format_args!(
                 "no way between places of {name} was measured; it takes frames with odometry"
@@ -134,17 +140,14 @@ fn located(
     Some(Located { stamp_ns: event.stamp_ns, pose, part })
 }
 
-fn mount(camera: Option<&[u8]>, name: &str) -> Result<Isometry3<f64>, ServiceError> {
-    // It was checked when the session was opened.
-    let declared = camera.and_then(|camera| v1::Camera::decode(camera).ok()?.base_to_camera);
-    let parts = declared.and_then(|v1::Pose { position_m, orientation }| Some((position_m?, orientation?)));
-    let (position, orientation) = parts.ok_or_else(|| {
+fn mount(camera: Option<&Camera>, name: &str) -> Result<Isometry3<f64>, ServiceError> {
+    let declared = camera.and_then(|camera| camera.base_to_camera);
+    let ([x, y, z], [i, j, k, w]) = declared.ok_or_else(|| {
         ServiceError::precondition(format_args!(
             "{name} did not declare how its camera is mounted (base_to_camera); ask for the poses of base_link"
         ))
     })?;
-    let v1::Vector3 { x, y, z } = position;
-    let v1::Quaternion { x: i, y: j, z: k, w } = orientation;
+    // It was checked when the session was opened.
     let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, i, j, k));
     Ok(Isometry3::from_parts(Translation3::new(x, y, z), rotation))
 }

@@ -1,13 +1,13 @@
 //! What the panoramas of a map have in common.
 
 use fabmap::appearance::PlaceId;
-use sqlx::{QueryBuilder, Row, Sqlite, Transaction};
+use sqlx::{QueryBuilder, Sqlite, Transaction};
 
 use super::maps::check_edition;
 use super::{MapEdition, MapId, Storage, StorageError};
 
 /// A similarity that two places were found to have.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct LinkRow {
     pub(crate) place: PlaceId,
     pub(crate) earlier: PlaceId,
@@ -45,15 +45,8 @@ impl Storage {
         let next_place = kept_until(&mut snapshot, map, rules).await?;
         let select = "SELECT place, earlier, similarity FROM appearance_links WHERE map_id = ? AND place < ? \
                       ORDER BY place, earlier";
-        let rows = sqlx::query(select).bind(map).bind(next_place).fetch_all(&mut *snapshot).await?;
-        let link = |row: &sqlx::sqlite::SqliteRow| {
-            Ok(LinkRow {
-                place: row.try_get("place")?,
-                earlier: row.try_get("earlier")?,
-                similarity: row.try_get("similarity")?,
-            })
-        };
-        Ok(KeptLinks { next_place, links: rows.iter().map(link).collect::<Result<_, StorageError>>()? })
+        let links = sqlx::query_as(select).bind(map).bind(next_place).fetch_all(&mut *snapshot).await?;
+        Ok(KeptLinks { next_place, links })
     }
 
     /// Keeps the links of the places that follow `from`, up to `next_place`; what other rules found goes.
@@ -107,8 +100,8 @@ async fn kept_until(
     rules: u32,
 ) -> Result<PlaceId, StorageError> {
     let select = "SELECT next_place FROM appearance_graphs WHERE map_id = ? AND rules = ?";
-    let row = sqlx::query(select).bind(map).bind(rules).fetch_optional(&mut **transaction);
-    Ok(row.await?.map(|row| row.try_get("next_place")).transpose()?.unwrap_or(0))
+    let next_place = sqlx::query_scalar(select).bind(map).bind(rules).fetch_optional(&mut **transaction);
+    Ok(next_place.await?.unwrap_or(0))
 }
 
 /// What was found out about the places of a map.

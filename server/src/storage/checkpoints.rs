@@ -1,12 +1,11 @@
 use std::ops::Range;
 
 use fabmap::appearance::PlaceId;
-use sqlx::{Row, Sqlite, Transaction};
+use sqlx::{Sqlite, Transaction};
 use topomap::checkpoint::{Block, Pieces};
-use topomap::event::SessionId;
+use topomap::ids::SessionId;
 
-use super::removal::delete_some;
-use super::{MapId, Storage, StorageError, from_sql, to_sql};
+use super::{MapId, Storage, StorageError, delete_some, to_sql};
 
 /// Tables of a checkpoint without its head, their keys, and how many rows are deleted at a time.
 pub(super) const CHECKPOINT_PIECES: [(&str, &str, u32); 4] = [
@@ -27,8 +26,9 @@ pub(crate) struct CheckpointView {
 }
 
 /// A sealed block as it was stored.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, sqlx::FromRow)]
 pub(crate) struct StoredBlock {
+    #[sqlx(rename = "first_place")]
     pub(crate) first: PlaceId,
     pub(crate) places: u32,
     /// As of this log position.
@@ -149,13 +149,11 @@ impl Storage {
     /// A view of a map's checkpoint as it is now; `None` if there is none.
     pub(crate) async fn view_checkpoint(&self, map: MapId) -> Result<Option<CheckpointView>, StorageError> {
         let mut snapshot = self.readers.begin().await?;
-        let row = sqlx::query("SELECT events, head FROM checkpoints WHERE map_id = ?")
+        let head = sqlx::query_as("SELECT events, head FROM checkpoints WHERE map_id = ?")
             .bind(map)
             .fetch_optional(&mut *snapshot)
             .await?;
-        let Some(row) = row else { return Ok(None) };
-        let (events, head) = (from_sql(row.try_get("events")?)?, row.try_get("head")?);
-        Ok(Some(CheckpointView { map, events, head, snapshot }))
+        Ok(head.map(|(events, head)| CheckpointView { map, events, head, snapshot }))
     }
 
     /// Forgets a checkpoint that cannot be used; the log has it all.
@@ -179,22 +177,20 @@ impl Storage {
 impl CheckpointView {
     /// Every session.
     pub(crate) async fn sessions(&mut self) -> Result<Vec<(SessionId, Vec<u8>)>, StorageError> {
-        let rows = sqlx::query("SELECT session, content FROM checkpoint_sessions WHERE map_id = ?")
+        Ok(sqlx::query_as("SELECT session, content FROM checkpoint_sessions WHERE map_id = ?")
             .bind(self.map)
             .fetch_all(&mut *self.snapshot)
-            .await?;
-        rows.iter().map(|row| Ok((row.try_get("session")?, row.try_get("content")?))).collect()
+            .await?)
     }
 
     /// All links in order, by the number of the first of each piece.
     pub(crate) async fn links(&mut self) -> Result<Vec<(u64, Vec<u8>)>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT first_link, content FROM checkpoint_links WHERE map_id = ? ORDER BY first_link",
         )
         .bind(self.map)
         .fetch_all(&mut *self.snapshot)
-        .await?;
-        rows.iter().map(|row| Ok((from_sql(row.try_get("first_link")?)?, row.try_get("content")?))).collect()
+        .await?)
     }
 
     /// The places of `places` that hold over their blocks, or are in none; ascending.
@@ -202,15 +198,14 @@ impl CheckpointView {
         &mut self,
         places: Range<PlaceId>,
     ) -> Result<Vec<(PlaceId, Vec<u8>)>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT place, content FROM checkpoint_places WHERE map_id = ? AND place >= ? AND place < ? ORDER BY place",
         )
         .bind(self.map)
         .bind(places.start)
         .bind(places.end)
         .fetch_all(&mut *self.snapshot)
-        .await?;
-        rows.iter().map(|row| Ok((row.try_get("place")?, row.try_get("content")?))).collect()
+        .await?)
     }
 
     /// Up to `limit` blocks of places from `from` on, in order.
@@ -219,7 +214,7 @@ impl CheckpointView {
         from: PlaceId,
         limit: u32,
     ) -> Result<Vec<StoredBlock>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT first_place, places, events, content FROM checkpoint_blocks \
              WHERE map_id = ? AND first_place >= ? ORDER BY first_place LIMIT ?",
         )
@@ -227,16 +222,7 @@ impl CheckpointView {
         .bind(from)
         .bind(limit)
         .fetch_all(&mut *self.snapshot)
-        .await?;
-        let block = |row: &sqlx::sqlite::SqliteRow| {
-            Ok(StoredBlock {
-                first: row.try_get("first_place")?,
-                places: row.try_get("places")?,
-                events: from_sql(row.try_get("events")?)?,
-                content: row.try_get("content")?,
-            })
-        };
-        rows.iter().map(block).collect()
+        .await?)
     }
 }
 

@@ -1,17 +1,16 @@
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
-use topomap::event::{FrameEvent, FrameId, MapEvent, SessionId};
+use topomap::ids::{FrameId, SessionId};
+use topomap::log::{FrameEvent, MapEvent};
 
 use super::log::event;
-use super::{MapId, Storage, StorageError, from_sql, to_sql};
+use super::{MapId, Storage, StorageError, to_sql};
+use crate::camera::Camera;
 
 /// A session with what its frames add up to.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct SessionSummary {
     pub(crate) number: SessionId,
     pub(crate) name: String,
-    /// An encoded `waypost.v1.Camera`.
-    pub(crate) camera: Option<Vec<u8>>,
+    pub(crate) camera: Option<Camera>,
     pub(crate) opened_ns: i64,
     pub(crate) frames: u64,
     pub(crate) loop_closures: u64,
@@ -25,10 +24,24 @@ pub(crate) struct SessionSummary {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct FrameRow {
     pub(crate) event: FrameEvent,
-    pub(crate) log_bytes: u64,
-    pub(crate) features_bytes: u64,
-    pub(crate) thumbnail_bytes: u64,
-    pub(crate) image_bytes: u64,
+    pub(crate) bytes: FrameBytes,
+}
+
+/// What is kept of a frame; 0 where nothing is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::FromRow)]
+pub(crate) struct FrameBytes {
+    pub(crate) log: u64,
+    pub(crate) features: u64,
+    pub(crate) thumbnail: u64,
+    pub(crate) image: u64,
+}
+
+/// A frame whose event is still to be decoded.
+#[derive(sqlx::FromRow)]
+struct FrameColumns {
+    event: Vec<u8>,
+    #[sqlx(flatten)]
+    bytes: FrameBytes,
 }
 
 /// Stamps rise with sequence numbers, so the least and greatest of both are of the same frames.
@@ -41,10 +54,10 @@ const SESSION_COLUMNS: &str = "number, name, camera, opened_ns, \
      (SELECT max(stamp_ns) FROM log WHERE map_id = s.map_id AND session = s.number AND sequence IS NOT NULL) AS last_stamp_ns \
      FROM sessions AS s";
 
-const FRAME_COLUMNS: &str = "position, sequence, event, length(event) AS log_bytes, \
-     (SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'features') AS features_bytes, \
-     (SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'thumbnail') AS thumbnail_bytes, \
-     (SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'image') AS image_bytes \
+const FRAME_COLUMNS: &str = "event, length(event) AS log, \
+     coalesce((SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'features'), 0) AS features, \
+     coalesce((SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'thumbnail'), 0) AS thumbnail, \
+     coalesce((SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'image'), 0) AS image \
      FROM log AS l";
 
 impl Storage {
@@ -57,13 +70,12 @@ impl Storage {
     ) -> Result<Vec<SessionSummary>, StorageError> {
         let sql =
             format!("SELECT {SESSION_COLUMNS} WHERE map_id = ? AND number >= ? ORDER BY number LIMIT ?");
-        let rows = sqlx::query(sqlx::AssertSqlSafe(sql))
+        Ok(sqlx::query_as(sqlx::AssertSqlSafe(sql))
             .bind(map)
             .bind(from)
             .bind(limit)
             .fetch_all(&self.readers)
-            .await?;
-        rows.iter().map(session_summary).collect()
+            .await?)
     }
 
     pub(crate) async fn session_summary(
@@ -72,9 +84,11 @@ impl Storage {
         name: &str,
     ) -> Result<Option<SessionSummary>, StorageError> {
         let sql = format!("SELECT {SESSION_COLUMNS} WHERE map_id = ? AND name = ?");
-        let row =
-            sqlx::query(sqlx::AssertSqlSafe(sql)).bind(map).bind(name).fetch_optional(&self.readers).await?;
-        row.as_ref().map(session_summary).transpose()
+        Ok(sqlx::query_as(sqlx::AssertSqlSafe(sql))
+            .bind(map)
+            .bind(name)
+            .fetch_optional(&self.readers)
+            .await?)
     }
 
     /// The number of the session of that name.
@@ -83,12 +97,11 @@ impl Storage {
         map: MapId,
         name: &str,
     ) -> Result<Option<SessionId>, StorageError> {
-        let row = sqlx::query("SELECT number FROM sessions WHERE map_id = ? AND name = ?")
+        Ok(sqlx::query_scalar("SELECT number FROM sessions WHERE map_id = ? AND name = ?")
             .bind(map)
             .bind(name)
             .fetch_optional(&self.readers)
-            .await?;
-        Ok(row.map(|row| row.try_get("number")).transpose()?)
+            .await?)
     }
 
     /// Frames of a session whose sequence number is above `after` (all if `None`), by number.
@@ -103,7 +116,7 @@ impl Storage {
         let sql = format!(
             "SELECT {FRAME_COLUMNS} WHERE map_id = ? AND session = ? AND sequence > ? ORDER BY sequence LIMIT ?"
         );
-        let rows = sqlx::query(sqlx::AssertSqlSafe(sql))
+        let rows: Vec<FrameColumns> = sqlx::query_as(sqlx::AssertSqlSafe(sql))
             .bind(map)
             .bind(session)
             .bind(after.map_or(-1, to_sql))
@@ -122,13 +135,13 @@ impl Storage {
         vocabulary_len: usize,
     ) -> Result<Option<FrameRow>, StorageError> {
         let sql = format!("SELECT {FRAME_COLUMNS} WHERE map_id = ? AND session = ? AND sequence = ?");
-        let row = sqlx::query(sqlx::AssertSqlSafe(sql))
+        let row = sqlx::query_as(sqlx::AssertSqlSafe(sql))
             .bind(map)
             .bind(session)
             .bind(to_sql(sequence))
             .fetch_optional(&self.readers)
             .await?;
-        row.as_ref().map(|row| frame_row(row, vocabulary_len)).transpose()
+        row.map(|row| frame_row(&row, vocabulary_len)).transpose()
     }
 
     /// Position in the log of the frame that a session sent under `sequence`.
@@ -138,46 +151,18 @@ impl Storage {
         session: SessionId,
         sequence: u64,
     ) -> Result<Option<FrameId>, StorageError> {
-        let row = sqlx::query("SELECT position FROM log WHERE map_id = ? AND session = ? AND sequence = ?")
+        Ok(sqlx::query_scalar("SELECT position FROM log WHERE map_id = ? AND session = ? AND sequence = ?")
             .bind(map)
             .bind(session)
             .bind(to_sql(sequence))
             .fetch_optional(&self.readers)
-            .await?;
-        row.map(|row| from_sql(row.try_get("position")?)).transpose()
+            .await?)
     }
 }
 
-fn session_summary(row: &SqliteRow) -> Result<SessionSummary, StorageError> {
-    let sequence = |column| -> Result<Option<u64>, StorageError> {
-        row.try_get::<Option<i64>, _>(column)?.map(from_sql).transpose()
-    };
-    Ok(SessionSummary {
-        number: row.try_get("number")?,
-        name: row.try_get("name")?,
-        camera: row.try_get("camera")?,
-        opened_ns: row.try_get("opened_ns")?,
-        frames: from_sql(row.try_get("frames")?)?,
-        loop_closures: from_sql(row.try_get("loop_closures")?)?,
-        first_sequence: sequence("first_sequence")?,
-        last_sequence: sequence("last_sequence")?,
-        first_stamp_ns: row.try_get("first_stamp_ns")?,
-        last_stamp_ns: row.try_get("last_stamp_ns")?,
-    })
-}
-
-fn frame_row(row: &SqliteRow, vocabulary_len: usize) -> Result<FrameRow, StorageError> {
-    let bytes = |column| -> Result<u64, StorageError> {
-        from_sql(row.try_get::<Option<i64>, _>(column)?.unwrap_or_default())
-    };
-    let MapEvent::Frame(event) = event(row, vocabulary_len)? else {
+fn frame_row(row: &FrameColumns, vocabulary_len: usize) -> Result<FrameRow, StorageError> {
+    let MapEvent::Frame(event) = event(&row.event, vocabulary_len)? else {
         return Err(StorageError::Damaged("a frame of the log that is none".to_owned()));
     };
-    Ok(FrameRow {
-        event: *event,
-        log_bytes: bytes("log_bytes")?,
-        features_bytes: bytes("features_bytes")?,
-        thumbnail_bytes: bytes("thumbnail_bytes")?,
-        image_bytes: bytes("image_bytes")?,
-    })
+    Ok(FrameRow { event: *event, bytes: row.bytes })
 }

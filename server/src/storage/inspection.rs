@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
+use sqlx::SqlitePool;
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
-use sqlx::{Row, SqlitePool};
 
-use super::{FILE_NAME, Storage, StorageError, from_sql, lock_directory, or_no_database};
+use super::{FILE_NAME, Storage, StorageError, lock_directory, or_no_database};
 
 /// What a data directory holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,37 +38,36 @@ pub(crate) async fn inspect(directory: &Path) -> Result<Option<Inspection>, Stor
 }
 
 async fn look_at(database: &SqlitePool) -> Result<Inspection, StorageError> {
-    let problem: String = sqlx::query("PRAGMA quick_check(1)").fetch_one(database).await?.try_get(0)?;
+    let problem: String = sqlx::query_scalar("PRAGMA quick_check(1)").fetch_one(database).await?;
     if problem != "ok" {
         return Err(StorageError::Damaged(problem));
     }
     let migrator = sqlx::migrate!("../migrations");
     let known: Vec<i64> = migrator.iter().map(|migration| migration.version).collect();
-    let applied = sqlx::query("SELECT version FROM _sqlx_migrations").fetch_all(database).await?;
-    let applied: Vec<i64> = applied.iter().map(|row| row.try_get(0)).collect::<Result<_, _>>()?;
+    let applied: Vec<i64> =
+        sqlx::query_scalar("SELECT version FROM _sqlx_migrations").fetch_all(database).await?;
     if let Some(&schema) = applied.iter().find(|version| !known.contains(version)) {
         return Err(StorageError::Newer { schema });
     }
     let outdated = applied.len() < known.len();
-    let maps = sqlx::query("SELECT count(*) FROM maps").fetch_one(database).await?.try_get(0)?;
+    let maps = sqlx::query_scalar("SELECT count(*) FROM maps").fetch_one(database).await?;
     // A database of the first version has no tokens.
     let has_tokens = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = 'tokens'";
-    let tokens = match sqlx::query(has_tokens).fetch_one(database).await?.try_get::<i64, _>(0)? {
-        0 => 0,
-        _ => sqlx::query("SELECT count(*) FROM tokens").fetch_one(database).await?.try_get(0)?,
+    let tokens = match sqlx::query_scalar(has_tokens).fetch_one(database).await? {
+        0_i64 => 0,
+        _ => sqlx::query_scalar("SELECT count(*) FROM tokens").fetch_one(database).await?,
     };
-    Ok(Inspection { maps: from_sql(maps)?, tokens: from_sql(tokens)?, outdated })
+    Ok(Inspection { maps, tokens, outdated })
 }
 
 impl Storage {
     /// Size of the database, without what is still in the write-ahead log.
     pub(crate) async fn size_bytes(&self) -> Result<u64, StorageError> {
-        let row = sqlx::query(
+        Ok(sqlx::query_scalar(
             "SELECT pages.page_count * sizes.page_size FROM pragma_page_count AS pages, pragma_page_size AS sizes",
         )
         .fetch_one(&self.readers)
-        .await?;
-        from_sql(row.try_get(0)?)
+        .await?)
     }
 
     /// Fails if the database does not answer.

@@ -1,10 +1,9 @@
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, Sqlite, Transaction};
+use sqlx::{Sqlite, Transaction};
 
 use super::{Storage, StorageError, from_sql, to_sql};
 
 /// A job as the table has it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct JobRow {
     pub(crate) number: u64,
     pub(crate) kind: JobKind,
@@ -14,12 +13,14 @@ pub(crate) struct JobRow {
     /// What it made; while it runs, the model that it brought in on the way.
     pub(crate) result: Option<String>,
     /// Why it failed, for the user.
-    pub(crate) error: Option<String>,
+    #[sqlx(flatten, try_from = "ErrorColumns")]
+    pub(crate) error: Option<StoredError>,
     pub(crate) created_ns: i64,
     pub(crate) ended_ns: Option<i64>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::Type)]
+#[sqlx(rename_all = "snake_case")]
 pub(crate) enum JobKind {
     TrainModel,
     ImportMap,
@@ -29,7 +30,8 @@ pub(crate) enum JobKind {
     CompactMap,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::Type)]
+#[sqlx(rename_all = "snake_case")]
 pub(crate) enum StoredJobState {
     Running,
     Succeeded,
@@ -44,11 +46,32 @@ pub(crate) struct JobEnd {
     pub(crate) state: StoredJobState,
     pub(crate) stage: String,
     pub(crate) result: Option<String>,
-    pub(crate) error: Option<String>,
+    pub(crate) error: Option<StoredError>,
     pub(crate) ended_ns: i64,
 }
 
-const COLUMNS: &str = "number, kind, state, stage, result, error, created_ns, ended_ns";
+/// Why a job or a merge failed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct StoredError {
+    /// Kind of the error in one word, as in `not_found`.
+    pub(crate) code: String,
+    pub(crate) message: String,
+}
+
+/// A job or a merge without a message has not failed, whatever its code.
+#[derive(sqlx::FromRow)]
+pub(super) struct ErrorColumns {
+    error: Option<String>,
+    error_code: String,
+}
+
+impl From<ErrorColumns> for Option<StoredError> {
+    fn from(ErrorColumns { error, error_code: code }: ErrorColumns) -> Self {
+        error.map(|message| StoredError { code, message })
+    }
+}
+
+const COLUMNS: &str = "number, kind, state, stage, result, error, error_code, created_ns, ended_ns";
 
 impl Storage {
     /// Adds a job that runs; gives its number.
@@ -61,7 +84,7 @@ impl Storage {
         self.write(async |transaction| {
             let done =
                 sqlx::query("INSERT INTO jobs (kind, state, stage, created_ns) VALUES (?, 'running', ?, ?)")
-                    .bind(kind.name())
+                    .bind(kind)
                     .bind(stage)
                     .bind(created_ns)
                     .execute(&mut **transaction)
@@ -77,32 +100,35 @@ impl Storage {
 
     pub(crate) async fn job(&self, number: u64) -> Result<Option<JobRow>, StorageError> {
         let query = format!("SELECT {COLUMNS} FROM jobs WHERE number = ?");
-        let row = sqlx::query(sqlx::AssertSqlSafe(query))
+        Ok(sqlx::query_as(sqlx::AssertSqlSafe(query))
             .bind(to_sql(number))
             .fetch_optional(&self.readers)
-            .await?;
-        row.as_ref().map(job).transpose()
+            .await?)
     }
 
     /// Jobs with a number below `before` (all if `None`), newest first.
     pub(crate) async fn jobs(&self, before: Option<u64>, limit: u32) -> Result<Vec<JobRow>, StorageError> {
         let query = format!("SELECT {COLUMNS} FROM jobs WHERE number < ? ORDER BY number DESC LIMIT ?");
-        let rows = sqlx::query(sqlx::AssertSqlSafe(query))
+        Ok(sqlx::query_as(sqlx::AssertSqlSafe(query))
             .bind(before.map_or(i64::MAX, to_sql))
             .bind(limit)
             .fetch_all(&self.readers)
-            .await?;
-        rows.iter().map(job).collect()
+            .await?)
     }
 
     /// Every job that still runs has failed. What such a job brought in on the way stays noted in its
     /// row; see [`Storage::drop_unfinished_model`].
-    pub(crate) async fn fail_running_jobs(&self, error: &str, ended_ns: i64) -> Result<u64, StorageError> {
+    pub(crate) async fn fail_running_jobs(
+        &self,
+        error: &StoredError,
+        ended_ns: i64,
+    ) -> Result<u64, StorageError> {
         self.write(async |transaction| {
             let done = sqlx::query(
-                "UPDATE jobs SET state = 'failed', error = ?, ended_ns = ? WHERE state = 'running'",
+                "UPDATE jobs SET state = 'failed', error = ?, error_code = ?, ended_ns = ? WHERE state = 'running'",
             )
-            .bind(error)
+            .bind(&error.message)
+            .bind(&error.code)
             .bind(ended_ns)
             .execute(&mut **transaction)
             .await?;
@@ -135,71 +161,16 @@ pub(super) async fn end_job(
     // What a job that did not succeed brought in is noted until it is cleaned up.
     let done = sqlx::query(
         "UPDATE jobs SET state = ?1, stage = ?2, result = CASE ?1 WHEN 'succeeded' THEN ?3 ELSE result END, \
-         error = ?4, ended_ns = ?5 WHERE number = ?6 AND state = 'running'",
+         error = ?4, error_code = coalesce(?5, error_code), ended_ns = ?6 WHERE number = ?7 AND state = 'running'",
     )
-    .bind(state.name())
+    .bind(state)
     .bind(stage)
     .bind(result)
-    .bind(error)
+    .bind(error.as_ref().map(|error| &error.message))
+    .bind(error.as_ref().map(|error| &error.code))
     .bind(ended_ns)
     .bind(to_sql(*number))
     .execute(&mut **transaction)
     .await?;
     if done.rows_affected() == 1 { Ok(()) } else { Err(StorageError::JobEnded) }
-}
-
-impl JobKind {
-    const ALL: [Self; 6] = [
-        Self::TrainModel,
-        Self::ImportMap,
-        Self::MergeMaps,
-        Self::RemoveSessions,
-        Self::RebuildMap,
-        Self::CompactMap,
-    ];
-
-    fn name(self) -> &'static str {
-        match self {
-            JobKind::TrainModel => "train_model",
-            JobKind::ImportMap => "import_map",
-            JobKind::MergeMaps => "merge_maps",
-            JobKind::RemoveSessions => "remove_sessions",
-            JobKind::RebuildMap => "rebuild_map",
-            JobKind::CompactMap => "compact_map",
-        }
-    }
-}
-
-impl StoredJobState {
-    fn name(self) -> &'static str {
-        match self {
-            StoredJobState::Running => "running",
-            StoredJobState::Succeeded => "succeeded",
-            StoredJobState::Failed => "failed",
-            StoredJobState::Cancelled => "cancelled",
-        }
-    }
-}
-
-fn job(row: &SqliteRow) -> Result<JobRow, StorageError> {
-    let damaged = |what: &str| StorageError::Damaged(format!("a job of {what}"));
-    let (kind, state): (&str, &str) = (row.try_get("kind")?, row.try_get("state")?);
-    Ok(JobRow {
-        number: from_sql(row.try_get("number")?)?,
-        kind: JobKind::ALL.into_iter().find(|known| known.name() == kind).ok_or_else(|| damaged(kind))?,
-        state: [
-            StoredJobState::Running,
-            StoredJobState::Succeeded,
-            StoredJobState::Failed,
-            StoredJobState::Cancelled,
-        ]
-        .into_iter()
-        .find(|known| known.name() == state)
-        .ok_or_else(|| damaged(state))?,
-        stage: row.try_get("stage")?,
-        result: row.try_get("result")?,
-        error: row.try_get("error")?,
-        created_ns: row.try_get("created_ns")?,
-        ended_ns: row.try_get("ended_ns")?,
-    })
 }

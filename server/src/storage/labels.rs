@@ -1,14 +1,13 @@
 //! What people call places, and which frame each place began with.
 
 use fabmap::appearance::PlaceId;
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, Sqlite, Transaction};
-use topomap::event::FrameId;
+use sqlx::{Sqlite, Transaction};
+use topomap::ids::FrameId;
 
-use super::{MapId, Storage, StorageError, from_sql};
+use super::{MapId, Storage, StorageError};
 
 /// A place with what people call it.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
 pub(crate) struct LabelRow {
     pub(crate) place: PlaceId,
     pub(crate) label: String,
@@ -22,35 +21,32 @@ impl Storage {
         from: PlaceId,
         limit: u32,
     ) -> Result<Vec<LabelRow>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT place, label FROM labels WHERE map_id = ? AND place >= ? ORDER BY place LIMIT ?",
         )
         .bind(map)
         .bind(from)
         .bind(limit)
         .fetch_all(&self.readers)
-        .await?;
-        rows.iter().map(label_row).collect()
+        .await?)
     }
 
     /// The places that bear a label, by number.
     pub(crate) async fn labelled(&self, map: MapId, label: &str) -> Result<Vec<PlaceId>, StorageError> {
-        let rows = sqlx::query("SELECT place FROM labels WHERE map_id = ? AND label = ? ORDER BY place")
+        Ok(sqlx::query_scalar("SELECT place FROM labels WHERE map_id = ? AND label = ? ORDER BY place")
             .bind(map)
             .bind(label)
             .fetch_all(&self.readers)
-            .await?;
-        rows.iter().map(|row| Ok(row.try_get("place")?)).collect()
+            .await?)
     }
 
     /// The labels that there are, each once, by name.
     pub(crate) async fn label_names(&self, map: MapId, limit: u32) -> Result<Vec<String>, StorageError> {
-        let rows = sqlx::query("SELECT DISTINCT label FROM labels WHERE map_id = ? ORDER BY label LIMIT ?")
+        Ok(sqlx::query_scalar("SELECT DISTINCT label FROM labels WHERE map_id = ? ORDER BY label LIMIT ?")
             .bind(map)
             .bind(limit)
             .fetch_all(&self.readers)
-            .await?;
-        rows.iter().map(|row| Ok(row.try_get("label")?)).collect()
+            .await?)
     }
 
     /// Puts one label on places, in place of what they had; all or none. [`StorageError::InUse`] if the map is gone.
@@ -89,7 +85,7 @@ impl Storage {
         from: PlaceId,
         limit: u32,
     ) -> Result<Vec<(PlaceId, FrameId)>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT place, min(position) AS first FROM log WHERE map_id = ? AND place >= ? \
              GROUP BY place ORDER BY place LIMIT ?",
         )
@@ -97,8 +93,7 @@ impl Storage {
         .bind(from)
         .bind(limit)
         .fetch_all(&self.readers)
-        .await?;
-        rows.iter().map(|row| Ok((row.try_get("place")?, from_sql(row.try_get("first")?)?))).collect()
+        .await?)
     }
 }
 
@@ -116,8 +111,4 @@ pub(super) async fn insert_label(
         .execute(&mut **transaction)
         .await?;
     Ok(())
-}
-
-pub(super) fn label_row(row: &SqliteRow) -> Result<LabelRow, StorageError> {
-    Ok(LabelRow { place: row.try_get("place")?, label: row.try_get("label")? })
 }

@@ -2,13 +2,13 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use fabmap::appearance::PlaceId;
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, Sqlite, Transaction};
-use topomap::event::{FrameEvent, FrameId, Link, MapEvent, MeasuredEvent, Reason, SessionId};
-use topomap::verification::Candidate;
+use sqlx::{Sqlite, Transaction};
+use topomap::evidence::Candidate;
+use topomap::ids::{FrameId, SessionId};
+use topomap::log::{FrameEvent, Link, MapEvent, MeasuredEvent, Reason};
 
 use super::media::insert_media;
-use super::{MapId, Medium, Storage, StorageError, from_sql, to_sql};
+use super::{MapId, Medium, Storage, StorageError, to_sql};
 
 /// Events read at a time when a log is replayed.
 const REPLAY_PAGE: u32 = 1000;
@@ -23,7 +23,7 @@ pub(crate) struct LogEntry {
 }
 
 /// Which frame a log position is.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct StoredFrame {
     pub(crate) session: SessionId,
     pub(crate) sequence: u64,
@@ -31,14 +31,31 @@ pub(crate) struct StoredFrame {
 }
 
 /// A loop closure as the log's columns tell it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct ClosureRow {
     pub(crate) position: u64,
+    #[sqlx(flatten)]
     pub(crate) frame: StoredFrame,
+    #[sqlx(flatten, try_from = "MatchedColumns")]
     pub(crate) matched: StoredFrame,
     pub(crate) place: u32,
     pub(crate) posterior: f64,
     pub(crate) probability: Option<f64>,
+}
+
+/// The frame that another matched, beside that other.
+#[derive(sqlx::FromRow)]
+struct MatchedColumns {
+    matched_session: SessionId,
+    matched_sequence: u64,
+    matched_stamp_ns: i64,
+}
+
+impl From<MatchedColumns> for StoredFrame {
+    fn from(matched: MatchedColumns) -> Self {
+        let MatchedColumns { matched_session, matched_sequence, matched_stamp_ns } = matched;
+        Self { session: matched_session, sequence: matched_sequence, stamp_ns: matched_stamp_ns }
+    }
 }
 
 impl Storage {
@@ -63,9 +80,10 @@ impl Storage {
         fold: &mut (dyn FnMut(LogEntry) -> Result<(), StorageError> + Send),
     ) -> Result<(), StorageError> {
         // Page by page, so that a long replay does not keep a connection from others.
-        let (mut next, end) = (to_sql(positions.start), to_sql(positions.end));
+        let mut next = to_sql(positions.start);
+        let end = to_sql(positions.end);
         loop {
-            let rows = sqlx::query(
+            let rows: Vec<(u64, Vec<u8>)> = sqlx::query_as(
                 "SELECT position, event FROM log WHERE map_id = ? AND position >= ? AND position < ? ORDER BY position LIMIT ?",
             )
             .bind(map)
@@ -74,13 +92,12 @@ impl Storage {
             .bind(REPLAY_PAGE)
             .fetch_all(&self.readers)
             .await?;
-            for row in &rows {
-                let position: i64 = row.try_get("position")?;
-                let event = event(row, vocabulary_len)?;
-                fold(LogEntry { position: from_sql(position)?, event, media: Vec::new() })?;
-                next = position + 1;
+            let last = rows.len() < REPLAY_PAGE as usize;
+            for (position, bytes) in rows {
+                fold(LogEntry { position, event: event(&bytes, vocabulary_len)?, media: Vec::new() })?;
+                next = to_sql(position) + 1;
             }
-            if rows.len() < REPLAY_PAGE as usize {
+            if last {
                 return Ok(());
             }
         }
@@ -93,12 +110,13 @@ impl Storage {
         position: FrameId,
         vocabulary_len: usize,
     ) -> Result<Option<MapEvent>, StorageError> {
-        let row = sqlx::query("SELECT event FROM log WHERE map_id = ? AND position = ?")
-            .bind(map)
-            .bind(to_sql(position))
-            .fetch_optional(&self.readers)
-            .await?;
-        row.map(|row| event(&row, vocabulary_len)).transpose()
+        let bytes: Option<Vec<u8>> =
+            sqlx::query_scalar("SELECT event FROM log WHERE map_id = ? AND position = ?")
+                .bind(map)
+                .bind(to_sql(position))
+                .fetch_optional(&self.readers)
+                .await?;
+        bytes.map(|bytes| event(&bytes, vocabulary_len)).transpose()
     }
 
     /// The frame that a session sent under `sequence`, if it is durable.
@@ -109,13 +127,14 @@ impl Storage {
         sequence: u64,
         vocabulary_len: usize,
     ) -> Result<Option<MapEvent>, StorageError> {
-        let row = sqlx::query("SELECT event FROM log WHERE map_id = ? AND session = ? AND sequence = ?")
-            .bind(map)
-            .bind(session)
-            .bind(to_sql(sequence))
-            .fetch_optional(&self.readers)
-            .await?;
-        row.map(|row| event(&row, vocabulary_len)).transpose()
+        let bytes: Option<Vec<u8>> =
+            sqlx::query_scalar("SELECT event FROM log WHERE map_id = ? AND session = ? AND sequence = ?")
+                .bind(map)
+                .bind(session)
+                .bind(to_sql(sequence))
+                .fetch_optional(&self.readers)
+                .await?;
+        bytes.map(|bytes| event(&bytes, vocabulary_len)).transpose()
     }
 
     /// The frame that a session sent before another.
@@ -125,7 +144,7 @@ impl Storage {
         frame: &FrameEvent,
         vocabulary_len: usize,
     ) -> Result<Option<FrameEvent>, StorageError> {
-        let row = sqlx::query(
+        let bytes: Option<Vec<u8>> = sqlx::query_scalar(
             "SELECT event FROM log WHERE map_id = ? AND session = ? AND sequence < ? ORDER BY sequence DESC LIMIT 1",
         )
         .bind(map)
@@ -133,11 +152,36 @@ impl Storage {
         .bind(to_sql(frame.sequence))
         .fetch_optional(&self.readers)
         .await?;
-        let event = row.map(|row| event(&row, vocabulary_len)).transpose()?;
+        let event = bytes.map(|bytes| event(&bytes, vocabulary_len)).transpose()?;
         Ok(event.and_then(|event| match event {
             MapEvent::Frame(frame) => Some(*frame),
             MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
         }))
+    }
+
+    /// The last frames of a session, latest first.
+    pub(crate) async fn last_frames(
+        &self,
+        map: MapId,
+        session: SessionId,
+        most: usize,
+        vocabulary_len: usize,
+    ) -> Result<Vec<FrameEvent>, StorageError> {
+        let rows: Vec<Vec<u8>> = sqlx::query_scalar(
+            "SELECT event FROM log WHERE map_id = ? AND session = ? AND sequence IS NOT NULL \
+             ORDER BY sequence DESC LIMIT ?",
+        )
+        .bind(map)
+        .bind(session)
+        .bind(to_sql(most as u64))
+        .fetch_all(&self.readers)
+        .await?;
+        let events = rows.iter().map(|bytes| event(bytes, vocabulary_len)).collect::<Result<Vec<_>, _>>()?;
+        let frame = |event: MapEvent| match event {
+            MapEvent::Frame(frame) => Some(*frame),
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+        };
+        Ok(events.into_iter().filter_map(frame).collect())
     }
 
     /// What robots measured at frames of a session, oldest first.
@@ -147,14 +191,14 @@ impl Storage {
         session: SessionId,
         vocabulary_len: usize,
     ) -> Result<Vec<MeasuredEvent>, StorageError> {
-        let rows = sqlx::query(
+        let rows: Vec<Vec<u8>> = sqlx::query_scalar(
             "SELECT event FROM log WHERE map_id = ? AND session = ? AND sequence IS NULL ORDER BY position",
         )
         .bind(map)
         .bind(session)
         .fetch_all(&self.readers)
         .await?;
-        let events = rows.iter().map(|row| event(row, vocabulary_len)).collect::<Result<Vec<_>, _>>()?;
+        let events = rows.iter().map(|bytes| event(bytes, vocabulary_len)).collect::<Result<Vec<_>, _>>()?;
         let measured = |event| match event {
             MapEvent::Measured(event) => Some(*event),
             MapEvent::SessionOpened { .. } | MapEvent::Frame(_) => None,
@@ -170,7 +214,7 @@ impl Storage {
         before: FrameId,
         limit: u32,
     ) -> Result<Vec<FrameId>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_scalar(
             "SELECT position FROM log WHERE map_id = ? AND place = ? AND position < ? ORDER BY position DESC LIMIT ?",
         )
         .bind(map)
@@ -178,8 +222,7 @@ impl Storage {
         .bind(to_sql(before))
         .bind(limit)
         .fetch_all(&self.readers)
-        .await?;
-        rows.iter().map(|row| from_sql(row.try_get("position")?)).collect()
+        .await?)
     }
 
     /// Which session and sequence number the frames at these positions have, in the same order;
@@ -201,7 +244,7 @@ impl Storage {
     ) -> Result<HashMap<FrameId, StoredFrame>, StorageError> {
         // A list of numbers is JSON already.
         let positions = format!("{:?}", positions.into_iter().map(to_sql).collect::<Vec<_>>());
-        let rows = sqlx::query(
+        let rows: Vec<(FrameId, SessionId, u64, i64)> = sqlx::query_as(
             "SELECT position, session, sequence, stamp_ns FROM log \
              WHERE map_id = ? AND sequence IS NOT NULL AND position IN (SELECT value FROM json_each(?))",
         )
@@ -209,12 +252,9 @@ impl Storage {
         .bind(positions)
         .fetch_all(&self.readers)
         .await?;
-        rows.iter()
-            .map(|row| {
-                let position = from_sql(row.try_get("position")?)?;
-                Ok((position, stored_frame(row, ["session", "sequence", "stamp_ns"])?))
-            })
-            .collect()
+        let frame =
+            |(position, session, sequence, stamp_ns)| (position, StoredFrame { session, sequence, stamp_ns });
+        Ok(rows.into_iter().map(frame).collect())
     }
 
     /// Loop closures after log position `after` (all if `None`), oldest first.
@@ -224,7 +264,7 @@ impl Storage {
         after: Option<u64>,
         limit: u32,
     ) -> Result<Vec<ClosureRow>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT f.position, f.session, f.sequence, f.stamp_ns, f.place, f.posterior, f.probability, \
              m.session AS matched_session, m.sequence AS matched_sequence, m.stamp_ns AS matched_stamp_ns \
              FROM log AS f JOIN log AS m ON m.map_id = f.map_id AND m.position = f.matched_frame \
@@ -234,19 +274,7 @@ impl Storage {
         .bind(after.map_or(-1, to_sql))
         .bind(limit)
         .fetch_all(&self.readers)
-        .await?;
-        rows.iter()
-            .map(|row| {
-                Ok(ClosureRow {
-                    position: from_sql(row.try_get("position")?)?,
-                    frame: stored_frame(row, ["session", "sequence", "stamp_ns"])?,
-                    matched: stored_frame(row, ["matched_session", "matched_sequence", "matched_stamp_ns"])?,
-                    place: row.try_get("place")?,
-                    posterior: row.try_get("posterior")?,
-                    probability: row.try_get("probability")?,
-                })
-            })
-            .collect()
+        .await?)
     }
 }
 
@@ -296,18 +324,6 @@ pub(crate) fn reason_name(reason: Reason) -> &'static str {
     }
 }
 
-pub(super) fn event(row: &SqliteRow, vocabulary_len: usize) -> Result<MapEvent, StorageError> {
-    let bytes: &[u8] = row.try_get("event")?;
+pub(super) fn event(bytes: &[u8], vocabulary_len: usize) -> Result<MapEvent, StorageError> {
     MapEvent::from_bytes(bytes, vocabulary_len).map_err(|error| StorageError::Damaged(error.to_string()))
-}
-
-fn stored_frame(
-    row: &SqliteRow,
-    [session, sequence, stamp_ns]: [&str; 3],
-) -> Result<StoredFrame, StorageError> {
-    Ok(StoredFrame {
-        session: row.try_get(session)?,
-        sequence: from_sql(row.try_get(sequence)?)?,
-        stamp_ns: row.try_get(stamp_ns)?,
-    })
 }

@@ -1,14 +1,15 @@
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, Sqlite, Transaction};
-use topomap::event::{MapEvent, SessionId};
+use sqlx::{Sqlite, Transaction};
+use topomap::ids::SessionId;
+use topomap::log::MapEvent;
 
-use super::{Storage, StorageError, from_sql, to_sql};
+use super::{Storage, StorageError, to_sql};
+use crate::camera::Camera;
 use crate::storage::log::insert_event;
 
 /// Number of a map in the database; never used twice.
 pub(crate) type MapId = i64;
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct MapRow {
     pub(crate) id: MapId,
     pub(crate) name: String,
@@ -28,14 +29,14 @@ pub(crate) struct MapEdition {
     pub(crate) edition: u64,
 }
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct SessionRow {
     pub(crate) number: SessionId,
     pub(crate) name: String,
 }
 
 /// What a map holds, by its log.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, sqlx::FromRow)]
 pub(crate) struct MapCounts {
     pub(crate) sessions: u64,
     pub(crate) frames: u64,
@@ -65,35 +66,35 @@ impl Storage {
             .bind(created_ns)
             .execute(&self.writer)
             .await?;
-        let (name, model, settings) = (name.to_owned(), model.to_owned(), settings.to_owned());
+        let name = name.to_owned();
+        let model = model.to_owned();
+        let settings = settings.to_owned();
         Ok(MapRow { id: done.last_insert_rowid(), name, model, settings, created_ns, edition: 0 })
     }
 
     pub(crate) async fn map(&self, name: &str) -> Result<Option<MapRow>, StorageError> {
-        let row = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT id, name, model, settings, created_ns, edition FROM maps WHERE name = ? AND state = 'live'",
         )
         .bind(name)
         .fetch_optional(&self.readers)
-        .await?;
-        row.as_ref().map(map).transpose()
+        .await?)
     }
 
     /// Maps whose name comes after `after`, by name.
     pub(crate) async fn maps(&self, after: &str, limit: u32) -> Result<Vec<MapRow>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT id, name, model, settings, created_ns, edition FROM maps \
              WHERE name > ? AND state = 'live' ORDER BY name LIMIT ?",
         )
         .bind(after)
         .bind(limit)
         .fetch_all(&self.readers)
-        .await?;
-        rows.iter().map(map).collect()
+        .await?)
     }
 
     pub(crate) async fn map_counts(&self, map: MapId) -> Result<MapCounts, StorageError> {
-        let row = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT (SELECT count(*) FROM sessions WHERE map_id = ?1) AS sessions, \
              (SELECT count(*) FROM log WHERE map_id = ?1 AND sequence IS NOT NULL) AS frames, \
              (SELECT count(*) FROM log WHERE map_id = ?1 AND reason = 'loop_closure') AS loop_closures, \
@@ -102,14 +103,7 @@ impl Storage {
         )
         .bind(map)
         .fetch_one(&self.readers)
-        .await?;
-        Ok(MapCounts {
-            sessions: from_sql(row.try_get("sessions")?)?,
-            frames: from_sql(row.try_get("frames")?)?,
-            loop_closures: from_sql(row.try_get("loop_closures")?)?,
-            places: from_sql(row.try_get("places")?)?,
-            links: from_sql(row.try_get("links")?)?,
-        })
+        .await?)
     }
 
     /// Binds a map to another model, noting which one it had up to now.
@@ -139,48 +133,44 @@ impl Storage {
         map: MapId,
         position: u64,
     ) -> Result<Option<String>, StorageError> {
-        let row = sqlx::query(
+        Ok(sqlx::query_scalar(
             "SELECT model FROM map_models WHERE map_id = ? AND until_events > ? ORDER BY until_events LIMIT 1",
         )
         .bind(map)
         .bind(to_sql(position))
         .fetch_optional(&self.readers)
-        .await?;
-        Ok(row.map(|row| row.try_get("model")).transpose()?)
+        .await?)
     }
 
     /// All sessions of a map, by number.
     pub(crate) async fn sessions(&self, map: MapId) -> Result<Vec<SessionRow>, StorageError> {
-        let rows = sqlx::query("SELECT number, name FROM sessions WHERE map_id = ? ORDER BY number")
+        Ok(sqlx::query_as("SELECT number, name FROM sessions WHERE map_id = ? ORDER BY number")
             .bind(map)
             .fetch_all(&self.readers)
-            .await?;
-        rows.iter()
-            .map(|row| Ok(SessionRow { number: row.try_get("number")?, name: row.try_get("name")? }))
-            .collect()
+            .await?)
     }
 
-    /// The cameras that sessions declared, each an encoded `waypost.v1.Camera`.
-    pub(crate) async fn cameras(&self, map: MapId) -> Result<Vec<(SessionId, Vec<u8>)>, StorageError> {
-        let rows = sqlx::query("SELECT number, camera FROM sessions WHERE map_id = ? AND camera IS NOT NULL")
+    /// The cameras that sessions declared.
+    pub(crate) async fn cameras(&self, map: MapId) -> Result<Vec<(SessionId, Camera)>, StorageError> {
+        Ok(sqlx::query_as("SELECT number, camera FROM sessions WHERE map_id = ? AND camera IS NOT NULL")
             .bind(map)
             .fetch_all(&self.readers)
-            .await?;
-        rows.iter().map(|row| Ok((row.try_get("number")?, row.try_get("camera")?))).collect()
+            .await?)
     }
 
-    /// The camera that a session declared, an encoded `waypost.v1.Camera`.
+    /// The camera that a session declared.
     pub(crate) async fn session_camera(
         &self,
         map: MapId,
         session: &str,
-    ) -> Result<Option<Vec<u8>>, StorageError> {
-        let row = sqlx::query("SELECT camera FROM sessions WHERE map_id = ? AND name = ?")
-            .bind(map)
-            .bind(session)
-            .fetch_optional(&self.readers)
-            .await?;
-        Ok(row.map(|row| row.try_get("camera")).transpose()?.flatten())
+    ) -> Result<Option<Camera>, StorageError> {
+        let camera: Option<Option<Camera>> =
+            sqlx::query_scalar("SELECT camera FROM sessions WHERE map_id = ? AND name = ?")
+                .bind(map)
+                .bind(session)
+                .fetch_optional(&self.readers)
+                .await?;
+        Ok(camera.flatten())
     }
 
     /// Adds a session and its event at `position` of the map's log, in one transaction.
@@ -189,7 +179,7 @@ impl Storage {
         map: MapId,
         position: u64,
         session: &SessionRow,
-        camera: Option<&[u8]>,
+        camera: Option<&Camera>,
         opened_ns: i64,
     ) -> Result<(), StorageError> {
         self.write(async |transaction| {
@@ -208,17 +198,6 @@ impl Storage {
         })
         .await
     }
-}
-
-pub(super) fn map(row: &SqliteRow) -> Result<MapRow, StorageError> {
-    Ok(MapRow {
-        id: row.try_get("id")?,
-        name: row.try_get("name")?,
-        model: row.try_get("model")?,
-        settings: row.try_get("settings")?,
-        created_ns: row.try_get("created_ns")?,
-        edition: from_sql(row.try_get("edition")?)?,
-    })
 }
 
 /// [`StorageError::Retold`] if the log was told anew since, or the map deleted.

@@ -1,8 +1,8 @@
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, Sqlite, Transaction};
-use topomap::event::FrameId;
+use sqlx::{Sqlite, Transaction};
+use topomap::ids::FrameId;
 
-use super::{MapId, Storage, StorageError, from_sql, to_sql};
+use super::{MapId, Storage, StorageError, to_sql};
+use crate::camera::Camera;
 
 /// Something that a map keeps of a frame beside its words.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,7 +12,8 @@ pub(crate) struct Medium {
 }
 
 /// In the order of their names, which is the order of the table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, sqlx::Type)]
+#[sqlx(rename_all = "snake_case")]
 pub(crate) enum MediumKind {
     /// A [`waypost_vision::feature_record::FeatureRecord`].
     Features,
@@ -22,34 +23,16 @@ pub(crate) enum MediumKind {
     Thumbnail,
 }
 
-impl MediumKind {
-    const ALL: [Self; 3] = [Self::Features, Self::Image, Self::Thumbnail];
-
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            MediumKind::Features => "features",
-            MediumKind::Image => "image",
-            MediumKind::Thumbnail => "thumbnail",
-        }
-    }
-
-    pub(super) fn of(name: &str) -> Result<Self, StorageError> {
-        let known = Self::ALL.into_iter().find(|known| known.name() == name);
-        known.ok_or_else(|| StorageError::Damaged(format!("a medium of kind {name}")))
-    }
-}
-
 /// Where a frame's features are, as it is kept.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct StoredFeatures {
     /// A [`waypost_vision::feature_record::FeatureRecord`].
     pub(crate) features: Vec<u8>,
-    /// The `waypost.v1.Camera` of the frame's session, encoded, if it declared one.
-    pub(crate) camera: Option<Vec<u8>>,
+    pub(crate) camera: Option<Camera>,
 }
 
 /// What a map takes on the disk.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, sqlx::FromRow)]
 pub(crate) struct MapBytes {
     pub(crate) log: u64,
     pub(crate) checkpoint: u64,
@@ -77,14 +60,14 @@ impl Storage {
         frame: FrameId,
         kind: MediumKind,
     ) -> Result<Option<Vec<u8>>, StorageError> {
-        let row =
-            sqlx::query("SELECT content FROM frame_media WHERE map_id = ? AND position = ? AND kind = ?")
-                .bind(map)
-                .bind(to_sql(frame))
-                .bind(kind.name())
-                .fetch_optional(&self.readers)
-                .await?;
-        Ok(row.map(|row| row.try_get("content")).transpose()?)
+        Ok(sqlx::query_scalar(
+            "SELECT content FROM frame_media WHERE map_id = ? AND position = ? AND kind = ?",
+        )
+        .bind(map)
+        .bind(to_sql(frame))
+        .bind(kind)
+        .fetch_optional(&self.readers)
+        .await?)
     }
 
     /// Where a frame's features are, if that is kept, with the camera that its session declared.
@@ -93,8 +76,8 @@ impl Storage {
         map: MapId,
         frame: FrameId,
     ) -> Result<Option<StoredFeatures>, StorageError> {
-        let row = sqlx::query(
-            "SELECT m.content, s.camera FROM frame_media AS m \
+        Ok(sqlx::query_as(
+            "SELECT m.content AS features, s.camera FROM frame_media AS m \
              JOIN log AS l ON l.map_id = m.map_id AND l.position = m.position \
              JOIN sessions AS s ON s.map_id = l.map_id AND s.number = l.session \
              WHERE m.map_id = ? AND m.position = ? AND m.kind = 'features'",
@@ -102,16 +85,12 @@ impl Storage {
         .bind(map)
         .bind(to_sql(frame))
         .fetch_optional(&self.readers)
-        .await?;
-        let stored = |row: SqliteRow| {
-            Ok(StoredFeatures { features: row.try_get("content")?, camera: row.try_get("camera")? })
-        };
-        row.map(stored).transpose()
+        .await?)
     }
 
     /// Adds up what a map takes. SQLite knows the length of a blob without reading it.
     pub(crate) async fn map_bytes(&self, map: MapId) -> Result<MapBytes, StorageError> {
-        let row = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT (SELECT coalesce(sum(length(event)), 0) FROM log WHERE map_id = ?1) AS log, \
              (SELECT coalesce(sum(length(head)), 0) FROM checkpoints WHERE map_id = ?1) + \
              (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_sessions WHERE map_id = ?1) + \
@@ -124,14 +103,7 @@ impl Storage {
         )
         .bind(map)
         .fetch_one(&self.readers)
-        .await?;
-        Ok(MapBytes {
-            log: from_sql(row.try_get("log")?)?,
-            checkpoint: from_sql(row.try_get("checkpoint")?)?,
-            features: from_sql(row.try_get("features")?)?,
-            thumbnails: from_sql(row.try_get("thumbnails")?)?,
-            images: from_sql(row.try_get("images")?)?,
-        })
+        .await?)
     }
 }
 
@@ -145,7 +117,7 @@ pub(super) async fn insert_media(
         sqlx::query("INSERT INTO frame_media (map_id, position, kind, content) VALUES (?, ?, ?, ?)")
             .bind(map)
             .bind(position)
-            .bind(kind.name())
+            .bind(kind)
             .bind(content)
             .execute(&mut **transaction)
             .await?;

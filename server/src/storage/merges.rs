@@ -1,24 +1,29 @@
+// long: what one merge writes and reads, from its first row to its undoing.
 //! Maps that become one: what was found, and how it is stored.
 
 use std::collections::BTreeMap;
 
 use fabmap::appearance::PlaceId;
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, Sqlite, Transaction};
-use topomap::event::{MapEvent, SessionId};
+use sqlx::{Sqlite, Transaction};
+use topomap::ids::SessionId;
+use topomap::log::MapEvent;
 
-use super::jobs::end_job;
+use super::jobs::{ErrorColumns, end_job};
 use super::log::insert_event;
 use super::maps::check_edition;
-use super::{JobEnd, MapEdition, MapId, MapRow, Storage, StorageError, StoredSession, from_sql, to_sql};
+use super::{
+    JobEnd, LabelRow, MapEdition, MapId, MapRow, Storage, StorageError, StoredError, StoredSession, from_sql,
+    to_sql,
+};
 
 /// A merge as the table has it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct MergeRow {
     pub(crate) number: u64,
     /// The name of the map that the sources go into.
     pub(crate) target: String,
     /// That map, once it has them and while it is there.
+    #[sqlx(rename = "map_id")]
     pub(crate) map: Option<MapId>,
     /// What works on it, or did last.
     pub(crate) job: u64,
@@ -26,17 +31,20 @@ pub(crate) struct MergeRow {
     /// JSON.
     pub(crate) report: String,
     /// Why it failed, for the user.
-    pub(crate) error: Option<String>,
+    #[sqlx(flatten, try_from = "ErrorColumns")]
+    pub(crate) error: Option<StoredError>,
     pub(crate) created_ns: i64,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::Type)]
+#[sqlx(rename_all = "snake_case")]
 pub(crate) enum MergeState {
     Searching,
     /// Found; somebody has to decide.
     Proposed,
-    /// The maps do not overlap.
-    Apart,
+    /// As far as can be told.
+    #[sqlx(rename = "apart")]
+    NoOverlap,
     Committed,
     Discarded,
     Undone,
@@ -72,7 +80,7 @@ pub(crate) struct JoinedSession {
     pub(crate) name: String,
 }
 
-const COLUMNS: &str = "number, target, map_id, job, state, report, error, created_ns";
+const COLUMNS: &str = "number, target, map_id, job, state, report, error, error_code, created_ns";
 
 impl Storage {
     /// Adds a merge that is looked for; gives its number.
@@ -98,11 +106,10 @@ impl Storage {
 
     pub(crate) async fn merge(&self, number: u64) -> Result<Option<MergeRow>, StorageError> {
         let query = format!("SELECT {COLUMNS} FROM merges WHERE number = ?");
-        let row = sqlx::query(sqlx::AssertSqlSafe(query))
+        Ok(sqlx::query_as(sqlx::AssertSqlSafe(query))
             .bind(to_sql(number))
             .fetch_optional(&self.readers)
-            .await?;
-        row.as_ref().map(merge).transpose()
+            .await?)
     }
 
     /// Merges with a number below `before` (all if `None`), newest first.
@@ -112,21 +119,21 @@ impl Storage {
         limit: u32,
     ) -> Result<Vec<MergeRow>, StorageError> {
         let query = format!("SELECT {COLUMNS} FROM merges WHERE number < ? ORDER BY number DESC LIMIT ?");
-        let rows = sqlx::query(sqlx::AssertSqlSafe(query))
+        Ok(sqlx::query_as(sqlx::AssertSqlSafe(query))
             .bind(before.map_or(i64::MAX, to_sql))
             .bind(limit)
             .fetch_all(&self.readers)
-            .await?;
-        rows.iter().map(merge).collect()
+            .await?)
     }
 
     /// The maps before and after, as SVG.
     pub(crate) async fn merge_picture(&self, number: u64) -> Result<Option<String>, StorageError> {
-        let row = sqlx::query("SELECT picture FROM merges WHERE number = ?")
-            .bind(to_sql(number))
-            .fetch_optional(&self.readers)
-            .await?;
-        Ok(row.map(|row| row.try_get("picture")).transpose()?.flatten())
+        let picture: Option<Option<String>> =
+            sqlx::query_scalar("SELECT picture FROM merges WHERE number = ?")
+                .bind(to_sql(number))
+                .fetch_optional(&self.readers)
+                .await?;
+        Ok(picture.flatten())
     }
 
     /// Says which job works on a merge.
@@ -178,12 +185,14 @@ impl Storage {
     }
 
     /// A search that came to no end, or a proposal that cannot be committed.
-    pub(crate) async fn fail_merge(&self, number: u64, error: &str) -> Result<(), StorageError> {
+    pub(crate) async fn fail_merge(&self, number: u64, error: &StoredError) -> Result<(), StorageError> {
         self.write(async |transaction| {
             sqlx::query(
-                "UPDATE merges SET state = 'failed', error = ? WHERE number = ? AND state IN ('searching', 'proposed')",
+                "UPDATE merges SET state = 'failed', error = ?, error_code = ? \
+                 WHERE number = ? AND state IN ('searching', 'proposed')",
             )
-            .bind(error)
+            .bind(&error.message)
+            .bind(&error.code)
             .bind(to_sql(number))
             .execute(&mut **transaction)
             .await?;
@@ -193,12 +202,13 @@ impl Storage {
     }
 
     /// All that are looked for or wait for a decision have failed: for the start of a server, which knows nothing of them.
-    pub(crate) async fn fail_open_merges(&self, error: &str) -> Result<(), StorageError> {
+    pub(crate) async fn fail_open_merges(&self, error: &StoredError) -> Result<(), StorageError> {
         self.write(async |transaction| {
             sqlx::query(
-                "UPDATE merges SET state = 'failed', error = ? WHERE state IN ('searching', 'proposed')",
+                "UPDATE merges SET state = 'failed', error = ?, error_code = ? WHERE state IN ('searching', 'proposed')",
             )
-            .bind(error)
+            .bind(&error.message)
+            .bind(&error.code)
             .execute(&mut **transaction)
             .await?;
             Ok(())
@@ -208,24 +218,22 @@ impl Storage {
 
     /// The sessions of a map with all that is stored of them.
     pub(crate) async fn stored_sessions(&self, map: MapId) -> Result<Vec<StoredSession>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT number, name, camera, opened_ns FROM sessions WHERE map_id = ? ORDER BY number",
         )
         .bind(map)
         .fetch_all(&self.readers)
-        .await?;
-        rows.iter().map(super::snapshots::stored_session).collect()
+        .await?)
     }
 
     /// A map by its number, if it is there.
     pub(crate) async fn map_of_id(&self, map: MapId) -> Result<Option<MapRow>, StorageError> {
-        let row = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT id, name, model, settings, created_ns, edition FROM maps WHERE id = ? AND state = 'live'",
         )
         .bind(map)
         .fetch_optional(&self.readers)
-        .await?;
-        row.as_ref().map(super::maps::map).transpose()
+        .await?)
     }
 
     /// Appends sources to a map's log, with their sessions and media, and ends merge and job: all or nothing.
@@ -245,7 +253,7 @@ impl Storage {
                     insert_event(transaction, target, to_sql(position), event).await?;
                 }
                 let events = log.events.len() as u64;
-                copy_media(transaction, (log.source.map, target), 0..events, log.from).await?;
+                copy_media(transaction, log.source.map, target, 0..events, log.from).await?;
             }
             commit(transaction, target, outcome, end).await
         })
@@ -292,7 +300,8 @@ impl Storage {
     /// Copies log events of a base with their sessions, as they are.
     pub(crate) async fn copy_log(
         &self,
-        (base, map): (MapId, MapId),
+        base: MapId,
+        map: MapId,
         positions: std::ops::Range<u64>,
     ) -> Result<(), StorageError> {
         self.write(async |transaction| {
@@ -330,11 +339,12 @@ impl Storage {
     /// Copies what a source keeps of its frames to the same frames of a target, `from` positions later.
     pub(crate) async fn copy_media(
         &self,
-        maps: (MapId, MapId),
+        source: MapId,
+        map: MapId,
         positions: std::ops::Range<u64>,
         from: u64,
     ) -> Result<(), StorageError> {
-        self.write(async |transaction| copy_media(transaction, maps, positions, from).await).await
+        self.write(async |transaction| copy_media(transaction, source, map, positions, from).await).await
     }
 
     /// Adds the sessions of a source, and what its places are called, before its events.
@@ -413,10 +423,10 @@ pub(super) async fn set_outcome(
 ) -> Result<(), StorageError> {
     let MergeOutcome { number, state, report } = outcome;
     let done = sqlx::query("UPDATE merges SET state = ?, report = ? WHERE number = ? AND state = ?")
-        .bind(state.name())
+        .bind(state)
         .bind(report)
         .bind(to_sql(*number))
-        .bind(before.name())
+        .bind(before)
         .execute(&mut **transaction)
         .await?;
     if done.rows_affected() == 1 { Ok(()) } else { Err(StorageError::JobEnded) }
@@ -442,12 +452,11 @@ async fn insert_sessions_and_labels(
         .execute(&mut **transaction)
         .await?;
     }
-    let rows = sqlx::query("SELECT place, label FROM labels WHERE map_id = ?")
+    let labels = sqlx::query_as("SELECT place, label FROM labels WHERE map_id = ?")
         .bind(log.source.map)
         .fetch_all(&mut **transaction)
         .await?;
-    for row in rows {
-        let (place, label): (PlaceId, String) = (row.try_get("place")?, row.try_get("label")?);
+    for LabelRow { place, label } in labels {
         let Some(joined) = log.places.get(&place) else { continue };
         // What the target calls a place counts.
         sqlx::query("INSERT INTO labels (map_id, place, label) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
@@ -462,7 +471,8 @@ async fn insert_sessions_and_labels(
 
 async fn copy_media(
     transaction: &mut Transaction<'_, Sqlite>,
-    (source, map): (MapId, MapId),
+    source: MapId,
+    map: MapId,
     positions: std::ops::Range<u64>,
     from: u64,
 ) -> Result<(), StorageError> {
@@ -482,40 +492,15 @@ async fn copy_media(
 }
 
 impl MergeState {
-    const ALL: [Self; 7] = [
-        Self::Searching,
-        Self::Proposed,
-        Self::Apart,
-        Self::Committed,
-        Self::Discarded,
-        Self::Undone,
-        Self::Failed,
-    ];
-
     pub(crate) fn name(self) -> &'static str {
         match self {
             MergeState::Searching => "searching",
             MergeState::Proposed => "proposed",
-            MergeState::Apart => "apart",
+            MergeState::NoOverlap => "apart",
             MergeState::Committed => "committed",
             MergeState::Discarded => "discarded",
             MergeState::Undone => "undone",
             MergeState::Failed => "failed",
         }
     }
-}
-
-fn merge(row: &SqliteRow) -> Result<MergeRow, StorageError> {
-    let state: &str = row.try_get("state")?;
-    let known = MergeState::ALL.into_iter().find(|known| known.name() == state);
-    Ok(MergeRow {
-        number: from_sql(row.try_get("number")?)?,
-        target: row.try_get("target")?,
-        map: row.try_get("map_id")?,
-        job: from_sql(row.try_get("job")?)?,
-        state: known.ok_or_else(|| StorageError::Damaged(format!("a merge that is {state}")))?,
-        report: row.try_get("report")?,
-        error: row.try_get("error")?,
-        created_ns: row.try_get("created_ns")?,
-    })
 }

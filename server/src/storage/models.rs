@@ -1,11 +1,10 @@
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, Sqlite, Transaction};
+use sqlx::{Sqlite, Transaction};
 
 use super::jobs::{JobEnd, end_job};
-use super::{Storage, StorageError, from_sql, to_sql};
+use super::{Storage, StorageError, to_sql};
 
 /// What is known of a model without reading its file.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct ModelRow {
     pub(crate) hash: String,
     pub(crate) display_name: String,
@@ -48,7 +47,7 @@ impl Storage {
         limit: u32,
     ) -> Result<Vec<ModelRow>, StorageError> {
         let (created_ns, hash) = after.unwrap_or((i64::MAX, ""));
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns FROM models \
              WHERE created_ns < ?1 OR (created_ns = ?1 AND hash > ?2) ORDER BY created_ns DESC, hash LIMIT ?3",
         )
@@ -56,41 +55,37 @@ impl Storage {
         .bind(hash)
         .bind(limit)
         .fetch_all(&self.readers)
-        .await?;
-        rows.iter().map(model).collect()
+        .await?)
     }
 
     /// Models whose hash begins with `beginning`; at most two, which is enough to see that it is
     /// ambiguous.
     pub(crate) async fn models_by_hash(&self, beginning: &str) -> Result<Vec<ModelRow>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns FROM models \
              WHERE substr(hash, 1, length(?1)) = ?1 ORDER BY hash LIMIT 2",
         )
         .bind(beginning)
         .fetch_all(&self.readers)
-        .await?;
-        rows.iter().map(model).collect()
+        .await?)
     }
 
     /// Models of that display name; at most two.
     pub(crate) async fn models_by_display_name(&self, name: &str) -> Result<Vec<ModelRow>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns FROM models \
              WHERE display_name = ? ORDER BY hash LIMIT 2",
         )
         .bind(name)
         .fetch_all(&self.readers)
-        .await?;
-        rows.iter().map(model).collect()
+        .await?)
     }
 
     pub(crate) async fn model_file(&self, hash: &str) -> Result<Option<Vec<u8>>, StorageError> {
-        let row = sqlx::query("SELECT file FROM models WHERE hash = ?")
+        Ok(sqlx::query_scalar("SELECT file FROM models WHERE hash = ?")
             .bind(hash)
             .fetch_optional(&self.readers)
-            .await?;
-        Ok(row.map(|row| row.try_get("file")).transpose()?)
+            .await?)
     }
 
     /// Whether there was one. [`StorageError::InUse`] while a map uses it.
@@ -123,17 +118,4 @@ pub(super) async fn insert_model(
     .execute(&mut **transaction)
     .await?;
     Ok(done.rows_affected() > 0)
-}
-
-fn model(row: &SqliteRow) -> Result<ModelRow, StorageError> {
-    Ok(ModelRow {
-        hash: row.try_get("hash")?,
-        display_name: row.try_get("display_name")?,
-        extractor: row.try_get("extractor")?,
-        words: from_sql(row.try_get("words")?)?,
-        samples: from_sql(row.try_get("samples")?)?,
-        words_hash: row.try_get("words_hash")?,
-        size_bytes: from_sql(row.try_get("size_bytes")?)?,
-        created_ns: row.try_get("created_ns")?,
-    })
 }

@@ -1,10 +1,8 @@
 //! Maps are taken away piece by piece: a large one in one transaction would hold up every other map's
 //! commits.
 
-use sqlx::{AssertSqlSafe, Row, Sqlite, Transaction};
-
 use super::checkpoints::CHECKPOINT_PIECES;
-use super::{MapId, Storage, StorageError};
+use super::{MapId, Storage, StorageError, delete_some};
 
 /// What belongs to a map beside its checkpoint, by table: the key within the map, and how many rows are deleted at a time.
 /// Images are large.
@@ -70,10 +68,9 @@ impl Storage {
 
     /// A map whose rows are to be deleted.
     pub(crate) async fn retired_map(&self) -> Result<Option<MapId>, StorageError> {
-        let row = sqlx::query("SELECT id FROM maps WHERE state = 'deleting' ORDER BY id LIMIT 1")
+        Ok(sqlx::query_scalar("SELECT id FROM maps WHERE state = 'deleting' ORDER BY id LIMIT 1")
             .fetch_optional(&self.readers)
-            .await?;
-        Ok(row.map(|row| row.try_get("id")).transpose()?)
+            .await?)
     }
 
     /// Deletes a piece of a retired map, and at last the map itself.
@@ -95,29 +92,25 @@ impl Storage {
 
     /// Whether a map that is being deleted still refers to the model, and no other map does.
     pub(crate) async fn only_retired_maps_use(&self, model: &str) -> Result<bool, StorageError> {
-        let row = sqlx::query(
-            "SELECT count(*) AS maps, count(*) FILTER (WHERE state = 'deleting') AS retired \
-             FROM maps WHERE model = ?",
+        Ok(sqlx::query_scalar(
+            "SELECT count(*) = count(*) FILTER (WHERE state = 'deleting') FROM maps WHERE model = ?",
         )
         .bind(model)
         .fetch_one(&self.readers)
-        .await?;
-        let (maps, retired): (i64, i64) = (row.try_get("maps")?, row.try_get("retired")?);
-        Ok(maps == retired)
+        .await?)
     }
 
     /// Deletes a model that an import brought in and did not come to use, if nothing else uses it.
     /// Whether there was one to look at.
     pub(crate) async fn drop_unfinished_model(&self) -> Result<bool, StorageError> {
         self.write(async |transaction| {
-            let row = sqlx::query(
+            let unfinished: Option<(i64, String)> = sqlx::query_as(
                 "SELECT number, result FROM jobs \
                  WHERE kind = 'import_map' AND state IN ('failed', 'cancelled') AND result IS NOT NULL LIMIT 1",
             )
             .fetch_optional(&mut **transaction)
             .await?;
-            let Some(row) = row else { return Ok(false) };
-            let (number, result): (i64, String) = (row.try_get("number")?, row.try_get("result")?);
+            let Some((number, result)) = unfinished else { return Ok(false) };
             sqlx::query(
                 "DELETE FROM models WHERE 'models/' || hash = ?1 \
                  AND NOT EXISTS (SELECT 1 FROM maps WHERE maps.model = models.hash)",
@@ -133,18 +126,4 @@ impl Storage {
         })
         .await
     }
-}
-
-/// Deletes the first rows of a map in a table, by its key, as many as are deleted at a time; how many there were.
-pub(super) async fn delete_some(
-    transaction: &mut Transaction<'_, Sqlite>,
-    map: MapId,
-    (table, key, rows): (&str, &str, u32),
-) -> Result<u64, StorageError> {
-    let delete = format!(
-        "DELETE FROM {table} WHERE map_id = ?1 AND {key} IN \
-         (SELECT {key} FROM {table} WHERE map_id = ?1 ORDER BY {key} LIMIT ?2)"
-    );
-    let done = sqlx::query(AssertSqlSafe(delete)).bind(map).bind(rows).execute(&mut **transaction).await?;
-    Ok(done.rows_affected())
 }

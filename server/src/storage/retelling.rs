@@ -3,16 +3,20 @@
 use std::collections::BTreeMap;
 
 use fabmap::appearance::PlaceId;
-use sqlx::{Row, Sqlite, Transaction};
-use topomap::event::{FrameId, MapEvent, SessionId};
-use topomap::retelling::Retold;
+use sqlx::{Sqlite, Transaction};
+use topomap::ids::{FrameId, SessionId};
+use topomap::log::MapEvent;
+use topomap::rewriting::Retold;
 
 use super::appearance::forget_links;
 use super::checkpoints::CHECKPOINT_PIECES;
 use super::jobs::end_job;
 use super::log::insert_event;
 use super::merges::set_outcome;
-use super::{JobEnd, MapEdition, MapId, MergeOutcome, MergeState, Storage, StorageError, from_sql, to_sql};
+use super::{
+    FormerModelRow, JobEnd, LabelRow, MapEdition, MapId, MergeOutcome, MergeState, Storage, StorageError,
+    to_sql,
+};
 
 /// A log as it is to be from some position on.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,87 +65,24 @@ impl RetoldLog {
 
 impl Storage {
     /// Replaces the end of a map's log, with its media and sessions, and ends a job and the merge that it undoes, if
-    /// there are such: all or nothing. The checkpoint goes, and what panoramas were found to have in common. [`StorageError::Retold`] if the log was told anew or the map
-    /// deleted since it was read.
+    /// there are such: all or nothing. The checkpoint goes, and what panoramas were found to have in common.
+    /// [`StorageError::Retold`] if the log was rewritten or the map deleted since it was read.
     pub(crate) async fn retell(
         &self,
         log: &RetoldLog,
         undone: Option<&MergeOutcome>,
         end: Option<&JobEnd>,
     ) -> Result<(), StorageError> {
-        let RetoldLog {
-            map: MapEdition { map, edition },
-            from,
-            events,
-            kept,
-            places: _,
-            removed_sessions,
-            sessions,
-        } = log;
+        let map = log.map.map;
         self.write(async |transaction| {
-            let done = sqlx::query(
-                "UPDATE maps SET edition = edition + 1 WHERE id = ? AND edition = ? AND state = 'live'",
-            )
-            .bind(map)
-            .bind(to_sql(*edition))
-            .execute(&mut **transaction)
-            .await?;
-            if done.rows_affected() != 1 {
-                return Err(StorageError::Retold);
-            }
-            // A list of numbers is JSON already.
-            let positions = format!("{:?}", kept.keys().collect::<Vec<_>>());
-            sqlx::query(
-                "DELETE FROM frame_media WHERE map_id = ? AND position >= ? \
-                 AND position NOT IN (SELECT value FROM json_each(?))",
-            )
-            .bind(map)
-            .bind(to_sql(*from))
-            .bind(positions)
-            .execute(&mut **transaction)
-            .await?;
-            // In order, so that each finds its new position free.
-            for (before, now) in kept.iter().filter(|(before, now)| before != now) {
-                sqlx::query("UPDATE frame_media SET position = ? WHERE map_id = ? AND position = ?")
-                    .bind(to_sql(*now))
-                    .bind(map)
-                    .bind(to_sql(*before))
-                    .execute(&mut **transaction)
-                    .await?;
-            }
+            raise_edition(transaction, log.map).await?;
+            move_media(transaction, log).await?;
             move_former_models(transaction, log).await?;
             move_labels(transaction, log).await?;
-            sqlx::query("DELETE FROM log WHERE map_id = ? AND position >= ?")
-                .bind(map)
-                .bind(to_sql(*from))
-                .execute(&mut **transaction)
-                .await?;
-            for (position, event) in (*from..).zip(events) {
-                insert_event(transaction, *map, to_sql(position), event).await?;
-            }
-            for session in removed_sessions {
-                sqlx::query("DELETE FROM sessions WHERE map_id = ? AND number = ?")
-                    .bind(map)
-                    .bind(session)
-                    .execute(&mut **transaction)
-                    .await?;
-            }
-            // In order, so that each finds its new number free.
-            for (before, now) in sessions.iter().filter(|(before, now)| before != now) {
-                sqlx::query("UPDATE sessions SET number = ? WHERE map_id = ? AND number = ?")
-                    .bind(now)
-                    .bind(map)
-                    .bind(before)
-                    .execute(&mut **transaction)
-                    .await?;
-            }
-            for table in CHECKPOINT_PIECES.into_iter().map(|(table, ..)| table).chain(["checkpoints"]) {
-                sqlx::query(sqlx::AssertSqlSafe(format!("DELETE FROM {table} WHERE map_id = ?")))
-                    .bind(map)
-                    .execute(&mut **transaction)
-                    .await?;
-            }
-            forget_links(transaction, *map).await?;
+            replace_events(transaction, log).await?;
+            move_sessions(transaction, log).await?;
+            delete_checkpoint(transaction, map).await?;
+            forget_links(transaction, map).await?;
             if let Some(undone) = undone {
                 set_outcome(transaction, undone, MergeState::Committed).await?;
             }
@@ -172,18 +113,17 @@ impl Storage {
     /// it cannot be emptied.
     pub(crate) async fn wipe_deleted(&self) -> Result<(), StorageError> {
         sqlx::query("VACUUM").execute(&self.writer).await?;
-        let emptied = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(&self.writer).await?;
-        let busy: i64 = emptied.try_get("busy")?;
+        // The first column says whether it could not.
+        let busy: i64 = sqlx::query_scalar("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(&self.writer).await?;
         if busy == 0 { Ok(()) } else { Err(StorageError::InUse) }
     }
 
     /// Events of a map's log.
     pub(crate) async fn log_events(&self, map: MapId) -> Result<u64, StorageError> {
-        let events = sqlx::query_scalar("SELECT coalesce(max(position) + 1, 0) FROM log WHERE map_id = ?")
+        Ok(sqlx::query_scalar("SELECT coalesce(max(position) + 1, 0) FROM log WHERE map_id = ?")
             .bind(map)
             .fetch_one(&self.readers)
-            .await?;
-        from_sql(events)
+            .await?)
     }
 
     /// The sessions that a merge has brought to a map.
@@ -201,13 +141,106 @@ impl Storage {
     }
 }
 
+/// [`StorageError::Retold`] if the map is no longer of that edition.
+async fn raise_edition(
+    transaction: &mut Transaction<'_, Sqlite>,
+    MapEdition { map, edition }: MapEdition,
+) -> Result<(), StorageError> {
+    let done =
+        sqlx::query("UPDATE maps SET edition = edition + 1 WHERE id = ? AND edition = ? AND state = 'live'")
+            .bind(map)
+            .bind(to_sql(edition))
+            .execute(&mut **transaction)
+            .await?;
+    if done.rows_affected() == 1 { Ok(()) } else { Err(StorageError::Retold) }
+}
+
+/// Media of frames that stay get the frames' new positions; the others go.
+async fn move_media(transaction: &mut Transaction<'_, Sqlite>, log: &RetoldLog) -> Result<(), StorageError> {
+    let map = log.map.map;
+    // A list of numbers is JSON already.
+    let positions = format!("{:?}", log.kept.keys().collect::<Vec<_>>());
+    sqlx::query(
+        "DELETE FROM frame_media WHERE map_id = ? AND position >= ? \
+         AND position NOT IN (SELECT value FROM json_each(?))",
+    )
+    .bind(map)
+    .bind(to_sql(log.from))
+    .bind(positions)
+    .execute(&mut **transaction)
+    .await?;
+    // In order, so that each finds its new position free.
+    for (before, now) in log.kept.iter().filter(|(before, now)| before != now) {
+        sqlx::query("UPDATE frame_media SET position = ? WHERE map_id = ? AND position = ?")
+            .bind(to_sql(*now))
+            .bind(map)
+            .bind(to_sql(*before))
+            .execute(&mut **transaction)
+            .await?;
+    }
+    Ok(())
+}
+
+async fn replace_events(
+    transaction: &mut Transaction<'_, Sqlite>,
+    log: &RetoldLog,
+) -> Result<(), StorageError> {
+    let map = log.map.map;
+    sqlx::query("DELETE FROM log WHERE map_id = ? AND position >= ?")
+        .bind(map)
+        .bind(to_sql(log.from))
+        .execute(&mut **transaction)
+        .await?;
+    for (position, event) in (log.from..).zip(&log.events) {
+        insert_event(transaction, map, to_sql(position), event).await?;
+    }
+    Ok(())
+}
+
+async fn move_sessions(
+    transaction: &mut Transaction<'_, Sqlite>,
+    log: &RetoldLog,
+) -> Result<(), StorageError> {
+    let map = log.map.map;
+    for session in &log.removed_sessions {
+        sqlx::query("DELETE FROM sessions WHERE map_id = ? AND number = ?")
+            .bind(map)
+            .bind(session)
+            .execute(&mut **transaction)
+            .await?;
+    }
+    // In order, so that each finds its new number free.
+    for (before, now) in log.sessions.iter().filter(|(before, now)| before != now) {
+        sqlx::query("UPDATE sessions SET number = ? WHERE map_id = ? AND number = ?")
+            .bind(now)
+            .bind(map)
+            .bind(before)
+            .execute(&mut **transaction)
+            .await?;
+    }
+    Ok(())
+}
+
+async fn delete_checkpoint(
+    transaction: &mut Transaction<'_, Sqlite>,
+    map: MapId,
+) -> Result<(), StorageError> {
+    for table in CHECKPOINT_PIECES.into_iter().map(|(table, ..)| table).chain(["checkpoints"]) {
+        sqlx::query(sqlx::AssertSqlSafe(format!("DELETE FROM {table} WHERE map_id = ?")))
+            .bind(map)
+            .execute(&mut **transaction)
+            .await?;
+    }
+    Ok(())
+}
+
 /// A former model was in use up to an event that may be another by now.
 async fn move_former_models(
     transaction: &mut Transaction<'_, Sqlite>,
     log: &RetoldLog,
 ) -> Result<(), StorageError> {
-    let rows =
-        sqlx::query("SELECT until_events, model FROM map_models WHERE map_id = ? AND until_events > ?")
+    let former =
+        sqlx::query_as("SELECT until_events, model FROM map_models WHERE map_id = ? AND until_events > ?")
             .bind(log.map.map)
             .bind(to_sql(log.from))
             .fetch_all(&mut **transaction)
@@ -217,9 +250,7 @@ async fn move_former_models(
         .bind(to_sql(log.from))
         .execute(&mut **transaction)
         .await?;
-    for row in rows {
-        let (until_events, model): (u64, String) =
-            (from_sql(row.try_get("until_events")?)?, row.try_get("model")?);
+    for FormerModelRow { until_events, model } in former {
         let kept = log.kept.range(log.from..until_events).count() as u64;
         // Of two that have come to end at the same event, the later one was in use for none.
         sqlx::query(
@@ -236,12 +267,11 @@ async fn move_former_models(
 
 /// Places keep what they are called, whatever their numbers.
 async fn move_labels(transaction: &mut Transaction<'_, Sqlite>, log: &RetoldLog) -> Result<(), StorageError> {
-    let rows = sqlx::query("DELETE FROM labels WHERE map_id = ? RETURNING place, label")
+    let labels = sqlx::query_as("DELETE FROM labels WHERE map_id = ? RETURNING place, label")
         .bind(log.map.map)
         .fetch_all(&mut **transaction)
         .await?;
-    for row in rows {
-        let (place, label): (PlaceId, String) = (row.try_get("place")?, row.try_get("label")?);
+    for LabelRow { place, label } in labels {
         let Some(now) = log.places.get(place as usize).copied().flatten() else { continue };
         sqlx::query("INSERT INTO labels (map_id, place, label) VALUES (?, ?, ?)")
             .bind(log.map.map)

@@ -1,15 +1,15 @@
 //! Maps read out as they stand, and brought in piece by piece.
 
 use fabmap::appearance::PlaceId;
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, Sqlite, Transaction};
-use topomap::event::{MapEvent, SessionId};
+use sqlx::{Sqlite, Transaction};
+use topomap::ids::SessionId;
+use topomap::log::MapEvent;
 
 use super::jobs::end_job;
-use super::labels::{insert_label, label_row};
+use super::labels::insert_label;
 use super::log::insert_event;
-use super::maps::map;
-use super::{JobEnd, LabelRow, MapId, MapRow, MediumKind, ModelRow, Storage, StorageError, from_sql, to_sql};
+use super::{JobEnd, LabelRow, MapId, MapRow, MediumKind, ModelRow, Storage, StorageError, to_sql};
+use crate::camera::Camera;
 
 /// Log events that are read at a time.
 const EVENTS_PAGE: u32 = 500;
@@ -21,17 +21,16 @@ const MEDIA_PAGE: u32 = 8;
 const LABELS_PAGE: u32 = 500;
 
 /// A session with all that is stored of it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct StoredSession {
     pub(crate) number: SessionId,
     pub(crate) name: String,
-    /// An encoded `waypost.v1.Camera`.
-    pub(crate) camera: Option<Vec<u8>>,
+    pub(crate) camera: Option<Camera>,
     pub(crate) opened_ns: i64,
 }
 
 /// A model that a map was bound to before.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct FormerModelRow {
     /// The log position from which it no longer was.
     pub(crate) until_events: u64,
@@ -40,7 +39,7 @@ pub(crate) struct FormerModelRow {
 }
 
 /// What a map keeps of a frame beside its words.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct MediaRow {
     /// The frame's position in the log.
     pub(crate) position: u64,
@@ -73,14 +72,14 @@ impl Storage {
     pub(crate) async fn view_map(&self, name: &str) -> Result<Option<MapView>, StorageError> {
         let mut snapshot = self.exporters.begin().await?;
         // The first read is what fixes the view.
-        let row = sqlx::query(
+        let map = sqlx::query_as(
             "SELECT id, name, model, settings, created_ns, edition FROM maps WHERE name = ? AND state = 'live'",
         )
         .bind(name)
         .fetch_optional(&mut *snapshot)
         .await?;
-        let Some(row) = row else { return Ok(None) };
-        Ok(Some(MapView { map: map(&row)?, snapshot }))
+        let Some(map) = map else { return Ok(None) };
+        Ok(Some(MapView { map, snapshot }))
     }
 
     /// Begins an import: a map that nobody sees yet, with its sessions, and its model unless that is
@@ -146,7 +145,7 @@ impl Storage {
                 sqlx::query("INSERT INTO frame_media (map_id, position, kind, content) VALUES (?, ?, ?, ?)")
                     .bind(map)
                     .bind(to_sql(*position))
-                    .bind(kind.name())
+                    .bind(kind)
                     .bind(content)
                     .execute(&mut **transaction)
                     .await?;
@@ -179,47 +178,40 @@ impl MapView {
 
     /// The model's display name and file.
     pub(crate) async fn model(&mut self) -> Result<(String, Vec<u8>), StorageError> {
-        let row = sqlx::query("SELECT display_name, file FROM models WHERE hash = ?")
+        Ok(sqlx::query_as("SELECT display_name, file FROM models WHERE hash = ?")
             .bind(&self.map.model)
             .fetch_one(&mut *self.snapshot)
-            .await?;
-        Ok((row.try_get("display_name")?, row.try_get("file")?))
+            .await?)
     }
 
     pub(crate) async fn former_models(&mut self) -> Result<Vec<FormerModelRow>, StorageError> {
-        let rows =
-            sqlx::query("SELECT until_events, model FROM map_models WHERE map_id = ? ORDER BY until_events")
-                .bind(self.map.id)
-                .fetch_all(&mut *self.snapshot)
-                .await?;
-        let former_model = |row: &SqliteRow| {
-            let until_events = from_sql(row.try_get("until_events")?)?;
-            Ok(FormerModelRow { until_events, model: row.try_get("model")? })
-        };
-        rows.iter().map(former_model).collect()
+        Ok(sqlx::query_as(
+            "SELECT until_events, model FROM map_models WHERE map_id = ? ORDER BY until_events",
+        )
+        .bind(self.map.id)
+        .fetch_all(&mut *self.snapshot)
+        .await?)
     }
 
     pub(crate) async fn sessions(&mut self) -> Result<Vec<StoredSession>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT number, name, camera, opened_ns FROM sessions WHERE map_id = ? ORDER BY number",
         )
         .bind(self.map.id)
         .fetch_all(&mut *self.snapshot)
-        .await?;
-        rows.iter().map(stored_session).collect()
+        .await?)
     }
 
     /// The next events as they are stored, from position `from` on; none at the end of the log.
     pub(crate) async fn events(&mut self, from: u64) -> Result<Vec<(u64, Vec<u8>)>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             "SELECT position, event FROM log WHERE map_id = ? AND position >= ? ORDER BY position LIMIT ?",
         )
         .bind(self.map.id)
         .bind(to_sql(from))
         .bind(EVENTS_PAGE)
         .fetch_all(&mut *self.snapshot)
-        .await?;
-        rows.iter().map(|row| Ok((from_sql(row.try_get("position")?)?, row.try_get("event")?))).collect()
+        .await?)
     }
 
     /// The next media after that of a position and kind; none after the last.
@@ -227,8 +219,9 @@ impl MapView {
         &mut self,
         after: Option<(u64, MediumKind)>,
     ) -> Result<Vec<MediaRow>, StorageError> {
-        let (position, kind) = after.map_or((-1, ""), |(position, kind)| (to_sql(position), kind.name()));
-        let rows = sqlx::query(
+        let first = (-1, MediumKind::Features);
+        let (position, kind) = after.map_or(first, |(position, kind)| (to_sql(position), kind));
+        Ok(sqlx::query_as(
             "SELECT position, kind, content FROM frame_media WHERE map_id = ? AND (position, kind) > (?, ?) \
              ORDER BY position, kind LIMIT ?",
         )
@@ -237,17 +230,12 @@ impl MapView {
         .bind(kind)
         .bind(MEDIA_PAGE)
         .fetch_all(&mut *self.snapshot)
-        .await?;
-        let media = |row: &SqliteRow| {
-            let (position, kind) = (from_sql(row.try_get("position")?)?, row.try_get("kind")?);
-            Ok(MediaRow { position, kind: MediumKind::of(kind)?, content: row.try_get("content")? })
-        };
-        rows.iter().map(media).collect()
+        .await?)
     }
 
     /// The next labels, from that of a place on; none after the last.
     pub(crate) async fn labels(&mut self, from: PlaceId) -> Result<Vec<LabelRow>, StorageError> {
-        let rows = sqlx::query(
+        Ok(sqlx::query_as(
             // One that was put while places were renumbered may be of none.
             "SELECT place, label FROM labels WHERE map_id = ? AND place >= ? \
              AND EXISTS (SELECT 1 FROM log WHERE log.map_id = labels.map_id AND log.place = labels.place) \
@@ -257,16 +245,6 @@ impl MapView {
         .bind(from)
         .bind(LABELS_PAGE)
         .fetch_all(&mut *self.snapshot)
-        .await?;
-        rows.iter().map(label_row).collect()
+        .await?)
     }
-}
-
-pub(super) fn stored_session(row: &SqliteRow) -> Result<StoredSession, StorageError> {
-    Ok(StoredSession {
-        number: row.try_get("number")?,
-        name: row.try_get("name")?,
-        camera: row.try_get("camera")?,
-        opened_ns: row.try_get("opened_ns")?,
-    })
 }

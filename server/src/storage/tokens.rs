@@ -1,6 +1,3 @@
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
-
 use super::{Storage, StorageError};
 use crate::role::Role;
 
@@ -19,10 +16,10 @@ pub(crate) struct TokenRow {
 impl Storage {
     /// All tokens, by name.
     pub(crate) async fn tokens(&self) -> Result<Vec<TokenRow>, StorageError> {
-        let rows = sqlx::query("SELECT name, role, secret_sha256, created_ns FROM tokens ORDER BY name")
+        let rows = sqlx::query_as("SELECT name, role, secret_sha256, created_ns FROM tokens ORDER BY name")
             .fetch_all(&self.readers)
             .await?;
-        rows.iter().map(token).collect()
+        rows.into_iter().map(token).collect()
     }
 
     /// [`StorageError::Exists`] if there is one of that name.
@@ -50,13 +47,9 @@ impl Storage {
     }
 }
 
-fn token(row: &SqliteRow) -> Result<TokenRow, StorageError> {
-    let (role, hash): (String, Vec<u8>) = (row.try_get("role")?, row.try_get("secret_sha256")?);
+fn token((name, role, hash, created_ns): (String, String, Vec<u8>, i64)) -> Result<TokenRow, StorageError> {
     let damaged = |what: &str| StorageError::Damaged(format!("the {what} of a token"));
-    Ok(TokenRow {
-        name: row.try_get("name")?,
-        role: Role::of_name(&role).ok_or_else(|| damaged("role"))?,
-        secret_sha256: hash.try_into().map_err(|_| damaged("hash"))?,
-        created_ns: row.try_get("created_ns")?,
-    })
+    let role = Role::of_name(&role).ok_or_else(|| damaged("role"))?;
+    let secret_sha256 = hash.try_into().map_err(|_| damaged("hash"))?;
+    Ok(TokenRow { name, role, secret_sha256, created_ns })
 }

@@ -64,8 +64,9 @@ impl Obstacles {
         }
     }
 
-    /// Shows `meet` what a ray from `origin` meets, cell by cell in the order of the ray but in any order within one,
-    /// until it answers that it has seen enough before some length: cells beyond are left out.
+    /// Shows `meet` what a ray from `origin` meets, cell by cell in the order of the ray but in any
+    /// order within one, until it answers that it has seen enough before some length: cells beyond
+    /// are left out.
     pub(crate) fn cast(
         &self,
         parts: &PlanParts,
@@ -86,7 +87,8 @@ impl Obstacles {
             };
             if direction[axis] == 0.0 { f64::INFINITY } else { ahead * between[axis] }
         });
-        let (mut entered, mut enough) = (0.0, f64::INFINITY);
+        let mut entered = 0.0;
+        let mut enough = f64::INFINITY;
         while entered <= enough {
             let (Ok(column), Ok(row)) = (usize::try_from(cell[0]), usize::try_from(cell[1])) else { return };
             if column >= self.columns || row >= self.rows {
@@ -132,8 +134,10 @@ impl Wall {
     /// Where a ray meets it.
     fn meets(&self, origin: Vector2<f64>, direction: Vector2<f64>) -> Option<(f64, f64)> {
         let along = self.to - self.from;
-        let (cross, offset) = (direction.perp(&along), self.from - origin);
-        let (at, share) = (offset.perp(&along) / cross, offset.perp(&direction) / cross);
+        let cross = direction.perp(&along);
+        let offset = self.from - origin;
+        let at = offset.perp(&along) / cross;
+        let share = offset.perp(&direction) / cross;
         (at > 0.0 && (0.0..=1.0).contains(&share)).then_some((at, at))
     }
 

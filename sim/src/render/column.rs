@@ -12,7 +12,8 @@ use crate::pose::Pose;
 use crate::scene::{PaintedRoom, Scene};
 use crate::texture::{Footprint, Texture};
 
-/// Everything that a column's plane cuts, nearest first; all heights above the camera, all ways in lengths of the ray.
+/// Everything that a column's plane cuts, nearest first; all heights above the camera, all ways in
+/// lengths of the ray.
 pub(super) struct Slabs<'a> {
     scene: &'a Scene,
     shot: &'a Shot,
@@ -212,8 +213,8 @@ impl Scene {
     }
 }
 
-/// How far along a surface the next column's ray meets it, in metres; at a glancing angle no more than 16 times as far
-/// as straight on.
+/// How far along a surface the next column's ray meets it, in metres; at a glancing angle no more
+/// than 16 times as far as straight on.
 fn step_along(ray: ColumnRay, normal: Vector2<f64>, enters: f64) -> f32 {
     let facing = (ray.direction.dot(&normal) / ray.direction.norm()).abs();
     let across = ray.step.perp(&ray.direction).abs() / ray.direction.norm();
@@ -227,11 +228,13 @@ fn brightness(shot: &Shot, room: usize, normal: Vector2<f64>) -> f32 {
 }
 
 impl Slabs<'_> {
-    /// The light that comes from the first surface along a row's slope; none from outside of all rooms.
+    /// The light that comes from the first surface along a row's slope; none from outside of all
+    /// rooms.
     pub(super) fn light(&self, row: RowSlope) -> f32 {
         let level = if row.slope < 0.0 { self.floor } else { self.ceiling };
         let beyond = if row.slope == 0.0 { f32::INFINITY } else { level / row.slope };
-        let (mut nearest, mut lid) = (beyond, None);
+        let mut nearest = beyond;
+        let mut lid = None;
         for slab in &self.slabs {
             if slab.enters >= nearest {
                 break;

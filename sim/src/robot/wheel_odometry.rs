@@ -43,7 +43,8 @@ impl WheelErrors {
     /// Largest drift that [`WheelErrors::drawn`] gives: 3 degrees per metre.
     pub const MAX_DRIFT_RAD_PER_M: f64 = 3.0 * std::f64::consts::PI / 180.0;
 
-    /// Uncalibrated wheels: scale within ±5 % and drift within ±3 degrees per metre, evenly, with a little noise.
+    /// Uncalibrated wheels: scale within ±5 % and drift within ±3 degrees per metre, evenly, with a
+    /// little noise.
     #[must_use]
     pub fn drawn(seed: u64) -> Self {
         let mut draws = Draws::new(derived_seed(seed, 0xb1a5));
@@ -53,7 +54,8 @@ impl WheelErrors {
         )
     }
 
-    /// That scale and that drift, with a little noise: 1 % of a metre, 0.3 degrees per √m, 0.6 degrees per √rad.
+    /// That scale and that drift, with a little noise: 1 % of a metre, 0.3 degrees per √m, 0.6
+    /// degrees per √rad.
     #[must_use]
     pub const fn biased(scale: f64, drift_rad_per_m: f64) -> Self {
         Self { scale, drift_rad_per_m, way_sigma: 0.01, heading_sigma: 0.005, turn_sigma: 0.01, ..Self::NONE }
@@ -88,14 +90,15 @@ pub struct WheelOdometry {
 pub struct OdometryReading {
     /// Where the wheels say the robot is.
     pub pose: Pose,
-    /// Covariance of (x, y, heading) in m², m rad and rad², as a driver states it that knows of its wheels no more than
-    /// how wrong uncalibrated ones may be: what a bias does within a metre counts as noise.
+    /// Covariance of (x, y, heading) in m², m rad and rad², as a driver states it that knows of its
+    /// wheels no more than how wrong uncalibrated ones may be: what a bias does within a metre
+    /// counts as noise.
     pub covariance: Matrix3<f64>,
 }
 
 impl OdometryReading {
-    /// The covariance of (x, y, z, rotation about x, y, z), 6 x 6 row by row: the floor is level to a millimetre and a
-    /// milliradian.
+    /// The covariance of (x, y, z, rotation about x, y, z), 6 x 6 row by row: the floor is level to
+    /// a millimetre and a milliradian.
     #[must_use]
     pub fn covariance_6x6(&self) -> [f64; 36] {
         let mut whole = [0.0; 36];
@@ -119,8 +122,8 @@ impl OdometryReading {
 }
 
 impl WheelOdometry {
-    /// Wheels that have not turned yet. Steps that were not driven here, such as those of a recorded trajectory, can be
-    /// added as well.
+    /// Wheels that have not turned yet. Steps that were not driven here, such as those of a
+    /// recorded trajectory, can be added as well.
     ///
     /// # Errors
     /// [`OutOfRange`] if the errors are.
@@ -141,10 +144,12 @@ impl WheelOdometry {
         &self.reading
     }
 
-    /// The wheels have turned for so many metres ahead, along an arc, and so many radians to the left.
+    /// The wheels have turned for so many metres ahead, along an arc, and so many radians to the
+    /// left.
     pub fn add(&mut self, distance_m: f64, turn_rad: f64) {
         let errors = &self.errors;
-        let (way, turned) = (distance_m.abs(), turn_rad.abs());
+        let way = distance_m.abs();
+        let turned = turn_rad.abs();
         let distance_noise = errors.way_sigma * way.sqrt() * standard_normal(&mut self.random);
         let turn_variance = errors.heading_sigma.powi(2) * way + errors.turn_sigma.powi(2) * turned;
         let turn_noise = turn_variance.sqrt() * standard_normal(&mut self.random);
@@ -158,7 +163,8 @@ impl WheelOdometry {
     fn propagate(&mut self, distance_m: f64, turn_rad: f64) {
         let heading = self.reading.pose.heading_rad + turn_rad / 2.0;
         let (sin, cos) = heading.sin_cos();
-        let (way, turned) = (distance_m.abs(), turn_rad.abs());
+        let way = distance_m.abs();
+        let turned = turn_rad.abs();
         let bias = |most: f64| most * most / 3.0;
         let distance_variance = (1e-4 + bias(WheelErrors::MAX_SCALE)) * way;
         let turn_variance = (2.5e-5 + bias(WheelErrors::MAX_DRIFT_RAD_PER_M)) * way + 1e-4 * turned;

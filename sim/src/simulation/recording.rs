@@ -18,7 +18,7 @@ pub struct Recording {
     pub collisions: u64,
 }
 
-/// The robot did not come to the end of its route.
+/// The robot did not reach the end of its route.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
     "after {seconds:.0} s the robot was {along_m:.1} m along its route of {length_m:.1} m; something is in its way"
@@ -39,7 +39,8 @@ impl Simulation {
     /// [`DriveError`] if that takes four times as long as it should, and a minute more.
     pub fn drive_along(&mut self, route: &Route, speed_m_s: f64) -> Result<Recording, DriveError> {
         let mut follower = RouteFollower::new(route.clone());
-        let (started_ns, collisions_before) = (self.now_ns(), self.collisions());
+        let started_ns = self.now_ns();
+        let collisions_before = self.collisions();
         // Also an end for a speed that is none.
         let limit_s = (60.0 + 4.0 * route.length_m() / speed_m_s).min(10_000.0);
         let mut ticks = Vec::new();

@@ -85,8 +85,8 @@ impl Canvas {
         (0..self.width).flat_map(|index| column(index).map(grey)).collect()
     }
 
-    /// Adds value noise: independent numbers at the points of a lattice, `between` which it is smooth. `seed` says whose
-    /// number a point gets.
+    /// Adds value noise: independent numbers at the points of a lattice, `between` which it is
+    /// smooth. `seed` says whose number a point gets.
     pub(super) fn add_noise(&mut self, spacing_m: f64, amplitude: f32, seed: impl Fn([f64; 2]) -> u64) {
         let texels_per_cell = spacing_m * self.texels_per_m;
         let columns = (self.width as f64 / texels_per_cell) as usize + 2;
@@ -98,7 +98,9 @@ impl Canvas {
             (0..columns).map(number).collect()
         };
         let smooth = |share: f32| share * share * (3.0 - 2.0 * share);
-        let (mut above, mut upper, mut lower) = (usize::MAX, Vec::new(), Vec::new());
+        let mut above = usize::MAX;
+        let mut upper = Vec::new();
+        let mut lower = Vec::new();
         for (row, texels) in self.texels.chunks_mut(self.width).enumerate() {
             let y = row as f64 / texels_per_cell;
             if above != y as usize {
@@ -108,7 +110,8 @@ impl Canvas {
             let down = smooth((y - above as f64) as f32);
             for (column, texel) in texels.iter_mut().enumerate() {
                 let x = (column as f64 / texels_per_cell) as f32;
-                let (left, across) = (x as usize, smooth(x.fract()));
+                let left = x as usize;
+                let across = smooth(x.fract());
                 let blend = |row: &[f32]| row[left] + across * (row[left + 1] - row[left]);
                 *texel += amplitude * (blend(&upper) + down * (blend(&lower) - blend(&upper)));
             }
@@ -136,6 +139,28 @@ impl Canvas {
                 let cover = (0.5 - distance * self.texels_per_m).clamp(0.0, 1.0) as f32 * leaf.opacity;
                 let texel = &mut self.texels[row * self.width + column];
                 *texel += cover * (leaf.grey - *texel);
+            }
+        }
+    }
+
+    /// Covers a rectangle with a picture; `grey` gives its value at points from [0, 0], its upper
+    /// left corner, to [1, 1].
+    pub(super) fn put_picture(
+        &mut self,
+        corner_m: [f64; 2],
+        size_m: [f64; 2],
+        grey: impl Fn([f64; 2]) -> f32,
+    ) {
+        let span = |axis: usize, size: usize| {
+            let texel = |metres: f64| ((metres * self.texels_per_m).round().max(0.0) as usize).min(size);
+            texel(corner_m[axis])..texel(corner_m[axis] + size_m[axis])
+        };
+        let (columns, rows) = (span(0, self.width), span(1, self.height));
+        for row in rows {
+            for column in columns.clone() {
+                let middle = [column, row].map(|texel| (texel as f64 + 0.5) / self.texels_per_m);
+                let point = [0, 1].map(|axis| (middle[axis] - corner_m[axis]) / size_m[axis]);
+                self.texels[row * self.width + column] = grey(point);
             }
         }
     }

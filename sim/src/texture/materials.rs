@@ -1,5 +1,6 @@
-//! How materials are painted: noise of several scales, patterns with hard edges, and leaves of all sizes over them, as
-//! pictures of the world have them (A. B. Lee, D. Mumford and J. Huang, Occlusion models for natural images, IJCV 41, 2001).
+//! How materials are painted: noise of several scales, patterns with hard edges, and leaves of all
+//! sizes over them, as pictures of the world have them (A. B. Lee, D. Mumford and J. Huang,
+//! Occlusion models for natural images, IJCV 41, 2001).
 
 use super::Surface;
 use super::canvas::{Canvas, Leaf, Shape};
@@ -32,6 +33,8 @@ pub enum Material {
     CeilingBoards,
     /// What people wear.
     Cloth,
+    /// Plain walls hung with photographs: large ones side by side, small ones between.
+    Photographs,
 }
 
 /// Numbers in which materials differ.
@@ -52,7 +55,8 @@ struct Recipe {
 
 enum Pattern {
     None,
-    /// Rectangles of so many metres, every other row shifted by half; joints are darker; and how much tiles differ.
+    /// Rectangles of so many metres, every other row shifted by half; joints are darker; and how
+    /// much tiles differ.
     Blocks {
         size_m: [f64; 2],
         shift: f64,
@@ -63,6 +67,7 @@ enum Pattern {
     Motif,
     Books,
     Drawers,
+    Photographs,
 }
 
 impl Material {
@@ -107,6 +112,15 @@ impl Material {
             Material::Cloth => {
                 Recipe { grey: [40.0, 190.0], pattern: Pattern::Motif, leaves: 40.0, pictures: 0.0, ..wall }
             }
+            Material::Photographs => Recipe {
+                grey: [170.0, 210.0],
+                noise: 5.0,
+                pattern: Pattern::Photographs,
+                leaves: 6.0,
+                leaf_contrast: 25.0,
+                pictures: 0.0,
+                ..wall
+            },
             Material::Carpet => Recipe {
                 texels_per_m: 96.0,
                 grey: [80.0, 140.0],
@@ -161,6 +175,7 @@ pub(super) fn paint(surface: &Surface, width_m: f64, height_m: f64) -> Canvas {
         Pattern::Motif => painter.motif(),
         Pattern::Books => painter.books(),
         Pattern::Drawers => painter.drawers(),
+        Pattern::Photographs => {}
     }
     for (octave, (spacing_m, share)) in
         [(0.8, 1.0), (0.2, 0.8), (0.05, 0.6), (0.02, 0.5)].into_iter().enumerate()
@@ -170,6 +185,9 @@ pub(super) fn paint(surface: &Surface, width_m: f64, height_m: f64) -> Canvas {
     }
     painter.leaves(recipe.leaves, recipe.leaf_contrast);
     painter.pictures(recipe.pictures);
+    if matches!(recipe.pattern, Pattern::Photographs) {
+        painter.photographs();
+    }
     painter.canvas
 }
 
@@ -186,16 +204,16 @@ impl Surface {
     }
 }
 
-struct Painter<'a> {
+pub(super) struct Painter<'a> {
     surface: &'a Surface,
-    canvas: Canvas,
-    size_m: [f64; 2],
+    pub(super) canvas: Canvas,
+    pub(super) size_m: [f64; 2],
     grey: f64,
     style: u64,
 }
 
 impl Painter<'_> {
-    fn draws_at(&self, point: [f64; 2], purpose: u64, number: u64) -> Draws {
+    pub(super) fn draws_at(&self, point: [f64; 2], purpose: u64, number: u64) -> Draws {
         Draws::new(derived_seed(derived_seed(self.surface.seed_at(point), purpose), number))
     }
 
@@ -259,7 +277,8 @@ impl Painter<'_> {
         for row in 0..(height_m / width).ceil() as u64 {
             let start = if row % 2 == 1 { -shift * length } else { 0.0 };
             for column in 0..((width_m - start) / length).ceil() as u64 {
-                let (left, upper) = (start + column as f64 * length, row as f64 * width);
+                let left = start + column as f64 * length;
+                let upper = row as f64 * width;
                 let mut draws = self.draws_at([left.max(0.0), upper], 4, (row << 32) | column);
                 let tone = (self.grey + draws.between(-contrast, contrast)) as f32;
                 let block = [left + length - joint_m, upper + width - joint_m];
@@ -274,7 +293,8 @@ impl Painter<'_> {
         let leaves: Vec<Leaf> = (0..5)
             .map(|_| {
                 let center = period.map(|side| style.between(0.0, side));
-                let (size_m, tone) = (style.between(0.03, 0.14), self.grey + signed(&mut style, 20.0, 60.0));
+                let size_m = style.between(0.03, 0.14);
+                let tone = self.grey + signed(&mut style, 20.0, 60.0);
                 Leaf::drawn(&mut style, center, size_m, tone as f32)
             })
             .collect();
@@ -298,7 +318,8 @@ impl Painter<'_> {
             while left < width - 0.03 {
                 number += 1;
                 let mut draws = self.draws_at([left, shelf.max(0.0)], 5, number);
-                let (thick, tall) = (draws.between(0.018, 0.06), draws.between(0.2, 0.3));
+                let thick = draws.between(0.018, 0.06);
+                let tall = draws.between(0.2, 0.3);
                 let lower = shelf + 0.32;
                 let right = (left + thick).min(width);
                 if draws.between(0.0, 1.0) < 0.9 {

@@ -3,6 +3,7 @@
 use super::layout::{Layout, Look};
 use crate::floor_plan::FloorPlan;
 use crate::random::derived_seed;
+use crate::texture::Material;
 
 /// Least depth of a corridor's furniture is that of a shelf: robots and people pass.
 const CORRIDOR_DEPTH_M: f64 = 0.36;
@@ -28,7 +29,8 @@ pub(super) fn office(seed: u64) -> FloorPlan {
     let mut rooms = Vec::new();
     // South and north of the corridors: six rooms of 5 m each.
     for room in 0..6_u32 {
-        let (x, number) = (5.0 * f64::from(room), u64::from(room));
+        let x = 5.0 * f64::from(room);
+        let number = u64::from(room);
         rooms.push(layout.room(format!("south {}", room + 1), [x, 0.0, x + 5.0, 4.0], look(10 + number)));
         rooms.push(layout.room(format!("north {}", room + 1), [x, 16.0, x + 5.0, 20.0], look(20 + number)));
         let door = (x + 2.5).clamp(4.5, 25.5);
@@ -58,13 +60,16 @@ pub(super) fn office(seed: u64) -> FloorPlan {
     drawn(layout)
 }
 
-/// Two corridors, joined at both ends, with 24 offices that share furniture, wallpaper and layout; a share
-/// `own_share` of the texture, in patches of half a metre, is each office's own.
+/// Two corridors, joined at both ends, with 24 offices that share furniture, wallpaper and layout;
+/// a share `own_share` of the texture, in patches of half a metre, is each office's own.
 #[must_use]
 pub fn corridors(seed: u64, own_share: f64) -> FloorPlan {
     let mut layout = Layout::default();
     let family = derived_seed(seed, 0);
-    let look = |number: u64| Look { style: family, family, own: derived_seed(seed, 10 + number), own_share };
+    let look = |number: u64| {
+        let own = derived_seed(seed, 10 + number);
+        Look { style: family, family, own, own_share, walls: None }
+    };
     // The corridors are alike as well, but each has more of its own.
     let hall = |number: u64| Look { own_share: own_share.max(0.5), ..look(number) };
     let halls = [
@@ -122,6 +127,29 @@ pub(super) fn booij_office(seed: u64) -> FloorPlan {
     drawn(layout)
 }
 
+/// A hall of 26 m that ends in far walls, with four rooms off it; photographs hang everywhere.
+pub(super) fn gallery(seed: u64) -> FloorPlan {
+    let mut layout = Layout::default();
+    let look = |number: u64| Look::unique(derived_seed(seed, 300 + number)).walled(Material::Photographs);
+    let hall = layout.hall("hall", [0.0, 4.0, 26.0, 6.4], look(0));
+    let rooms = [
+        ("north 1", [5.0, 6.4, 10.0, 11.0], [7.5, 6.4]),
+        ("north 2", [15.0, 6.4, 20.0, 11.0], [17.5, 6.4]),
+        ("south 1", [9.0, 0.0, 14.0, 4.0], [11.5, 4.0]),
+        ("south 2", [17.0, 0.0, 22.0, 4.0], [19.5, 4.0]),
+    ];
+    let mut furnished = Vec::new();
+    for (number, (name, area, [x, y])) in (1..).zip(rooms) {
+        furnished.push(layout.room(name, area, look(number)));
+        layout.door(x, y);
+    }
+    for (number, room) in (0..).zip(furnished) {
+        layout.furnish(room, derived_seed(seed, 310 + number), 0.3, ANY_DEPTH_M);
+    }
+    layout.furnish(hall, derived_seed(seed, 320), 0.08, CORRIDOR_DEPTH_M);
+    drawn(layout)
+}
+
 pub(super) fn ring(seed: u64) -> FloorPlan {
     let mut layout = Layout::default();
     let areas = [[0.0, 0.0, 13.5, 2.0], [0.0, 9.5, 13.5, 11.5], [0.0, 2.0, 2.0, 9.5], [11.5, 2.0, 13.5, 9.5]];
@@ -136,14 +164,16 @@ pub(super) fn ring(seed: u64) -> FloorPlan {
     drawn(layout)
 }
 
-/// Six offices, three on either side of a corridor. The same office looks the same wherever it is; corridors differ.
+/// Six offices, three on either side of a corridor. The same office looks the same wherever it is;
+/// corridors differ.
 pub(super) fn offices_in_a_row(seed: u64, order: [u64; 6]) -> FloorPlan {
     let mut layout = Layout::default();
     let corridor = derived_seed(seed, 100 + order[0]);
     let hall = layout.hall("corridor", [0.0, 4.0, 12.0, 6.0], Look::unique(corridor));
     let mut offices = Vec::new();
     for (place, number) in (0..6_u32).zip(order) {
-        let (x, faces_south) = (4.0 * f64::from(place % 3), place >= 3);
+        let x = 4.0 * f64::from(place % 3);
+        let faces_south = place >= 3;
         let y = if faces_south { 6.0 } else { 0.0 };
         let look = Look::unique(derived_seed(seed, number));
         let office = layout.room(format!("office {}", number + 1), [x, y, x + 4.0, y + 4.0], look);

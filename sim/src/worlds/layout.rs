@@ -41,23 +41,30 @@ pub(super) struct Look {
     pub(super) family: u64,
     pub(super) own: u64,
     pub(super) own_share: f64,
+    /// What all walls are made of; `None` if the style says.
+    pub(super) walls: Option<Material>,
 }
 
 impl Look {
     /// Like no other.
     pub(super) fn unique(seed: u64) -> Self {
-        Self { style: seed, family: seed, own: seed, own_share: 1.0 }
+        Self { style: seed, family: seed, own: seed, own_share: 1.0, walls: None }
+    }
+
+    /// The same with walls of one material.
+    pub(super) fn walled(self, material: Material) -> Self {
+        Self { walls: Some(material), ..self }
     }
 
     pub(super) fn surface(&self, material: Material, part: u64) -> Surface {
-        let Self { style, family, own, own_share } = *self;
+        let Self { style, family, own, own_share, walls: _ } = *self;
         Surface { material, style: derived_seed(style, material as u64), family, own, own_share }.part(part)
     }
 
     fn wall(&self) -> Material {
         let kinds =
             [Material::Plaster, Material::Wallpaper, Material::Brick, Material::Panelling, Material::Plaster];
-        kinds[Draws::new(self.style).below(kinds.len())]
+        self.walls.unwrap_or(kinds[Draws::new(self.style).below(kinds.len())])
     }
 
     fn floor(&self) -> Material {
@@ -91,8 +98,8 @@ impl Layout {
         self.doors.push(Vector2::new(x, y));
     }
 
-    /// Shelves, cabinets, desks and boxes along all walls of a room, but not where doors are, drawn by `seed`. A share
-    /// `density` of the room along the walls is taken, roughly.
+    /// Shelves, cabinets, desks and boxes along all walls of a room, but not where doors are, drawn
+    /// by `seed`. A share `density` of the room along the walls is taken, roughly.
     pub(super) fn furnish(&mut self, room: usize, seed: u64, density: f64, depth_limit_m: f64) {
         let space = self.rooms[room].clone();
         let mut draws = Draws::new(seed);
@@ -222,7 +229,8 @@ impl Layout {
                         continue;
                     }
                     let (from, to) = (at(pair[0], 0.0), at(pair[1], 0.0));
-                    // The side of a space that a border is, counter-clockwise from the one with the least y.
+                    // The side of a space that a border is, counter-clockwise from the one with the
+                    // least y.
                     let sides = if axis == 0 { [0, 2] } else { [1, 3] };
                     let (left, right) = ((left, sides[0]), (right, sides[1]));
                     match borders.last_mut() {
@@ -261,7 +269,8 @@ impl Border {
     /// How far along it a door is.
     fn door_at(&self, door: Vector2<f64>) -> Option<f64> {
         let along = self.to - self.from;
-        let (offset, length) = (door - self.from, along.norm());
+        let offset = door - self.from;
+        let length = along.norm();
         let distance = offset.dot(&along) / length;
         let is_on = (offset.perp(&along) / length).abs() < 1e-6;
         (is_on && distance > DOOR_WIDTH_M / 2.0 && distance < length - DOOR_WIDTH_M / 2.0).then_some(distance)
@@ -303,7 +312,8 @@ impl Space {
         self.look.surface(self.look.wall(), part)
     }
 
-    /// Length of a side, counter-clockwise from the one with the least y, and how deep the space is behind it.
+    /// Length of a side, counter-clockwise from the one with the least y, and how deep the space is
+    /// behind it.
     fn side_length_m(&self, side: u64) -> (f64, f64) {
         let size = self.max - self.min;
         if side.is_multiple_of(2) { (size.x, size.y) } else { (size.y, size.x) }
@@ -359,7 +369,9 @@ impl Item {
             sides: part(material, index),
             lid: part(Material::Wood, index + 1),
         };
-        let (middle, length, height) = (self.length_m / 2.0, self.length_m, self.height_m);
+        let middle = self.length_m / 2.0;
+        let length = self.length_m;
+        let height = self.height_m;
         match self.kind {
             Kind::Shelf => vec![piece(middle, length, [0.0, height], Material::Bookshelf, 0)],
             Kind::Cabinet => vec![piece(middle, length, [0.0, height], Material::Cabinet, 0)],

@@ -1,60 +1,24 @@
 //! A simulated robot with wheels and a camera ahead: where it drives, what it sends, and where it truly was.
 
-use std::f64::consts::PI;
-use std::sync::Arc;
-
-use topomap::relaxation::{PlanarPose, Pose as _};
-use topomap::trajectory::StampedPose;
+use posegraph::trajectory::StampedPose;
+use posegraph::{PlanarPose, Pose as _};
 use waypost_client::v1::export_poses_request::{Body, Format, Frame};
 use waypost_client::{Client, FrameContent, FrameInput, v1};
-use waypost_sim::camera::Camera;
-use waypost_sim::image::GreyImage;
-use waypost_sim::render::{CameraRig, Mount, Sensor, Shot};
+use waypost_sim::drive::{Building, FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX, SPEED_M_S, WHEN_MOVED};
+use waypost_sim::render::Mount;
 use waypost_sim::robot::{OdometryReading, WheelErrors};
-use waypost_sim::route::Route;
-use waypost_sim::scene::Scene;
-use waypost_sim::simulation::{CameraFrame, CameraTrigger, Recording, Simulation, SimulationSettings};
+use waypost_sim::simulation::{CameraFrame, Recording};
 use waypost_sim::worlds::NamedWorld;
 
-const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * PI;
-const IMAGE_PX: (u32, u32) = (320, 240);
-
-/// From the way to walls and furniture: a little more than a robot's radius.
-const CLEARANCE_M: f64 = 0.25;
-
-/// A building with a way through it, and the camera of the robots there.
-pub(crate) struct Building {
-    scene: Arc<Scene>,
-    rig: CameraRig,
-    pub(crate) route: Route,
+/// A way through a building.
+pub(crate) fn building(world: NamedWorld, seed: u64, route: &str) -> Building {
+    Building::named(world, seed, &world.route(route).unwrap()).unwrap()
 }
 
-impl Building {
-    pub(crate) fn new(world: NamedWorld, seed: u64, route: &str) -> Self {
-        let scene = Arc::new(Scene::new(world.plan(seed)));
-        let camera = Camera::of_field_of_view(FIELD_OF_VIEW_RAD, IMAGE_PX).unwrap();
-        let rig = CameraRig::new(camera, Mount::default(), Sensor::default()).unwrap();
-        let named = world.route(route).unwrap();
-        let route = Route::named(scene.plan(), &named, CLEARANCE_M).unwrap();
-        Self { scene, rig, route }
-    }
-
-    /// A robot at the way's start.
-    pub(crate) fn robot(&self, wheels: WheelErrors, seed: u64, trigger: CameraTrigger) -> Simulation {
-        let settings =
-            SimulationSettings { wheels, seed, trigger, ..SimulationSettings::new(self.rig.clone()) };
-        Simulation::new(self.scene.clone(), self.route.start(), settings).unwrap()
-    }
-
-    /// The way, driven with an image every 50 cm or 10 degrees.
-    pub(crate) fn driven(&self, wheels: WheelErrors, seed: u64) -> Recording {
-        let trigger = SimulationSettings::new(self.rig.clone()).trigger;
-        self.robot(wheels, seed, trigger).drive_along(&self.route, 0.4).unwrap()
-    }
-
-    pub(crate) fn image(&self, shot: &Shot) -> GreyImage {
-        self.scene.render(&self.rig, shot)
-    }
+/// The way, driven with an image every 50 cm or 10 degrees.
+pub(crate) fn driven(building: &Building, wheels: WheelErrors, seed: u64) -> Recording {
+    let mut robot = building.robot(wheels, seed, WHEN_MOVED).unwrap();
+    robot.drive_along(&building.route, SPEED_M_S).unwrap()
 }
 
 /// A drive along a building's way.
@@ -65,7 +29,7 @@ pub(crate) struct Drive {
 
 impl Drive {
     pub(crate) fn new(building: Building, wheels: WheelErrors, seed: u64) -> Self {
-        let frames = building.driven(wheels, seed).frames().cloned().collect();
+        let frames = driven(&building, wheels, seed).frames().cloned().collect();
         Self { building, frames }
     }
 
@@ -80,6 +44,25 @@ impl Drive {
         frames: &'a [CameraFrame],
     ) -> impl Iterator<Item = FrameInput> + 'a {
         frames.iter().map(|frame| frame_input(frame, self.building.image(&frame.shot).to_png().unwrap()))
+    }
+
+    /// What its session declares of the camera.
+    pub(crate) fn camera(&self) -> v1::Camera {
+        let rig = &self.building.rig;
+        let Mount { forward_m, height_m, yaw_rad } = *rig.mount();
+        let horizontal_rad = rig.camera().field_of_view_rad();
+        let base_to_camera = v1::Pose {
+            position_m: Some(v1::Vector3 { x: forward_m, y: 0.0, z: height_m }),
+            orientation: Some(v1::Quaternion {
+                x: 0.0,
+                y: 0.0,
+                z: (yaw_rad / 2.0).sin(),
+                w: (yaw_rad / 2.0).cos(),
+            }),
+        };
+        let field_of_view = v1::FieldOfView { horizontal_rad };
+        let model = Some(v1::camera::Model::FieldOfView(field_of_view));
+        v1::Camera { model, base_to_camera: Some(base_to_camera), ..camera_ahead() }
     }
 
     /// The true pose at a frame, in the frame of the first.
@@ -115,8 +98,8 @@ impl Drive {
 pub(crate) fn camera_ahead() -> v1::Camera {
     v1::Camera {
         model: Some(v1::camera::Model::FieldOfView(v1::FieldOfView { horizontal_rad: FIELD_OF_VIEW_RAD })),
-        image_width_px: IMAGE_PX.0,
-        image_height_px: IMAGE_PX.1,
+        image_width_px: Some(IMAGE_SIZE_PX.0),
+        image_height_px: Some(IMAGE_SIZE_PX.1),
         base_to_camera: None,
     }
 }

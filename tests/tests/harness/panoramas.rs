@@ -45,10 +45,10 @@ impl Panoramas {
         v1::Camera {
             model: Some(v1::camera::Model::Panorama(v1::Panorama {
                 projection,
-                vertical_rad: 2.0 * up.atan(),
+                vertical_rad: Some(2.0 * up.atan()),
             })),
-            image_width_px: width_px,
-            image_height_px: height_px,
+            image_width_px: Some(width_px),
+            image_height_px: Some(height_px),
             base_to_camera: None,
         }
     }
@@ -83,7 +83,7 @@ impl Panoramas {
         let mut taught: Vec<TaughtPlace> = Vec::new();
         for (answer, pose) in answers.iter().zip(poses) {
             // The place's image is that of the frame which made it.
-            if let Some(place) = answer.place.filter(|place| *place as usize == taught.len()) {
+            if let Some(place) = answer.place_number.filter(|place| *place as usize == taught.len()) {
                 taught.push(TaughtPlace { place, pose });
             }
         }

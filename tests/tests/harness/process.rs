@@ -1,22 +1,20 @@
 //! The real binaries, as processes.
 
 use std::ffi::OsStr;
-use std::net::SocketAddr;
+use std::ops::{Deref, DerefMut};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::sync::LazyLock;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rustix::process::{Pid, Resource, Rlimit};
-use serde_json::Value;
 use tempfile::TempDir;
-use waypost_client::Client;
+use waypost_client::{Client, launch};
 
 use super::workspace;
 
 /// Far more than a start or a stop takes.
 const PATIENCE: Duration = Duration::from_secs(60);
-const POLL: Duration = Duration::from_millis(5);
 
 /// The binaries of this very source, built with the profile that the tests were built with.
 pub(crate) struct Built {
@@ -31,21 +29,19 @@ static BUILT: LazyLock<Built> = LazyLock::new(|| {
         Some("debug") | None => "dev",
         Some(other) => other,
     };
-    let built = Command::new(env!("CARGO"))
+    let mut cargo = Command::new(env!("CARGO"));
+    // As `cargo build --workspace` outside of a test: what build scripts see of this test would have them run anew.
+    for (name, _) in std::env::vars_os() {
+        if name
+            .to_str()
+            .is_some_and(|name| name.starts_with("CARGO_PKG_") || name.starts_with("CARGO_MANIFEST_"))
+        {
+            cargo.env_remove(name);
+        }
+    }
+    let built = cargo
         .current_dir(workspace())
-        .args([
-            "build",
-            "--quiet",
-            "--profile",
-            profile,
-            "-p",
-            "waypost-server",
-            "-p",
-            "waypost-client",
-            "--bins",
-            "--features",
-            "waypost-client/words,waypost-client/demo",
-        ])
+        .args(["build", "--quiet", "--profile", profile, "--workspace", "--bins"])
         .arg("--target-dir")
         .arg(directory.parent().unwrap())
         .status()
@@ -57,24 +53,15 @@ static BUILT: LazyLock<Built> = LazyLock::new(|| {
 impl Built {
     /// A command that runs `waypost-server` or `waypost`, with no setting of the environment.
     pub(crate) fn command(binary: &str) -> Command {
-        let mut command = Command::new(BUILT.directory.join(binary));
-        for (name, _) in
-            std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("WAYPOST_"))
-        {
-            command.env_remove(name);
-        }
-        command.stdin(Stdio::null());
-        command
+        launch::command(BUILT.directory.join(binary))
     }
 }
 
 /// `waypost-server` in a process of its own. Killed when dropped.
 pub(crate) struct ServerProcess {
-    child: Child,
-    grpc: SocketAddr,
-    http: SocketAddr,
+    server: launch::ServerProcess,
     /// Ready file and log.
-    files: TempDir,
+    _files: TempDir,
 }
 
 impl ServerProcess {
@@ -86,108 +73,57 @@ impl ServerProcess {
     /// Starts with further options.
     pub(crate) fn start_with(data_dir: &Path, options: &[&str]) -> Self {
         let files = tempfile::tempdir().unwrap();
-        let ready = files.path().join("ready.json");
-        let log = std::fs::File::create(files.path().join("log")).unwrap();
-        let mut child = Built::command("waypost-server")
-            .args(["--grpc-address", "127.0.0.1:0", "--http-address", "127.0.0.1:0"])
-            .args(options)
-            .arg("--data-dir")
-            .arg(data_dir)
-            .arg("--ready-file")
-            .arg(&ready)
-            .stdout(Stdio::null())
-            .stderr(log)
-            .spawn()
-            .unwrap();
-        let deadline = Instant::now() + PATIENCE;
-        while !ready.exists() {
-            let ended = child.try_wait().unwrap();
-            if ended.is_some() || Instant::now() > deadline {
-                let log = std::fs::read_to_string(files.path().join("log")).unwrap();
-                let _ = child.kill();
-                let _ = child.wait();
-                panic!("the server did not start ({ended:?}):\n{log}");
-            }
-            std::thread::sleep(POLL);
-        }
-        let addresses: Value = serde_json::from_slice(&std::fs::read(&ready).unwrap()).unwrap();
-        let address = |of: &str| addresses[of].as_str().unwrap().parse().unwrap();
-        Self { grpc: address("grpc"), http: address("http"), child, files }
-    }
-
-    pub(crate) fn grpc(&self) -> SocketAddr {
-        self.grpc
-    }
-
-    pub(crate) fn http(&self) -> SocketAddr {
-        self.http
-    }
-
-    pub(crate) fn endpoint(&self) -> String {
-        format!("http://{}", self.grpc)
+        let mut command = Built::command("waypost-server");
+        command.args(options);
+        let server = launch::ServerProcess::start(command, data_dir, files.path());
+        Self { server: server.unwrap_or_else(|error| panic!("{error}")), _files: files }
     }
 
     pub(crate) async fn client(&self) -> Client {
         Client::connect(&self.endpoint()).await.unwrap()
     }
 
-    /// Memory that it has in RAM.
-    pub(crate) fn rss_bytes(&self) -> u64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
-        let kib = status.lines().find_map(|line| line.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB"));
-        1024 * kib.expect("the system tells").parse::<u64>().unwrap()
-    }
-
     /// From now on it can open so many files beyond those that it has open.
     pub(crate) fn limit_further_files(&self, further: u64) {
-        let open = std::fs::read_dir(format!("/proc/{}/fd", self.child.id())).unwrap().count() as u64;
+        let open = std::fs::read_dir(format!("/proc/{}/fd", self.child().id())).unwrap().count() as u64;
         let limit = Rlimit { current: Some(open + further), maximum: Some(open + further) };
-        let process = Pid::from_child(&self.child);
+        let process = Pid::from_child(self.child());
         let kept = rustix::process::prlimit(Some(process), Resource::Nofile, limit);
         assert!(kept.is_ok(), "{kept:?}");
     }
 
-    /// What it logged so far.
-    pub(crate) fn log(&self) -> String {
-        std::fs::read_to_string(self.files.path().join("log")).unwrap()
-    }
-
-    pub(crate) fn is_running(&mut self) -> bool {
-        self.child.try_wait().unwrap().is_none()
-    }
-
-    /// `kill -9`.
-    pub(crate) fn kill(mut self) {
-        self.child.kill().unwrap();
-        self.child.wait().unwrap();
-    }
-
-    /// Asks it to stop in good order (SIGTERM); `None` if it does not within `patience`.
-    pub(crate) fn terminate(&mut self, patience: Duration) -> Option<ExitStatus> {
-        self.ask_to_stop();
-        wait(&mut self.child, patience)
+    /// Memory that it has in RAM.
+    pub(crate) fn rss_bytes(&self) -> u64 {
+        self.server.rss_bytes().expect("the system tells")
     }
 
     /// Sends SIGTERM and waits for nothing.
     pub(crate) fn ask_to_stop(&self) {
-        // The shell's own `kill`: a machine need not have the program.
-        let sent =
-            Command::new("sh").arg("-c").arg(format!("kill -TERM {}", self.child.id())).status().unwrap();
-        assert!(sent.success(), "SIGTERM was not sent");
+        assert!(self.server.ask_to_stop(), "SIGTERM was not sent");
+    }
+
+    /// `kill -9`.
+    pub(crate) fn kill(self) {
+        self.server.kill();
     }
 
     /// Stops it in good order, as an operator would.
-    pub(crate) fn stop(mut self) {
-        let status = self.terminate(PATIENCE);
-        assert!(status.is_some_and(|status| status.success()), "stopped with {status:?}:\n{}", self.log());
+    pub(crate) fn stop(self) {
+        self.server.stop().unwrap_or_else(|error| panic!("{error}"));
     }
 }
 
-impl Drop for ServerProcess {
-    fn drop(&mut self) {
-        // An error means that it has ended already.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+impl Deref for ServerProcess {
+    type Target = launch::ServerProcess;
+
+    fn deref(&self) -> &launch::ServerProcess {
+        &self.server
+    }
+}
+
+impl DerefMut for ServerProcess {
+    fn deref_mut(&mut self) -> &mut launch::ServerProcess {
+        &mut self.server
     }
 }
 
@@ -203,7 +139,7 @@ pub(crate) fn run_to_its_end(mut command: Command) -> Output {
     };
     let stdout = reader(Box::new(child.stdout.take().unwrap()));
     let stderr = reader(Box::new(child.stderr.take().unwrap()));
-    let ended = wait(&mut child, PATIENCE);
+    let ended = launch::wait(&mut child, PATIENCE);
     if ended.is_none() {
         child.kill().unwrap();
         child.wait().unwrap();
@@ -213,15 +149,4 @@ pub(crate) fn run_to_its_end(mut command: Command) -> Output {
         panic!("{command:?} did not end:\n{}", String::from_utf8_lossy(&stderr));
     };
     Output { status, stdout, stderr }
-}
-
-fn wait(child: &mut Child, patience: Duration) -> Option<ExitStatus> {
-    let deadline = Instant::now() + patience;
-    loop {
-        match child.try_wait().unwrap() {
-            Some(status) => return Some(status),
-            None if Instant::now() > deadline => return None,
-            None => std::thread::sleep(POLL),
-        }
-    }
 }

@@ -6,12 +6,12 @@ use std::sync::LazyLock;
 use fabmap::appearance::PlaceId;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
-use topomap::event::{FrameEvent, FrameId, MapEvent};
-use topomap::mapper::{
-    ArchiveError, Decided, FrameArchive, FrameInput, Localizer, Mapper, MapperSettings, Queried,
-};
-use topomap::relative_pose::RelativePose;
-use topomap::verification::{TwoView, VerificationSettings, Views};
+use topomap::evidence::{TwoView, VerificationSettings};
+use topomap::ids::FrameId;
+use topomap::in_memory::{self, Views};
+use topomap::log::{FrameEvent, MapEvent};
+use topomap::mapper::{Decided, FrameInput, Localizer, Mapper, Queried};
+use topomap::settings::MapperSettings;
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::features::{Extractor, Features};
 use waypost_vision::verification::{Verifier, View};
@@ -86,11 +86,11 @@ struct CurrentView<'a> {
 }
 
 impl Views for CurrentView<'_> {
-    fn compare(&self, earlier: FrameId) -> Result<Option<TwoView>, ArchiveError> {
+    fn compare(&self, earlier: FrameId) -> Option<TwoView> {
         let features = |sequence: u64| &SEEN.frames[sequence as usize - 1].1;
         let earlier = features(self.log.frame(earlier).expect("matches are frames").sequence);
         let view = |features| View { features, camera: None };
-        Ok(Some(self.verifier.compare(view(earlier), view(features(self.sequence)))))
+        Some(self.verifier.compare(view(earlier), view(features(self.sequence))))
     }
 
     fn focal_length_widths(&self) -> Option<f64> {
@@ -99,7 +99,8 @@ impl Views for CurrentView<'_> {
 }
 
 impl Reference {
-    fn of(settings: MapperSettings) -> Self {
+    /// The drive in a map with such settings.
+    pub(crate) fn of(settings: MapperSettings) -> Self {
         let model = SEEN.model.clone();
         let mut mapper = Mapper::new(&model, settings).unwrap();
         let opened = MapEvent::SessionOpened { session: 0 };
@@ -109,7 +110,8 @@ impl Reference {
         for (sequence, (observation, _)) in (1..=frame_count()).zip(&SEEN.frames) {
             let (stamp_ns, observation) = (frame(sequence).stamp_ns, observation.clone());
             let input = FrameInput { session: 0, sequence, stamp_ns, odometry: None, observation };
-            let decided = mapper.decide(input, &drive.log, &drive.view(sequence), &mut ()).unwrap();
+            let decided =
+                in_memory::decide(&mapper, drive.log(), input, &drive.view(sequence), &mut ()).unwrap();
             let event = MapEvent::Frame(Box::new(decided.event.clone()));
             mapper.apply(&event).unwrap();
             drive.log.0.push(event);
@@ -127,6 +129,16 @@ impl Reference {
     /// Sequence number of the frame at a position of the log.
     pub(crate) fn sequence_of(&self, frame: FrameId) -> u64 {
         self.log.frame(frame).expect("matches are frames").sequence
+    }
+
+    /// All events.
+    pub(crate) fn log(&self) -> &[MapEvent] {
+        &self.log.0
+    }
+
+    /// The map's.
+    pub(crate) fn settings(&self) -> MapperSettings {
+        self.settings
     }
 
     /// The model that all was decided by.
@@ -147,11 +159,6 @@ impl Reference {
         self.log.0.iter().take(frames as usize + 1).for_each(|event| mapper.apply(event).unwrap());
     }
 
-    /// What earlier frames showed.
-    pub(crate) fn archive(&self) -> &dyn FrameArchive {
-        &self.log
-    }
-
     /// What a robot hears that localizes, stage by stage: in the map of the first so many frames, by some
     /// frames.
     pub(crate) fn localized(
@@ -162,7 +169,7 @@ impl Reference {
         for (mapped, sequences) in stages {
             let mapper = self.mapper(mapped);
             for sequence in sequences {
-                let Decided { event, recognition: _ } = self.localize(&mapper, &localizer, sequence);
+                let Decided { event, .. } = self.localize(&mapper, &localizer, sequence);
                 localizer.follow(&event, &mapper);
                 events.push(event);
             }
@@ -178,13 +185,13 @@ impl Reference {
             odometry: None,
             observation: self.observation(sequence).clone(),
         };
-        mapper.localize(localizer, input, &self.log, &self.view(sequence), &mut ()).unwrap()
+        in_memory::localize(mapper, localizer, self.log(), input, &self.view(sequence)).unwrap()
     }
 
     /// Where a frame is in the map of the first `mapped` ones, by its looks alone.
     pub(crate) fn queried(&self, mapped: u64, sequence: u64) -> Queried {
         let views = self.view(sequence);
-        self.mapper(mapped).query(self.observation(sequence), &self.log, &views, &mut ()).unwrap()
+        in_memory::query(&self.mapper(mapped), self.log(), self.observation(sequence), &views).unwrap()
     }
 
     /// The words of a frame.
@@ -235,16 +242,5 @@ impl Log {
             MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
             MapEvent::Frame(event) => Some(event),
         }
-    }
-}
-
-impl FrameArchive for Log {
-    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
-        let why = || ArchiveError { frame, why: "it is no frame".to_owned() };
-        self.frame(frame).map(|event| Some(event.observation.clone())).ok_or_else(why)
-    }
-
-    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
-        Ok(self.frame(frame).and_then(|event| event.at))
     }
 }

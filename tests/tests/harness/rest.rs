@@ -96,7 +96,7 @@ impl Surveyed {
         assert!(outcomes.iter().all(|outcome| matches!(outcome, FrameOutcome::Answer(_))), "{outcomes:?}");
         let again = first_return();
         answers(&client, "drive", "second", (again..again + 10).map(frame)).await;
-        let matches = client.matches("drive").await.unwrap();
+        let matches = client.loop_closures("drive").await.unwrap();
         assert!(!matches.is_empty(), "no loop was closed");
         let job = trained(&client).await;
         let twin = server.directory().join("twin.waypost-map");
@@ -124,7 +124,7 @@ async fn proposed(client: &Client, map: &str) -> String {
 
 /// Robots `robot`, which is to go to place 1, and `scout`, which stands; in the map `drive`.
 pub(crate) async fn led(client: &Client) -> [Navigation; 2] {
-    let goal = v1::Goal { target: Some(v1::goal::Target::Place(1)) };
+    let goal = v1::Goal { target: Some(v1::goal::Target::PlaceNumber(1)) };
     let open = async |name: &str, goal| {
         let options = NavigationOptions::new("drive", camera());
         let options = NavigationOptions { navigation_id: name.to_owned(), goal, ..options };
@@ -147,8 +147,8 @@ fn camera() -> v1::Camera {
             cy_px: 240.25,
             distortion: vec![0.1, -0.01, 0.0, 0.001],
         })),
-        image_width_px: 640,
-        image_height_px: 480,
+        image_width_px: Some(640),
+        image_height_px: Some(480),
         base_to_camera: Some(pose(0.2)),
     }
 }
@@ -174,10 +174,10 @@ fn driven(sequence: u64) -> FrameInput {
 async fn trained(client: &Client) -> String {
     let settings = v1::TrainModelSettings {
         display_name: "small".to_owned(),
-        extractor: "orb features=100 width=320".to_owned(),
+        extractor: Some("orb features=100 width=320".to_owned()),
         words: 20,
         seed: 7,
-        image_count: 8,
+        image_count: Some(8),
     };
     let shown = stream::iter(images().iter().take(8).cloned().map(Ok));
     let job = in_time(client.train_model(settings, shown)).await.unwrap();

@@ -119,9 +119,14 @@ pub(crate) async fn import_model(client: &Client) -> v1::Model {
 
 /// The state hash of a map.
 pub(crate) async fn state_hash(client: &Client, map: &str) -> String {
-    let hash = client.map(map, v1::MapView::Full).await.unwrap().state_hash;
+    let hash = client.map(map, v1::MapView::Full).await.unwrap().state_hash.unwrap();
     assert_eq!(hash.len(), 64, "{hash:?} is no SHA-256");
     hash
+}
+
+/// Why a job or a merge failed; empty if it did not.
+pub(crate) fn said(error: &Option<waypost_proto::google::rpc::Status>) -> &str {
+    error.as_ref().map_or("", |status| status.message.as_str())
 }
 
 /// A bare gRPC connection that takes so many bytes of each call before somebody reads them.

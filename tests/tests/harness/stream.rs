@@ -10,7 +10,7 @@ use waypost_proto::v1::session_service_client::SessionServiceClient;
 use waypost_proto::v1::stream_request::Content as Request;
 use waypost_proto::v1::stream_response::Content as Response;
 
-use super::{channel, in_time};
+use super::{ServerProcess, channel, in_time};
 
 /// A session of that name.
 pub(crate) fn session_options(map: &str, session: &str) -> SessionOptions {
@@ -36,6 +36,33 @@ pub(crate) async fn stream(
         received
     };
     in_time(async { tokio::join!(sending, receiving) }).await.1
+}
+
+/// Streams frames of numbers 1 to `count` through a session that goes on whatever becomes of its server: `then` hears
+/// before each answer how many there were, and gives the server that goes on.
+pub(crate) async fn stream_through(
+    session: Session,
+    count: u64,
+    frame: impl Fn(u64) -> FrameInput + Send + 'static,
+    mut server: ServerProcess,
+    then: impl Fn(u64, ServerProcess) -> ServerProcess,
+) -> ServerProcess {
+    let (mut sender, mut outcomes) = session.split();
+    let sending = tokio::spawn(async move {
+        for sequence in 1..=count {
+            sender.send(frame(sequence)).await.expect("the session goes on");
+        }
+    });
+    for expected in 1..=count {
+        server = then(expected - 1, server);
+        match in_time(outcomes.next()).await.unwrap() {
+            Some(FrameOutcome::Answer(answer)) => assert_eq!(answer.sequence, expected),
+            other => panic!("frame {expected}: {other:?}"),
+        }
+    }
+    sending.await.unwrap();
+    assert_eq!(in_time(outcomes.next()).await.unwrap(), None);
+    server
 }
 
 /// Streams frames into a session that takes them all.

@@ -1,6 +1,7 @@
 //! What a server told and what the library decided, made alike for comparing.
 
-use topomap::event::{FrameEvent, Match, Reason};
+use topomap::evidence::Match;
+use topomap::log::{FrameEvent, Reason};
 use waypost_client::v1;
 
 use super::Reference;
@@ -29,18 +30,18 @@ pub(crate) struct ToldMatch {
 pub(crate) fn told(answer: &v1::FrameAnswer) -> Told {
     Told {
         reason: answer.reason(),
-        place: answer.place,
+        place: answer.place_number,
         posterior_bits: answer.posterior.to_bits(),
         new_place_posterior_bits: answer.new_place_posterior.to_bits(),
         words: answer.words as usize,
-        closure: answer.closure.as_ref().map(told_match),
-        proposal: answer.proposal.as_ref().map(told_match),
+        closure: answer.r#match.as_ref().map(told_match),
+        proposal: answer.best_candidate.as_ref().map(told_match),
     }
 }
 
 pub(crate) fn told_match(found: &v1::Match) -> ToldMatch {
     ToldMatch {
-        place: found.place,
+        place: found.place_number,
         posterior_bits: found.posterior.to_bits(),
         log_odds_bits: found.log_odds.to_bits(),
         sequence: found.frame.as_ref().expect("a match is a frame").sequence,

@@ -27,7 +27,7 @@ pub(crate) fn as_histogram(sequence: u64) -> FrameInput {
 }
 
 pub(crate) fn histogram(sequence: u64) -> v1::WordHistogram {
-    let (words, counts) = reference().events[sequence as usize - 1].observation.word_counts().unzip();
+    let (words, counts) = reference().events[sequence as usize - 1].observation.histogram();
     v1::WordHistogram { words, counts }
 }
 

@@ -6,11 +6,10 @@ use fabmap::appearance::Appearance;
 use fabmap::codec::{Container, DecodeError, Reader, Writer};
 use sha2::{Digest, Sha256};
 
-use super::{Anchor, LeftPlace, MAX_PAST_FRAMES, Map, Past, Place, PlaceFrame, Session, Sighting, Stay};
-use crate::event::{decode_belief, decode_option, encode_belief, encode_option};
-use crate::odometry::Odometry;
-use crate::relative_pose::RelativePose;
-use crate::verification::not_negative;
+use super::{Anchor, LeftPlace, Map, Past, Place, PlaceFrame, Session, Sighting, Stay};
+use crate::bytes::{decode_belief, decode_option, encode_belief, encode_option, not_negative};
+use crate::metric::{Odometry, RelativePose};
+use crate::settings::MAX_PAST_FRAMES;
 
 impl Map {
     /// Links, sessions and the number of events: all but the places, as the state hash covers them.
@@ -40,8 +39,8 @@ impl Map {
 /// Version of a session's byte form; 2 added the sightings, 3 where the robot is in its place.
 pub(crate) const SESSION_VERSION: u32 = 3;
 
-/// The versions without. The graph of a map that has none of what was added is still hashed so: its hash is what it
-/// was.
+/// The versions without. The graph of a map that has none of what was added is still hashed so: its
+/// hash is what it was.
 const BEFORE_POSES: u32 = 2;
 const BEFORE_VERIFICATION: u32 = 1;
 

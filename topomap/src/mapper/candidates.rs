@@ -1,27 +1,20 @@
 //! Which places a frame is compared with, and what comes of it.
 
-use std::collections::BTreeSet;
+use std::cmp::Ordering;
 
 use fabmap::appearance::PlaceId;
-use fabmap::observation::Observation;
-use fabmap::recognizer::Recognition;
 
-use super::{FrameArchive, FrameError, Mapper};
-use crate::event::{FrameId, Match, SessionId};
+use super::state::Mapper;
+use crate::evidence::{Candidate, Check, TwoView, Verdict, VerificationSettings};
 use crate::map::{PlaceFrame, Session, Sighting};
-use crate::verification::{Candidate, Check, TwoView, Verdict, VerificationSettings, Views};
 
-/// Links from where the last frame was within which this one is expected: a way or two further on, or back.
-const EXPECTED_LINKS: usize = 2;
-
-/// How many of the places compared are expected ones; the others are the most probable anywhere.
-const EXPECTED_CANDIDATES: usize = VerificationSettings::MAX_CANDIDATES / 2;
-
-/// Places that a session goes past in a frame at most, and how far apart matches of the same place may be.
+/// Places that a session goes past in a frame at most, and how far apart matches of the same place
+/// may be.
 const FRAMES_PER_FRAME: u64 = 1;
 const SLACK_FRAMES: u64 = 2;
 
-/// Candidates with this share of the strongest evidence are as good as it: the nearest of them is taken.
+/// Candidates with this share of the strongest evidence are as good as it: the nearest of them is
+/// taken.
 const AS_GOOD: f64 = 0.9;
 
 /// Views around a verified one with this share of the strongest own evidence may be the nearest.
@@ -32,85 +25,15 @@ const AROUND_SPACINGS: f64 = 6.0;
 
 impl Mapper {
     /// Whether geometry has a say.
-    pub(super) fn verifies(&self) -> bool {
-        self.settings.verification.method.verifies()
+    #[must_use]
+    pub fn verifies(&self) -> bool {
+        self.settings().verification.method.verifies()
     }
 
-    /// Compares the frame with the places where it may be, the expected and the most probable ones; none if
-    /// nothing is verified.
-    pub(super) fn compare(
-        &self,
-        observation: &Observation,
-        (current, session): (SessionId, &Session),
-        recognition: &Recognition,
-        archive: &dyn FrameArchive,
-        views: &dyn Views,
-    ) -> Result<Vec<Candidate>, FrameError> {
-        if !self.verifies() || self.shows_too_little(observation) {
-            return Ok(Vec::new());
-        }
-        let mut matches = Vec::new();
-        for place in self.places_to_compare((current, session), recognition) {
-            let matched = self.best_match(place, recognition, observation, (current, session), archive)?;
-            matches.extend(matched);
-        }
-        let frames: Vec<FrameId> = matches.iter().map(|matched| matched.frame).collect();
-        let candidate = |(matched, view): (Match, _)| {
-            let located = self.map.locate(matched.place, matched.frame);
-            let support = located.map_or(0.0, |frame| self.support(session, matched.place, frame));
-            Candidate { matched, view, support }
-        };
-        Ok(matches.into_iter().zip(views.compare_all(&frames)?).map(candidate).collect())
-    }
-
-    /// At most [`VerificationSettings::MAX_CANDIDATES`] places known from before the guard, each once.
-    fn places_to_compare(
-        &self,
-        (current, session): (SessionId, &Session),
-        recognition: &Recognition,
-    ) -> Vec<PlaceId> {
-        let posterior = &recognition.posterior.places;
-        let may_be = |place: PlaceId| {
-            posterior[place as usize] >= self.settings.verification.min_posterior
-                && self.frames_before_guard(place, current, session).next().is_some()
-        };
-        let mut expected: Vec<PlaceId> = self.expected(session).into_iter().filter(|&p| may_be(p)).collect();
-        expected.sort_by(|&a, &b| posterior[b as usize].total_cmp(&posterior[a as usize]).then(a.cmp(&b)));
-        expected.truncate(EXPECTED_CANDIDATES);
-
-        // Places within the guard are the most probable of all and not to be compared; there are at most as
-        // many as it has frames.
-        let guarded = usize::try_from(self.settings.guard_frames).unwrap_or(usize::MAX);
-        let enough = guarded.saturating_add(2 * VerificationSettings::MAX_CANDIDATES).min(posterior.len());
-        let mut places = expected;
-        for (place, _) in recognition.posterior.top(enough) {
-            if places.len() == VerificationSettings::MAX_CANDIDATES {
-                break;
-            }
-            if !places.contains(&place) && may_be(place) {
-                places.push(place);
-            }
-        }
-        places
-    }
-
-    /// The places around the one that the session's last frame had most evidence for.
-    fn expected(&self, session: &Session) -> BTreeSet<PlaceId> {
-        let last = session.sightings.iter().filter(|sighting| sighting.number + 1 == session.frames);
-        let strongest =
-            last.max_by(|a, b| a.total_evidence.total_cmp(&b.total_evidence).then(b.place.cmp(&a.place)));
-        let mut places: BTreeSet<PlaceId> = strongest.map(|sighting| sighting.place).into_iter().collect();
-        for _ in 0..EXPECTED_LINKS {
-            let linked: Vec<PlaceId> =
-                places.iter().flat_map(|&place| self.map.linked(place)).copied().collect();
-            places.extend(linked);
-        }
-        places
-    }
-
-    /// What the last frames of the session said for this place or one near it: of each frame the strongest.
-    fn support(&self, session: &Session, place: PlaceId, located: PlaceFrame) -> f64 {
-        let frames = self.settings.verification.consistency_frames;
+    /// What the last frames of the session said for this place or one near it: of each frame the
+    /// strongest.
+    pub(super) fn support(&self, session: &Session, place: PlaceId, located: PlaceFrame) -> f64 {
+        let frames = self.settings().verification.consistency_frames;
         let earliest = session.frames.saturating_sub(frames);
         let mut of_frames = vec![0.0_f64; usize::try_from(session.frames - earliest).unwrap_or(0)];
         for sighting in session.sightings.iter().filter(|sighting| sighting.number >= earliest) {
@@ -126,28 +49,12 @@ impl Mapper {
     /// Whether geometry and words hold a candidate of a frame for the same place, and why.
     #[must_use]
     pub fn verdict(&self, candidate: &Candidate) -> Verdict {
-        self.settings.verification.verdict(candidate, self.settings.closure_threshold)
+        self.settings().verification.verdict(candidate, self.settings().closure_threshold)
     }
 
-    /// Whether what the session saw last of the place where it is may be the scene that it sees now. Without
-    /// keypoints there is nothing against it.
-    pub(super) fn may_have_stayed(
-        &self,
-        place: PlaceId,
-        current: SessionId,
-        views: &dyn Views,
-    ) -> Result<bool, FrameError> {
-        if !self.verifies() {
-            return Ok(true);
-        }
-        let frames = self.map.places().get(place as usize).map_or(&[][..], |place| &place.frames);
-        let Some(last) = frames.iter().rev().find(|frame| frame.session == current) else { return Ok(true) };
-        let view = views.compare(last.frame)?;
-        Ok(view.is_none_or(|view| self.settings.verification.of_one_scene(&view).iter().all(Check::passed)))
-    }
-
-    /// The candidate that is the same place: of those with the most evidence, the nearest view that passes. Nothing passes that another candidate has far more evidence against: words may be sure of a
-    /// place that merely looks alike.
+    /// The candidate that is the same place: of those with about the most evidence, the nearest
+    /// view that is accepted. One with far less evidence than another is left out: words may be
+    /// sure of a place that merely looks alike.
     pub(super) fn verified<'a>(
         &self,
         session: &Session,
@@ -156,20 +63,21 @@ impl Mapper {
         let strongest = candidates.iter().map(Candidate::evidence).fold(0.0, f64::max);
         let passed = candidates
             .iter()
-            .filter(|candidate| !session.is_near(candidate.matched.place, self.settings.guard_frames))
+            .filter(|candidate| !session.is_near(candidate.matched.place, self.settings().guard_frames))
             .filter(|candidate| candidate.view.is_some() && candidate.evidence() >= AS_GOOD * strongest)
             .filter(|candidate| self.verdict(candidate).is_accepted());
         passed.min_by(|a, b| nearer(a, b))
     }
 
-    /// The view that is nearest to where a frame was taken, for a robot that steers by the shift of the image: it may be
-    /// of where the robot has just been, and however far the image has moved. That the robot is about there takes a
-    /// candidate that passes all the rest; which of the views around it is nearest, these two views alone say.
+    /// The view that is nearest to where a frame was taken, for a robot that steers by the shift of
+    /// the image: it may be of where the robot has just been, and however far the image has moved.
+    /// That the robot is about there takes a candidate that passes all the rest; which of the views
+    /// around it is nearest, these two views alone say.
     #[must_use]
     pub fn nearest_view<'a>(&self, candidates: &'a [Candidate]) -> Option<&'a Candidate> {
         let bounds =
-            VerificationSettings { max_translation_widths: f64::INFINITY, ..self.settings.verification };
-        let threshold = self.settings.closure_threshold;
+            VerificationSettings { max_translation_widths: f64::INFINITY, ..self.settings().verification };
+        let threshold = self.settings().closure_threshold;
         let most = candidates.iter().map(Candidate::evidence).fold(0.0, f64::max);
         let verified = candidates
             .iter()
@@ -189,17 +97,17 @@ impl Mapper {
     /// Whether two places lie so near to each other that much the same may be seen from both.
     fn is_around(&self, place: PlaceId, other: PlaceId) -> bool {
         let pose =
-            |place| self.poses.pose(place).filter(|_| self.poses.part(place) == self.poses.part(other));
+            |place| self.poses().pose(place).filter(|_| self.poses().part(place) == self.poses().part(other));
         let (Some(pose), Some(other)) = (pose(place), pose(other)) else { return place == other };
         (pose.x_m() - other.x_m()).hypot(pose.y_m() - other.y_m())
-            <= AROUND_SPACINGS * self.settings.place_spacing.distance_m
+            <= AROUND_SPACINGS * self.settings().place_spacing.distance_m
     }
 
     /// What the session remembers of a frame that was compared with `candidates`.
     pub(super) fn sightings(&self, number: u64, candidates: &[Candidate]) -> Vec<Sighting> {
         let sighting = |candidate: &Candidate| {
             let evidence = candidate.own_evidence();
-            let seen = self.map.locate(candidate.matched.place, candidate.matched.frame)?;
+            let seen = self.map().locate(candidate.matched.place, candidate.matched.frame)?;
             let total_evidence = candidate.evidence();
             let place = candidate.matched.place;
             (evidence > 0.0).then_some(Sighting { number, place, seen, evidence, total_evidence })
@@ -208,9 +116,18 @@ impl Mapper {
     }
 }
 
-fn nearer(a: &Candidate, b: &Candidate) -> std::cmp::Ordering {
-    let by_distance = distance_widths(a).total_cmp(&distance_widths(b));
+fn nearer(a: &Candidate, b: &Candidate) -> Ordering {
+    let by_distance = match (measured_m(a), measured_m(b)) {
+        (Some(a), Some(b)) => a.total_cmp(&b),
+        (Some(_), None) => Ordering::Less,
+        (None, Some(_)) => Ordering::Greater,
+        (None, None) => distance_widths(a).total_cmp(&distance_widths(b)),
+    };
     by_distance.then(b.evidence().total_cmp(&a.evidence()))
+}
+
+fn measured_m(candidate: &Candidate) -> Option<f64> {
+    candidate.view.as_ref()?.placement.distance_m()
 }
 
 fn distance_widths(candidate: &Candidate) -> f64 {

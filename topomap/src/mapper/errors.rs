@@ -2,10 +2,10 @@
 
 use fabmap::appearance::PlaceId;
 use fabmap::codec::DecodeError;
-use fabmap::recognizer::RecognizerError;
+use fabmap::observation::WordId;
 
-use crate::event::{FrameId, SessionId};
-use crate::verification::VerificationError;
+use crate::ids::SessionId;
+use crate::settings::MapperError;
 
 /// Why a frame was not taken. Nothing has changed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -63,13 +63,10 @@ pub enum FrameError {
     )]
     ForeignWord {
         /// The word.
-        word: u32,
+        word: WordId,
         /// Words in the map's vocabulary.
         vocabulary_len: usize,
     },
-    /// An earlier frame could not be read back.
-    #[error(transparent)]
-    Archive(#[from] ArchiveError),
 }
 
 /// Why what a robot measured by itself was not taken. Nothing has changed.
@@ -105,56 +102,6 @@ pub enum MeasureError {
     },
 }
 
-/// An earlier frame could not be read back.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("frame {frame} of the map could not be read back: {why}; send the frame again")]
-pub struct ArchiveError {
-    /// The frame.
-    pub frame: FrameId,
-    /// What happened.
-    pub why: String,
-}
-
-/// Settings and model do not make a map.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum MapperError {
-    /// A setting of the recognizer.
-    #[error(transparent)]
-    Recognizer(#[from] RecognizerError),
-    /// The threshold is no probability.
-    #[error("the closure threshold must be above 0 and at most 1, not {value}; leave it out for the default")]
-    ClosureThreshold {
-        /// The value given.
-        value: f64,
-    },
-    /// A setting of the verification.
-    #[error(transparent)]
-    Verification(#[from] VerificationError),
-    /// A stay that teaches nothing would leave new places empty.
-    #[error("a place must learn at least 1 look from a stay; 3 is a good start")]
-    LooksPerStay,
-    /// The speed is not positive.
-    #[error("the highest speed must be above 0 m/s, not {value}; 100 is a good start")]
-    MaxSpeed {
-        /// The value given.
-        value: f64,
-    },
-    /// A length, angle or share that is none.
-    #[error("the {quantity} must be a number above 0, not {value}; leave it out for the default")]
-    Metric {
-        /// What it is.
-        quantity: &'static str,
-        /// The value given.
-        value: f64,
-    },
-    /// No frame to look back on, or more than are kept.
-    #[error("the prior can look back on 1 to {max} frames, not {value}", max = crate::map::MAX_PAST_FRAMES)]
-    PriorFrames {
-        /// The value given.
-        value: usize,
-    },
-}
-
 /// An event that is not the next of a map's log: the log is damaged, or of another map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FoldError {
@@ -186,7 +133,7 @@ pub enum FoldError {
     )]
     Word {
         /// The word.
-        word: u32,
+        word: WordId,
     },
 }
 

@@ -3,7 +3,8 @@
 use fabmap::appearance::PlaceId;
 use fabmap::recognizer::Recognition;
 
-use super::{FrameInput, Mapper};
+use super::frame::FrameInput;
+use super::state::Mapper;
 
 /// The conditions for a loop closure with one place, in the order of checking.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,8 +15,8 @@ pub struct Gates {
     pub words: Gate,
     /// Posterior of the place, against that of somewhere new.
     pub known_place: Gate,
-    /// Frames since the session was there, against the guard. All of the session's frames if it was not
-    /// there lately.
+    /// Frames since the session was there, against the guard. All of the session's frames if it was
+    /// not there lately.
     pub guard: Gate,
     /// Posterior of the place, against the map's threshold.
     pub threshold: Gate,
@@ -33,25 +34,25 @@ pub struct Gate {
 }
 
 impl Mapper {
-    /// How the frame `input`, recognised as `recognition`, stands with `place`. None if there is no such
-    /// place or session.
+    /// How the frame `input`, recognised as `recognition`, stands with `place`. None if there is no
+    /// such place or session.
     #[must_use]
     pub fn gates(&self, input: &FrameInput, recognition: &Recognition, place: PlaceId) -> Option<Gates> {
         let posterior = *recognition.posterior.places.get(place as usize)?;
-        let session = self.map.session(input.session)?;
-        let guard_frames = self.settings.guard_frames;
+        let session = self.map().session(input.session)?;
+        let guard_frames = self.settings().guard_frames;
         let at_least = |value: f64, required: f64| Gate { passed: value >= required, value, required };
         let since = session.frames_since(place, guard_frames);
         Some(Gates {
             place,
-            words: at_least(input.observation.len() as f64, self.settings.min_words as f64),
+            words: at_least(input.observation.len() as f64, self.settings().min_words as f64),
             known_place: at_least(posterior, recognition.posterior.new_place),
             guard: Gate {
                 passed: since.is_none(),
                 value: since.unwrap_or(session.frames) as f64,
                 required: guard_frames as f64,
             },
-            threshold: at_least(posterior, self.settings.closure_threshold),
+            threshold: at_least(posterior, self.settings().closure_threshold),
         })
     }
 }

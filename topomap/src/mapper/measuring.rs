@@ -1,8 +1,10 @@
 //! What robots measure by themselves.
 
-use super::{Mapper, MeasureError};
-use crate::event::{FrameEvent, Link, LinkKind, MeasuredEvent};
-use crate::relative_pose::RelativePose;
+use super::errors::MeasureError;
+use super::state::Mapper;
+
+use crate::log::{FrameEvent, Link, LinkKind, MeasuredEvent};
+use crate::metric::RelativePose;
 
 /// Where a robot was at a frame, seen from where a robot was at an earlier one.
 #[derive(Clone, Copy, Debug)]
@@ -18,11 +20,12 @@ pub struct Measurement<'a> {
 }
 
 impl Mapper {
-    /// Decides what follows from a measurement: a link that measures, and, while the robot is still there, where its
-    /// wheels go on from.
+    /// Decides what follows from a measurement: a link that measures, and, while the robot is still
+    /// there, where its wheels go on from.
     ///
-    /// A frame that is at another place than the earlier one links the two. One that was recognised to be at the same
-    /// place says by what its wheels did on the way there how that place lies to the one before.
+    /// A frame that is at another place than the earlier one links the two. One that was recognised
+    /// to be at the same place says by what its wheels did on the way there how that place lies to
+    /// the one before.
     ///
     /// # Errors
     /// [`MeasureError`] if nothing follows from it; nothing changes either way.
@@ -46,17 +49,18 @@ impl Mapper {
             Some(way_from(at_place, recognised_at))
         } else {
             before.filter(|before| before.decision.place != Some(place)).and_then(|before| {
-                let driven = self.settings.odometry_noise.between(before.odometry.as_ref()?, odometry);
+                let driven = self.settings().odometry_noise.between(before.odometry.as_ref()?, odometry);
                 Some(way_from(before.decision.place?, before.at?.then(&driven)))
             })
         };
         let is_last = self
-            .map
+            .map()
             .session(later.session)
             .is_some_and(|session| session.last_sequence == Some(later.sequence));
         let is_there = is_last && at_place == place;
         // As of frames: wheels go on from where the robot surely was.
-        let (sigma_m, spacing_m) = (at.position_sigma_m(), self.settings.place_spacing.distance_m);
+        let sigma_m = at.position_sigma_m();
+        let spacing_m = self.settings().place_spacing.distance_m;
         let goes_on_from = (is_there && sigma_m <= spacing_m).then(|| odometry.clone());
         match (link, &goes_on_from) {
             (None, None) if is_there => return Err(MeasureError::TooUnsure { sigma_m, spacing_m }),
@@ -64,7 +68,7 @@ impl Mapper {
             (Some(_), _) | (None, Some(_)) => {}
         }
         Ok(MeasuredEvent {
-            position: self.map.events(),
+            position: self.map().events(),
             session: later.session,
             frame: later.frame,
             earlier: earlier.frame,
@@ -75,15 +79,16 @@ impl Mapper {
         })
     }
 
-    /// Whether the map has taken in the very same before: a robot that heard no answer sends it again.
+    /// Whether the map has taken in the very same before: a robot that heard no answer sends it
+    /// again.
     #[must_use]
     pub fn has_measured(&self, event: &MeasuredEvent) -> bool {
-        let anchor = self.map.session(event.session).and_then(|session| session.anchor.as_ref());
+        let anchor = self.map().session(event.session).and_then(|session| session.anchor.as_ref());
         let goes_on = |odometry| {
             let known = anchor.map(|anchor| (anchor.place, &anchor.odometry, anchor.at));
             known == Some((event.place, odometry, event.at))
         };
-        event.link.is_none_or(|link| self.map.links().contains(&link))
+        event.link.is_none_or(|link| self.map().links().contains(&link))
             && event.goes_on_from.as_ref().is_none_or(goes_on)
     }
 }

@@ -3,21 +3,20 @@
 use fabmap::appearance::PlaceId;
 use fabmap::place_filter::MotionPrior;
 
-use super::{FrameArchive, FrameError, FrameInput, Mapper};
-use crate::event::{Decision, Reason};
+use super::frame::FrameInHand;
+use super::link_prior::spread_over_links;
+use super::odometry_prior::predict;
+use super::state::Mapper;
+use crate::evidence::{ClosureNoise, TwoView};
 use crate::map::{Anchor, Session, Stay};
-use crate::motion::spread_over_links;
-use crate::odometry::Odometry;
-use crate::odometry_prior::predict;
-use crate::place_poses::PlacePoses;
-use crate::relative_pose::{ClosureNoise, RelativePose};
-use crate::relaxation::{PlanarPose, Pose};
-use crate::verification::{Candidate, Views};
+use crate::metric::{Odometry, RelativePose};
+use posegraph::{PlanarPose, Pose};
 
 /// Where a robot is on the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapPose {
-    /// The lowest place of the part of the map that it is in, in whose frame the poses are: 0 where that is the map's.
+    /// The lowest place of the part of the map that it is in, in whose frame the poses are: 0 where
+    /// that is the map's.
     pub part: PlaceId,
     /// base_link in the frame of the part.
     pub robot: PlanarPose,
@@ -34,7 +33,8 @@ pub(super) enum Located {
     ByClosure(RelativePose),
     /// The closure says that it is there, and no more.
     Somewhere(RelativePose),
-    /// Wheels have, since a place that the robot was at; that of the map's own poses is no new measurement.
+    /// Wheels have, since a place that the robot was at; that of the map's own poses is no new
+    /// measurement.
     ByWheels(RelativePose),
 }
 
@@ -48,43 +48,40 @@ impl Located {
 }
 
 impl Mapper {
-    /// Poses of places.
-    #[must_use]
-    pub fn poses(&self) -> &PlacePoses {
-        &self.poses
-    }
-
-    /// Where a session's robot was at its last frame with odometry: by its wheels since the last one at a place.
+    /// Where a session's robot was at its last frame with odometry: by its wheels since the last
+    /// one at a place.
     #[must_use]
     pub fn map_pose(&self, session: &Session) -> Option<MapPose> {
         let Stay { place, odometry, at, .. } = session.stay.as_ref()?;
-        let there = self.poses.pose(*place)?.compose(at.as_ref()?.pose());
+        let there = self.poses().pose(*place)?.compose(at.as_ref()?.pose());
         let odometry = PlanarPose::seen_from_above(odometry.as_ref()?.pose());
         let odom = there.compose(&odometry.inverse());
         let (_, now) = session.last_odometry.as_ref()?;
         let robot = odom.compose(&PlanarPose::seen_from_above(now.pose()));
-        Some(MapPose { part: self.poses.part(*place)?, robot, odom })
+        Some(MapPose { part: self.poses().part(*place)?, robot, odom })
     }
 
-    /// What is expected before the frame is looked at: by odometry where there is some, or else by links.
+    /// What is expected before the frame is looked at: by odometry where there is some, or else by
+    /// links.
     pub(super) fn motion_prior(&self, session: &Session, odometry: Option<&Odometry>) -> MotionPrior {
         let believed = &session.belief.places;
         // Places that wheels have led to and from; none of a map that was made without odometry.
-        let metric = believed.iter().any(|&(place, _)| self.poses.is_joined(place));
+        let metric = believed.iter().any(|&(place, _)| self.poses().is_joined(place));
         let Some(now) = odometry.filter(|_| metric && !session.past.is_empty()) else {
-            return spread_over_links(&session.belief, |place| self.map.linked(place));
+            return spread_over_links(&session.belief, |place| self.map().linked(place));
         };
-        let steps = session.past.iter().take(self.settings.prior_frames);
+        let steps = session.past.iter().take(self.settings().prior_frames);
         let steps =
-            steps.map(|past| (&past.belief, self.settings.odometry_noise.between(&past.odometry, now)));
-        predict(steps, &self.poses, &self.settings.place_spacing)
+            steps.map(|past| (&past.belief, self.settings().odometry_noise.between(&past.odometry, now)));
+        predict(steps, self.poses(), &self.settings().place_spacing)
     }
 
     /// The pose here in the frame of the place where the session last was.
     pub(super) fn driven_from(&self, stay: &Stay, odometry: Option<&Odometry>) -> Option<RelativePose> {
-        let (before, now) = (stay.odometry.as_ref()?, odometry?);
+        let before = stay.odometry.as_ref()?;
+        let now = odometry?;
         let at = stay.at.unwrap_or_else(RelativePose::none);
-        Some(at.then(&self.settings.odometry_noise.between(before, now)))
+        Some(at.then(&self.settings().odometry_noise.between(before, now)))
     }
 
     /// The pose here in the frame of the place where the session last surely was.
@@ -94,64 +91,52 @@ impl Mapper {
         odometry: Option<&Odometry>,
     ) -> Option<(PlaceId, RelativePose)> {
         let Anchor { place, odometry: before, at } = session.anchor.as_ref()?;
-        Some((*place, at.then(&self.settings.odometry_noise.between(before, odometry?))))
-    }
-
-    /// Where the robot is by its wheels, since the place where it last was, and the part of the map that it is in.
-    pub(super) fn pose_of_robot(
-        &self,
-        session: &Session,
-        odometry: Option<&Odometry>,
-    ) -> Option<(PlaceId, PlanarPose)> {
-        let stay = session.stay.as_ref().filter(|stay| stay.at.is_some())?;
-        let driven = self.driven_from(stay, odometry)?;
-        Some((self.poses.part(stay.place)?, self.poses.pose(stay.place)?.compose(driven.pose())))
+        Some((*place, at.then(&self.settings().odometry_noise.between(before, odometry?))))
     }
 
     /// Whether a robot is so near to where a place is that it is still there.
     pub(super) fn is_at(&self, (part, robot): &(PlaceId, PlanarPose), place: PlaceId) -> bool {
-        let pose = self.poses.pose(place).filter(|_| self.poses.part(place) == Some(*part));
-        pose.is_some_and(|pose| self.settings.place_spacing.holds(&pose.inverse().compose(robot)))
+        let pose = self.poses().pose(place).filter(|_| self.poses().part(place) == Some(*part));
+        pose.is_some_and(|pose| self.settings().place_spacing.holds(&pose.inverse().compose(robot)))
+    }
+}
+
+impl FrameInHand<'_> {
+    /// Where the robot is by its wheels, since the place where it last was, and the part of the map
+    /// that it is in.
+    pub(super) fn pose_of_robot(&self) -> Option<(PlaceId, PlanarPose)> {
+        let stay = self.session.stay.as_ref().filter(|stay| stay.at.is_some())?;
+        let driven = self.mapper.driven_from(stay, self.input.odometry.as_ref())?;
+        let poses = self.mapper.poses();
+        Some((poses.part(stay.place)?, poses.pose(stay.place)?.compose(driven.pose())))
     }
 
-    /// Where in the frame of the place that was decided the robot is: by the closure if that measured it, or else by
-    /// its wheels. A place that is created is where the robot is.
-    pub(super) fn locate(
-        &self,
-        input: &FrameInput,
-        session: &Session,
-        decision: &Decision,
-        candidates: &[Candidate],
-        (archive, views): (&dyn FrameArchive, &dyn Views),
-    ) -> Result<Option<Located>, FrameError> {
-        let (Some(place), Some(_)) = (decision.place, &input.odometry) else { return Ok(None) };
-        if place as usize == self.recognizer.places() {
-            return Ok(Some(Located::AtOrigin));
-        }
-        if decision.reason == Reason::LoopClosure {
-            let noise = ClosureNoise::of_spacing(self.settings.place_spacing.distance_m);
-            let frame = decision.closure.map(|closure| closure.frame);
-            let view = candidates.iter().find(|candidate| Some(candidate.matched.frame) == frame);
-            let measured = view.and_then(|candidate| candidate.view.as_ref());
-            let measured = measured.and_then(|view| noise.measure(view, views.focal_length_widths()));
-            let (Some(frame), Some(measured)) = (frame, measured) else {
-                // Where wheels put the robot may be metres away: they are what the closure corrects.
-                return Ok(Some(Located::Somewhere(noise.somewhere())));
-            };
-            let then = archive.at(frame)?.unwrap_or_else(RelativePose::none);
-            return Ok(Some(Located::ByClosure(then.then(&measured))));
-        }
-        let Some(stay) = &session.stay else { return Ok(None) };
-        let Some(driven) = self.driven_from(stay, input.odometry.as_ref()) else { return Ok(None) };
+    /// Where in a place's frame the robot is by its wheels, since the place where it last was.
+    pub(super) fn located_by_wheels(&self, place: PlaceId) -> Option<Located> {
+        let stay = self.session.stay.as_ref()?;
+        let driven = self.mapper.driven_from(stay, self.input.odometry.as_ref())?;
         if stay.place == place {
-            return Ok(Some(Located::ByWheels(driven)));
+            return Some(Located::ByWheels(driven));
         }
-        let same_part = self.poses.part(stay.place) == self.poses.part(place);
-        let (Some(from), Some(to)) = (self.poses.pose(stay.place), self.poses.pose(place)) else {
-            return Ok(None);
-        };
-        let between = to.inverse().compose(from);
+        let poses = self.mapper.poses();
+        let same_part = poses.part(stay.place) == poses.part(place);
+        let between = poses.pose(place)?.inverse().compose(poses.pose(stay.place)?);
         let between = RelativePose::new(between, nalgebra::Matrix3::zeros()).ok();
-        Ok(between.filter(|_| same_part).map(|between| Located::ByWheels(between.then(&driven))))
+        between.filter(|_| same_part).map(|between| Located::ByWheels(between.then(&driven)))
+    }
+
+    /// Where in its place's frame the robot is by a closure onto a frame that was taken at `at`.
+    pub(super) fn located_by_closure(
+        &self,
+        view: Option<&TwoView>,
+        at: Option<RelativePose>,
+        focal_length_widths: Option<f64>,
+    ) -> Located {
+        let noise = ClosureNoise::of_spacing(self.mapper.settings().place_spacing.distance_m);
+        match view.and_then(|view| noise.measure(view, focal_length_widths)) {
+            Some(measured) => Located::ByClosure(at.unwrap_or_else(RelativePose::none).then(&measured)),
+            // Where wheels put the robot may be metres away: they are what the closure corrects.
+            None => Located::Somewhere(noise.somewhere()),
+        }
     }
 }

@@ -2,16 +2,57 @@
 
 use fabmap::appearance::{Appearance, PlaceId};
 use fabmap::explanation::Explanation;
-use fabmap::model::ContentHash;
+use fabmap::model::{ContentHash, Model};
 use fabmap::observation::Observation;
 use fabmap::recognizer::{Recognition, Recognizer};
 
-use super::{FoldError, Mapper, MapperSettings};
-use crate::event::{FrameEvent, MapEvent, MeasuredEvent};
-use crate::map::{Map, Place, Session};
-use crate::place_poses::PlacePoses;
+use super::FoldError;
+use crate::log::{FrameEvent, MapEvent, MeasuredEvent};
+use crate::map::{Map, Place, PlacePoses, Session};
+use crate::settings::{MapperError, MapperSettings};
+
+/// A map that grows: recognizer and place graph, driven by events.
+///
+/// A frame is decided in three steps that change nothing: [`Mapper::recognize`],
+/// [`super::Recognized::propose`] and [`super::Proposed::decide`]. [`Mapper::apply`] is the fold.
+/// The holder of the log commits between the two, or after both and before the robot is answered.
+#[derive(Clone, Debug)]
+pub struct Mapper {
+    recognizer: Recognizer,
+    map: Map,
+    /// Derived from the map's links.
+    poses: PlacePoses,
+    settings: MapperSettings,
+    vocabulary_len: usize,
+}
 
 impl Mapper {
+    /// An empty map over `model`.
+    ///
+    /// # Errors
+    /// [`MapperError`] if a setting is out of range.
+    pub fn new(model: &Model, settings: MapperSettings) -> Result<Self, MapperError> {
+        let MapperSettings { closure_threshold, looks_per_stay, max_speed_m_per_s, .. } = settings;
+        if !(closure_threshold > 0.0 && closure_threshold <= 1.0) {
+            return Err(MapperError::ClosureThreshold { value: closure_threshold });
+        }
+        if looks_per_stay == 0 {
+            return Err(MapperError::LooksPerStay);
+        }
+        if max_speed_m_per_s.is_nan() || max_speed_m_per_s <= 0.0 {
+            return Err(MapperError::MaxSpeed { value: max_speed_m_per_s });
+        }
+        settings.verification.check()?;
+        settings.check_metric()?;
+        Ok(Self {
+            recognizer: Recognizer::new(model, settings.recognizer)?,
+            map: Map::default(),
+            poses: PlacePoses::default(),
+            settings,
+            vocabulary_len: model.vocabulary().len(),
+        })
+    }
+
     /// What the log's next event makes of the map, with poses that agree with all links.
     ///
     /// # Errors
@@ -22,7 +63,7 @@ impl Mapper {
         Ok(())
     }
 
-    /// The fold alone, for who replays a log: poses agree with the links after [`Mapper::relax`].
+    /// The fold alone, for the replay of a log: poses agree with the links after [`Mapper::relax`].
     ///
     /// # Errors
     /// See [`Mapper::apply`].
@@ -58,7 +99,8 @@ impl Mapper {
         Ok(())
     }
 
-    /// Makes the poses of places agree with all links as well as they can, if a loop was closed since.
+    /// Makes the poses of places agree with all links as well as they can, if a loop was closed
+    /// since.
     pub fn relax(&mut self) {
         self.poses.relax(&self.settings.odometry_noise);
     }
@@ -73,6 +115,12 @@ impl Mapper {
     #[must_use]
     pub fn recognizer(&self) -> &Recognizer {
         &self.recognizer
+    }
+
+    /// Poses of places.
+    #[must_use]
+    pub fn poses(&self) -> &PlacePoses {
+        &self.poses
     }
 
     /// The settings in force.
@@ -133,7 +181,7 @@ impl Mapper {
                 let created = decision.place.is_some_and(|place| u64::from(place) == places);
                 let known = |place: PlaceId| u64::from(place) < places + u64::from(created);
                 let foreign_word =
-                    observation.words().last().filter(|&&word| word as usize >= self.vocabulary_len);
+                    observation.words().last().filter(|&&word| word.index() >= self.vocabulary_len);
                 if *frame != expected {
                     Err(FoldError::Position { expected, found: *frame })
                 } else if self.map.session(*session).is_none() {

@@ -19,9 +19,10 @@ impl Agreements {
         members.div_ceil(64)
     }
 
-    /// A large set among `allowed` in which all agree with all, ascending; the same always. Finding the largest takes
-    /// for ever; from each of the members that most agree with, the next is the one that leaves most to choose from
-    /// (Pattabiraman et al., 2015, whose heuristic Mangelson et al. use).
+    /// A large set among `allowed` in which all agree with all, ascending; the same always. Finding
+    /// the largest takes for ever; from each of the members that most agree with, the next is the
+    /// one that leaves most to choose from (Pattabiraman et al., 2015, whose heuristic Mangelson et
+    /// al. use).
     pub(super) fn large_set(&self, allowed: &[usize]) -> Vec<usize> {
         let mut mask = vec![0; Self::words(self.rows.len())];
         allowed.iter().for_each(|&member| mask[member / 64] |= 1 << (member % 64));

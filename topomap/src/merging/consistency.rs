@@ -7,8 +7,8 @@ use rayon::prelude::*;
 
 use super::cliques::Agreements;
 use super::ways::Ways;
-use crate::relative_pose::RelativePose;
-use crate::relaxation::{PlanarPose, Pose};
+use crate::metric::RelativePose;
+use posegraph::{PlanarPose, Pose};
 
 /// A match between places of two parts that measured how they lie to each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,7 +19,8 @@ pub(super) struct Measured {
     pub(super) pose: RelativePose,
 }
 
-/// Compares matches by pairs: from one place of the target over the source to another, and directly.
+/// Compares matches by pairs: from one place of the target over the source to another, and
+/// directly.
 pub(super) struct Consistency<'a> {
     source: Ways<'a>,
     target: Ways<'a>,
@@ -65,7 +66,8 @@ impl<'a> Consistency<'a> {
             let mut row = vec![0; Agreements::words(matches.len())];
             for other in (0..matches.len()).filter(|&other| other != one) {
                 // Both ways alike, to the bit.
-                let (first, second) = (one.min(other), one.max(other));
+                let first = one.min(other);
+                let second = one.max(other);
                 if self.agree(&matches[first], &matches[second]) {
                     row[other / 64] |= 1 << (other % 64);
                 }
@@ -75,8 +77,8 @@ impl<'a> Consistency<'a> {
         Agreements::new((0..matches.len()).into_par_iter().map(row).collect())
     }
 
-    /// Whether both may be true: the loop over both maps closes as well as its covariance says. A place of the source
-    /// is at one place of the target only, and may look like its neighbours.
+    /// Whether both may be true: the loop over both maps closes as well as its covariance says. A
+    /// place of the source is at one place of the target only, and may look like its neighbours.
     pub(super) fn agree(&self, one: &Measured, other: &Measured) -> bool {
         let Some((over_source, over_target)) = self.ways(one, other) else { return false };
         let over_source = one.pose.then(&over_source).then(&other.pose.back());

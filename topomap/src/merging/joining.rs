@@ -1,4 +1,4 @@
-//! The source's log, told anew as what happened on the target.
+//! The source's log, rewritten as what happened on the target.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -6,15 +6,13 @@ use fabmap::appearance::PlaceId;
 use fabmap::place_filter::Belief;
 
 use super::{FusedPlace, MergePlan, PlaceMatch};
-use crate::event::{
-    Decision, FrameEvent, FrameId, Link, LinkKind, MapEvent, Match, MeasuredEvent, Reason, SessionId,
-};
+use crate::evidence::{Candidate, Match, VerificationSettings};
+use crate::ids::{FrameId, SessionId};
+use crate::log::{Decision, FrameEvent, Link, LinkKind, MapEvent, MeasuredEvent, MovedPlace, Reason};
+use crate::map::PlacePoses;
 use crate::mapper::Mapper;
-use crate::place_poses::PlacePoses;
-use crate::rebased::Rebased;
-use crate::relative_pose::{OdometryNoise, RelativePose};
-use crate::verification::{Candidate, VerificationSettings};
-use crate::wheel_drift::without_drift;
+use crate::metric::wheel_drift::without_drift;
+use crate::metric::{OdometryNoise, RelativePose};
 
 /// A log that is not that of the map the plan was made for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -31,10 +29,11 @@ pub enum JoinError {
 
 /// The events that make of the target what both maps are together.
 ///
-/// Sessions and frames of the source get the next numbers of the target. A place of the source that the plan has a
-/// match for becomes the place that it matches: what the source learnt there is learnt by that, look by look; all other
-/// places are created as they were. Links go between the same places as before, and measure what they measured, less the
-/// drift that the source's loops have shown of its wheels: where places are fused, those loops are the target's.
+/// Sessions and frames of the source get the next numbers of the target. A place of the source that
+/// the plan has a match for becomes the place that it matches: what the source learnt there is
+/// learnt by that, look by look; all other places are created as they were. Links go between the
+/// same places as before, and measure what they measured, less the drift that the source's loops
+/// have shown of its wheels: where places are fused, those loops are the target's.
 ///
 /// # Errors
 /// [`JoinError`] if `log` is not the source's.
@@ -56,7 +55,7 @@ struct Joining<'a> {
     fused: HashMap<PlaceId, &'a FusedPlace>,
     noise: OdometryNoise,
     /// What places of the source are on the target.
-    places: Vec<Rebased>,
+    places: Vec<MovedPlace>,
     frames: BTreeMap<FrameId, FrameId>,
     sessions: BTreeMap<SessionId, SessionId>,
     next_event: u64,
@@ -105,7 +104,8 @@ impl<'a> Joining<'a> {
     fn measured(&self, position: u64, event: &MeasuredEvent) -> Option<MeasuredEvent> {
         let joined = self.places.get(event.place as usize)?;
         let link = event.link.and_then(|link| {
-            let (from, to) = (self.places.get(link.from as usize)?, self.places.get(link.to as usize)?);
+            let from = self.places.get(link.from as usize)?;
+            let to = self.places.get(link.to as usize)?;
             let LinkKind::Closed(measured) = link.kind else { return None };
             let kind = LinkKind::Closed(from.way_to(to, &measured));
             (from.place != to.place).then_some(Link { from: from.place, to: to.place, kind })
@@ -169,11 +169,11 @@ impl<'a> Joining<'a> {
             return None;
         }
         let Some(&FusedPlace { matched, at }) = self.fused.get(&place).copied() else {
-            self.places.push(Rebased { place: self.next_place, at: None });
+            self.places.push(MovedPlace { place: self.next_place, at: None });
             self.next_place += 1;
             return Some(Decision { place: Some(self.next_place - 1), closure, ..*decision });
         };
-        self.places.push(Rebased { place: matched.target, at: Some(at) });
+        self.places.push(MovedPlace { place: matched.target, at: Some(at) });
         let log_odds = (matched.posterior / (1.0 - matched.posterior).max(f64::MIN_POSITIVE)).ln();
         let PlaceMatch { target: place, target_frame: frame, posterior, view, .. } = matched;
         let closure = Match { place, posterior, log_odds: log_odds.max(f64::MIN), frame };
@@ -189,8 +189,10 @@ impl<'a> Joining<'a> {
 
     /// The link between the same places; none where they are one, or linked already.
     fn link(&mut self, link: &Link, session: SessionId) -> Option<Option<Link>> {
-        let (from, to) = (*self.places.get(link.from as usize)?, *self.places.get(link.to as usize)?);
-        let (from, to) = (&from, &to);
+        let from = *self.places.get(link.from as usize)?;
+        let to = *self.places.get(link.to as usize)?;
+        let from = &from;
+        let to = &to;
         if from.place == to.place || !self.linked.insert((from.place, to.place)) {
             return Some(None);
         }

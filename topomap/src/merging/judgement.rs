@@ -5,40 +5,34 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use fabmap::appearance::PlaceId;
 
 use super::consistency::{Consistency, Measured};
+use super::layout::Layout;
 use super::steps::in_step;
 use super::ways::Ways;
 use super::{Apart, FusedPlace, MergePlan, MergeSettings, Overlap, PlaceMatch, Verdict};
-use crate::event::{Link, LinkKind, SessionId};
-use crate::odometry_prior::PlaceSpacing;
-use crate::place_poses::PlacePoses;
-use crate::relative_pose::{OdometryNoise, RelativePose};
-use crate::relaxation::{PlanarPose, Pose};
-use crate::verification::TwoView;
+use crate::evidence::TwoView;
+use crate::ids::SessionId;
+use crate::log::{Link, LinkKind};
+use crate::map::PlacePoses;
+use crate::metric::RelativePose;
+use crate::settings::PlaceSpacing;
+use posegraph::{PlanarPose, Pose};
 
-/// Where the places of a map are.
-#[derive(Clone, Copy, Debug)]
-pub struct Layout<'a> {
-    /// Poses of its places.
-    pub poses: &'a PlacePoses,
-    /// How far its wheels can be trusted.
-    pub noise: OdometryNoise,
-    /// How far apart its places are.
-    pub spacing: PlaceSpacing,
-}
-
-/// Matches that are compared by pairs, the strongest; all others are held against what those come to.
+/// Matches that are compared by pairs, the strongest; all others are held against what those come
+/// to.
 const MAX_COMPARED: usize = 2_000;
 
-/// Turn of a match, in angles between places: one that it is most for a place in between, and half a one to spare.
+/// Turn of a match, in angles between places: one that it is most for a place in between, and half
+/// a one to spare.
 const MOST_TURN: f64 = 1.5;
 
 /// Places apart that matches speak for each other: as many as a closure's frames.
 const FRAMES_IN_A_ROW: f64 = 8.0;
 
-/// How often both maps are laid over each other anew.
+/// How often both maps are laid over each other again.
 const MAX_SETTLING: usize = 4;
 
-/// Metres along the source's links within which a match says where a place of the source lies on the target.
+/// Metres along the source's links within which a match says where a place of the source lies on
+/// the target.
 const LAID_WITHIN_M: f64 = 3.0;
 
 /// Whether two maps are of the same places, by matches between them.
@@ -126,8 +120,9 @@ fn agreed(
     })
 }
 
-/// Both maps as one by matches that agree, and then by all that fit that: a few wrong ones that agree by pairs, for nobody
-/// knows how wheels have drifted, bend the map until all right ones have their say. As long as that makes more fit.
+/// Both maps as one by matches that agree, and then by all that fit that: a few wrong ones that
+/// agree by pairs, for nobody knows how wheels have drifted, bend the map until all right ones have
+/// their say. As long as that makes more fit.
 fn settled(
     source: Layout<'_>,
     target: Layout<'_>,
@@ -161,8 +156,8 @@ fn measured(matched: &PlaceMatch) -> Option<Measured> {
     Some(Measured { source, target, pose: measured? })
 }
 
-/// Views that are turned further show little of each other, and where from is hard to tell; where both maps were made by
-/// robots that looked the same way, there is a place that is turned less.
+/// Views that are turned further show little of each other, and where from is hard to tell; where
+/// both maps were made by robots that looked the same way, there is a place that is turned less.
 fn looks_the_same_way(matched: &PlaceMatch, spacing: PlaceSpacing) -> bool {
     let within_rad = MOST_TURN * spacing.angle_rad;
     matched.measured.is_some_and(|measured| measured.pose().heading_rad().abs() <= within_rad)
@@ -191,8 +186,9 @@ fn strongest_of_one_pair_of_parts(
     Ok((parts, strongest))
 }
 
-/// Of matches that agree those that others near them speak for, too: like a loop closure's, whose frames in a row add
-/// their evidence up. What agrees from afar may do so because nobody knows how wheels have drifted.
+/// Of matches that agree those that others near them speak for, too: like a loop closure's, whose
+/// frames in a row add their evidence up. What agrees from afar may do so because nobody knows how
+/// wheels have drifted.
 fn supported(source: Layout<'_>, agreeing: &[PlaceMatch], settings: &MergeSettings) -> Vec<PlaceMatch> {
     let mut strongest: BTreeMap<PlaceId, f64> = BTreeMap::new();
     for matched in agreeing {
@@ -218,7 +214,8 @@ fn enough(matches: usize, agreeing: &[PlaceMatch], settings: &MergeSettings) -> 
         let most = of_place.entry(matched.source).or_insert(0.0);
         *most = most.max(matched.evidence());
     }
-    let (support, evidence) = (of_place.len(), of_place.values().sum::<f64>());
+    let support = of_place.len();
+    let evidence = of_place.values().sum::<f64>();
     if support < settings.min_support {
         return Err(Apart::TooLittleSupport { matches, support, required: settings.min_support });
     }
@@ -228,7 +225,8 @@ fn enough(matches: usize, agreeing: &[PlaceMatch], settings: &MergeSettings) -> 
     Ok(())
 }
 
-/// Where places of the source lie on the target, as the nearest of the chosen matches says, and whether they match.
+/// Where places of the source lie on the target, as the nearest of the chosen matches says, and
+/// whether they match.
 fn overlap(source: Layout<'_>, target: Layout<'_>, chosen: &[Measured]) -> Overlap {
     let by_place: HashMap<PlaceId, &Measured> =
         chosen.iter().map(|matched| (matched.source, matched)).collect();
@@ -257,8 +255,8 @@ fn laid(source: Layout<'_>, target: Layout<'_>, by: &Measured, place: PlaceId) -
     Some(matched.compose(&from.compose(source.poses.pose(place)?)))
 }
 
-/// Both maps as one, the target's places first, each match a closure between them. What wheels drift by is learnt from
-/// the loops that close over both.
+/// Both maps as one, the target's places first, each match a closure between them. What wheels
+/// drift by is learnt from the loops that close over both.
 #[must_use]
 pub fn joined_poses(source: Layout<'_>, target: Layout<'_>, matches: &[PlaceMatch]) -> PlacePoses {
     let first = target.poses.poses().len() as PlaceId;
@@ -283,7 +281,8 @@ pub fn joined_poses(source: Layout<'_>, target: Layout<'_>, matches: &[PlaceMatc
     PlacePoses::new(makers, &links, &target.noise)
 }
 
-/// Of each place of the source the match whose view moves least: neighbours that are as alike lie half a metre off.
+/// Of each place of the source the match whose view moves least: neighbours that are as alike lie
+/// half a metre off.
 fn nearest_views(matches: &[PlaceMatch]) -> Vec<PlaceMatch> {
     let mut nearest: BTreeMap<PlaceId, PlaceMatch> = BTreeMap::new();
     let distance = |matched: &PlaceMatch| matched.view.as_ref().map_or(0.0, TwoView::distance_widths);

@@ -8,16 +8,17 @@ use fabmap::place_filter::MotionPrior;
 use rayon::prelude::*;
 
 use super::{KnownMap, MergeError, MergeObserver, MergeSettings, PlaceMatch, ViewsBetween};
-use crate::event::FrameId;
-use crate::mapper::ArchiveError;
-use crate::relative_pose::{ClosureNoise, RelativePose};
-use crate::verification::{Check, TwoView};
+use crate::evidence::{ArchiveError, Check, ClosureNoise, TwoView};
+use crate::ids::FrameId;
+use crate::metric::RelativePose;
 
-/// Frames of a place of the target that one of the source is compared with, the latest: as many as a stay teaches, twice.
+/// Frames of a place of the target that one of the source is compared with, the latest: as many as
+/// a stay teaches, twice.
 const MAX_COMPARED_FRAMES: usize = 6;
 
-/// Matches of all places of the source with places of the target, in the order of the source's; of each at most
-/// [`MergeSettings::candidates`]. On the calling thread's pool; the same on any number of threads.
+/// Matches of all places of the source with places of the target, in the order of the source's; of
+/// each at most [`MergeSettings::candidates`]. On the calling thread's pool; the same on any number
+/// of threads.
 ///
 /// # Errors
 /// [`MergeError`] if the vocabularies differ, a frame cannot be read, or the observer ends it.
@@ -33,7 +34,8 @@ pub fn find_matches(
     if words(source) != words(target) {
         return Err(MergeError::Vocabulary { source_words: words(source), target_words: words(target) });
     }
-    let (done, ended) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let done = AtomicUsize::new(0);
+    let ended = AtomicBool::new(false);
     let of_place = |place: PlaceId| {
         if ended.load(Ordering::Relaxed) {
             return Err(MergeError::Ended);
@@ -64,7 +66,7 @@ fn matches_of(
     if observation.len() < target.mapper.settings().min_words || recognizer.places() == 0 {
         return Ok(Vec::new());
     }
-    let posterior = recognizer.recognize(&observation, &MotionPrior::even(), &mut ()).posterior;
+    let posterior = recognizer.recognize(&observation, &MotionPrior::even()).posterior;
     let at_source = source.archive.at(source_frame)?.unwrap_or_else(RelativePose::none);
     let mut found = Vec::new();
     for (candidate, probability) in posterior.top(settings.candidates) {
@@ -110,7 +112,8 @@ fn best_frame(
     Ok(best.map(|(_, frame)| frame))
 }
 
-/// Whether a match has enough for it to be looked at with the others. Without keypoints words have to be sure.
+/// Whether a match has enough for it to be looked at with the others. Without keypoints words have
+/// to be sure.
 fn is_enough(view: Option<&TwoView>, posterior: f64, target: KnownMap<'_>, settings: &MergeSettings) -> bool {
     let verification = &target.mapper.settings().verification;
     match view {

@@ -7,20 +7,21 @@ use fabmap::appearance::PlaceId;
 use rayon::prelude::*;
 
 use super::cliques::Agreements;
-use super::judgement::Layout;
+use super::layout::Layout;
 use super::{Apart, FusedPlace, MergePlan, MergeSettings, Overlap, PlaceMatch};
-use crate::place_poses::PlacePoses;
-use crate::relative_pose::ClosureNoise;
-use crate::relaxation::{PlanarPose, Pose};
+use crate::evidence::ClosureNoise;
+use crate::map::PlacePoses;
+use posegraph::{PlanarPose, Pose};
 
 /// Matches that are compared by pairs, the strongest of those that conflict by whatever chain.
 const MAX_COMPARED: usize = 2_000;
 
-/// Links within which two matches have to be in step; what is further off in both maps may be anywhere, for a session may
-/// have come a way that the other map does not know.
+/// Links within which two matches have to be in step; what is further off in both maps may be
+/// anywhere, for a session may have come a way that the other map does not know.
 const REACH_STEPS: u32 = 16;
 
-/// One map may have so many times the places that the other has of a way, and a match may be so many places off.
+/// One map may have so many times the places that the other has of a way, and a match may be so
+/// many places off.
 const MOST_STRETCH: u32 = 2;
 const SLACK_STEPS: u32 = 2;
 
@@ -30,14 +31,16 @@ const STEPS_IN_A_ROW: u32 = 8;
 /// Links from a match within which the maps are held to overlap.
 const LAID_WITHIN_STEPS: u32 = 2;
 
-/// Matches by words alone that count as much as the least evidence of a merge: twice what frames with keypoints take.
+/// Matches by words alone that count as much as the least evidence of a merge: twice what frames
+/// with keypoints take.
 const ENOUGH_BY_WORDS: f64 = 10.0;
 
 /// What becomes of two maps of which one at least knows no metres.
 ///
-/// There is no transformation that all matches would have to agree on. But a way that is seen again is seen in its order: two
-/// matches near each other on one map are about as many links from each other on the other. The largest set that is in
-/// step falls into ways, and each has to show by itself what a merge has to show.
+/// There is no transformation that all matches would have to agree on. But a way that is seen again
+/// is seen in its order: two matches near each other on one map are about as many links from each
+/// other on the other. The largest set that is in step falls into ways, and each has to show by
+/// itself what a merge has to show.
 pub(super) fn in_step(
     source: Layout<'_>,
     target: Layout<'_>,
@@ -53,7 +56,8 @@ pub(super) fn in_step(
     strongest.sort_by(|a, b| by_strength(a, b).then(b.posterior.total_cmp(&a.posterior)));
     let steps = BothSteps::of(source.poses, target.poses, strongest);
     let mut refused = None;
-    let (mut kept, mut rival_support) = (BTreeSet::new(), 0);
+    let mut kept = BTreeSet::new();
+    let mut rival_support = 0;
     for way in steps.ways(steps.largest_in_step()) {
         match steps.rivals_of_shown(&way, settings) {
             Ok(rivals) => {
@@ -201,14 +205,15 @@ impl BothSteps {
     }
 
     fn agree(&self, one: usize, other: usize) -> bool {
-        let (one, other) = (&self.matches[one], &self.matches[other]);
+        let one = &self.matches[one];
+        let other = &self.matches[other];
         let source = self.source.between(one.source, other.source);
         let target = self.target.between(one.target, other.target);
         source <= MOST_STRETCH * target + SLACK_STEPS && target <= MOST_STRETCH * source + SLACK_STEPS
     }
 
-    /// A large set of matches that are all in step with each other. Those that conflict, by whatever chain, are chosen
-    /// from together; what conflicts with nothing is in it.
+    /// A large set of matches that are all in step with each other. Those that conflict, by
+    /// whatever chain, are chosen from together; what conflicts with nothing is in it.
     fn largest_in_step(&self) -> Vec<usize> {
         let mut seen = vec![false; self.matches.len()];
         let mut set = Vec::new();
@@ -216,7 +221,8 @@ impl BothSteps {
             if std::mem::replace(&mut seen[first], true) {
                 continue;
             }
-            let (mut chained, mut next) = (vec![first], 0);
+            let mut chained = vec![first];
+            let mut next = 0;
             while next < chained.len() {
                 let reached = self.conflicts[chained[next]].iter().copied();
                 let reached = reached.filter(|&other| !std::mem::replace(&mut seen[other], true));
@@ -229,7 +235,8 @@ impl BothSteps {
         set
     }
 
-    /// A large set in step among some matches, ascending: of the strongest of them, and of those that conflict with none of it.
+    /// A large set in step among some matches, ascending: of the strongest of them, and of those
+    /// that conflict with none of it.
     fn large_set(&self, among: &[usize]) -> Vec<usize> {
         let (compared, others) = among.split_at(among.len().min(MAX_COMPARED));
         let numbers: HashMap<usize, usize> =
@@ -257,12 +264,14 @@ impl BothSteps {
         set.into_iter().collect()
     }
 
-    /// The ways that a set of matches falls into, those with most matches first; of equal ones that with the strongest.
+    /// The ways that a set of matches falls into, those with most matches first; of equal ones that
+    /// with the strongest.
     fn ways(&self, set: Vec<usize>) -> Vec<Vec<usize>> {
         let mut left: BTreeSet<usize> = set.into_iter().collect();
         let mut ways = Vec::new();
         while let Some(first) = left.pop_first() {
-            let (mut way, mut next) = (vec![first], 0);
+            let mut way = vec![first];
+            let mut next = 0;
             while next < way.len() {
                 let PlaceMatch { source, target, .. } = self.matches[way[next]];
                 let near = self.source.near(source, STEPS_IN_A_ROW);
@@ -282,7 +291,8 @@ impl BothSteps {
         ways
     }
 
-    /// Whether a way shows what a merge has to; then the matches of the longest way that contradicts it.
+    /// Whether a way shows what a merge has to; then the matches of the longest way that
+    /// contradicts it.
     fn rivals_of_shown(&self, way: &[usize], settings: &MergeSettings) -> Result<usize, Apart> {
         let mut of_place: BTreeMap<PlaceId, f64> = BTreeMap::new();
         for &member in way {
@@ -291,10 +301,12 @@ impl BothSteps {
         }
         let support = of_place.len();
         if support < settings.min_support {
-            let (matches, required) = (self.matches.len(), settings.min_support);
+            let matches = self.matches.len();
+            let required = settings.min_support;
             return Err(Apart::TooLittleSupport { matches, support, required });
         }
-        let (evidence, required) = (self.most_in_a_row(&of_place), settings.min_total_evidence);
+        let evidence = self.most_in_a_row(&of_place);
+        let required = settings.min_total_evidence;
         if evidence < required {
             return Err(Apart::TooLittleEvidence { support, evidence, required });
         }

@@ -6,10 +6,10 @@ use std::collections::BinaryHeap;
 use fabmap::appearance::PlaceId;
 use nalgebra::{Matrix3, Vector3};
 
-use crate::place_poses::PlacePoses;
-use crate::relative_pose::{OdometryNoise, RelativePose};
-use crate::relaxation::{EdgeKind, Pose};
-use crate::wheel_drift::RANDOM_TURN;
+use crate::map::PlacePoses;
+use crate::metric::wheel_drift::RANDOM_TURN;
+use crate::metric::{OdometryNoise, RelativePose};
+use posegraph::{EdgeKind, Pose};
 
 /// A closure on the way is as uncertain as so many metres more.
 const CLOSURE_M: f64 = 1.0;
@@ -67,8 +67,9 @@ impl<'a> Ways<'a> {
         nearest
     }
 
-    /// How one place lies to another that is so many metres away along links: as the map's poses say, with what wheels
-    /// turn at random on the way, and what they drift by where no loop has shown it.
+    /// How one place lies to another that is so many metres away along links: as the map's poses
+    /// say, with what wheels turn at random on the way, and what they drift by where no loop has
+    /// shown it.
     pub(super) fn between(&self, from: PlaceId, to: PlaceId, length_m: f64) -> Option<RelativePose> {
         let pose = self.poses.pose(from)?.inverse().compose(self.poses.pose(to)?);
         let drifts = self.poses.maker(from).into_iter().chain(self.poses.maker(to));

@@ -29,7 +29,8 @@ impl FeatureSettings {
     /// Up to `max_features` of `feature` from images shrunk to `image_width` pixels.
     ///
     /// # Errors
-    /// [`SettingsError::FeatureCount`] or [`SettingsError::ImageWidth`] if a number is out of range.
+    /// [`SettingsError::FeatureCount`] or [`SettingsError::ImageWidth`] if a number is out of
+    /// range.
     pub fn new(feature: Feature, max_features: u32, image_width: u32) -> Result<Self, SettingsError> {
         if !(Self::MIN_FEATURES..=Self::MAX_FEATURES).contains(&max_features) {
             return Err(SettingsError::FeatureCount { found: max_features });

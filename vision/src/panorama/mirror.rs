@@ -1,8 +1,10 @@
-//! A camera that looks up into a hyperbolic mirror: one image shows all around, wound about a centre.
+//! A camera that looks up into a hyperbolic mirror: one image shows all around, wound about a
+//! centre.
 //!
-//! The camera's pinhole lies in one focus of the hyperbola; what is reflected to it went towards the other, so all rays
-//! meet there (Baker & Nayar, IJCV 35(2) 1999). A ray that rises by the angle φ comes to the radius
-//! ρ = f cos φ / (ξ - sin φ) from the centre (Geyer & Daniilidis, ECCV 2000), straight down to the centre itself.
+//! The camera's pinhole lies in one focus of the hyperbola; what is reflected to it went towards
+//! the other, so all rays meet there (Baker & Nayar, IJCV 35(2) 1999). A ray that rises by the
+//! angle φ comes to the radius ρ = f cos φ / (ξ - sin φ) from the centre (Geyer & Daniilidis, ECCV
+//! 2000), straight down to the centre itself.
 
 use std::f64::consts::{PI, TAU};
 
@@ -20,18 +22,21 @@ pub struct HyperbolicMirror {
     ahead_rad: f64,
 }
 
-/// What a mirror is made of.
+/// The shape of a mirror.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MirrorSettings {
     /// Column and row of the mirror's axis.
     pub center_px: [f64; 2],
-    /// Radii between which the world is seen: further in is the camera itself, further out is past the mirror.
+    /// Radii between which the world is seen: further in is the camera itself, further out is past
+    /// the mirror.
     pub radii_px: [f64; 2],
     /// Radius at which the horizon is seen.
     pub horizon_radius_px: f64,
-    /// ξ = 2e / (1 + e²) of a mirror of eccentricity e > 1, in (0, 1); towards 1 it becomes a parabola's.
+    /// ξ = 2e / (1 + e²) of a mirror of eccentricity e > 1, in (0, 1); towards 1 it becomes a
+    /// parabola's.
     pub parameter: f64,
-    /// Where ahead lies in the image, in radians from its right counter-clockwise as one looks at it.
+    /// Where ahead lies in the image, in radians from its right counter-clockwise as one looks at
+    /// it.
     pub ahead_rad: f64,
 }
 
@@ -92,8 +97,8 @@ impl HyperbolicMirror {
         Ok(Self { center_px, inner_radius_px, outer_radius_px, focal_px, parameter, ahead_rad })
     }
 
-    /// Radius at which a ray is seen that rises by `elevation_rad`: ρ = f cos / (ξ - sin). `None` where the mirror has no
-    /// image of it.
+    /// Radius at which a ray is seen that rises by `elevation_rad`: ρ = f cos / (ξ - sin). `None`
+    /// where the mirror has no image of it.
     #[must_use]
     pub fn radius_px(&self, elevation_rad: f64) -> Option<f64> {
         let (sine, cosine) = elevation_rad.sin_cos();
@@ -101,7 +106,8 @@ impl HyperbolicMirror {
         (depth > 0.0).then(|| self.focal_px * cosine / depth)
     }
 
-    /// How much a ray rises that is seen at a radius: [`HyperbolicMirror::radius_px`] the other way round.
+    /// How much a ray rises that is seen at a radius: [`HyperbolicMirror::radius_px`] the other way
+    /// round.
     #[must_use]
     pub fn elevation_rad(&self, radius_px: f64) -> f64 {
         // f cos φ + ρ sin φ = ρ ξ.
@@ -109,8 +115,8 @@ impl HyperbolicMirror {
         radius_px.atan2(self.focal_px) - (radius_px * self.parameter / length).acos()
     }
 
-    /// Columns and rows of a panorama `width_px` wide that shows all that the ring does, but no slope above π / 2 up or
-    /// down: the panorama has at most half as many rows as columns.
+    /// Columns and rows of a panorama `width_px` wide that shows all that the ring does, but no
+    /// slope above π / 2 up or down: the panorama has at most half as many rows as columns.
     #[must_use]
     pub fn panorama_size_px(&self, width_px: u32) -> (u32, u32) {
         let slopes = self.radii_px().map(|radius| self.elevation_rad(radius).tan().abs());
@@ -119,7 +125,8 @@ impl HyperbolicMirror {
         (width_px, 2 * (half.ceil() as u32).clamp(1, most))
     }
 
-    /// Whether the rows of a panorama of `size_px` within `margin_px` of a row show the ring, and nothing beyond its edges.
+    /// Whether the rows of a panorama of `size_px` within `margin_px` of a row show the ring, and
+    /// nothing beyond its edges.
     #[must_use]
     pub fn shows_row(&self, size_px: (u32, u32), row: f64, margin_px: f64) -> bool {
         let (width, height) = (f64::from(size_px.0), f64::from(size_px.1));
@@ -132,7 +139,8 @@ impl HyperbolicMirror {
         [self.inner_radius_px, self.outer_radius_px]
     }
 
-    /// Column and row of a direction, counter-clockwise from ahead and up from the horizon; `None` outside of the ring.
+    /// Column and row of a direction, counter-clockwise from ahead and up from the horizon; `None`
+    /// outside of the ring.
     #[must_use]
     pub fn project(&self, azimuth_rad: f64, elevation_rad: f64) -> Option<[f64; 2]> {
         let radius = self.radius_px(elevation_rad)?;
@@ -144,8 +152,8 @@ impl HyperbolicMirror {
             .then(|| [x + radius * angle.cos(), y - radius * angle.sin()])
     }
 
-    /// The cylindrical panorama of `size_px`: its rows as [`Projection::Cylindrical`] says. What the mirror does not show
-    /// is black.
+    /// The cylindrical panorama of `size_px`: its rows as [`Projection::Cylindrical`] says. What
+    /// the mirror does not show is black.
     ///
     /// # Errors
     /// [`ImageError`] if there would be no pixels, or too many.

@@ -70,7 +70,8 @@ proptest! {
     }
 }
 
-/// Turned by a quarter, a panorama has the same features, those across the new seam and the old one among them.
+/// Turned by a quarter, a panorama has the same features, those across the new seam and the old one
+/// among them.
 #[test]
 fn features_turn_with_the_panorama_across_the_seam() {
     let (straight, turned) = (view(&scenery(0)), view(&scenery(128)));
@@ -110,7 +111,8 @@ fn a_turn_on_the_spot_is_found_by_comparing() {
     assert_eq!(overlap.constrained as usize, compared.constrained.len());
 }
 
-/// e / a and half the focal distance of a hyperbola, and where the pinhole in its outer focus sees what goes to the inner.
+/// e / a and half the focal distance of a hyperbola, and where the pinhole in its outer focus sees
+/// what goes to the inner.
 fn reflected_slope(eccentricity: f64, elevation: f64) -> Option<f64> {
     let (sine, cosine) = elevation.sin_cos();
     // |P - F2| - |P - F1| = 2a with a = 1: the mirror's distance from the inner focus along the ray.

@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Unit, UnitQuaternion, UnitVector3, Vector3};
 
-use super::Correspondence;
-use super::epipolar::sampson;
+use super::correspondence::Correspondence;
+use super::epipolar_matrices::sampson;
 
 /// x_current = R x_earlier + t, |t| unknown.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,10 +33,12 @@ impl RigidMotion {
         self.direction.cross_matrix() * self.rotation.to_rotation_matrix().matrix()
     }
 
-    /// The motion with the least Σ ln(1 + (d / tolerance)²) near this one, d the Sampson distances: matches far off
-    /// hardly count. By Levenberg-Marquardt with reweighting.
+    /// The motion with the least Σ ln(1 + (d / tolerance)²) near this one, d the Sampson distances:
+    /// matches far off hardly count. By Levenberg-Marquardt with reweighting.
     pub(super) fn refined(&self, pairs: &[Correspondence], tolerance: f64) -> Self {
-        let (mut motion, mut cost, mut damping) = (*self, self.cost(pairs, tolerance), DAMPING);
+        let mut motion = *self;
+        let mut cost = self.cost(pairs, tolerance);
+        let mut damping = DAMPING;
         for _ in 0..MAX_STEPS {
             let Some(step) = motion.step(pairs, tolerance, damping) else { break };
             let moved = motion.moved(&step);

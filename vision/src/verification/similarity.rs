@@ -3,16 +3,16 @@
 use nalgebra::Complex;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use topomap::verification::Similarity;
+use topomap::evidence::Similarity;
 
-use super::{Correspondence, weight};
+use super::correspondence::{Correspondence, total, weight};
 
-/// How far a match may lie from where the motion puts it, in image widths. Wide, because a camera that comes back
-/// a step further on sees near things shifted against far ones.
+/// How far a match may lie from where the motion puts it, in image widths. Wide, because a camera
+/// that comes back a step further on sees near things shifted against far ones.
 const TOLERANCE_WIDTHS: f64 = 0.04;
 
-/// Pairs of matches that are tried. With a tenth of the matches right, one of 458 is of two right ones with a
-/// chance of 99%.
+/// Pairs of matches that are tried. With a tenth of the matches right, one of 458 is of two right
+/// ones with a chance of 99%.
 const DRAWS: usize = 500;
 
 /// Points nearer to each other than this say nothing of scale and rotation, in image widths.
@@ -68,10 +68,6 @@ fn most_agreed(pairs: &[Correspondence], random: &mut ChaCha8Rng) -> Option<Plan
     best.map(|(_, motion)| motion)
 }
 
-fn total(inliers: &[Correspondence]) -> u32 {
-    inliers.iter().map(weight).sum()
-}
-
 impl PlaneMotion {
     fn of_two(a: &Correspondence, b: &Correspondence) -> Option<Self> {
         let (from, to) = (b.earlier - a.earlier, b.current - a.current);
@@ -82,14 +78,16 @@ impl PlaneMotion {
         Some(Self { factor, shift: a.current - factor * a.earlier })
     }
 
-    /// Least squares, with the scale that is the inverse of that of swapped views: Horn, JOSA A 4(4) 1987,
-    /// section 2.D.
+    /// Least squares, with the scale that is the inverse of that of swapped views: Horn, JOSA A
+    /// 4(4) 1987, section 2.D.
     pub(super) fn fit(pairs: &[Correspondence]) -> Option<Self> {
         let mean = |of: fn(&Correspondence) -> Complex<f64>| {
             pairs.iter().map(of).sum::<Complex<f64>>() / pairs.len() as f64
         };
         let (earlier, current) = (mean(|pair| pair.earlier), mean(|pair| pair.current));
-        let (mut cross, mut earlier_spread, mut current_spread) = (Complex::new(0.0, 0.0), 0.0, 0.0);
+        let mut cross = Complex::new(0.0, 0.0);
+        let mut earlier_spread = 0.0;
+        let mut current_spread = 0.0;
         for pair in pairs {
             let (from, to) = (pair.earlier - earlier, pair.current - current);
             cross += from.conj() * to;
@@ -101,8 +99,8 @@ impl PlaneMotion {
         (motion.factor.is_finite() && motion.factor.norm() > 0.0).then_some(motion)
     }
 
-    /// Square of the distance in the current image up to which a pair agrees; that of both images, by its geometric
-    /// mean: swapped views agree on it.
+    /// Square of the distance in the current image up to which a pair agrees; that of both images,
+    /// by its geometric mean: swapped views agree on it.
     fn limit(&self) -> f64 {
         TOLERANCE_WIDTHS.powi(2) * self.factor.norm()
     }

@@ -2,13 +2,14 @@
 
 use std::f64::consts::TAU;
 
+use fabmap::WordId;
 use fabmap::descriptor::{DescriptorKind, Descriptors};
-use nalgebra::{Isometry3, Matrix3, SMatrix, UnitQuaternion, Vector3};
+use nalgebra::{Complex, Isometry3, Matrix3, SMatrix, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 use rand::RngExt;
-use topomap::verification::Similarity;
+use topomap::evidence::Similarity;
 
 use super::*;
 use crate::features::Keypoint;
@@ -43,12 +44,13 @@ fn record(keypoints: Vec<Keypoint>, described: bool, disturbance: u64) -> Featur
         (0..128).map(|_| own.random_range(0..100u8) + disturbance.random_range(0..10u8)).collect()
     };
     let rows: Vec<Vec<u8>> = (0..keypoints.len()).map(row).collect();
-    let words = (0..keypoints.len() as u32).collect();
+    let words = WordId::first(keypoints.len()).collect();
     let descriptors = Descriptors::new(DescriptorKind::Float, 128, rows.concat()).unwrap();
     FeatureRecord::new(SIZE_PX, keypoints, words, described.then_some(descriptors)).unwrap()
 }
 
-/// Two views of points in a plane: `inliers` moved by `motion` with a noise of 2 px, `others` anywhere.
+/// Two views of points in a plane: `inliers` moved by `motion` with a noise of 2 px, `others`
+/// anywhere.
 fn moved(
     motion: &Similarity,
     (inliers, others): (usize, usize),
@@ -85,7 +87,7 @@ fn compare(method: VerificationMethod, earlier: &FeatureRecord, current: &Featur
 
 fn plane_motion(view: &TwoView) -> Similarity {
     match view.motion {
-        Some(Motion::Similarity(motion)) => motion,
+        Some(ViewMotion::Similarity(motion)) => motion,
         other => panic!("{other:?}"),
     }
 }
@@ -144,7 +146,8 @@ fn motions_in_space() -> impl Strategy<Value = Isometry3<f64>> {
         })
 }
 
-/// Of a few motions another one, near by, explains nearly as much, so this is about how many are found.
+/// Of a few motions another one, near by, explains nearly as much, so this is about how many are
+/// found.
 #[test]
 fn motions_in_space_are_found_with_known_intrinsics() {
     const MOTIONS: usize = 2000;
@@ -156,9 +159,9 @@ fn motions_in_space_are_found_with_known_intrinsics() {
     for _ in 0..MOTIONS {
         let (motion, others, seed) = strategy.new_tree(&mut runner).unwrap().current();
         let (earlier, current) = in_space(&motion, (90, others), 0.5, u64::from(seed));
-        let view = |features| View { features, camera: Some(CAMERA) };
+        let view = |features| View { features, camera: Some(RobotCamera::ahead(CAMERA)) };
         let found = verifier.compare(view(&earlier), view(&current));
-        let Some(Motion::Essential { rotation, direction }) = found.motion else { panic!("{found:?}") };
+        let Some(ViewMotion::Essential { rotation, direction }) = found.motion else { panic!("{found:?}") };
         let turned = rotation.angle_to(&motion.rotation);
         let aside = direction.dot(&motion.translation.vector.normalize()).clamp(-1.0, 1.0).acos();
         missed += usize::from(found.inliers < 80 || turned >= 0.05 || aside >= 0.3);
@@ -194,13 +197,13 @@ proptest! {
         assert_near(&back, &inverse, 0.03);
     }
 
-    /// The refit against the same least squares by a dense solver, for the scale that one view alone would give:
-    /// the symmetric one is its geometric mean with that of the swapped views.
+    /// The refit against the same least squares by a dense solver, for the scale that one view
+    /// alone would give: the symmetric one is its geometric mean with that of the swapped views.
     #[test]
     fn the_refit_is_least_squares(motion in similarities(), seed in any::<u32>()) {
         let (earlier, current) = moved(&motion, (40, 0), true, u64::from(seed));
         let view = |features| View { features, camera: None };
-        let matches = matching::matches(&earlier, &current);
+        let matches = crate::matching::matches(&earlier, &current);
         let pairs = in_widths(&matches, view(&earlier), view(&current));
         let dense = |from: fn(&Correspondence) -> Complex<f64>, to: fn(&Correspondence) -> Complex<f64>| {
             let mut normal = SMatrix::<f64, 4, 4>::zeros();
@@ -232,18 +235,19 @@ proptest! {
         prop_assert!((view.matches as usize) < count / 2 + 10, "keypoints that turn at random are left out");
     }
 
-    /// A camera that stands still, or only turns, leaves open where it went: no reason to see another scene.
+    /// A camera that stands still, or only turns, leaves open where it went: no reason to see
+    /// another scene.
     #[test]
     fn views_without_a_step_are_of_one_scene(turn_rad in 0.0..0.2f64, noise_px in 0.0..0.6f64, still in any::<bool>(), others in 0..30usize, seed in any::<u32>()) {
         let turn = if still { 0.0 } else { turn_rad };
         let motion = Isometry3::rotation(Vector3::new(0.0, turn, 0.0));
         let (earlier, current) = in_space(&motion, (90, others), noise_px, u64::from(seed));
         let settings = VerificationSettings { method: VerificationMethod::Epipolar, ..VerificationSettings::default() };
-        for camera in [None, Some(CAMERA)] {
+        for camera in [None, Some(RobotCamera::ahead(CAMERA))] {
             let view = |features| View { features, camera };
             let found = Verifier::new(settings, SEED).compare(view(&earlier), view(&current));
             prop_assert!(found.inliers >= 80, "{found:?}");
-            if let Some(Motion::Essential { rotation, .. }) = found.motion {
+            if let Some(ViewMotion::Essential { rotation, .. }) = found.motion {
                 prop_assert!(rotation.angle_to(&motion.rotation) < 0.05, "{found:?}");
             }
         }
@@ -253,11 +257,11 @@ proptest! {
     fn a_view_agrees_with_itself(seed in any::<u32>()) {
         let (view, _) = in_space(&Isometry3::identity(), (90, 0), 0.0, u64::from(seed));
         let settings = VerificationSettings { method: VerificationMethod::Epipolar, ..VerificationSettings::default() };
-        for camera in [None, Some(CAMERA)] {
+        for camera in [None, Some(RobotCamera::ahead(CAMERA))] {
             let seen = View { features: &view, camera };
             let found = Verifier::new(settings, SEED).compare(seen, seen);
             prop_assert_eq!(found.inliers, 90);
-            if let Some(Motion::Essential { rotation, .. }) = found.motion {
+            if let Some(ViewMotion::Essential { rotation, .. }) = found.motion {
                 prop_assert!(rotation.angle() < 0.01, "{found:?}");
             }
         }
@@ -278,18 +282,19 @@ proptest! {
         };
         let (earlier, current) = (bent(&earlier), bent(&current));
         let settings = VerificationSettings { method: VerificationMethod::Epipolar, ..VerificationSettings::default() };
-        let view = |features| View { features, camera: Some(Pinhole { distortion, ..CAMERA }) };
+        let view = |features| View { features, camera: Some(RobotCamera::ahead(Pinhole { distortion, ..CAMERA })) };
         let found = Verifier::new(settings, SEED).compare(view(&earlier), view(&current));
-        let Some(Motion::Essential { rotation, .. }) = found.motion else { panic!("{found:?}") };
+        let Some(ViewMotion::Essential { rotation, .. }) = found.motion else { panic!("{found:?}") };
         prop_assert!(found.inliers >= 80 && rotation.angle_to(&motion.rotation) < 0.05, "{found:?}");
     }
 
-    /// Every inlier obeys x'ᵀ F x = 0, evaluated plainly, to first order within the tolerance; F has rank 2.
+    /// Every inlier obeys x'ᵀ F x = 0, evaluated plainly, to first order within the tolerance; F
+    /// has rank 2.
     #[test]
     fn a_fundamental_matrix_is_found_without(motion in motions_in_space(), others in 0..30usize, seed in any::<u32>()) {
         let (earlier, current) = in_space(&motion, (90, others), 0.5, u64::from(seed));
         let found = compare(VerificationMethod::Epipolar, &earlier, &current);
-        let Some(Motion::Fundamental(rows)) = found.motion else { panic!("{found:?}") };
+        let Some(ViewMotion::Fundamental(rows)) = found.motion else { panic!("{found:?}") };
         let matrix = Matrix3::from_fn(|row, column| rows[row][column]);
         prop_assert!((matrix.norm() - 1.0).abs() < 1e-9 && matrix.determinant().abs() < 1e-9);
         let point = |keypoint: &Keypoint| {
@@ -316,12 +321,12 @@ proptest! {
         let view = compare(method, &features, &features);
         let lens = Distortion { radial: [-0.3, 0.1, 0.0], tangential: [0.001; 2] };
         let settings = VerificationSettings { method, ..VerificationSettings::default() };
-        let seen = View { features: &features, camera: Some(Pinhole { distortion: lens, ..CAMERA }) };
+        let seen = View { features: &features, camera: Some(RobotCamera::ahead(Pinhole { distortion: lens, ..CAMERA })) };
         let through_lens = Verifier::new(settings, SEED).compare(seen, seen);
-        if let Some(Motion::Essential { rotation, direction }) = through_lens.motion {
+        if let Some(ViewMotion::Essential { rotation, direction }) = through_lens.motion {
             prop_assert!(rotation.coords.iter().chain(direction.iter()).all(|value| value.is_finite()));
         }
-        if let Some(Motion::Similarity(motion)) = view.motion {
+        if let Some(ViewMotion::Similarity(motion)) = view.motion {
             prop_assert!(motion.rotation_rad.is_finite() && motion.ln_scale.is_finite());
             prop_assert!(motion.translation_length_widths().is_finite());
         }

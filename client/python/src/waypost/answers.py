@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from waypost import errors
 from waypost.poses import Pose2, planar
-from waypost.v1 import map_pb2, session_pb2
+from waypost.v1 import map_pb2, recognition_pb2, session_pb2
 
 
 class Reason(enum.IntEnum):
@@ -67,8 +67,8 @@ class Geometry:
     matches: int
     #: Those that one motion explains.
     inliers: int
-    #: What this and the session's last frames say for the place, in inliers.
-    evidence: float
+    #: Evidence of this and the session's last frames for the place.
+    evidence_inliers: float
     #: The motion, if it was looked for in the image plane and one was found.
     similarity: Similarity | None
     #: That both frames show the same place, by words and geometry together.
@@ -79,7 +79,7 @@ class Geometry:
 class Match:
     """An earlier frame of a place."""
 
-    place: int
+    place_number: int
     posterior: float
     frame: FrameReference
     #: ln [posterior / (1 - posterior)], nats: tells apart what rounds to 1.
@@ -124,8 +124,8 @@ class Answer:
     #: Last frame of the session that is durable; 0 as well while there is none.
     last_committed_sequence: int
     reason: Reason
-    #: The place the frame belongs to; None if too little was seen to say.
-    place: int | None
+    #: The place that the frame belongs to; None if too little was seen to decide.
+    place_number: int | None
     #: Posterior probability of what was decided: of the place, or of a new one.
     posterior: float
     #: Probability of being somewhere new.
@@ -134,14 +134,12 @@ class Answer:
     places: npt.NDArray[np.uint32]
     #: Their posterior probabilities.
     probabilities: npt.NDArray[np.float64]
-    #: The place and frame that were matched, if the frame closes a loop.
-    closure: Match | None
-    #: The place and frame that would have been matched, had their posterior reached the map's threshold or,
-    #: for GEOMETRY_REFUSED, geometry agreed.
-    closure_below_threshold: Match | None
-    #: Whatever was decided: of the most probable place known from before the guard, the frame that matches
-    #: best; with geometry, of the place that it has most evidence for.
-    proposal: Match | None
+    #: For LOOP_CLOSURE, BELOW_THRESHOLD and GEOMETRY_REFUSED: the place and frame that matched.
+    match: Match | None
+    #: The best candidate for a loop closure, whatever was decided: among the places known from before the
+    #: guard, the frame of the most probable one that matches best; with geometry, of the one with the most
+    #: evidence.
+    best_candidate: Match | None
     #: Different words seen.
     words: int
     #: None in an answer from the store.
@@ -150,6 +148,11 @@ class Answer:
     resent: bool
     #: Where the robot is on the map; None without odometry, and in an answer from the store.
     map_pose: MapPose | None = None
+
+    @property
+    def loop_closure(self) -> Match | None:
+        """The place and frame that matched, if the frame closes a loop."""
+        return self.match if self.reason is Reason.LOOP_CLOSURE else None
 
 
 @dataclass(frozen=True)
@@ -161,8 +164,8 @@ class Refusal:
     last_committed_sequence: int | None
     #: What is wrong and how to mend it; for those who would rather `raise` it.
     error: errors.ServerError
-    #: So that every outcome can be asked for its closure.
-    closure: None = None
+    #: So that every outcome can be asked for its loop closure.
+    loop_closure: None = None
 
 
 #: What became of a frame.
@@ -186,7 +189,7 @@ class QueryAnswer:
     #: Different words seen.
     words: int
     #: As the contract has it, if asked for and there is a place.
-    explanation: session_pb2.PlaceExplanation | None
+    place_explanation: recognition_pb2.PlaceExplanation | None
 
 
 @dataclass(frozen=True)
@@ -195,7 +198,7 @@ class LoopClosure:
 
     frame: FrameReference
     matched_frame: FrameReference
-    place: int
+    place_number: int
     posterior: float
     #: That both frames show the same place, by words and geometry together; None where nothing was verified.
     probability: float | None = None
@@ -203,20 +206,17 @@ class LoopClosure:
 
 def answer(message: session_pb2.FrameAnswer) -> Answer:
     """An answer from the wire."""
-    closes = message.reason == session_pb2.REASON_LOOP_CLOSURE
-    closure = _match(message.closure) if message.HasField("closure") else None
     return Answer(
         sequence=message.sequence,
         last_committed_sequence=message.last_committed_sequence,
         reason=_reason(message.reason),
-        place=message.place if message.HasField("place") else None,
+        place_number=message.place_number if message.HasField("place_number") else None,
         posterior=message.posterior,
         new_place_posterior=message.new_place_posterior,
-        places=np.array([place.place for place in message.places], dtype=np.uint32),
+        places=np.array([place.place_number for place in message.places], dtype=np.uint32),
         probabilities=np.array([place.posterior for place in message.places], dtype=np.float64),
-        closure=closure if closes else None,
-        closure_below_threshold=None if closes else closure,
-        proposal=_match(message.proposal) if message.HasField("proposal") else None,
+        match=_match(message.match) if message.HasField("match") else None,
+        best_candidate=_match(message.best_candidate) if message.HasField("best_candidate") else None,
         words=message.words,
         timings=_timings(message.timings) if message.HasField("timings") else None,
         resent=message.resent,
@@ -242,16 +242,16 @@ def refusal(message: session_pb2.FrameRefusal) -> Refusal:
     )
 
 
-def query_answer(message: session_pb2.QueryResponse) -> QueryAnswer:
+def query_answer(message: recognition_pb2.QueryResponse) -> QueryAnswer:
     """The answer to a query from the wire."""
     return QueryAnswer(
-        places=np.array([place.place for place in message.places], dtype=np.uint32),
+        places=np.array([place.place_number for place in message.places], dtype=np.uint32),
         probabilities=np.array([place.posterior for place in message.places], dtype=np.float64),
         new_place_posterior=message.new_place_posterior,
         match=_match(message.match) if message.HasField("match") else None,
         accepted=message.accepted,
         words=message.words,
-        explanation=message.explanation if message.HasField("explanation") else None,
+        place_explanation=message.place_explanation if message.HasField("place_explanation") else None,
     )
 
 
@@ -260,7 +260,7 @@ def loop_closure(message: map_pb2.LoopClosure) -> LoopClosure:
     return LoopClosure(
         frame=_frame_reference(message.frame),
         matched_frame=_frame_reference(message.matched_frame),
-        place=message.place,
+        place_number=message.place_number,
         posterior=message.posterior,
         probability=message.probability if message.HasField("probability") else None,
     )
@@ -276,9 +276,9 @@ def _reason(reason: int) -> Reason:
         ) from None
 
 
-def _match(message: session_pb2.Match) -> Match:
+def _match(message: recognition_pb2.Match) -> Match:
     return Match(
-        place=message.place,
+        place_number=message.place_number,
         posterior=message.posterior,
         frame=_frame_reference(message.frame),
         log_odds=message.log_odds,
@@ -286,18 +286,18 @@ def _match(message: session_pb2.Match) -> Match:
     )
 
 
-def _geometry(message: session_pb2.Geometry) -> Geometry:
+def _geometry(message: recognition_pb2.Geometry) -> Geometry:
     similarity = message.similarity if message.HasField("similarity") else None
     return Geometry(
         matches=message.matches,
         inliers=message.inliers,
-        evidence=message.evidence,
+        evidence_inliers=message.evidence_inliers,
         similarity=_similarity(similarity) if similarity is not None else None,
         probability=message.probability,
     )
 
 
-def _similarity(message: session_pb2.Similarity) -> Similarity:
+def _similarity(message: recognition_pb2.Similarity) -> Similarity:
     return Similarity(message.rotation_rad, message.ln_scale, message.x_widths, message.y_widths)
 
 

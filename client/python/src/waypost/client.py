@@ -20,7 +20,8 @@ from waypost.v1 import (
     map_pb2_grpc,
     model_pb2,
     model_pb2_grpc,
-    session_pb2,
+    recognition_pb2,
+    recognition_pb2_grpc,
     session_pb2_grpc,
 )
 
@@ -92,6 +93,7 @@ class Client:
         self._address = address
         self._maps = map_pb2_grpc.MapServiceStub(channel)
         self._models = model_pb2_grpc.ModelServiceStub(channel)
+        self._recognition = recognition_pb2_grpc.RecognitionServiceStub(channel)
         self._sessions = session_pb2_grpc.SessionServiceStub(channel)
 
     def session(
@@ -130,7 +132,7 @@ class Client:
         content: Image | WordHistogram | WordList,
         *,
         words_hash: str = "",
-        explained_words: int = 0,
+        explained_words: int | None = None,
     ) -> QueryAnswer:
         """Where one image, or one bag of words, was taken, without a session: nothing is remembered.
 
@@ -138,16 +140,17 @@ class Client:
             map_id: `{map}` or `maps/{map}`.
             content: As in `Frame.image` and `Frame.words`.
             words_hash: As in `session`.
-            explained_words: So many words for and as many against the most probable place, at most 100.
+            explained_words: Explains the most probable place, with this many words for it and as many against
+                it, at most 100. No explanation if left out.
 
         Raises:
             ServerError: If the server refuses.
         """
-        request = session_pb2.QueryRequest(
+        request = recognition_pb2.QueryRequest(
             map=_name("maps", map_id), words_hash=words_hash, explained_words=explained_words
         )
         put_content(request, content)
-        response: session_pb2.QueryResponse = self._call(self._sessions.Query, request)
+        response: recognition_pb2.QueryResponse = self._call(self._recognition.Query, request)
         return answers.query_answer(response)
 
     def maps(self) -> list[map_pb2.Map]:
@@ -160,7 +163,7 @@ class Client:
         Raises:
             NotFound: If there is no such map.
         """
-        view = map_pb2.MAP_VIEW_FULL if full else map_pb2.MAP_VIEW_UNSPECIFIED
+        view = map_pb2.MAP_VIEW_FULL if full else map_pb2.MAP_VIEW_BASIC
         found: map_pb2.Map = self._call(
             self._maps.GetMap, map_pb2.GetMapRequest(name=_name("maps", map_id), view=view)
         )
@@ -190,15 +193,15 @@ class Client:
         """
         self._call(self._maps.DeleteMap, map_pb2.DeleteMapRequest(name=_name("maps", map_id)))
 
-    def matches(self, map_id: str) -> list[LoopClosure]:
+    def loop_closures(self, map_id: str) -> list[LoopClosure]:
         """All loop closures of a map, oldest first.
 
         Raises:
             NotFound: If there is no such map.
         """
-        request = map_pb2.ListMatchesRequest(map=_name("maps", map_id))
-        pages = self._pages(self._maps.ListMatches, request, lambda page: page.matches)
-        return [answers.loop_closure(match) for match in pages]
+        request = map_pb2.ListLoopClosuresRequest(map=_name("maps", map_id))
+        pages = self._pages(self._maps.ListLoopClosures, request, lambda page: page.loop_closures)
+        return [answers.loop_closure(closure) for closure in pages]
 
     def models(self) -> list[model_pb2.Model]:
         """All models, newest first."""

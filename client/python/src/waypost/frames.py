@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from waypost.png import png
 from waypost.poses import Pose2, Pose3, odometry
-from waypost.v1 import session_pb2
+from waypost.v1 import recognition_pb2, session_pb2
 
 #: Longer images are refused without being sent.
 MAX_IMAGE_BYTES = 4 << 20
@@ -121,7 +121,7 @@ class Frame:
 
 
 def put_content(
-    message: session_pb2.Frame | session_pb2.QueryRequest,
+    message: session_pb2.Frame | recognition_pb2.QueryRequest,
     content: Image | WordHistogram | WordList | None,
 ) -> None:
     """Sets the `content` of a frame or a query."""

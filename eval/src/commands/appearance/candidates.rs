@@ -1,17 +1,17 @@
 //! Links between places that look alike.
 
+use anyhow::Result;
 use serde::Serialize;
 use waypost_sim::worlds::NamedWorld;
 
-use super::AppearanceError;
 use super::eye::{Eye, TaughtMap};
 
 /// Two images that are further apart share no room, or too little to be told.
 const FAR_M: f64 = 6.0;
 
 /// Links of a building whose offices look alike.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct LookAlikeFigures {
+#[derive(Serialize)]
+pub(crate) struct LookAlikeFigures {
     /// Panoramas.
     pub panoramas: usize,
     /// Links, each compared with each.
@@ -25,10 +25,7 @@ pub struct LookAlikeFigures {
 }
 
 /// Compares all images of a building with offices that differ in a fifth of their texture.
-///
-/// # Errors
-/// [`AppearanceError`] if an image shows nothing.
-pub fn look_alikes(eye: &Eye, seed: u64) -> Result<LookAlikeFigures, AppearanceError> {
+pub(crate) fn look_alikes(eye: &Eye, seed: u64) -> Result<LookAlikeFigures> {
     let map = TaughtMap::new(eye, NamedWorld::Corridors.plan(seed), 1.2, seed)?;
     let is_far = |a: usize, b: usize| map.poses[a].distance_m(&map.poses[b]) > FAR_M;
     let far: Vec<f64> = map

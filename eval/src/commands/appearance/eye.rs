@@ -3,13 +3,14 @@
 use std::f64::consts::PI;
 use std::sync::Arc;
 
+use anyhow::Result;
+use clap::ValueEnum;
 use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use serde::Serialize;
-use topomap::appearance_graph::AppearanceGraph;
-use topomap::epipolar::SearchSettings;
+use waypost_navigation::appearance::epipolar::SearchSettings;
+use waypost_navigation::appearance::graph::AppearanceGraph;
 use waypost_sim::camera::Camera;
 use waypost_sim::floor_plan::FloorPlan;
 use waypost_sim::light::Light;
@@ -20,33 +21,39 @@ use waypost_vision::features::{Extractor, Feature, FeatureSettings};
 use waypost_vision::image::GreyImage;
 use waypost_vision::panorama::{self, PanoramicCamera, PanoramicView, Projection};
 
-use super::AppearanceError;
-
-/// How fine a robot sees: columns and rows, up and down by 38 degrees, and features.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct Acuity {
-    /// Columns and rows.
-    pub size_px: (u32, u32),
-    /// Most features of a panorama.
-    pub features: u32,
+/// How fine a robot sees, up and down by 38 degrees.
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum Acuity {
+    /// As one drives a hundred times: 512x128 with 300 features.
+    Coarse,
+    /// As one measures: 1024x256 with 500 features.
+    Fine,
 }
 
 impl Acuity {
-    /// As one measures.
-    pub const FINE: Self = Self { size_px: (1024, 256), features: 500 };
-    /// As one drives a hundred times.
-    pub const COARSE: Self = Self { size_px: (512, 128), features: 300 };
+    /// Columns and rows.
+    pub(crate) fn size_px(self) -> (u32, u32) {
+        match self {
+            Self::Coarse => (512, 128),
+            Self::Fine => (1024, 256),
+        }
+    }
 
-    /// What the command line calls them.
-    pub const NAMED: [(&'static str, Self); 2] = [("coarse", Self::COARSE), ("fine", Self::FINE)];
+    /// Most features of a panorama.
+    fn features(self) -> u32 {
+        match self {
+            Self::Coarse => 300,
+            Self::Fine => 500,
+        }
+    }
 }
 
 /// Metres between a robot's middle and walls or furniture where images of a map are taken.
-pub const CLEARANCE_M: f64 = 0.3;
+pub(crate) const CLEARANCE_M: f64 = 0.3;
 
 /// A panoramic camera on a robot, and what is made of its images.
 #[derive(Clone, Debug)]
-pub struct Eye {
+pub(crate) struct Eye {
     /// The camera in the simulation.
     pub rig: CameraRig,
     /// How planar motion is searched.
@@ -57,13 +64,10 @@ pub struct Eye {
 
 impl Eye {
     /// RootSIFT on a cylindrical panorama.
-    ///
-    /// # Errors
-    /// [`AppearanceError`] if the program's own numbers make no camera.
-    pub fn new(acuity: Acuity) -> Result<Self, AppearanceError> {
-        let Acuity { size_px, features } = acuity;
+    pub(crate) fn new(acuity: Acuity) -> Result<Self> {
+        let size_px = acuity.size_px();
         let rig = CameraRig::new(Camera::cylindrical(size_px)?, Mount::default(), Sensor::default())?;
-        let settings = FeatureSettings::new(Feature::RootSift, features, size_px.0);
+        let settings = FeatureSettings::new(Feature::RootSift, acuity.features(), size_px.0);
         Ok(Self {
             rig,
             search: SearchSettings::default(),
@@ -72,33 +76,16 @@ impl Eye {
         })
     }
 
-    /// What features are looked for.
-    #[must_use]
-    pub fn extractor_settings(&self) -> FeatureSettings {
-        self.extractor.settings()
-    }
-
     /// What is seen at a shot.
-    ///
-    /// # Errors
-    /// [`AppearanceError`] if the image shows nothing that could be described.
-    pub fn see(&self, scene: &Scene, shot: &Shot) -> Result<PanoramicView, AppearanceError> {
+    pub(crate) fn see(&self, scene: &Scene, shot: &Shot) -> Result<PanoramicView> {
         let image = scene.render(&self.rig, shot);
         let image = GreyImage::new(image.width_px(), image.height_px(), image.pixels().to_vec())?;
-        let features = panorama::extract(&self.extractor, &image).map_err(AppearanceError::Features)?;
+        let features = panorama::extract(&self.extractor, &image)?;
         Ok(PanoramicView::new(&features, &self.camera))
     }
 
     /// What is seen from each of some poses, nobody about; `seed` is that of the noise.
-    ///
-    /// # Errors
-    /// See [`Eye::see`].
-    pub fn see_all(
-        &self,
-        scene: &Scene,
-        poses: &[Pose],
-        seed: u64,
-    ) -> Result<Vec<PanoramicView>, AppearanceError> {
+    pub(crate) fn see_all(&self, scene: &Scene, poses: &[Pose], seed: u64) -> Result<Vec<PanoramicView>> {
         let shots =
             (0..).zip(poses).map(|(number, &pose)| still(pose, seed.wrapping_mul(1_000_003) + number));
         shots.collect::<Vec<Shot>>().into_par_iter().map(|shot| self.see(scene, &shot)).collect()
@@ -106,14 +93,13 @@ impl Eye {
 }
 
 /// A robot that stands still, nobody about.
-#[must_use]
-pub fn still(pose: Pose, seed: u64) -> Shot {
+pub(crate) fn still(pose: Pose, seed: u64) -> Shot {
     Shot { pose, speed: [0.0; 2], people: Vec::new(), light: Light::default(), seed }
 }
 
 /// A building with the images of its map.
 #[derive(Debug)]
-pub struct TaughtMap {
+pub(crate) struct TaughtMap {
     /// The building.
     pub scene: Arc<Scene>,
     /// Where the images were taken.
@@ -126,19 +112,13 @@ pub struct TaughtMap {
 
 impl TaughtMap {
     /// Images all over a building, looking anywhere, about `spacing_m` apart.
-    ///
-    /// # Errors
-    /// [`AppearanceError`] if an image shows nothing.
-    pub fn new(eye: &Eye, plan: FloorPlan, spacing_m: f64, seed: u64) -> Result<Self, AppearanceError> {
+    pub(crate) fn new(eye: &Eye, plan: FloorPlan, spacing_m: f64, seed: u64) -> Result<Self> {
         let poses = scattered(&plan, spacing_m, seed);
         Self::at(eye, plan, poses, seed)
     }
 
     /// Images from given poses.
-    ///
-    /// # Errors
-    /// [`AppearanceError`] if an image shows nothing.
-    pub fn at(eye: &Eye, plan: FloorPlan, poses: Vec<Pose>, seed: u64) -> Result<Self, AppearanceError> {
+    pub(crate) fn at(eye: &Eye, plan: FloorPlan, poses: Vec<Pose>, seed: u64) -> Result<Self> {
         let scene = Arc::new(Scene::new(plan));
         let views = eye.see_all(&scene, &poses, seed)?;
         let graph = compared_with_all(eye, &views);
@@ -146,8 +126,7 @@ impl TaughtMap {
     }
 
     /// The image that was taken nearest to a point.
-    #[must_use]
-    pub fn nearest(&self, point: Vector2<f64>) -> usize {
+    pub(crate) fn nearest(&self, point: Vector2<f64>) -> usize {
         let gap = |pose: &Pose| (pose.position() - point).norm();
         let nearest = self.poses.iter().enumerate().min_by(|(_, a), (_, b)| gap(a).total_cmp(&gap(b)));
         nearest.map_or(0, |(image, _)| image)
@@ -155,8 +134,7 @@ impl TaughtMap {
 }
 
 /// The graph of views of which every one is compared with every other.
-#[must_use]
-pub fn compared_with_all(eye: &Eye, views: &[PanoramicView]) -> AppearanceGraph {
+pub(crate) fn compared_with_all(eye: &Eye, views: &[PanoramicView]) -> AppearanceGraph {
     let rows: Vec<Vec<f64>> = (0..views.len())
         .into_par_iter()
         .map(|image| {
@@ -176,8 +154,7 @@ pub fn compared_with_all(eye: &Eye, views: &[PanoramicView]) -> AppearanceGraph 
 }
 
 /// Free places all over a plan that are at least `spacing_m` apart, until no more are found; headings anyhow.
-#[must_use]
-pub fn scattered(plan: &FloorPlan, spacing_m: f64, seed: u64) -> Vec<Pose> {
+pub(crate) fn scattered(plan: &FloorPlan, spacing_m: f64, seed: u64) -> Vec<Pose> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let [min, max] = plan.bounds();
     let size = max - min;

@@ -2,21 +2,24 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
+use anyhow::{Context, Result};
 use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::Serialize;
-use topomap::epipolar::{self, GeneralMotion, Motion, PlanarMotion, RayPair, SearchSettings};
+use waypost_navigation::appearance::epipolar::{
+    self, GeneralMotion, Motion, PlanarMotion, RayPair, SearchSettings,
+};
 use waypost_sim::floor_plan::{FloorPlan, Room};
 use waypost_sim::pose::{Pose, wrapped};
 use waypost_sim::scene::Scene;
 use waypost_sim::worlds::NamedWorld;
 use waypost_vision::panorama::PanoramicView;
 
-use super::AppearanceError;
 use super::eye::Eye;
 use crate::plots::{self, HeadingErrors};
+use crate::timing::root_mean_square;
 
 /// From position to position of the grid, in metres.
 const SPACING_M: f64 = 1.0;
@@ -25,18 +28,18 @@ const SPACING_M: f64 = 1.0;
 const DRAWS: usize = 100;
 
 /// Classes of the histogram, [`CLASS_RAD`] wide each, with 0 in the middle of the middle one.
-pub const CLASSES: usize = 61;
+pub(crate) const CLASSES: usize = 61;
 
 /// Width of a class of the histogram, in radians.
-pub const CLASS_RAD: f64 = 0.01;
+pub(crate) const CLASS_RAD: f64 = 0.01;
 
 /// Standard deviation of the heading's error in a real room of about this size: Booij, Terwijn, Zivkovic and Kröse, ICRA
 /// 2007, figure 3.
 const PUBLISHED_STD_RAD: f64 = 0.31;
 
 /// Errors of headings, over all grids.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct HeadingFigures {
+#[derive(Serialize)]
+pub(crate) struct HeadingFigures {
     /// Grids, each in a building of its own.
     pub grids: usize,
     /// Ordered pairs of images from different positions.
@@ -60,8 +63,8 @@ pub struct HeadingFigures {
 }
 
 /// How well a search does with as many draws as the other.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SolverFigures {
+#[derive(Serialize)]
+pub(crate) struct SolverFigures {
     /// Which one.
     pub search: &'static str,
     /// Draws of each search.
@@ -87,10 +90,7 @@ struct Grid {
 }
 
 /// Measures grids of 3 x 3 positions, 2 m wide, with 4 orientations each.
-///
-/// # Errors
-/// [`AppearanceError`] if a building has no room for a grid.
-pub fn measure(eye: &Eye, seeds: &[u64]) -> Result<HeadingFigures, AppearanceError> {
+pub(crate) fn measure(eye: &Eye, seeds: &[u64]) -> Result<HeadingFigures> {
     let grids = seeds.iter().map(|&seed| Grid::new(eye, seed)).collect::<Result<Vec<_>, _>>()?;
     let found: Vec<Option<[f64; 2]>> = grids
         .iter()
@@ -122,17 +122,14 @@ pub fn measure(eye: &Eye, seeds: &[u64]) -> Result<HeadingFigures, AppearanceErr
         outside_histogram: errors.len() - histogram.iter().sum::<usize>(),
         histogram,
         with_half_outliers: [
-            compared::<PlanarMotion>("planar four-point", &grids),
-            compared::<GeneralMotion>("general eight-point", &grids),
+            compared("planar four-point", &grids, PlanarMotion::heading_rad),
+            compared("general eight-point", &grids, GeneralMotion::heading_rad),
         ],
     })
 }
 
 /// The histogram as one file of SVG.
-///
-/// # Errors
-/// The plotting library's words.
-pub fn svg(figures: &HeadingFigures) -> Result<String, String> {
+pub(crate) fn svg(figures: &HeadingFigures) -> Result<String> {
     plots::heading_errors_svg(&HeadingErrors {
         classes: &figures.histogram,
         class_rad: CLASS_RAD,
@@ -155,10 +152,12 @@ fn histogram(errors_rad: &[f64]) -> Vec<usize> {
 }
 
 impl Grid {
-    fn new(eye: &Eye, seed: u64) -> Result<Self, AppearanceError> {
+    fn new(eye: &Eye, seed: u64) -> Result<Self> {
         let plan = NamedWorld::Office.plan(seed);
         let center = plan.parts().rooms.iter().find_map(|room| roomy(&plan, room));
-        let center = center.ok_or(AppearanceError::NoGrid { seed })?;
+        let center = center.with_context(|| {
+            format!("building {seed} has no room for a grid of images; take another seed")
+        })?;
         let poses: Vec<Pose> = offsets()
             .flat_map(|offset| {
                 let at = center + offset;
@@ -198,7 +197,7 @@ fn roomy(plan: &FloorPlan, room: &Room) -> Option<Vector2<f64>> {
 }
 
 /// One way to search, where every second match has been replaced by a wrong one: the ray of another.
-fn compared<M: Motion + Heading>(search: &'static str, grids: &[Grid]) -> SolverFigures {
+fn compared<M: Motion>(search: &'static str, grids: &[Grid], heading_rad: fn(&M) -> f64) -> SolverFigures {
     let tasks: Vec<(&Grid, [usize; 2])> =
         grids.iter().flat_map(|grid| grid.pairs().map(move |pair| (grid, pair))).collect();
     let found: Vec<(f64, f64, f64)> = tasks
@@ -215,7 +214,7 @@ fn compared<M: Motion + Heading>(search: &'static str, grids: &[Grid]) -> Solver
             let Some(found) = epipolar::search::<M>(&pairs, &settings) else { return Some((PI, 0.0, 0.0)) };
             let right = found.inliers.iter().filter(|&&index| is_right[index]).count() as f64;
             let all = is_right.iter().filter(|&&right| right).count() as f64;
-            let error = wrapped(found.motion.heading() - way.heading_rad());
+            let error = wrapped(heading_rad(&found.motion) - way.heading_rad());
             Some((error, right / all, 1.0 - right / found.inliers.len() as f64))
         })
         .collect();
@@ -243,7 +242,8 @@ fn half_wrong(
     way: &PlanarMotion,
     settings: &SearchSettings,
 ) -> Option<(Vec<RayPair>, Vec<bool>)> {
-    let (seen, wanted) = (&grid.views[current], &grid.views[target]);
+    let seen = &grid.views[current];
+    let wanted = &grid.views[target];
     let matches = seen.matches(wanted);
     let right: Vec<RayPair> = seen
         .ray_pairs(wanted, &matches)
@@ -261,26 +261,6 @@ fn half_wrong(
     let wrong: Vec<RayPair> = wrong.collect();
     let is_right = [vec![true; right.len()], vec![false; wrong.len()]].concat();
     Some(([right, wrong].concat(), is_right))
-}
-
-trait Heading {
-    fn heading(&self) -> f64;
-}
-
-impl Heading for PlanarMotion {
-    fn heading(&self) -> f64 {
-        self.heading_rad()
-    }
-}
-
-impl Heading for GeneralMotion {
-    fn heading(&self) -> f64 {
-        self.heading_rad()
-    }
-}
-
-fn root_mean_square(errors: &[f64]) -> f64 {
-    (errors.iter().map(|error| error * error).sum::<f64>() / errors.len().max(1) as f64).sqrt()
 }
 
 #[cfg(test)]

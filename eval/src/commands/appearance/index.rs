@@ -3,26 +3,27 @@
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
+use anyhow::Result;
+use clap::Args;
 use fabmap::descriptor::{DescriptorKind, Descriptors};
-use fabmap::signature::Signatures;
 use fabmap::vocabulary::{Vocabulary, VocabularySettings};
 use rayon::prelude::*;
 use serde::Serialize;
-use topomap::appearance_graph::candidates::{CandidateIndex, IndexedFeature};
-use topomap::appearance_graph::{AppearanceGraph, Checks, ImageId, LINK_SIMILARITY, Overlap, Panorama};
-use topomap::mapper::ArchiveError;
+use topomap::evidence::ArchiveError;
+use waypost_navigation::appearance::graph::candidates::{CandidateIndex, IndexedFeature};
+use waypost_navigation::appearance::graph::{
+    AppearanceGraph, Checks, ImageId, LINK_SIMILARITY, Overlap, Panorama,
+};
+use waypost_navigation::appearance::signature::Signatures;
 use waypost_sim::pose::Pose;
 use waypost_sim::scene::Scene;
 use waypost_sim::worlds::NamedWorld;
 use waypost_vision::panorama::PanoramicView;
 
-use super::AppearanceError;
-use super::eye::{Eye, scattered};
+use super::eye::{Acuity, Eye, scattered};
 use crate::commands::map::training::FIRST_TRAINING_SEED;
-use crate::error::EvalError;
-use crate::files;
-use crate::memory;
 use crate::timing::thread_seconds;
+use crate::{files, memory};
 
 /// Buildings that the words are learnt in.
 const TRAINING_BUILDINGS: u64 = 3;
@@ -34,30 +35,29 @@ const SPACING_M: f64 = 0.5;
 const FAR_M: f64 = 6.0;
 
 /// How large a graph is made, and how much of it is looked over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct IndexOptions<'a> {
-    /// Panoramas, of as many buildings as have room for them.
-    pub panoramas: usize,
-    /// Panoramas that are compared with all others, to see which links are lost: evenly spread, all if there are no more.
-    pub reference: usize,
-    /// Of the first building; the others have the next ones.
-    pub seed: u64,
-    /// Where the words are from.
-    pub words: &'a WordSource,
-}
-
-/// Where the words of an index are from.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum WordSource {
-    /// The file of a model.
-    Model(PathBuf),
-    /// Panoramas of three other buildings, of which so many are learnt.
-    Panoramas(u32),
+#[derive(Args)]
+pub(super) struct IndexOptions {
+    /// Panoramas of the graph that is made through the index, of as many buildings as have room for them.
+    #[arg(long, value_name = "N", default_value_t = 600, value_parser = clap::value_parser!(u16).range(2..=5000))]
+    panoramas: u16,
+    /// Panoramas that are compared with all others, to see which links the index does not lead to; all if there are no
+    /// more.
+    #[arg(long, value_name = "N", default_value_t = 600, value_parser = clap::value_parser!(u16).range(1..))]
+    reference: u16,
+    /// How fine the panoramas of that graph are: 512x128 with 300 features, or 1024x256 with 500.
+    #[arg(long, value_name = "ACUITY", value_enum, default_value_t = Acuity::Coarse)]
+    acuity: Acuity,
+    /// Model with the words of the index [default: they are learnt of panoramas of three other buildings].
+    #[arg(long, value_name = "FILE", conflicts_with = "words")]
+    model: Option<PathBuf>,
+    /// How many words are learnt.
+    #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(2..=20_000))]
+    words: u32,
 }
 
 /// What the index saves, and what it costs.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct IndexFigures {
+#[derive(Serialize)]
+pub(crate) struct IndexFigures {
     /// Panoramas.
     pub panoramas: usize,
     /// Buildings that they are of.
@@ -93,7 +93,7 @@ pub struct IndexFigures {
 
 /// Where the time goes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct IndexSeconds {
+pub(crate) struct IndexSeconds {
     /// Words, and where within their words features lie.
     pub words: f64,
     /// Votes, and taking the panorama into the index.
@@ -140,18 +140,16 @@ impl Panorama for Coming<'_> {
 }
 
 /// Builds the graph of panoramas of the large office through the index, and looks which links it lacks.
-///
-/// # Errors
-/// [`EvalError`] if there are no words for the panoramas.
-pub fn measure(eye: &Eye, options: &IndexOptions<'_>) -> Result<IndexFigures, EvalError> {
-    let vocabulary = match options.words {
-        WordSource::Model(path) => files::read_model(path)?.0.vocabulary().clone(),
-        WordSource::Panoramas(words) => train(eye, *words)?,
+pub(super) fn measure(options: &IndexOptions, seed: u64) -> Result<IndexFigures> {
+    let eye = &Eye::new(options.acuity)?;
+    let vocabulary = match &options.model {
+        Some(path) => files::read_model(path)?.0.vocabulary().clone(),
+        None => train(eye, options.words)?,
     };
-    let seen = see(eye, options)?;
+    let seen = see(eye, usize::from(options.panoramas), seed)?;
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     let built = one_thread.install(|| through_index(eye, &vocabulary, &seen.views))?;
-    let (compared, compared_seconds) = compared_with_all(eye, &seen.views, options.reference);
+    let (compared, compared_seconds) = compared_with_all(eye, &seen.views, usize::from(options.reference));
     let links: Vec<&Compared> = compared.iter().filter(|pair| pair.similarity > LINK_SIMILARITY).collect();
     let is_lost = |pair: &&&Compared| built.graph.similarity(pair.images.0, pair.images.1).is_none();
     let mut lost: Vec<f64> = links.iter().filter(is_lost).map(|pair| pair.similarity).collect();
@@ -164,8 +162,8 @@ pub fn measure(eye: &Eye, options: &IndexOptions<'_>) -> Result<IndexFigures, Ev
     let pair_checks_of_all = panoramas * panoramas.saturating_sub(1) / 2;
     Ok(IndexFigures {
         panoramas,
-        buildings: seen.poses.last().map_or(0, |(last, _)| (last - options.seed + 1) as usize),
-        reference: options.reference.min(panoramas),
+        buildings: seen.poses.last().map_or(0, |(last, _)| (last - seed + 1) as usize),
+        reference: usize::from(options.reference).min(panoramas),
         links: links.len(),
         pair_checks_of_all,
         pair_checks: built.checks,
@@ -182,16 +180,16 @@ pub fn measure(eye: &Eye, options: &IndexOptions<'_>) -> Result<IndexFigures, Ev
     })
 }
 
-/// Panoramas of building after building.
-fn see(eye: &Eye, options: &IndexOptions<'_>) -> Result<Seen, AppearanceError> {
+/// So many panoramas, of building after building.
+fn see(eye: &Eye, panoramas: usize, first_seed: u64) -> Result<Seen> {
     let mut seen = Seen { views: Vec::new(), poses: Vec::new() };
-    for seed in options.seed.. {
+    for seed in first_seed.. {
         let plan = NamedWorld::Office.plan(seed);
         let mut poses = scattered(&plan, SPACING_M, seed);
-        poses.truncate(options.panoramas - seen.views.len());
+        poses.truncate(panoramas - seen.views.len());
         seen.views.extend(eye.see_all(&Scene::new(plan), &poses, seed)?);
         seen.poses.extend(poses.into_iter().map(|pose| (seed, pose)));
-        if seen.views.len() == options.panoramas {
+        if seen.views.len() == panoramas {
             break;
         }
     }
@@ -199,14 +197,13 @@ fn see(eye: &Eye, options: &IndexOptions<'_>) -> Result<Seen, AppearanceError> {
 }
 
 /// Image by image: words, votes, comparisons.
-fn through_index(
-    eye: &Eye,
-    vocabulary: &Vocabulary,
-    views: &[PanoramicView],
-) -> Result<Built, AppearanceError> {
+fn through_index(eye: &Eye, vocabulary: &Vocabulary, views: &[PanoramicView]) -> Result<Built> {
     let signatures = Signatures::new(vocabulary);
-    let (mut index, mut graph) = (CandidateIndex::default(), AppearanceGraph::default());
-    let (mut checks, mut seconds, mut slowest) = (0, Some(IndexSeconds::default()), 0.0_f64);
+    let mut index = CandidateIndex::default();
+    let mut graph = AppearanceGraph::default();
+    let mut checks = 0;
+    let mut seconds = Some(IndexSeconds::default());
+    let mut slowest = 0.0_f64;
     for (image, view) in views.iter().enumerate() {
         let began = thread_seconds();
         let words = vocabulary.words(view.descriptors())?;
@@ -266,19 +263,20 @@ fn compared_with_all(eye: &Eye, views: &[PanoramicView], reference: usize) -> (V
 }
 
 /// Words of panoramas, from buildings that nothing is reported of.
-fn train(eye: &Eye, words: u32) -> Result<Vocabulary, AppearanceError> {
+fn train(eye: &Eye, words: u32) -> Result<Vocabulary> {
     let mut rows: Vec<u8> = Vec::new();
-    let (mut kind, mut width) = (DescriptorKind::Float, 0);
+    let mut kind = DescriptorKind::Float;
+    let mut width = 0;
     for seed in FIRST_TRAINING_SEED..FIRST_TRAINING_SEED + TRAINING_BUILDINGS {
         let plan = NamedWorld::Office.plan(seed);
         let poses = scattered(&plan, 1.5, seed);
         for view in eye.see_all(&Scene::new(plan), &poses, seed)? {
-            (kind, width) = (view.descriptors().kind(), view.descriptors().width());
+            kind = view.descriptors().kind();
+            width = view.descriptors().width();
             rows.extend_from_slice(view.descriptors().as_bytes());
         }
     }
-    let descriptors =
-        Descriptors::new(kind, width, rows).map_err(fabmap::vocabulary::VocabularyError::from)?;
+    let descriptors = Descriptors::new(kind, width, rows)?;
     let settings = VocabularySettings { words, ..VocabularySettings::default() };
     Ok(Vocabulary::train(&descriptors, &settings, &mut |_| ControlFlow::Continue(()))?)
 }

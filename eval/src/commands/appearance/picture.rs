@@ -11,8 +11,7 @@ use super::trials::Drive;
 const COLOURS: [&str; 6] = ["#1459aa", "#d01020", "#208050", "#e0a040", "#803090", "#207890"];
 
 /// One file of SVG: links as dark as their images are similar, then where the robot drove.
-#[must_use]
-pub fn svg(map: &TaughtMap, drives: &[Drive]) -> String {
+pub(crate) fn svg(map: &TaughtMap, drives: &[Drive]) -> String {
     let at: Vec<Vector2<f64>> = map.poses.iter().map(Pose::position).collect();
     let mut links: Vec<_> = map
         .graph

@@ -2,16 +2,17 @@
 
 use std::f64::consts::PI;
 
+use anyhow::Result;
 use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::Serialize;
-use topomap::appearance_graph::{ImageId, Overlap, Panorama};
-use topomap::appearance_navigation::{
+use topomap::evidence::ArchiveError;
+use waypost_navigation::appearance::graph::{ImageId, Overlap, Panorama};
+use waypost_navigation::appearance::navigator::{
     AppearanceNavigator, Body, Guidance, HeadingSteering, NavigationSettings, NavigationStatus, Sight,
 };
-use topomap::mapper::ArchiveError;
 use waypost_sim::people::{Behaviour, Person, Walker};
 use waypost_sim::pose::Pose;
 use waypost_sim::range_sensor::{RangeScan, ReflexSettings};
@@ -20,11 +21,10 @@ use waypost_sim::simulation::{CameraTrigger, Obedience, Simulation, SimulationSe
 use waypost_sim::worlds::{NamedRoute, NamedWorld};
 use waypost_vision::panorama::PanoramicView;
 
-use super::AppearanceError;
 use super::eye::{Eye, TaughtMap};
 
 /// From image to image of a map, in metres.
-pub const SPACING_M: f64 = 0.5;
+pub(crate) const SPACING_M: f64 = 0.5;
 
 /// From observation to observation, in nanoseconds.
 const OBSERVATION_NS: i64 = 250_000_000;
@@ -37,8 +37,8 @@ const REFLEX: ReflexSettings =
     ReflexSettings { stop_m: 0.15, margin_m: 0.02, turn_rad_s: 0.8, ahead_ns: 600_000_000, ahead_m_s: 0.25 };
 
 /// A drive to one goal.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Drive {
+#[derive(Serialize)]
+pub(crate) struct Drive {
     /// Of the building, the start and the noise.
     pub seed: u64,
     /// Whose ends it goes between.
@@ -69,8 +69,7 @@ pub struct Drive {
 }
 
 /// A building, and the drives in it.
-#[derive(Debug)]
-pub struct DrivenMap {
+pub(crate) struct DrivenMap {
     /// The building with its images.
     pub map: TaughtMap,
     /// Where the robot was sent in it.
@@ -104,10 +103,7 @@ impl Sight for Observation<'_> {
 }
 
 /// Drives to the ends of all routes of the paper's office in buildings of these seeds.
-///
-/// # Errors
-/// [`AppearanceError`] if a drive cannot be begun.
-pub fn drive_all(eye: &Eye, seeds: &[u64], people: &[usize]) -> Result<Vec<DrivenMap>, AppearanceError> {
+pub(crate) fn drive_all(eye: &Eye, seeds: &[u64], people: &[usize]) -> Result<Vec<DrivenMap>> {
     let drives = seeds.par_iter().map(|&seed| {
         let map = TaughtMap::new(eye, NamedWorld::BooijOffice.plan(seed), SPACING_M, seed)?;
         let routes = NamedWorld::BooijOffice.routes();
@@ -125,13 +121,7 @@ pub fn drive_all(eye: &Eye, seeds: &[u64], people: &[usize]) -> Result<Vec<Drive
 }
 
 /// One drive from the image nearest to a route's start to the one nearest to its end.
-fn drive(
-    eye: &Eye,
-    map: &TaughtMap,
-    route: &NamedRoute,
-    seed: u64,
-    people: usize,
-) -> Result<Drive, AppearanceError> {
+fn drive(eye: &Eye, map: &TaughtMap, route: &NamedRoute, seed: u64, people: usize) -> Result<Drive> {
     let [start, goal] =
         [route.corners[0], route.corners[route.corners.len() - 1]].map(|end| map.nearest(end));
     let mut random = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(31) + people as u64);
@@ -167,7 +157,7 @@ fn drive(
     })
 }
 
-fn simulation(eye: &Eye, map: &TaughtMap, start: Pose, seed: u64) -> Result<Simulation, AppearanceError> {
+fn simulation(eye: &Eye, map: &TaughtMap, start: Pose, seed: u64) -> Result<Simulation> {
     let settings = SimulationSettings {
         trigger: CameraTrigger::Period { period_ns: OBSERVATION_NS },
         seed,
@@ -192,11 +182,12 @@ fn follow(
     simulation: &mut Simulation,
     goal: ImageId,
     limit_s: f64,
-) -> Result<Followed, AppearanceError> {
+) -> Result<Followed> {
     let mut navigator = AppearanceNavigator::new(&map.graph, goal, NavigationSettings::default())?;
     let mut followed =
         Followed { arrived: false, path: Vec::new(), statuses: [0; 4], compared: 0, beside_people_s: 0.0 };
-    let (mut before, mut obedience): (Option<PanoramicView>, Obedience) = (None, Obedience::Idle);
+    let mut before: Option<PanoramicView> = None;
+    let mut obedience = Obedience::Idle;
     while (simulation.now_ns() as f64) * 1e-9 < limit_s {
         let mut shot = simulation.look();
         // Each image has noise of its own.
@@ -247,10 +238,11 @@ fn command(guidance: &Guidance, scan: &RangeScan) -> Command {
 }
 
 /// Positions of the images along the metrically shortest way from one to another, over links that a robot can drive.
-pub fn shortest_path(map: &TaughtMap, start: usize, goal: usize) -> Vec<Vector2<f64>> {
+pub(crate) fn shortest_path(map: &TaughtMap, start: usize, goal: usize) -> Vec<Vector2<f64>> {
     let radius_m = RobotBody::default().radius_m;
     let count = map.poses.len();
-    let (mut distance, mut next) = (vec![f64::INFINITY; count], vec![usize::MAX; count]);
+    let mut distance = vec![f64::INFINITY; count];
+    let mut next = vec![usize::MAX; count];
     let mut is_done = vec![false; count];
     distance[goal] = 0.0;
     let nearest = |distance: &[f64], is_done: &[bool]| {
@@ -265,7 +257,8 @@ pub fn shortest_path(map: &TaughtMap, start: usize, goal: usize) -> Vec<Vector2<
             let total = distance[here] + (map.poses[to].position() - from).norm();
             if total < distance[to] && map.scene.plan().is_free_line(from, map.poses[to].position(), radius_m)
             {
-                (distance[to], next[to]) = (total, here);
+                distance[to] = total;
+                next[to] = here;
             }
         }
     }
@@ -298,7 +291,8 @@ fn waiting_places(map: &TaughtMap, path: &[Vector2<f64>], people: usize) -> Vec<
             let middle = along((person as f64 + 1.0) / (people as f64 + 1.0));
             // Where there is room, and the robot can pass.
             let around = (0..400).map(|step| {
-                let (angle, distance) = (f64::from(step) * 2.4, 0.3 + 0.004 * f64::from(step));
+                let angle = f64::from(step) * 2.4;
+                let distance = 0.3 + 0.004 * f64::from(step);
                 middle + distance * Vector2::new(angle.cos(), angle.sin())
             });
             let is_aside = |place: &Vector2<f64>| {
@@ -319,7 +313,8 @@ fn waiting_places(map: &TaughtMap, path: &[Vector2<f64>], people: usize) -> Vec<
 }
 
 fn distance_to_line(point: Vector2<f64>, line: &[Vector2<f64>]) -> f64 {
-    let (from, way) = (line[0], line[1] - line[0]);
+    let from = line[0];
+    let way = line[1] - from;
     let share = ((point - from).dot(&way) / way.norm_squared().max(1e-12)).clamp(0.0, 1.0);
     (from + way * share - point).norm()
 }

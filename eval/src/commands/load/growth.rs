@@ -2,62 +2,53 @@
 //! the map takes to open.
 
 use std::num::NonZeroUsize;
-use std::ops::ControlFlow;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use fabmap::descriptor::{DescriptorKind, Descriptors};
-use fabmap::detector::DetectorModel;
-use fabmap::model::{Model, ModelTrainingError};
+use anyhow::{Result, anyhow};
+use clap::Args;
 use fabmap::observation::Observation;
-use fabmap::vocabulary::{Vocabulary, VocabularySettings};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::Serialize;
 use tokio::time::Instant;
 use waypost_client::{Client, FrameInput, FrameOutcome, SessionOptions};
-use waypost_vision::features::{Feature, FeatureSettings};
 
-use super::ServerOptions;
 use super::contents::{Contents, histogram};
 use super::report::{LatencyReport, ServerUse};
 use super::robot::Answered;
-use super::server::{MAP, ServerUnderLoad};
+use super::server::{MAP, ServerOptions, ServerUnderLoad};
 use super::words::Fleet;
-use crate::error::EvalError;
-use crate::progress;
+use super::{positive, seconds};
 use crate::workload::{Use, Workload, WorkloadSettings};
+use crate::{files, progress};
 
 /// Frames on their way at once while the map grows.
 const WINDOW: NonZeroUsize = NonZeroUsize::new(64).unwrap();
 
-/// Images that the model remembers.
-const SAMPLES: u32 = 1_000;
-
 /// Different looks at the grown map's places.
 const LOOKS: u32 = 2_000;
 
-/// How large a map, and how it is then looked at.
-#[derive(Clone, Debug, PartialEq)]
-pub struct GrowthOptions {
-    /// The distribution that places and looks are drawn from.
-    pub workload: WorkloadSettings,
-    /// Frames that are streamed, each of another place.
-    pub places: u32,
+/// A map that grows large: what looks wait for beside its checkpoints, and how long it takes to open. Its words
+/// are drawn, and so is its model.
+#[derive(Args)]
+pub(super) struct GrowthOptions {
+    /// Frames, each of another place.
+    #[arg(long, value_name = "N", default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    places: u32,
+    /// Number of words of the vocabulary.
+    #[arg(long, value_name = "V", default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1..))]
+    words: u32,
     /// Looks a second at places of the grown map, each of which changes one.
-    pub rate_hz: f64,
-    /// For how long.
-    pub duration: Duration,
+    #[arg(long, value_name = "HZ", default_value_t = 25.0, value_parser = positive)]
+    rate_hz: f64,
+    /// How long.
+    #[arg(long = "seconds", value_name = "S", default_value = "60", value_parser = seconds)]
+    duration: Duration,
 }
 
 /// What the robot saw of the server.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct GrowthReport {
-    /// Name of the scenario.
-    pub scenario: &'static str,
-    /// See [`GrowthOptions::places`].
+#[derive(Serialize)]
+pub(crate) struct GrowthReport {
     pub frames: u32,
     /// Words of the vocabulary.
     pub words: u32,
@@ -67,7 +58,6 @@ pub struct GrowthReport {
     pub growth_frames_per_s: f64,
     /// What the server took then.
     pub server: ServerUse,
-    /// See [`GrowthOptions::rate_hz`].
     pub looks_per_s: f64,
     /// Round trip of a look less what the server spent on it: commits and checkpoints among it.
     pub beyond_computing: LatencyReport,
@@ -83,18 +73,19 @@ pub struct GrowthReport {
     pub log_mib: f64,
 }
 
-pub(super) async fn run(binary: Option<PathBuf>, options: &GrowthOptions) -> Result<GrowthReport, EvalError> {
-    let GrowthOptions { workload: settings, places, rate_hz, duration } = options;
-    let workload = Workload::new(*settings)?;
-    let features = FeatureSettings::new(Feature::Orb, 500, 640).map_err(EvalError::FeatureSettings)?;
-    let model = model(&workload, settings, features)?;
+pub(super) async fn run(server: &ServerOptions, options: &GrowthOptions) -> Result<GrowthReport> {
+    let GrowthOptions { places, words, rate_hz, duration } = options;
+    let settings = WorkloadSettings { words: *words, ..WorkloadSettings::default() };
+    let workload = Workload::new(settings)?;
+    let model = workload.model()?;
     let words_hash = model.words_hash().to_string();
-    let model_file = tempfile::NamedTempFile::new().map_err(temporary)?;
-    std::fs::write(model_file.path(), model.to_bytes()).map_err(temporary)?;
-    let options = ServerOptions { binary, model: model_file.path().to_owned() };
+    let model_file = tempfile::NamedTempFile::new().map_err(files::not_written(&std::env::temp_dir()))?;
+    files::write(model_file.path(), &model.to_bytes())?;
+    let options = ServerOptions { model: model_file.path().to_owned(), ..server.clone() };
     let server = ServerUnderLoad::start(&options).await?;
 
-    let (began, cpu_s) = (Instant::now(), server.cpu_s()?);
+    let began = Instant::now();
+    let cpu_s = server.cpu_s()?;
     grow(&server.endpoint(), &workload, &words_hash, *places).await?;
     let grown_s = began.elapsed().as_secs_f64();
     let cpu_cores = (server.cpu_s()? - cpu_s) / grown_s;
@@ -110,16 +101,15 @@ pub(super) async fn run(binary: Option<PathBuf>, options: &GrowthOptions) -> Res
     let record = fleet.drive(robots).await?;
     let latency = |of: fn(&Answered) -> Duration| LatencyReport::of(record.answered.iter().map(of));
 
-    let server = server.restart(&options).await?;
+    let server = server.restart(&options)?;
     let open_ms = first_answer_ms(&server.endpoint(), &contents).await?;
-    let server = server.kill_and_restart(&options).await?;
+    let server = server.kill_and_restart(&options)?;
     let open_after_kill_ms = first_answer_ms(&server.endpoint(), &contents).await?;
     let map = Client::connect(&server.endpoint()).await?.map(MAP, waypost_client::v1::MapView::Full).await?;
     let storage = map.storage.unwrap_or_default();
-    server.stop().await?;
+    server.stop()?;
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     Ok(GrowthReport {
-        scenario: "growth",
         frames: *places,
         words: settings.words,
         places: map.places,
@@ -135,23 +125,8 @@ pub(super) async fn run(binary: Option<PathBuf>, options: &GrowthOptions) -> Res
     })
 }
 
-/// A model whose words nobody will ever see: its tree and samples are the workload's.
-fn model(
-    workload: &Workload,
-    settings: &WorkloadSettings,
-    features: FeatureSettings,
-) -> Result<Model, ModelTrainingError> {
-    let mut rows = vec![0; settings.words as usize * 32];
-    ChaCha8Rng::seed_from_u64(settings.seed).fill_bytes(&mut rows);
-    let descriptors = Descriptors::new(DescriptorKind::Binary, 32, rows)?;
-    let vocabulary = VocabularySettings { words: settings.words, seed: settings.seed, iterations: 1 };
-    let vocabulary = Vocabulary::train(&descriptors, &vocabulary, &mut |_| ControlFlow::Continue(()))?;
-    let (tree, samples) = (workload.tree().clone(), workload.images(Use::Training, SAMPLES));
-    Ok(Model::new(features.to_string(), vocabulary, tree, DetectorModel::default(), samples)?)
-}
-
 /// Streams a frame of each place, as fast as they are taken.
-async fn grow(endpoint: &str, workload: &Workload, words_hash: &str, places: u32) -> Result<(), EvalError> {
+async fn grow(endpoint: &str, workload: &Workload, words_hash: &str, places: u32) -> Result<()> {
     let options = SessionOptions {
         session_id: "growing".to_owned(),
         words_hash: words_hash.to_owned(),
@@ -167,16 +142,13 @@ async fn grow(endpoint: &str, workload: &Workload, words_hash: &str, places: u32
             let frame = FrameInput { sequence, stamp_ns: sequence as i64, content, odometry: None };
             sender.send(frame).await?;
         }
-        Ok::<(), EvalError>(())
+        Ok::<(), anyhow::Error>(())
     });
     let progress = progress::bar("frames", places as usize);
     while let Some(outcome) = outcomes.next().await? {
         if let FrameOutcome::Refusal(refusal) = outcome {
             let why = refusal.status.unwrap_or_default().message;
-            return Err(EvalError::Server {
-                problem: format!("it refused a frame: {why}"),
-                log: String::new(),
-            });
+            return Err(anyhow!("the server under load refused a frame: {why}"));
         }
         progress.inc(1);
     }
@@ -185,21 +157,16 @@ async fn grow(endpoint: &str, workload: &Workload, words_hash: &str, places: u32
 }
 
 /// Asks where one image was taken.
-async fn first_answer_ms(endpoint: &str, contents: &Contents) -> Result<f64, EvalError> {
+async fn first_answer_ms(endpoint: &str, contents: &Contents) -> Result<f64> {
     let client = Client::connect(endpoint).await?;
     let begun = Instant::now();
-    client.query(MAP, contents.frames[0].clone(), &contents.words_hash, 0).await?;
+    client.query(MAP, contents.frames[0].clone(), &contents.words_hash, Some(0)).await?;
     Ok(begun.elapsed().as_secs_f64() * 1e3)
-}
-
-fn temporary(reason: std::io::Error) -> EvalError {
-    EvalError::Write { path: std::env::temp_dir(), reason }
 }
 
 impl GrowthReport {
     pub(super) fn table(&self) -> String {
         let Self {
-            scenario: _,
             frames,
             words,
             places,

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use anyhow::Result;
+use clap::Args;
 use serde::Serialize;
 use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval, timeout};
@@ -12,11 +14,10 @@ use waypost_client::{
     SessionOptions, v1,
 };
 
-use super::ServerOptions;
 use super::contents::Contents;
 use super::report::{LatencyReport, verdict};
-use super::server::{MAP, ServerUnderLoad};
-use crate::error::EvalError;
+use super::server::{MAP, ServerOptions, ServerUnderLoad, breach};
+use super::{positive, seconds};
 
 /// From image to image.
 const FRAME_PERIOD: Duration = Duration::from_millis(500);
@@ -26,29 +27,28 @@ const PATIENCE: Duration = Duration::from_millis(500);
 
 const TARGETS_MS: [f64; 2] = [2.0, 20.0];
 
-/// How many are led, and for how long.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LeadingOptions {
-    /// Folder of images: the map is made of them, and the robots see them.
-    pub images: PathBuf,
+/// Robots that are led along one map: how long they wait for commands.
+#[derive(Args)]
+pub(super) struct LeadingOptions {
+    /// Folder of JPEG or PNG images, which the map is made of and the robots see.
+    #[arg(long, value_name = "DIR")]
+    images: PathBuf,
     /// Robots.
-    pub robots: u32,
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=200))]
+    robots: u32,
     /// Wheel reports a second of each.
-    pub rate_hz: f64,
+    #[arg(long, value_name = "HZ", default_value_t = 25.0, value_parser = positive)]
+    rate_hz: f64,
     /// How long.
-    pub duration: Duration,
+    #[arg(long = "seconds", value_name = "S", default_value = "20", value_parser = seconds)]
+    duration: Duration,
 }
 
 /// How long robots waited for their commands.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct LeadingReport {
-    /// Name of the scenario.
-    pub scenario: &'static str,
-    /// See [`LeadingOptions::robots`].
+#[derive(Serialize)]
+pub(crate) struct LeadingReport {
     pub robots: u32,
-    /// See [`LeadingOptions::rate_hz`].
     pub rate_hz: f64,
-    /// See [`LeadingOptions::duration`].
     pub seconds: f64,
     /// Wheel reports that were sent.
     pub reports: u64,
@@ -71,10 +71,7 @@ struct Met {
     recognised: u64,
 }
 
-pub(super) async fn run(
-    server: &ServerOptions,
-    options: &LeadingOptions,
-) -> Result<LeadingReport, EvalError> {
+pub(super) async fn run(server: &ServerOptions, options: &LeadingOptions) -> Result<LeadingReport> {
     let LeadingOptions { images, robots, rate_hz, duration } = options;
     let contents = Arc::new(Contents::images(images)?);
     let server = ServerUnderLoad::start(server).await?;
@@ -84,17 +81,16 @@ pub(super) async fn run(
     for number in 0..*robots {
         let options = NavigationOptions {
             navigation_id: format!("robot-{number}"),
-            goal: Some(v1::Goal { target: Some(v1::goal::Target::Place(0)) }),
+            goal: Some(v1::Goal { target: Some(v1::goal::Target::PlaceNumber(0)) }),
             ..NavigationOptions::new(MAP, camera())
         };
         let navigation = client.navigate(options).await?;
         led.spawn(lead(navigation, contents.clone(), number, (*rate_hz, *duration)));
     }
-    let met = led.join_all().await.into_iter().collect::<Result<Vec<Met>, EvalError>>()?;
-    server.stop().await?;
+    let met = led.join_all().await.into_iter().collect::<Result<Vec<Met>>>()?;
+    server.stop()?;
     let sum = |of: fn(&Met) -> u64| met.iter().map(of).sum();
     Ok(LeadingReport {
-        scenario: "leading",
         robots: *robots,
         rate_hz: *rate_hz,
         seconds: duration.as_secs_f64(),
@@ -107,21 +103,21 @@ pub(super) async fn run(
 }
 
 /// Every image is of a place half a metre on.
-async fn make_map(client: &Client, contents: &Contents) -> Result<(), EvalError> {
+async fn make_map(client: &Client, contents: &Contents) -> Result<()> {
     let options = SessionOptions { camera: Some(camera()), ..SessionOptions::new(MAP) };
     let (mut sender, mut outcomes) = client.open_session(options).await?.split();
     let sending = async move {
         for (sequence, content) in (1..).zip(&contents.frames) {
-            let (stamp_ns, content) = (1_000_000_000 * sequence as i64, content.clone());
             let odometry = Some(at(0.5 * sequence as f64));
-            sender.send(FrameInput { sequence, stamp_ns, content, odometry }).await?;
+            let stamp_ns = 1_000_000_000 * sequence as i64;
+            sender.send(FrameInput { sequence, stamp_ns, content: content.clone(), odometry }).await?;
         }
-        Ok::<(), EvalError>(())
+        Ok::<(), anyhow::Error>(())
     };
     let receiving = async move {
         while let Some(outcome) = outcomes.next().await? {
             if let FrameOutcome::Refusal(_) = outcome {
-                return Err(EvalError::Protocol("a frame of the map was refused"));
+                return Err(breach("a frame of the map was refused"));
             }
         }
         Ok(())
@@ -136,11 +132,14 @@ async fn lead(
     contents: Arc<Contents>,
     number: u32,
     (rate_hz, duration): (f64, Duration),
-) -> Result<Met, EvalError> {
+) -> Result<Met> {
     let mut reports = interval(Duration::from_secs_f64(1.0 / rate_hz));
     reports.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut guidance = navigation.guidance();
-    let (began, mut met, mut frame_due, mut sequence) = (Instant::now(), Met::default(), Duration::ZERO, 0);
+    let began = Instant::now();
+    let mut met = Met::default();
+    let mut frame_due = Duration::ZERO;
+    let mut sequence = 0;
     while began.elapsed() < duration {
         reports.tick().await;
         let now = began.elapsed();
@@ -163,12 +162,12 @@ async fn lead(
             match event {
                 NavigationEvent::Seen(seen) => {
                     met.frames += 1;
-                    met.recognised += u64::from(seen.place.is_some());
+                    met.recognised += u64::from(seen.place_number.is_some());
                 }
                 NavigationEvent::FrameRefused(_)
                 | NavigationEvent::WheelsRefused(_)
                 | NavigationEvent::Disconnected { .. } => {
-                    return Err(EvalError::Protocol("a robot was refused what it may ask"));
+                    return Err(breach("a robot was refused what it may ask"));
                 }
                 // A robot that sees places all over the map may find itself beyond its goal.
                 NavigationEvent::GoalRefused(_) | NavigationEvent::Reconnected { .. } => {}
@@ -199,8 +198,7 @@ fn camera() -> v1::Camera {
 
 impl LeadingReport {
     pub(super) fn table(&self) -> String {
-        let Self { scenario: _, robots, rate_hz, seconds, reports, unanswered, command, frames, recognised } =
-            self;
+        let Self { robots, rate_hz, seconds, reports, unanswered, command, frames, recognised } = self;
         let [p50, p99] = TARGETS_MS;
         let met = command.p50_ms.is_some_and(|ms| ms <= p50) && command.p99_ms.is_some_and(|ms| ms <= p99);
         format!(

@@ -4,16 +4,17 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use anyhow::Result;
+use clap::Args;
 use serde::Serialize;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
-use super::ServerOptions;
 use super::contents::Contents;
 use super::report::{LatencyReport, ServerUse, verdict};
 use super::robot::{AtTheEnd, Camera, Record, Robot, drive_all};
-use super::server::ServerUnderLoad;
+use super::server::{ServerOptions, ServerUnderLoad, cpu_s_of};
 use super::words::LEAD;
-use crate::error::EvalError;
+use super::{positive, seconds};
 use crate::timing::median;
 
 /// Images a second of each robot.
@@ -37,25 +38,24 @@ const TARGET_RECOVERY_S: f64 = 5.0;
 /// The median of the second half of the time may be this many times that of the first: maps do grow.
 const TARGET_MEMORY: f64 = 1.2;
 
-/// How much more than it can take, and for how long.
-#[derive(Clone, Debug, PartialEq)]
-pub struct OverloadOptions {
-    /// Folder of the images that robots send.
-    pub images: PathBuf,
-    /// How long the overload lasts.
-    pub duration: Duration,
-    /// How many times the peak goodput robots offer.
-    pub factor: f64,
+/// More images than the server can work off: goodput, memory, recovery.
+#[derive(Args)]
+pub(super) struct OverloadOptions {
+    /// Folder of JPEG or PNG images.
+    #[arg(long, value_name = "DIR")]
+    images: PathBuf,
+    /// How long.
+    #[arg(long = "seconds", value_name = "S", default_value = "60", value_parser = seconds)]
+    duration: Duration,
+    /// How many times the peak goodput is offered.
+    #[arg(long, value_name = "TIMES", default_value_t = 5.0, value_parser = positive)]
+    factor: f64,
 }
 
 /// How the server bore it.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct OverloadReport {
-    /// Name of the scenario.
-    pub scenario: &'static str,
-    /// See [`OverloadOptions::factor`].
+#[derive(Serialize)]
+pub(crate) struct OverloadReport {
     pub factor: f64,
-    /// See [`OverloadOptions::duration`].
     pub seconds: f64,
     /// Robots, each with a camera of 2 Hz and a backlog of 8 frames.
     pub robots: u32,
@@ -102,10 +102,7 @@ pub struct OverloadReport {
     pub recovery_target_met: bool,
 }
 
-pub(super) async fn run(
-    server: &ServerOptions,
-    options: &OverloadOptions,
-) -> Result<OverloadReport, EvalError> {
+pub(super) async fn run(server: &ServerOptions, options: &OverloadOptions) -> Result<OverloadReport> {
     let OverloadOptions { images, duration, factor } = options;
     let contents = Arc::new(Contents::images(images)?);
     let server = ServerUnderLoad::start(server).await?;
@@ -122,17 +119,16 @@ pub(super) async fn run(
     let after = load.single_frames("after", RECOVERY_PATIENCE).await?;
     let recovered = after.answered.iter().find(|answered| answered.round_trip <= usual);
     let recovery_s = recovered.map(|answered| (answered.at - ended).as_secs_f64());
-    server.stop().await?;
+    server.stop()?;
 
     let mut per_robot: Vec<u64> = records.iter().map(|record| record.answered.len() as u64).collect();
     per_robot.sort_unstable();
     let place = |index: usize| per_robot.get(index).copied().unwrap_or_default();
     let record = Record::together(records);
     let answered = record.answered.len() as f64;
-    let (goodput_hz, sent) = (answered / duration.as_secs_f64(), record.sent);
+    let goodput_hz = answered / duration.as_secs_f64();
     let (first_half, second_half) = rss_mib.split_at(rss_mib.len() / 2);
     Ok(OverloadReport {
-        scenario: "overload",
         factor: *factor,
         seconds: duration.as_secs_f64(),
         robots,
@@ -146,7 +142,7 @@ pub(super) async fn run(
         refused_for_now: record.refused_for_now,
         with_retry_info: record.with_retry_info,
         refused: record.refused,
-        sent_per_answer: sent as f64 / answered,
+        sent_per_answer: record.sent as f64 / answered,
         round_trip: LatencyReport::of(record.answered.iter().map(|answered| answered.round_trip)),
         server: ServerUse { cpu_cores, rss_mib: rss_mib.last().copied().unwrap_or_default() },
         robots_cpu_cores,
@@ -175,13 +171,13 @@ struct Overloaded {
 
 impl Load<'_> {
     /// One robot that sends its next frame when the last is answered.
-    async fn single_frames(&self, session: &str, duration: Duration) -> Result<Record, EvalError> {
+    async fn single_frames(&self, session: &str, duration: Duration) -> Result<Record> {
         let robot = self.robot(session, 0).await?;
         robot.drive(as_fast_as_answered(1, Instant::now(), duration)).await
     }
 
     /// Robots that are answered as fast as the server can, with none refused.
-    async fn peak_goodput_hz(&self) -> Result<f64, EvalError> {
+    async fn peak_goodput_hz(&self) -> Result<f64> {
         let robots = self.robots("peak", PEAK_ROBOTS).await?;
         let start = Instant::now() + LEAD;
         let camera = as_fast_as_answered(BACKLOG_FRAMES, start, PEAK_DURATION);
@@ -189,9 +185,10 @@ impl Load<'_> {
         Ok(Record::together(records).answered.len() as f64 / PEAK_DURATION.as_secs_f64())
     }
 
-    async fn overload(&self, count: u32, duration: Duration) -> Result<Overloaded, EvalError> {
+    async fn overload(&self, count: u32, duration: Duration) -> Result<Overloaded> {
         let robots = self.robots("overload", count).await?;
-        let (start, interval) = (Instant::now() + LEAD, Duration::from_secs_f64(1.0 / CAMERA_HZ));
+        let start = Instant::now() + LEAD;
+        let interval = Duration::from_secs_f64(1.0 / CAMERA_HZ);
         let cameras = (0..count).zip(robots).map(|(index, robot)| {
             // Cameras take turns.
             let first = start + interval * index / count;
@@ -199,7 +196,8 @@ impl Load<'_> {
             let at_the_end = AtTheEnd::Leave;
             (robot, Camera { first, interval, until, backlog_frames: BACKLOG_FRAMES, at_the_end })
         });
-        let (cpu_s, own_cpu_s) = (self.server.cpu_s()?, super::server::own_cpu_s()?);
+        let cpu_s = self.server.cpu_s()?;
+        let own_cpu_s = cpu_s_of("self")?;
         let mut rss_mib = Vec::new();
         let records = tokio::select! {
             records = drive_all(cameras) => records?,
@@ -207,12 +205,12 @@ impl Load<'_> {
         };
         let elapsed_s = start.elapsed().as_secs_f64();
         let cpu_cores = (self.server.cpu_s()? - cpu_s) / elapsed_s;
-        let robots_cpu_cores = (super::server::own_cpu_s()? - own_cpu_s) / elapsed_s;
+        let robots_cpu_cores = (cpu_s_of("self")? - own_cpu_s) / elapsed_s;
         Ok(Overloaded { start, records, cpu_cores, robots_cpu_cores, rss_mib })
     }
 
     /// Never ends well.
-    async fn watch_memory(&self, rss_mib: &mut Vec<f64>) -> EvalError {
+    async fn watch_memory(&self, rss_mib: &mut Vec<f64>) -> anyhow::Error {
         let mut every_second = interval(Duration::from_secs(1));
         every_second.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
@@ -224,7 +222,7 @@ impl Load<'_> {
         }
     }
 
-    async fn robots(&self, prefix: &str, count: u32) -> Result<Vec<Robot>, EvalError> {
+    async fn robots(&self, prefix: &str, count: u32) -> Result<Vec<Robot>> {
         let mut robots = Vec::new();
         for index in 0..count {
             let first_content = self.contents.frames.len() * index as usize / count as usize;
@@ -233,15 +231,15 @@ impl Load<'_> {
         Ok(robots)
     }
 
-    async fn robot(&self, session: &str, first_content: usize) -> Result<Robot, EvalError> {
+    async fn robot(&self, session: &str, first_content: usize) -> Result<Robot> {
         Robot::open(&self.server.endpoint(), session, self.contents.clone(), first_content).await
     }
 }
 
 /// A robot that takes its next image when there is room for it.
 fn as_fast_as_answered(backlog_frames: usize, first: Instant, duration: Duration) -> Camera {
-    let (interval, until) = (Duration::ZERO, first + duration);
-    Camera { first, interval, until, backlog_frames, at_the_end: AtTheEnd::Leave }
+    let until = first + duration;
+    Camera { first, interval: Duration::ZERO, until, backlog_frames, at_the_end: AtTheEnd::Leave }
 }
 
 /// Answers in each second from `start` on.

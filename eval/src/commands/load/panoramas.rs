@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::time::{Duration, Instant};
 
+use anyhow::Result;
+use clap::Args;
 use rayon::prelude::*;
 use serde::Serialize;
 use tokio::sync::mpsc;
@@ -13,11 +15,10 @@ use waypost_client::{Client, FrameContent, FrameInput, FrameOutcome, SessionOpti
 use waypost_sim::scene::Scene;
 use waypost_sim::worlds::NamedWorld;
 
-use super::ServerOptions;
+use super::positive;
 use super::report::LatencyReport;
-use super::server::ServerUnderLoad;
+use super::server::{ServerOptions, ServerUnderLoad, breach};
 use crate::commands::appearance::eye::{Acuity, Eye, scattered, still};
-use crate::error::EvalError;
 
 /// Between panoramas of the building, in metres.
 const SPACING_M: f64 = 0.4;
@@ -25,25 +26,26 @@ const SPACING_M: f64 = 0.4;
 /// From question to question for the graph.
 const ASKING: Duration = Duration::from_secs(1);
 
-/// What is streamed.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PanoramasOptions {
-    /// Panoramas, 1024 columns wide.
-    pub panoramas: usize,
+/// Panoramas into maps with and without an appearance graph: answers' latencies, and how long the graph takes to be built
+/// anew.
+#[derive(Args)]
+pub(super) struct PanoramasOptions {
+    /// Panoramas, taken all over a simulated office, 1024 columns wide.
+    #[arg(long, value_name = "N", default_value_t = 600)]
+    panoramas: usize,
     /// Panoramas a second.
-    pub rate_hz: f64,
+    #[arg(long, value_name = "HZ", default_value_t = 4.0, value_parser = positive)]
+    rate_hz: f64,
     /// Of building and poses.
-    pub seed: u64,
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
 }
 
 /// How long a robot waited for its answers.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct PanoramasReport {
-    /// Name of the scenario.
-    pub scenario: &'static str,
+#[derive(Serialize)]
+pub(crate) struct PanoramasReport {
     /// Panoramas that each map was sent.
     pub panoramas: usize,
-    /// See [`PanoramasOptions::rate_hz`].
     pub rate_hz: f64,
     /// From sending to the answer, where the map has no graph.
     pub without_graph: LatencyReport,
@@ -55,7 +57,6 @@ pub struct PanoramasReport {
     pub graph_behind_s: f64,
     /// Its places and links.
     pub places: usize,
-    /// See `places`.
     pub links: usize,
     /// Until a server that was started anew gave the graph, in seconds: the map was opened, and links were kept.
     pub opened_s: f64,
@@ -65,23 +66,21 @@ pub struct PanoramasReport {
     pub built_s: f64,
 }
 
-pub(super) async fn run(
-    server: &ServerOptions,
-    options: &PanoramasOptions,
-) -> Result<PanoramasReport, EvalError> {
+pub(super) async fn run(server: &ServerOptions, options: &PanoramasOptions) -> Result<PanoramasReport> {
     let (images, camera) = images(options)?;
     let options_of_server = server;
     let server = ServerUnderLoad::start(server).await?;
     let client = Client::connect(&server.endpoint()).await?;
-    let model = client.models().await?.pop().ok_or(EvalError::Protocol("the model is gone"))?.name;
+    let model = client.models().await?.pop().ok_or_else(|| breach("the model is gone"))?.name;
     for (map, strategy) in [
         ("without", v1::map_settings::NavigationStrategy::TopoMetric),
         ("with", v1::map_settings::NavigationStrategy::Appearance),
         ("asked", v1::map_settings::NavigationStrategy::Appearance),
     ] {
         let settings = v1::MapSettings { navigation_strategy: strategy.into(), ..v1::MapSettings::default() };
-        let (map_id, model) = (map.to_owned(), model.clone());
-        client.create_map(v1::CreateMapRequest { map_id, model, settings: Some(settings) }).await?;
+        let request =
+            v1::CreateMapRequest { map_id: map.to_owned(), model: model.clone(), settings: Some(settings) };
+        client.create_map(request).await?;
     }
     let drive = |map| stream(&client, map, (&images, &camera), options.rate_hz);
     let without_graph = drive("without").await?;
@@ -94,15 +93,14 @@ pub(super) async fn run(
         error = ask(&client, "asked") => return Err(error),
     };
     drop(client);
-    let server = server.restart(options_of_server).await?;
+    let server = server.restart(options_of_server)?;
     let client = Client::connect(&server.endpoint()).await?;
     let [opened_s, given_again_s] =
         [time(&client, "with", &graph).await?, time(&client, "with", &graph).await?];
     copy(&client, "with", "copy").await?;
     let built_s = time(&client, "copy", &graph).await?;
-    server.stop().await?;
+    server.stop()?;
     Ok(PanoramasReport {
-        scenario: "panoramas",
         panoramas: images.len(),
         rate_hz: options.rate_hz,
         without_graph,
@@ -118,22 +116,30 @@ pub(super) async fn run(
 }
 
 /// Panoramas all over the large office, and the camera that took them.
-fn images(options: &PanoramasOptions) -> Result<(Vec<Vec<u8>>, v1::Camera), EvalError> {
-    let PanoramasOptions { panoramas, rate_hz: _, seed } = options;
-    let acuity = Acuity::FINE;
+fn images(options: &PanoramasOptions) -> Result<(Vec<Vec<u8>>, v1::Camera)> {
+    let PanoramasOptions { panoramas, seed, .. } = options;
+    let acuity = Acuity::Fine;
     let eye = Eye::new(acuity)?;
     let plan = NamedWorld::Office.plan(*seed);
     let poses = scattered(&plan, SPACING_M, *seed);
     let scene = Scene::new(plan);
     let shots: Vec<_> = (0..).zip(poses).take(*panoramas).map(|(number, pose)| still(pose, number)).collect();
     let jpeg = |shot| Ok(scene.render(&eye.rig, shot).to_jpeg()?);
-    let images: Result<Vec<Vec<u8>>, EvalError> = shots.par_iter().map(jpeg).collect();
-    let (image_width_px, image_height_px) = acuity.size_px;
+    let images: Result<Vec<Vec<u8>>> = shots.par_iter().map(jpeg).collect();
+    let (image_width_px, image_height_px) = acuity.size_px();
     let half = std::f64::consts::PI * f64::from(image_height_px) / f64::from(image_width_px);
     let projection = v1::panorama::Projection::Cylindrical.into();
-    let panorama = v1::Panorama { projection, vertical_rad: 2.0 * half.atan() };
+    let panorama = v1::Panorama { projection, vertical_rad: Some(2.0 * half.atan()) };
     let model = Some(v1::camera::Model::Panorama(panorama));
-    Ok((images?, v1::Camera { model, image_width_px, image_height_px, base_to_camera: None }))
+    Ok((
+        images?,
+        v1::Camera {
+            model,
+            image_width_px: Some(image_width_px),
+            image_height_px: Some(image_height_px),
+            base_to_camera: None,
+        },
+    ))
 }
 
 /// Streams at a rate, and waits for all answers; how long each took.
@@ -142,7 +148,7 @@ async fn stream(
     map: &str,
     (images, camera): (&[Vec<u8>], &v1::Camera),
     rate_hz: f64,
-) -> Result<LatencyReport, EvalError> {
+) -> Result<LatencyReport> {
     let options = SessionOptions { camera: Some(camera.clone()), ..SessionOptions::new(map) };
     let (mut sender, mut outcomes) = client.open_session(options).await?.split();
     let (sent, mut sendings) = mpsc::unbounded_channel();
@@ -151,15 +157,17 @@ async fn stream(
         pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
         for (sequence, image) in (1..).zip(images) {
             pace.tick().await;
-            // Whoever receives it is there for as long as this one.
+            // The receiver lives as long as this sender.
             let _ = sent.send((sequence, Instant::now()));
-            let (stamp_ns, content) = (1_000_000_000 * sequence as i64, FrameContent::Image(image.clone()));
+            let stamp_ns = 1_000_000_000 * sequence as i64;
+            let content = FrameContent::Image(image.clone());
             sender.send(FrameInput { sequence, stamp_ns, content, odometry: None }).await?;
         }
-        Ok::<(), EvalError>(())
+        Ok::<(), anyhow::Error>(())
     };
     let receiving = async move {
-        let (mut under_way, mut latencies) = (BTreeMap::new(), Vec::new());
+        let mut under_way = BTreeMap::new();
+        let mut latencies = Vec::new();
         while let Some(outcome) = outcomes.next().await? {
             while let Ok((sequence, at)) = sendings.try_recv() {
                 under_way.insert(sequence, at);
@@ -169,7 +177,7 @@ async fn stream(
                     let at: Option<Instant> = under_way.remove(&answer.sequence);
                     latencies.extend(at.map(|at| at.elapsed()));
                 }
-                FrameOutcome::Refusal(_) => return Err(EvalError::Protocol("a panorama was refused")),
+                FrameOutcome::Refusal(_) => return Err(breach("a panorama was refused")),
             }
         }
         Ok(latencies)
@@ -181,7 +189,7 @@ async fn stream(
 }
 
 /// Asks for the graph for as long as it is answered.
-async fn ask(client: &Client, map: &str) -> EvalError {
+async fn ask(client: &Client, map: &str) -> anyhow::Error {
     let mut asking = interval(ASKING);
     asking.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
@@ -193,19 +201,19 @@ async fn ask(client: &Client, map: &str) -> EvalError {
 }
 
 /// Seconds until the graph of a map is given, which is one that was given before.
-async fn time(client: &Client, map: &str, before: &v1::AppearanceGraph) -> Result<f64, EvalError> {
+async fn time(client: &Client, map: &str, before: &v1::AppearanceGraph) -> Result<f64> {
     let began = Instant::now();
     let graph = client.appearance_graph(map).await?;
     let seconds = began.elapsed().as_secs_f64();
     if (&graph.nodes, &graph.links) == (&before.nodes, &before.links) {
         Ok(seconds)
     } else {
-        Err(EvalError::Protocol("the graph is another one when it is given anew"))
+        Err(breach("the graph is another one when it is given anew"))
     }
 }
 
 /// Copies a map by a snapshot.
-async fn copy(client: &Client, map: &str, to: &str) -> Result<(), EvalError> {
+async fn copy(client: &Client, map: &str, to: &str) -> Result<()> {
     let mut file = Vec::new();
     client.export_map(map, &mut file).await?;
     let mut job = client.import_map(to, Cursor::new(file)).await?;
@@ -216,14 +224,13 @@ async fn copy(client: &Client, map: &str, to: &str) -> Result<(), EvalError> {
     if job.state() == v1::job::State::Succeeded {
         Ok(())
     } else {
-        Err(EvalError::Protocol("a map that was exported could not be imported"))
+        Err(breach("a map that was exported could not be imported"))
     }
 }
 
 impl PanoramasReport {
     pub(super) fn table(&self) -> String {
-        let Self { scenario: _, panoramas, rate_hz, without_graph, with_graph, with_graph_asked_for, .. } =
-            self;
+        let Self { panoramas, rate_hz, without_graph, with_graph, with_graph_asked_for, .. } = self;
         let Self { graph_behind_s, places, links, opened_s, given_again_s, built_s, .. } = self;
         format!(
             "{panoramas} panoramas at {rate_hz} Hz into each map; from sending to the answer\n  \

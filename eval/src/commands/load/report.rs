@@ -5,8 +5,8 @@ use std::time::Duration;
 use serde::Serialize;
 
 /// How a time is distributed, in milliseconds; percentiles by nearest rank, null of nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct LatencyReport {
+#[derive(Clone, Copy, Serialize)]
+pub(crate) struct LatencyReport {
     /// Half are at most this.
     pub p50_ms: Option<f64>,
     /// 99 of 100 are at most this.
@@ -16,8 +16,8 @@ pub struct LatencyReport {
 }
 
 /// What the server took while it was under load.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct ServerUse {
+#[derive(Clone, Copy, Serialize)]
+pub(crate) struct ServerUse {
     /// Cores kept busy, on average.
     pub cpu_cores: f64,
     /// Memory in RAM at the end, in MiB.

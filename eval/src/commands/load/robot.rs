@@ -7,6 +7,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
+use anyhow::{Result, anyhow, bail};
 use futures::future::OptionFuture;
 use prost::Message;
 use tokio::sync::mpsc;
@@ -24,8 +25,7 @@ use waypost_proto::v1::stream_request::Content as Request;
 use waypost_proto::v1::stream_response::Content as Response;
 
 use super::contents::Contents;
-use super::server::MAP;
-use crate::error::EvalError;
+use super::server::{MAP, breach};
 
 /// Frames that a robot has on their way at once, as many as the client library by default.
 const WINDOW: usize = 8;
@@ -144,23 +144,22 @@ impl Robot {
         session: &str,
         contents: Arc<Contents>,
         first_content: usize,
-    ) -> Result<Self, EvalError> {
+    ) -> Result<Self> {
         let (requests, responses) = open_stream(connection(endpoint)?, session, &contents.words_hash).await?;
-        let (backlog, record) = (VecDeque::new(), Record::default());
         Ok(Self {
             requests,
             responses,
             contents,
             first_content,
-            backlog,
+            backlog: VecDeque::new(),
             retry_at: None,
             window: WINDOW,
-            record,
+            record: Record::default(),
         })
     }
 
     /// Takes images as the camera says until its end.
-    pub(super) async fn drive(mut self, camera: Camera) -> Result<Record, EvalError> {
+    pub(super) async fn drive(mut self, camera: Camera) -> Result<Record> {
         let mut next_image = Some(camera.first);
         loop {
             self.send_what_may_go(camera.interval)?;
@@ -172,13 +171,16 @@ impl Robot {
             let image_at = next_image.filter(|_| !waits_for_room).unwrap_or(camera.until);
             let retry_at = self.retry_at.filter(|_| self.all_came_back());
             tokio::select! {
-                response = self.responses.message() => self.take(response?)?,
+                response = self.responses.message() => self.take(response.map_err(|status| ended(&status))?)?,
                 () = sleep_until(image_at), if next_image.is_some() => {
                     next_image = self.take_image(&camera, next_image);
                 }
                 Some(()) = OptionFuture::from(retry_at.map(sleep_until)) => self.retry_at = None,
                 () = sleep_until(camera.until + LAST_ANSWERS) => {
-                    return Err(EvalError::Unanswered { frames: self.backlog.len() });
+                    bail!(
+                        "{} frames of one robot were never answered; lower the load, or look for what holds the server up",
+                        self.backlog.len()
+                    );
                 }
             }
         }
@@ -202,7 +204,7 @@ impl Robot {
     }
 
     /// Oldest first; nothing overtakes a frame that has to be sent again.
-    fn send_what_may_go(&mut self, interval: Duration) -> Result<(), EvalError> {
+    fn send_what_may_go(&mut self, interval: Duration) -> Result<()> {
         if self.retry_at.is_some() {
             return Ok(());
         }
@@ -218,7 +220,7 @@ impl Robot {
             let sent = self.requests.try_send(v1::StreamRequest { content: Some(request) });
             // If the stream has ended, its responses tell why.
             if let Err(mpsc::error::TrySendError::Full(_)) = sent {
-                return Err(EvalError::Protocol("more frames are on their way than the window holds"));
+                return Err(breach("more frames are on their way than the window holds"));
             }
         }
         Ok(())
@@ -228,11 +230,12 @@ impl Robot {
         !self.backlog.iter().any(|frame| frame.in_flight)
     }
 
-    fn take(&mut self, response: Option<v1::StreamResponse>) -> Result<(), EvalError> {
+    fn take(&mut self, response: Option<v1::StreamResponse>) -> Result<()> {
         let content = response.and_then(|response| response.content);
-        match content.ok_or(EvalError::Protocol("the server ended the stream"))? {
+        match content.ok_or_else(|| breach("the server ended the stream"))? {
             Response::Answer(answer) => {
-                let (frame, now) = (self.settled(answer.sequence)?, Instant::now());
+                let frame = self.settled(answer.sequence)?;
+                let now = Instant::now();
                 self.window = (2 * self.window).min(WINDOW);
                 self.record.answered.push(Answered {
                     at: now,
@@ -244,12 +247,12 @@ impl Robot {
             Response::Refusal(v1::FrameRefusal { sequence, status, .. }) => {
                 self.refused(sequence, &status.unwrap_or_default())?;
             }
-            Response::Opened(_) => return Err(EvalError::Protocol("the session was opened twice")),
+            Response::Opened(_) => return Err(breach("the session was opened twice")),
         }
         Ok(())
     }
 
-    fn refused(&mut self, sequence: u64, status: &rpc::Status) -> Result<(), EvalError> {
+    fn refused(&mut self, sequence: u64, status: &rpc::Status) -> Result<()> {
         if Code::from(status.code) != Code::Unavailable {
             self.settled(sequence)?;
             self.record.refused += 1;
@@ -269,22 +272,20 @@ impl Robot {
         Ok(())
     }
 
-    fn frame(&mut self, sequence: u64) -> Result<&mut Backlogged, EvalError> {
+    fn frame(&mut self, sequence: u64) -> Result<&mut Backlogged> {
         let found = self.backlog.iter_mut().find(|frame| frame.sequence == sequence && frame.in_flight);
-        found.ok_or(EvalError::Protocol("the server answered a frame that was not sent"))
+        found.ok_or_else(|| breach("the server answered a frame that was not sent"))
     }
 
     /// Takes a frame off the backlog. Answers come in the order of frames.
-    fn settled(&mut self, sequence: u64) -> Result<Backlogged, EvalError> {
+    fn settled(&mut self, sequence: u64) -> Result<Backlogged> {
         let front = self.backlog.pop_front().filter(|front| front.sequence == sequence && front.in_flight);
-        front.ok_or(EvalError::Protocol("the server answered frames out of order"))
+        front.ok_or_else(|| breach("the server answered frames out of order"))
     }
 }
 
 /// All robots side by side; what happened to each, in no order.
-pub(super) async fn drive_all(
-    robots: impl IntoIterator<Item = (Robot, Camera)>,
-) -> Result<Vec<Record>, EvalError> {
+pub(super) async fn drive_all(robots: impl IntoIterator<Item = (Robot, Camera)>) -> Result<Vec<Record>> {
     let mut driving = JoinSet::new();
     for (robot, camera) in robots {
         driving.spawn(robot.drive(camera));
@@ -297,13 +298,13 @@ pub(super) async fn drive_all(
 }
 
 /// A connection to be made.
-pub(super) fn connection(endpoint: &str) -> Result<Endpoint, EvalError> {
-    let connection = Endpoint::from_shared(endpoint.to_owned()).map_err(|error| unreachable(&error))?;
-    Ok(connection.tcp_nodelay(true))
+pub(super) fn connection(endpoint: &str) -> Result<Endpoint> {
+    Ok(Endpoint::from_shared(endpoint.to_owned())?.tcp_nodelay(true))
 }
 
-fn unreachable(error: &tonic::transport::Error) -> Status {
-    Status::unavailable(error.to_string())
+/// For `map_err` where a call or a stream has ended.
+fn ended(status: &Status) -> anyhow::Error {
+    anyhow!("a stream ended under load: {} ({:?})", status.message(), status.code())
 }
 
 /// A stream with an open session.
@@ -311,8 +312,8 @@ pub(super) async fn open_stream(
     connection: Endpoint,
     session: &str,
     words_hash: &str,
-) -> Result<(mpsc::Sender<v1::StreamRequest>, Streaming<v1::StreamResponse>), EvalError> {
-    let channel = connection.connect().await.map_err(|error| unreachable(&error))?;
+) -> Result<(mpsc::Sender<v1::StreamRequest>, Streaming<v1::StreamResponse>)> {
+    let channel = connection.connect().await?;
     let (requests, receiver) = mpsc::channel(WINDOW + 1);
     let opening = v1::OpenSession {
         map: format!("maps/{MAP}"),
@@ -325,11 +326,12 @@ pub(super) async fn open_stream(
     // The receiver is here still.
     let _ = requests.send(v1::StreamRequest { content: Some(Request::Open(opening)) }).await;
     let mut service = SessionServiceClient::new(channel);
-    let mut responses = service.stream(ReceiverStream::new(receiver)).await?.into_inner();
-    match responses.message().await?.and_then(|response| response.content) {
+    let mut responses =
+        service.stream(ReceiverStream::new(receiver)).await.map_err(|status| ended(&status))?.into_inner();
+    match responses.message().await.map_err(|status| ended(&status))?.and_then(|response| response.content) {
         Some(Response::Opened(_)) => Ok((requests, responses)),
         Some(Response::Answer(_) | Response::Refusal(_)) | None => {
-            Err(EvalError::Protocol("the server did not open the session"))
+            Err(breach("the server did not open the session"))
         }
     }
 }

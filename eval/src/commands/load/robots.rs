@@ -3,38 +3,37 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use anyhow::Result;
+use clap::Args;
 use serde::Serialize;
 
-use super::contents::Contents;
+use super::contents::{Contents, WordSource};
 use super::report::LatencyReport;
 use super::robot::Record;
-use super::server::ServerUnderLoad;
+use super::server::{ServerOptions, ServerUnderLoad};
 use super::stalled::{StalledConnection, StalledStream};
 use super::words::Fleet;
-use super::{ServerOptions, WordSource};
-use crate::error::EvalError;
+use super::{positive, seconds};
 
 const ROBOTS: u32 = 4;
 
-/// What the four robots send, and for how long.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RobotsOptions {
-    /// Where the words come from.
-    pub source: WordSource,
+/// Four robots in one map, alone and beside clients that do not read their answers.
+#[derive(Args)]
+pub(super) struct RobotsOptions {
+    #[command(flatten)]
+    source: WordSource,
     /// Frames a second of each robot.
-    pub rate_hz: f64,
+    #[arg(long, value_name = "HZ", default_value_t = 5.0, value_parser = positive)]
+    rate_hz: f64,
     /// How long, alone and then again beside the stalled ones.
-    pub duration: Duration,
+    #[arg(long = "seconds", value_name = "S", default_value = "20", value_parser = seconds)]
+    duration: Duration,
 }
 
 /// How long the four waited for their answers.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct RobotsReport {
-    /// Name of the scenario.
-    pub scenario: &'static str,
-    /// See [`RobotsOptions::rate_hz`].
+#[derive(Serialize)]
+pub(crate) struct RobotsReport {
     pub rate_hz: f64,
-    /// See [`RobotsOptions::duration`].
     pub seconds: f64,
     /// The four by themselves.
     pub alone: RobotsFigures,
@@ -43,8 +42,8 @@ pub struct RobotsReport {
 }
 
 /// Figures of four robots together.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct RobotsFigures {
+#[derive(Clone, Copy, Serialize)]
+pub(crate) struct RobotsFigures {
     /// Frames that they took.
     pub offered: u64,
     /// Frames that were answered.
@@ -57,7 +56,7 @@ pub struct RobotsFigures {
     pub server_rss_mib: f64,
 }
 
-pub(super) async fn run(server: &ServerOptions, options: &RobotsOptions) -> Result<RobotsReport, EvalError> {
+pub(super) async fn run(server: &ServerOptions, options: &RobotsOptions) -> Result<RobotsReport> {
     let RobotsOptions { source, rate_hz, duration } = options;
     let contents = Arc::new(Contents::words(&server.model, source)?);
     let server = ServerUnderLoad::start(server).await?;
@@ -65,16 +64,16 @@ pub(super) async fn run(server: &ServerOptions, options: &RobotsOptions) -> Resu
     let measure = async |fleet: Fleet| {
         let robots = fleet.open(&server.endpoint(), &contents).await?;
         let record = fleet.drive(robots).await?;
-        Ok::<_, EvalError>(figures(&record, server.rss_mib()?))
+        Ok::<_, anyhow::Error>(figures(&record, server.rss_mib()?))
     };
     let alone = measure(fleet("alone")).await?;
     let unread = StalledStream::open(&server.endpoint(), "stalled-stream", &contents, *rate_hz).await?;
-    let deaf = StalledConnection::open(&server.address, "stalled-connection", &contents, *rate_hz).await?;
+    let deaf = StalledConnection::open(&server.address(), "stalled-connection", &contents, *rate_hz).await?;
     let beside_stalled = measure(fleet("beside")).await?;
     drop((unread, deaf));
-    server.stop().await?;
+    server.stop()?;
     let seconds = duration.as_secs_f64();
-    Ok(RobotsReport { scenario: "robots", rate_hz: *rate_hz, seconds, alone, beside_stalled })
+    Ok(RobotsReport { rate_hz: *rate_hz, seconds, alone, beside_stalled })
 }
 
 fn figures(record: &Record, server_rss_mib: f64) -> RobotsFigures {
@@ -91,7 +90,7 @@ fn figures(record: &Record, server_rss_mib: f64) -> RobotsFigures {
 
 impl RobotsReport {
     pub(super) fn table(&self) -> String {
-        let Self { scenario: _, rate_hz, seconds, alone, beside_stalled } = self;
+        let Self { rate_hz, seconds, alone, beside_stalled } = self;
         let rows = [("alone", alone), ("beside stalled", beside_stalled)].map(|(name, figures)| {
             let RobotsFigures { offered, answered, round_trip, beyond_computing, server_rss_mib } = figures;
             format!(

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use anyhow::{Context, Result};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::oneshot;
@@ -14,7 +15,6 @@ use waypost_proto::v1::stream_request::Content as Request;
 
 use super::contents::Contents;
 use super::robot::{connection, open_stream, wire};
-use crate::error::EvalError;
 
 /// Bytes of answers that a stalled client takes all the same: a few answers.
 const WINDOW_BYTES: u32 = 1 << 10;
@@ -33,7 +33,7 @@ impl StalledStream {
         session: &str,
         contents: &Arc<Contents>,
         rate_hz: f64,
-    ) -> Result<Self, EvalError> {
+    ) -> Result<Self> {
         let connection = connection(endpoint)?.initial_stream_window_size(WINDOW_BYTES);
         let (requests, responses) = open_stream(connection, session, &contents.words_hash).await?;
         let contents = contents.clone();
@@ -70,9 +70,10 @@ impl StalledConnection {
         session: &str,
         contents: &Arc<Contents>,
         rate_hz: f64,
-    ) -> Result<Self, EvalError> {
-        let listener = TcpListener::bind("127.0.0.1:0").await.map_err(EvalError::Socket)?;
-        let address = listener.local_addr().map_err(EvalError::Socket)?;
+    ) -> Result<Self> {
+        let listener =
+            TcpListener::bind("127.0.0.1:0").await.context("no connection on the loopback interface")?;
+        let address = listener.local_addr().context("no connection on the loopback interface")?;
         let (deafen, deaf) = oneshot::channel();
         let server = server.to_owned();
         // An error ends the connection, which its robot would notice.

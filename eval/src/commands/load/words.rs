@@ -3,17 +3,18 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use anyhow::Result;
+use clap::Args;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 use tokio::time::Instant;
 
-use super::contents::Contents;
+use super::contents::{Contents, WordSource};
 use super::report::{LatencyReport, ServerUse, verdict};
 use super::robot::{Answered, AtTheEnd, Camera, Record, Robot, drive_all};
-use super::server::ServerUnderLoad;
-use super::{ServerOptions, WordSource};
-use crate::error::EvalError;
+use super::server::{ServerOptions, ServerUnderLoad};
+use super::{positive, seconds};
 
 /// What beyond computing may take, in milliseconds: half of the frames, and 99 of 100.
 const TARGET_MS: [f64; 2] = [5.0, 20.0];
@@ -21,29 +22,27 @@ const TARGET_MS: [f64; 2] = [5.0, 20.0];
 /// All streams are open by then.
 pub(super) const LEAD: Duration = Duration::from_millis(200);
 
-/// How many streams, and how fast.
-#[derive(Clone, Debug, PartialEq)]
-pub struct WordsOptions {
-    /// Where the words come from.
-    pub source: WordSource,
-    /// Robots that stream into the one map.
-    pub streams: u32,
-    /// Frames a second of each.
-    pub rate_hz: f64,
-    /// How long they do.
-    pub duration: Duration,
+/// Many word streams into one map: what a frame takes beyond computing.
+#[derive(Args)]
+pub(super) struct WordsOptions {
+    #[command(flatten)]
+    source: WordSource,
+    /// Robots.
+    #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    streams: u32,
+    /// Frames a second of each robot.
+    #[arg(long, value_name = "HZ", default_value_t = 2.0, value_parser = positive)]
+    rate_hz: f64,
+    /// How long.
+    #[arg(long = "seconds", value_name = "S", default_value = "60", value_parser = seconds)]
+    duration: Duration,
 }
 
 /// What the robots saw of the server.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct WordsReport {
-    /// Name of the scenario.
-    pub scenario: &'static str,
-    /// See [`WordsOptions::streams`].
+#[derive(Serialize)]
+pub(crate) struct WordsReport {
     pub streams: u32,
-    /// See [`WordsOptions::rate_hz`].
     pub rate_hz: f64,
-    /// See [`WordsOptions::duration`].
     pub seconds: f64,
     /// Mean size of a frame's words on the wire.
     pub bytes_per_frame: f64,
@@ -69,24 +68,24 @@ pub struct WordsReport {
     pub target_met: bool,
 }
 
-pub(super) async fn run(server: &ServerOptions, options: &WordsOptions) -> Result<WordsReport, EvalError> {
+pub(super) async fn run(server: &ServerOptions, options: &WordsOptions) -> Result<WordsReport> {
     let WordsOptions { source, streams, rate_hz, duration } = options;
     let contents = Arc::new(Contents::words(&server.model, source)?);
     let server = ServerUnderLoad::start(server).await?;
     let fleet = Fleet { prefix: "robot", robots: *streams, rate_hz: *rate_hz, duration: *duration };
     let robots = fleet.open(&server.endpoint(), &contents).await?;
-    let (began, cpu_s) = (Instant::now(), server.cpu_s()?);
+    let began = Instant::now();
+    let cpu_s = server.cpu_s()?;
     let record = fleet.drive(robots).await?;
     let cpu_cores = (server.cpu_s()? - cpu_s) / began.elapsed().as_secs_f64();
     let server_use = ServerUse { cpu_cores, rss_mib: server.rss_mib()? };
-    let frames_per_commit = server.commits()?.frames_per_commit();
-    server.stop().await?;
+    let frames_per_commit = server.commits().frames_per_commit();
+    server.stop()?;
 
     let latency = |of: fn(&Answered) -> Duration| LatencyReport::of(record.answered.iter().map(of));
     let beyond_computing = latency(Answered::beyond_computing);
     let within = |figure: Option<f64>, target_ms| figure.is_some_and(|figure| figure <= target_ms);
     Ok(WordsReport {
-        scenario: "words",
         streams: *streams,
         rate_hz: *rate_hz,
         seconds: duration.as_secs_f64(),
@@ -114,11 +113,7 @@ pub(super) struct Fleet {
 }
 
 impl Fleet {
-    pub(super) async fn open(
-        &self,
-        endpoint: &str,
-        contents: &Arc<Contents>,
-    ) -> Result<Vec<Robot>, EvalError> {
+    pub(super) async fn open(&self, endpoint: &str, contents: &Arc<Contents>) -> Result<Vec<Robot>> {
         let mut opened = Vec::new();
         for robot in 0..self.robots {
             // Spread over what there is to see.
@@ -130,16 +125,16 @@ impl Fleet {
     }
 
     /// Every frame is sent at its time, whatever became of those before, and all are waited for.
-    pub(super) async fn drive(&self, robots: Vec<Robot>) -> Result<Record, EvalError> {
+    pub(super) async fn drive(&self, robots: Vec<Robot>) -> Result<Record> {
         let interval = Duration::from_secs_f64(1.0 / self.rate_hz);
         let start = Instant::now() + LEAD;
         // Clocks of robots are not in step; the seed makes runs alike.
         let mut phase = ChaCha8Rng::seed_from_u64(1);
         let cameras = robots.into_iter().map(|robot| {
             let first = start + interval.mul_f64(phase.random_range(0.0..1.0));
-            let (until, backlog_frames) = (start + self.duration, usize::MAX);
+            let until = start + self.duration;
             let at_the_end = AtTheEnd::Wait;
-            (robot, Camera { first, interval, until, backlog_frames, at_the_end })
+            (robot, Camera { first, interval, until, backlog_frames: usize::MAX, at_the_end })
         });
         Ok(Record::together(drive_all(cameras).await?))
     }
@@ -148,7 +143,6 @@ impl Fleet {
 impl WordsReport {
     pub(super) fn table(&self) -> String {
         let Self {
-            scenario: _,
             streams,
             rate_hz,
             seconds,

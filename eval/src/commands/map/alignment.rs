@@ -1,11 +1,11 @@
 //! How far a trajectory is from the truth, laid over it.
 
 use nalgebra::{Complex, Vector2};
-use topomap::relaxation::{PlanarPose, Pose};
+use posegraph::{PlanarPose, Pose};
 
 /// How an estimate is laid over the truth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Alignment {
+pub(crate) enum Alignment {
     /// The first pose of both is one, position and heading.
     FirstPose,
     /// Turned and moved to where the squares of the distances add up to least.
@@ -15,8 +15,11 @@ pub enum Alignment {
 }
 
 /// Positions of `estimate` in the frame of `truth`: of each of the two the same moments, in order.
-#[must_use]
-pub fn aligned(estimate: &[PlanarPose], truth: &[PlanarPose], alignment: Alignment) -> Vec<Vector2<f64>> {
+pub(crate) fn aligned(
+    estimate: &[PlanarPose],
+    truth: &[PlanarPose],
+    alignment: Alignment,
+) -> Vec<Vector2<f64>> {
     let (Some(first), Some(true_first)) = (estimate.first(), truth.first()) else { return Vec::new() };
     if alignment == Alignment::FirstPose {
         let laid = true_first.compose(&first.inverse());
@@ -24,7 +27,8 @@ pub fn aligned(estimate: &[PlanarPose], truth: &[PlanarPose], alignment: Alignme
     }
     let complex = |pose: &PlanarPose| Complex::new(pose.x_m(), pose.y_m());
     let mean = |poses: &[PlanarPose]| poses.iter().map(complex).sum::<Complex<f64>>() / poses.len() as f64;
-    let (from, to) = (mean(estimate), mean(truth));
+    let from = mean(estimate);
+    let to = mean(truth);
     // The best turn is the argument of Σ (p - p̄)* (q - q̄), the best turn and scale that over Σ |p - p̄|².
     let pairs = estimate.iter().zip(truth);
     let moment: Complex<f64> = pairs.map(|(a, b)| (complex(a) - from).conj() * (complex(b) - to)).sum();
@@ -42,8 +46,7 @@ pub fn aligned(estimate: &[PlanarPose], truth: &[PlanarPose], alignment: Alignme
 }
 
 /// Root of the mean squared distance between the two, in metres; 0 of none.
-#[must_use]
-pub fn rmse_m(estimate: &[PlanarPose], truth: &[PlanarPose], alignment: Alignment) -> f64 {
+pub(crate) fn rmse_m(estimate: &[PlanarPose], truth: &[PlanarPose], alignment: Alignment) -> f64 {
     let laid = aligned(estimate, truth, alignment);
     let squares: f64 =
         laid.iter().zip(truth).map(|(point, truth)| (point - position(truth)).norm_squared()).sum();
@@ -51,8 +54,7 @@ pub fn rmse_m(estimate: &[PlanarPose], truth: &[PlanarPose], alignment: Alignmen
 }
 
 /// Where a pose is.
-#[must_use]
-pub fn position(pose: &PlanarPose) -> Vector2<f64> {
+pub(crate) fn position(pose: &PlanarPose) -> Vector2<f64> {
     Vector2::new(pose.x_m(), pose.y_m())
 }
 

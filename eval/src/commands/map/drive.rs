@@ -2,33 +2,26 @@
 
 use std::sync::Arc;
 
+use anyhow::Result;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use posegraph::PlanarPose;
 use rayon::prelude::*;
-use topomap::odometry::{Odometry, OdometryError};
-use topomap::relaxation::PlanarPose;
-use waypost_sim::camera::Camera;
+use topomap::metric::Odometry;
+use waypost_sim::drive::{Building, SPEED_M_S, WHEN_MOVED};
+use waypost_sim::image::GreyImage as Rendered;
 use waypost_sim::pose::Pose;
-use waypost_sim::render::{CameraRig, Mount, Sensor, Shot};
-use waypost_sim::robot::{Body, OdometryReading, WheelErrors};
-use waypost_sim::route::Route;
+use waypost_sim::render::{CameraRig, Mount};
+use waypost_sim::robot::{OdometryReading, WheelErrors};
 use waypost_sim::scene::Scene;
-use waypost_sim::simulation::{Recording, Simulation, SimulationSettings};
+use waypost_sim::simulation::{CameraTrigger, Recording};
 use waypost_sim::worlds::{NamedRoute, NamedWorld};
 use waypost_vision::image::GreyImage;
-
-use super::MapError;
-
-/// Columns and rows of the camera's images.
-pub const IMAGE_SIZE_PX: (u32, u32) = (320, 240);
-
-/// What the camera sees from the left to the right edge, in radians.
-pub const FIELD_OF_VIEW_RAD: f64 = 65.0 / 180.0 * std::f64::consts::PI;
-
-/// Metres a second on straight ways.
-pub const SPEED_M_S: f64 = 0.4;
+use waypost_vision::structure::RobotCamera;
+use waypost_vision::verification::Pinhole;
 
 /// A drive along a route, as it was and as the robot saw it.
 #[derive(Debug)]
-pub struct Drive {
+pub(crate) struct Drive {
     /// The world.
     pub scene: Arc<Scene>,
     /// Every step.
@@ -39,7 +32,7 @@ pub struct Drive {
 
 /// An image, and what was true and thought to be true when it was taken.
 #[derive(Clone, Debug)]
-pub struct DrivenFrame {
+pub(crate) struct DrivenFrame {
     /// Nanoseconds since the start.
     pub stamp_ns: i64,
     /// Where the robot was.
@@ -48,91 +41,73 @@ pub struct DrivenFrame {
     pub odometry: OdometryReading,
     /// What it saw.
     pub image: GreyImage,
+    /// By which camera.
+    pub camera: RobotCamera,
 }
 
-impl DrivenFrame {
-    /// The odometry as a robot sends it.
-    ///
-    /// # Errors
-    /// [`OdometryError`] if it is none.
-    pub fn sent_odometry(&self) -> Result<Odometry, OdometryError> {
-        let (position_m, orientation) = self.odometry.position_and_orientation();
-        Odometry::new(position_m, orientation, Some(&self.odometry.covariance_6x6()))
-    }
+/// The odometry as a robot sends it.
+pub(crate) fn sent_odometry(reading: &OdometryReading) -> Result<Odometry> {
+    let (position_m, orientation) = reading.position_and_orientation();
+    Ok(Odometry::new(position_m, orientation, Some(&reading.covariance_6x6()))?)
 }
 
 /// Drives a route of a world; `seed` is that of the world, of the wheels' noise and of the camera's.
-///
-/// # Errors
-/// [`MapError`] if the robot does not come to the end of the route.
-pub fn drive(
-    world: NamedWorld,
-    route: &NamedRoute,
-    seed: u64,
-    wheels: WheelErrors,
-) -> Result<Drive, MapError> {
-    drive_in(&Arc::new(Scene::new(world.plan(seed))), route, seed, wheels)
+pub(crate) fn drive(world: NamedWorld, route: &NamedRoute, seed: u64, wheels: WheelErrors) -> Result<Drive> {
+    drive_through(&Building::named(world, seed, route)?, seed, wheels, WHEN_MOVED)
 }
 
 /// Drives a route of a building; `seed` is that of the wheels' noise and of the camera's.
-///
-/// # Errors
-/// [`MapError`] if the robot does not come to the end of the route.
-pub fn drive_in(
+pub(crate) fn drive_in(
     scene: &Arc<Scene>,
     route: &NamedRoute,
     seed: u64,
     wheels: WheelErrors,
-) -> Result<Drive, MapError> {
-    let route = Route::named(scene.plan(), route, Body::default().radius_m)?;
-    let settings = SimulationSettings { wheels, seed, ..SimulationSettings::new(camera_rig()?) };
-    drive_along(scene.clone(), &route, settings)
+) -> Result<Drive> {
+    drive_through(&Building::new(scene.clone(), route)?, seed, wheels, WHEN_MOVED)
 }
 
-/// The camera that all drives see with.
-///
-/// # Errors
-/// [`MapError`] if there is none such.
-pub fn camera_rig() -> Result<CameraRig, MapError> {
-    let camera = Camera::of_field_of_view(FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX)?;
-    Ok(CameraRig::new(camera, Mount::default(), Sensor::default())?)
-}
-
-/// Drives a route.
-///
-/// # Errors
-/// [`MapError`] if the robot does not come to its end.
-pub fn drive_along(
-    scene: Arc<Scene>,
-    route: &Route,
-    settings: SimulationSettings,
-) -> Result<Drive, MapError> {
-    let rig = settings.rig.clone();
-    let recording = Simulation::new(scene.clone(), route.start(), settings)?.drive_along(route, SPEED_M_S)?;
+/// Drives through a building, with images when the trigger says.
+pub(crate) fn drive_through(
+    building: &Building,
+    seed: u64,
+    wheels: WheelErrors,
+    trigger: CameraTrigger,
+) -> Result<Drive> {
+    let recording = building.robot(wheels, seed, trigger)?.drive_along(&building.route, SPEED_M_S)?;
+    let camera = robot_camera(&building.rig);
     let taken: Vec<_> = recording.frames().collect();
     let frames = taken.into_par_iter().map(|frame| {
         Ok(DrivenFrame {
             stamp_ns: frame.stamp_ns,
             truth: planar(&frame.shot.pose),
             odometry: frame.odometry,
-            image: image_of(&scene, &rig, &frame.shot)?,
+            image: grey(&building.image(&frame.shot))?,
+            camera,
         })
     });
-    let frames = frames.collect::<Result<_, MapError>>()?;
-    Ok(Drive { scene, recording, frames })
+    let frames = frames.collect::<Result<_>>()?;
+    Ok(Drive { scene: building.scene.clone(), recording, frames })
 }
 
-/// What the camera sees.
-///
-/// # Errors
-/// [`MapError`] if that is no image.
-pub fn image_of(scene: &Scene, rig: &CameraRig, shot: &Shot) -> Result<GreyImage, MapError> {
-    let image = scene.render(rig, shot);
-    Ok(GreyImage::new(image.width_px(), image.height_px(), image.pixels().to_vec())?)
+/// A rendered image, as features are extracted from.
+pub(crate) fn grey(rendered: &Rendered) -> Result<GreyImage> {
+    Ok(GreyImage::new(rendered.width_px(), rendered.height_px(), rendered.pixels().to_vec())?)
+}
+
+/// A simulated camera, as a robot declares it.
+pub(crate) fn robot_camera(rig: &CameraRig) -> RobotCamera {
+    let [focal_px, center_px] = rig
+        .camera()
+        .intrinsics_px()
+        .unwrap_or_else(|| unreachable!("robots that drive by wheels look ahead"));
+    let &Mount { forward_m, height_m, yaw_rad } = rig.mount();
+    let position = Translation3::new(forward_m, 0.0, height_m);
+    let base_to_camera =
+        Isometry3::from_parts(position, UnitQuaternion::from_euler_angles(0.0, 0.0, yaw_rad));
+    RobotCamera { pinhole: Pinhole::ideal(focal_px, center_px), base_to_camera }
 }
 
 /// The same pose, as maps have them.
-#[must_use]
-pub fn planar(pose: &Pose) -> PlanarPose {
+pub(crate) fn planar(pose: &Pose) -> PlanarPose {
     PlanarPose::new(pose.x_m, pose.y_m, pose.heading_rad)
 }

@@ -1,18 +1,19 @@
 //! A map held against the truth of the drive that made it.
 
+use posegraph::{PlanarPose, Pose};
 use serde::Serialize;
-use topomap::event::{FrameEvent, FrameId, LinkKind, Reason};
-use topomap::odometry_prior::PlaceSpacing;
-use topomap::relaxation::{PlanarPose, Pose};
+use topomap::ids::FrameId;
+use topomap::log::{FrameEvent, LinkKind, Reason};
+use topomap::settings::PlaceSpacing;
 
 use super::alignment::{Alignment, rmse_m};
 use super::drive::DrivenFrame;
 use super::mapping::Mapped;
-use crate::timing::{median, quantile};
+use crate::timing::{median, quantile, root_mean_square};
 
 /// What was true of one drive, what was found, and what it took.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Figures {
+#[derive(Clone, Serialize)]
+pub(crate) struct Figures {
     /// Frames.
     pub images: f64,
     /// Places of the map.
@@ -57,7 +58,7 @@ pub struct Figures {
 }
 
 /// How the report judges.
-pub const CLOSURE_DEFINITIONS: [(&str, &str); 4] = [
+pub(crate) const CLOSURE_DEFINITIONS: [(&str, &str); 4] = [
     (
         "closures_true",
         "frames whose true pose lies within 0.5 m and 15 degrees of that of a frame that made a place, 20 frames \
@@ -93,8 +94,7 @@ struct Judge<'a> {
 }
 
 /// Holds a map against the drive that made it.
-#[must_use]
-pub fn judge(frames: &[DrivenFrame], mapped: &Mapped) -> Figures {
+pub(crate) fn judge(frames: &[DrivenFrame], mapped: &Mapped) -> Figures {
     let guard_frames = usize::try_from(mapped.mapper.settings().guard_frames).unwrap_or(usize::MAX);
     Judge { frames, mapped, guard_frames }.figures()
 }
@@ -157,7 +157,7 @@ impl Judge<'_> {
 
     /// The index in the drive of a frame of the log.
     fn index_of(&self, frame: FrameId) -> Option<usize> {
-        usize::try_from(self.mapped.log.frame(frame)?.sequence).ok()
+        self.mapped.log.index(frame)
     }
 
     fn between(&self, index: usize, earlier: usize) -> PlanarPose {
@@ -226,15 +226,9 @@ fn distance_m(a: &PlanarPose, b: &PlanarPose) -> f64 {
     (a.x_m() - b.x_m()).hypot(a.y_m() - b.y_m())
 }
 
-fn root_mean_square(values: &[f64]) -> f64 {
-    let squares: f64 = values.iter().map(|value| value * value).sum();
-    if values.is_empty() { 0.0 } else { (squares / values.len() as f64).sqrt() }
-}
-
 impl Figures {
     /// Every figure by itself, taken together by `of`.
-    #[must_use]
-    pub fn combined(runs: &[Figures], of: impl Fn(Vec<f64>) -> Option<f64>) -> Self {
+    pub(crate) fn combined(runs: &[Figures], of: impl Fn(Vec<f64>) -> Option<f64>) -> Self {
         let each = |figure: fn(&Figures) -> f64| of(runs.iter().map(figure).collect()).unwrap_or(0.0);
         Self {
             images: each(|f| f.images),
@@ -262,8 +256,8 @@ impl Figures {
 }
 
 /// What frames took, in milliseconds.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct MapTimes {
+#[derive(Clone, Copy, Serialize)]
+pub(crate) struct MapTimes {
     /// Median over frames, from pixels to the map that has the frame: all on one thread.
     pub ms_per_image_p50: f64,
     /// What one frame of twenty takes longer than.
@@ -278,8 +272,7 @@ pub struct MapTimes {
 
 impl MapTimes {
     /// Over all frames of these maps.
-    #[must_use]
-    pub fn of<'a>(maps: impl Iterator<Item = &'a Mapped> + Clone) -> Self {
+    pub(crate) fn of<'a>(maps: impl Iterator<Item = &'a Mapped> + Clone) -> Self {
         let frames: Vec<f64> =
             maps.clone().flat_map(|mapped| &mapped.times).filter_map(|times| times.total).collect();
         let relax: Vec<f64> = maps.flat_map(|mapped| mapped.relax_ms.iter().copied()).collect();

@@ -1,40 +1,30 @@
 //! The map layer alone, on a drive whose poses are known and whose images are not: true loops stand in for recognition,
 //! simulated wheels for odometry.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
+use anyhow::{Result, bail};
+use posegraph::{PlanarPose, Pose};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
-use topomap::event::{Link, LinkKind};
-use topomap::odometry::Odometry;
-use topomap::place_poses::PlacePoses;
-use topomap::relative_pose::{ClosureNoise, OdometryNoise, RelativePose};
-use topomap::relaxation::{PlanarPose, Pose};
+use topomap::evidence::ClosureNoise;
+use topomap::log::{Link, LinkKind};
+use topomap::map::PlacePoses;
+use topomap::metric::{OdometryNoise, RelativePose};
 use waypost_sim::robot::WheelOdometry;
 
+use super::WheelChoice;
 use super::alignment::{Alignment, rmse_m};
-use super::drive::planar;
-use super::{MapError, WheelChoice};
+use super::drive::{planar, sent_odometry};
 use crate::dataset::pairs;
-use crate::error::EvalError;
+use crate::error::refused;
 use crate::files;
 
-/// Which drive, and what is simulated of it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct KittiOptions {
-    /// Folder with `poses.txt` (3 x 4, row by row, of a camera: x right, y down, z ahead) and `loops.csv`.
-    pub folder: PathBuf,
-    /// Of wheels and closures.
-    pub seed: u64,
-    /// How wrong the wheels are.
-    pub wheels: WheelChoice,
-}
-
 /// What came out.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct KittiReport {
+#[derive(Serialize)]
+pub(crate) struct KittiReport {
     /// Poses, each of them a place.
     pub places: usize,
     /// Metres that were driven.
@@ -61,31 +51,15 @@ pub struct KittiReport {
     pub map_ms: f64,
 }
 
-/// Maps the drive from all that was measured, and holds the map against the truth.
-///
-/// # Errors
-/// [`EvalError`] if the files cannot be used.
-pub fn run(options: &KittiOptions) -> Result<KittiReport, EvalError> {
-    let KittiOptions { folder, seed, wheels } = options;
+/// Maps the drive in a folder with `poses.txt` (3 x 4, row by row, of a camera: x right, y down, z ahead) and
+/// `loops.csv`, and holds the map against the truth. The seed is that of wheels and closures.
+pub(super) fn run(folder: &Path, seed: u64, wheels: WheelChoice) -> Result<KittiReport> {
     let truth = poses(&folder.join("poses.txt"))?;
-    let mut errors = WheelOdometry::new(wheels.errors(*seed), *seed).map_err(MapError::OutOfRange)?;
     let noise = OdometryNoise::default();
-    let (mut links, mut felt) = (Vec::new(), vec![PlanarPose::identity()]);
-    let mut length_m = 0.0;
-    let mut before = reading(&errors)?;
-    for (place, pair) in (1..).zip(truth.windows(2)) {
-        let motion = pair[0].inverse().compose(&pair[1]);
-        let metres = motion.x_m().hypot(motion.y_m());
-        errors.add(metres, motion.heading_rad());
-        length_m += metres;
-        let now = reading(&errors)?;
-        let kind = LinkKind::Driven(noise.between(&before, &now));
-        links.push(Link { from: place - 1, to: place, kind });
-        felt.push(planar(&errors.reading().pose));
-        before = now;
-    }
+    let Driven { mut links, felt, length_m } = driven(&truth, wheels, seed, &noise)?;
+    let errors = wheels.errors(seed);
     let spacing_m = length_m / truth.len() as f64;
-    let closures = closures(&folder.join("loops.csv"), &truth, spacing_m, *seed)?;
+    let closures = closures(&folder.join("loops.csv"), &truth, spacing_m, seed)?;
     let closed = closures.len();
     links.extend(closures);
     let began = Instant::now();
@@ -94,8 +68,8 @@ pub fn run(options: &KittiOptions) -> Result<KittiReport, EvalError> {
         places: truth.len(),
         length_m,
         closures: closed,
-        scale_error: errors.errors().scale,
-        drift_rad_per_m: errors.errors().drift_rad_per_m,
+        scale_error: errors.scale,
+        drift_rad_per_m: errors.drift_rad_per_m,
         drift_found_rad_per_m: map.drift_rad_per_m(0),
         odometry_rmse_m: rmse_m(&felt, &truth, Alignment::FirstPose),
         map_rmse_m: rmse_m(map.poses(), &truth, Alignment::FirstPose),
@@ -120,14 +94,40 @@ pub fn run(options: &KittiOptions) -> Result<KittiReport, EvalError> {
     Ok(report)
 }
 
-pub(crate) fn reading(wheels: &WheelOdometry) -> Result<Odometry, MapError> {
-    let (position_m, orientation) = wheels.reading().position_and_orientation();
-    Odometry::new(position_m, orientation, Some(&wheels.reading().covariance_6x6()))
-        .map_err(MapError::Odometry)
+/// What wheels say of a drive from place to place.
+pub(crate) struct Driven {
+    pub(crate) links: Vec<Link>,
+    /// Where they put each place.
+    felt: Vec<PlanarPose>,
+    length_m: f64,
+}
+
+/// Rolls simulated wheels along a drive.
+pub(crate) fn driven(
+    truth: &[PlanarPose],
+    wheels: WheelChoice,
+    seed: u64,
+    noise: &OdometryNoise,
+) -> Result<Driven> {
+    let mut wheels = WheelOdometry::new(wheels.errors(seed), seed).map_err(refused)?;
+    let mut driven = Driven { links: Vec::new(), felt: vec![PlanarPose::identity()], length_m: 0.0 };
+    let mut before = sent_odometry(wheels.reading())?;
+    for (place, pair) in (1..).zip(truth.windows(2)) {
+        let motion = pair[0].inverse().compose(&pair[1]);
+        let metres = motion.x_m().hypot(motion.y_m());
+        wheels.add(metres, motion.heading_rad());
+        let now = sent_odometry(wheels.reading())?;
+        let kind = LinkKind::Driven(noise.between(&before, &now));
+        driven.links.push(Link { from: place - 1, to: place, kind });
+        driven.felt.push(planar(&wheels.reading().pose));
+        driven.length_m += metres;
+        before = now;
+    }
+    Ok(driven)
 }
 
 /// Poses as seen from above.
-pub(crate) fn poses(path: &Path) -> Result<Vec<PlanarPose>, EvalError> {
+pub(crate) fn poses(path: &Path) -> Result<Vec<PlanarPose>> {
     let text = String::from_utf8_lossy(&files::read(path)?).into_owned();
     let pose = |(number, line): (usize, &str)| {
         let numbers: Vec<f64> = line.split_whitespace().filter_map(|number| number.parse().ok()).collect();
@@ -135,20 +135,19 @@ pub(crate) fn poses(path: &Path) -> Result<Vec<PlanarPose>, EvalError> {
             &[_, _, right, x, _, _, _, _, _, _, ahead, z] => {
                 Ok(PlanarPose::new(z, -x, (-right).atan2(ahead)))
             }
-            _ => Err(MapError::Poses { path: path.to_owned(), line: number + 1 }),
+            _ => bail!(
+                "{} line {} is no pose; write 12 numbers, the rows of a 3 x 4 matrix",
+                path.display(),
+                number + 1
+            ),
         }
     };
-    Ok(text.lines().enumerate().map(pose).collect::<Result<_, _>>()?)
+    text.lines().enumerate().map(pose).collect()
 }
 
 /// At each frame with a loop, the nearest earlier one, as recognition would measure it: at the same place, the heading
 /// with the noise that it is held to have.
-pub(crate) fn closures(
-    path: &Path,
-    truth: &[PlanarPose],
-    spacing_m: f64,
-    seed: u64,
-) -> Result<Vec<Link>, EvalError> {
+pub(crate) fn closures(path: &Path, truth: &[PlanarPose], spacing_m: f64, seed: u64) -> Result<Vec<Link>> {
     let noise = ClosureNoise::of_spacing(spacing_m);
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut nearest: std::collections::BTreeMap<usize, (f64, usize)> = std::collections::BTreeMap::new();

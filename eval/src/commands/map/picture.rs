@@ -1,8 +1,8 @@
 //! The map over the floor plan, as in Bazeille, Battesti and Filliat 2011, figure 1.
 
 use nalgebra::Vector2;
-use topomap::event::{LinkKind, Reason};
-use topomap::relaxation::{PlanarPose, Pose};
+use posegraph::{PlanarPose, Pose};
+use topomap::log::{LinkKind, Reason};
 use waypost_sim::drawing::{Layer, Marks, plan_svg};
 
 use super::alignment::position;
@@ -10,7 +10,6 @@ use super::drive::{Drive, planar};
 use super::mapping::Mapped;
 
 /// Raw odometry, the corrected map and the truth, one over the other, laid to where the robot started.
-#[must_use]
 pub(super) fn svg(drive: &Drive, mapped: &Mapped) -> String {
     let start = drive.frames.first().map_or_else(PlanarPose::identity, |frame| frame.truth);
     let poses = mapped.mapper.poses().poses();

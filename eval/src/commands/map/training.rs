@@ -1,25 +1,28 @@
 //! A model for simulated worlds, from drives in worlds that nothing is reported of.
 
 use std::ops::ControlFlow;
+use std::path::Path;
 
+use anyhow::Result;
 use fabmap::chow_liu::TreeTrainingSettings;
 use fabmap::descriptor::Descriptors;
 use fabmap::detector::DetectorModel;
 use fabmap::model::{Model, ModelTrainingSettings};
 use fabmap::vocabulary::VocabularySettings;
 use rayon::prelude::*;
+use waypost_sim::drive::IMAGE_SIZE_PX;
 use waypost_sim::robot::WheelErrors;
 use waypost_sim::worlds::NamedWorld;
-use waypost_vision::features::{Extractor, FeatureSettings};
+use waypost_vision::features::{Extractor, Feature, FeatureSettings};
 
-use super::{MapError, drive};
-use crate::commands::calibrate::{DetectorChoice, calibrated};
-use crate::error::EvalError;
-use crate::progress;
+use super::drive;
+use crate::commands::train::{DetectorChoice, calibrated};
+use crate::error::refused;
+use crate::{files, progress};
 
 /// What to learn a model from.
 #[derive(Clone, Debug, PartialEq)]
-pub struct MapTraining {
+pub(crate) struct MapTraining {
     /// The features that words are made of.
     pub features: FeatureSettings,
     /// Number of words.
@@ -29,7 +32,7 @@ pub struct MapTraining {
 }
 
 /// Seed of the first world that models are trained in; those of drives that are reported are lower.
-pub const FIRST_TRAINING_SEED: u64 = 1_000_000;
+pub(crate) const FIRST_TRAINING_SEED: u64 = 1_000_000;
 
 /// Worlds and routes of the training drives, in turn.
 const DRIVES: [(NamedWorld, &str); 4] = [
@@ -39,11 +42,45 @@ const DRIVES: [(NamedWorld, &str); 4] = [
     (NamedWorld::Office, "teach"),
 ];
 
+impl Default for MapTraining {
+    fn default() -> Self {
+        // 3,000 words of ORB: features that a small robot has time for.
+        let features = FeatureSettings::new(Feature::Orb, 500, IMAGE_SIZE_PX.0);
+        Self { features: features.unwrap_or_default(), words: 3_000, drives: 8 }
+    }
+}
+
+/// Refuses drives of the seeds that models are trained on.
+pub(crate) fn check_seeds(first: u64, trials: u32) -> Result<()> {
+    if first.saturating_add(u64::from(trials)) > FIRST_TRAINING_SEED {
+        return Err(refused(format_args!(
+            "seeds from {FIRST_TRAINING_SEED} on are those of the training drives; take lower ones"
+        )));
+    }
+    Ok(())
+}
+
+/// The model of this file; without one, what is learnt by default.
+pub(crate) fn model_or_default(file: Option<&Path>) -> Result<(Model, Extractor)> {
+    match file {
+        Some(path) => files::read_model(path),
+        None => MapTraining::default().model(None),
+    }
+}
+
+impl MapTraining {
+    /// The trained model with its extractor; the model is kept in the file, if there is to be one.
+    pub(crate) fn model(&self, out: Option<&Path>) -> Result<(Model, Extractor)> {
+        let model = train(self)?;
+        if let Some(out) = out {
+            files::write(out, &model.to_bytes())?;
+        }
+        Ok((model, Extractor::new(self.features)))
+    }
+}
+
 /// Drives through the training worlds, and learns words, tree and detector from what was seen.
-///
-/// # Errors
-/// [`EvalError`] if a drive does not come to its end, or shows nothing.
-pub fn train(training: &MapTraining) -> Result<Model, EvalError> {
+fn train(training: &MapTraining) -> Result<Model> {
     let MapTraining { features, words, drives } = training;
     let extractor = Extractor::new(*features);
     let mut seen: Vec<Descriptors> = Vec::new();
@@ -51,11 +88,9 @@ pub fn train(training: &MapTraining) -> Result<Model, EvalError> {
     for (number, &(world, name)) in (0..u64::from(*drives)).zip(DRIVES.iter().cycle()) {
         let Some(route) = world.route(name) else { continue };
         let driven = drive::drive(world, &route, FIRST_TRAINING_SEED + number, WheelErrors::NONE)?;
-        let descriptors = driven.frames.par_iter().map(|frame| {
-            let features = extractor.extract(&frame.image).map_err(MapError::Features)?;
-            Ok(features.descriptors)
-        });
-        seen.extend(descriptors.collect::<Result<Vec<_>, MapError>>()?);
+        let descriptors =
+            driven.frames.par_iter().map(|frame| Ok(extractor.extract(&frame.image)?.descriptors));
+        seen.extend(descriptors.collect::<Result<Vec<_>>>()?);
         bar.inc(1);
     }
     bar.finish_and_clear();

@@ -1,48 +1,31 @@
 //! Merging alone, on a drive whose poses are known and whose images are not: true loops stand in for recognition.
 
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::Path;
 use std::time::Instant;
 
+use anyhow::Result;
+use posegraph::{PlanarPose, Pose};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
-use topomap::event::{Link, LinkKind};
+use topomap::evidence::ClosureNoise;
+use topomap::log::{Link, LinkKind};
+use topomap::map::PlacePoses;
 use topomap::merging::{Layout, MergeSettings, PlaceMatch, Verdict, joined_poses, judge};
-use topomap::odometry_prior::PlaceSpacing;
-use topomap::place_poses::PlacePoses;
-use topomap::relative_pose::{ClosureNoise, OdometryNoise, RelativePose};
-use topomap::relaxation::{PlanarPose, Pose};
-use waypost_sim::robot::WheelOdometry;
+use topomap::metric::{OdometryNoise, RelativePose};
+use topomap::settings::PlaceSpacing;
 
+use super::MergeOptions;
 use super::sessions::cuts;
 use crate::commands::map::alignment::{Alignment, rmse_m};
 use crate::commands::map::judgement::is_far;
-use crate::commands::map::kitti::{closures, poses, reading};
-use crate::commands::map::{MapError, WheelChoice};
-use crate::error::EvalError;
+use crate::commands::map::kitti::{closures, driven, poses};
 use crate::timing::median;
 
-/// Which drive, and what is simulated of it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct KittiMergeOptions {
-    /// Folder with `poses.txt` and `loops.csv`.
-    pub folder: PathBuf,
-    /// Of the first trial.
-    pub seed: u64,
-    /// Trials.
-    pub trials: u32,
-    /// How wrong the wheels are.
-    pub wheels: WheelChoice,
-    /// Of all matches, the share that is made up, in [0, 1).
-    pub false_share: f64,
-    /// What a merge has to show; evidence is none here.
-    pub merge: MergeSettings,
-}
-
 /// What came out.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct KittiMergeReport {
+#[derive(Serialize)]
+pub(crate) struct KittiMergeReport {
     /// Trials.
     pub trials: u32,
     /// Share of matches that were made up.
@@ -67,7 +50,7 @@ pub struct KittiMergeReport {
 
 /// One trial.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct KittiMergeRun {
+pub(crate) struct KittiMergeRun {
     /// Its seed.
     pub seed: u64,
     /// Sessions before.
@@ -102,21 +85,17 @@ impl Piece {
     }
 }
 
-/// Cuts, merges, and holds the map against the truth.
-///
-/// # Errors
-/// [`EvalError`] if the files cannot be used.
-pub fn run(options: &KittiMergeOptions) -> Result<KittiMergeReport, EvalError> {
-    let truth = poses(&options.folder.join("poses.txt"))?;
-    let mut runs = Vec::new();
-    for seed in (options.seed..).take(options.trials as usize) {
-        runs.push(trial(options, seed, &truth)?);
-    }
+/// Cuts the drive in a folder with `poses.txt` and `loops.csv`, merges, and holds the map against the truth.
+pub(super) fn run(folder: &Path, options: &MergeOptions) -> Result<KittiMergeReport> {
+    let truth = poses(&folder.join("poses.txt"))?;
+    let runs =
+        (options.seed..).take(options.trials as usize).map(|seed| trial(folder, options, seed, &truth));
+    let runs = runs.collect::<Result<Vec<KittiMergeRun>>>()?;
     let sum = |of: fn(&KittiMergeRun) -> usize| runs.iter().map(of).sum();
     let ratios: Vec<f64> = runs.iter().map(|run| run.rmse_m / run.one_go_rmse_m).collect();
     let report = KittiMergeReport {
         trials: options.trials,
-        false_match_share: options.false_share,
+        false_match_share: options.false_matches,
         rmse_m: median(runs.iter().map(|run| run.rmse_m).collect()).unwrap_or(0.0),
         rmse_ratio: median(ratios.clone()).unwrap_or(0.0),
         rmse_ratio_worst: ratios.into_iter().fold(0.0, f64::max),
@@ -147,17 +126,19 @@ pub fn run(options: &KittiMergeOptions) -> Result<KittiMergeReport, EvalError> {
     Ok(report)
 }
 
-fn trial(options: &KittiMergeOptions, seed: u64, truth: &[PlanarPose]) -> Result<KittiMergeRun, EvalError> {
+fn trial(folder: &Path, options: &MergeOptions, seed: u64, truth: &[PlanarPose]) -> Result<KittiMergeRun> {
+    // Nothing was seen, so there is no evidence.
+    let merge = MergeSettings { min_total_evidence: 0.0, ..options.merge() };
     let noise = OdometryNoise::default();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let driven = driven(truth, options.wheels, seed, &noise)?;
+    let driven = driven(truth, options.wheels(), seed, &noise)?.links;
     let length_m: f64 = truth.windows(2).map(|pair| far_m(&pair[0], &pair[1])).sum();
     let spacing_m = length_m / truth.len() as f64;
-    let mut closed = closures(&options.folder.join("loops.csv"), truth, spacing_m, seed)?;
+    let mut closed = closures(&folder.join("loops.csv"), truth, spacing_m, seed)?;
     let is_true = closed.len();
     let pieces = random.random_range(2..=4);
     let cuts = cuts(truth.len(), pieces, &mut random);
-    closed.extend(made_up(is_true, options.false_share, &cuts, spacing_m, &mut random));
+    closed.extend(made_up(is_true, options.false_matches, &cuts, spacing_m, &mut random));
 
     let whole: Vec<Link> = driven.iter().chain(&closed).copied().collect();
     let one_go = PlacePoses::new(vec![0; truth.len()], &whole, &noise);
@@ -184,7 +165,7 @@ fn trial(options: &KittiMergeOptions, seed: u64, truth: &[PlanarPose]) -> Result
             let matches = between(&source, &merged, &closed);
             let began = Instant::now();
             let verdict =
-                judge(source.layout(noise, spacing), merged.layout(noise, spacing), &matches, &options.merge);
+                judge(source.layout(noise, spacing), merged.layout(noise, spacing), &matches, &merge);
             run.seconds.push(began.elapsed().as_secs_f64());
             let Verdict::Overlap(plan) = verdict else {
                 left.push(source);
@@ -212,7 +193,7 @@ fn trial(options: &KittiMergeOptions, seed: u64, truth: &[PlanarPose]) -> Result
         }
     }
     let enough =
-        |source: &&Piece| between(source, &merged, &closed[..is_true]).len() >= 2 * options.merge.min_support;
+        |source: &&Piece| between(source, &merged, &closed[..is_true]).len() >= 2 * merge.min_support;
     run.missed_overlaps = left.iter().filter(enough).count();
     let of = |poses: &PlacePoses, place: usize| poses.poses()[place];
     let laid: Vec<PlanarPose> = (0..merged.places.len()).map(|place| of(&merged.poses, place)).collect();
@@ -226,26 +207,6 @@ fn trial(options: &KittiMergeOptions, seed: u64, truth: &[PlanarPose]) -> Result
 
 fn far_m(a: &PlanarPose, b: &PlanarPose) -> f64 {
     (a.x_m() - b.x_m()).hypot(a.y_m() - b.y_m())
-}
-
-/// What wheels say of the way from each place to the next.
-fn driven(
-    truth: &[PlanarPose],
-    wheels: WheelChoice,
-    seed: u64,
-    noise: &OdometryNoise,
-) -> Result<Vec<Link>, EvalError> {
-    let mut wheels = WheelOdometry::new(wheels.errors(seed), seed).map_err(MapError::OutOfRange)?;
-    let mut before = reading(&wheels)?;
-    let mut links = Vec::new();
-    for (place, pair) in (1..).zip(truth.windows(2)) {
-        let motion = pair[0].inverse().compose(&pair[1]);
-        wheels.add(motion.x_m().hypot(motion.y_m()), motion.heading_rad());
-        let now = reading(&wheels)?;
-        links.push(Link { from: place - 1, to: place, kind: LinkKind::Driven(noise.between(&before, &now)) });
-        before = now;
-    }
-    Ok(links)
 }
 
 /// Closures between any places of different sessions, as sure as true ones.
@@ -286,10 +247,15 @@ fn between(source: &Piece, target: &Piece, closed: &[Link]) -> Vec<PlaceMatch> {
             (Some(to), Some(from)) => (to, from, measured),
             _ => (number(source, link.from)?, number(target, link.to)?, measured.back()),
         };
-        let frames = (u64::from(source), u64::from(target));
-        let (source_frame, target_frame) = frames;
-        let measured = Some(measured);
-        Some(PlaceMatch { source, target, source_frame, target_frame, posterior: 1.0, view: None, measured })
+        Some(PlaceMatch {
+            source,
+            target,
+            source_frame: u64::from(source),
+            target_frame: u64::from(target),
+            posterior: 1.0,
+            view: None,
+            measured: Some(measured),
+        })
     };
     closed.iter().filter_map(matched).collect()
 }

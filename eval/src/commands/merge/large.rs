@@ -1,53 +1,36 @@
 //! What it takes to merge two large maps of frames that came as words alone.
 
-use std::ops::ControlFlow;
 use std::sync::Mutex;
 use std::time::Instant;
 
-use fabmap::descriptor::{DescriptorKind, Descriptors};
-use fabmap::detector::DetectorModel;
+use anyhow::Result;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
 use fabmap::place_filter::Belief;
-use fabmap::vocabulary::{Vocabulary, VocabularySettings};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::Serialize;
-use topomap::event::{Decision, FrameEvent, FrameId, Link, LinkKind, MapEvent, Reason};
-use topomap::mapper::{ArchiveError, Mapper, MapperSettings};
-use topomap::merging::{
-    KnownMap, Layout, MergeObserver, MergeSettings, Verdict, ViewsBetween, find_matches, join, judge,
-};
-use topomap::verification::TwoView;
+use topomap::evidence::{ArchiveError, TwoView};
+use topomap::ids::FrameId;
+use topomap::log::{Decision, FrameEvent, Link, LinkKind, MapEvent, Reason};
+use topomap::mapper::Mapper;
+use topomap::merging::{KnownMap, MergeObserver, Verdict, ViewsBetween, find_matches, join, judge};
+use topomap::settings::MapperSettings;
 
-use crate::error::EvalError;
-use crate::event_log::EventLog;
+use super::MergeOptions;
+use crate::error::{fault, refused};
+use crate::event_log::{EventLog, fold_all, layout};
+use crate::memory;
 use crate::workload::{Use, Workload, WorkloadSettings};
-use crate::{memory, progress};
-
-/// How large, and on how much of a machine.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LargeOptions {
-    /// Places of either map, at least 2; the second half of the target's are the first half of the source's.
-    pub places: u32,
-    /// Threads, at least 1.
-    pub threads: usize,
-    /// Seed of all images.
-    pub seed: u64,
-    /// What a merge has to show.
-    pub merge: MergeSettings,
-}
 
 /// What it took.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct LargeReport {
+#[derive(Serialize)]
+pub(crate) struct LargeReport {
     /// Places of either map.
     pub places: u32,
     /// Places of the source that are places of the target.
     pub shared: u32,
     /// Threads.
-    pub threads: usize,
+    pub threads: u16,
     /// Matches that were found.
     pub matches: usize,
     /// Places that were fused.
@@ -76,29 +59,30 @@ struct RowMap {
     log: EventLog,
 }
 
-/// Draws two maps and merges them.
-///
-/// # Errors
-/// [`EvalError`].
-pub fn run(options: &LargeOptions) -> Result<LargeReport, EvalError> {
-    let LargeOptions { places, threads, seed, ref merge } = *options;
+/// Draws two maps of so many places and merges them; the second half of the target's places are the first half of the
+/// source's.
+pub(super) fn run(places: u32, options: &MergeOptions) -> Result<LargeReport> {
+    let &MergeOptions { threads, seed, .. } = options;
+    let merge = &options.merge();
     let workload = Workload::new(WorkloadSettings { seed, ..WorkloadSettings::default() })?;
-    let model = model(&workload);
+    let model = workload.model()?;
     let shared = places / 2;
     let target = RowMap::of(&model, places, |place| workload.image(Use::Place, place))?;
     let source = RowMap::of(&model, places, |place| {
         let there = places - shared + place;
         if place < shared { workload.revisit_to(place, there) } else { workload.image(Use::Place, there) }
     })?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build()?;
     let silence = Silence::new();
     let began = Instant::now();
     let matches =
         pool.install(|| find_matches(source.known(), target.known(), &WordsAlone, merge, &silence))?;
     let found = began.elapsed().as_secs_f64();
-    let verdict = pool.install(|| judge(source.layout(), target.layout(), &matches, merge));
+    let verdict = pool.install(|| judge(layout(&source.mapper), layout(&target.mapper), &matches, merge));
     let judged = began.elapsed().as_secs_f64();
-    let (mut fused, mut false_fused, mut apart) = (0, 0, None);
+    let mut fused = 0;
+    let mut false_fused = 0;
+    let mut apart = None;
     match verdict {
         Verdict::Overlap(plan) => {
             fused = plan.fused.len();
@@ -106,11 +90,8 @@ pub fn run(options: &LargeOptions) -> Result<LargeReport, EvalError> {
             false_fused =
                 plan.fused.iter().filter(|one| is_false(one.matched.source, one.matched.target)).count();
             let mut joined = target.mapper.clone();
-            let events =
-                join((&source.mapper, &target.mapper), &plan, &source.log.0).map_err(EvalError::Join)?;
-            for (index, event) in events.iter().enumerate() {
-                joined.fold(event).map_err(|reason| EvalError::Fold { index, reason })?;
-            }
+            let events = join((&source.mapper, &target.mapper), &plan, &source.log.0).map_err(fault)?;
+            fold_all(&mut joined, &events)?;
             joined.relax();
         }
         Verdict::Apart(reason) => apart = Some(reason.to_string()),
@@ -139,53 +120,20 @@ pub fn run(options: &LargeOptions) -> Result<LargeReport, EvalError> {
     Ok(report)
 }
 
-/// The workload's tree, over words that no descriptor is ever asked for.
-fn model(workload: &Workload) -> Model {
-    const SAMPLES: u32 = 1_000;
-    let words = workload.tree().len() as u32;
-    let mut random = ChaCha8Rng::seed_from_u64(0);
-    let rows: Vec<u8> = (0..words as usize * 32).map(|_| random.random()).collect();
-    let settings = VocabularySettings { words, seed: 0, iterations: 1 };
-    let vocabulary = Descriptors::new(DescriptorKind::Binary, 32, rows)
-        .ok()
-        .and_then(|rows| Vocabulary::train(&rows, &settings, &mut |_| ControlFlow::Continue(())).ok());
-    let training = workload.images(Use::Training, SAMPLES);
-    vocabulary
-        .and_then(|vocabulary| {
-            let tree = workload.tree().clone();
-            Model::new("synthetic".to_owned(), vocabulary, tree, DetectorModel::default(), training).ok()
-        })
-        .unwrap_or_else(|| unreachable!("as many different words as the tree has"))
-}
-
 impl RowMap {
-    fn of(
-        model: &Model,
-        places: u32,
-        seen: impl Fn(u32) -> Observation + Sync + Send,
-    ) -> Result<Self, EvalError> {
-        let bar = progress::bar("places", places as usize);
+    fn of(model: &Model, places: u32, seen: impl Fn(u32) -> Observation + Sync + Send) -> Result<Self> {
         let observations: Vec<Observation> = (0..places).into_par_iter().map(seen).collect();
         let opened = std::iter::once(MapEvent::SessionOpened { session: 0 });
         let frames =
             (0..).zip(observations).map(|(place, seen)| MapEvent::Frame(Box::new(new_place(place, seen))));
         let log = EventLog(opened.chain(frames).collect());
-        let mut mapper = Mapper::new(model, MapperSettings::default())?;
-        for (index, event) in log.0.iter().enumerate() {
-            mapper.fold(event).map_err(|reason| EvalError::Fold { index, reason })?;
-            bar.inc(1);
-        }
-        bar.finish_and_clear();
+        let mut mapper = Mapper::new(model, MapperSettings::default()).map_err(refused)?;
+        fold_all(&mut mapper, &log.0)?;
         Ok(Self { mapper, log })
     }
 
     fn known(&self) -> KnownMap<'_> {
         KnownMap { mapper: &self.mapper, archive: &self.log }
-    }
-
-    fn layout(&self) -> Layout<'_> {
-        let settings = self.mapper.settings();
-        Layout { poses: self.mapper.poses(), noise: settings.odometry_noise, spacing: settings.place_spacing }
     }
 }
 

@@ -2,43 +2,32 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
+use anyhow::{Context, Result, anyhow};
 use fabmap::model::Model;
-use fabmap::observation::Observation;
 use serde::Serialize;
-use topomap::event::FrameId;
-use topomap::mapper::{ArchiveError, Mapper, MapperSettings};
-use topomap::merging::{
-    KnownMap, Layout, MergePlan, MergeSettings, Verdict, ViewsBetween, find_matches, join, judge,
-};
-use topomap::verification::TwoView;
+use topomap::evidence::{ArchiveError, TwoView};
+use topomap::ids::FrameId;
+use topomap::mapper::Mapper;
+use topomap::merging::{KnownMap, MergePlan, Verdict, ViewsBetween, find_matches, join, judge};
+use topomap::settings::MapperSettings;
 use waypost_vision::feature_record::FeatureRecord;
-use waypost_vision::features::{Extractor, Features};
 use waypost_vision::verification::{Verifier, View};
 
-use crate::dataset::{DatasetError, image_files};
-use crate::error::EvalError;
+use super::MergeOptions;
+use crate::dataset::{Row, image_files, rows};
+use crate::error::fault;
+use crate::event_log::{fold_all, layout};
+use crate::observing::Observed;
 use crate::ranking::{FabMap, Ranking};
 use crate::timing::FrameWatch;
 use crate::{files, progress};
 
-/// What to merge, and with what.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PassesOptions {
-    /// Folder with `images/` and `index.csv`.
-    pub folder: PathBuf,
-    /// The model file.
-    pub model: PathBuf,
-    /// Seed of the random choices.
-    pub seed: u64,
-    /// What a merge has to show.
-    pub merge: MergeSettings,
-}
-
 /// What came out.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct PassesReport {
+#[derive(Serialize)]
+pub(crate) struct PassesReport {
     /// The floors.
     pub floors: Vec<String>,
     /// Both passes, each as one map.
@@ -54,8 +43,8 @@ pub struct PassesReport {
 }
 
 /// What was said of two maps.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Meeting {
+#[derive(Serialize)]
+pub(crate) struct Meeting {
     /// Floor of the second pass; `None` for all.
     pub source: Option<String>,
     /// Floor of the first.
@@ -82,13 +71,6 @@ struct Frame {
     image: PathBuf,
 }
 
-/// What was seen of one.
-#[derive(Clone)]
-struct Seen {
-    observation: Observation,
-    features: FeatureRecord,
-}
-
 /// The map of some frames.
 struct PassMap {
     fab_map: FabMap,
@@ -96,19 +78,18 @@ struct PassMap {
     floors: Vec<String>,
 }
 
-/// Maps, merges, and counts the floors.
-///
-/// # Errors
-/// [`EvalError`].
-pub fn run(options: &PassesOptions) -> Result<PassesReport, EvalError> {
-    let (model, extractor) = files::read_model(&options.model)?;
-    let frames = frames(&options.folder)?;
+/// Maps, merges, and counts the floors, of a folder with `images/` and `index.csv`.
+pub(super) fn run(folder: &Path, model_file: &Path, options: &MergeOptions) -> Result<PassesReport> {
+    let (model, extractor) = files::read_model(model_file)?;
+    let frames = frames(folder)?;
     let bar = progress::bar("frames", frames.len());
     let seen = |frame: &Frame| {
         bar.inc(1);
-        observe(&frame.image, &model, extractor, options)
+        let seen =
+            Observed::in_file(&files::read(&frame.image)?, &model, extractor, &mut FrameWatch::start());
+        seen.with_context(|| frame.image.display().to_string())
     };
-    let seen: Vec<Seen> = frames.iter().map(seen).collect::<Result<_, EvalError>>()?;
+    let seen: Vec<Observed> = frames.iter().map(seen).collect::<Result<_>>()?;
     bar.finish_and_clear();
     let floors: Vec<String> =
         frames.iter().map(|frame| frame.floor.clone()).collect::<BTreeSet<_>>().into_iter().collect();
@@ -126,10 +107,12 @@ pub fn run(options: &PassesOptions) -> Result<PassesReport, EvalError> {
     let mut by_floor = Vec::new();
     for source_floor in &floors {
         for target_floor in &floors {
-            let maps = (map(2, Some(source_floor))?, map(1, Some(target_floor))?);
-            let (meeting, _) = meet(&maps.0, &maps.1, options)?;
-            let (source, target) = (Some(source_floor.clone()), Some(target_floor.clone()));
-            by_floor.push(Meeting { source, target, ..meeting });
+            let (meeting, _) = meet(&map(2, Some(source_floor))?, &map(1, Some(target_floor))?, options)?;
+            by_floor.push(Meeting {
+                source: Some(source_floor.clone()),
+                target: Some(target_floor.clone()),
+                ..meeting
+            });
         }
     }
     let count = |of: fn(&Meeting) -> bool| by_floor.iter().filter(|meeting| of(meeting)).count();
@@ -146,70 +129,29 @@ pub fn run(options: &PassesOptions) -> Result<PassesReport, EvalError> {
 }
 
 /// What `index.csv` says of the images, in their order.
-fn frames(folder: &Path) -> Result<Vec<Frame>, EvalError> {
-    let images = image_files(folder)?;
+fn frames(folder: &Path) -> Result<Vec<Frame>> {
     let path = folder.join("index.csv");
-    let text = files::read(&path)?;
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_slice());
-    let not_csv = |error: csv::Error| DatasetError::Line {
-        path: path.clone(),
-        line: error.position().map_or(1, csv::Position::line),
-        reason: error.to_string(),
+    let frame = |(row, image): (Row<2>, PathBuf)| {
+        let [pass, floor] = &row.fields;
+        let number = pass.parse().map_err(|_| anyhow!("\"{pass}\" is no pass; write 1 or 2"));
+        Ok(Frame { pass: number.with_context(|| row.place(&path))?, floor: floor.clone(), image })
     };
-    let header = reader.headers().map_err(not_csv)?.clone();
-    let column = |name: &'static str| {
-        let position = header.iter().position(|column| column == name);
-        position.ok_or(DatasetError::Header { path: path.clone(), column: name })
-    };
-    let (pass, floor) = (column("pass")?, column("floor")?);
-    let mut frames = Vec::new();
-    for (record, image) in reader.records().zip(images) {
-        let record = record.map_err(not_csv)?;
-        let text = record.get(pass).unwrap_or_default();
-        let pass = text.parse().map_err(|_| DatasetError::Line {
-            path: path.clone(),
-            line: frames.len() as u64 + 2,
-            reason: format!("\"{text}\" is no pass"),
-        })?;
-        frames.push(Frame { pass, floor: record.get(floor).unwrap_or_default().to_owned(), image });
-    }
-    Ok(frames)
-}
-
-fn observe(
-    path: &Path,
-    model: &Model,
-    extractor: Extractor,
-    options: &PassesOptions,
-) -> Result<Seen, EvalError> {
-    let encoded = files::read(path)?;
-    let (image, Features { keypoints, descriptors }) = extractor
-        .extract_encoded(&encoded)
-        .map_err(|reason| EvalError::Image { path: path.to_owned(), reason })?;
-    let words = model
-        .vocabulary()
-        .words(&descriptors)
-        .map_err(|reason| EvalError::ForeignVocabulary { path: options.model.clone(), reason })?;
-    let observation = Observation::from_words(words.iter().copied(), model.vocabulary().len())
-        .unwrap_or_else(|_| unreachable!("a vocabulary's own words"));
-    let size_px = (image.width(), image.height());
-    let features = FeatureRecord::new(size_px, keypoints, words, Some(descriptors))
-        .unwrap_or_else(|_| unreachable!("a keypoint, a word and a descriptor for each feature"));
-    Ok(Seen { observation, features })
+    rows(&path, ["pass", "floor"])?.into_iter().zip(image_files(folder)?).map(frame).collect()
 }
 
 /// What comes of two maps, and the floors of all places that were fused.
 fn meet(
     source: &PassMap,
     target: &PassMap,
-    options: &PassesOptions,
-) -> Result<(Meeting, Vec<(String, String)>), EvalError> {
+    options: &MergeOptions,
+) -> Result<(Meeting, Vec<(String, String)>)> {
     let verifier = Verifier::new(MapperSettings::default().verification, options.seed);
     let views = Between { source, target, verifier };
     let began = Instant::now();
-    let matches = find_matches(source.known(), target.known(), &views, &options.merge, &())?;
-    let verdict = judge(source.layout(), target.layout(), &matches, &options.merge);
-    let places = [source, target].map(|map| map.mapper().map().places().len());
+    let matches = find_matches(source.known(), target.known(), &views, &options.merge(), &())?;
+    let verdict =
+        judge(layout(&source.fab_map.mapper), layout(&target.fab_map.mapper), &matches, &options.merge());
+    let places = [source, target].map(|map| map.fab_map.mapper.map().places().len());
     let mut meeting = Meeting {
         source: None,
         target: None,
@@ -249,63 +191,45 @@ fn meet(
 
 impl PassMap {
     fn of<'a>(
-        frames: impl Iterator<Item = (&'a Frame, &'a Seen)>,
+        frames: impl Iterator<Item = (&'a Frame, &'a Observed)>,
         model: &Model,
         seed: u64,
-    ) -> Result<Self, EvalError> {
+    ) -> Result<Self> {
         let mut fab_map = FabMap::new(model, MapperSettings::default(), seed)?;
         let mut floors = Vec::new();
         for (index, (frame, seen)) in frames.enumerate() {
-            let Seen { observation, features } = seen.clone();
-            let mut watch = FrameWatch::start();
-            watch.extracted();
-            watch.quantized();
-            fab_map.rank(index, observation, features, watch)?;
+            fab_map.rank(index, seen.clone(), FrameWatch::start())?;
             floors.push(frame.floor.clone());
         }
         Ok(Self { fab_map, floors })
     }
 
-    fn mapper(&self) -> &Mapper {
-        self.fab_map.mapper()
-    }
-
     fn known(&self) -> KnownMap<'_> {
-        KnownMap { mapper: self.mapper(), archive: self.fab_map.log() }
+        KnownMap { mapper: &self.fab_map.mapper, archive: &self.fab_map.log }
     }
 
-    fn layout(&self) -> Layout<'_> {
-        let settings = self.mapper().settings();
-        Layout {
-            poses: self.mapper().poses(),
-            noise: settings.odometry_noise,
-            spacing: settings.place_spacing,
-        }
-    }
-
-    fn joined_by(&self, source: &PassMap, plan: &MergePlan) -> Result<Mapper, EvalError> {
-        let mut joined = self.mapper().clone();
-        let events =
-            join((source.mapper(), self.mapper()), plan, &source.fab_map.log().0).map_err(EvalError::Join)?;
-        for (index, event) in events.iter().enumerate() {
-            joined.fold(event).map_err(|reason| EvalError::Fold { index, reason })?;
-        }
+    fn joined_by(&self, source: &PassMap, plan: &MergePlan) -> Result<Mapper> {
+        let mut joined = self.fab_map.mapper.clone();
+        let events = join((&source.fab_map.mapper, &self.fab_map.mapper), plan, &source.fab_map.log.0)
+            .map_err(fault)?;
+        fold_all(&mut joined, &events)?;
         Ok(joined)
     }
 
     /// The floor of the frame that made a place.
     fn floor(&self, place: u32) -> String {
-        let made = self.mapper().map().places().get(place as usize).and_then(|place| place.frames.first());
+        let made =
+            self.fab_map.mapper.map().places().get(place as usize).and_then(|place| place.frames.first());
         let index = made.and_then(|made| self.index(made.frame));
         index.and_then(|index| self.floors.get(index)).cloned().unwrap_or_default()
     }
 
     fn index(&self, frame: FrameId) -> Option<usize> {
-        usize::try_from(self.fab_map.log().frame(frame)?.sequence).ok()
+        self.fab_map.log.index(frame)
     }
 
     fn features(&self, frame: FrameId) -> Result<&FeatureRecord, ArchiveError> {
-        let features = self.index(frame).and_then(|index| self.fab_map.features().get(index));
+        let features = self.index(frame).and_then(|index| self.fab_map.features.get(index)).map(Arc::as_ref);
         features.ok_or_else(|| ArchiveError { frame, why: "it is not in the log".to_owned() })
     }
 }
@@ -319,7 +243,8 @@ struct Between<'a> {
 
 impl ViewsBetween for Between<'_> {
     fn compare(&self, source: FrameId, target: FrameId) -> Result<Option<TwoView>, ArchiveError> {
-        let (current, earlier) = (self.source.features(source)?, self.target.features(target)?);
+        let current = self.source.features(source)?;
+        let earlier = self.target.features(target)?;
         let view = |features| View { features, camera: None };
         Ok(Some(self.verifier.compare(view(earlier), view(current))))
     }

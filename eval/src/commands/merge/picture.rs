@@ -2,8 +2,8 @@
 //! between sessions green.
 
 use nalgebra::Vector2;
-use topomap::event::SessionId;
-use topomap::relaxation::{PlanarPose, Pose};
+use posegraph::{PlanarPose, Pose};
+use topomap::ids::SessionId;
 use waypost_sim::drawing::{Layer, Marks, plan_svg};
 use waypost_sim::scene::Scene;
 

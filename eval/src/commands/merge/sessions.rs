@@ -3,6 +3,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use anyhow::Result;
 use nalgebra::{Matrix3, Rotation2};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -12,7 +13,7 @@ use waypost_sim::scene::Scene;
 use waypost_sim::worlds::NamedWorld;
 
 use crate::commands::map::drive::{self, Drive, DrivenFrame};
-use crate::commands::map::{MapError, WheelChoice};
+use crate::commands::map::{WheelChoice, named_route};
 
 /// Metres that a session may be moved by along each axis.
 const MOVED_M: f64 = 50.0;
@@ -35,8 +36,8 @@ pub(super) fn cuts(length: usize, pieces: usize, random: &mut ChaCha8Rng) -> Vec
 
 /// A piece of a drive, in an odometry frame of its own.
 pub(super) fn moved(frames: &[DrivenFrame], random: &mut ChaCha8Rng) -> Vec<DrivenFrame> {
-    let mut within = |most: f64| most * (2.0 * random.random::<f64>() - 1.0);
-    let (x_m, y_m, turn_rad) = (within(MOVED_M), within(MOVED_M), within(std::f64::consts::PI));
+    let within = |most: f64| most * (2.0 * random.random::<f64>() - 1.0);
+    let [x_m, y_m, turn_rad] = [MOVED_M, MOVED_M, std::f64::consts::PI].map(within);
     let turned = Rotation2::new(turn_rad);
     let mut axes = Matrix3::identity();
     axes.fixed_view_mut::<2, 2>(0, 0).copy_from(turned.matrix());
@@ -56,8 +57,8 @@ pub(super) fn cut_drive(
     route: &str,
     seed: u64,
     wheels: WheelChoice,
-) -> Result<(Drive, Vec<Vec<DrivenFrame>>), MapError> {
-    let route = named(world, route)?;
+) -> Result<(Drive, Vec<Vec<DrivenFrame>>)> {
+    let route = named_route(world, route)?;
     let drive = drive::drive(world, &route, seed, wheels.errors(seed))?;
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let pieces = random.random_range(2..=4);
@@ -71,7 +72,7 @@ pub(super) fn robots(
     world: NamedWorld,
     seed: u64,
     wheels: WheelChoice,
-) -> Result<(Arc<Scene>, Vec<Vec<DrivenFrame>>), MapError> {
+) -> Result<(Arc<Scene>, Vec<Vec<DrivenFrame>>)> {
     let scene = Arc::new(Scene::new(world.plan(seed)));
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut sessions = Vec::new();
@@ -88,24 +89,14 @@ pub(super) fn robots(
 }
 
 /// One drive in each of two buildings with the same offices in another arrangement.
-pub(super) fn look_alikes(
-    seed: u64,
-    wheels: WheelChoice,
-) -> Result<(Drive, Vec<Vec<DrivenFrame>>), MapError> {
+pub(super) fn look_alikes(seed: u64, wheels: WheelChoice) -> Result<(Drive, Vec<Vec<DrivenFrame>>)> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut drive_through = |world: NamedWorld| {
-        let drive = drive::drive(world, &named(world, "offices")?, seed, wheels.errors(seed))?;
+        let drive = drive::drive(world, &named_route(world, "offices")?, seed, wheels.errors(seed))?;
         let session = moved(&drive.frames, &mut random);
-        Ok::<_, MapError>((drive, session))
+        Ok::<_, anyhow::Error>((drive, session))
     };
     let (drive, first) = drive_through(NamedWorld::BuildingA)?;
     let (_, second) = drive_through(NamedWorld::BuildingB)?;
     Ok((drive, vec![first, second]))
-}
-
-fn named(world: NamedWorld, route: &str) -> Result<waypost_sim::worlds::NamedRoute, MapError> {
-    world.route(route).ok_or_else(|| {
-        let names: Vec<&str> = world.routes().iter().map(|route| route.name).collect();
-        MapError::Route { world: world.name(), route: route.to_owned(), names: names.join(", ") }
-    })
 }

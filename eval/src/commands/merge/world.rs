@@ -2,21 +2,25 @@
 
 use std::sync::Arc;
 
+use anyhow::Result;
 use fabmap::model::Model;
+use posegraph::{PlanarPose, Pose};
 use rayon::prelude::*;
-use topomap::event::{FrameId, MapEvent};
-use topomap::mapper::{ArchiveError, Mapper, MapperSettings};
-use topomap::merging::{KnownMap, Layout, ViewsBetween};
-use topomap::relaxation::{PlanarPose, Pose};
-use topomap::verification::TwoView;
+use topomap::evidence::{ArchiveError, TwoView};
+use topomap::ids::FrameId;
+use topomap::log::MapEvent;
+use topomap::mapper::Mapper;
+use topomap::merging::{KnownMap, ViewsBetween};
+use topomap::settings::MapperSettings;
+use waypost_sim::drive::IMAGE_SIZE_PX;
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::features::Extractor;
+use waypost_vision::structure::RobotCamera;
 use waypost_vision::verification::{Verifier, View};
 
-use crate::commands::map::drive::{DrivenFrame, IMAGE_SIZE_PX};
+use crate::commands::map::drive::DrivenFrame;
 use crate::commands::map::mapping::{self, Mapped};
-use crate::error::EvalError;
-use crate::event_log::EventLog;
+use crate::event_log::{EventLog, fold_all};
 
 /// A map with its log, and of each event what was true.
 #[derive(Clone, Debug)]
@@ -36,52 +40,38 @@ pub(super) struct TrueFrame {
     pub pose: PlanarPose,
     /// What it saw.
     pub features: Arc<FeatureRecord>,
+    /// By which camera.
+    pub camera: RobotCamera,
     /// Which of the drives it is of.
     pub drive: usize,
 }
 
 impl TrueMap {
     /// Maps a drive.
-    ///
-    /// # Errors
-    /// [`EvalError`] if a frame is refused.
     pub(super) fn of(
         drive: usize,
         frames: &[DrivenFrame],
         model: &Model,
         extractor: Extractor,
         settings: MapperSettings,
-    ) -> Result<Self, EvalError> {
+    ) -> Result<Self> {
         let Mapped { mapper, log, features, .. } = mapping::map(frames, model, extractor, settings)?;
         let truths = frames.iter().zip(features);
         let truths = truths.map(|(frame, features)| {
-            Some(TrueFrame { pose: frame.truth, features: Arc::new(features), drive })
+            Some(TrueFrame { pose: frame.truth, features, camera: frame.camera, drive })
         });
         // The first event opened the session.
         Ok(Self { mapper, log, frames: std::iter::once(None).chain(truths).collect() })
     }
 
     /// As merging knows it.
-    #[must_use]
     pub(super) fn known(&self) -> KnownMap<'_> {
         KnownMap { mapper: &self.mapper, archive: &self.log }
     }
 
-    /// Where its places are.
-    #[must_use]
-    pub(super) fn layout(&self) -> Layout<'_> {
-        let settings = self.mapper.settings();
-        Layout { poses: self.mapper.poses(), noise: settings.odometry_noise, spacing: settings.place_spacing }
-    }
-
     /// Takes in what another map's log has become.
-    ///
-    /// # Errors
-    /// [`EvalError::Fold`] if the events are not the next ones.
-    pub(super) fn take(&mut self, other: &TrueMap, events: Vec<MapEvent>) -> Result<(), EvalError> {
-        for (index, event) in events.iter().enumerate() {
-            self.mapper.fold(event).map_err(|reason| EvalError::Fold { index, reason })?;
-        }
+    pub(super) fn take(&mut self, other: &TrueMap, events: Vec<MapEvent>) -> Result<()> {
+        fold_all(&mut self.mapper, &events)?;
         self.mapper.relax();
         self.log.0.extend(events);
         self.frames.extend(other.frames.iter().cloned());
@@ -89,20 +79,17 @@ impl TrueMap {
     }
 
     /// What was true of a frame.
-    #[must_use]
     pub(super) fn frame(&self, frame: FrameId) -> Option<&TrueFrame> {
         self.frames.get(usize::try_from(frame).ok()?)?.as_ref()
     }
 
     /// Where the frames that made places truly were.
-    #[must_use]
     pub(super) fn makers(&self) -> Vec<PlanarPose> {
         let places = self.mapper.map().places().iter();
         places.filter_map(|place| Some(self.frame(place.frames.first()?.frame)?.pose)).collect()
     }
 
     /// Where the map puts the robots at all frames at places of its first part, and where they were.
-    #[must_use]
     pub(super) fn trajectory(&self) -> (Vec<PlanarPose>, Vec<PlanarPose>) {
         let poses = self.mapper.poses();
         let frames = self.log.frames().filter_map(|event| {
@@ -129,26 +116,23 @@ impl ViewsBetween for Between<'_> {
         let missing = |frame| ArchiveError { frame, why: "it is not in the log".to_owned() };
         let current = self.source.frame(source).ok_or_else(|| missing(source))?;
         let earlier = self.target.frame(target).ok_or_else(|| missing(target))?;
-        let [earlier, current] = [earlier, current]
-            .map(|frame| View { features: &frame.features, camera: Some(mapping::camera()) });
+        let [earlier, current] =
+            [earlier, current].map(|frame| View { features: &frame.features, camera: Some(frame.camera) });
         Ok(Some(self.verifier.compare(earlier, current)))
     }
 
-    fn focal_length_widths(&self, _source: FrameId) -> Option<f64> {
-        Some(mapping::camera().focal_length_widths(IMAGE_SIZE_PX.0))
+    fn focal_length_widths(&self, source: FrameId) -> Option<f64> {
+        Some(self.source.frame(source)?.camera.pinhole.focal_length_widths(IMAGE_SIZE_PX.0))
     }
 }
 
 /// Maps several drives side by side.
-///
-/// # Errors
-/// [`EvalError`] if a frame is refused.
 pub(super) fn map_all(
     sessions: &[Vec<DrivenFrame>],
     model: &Model,
     extractor: Extractor,
     settings: MapperSettings,
-) -> Result<Vec<TrueMap>, EvalError> {
+) -> Result<Vec<TrueMap>> {
     let map =
         |(drive, frames): (usize, &Vec<DrivenFrame>)| TrueMap::of(drive, frames, model, extractor, settings);
     sessions.par_iter().enumerate().map(map).collect()

@@ -1,23 +1,27 @@
 //! What a server does for a robot that it leads, in process.
 
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
 use fabmap::appearance::PlaceId;
 use fabmap::model::Model;
+use posegraph::{PlanarPose, Pose as _};
+use topomap::in_memory;
 use topomap::mapper::{FrameInput, Localizer};
-use topomap::navigation::planning::plan;
-use topomap::navigation::{
+use topomap::metric::Odometry;
+use waypost_navigation::metric::planning::plan;
+use waypost_navigation::metric::{
     Goal, Guidance, Look, Lookout, MapPosition, NavigationSettings, Navigator, PlanError, Seen, WheelReport,
 };
-use topomap::odometry::Odometry;
-use topomap::relaxation::{PlanarPose, Pose as _};
 use waypost_sim::render::Shot;
 use waypost_vision::features::Extractor;
-use waypost_vision::verification::{Pinhole, Verifier};
+use waypost_vision::structure::{RobotCamera, Tracker};
+use waypost_vision::verification::Verifier;
 
 use super::teaching::Taught;
-use crate::commands::map::MapError;
-use crate::commands::map::drive::{FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX, camera_rig, image_of};
-use crate::commands::map::mapping::{CurrentView, observe};
-use crate::error::EvalError;
+use crate::commands::map::drive::{grey, robot_camera};
+use crate::error::refused;
+use crate::observing::{CurrentView, Observed};
 use crate::timing::FrameWatch;
 
 /// Map and navigator.
@@ -26,6 +30,8 @@ pub(super) struct Guide<'a> {
     model: &'a Model,
     extractor: Extractor,
     verifier: Verifier,
+    tracker: Tracker,
+    camera: RobotCamera,
     lookout: Lookout,
     navigator: Navigator,
     settings: NavigationSettings,
@@ -40,9 +46,9 @@ impl<'a> Guide<'a> {
         (model, extractor): (&'a Model, Extractor),
         settings: NavigationSettings,
         facing_rad: Option<f64>,
-    ) -> Result<Self, EvalError> {
+    ) -> Result<Self> {
         let verifier = Verifier::new(taught.mapped.mapper.settings().verification, 0);
-        let mut navigator = Navigator::new(settings)?;
+        let mut navigator = Navigator::new(settings).map_err(refused)?;
         let goal = Goal::Place(taught.goal);
         match (facing_rad, taught.mapped.mapper.poses().pose(taught.goal)) {
             (Some(facing_rad), Some(pose)) => {
@@ -50,35 +56,55 @@ impl<'a> Guide<'a> {
             }
             (Some(_) | None, Some(_) | None) => navigator.go_to(goal),
         }
-        let (lookout, looks, planned_m) = (Lookout::new(), 0, None);
-        Ok(Self { taught, model, extractor, verifier, lookout, navigator, settings, looks, planned_m })
+        let lookout = Lookout::new();
+        let camera = robot_camera(&taught.building.rig);
+        let tracker = Tracker::new(taught.mapped.mapper.settings().odometry_noise);
+        Ok(Self {
+            taught,
+            model,
+            extractor,
+            verifier,
+            tracker,
+            camera,
+            lookout,
+            navigator,
+            settings,
+            looks: 0,
+            planned_m: None,
+        })
     }
 
     /// A frame has come in.
-    pub(super) fn see(
-        &mut self,
-        stamp_ns: i64,
-        odometry: Odometry,
-        shot: &Shot,
-    ) -> Result<(Look, Seen), EvalError> {
-        let image = image_of(&self.taught.drive.scene, &camera_rig()?, shot)?;
+    pub(super) fn see(&mut self, stamp_ns: i64, odometry: Odometry, shot: &Shot) -> Result<(Look, Seen)> {
+        let image = grey(&self.taught.building.image(shot))?;
         let mut watch = FrameWatch::start();
-        let (observation, current) = observe(&image, self.model, self.extractor, &mut watch)?;
+        let observed = Observed::in_image(&image, self.model, self.extractor, &mut watch)?;
         let mapped = &self.taught.mapped;
+        let features = Arc::new(observed.features);
+        let features = self.tracker.track(features, Some(&self.camera), Some(&odometry));
         let views = CurrentView {
-            current: &current,
+            current: &features,
             log: &mapped.log,
             earlier: &mapped.features,
             verifier: self.verifier,
-            camera: Pinhole::of_field_of_view(FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX),
+            camera: Some(self.camera),
         };
-        let (session, sequence) = (Localizer::SESSION, self.looks);
-        let input = FrameInput { session, sequence, stamp_ns, odometry: Some(odometry), observation };
-        let episode = (self.navigator.episode(), &self.settings.localization);
-        let look = self
-            .lookout
-            .look(&mapped.mapper, episode, input, (&mapped.log, &views), &mut ())
-            .map_err(|reason| EvalError::Frame { index: sequence as usize, reason })?;
+        let input = FrameInput {
+            session: Localizer::SESSION,
+            sequence: self.looks,
+            stamp_ns,
+            odometry: Some(odometry),
+            observation: observed.observation,
+        };
+        let frame = || format!("frame {}", self.looks);
+        let episode = self.navigator.episode();
+        let recognized =
+            self.lookout.recognize(&mapped.mapper, episode, input, &mut ()).with_context(frame)?;
+        let (proposed, comparisons) = in_memory::compared(recognized, &mapped.log.0, &views);
+        let decided = proposed.decide(&comparisons).with_context(frame)?;
+        let settings = &self.settings.localization;
+        let focal_length_widths = comparisons.focal_length_widths;
+        let look = self.lookout.look(&mapped.mapper, settings, episode, &decided, focal_length_widths);
         self.looks += 1;
         let seen = self.navigator.see(&look);
         self.plan()?;
@@ -86,7 +112,7 @@ impl<'a> Guide<'a> {
     }
 
     /// Odometry has come in.
-    pub(super) fn drive(&mut self, report: &WheelReport, now_ns: i64) -> Result<Guidance, EvalError> {
+    pub(super) fn drive(&mut self, report: &WheelReport, now_ns: i64) -> Result<Guidance> {
         let guidance = self.navigator.drive(report, now_ns);
         self.plan()?;
         Ok(guidance)
@@ -101,7 +127,7 @@ impl<'a> Guide<'a> {
         apart.min_by(|(_, a), (_, b)| a.x_m().hypot(a.y_m()).total_cmp(&b.x_m().hypot(b.y_m())))
     }
 
-    fn plan(&mut self) -> Result<(), EvalError> {
+    fn plan(&mut self) -> Result<()> {
         let Some(wanted) = self.navigator.wanted_route() else { return Ok(()) };
         let mapper = &self.taught.mapped.mapper;
         match plan(mapper.map(), mapper.poses(), &wanted.from, wanted.goal, &self.settings.planning) {
@@ -121,19 +147,12 @@ impl<'a> Guide<'a> {
     }
 }
 
-/// The odometry as a robot sends it.
-pub(super) fn sent(reading: &waypost_sim::robot::OdometryReading) -> Result<Odometry, MapError> {
-    let (position_m, orientation) = reading.position_and_orientation();
-    Odometry::new(position_m, orientation, Some(&reading.covariance_6x6())).map_err(MapError::Odometry)
-}
-
 #[cfg(test)]
 mod tests {
     use std::f64::consts::PI;
 
     use fabmap::descriptor::Descriptors;
-    use topomap::relative_pose::ClosureNoise;
-    use topomap::verification::{Motion, VerificationSettings};
+    use topomap::evidence::{ClosureNoise, VerificationSettings, ViewMotion};
     use waypost_sim::light::Light;
     use waypost_sim::pose::Pose;
     use waypost_sim::scene::Scene;
@@ -143,14 +162,15 @@ mod tests {
 
     use super::*;
     use crate::commands::map::training::MapTraining;
+    use waypost_sim::drive::{IMAGE_SIZE_PX, camera_rig};
 
     /// What is seen from a pose, as features without words.
     fn features(scene: &Scene, pose: Pose) -> FeatureRecord {
         let shot = Shot { pose, speed: [0.0; 2], people: Vec::new(), light: Light::default(), seed: 1 };
-        let image = image_of(scene, &camera_rig().unwrap(), &shot).unwrap();
+        let image = grey(&scene.render(&camera_rig(), &shot)).unwrap();
         let features = Extractor::new(MapTraining::default().features).extract(&image).unwrap();
         let descriptors: Descriptors = features.descriptors;
-        let words = vec![0; features.keypoints.len()];
+        let words = vec![fabmap::WordId::default(); features.keypoints.len()];
         FeatureRecord::new(IMAGE_SIZE_PX, features.keypoints, words, Some(descriptors)).unwrap()
     }
 
@@ -161,8 +181,8 @@ mod tests {
         let scene = Scene::new(NamedWorld::Loop.plan(1));
         let (verifier, noise) =
             (Verifier::new(VerificationSettings::default(), 0), ClosureNoise::of_spacing(0.5));
-        let camera = Pinhole::of_field_of_view(FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX);
-        let focal_length_widths = Some(camera.focal_length_widths(IMAGE_SIZE_PX.0));
+        let camera = robot_camera(&camera_rig());
+        let focal_length_widths = Some(camera.pinhole.focal_length_widths(IMAGE_SIZE_PX.0));
         let before = Pose::new(4.0, 1.0, 0.0);
         let earlier = features(&scene, before);
         let compared = |pose: Pose| {
@@ -176,7 +196,7 @@ mod tests {
                 noise.measure(&view, focal_length_widths).unwrap().pose().heading_rad().to_degrees();
             assert!((measured - degrees).abs() < 0.15 * degrees.abs(), "{measured}, not {degrees} degrees");
         }
-        let Some(Motion::Similarity(ahead)) = compared(Pose { x_m: 4.4, ..before }).motion else {
+        let Some(ViewMotion::Similarity(ahead)) = compared(Pose { x_m: 4.4, ..before }).motion else {
             panic!("no motion")
         };
         assert!(ahead.ln_scale > 0.02, "{ahead:?}");

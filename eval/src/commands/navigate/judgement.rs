@@ -3,20 +3,21 @@
 use std::collections::BTreeMap;
 
 use nalgebra::Vector2;
+use posegraph::{PlanarPose, Pose as _};
 use serde::Serialize;
-use topomap::navigation::{Seen, Status};
-use topomap::relaxation::{PlanarPose, Pose as _};
+use waypost_navigation::metric::{Seen, Status};
 
-use super::repeat::{Drive, FALSE_M, FALSE_RAD, name};
+use super::repeat::{Drive, name};
 use super::teaching::Taught;
 use super::{NavigateOptions, Trial};
+use crate::commands::map::judgement::{FALSE_M, FALSE_RAD};
 use crate::timing::{median, quantile};
 
 /// What came out.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct NavigateReport {
+#[derive(Serialize)]
+pub(crate) struct NavigateReport {
     /// What the robot was to do.
-    pub trial: &'static str,
+    pub trial: Trial,
     /// Drives.
     pub trials: usize,
     /// Those at whose end the robot said that it was there and was, within [`ARRIVED_M`].
@@ -61,8 +62,8 @@ pub struct NavigateReport {
 }
 
 /// What came of carrying robots off.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct KidnappedReport {
+#[derive(Serialize)]
+pub(crate) struct KidnappedReport {
     /// Robots.
     pub kidnapped: usize,
     /// Those that found out where they were.
@@ -78,8 +79,8 @@ pub struct KidnappedReport {
 }
 
 /// One drive.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct NavigateRun {
+#[derive(Serialize)]
+pub(crate) struct NavigateRun {
     /// Its seed.
     pub seed: u64,
     /// Whether it arrived.
@@ -121,9 +122,7 @@ pub struct NavigateRun {
     pub seconds_in: BTreeMap<&'static str, f64>,
     /// Driven, taught and planned, in metres.
     pub driven_m: f64,
-    /// See `driven_m`.
     pub taught_m: f64,
-    /// See `driven_m`.
     pub planned_m: Option<f64>,
     /// Scale errors of the wheels that taught.
     pub taught_scale: f64,
@@ -139,8 +138,8 @@ pub struct NavigateRun {
 }
 
 /// What came of carrying a robot off.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct KidnappingRun {
+#[derive(Clone, Copy, Serialize)]
+pub(crate) struct KidnappingRun {
     /// Seconds until it knew that something was wrong.
     pub noticed_s: Option<f64>,
     /// Metres driven until then.
@@ -162,13 +161,7 @@ const FACING_RAD: f64 = 0.175;
 const SAMPLE_M: f64 = 0.05;
 
 impl NavigateRun {
-    pub(super) fn of(
-        seed: u64,
-        _options: &NavigateOptions,
-        taught: &Taught,
-        seen: &Drive,
-        by_wheels: Option<&Drive>,
-    ) -> Self {
+    pub(super) fn of(seed: u64, taught: &Taught, seen: &Drive, by_wheels: Option<&Drive>) -> Self {
         let path = taught.path();
         let errors = cross_track(seen, &path);
         let wheel_errors = by_wheels.map_or_else(Vec::new, |drive| cross_track(drive, &path));
@@ -263,15 +256,8 @@ pub(super) fn report(options: &NavigateOptions, runs: Vec<NavigateRun>) -> Navig
     let middle = |of: fn(&NavigateRun) -> f64| median(runs.iter().map(of).collect()).unwrap_or(0.0);
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
     let frames = sum(|run| run.frames).max(1) as f64;
-    let trial = match options.trial {
-        Trial::Repeat => "repeat",
-        Trial::Shortcut => "shortcut",
-        Trial::Sparse => "sparse",
-        Trial::Kidnapped => "kidnapped",
-        Trial::Facing => "facing",
-    };
     NavigateReport {
-        trial,
+        trial: options.trial,
         trials: runs.len(),
         arrived: runs.iter().filter(|run| run.arrived).count(),
         cross_track_m_mean: mean(&errors),

@@ -6,7 +6,6 @@ use super::repeat::Drive;
 use super::teaching::Taught;
 
 /// The way that was taught, the way by wheels alone and the way by camera, with where places were recognised.
-#[must_use]
 pub(super) fn svg(taught: &Taught, seen: &Drive, by_wheels: Option<&Drive>) -> String {
     let closures = seen.looks.iter().filter(|look| look.on_the_way && look.recognised.is_some());
     let closures = closures.map(|look| look.position).collect();

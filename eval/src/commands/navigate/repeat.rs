@@ -2,30 +2,31 @@
 
 use std::f64::consts::PI;
 
+use anyhow::Result;
 use fabmap::model::Model;
 use nalgebra::Vector2;
+use posegraph::{PlanarPose, Pose as _};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use topomap::event::FrameId;
-use topomap::navigation::settings::SupervisionSettings;
-use topomap::navigation::{
+use topomap::ids::FrameId;
+use waypost_navigation::metric::settings::SupervisionSettings;
+use waypost_navigation::metric::{
     Driver, Guidance, NavigationSettings, Seen, Sight, Status, VelocityCommand, WheelReport,
 };
-use topomap::relaxation::{PlanarPose, Pose as _};
+use waypost_sim::drive::{SPEED_M_S, TWICE_A_SECOND};
 use waypost_sim::light::Light;
 use waypost_sim::link::{Link, LinkSettings, Order};
-use waypost_sim::people::{Behaviour, Person};
 use waypost_sim::pose::Pose;
 use waypost_sim::robot::{Command, OdometryReading, WheelErrors};
-use waypost_sim::simulation::{CameraFrame, CameraTrigger, Obedience, Simulation, SimulationSettings, Tick};
+use waypost_sim::simulation::{CameraFrame, Obedience, Simulation, SimulationSettings, Tick};
 use waypost_vision::features::Extractor;
 
-use super::guide::{Guide, sent};
+use super::guide::Guide;
 use super::teaching::Taught;
 use super::{Lighting, NavigateOptions, Trial};
-use crate::commands::map::MapError;
-use crate::commands::map::drive::{SPEED_M_S, camera_rig, planar};
-use crate::error::EvalError;
+use crate::commands::map::drive::{planar, sent_odometry};
+use crate::commands::map::judgement::{FALSE_M, FALSE_RAD};
+use crate::error::refused;
 
 /// What the robot sees by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,7 +42,6 @@ pub(super) struct Drive {
     /// Where the robot really was, step by step.
     pub(super) path: Vec<Vector2<f64>>,
     pub(super) collisions: u64,
-    pub(super) seconds: f64,
     pub(super) status: Option<Status>,
     pub(super) end: [f64; 2],
     pub(super) end_heading_rad: f64,
@@ -52,7 +52,6 @@ pub(super) struct Drive {
     /// Seconds in each status.
     pub(super) seconds_in: std::collections::BTreeMap<&'static str, f64>,
     pub(super) kidnapping: Option<Kidnapping>,
-    /// Where the map put it at each step, beside where it was: distance to the truth of the place recognised last.
     pub(super) times_lost: u32,
 }
 
@@ -63,7 +62,7 @@ pub(super) struct Looked {
     pub(super) seen: Seen,
     /// Of where the closure puts the robot from where it was: metres and radians.
     pub(super) apart: Option<(f64, f64)>,
-    /// Metres that the robot has turned and driven do not matter here; whether it was on its way.
+    /// Whether the robot had started and was not lost.
     pub(super) on_the_way: bool,
     pub(super) recognised: Option<FrameId>,
 }
@@ -84,18 +83,11 @@ pub(super) struct Kidnapping {
     pub(super) believed_elsewhere: u32,
 }
 
-/// How far from the way people wait, in metres.
-const BESIDE_M: f64 = 0.8;
-
 const PERIOD_NS: i64 = 40_000_000;
-const FRAME_PERIOD_NS: i64 = 500_000_000;
 /// What a server needs for a frame.
 const COMPUTING_NS: i64 = 30_000_000;
 /// Images of sparse drives, in metres and radians.
 const SPARSE: (f64, f64) = (0.4, 0.35);
-/// Closures that put the robot further from where it is are wrong.
-pub(super) const FALSE_M: f64 = 1.5;
-pub(super) const FALSE_RAD: f64 = 40.0 / 180.0 * std::f64::consts::PI;
 
 struct SentFrame {
     frame: CameraFrame,
@@ -134,7 +126,7 @@ pub(super) fn repeat(
     taught: &Taught,
     model: (&Model, Extractor),
     vision: Vision,
-) -> Result<Drive, EvalError> {
+) -> Result<Drive> {
     let mut course = Course::new(options, seed, taught, model, vision)?;
     let limit_s = 120.0 + 3.0 * taught.length_m() / SPEED_M_S;
     let mut way_m = 0.0;
@@ -146,8 +138,7 @@ pub(super) fn repeat(
         }
         course.drive.path.push(position);
         course.kidnap(way_m, &tick)?;
-        course.drive.seconds = tick.stamp_ns as f64 * 1e-9;
-        let given_up = course.drive.seconds > limit_s;
+        let given_up = tick.stamp_ns as f64 * 1e-9 > limit_s;
         let done = course.status == Status::Arrived || course.status == Status::Idle && way_m > 0.0;
         if given_up || done && course.simulation.robot().speed()[0].abs() < 1e-3 {
             break;
@@ -157,7 +148,9 @@ pub(super) fn repeat(
     let end = simulation.robot().pose();
     drive.collisions = simulation.collisions();
     drive.end_heading_rad = end.heading_rad;
-    (drive.status, drive.end, drive.planned_m) = (Some(status), [end.x_m, end.y_m], guide.planned_m);
+    drive.status = Some(status);
+    drive.end = [end.x_m, end.y_m];
+    drive.planned_m = guide.planned_m;
     Ok(drive)
 }
 
@@ -168,24 +161,24 @@ impl<'a> Course<'a> {
         taught: &'a Taught,
         model: (&'a Model, Extractor),
         vision: Vision,
-    ) -> Result<Self, EvalError> {
+    ) -> Result<Self> {
         let wheels = WheelErrors::drawn(2 * seed + 1);
         let settings = SimulationSettings {
             wheels,
             seed: 2 * seed + 1,
             period_ns: PERIOD_NS,
-            trigger: CameraTrigger::Period { period_ns: FRAME_PERIOD_NS },
-            ..SimulationSettings::new(camera_rig()?)
+            trigger: TWICE_A_SECOND,
+            ..SimulationSettings::new(taught.building.rig.clone())
         };
-        let mut simulation = Simulation::new(taught.drive.scene.clone(), taught.route.start(), settings)
-            .map_err(MapError::from)?;
-        let conditions = options.conditions;
+        let mut simulation =
+            Simulation::new(taught.drive.scene.clone(), taught.building.route.start(), settings)?;
+        let conditions = &options.conditions;
         match conditions.lighting {
             Lighting::AsTaught => {}
             Lighting::Another => simulation.set_light(Light::drawn(seed)),
         }
-        for (person, behaviour) in people(taught, conditions.people) {
-            simulation.add_person(person, behaviour).map_err(MapError::from)?;
+        for (person, behaviour) in taught.people_beside(conditions.people) {
+            simulation.add_person(person, behaviour)?;
         }
         let ns = |seconds: f64| (seconds * 1e9) as i64;
         let link = LinkSettings {
@@ -197,8 +190,8 @@ impl<'a> Course<'a> {
         let of_frames =
             LinkSettings { latency_ns: link.latency_ns + COMPUTING_NS, loss: conditions.drop, ..link };
         let navigation = match vision {
-            Vision::All => options.settings,
-            Vision::OnlyBeforeStarting => unsupervised(options.settings),
+            Vision::All => NavigationSettings::default(),
+            Vision::OnlyBeforeStarting => unsupervised(NavigationSettings::default()),
         };
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let expected_s = taught.length_m() / SPEED_M_S;
@@ -214,9 +207,9 @@ impl<'a> Course<'a> {
             vision,
             simulation,
             guide: Guide::new(taught, model, navigation, facing_rad)?,
-            frames: Link::new(of_frames, 4 * seed)?,
-            wheels: Link::new(link, 4 * seed + 1)?,
-            commands: Link::new(link, 4 * seed + 2)?,
+            frames: Link::new(of_frames, 4 * seed).map_err(refused)?,
+            wheels: Link::new(link, 4 * seed + 1).map_err(refused)?,
+            commands: Link::new(link, 4 * seed + 2).map_err(refused)?,
             obeyed: None,
             last_sent: None,
             status: Status::Idle,
@@ -228,7 +221,7 @@ impl<'a> Course<'a> {
     }
 
     /// A period passes: the robot moves and sends, the server answers, the robot hears.
-    fn step(&mut self) -> Result<Tick, EvalError> {
+    fn step(&mut self) -> Result<Tick> {
         let mut tick = self.simulation.advance();
         let now_ns = tick.stamp_ns;
         let driver = match tick.obedience {
@@ -246,7 +239,7 @@ impl<'a> Course<'a> {
         }
         while let Some((arrival_ns, wheels)) = self.wheels.receive(now_ns) {
             let SentWheels { stamp_ns, reading, obeyed, driver } = wheels;
-            let report = WheelReport { stamp_ns, odometry: sent(&reading)?, obeyed, driver };
+            let report = WheelReport { stamp_ns, odometry: sent_odometry(&reading)?, obeyed, driver };
             let guidance = self.guide.drive(&report, arrival_ns)?;
             self.note(&guidance);
             self.commands.send(now_ns, guidance.command);
@@ -281,9 +274,9 @@ impl<'a> Course<'a> {
         self.guide.planned_m.is_some()
     }
 
-    fn look(&mut self, frame: &CameraFrame, truth: &PlanarPose) -> Result<(), EvalError> {
+    fn look(&mut self, frame: &CameraFrame, truth: &PlanarPose) -> Result<()> {
         let on_the_way = self.has_started() && self.status != Status::Lost;
-        let (look, seen) = self.guide.see(frame.stamp_ns, sent(&frame.odometry)?, &frame.shot)?;
+        let (look, seen) = self.guide.see(frame.stamp_ns, sent_odometry(&frame.odometry)?, &frame.shot)?;
         let closure = match look.sight {
             Sight::Closure(closure) => Some(closure),
             Sight::Unknown | Sight::TooLittle => None,
@@ -342,7 +335,7 @@ impl<'a> Course<'a> {
     }
 
     /// Carries the robot to another part of the way, looking anywhere.
-    fn kidnap(&mut self, way_m: f64, tick: &Tick) -> Result<(), EvalError> {
+    fn kidnap(&mut self, way_m: f64, tick: &Tick) -> Result<()> {
         let is_due = self.options.trial == Trial::Kidnapped && way_m >= self.kidnapped_at_m;
         if !is_due || self.drive.kidnapping.is_some() {
             return Ok(());
@@ -352,7 +345,7 @@ impl<'a> Course<'a> {
             let there = ticks[self.random.random_range(0..ticks.len())].truth;
             let heading_rad = self.random.random_range(-PI..PI);
             if there.distance_m(&tick.truth) >= 4.0 {
-                self.simulation.kidnap(Pose { heading_rad, ..there }).map_err(MapError::from)?;
+                self.simulation.kidnap(Pose { heading_rad, ..there })?;
                 break;
             }
         }
@@ -360,28 +353,6 @@ impl<'a> Course<'a> {
         self.drive.kidnapping = Some(Kidnapping { at_s, ..Kidnapping::default() });
         Ok(())
     }
-}
-
-/// Those who wait beside the way, where there is room for them, at even distances along it.
-fn people(taught: &Taught, count: u32) -> Vec<(Person, Behaviour)> {
-    let plan = taught.drive.scene.plan();
-    let ticks = &taught.drive.recording.ticks;
-    let beside = |number: u32| {
-        let share = f64::from(number + 1) / f64::from(count + 1);
-        let about = (share * ticks.len() as f64) as usize;
-        ticks.iter().skip(about).flat_map(|tick| [-1.0, 1.0].map(|side| (tick.truth, side))).find_map(
-            |(way, side)| {
-                let across = Vector2::new(-way.heading_rad.sin(), way.heading_rad.cos());
-                let position = way.position() + side * BESIDE_M * across;
-                let has_room = plan.clearance_m(position) > 2.0 * Person::RADIUS_M;
-                has_room.then(|| Pose::new(position.x, position.y, 0.0))
-            },
-        )
-    };
-    let person = |(look, pose)| {
-        (Person { pose, look }, Behaviour::Blocking { notice_m: 2.0, patience_s: 6.0, speed_m_s: 0.7 })
-    };
-    (0..count).filter_map(|number| Some((u64::from(number), beside(number)?))).map(person).collect()
 }
 
 /// It never gives up, however unsure it is.

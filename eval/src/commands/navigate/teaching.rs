@@ -1,30 +1,32 @@
 //! The drive that makes the map.
 
-use std::sync::Arc;
-
+use anyhow::Result;
 use fabmap::appearance::PlaceId;
 use fabmap::model::Model;
 use nalgebra::Vector2;
-use topomap::event::FrameId;
-use topomap::mapper::MapperSettings;
-use topomap::relaxation::PlanarPose;
-use waypost_sim::robot::{Body, WheelErrors};
-use waypost_sim::route::Route;
-use waypost_sim::scene::Scene;
-use waypost_sim::simulation::{CameraTrigger, SimulationSettings};
+use posegraph::PlanarPose;
+use topomap::ids::FrameId;
+use topomap::settings::MapperSettings;
+use waypost_sim::drive::{Building, WHEN_MOVED};
+use waypost_sim::people::{Behaviour, Person};
+use waypost_sim::pose::Pose;
+use waypost_sim::robot::WheelErrors;
+use waypost_sim::simulation::CameraTrigger;
 use waypost_sim::worlds::{NamedRoute, NamedWorld};
 use waypost_vision::features::Extractor;
 
 use super::{NavigateOptions, Trial};
-use crate::commands::map::drive::{Drive, camera_rig, drive_along};
+use crate::commands::map::drive::{Drive, drive_through};
 use crate::commands::map::mapping::{Mapped, map};
-use crate::commands::map::{MapError, named_route};
-use crate::error::EvalError;
+use crate::commands::map::named_route;
+
+/// How far from the way people wait, in metres.
+const BESIDE_M: f64 = 0.8;
 
 /// A way that was driven and mapped.
 #[derive(Debug)]
 pub(super) struct Taught {
-    pub(super) route: Route,
+    pub(super) building: Building,
     pub(super) wheels: WheelErrors,
     pub(super) drive: Drive,
     pub(super) mapped: Mapped,
@@ -36,22 +38,20 @@ pub(super) fn teach(
     options: &NavigateOptions,
     seed: u64,
     (model, extractor): (&Model, Extractor),
-) -> Result<Taught, EvalError> {
+) -> Result<Taught> {
     let (world, route) = match options.trial {
         Trial::Repeat | Trial::Sparse | Trial::Kidnapped | Trial::Facing => {
             (options.world, named_route(options.world, &options.route)?)
         }
         Trial::Shortcut => (NamedWorld::Office, detour()),
     };
-    let scene = Arc::new(Scene::new(world.plan(seed)));
-    let route = Route::named(scene.plan(), &route, Body::default().radius_m).map_err(MapError::from)?;
+    let building = Building::named(world, seed, &route)?;
     let wheels = WheelErrors::drawn(2 * seed);
-    let mut settings =
-        SimulationSettings { wheels, seed: 2 * seed, ..SimulationSettings::new(camera_rig()?) };
-    if options.trial == Trial::Sparse {
-        settings.trigger = CameraTrigger::Moved { distance_m: 0.05, angle_rad: 10_f64.to_radians() };
-    }
-    let drive = drive_along(scene, &route, settings)?;
+    let trigger = match options.trial {
+        Trial::Sparse => CameraTrigger::Moved { distance_m: 0.05, angle_rad: 10_f64.to_radians() },
+        Trial::Repeat | Trial::Shortcut | Trial::Kidnapped | Trial::Facing => WHEN_MOVED,
+    };
+    let drive = drive_through(&building, 2 * seed, wheels, trigger)?;
     let mut mapping = MapperSettings::default();
     if options.trial == Trial::Sparse {
         // The guard counts frames: the same ten metres as with an image every 50 cm.
@@ -59,7 +59,7 @@ pub(super) fn teach(
     }
     let mapped = map(&drive.frames, model, extractor, mapping)?;
     let goal = mapped.log.frames().filter_map(|event| event.decision.place).last().unwrap_or(0);
-    Ok(Taught { route, wheels, drive, mapped, goal })
+    Ok(Taught { building, wheels, drive, mapped, goal })
 }
 
 /// A corridor, a way round through the ring of corridors and back into it, and on: the way round is not needed. As in
@@ -72,8 +72,7 @@ fn detour() -> NamedRoute {
 impl Taught {
     /// Where the robot really was when it took a frame of the map.
     pub(super) fn truth(&self, frame: FrameId) -> Option<PlanarPose> {
-        let index = usize::try_from(self.mapped.log.frame(frame)?.sequence).ok()?;
-        Some(self.drive.frames.get(index)?.truth)
+        Some(self.drive.frames.get(self.mapped.log.index(frame)?)?.truth)
     }
 
     /// Where it was when it made a place.
@@ -89,5 +88,29 @@ impl Taught {
 
     pub(super) fn length_m(&self) -> f64 {
         self.drive.recording.length_m()
+    }
+
+    /// People who wait beside the way, where there is room for them, at even distances along it.
+    pub(super) fn people_beside(&self, count: u32) -> Vec<(Person, Behaviour)> {
+        let plan = self.drive.scene.plan();
+        let ticks = &self.drive.recording.ticks;
+        let beside = |number: u32| {
+            let share = f64::from(number + 1) / f64::from(count + 1);
+            let about = (share * ticks.len() as f64) as usize;
+            let sides = ticks.iter().skip(about).flat_map(|tick| [-1.0, 1.0].map(|side| (tick.truth, side)));
+            sides
+                .map(|(way, side)| {
+                    let across = Vector2::new(-way.heading_rad.sin(), way.heading_rad.cos());
+                    way.position() + side * BESIDE_M * across
+                })
+                .find(|position| plan.clearance_m(*position) > 2.0 * Person::RADIUS_M)
+        };
+        let person = |number: u32| {
+            let position = beside(number)?;
+            let pose = Pose::new(position.x, position.y, 0.0);
+            let behaviour = Behaviour::Blocking { notice_m: 2.0, patience_s: 6.0, speed_m_s: 0.7 };
+            Some((Person { pose, look: u64::from(number) }, behaviour))
+        };
+        (0..count).filter_map(person).collect()
     }
 }

@@ -2,19 +2,18 @@
 
 use std::time::Instant;
 
-use fabmap::bail_out::{BailOutRisk, DenseScorer};
+use fabmap::baselines::{BailOutRisk, DenseScorer};
 use fabmap::new_place::{NewPlace, SampleWorkspace};
 use fabmap::observation::Observation;
 use fabmap::place_filter::{MotionPrior, PlaceDistribution, PlaceFilter};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::milliseconds;
-use crate::timing::median;
+use crate::timing::{median, milliseconds};
 
 /// What dropping places early saves, and what it costs.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct BailOutReport {
+#[derive(Clone, Copy, Serialize)]
+pub(crate) struct BailOutReport {
     /// Terms that were evaluated over those of all words and places: the mean over queries.
     pub bail_out_terms_fraction: f64,
     /// Median time of the dense scorer over the median time with bail-out.
@@ -48,10 +47,10 @@ pub(super) fn compare(
     let one = |query: &Observation| {
         let begun = Instant::now();
         let dense = scorer.log_likelihoods(query);
-        let dense_ms = milliseconds(begun.elapsed());
+        let dense_ms = milliseconds(begun);
         let begun = Instant::now();
         let dropped = scorer.bail_out(query, BailOutRisk::default());
-        let bail_out_ms = milliseconds(begun.elapsed());
+        let bail_out_ms = milliseconds(begun);
         let decision = |log_likelihoods: &[f64]| {
             let informative = scorer.model().informative_words(query);
             let term = new_place.term(&informative, scorer.places(), &mut SampleWorkspace::default());
@@ -63,7 +62,8 @@ pub(super) fn compare(
     };
     let compared: Vec<Comparison> = threads.install(|| queries.par_iter().map(one).collect());
     let time = |of: fn(&Comparison) -> f64| median(compared.iter().map(of).collect()).unwrap_or(0.0);
-    let (dense_ms_p50, bail_out_ms_p50) = (time(|one| one.dense_ms), time(|one| one.bail_out_ms));
+    let dense_ms_p50 = time(|one| one.dense_ms);
+    let bail_out_ms_p50 = time(|one| one.bail_out_ms);
     let all_terms = (scorer.model().vocabulary_len() * scorer.places() * compared.len()) as f64;
     let changed = compared.iter().filter(|one| one.changed).count();
     BailOutReport {

@@ -3,23 +3,24 @@
 use std::fmt::Write;
 use std::path::Path;
 
+use anyhow::Result;
 use serde::Serialize;
 
-use super::{BailOutReport, StageTimes};
-use crate::error::EvalError;
+use super::bail_out::BailOutReport;
+use super::mistakes::MistakesReport;
 use crate::files;
 use crate::plots::growth_svg;
-use crate::timing::{median, quantile};
+use crate::timing::{StageTimes, median, quantile};
 
 /// The measures of one run; those without a size are of the whole map.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ScaleReport {
+#[derive(Serialize)]
+pub(crate) struct ScaleReport {
     /// Places on the map.
     pub places: usize,
     /// Words of the vocabulary.
     pub words: usize,
     /// Threads that queries ran on.
-    pub threads: usize,
+    pub threads: u16,
     /// Median time from a query's words to the normalised posterior and its top ten, in milliseconds.
     pub filter_update_ms_p50: f64,
     /// The same, of the slowest twentieth.
@@ -45,29 +46,27 @@ pub struct ScaleReport {
     /// The dense scorer with places dropped early, if that was asked for.
     #[serde(flatten)]
     pub bail_out: Option<BailOutReport>,
+    /// How often a place is taken for another, if that was asked for.
+    pub mistakes: Option<MistakesReport>,
     /// The map as it grew.
     pub growth: Vec<GrowthPoint>,
 }
 
 /// A map of one size.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct GrowthPoint {
+#[derive(Clone, Serialize)]
+pub(crate) struct GrowthPoint {
     /// Places on the map.
     pub places: usize,
-    /// See [`ScaleReport::filter_update_ms_p50`].
     pub filter_update_ms_p50: f64,
-    /// See [`ScaleReport::filter_update_ms_p95`].
     pub filter_update_ms_p95: f64,
-    /// See [`ScaleReport::likelihood_ms_p50`].
     pub likelihood_ms_p50: f64,
-    /// See [`ScaleReport::new_place_ms_p50`].
     pub new_place_ms_p50: f64,
 }
 
 /// What was measured.
 pub(super) struct Measures {
     pub(super) words: usize,
-    pub(super) threads: usize,
+    pub(super) threads: u16,
     /// The last is of the whole map.
     pub(super) growth: Vec<GrowthPoint>,
     pub(super) adding_us: Vec<f64>,
@@ -84,14 +83,14 @@ const PLOT: &str = "scale.svg";
 
 impl GrowthPoint {
     pub(super) fn new(places: usize, times: &[StageTimes]) -> Self {
-        let sorted = |stage: fn(&StageTimes) -> f64| times.iter().map(stage).collect::<Vec<f64>>();
-        let middle = |stage| median(sorted(stage)).unwrap_or(0.0);
+        let medians = StageTimes::medians(times);
+        let totals = times.iter().filter_map(|times| times.total).collect();
         Self {
             places,
-            filter_update_ms_p50: middle(|times| times.update_ms),
-            filter_update_ms_p95: quantile(sorted(|times| times.update_ms), 0.95).unwrap_or(0.0),
-            likelihood_ms_p50: middle(|times| times.likelihood_ms),
-            new_place_ms_p50: middle(|times| times.new_place_ms),
+            filter_update_ms_p50: medians.total.unwrap_or(0.0),
+            filter_update_ms_p95: quantile(totals, 0.95).unwrap_or(0.0),
+            likelihood_ms_p50: medians.likelihood.unwrap_or(0.0),
+            new_place_ms_p50: medians.new_place.unwrap_or(0.0),
         }
     }
 }
@@ -117,23 +116,20 @@ impl ScaleReport {
             rss_mib: measures.rss_mib,
             open_ms: measures.open_ms,
             bail_out: None,
+            mistakes: None,
             growth,
         }
     }
 
     /// The table to stderr; table and plot to the folder for the results, if there is one.
-    pub(super) fn write(&self, out: Option<&Path>) -> Result<(), EvalError> {
+    pub(super) fn write(&self, out: Option<&Path>) -> Result<()> {
         eprint!("{}", self.table());
         let Some(out) = out else { return Ok(()) };
-        let path = |name: &str| out.join(name);
         files::create_folder(out)?;
-        let json = serde_json::to_vec_pretty(self)
-            .map_err(|reason| EvalError::Write { path: path(SUMMARY), reason: reason.into() })?;
-        files::write(&path(SUMMARY), &json)?;
+        files::write_json(&out.join(SUMMARY), self)?;
         let line: Vec<(usize, f64)> =
             self.growth.iter().map(|point| (point.places, point.filter_update_ms_p50)).collect();
-        let svg = growth_svg(&line).map_err(|reason| EvalError::Plot { path: path(PLOT), reason })?;
-        files::write(&path(PLOT), svg.as_bytes())?;
+        files::write(&out.join(PLOT), growth_svg(&line)?.as_bytes())?;
         eprintln!("results: {} ({SUMMARY}, {PLOT})", out.display());
         Ok(())
     }
@@ -168,6 +164,18 @@ impl ScaleReport {
                 bail_out.bail_out_ms_p50,
                 bail_out.dense_ms_p50,
                 100.0 * bail_out.bail_out_changed_fraction,
+            );
+        }
+        if let Some(mistakes) = &self.mistakes {
+            let _ = writeln!(
+                table,
+                "accepted {} of {} new places; {} of {} revisits, {} at another place; calibration error {:.3}",
+                mistakes.false_accepts,
+                mistakes.new_queries,
+                mistakes.revisits_accepted,
+                mistakes.revisit_queries,
+                mistakes.revisits_misplaced,
+                mistakes.ece.unwrap_or(0.0),
             );
         }
         table

@@ -29,27 +29,13 @@ pub(super) fn frames(sequence: &Sequence, frames: &[JudgedFrame]) -> csv::Result
             closure_verdict: name_of(VERDICTS, closure_verdict),
         }
     });
-    table(&FRAME_COLUMNS, rows)
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    for row in rows {
+        writer.serialize(row)?;
+    }
+    writer.into_inner().map_err(|error| error.into_error().into())
 }
 
-const FRAME_COLUMNS: [&str; 14] = [
-    "index",
-    "image",
-    "words",
-    "reason",
-    "place",
-    "posterior",
-    "p_new",
-    "proposal_frame",
-    "proposal_score",
-    "proposal_posterior",
-    "proposal_probability",
-    "verdict",
-    "closure_frame",
-    "closure_verdict",
-];
-
-/// Fields in the order of [`FRAME_COLUMNS`].
 #[derive(Serialize)]
 struct FrameRow {
     index: usize,
@@ -70,12 +56,21 @@ struct FrameRow {
 
 /// One row per operating point, highest threshold first.
 pub(super) fn curve(curve: &PrecisionRecall) -> csv::Result<Vec<u8>> {
-    let rows = curve.points().iter().map(|point| {
+    // The header also where there are no rows.
+    let mut writer = csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new());
+    writer.write_record(CURVE_COLUMNS)?;
+    for point in &curve.points {
         let OperatingPoint { threshold, true_proposals, false_proposals, neutral_proposals } = *point;
-        let (recall, precision) = (curve.recall(point), point.precision());
-        CurveRow { threshold, recall, precision, true_proposals, false_proposals, neutral_proposals }
-    });
-    table(&CURVE_COLUMNS, rows)
+        writer.serialize(CurveRow {
+            threshold,
+            recall: curve.recall(point),
+            precision: point.precision(),
+            true_proposals,
+            false_proposals,
+            neutral_proposals,
+        })?;
+    }
+    writer.into_inner().map_err(|error| error.into_error().into())
 }
 
 const CURVE_COLUMNS: [&str; 6] =
@@ -90,16 +85,6 @@ struct CurveRow {
     true_proposals: usize,
     false_proposals: usize,
     neutral_proposals: usize,
-}
-
-/// Header and rows; the header also where there are no rows.
-fn table<Row: Serialize>(columns: &[&str], rows: impl Iterator<Item = Row>) -> csv::Result<Vec<u8>> {
-    let mut writer = csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new());
-    writer.write_record(columns)?;
-    for row in rows {
-        writer.serialize(row)?;
-    }
-    writer.into_inner().map_err(|error| error.into_error().into())
 }
 
 #[cfg(test)]
@@ -122,28 +107,7 @@ mod tests {
         let mut writer = csv::Writer::from_writer(Vec::new());
         writer.serialize(&row).unwrap();
         let with_own_header = writer.into_inner().unwrap();
-        assert_eq!(table(&CURVE_COLUMNS, [row].into_iter()).unwrap(), with_own_header);
-
-        let row = FrameRow {
-            index: 0,
-            image: "a, b.jpg".to_owned(),
-            words: 7,
-            reason: "new-place",
-            place: Some(0),
-            posterior: Some(1.0),
-            p_new: Some(1.0),
-            proposal_frame: None,
-            proposal_score: None,
-            proposal_posterior: None,
-            proposal_probability: None,
-            verdict: "none",
-            closure_frame: None,
-            closure_verdict: "none",
-        };
-        let mut writer = csv::Writer::from_writer(Vec::new());
-        writer.serialize(&row).unwrap();
-        let with_own_header = writer.into_inner().unwrap();
-        assert_eq!(table(&FRAME_COLUMNS, [row].into_iter()).unwrap(), with_own_header);
+        assert!(with_own_header.starts_with(CURVE_COLUMNS.join(",").as_bytes()));
     }
 
     #[test]

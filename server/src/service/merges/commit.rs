@@ -2,21 +2,21 @@
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
-use std::sync::Arc;
 
 use tokio::runtime::Handle;
 use tokio::sync::OwnedSemaphorePermit;
-use topomap::event::MapEvent;
+use topomap::log::MapEvent;
 use topomap::mapper::Mapper;
 use topomap::merging::join;
 
-use super::source::{Models, ReadMap, joined_places, joined_sessions, read_on};
-use super::{Joining, MergeReport, Proposal, Target, changed};
+use super::{Joining, MergeReport, Merges, Proposal, Target};
+use crate::clock::now_ns;
 use crate::error::ServiceError;
+use crate::names::map_name;
 use crate::service::jobs::{JobOutcome, JobReporter, Stopped};
-use crate::service::maps::map_exists;
-use crate::service::names::map_name;
-use crate::service::{Service, now_ns};
+use crate::service::map_names::map_exists;
+use crate::service::read_map::{Disk, Models, ReadMap, joined_places, joined_sessions, read_on};
+use crate::service::rewriting::changed;
 use crate::storage::{
     JobEnd, JoinedLog, JoinedSession, MapEdition, MapId, MergeOutcome, MergeState, SessionRow, Storage,
     StorageError,
@@ -47,21 +47,16 @@ struct Base {
     sessions: Vec<SessionRow>,
 }
 
-impl Service {
+impl Merges {
     /// Makes the maps one.
-    pub(super) async fn commit(
-        self: &Arc<Self>,
-        number: u64,
-        proposal: Proposal,
-        reporter: &JobReporter,
-    ) -> JobOutcome {
+    pub(super) async fn join(&self, number: u64, proposal: Proposal, reporter: &JobReporter) -> JobOutcome {
         let Some(turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
-        self.commit_in_turn(number, proposal, reporter, turn).await
+        self.join_in_turn(number, proposal, reporter, turn).await
     }
 
     /// The same for a job that has its turn already.
-    pub(super) async fn commit_in_turn(
-        self: &Arc<Self>,
+    pub(super) async fn join_in_turn(
+        &self,
         number: u64,
         proposal: Proposal,
         reporter: &JobReporter,
@@ -72,14 +67,14 @@ impl Service {
             None => self.make(number, proposal, reporter).await,
         };
         match committed {
-            Ok(end) => JobOutcome::Stored { end, model: None },
+            Ok(end) => JobOutcome::Stored(end),
             Err(stopped) => stopped.into(),
         }
     }
 
     /// Into a map that is there. Its robots wait for as long as it takes to append and open it anew.
     async fn append(
-        self: &Arc<Self>,
+        &self,
         number: u64,
         map: MapId,
         proposal: Proposal,
@@ -89,7 +84,8 @@ impl Service {
         let name = proposal.target.base.name.clone();
         // The last moment to stop.
         Stopped::unless(reporter.progress("storing the map", 0.0))?;
-        let (storage, end) = (self.storage.clone(), reporter.succeeded(map_name(&name)));
+        let storage = self.storage.clone();
+        let end = reporter.succeeded(map_name(&name));
         let stored_end = end.clone();
         let appending = move |runtime: &Handle| {
             let row = runtime.block_on(storage.map_of_id(map))?;
@@ -102,17 +98,12 @@ impl Service {
             let outcome = MergeOutcome { number, state: MergeState::Committed, report: report.to_json()? };
             runtime.block_on(storage.append_merged(map, &joined, &outcome, &stored_end)).map_err(changed)
         };
-        self.with_map_closed(&name, appending).await?;
+        self.open_maps.with_closed(&name, appending).await?;
         Ok(end)
     }
 
     /// As a map of its own, which nobody sees before it is whole.
-    async fn make(
-        self: &Arc<Self>,
-        number: u64,
-        proposal: Proposal,
-        reporter: &JobReporter,
-    ) -> Result<JobEnd, Stopped> {
+    async fn make(&self, number: u64, proposal: Proposal, reporter: &JobReporter) -> Result<JobEnd, Stopped> {
         let reading = self.read_again(&proposal, reporter, Some(proposal.target.events)).await?;
         let Target { base, events: base_events, places: _, new } = &proposal.target;
         let name = new.as_ref().map_or_else(String::new, |new| new.name().to_owned());
@@ -127,7 +118,7 @@ impl Service {
             })?;
         let end = reporter.succeeded(map_name(&name));
         let stored = async {
-            self.store((base.id, map), *base_events, &joined, number, reporter).await?;
+            self.store(base.id, map, *base_events, &joined, number, reporter).await?;
             let made_of: Vec<MapEdition> =
                 std::iter::once(base.edition()).chain(joined.iter().map(|log| log.source)).collect();
             let outcome = MergeOutcome { number, state: MergeState::Committed, report };
@@ -137,7 +128,7 @@ impl Service {
         match stored.await {
             Ok(()) => Ok(end),
             Err(stopped) => {
-                self.give_up_import(map).await;
+                self.deleted_maps.give_up_import(map).await;
                 Err(stopped)
             }
         }
@@ -146,13 +137,13 @@ impl Service {
     /// Copies the base, and adds what the sources' logs have become, piece by piece.
     async fn store(
         &self,
-        maps: (MapId, MapId),
+        base: MapId,
+        map: MapId,
         base_events: u64,
         joined: &[JoinedLog],
         merge: u64,
         reporter: &JobReporter,
     ) -> Result<(), Stopped> {
-        let (base, map) = maps;
         let all = base_events + joined.iter().map(|log| log.events.len() as u64).sum::<u64>();
         let go_on = |stored: u64| -> ControlFlow<()> {
             reporter.progress("storing the map", stored as f64 / all.max(1) as f64)
@@ -160,9 +151,9 @@ impl Service {
         for from in (0..base_events).step_by(EVENTS_PIECE as usize) {
             Stopped::unless(go_on(from))?;
             let piece = from..(from + EVENTS_PIECE).min(base_events);
-            self.storage.copy_log(maps, piece).await.map_err(ServiceError::from)?;
+            self.storage.copy_log(base, map, piece).await.map_err(ServiceError::from)?;
         }
-        self.store_media((base, map), base_events, 0, &go_on).await?;
+        self.store_media(base, map, base_events, 0, &go_on).await?;
         for log in joined {
             self.storage.add_joined_sessions(map, log, merge).await.map_err(ServiceError::from)?;
             let positions = log.from..;
@@ -171,14 +162,15 @@ impl Service {
                 Stopped::unless(go_on(piece[0].0))?;
                 self.storage.import_piece(map, piece, &[], &[]).await.map_err(ServiceError::from)?;
             }
-            self.store_media((log.source.map, map), log.events.len() as u64, log.from, &go_on).await?;
+            self.store_media(log.source.map, map, log.events.len() as u64, log.from, &go_on).await?;
         }
         Ok(())
     }
 
     async fn store_media(
         &self,
-        maps: (MapId, MapId),
+        source: MapId,
+        map: MapId,
         events: u64,
         from: u64,
         go_on: &impl Fn(u64) -> ControlFlow<()>,
@@ -186,7 +178,7 @@ impl Service {
         for first in (0..events).step_by(MEDIA_PIECE as usize) {
             Stopped::unless(go_on(from + first))?;
             let piece = first..(first + MEDIA_PIECE).min(events);
-            self.storage.copy_media(maps, piece, from).await.map_err(ServiceError::from)?;
+            self.storage.copy_media(source, map, piece, from).await.map_err(ServiceError::from)?;
         }
         Ok(())
     }
@@ -197,14 +189,17 @@ impl Service {
         reporter: &JobReporter,
         base_events: Option<u64>,
     ) -> Result<Reading, Stopped> {
-        let mut models = vec![self.loaded_model(&proposal.target.base.model).await?];
+        let mut models = vec![self.models.get(&proposal.target.base.model).await?];
         for joining in &proposal.joining {
-            models.push(self.loaded_model(&joining.row.model).await?);
+            models.push(self.models.get(&joining.row.model).await?);
         }
-        let (storage, runtime, reporter) = (self.storage.clone(), Handle::current(), reporter.clone());
-        let (base, joining) = (proposal.target.base.clone(), proposal.joining.clone());
+        let storage = self.storage.clone();
+        let runtime = Handle::current();
+        let reporter = reporter.clone();
+        let base = proposal.target.base.clone();
+        let joining = proposal.joining.clone();
         let work = move || {
-            let disk = (&runtime, &storage);
+            let disk = Disk { runtime: &runtime, storage: &storage };
             let sessions = runtime.block_on(storage.sessions(base.id)).map_err(ServiceError::from)?;
             let read = ReadMap::read(disk, base, &models[0], base_events)?;
             let base = Base { id: read.row.id, mapper: read.mapper, log: read.log.events, sessions };
@@ -228,7 +223,8 @@ impl Reading {
     /// What robots have added to the base since. Blocks.
     fn read_on(&mut self) -> Result<(), ServiceError> {
         let Self { storage, runtime, models, base, .. } = self;
-        read_on((runtime, storage), base.id, &models[0], None, (&mut base.mapper, &mut base.log))
+        let disk = Disk { runtime, storage };
+        read_on(disk, base.id, &models[0], None, &mut base.mapper, &mut base.log)
     }
 
     /// The sources' logs as the target's, each on top of those before.

@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 
 use fabmap::appearance::PlaceId;
 use maud::{Markup, html};
-use topomap::event::{FrameEvent, MapEvent, SessionId};
-use topomap::relaxation::{PlanarPose, Pose as _};
+use posegraph::{PlanarPose, Pose as _};
+use topomap::ids::SessionId;
+use topomap::log::{FrameEvent, MapEvent};
 
-use super::source::ReadMap;
+use crate::service::read_map::ReadMap;
 
 const TRAJECTORY: &str = "#1459aa";
 const WITHIN: &str = "#d01020";
@@ -104,7 +105,8 @@ pub(super) fn svg(panels: &[Panel]) -> String {
     let tall = |panel: &Panel| panel.bounds().map_or(0.0, |[least, most]| most[1] - least[1]);
     let tallest_px = panels.iter().map(tall).fold(0.0, f64::max) * px_per_m;
     let rows = panels.len().div_ceil(COLUMNS);
-    let (across, down) = (PANEL_PX + GAP_PX, tallest_px + GAP_PX + 2.0 * LINE_PX);
+    let across = PANEL_PX + GAP_PX;
+    let down = tallest_px + GAP_PX + 2.0 * LINE_PX;
     let width = GAP_PX + across * panels.len().min(COLUMNS) as f64;
     let height = GAP_PX + LINE_PX + down * rows as f64;
     let legend =
@@ -134,7 +136,8 @@ pub(super) fn svg(panels: &[Panel]) -> String {
 
 fn lines(links: &[[[f64; 2]; 2]], colour: &str, place: impl Fn([f64; 2]) -> [f64; 2]) -> Markup {
     let d = links.iter().map(|&[from, to]| {
-        let ([x1, y1], [x2, y2]) = (place(from), place(to));
+        let [x1, y1] = place(from);
+        let [x2, y2] = place(to);
         format!("M{} {}L{} {}", number(x1), number(y1), number(x2), number(y2))
     });
     html! { path stroke=(colour) stroke-width="1.2" d=(d.collect::<String>()) {} }

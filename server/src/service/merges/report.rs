@@ -36,7 +36,8 @@ pub(crate) enum SourceOutcome {
     Open,
     Overlaps(Box<MapOverlap>),
     /// It overlaps with nothing, as far as can be told: why.
-    Apart(String),
+    #[serde(rename = "apart")]
+    NoOverlap(String),
 }
 
 /// How a source lies on the target.
@@ -157,4 +158,11 @@ impl MapOverlap {
             strongest: matches.iter().take(MOST_TOLD).map(told).collect(),
         }
     }
+}
+
+/// Why a merge failed that was not decided when the server stopped.
+pub(super) fn forgotten() -> ServiceError {
+    ServiceError::aborted(
+        "the server was stopped or restarted before this was decided; it has changed nothing, so ask for it again",
+    )
 }

@@ -1,21 +1,20 @@
 //! The search for maps on each other: it changes nothing.
 
-use std::sync::Arc;
-
 use tokio::runtime::Handle;
-use topomap::mapper::MapperSettings;
 use topomap::merging::{
     MergeError, MergeObserver, MergeSettings, PlaceMatch, Verdict, find_matches, join, judge,
 };
+use topomap::settings::MapperSettings;
 
 use super::picture::{Panel, svg};
 use super::report::Metres;
-use super::source::{Between, Models, ReadMap};
-use super::{Joining, MapOverlap, MergeReport, MergeTarget, OnceFound, Proposal, SourceOutcome, Target};
+use super::{
+    CommitPolicy, Joining, MapOverlap, MergeReport, MergeTarget, Merges, Proposal, SourceOutcome, Target,
+};
 use crate::error::ServiceError;
-use crate::service::Service;
+use crate::open_map::verifier;
 use crate::service::jobs::{JobOutcome, JobReporter, Stopped};
-use crate::service::map_writer::verifier;
+use crate::service::read_map::{Between, Disk, Models, ReadMap};
 use crate::storage::{MapRow, MergeOutcome, MergeState, Storage};
 
 /// What the blocking part of a search works with.
@@ -30,15 +29,15 @@ struct Search {
     reporter: JobReporter,
 }
 
-impl Service {
+impl Merges {
     /// Looks for every source on the target; proposes what was found, or commits it, if all overlap.
     pub(super) async fn search(
-        self: &Arc<Self>,
+        &self,
         number: u64,
         target: MergeTarget,
         sources: Vec<MapRow>,
         settings: &MergeSettings,
-        once_found: OnceFound,
+        commit_policy: CommitPolicy,
         reporter: &JobReporter,
     ) -> JobOutcome {
         let Some(turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
@@ -47,26 +46,26 @@ impl Service {
             Err(stopped) => return stopped.into(),
         };
         let overlap = proposal.report.all_overlap();
-        let state = if overlap { MergeState::Proposed } else { MergeState::Apart };
+        let state = if overlap { MergeState::Proposed } else { MergeState::NoOverlap };
         let report = match proposal.report.to_json() {
             Ok(report) => report,
             Err(error) => return JobOutcome::Failed(error),
         };
         let outcome = MergeOutcome { number, state, report };
-        if overlap && once_found == OnceFound::Commit {
+        if overlap && commit_policy == CommitPolicy::Automatic {
             return match self.storage.end_search(&outcome, Some(&picture), None).await {
-                Ok(()) => self.commit_in_turn(number, proposal, reporter, turn).await,
+                Ok(()) => self.join_in_turn(number, proposal, reporter, turn).await,
                 Err(error) => JobOutcome::Failed(error.into()),
             };
         }
         if overlap {
-            self.merges.proposals().insert(number, proposal);
+            self.proposals().insert(number, proposal);
         }
         let end = reporter.succeeded(format!("merges/{number}"));
         match self.storage.end_search(&outcome, Some(&picture), Some(&end)).await {
-            Ok(()) => JobOutcome::Stored { end, model: None },
+            Ok(()) => JobOutcome::Stored(end),
             Err(error) => {
-                self.merges.proposals().remove(&number);
+                self.proposals().remove(&number);
                 JobOutcome::Failed(error.into())
             }
         }
@@ -79,9 +78,9 @@ impl Service {
         settings: &MergeSettings,
         reporter: &JobReporter,
     ) -> Result<(Proposal, String), Stopped> {
-        let mut models = vec![self.loaded_model(&target.base.model).await?];
+        let mut models = vec![self.models.get(&target.base.model).await?];
         for source in &sources {
-            models.push(self.loaded_model(&source.model).await?);
+            models.push(self.models.get(&source.model).await?);
         }
         let search = Search {
             runtime: Handle::current(),
@@ -102,7 +101,8 @@ impl Search {
     fn look(self) -> Result<(Proposal, String), Stopped> {
         let mut report = MergeReport::asked(&self.sources);
         let mut merged = self.read(self.target.base.clone(), 0)?;
-        let (events, places) = (merged.log.events.len() as u64, merged.mapper.map().places().len() as u32);
+        let events = merged.log.events.len() as u64;
+        let places = merged.mapper.map().places().len() as u32;
         let mut panels = vec![Panel::of(&format!("{} before", merged.row.name), &merged)];
         let mut left = Vec::new();
         for (index, row) in self.sources.iter().enumerate() {
@@ -142,7 +142,7 @@ impl Search {
             let plan = match self.meet(&source, merged)? {
                 Verdict::Overlap(plan) => plan,
                 Verdict::Apart(why) => {
-                    *outcome = SourceOutcome::Apart(why.to_string());
+                    *outcome = SourceOutcome::NoOverlap(why.to_string());
                     apart.push((index, source));
                     continue;
                 }
@@ -161,16 +161,19 @@ impl Search {
         Ok(apart)
     }
 
+    fn disk(&self) -> Disk<'_> {
+        Disk { runtime: &self.runtime, storage: &self.storage }
+    }
+
     fn read(&self, row: MapRow, model: usize) -> Result<ReadMap, Stopped> {
         self.go_on("reading the maps", model as f64 / self.models.len() as f64)?;
-        Ok(ReadMap::read((&self.runtime, &self.storage), row, &self.models[model], None)?)
+        Ok(ReadMap::read(self.disk(), row, &self.models[model], None)?)
     }
 
     /// What is said of a source and the target.
     fn meet(&self, source: &ReadMap, target: &ReadMap) -> Result<Verdict, Stopped> {
         let settings: &MapperSettings = target.mapper.settings();
-        let disk = (&self.runtime, &self.storage);
-        let views = Between::new(disk, &source.log, &target.log, verifier(settings));
+        let views = Between::new(self.disk(), &source.log, &target.log, verifier(settings));
         let places = source.mapper.map().places().len();
         let observer = Progress { reporter: &self.reporter, places };
         let found = find_matches(source.known(), target.known(), &views, &self.settings, &observer);

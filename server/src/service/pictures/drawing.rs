@@ -2,6 +2,7 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use fabmap::WordId;
 use maud::{Markup, html};
 
 use crate::service::queries::GateView;
@@ -57,7 +58,7 @@ pub(super) struct StillImage {
 pub(super) struct Mark {
     pub(super) x_px: f64,
     pub(super) y_px: f64,
-    pub(super) word: u32,
+    pub(super) word: WordId,
     /// Whether the other frame shows the word, too.
     pub(super) common: bool,
 }
@@ -127,7 +128,8 @@ impl Panel {
         let Some((width_px, height_px)) = self.size_px else {
             return Frame { left, top, width: PANEL_WIDTH, height: USUAL_PANEL_HEIGHT, scale: 1.0 };
         };
-        let (width_px, height_px) = (f64::from(width_px.max(1)), f64::from(height_px.max(1)));
+        let width_px = f64::from(width_px.max(1));
+        let height_px = f64::from(height_px.max(1));
         let scale = (PANEL_WIDTH / width_px).min(MAX_PANEL_HEIGHT / height_px);
         Frame { left, top, width: width_px * scale, height: height_px * scale, scale }
     }
@@ -183,7 +185,8 @@ fn circles<'a>(colour: &str, marks: impl Iterator<Item = &'a Mark>, frame: &Fram
 impl Frame {
     /// Where a mark is in the picture; nowhere if it lies outside its image.
     fn locate(&self, mark: &Mark) -> Option<(f64, f64)> {
-        let (x, y) = ((mark.x_px + 0.5) * self.scale, (mark.y_px + 0.5) * self.scale);
+        let x = (mark.x_px + 0.5) * self.scale;
+        let y = (mark.y_px + 0.5) * self.scale;
         let inside = (0.0..=self.width).contains(&x) && (0.0..=self.height).contains(&y);
         inside.then_some((self.left + x, self.top + y))
     }
@@ -209,12 +212,14 @@ mod tests {
     }
 
     fn mark(x_px: f64, y_px: f64, common: bool) -> Mark {
-        Mark { x_px, y_px, word: 7, common }
+        Mark { x_px, y_px, word: WordId::new(7), common }
     }
 
     fn drawn(left: Vec<Mark>, right: Vec<Mark>, joined: Vec<[usize; 2]>) -> String {
-        let (heading, summary, panels) = (String::new(), String::new(), [panel(left), panel(right)]);
-        Picture { heading, verdict: Vec::new(), summary, panels, joined }.to_svg()
+        let panels = [panel(left), panel(right)];
+        let picture =
+            Picture { heading: String::new(), verdict: Vec::new(), summary: String::new(), panels, joined };
+        picture.to_svg()
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::time::Instant;
 
 use crate::error::ServiceError;
-use crate::service::map_writer::MapHandle;
+use crate::open_map::MapHandle;
 
 /// Keeps frames from overtaking one that must be sent again: a later number, once committed, would
 /// shut it out for good.

@@ -8,18 +8,17 @@ use std::io::{BufReader, Seek};
 use std::ops::ControlFlow;
 
 use fabmap::model::{ContentHash, Model};
-use prost::Message;
-use topomap::event::{Decision, FrameEvent, MapEvent, Match, MeasuredEvent, Reason};
+use topomap::evidence::Match;
+use topomap::log::{Decision, FrameEvent, MapEvent, MeasuredEvent, Reason};
 use topomap::mapper::Mapper;
-use waypost_proto::v1;
 
 use super::format::{MapRecord, Record, SnapshotError, SnapshotReader};
 use crate::error::ServiceError;
-use crate::extraction::LoadedModel;
-use crate::service::appearance::check_label;
-use crate::service::map_settings;
+use crate::ingest::model::LoadedModel;
+use crate::map_settings;
+use crate::names::check_id;
+use crate::service::labels::check_label;
 use crate::service::models::{check_display_name, row_of};
-use crate::service::names::check_id;
 use crate::storage::{FormerModelRow, ImportedMap, LabelRow, MediaRow, StoredSession};
 
 /// Why a snapshot was not taken.
@@ -69,7 +68,8 @@ pub(super) fn check(file: &File, name: &str, progress: Progress<'_>) -> Result<I
         )));
     }
     let mut log = Log::new(&model, &settings)?;
-    let (mut former_models, mut sessions) = (Vec::new(), Vec::new());
+    let mut former_models = Vec::new();
+    let mut sessions = Vec::new();
     while let Some(record) = snapshot.next()? {
         match record {
             Record::FormerModel(former) => former_models.push(former),
@@ -213,10 +213,9 @@ impl Log {
     /// Every session of the log has a name, and no other has.
     fn check_sessions(&self, sessions: &[StoredSession]) -> Result<(), NotTaken> {
         let mut names = BTreeSet::new();
-        for (expected, StoredSession { number, name, camera, opened_ns: _ }) in (0..).zip(sessions) {
+        for (expected, StoredSession { number, name, camera: _, opened_ns: _ }) in (0..).zip(sessions) {
             check_id("session name", name)?;
-            let camera_is_one = camera.as_deref().is_none_or(|camera| v1::Camera::decode(camera).is_ok());
-            if *number != expected || !names.insert(name) || !camera_is_one {
+            if *number != expected || !names.insert(name) {
                 return Err(refused(format_args!(
                     "its session {name} is there twice, or out of order, or damaged"
                 )));

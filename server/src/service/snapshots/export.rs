@@ -8,11 +8,11 @@ use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
+use super::Snapshots;
 use super::format::{MapRecord, Record, SnapshotWriter};
 use crate::error::ServiceError;
-use crate::service::Service;
-use crate::service::maps::no_such_map;
-use crate::service::names::map_in;
+use crate::names::map_in;
+use crate::open_map::no_such_map;
 use crate::storage::{EXPORTERS, MapView};
 
 /// Largest piece that a snapshot is handed out in.
@@ -25,20 +25,21 @@ const QUEUE: usize = 2;
 /// one who takes nothing for so long is given up.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-impl Service {
+impl Snapshots {
     /// A snapshot of a map as it is now, in pieces.
-    pub(crate) async fn export_map(
+    pub(crate) async fn export(
         &self,
         name: &str,
     ) -> Result<BoxStream<'static, Result<Vec<u8>, ServiceError>>, ServiceError> {
         let map = map_in(name)?;
-        let room = self.snapshots.exports.clone().try_acquire_owned();
+        let room = self.exports.clone().try_acquire_owned();
         let room = room.map_err(|_| ServiceError::ResourceExhausted {
             message: format!("{EXPORTERS} exports are under way already; try again when one has ended"),
         })?;
         let view = self.storage.view_map(map).await?.ok_or_else(|| no_such_map(map))?;
         let (chunks, taken) = mpsc::channel(QUEUE);
-        let (runtime, stopping) = (Handle::current(), self.stopping.clone());
+        let runtime = Handle::current();
+        let stopping = self.stopping.clone();
         let outlet = Outlet { runtime, chunks, stopping, patience: PATIENCE };
         let writing = tokio::task::spawn_blocking(move || {
             let written = write(view, &outlet);

@@ -8,16 +8,15 @@ use std::sync::Arc;
 
 use tokio::runtime::Handle;
 use tokio::sync::OwnedSemaphorePermit;
-use topomap::event::MapEvent;
+use topomap::log::MapEvent;
 
-use super::Reservation;
+use super::Snapshots;
 use super::check::{NotTaken, check, map_of, reader};
 use super::format::{Record, SnapshotReader};
 use crate::error::ServiceError;
-use crate::service::Service;
+use crate::names::{check_id, map_name};
 use crate::service::jobs::{JobOutcome, JobReporter, JobStatus};
-use crate::service::maps::map_exists;
-use crate::service::names::{check_id, map_name};
+use crate::service::map_names::{Reservation, map_exists};
 use crate::storage::{ImportedMap, JobKind, LabelRow, MapId, MediaRow, Storage, StorageError};
 
 /// Largest snapshot that is taken in.
@@ -55,15 +54,15 @@ struct Import {
     _room: OwnedSemaphorePermit,
 }
 
-impl Service {
-    /// Begins to take in a snapshot: then its bytes, then [`Service::start_map_import`]. An empty name
+impl Snapshots {
+    /// Begins to take in a snapshot: then its bytes, then [`Snapshots::start_import`]. An empty name
     /// leaves the one in the file.
-    pub(crate) async fn begin_map_import(&self, map: &str) -> Result<MapUpload, ServiceError> {
+    pub(crate) async fn begin_import(&self, map: &str) -> Result<MapUpload, ServiceError> {
         let reservation = match map {
             "" => None,
-            map => Some(self.reserve(check_id("map name", map)?).await?),
+            map => Some(self.names.reserve(check_id("map name", map)?).await?),
         };
-        let room = self.snapshots.uploads.clone().try_acquire_owned();
+        let room = self.uploads.clone().try_acquire_owned();
         let room = room.map_err(|_| ServiceError::ResourceExhausted {
             message: format!("{MAX_IMPORTS} imports are under way already; try again when one has ended"),
         })?;
@@ -77,11 +76,7 @@ impl Service {
     }
 
     /// Takes the next bytes of a snapshot.
-    pub(crate) async fn add_snapshot_bytes(
-        &self,
-        upload: &mut MapUpload,
-        chunk: Vec<u8>,
-    ) -> Result<(), ServiceError> {
+    pub(crate) async fn add_bytes(&self, upload: &mut MapUpload, chunk: Vec<u8>) -> Result<(), ServiceError> {
         if chunk.len() > MAX_CHUNK_BYTES {
             return Err(ServiceError::invalid(format_args!(
                 "a chunk has at most {MAX_CHUNK_BYTES} bytes, not {}; send the file in smaller ones",
@@ -94,7 +89,8 @@ impl Service {
                 message: format!("a snapshot has at most {MAX_SNAPSHOT_BYTES} bytes; export a smaller map"),
             });
         }
-        let (spool, directory) = (upload.spool.clone(), self.storage.directory().to_owned());
+        let spool = upload.spool.clone();
+        let directory = self.storage.directory().to_owned();
         let write = move || {
             check_room(&directory, chunk.len() as u64)?;
             (&*spool).write_all(&chunk).map_err(disk_error)
@@ -103,10 +99,7 @@ impl Service {
     }
 
     /// Checks a snapshot that has come in, and stores it, as a job.
-    pub(crate) async fn start_map_import(
-        self: &Arc<Self>,
-        upload: MapUpload,
-    ) -> Result<JobStatus, ServiceError> {
+    pub(crate) async fn start_import(&self, upload: MapUpload) -> Result<JobStatus, ServiceError> {
         let MapUpload { reservation, spool, bytes, room } = upload;
         // What is no snapshot at all is refused at once.
         let peeked = spool.clone();
@@ -118,16 +111,15 @@ impl Service {
         })?;
         let reservation = match reservation {
             Some(reservation) => reservation,
-            None => self.reserve(check_id("map name", &map.name)?).await?,
+            None => self.names.reserve(check_id("map name", &map.name)?).await?,
         };
         let import = Import { reservation, spool, bytes, _room: room };
-        self.start_job(JobKind::ImportMap, |service, reporter| async move {
-            service.import_map(import, &reporter).await
-        })
-        .await
+        let snapshots = self.clone();
+        let work = |reporter: JobReporter| async move { snapshots.import(import, &reporter).await };
+        self.jobs.start(JobKind::ImportMap, work).await
     }
 
-    async fn import_map(self: Arc<Self>, import: Import, reporter: &JobReporter) -> JobOutcome {
+    async fn import(&self, import: Import, reporter: &JobReporter) -> JobOutcome {
         let Some(_turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
         let checked = match self.check_snapshot(&import, reporter).await {
             Ok(checked) => checked,
@@ -143,20 +135,22 @@ impl Service {
             Ok(()) => {
                 let end = reporter.succeeded(map_name(&checked.name));
                 match self.storage.finish_import(map, &end).await {
-                    Ok(()) => return JobOutcome::Stored { end, model: None },
+                    Ok(()) => return JobOutcome::Stored(end),
                     Err(error) => JobOutcome::Failed(error.into()),
                 }
             }
             Err(NotTaken::Cancelled) => JobOutcome::Cancelled,
             Err(NotTaken::Refused(error)) => JobOutcome::Failed(error),
         };
-        self.give_up_import(map).await;
+        self.deleted_maps.give_up_import(map).await;
         ended
     }
 
     async fn check_snapshot(&self, import: &Import, reporter: &JobReporter) -> Result<ImportedMap, NotTaken> {
-        let (spool, bytes, reporter) = (import.spool.clone(), import.bytes, reporter.clone());
-        let name = import.reservation.name.clone();
+        let spool = import.spool.clone();
+        let bytes = import.bytes;
+        let reporter = reporter.clone();
+        let name = import.reservation.name().to_owned();
         let directory = self.storage.directory().to_owned();
         let work = move || {
             // It is read twice.
@@ -185,8 +179,11 @@ impl Service {
         words: usize,
         reporter: &JobReporter,
     ) -> Result<(), NotTaken> {
-        let (spool, bytes, reporter) = (import.spool.clone(), import.bytes, reporter.clone());
-        let (storage, runtime) = (self.storage.clone(), Handle::current());
+        let spool = import.spool.clone();
+        let bytes = import.bytes;
+        let reporter = reporter.clone();
+        let storage = self.storage.clone();
+        let runtime = Handle::current();
         let work = move || {
             let mut snapshot = reader(&spool)?;
             while let Some(piece) = next_piece(&mut snapshot, words)? {
@@ -231,7 +228,8 @@ fn next_piece(
     snapshot: &mut SnapshotReader<BufReader<&File>>,
     words: usize,
 ) -> Result<Option<Piece>, NotTaken> {
-    let (mut piece, begin) = (Piece::default(), snapshot.bytes());
+    let mut piece = Piece::default();
+    let begin = snapshot.bytes();
     let is_full = |piece: &Piece, read: u64| piece.rows() >= PIECE_ROWS || read - begin >= PIECE_BYTES as u64;
     while let Some(record) = snapshot.next()? {
         match record {

@@ -1,4 +1,15 @@
+use sha2::{Digest, Sha256};
+
 use super::*;
+use crate::camera::{Camera, CameraModel};
+
+fn camera() -> Camera {
+    let model = Some(CameraModel::FieldOfView { horizontal_rad: 0.5 });
+    Camera { model, image_size_px: None, base_to_camera: None }
+}
+
+/// The same as versions 1 and 2 had it.
+const CAMERA_MESSAGE: [u8; 11] = [0x12, 9, 9, 0, 0, 0, 0, 0, 0, 0xe0, 0x3f];
 
 fn records() -> Vec<Record> {
     let session = |number, camera| {
@@ -17,7 +28,7 @@ fn records() -> Vec<Record> {
         Record::Model { display_name: "office".to_owned(), file: vec![1, 2, 3] },
         Record::FormerModel(FormerModelRow { until_events: 1, model: "cd".repeat(32) }),
         session(0, None),
-        session(1, Some(vec![8, 8])),
+        session(1, Some(camera())),
         Record::Event { position: 0, event: vec![1] },
         Record::Event { position: 1, event: vec![] },
         medium(1, MediumKind::Features),
@@ -104,7 +115,7 @@ fn each_damage_has_its_own_name() {
         read(&damaged).unwrap_err()
     };
     assert_eq!(read(b"WPMODEL\n and more").unwrap_err(), DecodeError::Magic { expected: "Waypost snapshot" });
-    assert_eq!(replaced(8, &[3]), DecodeError::Version { found: 3, newest: 2 });
+    assert_eq!(replaced(8, &[4]), DecodeError::Version { found: 4, newest: 3 });
     assert_eq!(replaced(whole.len() - 1, &[0, 0][..1]), DecodeError::Checksum);
     assert!(matches!(replaced(13, &u32::MAX.to_le_bytes()), DecodeError::Invalid { .. }));
     assert!(matches!(replaced(13, &(16u32 << 20).to_le_bytes()), DecodeError::Truncated { .. }));
@@ -113,16 +124,24 @@ fn each_damage_has_its_own_name() {
     assert_eq!(read(&longer).unwrap_err(), DecodeError::Trailing { bytes: 3 });
 }
 
-/// What the first version's writer made of records.
-fn written_before(records: &[Record]) -> Vec<u8> {
+/// What the writer of an earlier version made of records.
+fn written_before(version: u8, records: &[Record]) -> Vec<u8> {
     let whole = write(records);
-    let end = whole.len() - HASH_BYTES;
-    let mut bytes = whole[..end].to_vec();
-    bytes[MAGIC.len()] = 1;
-    // One number less in the end.
-    bytes.pop();
-    let length = bytes.len() - 4 - 4;
-    bytes[length] -= 1;
+    let mut bytes = whole[..whole.len() - HASH_BYTES].to_vec();
+    bytes[MAGIC.len()] = version;
+    let present = camera().to_bytes();
+    let at = bytes.windows(present.len()).position(|bytes| bytes == present).unwrap();
+    // The camera, its length, and that of its record, behind the session's number, name and flag.
+    bytes.splice(at..at + present.len(), CAMERA_MESSAGE);
+    bytes[at - 1] = CAMERA_MESSAGE.len() as u8;
+    let record = at - 1 - 1 - "robot-1".len() - 1 - 1 - 4;
+    bytes[record] -= (present.len() - CAMERA_MESSAGE.len()) as u8;
+    if version < WITH_LABELS as u8 {
+        // One number less in the end.
+        bytes.pop();
+        let length = bytes.len() - 4 - 4;
+        bytes[length] -= 1;
+    }
     let hash = Sha256::digest(&bytes);
     bytes.extend(hash);
     bytes
@@ -131,7 +150,12 @@ fn written_before(records: &[Record]) -> Vec<u8> {
 #[test]
 fn the_first_version_is_read_and_has_no_labels() {
     let without = &records()[..9];
-    assert_eq!(read(&written_before(without)), Ok(without.to_vec()));
-    let error = read(&written_before(&records())).unwrap_err();
+    assert_eq!(read(&written_before(1, without)), Ok(without.to_vec()));
+    let error = read(&written_before(1, &records())).unwrap_err();
     assert!(error.to_string().contains("a record of kind 7"), "{error}");
+}
+
+#[test]
+fn the_second_version_is_read_with_its_cameras() {
+    assert_eq!(read(&written_before(2, &records())), Ok(records()));
 }

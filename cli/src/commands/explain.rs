@@ -1,0 +1,63 @@
+//! `waypost explain`: the reasons of a frame's decision.
+
+use std::path::PathBuf;
+
+use waypost_client::{Client, ClientOptions};
+
+use crate::explanations::show_place;
+use crate::failure::{EXIT_CODES, Failure};
+use crate::output::Output;
+
+/// Show why a frame did, or did not, close a loop
+///
+/// The server replays the map up to the frame and decides it again, which takes a while for a late
+/// frame of a long map.
+#[derive(clap::Args)]
+#[command(after_help = EXIT_CODES)]
+pub(crate) struct Arguments {
+    /// Name of the map
+    map: String,
+    /// Name of the session
+    session: String,
+    /// Sequence number of the frame
+    sequence: u64,
+    /// Place to explain; if left out, the matched one or the best candidate
+    #[arg(long)]
+    place: Option<u32>,
+    /// Number of words listed for the place, and against it, at most 100
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    words: u32,
+    /// Write the frame and one of the place as SVG, with common features in green
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
+}
+
+pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
+    let Arguments { map, session, sequence, place, words, picture: file } = arguments;
+    let map = map.strip_prefix("maps/").unwrap_or(&map);
+    let name = format!("maps/{map}/sessions/{session}/frames/{sequence}");
+    let client = Client::connect(server).await?;
+    let explained = client.explain_frame(&name, place, Some(words)).await?;
+    if let Some(file) = &file {
+        let place = explained.place_explanation.as_ref().map(|place| place.place_number);
+        let drawn = client.frame_picture(&name, place).await?;
+        std::fs::write(file, drawn).map_err(Failure::file("write", file))?;
+    }
+    output.result(&explained, |out| {
+        writeln!(out, "{}: {}", explained.name, explained.reason().json_name())?;
+        for gate in &explained.gates {
+            writeln!(out, "  {} {}", if gate.passed { "+" } else { "-" }, gate.description)?;
+        }
+        match &explained.place_explanation {
+            Some(place) => show_place(place, out)?,
+            None => writeln!(out, "the map had no place yet")?,
+        }
+        if !explained.reproduced {
+            writeln!(out, "this build decides the frame otherwise to the last bit; what was logged holds")?;
+        }
+        if let Some(file) = &file {
+            writeln!(out, "picture in {}", file.display())?;
+        }
+        Ok(())
+    })
+}

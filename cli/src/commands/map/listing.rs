@@ -1,0 +1,94 @@
+//! `waypost map ls`, `show`, `loop-closures`, `places`: maps and their contents.
+
+use serde_json::json;
+use waypost_client::v1;
+
+use crate::failure::Failure;
+use crate::names::{short, short_map};
+use crate::output::{Output, fields, table};
+
+pub(super) fn list(maps: &[v1::Map], output: Output) -> Result<(), Failure> {
+    output.result(&json!({ "maps": maps }), |out| {
+        let rows = maps.iter().map(|map| {
+            [
+                short_map(&map.name).to_owned(),
+                short(&map.model).to_owned(),
+                map.places.to_string(),
+                map.links.to_string(),
+                map.sessions.to_string(),
+                map.frames.to_string(),
+                map.loop_closures.to_string(),
+            ]
+        });
+        table(out, ["MAP", "MODEL", "PLACES", "LINKS", "SESSIONS", "FRAMES", "CLOSURES"], rows)
+    })
+}
+
+pub(super) fn show(map: &v1::Map, output: Output) -> Result<(), Failure> {
+    output.result(map, |out| {
+        writeln!(out, "{}", map.name)?;
+        writeln!(out, "  model                {}", map.model)?;
+        writeln!(out, "  places               {}", map.places)?;
+        writeln!(out, "  links                {}", map.links)?;
+        writeln!(out, "  sessions             {}", map.sessions)?;
+        writeln!(out, "  frames               {}", map.frames)?;
+        writeln!(out, "  loop closures        {}", map.loop_closures)?;
+        fields(out, &map.settings, "the model's")?;
+        fields(out, &map.storage, "none")?;
+        map.state_hash.as_ref().map_or(Ok(()), |hash| writeln!(out, "  state hash           {hash}"))
+    })
+}
+
+pub(super) fn loop_closures(closures: &[v1::LoopClosure], output: Output) -> Result<(), Failure> {
+    output.result(&json!({ "loop_closures": closures }), |out| {
+        let rows = closures.iter().map(|closure| {
+            let v1::LoopClosure { frame, matched_frame, place_number, posterior, probability } = closure;
+            [
+                frame_words(frame.as_ref()),
+                frame_words(matched_frame.as_ref()),
+                place_number.to_string(),
+                format!("{posterior:.4}"),
+                probability.map_or("not verified".to_owned(), |probability| format!("{probability:.4}")),
+            ]
+        });
+        table(out, ["FRAME", "MATCHED FRAME", "PLACE", "BY WORDS", "WITH GEOMETRY"], rows)
+    })
+}
+
+pub(super) fn places(places: &[v1::Place], output: Output) -> Result<(), Failure> {
+    output.result(&json!({ "places": places }), |out| {
+        let rows = places.iter().map(|place| {
+            let v1::Place { name, looks, words, frames, linked_place_numbers, word_hits: _, pose } = place;
+            let linked: Vec<String> = linked_place_numbers.iter().map(u32::to_string).collect();
+            [
+                name.rsplit('/').next().unwrap_or(name).to_owned(),
+                looks.to_string(),
+                words.to_string(),
+                frames.len().to_string(),
+                linked.join(" "),
+                pose.as_ref().and_then(pose_words).unwrap_or_else(|| "-".to_owned()),
+            ]
+        });
+        table(out, ["PLACE", "LOOKS", "WORDS", "FRAMES", "LINKED WITH", "WHERE"], rows)
+    })
+}
+
+fn frame_words(frame: Option<&v1::FrameReference>) -> String {
+    match frame {
+        Some(v1::FrameReference { session, sequence, stamp_ns: _ }) => {
+            format!("{}#{sequence}", session.rsplit('/').next().unwrap_or(session))
+        }
+        None => "-".to_owned(),
+    }
+}
+
+/// Where a place is, seen from above.
+fn pose_words(place: &v1::PlacePose) -> Option<String> {
+    let v1::PlacePose { part, pose } = place;
+    let v1::Pose { position_m, orientation } = pose.as_ref()?;
+    let position = (*position_m)?;
+    let orientation = (*orientation)?;
+    let heading_deg = (2.0 * orientation.z.atan2(orientation.w)).to_degrees();
+    let of_part = if *part == 0 { String::new() } else { format!(" from place {part}") };
+    Some(format!("{:.2} {:.2} m {heading_deg:.0}°{of_part}", position.x, position.y))
+}

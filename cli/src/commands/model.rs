@@ -1,0 +1,204 @@
+//! `waypost model`: models of what a kind of surroundings looks like.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use clap::Subcommand;
+use futures::{Stream, StreamExt};
+use indicatif::ProgressBar;
+use serde_json::json;
+use tokio::fs::File;
+use tokio::sync::watch;
+use waypost_client::{Client, ClientOptions, v1};
+
+use super::job;
+use crate::failure::Failure;
+use crate::images::{ImageFile, images_of};
+use crate::names::short;
+use crate::output::{Output, mebibytes, table};
+use crate::progress;
+
+const MODEL_HELP: &str = "Hash, its beginning (6 digits or more), or a display name that only one model has";
+
+#[derive(Subcommand)]
+pub(crate) enum Command {
+    /// Train a model from images of similar surroundings; Ctrl-C cancels
+    Train(Training),
+    /// List models, newest first
+    #[command(visible_alias = "list")]
+    Ls,
+    /// Show a model
+    Show {
+        #[arg(help = MODEL_HELP)]
+        name: String,
+    },
+    /// Copy a model from the server to a file
+    Export {
+        #[arg(help = MODEL_HELP)]
+        name: String,
+        /// File to write
+        file: PathBuf,
+    },
+    /// Copy a model from a file to the server
+    Import {
+        /// File to read
+        file: PathBuf,
+        /// Name for people
+        #[arg(long, default_value = "")]
+        name: String,
+    },
+    /// Delete a model that no map uses
+    Rm {
+        #[arg(help = MODEL_HELP)]
+        name: String,
+    },
+}
+
+#[derive(clap::Args)]
+pub(crate) struct Training {
+    /// Folders of JPEG or PNG images (DIR, or DIR/images if there is one), taken by name
+    #[arg(long, value_name = "DIR", required = true, num_args = 1..)]
+    images: Vec<PathBuf>,
+    /// Number of words in the vocabulary
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
+    words: u32,
+    /// Seed of the training: the same images, settings and seed give the same model
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Feature extractor, as in "rootsift features=500 width=640"; if left out, the server's
+    /// default
+    #[arg(long)]
+    extractor: Option<String>,
+    /// Name for people
+    #[arg(long, default_value = "", hide_default_value = true)]
+    name: String,
+    /// Do not wait for the end of the training; `waypost job watch` follows it
+    #[arg(long)]
+    detach: bool,
+}
+
+pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output) -> Result<(), Failure> {
+    match command {
+        Command::Train(training) => train(training, server, output).await,
+        Command::Ls => list(server, output).await,
+        Command::Show { name } => show(&Client::connect(server).await?.model(&name).await?, output),
+        Command::Export { name, file } => export(&name, &file, server, output).await,
+        Command::Import { file, name } => {
+            let client = Client::connect(server).await?;
+            show(&import(&client, &file, &name, output).await?, output)
+        }
+        Command::Rm { name } => {
+            Client::connect(server).await?.delete_model(&name).await?;
+            output.result(&json!({ "deleted": name }), |out| writeln!(out, "deleted {name}"))
+        }
+    }
+}
+
+async fn train(training: Training, server: &ClientOptions, output: Output) -> Result<(), Failure> {
+    let Training { images: folders, words, seed, extractor, name, detach } = training;
+    let mut images = Vec::new();
+    for folder in &folders {
+        images.append(&mut images_of(folder)?);
+    }
+    let client = Client::connect(server).await?;
+    let image_count = u32::try_from(images.len()).ok();
+    let settings = v1::TrainModelSettings { display_name: name, extractor, words, seed, image_count };
+    let bar = progress::counter(output, "uploading images", images.len());
+    let (stop, stopped) = watch::channel(false);
+    let upload = client.train_model(settings, read_each(images, bar.clone(), stopped));
+    let job = job::begun_by(upload, &stop, &client, "nothing was trained").await?;
+    bar.finish_and_clear();
+    if detach {
+        return job::show(&job, output);
+    }
+    let job = job::follow(&client, &job.name, output).await?;
+    show(&client.model(&job::result(job)?).await?, output)
+}
+
+/// The bytes of each image, or an error once `stopped` is set.
+fn read_each(
+    images: Vec<ImageFile>,
+    bar: ProgressBar,
+    stopped: watch::Receiver<bool>,
+) -> impl Stream<Item = io::Result<Vec<u8>>> {
+    futures::stream::iter(images).then(move |image| {
+        bar.inc(1);
+        let stopped = *stopped.borrow();
+        async move {
+            if stopped {
+                return Err(io::ErrorKind::Interrupted.into());
+            }
+            tokio::fs::read(&image.path)
+                .await
+                .map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", image.path.display())))
+        }
+    })
+}
+
+async fn list(server: &ClientOptions, output: Output) -> Result<(), Failure> {
+    let models = Client::connect(server).await?.models().await?;
+    output.result(&json!({ "models": models }), |out| {
+        let rows = models.iter().map(|model| {
+            [
+                short(&model.name).to_owned(),
+                model.display_name.clone(),
+                model.words.to_string(),
+                model.extractor.clone(),
+                mebibytes(model.size_bytes),
+            ]
+        });
+        table(out, ["MODEL", "NAME", "WORDS", "EXTRACTOR", "SIZE"], rows)
+    })
+}
+
+fn show(model: &v1::Model, output: Output) -> Result<(), Failure> {
+    output.result(model, |out| {
+        writeln!(out, "{}", model.name)?;
+        writeln!(out, "  name        {}", model.display_name)?;
+        writeln!(out, "  extractor   {}", model.extractor)?;
+        writeln!(out, "  words       {}", model.words)?;
+        writeln!(out, "  words hash  {}", model.words_hash)?;
+        writeln!(out, "  samples     {}", model.samples)?;
+        writeln!(out, "  size        {}", mebibytes(model.size_bytes))
+    })
+}
+
+/// The file appears under its name only when it is complete.
+async fn export(name: &str, path: &Path, server: &ClientOptions, output: Output) -> Result<(), Failure> {
+    let client = Client::connect(server).await?;
+    let model = client.model(name).await?;
+    let mut unfinished = path.as_os_str().to_owned();
+    unfinished.push(".part");
+    let unfinished = PathBuf::from(unfinished);
+    let mut file = File::create(&unfinished).await.map_err(Failure::file("write", &unfinished))?;
+    let spinner = progress::spinner(output, format!("exporting to {}", path.display()));
+    let exported = client.export_model(&model.name, &mut file).await;
+    spinner.finish_and_clear();
+    drop(file);
+    let size_bytes = match exported {
+        Ok(size_bytes) => size_bytes,
+        Err(error) => {
+            tokio::fs::remove_file(&unfinished).await.map_err(Failure::file("remove", &unfinished))?;
+            return Err(error.into());
+        }
+    };
+    tokio::fs::rename(&unfinished, path).await.map_err(Failure::file("write", path))?;
+    let object = json!({ "name": model.name, "file": path.to_string_lossy(), "size_bytes": size_bytes });
+    output.result(&object, |out| {
+        writeln!(out, "{} in {} ({})", short(&model.name), path.display(), mebibytes(size_bytes))
+    })
+}
+
+/// Uploads a model file.
+pub(crate) async fn import(
+    client: &Client,
+    path: &Path,
+    display_name: &str,
+    output: Output,
+) -> Result<v1::Model, Failure> {
+    let file = File::open(path).await.map_err(Failure::file("read", path))?;
+    let spinner = progress::spinner(output, format!("importing {}", path.display()));
+    let model = client.import_model(display_name, file).await?;
+    spinner.finish_and_clear();
+    Ok(model)
+}

@@ -1,0 +1,89 @@
+//! `waypost session`: sessions that robots streamed into a map.
+
+use clap::Subcommand;
+use serde_json::json;
+use waypost_client::{Client, ClientOptions, v1};
+
+use super::job;
+use crate::failure::Failure;
+use crate::output::{Output, table};
+
+#[derive(Subcommand)]
+pub(crate) enum Command {
+    /// List the sessions of a map, oldest first
+    #[command(visible_alias = "list")]
+    Ls {
+        /// Name of the map
+        map: String,
+    },
+    /// List the frames of a session with the decisions about them
+    Frames {
+        /// Name of the map
+        map: String,
+        /// Name of the session
+        session: String,
+    },
+    /// Delete a session from its map, with its images and everything that only this session has
+    /// shown; it cannot be undone
+    Rm {
+        /// Name of the map
+        map: String,
+        /// Name of the session
+        session: String,
+    },
+}
+
+pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output) -> Result<(), Failure> {
+    let client = Client::connect(server).await?;
+    match command {
+        Command::Ls { map } => list(&client.sessions(&map).await?, output),
+        Command::Frames { map, session } => {
+            let map = map.strip_prefix("maps/").unwrap_or(&map);
+            frames(&client.frames(&format!("maps/{map}/sessions/{session}")).await?, output)
+        }
+        Command::Rm { map, session } => {
+            let map = map.strip_prefix("maps/").unwrap_or(&map);
+            let name = format!("maps/{map}/sessions/{session}");
+            let job = client.delete_session(&name).await?;
+            job::follow(&client, &job.name, output).await?;
+            output.result(&json!({ "deleted": name }), |out| writeln!(out, "deleted {name}"))
+        }
+    }
+}
+
+fn list(sessions: &[v1::Session], output: Output) -> Result<(), Failure> {
+    output.result(&json!({ "sessions": sessions }), |out| {
+        let or_none = |number: Option<u64>| number.map_or("-".to_owned(), |number| number.to_string());
+        let rows = sessions.iter().map(|session| {
+            [
+                session.name.rsplit('/').next().unwrap_or_default().to_owned(),
+                session.frames.to_string(),
+                session.loop_closures.to_string(),
+                or_none(session.first_sequence),
+                or_none(session.last_sequence),
+            ]
+        });
+        table(out, ["SESSION", "FRAMES", "CLOSURES", "FIRST", "LAST"], rows)
+    })
+}
+
+fn frames(frames: &[v1::FrameRecord], output: Output) -> Result<(), Failure> {
+    output.result(&json!({ "frames": frames }), |out| {
+        let rows = frames.iter().map(|frame| {
+            let v1::FrameStorage { log_bytes, features_bytes, thumbnail_bytes, image_bytes } =
+                frame.storage.unwrap_or_default();
+            let (sequence, reason, place, posterior) = match &frame.answer {
+                Some(answer) => (
+                    answer.sequence.to_string(),
+                    answer.reason().json_name().to_owned(),
+                    answer.place_number.map_or("-".to_owned(), |place| place.to_string()),
+                    format!("{:.6}", answer.posterior),
+                ),
+                None => Default::default(),
+            };
+            let bytes = log_bytes + features_bytes + thumbnail_bytes + image_bytes;
+            [sequence, reason, place, posterior, bytes.to_string()]
+        });
+        table(out, ["FRAME", "REASON", "PLACE", "POSTERIOR", "BYTES"], rows)
+    })
+}

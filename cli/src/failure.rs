@@ -1,0 +1,128 @@
+//! Errors of commands: their messages and exit codes.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use waypost_client::launch::LaunchError;
+use waypost_client::{Code, Error};
+
+use crate::images::ListingError;
+use crate::odometry::OdometryError;
+use crate::truth::TruthError;
+
+/// Ends the help of every command.
+pub(crate) const EXIT_CODES: &str = "\
+Exit codes:
+  0  done
+  1  failed
+  2  wrong usage
+  3  the server was not reached, or was lost
+  4  the server refused: not found, invalid, in use, …
+  5  streamed to the end, but some frames were refused";
+
+/// Why a command failed.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Failure {
+    #[error(transparent)]
+    Client(#[from] Error),
+    #[error(transparent)]
+    Images(#[from] ListingError),
+    #[error("{}: {source}", path.display())]
+    Odometry { path: PathBuf, source: OdometryError },
+    #[error("{}: {source}", path.display())]
+    Truth { path: PathBuf, source: TruthError },
+    #[error("cannot {action} {}: {source}", path.display())]
+    File { action: &'static str, path: PathBuf, source: io::Error },
+    /// An argument does not fit the files, the map or the other arguments.
+    #[error("{0}")]
+    Unfit(String),
+    #[error("{0}")]
+    JobFailed(String),
+    #[error("{0}")]
+    Interrupted(String),
+    #[error("{refused} of {frames} frames were refused; the messages above say why")]
+    FramesRefused { refused: usize, frames: usize },
+    #[error("the server of the demo {}\n{}", .0.problem, .0.log)]
+    DemoServer(#[from] LaunchError),
+    #[error("no right loop closure was found; the model or the sequence is not the one that ships")]
+    DemoWithoutClosure,
+    #[error("cannot write to stdout: {0}")]
+    Stdout(io::Error),
+    #[error("cannot start the asynchronous runtime: {0}")]
+    Runtime(io::Error),
+}
+
+impl Failure {
+    /// For `map_err` of file operations.
+    pub(crate) fn file(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Failure {
+        let path = path.to_owned();
+        move |source| Failure::File { action, path, source }
+    }
+
+    /// Whether the reader of stdout has closed it, as in `waypost map ls | head -1`.
+    pub(crate) fn is_closed_stdout(&self) -> bool {
+        matches!(self, Failure::Stdout(error) if error.kind() == io::ErrorKind::BrokenPipe)
+    }
+
+    /// The option that helps, which the library's error cannot name.
+    pub(crate) fn hint(&self) -> &'static str {
+        match self {
+            Failure::Client(Error::Connection { reason, .. })
+                if reason.to_lowercase().contains("certificate") =>
+            {
+                "\nname the authority of the server's certificate with --ca or WAYPOST_CA; \
+                 if the server asks for one of yours, give --client-cert and --client-key"
+            }
+            Failure::Client(Error::Connection { .. }) => {
+                "\nstart a server with `make serve`, or name another with --server or WAYPOST_SERVER"
+            }
+            _ => "",
+        }
+    }
+
+    pub(crate) fn exit_code(&self) -> ExitCode {
+        ExitCode::from(match self {
+            Failure::Client(error) => client_exit_code(error),
+            Failure::FramesRefused { .. } => 5,
+            Failure::Images(_)
+            | Failure::Odometry { .. }
+            | Failure::Truth { .. }
+            | Failure::File { .. }
+            | Failure::Unfit(_)
+            | Failure::JobFailed(_)
+            | Failure::Interrupted(_)
+            | Failure::DemoServer(_)
+            | Failure::DemoWithoutClosure
+            | Failure::Stdout(_)
+            | Failure::Runtime(_) => 1,
+        })
+    }
+}
+
+fn client_exit_code(error: &Error) -> u8 {
+    match error {
+        Error::Endpoint { .. } | Error::Options(_) => 2,
+        Error::Connection { .. } | Error::SessionLost { .. } => 3,
+        Error::Status { code, .. } => match code {
+            Code::Unavailable | Code::DeadlineExceeded => 3,
+            Code::Internal | Code::Unknown | Code::DataLoss | Code::Cancelled | Code::Ok => 1,
+            Code::InvalidArgument
+            | Code::NotFound
+            | Code::AlreadyExists
+            | Code::PermissionDenied
+            | Code::ResourceExhausted
+            | Code::FailedPrecondition
+            | Code::Aborted
+            | Code::OutOfRange
+            | Code::Unimplemented
+            | Code::Unauthenticated => 4,
+        },
+        Error::SessionRewound { .. }
+        | Error::SessionEnded { .. }
+        | Error::SequenceNotRising { .. }
+        | Error::Read(_)
+        | Error::Write(_)
+        | Error::Protocol(_) => 1,
+    }
+}

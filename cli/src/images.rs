@@ -1,0 +1,96 @@
+//! Images of a folder, in the order of their names.
+
+use std::path::{Path, PathBuf};
+
+/// One image file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct ImageFile {
+    /// File name, as shown to people.
+    pub(crate) name: String,
+    pub(crate) path: PathBuf,
+}
+
+/// Why a folder has no usable images.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ListingError {
+    #[error("there is no folder {}; check the path", .0.display())]
+    Missing(PathBuf),
+    #[error("{} is a file; give the folder that the images are in", .0.display())]
+    NotAFolder(PathBuf),
+    #[error("no images in {}; they have to end in .jpg, .jpeg or .png", .0.display())]
+    NoImages(PathBuf),
+    #[error("cannot list {}: {source}", path.display())]
+    Unreadable { path: PathBuf, source: std::io::Error },
+}
+
+/// The images in `folder/images`, or else in `folder`, sorted by name, byte by byte.
+pub(crate) fn images_of(folder: &Path) -> Result<Vec<ImageFile>, ListingError> {
+    if !folder.exists() {
+        return Err(ListingError::Missing(folder.to_owned()));
+    }
+    if !folder.is_dir() {
+        return Err(ListingError::NotAFolder(folder.to_owned()));
+    }
+    let inner = folder.join("images");
+    let folder = if inner.is_dir() { inner } else { folder.to_owned() };
+    let unreadable = |source| ListingError::Unreadable { path: folder.clone(), source };
+    let mut images = Vec::new();
+    for entry in std::fs::read_dir(&folder).map_err(unreadable)? {
+        let path = entry.map_err(unreadable)?.path();
+        if is_image(&path) && path.is_file() {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            images.push(ImageFile { name, path });
+        }
+    }
+    if images.is_empty() {
+        return Err(ListingError::NoImages(folder));
+    }
+    images.sort_by(|one, other| one.path.cmp(&other.path));
+    Ok(images)
+}
+
+fn is_image(path: &Path) -> bool {
+    let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    matches!(ending.as_str(), "jpg" | "jpeg" | "png")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn folder_of(files: &[&str]) -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        for file in files {
+            std::fs::write(folder.path().join(file), b"x").unwrap();
+        }
+        folder
+    }
+
+    fn names(folder: &Path) -> Vec<String> {
+        images_of(folder).unwrap().into_iter().map(|image| image.name).collect()
+    }
+
+    #[test]
+    fn images_come_sorted_and_nothing_else_does() {
+        let folder = folder_of(&["b.png", "a.JPG", "c.jpeg", "loops.csv", "README.md"]);
+        std::fs::create_dir(folder.path().join("d.jpg")).unwrap();
+        assert_eq!(names(folder.path()), ["a.JPG", "b.png", "c.jpeg"]);
+    }
+
+    #[test]
+    fn a_folder_called_images_is_preferred() {
+        let folder = folder_of(&["cover.jpg"]);
+        std::fs::create_dir(folder.path().join("images")).unwrap();
+        std::fs::write(folder.path().join("images/000000.jpg"), b"x").unwrap();
+        assert_eq!(names(folder.path()), ["000000.jpg"]);
+    }
+
+    #[test]
+    fn what_is_no_folder_of_images_is_refused() {
+        let folder = folder_of(&["notes.txt"]);
+        let file = folder.path().join("notes.txt");
+        assert!(matches!(images_of(folder.path()), Err(ListingError::NoImages(_))));
+        assert!(matches!(images_of(&file), Err(ListingError::NotAFolder(_))));
+        assert!(matches!(images_of(&folder.path().join("nowhere")), Err(ListingError::Missing(_))));
+    }
+}

@@ -1,0 +1,177 @@
+//! The `waypost` command line: models, maps and streams of a Waypost server.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use commands::{demo, explain, job, map, merge, model, navigate, query, session, stream, token};
+use failure::{EXIT_CODES, Failure};
+use output::Output;
+use waypost_client::ClientOptions;
+
+mod commands;
+mod explanations;
+mod failure;
+mod files;
+mod frame_row;
+mod images;
+mod names;
+mod odometry;
+mod output;
+mod panorama;
+mod progress;
+mod replay;
+mod robot_words;
+mod simulated;
+mod truth;
+
+/// Place recognition and maps from a robot's images, on a Waypost server
+#[derive(Parser)]
+#[command(name = "waypost", version, after_help = EXIT_CODES)]
+struct Arguments {
+    #[command(flatten)]
+    globals: Globals,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(clap::Args)]
+#[command(next_help_heading = "Global options")]
+struct Globals {
+    /// Address of the server's gRPC port
+    #[arg(
+        long,
+        global = true,
+        env = "WAYPOST_SERVER",
+        default_value = "http://127.0.0.1:7600",
+        value_name = "URL"
+    )]
+    server: String,
+    /// Secret of a token, if the server requires one
+    #[arg(long, global = true, env = "WAYPOST_TOKEN", hide_env_values = true, value_name = "SECRET")]
+    token: Option<String>,
+    /// Authority that issued the server's certificate (PEM); if left out, those that the system
+    /// trusts
+    #[arg(long, global = true, env = "WAYPOST_CA", value_name = "FILE")]
+    ca: Option<PathBuf>,
+    /// Client certificate, if the server requires one (PEM)
+    #[arg(long, global = true, env = "WAYPOST_CLIENT_CERT", value_name = "FILE")]
+    client_cert: Option<PathBuf>,
+    /// Private key of that certificate (PEM)
+    #[arg(long, global = true, env = "WAYPOST_CLIENT_KEY", value_name = "FILE")]
+    client_key: Option<PathBuf>,
+    /// Print one JSON object on stdout at the end, and nothing else there
+    #[arg(long, global = true)]
+    json: bool,
+}
+
+impl Globals {
+    /// How to reach the server. An empty environment variable counts as unset.
+    fn options(self) -> Result<ClientOptions, Failure> {
+        let Globals { server, token, ca, client_cert, client_key, json: _ } = self;
+        let mut options = ClientOptions::new(server);
+        if let Some(token) = token.filter(|token| !token.is_empty()) {
+            options = options.with_token(token);
+        }
+        if let Some(ca) = ca {
+            options = options.with_ca(read(&ca)?);
+        }
+        match (client_cert, client_key) {
+            (Some(certificate), Some(key)) => Ok(options.with_identity(read(&certificate)?, read(&key)?)),
+            (None, None) => Ok(options),
+            (Some(_), None) | (None, Some(_)) => Err(Failure::Unfit(
+                "a certificate and its key go together; give both --client-cert and --client-key".to_owned(),
+            )),
+        }
+    }
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, Failure> {
+    std::fs::read(path).map_err(Failure::file("read", path))
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Train, list, show, copy and delete models
+    #[command(subcommand, after_help = EXIT_CODES)]
+    Model(model::Command),
+    /// List, follow and cancel jobs of the server: trainings, imports and merges of maps
+    #[command(subcommand, after_help = EXIT_CODES)]
+    Job(job::Command),
+    /// Create, list, show, copy and delete maps
+    #[command(subcommand, after_help = EXIT_CODES)]
+    Map(map::Command),
+    /// Show, commit, discard and undo merges of maps; `waypost map merge` starts one
+    #[command(subcommand, after_help = EXIT_CODES)]
+    Merge(merge::Command),
+    /// List and delete the sessions of a map, and show the decisions about their frames
+    #[command(subcommand, after_help = EXIT_CODES)]
+    Session(session::Command),
+    /// Create, list and delete tokens
+    #[command(subcommand, after_help = EXIT_CODES)]
+    Token(token::Command),
+    Stream(stream::Arguments),
+    Query(query::Arguments),
+    Explain(explain::Arguments),
+    Navigate(navigate::Arguments),
+    Demo(demo::Arguments),
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    // The library warns of lost connections.
+    tracing_subscriber::fmt()
+        .with_writer(std::io::stderr)
+        .with_max_level(tracing::Level::WARN)
+        .without_time()
+        .with_level(false)
+        .with_target(false)
+        .init();
+    let finished = tokio::runtime::Runtime::new().map_err(Failure::Runtime).and_then(|runtime| {
+        let finished = runtime.block_on(run(arguments));
+        // Does not wait for threads that still read.
+        runtime.shutdown_background();
+        finished
+    });
+    match finished {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) if failure.is_closed_stdout() => ExitCode::SUCCESS,
+        Err(failure) => {
+            // If stderr is closed, the message is lost.
+            let _ = writeln!(std::io::stderr(), "waypost: {failure}{}", failure.hint());
+            failure.exit_code()
+        }
+    }
+}
+
+async fn run(Arguments { globals, command }: Arguments) -> Result<(), Failure> {
+    let output = if globals.json { Output::Json } else { Output::Text };
+    let server = globals.options()?;
+    match command {
+        Command::Model(command) => model::run(command, &server, output).await,
+        Command::Job(command) => job::run(command, &server, output).await,
+        Command::Map(command) => map::run(command, &server, output).await,
+        Command::Merge(command) => merge::run(command, &server, output).await,
+        Command::Session(command) => session::run(command, &server, output).await,
+        Command::Query(arguments) => query::run(arguments, &server, output).await,
+        Command::Explain(arguments) => explain::run(arguments, &server, output).await,
+        Command::Navigate(arguments) => navigate::run(arguments, &server, output).await,
+        Command::Token(command) => token::run(command, &server, output).await,
+        Command::Stream(arguments) => stream::run(arguments, &server, output).await,
+        Command::Demo(arguments) => demo::run(arguments, output).await,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Arguments::command().debug_assert();
+    }
+}

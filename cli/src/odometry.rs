@@ -1,0 +1,227 @@
+//! Odometry files: one pose of base_link per image, as CSV or in the TUM format.
+
+use std::num::ParseIntError;
+
+use waypost_client::v1::{Odometry, Pose, Quaternion, Vector3};
+
+/// Describes the formats in `--help`.
+pub(crate) const FORMATS: &str = "\
+Odometry files have one row per image, in the order of the images: the absolute pose of base_link in
+the odom frame (x forward, y left, metres, radians), with stamps above 0 that rise. Two formats are read:
+  CSV, with the header     stamp_ns,x_m,y_m,yaw_rad
+  TUM, without a header    stamp_s x y z qx qy qz qw     (blanks between; # begins a comment)";
+
+const CSV_HEADER: [&str; 4] = ["stamp_ns", "x_m", "y_m", "yaw_rad"];
+const TUM_COLUMNS: [&str; 8] = ["stamp_s", "x", "y", "z", "qx", "qy", "qz", "qw"];
+const NANOSECONDS_PER_SECOND: i64 = 1_000_000_000;
+/// How far the norm of a unit quaternion may be off after rounding to four digits.
+const UNIT_TOLERANCE: f64 = 1e-3;
+
+/// A pose by the wheels, with its time.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct StampedPose {
+    pub(crate) stamp_ns: i64,
+    pub(crate) odometry: Odometry,
+}
+
+/// What is wrong, and in which line.
+#[derive(Debug, PartialEq, thiserror::Error)]
+pub(crate) enum OdometryError {
+    #[error("no poses in it; write one row per image")]
+    Empty,
+    #[error("line {line}: the header is `{found}`; write `stamp_ns,x_m,y_m,yaw_rad`")]
+    Header { line: usize, found: String },
+    #[error("line {line}: {found} columns in place of {}; write `{}`", columns.len(), columns.join(" "))]
+    Columns { line: usize, found: usize, columns: &'static [&'static str] },
+    #[error("line {line}: `{text}` is no number for {column}; write a finite number")]
+    Number { line: usize, column: &'static str, text: String },
+    #[error("line {line}: the quaternion (qx, qy, qz, qw) has length {length:.4}; it has to be 1")]
+    NotARotation { line: usize, length: f64 },
+    #[error("line {line}: the stamp is not above 0; add the same time to all stamps")]
+    NotPositive { line: usize },
+    #[error("line {line}: the stamp is not above that of the row before; sort the rows by time")]
+    NotRising { line: usize },
+}
+
+/// Reads either format; a comma in the first row makes it CSV.
+pub(crate) fn parse(text: &str) -> Result<Vec<StampedPose>, OdometryError> {
+    let mut rows = text
+        .lines()
+        .zip(1..)
+        .map(|(row, line)| (line, row.trim().trim_start_matches('\u{feff}')))
+        .filter(|(_, row)| !row.is_empty() && !row.starts_with('#'))
+        .peekable();
+    let poses = match rows.peek() {
+        None => return Err(OdometryError::Empty),
+        Some((line, header)) if header.contains(',') => {
+            if !header.split(',').map(str::trim).eq(CSV_HEADER) {
+                return Err(OdometryError::Header { line: *line, found: (*header).to_owned() });
+            }
+            rows.skip(1).map(|(line, row)| Ok((line, csv_row(line, row)?))).collect::<Result<Vec<_>, _>>()?
+        }
+        Some((_, row)) => {
+            let headings = usize::from(row.split_whitespace().eq(TUM_COLUMNS));
+            rows.skip(headings)
+                .map(|(line, row)| Ok((line, tum_row(line, row)?)))
+                .collect::<Result<Vec<_>, _>>()?
+        }
+    };
+    if poses.is_empty() {
+        return Err(OdometryError::Empty);
+    }
+    if let Some((line, _)) = poses.iter().find(|(_, pose)| pose.stamp_ns <= 0) {
+        return Err(OdometryError::NotPositive { line: *line });
+    }
+    if let Some((line, _)) = poses
+        .iter()
+        .zip(poses.iter().skip(1))
+        .find_map(|((_, before), after)| (after.1.stamp_ns <= before.stamp_ns).then_some(after))
+    {
+        return Err(OdometryError::NotRising { line: *line });
+    }
+    Ok(poses.into_iter().map(|(_, pose)| pose).collect())
+}
+
+fn csv_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
+    let [stamp_ns, x, y, yaw] = fields(line, row.split(','), &CSV_HEADER)?;
+    let stamp_ns = stamp_ns.parse().map_err(|_| not_a_number(line, CSV_HEADER[0], stamp_ns))?;
+    let [x, y, yaw] = numbers(line, [x, y, yaw], [CSV_HEADER[1], CSV_HEADER[2], CSV_HEADER[3]])?;
+    let (z, w) = (yaw / 2.0).sin_cos();
+    let position_m = Vector3 { x, y, z: 0.0 };
+    Ok(stamped(stamp_ns, position_m, Quaternion { x: 0.0, y: 0.0, z, w }))
+}
+
+fn tum_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
+    let [stamp_s, position_and_rotation @ ..] = fields(line, row.split_whitespace(), &TUM_COLUMNS)?;
+    let stamp_ns = nanoseconds(stamp_s).ok_or_else(|| not_a_number(line, TUM_COLUMNS[0], stamp_s))?;
+    let [_, columns @ ..] = TUM_COLUMNS;
+    let [x, y, z, qx, qy, qz, qw] = numbers(line, position_and_rotation, columns)?;
+    let length = [qx, qy, qz, qw].map(|part| part * part).iter().sum::<f64>().sqrt();
+    if (length - 1.0).abs() > UNIT_TOLERANCE {
+        return Err(OdometryError::NotARotation { line, length });
+    }
+    let orientation = Quaternion { x: qx / length, y: qy / length, z: qz / length, w: qw / length };
+    Ok(stamped(stamp_ns, Vector3 { x, y, z }, orientation))
+}
+
+fn stamped(stamp_ns: i64, position_m: Vector3, orientation: Quaternion) -> StampedPose {
+    let pose = Pose { position_m: Some(position_m), orientation: Some(orientation) };
+    StampedPose { stamp_ns, odometry: Odometry { pose: Some(pose), covariance: Vec::new() } }
+}
+
+fn fields<'a, const COLUMNS: usize>(
+    line: usize,
+    row: impl Iterator<Item = &'a str>,
+    columns: &'static [&'static str; COLUMNS],
+) -> Result<[&'a str; COLUMNS], OdometryError> {
+    let row: Vec<&str> = row.map(str::trim).collect();
+    let found = row.len();
+    row.try_into().map_err(|_| OdometryError::Columns { line, found, columns })
+}
+
+fn numbers<const COLUMNS: usize>(
+    line: usize,
+    texts: [&str; COLUMNS],
+    columns: [&'static str; COLUMNS],
+) -> Result<[f64; COLUMNS], OdometryError> {
+    let mut values = [0.0; COLUMNS];
+    for ((value, text), column) in values.iter_mut().zip(texts).zip(columns) {
+        *value = text
+            .parse()
+            .ok()
+            .filter(|value: &f64| value.is_finite())
+            .ok_or_else(|| not_a_number(line, column, text))?;
+    }
+    Ok(values)
+}
+
+fn not_a_number(line: usize, column: &'static str, text: &str) -> OdometryError {
+    OdometryError::Number { line, column, text: text.to_owned() }
+}
+
+/// Decimal seconds as nanoseconds, exactly: an f64 has too few digits for seconds since 1970.
+fn nanoseconds(seconds: &str) -> Option<i64> {
+    let (sign, digits) = match seconds.strip_prefix('-') {
+        Some(digits) => (-1, digits),
+        None => (1, seconds),
+    };
+    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
+    let all_digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+    if whole.is_empty() || !all_digits(whole) || !all_digits(fraction) {
+        return None;
+    }
+    let nine_digits: String = fraction.chars().chain("000000000".chars()).take(9).collect();
+    let parsed: Result<(i64, i64), ParseIntError> =
+        whole.parse().and_then(|whole| Ok((whole, nine_digits.parse()?)));
+    let (whole, fraction) = parsed.ok()?;
+    whole.checked_mul(NANOSECONDS_PER_SECOND)?.checked_add(fraction)?.checked_mul(sign)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pose(row: &StampedPose) -> (Vector3, Quaternion) {
+        let pose = row.odometry.pose.unwrap();
+        (pose.position_m.unwrap(), pose.orientation.unwrap())
+    }
+
+    #[test]
+    fn csv_is_planar() {
+        let rows = parse("stamp_ns, x_m, y_m, yaw_rad\n10,1.5,-2,3.141592653589793\n\n20,0,0,0\n").unwrap();
+        assert_eq!(rows.iter().map(|row| row.stamp_ns).collect::<Vec<_>>(), [10, 20]);
+        let (position_m, turned) = pose(&rows[0]);
+        assert_eq!(position_m, Vector3 { x: 1.5, y: -2.0, z: 0.0 });
+        assert!((turned.z - 1.0).abs() < 1e-12 && turned.w.abs() < 1e-12, "{turned:?}");
+        assert_eq!(pose(&rows[1]).1, Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 });
+    }
+
+    #[test]
+    fn tum_keeps_nanoseconds() {
+        let text = "# a comment\n1403636579.763555527 1 2 3 0 0 0.6 0.8\n1403636580 0 0 0 0 0 0 1\n";
+        let rows = parse(text).unwrap();
+        assert_eq!(rows[0].stamp_ns, 1_403_636_579_763_555_527);
+        assert_eq!(rows[1].stamp_ns, 1_403_636_580_000_000_000);
+        let (position_m, orientation) = pose(&rows[0]);
+        assert_eq!(position_m, Vector3 { x: 1.0, y: 2.0, z: 3.0 });
+        assert!((orientation.z - 0.6).abs() < 1e-12 && (orientation.w - 0.8).abs() < 1e-12);
+    }
+
+    #[test]
+    fn tum_may_name_its_columns() {
+        assert_eq!(parse("stamp_s x y z qx qy qz qw\n0.1 0 0 0 0 0 0 1\n").unwrap().len(), 1);
+    }
+
+    #[test]
+    fn errors_name_their_line() {
+        let csv = |rows: &str| parse(&format!("stamp_ns,x_m,y_m,yaw_rad\n{rows}")).unwrap_err();
+        assert_eq!(parse("\n# nothing\n").unwrap_err(), OdometryError::Empty);
+        assert_eq!(csv(""), OdometryError::Empty);
+        assert!(matches!(parse("\nt,x,y,yaw\n").unwrap_err(), OdometryError::Header { line: 2, .. }));
+        assert!(matches!(csv("1,0,0,0\n2,0,0\n"), OdometryError::Columns { line: 3, found: 3, .. }));
+        assert!(matches!(csv("1,nan,0,0"), OdometryError::Number { line: 2, column: "x_m", .. }));
+        assert!(matches!(csv("1.5,0,0,0"), OdometryError::Number { line: 2, column: "stamp_ns", .. }));
+        assert_eq!(csv("1,0,0,0\n2,0,0,0\n2,0,0,0\n"), OdometryError::NotRising { line: 4 });
+        assert_eq!(csv("0,0,0,0\n1,0,0,0\n"), OdometryError::NotPositive { line: 2 });
+        let skewed = parse("1 0 0 0 0 0 0 2").unwrap_err();
+        assert_eq!(skewed, OdometryError::NotARotation { line: 1, length: 2.0 });
+        assert!(matches!(parse("1e9 0 0 0 0 0 0 1").unwrap_err(), OdometryError::Number { line: 1, .. }));
+    }
+
+    #[test]
+    fn messages_say_how_to_mend_it() {
+        let missing = parse("stamp_ns,x_m,y_m,yaw_rad\n1,2\n").unwrap_err().to_string();
+        assert_eq!(missing, "line 2: 2 columns in place of 4; write `stamp_ns x_m y_m yaw_rad`");
+    }
+
+    #[test]
+    fn seconds_are_exact_or_refused() {
+        assert_eq!(nanoseconds("0.000000001"), Some(1));
+        assert_eq!(nanoseconds("-1.5"), Some(-1_500_000_000));
+        assert_eq!(nanoseconds("12."), Some(12_000_000_000));
+        assert_eq!(nanoseconds("1.0000000019"), Some(1_000_000_001));
+        for text in ["", ".5", "1,5", "inf", "99999999999999", "1.5.5", "--1"] {
+            assert_eq!(nanoseconds(text), None, "{text}");
+        }
+    }
+}

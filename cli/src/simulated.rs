@@ -1,0 +1,216 @@
+//! A simulated robot that drives as a server tells it.
+
+use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::task::JoinHandle;
+use tokio::time::MissedTickBehavior;
+use waypost_client::{FrameContent, FrameInput, Navigation, NavigationEvent, Reading, v1};
+use waypost_sim::drive::Building;
+use waypost_sim::pose::Pose;
+use waypost_sim::render::{Mount, Shot};
+use waypost_sim::robot::{Command, OdometryReading, WheelErrors};
+use waypost_sim::simulation::{CameraFrame, CameraTrigger, Obedience, Simulation, Tick};
+use waypost_sim::worlds::NamedWorld;
+
+use crate::failure::Failure;
+
+/// Of 20 ms each.
+const STEPS_PER_REPORT: usize = 2;
+
+/// The world of that name with a way of that name, or its first; and the way's name.
+pub(crate) fn building(
+    world: &str,
+    route: Option<&str>,
+    seed: u64,
+) -> Result<(Building, &'static str), Failure> {
+    let names = |names: Vec<&str>| names.join(", ");
+    let world = NamedWorld::from_name(world).ok_or_else(|| {
+        let worlds = names(NamedWorld::ALL.map(NamedWorld::name).to_vec());
+        Failure::Unfit(format!("there is no world {world}; there are {worlds}"))
+    })?;
+    let routes = world.routes();
+    let wanted = match route {
+        Some(name) => routes.iter().find(|route| route.name == name),
+        None => routes.first(),
+    };
+    let named = wanted.ok_or_else(|| {
+        let routes = names(routes.iter().map(|route| route.name).collect());
+        Failure::Unfit(format!("{} has no such route; there are {routes}", world.name()))
+    })?;
+    let building = Building::named(world, seed, named).map_err(unfit)?;
+    Ok((building, named.name))
+}
+
+/// A robot at the way's start, whose wheels are as bad as the building's seed and another number say.
+pub(crate) fn robot(
+    building: &Building,
+    seed: u64,
+    number: u64,
+    trigger: CameraTrigger,
+) -> Result<Simulation, Failure> {
+    let seed = seed.wrapping_add(number.wrapping_mul(1_000));
+    building.robot(WheelErrors::drawn(seed), seed, trigger).map_err(unfit)
+}
+
+/// What the camera takes, as JPEG.
+pub(crate) fn jpeg(building: &Building, shot: &Shot) -> Result<Vec<u8>, Failure> {
+    building.image(shot).to_jpeg().map_err(unfit)
+}
+
+/// What the robot's sessions declare of its camera.
+pub(crate) fn camera(building: &Building) -> v1::Camera {
+    let Mount { forward_m, height_m, yaw_rad } = *building.rig.mount();
+    let camera = building.rig.camera();
+    let horizontal_rad = camera.field_of_view_rad();
+    v1::Camera {
+        model: Some(v1::camera::Model::FieldOfView(v1::FieldOfView { horizontal_rad })),
+        image_width_px: Some(camera.width_px()),
+        image_height_px: Some(camera.height_px()),
+        base_to_camera: Some(pose_message([forward_m, 0.0, height_m], turned(yaw_rad))),
+    }
+}
+
+/// What came of a drive that the server led.
+pub(crate) struct LedDrive {
+    /// Every step.
+    pub(crate) ticks: Vec<Tick>,
+    /// Frames that were answered, with where the robot really was at them.
+    pub(crate) seen: Vec<(v1::FrameSeen, Pose)>,
+}
+
+/// An image that the camera took, on its way.
+struct Developing {
+    image: JoinHandle<Result<Vec<u8>, Failure>>,
+    frame: CameraFrame,
+}
+
+/// Lets the robot drive as it is told, in real time, until it has arrived; `on_seen` hears what its frames showed.
+pub(crate) async fn drive(
+    building: &Arc<Building>,
+    robot: &mut Simulation,
+    navigation: &mut Navigation,
+    patience: Duration,
+    mut on_seen: impl FnMut(&v1::FrameSeen, &Pose) -> Result<(), Failure>,
+) -> Result<LedDrive, Failure> {
+    let period = Duration::from_nanos(u64::try_from(robot.settings().period_ns).unwrap_or(u64::MAX));
+    let mut steps = tokio::time::interval(period);
+    steps.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let guidance = navigation.guidance();
+    let began = Instant::now();
+    let mut ticks = Vec::new();
+    let mut seen = Vec::new();
+    let mut poses = BTreeMap::new();
+    let mut developing: Option<Developing> = None;
+    loop {
+        steps.tick().await;
+        let mut tick = step(robot, navigation, ticks.len() % STEPS_PER_REPORT == 0);
+        if let Some(frame) = tick.frame.take().filter(|_| developing.is_none()) {
+            poses.insert(frame.number + 1, frame.shot.pose);
+            let building = building.clone();
+            let shot = frame.shot.clone();
+            let image = tokio::task::spawn_blocking(move || jpeg(&building, &shot));
+            developing = Some(Developing { image, frame });
+        }
+        ticks.push(tick);
+        if let Some(Developing { image, frame }) = developing.take_if(|taken| taken.image.is_finished()) {
+            navigation.see(frame_input(&frame, image.await.map_err(unfit)??));
+        }
+        while let Some(event) = navigation.try_next() {
+            let Some(what) = shown(event)? else { continue };
+            let Some(pose) = poses.get(&what.sequence) else { continue };
+            on_seen(&what, pose)?;
+            seen.push((what, *pose));
+        }
+        let told = guidance.borrow().clone().unwrap_or_default();
+        if told.status() == v1::NavigationStatus::Arrived {
+            return Ok(LedDrive { ticks, seen });
+        }
+        if began.elapsed() > patience {
+            return Err(Failure::Unfit(format!(
+                "the robot has not arrived after {:.0} s; it is {:?}, with {:.1} m to go",
+                patience.as_secs_f64(),
+                told.status(),
+                told.remaining_m.unwrap_or(f64::NAN)
+            )));
+        }
+    }
+}
+
+/// A step as the last command says, and what the wheels say of it, if that is to be reported.
+fn step(robot: &mut Simulation, navigation: &Navigation, report_is_due: bool) -> Tick {
+    let waypost_client::Command { forward_m_s, turn_rad_s } = navigation.command();
+    let valid_ns = 2 * robot.settings().period_ns;
+    robot.command(Command { forward_m_s, turn_rad_s, valid_ns });
+    let tick = robot.advance();
+    if report_is_due {
+        // Stamps begin above 0.
+        let stamp_ns = tick.stamp_ns + 1;
+        let reflex = tick.obedience == Obedience::Reflex;
+        navigation.report(Reading { stamp_ns, odometry: odometry(&tick.odometry), reflex });
+    }
+    tick
+}
+
+/// A frame as it goes to the server.
+pub(crate) fn frame_input(frame: &CameraFrame, image: Vec<u8>) -> FrameInput {
+    FrameInput {
+        sequence: frame.number + 1,
+        stamp_ns: frame.stamp_ns + 1,
+        content: FrameContent::Image(image),
+        odometry: Some(odometry(&frame.odometry)),
+    }
+}
+
+/// What a frame showed, if the event is of that; what was refused ends the drive.
+fn shown(event: NavigationEvent) -> Result<Option<v1::FrameSeen>, Failure> {
+    let refused = |what: &str, message: &str| Failure::Unfit(format!("a {what} was refused: {message}"));
+    match event {
+        NavigationEvent::Seen(seen) => Ok(Some(seen)),
+        NavigationEvent::GoalRefused(refusal) => {
+            Err(Failure::Unfit(refusal.status.unwrap_or_default().message))
+        }
+        NavigationEvent::FrameRefused(refusal) => {
+            Err(refused("frame", &refusal.status.unwrap_or_default().message))
+        }
+        NavigationEvent::WheelsRefused(refusal) => {
+            Err(refused("wheel report", &refusal.status.unwrap_or_default().message))
+        }
+        NavigationEvent::Disconnected { .. } | NavigationEvent::Reconnected { .. } => Ok(None),
+    }
+}
+
+/// What the wheels say, as a frame carries it.
+pub(crate) fn odometry(reading: &OdometryReading) -> v1::Odometry {
+    let (position_m, orientation) = reading.position_and_orientation();
+    v1::Odometry {
+        pose: Some(pose_message(position_m, orientation)),
+        covariance: reading.covariance_6x6().to_vec(),
+    }
+}
+
+/// A pose on the ground, of a message that has one.
+pub(crate) fn planar(message: &v1::Pose) -> Option<Pose> {
+    let v1::Vector3 { x, y, .. } = message.position_m.as_ref()?;
+    let v1::Quaternion { z, w, .. } = message.orientation.as_ref()?;
+    Some(Pose::new(*x, *y, 2.0 * z.atan2(*w)))
+}
+
+/// For `map_err` of what the simulation refuses.
+pub(crate) fn unfit(error: impl Display) -> Failure {
+    Failure::Unfit(error.to_string())
+}
+
+fn turned(yaw_rad: f64) -> [f64; 4] {
+    let (sin, cos) = (yaw_rad / 2.0).sin_cos();
+    [0.0, 0.0, sin, cos]
+}
+
+fn pose_message([x, y, z]: [f64; 3], [i, j, k, w]: [f64; 4]) -> v1::Pose {
+    v1::Pose {
+        position_m: Some(v1::Vector3 { x, y, z }),
+        orientation: Some(v1::Quaternion { x: i, y: j, z: k, w }),
+    }
+}

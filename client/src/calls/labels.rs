@@ -1,0 +1,51 @@
+//! Labels: what people call places.
+
+use waypost_proto::v1;
+
+use crate::client::{Client, map_name};
+use crate::error::Error;
+
+impl Client {
+    /// All places of a map that have a label, by number.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND.
+    pub async fn labels(&self, map: &str) -> Result<Vec<v1::PlaceLabel>, Error> {
+        self.all_pages(|page_token| {
+            let mut service = self.labels_client();
+            let request = v1::ListLabelsRequest { map: map_name(map), page_size: 0, page_token };
+            async move {
+                let page = service.list_labels(request).await?.into_inner();
+                Ok((page.labels, page.next_page_token))
+            }
+        })
+        .await
+    }
+
+    /// Labels a place (`maps/{map}/places/{number}`) or all places of its space. Returns all labels
+    /// that it set.
+    ///
+    /// # Errors
+    /// [`Error::Status`]: NOT_FOUND, INVALID_ARGUMENT for an invalid label, FAILED_PRECONDITION for
+    /// a space of a map that is not navigated by appearance.
+    pub async fn set_label(
+        &self,
+        place: &str,
+        label: &str,
+        scope: v1::LabelScope,
+    ) -> Result<Vec<v1::PlaceLabel>, Error> {
+        let place = place.to_owned();
+        let label = label.to_owned();
+        let request = v1::SetLabelRequest { place, label, scope: scope.into() };
+        Ok(self.taken(self.labels_client().set_label(request).await)?.labels)
+    }
+
+    /// Deletes the label of a place (`maps/{map}/places/{number}`).
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND if it has none.
+    pub async fn delete_label(&self, place: &str) -> Result<(), Error> {
+        let request = v1::DeleteLabelRequest { place: place.to_owned() };
+        self.taken(self.labels_client().delete_label(request).await).map(drop)
+    }
+}

@@ -1,0 +1,97 @@
+//! Models: training, files, lists.
+
+use std::io;
+
+use futures::{Stream, StreamExt, TryStreamExt};
+use tokio::io::{AsyncRead, AsyncWrite};
+use waypost_proto::v1;
+use waypost_proto::v1::train_model_request::Content;
+
+use super::transfer::{chunks, download, upload};
+use crate::client::{Client, MAX_REQUEST_BYTES, PAGE_SIZE};
+use crate::error::Error;
+
+impl Client {
+    /// Uploads JPEG or PNG images and trains a model from them. Returns the job that does so; see
+    /// [`watch_job`](Self::watch_job). To stop the upload, let `images` yield an error: a call that
+    /// is only dropped may look complete to the server.
+    ///
+    /// # Errors
+    /// [`Error::Read`] if an image cannot be read: no model is trained. [`Error::Status`] if the
+    /// server refuses the settings or an image.
+    pub async fn train_model(
+        &self,
+        settings: v1::TrainModelSettings,
+        images: impl Stream<Item = io::Result<Vec<u8>>> + Send + 'static,
+    ) -> Result<v1::Job, Error> {
+        let settings = futures::stream::once(async { Ok(Content::Settings(settings)) });
+        let requests = settings
+            .chain(images.map_ok(Content::Image))
+            .map_ok(|content| v1::TrainModelRequest { content: Some(content) });
+        let mut models = self.models_client();
+        let unsendable =
+            || v1::TrainModelRequest { content: Some(Content::Image(vec![0; MAX_REQUEST_BYTES])) };
+        let call = |requests| async move { models.train_model(requests).await };
+        upload(requests, unsendable, self.endpoint(), call).await
+    }
+
+    /// All models, newest first.
+    ///
+    /// # Errors
+    /// As every call: [`Error::Connection`] or [`Error::Status`].
+    pub async fn models(&self) -> Result<Vec<v1::Model>, Error> {
+        self.all_pages(|page_token| async move {
+            let request = v1::ListModelsRequest { page_size: PAGE_SIZE, page_token };
+            let page = self.models_client().list_models(request).await?.into_inner();
+            Ok((page.models, page.next_page_token))
+        })
+        .await
+    }
+
+    /// A model by its hash, by the beginning of it, or by a display name that only one model has.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND.
+    pub async fn model(&self, name: &str) -> Result<v1::Model, Error> {
+        self.taken(self.models_client().get_model(v1::GetModelRequest { name: name.to_owned() }).await)
+    }
+
+    /// Writes a model file; returns its length in bytes.
+    ///
+    /// # Errors
+    /// [`Error::Write`] if it cannot be written, [`Error::Status`] with NOT_FOUND.
+    pub async fn export_model(&self, name: &str, file: &mut (impl AsyncWrite + Unpin)) -> Result<u64, Error> {
+        let request = v1::ExportModelRequest { name: name.to_owned() };
+        let response = self.models_client().export_model(request).await;
+        download(self, response, |v1::ExportModelResponse { chunk }| chunk, file).await
+    }
+
+    /// Uploads a model file. With an empty display name the server chooses one.
+    ///
+    /// # Errors
+    /// [`Error::Read`] if the file cannot be read, [`Error::Status`] if it is no model file.
+    pub async fn import_model(
+        &self,
+        display_name: &str,
+        file: impl AsyncRead + Send + Unpin + 'static,
+    ) -> Result<v1::Model, Error> {
+        let display_name = display_name.to_owned();
+        let requests = chunks(file)
+            .map_ok(move |chunk| v1::ImportModelRequest { display_name: display_name.clone(), chunk });
+        let mut models = self.models_client();
+        let unsendable =
+            || v1::ImportModelRequest { display_name: String::new(), chunk: vec![0; MAX_REQUEST_BYTES] };
+        let call = |requests| async move { models.import_model(requests).await };
+        upload(requests, unsendable, self.endpoint(), call).await
+    }
+
+    /// Deletes a model that no map uses.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with FAILED_PRECONDITION while a map uses it.
+    pub async fn delete_model(&self, name: &str) -> Result<(), Error> {
+        let request = v1::DeleteModelRequest { name: name.to_owned() };
+        let v1::DeleteModelResponse {} = self.taken(self.models_client().delete_model(request).await)?;
+        Ok(())
+    }
+}

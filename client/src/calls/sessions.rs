@@ -1,0 +1,145 @@
+//! Queries, sessions, and frames with the decisions about them.
+
+use waypost_proto::v1;
+
+use crate::client::{Client, PAGE_SIZE, map_name};
+use crate::error::Error;
+use crate::frame::FrameContent;
+
+impl Client {
+    /// Finds where one image, or one bag of words, was taken. `words_hash` is as in
+    /// [`v1::OpenSession`]; `explained_words` asks for the reasons.
+    ///
+    /// # Errors
+    /// [`Error::Status`]: NOT_FOUND, INVALID_ARGUMENT for a bad image, FAILED_PRECONDITION for
+    /// words of another vocabulary.
+    pub async fn query(
+        &self,
+        map: &str,
+        content: FrameContent,
+        words_hash: &str,
+        explained_words: Option<u32>,
+    ) -> Result<v1::QueryResponse, Error> {
+        let content = match content {
+            FrameContent::Image(image) => v1::query_request::Content::Image(image),
+            FrameContent::Histogram(histogram) => v1::query_request::Content::Histogram(histogram),
+            FrameContent::Words(words) => v1::query_request::Content::Words(words),
+        };
+        let request = v1::QueryRequest {
+            map: map_name(map),
+            content: Some(content),
+            words_hash: words_hash.to_owned(),
+            explained_words,
+        };
+        self.taken(self.recognition_client().query(request).await)
+    }
+
+    /// Adds a relative pose that a robot measured; returns the pose on the map of the robot of the
+    /// frame's session afterwards.
+    ///
+    /// # Errors
+    /// [`Error::Status`]: NOT_FOUND, INVALID_ARGUMENT for an invalid measurement,
+    /// FAILED_PRECONDITION if it would change nothing.
+    pub async fn add_relative_pose(
+        &self,
+        request: v1::AddRelativePoseRequest,
+    ) -> Result<Option<v1::MapPose>, Error> {
+        let response = self.taken(self.sessions_client().add_relative_pose(request).await)?;
+        Ok(response.map_pose)
+    }
+
+    /// The sessions that added to a map, oldest first.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND.
+    pub async fn sessions(&self, map: &str) -> Result<Vec<v1::Session>, Error> {
+        self.all_pages(|page_token| async move {
+            let request = v1::ListSessionsRequest { map: map_name(map), page_size: PAGE_SIZE, page_token };
+            let page = self.sessions_client().list_sessions(request).await?.into_inner();
+            Ok((page.sessions, page.next_page_token))
+        })
+        .await
+    }
+
+    /// Deletes a session (`maps/{map}/sessions/{session}`) from its map; returns the job that does
+    /// so.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND, or FAILED_PRECONDITION while a robot navigates in the map.
+    pub async fn delete_session(&self, name: &str) -> Result<v1::Job, Error> {
+        let request = v1::DeleteSessionRequest { name: name.to_owned() };
+        self.taken(self.sessions_client().delete_session(request).await)
+    }
+
+    /// A session by `maps/{map}/sessions/{session}`.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND.
+    pub async fn session(&self, name: &str) -> Result<v1::Session, Error> {
+        let request = v1::GetSessionRequest { name: name.to_owned() };
+        self.taken(self.sessions_client().get_session(request).await)
+    }
+
+    /// The frames of a session by sequence number, without their words.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND.
+    pub async fn frames(&self, session: &str) -> Result<Vec<v1::FrameRecord>, Error> {
+        self.all_pages(|page_token| async move {
+            let session = session.to_owned();
+            let request = v1::ListFramesRequest { session, page_size: PAGE_SIZE, page_token };
+            let page = self.sessions_client().list_frames(request).await?.into_inner();
+            Ok((page.frames, page.next_page_token))
+        })
+        .await
+    }
+
+    /// A frame by `maps/{map}/sessions/{session}/frames/{sequence}`, with its words.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND.
+    pub async fn frame(&self, name: &str) -> Result<v1::FrameRecord, Error> {
+        let request = v1::GetFrameRequest { name: name.to_owned() };
+        self.taken(self.sessions_client().get_frame(request).await)
+    }
+
+    /// The image or the thumbnail of a frame, if the map keeps it.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND.
+    pub async fn frame_image(
+        &self,
+        name: &str,
+        size: v1::get_frame_image_request::Size,
+    ) -> Result<v1::GetFrameImageResponse, Error> {
+        let request = v1::GetFrameImageRequest { name: name.to_owned(), size: size.into() };
+        self.taken(self.sessions_client().get_frame_image(request).await)
+    }
+
+    /// Explains the decision about a frame.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND if there is no such frame, or was no such place at that
+    /// time.
+    pub async fn explain_frame(
+        &self,
+        name: &str,
+        place_number: Option<u32>,
+        max_words: Option<u32>,
+    ) -> Result<v1::FrameExplanation, Error> {
+        let request = v1::ExplainFrameRequest { name: name.to_owned(), place_number, max_words };
+        self.taken(self.sessions_client().explain_frame(request).await)
+    }
+
+    /// A picture of a frame beside an earlier one of a place, as SVG, with common features in
+    /// green. If left out, the place is the one that was matched, or the best candidate.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND.
+    pub async fn frame_picture(&self, name: &str, place_number: Option<u32>) -> Result<Vec<u8>, Error> {
+        let request = v1::GetFramePictureRequest { name: name.to_owned(), place_number };
+        let v1::GetFramePictureResponse { content_type: _, picture } =
+            self.taken(self.sessions_client().get_frame_picture(request).await)?;
+        Ok(picture)
+    }
+}

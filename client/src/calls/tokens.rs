@@ -1,0 +1,49 @@
+//! Tokens: who may call the server.
+
+use waypost_proto::v1;
+
+use crate::client::{Client, PAGE_SIZE};
+use crate::error::Error;
+
+impl Client {
+    /// Creates a token. Returns it with its secret, which the server does not keep.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with ALREADY_EXISTS or INVALID_ARGUMENT; with FAILED_PRECONDITION if the
+    /// first token is not an admin's.
+    pub async fn create_token(
+        &self,
+        token_id: &str,
+        role: v1::token::Role,
+    ) -> Result<(v1::Token, String), Error> {
+        let request = v1::CreateTokenRequest { token_id: token_id.to_owned(), role: role.into() };
+        let v1::CreateTokenResponse { token, secret } =
+            self.taken(self.tokens_client().create_token(request).await)?;
+        Ok((token.ok_or(Error::Protocol("a new token came without its name"))?, secret))
+    }
+
+    /// All tokens, by name.
+    ///
+    /// # Errors
+    /// As every call: [`Error::Connection`] or [`Error::Status`].
+    pub async fn tokens(&self) -> Result<Vec<v1::Token>, Error> {
+        self.all_pages(|page_token| async move {
+            let request = v1::ListTokensRequest { page_size: PAGE_SIZE, page_token };
+            let page = self.tokens_client().list_tokens(request).await?.into_inner();
+            Ok((page.tokens, page.next_page_token))
+        })
+        .await
+    }
+
+    /// Deletes a token, by `name` or `tokens/name`.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND; with FAILED_PRECONDITION if the server could not be
+    /// administered without it.
+    pub async fn delete_token(&self, name: &str) -> Result<(), Error> {
+        let name = if name.starts_with("tokens/") { name.to_owned() } else { format!("tokens/{name}") };
+        let request = v1::DeleteTokenRequest { name };
+        let v1::DeleteTokenResponse {} = self.taken(self.tokens_client().delete_token(request).await)?;
+        Ok(())
+    }
+}

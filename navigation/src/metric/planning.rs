@@ -1,0 +1,284 @@
+//! Which way leads there: Dijkstra over places, with the way that the robot looks.
+
+use std::cmp::Ordering;
+use std::collections::{BTreeSet, BinaryHeap};
+
+use fabmap::appearance::PlaceId;
+
+use super::settings::{AgainstTheWay, PlanningSettings};
+use posegraph::{PlanarPose, Pose};
+use topomap::map::{Map, PlacePoses};
+
+/// Where a robot is to go.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Goal {
+    /// A place.
+    Place(PlaceId),
+    /// The place that is nearest to a position of a part of the map.
+    Position {
+        /// The part's lowest place.
+        part: PlaceId,
+        /// x and y in its frame, in metres.
+        position_m: [f64; 2],
+    },
+}
+
+/// Where on the map something is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapPosition {
+    /// The lowest place of the part of the map, in whose frame the pose is.
+    pub part: PlaceId,
+    /// The pose.
+    pub pose: PlanarPose,
+}
+
+/// A way over places. Poses are those of when it was planned: a map that is relaxed later does not
+/// move it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Route {
+    /// The lowest place of the part of the map that it runs in.
+    pub part: PlaceId,
+    /// From the place nearest to the robot to the goal; at least one.
+    pub waypoints: Vec<Waypoint>,
+    /// From waypoint to waypoint, in metres.
+    pub length_m: f64,
+}
+
+/// A place on a route.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Waypoint {
+    /// The place.
+    pub place: PlaceId,
+    /// Where it is, and how the robot that learnt it stood there.
+    pub pose: PlanarPose,
+    /// How the robot comes there.
+    pub travel: Travel,
+}
+
+/// How a link is driven.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Travel {
+    /// As it was taught.
+    Along,
+    /// The other way round.
+    Against,
+}
+
+/// Why there is no way.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum PlanError {
+    /// The map has no such place.
+    #[error("the map has no place {place}; list its places")]
+    UnknownPlace {
+        /// As given.
+        place: PlaceId,
+    },
+    /// No way was ever driven from one to the other.
+    #[error(
+        "no way that was driven joins place {goal} with where the robot is; drive from one to the other while mapping, \
+         or name a place of the part of the map that begins with place {part}"
+    )]
+    OtherPart {
+        /// The goal.
+        goal: PlaceId,
+        /// The part that the robot is in.
+        part: PlaceId,
+    },
+    /// Links are one-way.
+    #[error(
+        "place {goal} cannot be reached in the direction in which ways were driven; allow driving against it, or teach \
+         the way back"
+    )]
+    OneWay {
+        /// The goal.
+        goal: PlaceId,
+    },
+    /// The robot is nowhere near a place.
+    #[error(
+        "the nearest place is {distance_m:.1} m away, more than {reach_m} m; bring the robot nearer to the map"
+    )]
+    TooFar {
+        /// To the nearest place, in metres.
+        distance_m: f64,
+        /// The setting.
+        reach_m: f64,
+    },
+    /// A position or a heading that is no number.
+    #[error("the goal's position or heading is not finite; give metres and radians in the map's frame")]
+    NotFinite,
+}
+
+/// The cheapest way from where a robot is to a goal. What was driven as a detour is not driven
+/// again where a closure joins its ends.
+///
+/// # Errors
+/// [`PlanError`] if there is none.
+pub fn plan(
+    map: &Map,
+    poses: &PlacePoses,
+    from: &MapPosition,
+    goal: Goal,
+    settings: &PlanningSettings,
+) -> Result<Route, PlanError> {
+    let goal = goal_place(poses, from.part, goal)?;
+    if poses.part(goal) != Some(from.part) {
+        return Err(PlanError::OtherPart { goal, part: from.part });
+    }
+    let graph = Graph::new(map, poses, settings);
+    for start in starts(poses, from, settings)? {
+        if let Some(steps) = graph.cheapest(start, goal) {
+            return Ok(route(poses, from.part, &steps));
+        }
+    }
+    Err(PlanError::OneWay { goal })
+}
+
+fn goal_place(poses: &PlacePoses, part: PlaceId, goal: Goal) -> Result<PlaceId, PlanError> {
+    match goal {
+        Goal::Place(place) if poses.pose(place).is_some() => Ok(place),
+        Goal::Place(place) => Err(PlanError::UnknownPlace { place }),
+        Goal::Position { part: goal_part, position_m } => {
+            if position_m.iter().any(|value| !value.is_finite()) {
+                return Err(PlanError::NotFinite);
+            }
+            let nearest = of_part(poses, goal_part)
+                .min_by(|(_, a), (_, b)| distance_m(a, position_m).total_cmp(&distance_m(b, position_m)));
+            let (goal, _) = nearest.ok_or(PlanError::UnknownPlace { place: goal_part })?;
+            if goal_part == part { Ok(goal) } else { Err(PlanError::OtherPart { goal, part }) }
+        }
+    }
+}
+
+fn of_part(poses: &PlacePoses, part: PlaceId) -> impl Iterator<Item = (PlaceId, &PlanarPose)> {
+    (0..).zip(poses.poses()).filter(move |&(place, _)| poses.part(place) == Some(part))
+}
+
+fn distance_m(pose: &PlanarPose, [x_m, y_m]: [f64; 2]) -> f64 {
+    (pose.x_m() - x_m).hypot(pose.y_m() - y_m)
+}
+
+/// Places within reach of the robot, those first that it need neither drive nor turn far for.
+fn starts(
+    poses: &PlacePoses,
+    from: &MapPosition,
+    settings: &PlanningSettings,
+) -> Result<Vec<PlaceId>, PlanError> {
+    let position_m = [from.pose.x_m(), from.pose.y_m()];
+    let mut near: Vec<(f64, PlaceId)> = Vec::new();
+    let mut nearest_m = f64::INFINITY;
+    for (place, pose) in of_part(poses, from.part) {
+        let distance_m = distance_m(pose, position_m);
+        nearest_m = nearest_m.min(distance_m);
+        if distance_m <= settings.reach_m {
+            let turn_rad = pose.inverse().compose(&from.pose).heading_rad().abs();
+            near.push((distance_m + settings.turn_m_per_rad * turn_rad, place));
+        }
+    }
+    if near.is_empty() {
+        return Err(PlanError::TooFar { distance_m: nearest_m, reach_m: settings.reach_m });
+    }
+    near.sort_by(|(a, first), (b, second)| a.total_cmp(b).then(first.cmp(second)));
+    Ok(near.into_iter().map(|(_, place)| place).collect())
+}
+
+/// What can be driven, and what it costs.
+struct Graph<'a> {
+    poses: &'a PlacePoses,
+    settings: &'a PlanningSettings,
+    /// Of each place: where its links lead.
+    ways: Vec<Vec<(PlaceId, Travel)>>,
+}
+
+/// A place, and whether the robot looks there as it was taught to.
+type Node = (PlaceId, Travel);
+
+impl<'a> Graph<'a> {
+    fn new(map: &Map, poses: &'a PlacePoses, settings: &'a PlanningSettings) -> Self {
+        let contradicted: BTreeSet<usize> = poses.contradicted().collect();
+        let mut ways = vec![Vec::new(); poses.poses().len()];
+        for (number, link) in map.links().iter().enumerate() {
+            if contradicted.contains(&number) || poses.part(link.from) != poses.part(link.to) {
+                continue;
+            }
+            ways[link.from as usize].push((link.to, Travel::Along));
+            ways[link.to as usize].push((link.from, Travel::Against));
+        }
+        Self { poses, settings, ways }
+    }
+
+    /// Cost of a link in metres; `None` if it is not to be driven so.
+    fn cost_m(&self, (from, looks): Node, (to, travel): Node) -> Option<f64> {
+        let between = self.poses.pose(from)?.inverse().compose(self.poses.pose(to)?);
+        let length_m = between.x_m().hypot(between.y_m());
+        let factor = match (travel, self.settings.against) {
+            (Travel::Along, _) => 1.0,
+            (Travel::Against, AgainstTheWay::Costs { factor }) => factor,
+            (Travel::Against, AgainstTheWay::Forbidden) => return None,
+        };
+        let turned_about = if looks == travel { 0.0 } else { std::f64::consts::PI };
+        let turn_rad = between.heading_rad().abs() + turned_about;
+        Some(factor * length_m + self.settings.turn_m_per_rad * turn_rad)
+    }
+
+    /// The nodes of the cheapest way, from start to goal, however the robot looks there.
+    fn cheapest(&self, start: PlaceId, goal: PlaceId) -> Option<Vec<Node>> {
+        let index = |(place, travel): Node| 2 * place as usize + usize::from(travel == Travel::Against);
+        let mut costs = vec![f64::INFINITY; 2 * self.ways.len()];
+        let mut before: Vec<Option<Node>> = vec![None; costs.len()];
+        let mut open = BinaryHeap::from([Open { cost_m: 0.0, node: (start, Travel::Along) }]);
+        costs[index((start, Travel::Along))] = 0.0;
+        while let Some(Open { cost_m, node }) = open.pop() {
+            if node.0 == goal {
+                let back = |&node: &Node| before[index(node)];
+                let mut nodes: Vec<Node> = std::iter::successors(Some(node), back).collect();
+                nodes.reverse();
+                return Some(nodes);
+            }
+            if cost_m > costs[index(node)] {
+                continue;
+            }
+            for &next in &self.ways[node.0 as usize] {
+                let Some(step_m) = self.cost_m(node, next) else { continue };
+                let cost_m = cost_m + step_m;
+                if cost_m < costs[index(next)] {
+                    costs[index(next)] = cost_m;
+                    before[index(next)] = Some(node);
+                    open.push(Open { cost_m, node: next });
+                }
+            }
+        }
+        None
+    }
+}
+
+fn route(poses: &PlacePoses, part: PlaceId, nodes: &[Node]) -> Route {
+    let waypoint = |&(place, travel): &Node| Some(Waypoint { place, pose: *poses.pose(place)?, travel });
+    let waypoints: Vec<Waypoint> = nodes.iter().filter_map(waypoint).collect();
+    let between = |pair: &[Waypoint]| distance_m(&pair[0].pose, [pair[1].pose.x_m(), pair[1].pose.y_m()]);
+    let length_m = waypoints.windows(2).map(between).sum();
+    Route { part, waypoints, length_m }
+}
+
+/// A node on the edge of what is known, the cheapest first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Open {
+    cost_m: f64,
+    node: Node,
+}
+
+impl Eq for Open {}
+
+impl Ord for Open {
+    fn cmp(&self, other: &Self) -> Ordering {
+        other.cost_m.total_cmp(&self.cost_m).then(other.node.cmp(&self.node))
+    }
+}
+
+impl PartialOrd for Open {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+#[cfg(test)]
+mod tests;

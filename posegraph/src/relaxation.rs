@@ -1,0 +1,134 @@
+//! Poses that agree with all measurements as well as they can.
+//!
+//! [`relax`] minimises the sum of eᵀΩe over the edges of a [`PoseGraph`], in the plane or in space,
+//! from odometry alone or from where the poses were before. A map that grows keeps its graph and
+//! the last [`Relaxed`], adds poses and edges to the graph, and relaxes it from [`Start::Earlier`].
+
+mod block_cholesky;
+mod consensus;
+mod levenberg;
+mod robust;
+mod starts;
+
+use crate::graph::PoseGraph;
+use crate::pose::Pose;
+use levenberg::{Minimum, NormalEquations, Stop};
+use robust::Judging;
+
+/// Where relaxation starts from. What is fixed is where it is fixed, whatever the start.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Start<'a, P> {
+    /// Along odometry from the first pose on.
+    Odometry,
+    /// Rotations first, then positions: both are linear, so nothing is lost however odometry
+    /// drifts.
+    Chordal,
+    /// Both of these; the lower minimum counts.
+    Best,
+    /// From these poses; those that are not among them follow along odometry.
+    Poses(&'a [P]),
+    /// From what the graph was relaxed to before poses and edges were added to it; only closures
+    /// that were added are judged, where closures are. Poses that are new follow along odometry.
+    Earlier(&'a Relaxed<P>),
+}
+
+/// Whether closures may be wrong. Odometry is trusted always.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Closures {
+    /// They are judged, and left out where they contradict what most agree on.
+    #[default]
+    Judged,
+    /// None is wrong: least squares over all edges.
+    Trusted,
+}
+
+/// Settings of relaxation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RelaxationSettings {
+    /// Whether closures may be wrong.
+    pub closures: Closures,
+    /// It ends where the next step would lower the cost by less than this share.
+    pub relative_gain: f64,
+    /// It ends after so many steps from one start.
+    pub max_iterations: usize,
+}
+
+impl Default for RelaxationSettings {
+    fn default() -> Self {
+        Self { closures: Closures::default(), relative_gain: 1e-6, max_iterations: 200 }
+    }
+}
+
+/// What relaxation came to.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Relaxed<P> {
+    /// A pose for each of the graph's.
+    pub poses: Vec<P>,
+    /// Sum of eᵀΩe over the edges that were not judged wrong.
+    pub cost: f64,
+    /// Steps taken or tried, from all starts.
+    pub iterations: usize,
+    /// Weight of each edge: 0 of closures that were judged wrong, else 1.
+    pub weights: Vec<f64>,
+}
+
+/// Relaxes a graph: the poses at which the sum of eᵀΩe over its edges is least, as far as the start
+/// leads there.
+///
+/// Where closures are trusted, the cost never exceeds that of the start. What is fixed does not
+/// move; where nothing is, the lowest pose of each connected part stays where it starts. One
+/// thread, the same bits always.
+#[must_use]
+pub fn relax<P: Pose<D>, const D: usize>(
+    graph: &PoseGraph<P, D>,
+    start: Start<'_, P>,
+    settings: &RelaxationSettings,
+) -> Relaxed<P> {
+    let stop = Stop { relative_gain: settings.relative_gain, max_iterations: settings.max_iterations };
+    let first = first_poses(graph, start);
+    match settings.closures {
+        Closures::Judged => {
+            let judging = Judging::new(graph, &first, stop);
+            match start {
+                Start::Earlier(earlier) => judging.judge_added(earlier, &first),
+                Start::Odometry | Start::Chordal | Start::Best | Start::Poses(_) => {
+                    judging.judge_all(start, &first)
+                }
+            }
+        }
+        Closures::Trusted => {
+            let weights = vec![1.0; graph.edges().len()];
+            let mut equations = NormalEquations::new(graph);
+            let chordal = || starts::chordal(graph, first.clone(), &weights);
+            let Minimum { poses, cost, iterations } = match start {
+                Start::Odometry | Start::Poses(_) | Start::Earlier(_) => {
+                    equations.minimize(first, &weights, stop)
+                }
+                Start::Chordal => equations.minimize(chordal(), &weights, stop),
+                Start::Best => {
+                    let one = equations.minimize(chordal(), &weights, stop);
+                    let other = equations.minimize(first, &weights, stop);
+                    let iterations = one.iterations + other.iterations;
+                    let lower = if other.cost < one.cost { other } else { one };
+                    Minimum { iterations, ..lower }
+                }
+            };
+            Relaxed { poses, cost, iterations, weights }
+        }
+    }
+}
+
+/// A pose for each of the graph's, before anything is relaxed: along odometry from what is known.
+fn first_poses<P: Pose<D>, const D: usize>(graph: &PoseGraph<P, D>, start: Start<'_, P>) -> Vec<P> {
+    let given = match start {
+        Start::Odometry | Start::Chordal | Start::Best => &[],
+        Start::Poses(poses) => poses,
+        Start::Earlier(earlier) => &earlier.poses,
+    };
+    let mut known: Vec<Option<P>> = given.iter().copied().map(Some).collect();
+    known.resize(graph.poses(), None);
+    for (&pose, &at) in graph.fixed() {
+        known[pose] = Some(at);
+    }
+    starts::spanning_tree(graph, &known)
+}

@@ -1,0 +1,42 @@
+//! Messages as JSON, the same for REST and the command line.
+
+use serde::ser::{Serialize, SerializeStruct, Serializer};
+
+include!(concat!(env!("OUT_DIR"), "/json.rs"));
+
+/// The name of an enum's value; `None` if it was left open or is of a later contract.
+fn shown<E: TryFrom<i32>>(value: i32, name: fn(E) -> &'static str) -> Option<&'static str> {
+    if value == 0 { None } else { E::try_from(value).ok().map(name) }
+}
+
+impl Serialize for crate::google::rpc::Status {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut object = serializer.serialize_struct("Status", 2)?;
+        object.serialize_field("code", status_code_name(self.code))?;
+        object.serialize_field("message", &self.message)?;
+        object.end()
+    }
+}
+
+/// The name of a gRPC status code, as in `not_found`.
+pub fn status_code_name(code: i32) -> &'static str {
+    match code {
+        0 => "ok",
+        1 => "cancelled",
+        3 => "invalid_argument",
+        4 => "deadline_exceeded",
+        5 => "not_found",
+        6 => "already_exists",
+        7 => "permission_denied",
+        8 => "resource_exhausted",
+        9 => "failed_precondition",
+        10 => "aborted",
+        11 => "out_of_range",
+        12 => "unimplemented",
+        13 => "internal",
+        14 => "unavailable",
+        15 => "data_loss",
+        16 => "unauthenticated",
+        _ => "unknown",
+    }
+}

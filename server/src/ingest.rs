@@ -1,0 +1,15 @@
+//! From what a robot sends to what it shows: cameras, images, words. The only folder of the server that
+//! names `waypost_vision`; the others have its types from here.
+
+mod admission;
+pub(crate) mod content;
+pub(crate) mod extraction;
+pub(crate) mod intrinsics;
+pub(crate) mod model;
+pub(crate) mod panoramic;
+
+pub(crate) use waypost_vision::feature_record::FeatureRecord;
+pub(crate) use waypost_vision::features::{Extractor, Keypoint};
+pub(crate) use waypost_vision::panorama::PanoramicView;
+pub(crate) use waypost_vision::structure::{RobotCamera, TrackedFrame, Tracker};
+pub(crate) use waypost_vision::verification::{Comparison, Verifier, View};

@@ -1,0 +1,5 @@
+//! Connections, and what is known of them before anything is asked.
+
+pub(crate) mod connections;
+pub(crate) mod request_id;
+pub(crate) mod tls;

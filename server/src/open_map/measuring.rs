@@ -1,0 +1,42 @@
+//! What robots measure by themselves goes into the log.
+
+use topomap::log::MapEvent;
+use topomap::mapper::{MapPose, Measurement};
+
+use super::requests::MeasuredFrames;
+use super::{CommitFailed, MapWriter};
+use crate::error::ServiceError;
+use crate::storage::LogEntry;
+
+impl MapWriter {
+    /// Decides, stores and applies; what was stored before changes nothing.
+    pub(super) fn measure(
+        &mut self,
+        frames: &MeasuredFrames,
+    ) -> Result<Result<Option<MapPose>, ServiceError>, CommitFailed> {
+        let MeasuredFrames { later, before, earlier, pose } = frames;
+        let measurement = Measurement { later, before: before.as_ref(), earlier, pose: *pose };
+        let event = match self.mapper.measure(&measurement) {
+            Ok(event) => event,
+            Err(error) => return Ok(Err(ServiceError::precondition(error))),
+        };
+        if !self.mapper.has_measured(&event) {
+            let position = event.position;
+            let session = event.session;
+            let event = MapEvent::Measured(Box::new(event));
+            let entry = LogEntry { position, event, media: Vec::new() };
+            let entries = std::slice::from_ref(&entry);
+            if let Err(error) = self.runtime.block_on(self.storage.append(self.map.id, entries)) {
+                tracing::error!(map = self.map.name, %error, "what a robot measured could not be stored");
+                return Err(CommitFailed::default());
+            }
+            if let Err(error) = self.mapper.apply(&entry.event) {
+                tracing::error!(map = self.map.name, session, %error, "what a robot measured could not be applied");
+                return Err(CommitFailed::default());
+            }
+            self.checkpoints.changes().follow(&entry.event);
+        }
+        let session = self.mapper.map().session(later.session);
+        Ok(Ok(session.and_then(|session| self.mapper.map_pose(session))))
+    }
+}

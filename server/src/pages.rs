@@ -1,0 +1,54 @@
+//! Lists, a page at a time.
+
+use crate::error::ServiceError;
+use crate::names::number;
+
+/// A page of a list; `next` is the token of the next page, empty on the last.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Page<T> {
+    pub(crate) items: Vec<T>,
+    pub(crate) next: String,
+}
+
+/// Page sizes: 0 asks for the default.
+pub(crate) fn page_size(asked: u32) -> Result<u32, ServiceError> {
+    const DEFAULT: u32 = 100;
+    const MAX: u32 = 1000;
+    match asked {
+        0 => Ok(DEFAULT),
+        1..=MAX => Ok(asked),
+        _ => Err(ServiceError::invalid(format_args!("a page has at most {MAX} entries, not {asked}"))),
+    }
+}
+
+/// The number that a page token stands for; none for the first page.
+pub(crate) fn numbered_page<T: TryFrom<u64>>(token: &str) -> Result<Option<T>, ServiceError> {
+    if token.is_empty() {
+        return Ok(None);
+    }
+    let page = number(token).and_then(|number| T::try_from(number).ok());
+    page.map(Some).ok_or_else(bad_page_token)
+}
+
+pub(crate) fn bad_page_token() -> ServiceError {
+    ServiceError::invalid("the page token is not one that this server gave; begin again without one")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn page_tokens_are_written_in_one_way() {
+        assert_eq!((numbered_page::<u32>(""), numbered_page("7")), (Ok(None), Ok(Some(7_u32))));
+        for bad in ["+7", "07", "-1", " 7", "7.0", "4294967296", "maps/a"] {
+            assert!(numbered_page::<u32>(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn page_sizes_have_a_default_and_a_limit() {
+        assert_eq!((page_size(0), page_size(7), page_size(1000)), (Ok(100), Ok(7), Ok(1000)));
+        assert!(page_size(1001).is_err());
+    }
+}

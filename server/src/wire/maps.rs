@@ -1,0 +1,76 @@
+//! Maps, their loop closures and what they can do without as messages.
+
+use topomap::rewriting::{Dispensable, Distance, Why};
+use waypost_proto::v1;
+
+use super::settings::settings_message;
+use crate::names::{map_name, model_name};
+use crate::open_map::answers::FrameReference;
+use crate::service::maps::{LoopClosureView, MapView};
+use crate::service::maps::{MapBytes, MapCounts};
+
+pub(crate) fn map(view: MapView) -> v1::Map {
+    let MapView { map, model, settings, created_ns, counts, state_hash, bytes } = view;
+    let MapCounts { sessions, frames, loop_closures, places, links } = counts;
+    v1::Map {
+        name: map_name(&map),
+        model: model_name(&model),
+        settings: Some(settings_message(&settings)),
+        create_time_ns: created_ns,
+        places,
+        links,
+        sessions,
+        frames,
+        loop_closures,
+        state_hash,
+        storage: bytes.map(|bytes| storage(bytes, frames)),
+    }
+}
+
+fn storage(bytes: MapBytes, frames: u64) -> v1::MapStorage {
+    let per_frame = bytes.per_frame(frames);
+    let MapBytes { log, checkpoint, features, thumbnails, images } = bytes;
+    v1::MapStorage {
+        log_bytes: log,
+        checkpoint_bytes: checkpoint,
+        features_bytes: features,
+        thumbnail_bytes: thumbnails,
+        image_bytes: images,
+        bytes_per_frame: per_frame,
+    }
+}
+
+pub(crate) fn loop_closure(view: LoopClosureView) -> v1::LoopClosure {
+    let LoopClosureView { frame, matched, place, posterior, probability } = view;
+    v1::LoopClosure {
+        frame: Some(frame_reference(frame)),
+        matched_frame: Some(frame_reference(matched)),
+        place_number: place,
+        posterior,
+        probability,
+    }
+}
+
+pub(crate) fn frame_reference(reference: FrameReference) -> v1::FrameReference {
+    let FrameReference { session, sequence, stamp_ns } = reference;
+    v1::FrameReference { session, sequence, stamp_ns }
+}
+
+pub(crate) fn dropped_place(dropped: Dispensable) -> v1::DroppedPlace {
+    use v1::dropped_place::Reason;
+    use v1::least_seen_place::Distance as Nearest;
+    let Dispensable { place, why } = dropped;
+    let reason = match why {
+        Why::Redundant { of, alike } => {
+            Reason::Redundant(v1::RedundantPlace { of_place_number: of, similarity: alike })
+        }
+        Why::LeastSeen { looks, nearest } => {
+            let distance = match nearest {
+                Distance::Metres(distance_m) => Nearest::DistanceM(distance_m),
+                Distance::Links(links) => Nearest::DistanceLinks(links),
+            };
+            Reason::LeastSeen(v1::LeastSeenPlace { looks: looks.into(), distance: Some(distance) })
+        }
+    };
+    v1::DroppedPlace { place_number: place, reason: Some(reason) }
+}

@@ -1,0 +1,58 @@
+//! Places, their labels and the graph of them as messages.
+
+use waypost_proto::v1;
+
+use super::geometry::planar_pose;
+use super::maps::frame_reference;
+use crate::names::place_name;
+use crate::open_map::answers::{PlacePose, WordPlace};
+use crate::open_map::appearance::LinkView;
+use crate::service::appearance::{GraphView, NodeView};
+use crate::service::labels::LabelRow;
+use crate::service::maps::PlaceView;
+
+pub(crate) fn place(map: &str, view: PlaceView) -> v1::Place {
+    let PlaceView { place, looks, word_hits, frames, linked, pose } = view;
+    v1::Place {
+        name: place_name(map, place),
+        looks: u32::from(looks),
+        words: u32::try_from(word_hits.len()).unwrap_or(u32::MAX),
+        frames: frames.into_iter().map(frame_reference).collect(),
+        linked_place_numbers: linked,
+        word_hits: word_hits
+            .into_iter()
+            .map(|(word, hits)| v1::PlaceWord { word: word.into(), hits: hits.into() })
+            .collect(),
+        pose: pose.map(|PlacePose { part, pose }| v1::PlacePose { part, pose: Some(planar_pose(&pose)) }),
+    }
+}
+
+/// As it is in a list: without its words.
+pub(crate) fn listed_place(map: &str, view: PlaceView) -> v1::Place {
+    v1::Place { word_hits: Vec::new(), ..place(map, view) }
+}
+
+pub(crate) fn word_place(found: WordPlace) -> v1::WordPlace {
+    let WordPlace { place, hits, looks } = found;
+    v1::WordPlace { place_number: place, hits: hits.into(), looks: looks.into() }
+}
+
+pub(crate) fn labels(map: &str, rows: Vec<LabelRow>) -> Vec<v1::PlaceLabel> {
+    let label = |LabelRow { place, label }| v1::PlaceLabel { place: place_name(map, place), label };
+    rows.into_iter().map(label).collect()
+}
+
+pub(crate) fn graph(view: GraphView) -> v1::AppearanceGraph {
+    let GraphView { map, nodes, links } = view;
+    let node = |NodeView { place, space, label }| v1::AppearanceNode { place_number: place, space, label };
+    let link = |LinkView { from, to, similarity }| v1::AppearanceLink {
+        from_place_number: from,
+        to_place_number: to,
+        similarity,
+    };
+    v1::AppearanceGraph {
+        map,
+        nodes: nodes.into_iter().map(node).collect(),
+        links: links.into_iter().map(link).collect(),
+    }
+}

@@ -1,0 +1,135 @@
+//! Places that a frame is compared with, and what speaks for them.
+
+use fabmap::appearance::PlaceId;
+use fabmap::codec::{DecodeError, Reader, Writer};
+
+use super::two_view::{CandidateForm, TwoView};
+#[cfg(test)]
+use super::{
+    placement::Placement,
+    two_view::{Similarity, ViewMotion},
+};
+use crate::bytes::{decode_option, encode_option, not_negative};
+use crate::ids::FrameId;
+
+/// An earlier frame of a place, as a match.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Match {
+    /// The place.
+    pub place: PlaceId,
+    /// Its posterior probability.
+    pub posterior: f64,
+    /// ln [posterior / (1 - posterior)], nats: tells apart what rounds to 1.
+    pub log_odds: f64,
+    /// Of the frames that the place has learnt from, the one that explains the observation best.
+    pub frame: FrameId,
+}
+
+impl Match {
+    pub(crate) fn encode(&self, writer: &mut Writer) {
+        let Match { place, posterior, log_odds, frame } = self;
+        writer.u32(*place);
+        writer.f64(*posterior);
+        writer.f64(*log_odds);
+        writer.u64(*frame);
+    }
+
+    pub(crate) fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        Ok(Match {
+            place: reader.u32()?,
+            posterior: reader.f64()?,
+            log_odds: reader.f64()?,
+            frame: reader.u64()?,
+        })
+    }
+}
+
+/// Evidence of a pair of frames that lets the frames before speak in full. Recall at full precision
+/// on the development sequences is the same from 10 to 30.
+const ENOUGH: f64 = 20.0;
+
+/// a, b, c of [`Candidate::probability`]: logistic regression over the proposals of the development
+/// sequences, each sequence of the same weight.
+const LOG_ODDS_WEIGHTS: [f64; 3] = [-0.80, 0.68, 0.17];
+
+/// A place that a frame was compared with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Candidate {
+    /// The place, and the frame of it that was compared.
+    pub matched: Match,
+    /// What geometry found; `None` if one of the two frames has no keypoints.
+    pub view: Option<TwoView>,
+    /// What the session's last frames said for a place near this one, in inliers.
+    pub support: f64,
+}
+
+#[cfg(test)]
+impl Candidate {
+    /// A view that a good deal speaks for, whose image has grown and shifted by so much.
+    pub(crate) fn shifted(ln_scale: f64, shift_widths: f64) -> Self {
+        let motion = Similarity { rotation_rad: 0.0, ln_scale, translation_widths: [shift_widths, 0.0] };
+        let motion = Some(ViewMotion::Similarity(motion));
+        let placement = Placement::Unknown;
+        let view = TwoView { matches: 90, inliers: 80, distinct_inliers: 80, motion, placement };
+        let matched = Match { place: 0, posterior: 1.0, log_odds: 9.0, frame: 1 };
+        Self { matched, view: Some(view), support: 0.0 }
+    }
+}
+
+impl Candidate {
+    /// min(1, e / 20) (e + support) with e the pair's own evidence, in inliers: what this frame and
+    /// the last ones say together, once this one says enough. A robot that has just left its old
+    /// way still has the support, and no match.
+    #[must_use]
+    pub fn evidence(&self) -> f64 {
+        let own = self.own_evidence();
+        (own / ENOUGH).min(1.0) * (own + self.support)
+    }
+
+    /// See [`TwoView::evidence`].
+    #[must_use]
+    pub fn own_evidence(&self) -> f64 {
+        self.view.as_ref().map_or(0.0, TwoView::evidence)
+    }
+
+    /// What proposals are ranked by: first those that geometry has evidence for, by that; then all
+    /// others by the log-odds of their posterior, less [`Candidate::UNVERIFIED`].
+    #[must_use]
+    pub fn score(&self) -> f64 {
+        let evidence = self.evidence();
+        if evidence > 0.0 { evidence } else { self.matched.log_odds - Self::UNVERIFIED }
+    }
+
+    /// That both frames show the same place, in [0, 1], by words and geometry together:
+    /// ln [p / (1 - p)] = a + b ln (1 + evidence) + c ln [posterior / (1 - posterior)].
+    /// Without keypoints the posterior itself.
+    #[must_use]
+    pub fn probability(&self) -> f64 {
+        if self.view.is_none() {
+            return self.matched.posterior;
+        }
+        let [offset, of_evidence, of_posterior] = LOG_ODDS_WEIGHTS;
+        let log_odds = offset + of_evidence * self.evidence().ln_1p() + of_posterior * self.matched.log_odds;
+        1.0 / (1.0 + (-log_odds).exp())
+    }
+
+    /// More than any log-odds.
+    pub const UNVERIFIED: f64 = 1000.0;
+}
+
+impl Candidate {
+    pub(crate) fn encode(&self, writer: &mut Writer) {
+        let Candidate { matched, view, support } = self;
+        matched.encode(writer);
+        encode_option(view.as_ref(), writer, TwoView::encode);
+        writer.f64(*support);
+    }
+
+    pub(crate) fn decode(form: CandidateForm, reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        Ok(Candidate {
+            matched: Match::decode(reader)?,
+            view: decode_option(reader, |reader| TwoView::decode(form, reader))?,
+            support: not_negative(reader.f64()?)?,
+        })
+    }
+}

@@ -1,0 +1,271 @@
+//! The last step of a frame: what it is, decided from values alone.
+
+use std::collections::BTreeMap;
+
+use fabmap::appearance::PlaceId;
+use fabmap::recognizer::{Association, Recognition};
+
+use super::FrameError;
+use super::candidates::{is_without_keypoints, most_likely};
+use super::frame::{FrameInHand, FrameInput, Growth};
+use super::localizer::Queried;
+use super::poses::Located;
+use super::proposing::{Comparisons, Proposed};
+use crate::evidence::{Candidate, Check, Match, TurnedView};
+use crate::ids::FrameId;
+use crate::log::{Decision, FrameEvent, Link, LinkKind, Reason};
+use crate::metric::RelativePose;
+
+/// What was decided of a frame, with what is not logged of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Decided {
+    /// What is to be logged.
+    pub event: FrameEvent,
+    /// Likelihoods, prior and posterior behind it.
+    pub recognition: Recognition,
+    /// By the frames of the event's candidates: where in its place's frame the robot was then, as
+    /// far as that was measured.
+    pub seen_from: BTreeMap<FrameId, RelativePose>,
+}
+
+impl Proposed<'_> {
+    /// Decides what a frame is: the story, from what was compared to the event that the log keeps.
+    /// Changes nothing.
+    ///
+    /// # Errors
+    /// [`FrameError::OdometryStandsStill`] if wheels say that the robot stands, and the view that
+    /// it does not.
+    pub fn decide(self, comparisons: &Comparisons) -> Result<Decided, FrameError> {
+        let candidates = self.candidates(comparisons);
+        let proposal = self.proposal(&candidates);
+        let decision = if self.frame.makes_each_frame_a_place() {
+            self.place_of_its_own(comparisons)
+        } else {
+            self.associate(&candidates, comparisons)
+        };
+        self.frame.check_that_wheels_turn(&decision, comparisons)?;
+        let located = self.locate(&decision, &candidates, comparisons);
+        let seen_from = self.seen_from();
+        let FrameInHand { mapper, session, growth, input, recognition, .. } = self.frame;
+        let (learnt, link) = match growth {
+            Growth::Grows => (
+                mapper.learns(&session, &decision),
+                mapper.link(&session, &decision, input.odometry.as_ref(), located),
+            ),
+            Growth::ReadOnly => (false, None),
+        };
+        let places = mapper.recognizer().places();
+        let belief = decision.belief_after(&session.belief, &recognition.posterior, places);
+        let new_place_posterior = decision.new_place_posterior(&session.belief, &recognition.posterior);
+        let FrameInput { session, sequence, stamp_ns, odometry, observation } = input;
+        let event = FrameEvent {
+            frame: mapper.map().events(),
+            session,
+            sequence,
+            stamp_ns,
+            odometry,
+            observation,
+            decision,
+            new_place_posterior,
+            proposal,
+            candidates,
+            learnt,
+            link,
+            at: located.map(|located| located.at()),
+            belief,
+        };
+        Ok(Decided { event, recognition, seen_from })
+    }
+
+    /// Where one observation was made, for what [`super::Mapper::query`] began.
+    #[must_use]
+    pub fn answer(self, comparisons: &Comparisons) -> Queried {
+        let candidates = self.candidates(comparisons);
+        let mapper = self.frame.mapper;
+        let verified = mapper.verified(&self.frame.session, &candidates);
+        let candidate = verified.or_else(|| most_likely(&candidates)).map(|candidate| candidate.matched);
+        let best = self.frame.recognition.posterior.best_place();
+        let matched = candidate.or_else(|| best.and_then(|(place, _)| self.match_at(place)));
+        let by_words = |matched: Match| {
+            self.frame.association == Association::Seen(matched.place)
+                && matched.posterior >= mapper.settings().closure_threshold
+                && (!mapper.verifies() || is_without_keypoints(&candidates, matched.place))
+        };
+        let accepted = verified.is_some() || matched.is_some_and(by_words);
+        Queried { recognition: self.frame.recognition, candidates, matched, accepted }
+    }
+
+    /// The compared places, with what speaks for them.
+    fn candidates(&self, comparisons: &Comparisons) -> Vec<Candidate> {
+        let FrameInHand { mapper, session, .. } = &self.frame;
+        let candidate = |matched: Match| {
+            let located = mapper.map().locate(matched.place, matched.frame);
+            let support = located.map_or(0.0, |frame| mapper.support(session, matched.place, frame));
+            Candidate { matched, view: comparisons.views.get(&matched.frame).copied(), support }
+        };
+        self.compared.iter().map(|best| candidate(best.matched)).collect()
+    }
+
+    fn seen_from(&self) -> BTreeMap<FrameId, RelativePose> {
+        self.compared.iter().filter_map(|best| Some((best.matched.frame, best.at?))).collect()
+    }
+
+    /// With geometry the candidate that it has most evidence for, or else the frame that matches
+    /// best of the most probable place known from before the guard.
+    fn proposal(&self, candidates: &[Candidate]) -> Option<Match> {
+        let candidate = most_likely(candidates).map(|candidate| candidate.matched);
+        candidate.or_else(|| self.most_probable_match())
+    }
+
+    /// Data association: what geometry verified, or else the most probable of all places and
+    /// "somewhere new", unless geometry could have verified it.
+    fn associate(&self, candidates: &[Candidate], comparisons: &Comparisons) -> Decision {
+        let frame = &self.frame;
+        if frame.shows_too_little() {
+            return frame.too_few_words();
+        }
+        let place_to_stay_at = frame.place_to_stay_at().filter(|_| self.may_have_stayed(comparisons));
+        if let Some(place) = place_to_stay_at {
+            return frame.same_place(place);
+        }
+        if let Some(Candidate { matched, .. }) = frame.mapper.verified(&frame.session, candidates) {
+            let Match { place, posterior, .. } = *matched;
+            let place = Some(place);
+            let closure = Some(*matched);
+            return Decision { reason: Reason::LoopClosure, place, posterior, closure };
+        }
+        if let Some(stay) = frame.session.stay.as_ref().filter(|_| frame.is_at_its_stay()) {
+            return frame.same_place(stay.place);
+        }
+        let Association::Seen(place) = frame.association else {
+            return frame.new_place(Reason::NewPlace, None);
+        };
+        if frame.pose_of_robot().is_some() && frame.was_just_at(place) {
+            return frame.new_place(Reason::NewPlace, None);
+        }
+        let probability = frame.recognition.posterior.places[place as usize];
+        let closure = self.match_at(place);
+        if probability < frame.mapper.settings().closure_threshold {
+            return frame.new_place(Reason::BelowThreshold, closure);
+        }
+        if frame.mapper.verifies() && !is_without_keypoints(candidates, place) {
+            return frame.new_place(Reason::GeometryRefused, closure);
+        }
+        Decision { reason: Reason::LoopClosure, place: Some(place), posterior: probability, closure }
+    }
+
+    /// Whether what the session saw last of the place where it is may be the scene that it sees
+    /// now. Without keypoints there is nothing against it.
+    fn may_have_stayed(&self, comparisons: &Comparisons) -> bool {
+        let view = self.wanted.stayed.and_then(|frame| comparisons.views.get(&frame));
+        let verification = &self.frame.mapper.settings().verification;
+        view.is_none_or(|view| verification.of_one_scene(view).iter().all(Check::passed))
+    }
+
+    /// A new place whatever is recognised, unless the robot is at its last one still.
+    fn place_of_its_own(&self, comparisons: &Comparisons) -> Decision {
+        let frame = &self.frame;
+        if frame.shows_too_little() {
+            return frame.too_few_words();
+        }
+        let stands = frame.is_at_its_stay() || comparisons.show_the_same_spot();
+        match frame.session.stay.as_ref().filter(|_| stands) {
+            Some(stay) => frame.same_place(stay.place),
+            None => frame.new_place(Reason::NewPlace, None),
+        }
+    }
+
+    /// Where in the frame of the place that was decided the robot is: by the closure if that
+    /// measured it, or else by its wheels. A place that is created is where the robot is.
+    fn locate(
+        &self,
+        decision: &Decision,
+        candidates: &[Candidate],
+        comparisons: &Comparisons,
+    ) -> Option<Located> {
+        let place = decision.place.filter(|_| self.frame.input.odometry.is_some())?;
+        if place as usize == self.frame.mapper.recognizer().places() {
+            return Some(Located::AtOrigin);
+        }
+        if decision.reason != Reason::LoopClosure {
+            return self.frame.located_by_wheels(place);
+        }
+        let frame = decision.closure.map(|closure| closure.frame);
+        let candidate = candidates.iter().find(|candidate| Some(candidate.matched.frame) == frame);
+        let view = candidate.and_then(|candidate| candidate.view.as_ref());
+        let compared = self.compared.iter().find(|best| Some(best.matched.frame) == frame);
+        let at = compared.and_then(|best| best.at);
+        Some(self.frame.located_by_closure(view, at, comparisons.focal_length_widths))
+    }
+}
+
+impl Comparisons {
+    /// Whether nearly all is seen from the same spot.
+    fn show_the_same_spot(&self) -> bool {
+        self.turned.as_ref().is_some_and(TurnedView::is_from_the_same_spot)
+    }
+}
+
+impl FrameInHand<'_> {
+    fn too_few_words(&self) -> Decision {
+        let posterior = self.session.belief.new_place;
+        Decision { reason: Reason::TooFewWords, place: None, posterior, closure: None }
+    }
+
+    fn same_place(&self, place: PlaceId) -> Decision {
+        let posterior = self.recognition.posterior.places[place as usize];
+        Decision { reason: Reason::SamePlace, place: Some(place), posterior, closure: None }
+    }
+
+    /// A place that is created; none where nothing grows.
+    fn new_place(&self, reason: Reason, closure: Option<Match>) -> Decision {
+        let next = self.mapper.recognizer().places() as PlaceId;
+        let place = (self.growth == Growth::Grows).then_some(next);
+        Decision { reason, place, posterior: self.recognition.posterior.new_place, closure }
+    }
+
+    /// Wheels that do not turn would keep a robot that drives at one place for ever.
+    fn check_that_wheels_turn(
+        &self,
+        decision: &Decision,
+        comparisons: &Comparisons,
+    ) -> Result<(), FrameError> {
+        let stays_at = decision.place.filter(|_| decision.reason == Reason::SamePlace);
+        let stand = stays_at.is_some_and(|place| self.wheels_seem_to_stand_at(place));
+        if stand && !comparisons.show_the_same_spot() {
+            return Err(FrameError::OdometryStandsStill { frames: self.frames_since_it_came() });
+        }
+        Ok(())
+    }
+}
+
+impl super::Mapper {
+    /// Whether the place learns this look. A new place always does, or it would have no appearance.
+    fn learns(&self, session: &crate::map::Session, decision: &Decision) -> bool {
+        decision.place.is_some_and(|place| {
+            session.looks_of_stay(place, self.settings().guard_frames) < self.settings().looks_per_stay
+        })
+    }
+
+    /// The way here from the place the session was at, or surely at if it is measured, unless the
+    /// two are linked already.
+    fn link(
+        &self,
+        session: &crate::map::Session,
+        decision: &Decision,
+        odometry: Option<&crate::metric::Odometry>,
+        located: Option<Located>,
+    ) -> Option<Link> {
+        let stay = session.stay.as_ref()?;
+        let to = decision.place?;
+        let (from, kind) = match (self.driven_from_anchor(session, odometry), located) {
+            (Some((from, driven)), Some(Located::AtOrigin)) => (from, LinkKind::Driven(driven)),
+            (Some((from, driven)), Some(Located::ByClosure(at))) => {
+                (from, LinkKind::Closed(driven.then(&at.back())))
+            }
+            (Some(_) | None, Some(_) | None) => (stay.place, LinkKind::Session),
+        };
+        let linked = from == to || self.map().linked(from).binary_search(&to).is_ok();
+        (!linked).then_some(Link { from, to, kind })
+    }
+}

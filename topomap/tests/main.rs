@@ -1,0 +1,18 @@
+//! Maps from the outside: drives through worlds that words tell apart, in one binary.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking, helpers included")]
+
+mod building;
+mod closing;
+mod drives;
+mod fold;
+mod golden;
+mod look_alikes;
+mod merging;
+mod metric;
+mod metric_logs;
+mod rewriting;
+mod rounds;
+mod transcript;
+mod trimming;
+mod verification;
+mod words;

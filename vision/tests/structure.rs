@@ -1,0 +1,212 @@
+//! Features get depths from the way that a robot drove, and say where it is when it sees them again.
+
+#![expect(clippy::unwrap_used, reason = "a helper of a test that unwraps fails it")]
+
+use std::sync::Arc;
+
+use fabmap::WordId;
+use fabmap::descriptor::{DescriptorKind, Descriptors};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use posegraph::{PlanarPose, Pose};
+use proptest::prelude::*;
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use topomap::evidence::{Placement, VerificationSettings};
+use topomap::metric::{Odometry, OdometryNoise, RelativePose};
+use waypost_vision::structure::{RobotCamera, Tracker};
+use waypost_vision::{FeatureRecord, Keypoint, Pinhole, Verifier, View};
+
+const SIZE_PX: (u32, u32) = (320, 240);
+
+/// A camera of 70 degrees, ahead of the robot's middle, to its left, turned and tilted a little.
+fn camera() -> RobotCamera {
+    let rotation = UnitQuaternion::from_euler_angles(0.02, -0.05, 0.1);
+    let base_to_camera = Isometry3::from_parts(Translation3::new(0.15, 0.05, 0.6), rotation);
+    RobotCamera { pinhole: Pinhole::of_field_of_view(70_f64.to_radians(), SIZE_PX), base_to_camera }
+}
+
+/// Landmarks on the walls of a room of 8 x 6 m, each with a look of its own.
+struct Room {
+    landmarks: Vec<(Vector3<f64>, [u8; 32])>,
+}
+
+impl Room {
+    fn new(seed: u64) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let landmark = |_| {
+            let height = random.random_range(0.1..2.5);
+            let along = random.random_range(0.0..1.0);
+            let point = match random.random_range(0..4) {
+                0 => Vector3::new(8.0 * along, -3.0, height),
+                1 => Vector3::new(8.0 * along, 3.0, height),
+                2 => Vector3::new(8.0, 6.0 * along - 3.0, height),
+                _ => Vector3::new(-1.0, 6.0 * along - 3.0, height),
+            };
+            let mut look = [0; 32];
+            random.fill_bytes(&mut look);
+            (point, look)
+        };
+        Self { landmarks: (0..900).map(landmark).collect() }
+    }
+
+    /// What a robot sees, with half a pixel of noise.
+    fn seen(&self, robot: &PlanarPose, random: &mut ChaCha8Rng) -> FeatureRecord {
+        let camera = camera();
+        let turn = UnitQuaternion::from_euler_angles(0.0, 0.0, robot.heading_rad());
+        let base = Isometry3::from_parts(Translation3::new(robot.x_m(), robot.y_m(), 0.0), turn);
+        let pose = base * camera.base_to_camera;
+        let (mut keypoints, mut looks) = (Vec::new(), Vec::new());
+        for (landmark, look) in &self.landmarks {
+            let seen = pose.inverse_transform_point(&Point3::from(*landmark));
+            let Pinhole { focal_px, center_px, .. } = camera.pinhole;
+            let x_px = center_px[0] - focal_px[0] * seen.y / seen.x + random.random_range(-0.5..0.5);
+            let y_px = center_px[1] - focal_px[1] * seen.z / seen.x + random.random_range(-0.5..0.5);
+            let inside = (0.0..320.0).contains(&x_px) && (0.0..240.0).contains(&y_px);
+            if seen.x > 0.2 && inside {
+                let at = Keypoint {
+                    x_px: x_px as f32,
+                    y_px: y_px as f32,
+                    size_px: 31.0,
+                    angle_rad: 0.0,
+                    response: 1.0,
+                };
+                keypoints.push(at);
+                looks.extend_from_slice(look);
+            }
+        }
+        let words = vec![WordId::default(); keypoints.len()];
+        let descriptors = Descriptors::new(DescriptorKind::Binary, 32, looks).unwrap();
+        FeatureRecord::new(SIZE_PX, keypoints, words, Some(descriptors)).unwrap()
+    }
+}
+
+fn odometry(pose: &PlanarPose) -> Odometry {
+    let half = pose.heading_rad() / 2.0;
+    Odometry::new([pose.x_m(), pose.y_m(), 0.0], [0.0, 0.0, half.sin(), half.cos()], None).unwrap()
+}
+
+/// A drive in steps, by wheels that take `scale` of a metre for one and turn by `drift` radians a metre.
+fn drive(room: &Room, poses: &[PlanarPose], [scale, drift]: [f64; 2], seed: u64) -> Vec<Arc<FeatureRecord>> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut tracker = Tracker::new(OdometryNoise::default());
+    let mut wheels = PlanarPose::identity();
+    let mut before = poses[0];
+    poses
+        .iter()
+        .map(|pose| {
+            let step = before.inverse().compose(pose);
+            let way_m = step.x_m().hypot(step.y_m());
+            let heading = step.heading_rad() + drift * way_m;
+            wheels = wheels.compose(&PlanarPose::new(scale * step.x_m(), scale * step.y_m(), heading));
+            before = *pose;
+            let features = Arc::new(room.seen(pose, &mut random));
+            tracker.track(features, Some(&camera()), Some(&odometry(&wheels)))
+        })
+        .collect()
+}
+
+fn straight(from: PlanarPose, step_m: f64, steps: usize) -> Vec<PlanarPose> {
+    (0..=steps).map(|step| from.compose(&PlanarPose::new(step_m * step as f64, 0.0, 0.0))).collect()
+}
+
+fn placement(earlier: &FeatureRecord, current: &FeatureRecord) -> Placement {
+    let verifier = Verifier::new(VerificationSettings::default(), 0);
+    let view = |features| View { features, camera: Some(camera()) };
+    verifier.compare(view(earlier), view(current)).placement
+}
+
+fn at(placement: Placement) -> RelativePose {
+    match placement {
+        Placement::At { pose, inliers } => {
+            assert!(inliers >= 12, "{inliers} inliers");
+            pose
+        }
+        Placement::Nowhere | Placement::Unknown => panic!("{placement:?}"),
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+
+    /// A robot that comes back near the end of its way is measured to centimetres, and within what it says itself;
+    /// whether the depths are those of the way, of the way back, or of both.
+    #[test]
+    fn a_robot_that_returns_is_measured(
+        seed in 0..1000u64, ahead in -0.4..0.9f64, aside in -0.5..0.5f64, turned in -0.3..0.3f64,
+        scale in 0.98..1.02f64, drift in -0.05..0.05f64,
+    ) {
+        let room = Room::new(seed);
+        let taught = drive(&room, &straight(PlanarPose::identity(), 0.4, 5), [scale, drift], seed);
+        let place = PlanarPose::new(2.0, 0.0, 0.0);
+        let back = place.compose(&PlanarPose::new(ahead, aside, turned));
+        let start = back.compose(&PlanarPose::new(-1.6, 0.0, 0.0));
+        let again = drive(&room, &straight(start, 0.4, 4), [scale, drift], seed + 1);
+        let lost = drive(&room, &[back], [1.0, 0.0], seed + 2);
+        let truth = place.inverse().compose(&back);
+        for current in [&again[4], &lost[0]] {
+            let measured = at(placement(&taught[5], current));
+            let off = PlanarPose::error(measured.pose(), &PlanarPose::identity(), &truth);
+            prop_assert!(off.x.hypot(off.y) < 0.2 && off.z.abs() < 0.05, "off by {off:?} at {truth:?}");
+            let squared = off.dot(&(measured.information() * off));
+            prop_assert!(squared < 80.0, "{squared} squared deviations off");
+        }
+        // The first frame of the taught way has no depths: those of the way back are enough, if coarser after 40 cm.
+        let behind = taught[0].clone();
+        prop_assert_eq!(behind.structure().known(), 0);
+        let measured = at(placement(&behind, &drive(&room, &straight(start, 0.2, 4), [1.0, 0.0], seed)[2]));
+        let truth = start.compose(&PlanarPose::new(0.4, 0.0, 0.0));
+        let off = PlanarPose::error(measured.pose(), &PlanarPose::identity(), &truth);
+        prop_assert!(off.x.hypot(off.y) < 0.6, "off by {off:?} at {truth:?}");
+    }
+
+    /// Images every few centimetres say as much as those every half metre.
+    #[test]
+    fn many_images_say_no_less(seed in 0..1000u64) {
+        let room = Room::new(seed);
+        let taught = drive(&room, &straight(PlanarPose::identity(), 0.05, 40), [1.0, 0.0], seed);
+        let known = taught[40].structure().known();
+        prop_assert!(known > 50, "{known} depths");
+        let back = drive(&room, &[PlanarPose::new(2.3, 0.2, 0.1)], [1.0, 0.0], seed + 1);
+        let measured = at(placement(&taught[40], &back[0]));
+        let off = PlanarPose::error(measured.pose(), &PlanarPose::identity(), &PlanarPose::new(0.3, 0.2, 0.1));
+        prop_assert!(off.x.hypot(off.y) < 0.2, "off by {off:?}");
+    }
+}
+
+#[test]
+fn another_room_is_nowhere() {
+    let taught = drive(&Room::new(1), &straight(PlanarPose::identity(), 0.4, 5), [1.0, 0.0], 1);
+    let other = drive(&Room::new(2), &straight(PlanarPose::identity(), 0.4, 5), [1.0, 0.0], 1);
+    assert_eq!(placement(&taught[5], &other[5]), Placement::Nowhere);
+}
+
+#[test]
+fn without_parallax_nothing_is_said() {
+    let turning: Vec<PlanarPose> =
+        (0..6).map(|step| PlanarPose::new(0.0, 0.0, 0.1 * f64::from(step))).collect();
+    let standing = vec![PlanarPose::identity(); 4];
+    for poses in [turning, standing] {
+        // The camera sits beside the middle, so that a turn moves it a little: too little for depths that tell.
+        let frames = drive(&Room::new(3), &poses, [1.0, 0.0], 1);
+        let last = frames.last().unwrap();
+        assert!(!matches!(placement(last, last), Placement::Nowhere));
+        let standing = drive(&Room::new(3), &[poses[0]], [1.0, 0.0], 2);
+        assert_eq!(placement(&standing[0], &standing[0]), Placement::Unknown);
+    }
+}
+
+#[test]
+fn without_odometry_or_camera_nothing_is_known() {
+    let room = Room::new(4);
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut tracker = Tracker::new(OdometryNoise::default());
+    let poses = straight(PlanarPose::identity(), 0.4, 3);
+    let [first, second, third, fourth] =
+        [0, 1, 2, 3].map(|index| Arc::new(room.seen(&poses[index], &mut random)));
+    let camera = camera();
+    tracker.track(first, Some(&camera), Some(&odometry(&poses[0])));
+    let known = tracker.track(second, Some(&camera), Some(&odometry(&poses[1])));
+    assert!(known.structure().known() > 50);
+    assert_eq!(tracker.track(third, Some(&camera), None).structure().known(), 0);
+    assert_eq!(tracker.track(fourth, None, Some(&odometry(&poses[3]))).structure().known(), 0);
+}
