@@ -8,7 +8,7 @@ pub struct DetectorModel {
     false_positive_rate: f64,
 }
 
-/// Why a pair of rates is no detector model.
+/// Why a pair of rates is not a detector model.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum DetectorError {
     /// The true positive rate p(z=1|e=1) is not strictly between 0 and 1.
@@ -70,8 +70,8 @@ impl DetectorModel {
         exists / (exists + (1.0 - marginal) * of_state(false))
     }
 
-    /// p(seen in `hits` of `looks` | e = 1) and the same for e = 0, over the larger of the two, so that many looks
-    /// are no matter of tiny numbers.
+    /// p(seen in `hits` of `looks` | e = 1) and the same for e = 0, over the larger of the two, so
+    /// that many looks are no matter of tiny numbers.
     pub(crate) fn evidence(&self, hits: u8, looks: u8) -> [f64; 2] {
         let (hits, misses) = (i32::from(hits), i32::from(looks) - i32::from(hits));
         let of_state =
@@ -100,13 +100,16 @@ mod tests {
             a in 0.05..0.95f64, ratio in 0.0..0.9f64, marginal in 0.001..0.999f64, seen in proptest::collection::vec(any::<bool>(), 0..=15),
         ) {
             let detector = DetectorModel::new(a, a * ratio).unwrap();
-            let mut belief = marginal;
+            // Both masses are carried: near certainty, 1 - belief would keep too few digits to come back from.
+            let (mut exists, mut absent) = (marginal, 1.0 - marginal);
             for &z in &seen {
-                let exists = detector.probability(z, true) * belief;
-                belief = exists / (exists + detector.probability(z, false) * (1.0 - belief));
+                exists *= detector.probability(z, true);
+                absent *= detector.probability(z, false);
+                let total = exists + absent;
+                (exists, absent) = (exists / total, absent / total);
             }
             let hits = seen.iter().filter(|&&z| z).count() as u8;
-            prop_assert!((detector.belief(marginal, hits, seen.len() as u8) - belief).abs() < 1e-12);
+            prop_assert!((detector.belief(marginal, hits, seen.len() as u8) - exists).abs() < 1e-12);
         }
     }
 
