@@ -1,7 +1,7 @@
 //! Matrices that relate two views of one scene, from matches, and motions from matrices.
 //! Numbers of equations and sections are those of Hartley & Zisserman, Multiple View Geometry.
 
-use nalgebra::{Complex, Matrix3, SMatrix, SVector, UnitQuaternion, UnitVector3, Vector3};
+use nalgebra::{Complex, Matrix3, SMatrix, SVD, SVector, U3, UnitQuaternion, UnitVector3, Vector3};
 
 use super::correspondence::Correspondence;
 
@@ -140,11 +140,21 @@ pub(super) fn essential_part(matrix: Matrix3<f64>) -> Option<Matrix3<f64>> {
 }
 
 fn with_singular_values(matrix: Matrix3<f64>, values: fn([f64; 3]) -> [f64; 3]) -> Option<Matrix3<f64>> {
-    let mut svd = matrix.try_svd(true, true, f64::EPSILON, 100)?;
-    svd.sort_by_singular_values();
+    let mut svd = decomposed(matrix)?;
     let [first, second, third] = values(svd.singular_values.into());
     svd.singular_values = Vector3::new(first, second, third);
     svd.recompose().ok()
+}
+
+/// With the singular values in descending order; `None` if they are no numbers, as of features that a
+/// robot puts beyond all images.
+fn decomposed(matrix: Matrix3<f64>) -> Option<SVD<f64, U3, U3>> {
+    let mut svd = matrix.try_svd(true, true, f64::EPSILON, 100)?;
+    if svd.singular_values.iter().any(|value| !value.is_finite()) {
+        return None;
+    }
+    svd.sort_by_singular_values();
+    Some(svd)
 }
 
 /// Of the four motions that an essential matrix leaves open, the one that puts most points before
@@ -153,8 +163,7 @@ pub(super) fn decompose(
     matrix: &Matrix3<f64>,
     inliers: &[Correspondence],
 ) -> Option<(UnitQuaternion<f64>, UnitVector3<f64>)> {
-    let mut svd = matrix.try_svd(true, true, f64::EPSILON, 100)?;
-    svd.sort_by_singular_values();
+    let svd = decomposed(*matrix)?;
     let (u, v_t) = (svd.u?, svd.v_t?);
     let quarter = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
     let translation = u.column(2).into_owned();
