@@ -339,9 +339,8 @@ fn blocks_with_corners(image: &GreyImage) -> usize {
 
 #[test]
 fn there_is_something_to_see_everywhere() {
-    let camera = Camera::of_field_of_view(65_f64.to_radians(), (320, 240)).unwrap();
-    let rig = CameraRig::new(camera, Mount::default(), Sensor::default()).unwrap();
     for world in NamedWorld::ALL {
+        let rig = world.camera_rig();
         let scene = Arc::new(Scene::new(world.plan(5)));
         let route = Route::named(scene.plan(), &world.routes()[0], 0.25).unwrap();
         let settings = SimulationSettings::new(rig.clone());
@@ -353,6 +352,6 @@ fn there_is_something_to_see_everywhere() {
 
         let [least, tenth, median] = [0, corners.len() / 10, corners.len() / 2].map(|index| corners[index]);
         let name = world.name();
-        assert!(least >= 15 && tenth >= 150 && median >= 250, "{name}: {least}, {tenth}, {median} blocks");
+        assert!(least >= 15 && tenth >= 120 && median >= 200, "{name}: {least}, {tenth}, {median} blocks");
     }
 }
