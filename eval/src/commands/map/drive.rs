@@ -56,17 +56,8 @@ pub(crate) fn drive(world: NamedWorld, route: &NamedRoute, seed: u64, wheels: Wh
     drive_through(&Building::named(world, seed, route)?, seed, wheels, WHEN_MOVED)
 }
 
-/// Drives a route of a building; `seed` is that of the wheels' noise and of the camera's.
-pub(crate) fn drive_in(
-    scene: &Arc<Scene>,
-    route: &NamedRoute,
-    seed: u64,
-    wheels: WheelErrors,
-) -> Result<Drive> {
-    drive_through(&Building::new(scene.clone(), route)?, seed, wheels, WHEN_MOVED)
-}
-
-/// Drives through a building, with images when the trigger says.
+/// Drives through a building, with images when the trigger says; `seed` is that of the wheels'
+/// noise and of the camera's.
 pub(crate) fn drive_through(
     building: &Building,
     seed: u64,

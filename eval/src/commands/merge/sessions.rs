@@ -7,6 +7,7 @@ use anyhow::Result;
 use nalgebra::{Matrix3, Rotation2};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use waypost_sim::drive::{Building, WHEN_MOVED};
 use waypost_sim::pose::Pose;
 use waypost_sim::robot::OdometryReading;
 use waypost_sim::scene::Scene;
@@ -79,7 +80,8 @@ pub(super) fn robots(
     for (robot, route) in (0..).zip(world.routes()) {
         // Robots of one building, and of the next, are all different.
         let robot_seed = 100 * seed + robot;
-        let drive = drive::drive_in(&scene, &route, robot_seed, wheels.errors(robot_seed))?;
+        let building = Building { rig: world.camera_rig(), ..Building::new(scene.clone(), &route)? };
+        let drive = drive::drive_through(&building, robot_seed, wheels.errors(robot_seed), WHEN_MOVED)?;
         let longest = drive.frames.len();
         let length = ((0.5 + 0.5 * random.random::<f64>()) * longest as f64) as usize;
         let begin = random.random_range(0..=longest - length);
