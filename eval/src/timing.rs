@@ -19,7 +19,7 @@ pub(crate) struct StageTimes {
     pub new_place: Option<f64>,
     /// Prior and posterior.
     pub filter: Option<f64>,
-    /// Geometric verification.
+    /// Depths of features, and geometric verification.
     pub verify: Option<f64>,
     /// From the encoded image to the map that has the frame in it.
     pub total: Option<f64>,
@@ -82,6 +82,16 @@ impl FrameWatch {
         self.times.quantize = Some(self.end_stage_ms());
     }
 
+    /// The features have their depths: geometry, as the comparisons are.
+    pub(crate) fn tracked(&mut self) {
+        self.verified();
+    }
+
+    fn verified(&mut self) {
+        let stage = self.end_stage_ms();
+        *self.times.verify.get_or_insert(0.0) += stage;
+    }
+
     /// The frame is decided and on the map.
     pub(crate) fn stop(self) -> StageTimes {
         StageTimes { total: Some(milliseconds(self.started)), ..self.times }
@@ -96,12 +106,11 @@ impl FrameWatch {
 
 impl StageObserver for FrameWatch {
     fn completed(&mut self, stage: Stage) {
-        let milliseconds = Some(self.end_stage_ms());
         match stage {
-            Stage::Likelihood => self.times.likelihood = milliseconds,
-            Stage::NewPlace => self.times.new_place = milliseconds,
-            Stage::Filter => self.times.filter = milliseconds,
-            Stage::Verification => self.times.verify = milliseconds,
+            Stage::Likelihood => self.times.likelihood = Some(self.end_stage_ms()),
+            Stage::NewPlace => self.times.new_place = Some(self.end_stage_ms()),
+            Stage::Filter => self.times.filter = Some(self.end_stage_ms()),
+            Stage::Verification => self.verified(),
         }
     }
 }

@@ -7,8 +7,8 @@ use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::{RecognizerSettings, Scorer};
 use serde::{Deserialize, Serialize};
 use topomap::evidence::{VerificationMethod, VerificationSettings};
-use topomap::metric::OdometryNoise;
-use topomap::settings::{MapperSettings, PlaceRule, PlaceSpacing};
+use topomap::metric::{OdometryNoise, PlaceSpacing};
+use topomap::settings::{GuardMeasure, MapperSettings, PlaceRule};
 
 use crate::error::ServiceError;
 
@@ -87,6 +87,9 @@ struct StoredSettings {
     likelihood_smoothing: f64,
     closure_threshold: f64,
     guard_frames: u64,
+    /// Maps that were made before it was counted in ways count frames.
+    #[serde(default = "frames_before_ways_were_counted", with = "StoredGuardMeasure")]
+    guard_measure: GuardMeasure,
     looks_per_stay: u32,
     min_words: u64,
     max_speed_m_per_s: f64,
@@ -153,6 +156,17 @@ enum StoredVerificationMethod {
     Epipolar,
 }
 
+#[derive(Serialize, Deserialize)]
+#[serde(remote = "GuardMeasure", rename_all = "snake_case")]
+enum StoredGuardMeasure {
+    Way,
+    Frames,
+}
+
+fn frames_before_ways_were_counted() -> GuardMeasure {
+    GuardMeasure::Frames
+}
+
 fn keep_before_it_was_a_setting() -> Keep {
     Keep::Words
 }
@@ -187,6 +201,7 @@ pub(crate) fn to_json(settings: &MapSettings) -> Result<String, ServiceError> {
         closure_threshold,
         verification,
         guard_frames,
+        guard_measure,
         looks_per_stay,
         min_words,
         max_speed_m_per_s,
@@ -218,6 +233,7 @@ pub(crate) fn to_json(settings: &MapSettings) -> Result<String, ServiceError> {
         likelihood_smoothing,
         closure_threshold,
         guard_frames,
+        guard_measure,
         looks_per_stay,
         min_words: min_words as u64,
         max_speed_m_per_s,
@@ -249,6 +265,7 @@ pub(crate) fn from_json(json: &str) -> Result<MapSettings, ServiceError> {
         likelihood_smoothing,
         closure_threshold,
         guard_frames,
+        guard_measure,
         looks_per_stay,
         min_words,
         max_speed_m_per_s,
@@ -281,6 +298,7 @@ pub(crate) fn from_json(json: &str) -> Result<MapSettings, ServiceError> {
         closure_threshold,
         verification,
         guard_frames,
+        guard_measure,
         looks_per_stay,
         min_words: usize::try_from(min_words).unwrap_or(usize::MAX),
         max_speed_m_per_s,

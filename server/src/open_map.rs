@@ -207,7 +207,7 @@ impl MapWriter {
             return Ok(());
         };
         self.load_tracker(session)?;
-        let mut clock = StageClock { last: Instant::now(), timings: &mut timings };
+        let mut clock = StageClock::start(&mut timings);
         match self.decide_and_apply(*input, features, media, &mut clock) {
             Ok(entry) => {
                 let session = self.mapper.map().session(session).filter(|_| has_odometry(&entry.event));
@@ -236,6 +236,7 @@ impl MapWriter {
         let (features, tracker) = features
             .map(|features| self.tracked(session, features, input.odometry.as_ref(), &mut media))
             .unzip();
+        clock.tracked();
         let intrinsics = self.intrinsics.get(&input.session);
         let around = self.around.get(&input.session).copied();
         let features = features.map(|features| SeenFeatures::new(features, intrinsics).all_around(around));
@@ -478,15 +479,31 @@ struct StageClock<'a> {
     timings: &'a mut FrameTimings,
 }
 
+impl<'a> StageClock<'a> {
+    fn start(timings: &'a mut FrameTimings) -> Self {
+        Self { last: Instant::now(), timings }
+    }
+
+    /// The features have their depths: geometry, as the comparisons are.
+    fn tracked(&mut self) {
+        let elapsed = self.since_the_last();
+        self.timings.verification += elapsed;
+    }
+
+    fn since_the_last(&mut self) -> Duration {
+        let now = Instant::now();
+        now - std::mem::replace(&mut self.last, now)
+    }
+}
+
 impl StageObserver for StageClock<'_> {
     fn completed(&mut self, stage: Stage) {
-        let now = Instant::now();
-        let elapsed: Duration = now - std::mem::replace(&mut self.last, now);
+        let elapsed = self.since_the_last();
         match stage {
             Stage::Likelihood => self.timings.likelihood = elapsed,
             Stage::NewPlace => self.timings.new_place = elapsed,
             Stage::Filter => self.timings.filter = elapsed,
-            Stage::Verification => self.timings.verification = elapsed,
+            Stage::Verification => self.timings.verification += elapsed,
         }
     }
 }

@@ -46,11 +46,16 @@ pub(crate) fn decode_flag(reader: &mut Reader<'_>) -> Result<bool, DecodeError> 
     }
 }
 
-/// An amount of evidence, in inliers.
+/// A number.
+pub(crate) fn finite(value: f64) -> Result<f64, DecodeError> {
+    if value.is_finite() { Ok(value) } else { Err(DecodeError::invalid("a motion that is not finite")) }
+}
+
+/// An amount of evidence, in inliers, or of way.
 pub(crate) fn not_negative(value: f64) -> Result<f64, DecodeError> {
     if value.is_finite() && value >= 0.0 {
         Ok(value)
     } else {
-        Err(DecodeError::invalid(format_args!("evidence of {value}")))
+        Err(DecodeError::invalid(format_args!("an amount of {value}")))
     }
 }

@@ -23,6 +23,7 @@ mod poses;
 mod proposing;
 mod recognizing;
 mod state;
+mod support;
 
 pub use deciding::Decided;
 pub use errors::{FoldError, FrameError, MeasureError, RestoreError};

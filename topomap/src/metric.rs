@@ -1,11 +1,14 @@
-//! Metres: odometry, poses of one thing in the frame of another, and how far wheels can be trusted.
+//! Metres: odometry, poses of one thing in the frame of another, how far wheels can be trusted, and
+//! how far apart places are.
 
 mod odometry;
 mod odometry_noise;
+mod place_spacing;
 mod relative_pose;
 pub(crate) mod wheel_drift;
 
 pub use odometry::{Odometry, OdometryError};
 pub(crate) use odometry::{decode_pose, encode_pose};
 pub use odometry_noise::OdometryNoise;
+pub use place_spacing::PlaceSpacing;
 pub use relative_pose::{RelativePose, RelativePoseError};

@@ -2,11 +2,8 @@
 
 use fabmap::recognizer::{RecognizerError, RecognizerSettings};
 
-use nalgebra::{Matrix3, Vector3};
-use posegraph::PlanarPose;
-
-use crate::evidence::{VerificationError, VerificationSettings};
-use crate::metric::OdometryNoise;
+use crate::evidence::{Candidate, Verdict, VerificationError, VerificationSettings};
+use crate::metric::{OdometryNoise, PlaceSpacing};
 
 /// Frames that a session's prior looks back on, at most.
 pub const MAX_PAST_FRAMES: usize = 4;
@@ -23,6 +20,16 @@ pub enum PlaceRule {
     EachFrame,
 }
 
+/// What the guard counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GuardMeasure {
+    /// Frames, and of those that are closer together than places their share of the spacing.
+    #[default]
+    Way,
+    /// Frames alone, as in maps that were made before ways counted.
+    Frames,
+}
+
 /// How a map decides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapperSettings {
@@ -33,8 +40,11 @@ pub struct MapperSettings {
     pub closure_threshold: f64,
     /// What geometry has to say before a loop is closed.
     pub verification: VerificationSettings,
-    /// A place that the session left fewer frames ago is not a loop closure.
+    /// A place that the session left fewer frames ago is not a loop closure. Frames that wheels put
+    /// closer together than places are count by as much of the place spacing as they are apart.
     pub guard_frames: u64,
+    /// What that counts.
+    pub guard_measure: GuardMeasure,
     /// Looks that a place may learn from one stay, at least 1.
     pub looks_per_stay: u32,
     /// Different words that a frame must show to be recognised or learnt.
@@ -52,6 +62,12 @@ pub struct MapperSettings {
 }
 
 impl MapperSettings {
+    /// Whether geometry and words hold a candidate of a frame for the same place, and why.
+    #[must_use]
+    pub fn verdict(&self, candidate: &Candidate) -> Verdict {
+        self.verification.verdict(candidate, self.closure_threshold, &self.place_spacing)
+    }
+
     /// Whether what is in metres and radians is in range.
     pub(crate) fn check_metric(&self) -> Result<(), MapperError> {
         let PlaceSpacing { distance_m, angle_rad } = self.place_spacing;
@@ -95,6 +111,7 @@ impl Default for MapperSettings {
             closure_threshold: 0.99,
             verification: VerificationSettings::default(),
             guard_frames: 20,
+            guard_measure: GuardMeasure::default(),
             looks_per_stay: 3,
             min_words: 10,
             max_speed_m_per_s: 100.0,
@@ -103,35 +120,6 @@ impl Default for MapperSettings {
             odometry_noise: OdometryNoise::default(),
             prior_frames: MAX_PAST_FRAMES,
         }
-    }
-}
-
-/// How far apart places are.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PlaceSpacing {
-    /// In metres, above 0.
-    pub distance_m: f64,
-    /// Of headings, in radians, above 0.
-    pub angle_rad: f64,
-}
-
-impl Default for PlaceSpacing {
-    fn default() -> Self {
-        Self { distance_m: 0.5, angle_rad: 10_f64.to_radians() }
-    }
-}
-
-impl PlaceSpacing {
-    /// Whether a robot at `pose` in a place's frame is still there.
-    #[must_use]
-    pub fn holds(&self, pose: &PlanarPose) -> bool {
-        pose.x_m().hypot(pose.y_m()) <= self.distance_m && pose.heading_rad().abs() <= self.angle_rad
-    }
-
-    /// Σ_cell.
-    pub(crate) fn covariance(&self) -> Matrix3<f64> {
-        let deviations = Vector3::new(self.distance_m, self.distance_m, self.angle_rad);
-        Matrix3::from_diagonal(&deviations.map(|deviation| deviation * deviation))
     }
 }
 

@@ -10,6 +10,7 @@ mod look_alikes;
 mod merging;
 mod metric;
 mod metric_logs;
+mod one_motion;
 mod rewriting;
 mod rounds;
 mod transcript;

@@ -8,8 +8,8 @@ use posegraph::{PlanarPose, Pose};
 use topomap::in_memory::{self};
 use topomap::log::{FrameEvent, LinkKind, Reason};
 use topomap::mapper::{FrameError, FrameInput, Localizer, Mapper, MeasureError};
-use topomap::metric::{Odometry, RelativePose};
-use topomap::settings::{MapperError, MapperSettings, PlaceSpacing};
+use topomap::metric::{Odometry, PlaceSpacing, RelativePose};
+use topomap::settings::{MapperError, MapperSettings};
 
 use crate::rounds::{Camera, CameraModel, Robot, apart_m, model, round};
 

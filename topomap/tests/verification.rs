@@ -107,7 +107,7 @@ proptest! {
         inliers in 0..500u32, support in 0.0..2000.0f64, log_odds in -200.0..200.0f64,
     ) {
         let matched = Match { place: 3, posterior: 1.0 / (1.0 + (-log_odds).exp()), log_odds, frame: 9 };
-        let seen = Candidate { matched, view: Some(plane(500, inliers, [0.1, 0.0])), support };
+        let seen = Candidate { matched, view: Some(plane(500, inliers, [0.1, 0.0])), support, seen_from: None };
         let expected = (-0.80 + 0.68 * (1.0 + seen.evidence()).ln() + 0.17 * log_odds).exp();
         let probability = seen.probability();
         prop_assert!((probability - expected / (1.0 + expected)).abs() < 1e-9, "{probability}");
@@ -329,7 +329,8 @@ proptest! {
         let distinct_inliers = (f64::from(inliers) * distinct) as u32;
         let view = TwoView { matches: inliers + more, inliers, distinct_inliers, motion, placement };
         let matched = Match { place: 0, posterior: 0.25, log_odds: -1.0, frame: 1 };
-        event.candidates = vec![Candidate { matched, view: seen.then_some(view), support }];
+        let seen_from = seen.then(RelativePose::none);
+        event.candidates = vec![Candidate { matched, view: seen.then_some(view), support, seen_from }];
         let event = MapEvent::Frame(Box::new(event));
         let bytes = event.to_bytes();
         let read = MapEvent::from_bytes(&bytes, WORDS as usize).unwrap();
@@ -337,7 +338,7 @@ proptest! {
         prop_assert!(MapEvent::from_bytes(&bytes[..cut.index(bytes.len())], WORDS as usize).is_err());
         let MapEvent::Frame(frame) = event else { unreachable!() };
         let candidate = frame.candidates[0];
-        prop_assert!(candidate.evidence() <= candidate.own_evidence() + candidate.support);
+        prop_assert!(candidate.evidence() <= candidate.own_evidence() + 2.0 * f64::from(view.placement.inliers()) + candidate.support);
         prop_assert!(candidate.score().is_finite());
     }
 }

@@ -18,7 +18,7 @@ pub struct Structure {
 impl Structure {
     /// Depths by feature.
     #[must_use]
-    pub fn new(depths: Vec<Option<InverseDepth>>) -> Self {
+    pub(crate) fn new(depths: Vec<Option<InverseDepth>>) -> Self {
         Self { depths }
     }
 

@@ -62,9 +62,9 @@ impl FeatureRecord {
         Ok(Self { image_width_px, image_height_px, keypoints, words, descriptors, structure })
     }
 
-    /// The same features with what is known of their depths.
+    /// The same features with what is known of their depths: of each, or of none.
     #[must_use]
-    pub fn with_structure(self, structure: Structure) -> Self {
+    pub(crate) fn with_structure(self, structure: Structure) -> Self {
         Self { structure, ..self }
     }
 

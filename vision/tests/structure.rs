@@ -173,6 +173,40 @@ proptest! {
     }
 }
 
+/// How far off what was measured is, in metres, and in squared deviations of its own.
+fn off(measured: &RelativePose, truth: &PlanarPose) -> (f64, f64) {
+    let off = PlanarPose::error(measured.pose(), &PlanarPose::identity(), truth);
+    (off.x.hypot(off.y), off.dot(&(measured.information() * off)))
+}
+
+/// Of two hundred returns that are always the same, and what they say of themselves.
+#[test]
+fn most_returns_are_measured_to_centimetres() {
+    let mut random = ChaCha8Rng::seed_from_u64(20);
+    let mut offs = Vec::new();
+    for seed in 0..200 {
+        let mut within = |least: f64, most: f64| random.random_range(least..most);
+        let wheels = [within(0.98, 1.02), within(-0.05, 0.05)];
+        let room = Room::new(seed);
+        let taught = drive(&room, &straight(PlanarPose::identity(), 0.4, 5), wheels, seed);
+        let truth = PlanarPose::new(within(-0.4, 0.9), within(-0.5, 0.5), within(-0.3, 0.3));
+        let back = PlanarPose::new(2.0, 0.0, 0.0).compose(&truth);
+        let again =
+            drive(&room, &straight(back.compose(&PlanarPose::new(-1.6, 0.0, 0.0)), 0.4, 4), wheels, seed + 1);
+        offs.push(off(&at(placement(&taught[5], &again[4])), &truth));
+    }
+    let quantile = |of: fn(&(f64, f64)) -> f64, share: f64| {
+        let mut values: Vec<f64> = offs.iter().map(of).collect();
+        values.sort_by(f64::total_cmp);
+        values[(share * values.len() as f64) as usize]
+    };
+    let [median_m, most_m] = [0.5, 0.95].map(|share| quantile(|(metres, _)| *metres, share));
+    assert!(median_m < 0.015 && most_m < 0.05, "{median_m} m in the median, 95 % within {most_m} m");
+    // Three degrees of freedom: 95 of 100 lie within 7.81 squared deviations.
+    let within_own = offs.iter().filter(|(_, squared)| *squared <= 7.81).count();
+    assert!(within_own >= 180, "{within_own} of 200 within their own 95 %");
+}
+
 #[test]
 fn another_room_is_nowhere() {
     let taught = drive(&Room::new(1), &straight(PlanarPose::identity(), 0.4, 5), [1.0, 0.0], 1);

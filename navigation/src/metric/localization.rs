@@ -177,8 +177,7 @@ impl Seeing<'_> {
     /// Where the robot is if it is a candidate that it sees.
     fn located(&self, candidate: &Candidate) -> Option<Closure> {
         let matched = candidate.matched;
-        let seen_from = self.decided.seen_from.get(&matched.frame);
-        let at_frame = seen_from.copied().unwrap_or_else(RelativePose::none);
+        let at_frame = candidate.seen_from.unwrap_or_else(RelativePose::none);
         let poses = self.mapper.poses();
         let place = poses.pose(matched.place)?;
         let part = poses.part(matched.place)?;
@@ -239,7 +238,7 @@ mod tests {
         let placement = Placement::Unknown;
         let view = TwoView { matches: 90, inliers: 80, distinct_inliers: 80, motion, placement };
         let matched = Match { place: 0, posterior: 1.0, log_odds: 9.0, frame: 1 };
-        Candidate { matched, view: Some(view), support: 0.0 }
+        Candidate { matched, view: Some(view), support: 0.0, seen_from: None }
     }
 
     /// 33 pixels of 320 are 4.73 degrees at the camera of Bazeille et al. 2011. A robot that has

@@ -29,7 +29,8 @@ fn the_stored_form_stays_as_it_is() {
         r#"{"dependence":"naive_bayes","new_place":"mean_field","#,
         r#""detector":{"true_positive_rate":0.4,"false_positive_rate":0.02},"#,
         r#""new_place_prior":0.8,"even_share":0.1,"likelihood_smoothing":1.0,"closure_threshold":0.7,"#,
-        r#""guard_frames":3,"looks_per_stay":3,"min_words":10,"max_speed_m_per_s":100.0,"keep":"images","#,
+        r#""guard_frames":3,"guard_measure":"way","looks_per_stay":3,"min_words":10,"#,
+        r#""max_speed_m_per_s":100.0,"keep":"images","#,
         r#""verification":{"method":"epipolar","min_posterior":0.0,"min_inliers":8,"#,
         r#""max_rotation_rad":0.5,"max_ln_scale":0.8,"max_translation_widths":0.5,"#,
         r#""min_evidence":350.0,"consistency_frames":8},"#,
@@ -60,6 +61,7 @@ fn settings_as_version_0_1_wrote_them_still_open() {
         "looks_per_stay":3,"min_words":10,"max_speed_m_per_s":100.0}"#;
     let settings = from_json(stored).unwrap();
     assert_eq!((settings.mapper.guard_frames, settings.keep), (20, Keep::Words));
+    assert_eq!(settings.mapper.guard_measure, GuardMeasure::Frames);
     assert_eq!(settings.strategy, NavigationStrategy::TopoMetric);
     assert_eq!(settings.mapper.verification.method, VerificationMethod::None);
     assert_eq!(settings.mapper.recognizer.new_place, NewPlaceMethod::Sampled);

@@ -201,10 +201,11 @@ impl MapWriter {
         let Localizing { localizer, intrinsics, tracker, .. } =
             self.localizers.localizers.get(&id).ok_or_else(gone)?;
         let mut tracker = tracker.clone();
+        let mut clock = StageClock::start(timings);
         let current = features.map(|features| {
             SeenFeatures::tracked(features, intrinsics.as_ref(), input.odometry.as_ref(), &mut tracker)
         });
-        let mut clock = StageClock { last: Instant::now(), timings };
+        clock.tracked();
         let recognized = self.mapper.localize(localizer, input, &mut clock)?;
         let (proposed, comparisons) = compared(recognized, self, current.as_ref(), &self.verifier)?;
         if self.mapper.verifies() {

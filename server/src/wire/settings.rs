@@ -6,8 +6,8 @@ use fabmap::new_place::NewPlaceMethod;
 use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::RecognizerSettings;
 use topomap::evidence::VerificationMethod;
+use topomap::metric::PlaceSpacing;
 use topomap::settings::MapperSettings;
-use topomap::settings::PlaceSpacing;
 use waypost_proto::v1;
 use waypost_proto::v1::map_settings as wire;
 
@@ -122,6 +122,7 @@ pub(crate) fn settings_message(settings: &MapSettings) -> v1::MapSettings {
         closure_threshold,
         verification,
         guard_frames,
+        guard_measure: _,
         looks_per_stay: _,
         min_words: _,
         max_speed_m_per_s: _,

@@ -37,6 +37,15 @@ impl Placement {
         }
     }
 
+    /// Features of known depth that agree where the robot is.
+    #[must_use]
+    pub fn inliers(&self) -> u32 {
+        match self {
+            Placement::At { inliers, .. } => *inliers,
+            Placement::Unknown | Placement::Nowhere => 0,
+        }
+    }
+
     pub(super) fn encode(&self, writer: &mut Writer) {
         match self {
             Placement::Unknown => writer.u8(UNKNOWN),
@@ -69,11 +78,13 @@ mod tests {
 
     use super::*;
     use crate::evidence::{Candidate, Quantity, TwoView, VerificationSettings};
+    use crate::metric::PlaceSpacing;
 
     /// What structure measures in metres takes the place of what the image plane bounds.
     #[test]
     fn metres_decide_where_they_are_known() {
         let settings = VerificationSettings::default();
+        let spacing = PlaceSpacing { distance_m: 0.8, angle_rad: 0.1 };
         let at = |x_m: f64, heading_rad: f64, inliers: u32| {
             let covariance = Matrix3::from_diagonal_element(1e-4);
             let pose = RelativePose::new(PlanarPose::new(x_m, 0.0, heading_rad), covariance).unwrap();
@@ -82,14 +93,14 @@ mod tests {
         let failed = |placement| {
             let shifted = Candidate::shifted(0.0, 0.7).view.unwrap();
             let view = TwoView { placement, ..shifted };
-            let checks = settings.of_one_scene(&view);
+            let checks = settings.of_one_place(&view, &spacing);
             checks.iter().filter(|check| !check.passed()).map(|check| check.quantity).collect::<Vec<_>>()
         };
         assert_eq!(failed(Placement::Unknown), [Quantity::TranslationWidths]);
-        assert_eq!(failed(at(0.9, 0.5, 12)), []);
-        assert_eq!(failed(at(-1.1, 0.0, 12)), [Quantity::DistanceM]);
-        assert_eq!(failed(at(0.0, -0.6, 12)), [Quantity::HeadingRad]);
-        assert_eq!(failed(at(0.0, 0.0, 11)), [Quantity::PlacedInliers]);
+        assert_eq!(failed(at(1.59, 0.52, 16)), []);
+        assert_eq!(failed(at(-1.61, 0.0, 16)), [Quantity::DistanceM]);
+        assert_eq!(failed(at(0.0, -0.53, 16)), [Quantity::HeadingRad]);
+        assert_eq!(failed(at(0.0, 0.0, 15)), [Quantity::PlacedInliers]);
         assert_eq!(failed(Placement::Nowhere), [Quantity::PlacedInliers]);
     }
 }

@@ -4,7 +4,7 @@ use fabmap::codec::{DecodeError, Reader, Writer};
 use nalgebra::{Quaternion, UnitQuaternion, UnitVector3, Vector3};
 
 use super::placement::Placement;
-use crate::bytes::{decode_option, encode_option};
+use crate::bytes::{decode_option, encode_option, finite};
 
 /// What geometry found between the current frame and an earlier one.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -191,8 +191,4 @@ impl ViewMotion {
             other => Err(DecodeError::invalid(format_args!("motion kind {other}"))),
         }
     }
-}
-
-fn finite(value: f64) -> Result<f64, DecodeError> {
-    if value.is_finite() { Ok(value) } else { Err(DecodeError::invalid("a motion that is not finite")) }
 }

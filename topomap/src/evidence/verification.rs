@@ -4,6 +4,7 @@ use super::candidate::Candidate;
 use super::placement::Placement;
 use super::two_view::{TwoView, ViewMotion};
 use super::verdict::{Bound, Check, Quantity, Verdict};
+use crate::metric::PlaceSpacing;
 
 /// How closures are verified.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -107,15 +108,8 @@ impl VerificationSettings {
     /// Places that a frame is compared with at most.
     pub const MAX_CANDIDATES: usize = 8;
 
-    /// Where structure measures how far a frame is from an earlier one, they are of one place up to
-    /// here.
-    pub const MAX_DISTANCE_M: f64 = 1.0;
-
-    /// The same of the heading, in radians.
-    pub const MAX_HEADING_RAD: f64 = std::f64::consts::FRAC_PI_6;
-
     /// Features of known depth that have to agree where the robot is.
-    pub const MIN_PLACED_INLIERS: u32 = 12;
+    pub const MIN_PLACED_INLIERS: u32 = 16;
 
     /// Most earlier frames that may be remembered.
     pub const MAX_CONSISTENCY_FRAMES: u64 = 100;
@@ -150,17 +144,17 @@ impl VerificationSettings {
         Ok(())
     }
 
-    /// Whether the candidate is the same place, with each number and what is asked of it.
-    /// `closure_threshold` is the posterior from which words are sure enough, see
-    /// [`crate::settings::MapperSettings::closure_threshold`]. Where a frame has no keypoints, they
-    /// decide alone.
+    /// Whether the candidate is the same place, with each number and what is asked of it, where
+    /// places are `spacing` apart. `closure_threshold` is the posterior from which words are sure
+    /// enough, see [`crate::settings::MapperSettings::closure_threshold`]. Where a frame has no
+    /// keypoints, they decide alone.
     #[must_use]
-    pub fn verdict(&self, candidate: &Candidate, closure_threshold: f64) -> Verdict {
+    pub fn verdict(&self, candidate: &Candidate, closure_threshold: f64, spacing: &PlaceSpacing) -> Verdict {
         let at_least = |quantity, value, least| Check { quantity, value, bound: Bound::AtLeast(least) };
         let posterior = at_least(Quantity::Posterior, candidate.matched.posterior, closure_threshold);
         match &candidate.view {
             Some(view) => Verdict {
-                all: self.of_one_scene(view),
+                all: self.of_one_place(view, spacing),
                 one: vec![at_least(Quantity::Evidence, candidate.evidence(), self.min_evidence), posterior],
             },
             None => Verdict { all: Vec::new(), one: vec![posterior] },
@@ -172,10 +166,25 @@ impl VerificationSettings {
         Check { quantity: Quantity::PlacedInliers, value: f64::from(value), bound }
     }
 
-    /// What two views of one scene have to show, whichever scene it is.
+    /// What two views have to show for the robot to have been at one place, where places are
+    /// `spacing` apart: that they are of one scene and, where structure measures it, how near to
+    /// each other they were taken.
+    #[must_use]
+    pub fn of_one_place(&self, view: &TwoView, spacing: &PlaceSpacing) -> Vec<Check> {
+        let mut checks = self.of_one_scene(view);
+        if let Placement::At { pose, inliers: _ } = &view.placement {
+            let pose = pose.pose();
+            let distance_m = pose.x_m().hypot(pose.y_m());
+            let reach = spacing.reach();
+            checks.push(at_most(Quantity::DistanceM, distance_m, reach.distance_m));
+            checks.push(at_most(Quantity::HeadingRad, pose.heading_rad().abs(), reach.angle_rad));
+        }
+        checks
+    }
+
+    /// What two views of one scene have to show, whichever scene it is, from wherever they see it.
     #[must_use]
     pub fn of_one_scene(&self, view: &TwoView) -> Vec<Check> {
-        let at_most = |quantity, value: f64, most| Check { quantity, value, bound: Bound::AtMost(most) };
         let inliers = Check {
             quantity: Quantity::Inliers,
             value: f64::from(view.inliers),
@@ -184,15 +193,8 @@ impl VerificationSettings {
         match &view.placement {
             Placement::Unknown => {}
             Placement::Nowhere => return vec![inliers, Self::placed_inliers(0)],
-            Placement::At { pose, inliers: placed } => {
-                let pose = pose.pose();
-                let distance_m = pose.x_m().hypot(pose.y_m());
-                return vec![
-                    inliers,
-                    Self::placed_inliers(*placed),
-                    at_most(Quantity::DistanceM, distance_m, Self::MAX_DISTANCE_M),
-                    at_most(Quantity::HeadingRad, pose.heading_rad().abs(), Self::MAX_HEADING_RAD),
-                ];
+            Placement::At { pose: _, inliers: placed } => {
+                return vec![inliers, Self::placed_inliers(*placed)];
             }
         }
         let rotation = |radians: f64| at_most(Quantity::RotationRad, radians.abs(), self.max_rotation_rad);
@@ -210,4 +212,8 @@ impl VerificationSettings {
             Some(ViewMotion::Fundamental(_)) | None => vec![inliers],
         }
     }
+}
+
+fn at_most(quantity: Quantity, value: f64, most: f64) -> Check {
+    Check { quantity, value, bound: Bound::AtMost(most) }
 }

@@ -6,10 +6,14 @@ use fabmap::appearance::Appearance;
 use fabmap::codec::{Container, DecodeError, Reader, Writer};
 use sha2::{Digest, Sha256};
 
-use super::{Anchor, LeftPlace, Map, Past, Place, PlaceFrame, Session, Sighting, Stay};
-use crate::bytes::{decode_belief, decode_option, encode_belief, encode_option, not_negative};
+use super::{
+    Anchor, LeftPlace, Map, Measured, Milestone, Milestones, Past, Place, PlaceFrame, Placed, Session,
+    Sighting, Stay,
+};
+use crate::bytes::{decode_belief, decode_option, encode_belief, encode_option, finite, not_negative};
 use crate::metric::{Odometry, RelativePose};
 use crate::settings::MAX_PAST_FRAMES;
+use posegraph::PlanarPose;
 
 impl Map {
     /// Links, sessions and the number of events: all but the places, as the state hash covers them.
@@ -17,10 +21,11 @@ impl Map {
         let Self { places, links, linked: _, sessions, events } = self;
         let verified = sessions.values().any(|session| !session.sightings.is_empty());
         let posed = sessions.values().any(Session::is_posed);
-        let version = match (posed, verified) {
-            (true, _) => SESSION_VERSION,
-            (false, true) => BEFORE_POSES,
-            (false, false) => BEFORE_VERIFICATION,
+        let version = match (sessions.values().any(Session::is_measured), posed, verified) {
+            (true, _, _) => SESSION_VERSION,
+            (false, true, _) => BEFORE_MILESTONES,
+            (false, false, true) => BEFORE_POSES,
+            (false, false, false) => BEFORE_VERIFICATION,
         };
         let mut writer = Writer::default();
         writer.u64(*events);
@@ -36,11 +41,13 @@ impl Map {
     }
 }
 
-/// Version of a session's byte form; 2 added the sightings, 3 where the robot is in its place.
-pub(crate) const SESSION_VERSION: u32 = 3;
+/// Version of a session's byte form; 2 added the sightings, 3 where the robot is in its place, 4 how
+/// far it has come and where sightings put it.
+pub(crate) const SESSION_VERSION: u32 = 4;
 
 /// The versions without. The graph of a map that has none of what was added is still hashed so: its
 /// hash is what it was.
+const BEFORE_MILESTONES: u32 = 3;
 const BEFORE_POSES: u32 = 2;
 const BEFORE_VERIFICATION: u32 = 1;
 
@@ -112,6 +119,11 @@ impl Session {
         !self.past.is_empty() || self.stay.as_ref().is_some_and(|stay| stay.at.is_some())
     }
 
+    /// Whether anything is known that the third version has no bytes for.
+    fn is_measured(&self) -> bool {
+        !self.milestones.passed.is_empty() || self.sightings.iter().any(|sighting| sighting.placed.is_some())
+    }
+
     pub(crate) fn encode(&self, version: u32, writer: &mut Writer) {
         let Self {
             frames,
@@ -124,6 +136,7 @@ impl Session {
             sightings,
             past,
             anchor,
+            milestones,
         } = self;
         writer.u64(*frames);
         encode_option(last_sequence.as_ref(), writer, |sequence, writer| writer.u64(*sequence));
@@ -149,7 +162,7 @@ impl Session {
         encode_belief(belief, writer);
         if version > BEFORE_VERIFICATION {
             writer.varint(sightings.len() as u64);
-            sightings.iter().for_each(|sighting| sighting.encode(writer));
+            sightings.iter().for_each(|sighting| sighting.encode(version, writer));
         }
         if version > BEFORE_POSES {
             writer.varint(past.len() as u64);
@@ -162,6 +175,9 @@ impl Session {
                 odometry.encode(writer);
                 at.encode(writer);
             });
+        }
+        if version > BEFORE_MILESTONES {
+            milestones.encode(writer);
         }
     }
 
@@ -189,13 +205,18 @@ impl Session {
             belief: decode_belief(reader)?,
             sightings: if version > BEFORE_VERIFICATION {
                 (0..reader.count(SIGHTING_BYTES)?)
-                    .map(|_| Sighting::decode(reader))
+                    .map(|_| Sighting::decode(version, reader))
                     .collect::<Result<_, _>>()?
             } else {
                 VecDeque::new()
             },
             past: if version > BEFORE_POSES { decode_past(reader)? } else { VecDeque::new() },
             anchor: if version > BEFORE_POSES { decode_option(reader, decode_anchor)? } else { None },
+            milestones: if version > BEFORE_MILESTONES {
+                Milestones::decode(reader)?
+            } else {
+                Milestones::default()
+            },
         })
     }
 }
@@ -217,26 +238,76 @@ fn decode_past(reader: &mut Reader<'_>) -> Result<VecDeque<Past>, DecodeError> {
     (0..frames).map(past).collect()
 }
 
+const BY_STRUCTURE: u8 = 0;
+const BY_TWO_VIEWS: u8 = 1;
+
+fn decode_placed(reader: &mut Reader<'_>) -> Result<Placed, DecodeError> {
+    let at = RelativePose::decode(reader)?;
+    let measured = match reader.u8()? {
+        BY_STRUCTURE => Measured::ByStructure,
+        BY_TWO_VIEWS => Measured::ByTwoViews,
+        other => return Err(DecodeError::invalid(format_args!("measure {other}"))),
+    };
+    let mut value = || finite(reader.f64()?);
+    Ok(Placed { at, measured, wheels: PlanarPose::new(value()?, value()?, value()?) })
+}
+
+/// Bytes of a milestone.
+const MILESTONE_BYTES: usize = 16;
+
+impl Milestones {
+    fn encode(&self, writer: &mut Writer) {
+        let Self { way_spacings, passed } = self;
+        writer.f64(*way_spacings);
+        writer.varint(passed.len() as u64);
+        for Milestone { frame, way_spacings } in passed {
+            writer.u64(*frame);
+            writer.f64(*way_spacings);
+        }
+    }
+
+    fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        let way_spacings = not_negative(reader.f64()?)?;
+        let passed = (0..reader.count(MILESTONE_BYTES)?)
+            .map(|_| Ok(Milestone { frame: reader.u64()?, way_spacings: not_negative(reader.f64()?)? }))
+            .collect::<Result<_, DecodeError>>()?;
+        Ok(Self { way_spacings, passed })
+    }
+}
+
 /// Least bytes of a sighting.
 const SIGHTING_BYTES: usize = 20;
 
 impl Sighting {
-    fn encode(&self, writer: &mut Writer) {
+    fn encode(&self, version: u32, writer: &mut Writer) {
         let Self {
             number,
             place,
             seen: PlaceFrame { frame, session, number: of_session },
             evidence,
             total_evidence,
+            placed,
         } = self;
         for value in [*number, u64::from(*place), *frame, u64::from(*session), *of_session] {
             writer.varint(value);
         }
         writer.f64(*evidence);
         writer.f64(*total_evidence);
+        if version > BEFORE_MILESTONES {
+            encode_option(placed.as_ref(), writer, |Placed { at, measured, wheels }, writer| {
+                at.encode(writer);
+                writer.u8(match measured {
+                    Measured::ByStructure => BY_STRUCTURE,
+                    Measured::ByTwoViews => BY_TWO_VIEWS,
+                });
+                [wheels.x_m(), wheels.y_m(), wheels.heading_rad()]
+                    .into_iter()
+                    .for_each(|value| writer.f64(value));
+            });
+        }
     }
 
-    fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
+    fn decode(version: u32, reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
         Ok(Self {
             number: reader.varint()?,
             place: reader.varint_u32()?,
@@ -247,6 +318,7 @@ impl Sighting {
             },
             evidence: not_negative(reader.f64()?)?,
             total_evidence: not_negative(reader.f64()?)?,
+            placed: if version > BEFORE_MILESTONES { decode_option(reader, decode_placed)? } else { None },
         })
     }
 }

@@ -5,13 +5,9 @@ use std::cmp::Ordering;
 use fabmap::appearance::PlaceId;
 
 use super::state::Mapper;
-use crate::evidence::{Candidate, Check, TwoView, Verdict, VerificationSettings};
-use crate::map::{PlaceFrame, Session, Sighting};
-
-/// Places that a session goes past in a frame at most, and how far apart matches of the same place
-/// may be.
-const FRAMES_PER_FRAME: u64 = 1;
-const SLACK_FRAMES: u64 = 2;
+use crate::evidence::{Candidate, Check, Placement, TwoView, Verdict, VerificationSettings};
+use crate::map::Session;
+use crate::settings::MapperSettings;
 
 /// Candidates with this share of the strongest evidence are as good as it: the nearest of them is
 /// taken.
@@ -30,43 +26,38 @@ impl Mapper {
         self.settings().verification.method.verifies()
     }
 
-    /// What the last frames of the session said for this place or one near it: of each frame the
-    /// strongest.
-    pub(super) fn support(&self, session: &Session, place: PlaceId, located: PlaceFrame) -> f64 {
-        let frames = self.settings().verification.consistency_frames;
-        let earliest = session.frames.saturating_sub(frames);
-        let mut of_frames = vec![0.0_f64; usize::try_from(session.frames - earliest).unwrap_or(0)];
-        for sighting in session.sightings.iter().filter(|sighting| sighting.number >= earliest) {
-            let elapsed = session.frames - sighting.number;
-            if sighting.is_near(place, located, FRAMES_PER_FRAME * elapsed + SLACK_FRAMES) {
-                let strongest = &mut of_frames[(sighting.number - earliest) as usize];
-                *strongest = strongest.max(sighting.evidence);
-            }
-        }
-        of_frames.iter().sum()
-    }
-
     /// Whether geometry and words hold a candidate of a frame for the same place, and why.
     #[must_use]
     pub fn verdict(&self, candidate: &Candidate) -> Verdict {
-        self.settings().verification.verdict(candidate, self.settings().closure_threshold)
+        self.settings().verdict(candidate)
     }
 
     /// The candidate that is the same place: of those with about the most evidence, the nearest
     /// view that is accepted. One with far less evidence than another is left out: words may be
-    /// sure of a place that merely looks alike.
+    /// sure of a place that merely looks alike. Those do not count that structure puts elsewhere: it
+    /// has explained why they look alike.
     pub(super) fn verified<'a>(
         &self,
         session: &Session,
         candidates: &'a [Candidate],
     ) -> Option<&'a Candidate> {
-        let strongest = candidates.iter().map(Candidate::evidence).fold(0.0, f64::max);
+        let possible = candidates.iter().filter(|candidate| !self.is_elsewhere(candidate));
+        let strongest = possible.map(Candidate::evidence).fold(0.0, f64::max);
         let passed = candidates
             .iter()
-            .filter(|candidate| !session.is_near(candidate.matched.place, self.settings().guard_frames))
+            .filter(|candidate| !session.is_near(candidate.matched.place, self.settings()))
             .filter(|candidate| candidate.view.is_some() && candidate.evidence() >= AS_GOOD * strongest)
             .filter(|candidate| self.verdict(candidate).is_accepted());
         passed.min_by(|a, b| nearer(a, b))
+    }
+
+    /// Whether structure measured that the robot is not at the candidate's place.
+    fn is_elsewhere(&self, candidate: &Candidate) -> bool {
+        let MapperSettings { verification, place_spacing, .. } = self.settings();
+        candidate.view.as_ref().is_some_and(|view| {
+            view.placement != Placement::Unknown
+                && !verification.of_one_place(view, place_spacing).iter().all(Check::passed)
+        })
     }
 
     /// The view that is nearest to where a frame was taken, for a robot that steers by the shift of
@@ -75,21 +66,22 @@ impl Mapper {
     /// around it is nearest, these two views alone say.
     #[must_use]
     pub fn nearest_view<'a>(&self, candidates: &'a [Candidate]) -> Option<&'a Candidate> {
-        let bounds =
+        let verification =
             VerificationSettings { max_translation_widths: f64::INFINITY, ..self.settings().verification };
-        let threshold = self.settings().closure_threshold;
+        let bounds = MapperSettings { verification, ..*self.settings() };
         let most = candidates.iter().map(Candidate::evidence).fold(0.0, f64::max);
         let verified = candidates
             .iter()
             .filter(|candidate| candidate.evidence() >= AS_GOOD * most)
-            .filter(|candidate| bounds.verdict(candidate, threshold).is_accepted())
+            .filter(|candidate| bounds.verdict(candidate).is_accepted())
             .max_by(|a, b| a.own_evidence().total_cmp(&b.own_evidence()))?;
         let around =
             candidates.iter().filter(|other| self.is_around(verified.matched.place, other.matched.place));
         let most = around.clone().map(Candidate::own_evidence).fold(0.0, f64::max);
         let alike = around.filter(|other| {
-            let of_one_scene = |view| bounds.of_one_scene(view).iter().all(Check::passed);
-            other.own_evidence() >= HALF_AS_GOOD * most && other.view.as_ref().is_some_and(of_one_scene)
+            let of_one_place =
+                |view| verification.of_one_place(view, &bounds.place_spacing).iter().all(Check::passed);
+            other.own_evidence() >= HALF_AS_GOOD * most && other.view.as_ref().is_some_and(of_one_place)
         });
         alike.min_by(|a, b| nearer(a, b)).or(Some(verified))
     }
@@ -101,18 +93,6 @@ impl Mapper {
         let (Some(pose), Some(other)) = (pose(place), pose(other)) else { return place == other };
         (pose.x_m() - other.x_m()).hypot(pose.y_m() - other.y_m())
             <= AROUND_SPACINGS * self.settings().place_spacing.distance_m
-    }
-
-    /// What the session remembers of a frame that was compared with `candidates`.
-    pub(super) fn sightings(&self, number: u64, candidates: &[Candidate]) -> Vec<Sighting> {
-        let sighting = |candidate: &Candidate| {
-            let evidence = candidate.own_evidence();
-            let seen = self.map().locate(candidate.matched.place, candidate.matched.frame)?;
-            let total_evidence = candidate.evidence();
-            let place = candidate.matched.place;
-            (evidence > 0.0).then_some(Sighting { number, place, seen, evidence, total_evidence })
-        };
-        candidates.iter().filter_map(sighting).collect()
     }
 }
 

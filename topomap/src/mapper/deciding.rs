@@ -1,7 +1,5 @@
 //! The last step of a frame: what it is, decided from values alone.
 
-use std::collections::BTreeMap;
-
 use fabmap::appearance::PlaceId;
 use fabmap::recognizer::{Association, Recognition};
 
@@ -10,11 +8,10 @@ use super::candidates::{is_without_keypoints, most_likely};
 use super::frame::{FrameInHand, FrameInput, Growth};
 use super::localizer::Queried;
 use super::poses::Located;
-use super::proposing::{Comparisons, Proposed};
+use super::proposing::{Comparisons, EarlierMatch, Proposed};
 use crate::evidence::{Candidate, Check, Match, TurnedView};
-use crate::ids::FrameId;
 use crate::log::{Decision, FrameEvent, Link, LinkKind, Reason};
-use crate::metric::RelativePose;
+use crate::settings::MapperSettings;
 
 /// What was decided of a frame, with what is not logged of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,9 +20,6 @@ pub struct Decided {
     pub event: FrameEvent,
     /// Likelihoods, prior and posterior behind it.
     pub recognition: Recognition,
-    /// By the frames of the event's candidates: where in its place's frame the robot was then, as
-    /// far as that was measured.
-    pub seen_from: BTreeMap<FrameId, RelativePose>,
 }
 
 impl Proposed<'_> {
@@ -45,7 +39,6 @@ impl Proposed<'_> {
         };
         self.frame.check_that_wheels_turn(&decision, comparisons)?;
         let located = self.locate(&decision, &candidates, comparisons);
-        let seen_from = self.seen_from();
         let FrameInHand { mapper, session, growth, input, recognition, .. } = self.frame;
         let (learnt, link) = match growth {
             Growth::Grows => (
@@ -74,7 +67,7 @@ impl Proposed<'_> {
             at: located.map(|located| located.at()),
             belief,
         };
-        Ok(Decided { event, recognition, seen_from })
+        Ok(Decided { event, recognition })
     }
 
     /// Where one observation was made, for what [`super::Mapper::query`] began.
@@ -97,17 +90,12 @@ impl Proposed<'_> {
 
     /// The compared places, with what speaks for them.
     fn candidates(&self, comparisons: &Comparisons) -> Vec<Candidate> {
-        let FrameInHand { mapper, session, .. } = &self.frame;
-        let candidate = |matched: Match| {
-            let located = mapper.map().locate(matched.place, matched.frame);
-            let support = located.map_or(0.0, |frame| mapper.support(session, matched.place, frame));
-            Candidate { matched, view: comparisons.views.get(&matched.frame).copied(), support }
+        let candidate = |&EarlierMatch { matched, at }: &EarlierMatch| {
+            let view = comparisons.views.get(&matched.frame).copied();
+            let alone = Candidate { matched, view, support: 0.0, seen_from: at };
+            Candidate { support: self.frame.support(&alone), ..alone }
         };
-        self.compared.iter().map(|best| candidate(best.matched)).collect()
-    }
-
-    fn seen_from(&self) -> BTreeMap<FrameId, RelativePose> {
-        self.compared.iter().filter_map(|best| Some((best.matched.frame, best.at?))).collect()
+        self.compared.iter().map(candidate).collect()
     }
 
     /// With geometry the candidate that it has most evidence for, or else the frame that matches
@@ -158,8 +146,8 @@ impl Proposed<'_> {
     /// now. Without keypoints there is nothing against it.
     fn may_have_stayed(&self, comparisons: &Comparisons) -> bool {
         let view = self.wanted.stayed.and_then(|frame| comparisons.views.get(&frame));
-        let verification = &self.frame.mapper.settings().verification;
-        view.is_none_or(|view| verification.of_one_scene(view).iter().all(Check::passed))
+        let MapperSettings { verification, place_spacing, .. } = self.frame.mapper.settings();
+        view.is_none_or(|view| verification.of_one_place(view, place_spacing).iter().all(Check::passed))
     }
 
     /// A new place whatever is recognised, unless the robot is at its last one still.
@@ -243,7 +231,7 @@ impl super::Mapper {
     /// Whether the place learns this look. A new place always does, or it would have no appearance.
     fn learns(&self, session: &crate::map::Session, decision: &Decision) -> bool {
         decision.place.is_some_and(|place| {
-            session.looks_of_stay(place, self.settings().guard_frames) < self.settings().looks_per_stay
+            session.looks_of_stay(place, self.settings()) < self.settings().looks_per_stay
         })
     }
 

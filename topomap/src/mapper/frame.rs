@@ -55,7 +55,7 @@ impl FrameInHand<'_> {
 
     /// Whether the session is at a place or has left it within the guard.
     pub(super) fn was_just_at(&self, place: PlaceId) -> bool {
-        self.session.is_near(place, self.mapper.settings().guard_frames)
+        self.session.is_near(place, self.mapper.settings())
     }
 
     /// The frames that a place has learnt from, oldest first; none of a place that does not exist.
@@ -66,9 +66,9 @@ impl FrameInHand<'_> {
     /// Frames that a place learnt from, latest first, but for those that the session has sent
     /// within the guard.
     pub(super) fn frames_before_guard(&self, place: PlaceId) -> impl Iterator<Item = FrameId> {
-        let guard_frames = self.mapper.settings().guard_frames;
-        let is_earlier = move |frame: &&PlaceFrame| {
-            frame.session != self.input.session || self.session.frames - frame.number >= guard_frames
+        let settings = self.mapper.settings();
+        let is_earlier = |frame: &&PlaceFrame| {
+            frame.session != self.input.session || !self.session.is_guarded(frame.number, settings)
         };
         self.frames_of(place).iter().rev().filter(is_earlier).map(|frame| frame.frame)
     }

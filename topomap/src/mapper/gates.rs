@@ -15,7 +15,7 @@ pub struct Gates {
     pub words: Gate,
     /// Posterior of the place, against that of somewhere new.
     pub known_place: Gate,
-    /// Frames since the session was there, against the guard. All of the session's frames if it was
+    /// Frames since the session was there, as the guard counts them. All of the session's if it was
     /// not there lately.
     pub guard: Gate,
     /// Posterior of the place, against the map's threshold.
@@ -40,17 +40,16 @@ impl Mapper {
     pub fn gates(&self, input: &FrameInput, recognition: &Recognition, place: PlaceId) -> Option<Gates> {
         let posterior = *recognition.posterior.places.get(place as usize)?;
         let session = self.map().session(input.session)?;
-        let guard_frames = self.settings().guard_frames;
         let at_least = |value: f64, required: f64| Gate { passed: value >= required, value, required };
-        let since = session.frames_since(place, guard_frames);
+        let since = session.since(place, self.settings());
         Some(Gates {
             place,
             words: at_least(input.observation.len() as f64, self.settings().min_words as f64),
             known_place: at_least(posterior, recognition.posterior.new_place),
             guard: Gate {
                 passed: since.is_none(),
-                value: since.unwrap_or(session.frames) as f64,
-                required: guard_frames as f64,
+                value: since.unwrap_or(session.gone(self.settings())),
+                required: self.settings().guard_frames as f64,
             },
             threshold: at_least(posterior, self.settings().closure_threshold),
         })

@@ -54,7 +54,8 @@ impl Localizer {
 
     /// Takes in what was decided of the frame after [`Mapper::localize`].
     pub fn follow(&mut self, event: &FrameEvent, mapper: &Mapper) {
-        let sightings = mapper.sightings(self.session.frames, &event.candidates);
+        let odometry = event.odometry.as_ref();
+        let sightings = mapper.sightings(self.session.frames, &event.candidates, odometry);
         self.session.follow(event, mapper.settings(), sightings);
     }
 }

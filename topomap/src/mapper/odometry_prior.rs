@@ -14,8 +14,7 @@ use fabmap::place_filter::{Belief, MotionPrior};
 use nalgebra::Vector3;
 
 use crate::map::PlacePoses;
-use crate::metric::RelativePose;
-use crate::settings::PlaceSpacing;
+use crate::metric::{PlaceSpacing, RelativePose};
 use posegraph::Pose;
 
 /// Standard deviations that a robot is looked for within.

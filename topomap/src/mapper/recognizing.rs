@@ -178,9 +178,9 @@ impl FrameInHand<'_> {
         places.sort_by(|&a, &b| posterior[b as usize].total_cmp(&posterior[a as usize]).then(a.cmp(&b)));
         places.truncate(EXPECTED_CANDIDATES);
 
-        // Places within the guard are the most probable of all and not to be compared; there are at
-        // most as many as it has frames.
-        let guarded = usize::try_from(settings.guard_frames).unwrap_or(usize::MAX);
+        // Places within the guard are the most probable of all and not to be compared: the one where
+        // the session is, and those that it left.
+        let guarded = self.session.left.len() + 1;
         let enough = guarded.saturating_add(2 * VerificationSettings::MAX_CANDIDATES).min(posterior.len());
         for (place, _) in self.recognition.posterior.top(enough) {
             if places.len() == VerificationSettings::MAX_CANDIDATES {

@@ -86,7 +86,7 @@ impl Mapper {
                     self.poses.add_link(self.map.links().len(), link, &self.settings.odometry_noise);
                 }
                 let number = self.map.session(event.session).map_or(0, |session| session.frames);
-                let sightings = self.sightings(number, &event.candidates);
+                let sightings = self.sightings(number, &event.candidates, event.odometry.as_ref());
                 self.map.fold_frame(event, &self.settings, sightings);
             }
             MapEvent::Measured(event) => {

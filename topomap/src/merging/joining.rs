@@ -123,11 +123,8 @@ impl<'a> Joining<'a> {
     }
 
     fn frame(&mut self, frame: FrameId, event: &FrameEvent) -> Option<FrameEvent> {
-        let mut candidates: Vec<Candidate> = event
-            .candidates
-            .iter()
-            .map(|candidate| Some(Candidate { matched: self.matched(&candidate.matched)?, ..*candidate }))
-            .collect::<Option<_>>()?;
+        let mut candidates: Vec<Candidate> =
+            event.candidates.iter().map(|candidate| self.candidate(candidate)).collect::<Option<_>>()?;
         let decision = self.decision(&event.decision, &mut candidates)?;
         let joined = event.decision.place.map(|place| self.places[place as usize]);
         let at = event.at.map(|at| joined.map_or(at, |joined| joined.seen(&at)));
@@ -178,8 +175,14 @@ impl<'a> Joining<'a> {
         let PlaceMatch { target: place, target_frame: frame, posterior, view, .. } = matched;
         let closure = Match { place, posterior, log_odds: log_odds.max(f64::MIN), frame };
         candidates.truncate(VerificationSettings::MAX_CANDIDATES - 1);
-        candidates.push(Candidate { matched: closure, view, support: 0.0 });
+        candidates.push(Candidate { matched: closure, view, support: 0.0, seen_from: None });
         Some(Decision { reason: Reason::LoopClosure, place: Some(place), posterior, closure: Some(closure) })
+    }
+
+    fn candidate(&self, candidate: &Candidate) -> Option<Candidate> {
+        let place = self.places.get(candidate.matched.place as usize)?;
+        let seen_from = candidate.seen_from.map(|at| place.seen(&at));
+        Some(Candidate { matched: self.matched(&candidate.matched)?, seen_from, ..*candidate })
     }
 
     fn matched(&self, matched: &Match) -> Option<Match> {

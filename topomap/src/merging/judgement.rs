@@ -13,8 +13,7 @@ use crate::evidence::TwoView;
 use crate::ids::SessionId;
 use crate::log::{Link, LinkKind};
 use crate::map::PlacePoses;
-use crate::metric::RelativePose;
-use crate::settings::PlaceSpacing;
+use crate::metric::{PlaceSpacing, RelativePose};
 use posegraph::{PlanarPose, Pose};
 
 /// Matches that are compared by pairs, the strongest; all others are held against what those come

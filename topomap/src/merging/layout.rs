@@ -1,8 +1,7 @@
 //! Where the places of a map are, for a judge of matches.
 
 use crate::map::PlacePoses;
-use crate::metric::OdometryNoise;
-use crate::settings::PlaceSpacing;
+use crate::metric::{OdometryNoise, PlaceSpacing};
 
 /// Where the places of a map are.
 #[derive(Clone, Copy, Debug)]

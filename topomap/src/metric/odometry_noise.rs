@@ -47,8 +47,13 @@ impl OdometryNoise {
     /// A motion of which nothing else is known, seen from above.
     #[must_use]
     pub fn from_above(&self, motion: &Isometry3<f64>) -> RelativePose {
-        let pose = PlanarPose::seen_from_above(motion);
-        RelativePose::known(pose, self.covariance(&pose))
+        self.of_motion(&PlanarPose::seen_from_above(motion))
+    }
+
+    /// A motion of which nothing else is known.
+    #[must_use]
+    pub fn of_motion(&self, motion: &PlanarPose) -> RelativePose {
+        RelativePose::known(*motion, self.covariance(motion))
     }
 
     fn covariance(&self, motion: &PlanarPose) -> Matrix3<f64> {

@@ -259,7 +259,9 @@ impl<'a> Teller<'a> {
     fn candidates(&self, candidates: &[Candidate]) -> Result<Vec<Candidate>, RetellError> {
         let told = candidates.iter().map(|candidate| {
             let matched = self.matched(&candidate.matched)?;
-            Ok(matched.map(|matched| Candidate { matched, ..*candidate }))
+            let place = self.places[candidate.matched.place as usize];
+            let seen_from = place.zip(candidate.seen_from).map(|(place, at)| place.seen(&at));
+            Ok(matched.map(|matched| Candidate { matched, seen_from, ..*candidate }))
         });
         Ok(told.collect::<Result<Vec<_>, RetellError>>()?.into_iter().flatten().collect())
     }

@@ -57,8 +57,7 @@ impl InverseDepth {
 /// What the way from an earlier frame says of the depths of a later one's features, and what
 /// the earlier one knew of them. `wheels` is the pose of `base_link` at the later frame, seen
 /// from where it was at the earlier one.
-#[must_use]
-pub fn tracked(
+pub(super) fn tracked(
     camera: &RobotCamera,
     earlier: &FeatureRecord,
     later: &FeatureRecord,

@@ -17,25 +17,25 @@ use crate::matching::Match;
 
 /// A frame: what it shows, how far that is, and by which camera.
 #[derive(Clone, Copy, Debug)]
-pub struct Sight<'a> {
+pub(crate) struct Sight<'a> {
     /// Its features, with their depths.
-    pub features: &'a FeatureRecord,
+    pub(crate) features: &'a FeatureRecord,
     /// The camera.
-    pub camera: RobotCamera,
+    pub(crate) camera: RobotCamera,
 }
 
 /// Where the later robot was, and what says so.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Located {
+pub(crate) struct Located {
     /// Pose of `base_link` at the later frame in that of the earlier one.
-    pub pose: RelativePose,
+    pub(crate) pose: RelativePose,
     /// The matches that agree with it.
-    pub inliers: Vec<Match>,
+    pub(crate) inliers: Vec<Match>,
 }
 
 /// What came of locating.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Locating {
+pub(crate) enum Locating {
     /// Too few of the matches have a depth in either frame.
     Unknown,
     /// They have, and too few agree on any pose.
@@ -77,13 +77,18 @@ const SCALE_SIGMA: f64 = 0.02;
 
 /// Where the robot was at `current`, seen from where it was at `earlier`, by the features of either
 /// whose depths are known. Random choices start from `seed`.
-#[must_use]
-pub fn locate(earlier: Sight<'_>, current: Sight<'_>, matches: &[Match], seed: u64) -> Locating {
+pub(crate) fn locate(earlier: Sight<'_>, current: Sight<'_>, matches: &[Match], seed: u64) -> Locating {
     let landmarks = landmarks_of(&earlier, &current, matches);
     if landmarks.len() < LEAST_LANDMARKS {
         // Much of what was near is not seen again: whatever looks alike, the robot is not there.
-        let known = earlier.features.structure().known().max(current.features.structure().known());
-        return if known < KNOWN_WELL { Locating::Unknown } else { Locating::Nowhere };
+        let known_well = |sight: &Sight<'_>| {
+            sight.features.structure().depths().iter().flatten().filter(|depth| is_known_well(depth)).count()
+        };
+        return if known_well(&earlier).max(known_well(&current)) < KNOWN_WELL {
+            Locating::Unknown
+        } else {
+            Locating::Nowhere
+        };
     }
     located(&landmarks, &mut ChaCha8Rng::seed_from_u64(seed)).map_or(Locating::Nowhere, Locating::At)
 }
@@ -130,6 +135,10 @@ struct Landmark<'a> {
     by: &'a RobotCamera,
 }
 
+fn is_known_well(depth: &InverseDepth) -> bool {
+    depth.sigma_per_m <= MAX_DEPTH_SHARE * depth.per_m
+}
+
 /// How far from where it is seen a landmark is expected.
 struct Off {
     residual: Vector2<f64>,
@@ -146,7 +155,7 @@ fn landmarks_of<'a>(earlier: &'a Sight<'a>, current: &'a Sight<'a>, matches: &[M
         let (Some(in_earlier), Some(in_current)) = (from[of.earlier], to[of.current]) else { continue };
         let depth = |structure: &Structure, feature: usize| {
             let depth = structure.depths().get(feature).copied().flatten();
-            depth.filter(|depth| depth.sigma_per_m <= MAX_DEPTH_SHARE * depth.per_m)
+            depth.filter(is_known_well)
         };
         let landmark = |known_by, depth: InverseDepth, camera: &RobotCamera, known: &Sighted, seen, by| {
             let nearer = InverseDepth { per_m: depth.per_m + depth.sigma_per_m, ..depth };

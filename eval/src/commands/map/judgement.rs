@@ -4,7 +4,7 @@ use posegraph::{PlanarPose, Pose};
 use serde::Serialize;
 use topomap::ids::FrameId;
 use topomap::log::{FrameEvent, LinkKind, Reason};
-use topomap::settings::PlaceSpacing;
+use topomap::metric::PlaceSpacing;
 
 use super::alignment::{Alignment, rmse_m};
 use super::drive::DrivenFrame;

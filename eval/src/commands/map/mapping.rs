@@ -81,6 +81,7 @@ impl Mapped {
             Observed::in_image(&frame.image, model, extractor, &mut watch)?;
         let odometry = sent_odometry(&frame.odometry)?;
         let features = tracker.track(Arc::new(features), Some(&frame.camera), Some(&odometry));
+        watch.tracked();
         let views = CurrentView {
             current: &features,
             log: &self.log,

@@ -13,8 +13,7 @@ use topomap::evidence::ClosureNoise;
 use topomap::log::{Link, LinkKind};
 use topomap::map::PlacePoses;
 use topomap::merging::{Layout, MergeSettings, PlaceMatch, Verdict, joined_poses, judge};
-use topomap::metric::{OdometryNoise, RelativePose};
-use topomap::settings::PlaceSpacing;
+use topomap::metric::{OdometryNoise, PlaceSpacing, RelativePose};
 
 use super::MergeOptions;
 use super::sessions::cuts;

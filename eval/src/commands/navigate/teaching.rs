@@ -52,12 +52,7 @@ pub(super) fn teach(
         Trial::Repeat | Trial::Shortcut | Trial::Kidnapped | Trial::Facing => WHEN_MOVED,
     };
     let drive = drive_through(&building, 2 * seed, wheels, trigger)?;
-    let mut mapping = MapperSettings::default();
-    if options.trial == Trial::Sparse {
-        // The guard counts frames: the same ten metres as with an image every 50 cm.
-        mapping.guard_frames *= 10;
-    }
-    let mapped = map(&drive.frames, model, extractor, mapping)?;
+    let mapped = map(&drive.frames, model, extractor, MapperSettings::default())?;
     let goal = mapped.log.frames().filter_map(|event| event.decision.place).last().unwrap_or(0);
     Ok(Taught { building, wheels, drive, mapped, goal })
 }

@@ -77,6 +77,8 @@ fn of_fab_map(settings: &MapperSettings) -> Value {
         closure_threshold,
         verification,
         guard_frames,
+        // Images without odometry are counted either way.
+        guard_measure: _,
         looks_per_stay,
         min_words,
         max_speed_m_per_s: _,
