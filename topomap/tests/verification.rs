@@ -333,8 +333,7 @@ proptest! {
         event.candidates = vec![Candidate { matched, view: seen.then_some(view), support, seen_from }];
         let event = MapEvent::Frame(Box::new(event));
         let bytes = event.to_bytes();
-        let read = MapEvent::from_bytes(&bytes, WORDS as usize).unwrap();
-        prop_assert_eq!(&read, &event);
+        prop_assert_eq!(&MapEvent::from_bytes(&bytes, WORDS as usize).unwrap(), &event);
         prop_assert!(MapEvent::from_bytes(&bytes[..cut.index(bytes.len())], WORDS as usize).is_err());
         let MapEvent::Frame(frame) = event else { unreachable!() };
         let candidate = frame.candidates[0];
