@@ -174,6 +174,7 @@ def test_what_are_no_words_is_refused(words: list[object], counts: list[int] | N
         (answers.QueryAnswer, recognition_pb2.QueryResponse, {"probabilities"}),
         (answers.Match, recognition_pb2.Match, set()),
         (answers.Geometry, recognition_pb2.Geometry, set()),
+        (answers.Placement, recognition_pb2.Placement, set()),
         (answers.Similarity, recognition_pb2.Similarity, set()),
         (answers.Timings, session_pb2.Timings, set()),
         (answers.FrameReference, map_pb2.FrameReference, set()),
@@ -207,3 +208,25 @@ def test_a_match_below_the_threshold_is_not_a_closure() -> None:
 def test_an_unknown_reason_is_not_taken_for_another() -> None:
     with pytest.raises(waypost.ProtocolError, match="reason 99"):
         answers.answer(session_pb2.FrameAnswer(reason=99))  # type: ignore[arg-type]
+
+
+def test_where_features_of_known_depth_put_the_robot_is_read() -> None:
+    pose = geometry_pb2.Pose(
+        position_m=geometry_pb2.Vector3(x=1.5, y=-0.5),
+        orientation=geometry_pb2.Quaternion(z=0.6, w=0.8),
+    )
+    for placement, where in [
+        (recognition_pb2.Placement(pose=pose, covariance=[0.25] * 9, inliers=20), (1.5, -0.5)),
+        (recognition_pb2.Placement(), None),
+    ]:
+        geometry = recognition_pb2.Geometry(placement=placement)
+        message = session_pb2.FrameAnswer(
+            reason=session_pb2.REASON_LOOP_CLOSURE, match=recognition_pb2.Match(geometry=geometry)
+        )
+        match = answers.answer(message).match
+        assert match
+        assert match.geometry
+        read = match.geometry.placement
+        assert read
+        assert (read.inliers, list(read.covariance)) == (placement.inliers, list(placement.covariance))
+        assert (read.pose and (read.pose.x_m, read.pose.y_m)) == where

@@ -5,6 +5,7 @@ use waypost_vision::structure::RobotCamera;
 use waypost_vision::verification::{Distortion, Pinhole};
 
 use crate::camera::{Camera, CameraModel};
+use crate::error::ServiceError;
 
 /// What geometry can use of a camera: how a perspective one turns pixels into rays, and where it sits. Cameras of other kinds have no
 /// essential matrix in pixels, and are treated as unknown.
@@ -68,6 +69,17 @@ impl Intrinsics {
         };
         Some(RobotCamera { pinhole, base_to_camera: self.base_to_camera })
     }
+
+    /// # Errors
+    /// InvalidArgument for an image that the declared camera does not take.
+    pub(crate) fn check(&self, (width, height): (u32, u32)) -> Result<(), ServiceError> {
+        match (self.of_image((width, height)), self.image_size_px) {
+            (None, Some((declared_width, declared_height))) => Err(ServiceError::invalid(format_args!(
+                "the image has {width} x {height} pixels, another shape than the {declared_width} x {declared_height}                  that the session's camera was declared with; send its images whole, or open a session with the camera                  that takes these"
+            ))),
+            (Some(_), _) | (None, None) => Ok(()),
+        }
+    }
 }
 
 #[cfg(test)]
@@ -90,6 +102,9 @@ mod tests {
         // Rounded sides are taken, another shape is not.
         assert!(found.of_image((213, 160)).is_some());
         assert_eq!(found.of_image((640, 360)), None);
+        assert!(found.check((213, 160)).is_ok());
+        let refused = found.check((640, 360)).unwrap_err().to_string();
+        assert!(refused.contains("640 x 360") && refused.contains("640 x 480"), "{refused}");
         let view = CameraModel::FieldOfView { horizontal_rad: std::f64::consts::FRAC_PI_2 };
         let wide = intrinsics(view, None).unwrap().of_image((200, 100)).unwrap().pinhole;
         assert!((wide.focal_px[0] - 100.0).abs() < 1e-9 && wide.center_px == [99.5, 49.5]);

@@ -19,8 +19,9 @@ use super::appearance::AppearanceGraphs;
 use super::streams::Streams;
 use crate::camera::Camera;
 use crate::error::ServiceError;
-use crate::ingest::content::Words;
+use crate::ingest::content::{Content, Words};
 use crate::ingest::extraction::{Extraction, Observed};
+use crate::ingest::intrinsics::Intrinsics;
 use crate::ingest::model::{LoadedModel, LoadedModels};
 use crate::ingest::panoramic::PanoramicOptics;
 use crate::map_settings::{self, Keep, MapSettings, NavigationStrategy};
@@ -48,6 +49,8 @@ pub(crate) struct SessionStream {
     strategy: NavigationStrategy,
     /// Of a camera that sees all around.
     optics: Option<PanoramicOptics>,
+    /// Of one that looks ahead.
+    intrinsics: Option<Intrinsics>,
     source: FrameSource,
     session_name: String,
     stream: u64,
@@ -131,7 +134,9 @@ impl Sessions {
             Some(name) => self.storage.session_camera(row.id, name).await?,
             None => None,
         };
-        let optics = stored.as_ref().or(camera.as_ref()).and_then(PanoramicOptics::of_camera);
+        let sees_by = stored.as_ref().or(camera.as_ref());
+        let intrinsics = sees_by.and_then(Intrinsics::of_camera);
+        let optics = sees_by.and_then(PanoramicOptics::of_camera);
         if strategy == NavigationStrategy::Appearance && optics.is_none() {
             return Err(ServiceError::precondition(format_args!(
                 "the map {map} is navigated by appearance, which takes panoramas: declare a camera that is a panorama \
@@ -156,6 +161,7 @@ impl Sessions {
             words,
             strategy,
             optics,
+            intrinsics,
             source: session.source,
             stream,
             last_committed,
@@ -215,8 +221,13 @@ impl SessionStream {
         let words = self.words;
         let keep = self.keep;
         let optics = self.optics;
+        // What was described before was taken by whatever camera there was.
+        let checked_by = self.intrinsics.filter(|_| !matches!(content, Content::Described(_)));
         let observed = self.sessions.extraction.observe(model, content, words, keep, optics, stream).await?;
         let Observed { observation, features, media, extract, quantize } = observed;
+        if let (Some(camera), Some(features)) = (checked_by, &features) {
+            camera.check(features.image_size_px())?;
+        }
         let session = match self.source {
             FrameSource::Session(session) => session,
             FrameSource::Localizer(_) => Localizer::SESSION,

@@ -339,3 +339,29 @@ fn refusal_code(outcome: &FrameOutcome) -> Option<Code> {
 async fn assert_frames(client: &Client, frames: u64) {
     assert_eq!(client.map("drive", v1::MapView::Unspecified).await.unwrap().frames, frames);
 }
+
+/// Images of another shape were not taken by the camera that the session declared.
+#[tokio::test(flavor = "multi_thread")]
+async fn images_of_another_camera_are_refused() {
+    let (server, client) = Server::with_map().await;
+    let camera = |width_px, height_px| v1::Camera {
+        model: Some(v1::camera::Model::FieldOfView(v1::FieldOfView { horizontal_rad: 1.1 })),
+        image_width_px: Some(width_px),
+        image_height_px: Some(height_px),
+        base_to_camera: None,
+    };
+    let declared = v1::OpenSession { camera: Some(camera(640, 480)), ..open("drive", "robot") };
+    let (mut raw, _) = RawStream::open(&server.endpoint(), declared).await.unwrap();
+    let opened = state_hash(&client, "drive").await;
+    let refusal = raw.refused(wire(frame(1))).await;
+    let status = refusal.status.expect("a refusal has a status");
+    for named in ["640 x 480", "640 x 360", "open a session with the camera that takes these"] {
+        assert_status(named, (Code::from(status.code), &status.message), Code::InvalidArgument, named);
+    }
+    assert_eq!(state_hash(&client, "drive").await, opened);
+    drop(raw);
+    let declared = v1::OpenSession { camera: Some(camera(1280, 720)), ..open("drive", "other") };
+    let (mut raw, _) = RawStream::open(&server.endpoint(), declared).await.unwrap();
+    raw.answered(wire(frame(1))).await;
+    server.stop().await;
+}

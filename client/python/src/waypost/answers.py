@@ -60,6 +60,20 @@ class Similarity:
 
 
 @dataclass(frozen=True)
+class Placement:
+    """Where a robot was, seen from where a robot was at an earlier frame, by features of known depth."""
+
+    #: base_link at the frame in base_link at the earlier one; None if the features contradict each other:
+    #: then the robot is not there.
+    pose: Pose2 | None
+    #: 3 x 3, row by row, of what may be wrong along the pose's own x and y and about its heading, in m^2 and
+    #: rad^2. Empty without a pose.
+    covariance: tuple[float, ...]
+    #: Features of known depth that agree with the pose.
+    inliers: int
+
+
+@dataclass(frozen=True)
 class Geometry:
     """Two views compared by where their features are."""
 
@@ -73,6 +87,9 @@ class Geometry:
     similarity: Similarity | None
     #: That both frames show the same place, by words and geometry together.
     probability: float = 0.0
+    #: Where features of known depth put the robot; None if they say nothing: camera or odometry are not
+    #: known, or the robot had not moved far enough to see depths.
+    placement: Placement | None = None
 
 
 @dataclass(frozen=True)
@@ -97,7 +114,7 @@ class Timings:
     likelihood_ms: float
     new_place_ms: float
     filter_ms: float
-    #: Comparing the frame with earlier ones by where their features are.
+    #: How far features are, by the robot's way, and comparing the frame with earlier ones.
     verification_ms: float
     #: Waiting for other frames of the map, and for the commit.
     commit_ms: float
@@ -294,6 +311,15 @@ def _geometry(message: recognition_pb2.Geometry) -> Geometry:
         evidence_inliers=message.evidence_inliers,
         similarity=_similarity(similarity) if similarity is not None else None,
         probability=message.probability,
+        placement=_placement(message.placement) if message.HasField("placement") else None,
+    )
+
+
+def _placement(message: recognition_pb2.Placement) -> Placement:
+    return Placement(
+        pose=planar(message.pose) if message.HasField("pose") else None,
+        covariance=tuple(message.covariance),
+        inliers=message.inliers,
     )
 
 

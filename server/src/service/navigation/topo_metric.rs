@@ -398,6 +398,9 @@ impl TopoMetricGuide {
         let observed =
             navigation.extraction.observe(model, content, words, Keep::Words, None, Some(stream)).await?;
         let Observed { observation, features, media: _, extract: _, quantize: _ } = observed;
+        if let Some(features) = &features {
+            self.intrinsics.check(features.image_size_px())?;
+        }
         let session: SessionId = Localizer::SESSION;
         let request = LookRequest {
             lookout: eyes.lookout.clone(),
