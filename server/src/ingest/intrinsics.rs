@@ -75,7 +75,9 @@ impl Intrinsics {
     pub(crate) fn check(&self, (width, height): (u32, u32)) -> Result<(), ServiceError> {
         match (self.of_image((width, height)), self.image_size_px) {
             (None, Some((declared_width, declared_height))) => Err(ServiceError::invalid(format_args!(
-                "the image has {width} x {height} pixels, another shape than the {declared_width} x {declared_height}                  that the session's camera was declared with; send its images whole, or open a session with the camera                  that takes these"
+                "the image has {width} x {height} pixels, another shape than the {declared_width} x {declared_height} \
+                 that the session's camera was declared with; send its images whole, or open a session with the camera \
+                 that takes these"
             ))),
             (Some(_), _) | (None, None) => Ok(()),
         }

@@ -148,7 +148,7 @@ fn camera() -> v1::Camera {
             distortion: vec![0.1, -0.01, 0.0, 0.001],
         })),
         image_width_px: Some(640),
-        image_height_px: Some(480),
+        image_height_px: Some(360),
         base_to_camera: Some(pose(0.2)),
     }
 }

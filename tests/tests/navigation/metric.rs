@@ -221,9 +221,11 @@ async fn what_cannot_be_led_is_refused_with_the_way_out() {
     let (server, client) = Server::with_map().await;
     let model = import_model(&client).await;
     client.create_map(by_words_request("words", &model.name)).await.unwrap();
+    // The images are not the simulator's.
+    let any_size = v1::Camera { image_width_px: None, image_height_px: None, ..camera_ahead() };
     let good = || NavigationOptions {
         navigation_id: "robot".to_owned(),
-        ..NavigationOptions::new("drive", camera_ahead())
+        ..NavigationOptions::new("drive", any_size.clone())
     };
     let speed =
         |speed_m_s| v1::DrivingSettings { speed_m_s: Some(speed_m_s), ..v1::DrivingSettings::default() };
