@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Callable, TypeVar
 
 import pytest
 
@@ -22,6 +25,8 @@ IMAGES = sorted((REPOSITORY / "demo" / "sequence" / "images").glob("*.jpg"))
 SECOND_NS = 1_000_000_000
 #: Far more than a start or a stop takes.
 PATIENCE_S = 60.0
+
+T = TypeVar("T")
 
 
 def binary(name: str) -> Path:
@@ -97,12 +102,88 @@ class Server:
         """Asks it to stop in good order; gives its exit code."""
         return self._end(signal.SIGTERM)
 
+    def freeze(self) -> None:
+        """It neither answers nor goes away."""
+        assert self.process is not None
+        self.process.send_signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        """It goes on."""
+        assert self.process is not None
+        self.process.send_signal(signal.SIGCONT)
+
     def _end(self, how: signal.Signals) -> int | None:
         if self.process is None:
             return None
         self.process.send_signal(how)
         code, self.process = self.process.wait(PATIENCE_S), None
         return code
+
+
+class Proxy:
+    """A way to a server that can be cut while the server lives on."""
+
+    def __init__(self, server: Server) -> None:
+        self._server = server
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self._ends: list[socket.socket] = []
+        threading.Thread(target=self._accept, name="proxy", daemon=True).start()
+
+    def cut(self) -> None:
+        """Breaks all connections; new ones are let through."""
+        while self._ends:
+            with contextlib.suppress(OSError):
+                self._ends.pop().shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self.cut()
+
+    def _accept(self) -> None:
+        host, _, port = self._server.address.rpartition(":")
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._listener.accept()
+                far = socket.create_connection((host, int(port)))
+                self._ends += [near, far]
+                for source, target in ((near, far), (far, near)):
+                    threading.Thread(target=self._copy, args=(source, target), daemon=True).start()
+
+    @staticmethod
+    def _copy(source: socket.socket, target: socket.socket) -> None:
+        with contextlib.suppress(OSError), source, target:
+            while chunk := source.recv(1 << 16):
+                target.sendall(chunk)
+            target.shutdown(socket.SHUT_RDWR)
+
+
+def eventually(is_so: Callable[[], T], timeout_s: float = PATIENCE_S) -> T:
+    """Waits until something is so, and gives it."""
+    deadline = time.monotonic() + timeout_s
+    while not (found := is_so()):
+        assert time.monotonic() < deadline, "it never became so"
+        time.sleep(0.01)
+    return found
+
+
+def our_threads() -> list[str]:
+    """The threads of the package that run."""
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("waypost-")]
+
+
+@pytest.fixture
+def mortal(tmp_path: Path) -> Iterator[Server]:
+    """A server of the test's own, which it may kill, that knows the shipped model as `shipped`."""
+    server = Server(tmp_path / "data")
+    server.start()
+    try:
+        with waypost.connect(server.address) as client:
+            client.import_model(MODEL, "shipped")
+        yield server
+    finally:
+        server.kill()
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,8 @@ import re
 import shutil
 import subprocess
 import sys
+import sysconfig
+import venv
 import zipfile
 from pathlib import Path
 
@@ -19,12 +21,7 @@ PACKAGE = REPOSITORY / "client" / "python"
 
 def test_a_wheel_holds_the_contract_and_its_types(tmp_path: Path) -> None:
     """Built from a copy without anything generated, with what this environment has."""
-    copy = tmp_path / "client" / "python"
-    shutil.copytree(
-        PACKAGE, copy, ignore=shutil.ignore_patterns("v1", "*.egg-info", "__pycache__", ".*_cache")
-    )
-    shutil.copytree(REPOSITORY / "proto" / "waypost", tmp_path / "proto" / "waypost")
-    shutil.copytree(REPOSITORY / "proto" / "google", tmp_path / "proto" / "google")
+    copy = copied(tmp_path)
     command = [
         sys.executable,
         "-m",
@@ -39,11 +36,12 @@ def test_a_wheel_holds_the_contract_and_its_types(tmp_path: Path) -> None:
     [wheel] = tmp_path.glob("waypost-*.whl")
     with zipfile.ZipFile(wheel) as files:
         names = set(files.namelist())
-    contract = [file.stem for file in (REPOSITORY / "proto" / "waypost" / "v1").glob("*.proto")]
+    contract = list((REPOSITORY / "proto" / "waypost" / "v1").glob("*.proto"))
     assert len(contract) >= 5
-    for name in contract:
-        for end in ("_pb2.py", "_pb2.pyi", "_pb2_grpc.py"):
-            assert f"waypost/v1/{name}{end}" in names
+    for file in contract:
+        stubs = ["_pb2_grpc.py"] if "\nservice " in file.read_text() else []
+        for end in ("_pb2.py", "_pb2.pyi", *stubs):
+            assert f"waypost/v1/{file.stem}{end}" in names
     assert {"waypost/__init__.py", "waypost/py.typed", "waypost/session.py"} <= names
     assert not [name for name in names if name.startswith(("google/", "tests/"))]
 
@@ -67,31 +65,73 @@ def test_the_version_is_that_of_the_server() -> None:
     assert of_cargo[1] == of_python[1]
 
 
-def test_the_readme_runs_and_fits_in_twenty_lines(
-    client: waypost.Client, server: Server, tmp_path: Path
-) -> None:
-    example = re.search(r"```python\n(.+?)```", (PACKAGE / "README.md").read_text(), re.DOTALL)
-    assert example
-    statements = [line for line in example[1].splitlines() if line.strip()]
-    assert len(statements) <= 20
-    assert "127.0.0.1:7600" in example[1]
+def test_a_source_distribution_installs_and_imports(server: Server, tmp_path: Path) -> None:
+    """In an environment of its own that has nothing but what the package depends on."""
+    copy = copied(tmp_path)
+    build = "import sys; from setuptools import build_meta; build_meta.build_sdist(sys.argv[1])"
+    subprocess.run(
+        [sys.executable, "-c", build, str(tmp_path)], cwd=copy, check=True, stdout=subprocess.DEVNULL
+    )
+    [sdist] = tmp_path.glob("waypost-*.tar.gz")
+    fresh = tmp_path / "fresh"
+    venv.create(fresh, with_pip=False)
+    python = fresh / "bin" / "python"
+    # What it depends on is that of this environment: editable installs are not followed from there.
+    purelib = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    own = subprocess.run(
+        [python, "-c", purelib], stdout=subprocess.PIPE, text=True, check=True
+    ).stdout.strip()
+    (Path(own) / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    install = ["-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--no-build-isolation"]
+    subprocess.run([python, *install, "--ignore-installed", sdist], check=True, cwd=tmp_path)
+    used = f"import waypost; print(waypost.__file__, len(waypost.connect({server.address!r}).models()))"
+    shown = subprocess.run([python, "-c", used], stdout=subprocess.PIPE, text=True, check=True, cwd=tmp_path)
+    assert shown.stdout.split() == [f"{own}/waypost/__init__.py", "1"]
+
+
+def copied(folder: Path) -> Path:
+    """The package with its contract, without anything generated."""
+    copy = folder / "client" / "python"
+    shutil.copytree(
+        PACKAGE, copy, ignore=shutil.ignore_patterns("v1", "*.egg-info", "__pycache__", ".*_cache")
+    )
+    shutil.copytree(REPOSITORY / "proto" / "waypost", folder / "proto" / "waypost")
+    shutil.copytree(REPOSITORY / "proto" / "google", folder / "proto" / "google")
+    return copy
+
+
+def test_the_readme_runs_as_it_stands(client: waypost.Client, server: Server, tmp_path: Path) -> None:
+    examples = re.findall(r"```python\n(.+?)```", (PACKAGE / "README.md").read_text(), re.DOTALL)
+    assert len(examples) == 4
+    assert all("127.0.0.1:7600" in example for example in examples)
+    # The first one is what a newcomer reads.
+    assert len([line for line in examples[0].splitlines() if line.strip()]) <= 20
     images = tmp_path / "drive" / "images"
     images.mkdir(parents=True)
     # So near to each other that the way back closes a loop.
     for number, image in enumerate([*IMAGES[:40], *IMAGES[99:120]]):
         shutil.copy(image, images / f"{number:03}.jpg")
     client.create_map("hall", "shipped")
-    command = [sys.executable, "-c", example[1].replace("127.0.0.1:7600", server.address)]
-    shown = subprocess.run(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=True).stdout
+
+    def shown(example: str) -> str:
+        command = [sys.executable, "-c", example.replace("127.0.0.1:7600", server.address)]
+        return subprocess.run(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=True).stdout
+
+    streamed, called_back, asynchronous, kept = examples
+    told = shown(streamed)
     closures = client.map("hall").loop_closures
     assert closures >= 1
-    assert (
-        len(re.findall(r"^frame \d+ is at place \d+, seen in FrameReference\(", shown, re.MULTILINE))
-        == closures
-    )
+    seen = re.findall(r"^frame \d+ is at place \d+, seen in FrameReference\(", told, re.MULTILINE)
+    assert len(seen) == closures
     # Run again, it goes on after the last frame: there is nothing left to do.
-    shown = subprocess.run(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, check=True).stdout
-    assert (shown, client.map("hall").frames) == ("", 61)
+    assert (shown(streamed), client.map("hall").frames) == ("", 61)
+    assert shown(called_back).splitlines()[-1].startswith("61 ")
+    assert client.map("hall").frames == 122
+    assert "61 " in shown(asynchronous).splitlines()[-1]
+    explained = shown(kept)
+    assert "threshold" in explained
+    assert explained.splitlines()[-1] == "maps/copy"
+    assert client.map("copy").frames == client.map("hall").frames
 
 
 @pytest.mark.parametrize("tool", [["ruff", "check"], ["ruff", "format", "--check"], ["mypy"]])

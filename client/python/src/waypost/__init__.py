@@ -15,15 +15,18 @@ from waypost.answers import (
     Similarity,
     Timings,
 )
-from waypost.client import Client, connect
+from waypost.calls import JobProgress
+from waypost.client import Client, connect, lazy
 from waypost.errors import (
     Aborted,
     AlreadyExists,
+    Cancelled,
     FailedPrecondition,
     InvalidArgument,
     NotFound,
     PermissionDenied,
     ProtocolError,
+    QueueFull,
     ResourceExhausted,
     ServerError,
     ServerUnreachable,
@@ -34,8 +37,23 @@ from waypost.errors import (
     WaypostError,
 )
 from waypost.frames import MAX_IMAGE_BYTES, Frame, WordHistogram, WordList
+from waypost.goals import GoalLike
+from waypost.guidance import (
+    Command,
+    Disconnected,
+    FrameSeen,
+    GoalRefused,
+    Guidance,
+    Localization,
+    NavigationEvent,
+    NavigationStatus,
+    Reconnected,
+    WheelsRefused,
+)
+from waypost.navigation import Navigation
 from waypost.png import png
 from waypost.poses import Pose2, Pose3
+from waypost.sender import Sender
 from waypost.session import Mode, Session
 
 __all__ = [
@@ -43,16 +61,28 @@ __all__ = [
     "Aborted",
     "AlreadyExists",
     "Answer",
+    "Cancelled",
     "Client",
+    "Command",
+    "Disconnected",
     "FailedPrecondition",
     "Frame",
     "FrameReference",
+    "FrameSeen",
     "Geometry",
+    "GoalLike",
+    "GoalRefused",
+    "Guidance",
     "InvalidArgument",
+    "JobProgress",
+    "Localization",
     "LoopClosure",
     "MapPose",
     "Match",
     "Mode",
+    "Navigation",
+    "NavigationEvent",
+    "NavigationStatus",
     "NotFound",
     "Outcome",
     "PermissionDenied",
@@ -61,9 +91,12 @@ __all__ = [
     "Pose3",
     "ProtocolError",
     "QueryAnswer",
+    "QueueFull",
     "Reason",
+    "Reconnected",
     "Refusal",
     "ResourceExhausted",
+    "Sender",
     "ServerError",
     "ServerUnreachable",
     "Session",
@@ -74,8 +107,10 @@ __all__ = [
     "Unauthenticated",
     "Unavailable",
     "WaypostError",
+    "WheelsRefused",
     "WordHistogram",
     "WordList",
     "connect",
+    "lazy",
     "png",
 ]

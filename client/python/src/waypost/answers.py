@@ -237,11 +237,12 @@ def answer(message: session_pb2.FrameAnswer) -> Answer:
         words=message.words,
         timings=_timings(message.timings) if message.HasField("timings") else None,
         resent=message.resent,
-        map_pose=_map_pose(message.map_pose) if message.HasField("map_pose") else None,
+        map_pose=map_pose(message.map_pose) if message.HasField("map_pose") else None,
     )
 
 
-def _map_pose(message: session_pb2.MapPose) -> MapPose:
+def map_pose(message: session_pb2.MapPose) -> MapPose:
+    """A pose on the map from the wire."""
     return MapPose(
         part=message.part,
         robot=planar(message.robot),

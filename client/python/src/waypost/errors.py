@@ -62,6 +62,18 @@ class PermissionDenied(ServerError):
     """The token does not allow it."""
 
 
+class Cancelled(ServerError):
+    """Somebody cancelled it."""
+
+
+class QueueFull(WaypostError):
+    """More frames were sent than the server keeps up with; nothing that was taken is lost."""
+
+
+class Interrupted(WaypostError):
+    """Another thread closed the session while this one streamed into it."""
+
+
 class SessionLost(WaypostError):
     """The server stayed away, or asked to send a frame again, for too long.
 
@@ -87,7 +99,10 @@ _BY_CODE: dict[grpc.StatusCode, type[ServerError]] = {
     grpc.StatusCode.UNAVAILABLE: Unavailable,
     grpc.StatusCode.UNAUTHENTICATED: Unauthenticated,
     grpc.StatusCode.PERMISSION_DENIED: PermissionDenied,
+    grpc.StatusCode.CANCELLED: Cancelled,
 }
+#: What gRPC says of a server that speaks HTTP alone.
+_NOT_GRPC = ("Received http2 header with status", "Trying to connect an http1.x server")
 _CODES: dict[int, grpc.StatusCode] = {code.value[0]: code for code in grpc.StatusCode}
 
 
@@ -101,6 +116,11 @@ def from_call(error: grpc.RpcError, address: str) -> WaypostError:
     """The error of a call: the server's own status, or that there was no server to give one."""
     code, message = error.code(), error.details() or ""
     metadata = {item.key: item.value for item in error.trailing_metadata() or ()}
+    if any(said in message for said in _NOT_GRPC):
+        return ServerUnreachable(
+            f"what answers at {address} does not speak gRPC; it may be the server's HTTP port, 7601 unless "
+            "set otherwise: give the one for robots, 7600 unless set otherwise"
+        )
     # A status that grpcio made up itself has not come with anything over the wire.
     if code == grpc.StatusCode.UNAVAILABLE and not metadata and not _begun(error):
         return ServerUnreachable(

@@ -142,8 +142,13 @@ def put_content(
             words.angle_rad.extend(content.angle_rad.tolist())
     elif isinstance(content, np.ndarray):
         message.image = png(content)
-    elif content is not None:
+    elif isinstance(content, (bytes, bytearray, memoryview)):
         message.image = bytes(content)
+    elif content is not None:
+        raise ValueError(
+            f"an image is a JPEG or PNG as bytes, or pixels as a numpy array, not {type(content).__name__}; "
+            "read a file with Path(name).read_bytes()"
+        )
 
 
 def _whole_numbers(name: str, values: Words | Sequence[int]) -> Words:

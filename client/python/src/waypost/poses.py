@@ -41,7 +41,9 @@ class Pose3:
         """
         pose = np.asarray(matrix, dtype=np.float64)
         if pose.shape != (4, 4):
-            raise ValueError(f"a pose must be a 4 x 4 matrix, not of shape {pose.shape}")
+            raise ValueError(
+                f"a pose must be (x, y, heading) or a 4 x 4 matrix, not numbers of shape {pose.shape}"
+            )
         rotation = pose[:3, :3]
         is_rotation = (
             bool(np.isfinite(pose).all())

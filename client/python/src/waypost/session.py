@@ -8,38 +8,20 @@ from __future__ import annotations
 
 import enum
 import queue
-import random
-import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Union
-
-import grpc
+from typing import Any, Callable
 
 from waypost import answers, errors
 from waypost.answers import Outcome
 from waypost.frames import Frame
+from waypost.links import Ended, Event, Feeder, Given, Interrupt, Link, Said
+from waypost.reconnection import OPENING_TIMEOUT_S, PASSING, Patience
+from waypost.sender import Sender
 from waypost.v1 import geometry_pb2, session_pb2
 from waypost.window import Window
-
-#: Opening a large map takes a server seconds.
-_OPENING_TIMEOUT_S = 30.0
-#: All is answered by then; this is courtesy.
-_CLOSING_TIMEOUT_S = 2.0
-_FIRST_DELAY_S = 0.1
-_LONGEST_DELAY_S = 5.0
-#: Ends of a stream that are worth another attempt. UNKNOWN stands for one that was cut off without a status.
-_PASSING = frozenset(
-    {
-        grpc.StatusCode.UNAVAILABLE,
-        grpc.StatusCode.RESOURCE_EXHAUSTED,
-        grpc.StatusCode.DEADLINE_EXCEEDED,
-        grpc.StatusCode.CANCELLED,
-        grpc.StatusCode.UNKNOWN,
-    }
-)
 
 
 class Mode(enum.IntEnum):
@@ -60,15 +42,14 @@ class SessionOptions:
     mode: Mode
     camera: geometry_pb2.Camera | None
     words_hash: str
+    run_id: str
     window_frames: int
     patience_s: float
 
     def __post_init__(self) -> None:
-        """Raises `ValueError` if nothing could be under way, or no attempt be made."""
+        """Raises `ValueError` if nothing could be under way."""
         if self.window_frames < 1:
             raise ValueError("window_frames must be at least 1")
-        if not self.patience_s >= 0:
-            raise ValueError("patience_s must be 0 or more")
 
 
 class Session:
@@ -82,12 +63,13 @@ class Session:
         self._stub = stub
         self._options = options
         self._address = address
-        self._events: queue.SimpleQueue[_Event] = queue.SimpleQueue()
+        self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._window = Window()
-        self._patience = _Patience(options.patience_s)
+        self._patience = Patience(options.patience_s)
         self._opened: session_pb2.SessionOpened | None = None
-        self._feeder: _Feeder | None = None
-        self._link: _Link | None = self._connect()
+        self._feeder: Feeder | None = None
+        self._sender: Sender | None = None
+        self._link: Link | None = self._connect()
 
     @property
     def name(self) -> str:
@@ -127,8 +109,30 @@ class Session:
             SessionLost: If the server stayed away, or asked to send a frame again, for too long.
             SessionRewound: If it came back with older data.
         """
+        yield from self._stream(frame.to_proto() for frame in frames)
+
+    def sender(
+        self, on_outcome: Callable[[Outcome], None] | None = None, *, queue_frames: int = 32
+    ) -> Sender:
+        """For code that is called back with images, as in ROS: `sender.send(frame)`, from any thread.
+
+        Args:
+            on_outcome: Called with what became of each frame, in the order of sending, by a thread of the
+                sender's own; what it raises ends the sender. If left out, iterate the sender.
+            queue_frames: How many frames may be without an outcome before further ones are refused.
+        """
+        if self._sender is not None and not self._sender.ended:
+            raise errors.WaypostError("this session has a sender already: close that one first")
+        self._sender = Sender(self, on_outcome, queue_frames)
+        return self._sender
+
+    def _stream(self, frames: Iterable[session_pb2.Frame]) -> Generator[Outcome, None, None]:
+        if self._feeder is not None:
+            raise errors.WaypostError(
+                "this session streams already: end that stream or sender first, or open another session"
+            )
         self._patience.progress()
-        feeder = _Feeder(frames, self._options.window_frames, self._events)
+        feeder = Feeder(frames, self._options.window_frames, self._events)
         self._feeder = feeder
         try:
             yield from self._exchange(feeder)
@@ -141,7 +145,13 @@ class Session:
                 self._drop_link()
 
     def close(self) -> None:
-        """Ends the session's stream; all that was answered is durable, and the session can be resumed."""
+        """Ends the session's stream; all that was answered is durable, and the session can be resumed.
+
+        A sender that is still open gives up what has no outcome.
+        """
+        if self._sender is not None:
+            self._sender.abort()
+            self._sender = None
         if self._link is not None:
             self._link.finish()
             self._link = None
@@ -163,7 +173,7 @@ class Session:
             raise errors.ProtocolError("the session was not opened")
         return self._opened
 
-    def _exchange(self, feeder: _Feeder) -> Iterator[Outcome]:
+    def _exchange(self, feeder: Feeder) -> Iterator[Outcome]:
         """Sends what is to be sent and takes what comes, until every frame has its outcome."""
         release_at: float | None = None
         while True:
@@ -183,11 +193,11 @@ class Session:
             if event is None:
                 self._window.release_postponed()
                 release_at = None
-            elif isinstance(event, _Given):
+            elif isinstance(event, (Given, Interrupt)):
                 self._take_frame(event)
             elif event.link is not self._link:
                 continue
-            elif isinstance(event, _Said):
+            elif isinstance(event, Said):
                 postponed = self._take_outcome(event.response)
                 if postponed is not None:
                     now = time.monotonic()
@@ -197,12 +207,14 @@ class Session:
             else:
                 reason = self._why_broken(event)
                 self._window.send_again()
-                time.sleep(self._next_delay(reason))
+                self._pause(self._next_delay(reason))
 
-    def _take_frame(self, given: _Given) -> None:
+    def _take_frame(self, given: Given | Interrupt) -> None:
         """Takes a frame, or notes that no more come. What an older stream had left is dropped."""
         if given.feeder is not self._feeder:
             return
+        if isinstance(given, Interrupt):
+            raise errors.Interrupted("another thread closed the session")
         if given.frame is not None:
             self._window.push(given.frame)
         else:
@@ -223,17 +235,17 @@ class Session:
             self._patience.progress()
         return postponed
 
-    def _connect(self) -> _Link:
+    def _connect(self) -> Link:
         """Opens the session, or opens it again, as often as patience allows."""
         while True:
-            self._link = _Link(self._stub, self._events)
+            self._link = Link(self._stub, self._events)
             self._link.send(session_pb2.StreamRequest(open=self._opening()))
             opened = self._first_response(self._link)
             if isinstance(opened, session_pb2.SessionOpened):
                 self._on_opened(opened)
                 return self._link
             self._drop_link()
-            time.sleep(self._next_delay(opened))
+            self._pause(self._next_delay(opened))
 
     def _opening(self) -> session_pb2.OpenSession:
         options = self._options
@@ -244,20 +256,21 @@ class Session:
             mode=options.mode.value,
             camera=options.camera,
             words_hash=options.words_hash,
+            run_id=options.run_id,
         )
 
-    def _first_response(self, link: _Link) -> session_pb2.SessionOpened | str:
+    def _first_response(self, link: Link) -> session_pb2.SessionOpened | str:
         """What opens the session, or why another attempt has to be made."""
-        deadline = time.monotonic() + _OPENING_TIMEOUT_S
+        deadline = time.monotonic() + OPENING_TIMEOUT_S
         while True:
             event = self._next_event(deadline)
             if event is None:
-                return f"the session was not opened within {_OPENING_TIMEOUT_S:.0f} s"
-            if isinstance(event, _Given):
+                return f"the session was not opened within {OPENING_TIMEOUT_S:.0f} s"
+            if isinstance(event, (Given, Interrupt)):
                 self._take_frame(event)
             elif event.link is not link:
                 continue
-            elif isinstance(event, _Ended):
+            elif isinstance(event, Ended):
                 return self._why_broken(event)
             elif event.response.WhichOneof("content") == "opened":
                 return event.response.opened
@@ -279,17 +292,30 @@ class Session:
         if len(self._window) == 0:
             self._patience.progress()
 
-    def _why_broken(self, event: _Ended) -> str:
+    def _why_broken(self, event: Ended) -> str:
         """Why the link broke; raises what ended the session instead if another attempt is of no use."""
         self._drop_link()
         error = event.error
         if error is None:
             return "the server closed the stream"
-        if error.code() in _PASSING:
+        if error.code() in PASSING:
             return error.details() or str(error.code())
         raise errors.from_call(error, self._address)
 
-    def _next_event(self, until: float | None) -> _Event | None:
+    def _pause(self, delay_s: float) -> None:
+        """Waits; only the application counts meanwhile."""
+        until = time.monotonic() + delay_s
+        while (event := self._next_event(until)) is not None:
+            if isinstance(event, (Given, Interrupt)):
+                self._take_frame(event)
+
+    def _interrupt(self) -> None:
+        """Ends the present stream, from another thread."""
+        feeder = self._feeder
+        if feeder is not None:
+            self._events.put(Interrupt(feeder))
+
+    def _next_event(self, until: float | None) -> Event | None:
         """None if it is `until`, by the monotonic clock, before anything happens."""
         timeout = None if until is None else max(0.0, until - time.monotonic())
         try:
@@ -312,150 +338,3 @@ class Session:
         if self._link is not None:
             self._link.cancel()
             self._link = None
-
-
-@dataclass(frozen=True)
-class _Given:
-    """The application gave a frame, or has no more: then with what it raised, if anything."""
-
-    feeder: _Feeder
-    frame: session_pb2.Frame | None = None
-    error: BaseException | None = None
-
-
-@dataclass(frozen=True)
-class _Said:
-    link: _Link
-    response: session_pb2.StreamResponse
-
-
-@dataclass(frozen=True)
-class _Ended:
-    """A link came to its end, by an error if the server gave one."""
-
-    link: _Link
-    error: Any | None
-
-
-_Event = Union[_Given, _Said, _Ended]
-
-
-class _Link:
-    """One connection of the session."""
-
-    def __init__(self, stub: Any, events: queue.SimpleQueue[_Event]) -> None:
-        self._requests: queue.SimpleQueue[session_pb2.StreamRequest | None] = queue.SimpleQueue()
-        self._call = stub.Stream(iter(self._requests.get, None))
-        self._events = events
-        self._reader = threading.Thread(target=self._read, name="waypost-reader", daemon=True)
-        self._reader.start()
-
-    def send(self, request: session_pb2.StreamRequest) -> None:
-        self._requests.put(request)
-
-    def finish(self) -> None:
-        """Ends the stream from this side and lets the server end it from its own."""
-        self._requests.put(None)
-        self._reader.join(_CLOSING_TIMEOUT_S)
-        self._call.cancel()
-
-    def cancel(self) -> None:
-        self._call.cancel()
-        # Whoever waits for requests would do so for ever.
-        self._requests.put(None)
-
-    def _read(self) -> None:
-        try:
-            for response in self._call:
-                self._events.put(_Said(self, response))
-        except grpc.RpcError as error:
-            self._events.put(_Ended(self, error))
-        else:
-            self._events.put(_Ended(self, None))
-
-
-class _Feeder:
-    """Takes frames from the application in a thread of its own, as many as there is room for."""
-
-    def __init__(self, frames: Iterable[Frame], room: int, events: queue.SimpleQueue[_Event]) -> None:
-        self._frames = frames
-        self._slots = threading.Semaphore(room)
-        self._events = events
-        self._stopped = False
-        self._error: BaseException | None = None
-        #: Whether no more frames come.
-        self.finished = False
-        threading.Thread(target=self._feed, name="waypost-feeder", daemon=True).start()
-
-    def free_slot(self) -> None:
-        """A frame has its outcome."""
-        self._slots.release()
-
-    def end(self, error: BaseException | None) -> None:
-        """All frames before the end have been taken."""
-        self.finished = True
-        self._error = error
-
-    def stop(self) -> None:
-        """No more frames are taken, but for one that the application is making just now."""
-        self._stopped = True
-        self._slots.release()
-
-    def reraise(self) -> None:
-        """Raises what the application raised."""
-        if self._error is not None:
-            raise self._error
-
-    def _feed(self) -> None:
-        last: int | None = None
-        try:
-            frames = iter(self._frames)
-            while True:
-                # Room first: a camera is asked for an image when it can be sent.
-                self._slots.acquire()
-                if self._stopped:
-                    return
-                frame = next(frames, None)
-                if frame is None:
-                    break
-                if last is not None and frame.sequence <= last:
-                    raise ValueError(
-                        f"frame {frame.sequence} follows frame {last}; number frames so that every number is "
-                        "above the last"
-                    )
-                last = frame.sequence
-                self._events.put(_Given(self, frame.to_proto()))
-        except BaseException as error:
-            self._events.put(_Given(self, error=error))
-        else:
-            self._events.put(_Given(self))
-
-
-class _Patience:
-    """Delays that double, shortened at random by up to half so that robots do not all come back at once."""
-
-    def __init__(self, patience_s: float) -> None:
-        self._patience_s = patience_s
-        self._delay_s = _FIRST_DELAY_S
-        self._trouble_since: float | None = None
-
-    def next_delay_s(self) -> float | None:
-        """How long to wait before the next attempt; None if it is time to give up."""
-        now = time.monotonic()
-        if self._trouble_since is None:
-            self._trouble_since = now
-        left = self._patience_s - (now - self._trouble_since)
-        if left <= 0:
-            return None
-        delay = min(self._delay_s, _LONGEST_DELAY_S) * random.uniform(0.5, 1.0)
-        self._delay_s *= 2
-        return min(delay, left)
-
-    def progress(self) -> None:
-        """The server did what was asked: the next trouble is a new one."""
-        self._delay_s = _FIRST_DELAY_S
-        self._trouble_since = None
-
-    def waited_s(self) -> float:
-        """Time since the present trouble began."""
-        return 0.0 if self._trouble_since is None else time.monotonic() - self._trouble_since

@@ -1,0 +1,106 @@
+"""Models: training, files, lists."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sized
+from pathlib import Path
+
+from waypost.connection import Connection, File, chunks
+from waypost.v1 import job_pb2, model_pb2
+
+
+class ModelCalls:
+    """What images are recognised by."""
+
+    _connection: Connection
+
+    def train_model(
+        self,
+        images: Iterable[bytes | str | Path],
+        words: int,
+        *,
+        display_name: str = "",
+        extractor: str | None = None,
+        seed: int = 0,
+    ) -> job_pb2.Job:
+        """Uploads images and trains a model from them; gives the job that does so, whose result is the model.
+
+        Args:
+            images: JPEG or PNG, as bytes or as files, one after the other: they are never all in memory. What
+                it raises is raised here, and no model is trained.
+            words: Words of the vocabulary, at least 2.
+            display_name: A name for people.
+            extractor: As in `rootsift features=500 width=640`; the server's default if left out.
+            seed: The same images, settings and seed give the same model.
+
+        Raises:
+            InvalidArgument: If the server refuses the settings or an image.
+        """
+        settings = model_pb2.TrainModelSettings(
+            display_name=display_name,
+            extractor=extractor,
+            words=words,
+            seed=seed,
+            image_count=len(images) if isinstance(images, Sized) else None,
+        )
+
+        def requests() -> Iterator[model_pb2.TrainModelRequest]:
+            yield model_pb2.TrainModelRequest(settings=settings)
+            for image in images:
+                content = image if isinstance(image, bytes) else Path(image).read_bytes()
+                yield model_pb2.TrainModelRequest(image=content)
+
+        job: job_pb2.Job = self._connection.upload(self._connection.models.TrainModel, requests())
+        return job
+
+    def models(self) -> list[model_pb2.Model]:
+        """All models, newest first."""
+        request = model_pb2.ListModelsRequest()
+        return list(
+            self._connection.pages(self._connection.models.ListModels, request, lambda page: page.models)
+        )
+
+    def model(self, name: str) -> model_pb2.Model:
+        """A model by its hash, the beginning of it, or a display name that only one model has.
+
+        Raises:
+            NotFound: If there is no such model.
+        """
+        request = model_pb2.GetModelRequest(name=name)
+        found: model_pb2.Model = self._connection.call(self._connection.models.GetModel, request)
+        return found
+
+    def export_model(self, name: str, file: File) -> int:
+        """Writes a model file; gives its length in bytes.
+
+        Args:
+            name: As in `model`.
+            file: A file that is open for bytes, or the name of one that is not there yet.
+
+        Raises:
+            NotFound: If there is no such model.
+            FileExistsError: If there is a file of that name.
+        """
+        request = model_pb2.ExportModelRequest(name=name)
+        return self._connection.download(self._connection.models.ExportModel, request, file)
+
+    def import_model(self, file: File, display_name: str = "") -> model_pb2.Model:
+        """Brings a model file to the server. A model that is there already stays as it is.
+
+        Raises:
+            InvalidArgument: If it is no model file, or a damaged one.
+        """
+        requests = (
+            model_pb2.ImportModelRequest(display_name=display_name, chunk=chunk) for chunk in chunks(file)
+        )
+        model: model_pb2.Model = self._connection.upload(self._connection.models.ImportModel, requests)
+        return model
+
+    def delete_model(self, name: str) -> None:
+        """Deletes a model.
+
+        Raises:
+            NotFound: If there is no such model.
+            FailedPrecondition: While a map uses it.
+        """
+        self._connection.call(self._connection.models.DeleteModel, model_pb2.DeleteModelRequest(name=name))

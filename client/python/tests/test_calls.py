@@ -1,0 +1,288 @@
+"""Every call of the contract, at a real server."""
+
+from __future__ import annotations
+
+import inspect
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import IMAGES, MODEL, answers, eventually
+from robot import STEP_M, taught
+
+import waypost
+from waypost import aio
+from waypost.v1 import (
+    appearance_pb2,
+    job_pb2,
+    label_pb2,
+    map_pb2,
+    merge_pb2,
+    model_pb2,
+    navigation_pb2,
+    recognition_pb2,
+    session_pb2,
+    token_pb2,
+)
+
+CONTRACT = [
+    appearance_pb2,
+    job_pb2,
+    label_pb2,
+    map_pb2,
+    merge_pb2,
+    model_pb2,
+    navigation_pb2,
+    recognition_pb2,
+    session_pb2,
+    token_pb2,
+]
+#: Methods of the contract that this client leaves to stubs of one's own, with the reason.
+LEFT_OUT: dict[str, str] = {}
+
+
+def test_every_method_of_the_contract_is_called() -> None:
+    package = Path(waypost.__file__).parent
+    source = "\n".join(file.read_text() for file in package.rglob("*.py") if file.parent.name != "v1")
+    methods = [
+        method.name
+        for module in CONTRACT
+        for service in module.DESCRIPTOR.services_by_name.values()
+        for method in service.methods
+    ]
+    assert len(methods) >= 50
+    uncalled = [name for name in methods if f".{name}" not in source and name not in LEFT_OUT]
+    assert not uncalled, "add these to waypost/calls, or say in LEFT_OUT why not"
+
+
+def test_the_client_for_asyncio_has_every_method() -> None:
+    def public(kind: type) -> set[str]:
+        return {name for name, _ in inspect.getmembers(kind, callable) if not name.startswith("_")}
+
+    assert public(waypost.Client) == public(aio.AsyncClient)
+
+
+@pytest.fixture(scope="module")
+def drive() -> range:
+    """The shipped drive closes a loop between its first frames and these."""
+    return range(100, 112)
+
+
+@pytest.fixture
+def looped(client: waypost.Client, hall: str, drive: range) -> str:
+    """A session that comes back to where it began."""
+    with client.session(hall, "robot") as session:
+        answers(session, range(1, 25))
+        assert any(answer.loop_closure for answer in answers(session, drive))
+        return session.name
+
+
+def test_sessions_and_frames_are_read_back(
+    client: waypost.Client, hall: str, looped: str, drive: range
+) -> None:
+    [session] = client.sessions(hall)
+    assert session == client.session_record(looped)
+    assert (session.frames, session.last_sequence) == (24 + len(drive), drive[-1])
+    frames = client.frames(looped)
+    assert [int(kept.name.rpartition("/")[2]) for kept in frames] == [*range(1, 25), *drive]
+    closed = next(kept for kept in frames if kept.answer.reason == session_pb2.REASON_LOOP_CLOSURE)
+    kept = client.frame(closed.name)
+    assert kept.answer == closed.answer
+    assert len(kept.histogram.words) == closed.answer.words
+    assert client.frame_image(closed.name, session_pb2.GetFrameImageRequest.SIZE_THUMBNAIL)[:2] == b"\xff\xd8"
+
+    explained = client.explain_frame(closed.name, max_words=3)
+    assert explained.reproduced
+    assert all(gate.passed for gate in explained.gates if gate.name == "words")
+    assert b"<svg" in client.frame_picture(closed.name)
+    with pytest.raises(waypost.NotFound):
+        client.explain_frame(f"{looped}/frames/99")
+
+    place = client.place(hall, 0)
+    assert place.word_hits
+    found = client.word_places(hall, place.word_hits[0].word)
+    assert 0 in [of_word.place_number for of_word in found]
+    assert len(client.places(hall)) == client.map(hall).places
+
+    job = client.delete_session(looped)
+    assert client.wait_for_job(job).state == job_pb2.Job.STATE_SUCCEEDED
+    assert client.sessions(hall) == []
+
+
+def test_labels_are_put_and_taken_away(client: waypost.Client, hall: str) -> None:
+    with client.session(hall, "robot") as session:
+        answers(session, range(1, 4))
+    assert client.set_label(hall, 0, "kitchen") == [0]
+    assert client.labels(f"maps/{hall}") == {0: "kitchen"}
+    client.delete_label(hall, 0)
+    with pytest.raises(waypost.NotFound):
+        client.delete_label(hall, 0)
+    with pytest.raises(waypost.InvalidArgument):
+        client.set_label(hall, 0, " kitchen ")
+    with pytest.raises(waypost.FailedPrecondition):
+        client.set_label(hall, 0, "kitchen", label_pb2.LABEL_SCOPE_SPACE)
+    with pytest.raises(waypost.FailedPrecondition):
+        client.appearance_graph(hall)
+
+
+def test_poses_are_measured_and_exported(client: waypost.Client, tmp_path: Path) -> None:
+    taught(client, "measured", 8)
+    session = "maps/measured/sessions/taught"
+    poses = io.BytesIO()
+    length_bytes = client.export_poses(session, poses, map_pb2.ExportPosesRequest.FORMAT_TUM)
+    rows = np.loadtxt(io.BytesIO(poses.getvalue()))
+    # A frame whose place has no position yet is left out.
+    assert len(rows) >= 6
+    assert rows.shape[1] == 8
+    assert length_bytes == len(poses.getvalue())
+    np.testing.assert_allclose(rows[:, 1], (rows[:, 0] - 1) * STEP_M, atol=1e-6)
+    before = client.map("measured", full=True).state_hash
+    measured = f"{session}/frames/8", f"{session}/frames/1", (3.4, 0.0, 0.0), np.eye(6) * 1e-4
+    moved = client.add_relative_pose(*measured)
+    assert isinstance(moved, waypost.MapPose)
+    after = client.map("measured", full=True).state_hash
+    assert after != before
+    # Sent again, as after a lost answer, it changes nothing.
+    assert client.add_relative_pose(*measured) == moved
+    assert client.map("measured", full=True).state_hash == after
+    with pytest.raises(ValueError, match="6 x 6"):
+        client.add_relative_pose(f"{session}/frames/8", f"{session}/frames/1", (3.0, 0.0, 0.0), [1.0])
+    graph = tmp_path / "map.g2o"
+    client.export_poses("maps/measured", graph, map_pb2.ExportPosesRequest.FORMAT_G2O)
+    assert "EDGE_SE2" in graph.read_text()
+    with pytest.raises(FileExistsError):
+        client.export_poses("maps/measured", graph, map_pb2.ExportPosesRequest.FORMAT_G2O)
+    with pytest.raises(waypost.NotFound):
+        client.export_poses("maps/nowhere", tmp_path / "none.g2o", map_pb2.ExportPosesRequest.FORMAT_G2O)
+    assert [file.name for file in tmp_path.iterdir()] == ["map.g2o"]
+
+
+def test_snapshots_go_out_and_in_again(client: waypost.Client, hall: str, tmp_path: Path) -> None:
+    with client.session(hall, "robot") as session:
+        answers(session, range(1, 6))
+    snapshot = tmp_path / "hall.waypost"
+    assert client.export_map(hall, snapshot) == snapshot.stat().st_size
+    job = client.wait_for_job(client.import_map(snapshot, "copy"))
+    assert job.result == "maps/copy"
+    assert client.map("copy", full=True).state_hash == client.map(hall, full=True).state_hash
+    with pytest.raises(waypost.AlreadyExists):
+        client.wait_for_job(client.import_map(snapshot))
+    damaged = io.BytesIO(snapshot.read_bytes()[:-5])
+    with pytest.raises(waypost.InvalidArgument):
+        client.wait_for_job(client.import_map(damaged, "damaged"))
+    for name in (str(tmp_path / "absent"), tmp_path / "absent"):
+        with pytest.raises(FileNotFoundError):
+            client.import_map(name, "absent")
+    client.delete_map("copy")
+    assert {found.name for found in client.maps()} & {"maps/copy", "maps/damaged", "maps/absent"} == set()
+
+
+def test_models_are_trained_followed_and_copied(client: waypost.Client, tmp_path: Path) -> None:
+    job = client.train_model([*IMAGES[:10], *(file.read_bytes() for file in IMAGES[10:20])], 40, seed=7)
+    assert job.kind == job_pb2.Job.KIND_TRAIN_MODEL
+    with client.watch_job(job.name) as progress:
+        states = list(progress)
+    assert states[-1].state == job_pb2.Job.STATE_SUCCEEDED
+    assert client.job(job.name) == states[-1]
+    assert job.name in [known.name for known in client.jobs()]
+    model = client.model(states[-1].result.partition("/")[2])
+    assert model.words <= 40
+    assert model in client.models()
+    file = tmp_path / "model"
+    client.export_model(model.name, file)
+    client.delete_model(model.name)
+    with pytest.raises(waypost.NotFound):
+        client.model(model.name)
+    assert client.import_model(file, "again").name == model.name
+    # The same words: the map goes on with it, and is made anew with other words.
+    client.create_map("old", "shipped")
+    with client.session("old", "robot") as session:
+        answers(session, range(1, 6))
+    with pytest.raises(waypost.FailedPrecondition):
+        client.rebind_map("old", model.name)
+    assert client.rebind_map("old", "shipped").name == "maps/old"
+    rebuilt = client.wait_for_job(client.rebuild_map("old", model.name, "maps/new"))
+    assert client.map("new").frames == 5
+    assert rebuilt.result == "maps/new"
+    with pytest.raises(waypost.FailedPrecondition):
+        client.delete_model(model.name)
+    client.wait_for_job(client.compact_map("old"))
+    preview = client.trim_map("old", 2)
+    assert client.map("old").places == preview.remaining_places + len(preview.dropped)
+    client.trim_map("old", 2, map_pb2.TrimMapRequest.MODE_APPLY)
+    assert client.map("old").places == preview.remaining_places
+
+
+def test_an_upload_that_breaks_trains_nothing(client: waypost.Client) -> None:
+    def unplugged() -> Iterator[bytes]:
+        for file in IMAGES[:12]:
+            yield file.read_bytes()
+        raise OSError("the disk is unplugged")
+
+    before = len(client.jobs())
+    with pytest.raises(OSError, match="unplugged"):
+        client.train_model(unplugged(), 20, display_name="half")
+    with pytest.raises(waypost.InvalidArgument):
+        client.train_model([b"GIF89a"], 20, display_name="half")
+    with pytest.raises(waypost.NotFound):
+        client.model("half")
+    assert len(client.jobs()) == before
+
+
+def test_a_job_that_is_cancelled_says_so(client: waypost.Client) -> None:
+    job = client.train_model(IMAGES[:60], 2000, display_name="never")
+    client.cancel_job(job.name)
+    with pytest.raises(waypost.Cancelled, match=job.name):
+        client.wait_for_job(job.name)
+    with pytest.raises(waypost.NotFound):
+        client.wait_for_job("jobs/999999")
+
+
+def test_maps_are_merged_and_taken_apart_again(client: waypost.Client) -> None:
+    for name, sequences in (("east", range(1, 31)), ("west", range(11, 41))):
+        client.create_map(name, "shipped")
+        with client.session(name, "robot") as session:
+            answers(session, sequences)
+    merge = client.merge_maps(["west"], "east", min_support=3)
+    client.wait_for_job(merge.job)
+    proposed = client.merge(merge.name)
+    assert proposed.state == merge_pb2.Merge.STATE_PROPOSED, proposed
+    assert b"<svg" in client.merge_picture(merge.name)
+    assert client.discard_merge(merge.name).state == merge_pb2.Merge.STATE_DISCARDED
+    with pytest.raises(waypost.FailedPrecondition):
+        client.commit_merge(merge.name)
+
+    merge = client.merge_maps(["maps/west"], "maps/east", min_support=3)
+    client.wait_for_job(merge.job)
+    client.wait_for_job(client.commit_merge(merge.name).job)
+    assert client.merge(merge.name).state == merge_pb2.Merge.STATE_COMMITTED
+    assert client.map("east").frames == 60
+    assert client.merges()[0].name == merge.name
+    client.wait_for_job(client.undo_merge(merge.name).job)
+    assert client.map("east").frames == 30
+    # Several at once, without asking.
+    merge = client.merge_maps(["east", "west"], "both", auto_commit=True, min_support=3)
+    client.wait_for_job(merge.job)
+    assert eventually(lambda: client.merge(merge.name).state == merge_pb2.Merge.STATE_COMMITTED)
+    assert client.map("both").frames == 60
+
+
+def test_a_session_that_localizes_starts_anew_with_another_run(client: waypost.Client, hall: str) -> None:
+    with client.session(hall, "teacher") as session:
+        answers(session, range(1, 6))
+    mode = waypost.Mode.LOCALIZE
+    with client.session(hall, "robot", run_id="first", mode=mode) as session:
+        answers(session, range(1, 4))
+    with client.session(hall, "robot", run_id="first", mode=mode) as session:
+        assert session.last_committed_sequence == 3
+    with client.session(hall, "robot", run_id="second", mode=mode) as session:
+        assert session.last_committed_sequence is None
+
+
+def test_a_model_by_its_file(client: waypost.Client) -> None:
+    with MODEL.open("rb") as opened:
+        assert client.import_model(opened).name == client.model("shipped").name
+    with pytest.raises(waypost.InvalidArgument):
+        client.import_model(io.BytesIO())
