@@ -144,7 +144,9 @@ def test_a_run_goes_on_over_another_connection(guide: Server) -> None:
 
 
 def test_a_run_goes_on_at_a_server_that_was_killed(client: waypost.Client, guide: Server) -> None:
-    with client.navigate("hall", CAMERA, goal=8, driving=FAST) as navigation:
+    # So slow that it stands where it was found, and is found there again.
+    slow = DrivingSettings(speed_m_s=0.2)
+    with client.navigate("hall", CAMERA, goal=8, driving=slow) as navigation:
         drive = Drive(navigation)
         drive.until(drive.drives)
         guide.kill()
@@ -155,8 +157,8 @@ def test_a_run_goes_on_at_a_server_that_was_killed(client: waypost.Client, guide
         guide.start()
         drive.until(lambda: drive.told(waypost.Reconnected))
         assert waypost.Reconnected(resumed=False) in drive.events
-        drive.until(lambda: drive.has(waypost.NavigationStatus.ARRIVED))
-        assert drive.robot.x_m == pytest.approx(GOAL_M, abs=1.0)
+        drive.until(drive.drives)
+        assert drive.has(waypost.NavigationStatus.FOLLOWING)
         assert is_dock(client.navigation(navigation.name))
 
 
