@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import re
 import shutil
 import subprocess
@@ -15,6 +16,10 @@ import pytest
 from conftest import IMAGES, REPOSITORY, Server
 
 import waypost
+import waypost.client
+import waypost.goals
+import waypost.poses
+import waypost.sender
 
 PACKAGE = REPOSITORY / "client" / "python"
 
@@ -132,6 +137,19 @@ def test_the_readme_runs_as_it_stands(client: waypost.Client, server: Server, tm
     assert "threshold" in explained
     assert explained.splitlines()[-1] == "maps/copy"
     assert client.map("copy").frames == client.map("hall").frames
+
+
+def test_the_examples_in_docstrings_run(
+    client: waypost.Client, server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("WAYPOST_SERVER", server.address)
+    given = {"client": client, "image": IMAGES[0].read_bytes(), "waypost": waypost}
+    ran = {}
+    for module in (waypost, waypost.client, waypost.goals, waypost.poses, waypost.sender):
+        results = doctest.testmod(module, extraglobs=given)
+        assert results.failed == 0, module
+        ran[module.__name__] = results.attempted
+    assert all(ran.values()), ran
 
 
 @pytest.mark.parametrize("tool", [["ruff", "check"], ["ruff", "format", "--check"], ["mypy"]])

@@ -1,4 +1,13 @@
-"""Client of Waypost, the server that tells robots where they have been before."""
+"""Client of Waypost, the server that tells robots where they have been before.
+
+>>> import waypost
+>>> with waypost.connect() as client:  # at WAYPOST_SERVER
+...     made = client.create_map("docs", "shipped")
+...     with client.session("docs", "robot") as session:
+...         frame = waypost.Frame(1, 1, image, odometry=(0, 0, 0))
+...         [(outcome.sequence, outcome.reason.name) for outcome in session.stream([frame])]
+[(1, 'NEW_PLACE')]
+"""
 
 from waypost.answers import (
     Answer,

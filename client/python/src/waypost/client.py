@@ -36,6 +36,10 @@ def connect(
 ) -> Client:
     """Connects to a server. What is left out comes from the environment, as for the command line.
 
+    >>> with connect() as client:
+    ...     client.map("docs").name
+    'maps/docs'
+
     Args:
         address: Where the server listens for robots: `http://HOST:PORT`, `https://HOST:PORT`, or `HOST:PORT`,
             which is encrypted if `tls` or any certificate is given. Otherwise WAYPOST_SERVER, or else

@@ -41,6 +41,8 @@ _OPTIONS = [
     # The channel's own delays, up to two minutes, would outlast the session's patience.
     ("grpc.initial_reconnect_backoff_ms", 100),
     ("grpc.max_reconnect_backoff_ms", 1_000),
+    # A new client tries at once, whatever delay another one of this process is waiting for.
+    ("grpc.use_local_subchannel_pool", 1),
     # This one is the time a connection may take.
     ("grpc.min_reconnect_backoff_ms", int(CONNECT_TIMEOUT_S * 1_000)),
 ]

@@ -17,6 +17,9 @@ GoalLike = Union[int, str, Sequence[float], Pose2, bytes, navigation_pb2.Goal]
 def goal_message(goal: GoalLike) -> navigation_pb2.Goal:
     """A goal as the contract has it.
 
+    >>> goal_message("dock").label, goal_message(7).place_number, goal_message((1, 2)).position.y_m
+    ('dock', 7, 2.0)
+
     Raises:
         ValueError: If it can be none.
     """

@@ -36,6 +36,9 @@ class Pose3:
     def from_matrix(matrix: npt.ArrayLike) -> Pose3:
         """The pose of a homogeneous 4 x 4 matrix.
 
+        >>> Pose3.from_matrix([[1, 0, 0, 2], [0, 1, 0, 3], [0, 0, 1, 4], [0, 0, 0, 1]]).position_m
+        (2.0, 3.0, 4.0)
+
         Raises:
             ValueError: If it is not a rotation and a translation.
         """

@@ -24,6 +24,11 @@ class Sender:
 
     What became of each frame is told in the order of sending: to `on_outcome`, or to whoever iterates this.
     Left as a context manager, it waits until every frame has its outcome; left by an exception, it does not.
+
+    >>> with client.session("docs", "robot") as session, session.sender() as sender:
+    ...     sender.send(waypost.Frame(2, 2, image))
+    ...     sender.next_outcome().sequence
+    2
     """
 
     def __init__(
