@@ -89,8 +89,8 @@ class Client(
 ):
     """A connection to a server, made by `connect`. It mends itself for the next call when it broke.
 
-    It may be used by several threads. Every method of the contract is here. What is read from a server
-    is told by messages of the contract (`waypost.v1.map_pb2.Map` and such), but for what robots ask often.
+    It may be used by several threads. Every method of the contract is here. Answers are messages
+    of the contract (`waypost.v1.map_pb2.Map` and such), except for what robots ask often.
     """
 
     def __init__(self, options: Options) -> None:

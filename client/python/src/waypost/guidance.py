@@ -122,7 +122,7 @@ class Disconnected:
 class Reconnected:
     """The connection is back."""
 
-    #: Whether the navigation goes on where it was: not if the server was started anew.
+    #: Whether the navigation goes on where it was: not if the server was restarted.
     resumed: bool
 
 

@@ -20,7 +20,7 @@ class Inbox(Generic[T]):
         self._changed = threading.Condition()
         self._ended = False
         self._error: BaseException | None = None
-        #: Called after every change, by whoever made it.
+        #: Called after every change, by the thread that made it.
         self.on_change: Callable[[], None] | None = None
 
     def put(self, item: T) -> None:
@@ -38,7 +38,7 @@ class Inbox(Generic[T]):
         self.notify()
 
     def notify(self) -> None:
-        """Wakes whoever waits."""
+        """Wakes all threads that wait."""
         with self._changed:
             self._changed.notify_all()
         if self.on_change is not None:

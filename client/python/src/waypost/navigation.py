@@ -95,7 +95,7 @@ class Navigation:
 
     @property
     def words_hash(self) -> str:
-        """What the words of this map are told by: those of another hash mean something else."""
+        """Identifies the words of this map: those of another hash mean something else."""
         return "" if self._opened is None else self._opened.words_hash
 
     @property
@@ -175,7 +175,7 @@ class Navigation:
             WaypostError: If the navigation is over, why.
         """
         message = goal_message(goal)
-        # Only the server knows which place an image shows: one that was started anew is not told it again.
+        # Only the server knows which place an image shows: a restarted one does not get it again.
         known = None if message.WhichOneof("target") == "image" else message
         self._set_goal(navigation_pb2.NavigateRequest(goal=message), known)
 

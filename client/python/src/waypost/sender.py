@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 
 class Sender:
-    """Takes frames from any thread and never waits, unless it is told to. Made by `Session.sender`.
+    """Takes frames from any thread and never waits, unless asked to. Made by `Session.sender`.
 
-    What became of each frame is told in the order of sending: to `on_outcome`, or to whoever iterates this.
+    What became of each frame comes in the order of sending: to `on_outcome`, or by iterating this.
     Left as a context manager, it waits until every frame has its outcome; left by an exception, it does not.
 
     >>> with client.session("docs", "robot") as session, session.sender() as sender:
