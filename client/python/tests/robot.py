@@ -14,6 +14,8 @@ import waypost
 #: From one image of the drive to the next.
 STEP_M = 0.5
 FIELD_OF_VIEW_RAD = 1.2
+#: Longer than a drive takes, even if the robot looks all around once.
+DRIVE_S = 240.0
 
 
 class Robot:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from conftest import IMAGES, Server, answers, decided, eventually, frame, our_threads
-from robot import Robot, taught
+from robot import DRIVE_S, Robot, taught
 
 import waypost
 import waypost.aio
@@ -148,6 +148,6 @@ def test_a_robot_is_led(client: waypost.Client, server: Server) -> None:
                 await navigation.next_guidance()
         return events
 
-    events = asyncio.run(asyncio.wait_for(led(), 60))
+    events = asyncio.run(asyncio.wait_for(led(), DRIVE_S))
     assert any(isinstance(event, waypost.FrameSeen) and event.outcome == "FOUND" for event in events)
     eventually(lambda: not our_threads())

@@ -12,7 +12,7 @@ from typing import Callable
 
 import pytest
 from conftest import IMAGES, MODEL, PATIENCE_S, REPOSITORY, Proxy, Server, eventually, our_threads
-from robot import Robot, taught
+from robot import DRIVE_S, Robot, taught
 
 import waypost
 from waypost.goals import GoalLike
@@ -59,7 +59,7 @@ class Drive:
 
     def until(self, is_so: Callable[[], bool]) -> None:
         """Drives until something is so."""
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + DRIVE_S
         while not is_so():
             assert time.monotonic() < deadline, (self.navigation.guidance, self.events[-20:])
             now_ns, odometry = time.monotonic_ns(), self.robot.odometry()
@@ -96,7 +96,7 @@ def test_the_example_leads_a_robot_and_fits_in_thirty_lines(guide: Server) -> No
     environment["WAYPOST_SERVER"] = f"http://{guide.address}"
     command = [sys.executable, str(EXAMPLE), "hall", "dock"]
     shown = subprocess.run(
-        command, env=environment, stdout=subprocess.PIPE, text=True, check=True, timeout=PATIENCE_S
+        command, env=environment, stdout=subprocess.PIPE, text=True, check=True, timeout=DRIVE_S
     ).stdout
     assert "outcome='FOUND'" in shown
     assert "NavigationStatus.ARRIVED" in shown.splitlines()[-1]
