@@ -7,22 +7,32 @@ TARGET := $(or $(CARGO_TARGET_DIR),target)/release
 # Where the Python client is tested in, with every version pinned.
 PYTHON := $(abspath $(or $(CARGO_TARGET_DIR),target)/python)
 
-.PHONY: demo test test-python serve build setup check deny bench
+.PHONY: demo test test-python test-inspector inspector serve build setup check deny bench
 
 # Drive a real recorded sequence through a real server, and compare the loop closures with the truth.
 demo: build
 	$(TARGET)/waypost demo
 
-# All unit, property and end-to-end tests, and then those of the Python client and of docker/.
+# All unit, property and end-to-end tests, and then those of the Python client, of docker/ and of the page.
 test: setup
 	$(CARGO) test --release --locked --workspace
-	$(MAKE) --no-print-directory test-python
+	$(MAKE) --no-print-directory test-python test-inspector
 
 test-python: build
 	scripts/setup-python $(PYTHON)
 	WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest client/python docker
 
-# Keep a server running: robots on port 7600, people on http://127.0.0.1:7601/v1/maps.
+# The page in a real browser, on a real server.
+test-inspector: build
+	scripts/setup-inspector
+	cd inspector && WAYPOST_BINARIES=$(abspath $(TARGET)) npm run --silent test
+
+# Build the page anew into server/inspector, which the server embeds.
+inspector:
+	scripts/setup-inspector
+	cd inspector && npm run --silent types && npm run --silent check && npm run --silent build
+
+# Keep a server running: robots on port 7600, people on http://127.0.0.1:7601.
 serve: build
 	$(TARGET)/waypost-server --data-dir $(DATA_DIR)
 
@@ -39,6 +49,7 @@ check: setup
 	$(CARGO) clippy --release --locked --workspace --all-targets -- -D warnings
 	$(CARGO) clippy --release --locked -p waypost-client -p waypost-cli --no-default-features --all-targets -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --locked --workspace --no-deps
+	scripts/check-inspector
 
 # Licences, sources and advisories of what is built in, where cargo-deny is installed.
 deny:

@@ -6,6 +6,7 @@ mod description;
 mod explanations;
 mod exports;
 mod frames;
+mod inspector;
 mod jobs;
 mod maps;
 mod merges;
@@ -103,8 +104,7 @@ fn router(service: Arc<Service>) -> anyhow::Result<Router> {
     let (api, description) = api().split_for_parts();
     Ok(api
         .merge(description::routes(&description)?)
-        .route("/", get(pages::root))
-        .route("/style.css", get(pages::style))
+        .merge(inspector::routes())
         .route("/healthz", get(alive))
         .route("/readyz", get(ready))
         .route("/metrics", get(metrics))

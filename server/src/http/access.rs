@@ -16,6 +16,7 @@ use http_body::Body as _;
 use tokio_util::sync::CancellationToken;
 
 use super::HttpError;
+use super::inspector;
 use crate::error::ServiceError;
 use crate::service::Service;
 use crate::service::tokens::{Access, no_longer_admitted};
@@ -49,7 +50,7 @@ pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request,
 }
 
 fn access(method: &Method, path: &str) -> Access {
-    if OPEN.contains(&path) {
+    if OPEN.contains(&path) || (method.is_safe() && inspector::holds(path)) {
         Access::Open
     } else if path.starts_with(CHANGES_MAPS) && !method.is_safe() {
         Access::Admin

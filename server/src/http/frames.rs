@@ -96,7 +96,7 @@ pub(super) async fn unless_known(
 ) -> Result<Response, HttpError> {
     let hashed = tokio::task::spawn_blocking(move || (entity_tag(&image), image)).await;
     let (tag, image) = hashed.map_err(ServiceError::internal)?;
-    let is_there = headers.get_all(IF_NONE_MATCH).iter().any(|known| names(known.as_bytes(), &tag));
+    let is_there = is_known(headers, &tag);
     // A map that is deleted and made again can have another image under this name: ask, and be told that
     // it is the same.
     let caching = [(CACHE_CONTROL, "private, no-cache".to_owned()), (ETAG, tag)];
@@ -118,14 +118,20 @@ impl PartialSchema for ImageFile {
 
 impl ToSchema for ImageFile {}
 
-fn entity_tag(image: &[u8]) -> String {
+/// The name of these very bytes, as `ETag` has it.
+pub(super) fn entity_tag(content: &[u8]) -> String {
     use std::fmt::Write;
     let mut tag = String::from("\"");
-    for byte in Sha256::digest(image) {
+    for byte in Sha256::digest(content) {
         // Writing to a string cannot fail.
         let _ = write!(tag, "{byte:02x}");
     }
     tag + "\""
+}
+
+/// Whether the caller says that it has what `tag` names.
+pub(super) fn is_known(headers: &HeaderMap, tag: &str) -> bool {
+    headers.get_all(IF_NONE_MATCH).iter().any(|known| names(known.as_bytes(), tag))
 }
 
 /// Whether a list of entity tags, as `If-None-Match` has it, names `tag` or all. No tag of ours has a comma.

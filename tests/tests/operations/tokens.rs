@@ -40,10 +40,19 @@ const FOR_ADMINS: [&str; 20] = [
 ];
 
 /// Routes over HTTP that are open to all.
-const OPEN_ROUTES: [&str; 2] = ["/healthz", "/readyz"];
+const OPEN_ROUTES: [&str; 7] = [
+    "/healthz",
+    "/readyz",
+    "/",
+    "/inspector/inspector.js",
+    "/inspector/inspector.css",
+    "/inspector/icon.svg",
+    "/inspector/licences.txt",
+];
 
 /// Routes that are not in the API's description, and one that is none.
-const OTHER_ROUTES: [&str; 6] = ["/", "/docs", "/style.css", "/metrics", "/v1/openapi.json", "/v1/nowhere"];
+const OTHER_ROUTES: [&str; 5] =
+    ["/docs", "/inspector/other.js", "/metrics", "/v1/openapi.json", "/v1/nowhere"];
 
 /// Method and path of every route that asks for a token.
 fn guarded_routes() -> Vec<(Method, String)> {

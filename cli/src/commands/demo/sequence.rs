@@ -180,8 +180,7 @@ fn write_report(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     repeat::write(&report.taught, out)?;
     writeln!(out)?;
     writeln!(out, "The map is kept in {}. To look at it: `make serve`, then", report.data_dir)?;
-    writeln!(out, "  http://127.0.0.1:7601/v1/maps/{MAP}")?;
-    writeln!(out, "  http://127.0.0.1:7601/v1/maps/{MAP}/loop-closures")
+    writeln!(out, "  http://127.0.0.1:7601/#/maps/{MAP}")
 }
 
 fn truth_of(sequence: &Path) -> Result<Truth, Failure> {

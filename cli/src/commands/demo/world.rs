@@ -249,6 +249,5 @@ fn write_report(report: &Report, data: &Path, out: &mut dyn Write) -> io::Result
     writeln!(out)?;
     writeln!(out, "Truth, wheels and map are drawn in {picture}")?;
     writeln!(out, "The map is kept in {}. To look at it: `make serve`, then", data.display())?;
-    writeln!(out, "  http://127.0.0.1:7601/v1/maps/{MAP}")?;
-    writeln!(out, "  http://127.0.0.1:7601/v1/maps/{MAP}/sessions/{SESSION}/trajectory")
+    writeln!(out, "  http://127.0.0.1:7601/#/maps/{MAP}")
 }

@@ -1,0 +1,113 @@
+// Where the person is, as the hash of the page's address: what is shown can be shared.
+import { useEffect, useState } from "preact/hooks";
+
+export type Colour = "session" | "time" | "space";
+export type Shape = "ring" | "strip";
+
+/** All that decides what the page shows. */
+export interface Link {
+    page: "maps" | "map" | "operations";
+    map: string;
+    /** The cursor of time: a frame of a session. */
+    session: string | null;
+    frame: number | null;
+    /** A place that was picked; without it, the cursor's. */
+    place: number | null;
+    colour: Colour | null;
+    shape: Shape | null;
+    /** 0 is by odometry alone, 1 corrected by closures. */
+    corrected: number;
+    /** Middle of the picture and pixels per unit. */
+    view: [number, number, number] | null;
+    /** Which picture fills the page. */
+    large: boolean;
+}
+
+export const START: Link = {
+    page: "maps", map: "", session: null, frame: null, place: null, colour: null, shape: null, corrected: 1, view: null,
+    large: false,
+};
+
+const COLOURS = ["session", "time", "space"] as const;
+const SHAPES = ["ring", "strip"] as const;
+
+function one<T extends string>(of: readonly T[], value: string | null): T | null {
+    return of.find((known) => known === value) ?? null;
+}
+
+function whole(value: string | null): number | null {
+    return value !== null && /^\d{1,15}$/.test(value) ? Number(value) : null;
+}
+
+function decoded(part: string): string {
+    try {
+        return decodeURIComponent(part);
+    } catch {
+        return "";
+    }
+}
+
+/** Reads a hash; what it does not understand is as if it were not there. */
+export function read(hash: string): Link {
+    const [path = "", query = ""] = hash.replace(/^#\/?/, "").split("?", 2);
+    const [page, map = ""] = path.split("/");
+    if (page === "operations") return { ...START, page };
+    if (page !== "maps" || !map) return START;
+    const given = new URLSearchParams(query);
+    const corrected = Number(given.get("corrected") ?? "1");
+    const view = (given.get("view") ?? "").split(",").map(Number);
+    const [x, y, scale] = view;
+    return {
+        page: "map",
+        map: decoded(map),
+        session: given.get("session"),
+        frame: whole(given.get("frame")),
+        place: whole(given.get("place")),
+        colour: one(COLOURS, given.get("colour")),
+        shape: one(SHAPES, given.get("shape")),
+        corrected: corrected >= 0 && corrected <= 1 ? corrected : 1,
+        view: view.length === 3 && view.every(Number.isFinite) && scale! > 0 ? [x!, y!, scale!] : null,
+        large: given.get("large") === "1",
+    };
+}
+
+/** The hash of a link; what is as it is from the beginning is left out. */
+export function hash(link: Link): string {
+    if (link.page === "operations") return "#/operations";
+    if (link.page === "maps") return "#/maps";
+    const given = new URLSearchParams();
+    if (link.session !== null) given.set("session", link.session);
+    if (link.frame !== null) given.set("frame", String(link.frame));
+    if (link.place !== null) given.set("place", String(link.place));
+    if (link.colour) given.set("colour", link.colour);
+    if (link.shape) given.set("shape", link.shape);
+    if (link.corrected !== 1) given.set("corrected", String(link.corrected));
+    if (link.view) given.set("view", link.view.map((value) => Number(value.toPrecision(6))).join(","));
+    if (link.large) given.set("large", "1");
+    const query = given.toString();
+    return `#/maps/${encodeURIComponent(link.map)}${query ? `?${query}` : ""}`;
+}
+
+export type Go = (change: Partial<Link>) => void;
+
+/** The link, and what changes it. Another page is a step in the browser's history; a cursor that moves is not. */
+export function useLink(): [Link, Go] {
+    const [link, setLink] = useState(() => read(location.hash));
+    useEffect(() => {
+        const changed = () => setLink(read(location.hash));
+        addEventListener("hashchange", changed);
+        return () => removeEventListener("hashchange", changed);
+    }, []);
+    const go: Go = (change) => {
+        setLink((link) => {
+            const next = { ...link, ...change };
+            const written = hash(next);
+            if (written !== location.hash) {
+                const step = next.page !== link.page || next.map !== link.map;
+                history[step ? "pushState" : "replaceState"](null, "", written);
+            }
+            return next;
+        });
+    };
+    return [link, go];
+}

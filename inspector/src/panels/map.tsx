@@ -1,0 +1,191 @@
+// One map: its drawing, its time, the frame under the cursor and the place that it shows. One cursor drives all.
+import { useEffect, useMemo, useState } from "preact/hooks";
+import { load, MOST_DRIVES, type MapData } from "../drawing/data";
+import { asDriven, kindOf, sceneOf, type Scene } from "../drawing/scene";
+import { ring } from "../drawing/layout";
+import type { Colour, Go, Link, Shape } from "../link";
+import { short } from "../rest";
+import { plural, Shown, useAsked } from "../parts";
+import { MapCanvas } from "./canvas";
+import { Evidence } from "./evidence";
+import { Pair } from "./pair";
+import { Place } from "./place";
+import { Robots, useRobots } from "./robots";
+import { Time, useSteps, type Step } from "./time";
+
+interface MapPageProps {
+    link: Link;
+    go: Go;
+}
+
+export function MapPage({ link, go }: MapPageProps) {
+    const [asks, setAsks] = useState(0);
+    const asked = useAsked((signal) => load(link.map, signal), [link.map, asks]);
+    return (
+        <main class="map" id="content">
+            <Shown asked={asked} what={`the map ${link.map}`}>
+                {(data) => <Loaded key={`${data.map.name} ${asks}`} given={data} link={link} go={go} onAgain={() => setAsks(asks + 1)} />}
+            </Shown>
+        </main>
+    );
+}
+
+function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; onAgain: () => void }) {
+    const [labels, setLabels] = useState(given.labels);
+    const data = useMemo(() => ({ ...given, labels }), [given, labels]);
+    const { map, sessions } = data;
+    const session = sessions.find(({ name }) => short(name) === link.session) ?? sessions[0] ?? null;
+    const { steps, whole, error } = useSteps(session?.name ?? null);
+    const cursor = cursorOf(steps, link.frame);
+    const coming = !whole && link.frame !== null && link.frame > (steps.at(-1)?.sequence ?? -1);
+    const step = coming ? null : (steps[cursor] ?? null);
+    const place = link.place ?? step?.place ?? null;
+    const { robots, error: unheard } = useRobots(map.name);
+    const scene = useMemo(() => sceneOf(data, link.shape), [data, link.shape]);
+
+    const onCursor = (index: number) => {
+        const to = steps[Math.min(Math.max(index, 0), steps.length - 1)];
+        if (to) go({ frame: to.sequence, place: null, session: session ? short(session.name) : null });
+    };
+    const onFrame = (session: string, frame: number) => go({ session: short(session), frame, place: null });
+    const onPlace = (number: number) => {
+        const frames = data.places.find(({ name }) => short(name) === String(number))?.frames ?? [];
+        const first = frames.find((frame) => frame.session === session?.name) ?? frames[0];
+        go({ place: number, ...(first && { session: short(first.session), frame: first.sequence }) });
+    };
+    useKeys((by) => onCursor(cursor + by), (to) => onCursor(to === "first" ? 0 : steps.length - 1));
+    return <>
+        <div class="title">
+            <h1>{short(map.name)}</h1>
+            <p class="quiet">
+                {plural(map.places, "place")} · {plural(map.links, "link")} · {plural(map.loop_closures, "loop closure")} · {plural(map.frames, "frame")}
+            </p>
+            <GoTo data={data} onPlace={onPlace} />
+            <button type="button" onClick={onAgain}>Load anew</button>
+        </div>
+        <div class="columns">
+            <div class="broad">
+                <Drawing data={data} scene={scene} link={link} go={go} place={place} robots={robots} onPlace={onPlace} />
+                {session && (
+                    <Time
+                        sessions={sessions} session={session} steps={steps} whole={whole} error={error} cursor={cursor}
+                        threshold={map.settings?.closure_threshold ?? null} onCursor={onCursor}
+                        onSession={(name) => go({ session: short(name), frame: null, place: null })}
+                    />
+                )}
+            </div>
+            <div class="narrow">
+                {session && step && <Pair session={session.name} step={step} large={link.large} onLarge={(large) => go({ large })} onPlace={onPlace} />}
+                {place !== null && <Place data={data} number={place} onPlace={onPlace} onFrame={onFrame} onLabels={setLabels} />}
+                <Robots robots={robots} error={unheard} place={place} onPlace={onPlace} />
+                <Evidence data={data} metric={scene.kind === "metric"} onPlace={onPlace} onFrame={onFrame} />
+            </div>
+        </div>
+    </>;
+}
+
+/** The frame of the link, or the last one before it; without one, the first. */
+function cursorOf(steps: Step[], frame: number | null): number {
+    if (frame === null) return 0;
+    const after = steps.findIndex(({ sequence }) => sequence > frame);
+    return Math.max(after < 0 ? steps.length - 1 : after - 1, 0);
+}
+
+/** Left and right move the cursor, wherever nothing else wants them. */
+function useKeys(by: (frames: number) => void, to: (end: "first" | "last") => void) {
+    useEffect(() => {
+        const pressed = (event: KeyboardEvent) => {
+            const wanted = event.target instanceof Element && event.target.closest("input, select, textarea, dialog, .wide");
+            if (wanted || event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
+            const far = event.shiftKey ? 10 : 1;
+            if (event.key === "ArrowLeft") by(-far);
+            else if (event.key === "ArrowRight") by(far);
+            else if (event.key === "Home") to("first");
+            else if (event.key === "End") to("last");
+            else return;
+            event.preventDefault();
+        };
+        addEventListener("keydown", pressed);
+        return () => removeEventListener("keydown", pressed);
+    });
+}
+
+function GoTo({ data, onPlace }: { data: MapData; onPlace: (place: number) => void }) {
+    const [missing, setMissing] = useState(false);
+    const find = (wanted: string) => {
+        const labelled = [...data.labels].find(([, label]) => label === wanted)?.[0];
+        const numbered = data.places.some(({ name }) => short(name) === wanted) ? Number(wanted) : undefined;
+        const found = labelled ?? numbered;
+        setMissing(found === undefined);
+        if (found !== undefined) onPlace(found);
+    };
+    return (
+        <form class="go-to" onSubmit={(event) => {
+            event.preventDefault();
+            find(String(new FormData(event.currentTarget).get("place")).trim());
+        }}>
+            <label>Go to place <input name="place" autoComplete="off" size={12} placeholder="number or label" aria-invalid={missing} onInput={() => setMissing(false)} /></label>
+            <button type="submit">Go</button>
+            {missing && <span class="refused" role="alert">No place has this number or label.</span>}
+        </form>
+    );
+}
+
+interface DrawingProps extends MapPageProps {
+    data: MapData;
+    scene: Scene;
+    place: number | null;
+    robots: ReturnType<typeof useRobots>["robots"];
+    onPlace: (place: number) => void;
+}
+
+function Drawing({ data, scene, link, go, place, robots, onPlace }: DrawingProps) {
+    const kind = kindOf(data);
+    const colour: Colour = link.colour ?? (kind === "appearance" ? "space" : data.sessions.length > 1 ? "session" : "time");
+    const [corrected, setCorrected] = useState(link.corrected);
+    useEffect(() => setCorrected(link.corrected), [link.corrected]);
+    const marked = place === null ? null : (scene.indexOf.get(place) ?? null);
+    const where = robots.flatMap((robot): [number, number][] => {
+        const number = robot.guidance?.localization?.place_number ?? robot.guidance?.appearance?.subgoal_place_number;
+        const at = typeof number === "number" ? scene.indexOf.get(number) : undefined;
+        return at === undefined ? [] : [[scene.corrected.x[at]!, scene.corrected.y[at]!]];
+    });
+    const spots = JSON.stringify(where);
+    const look = useMemo(() => ({ colour, corrected, place: marked, robots: where }), [colour, corrected, marked, spots]);
+    const view = useMemo(() => link.view && { x: link.view[0], y: link.view[1], scale: link.view[2] }, [link.view]);
+    const words = { metric: "in metres", topological: "places in their order, without metres", appearance: "a graph of what places look like" }[kind];
+    const driven = data.places.length > 0 && kind === "topological";
+    return (
+        <section class="panel drawing" aria-label="The map">
+            <header>
+                <h2>Map</h2><span class="quiet" data-testid="kind">{words}</span>
+                <label>Colour <select value={colour} onChange={(event) => go({ colour: event.currentTarget.value as Colour })}>
+                    <option value="time">by time</option><option value="session">by session</option>
+                    <option value="space">{kind === "metric" ? "by part" : "by space"}</option>
+                </select></label>
+                {driven && <label>Shape <select value={asDriven(data, link.shape) === ring ? "ring" : "strip"} onChange={(event) => go({ shape: event.currentTarget.value as Shape })}>
+                    <option value="ring">ring</option><option value="strip">strip</option>
+                </select></label>}
+                {kind === "metric" && <label class="slider">wheels alone <input
+                    type="range" min={0} max={1} step={0.05} value={corrected} aria-label="From odometry alone to corrected"
+                    onInput={(event) => setCorrected(Number(event.currentTarget.value))}
+                    onChange={(event) => go({ corrected: Number(event.currentTarget.value) })}
+                /> corrected</label>}
+            </header>
+            {data.places.length === 0 ? <p class="empty">This map has no places yet: a robot makes them while it streams.</p> : (
+                <MapCanvas
+                    scene={scene} look={look} view={view}
+                    describe={`Drawing of the map with ${plural(scene.numbers.length, "place")}. Plus and minus zoom, 0 shows all, shift and arrows move it.`}
+                    onView={(view) => go({ view: view && [view.x, view.y, view.scale] })}
+                    onPick={(index) => onPlace(scene.numbers[index]!)}
+                />
+            )}
+            <p class="legend"><span class="key link">link</span><span class="key closure">loop closure; thicker is surer, dashed below 0.9</span>
+                {kind === "metric" && corrected < 1 && <span class="key odometry">by wheels alone</span>}
+                {scene.unplaced > 0 && <span>{plural(scene.unplaced, "place")} without a pose not drawn</span>}
+                {scene.parts > 1 && <span>{scene.parts} parts that nothing joins lie side by side</span>}
+                {kind === "metric" && data.sessions.length > MOST_DRIVES && <span>ways of the first {MOST_DRIVES} sessions</span>}
+            </p>
+        </section>
+    );
+}

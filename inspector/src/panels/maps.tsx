@@ -1,0 +1,89 @@
+// All maps: what each looks like, how large it is, where to go on.
+import { useEffect, useRef } from "preact/hooks";
+import { ink } from "../drawing/colours";
+import { load, type MapData } from "../drawing/data";
+import { paintSmall } from "../drawing/paint";
+import { sceneOf } from "../drawing/scene";
+import { hash, START } from "../link";
+import { all, at, get, short, type WayMap } from "../rest";
+import { bytes, moment, plural, Shown, useAsked, useDark, type Asked } from "../parts";
+
+/** Larger maps are drawn when they are opened: a list should not ask for a hundred thousand places. */
+const MOST_DRAWN = 5000;
+
+export function Maps() {
+    const asked = useAsked((signal) => all<"maps", WayMap>("/v1/maps", "maps", signal), []);
+    return (
+        <main class="maps" id="content">
+            <h1>Maps</h1>
+            <Shown asked={asked} what="maps">
+                {(maps) => maps.length === 0 ? <NoMaps /> : (
+                    <ul class="cards">{maps.map((map) => <MapCard key={map.name} map={map} />)}</ul>
+                )}
+            </Shown>
+        </main>
+    );
+}
+
+function NoMaps() {
+    return (
+        <div class="empty">
+            <p><strong>There is no map yet.</strong></p>
+            <p>A map begins with a model, and grows while a robot streams into it:</p>
+            <pre tabIndex={0}><code>waypost model import model.waypost{"\n"}waypost map create NAME --model MODEL{"\n"}waypost stream NAME IMAGES</code></pre>
+            <p class="quiet">Or see it at work with <code>make demo</code>. The rest is in <a href="/docs/">the API's description</a>.</p>
+        </div>
+    );
+}
+
+function MapCard({ map }: { map: WayMap }) {
+    const name = short(map.name);
+    const whole = useAsked((signal) => get<WayMap>(`${at(map.name)}?view=full`, signal), [map.name]);
+    const size = whole.state === "there" && whole.value.storage ? bytesOf(whole.value.storage) : null;
+    const link = hash({ ...START, page: "map", map: name });
+    return (
+        <li class="card">
+            <a class="thumbnail" href={link} aria-label={`Open the map ${name}`}><Thumbnail map={map} /></a>
+            <div class="card-text">
+                <h2><a href={link}>{name}</a></h2>
+                <p>{plural(map.places, "place")} · {plural(map.sessions, "session")} · {plural(map.frames, "frame")}</p>
+                <p>{plural(map.loop_closures, "loop closure")} · {plural(map.links, "link")}{size === null ? "" : ` · ${bytes(size)}`}</p>
+                <p class="quiet">{map.settings?.navigation_strategy === "appearance" ? "by appearance" : "topo-metric"} · made {moment(map.create_time_ns)}</p>
+            </div>
+        </li>
+    );
+}
+
+function bytesOf(storage: NonNullable<WayMap["storage"]>): number {
+    return storage.log_bytes + storage.features_bytes + storage.thumbnail_bytes + storage.image_bytes +
+        storage.checkpoint_bytes;
+}
+
+function Thumbnail({ map }: { map: WayMap }) {
+    const drawn = map.places > 0 && map.places <= MOST_DRAWN;
+    const asked = useAsked<MapData | null>(
+        async (signal) => drawn ? load(short(map.name), signal) : null, [map.name, drawn],
+    );
+    if (map.places === 0) return <span class="quiet">no places yet</span>;
+    if (!drawn) return <span class="quiet">large: open it to see it</span>;
+    return <Drawn asked={asked} />;
+}
+
+const SIZE = { width: 296, height: 168 };
+
+function Drawn({ asked }: { asked: Asked<MapData | null> }) {
+    const canvas = useRef<HTMLCanvasElement>(null);
+    const dark = useDark();
+    useEffect(() => {
+        const context = canvas.current?.getContext("2d");
+        if (!canvas.current || !context || asked.state !== "there" || !asked.value) return;
+        const sharp = devicePixelRatio || 1;
+        canvas.current.width = SIZE.width * sharp;
+        canvas.current.height = SIZE.height * sharp;
+        context.scale(sharp, sharp);
+        const scene = sceneOf(asked.value, null);
+        paintSmall(context, scene, SIZE, ink(canvas.current));
+    }, [asked, dark]);
+    if (asked.state === "refused") return <span class="quiet">{asked.error.message}</span>;
+    return <canvas ref={canvas} aria-hidden="true" />;
+}

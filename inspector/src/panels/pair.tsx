@@ -1,0 +1,139 @@
+// Why a frame was decided as it was: it beside what it was compared with, and each gate with its number.
+import { useEffect, useRef } from "preact/hooks";
+import { at, get, type Explanation, type FrameRecord, type Schemas } from "../rest";
+import { pause, Picture, share, Shown, useAsked } from "../parts";
+import { REASONS, type Step } from "./time";
+
+/** An explanation is a replay, so it is asked for where the cursor rests. */
+const REST_MS = 120;
+
+interface PairProps {
+    session: string;
+    step: Step;
+    large: boolean;
+    onLarge: (large: boolean) => void;
+    onPlace: (place: number) => void;
+}
+
+export function Pair({ session, step, large, onLarge, onPlace }: PairProps) {
+    const frame = `${at(session)}/frames/${step.sequence}`;
+    const asked = useAsked(async (signal) => {
+        await pause(REST_MS, signal);
+        return Promise.all([get<Explanation>(`${frame}/explanation`, signal), get<FrameRecord>(frame, signal)]);
+    }, [frame]);
+    return (
+        <section class="panel pair" aria-label="The pair">
+            <header><h2>Frame {step.sequence}</h2><span class={`reason ${step.reason}`}>{REASONS[step.reason] ?? step.reason}</span></header>
+            <Shown asked={asked} what="why it was decided so">
+                {([explanation, record]) => <>
+                    <Views explanation={explanation} frame={frame} sequence={step.sequence} large={large} onLarge={onLarge} />
+                    <Facts record={record} explanation={explanation} onPlace={onPlace} />
+                    {explanation.gates.length > 0 && <Gates gates={explanation.gates} />}
+                    {explanation.place_explanation && <Words explained={explanation.place_explanation} />}
+                </>}
+            </Shown>
+        </section>
+    );
+}
+
+interface ViewsProps {
+    explanation: Explanation;
+    frame: string;
+    sequence: number;
+    large: boolean;
+    onLarge: (large: boolean) => void;
+}
+
+function Views({ explanation, frame, sequence, large, onLarge }: ViewsProps) {
+    const place = explanation.place_explanation?.place_number;
+    const path = explanation.picture ?? null;
+    const alt = path ? `Frame ${sequence} beside the frame of place ${place} that it was compared with` : `Frame ${sequence}`;
+    const source = path ?? `${frame}/image`;
+    return <>
+        <button type="button" class="enlarge" onClick={() => onLarge(true)} aria-label={`Enlarge: ${alt}`}>
+            <Picture path={source} alt={alt} />
+        </button>
+        {path && <p class="quiet small">Green: a word in common, or joined by geometry. Red: neither.</p>}
+        {large && <Large path={source} alt={alt} onClose={() => onLarge(false)} />}
+    </>;
+}
+
+function Large({ path, alt, onClose }: { path: string; alt: string; onClose: () => void }) {
+    const dialog = useRef<HTMLDialogElement>(null);
+    useEffect(() => dialog.current?.showModal(), []);
+    return (
+        <dialog ref={dialog} aria-label={alt} onClose={onClose}>
+            <form method="dialog"><button type="submit" aria-label="Close">✕</button></form>
+            <Picture path={path} alt={alt} />
+        </dialog>
+    );
+}
+
+interface FactsProps {
+    record: FrameRecord;
+    explanation: Explanation;
+    onPlace: (place: number) => void;
+}
+
+function Facts({ record, explanation, onPlace }: FactsProps) {
+    const { answer } = record;
+    if (!answer) return <p class="quiet">The server keeps no answer of this frame.</p>;
+    const compared = answer.match ?? answer.best_candidate ?? null;
+    const geometry = compared?.geometry ?? null;
+    return (
+        <dl class="facts">
+            <Fact name="place">{answer.place_number === null || answer.place_number === undefined ? "none" : <PlaceLink number={answer.place_number} onPlace={onPlace} />}</Fact>
+            <Fact name="posterior, by words">{share(answer.posterior)}</Fact>
+            <Fact name="somewhere new">{share(answer.new_place_posterior)}</Fact>
+            <Fact name="words">{answer.words}</Fact>
+            {compared && <Fact name={answer.match ? "matched" : "best candidate"}><PlaceLink number={compared.place_number} onPlace={onPlace} /></Fact>}
+            {geometry && <Fact name="features that agree">{geometry.inliers} of {geometry.matches}</Fact>}
+            {geometry && <Fact name="probability of the pair">{share(geometry.probability)}</Fact>}
+            {!explanation.reproduced && <Fact name="replay">did not come to the logged numbers</Fact>}
+        </dl>
+    );
+}
+
+function Fact({ name, children }: { name: string; children: preact.ComponentChildren }) {
+    return <div><dt>{name}</dt><dd>{children}</dd></div>;
+}
+
+export function PlaceLink({ number, onPlace }: { number: number; onPlace: (place: number) => void }) {
+    return <button type="button" class="link" onClick={() => onPlace(number)}>place {number}</button>;
+}
+
+function Gates({ gates }: { gates: Schemas["Gate"][] }) {
+    return <>
+        <h3>Gates</h3>
+        <ul class="gates">
+            {gates.map(({ name, passed, description }) => (
+                <li key={name} class={passed ? "passed" : "failed"}>
+                    <span class="verdict">{passed ? "✓ passed" : "✕ not passed"}</span> <strong>{name.replaceAll("_", " ")}</strong>
+                    <p>{description}</p>
+                </li>
+            ))}
+        </ul>
+    </>;
+}
+
+const MOST_WORDS = 6;
+
+function Words({ explained }: { explained: Schemas["PlaceExplanation"] }) {
+    const { words_for, words_against, place_number } = explained;
+    const shown = [...words_for.slice(0, MOST_WORDS), ...words_against.slice(0, MOST_WORDS)];
+    const most = Math.max(...shown.map(({ evidence_nats }) => Math.abs(evidence_nats)), 1e-9);
+    return <>
+        <h3>Words that speak for or against place {place_number}</h3>
+        <table class="words">
+            <thead><tr><th scope="col">word</th><th scope="col">here</th><th scope="col">there</th><th scope="col">evidence, nats</th></tr></thead>
+            <tbody>
+                {shown.map(({ word, seen, hits, looks, evidence_nats }) => (
+                    <tr key={word} class={evidence_nats < 0 ? "against" : "for"}>
+                        <th scope="row">{word}</th><td>{seen ? "seen" : "not seen"}</td><td>{hits} of {looks}</td>
+                        <td><meter aria-label={`evidence of word ${word}`} min={0} max={most} value={Math.abs(evidence_nats)} /> {evidence_nats.toFixed(2)}</td>
+                    </tr>
+                ))}
+            </tbody>
+        </table>
+    </>;
+}

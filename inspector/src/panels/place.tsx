@@ -1,0 +1,103 @@
+// A place: what it looked like, who was there, where its links lead, and its label, which can be changed.
+import { useEffect, useState } from "preact/hooks";
+import type { MapData } from "../drawing/data";
+import { pose } from "../drawing/geometry";
+import { at, change, get, short, type Place as PlaceRecord, type Schemas } from "../rest";
+import { moment, Picture, plural, Refused, Shown, useAsked } from "../parts";
+import { PlaceLink } from "./pair";
+
+const MOST_FRAMES = 24;
+
+interface PlaceProps {
+    data: MapData;
+    number: number;
+    onPlace: (place: number) => void;
+    onFrame: (session: string, sequence: number) => void;
+    onLabels: (labels: Map<number, string>) => void;
+}
+
+export function Place({ data, number, onPlace, onFrame, onLabels }: PlaceProps) {
+    const name = `${data.map.name}/places/${number}`;
+    const asked = useAsked((signal) => get<PlaceRecord>(at(name), signal), [name]);
+    return (
+        <section class="panel place" aria-label="The place">
+            <header><h2>Place {number}</h2></header>
+            <Shown asked={asked} what="the place">
+                {(place) => <About place={place} onPlace={onPlace} onFrame={onFrame} />}
+            </Shown>
+            <Label key={name} data={data} number={number} onLabels={onLabels} />
+        </section>
+    );
+}
+
+type AboutProps = { place: PlaceRecord } & Pick<PlaceProps, "onPlace" | "onFrame">;
+
+function About({ place, onPlace, onFrame }: AboutProps) {
+    const where = pose(place.pose?.pose);
+    return <>
+        <div class="looks">
+            {place.frames.slice(0, MOST_FRAMES).map(({ session, sequence, stamp_ns }) => (
+                <button
+                    key={`${session}/${sequence}`} type="button" class="frame" onClick={() => onFrame(session, sequence)}
+                    aria-label={`Frame ${sequence} of ${short(session)}`} title={`${short(session)}, frame ${sequence}, ${moment(stamp_ns)}`}
+                >
+                    <Picture path={`${at(session)}/frames/${sequence}/image?size=thumbnail`} alt="" />
+                    <span>{sequence}</span>
+                </button>
+            ))}
+        </div>
+        {place.frames.length > MOST_FRAMES && <p class="quiet small">The first {MOST_FRAMES} of {plural(place.frames.length, "frame")}.</p>}
+        <dl class="facts">
+            <div><dt>learnt from</dt><dd>{plural(place.looks, "look")}, {plural(place.words, "word")}</dd></div>
+            {where && <div><dt>x, y</dt><dd>{where.x.toFixed(2)}, {where.y.toFixed(2)} m</dd></div>}
+            {where && <div><dt>heading</dt><dd>{((where.heading * 180) / Math.PI).toFixed(0)}°</dd></div>}
+            <div>
+                <dt>links</dt>
+                <dd class="links">{place.linked_place_numbers.length === 0 ? "none" : place.linked_place_numbers.map((linked) => <PlaceLink key={linked} number={linked} onPlace={onPlace} />)}</dd>
+            </div>
+        </dl>
+    </>;
+}
+
+function Label({ data, number, onLabels }: Pick<PlaceProps, "data" | "number" | "onLabels">) {
+    const label = data.labels.get(number) ?? "";
+    const [written, setWritten] = useState(label);
+    const [scope, setScope] = useState<Schemas["LabelScope"]>("place");
+    const [told, setTold] = useState<Error | "busy" | "saved" | "removed" | null>(null);
+    useEffect(() => setWritten(label), [label]);
+    const path = `${at(`${data.map.name}/places/${number}`)}/label`;
+    const attempt = async (act: () => Promise<"saved" | "removed">) => {
+        setTold("busy");
+        await act().then(setTold, (error: Error) => setTold(error));
+    };
+    const save = () => attempt(async () => {
+        const { labels } = await change<Schemas["SetLabelResponse"]>("PUT", path, { label: written, scope });
+        const next = new Map(data.labels);
+        for (const { place, label } of labels) next.set(Number(short(place)), label);
+        onLabels(next);
+        return "saved";
+    });
+    const remove = () => attempt(async () => {
+        await change("DELETE", path);
+        const next = new Map(data.labels);
+        next.delete(number);
+        onLabels(next);
+        return "removed";
+    });
+    return (
+        <form class="label" onSubmit={(event) => {
+            event.preventDefault();
+            void save();
+        }}>
+            <label>Label <input name="label" value={written} autoComplete="off" placeholder="none" onInput={(event) => setWritten(event.currentTarget.value)} /></label>
+            {data.graph && (
+                <label>For <select value={scope} onChange={(event) => setScope(event.currentTarget.value as Schemas["LabelScope"])}>
+                    <option value="place">this place</option><option value="space">all of its space</option>
+                </select></label>
+            )}
+            <button type="submit" disabled={told === "busy" || !written || (written === label && scope === "place")}>Save</button>
+            <button type="button" disabled={told === "busy" || !label} onClick={() => void remove()}>Remove</button>
+            {told instanceof Error ? <Refused error={told} /> : <span role="status" class="quiet">{told === "saved" || told === "removed" ? told : ""}</span>}
+        </form>
+    );
+}

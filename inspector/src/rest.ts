@@ -1,0 +1,106 @@
+// What the server is asked: typed by its own description, with the token that the person gave.
+import type { components } from "./rest_types";
+
+export type Schemas = components["schemas"];
+export type WayMap = Schemas["Map"];
+export type Place = Schemas["Place"];
+export type Session = Schemas["Session"];
+export type FrameRecord = Schemas["FrameRecord"];
+export type Explanation = Schemas["FrameExplanation"];
+export type LoopClosure = Schemas["LoopClosure"];
+export type Navigation = Schemas["Navigation"];
+export type AppearanceGraph = Schemas["AppearanceGraph"];
+
+/** What the server refused, in its own words. */
+export class Refusal extends Error {
+    constructor(readonly status: number, readonly code: string, message: string) {
+        super(message);
+    }
+}
+
+const TOKEN = "waypost-token";
+let tokenWanted: () => void = () => {};
+
+/** Whom to call when the server asks for a token. */
+export function whenTokenWanted(call: () => void) {
+    tokenWanted = call;
+}
+
+export const token = {
+    get: () => sessionStorage.getItem(TOKEN),
+    set: (secret: string) => sessionStorage.setItem(TOKEN, secret),
+    forget: () => sessionStorage.removeItem(TOKEN),
+};
+
+async function ask(path: string, init: RequestInit = {}): Promise<Response> {
+    const headers = new Headers(init.headers);
+    const secret = token.get();
+    if (secret) headers.set("authorization", `Bearer ${secret}`);
+    let answer: Response;
+    try {
+        // Without credentials the browser does not ask for a password by itself.
+        answer = await fetch(path, { ...init, headers, credentials: "omit" });
+    } catch (error) {
+        if (init.signal?.aborted) throw error;
+        throw new Refusal(0, "unreachable", "The server does not answer. Is it running, and reachable from here?");
+    }
+    if (answer.ok) return answer;
+    if (answer.status === 401) tokenWanted();
+    const body: unknown = await answer.json().catch(() => null);
+    const { code, message } = (body as Schemas["ErrorBody"] | null)?.error ?? {
+        code: "unknown",
+        message: `The server answered ${answer.status}.`,
+    };
+    throw new Refusal(answer.status, code, message);
+}
+
+export async function get<T>(path: string, signal?: AbortSignal): Promise<T> {
+    return (await ask(path, signal ? { signal } : {})).json();
+}
+
+export async function text(path: string, signal?: AbortSignal): Promise<string> {
+    return (await ask(path, signal ? { signal } : {})).text();
+}
+
+export async function blob(path: string, signal?: AbortSignal): Promise<Blob> {
+    return (await ask(path, signal ? { signal } : {})).blob();
+}
+
+/** Changes something: PUT with a body, DELETE without. */
+export async function change<T>(method: "PUT" | "DELETE", path: string, body?: unknown): Promise<T> {
+    const json = { "content-type": "application/json" };
+    return (await ask(path, body === undefined ? { method } : { method, headers: json, body: JSON.stringify(body) }))
+        .json();
+}
+
+const PAGE_SIZE = 1000;
+
+/** The pages of a list, one after the other. */
+export async function* pages<K extends string, T>(path: string, key: K, signal?: AbortSignal, size = PAGE_SIZE) {
+    for (let next = "", first = true; first || next; first = false) {
+        const more = next ? `&page_token=${encodeURIComponent(next)}` : "";
+        const page = await get<Record<K, T[]> & { next_page_token: string }>(`${path}?page_size=${size}${more}`, signal);
+        yield page[key] as T[];
+        next = page.next_page_token;
+    }
+}
+
+/** A list as a whole, of at most `most` elements where that is given. */
+export async function all<K extends string, T>(path: string, key: K, signal?: AbortSignal, most = Infinity) {
+    const found: T[] = [];
+    for await (const page of pages<K, T>(path, key, signal)) {
+        for (const one of page) found.push(one);
+        if (found.length >= most) break;
+    }
+    return found;
+}
+
+/** The last part of a resource's name, as in `maps/demo/sessions/MONDAY`. */
+export function short(name: string): string {
+    return name.slice(name.lastIndexOf("/") + 1);
+}
+
+/** The path of a resource: each part of its name percent-encoded. */
+export function at(name: string): string {
+    return `/v1/${name.split("/").map(encodeURIComponent).join("/")}`;
+}

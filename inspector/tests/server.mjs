@@ -1,0 +1,74 @@
+// Real servers for the tests of the page: the demo drives one, and leaves its map to another.
+import { execFile, spawn } from "node:child_process";
+import { mkdtempSync, rmSync } from "node:fs";
+import { readFile } from "node:fs/promises";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { fileURLToPath } from "node:url";
+import { promisify } from "node:util";
+
+export const REPOSITORY = fileURLToPath(new URL("../..", import.meta.url));
+const BINARIES = process.env.WAYPOST_BINARIES ?? join(REPOSITORY, "target/release");
+const run = promisify(execFile);
+
+export const folder = mkdtempSync(join(tmpdir(), "waypost-inspector-"));
+const running = new Set();
+
+/** Ends what the tests started, and leaves nothing behind. */
+export async function clean() {
+    await Promise.all([...running].map((child) => new Promise((ended) => {
+        child.once("exit", ended);
+        child.kill("SIGTERM");
+    })));
+    rmSync(folder, { recursive: true, force: true });
+}
+
+/** Until `look` finds something; servers on busy machines take their time. */
+export async function until(what, look, seconds = 120) {
+    for (const end = Date.now() + seconds * 1000; Date.now() < end;) {
+        const found = await look().catch(() => null);
+        if (found) return found;
+        await new Promise((later) => setTimeout(later, 100));
+    }
+    throw new Error(`${what} did not come within ${seconds} s`);
+}
+
+function start(program, args) {
+    const child = spawn(join(BINARIES, program), args, { cwd: REPOSITORY, stdio: ["ignore", "ignore", "pipe"] });
+    let said = "";
+    child.stderr.on("data", (text) => (said += text));
+    running.add(child);
+    child.ended = new Promise((resolve, reject) => child.once("exit", (code) => {
+        running.delete(child);
+        if (code === 0 || child.killed) resolve();
+        else reject(new Error(`${program} ended with ${code}: ${said.slice(-2000)}`));
+    }));
+    child.ended.catch(() => {});
+    return child;
+}
+
+const addresses = async (file) => JSON.parse(await readFile(file, "utf8"));
+
+/** The demo while it runs, with the server that it drives; `ended` once its robot has arrived. */
+export async function demo() {
+    const data = join(folder, "demo");
+    const child = start("waypost", ["demo", "--keep-data", data]);
+    const { http } = await Promise.race([
+        until("the demo's server", () => addresses(join(data, "ready.json"))),
+        child.ended.then(() => Promise.reject(new Error("the demo ended before its server was there"))),
+    ]);
+    return { url: `http://${http}`, data, ended: child.ended };
+}
+
+/** A server on a folder of data, with the command line for it. */
+export async function serve(data) {
+    const ready = join(folder, `ready-${Math.random().toString(36).slice(2)}.json`);
+    const free = ["--grpc-address", "127.0.0.1:0", "--http-address", "127.0.0.1:0"];
+    start("waypost-server", ["--data-dir", data, "--ready-file", ready, ...free]);
+    const { grpc, http } = await until("a server", () => addresses(ready));
+    const call = async (token, ...args) => {
+        const known = token ? ["--token", token] : [];
+        return (await run(join(BINARIES, "waypost"), ["--server", `http://${grpc}`, ...known, ...args], { cwd: REPOSITORY })).stdout;
+    };
+    return { url: `http://${http}`, call };
+}
