@@ -37,6 +37,9 @@ pub(crate) enum Failure {
     /// An argument does not fit the files, the map or the other arguments.
     #[error("{0}")]
     Unfit(String),
+    /// The server refused a goal after it had been set: no way leads there from where the robot is.
+    #[error("{0}")]
+    GoalRefused(String),
     #[error("{0}")]
     JobFailed(String),
     #[error("{0}")]
@@ -84,6 +87,7 @@ impl Failure {
     pub(crate) fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Failure::Client(error) => client_exit_code(error),
+            Failure::GoalRefused(_) => 4,
             Failure::FramesRefused { .. } => 5,
             Failure::Images(_)
             | Failure::Odometry { .. }
