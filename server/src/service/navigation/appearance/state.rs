@@ -86,10 +86,12 @@ impl State {
             }
             (Some(_), Some(heading)) => heading.status,
         };
-        let is_led = heading.is_some_and(|heading| heading.leads_at(stamp_ns));
+        let leading = heading.filter(|heading| heading.leads_at(stamp_ns));
         let waits = view.is_some_and(|view| view.unjoined.is_some());
         let [forward_m_s, turn_rad_s] = match status {
-            Status::Following | Status::Searching | Status::Lost | Status::Blocked if is_led && !waits => {
+            Status::Following | Status::Searching | Status::Lost | Status::Blocked
+                if leading.is_some() && !waits =>
+            {
                 steering.steer(view.and_then(|view| view.heading_rad))
             }
             Status::Following
@@ -109,7 +111,7 @@ impl State {
             heading_to_target_rad: None,
             reason: None,
         };
-        let waiting = self.waiting(status, is_led);
+        let waiting = self.waiting(status, leading);
         let told = Told { stamp_ns, guidance, appearance: view, waiting };
         self.told = Some(told);
         told
@@ -118,12 +120,12 @@ impl State {
 
 impl State {
     /// Why a robot that is led by looks is not on its way.
-    fn waiting(&self, status: Status, is_led: bool) -> Option<Waiting> {
+    fn waiting(&self, status: Status, leading: Option<Heading>) -> Option<Waiting> {
         match status {
             Status::Idle => Some(Waiting::NoGoal),
             Status::Arrived => None,
             Status::Blocked if self.body() == Body::Held => Some(Waiting::Reflex),
-            Status::Following | Status::Searching | Status::Lost | Status::Blocked if !is_led => {
+            Status::Following | Status::Searching | Status::Lost | Status::Blocked if leading.is_none() => {
                 Some(Waiting::Panorama)
             }
             Status::Following | Status::Blocked => None,
