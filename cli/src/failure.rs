@@ -77,6 +77,9 @@ impl Failure {
                 "\nname the authority of the server's certificate with --ca or WAYPOST_CA; \
                  if the server asks for one of yours, give --client-cert and --client-key"
             }
+            Failure::Client(Error::Connection { reason, .. }) if reason.contains("InvalidContentType") => {
+                "\nthat server speaks no TLS: name it with http://, or have it started with a certificate"
+            }
             Failure::Client(Error::Connection { .. }) => {
                 "\nstart a server with `make serve`, or name another with --server or WAYPOST_SERVER"
             }

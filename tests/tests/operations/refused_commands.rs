@@ -1,6 +1,6 @@
 //! What a mistaken command says; a command that is refused has done nothing.
 
-use crate::harness::{CommandLine, folder, path};
+use crate::harness::{Built, CommandLine, folder, path, run_to_its_end};
 
 #[test]
 fn a_command_that_cannot_write_its_file_asks_the_server_for_nothing() {
@@ -38,6 +38,20 @@ fn a_command_that_cannot_write_its_file_asks_the_server_for_nothing() {
     assert_eq!(waypost.json(&["map", "ls"]), before);
     assert_eq!(waypost.json(&["merge", "ls"])["merges"].as_array().unwrap().len(), 0);
     assert_eq!(waypost.json(&["session", "ls", "drive"])["sessions"].as_array().unwrap().len(), 0);
+}
+
+#[test]
+fn a_server_without_tls_is_told_from_one_that_is_not_there() {
+    let waypost = CommandLine::new();
+    let encrypted = waypost.endpoint().replace("http://", "https://");
+    let mut command = Built::command("waypost");
+    command.args(["map", "ls", "--server", &encrypted]);
+    let output = run_to_its_end(command);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        output.status.code() == Some(3) && said.contains("speaks no TLS: name it with http://"),
+        "{said}"
+    );
 }
 
 #[test]
