@@ -1,8 +1,8 @@
 # `make demo` and `make test` need nothing but Rust on a Debian machine: `setup` installs the rest.
 
 CARGO ?= cargo
-# The map that the demo left behind, if there is one.
-DATA_DIR ?= $(if $(wildcard demo-data),demo-data,waypost-data)
+# A demo's map is served with DATA_DIR=demo-data.
+DATA_DIR ?= waypost-data
 TARGET := $(or $(CARGO_TARGET_DIR),target)/release
 # Where the Python client is tested in, with every version pinned.
 PYTHON := $(abspath $(or $(CARGO_TARGET_DIR),target)/python)

@@ -37,6 +37,9 @@ pub(crate) enum Failure {
     /// An argument does not fit the files, the map or the other arguments.
     #[error("{0}")]
     Unfit(String),
+    /// The server refused a goal after it had been set: no way leads there from where the robot is.
+    #[error("{0}")]
+    GoalRefused(String),
     #[error("{0}")]
     JobFailed(String),
     #[error("{0}")]
@@ -74,6 +77,9 @@ impl Failure {
                 "\nname the authority of the server's certificate with --ca or WAYPOST_CA; \
                  if the server asks for one of yours, give --client-cert and --client-key"
             }
+            Failure::Client(Error::Connection { reason, .. }) if reason.contains("InvalidContentType") => {
+                "\nthat server speaks no TLS: name it with http://, or have it started with a certificate"
+            }
             Failure::Client(Error::Connection { .. }) => {
                 "\nstart a server with `make serve`, or name another with --server or WAYPOST_SERVER"
             }
@@ -84,6 +90,7 @@ impl Failure {
     pub(crate) fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Failure::Client(error) => client_exit_code(error),
+            Failure::GoalRefused(_) => 4,
             Failure::FramesRefused { .. } => 5,
             Failure::Images(_)
             | Failure::Odometry { .. }

@@ -1,4 +1,6 @@
-//! Files that a command writes.
+//! Files that a command writes, and what it removes.
+
+use std::io::{self, IsTerminal, Write};
 
 use std::path::{Path, PathBuf};
 
@@ -9,6 +11,41 @@ use crate::failure::Failure;
 pub(crate) enum Replacing {
     Allowed,
     Refused,
+}
+
+/// Whether people are asked before something is lost for good.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Asking {
+    OnATerminal,
+    Never,
+}
+
+impl Asking {
+    pub(crate) fn unless(yes: bool) -> Self {
+        if yes { Self::Never } else { Self::OnATerminal }
+    }
+
+    /// Scripts are not asked: nobody would answer.
+    ///
+    /// # Errors
+    /// [`Failure`] if somebody says no.
+    pub(crate) fn confirm(self, question: &str) -> Result<(), Failure> {
+        if self == Self::Never || !io::stdin().is_terminal() || !io::stderr().is_terminal() {
+            return Ok(());
+        }
+        // If stderr is closed, nobody sees the question, and silence is no yes.
+        let _ = write!(io::stderr(), "{question} [y/N] ");
+        let mut answer = String::new();
+        io::stdin().read_line(&mut answer).map_err(Failure::file("read", Path::new("the answer")))?;
+        agreed(&answer)
+    }
+}
+
+fn agreed(answer: &str) -> Result<(), Failure> {
+    match answer.trim().to_lowercase().as_str() {
+        "y" | "yes" => Ok(()),
+        _ => Err(Failure::Unfit("nothing was done; answer y, or give --yes".to_owned())),
+    }
 }
 
 impl Replacing {
@@ -28,6 +65,27 @@ impl Replacing {
         Ok(())
     }
 
+    /// The same for a file that a command may write at its end. Before a server is asked for anything, so that a command
+    /// that is refused has done nothing.
+    ///
+    /// # Errors
+    /// [`Failure`] if it may not be written, or there is no folder for it.
+    pub(crate) fn check_wanted(self, path: Option<&Path>) -> Result<(), Failure> {
+        let Some(path) = path else { return Ok(()) };
+        self.check(path)?;
+        if path.is_dir() {
+            return Err(Failure::Unfit(format!("{} is a folder; name a file", path.display())));
+        }
+        match path.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir()) {
+            Some(folder) => Err(Failure::Unfit(format!(
+                "there is no folder {} for {}; create it, or choose another",
+                folder.display(),
+                path.display()
+            ))),
+            None => Ok(()),
+        }
+    }
+
     /// Writes a file that appears under its name only when it is complete.
     ///
     /// # Errors
@@ -39,5 +97,36 @@ impl Replacing {
         let partial = PathBuf::from(partial);
         std::fs::write(&partial, content).map_err(Failure::file("write", &partial))?;
         std::fs::rename(&partial, path).map_err(Failure::file("write", path))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn silence_is_no_yes() {
+        for (answer, yes) in
+            [("y\n", true), ("YES\n", true), ("", false), ("\n", false), ("n\n", false), ("yell", false)]
+        {
+            assert_eq!(agreed(answer).is_ok(), yes, "{answer:?}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_found_before_anything_is_done() {
+        let folder = tempfile::tempdir().unwrap();
+        let there = folder.path().join("there.svg");
+        std::fs::write(&there, b"x").unwrap();
+        let said = |replacing: Replacing, path: &Path| {
+            replacing.check_wanted(Some(path)).map_err(|refused| refused.to_string())
+        };
+        assert!(said(Replacing::Refused, &there).unwrap_err().contains("--force"));
+        assert_eq!(said(Replacing::Allowed, &there), Ok(()));
+        assert!(said(Replacing::Allowed, folder.path()).unwrap_err().contains("is a folder"));
+        let nowhere = folder.path().join("nowhere/new.svg");
+        assert!(said(Replacing::Refused, &nowhere).unwrap_err().contains("there is no folder"));
+        assert_eq!(said(Replacing::Refused, &folder.path().join("new.svg")), Ok(()));
+        assert_eq!(said(Replacing::Refused, Path::new("new-file-in-this-folder.svg")), Ok(()));
     }
 }

@@ -1,4 +1,6 @@
-//! Images of a folder, in the order of their names.
+//! Images of a folder, in the order of their names: frame2 before frame10.
+
+use std::cmp::Ordering;
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +25,7 @@ pub(crate) enum ListingError {
     Unreadable { path: PathBuf, source: std::io::Error },
 }
 
-/// The images in `folder/images`, or else in `folder`, sorted by name, byte by byte.
+/// The images in `folder/images`, or else in `folder`, sorted by name, with numbers in it as numbers.
 pub(crate) fn images_of(folder: &Path) -> Result<Vec<ImageFile>, ListingError> {
     if !folder.exists() {
         return Err(ListingError::Missing(folder.to_owned()));
@@ -45,8 +47,41 @@ pub(crate) fn images_of(folder: &Path) -> Result<Vec<ImageFile>, ListingError> {
     if images.is_empty() {
         return Err(ListingError::NoImages(folder));
     }
-    images.sort_by(|one, other| one.path.cmp(&other.path));
+    images.sort_by(|one, other| natural_order(&one.name, &other.name).then(one.path.cmp(&other.path)));
     Ok(images)
+}
+
+/// As people count: numbers by their value, all else byte by byte.
+fn natural_order(one: &str, other: &str) -> Ordering {
+    let (mut one, mut other) = (one.as_bytes(), other.as_bytes());
+    loop {
+        let [digits, other_digits] =
+            [one, other].map(|text| text.iter().take_while(|byte| byte.is_ascii_digit()).count());
+        if digits > 0 && other_digits > 0 {
+            let (number, rest) = one.split_at(digits);
+            let (other_number, other_rest) = other.split_at(other_digits);
+            let [number, other_number] = [number, other_number].map(without_zeros);
+            let order = number.len().cmp(&other_number.len()).then(number.cmp(other_number));
+            if order != Ordering::Equal {
+                return order;
+            }
+            (one, other) = (rest, other_rest);
+            continue;
+        }
+        let (Some((first, rest)), Some((other_first, other_rest))) = (one.split_first(), other.split_first())
+        else {
+            return one.len().cmp(&other.len());
+        };
+        if first != other_first {
+            return first.cmp(other_first);
+        }
+        (one, other) = (rest, other_rest);
+    }
+}
+
+fn without_zeros(digits: &[u8]) -> &[u8] {
+    let zeros = digits.iter().take_while(|digit| **digit == b'0').count();
+    &digits[zeros..]
 }
 
 fn is_image(path: &Path) -> bool {
@@ -75,6 +110,14 @@ mod tests {
         let folder = folder_of(&["b.png", "a.JPG", "c.jpeg", "loops.csv", "README.md"]);
         std::fs::create_dir(folder.path().join("d.jpg")).unwrap();
         assert_eq!(names(folder.path()), ["a.JPG", "b.png", "c.jpeg"]);
+    }
+
+    #[test]
+    fn numbers_in_names_count_as_numbers() {
+        let folder =
+            folder_of(&["frame10.png", "frame2.png", "frame1.png", "frame002b.png", "g.png", "frame.png"]);
+        let sorted = ["frame.png", "frame1.png", "frame2.png", "frame002b.png", "frame10.png", "g.png"];
+        assert_eq!(names(folder.path()), sorted);
     }
 
     #[test]

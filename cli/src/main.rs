@@ -4,9 +4,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
-use commands::{demo, explain, job, map, merge, model, navigate, query, session, stream, token};
+use commands::{demo, explain, job, map, merge, model, navigate, query, session, shell, stream, token};
 use failure::{EXIT_CODES, Failure};
 use output::Output;
 use waypost_client::ClientOptions;
@@ -117,6 +117,8 @@ enum Command {
     Explain(explain::Arguments),
     Navigate(navigate::Arguments),
     Demo(demo::Arguments),
+    Completions(shell::Completions),
+    Man(shell::Manual),
 }
 
 fn main() -> ExitCode {
@@ -161,13 +163,13 @@ async fn run(Arguments { globals, command }: Arguments) -> Result<(), Failure> {
         Command::Token(command) => token::run(command, &server, output).await,
         Command::Stream(arguments) => stream::run(arguments, &server, output).await,
         Command::Demo(arguments) => demo::run(arguments, output).await,
+        Command::Completions(asked) => shell::completions(&asked, Arguments::command()),
+        Command::Man(asked) => shell::manual(&asked, Arguments::command()),
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
-
     use super::*;
 
     #[test]

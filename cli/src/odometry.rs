@@ -35,6 +35,14 @@ pub(crate) enum OdometryError {
     Columns { line: usize, found: usize, columns: &'static [&'static str] },
     #[error("line {line}: `{text}` is no number for {column}; write a finite number")]
     Number { line: usize, column: &'static str, text: String },
+    #[error(
+        "line {line}: the stamp `{text}` is no whole number of nanoseconds; write seconds x 1000000000, without a point"
+    )]
+    WholeNanoseconds { line: usize, text: String },
+    #[error(
+        "line {line}: columns are parted by semicolons; part them by commas, under the header `stamp_ns,x_m,y_m,yaw_rad`"
+    )]
+    Semicolons { line: usize },
     #[error("line {line}: the quaternion (qx, qy, qz, qw) has length {length:.4}; it has to be 1")]
     NotARotation { line: usize, length: f64 },
     #[error("line {line}: the stamp is not above 0; add the same time to all stamps")]
@@ -53,6 +61,7 @@ pub(crate) fn parse(text: &str) -> Result<Vec<StampedPose>, OdometryError> {
         .peekable();
     let poses = match rows.peek() {
         None => return Err(OdometryError::Empty),
+        Some((line, row)) if row.contains(';') => return Err(OdometryError::Semicolons { line: *line }),
         Some((line, header)) if header.contains(',') => {
             if !header.split(',').map(str::trim).eq(CSV_HEADER) {
                 return Err(OdometryError::Header { line: *line, found: (*header).to_owned() });
@@ -84,7 +93,8 @@ pub(crate) fn parse(text: &str) -> Result<Vec<StampedPose>, OdometryError> {
 
 fn csv_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
     let [stamp_ns, x, y, yaw] = fields(line, row.split(','), &CSV_HEADER)?;
-    let stamp_ns = stamp_ns.parse().map_err(|_| not_a_number(line, CSV_HEADER[0], stamp_ns))?;
+    let stamp_ns =
+        stamp_ns.parse().map_err(|_| OdometryError::WholeNanoseconds { line, text: stamp_ns.to_owned() })?;
     let [x, y, yaw] = numbers(line, [x, y, yaw], [CSV_HEADER[1], CSV_HEADER[2], CSV_HEADER[3]])?;
     let (z, w) = (yaw / 2.0).sin_cos();
     let position_m = Vector3 { x, y, z: 0.0 };
@@ -200,7 +210,9 @@ mod tests {
         assert!(matches!(parse("\nt,x,y,yaw\n").unwrap_err(), OdometryError::Header { line: 2, .. }));
         assert!(matches!(csv("1,0,0,0\n2,0,0\n"), OdometryError::Columns { line: 3, found: 3, .. }));
         assert!(matches!(csv("1,nan,0,0"), OdometryError::Number { line: 2, column: "x_m", .. }));
-        assert!(matches!(csv("1.5,0,0,0"), OdometryError::Number { line: 2, column: "stamp_ns", .. }));
+        assert!(csv("1.5,0,0,0").to_string().contains("whole number of nanoseconds"));
+        let semicolons = parse("stamp_ns;x_m;y_m;yaw_rad\n1;0;0;0\n").unwrap_err();
+        assert_eq!(semicolons, OdometryError::Semicolons { line: 1 });
         assert_eq!(csv("1,0,0,0\n2,0,0,0\n2,0,0,0\n"), OdometryError::NotRising { line: 4 });
         assert_eq!(csv("0,0,0,0\n1,0,0,0\n"), OdometryError::NotPositive { line: 2 });
         let skewed = parse("1 0 0 0 0 0 0 2").unwrap_err();

@@ -7,8 +7,10 @@
 //! plans, when [`Navigator::wanted_route`] asks for it.
 
 mod commands;
+mod following;
 mod guidance;
 pub mod localization;
+mod obstacles;
 pub mod path;
 pub mod planning;
 mod pose_filter;
@@ -21,7 +23,10 @@ mod tasks;
 use std::sync::Arc;
 
 use self::commands::CommandsOnTheWay;
-pub use self::guidance::{Driver, Guidance, Localization, Status, WantedRoute, WheelReport};
+use self::following::{MotionWatch, SlipWatch};
+pub use self::guidance::{
+    Driver, Guidance, Localization, LostBecause, Obstacle, Reason, Status, WantedRoute, WheelReport,
+};
 pub use self::localization::{Closure, Look, Lookout, Sight};
 use self::path::GlobalPath;
 pub use self::planning::{Goal, MapPosition, PlanError, Route};
@@ -30,13 +35,12 @@ use self::pose_filter::{Estimate, PoseFilter};
 pub use self::settings::{NavigationSettings, NavigationSettingsError};
 use self::steering::Steering;
 pub use self::steering::VelocityCommand;
-use self::supervision::{Motion, MotionWatch, UnknownLooks};
+use self::supervision::UnknownLooks;
 use self::tasks::{Journey, LookAround, Task};
 use posegraph::{PlanarPose, Pose};
 
-/// Leads one robot. Time is that of a clock that never goes back, in nanoseconds: the receiver's
-/// where it says `now_ns`, the robot's where it says `stamp_ns`; the two are never compared. The
-/// same calls give the same commands.
+/// Leads one robot. Time is the robot's alone, by the stamps of what it sends, in nanoseconds: its
+/// clock never goes back, and may run at any speed. The same calls give the same commands.
 #[derive(Clone, Debug)]
 pub struct Navigator {
     settings: NavigationSettings,
@@ -60,7 +64,11 @@ pub struct Navigator {
     steering: Steering,
     commands: CommandsOnTheWay,
     watch: MotionWatch,
+    slip: SlipWatch,
 }
+
+/// Wheels that turn slower than this stand, in m/s.
+const CREEPING_M_S: f64 = 0.02;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Reading {
@@ -90,6 +98,7 @@ impl Navigator {
             steering: Steering::default(),
             commands: CommandsOnTheWay::default(),
             watch: MotionWatch::default(),
+            slip: SlipWatch::default(),
         })
     }
 
@@ -168,11 +177,16 @@ impl Navigator {
         };
         let shown = (closure, &look.glimpses);
         let seen = self.filter.see(shown, (look.stamp_ns, odometry), &self.settings.localization);
-        if look.sight == Sight::Unknown && self.should_recognise(odometry) {
-            self.unknown.add(self.driver, self.since_closure_m);
-            if self.unknown.are_too_many(&self.settings.supervision) {
-                self.lose(self.closed_at);
+        if let Some(shown) = self.unrecognised(&look.sight)
+            && self.should_recognise(odometry)
+        {
+            self.unknown.add(shown, self.driver, self.since_closure_m);
+            if let Some(because) = self.unknown.too_many(&self.settings.supervision) {
+                self.lose(self.closed_at, because);
             }
+        }
+        if let Some(closure) = closure {
+            self.watch_slip((look.stamp_ns, odometry), &closure.at.pose);
         }
         match seen {
             Seen::Corrected => self.closed(odometry),
@@ -185,34 +199,35 @@ impl Navigator {
                     Task::Nothing | Task::Plan { .. } | Task::Arrived => {}
                 }
             }
-            Seen::Kidnapped => self.lose(None),
+            Seen::Kidnapped => self.lose(None, LostBecause::CarriedOff),
             Seen::Unconfirmed | Seen::Stale | Seen::Nothing => {}
         }
         seen
     }
 
     /// Answers the robot's odometry with a command.
-    pub fn drive(&mut self, report: &WheelReport, now_ns: i64) -> Guidance {
+    pub fn drive(&mut self, report: &WheelReport) -> Guidance {
         let odometry = PlanarPose::seen_from_above(report.odometry.pose());
         let (elapsed_s, moved) = self.take(report.stamp_ns, odometry);
         self.driver = report.driver;
-        self.commands.forget_obeyed(report.obeyed);
-        if self.is_too_unsure() {
-            self.lose(self.closed_at);
+        let obeyed = self.commands.obey(report.obeyed);
+        if let Some(driven_m) = self.is_too_unsure() {
+            self.lose(self.closed_at, LostBecause::Far { driven_m });
         }
         if let (Task::LookAround(looks), Driver::Reflex) = (&mut self.task, report.driver) {
             looks.back_to = None;
         }
-        let (wanted, mut status, heading_to_target_rad) = self.wanted_motion(elapsed_s, moved, now_ns);
-        let motion = match self.watch.judge(wanted, &odometry, now_ns, &self.settings) {
-            Motion::Free => wanted,
-            Motion::Waiting => {
-                status = Status::Blocked;
-                [0.0; 2]
-            }
+        let (wanted, status, heading_to_target_rad) = self.wanted_motion(elapsed_s, moved, report.stamp_ns);
+        let reason = self.reason(status);
+        let obeyed = match report.driver {
+            Driver::Commands => obeyed,
+            Driver::Reflex => [0.0; 2],
         };
+        let (motion, mut status, mut reason) = self
+            .held((obeyed, wanted), (report.stamp_ns, &odometry), elapsed_s)
+            .map_or((wanted, status, reason), |(motion, held)| (motion, Status::Blocked, Some(held)));
         if report.driver == Driver::Reflex && status != Status::Idle {
-            status = Status::Blocked;
+            (status, reason) = (Status::Blocked, Some(Reason::Reflex));
         }
         let localization = self.localization();
         let remaining_m = match &self.task {
@@ -220,8 +235,8 @@ impl Navigator {
             Task::Face { .. } | Task::Arrived => Some(0.0),
             Task::Nothing | Task::LookAround(_) | Task::Plan { .. } => None,
         };
-        let command = self.commands.give(motion, now_ns, self.settings.steering.valid_ns);
-        Guidance { command, status, localization, remaining_m, heading_to_target_rad }
+        let command = self.commands.give(motion, report.stamp_ns, self.settings.steering.valid_ns);
+        Guidance { command, status, localization, remaining_m, heading_to_target_rad, reason }
     }
 
     /// Where the robot is now, if that is known.
@@ -249,14 +264,16 @@ impl Navigator {
         if self.estimate().is_some() {
             Task::Plan { goal }
         } else {
-            Task::LookAround(LookAround { goal, since_ns: None, back_to: None, turned_rad: 0.0 })
+            let because = LostBecause::NotFoundYet;
+            Task::LookAround(LookAround { goal, because, since_ns: None, back_to: None, turned_rad: 0.0 })
         }
     }
 
     /// Nothing that was believed counts any more. `back_to` is where the robot last knew, by its
     /// wheels.
-    fn lose(&mut self, back_to: Option<PlanarPose>) {
+    fn lose(&mut self, back_to: Option<PlanarPose>, because: LostBecause) {
         self.filter.forget();
+        self.slip.forget();
         self.episode += 1;
         (self.since_closure_m, self.unknown, self.evidence) = (0.0, UnknownLooks::default(), 0.0);
         let goal = match &self.task {
@@ -272,7 +289,7 @@ impl Navigator {
             (way.x_m().hypot(way.y_m()) <= reach_m).then_some(back_to)
         });
         self.steering.reset();
-        self.task = Task::LookAround(LookAround { goal, since_ns: None, back_to, turned_rad: 0.0 });
+        self.task = Task::LookAround(LookAround { goal, because, since_ns: None, back_to, turned_rad: 0.0 });
     }
 
     /// Seconds by the robot's clock, and metres and radians, since the odometry before.
@@ -282,7 +299,11 @@ impl Navigator {
         let moved = before.odometry.inverse().compose(&odometry);
         let way_m = moved.x_m().hypot(moved.y_m());
         self.since_closure_m += way_m;
-        let elapsed_s = (stamp_ns.saturating_sub(before.stamp_ns)) as f64 * 1e-9;
+        let elapsed_ns = stamp_ns.saturating_sub(before.stamp_ns).max(0);
+        let elapsed_s = elapsed_ns as f64 * 1e-9;
+        if way_m > CREEPING_M_S * elapsed_s {
+            self.unknown.drive(elapsed_ns);
+        }
         (elapsed_s.clamp(0.0, 1.0), [way_m, moved.heading_rad()])
     }
 
@@ -327,13 +348,13 @@ impl Navigator {
         }
     }
 
-    fn is_too_unsure(&self) -> bool {
+    /// How far it has driven without a closure, if that is too far.
+    fn is_too_unsure(&self) -> Option<f64> {
         let supervision = &self.settings.supervision;
-        self.estimate().is_some_and(|estimate| {
-            let unsure = estimate.position_sigma_m() > supervision.lost_sigma_m;
-            let driven_m = self.since_closure_m;
-            unsure && driven_m > supervision.searching_m || driven_m > supervision.lost_m
-        })
+        let unsure = self.estimate()?.position_sigma_m() > supervision.lost_sigma_m;
+        let driven_m = self.since_closure_m;
+        let too_unsure = unsure && driven_m > supervision.searching_m || driven_m > supervision.lost_m;
+        too_unsure.then_some(driven_m)
     }
 
     /// Where the robot will be when the next command comes to it.

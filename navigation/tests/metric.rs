@@ -7,7 +7,9 @@ mod led_robot;
 use posegraph::PlanarPose;
 use proptest::prelude::*;
 use waypost_navigation::metric::planning::PlanError;
-use waypost_navigation::metric::{Driver, Goal, Look, NavigationSettings, Seen, Sight, Status, WheelReport};
+use waypost_navigation::metric::{
+    Driver, Goal, Look, LostBecause, NavigationSettings, Obstacle, Reason, Seen, Sight, Status, WheelReport,
+};
 
 use led_robot::{Fixes, LENGTH_M, NOTHING, STEPS_PER_FRAME, World, odometry};
 
@@ -136,26 +138,121 @@ fn carried_off_it_forgets_finds_out_and_wants_another_plan() {
     assert_eq!(world.navigator.see(&old), Seen::Stale);
 }
 
-#[test]
-fn a_robot_that_does_not_move_is_blocked_and_tries_again() {
-    let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
-    world.run(60);
-    let mut statuses = Vec::new();
-    for _ in 0..120 {
-        world.advance(true, false);
-        statuses.push(world.last.unwrap());
+/// The first guidance of that status, and how long it took, in seconds of the robot's.
+fn until(world: &mut World, status: Status, limit_s: f64, moves: bool) -> f64 {
+    let began_ns = world.stamp_ns();
+    let elapsed_s = |world: &World| (world.stamp_ns() - began_ns) as f64 * 1e-9;
+    while world.status() != status {
+        world.advance(true, moves);
+        assert!(elapsed_s(world) < limit_s, "{:?} after {limit_s} s", world.last);
     }
-    let blocked: Vec<_> = statuses.iter().filter(|guidance| guidance.status == Status::Blocked).collect();
-    assert!(!blocked.is_empty());
-    assert!(
-        blocked
-            .iter()
-            .all(|guidance| guidance.command.forward_m_s == 0.0 && guidance.command.turn_rad_s == 0.0)
-    );
-    let first = statuses.iter().position(|guidance| guidance.status == Status::Blocked).unwrap();
-    assert!(statuses[first..].iter().any(|guidance| guidance.command.forward_m_s > 0.0));
-    world.run(1500);
+    elapsed_s(world)
+}
+
+fn speed(world: &World) -> [f64; 2] {
+    world.last.map_or([0.0; 2], |told| [told.command.forward_m_s, told.command.turn_rad_s])
+}
+
+/// Late by up to 0.5 s each way. The wheels are held: it is told to stop within 2 s, goes back a little, and tries again.
+#[test]
+fn a_robot_that_presses_against_something_is_stopped_backs_off_and_tries_again() {
+    for delay_steps in [0, 6, 10] {
+        let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+        world.delay_steps = delay_steps;
+        world.run(100);
+        assert_eq!(world.status(), Status::Following);
+        let late_s = 2.0 * delay_steps as f64 * 0.05;
+        let noticed_s = until(&mut world, Status::Blocked, 2.0 + late_s, false);
+        assert!(noticed_s > 1.0, "{noticed_s} s");
+        assert_eq!(speed(&world), [0.0; 2]);
+        assert_eq!(world.last.unwrap().reason, Some(Reason::Held(Obstacle::WheelsStand)));
+        // It waits, and then goes back: that way it is free.
+        let held_m = world.truth.x_m();
+        let mut told = Vec::new();
+        while !told.iter().any(|forward_m_s| *forward_m_s > 0.0) {
+            let moves = speed(&world)[0] <= 0.0;
+            world.advance(true, moves);
+            told.push(speed(&world)[0]);
+            assert!(told.len() < 400, "it does not try again");
+        }
+        assert!(told.iter().any(|forward_m_s| *forward_m_s < 0.0));
+        let back_m = held_m - world.truth.x_m();
+        assert!((0.2..0.7).contains(&back_m), "{back_m} m back");
+        world.run(1500);
+        assert_eq!(world.status(), Status::Arrived);
+    }
+}
+
+/// Nothing moves it, forwards or back: it stands for longer and longer, and is told of as blocked all along.
+#[test]
+fn a_robot_that_stays_held_is_left_in_peace_more_and_more() {
+    let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+    world.run(100);
+    let mut pressed_s = Vec::new();
+    for _ in 0..3 {
+        let mut pressed = 0_u32;
+        for _ in 0..400 {
+            world.advance(true, false);
+            pressed += u32::from(speed(&world) != [0.0; 2]);
+        }
+        pressed_s.push(f64::from(pressed) * 0.05);
+    }
+    assert!(pressed_s[2] < pressed_s[0] && pressed_s[2] < 6.0, "{pressed_s:?} s of each 20 s");
+    assert!(matches!(world.status(), Status::Blocked | Status::Following | Status::Searching));
+}
+
+#[test]
+fn wheels_that_slip_before_what_is_known_are_found_by_what_stays_in_view() {
+    let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Noisy(0.08));
+    world.delay_steps = 6;
+    world.run(150);
+    world.slips = true;
+    let noticed_s = until(&mut world, Status::Blocked, 6.0, true);
+    assert!(noticed_s > 2.0, "{noticed_s} s");
+    assert_eq!(world.last.unwrap().reason, Some(Reason::Held(Obstacle::WheelsSlip)));
+    assert_eq!(speed(&world), [0.0; 2]);
+    world.slips = false;
+    world.run(1800);
     assert_eq!(world.status(), Status::Arrived);
+}
+
+/// Frames that show too little count as not recognised, and so does time: metres are what the wheels make of it.
+#[test]
+fn before_a_bare_wall_it_is_lost_within_ten_seconds_and_stands() {
+    let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+    world.delay_steps = 6;
+    world.run(150);
+    (world.slips, world.sees_bare_walls) = (true, true);
+    let lost_s = until(&mut world, Status::Lost, 10.0, true);
+    assert!(lost_s > 5.0, "{lost_s} s");
+    assert_eq!(speed(&world), [0.0; 2]);
+    let Some(Reason::Lost(LostBecause::NothingRecognised { frames, driven_ns })) = world.last.unwrap().reason
+    else {
+        panic!("{:?}", world.last)
+    };
+    assert!(frames >= 8 && driven_ns >= 6_000_000_000);
+    // One that stands in the dark is still where it was.
+    let mut stands = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+    stands.run(1500);
+    stands.sees_bare_walls = true;
+    (0..2000).for_each(|_| stands.advance(true, true));
+    assert!(stands.navigator.localization().is_some());
+}
+
+#[test]
+fn why_it_stands_is_said() {
+    let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+    world.advance(false, true);
+    let said =
+        |world: &World| world.last.unwrap().reason.map_or_else(String::new, |reason| reason.to_string());
+    assert!(said(&world).contains("recognised no place of the map yet: it looks around"), "{}", said(&world));
+    world.run(100);
+    assert_eq!(said(&world), "");
+    (0..80).for_each(|_| world.advance(false, true));
+    assert!(said(&world).contains("it goes on by its wheels"), "{}", said(&world));
+    world.navigator.cancel();
+    world.advance(false, true);
+    assert!(said(&world).contains("no goal"), "{}", said(&world));
 }
 
 #[test]
@@ -168,9 +265,9 @@ fn a_reflex_is_told_of_and_a_cancelled_robot_stands() {
         obeyed: None,
         driver: Driver::Reflex,
     };
-    assert_eq!(world.navigator.drive(&report, 1 << 60).status, Status::Blocked);
+    assert_eq!(world.navigator.drive(&report).status, Status::Blocked);
     world.navigator.cancel();
-    let guidance = world.navigator.drive(&report, (1 << 60) + 1);
+    let guidance = world.navigator.drive(&report);
     assert_eq!(
         (guidance.status, guidance.command.forward_m_s, guidance.command.turn_rad_s),
         (Status::Idle, 0.0, 0.0)

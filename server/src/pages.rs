@@ -30,6 +30,29 @@ pub(crate) fn numbered_page<T: TryFrom<u64>>(token: &str) -> Result<Option<T>, S
     page.map(Some).ok_or_else(bad_page_token)
 }
 
+/// The token of a page that begins after a name: bytes in hex, so that nobody takes a name for one.
+pub(crate) fn page_after(name: &str) -> String {
+    name.bytes().fold(AFTER.to_owned(), |token, byte| format!("{token}{byte:02x}"))
+}
+
+/// The name that a page begins after; empty for the first page.
+pub(crate) fn named_page(token: &str) -> Result<String, ServiceError> {
+    if token.is_empty() {
+        return Ok(String::new());
+    }
+    let digits = token.strip_prefix(AFTER).filter(|digits| !digits.is_empty()).ok_or_else(bad_page_token)?;
+    let byte = |pair: &[u8]| {
+        let pair = std::str::from_utf8(pair).ok().filter(|pair| pair.len() == 2)?;
+        u8::from_str_radix(pair, 16).ok()
+    };
+    let bytes: Option<Vec<u8>> = digits.as_bytes().chunks(2).map(byte).collect();
+    let name = bytes.and_then(|bytes| String::from_utf8(bytes).ok()).ok_or_else(bad_page_token)?;
+    if page_after(&name) == token { Ok(name) } else { Err(bad_page_token()) }
+}
+
+/// Begins the token of a page after a name.
+const AFTER: &str = "after-";
+
 pub(crate) fn bad_page_token() -> ServiceError {
     ServiceError::invalid("the page token is not one that this server gave; begin again without one")
 }
@@ -43,6 +66,18 @@ mod tests {
         assert_eq!((numbered_page::<u32>(""), numbered_page("7")), (Ok(None), Ok(Some(7_u32))));
         for bad in ["+7", "07", "-1", " 7", "7.0", "4294967296", "maps/a"] {
             assert!(numbered_page::<u32>(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_name_is_no_page_token() {
+        for name in ["a", "drive-7", "maps/hall/navigations/robot"] {
+            assert_eq!(named_page(&page_after(name)), Ok(name.to_owned()));
+            assert_eq!(named_page(name), Err(bad_page_token()));
+        }
+        assert_eq!(named_page(""), Ok(String::new()));
+        for bad in ["junk", "after-", "after-6", "after-zz", "after-6A", "after-+1", "7"] {
+            assert!(named_page(bad).is_err(), "{bad}");
         }
     }
 

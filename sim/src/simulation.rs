@@ -1,5 +1,6 @@
 //! Time, and all that happens in it.
 
+mod barrier;
 mod recording;
 
 use std::sync::Arc;
@@ -14,6 +15,8 @@ use crate::render::{CameraRig, Shot};
 use crate::robot::{Body, Command, OdometryReading, Robot, WheelErrors};
 use crate::scene::Scene;
 
+use barrier::Barrier;
+pub use barrier::HeldWheels;
 pub use recording::{DriveError, Recording};
 
 /// A robot in a building with people in it. It advances by a fixed period; commands are given in
@@ -31,6 +34,7 @@ pub struct Simulation {
     frames: u64,
     collisions: u64,
     touches: Touch,
+    barrier: Option<Barrier>,
 }
 
 /// What a [`Simulation`] starts from, besides building and place.
@@ -208,6 +212,7 @@ impl Simulation {
             frames: 0,
             collisions: 0,
             touches: Touch::Apart,
+            barrier: None,
         })
     }
 
@@ -237,6 +242,11 @@ impl Simulation {
         Ok(())
     }
 
+    /// From now on something that no sensor sees keeps the robot from going on to where it looks.
+    pub fn hold_back(&mut self, wheels: HeldWheels) {
+        self.barrier = Some(Barrier { at: *self.robot.pose(), wheels });
+    }
+
     /// Changes the light.
     pub fn set_light(&mut self, light: Light) {
         self.settings.light = light;
@@ -263,7 +273,9 @@ impl Simulation {
             (None, Some(_)) => Obedience::Commanded,
             (None, None) => Obedience::Idle,
         };
-        let next = self.robot.drive(self.now_ns, seconds, reflex);
+        let command = self.robot.command_at(self.now_ns);
+        let held = self.barrier.and_then(|barrier| barrier.limited(&robot, command));
+        let next = self.robot.drive(self.now_ns, seconds, reflex.or(held));
         self.go_to(next);
         self.now_ns += self.settings.period_ns;
         self.tick(obedience, people)
@@ -271,6 +283,11 @@ impl Simulation {
 
     /// What holds it back stops the robot, but it can still turn.
     fn go_to(&mut self, next: Pose) {
+        let here = *self.robot.pose();
+        if self.barrier.is_some_and(|barrier| barrier.stops(&here, &next)) {
+            self.robot.put(Pose { heading_rad: next.heading_rad, ..here });
+            return;
+        }
         if self.has_room(&next, 0.0) {
             // A robot that pushes against a wall touches it once.
             if self.has_room(&next, APART_M) {
@@ -283,7 +300,6 @@ impl Simulation {
             self.collisions += 1;
         }
         self.touches = Touch::Touching;
-        let here = *self.robot.pose();
         self.robot.put(Pose { heading_rad: next.heading_rad, ..here });
     }
 

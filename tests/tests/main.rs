@@ -42,6 +42,8 @@ mod navigation {
     mod appearance_mirror;
     mod appearance_navigation;
     mod appearance_ways;
+    mod clocks;
+    mod goals;
     mod metric;
 }
 
@@ -53,6 +55,7 @@ mod operations {
     mod disk_full;
     mod kill;
     mod operating;
+    mod refused_commands;
     mod shutdown;
     mod startup;
     mod tls;

@@ -26,8 +26,8 @@ pub use limits::{MAX_ENCODED_BYTES, MAX_PIXELS, MAX_SIDE_PX, MIN_SIDE_PX};
 ///
 /// Colour becomes luma as in Rec. 601, in integers: `(299 R + 587 G + 114 B + 500) / 1000`, rounded
 /// down. Sixteen bits a channel are rounded to eight. Alpha is ignored: the colour under it counts.
-/// An EXIF orientation is ignored too: rows stay as the camera delivered them, so that pixel
-/// coordinates agree with the camera's calibration.
+/// An EXIF orientation is honoured: a phone's upright photo lies on its side in the file. A camera
+/// is declared, and calibrated, for images as they come out of here.
 ///
 /// A JPEG that stops before its end marker is refused, although most decoders would fill the rest
 /// with grey: half a view would be learnt as a place of its own. Damage inside a JPEG's
@@ -81,9 +81,11 @@ fn decoder_limits() -> Limits {
 }
 
 fn decode_pixels(mut decoder: impl ImageDecoder) -> Result<GreyImage, ImageError> {
-    let (width, height) = decoder.dimensions();
     decoder.set_limits(decoder_limits()).map_err(ImageError::from_decoder)?;
-    let decoded = DynamicImage::from_decoder(decoder).map_err(ImageError::from_decoder)?;
+    let orientation = decoder.orientation().map_err(ImageError::from_decoder)?;
+    let mut decoded = DynamicImage::from_decoder(decoder).map_err(ImageError::from_decoder)?;
+    decoded.apply_orientation(orientation);
+    let (width, height) = (decoded.width(), decoded.height());
     let pixels = match decoded {
         DynamicImage::ImageLuma8(grey) => grey.into_raw(),
         DynamicImage::ImageLumaA8(grey) => grey.pixels().map(|pixel| pixel.0[0]).collect(),

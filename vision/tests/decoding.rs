@@ -303,3 +303,30 @@ fn mean_difference(a: &GreyImage, b: &GreyImage) -> f64 {
     let total: u64 = a.pixels().iter().zip(b.pixels()).map(|(&x, &y)| u64::from(x.abs_diff(y))).sum();
     total as f64 / a.pixels().len() as f64
 }
+
+/// What a phone writes: the rows as the sensor has them, and how to turn them.
+fn with_orientation(jpeg: &[u8], orientation: u8) -> Vec<u8> {
+    let tiff = [
+        b"II*\0\x08\0\0\0\x01\0".as_slice(),
+        // Tag 0x0112, one short.
+        &[0x12, 0x01, 3, 0, 1, 0, 0, 0, orientation, 0, 0, 0],
+        &[0; 4],
+    ]
+    .concat();
+    let length = u16::try_from(tiff.len() + 8).unwrap().to_be_bytes();
+    [&jpeg[..2], b"\xff\xe1", &length, b"Exif\0\0", &tiff, &jpeg[2..]].concat()
+}
+
+#[test]
+fn an_upright_photo_that_lies_on_its_side_in_the_file_is_turned() {
+    let bright_above = ramp(|_, y| if y < 24 { 200 } else { 20 });
+    let jpeg = bright_above.encode_jpeg(90).unwrap();
+    let upright = decode(&jpeg).unwrap();
+    assert_eq!((upright.width(), upright.height()), (64, 48));
+    assert_eq!(decode(&with_orientation(&jpeg, 1)).unwrap(), upright);
+    // 6: to be turned clockwise, so what was above is on the right.
+    let turned = decode(&with_orientation(&jpeg, 6)).unwrap();
+    assert_eq!((turned.width(), turned.height()), (48, 64));
+    let at = |x: u32, y: u32| turned.pixels()[(y * 48 + x) as usize];
+    assert!(at(40, 5) > 150 && at(40, 60) > 150 && at(5, 5) < 60 && at(5, 60) < 60);
+}

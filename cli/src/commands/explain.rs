@@ -6,6 +6,7 @@ use waypost_client::{Client, ClientOptions};
 
 use crate::explanations::show_place;
 use crate::failure::{EXIT_CODES, Failure};
+use crate::files::Replacing;
 use crate::output::Output;
 
 /// Show why a frame did, or did not, close a loop
@@ -30,10 +31,15 @@ pub(crate) struct Arguments {
     /// Write the frame and one of the place as SVG, with common features in green
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
+    /// Replace a file that is there
+    #[arg(long, requires = "picture")]
+    force: bool,
 }
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
-    let Arguments { map, session, sequence, place, words, picture: file } = arguments;
+    let Arguments { map, session, sequence, place, words, picture: file, force } = arguments;
+    let replacing = Replacing::of(force);
+    replacing.check_wanted(file.as_deref())?;
     let map = map.strip_prefix("maps/").unwrap_or(&map);
     let name = format!("maps/{map}/sessions/{session}/frames/{sequence}");
     let client = Client::connect(server).await?;
@@ -41,7 +47,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     if let Some(file) = &file {
         let place = explained.place_explanation.as_ref().map(|place| place.place_number);
         let drawn = client.frame_picture(&name, place).await?;
-        std::fs::write(file, drawn).map_err(Failure::file("write", file))?;
+        replacing.write(file, &drawn)?;
     }
     output.result(&explained, |out| {
         writeln!(out, "{}: {}", explained.name, explained.reason().json_name())?;

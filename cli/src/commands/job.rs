@@ -10,6 +10,7 @@ use tokio::time::timeout;
 use waypost_client::{Client, ClientOptions, Error, v1};
 
 use crate::failure::Failure;
+use crate::names::numbered;
 use crate::output::{Output, table};
 use crate::progress;
 
@@ -22,6 +23,7 @@ pub(crate) enum Command {
     #[command(visible_alias = "list")]
     Ls,
     /// Show how far a job is
+    #[command(visible_alias = "get")]
     Show {
         /// As printed when it was started, as in `jobs/1`
         name: String,
@@ -40,11 +42,12 @@ pub(crate) enum Command {
 
 pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output) -> Result<(), Failure> {
     let client = Client::connect(server).await?;
+    let full = |name: &str| numbered("jobs", name);
     let job = match command {
         Command::Ls => return list(&client.jobs().await?, output),
-        Command::Show { name } => client.job(&name).await?,
-        Command::Watch { name } => follow(&client, &name, output).await?,
-        Command::Cancel { name } => client.cancel_job(&name).await?,
+        Command::Show { name } => client.job(&full(&name)).await?,
+        Command::Watch { name } => follow(&client, &full(&name), output).await?,
+        Command::Cancel { name } => client.cancel_job(&full(&name)).await?,
     };
     show(&job, output)
 }

@@ -14,7 +14,7 @@ use waypost_client::{Client, ClientOptions, v1};
 
 use super::{job, merge, snapshot};
 use crate::failure::Failure;
-use crate::files::Replacing;
+use crate::files::{Asking, Replacing};
 use crate::output::Output;
 
 #[derive(Subcommand)]
@@ -25,6 +25,7 @@ pub(crate) enum Command {
     #[command(visible_alias = "list")]
     Ls,
     /// Show a map with its settings, its size on the disk and the hash of its state
+    #[command(visible_alias = "get")]
     Show {
         /// Name of the map
         name: String,
@@ -92,6 +93,9 @@ pub(crate) enum Command {
     Compact {
         /// Name of the map
         name: String,
+        /// Do not ask, on a terminal either
+        #[arg(long)]
+        yes: bool,
     },
     Trim(trimming::Trimming),
     /// Show what each of two maps has that the other lacks
@@ -102,9 +106,13 @@ pub(crate) enum Command {
         second: String,
     },
     /// Delete a map with all its sessions
+    #[command(visible_alias = "delete")]
     Rm {
         /// Name of the map
         name: String,
+        /// Do not ask, on a terminal either
+        #[arg(long)]
+        yes: bool,
     },
 }
 
@@ -133,14 +141,18 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
             let job = job::follow(&client, &job.name, output).await?;
             listing::show(&client.map(&job::result(job)?, v1::MapView::Basic).await?, output)
         }
-        Command::Compact { name } => {
+        Command::Compact { name, yes } => {
+            Asking::unless(yes).confirm(&format!(
+                "wipe from the disk what was removed from {name}, so that no merge can be undone?"
+            ))?;
             let job = client.compact_map(&name).await?;
             job::follow(&client, &job.name, output).await?;
             output.result(&json!({ "compacted": name }), |out| writeln!(out, "compacted {name}"))
         }
         Command::Trim(trimming) => trimming::trim(&client, trimming, output).await,
         Command::Diff { first, second } => merge::diff(&client, [&first, &second], output).await,
-        Command::Rm { name } => {
+        Command::Rm { name, yes } => {
+            Asking::unless(yes).confirm(&format!("delete the map {name} with all its sessions?"))?;
             client.delete_map(&name).await?;
             output.result(&json!({ "deleted": name }), |out| writeln!(out, "deleted {name}"))
         }

@@ -11,7 +11,7 @@ use waypost_client::{Client, ClientOptions, v1};
 use super::job;
 use crate::failure::Failure;
 use crate::files::Replacing;
-use crate::names::short_map as short;
+use crate::names::{numbered, short_map as short};
 use crate::output::{Output, table};
 
 #[derive(Subcommand)]
@@ -20,6 +20,7 @@ pub(crate) enum Command {
     #[command(visible_alias = "list")]
     Ls,
     /// Show a merge: its state, and where the maps overlap
+    #[command(visible_alias = "get")]
     Show {
         /// As printed when it was asked for, as in `merges/1`
         name: String,
@@ -71,16 +72,23 @@ pub(crate) struct Merging {
 }
 
 pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output) -> Result<(), Failure> {
+    if let Command::Show { picture, force, .. } = &command {
+        Replacing::of(*force).check_wanted(picture.as_deref())?;
+    }
     let client = Client::connect(server).await?;
+    let full = |name: &str| numbered("merges", name);
     let merge = match command {
         Command::Ls => return list(&client.merges().await?, output),
         Command::Show { name, picture, force } => {
+            let name = full(&name);
             write_picture(&client, &name, picture.as_deref(), Replacing::of(force)).await?;
             client.merge(&name).await?
         }
-        Command::Commit { name } => finished(&client, client.commit_merge(&name).await?, output).await?,
-        Command::Discard { name } => client.discard_merge(&name).await?,
-        Command::Undo { name } => finished(&client, client.undo_merge(&name).await?, output).await?,
+        Command::Commit { name } => {
+            finished(&client, client.commit_merge(&full(&name)).await?, output).await?
+        }
+        Command::Discard { name } => client.discard_merge(&full(&name)).await?,
+        Command::Undo { name } => finished(&client, client.undo_merge(&full(&name)).await?, output).await?,
     };
     show(&merge, output)
 }
@@ -88,6 +96,7 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
 /// `waypost map merge`
 pub(crate) async fn merge(client: &Client, merging: Merging, output: Output) -> Result<(), Failure> {
     let Merging { maps, into, preview, min_support, picture, force } = merging;
+    Replacing::of(force).check_wanted(picture.as_deref())?;
     let request = v1::MergeMapsRequest {
         sources: maps.iter().map(String::as_str).map(named).collect(),
         target: named(&into),

@@ -13,6 +13,7 @@ use waypost_client::{Client, ClientOptions, v1};
 
 use super::job;
 use crate::failure::Failure;
+use crate::files::Replacing;
 use crate::images::{ImageFile, images_of};
 use crate::names::short;
 use crate::output::{Output, mebibytes, table};
@@ -28,6 +29,7 @@ pub(crate) enum Command {
     #[command(visible_alias = "list")]
     Ls,
     /// Show a model
+    #[command(visible_alias = "get")]
     Show {
         #[arg(help = MODEL_HELP)]
         name: String,
@@ -38,6 +40,9 @@ pub(crate) enum Command {
         name: String,
         /// File to write
         file: PathBuf,
+        /// Replace a file that is there
+        #[arg(long)]
+        force: bool,
     },
     /// Copy a model from a file to the server
     Import {
@@ -48,6 +53,7 @@ pub(crate) enum Command {
         name: String,
     },
     /// Delete a model that no map uses
+    #[command(visible_alias = "delete")]
     Rm {
         #[arg(help = MODEL_HELP)]
         name: String,
@@ -82,7 +88,10 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         Command::Train(training) => train(training, server, output).await,
         Command::Ls => list(server, output).await,
         Command::Show { name } => show(&Client::connect(server).await?.model(&name).await?, output),
-        Command::Export { name, file } => export(&name, &file, server, output).await,
+        Command::Export { name, file, force } => {
+            Replacing::of(force).check_wanted(Some(&file))?;
+            export(&name, &file, server, output).await
+        }
         Command::Import { file, name } => {
             let client = Client::connect(server).await?;
             show(&import(&client, &file, &name, output).await?, output)

@@ -80,7 +80,7 @@ async fn watch(client: &Client, name: &str, output: Output) -> Result<v1::Naviga
     loop {
         let navigation = client.navigation(name).await?;
         if let Some(refusal) = navigation.goal_refusal {
-            return Err(Failure::Unfit(refusal.status.unwrap_or_default().message));
+            return Err(Failure::GoalRefused(refusal.status.unwrap_or_default().message));
         }
         let status = status(&navigation);
         view.set_message(live(&navigation));
@@ -98,11 +98,12 @@ async fn watch(client: &Client, name: &str, output: Output) -> Result<v1::Naviga
     }
 }
 
-/// The reason why the robot is blocked, if it is.
+/// Why no way leads to the goal, if that is so: the robot stands until people do something.
 fn nowhere_to_go(navigation: &v1::Navigation) -> Option<String> {
-    let guidance =
-        navigation.guidance.as_ref().filter(|guidance| guidance.status() == NavigationStatus::Blocked)?;
-    guidance.detail.clone()
+    let guidance = navigation.guidance.as_ref()?;
+    let by_looks = guidance.appearance.as_ref()?;
+    let stands = guidance.status() == NavigationStatus::Blocked && by_looks.subgoal_place_number.is_none();
+    stands.then(|| guidance.detail.clone()).flatten()
 }
 
 /// Prints a line when the status changes.
@@ -126,7 +127,7 @@ fn live(navigation: &v1::Navigation) -> String {
     if let Some(by_looks) = guidance.and_then(|guidance| guidance.appearance.as_ref()) {
         line += &live_by_looks(by_looks);
     }
-    if let Some(why) = nowhere_to_go(navigation) {
+    if let Some(why) = guidance.and_then(|guidance| guidance.detail.as_ref()) {
         line += &format!(", {why}");
     }
     if !navigation.connected {

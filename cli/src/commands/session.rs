@@ -6,6 +6,7 @@ use waypost_client::{Client, ClientOptions, v1};
 
 use super::job;
 use crate::failure::Failure;
+use crate::files::Asking;
 use crate::output::{Output, table};
 
 #[derive(Subcommand)]
@@ -25,11 +26,15 @@ pub(crate) enum Command {
     },
     /// Delete a session from its map, with its images and everything that only this session has
     /// shown; it cannot be undone
+    #[command(visible_alias = "delete")]
     Rm {
         /// Name of the map
         map: String,
         /// Name of the session
         session: String,
+        /// Do not ask, on a terminal either
+        #[arg(long)]
+        yes: bool,
     },
 }
 
@@ -41,7 +46,9 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
             let map = map.strip_prefix("maps/").unwrap_or(&map);
             frames(&client.frames(&format!("maps/{map}/sessions/{session}")).await?, output)
         }
-        Command::Rm { map, session } => {
+        Command::Rm { map, session, yes } => {
+            Asking::unless(yes)
+                .confirm(&format!("delete {session} from the map {map}? it cannot be undone"))?;
             let map = map.strip_prefix("maps/").unwrap_or(&map);
             let name = format!("maps/{map}/sessions/{session}");
             let job = client.delete_session(&name).await?;

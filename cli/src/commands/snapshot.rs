@@ -27,7 +27,7 @@ pub(crate) async fn export(
     replacing: Replacing,
     output: Output,
 ) -> Result<(), Failure> {
-    replacing.check(path)?;
+    replacing.check_wanted(Some(path))?;
     let mut partial = path.as_os_str().to_owned();
     partial.push(".partial");
     let partial = PathBuf::from(partial);

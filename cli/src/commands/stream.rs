@@ -9,6 +9,7 @@ use serde::Serialize;
 use waypost_client::{Client, ClientOptions, SessionOptions, v1};
 
 use crate::failure::{EXIT_CODES, Failure};
+use crate::files::Replacing;
 use crate::frame_row::FrameRow;
 use crate::images::{ImageFile, images_of};
 use crate::odometry;
@@ -23,10 +24,10 @@ const DEFAULT_RATE_HZ: f64 = 1.0;
 
 /// Stream a folder of images into a map and print the loop closures
 ///
-/// Streams DIR/images, or DIR, by file names in byte order: frame 1 is the first image. With the
-/// --session of an earlier run it continues where that run stopped; with --csv or --json it also
-/// fetches the answers of the earlier frames, so that the rows are complete. With --localize every
-/// run starts from the beginning.
+/// Streams DIR/images, or DIR, by file names, numbers in them by their value (frame2 before
+/// frame10): frame 1 is the first image. With the --session of an earlier run it continues where
+/// that run stopped; with --csv or --json it also fetches the answers of the earlier frames, so
+/// that the rows are complete. With --localize every run starts from the beginning.
 #[derive(clap::Args)]
 #[command(after_help = EXIT_CODES, after_long_help = format!("{}\n\n{EXIT_CODES}", odometry::FORMATS))]
 pub(crate) struct Arguments {
@@ -63,6 +64,9 @@ pub(crate) struct Arguments {
     /// Write a row per frame
     #[arg(long, value_name = "OUT")]
     csv: Option<PathBuf>,
+    /// Replace a file that is there
+    #[arg(long, requires = "csv")]
+    force: bool,
 }
 
 /// What `--json` prints.
@@ -85,7 +89,9 @@ struct Summary {
 }
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
-    let Arguments { dir, map, session, odometry, rate, words, panorama, mirror, localize, csv } = arguments;
+    let Arguments { dir, map, session, odometry, rate, words, panorama, mirror, localize, csv, force } =
+        arguments;
+    Replacing::of(force).check_wanted(csv.as_deref())?;
     let images = images_of(&dir)?;
     let stamps = stamps(&images, odometry.as_deref(), rate)?;
     let camera = match (panorama, mirror, images.first()) {
@@ -93,8 +99,6 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         (None, Some(file), Some(first)) => Some(mirror_camera(&file, first)?),
         (_, _, _) => None,
     };
-    let mut table = csv.as_deref().map(Table::create).transpose()?;
-
     let client = Client::connect(server).await?;
     let contents = ContentMaker::new(&client, &map, words.words).await?;
     let mode = if localize { v1::SessionMode::Localize } else { v1::SessionMode::Map };
@@ -104,6 +108,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         SessionOptions { session_id: session, mode, words_hash, run_id, camera, ..SessionOptions::new(&map) };
     let replay = Replay { images, stamps, pace_hz: rate, contents };
     let session = client.open_session(options).await?;
+    let mut table = csv.as_deref().map(Table::create).transpose()?;
     let opened = session.opened().clone();
     let committed = opened.last_committed_sequence;
     let wants_all_rows = table.is_some() || output == Output::Json;

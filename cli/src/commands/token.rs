@@ -21,6 +21,7 @@ pub(crate) enum Command {
     #[command(visible_alias = "list")]
     Ls,
     /// Delete a token; calls and streams that use it end
+    #[command(visible_alias = "delete")]
     Rm {
         /// Name of the token
         name: String,

@@ -17,7 +17,7 @@ use waypost_sim::worlds::NamedWorld;
 use waypost_vision::features::Extractor;
 
 use self::judgement::{NavigateReport, NavigateRun};
-use self::repeat::{Drive, Vision};
+use self::repeat::{Drive, StuckReport, StuckRun, Vision};
 use super::map::training::{check_seeds, model_or_default};
 use crate::choices::{number, worlds};
 use crate::{files, progress};
@@ -35,7 +35,8 @@ pub(crate) struct NavigateOptions {
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
     /// What the robot is to do: drive the way again; go to its end without the detour in it; drive on images every 40 cm
-    /// what was taught every 5 cm; be carried off and find out; drive the way again and look some other way at its end.
+    /// what was taught every 5 cm; be carried off and find out; drive the way again and look some other way at its
+    /// end; be held by something on the way.
     #[arg(long, value_enum, default_value_t)]
     trial: Trial,
     /// The world.
@@ -69,6 +70,8 @@ pub(crate) enum Trial {
     Kidnapped,
     /// Drive the way again, and look some other way at its end.
     Facing,
+    /// Be held by something on the way: wheels that stand, that slip before what was taught, and before a bare wall.
+    Stuck,
 }
 
 /// What lies between robot and server.
@@ -105,7 +108,7 @@ enum Lighting {
 }
 
 /// Drives and judges.
-pub(crate) fn run(options: &NavigateOptions) -> Result<NavigateReport> {
+pub(crate) fn run(options: &NavigateOptions) -> Result<Outcome> {
     check_seeds(options.seed, options.trials)?;
     let (model, extractor) = model_or_default(options.model.as_deref())?;
     if let Some(out) = &options.out {
@@ -113,6 +116,11 @@ pub(crate) fn run(options: &NavigateOptions) -> Result<NavigateReport> {
     }
     let bar = progress::bar("trials", options.trials as usize);
     let seeds: Vec<u64> = (options.seed..).take(options.trials as usize).collect();
+    if options.trial == Trial::Stuck {
+        let report = stuck(options, &seeds, (&model, extractor))?;
+        bar.finish_and_clear();
+        return Ok(Outcome::Stuck(report));
+    }
     let runs = seeds.into_par_iter().map(|seed| {
         let run = trial(options, seed, (&model, extractor));
         bar.inc(1);
@@ -123,6 +131,33 @@ pub(crate) fn run(options: &NavigateOptions) -> Result<NavigateReport> {
     let report = judgement::report(options, runs);
     if let Some(out) = &options.out {
         files::write_json(&out.join("navigate.json"), &report)?;
+    }
+    eprint!("{}", report.table());
+    Ok(Outcome::Drives(Box::new(report)))
+}
+
+/// What came out.
+#[derive(Serialize)]
+#[serde(untagged)]
+pub(crate) enum Outcome {
+    Drives(Box<NavigateReport>),
+    Stuck(StuckReport),
+}
+
+/// Holds robots on their way.
+fn stuck(
+    options: &NavigateOptions,
+    seeds: &[u64],
+    (model, extractor): (&Model, Extractor),
+) -> Result<StuckReport> {
+    let runs = seeds.par_iter().map(|&seed| {
+        let taught = teaching::teach(options, seed, (model, extractor))?;
+        repeat::stuck(options, seed, &taught, (model, extractor))
+    });
+    let runs: Vec<Vec<StuckRun>> = runs.collect::<Result<_>>()?;
+    let report = StuckReport::of(runs.into_iter().flatten().collect());
+    if let Some(out) = &options.out {
+        files::write_json(&out.join("stuck.json"), &report)?;
     }
     eprint!("{}", report.table());
     Ok(report)
@@ -137,7 +172,7 @@ fn trial(
     let taught = teaching::teach(options, seed, (model, extractor))?;
     let seen = repeat::repeat(options, seed, &taught, (model, extractor), Vision::All)?;
     let by_wheels: Option<Drive> = match options.trial {
-        Trial::Kidnapped => None,
+        Trial::Kidnapped | Trial::Stuck => None,
         Trial::Repeat | Trial::Shortcut | Trial::Sparse | Trial::Facing => {
             Some(repeat::repeat(options, seed, &taught, (model, extractor), Vision::OnlyBeforeStarting)?)
         }

@@ -10,12 +10,15 @@ use posegraph::{PlanarPose, Pose};
 pub(super) struct CommandsOnTheWay {
     given: u64,
     sent: VecDeque<Sent>,
+    /// What the robot was doing by command at its last report, in m/s and rad/s.
+    obeyed: [f64; 2],
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Sent {
     number: u64,
-    at_ns: i64,
+    /// Of the report that it answers, by the robot's clock.
+    stamp_ns: i64,
     forward_m_s: f64,
     turn_rad_s: f64,
 }
@@ -27,33 +30,42 @@ impl CommandsOnTheWay {
     pub(super) fn give(
         &mut self,
         [forward_m_s, turn_rad_s]: [f64; 2],
-        now_ns: i64,
+        stamp_ns: i64,
         valid_ns: i64,
     ) -> VelocityCommand {
         let number = self.given;
         self.given += 1;
-        self.sent.push_back(Sent { number, at_ns: now_ns, forward_m_s, turn_rad_s });
+        self.sent.push_back(Sent { number, stamp_ns, forward_m_s, turn_rad_s });
         while self.sent.len() > MOST_ON_THE_WAY {
             self.sent.pop_front();
         }
         VelocityCommand { number, forward_m_s, turn_rad_s, valid_ns }
     }
 
-    /// Of a robot that does not say which command it obeyed, all are forgotten.
-    pub(super) fn forget_obeyed(&mut self, obeyed: Option<u64>) {
+    /// What the robot was doing by command when it reported, in m/s and rad/s. What it obeyed is forgotten; of a robot that
+    /// does not say which command it obeyed, all are.
+    pub(super) fn obey(&mut self, obeyed: Option<u64>) -> [f64; 2] {
+        let command = match obeyed {
+            Some(obeyed) => self.sent.iter().find(|sent| sent.number == obeyed),
+            None => self.sent.back(),
+        };
+        if let Some(Sent { forward_m_s, turn_rad_s, .. }) = command {
+            self.obeyed = [*forward_m_s, *turn_rad_s];
+        }
         match obeyed {
             Some(obeyed) => self.sent.retain(|sent| sent.number > obeyed),
             None => self.sent.clear(),
         }
+        self.obeyed
     }
 
     /// Where the robot will be when the next command comes to it: it does first what it was told
-    /// before.
+    /// before. How long a command is on its way shows in the robot's own stamps: it is as many reports behind.
     pub(super) fn obeyed_from(&self, pose: &PlanarPose, valid_ns: i64) -> PlanarPose {
         let mut pose = *pose;
-        let ends = self.sent.iter().skip(1).map(|sent| sent.at_ns);
+        let ends = self.sent.iter().skip(1).map(|sent| sent.stamp_ns);
         for (sent, end_ns) in self.sent.iter().zip(ends) {
-            let seconds = end_ns.saturating_sub(sent.at_ns).clamp(0, valid_ns) as f64 * 1e-9;
+            let seconds = end_ns.saturating_sub(sent.stamp_ns).clamp(0, valid_ns) as f64 * 1e-9;
             pose = pose.compose(&arc(sent.forward_m_s * seconds, sent.turn_rad_s * seconds));
         }
         pose

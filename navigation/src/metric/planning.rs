@@ -73,10 +73,31 @@ pub enum PlanError {
         /// As given.
         place: PlaceId,
     },
+    /// The map has no such part.
+    #[error(
+        "no part of the map begins with place {part}; list its places, each names the part that it is in"
+    )]
+    UnknownPart {
+        /// As given.
+        part: PlaceId,
+    },
+    /// A position that no way leads to.
+    #[error(
+        "the goal is {distance_m:.1} m from the nearest place, {place}, and a robot goes only where it was driven; name \
+         a position within {reach_m} m of a place, or that place"
+    )]
+    GoalTooFar {
+        /// The nearest place.
+        place: PlaceId,
+        /// To it, in metres.
+        distance_m: f64,
+        /// The setting.
+        reach_m: f64,
+    },
     /// No way was ever driven from one to the other.
     #[error(
-        "no way that was driven joins place {goal} with where the robot is; drive from one to the other while mapping, \
-         or name a place of the part of the map that begins with place {part}"
+        "no way that was driven joins place {goal} with the start, which is in the part of the map that begins with \
+         place {part}; drive from one to the other while mapping, or name a place of that part"
     )]
     OtherPart {
         /// The goal.
@@ -120,7 +141,7 @@ pub fn plan(
     goal: Goal,
     settings: &PlanningSettings,
 ) -> Result<Route, PlanError> {
-    let goal = goal_place(poses, from.part, goal)?;
+    let goal = goal_place(poses, goal, settings)?;
     if poses.part(goal) != Some(from.part) {
         return Err(PlanError::OtherPart { goal, part: from.part });
     }
@@ -133,18 +154,27 @@ pub fn plan(
     Err(PlanError::OneWay { goal })
 }
 
-fn goal_place(poses: &PlacePoses, part: PlaceId, goal: Goal) -> Result<PlaceId, PlanError> {
+/// The place that a goal means, wherever the robot is.
+///
+/// # Errors
+/// [`PlanError`] if the map has none there.
+pub fn goal_place(poses: &PlacePoses, goal: Goal, settings: &PlanningSettings) -> Result<PlaceId, PlanError> {
     match goal {
         Goal::Place(place) if poses.pose(place).is_some() => Ok(place),
         Goal::Place(place) => Err(PlanError::UnknownPlace { place }),
-        Goal::Position { part: goal_part, position_m } => {
+        Goal::Position { part, position_m } => {
             if position_m.iter().any(|value| !value.is_finite()) {
                 return Err(PlanError::NotFinite);
             }
-            let nearest = of_part(poses, goal_part)
-                .min_by(|(_, a), (_, b)| distance_m(a, position_m).total_cmp(&distance_m(b, position_m)));
-            let (goal, _) = nearest.ok_or(PlanError::UnknownPlace { place: goal_part })?;
-            if goal_part == part { Ok(goal) } else { Err(PlanError::OtherPart { goal, part }) }
+            let apart = of_part(poses, part).map(|(place, pose)| (place, distance_m(pose, position_m)));
+            let nearest = apart.min_by(|(_, a), (_, b)| a.total_cmp(b));
+            let (place, distance_m) = nearest.ok_or(PlanError::UnknownPart { part })?;
+            let reach_m = settings.reach_m;
+            if distance_m <= reach_m {
+                Ok(place)
+            } else {
+                Err(PlanError::GoalTooFar { place, distance_m, reach_m })
+            }
         }
     }
 }
@@ -255,7 +285,8 @@ fn route(poses: &PlacePoses, part: PlaceId, nodes: &[Node]) -> Route {
     let waypoint = |&(place, travel): &Node| Some(Waypoint { place, pose: *poses.pose(place)?, travel });
     let waypoints: Vec<Waypoint> = nodes.iter().filter_map(waypoint).collect();
     let between = |pair: &[Waypoint]| distance_m(&pair[0].pose, [pair[1].pose.x_m(), pair[1].pose.y_m()]);
-    let length_m = waypoints.windows(2).map(between).sum();
+    // An empty sum of floats is -0.0.
+    let length_m = waypoints.windows(2).map(between).fold(0.0, |sum_m, metres| sum_m + metres);
     Route { part, waypoints, length_m }
 }
 

@@ -77,7 +77,7 @@ pub struct PlanningSettings {
     pub against: AgainstTheWay,
     /// What a turn of one radian costs, in metres.
     pub turn_m_per_rad: f64,
-    /// How far from the map a robot may be, in metres.
+    /// How far from the map a robot, or a goal, may be, in metres.
     pub reach_m: f64,
 }
 
@@ -143,6 +143,11 @@ pub struct SupervisionSettings {
     pub lost_sigma_m: f64,
     /// Way without a closure at which it is lost, in metres.
     pub lost_m: f64,
+    /// Time without a closure at which it is lost, of that in which its wheels turned, in nanoseconds.
+    pub lost_ns: i64,
+    /// Frames without a closure that it needs for that, those that show too little among them; at
+    /// least 1.
+    pub lost_looks: u32,
     /// Frames without a closure at which it is lost that show something, and nothing known, where
     /// it should be known, as it drives on; at least 1.
     pub unknown_looks: u32,
@@ -167,8 +172,11 @@ pub struct SupervisionSettings {
     pub look_first_ns: i64,
     /// How long it may be told to move and not do it, in nanoseconds.
     pub blocked_ns: i64,
-    /// How long it then waits before it tries again, in nanoseconds.
+    /// How long it then waits before it goes back and tries again, in nanoseconds; longer each time
+    /// at one spot.
     pub blocked_wait_ns: i64,
+    /// How far it goes back the way that it came, in metres; 0 to try again from where it stands.
+    pub back_off_m: f64,
 }
 
 impl Default for LocalizationSettings {
@@ -234,6 +242,8 @@ impl Default for SupervisionSettings {
             searching_ns: 3_000_000_000,
             lost_sigma_m: 0.8,
             lost_m: 6.0,
+            lost_ns: 6_000_000_000,
+            lost_looks: 8,
             unknown_looks: 6,
             unknown_looks_standing: 24,
             near_m: 0.5,
@@ -244,8 +254,9 @@ impl Default for SupervisionSettings {
             spin_rad: 3.0 * std::f64::consts::TAU,
             retreat_m: 2.0,
             look_first_ns: 2_000_000_000,
-            blocked_ns: 3_000_000_000,
+            blocked_ns: 1_500_000_000,
             blocked_wait_ns: 2_000_000_000,
+            back_off_m: 0.5,
         }
     }
 }
@@ -365,6 +376,8 @@ impl SupervisionSettings {
             ("searching_ns", self.searching_ns as f64, 1e6, 1e12),
             ("lost_sigma_m", self.lost_sigma_m, 0.01, 1000.0),
             ("lost_m", self.lost_m, 0.01, 1e6),
+            ("lost_ns", self.lost_ns as f64, 1e6, 1e12),
+            ("lost_looks", f64::from(self.lost_looks), 1.0, 1e6),
             ("unknown_looks", f64::from(self.unknown_looks), 1.0, 1e6),
             ("unknown_looks_standing", f64::from(self.unknown_looks_standing), 1.0, 1e6),
             ("near_m", self.near_m, 0.01, 100.0),
@@ -377,6 +390,7 @@ impl SupervisionSettings {
             ("look_first_ns", self.look_first_ns as f64, 0.0, 60e9),
             ("blocked_ns", self.blocked_ns as f64, 1e6, 1e12),
             ("blocked_wait_ns", self.blocked_wait_ns as f64, 0.0, 1e12),
+            ("back_off_m", self.back_off_m, 0.0, 100.0),
         ]
     }
 }

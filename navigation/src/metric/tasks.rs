@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::Vector2;
 
 use super::Navigator;
-use super::guidance::Status;
+use super::guidance::{LostBecause, Reason, Status};
 use super::path::{GlobalPath, LocalPath};
 use super::planning::Goal;
 use posegraph::{PlanarPose, Pose};
@@ -33,6 +33,7 @@ pub(super) enum Task {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LookAround {
     pub(super) goal: Goal,
+    pub(super) because: LostBecause,
     pub(super) since_ns: Option<i64>,
     /// Where it last recognised something, by its wheels, until it is there.
     pub(super) back_to: Option<PlanarPose>,
@@ -66,7 +67,7 @@ impl Navigator {
         &mut self,
         elapsed_s: f64,
         [_, turned_rad]: [f64; 2],
-        now_ns: i64,
+        stamp_ns: i64,
     ) -> ([f64; 2], Status, Option<f64>) {
         match &self.task {
             Task::Nothing => ([0.0; 2], Status::Idle, None),
@@ -74,7 +75,7 @@ impl Navigator {
             Task::Plan { .. } => ([0.0; 2], self.following(), None),
             Task::LookAround(looks) => {
                 let mut looks = *looks;
-                let motion = self.look_around(&mut looks, elapsed_s, turned_rad, now_ns);
+                let motion = self.look_around(&mut looks, elapsed_s, turned_rad, stamp_ns);
                 self.task = Task::LookAround(looks);
                 (motion, Status::Lost, None)
             }
@@ -89,25 +90,19 @@ impl Navigator {
         looks: &mut LookAround,
         elapsed_s: f64,
         turned_rad: f64,
-        now_ns: i64,
+        stamp_ns: i64,
     ) -> [f64; 2] {
         let supervision = &self.settings.supervision;
-        let looked_ns = now_ns.saturating_sub(*looks.since_ns.get_or_insert(now_ns));
+        let looked_ns = stamp_ns.saturating_sub(*looks.since_ns.get_or_insert(stamp_ns));
         looks.turned_rad += turned_rad;
         let promising = self.evidence >= supervision.promising_evidence || self.filter.is_confirming();
         if looked_ns < supervision.look_first_ns {
             return [0.0; 2];
         }
-        if let (Some(back_to), Some(now), false) = (looks.back_to, self.wheels, promising) {
-            let robot = self.allowing_for_commands(&now.odometry);
-            let way = robot.inverse().compose(&back_to);
-            if way.x_m().hypot(way.y_m()) > BACK_M {
-                // Backwards, the way that it came: it turns enough as it is.
-                let error_rad = (-way.y_m()).atan2(-way.x_m());
-                let [speed_m_s, turn_rad_s] =
-                    self.steering.steer(error_rad, elapsed_s, &self.settings.steering);
-                return [-speed_m_s, turn_rad_s];
-            }
+        if let (Some(back_to), false) = (looks.back_to, promising)
+            && let Some(backwards) = self.backwards(&back_to, elapsed_s)
+        {
+            return backwards;
         }
         looks.back_to = None;
         let supervision = &self.settings.supervision;
@@ -121,6 +116,34 @@ impl Navigator {
             supervision.spin_rad_s
         };
         [0.0, if to_the_right { -turn_rad_s } else { turn_rad_s }]
+    }
+
+    /// How to go backwards to a pose of the wheels; `None` once the robot is there.
+    pub(super) fn backwards(&mut self, back_to: &PlanarPose, elapsed_s: f64) -> Option<[f64; 2]> {
+        let robot = self.allowing_for_commands(&self.wheels?.odometry);
+        let way = robot.inverse().compose(back_to);
+        if way.x_m().hypot(way.y_m()) <= BACK_M {
+            return None;
+        }
+        // The way that it came: it turns enough as it is.
+        let error_rad = (-way.y_m()).atan2(-way.x_m());
+        let [speed_m_s, turn_rad_s] = self.steering.steer(error_rad, elapsed_s, &self.settings.steering);
+        Some([-speed_m_s, turn_rad_s])
+    }
+
+    /// Why it is not on its way, as far as its task says.
+    pub(super) fn reason(&self, status: Status) -> Option<Reason> {
+        match &self.task {
+            Task::Nothing => Some(Reason::NoGoal),
+            Task::Plan { .. } => Some(Reason::Planning),
+            Task::LookAround(looks) => Some(Reason::Lost(looks.because)),
+            Task::Follow(_) | Task::Face { .. } if status == Status::Searching => {
+                let now = self.localization()?;
+                let (since_closure_ns, since_closure_m) = (now.since_closure_ns, now.since_closure_m);
+                Some(Reason::Searching { since_closure_ns, since_closure_m })
+            }
+            Task::Follow(_) | Task::Face { .. } | Task::Arrived => None,
+        }
     }
 
     /// At the first point of the local path that is far enough away.

@@ -35,6 +35,10 @@ pub(crate) struct World {
     pub(crate) evidence: f64,
     /// Whether it sees what was taught.
     pub(crate) knows: bool,
+    /// Whether its frames show too little to say anything.
+    pub(crate) sees_bare_walls: bool,
+    /// Whether its wheels turn and it stays where it is.
+    pub(crate) slips: bool,
     pub(crate) driver: Driver,
     pub(crate) truth: PlanarPose,
     pub(crate) wheels: PlanarPose,
@@ -78,6 +82,8 @@ impl World {
         Self {
             evidence: 100.0,
             knows: true,
+            sees_bare_walls: false,
+            slips: false,
             driver: Driver::Commands,
             truth: start,
             wheels: PlanarPose::identity(),
@@ -145,7 +151,9 @@ impl World {
                 let half = PlanarPose::new(0.0, 0.0, turn_rad / 2.0);
                 half.compose(&PlanarPose::new(way_m, 0.0, 0.0)).compose(&half)
             };
-            self.truth = self.truth.compose(&arc(way_m, turn_rad));
+            if !self.slips {
+                self.truth = self.truth.compose(&arc(way_m, turn_rad));
+            }
             let felt_rad = turn_rad + self.drift_rad_per_m * way_m;
             self.wheels = self.wheels.compose(&arc(way_m * (1.0 + self.scale), felt_rad));
         }
@@ -159,7 +167,11 @@ impl World {
         };
         self.reports.push_back((self.step + self.delay_steps, report));
         if sees && self.step.is_multiple_of(STEPS_PER_FRAME) {
-            let sight = if self.knows { Sight::Closure(self.closure()) } else { Sight::Unknown };
+            let sight = match (self.sees_bare_walls, self.knows) {
+                (true, _) => Sight::TooLittle,
+                (false, true) => Sight::Closure(self.closure()),
+                (false, false) => Sight::Unknown,
+            };
             let evidence = if self.knows { 100.0 } else { 0.0 };
             let episode = self.navigator.episode();
             let (stamp_ns, odometry) = (self.stamp_ns(), Some(self.wheels));
@@ -182,8 +194,7 @@ impl World {
             }
         }
         while let Some((_, report)) = self.reports.pop_front_if(|(due, _)| *due <= self.step) {
-            // The server's clock is another one.
-            let guidance = self.navigator.drive(&report, 77_000_000_000 + self.stamp_ns());
+            let guidance = self.navigator.drive(&report);
             self.commands.push(guidance.command);
             self.on_the_way.push_back((self.step + self.delay_steps, guidance.command));
             self.last = Some(guidance);

@@ -166,6 +166,15 @@ impl MapHandle {
         self.read(|reply| Read::Plan { from, goal, settings, reply }).await
     }
 
+    /// Whether there is such a goal on the map, wherever the robot is.
+    pub(crate) async fn check_goal(
+        &self,
+        goal: Goal,
+        settings: PlanningSettings,
+    ) -> Result<Result<(), PlanError>, WriterGone> {
+        self.read(|reply| Read::CheckGoal { goal, settings, reply }).await
+    }
+
     /// Hash of all that the map's log decided.
     pub(crate) async fn state_hash(&self) -> Result<String, ServiceError> {
         Ok(self.read(|reply| Read::StateHash { reply }).await?)

@@ -24,6 +24,11 @@ impl MapWriter {
         Ok(Looked { lookout, tracker, look })
     }
 
+    /// Whether there is such a goal, wherever the robot is.
+    pub(super) fn check_goal(&self, goal: Goal, settings: &PlanningSettings) -> Result<(), PlanError> {
+        planning::goal_place(self.mapper.poses(), goal, settings).map(drop)
+    }
+
     pub(super) fn plan(
         &self,
         from: PlanFrom,

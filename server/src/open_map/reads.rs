@@ -30,6 +30,9 @@ impl MapWriter {
             Read::Plan { from, goal, settings, reply } => {
                 let _ = reply.send(self.plan(from, goal, &settings));
             }
+            Read::CheckGoal { goal, settings, reply } => {
+                let _ = reply.send(self.check_goal(goal, &settings));
+            }
             Read::StateHash { reply } => {
                 let _ = reply.send(self.mapper.state_hash().to_string());
             }

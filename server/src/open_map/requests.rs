@@ -68,6 +68,11 @@ pub(crate) enum Read {
         settings: PlanningSettings,
         reply: oneshot::Sender<Result<Route, PlanError>>,
     },
+    CheckGoal {
+        goal: Goal,
+        settings: PlanningSettings,
+        reply: oneshot::Sender<Result<(), PlanError>>,
+    },
     StateHash {
         reply: oneshot::Sender<String>,
     },

@@ -179,7 +179,7 @@ impl Jobs {
     where
         Work: Future<Output = JobOutcome> + Send + 'static,
     {
-        let stage = "waiting for another job";
+        let stage = "waiting to start";
         let created_ns = now_ns();
         let number = self.storage.insert_job(kind, stage, created_ns).await?;
         let status = JobStatus {

@@ -18,7 +18,7 @@ use crate::map_settings::{self, MapSettings};
 use crate::names::{check_id, map_in, place_in};
 use crate::open_map::answers::{FrameReference, PlacePose, PlaceSummary, WordPlace, reference};
 use crate::open_map::{OpenMaps, no_such_map};
-use crate::pages::{Page, bad_page_token, numbered_page, page_size};
+use crate::pages::{Page, named_page, numbered_page, page_after, page_size};
 use crate::storage::{ClosureRow, MapId, MapRow, Storage, StorageError};
 pub(crate) use crate::storage::{MapBytes, MapCounts};
 
@@ -107,13 +107,11 @@ impl Maps {
 
     pub(crate) async fn list(&self, size: u32, token: &str) -> Result<Page<MapView>, ServiceError> {
         let size = page_size(size)?;
-        if !token.is_empty() {
-            check_id("page token", token).map_err(|_| bad_page_token())?;
-        }
-        let mut rows = self.storage.maps(token, size + 1).await?;
+        let after = named_page(token)?;
+        let mut rows = self.storage.maps(&after, size + 1).await?;
         let more = rows.len() > size as usize;
         rows.truncate(size as usize);
-        let next = rows.last().filter(|_| more).map_or_else(String::new, |row| row.name.clone());
+        let next = rows.last().filter(|_| more).map_or_else(String::new, |row| page_after(&row.name));
         let mut items = Vec::with_capacity(rows.len());
         for row in rows {
             items.push(self.view(row, Detail::Basic).await?);

@@ -17,7 +17,7 @@ use waypost_navigation::metric::settings::{AgainstTheWay, NavigationSettings};
 use waypost_navigation::metric::{Driver, Guidance, Seen};
 
 use self::appearance::AppearanceGuide;
-pub(crate) use self::appearance::Unjoined;
+pub(crate) use self::appearance::{Unjoined, Waiting};
 pub(super) use self::registry::Registry;
 use self::topo_metric::TopoMetricGuide;
 use super::appearance::AppearanceGraphs;
@@ -32,7 +32,7 @@ use crate::ingest::model::{LoadedModel, LoadedModels};
 use crate::map_settings::{self, NavigationStrategy};
 use crate::names::{check_id, map_in, navigation_in, navigation_name};
 use crate::open_map::{OpenMaps, PlanFrom};
-use crate::pages::{Page, page_size};
+use crate::pages::{Page, named_page, page_after, page_size};
 use crate::storage::MapId;
 
 /// What a way costs that is driven the other way round, in times its length.
@@ -122,6 +122,8 @@ pub(crate) struct Told {
     pub(crate) guidance: Guidance,
     /// Where to drive by looks.
     pub(crate) appearance: Option<AppearanceView>,
+    /// Why one that drives by looks does not, if so.
+    pub(crate) waiting: Option<Waiting>,
 }
 
 /// Where to drive by looks.
@@ -277,8 +279,11 @@ impl Navigation {
             taken_over,
             _room: room,
         };
-        if let Some(goal) = goal.filter(|_| !stream.resumed) {
-            stream.guide.go_to(self, goal).await?;
+        if let Some(goal) = goal.filter(|_| !stream.resumed)
+            && let Err(refused) = stream.guide.go_to(self, goal).await
+        {
+            self.led.forget(key, &stream.guide);
+            return Err(refused);
         }
         Ok(stream)
     }
@@ -296,17 +301,18 @@ impl Navigation {
     ) -> Result<Page<NavigationView>, ServiceError> {
         let map = map_in(map)?;
         let size = page_size(size)? as usize;
+        let after = named_page(token)?;
         let row = self.open_maps.row(map).await?;
         let mut items: Vec<NavigationView> = self
             .led
             .of_map(row.id)
             .iter()
             .map(|guide| self.led.view(guide))
-            .filter(|view| view.name.as_str() > token)
+            .filter(|view| view.name > after)
             .collect();
         let more = items.len() > size;
         items.truncate(size);
-        let next = items.last().filter(|_| more).map_or_else(String::new, |last| last.name.clone());
+        let next = items.last().filter(|_| more).map_or_else(String::new, |last| page_after(&last.name));
         Ok(Page { items, next })
     }
 
@@ -346,7 +352,7 @@ impl Navigation {
         let map = self.open_maps.open_of(&row).await?;
         let settings = Driving { reverse_travel, ..Driving::default() }.settings()?.planning;
         let route = map.plan(PlanFrom::Place(from), goal, settings).await?;
-        route.map(PlannedWay::Measured).map_err(ServiceError::precondition)
+        route.map(PlannedWay::Measured).map_err(topo_metric::not_planned)
     }
 
     async fn guide_of(&self, name: &str) -> Result<Guide, ServiceError> {
@@ -376,10 +382,15 @@ impl Driving {
 }
 
 impl Told {
-    /// Why it goes as it does, and how to mend it; empty where there is nothing to say.
+    /// Why it stands, waits, searches or looks around, and what it waits for; none where it is on its way or there.
     pub(crate) fn detail(&self) -> Option<String> {
         let unjoined = self.appearance.and_then(|by_looks| by_looks.unjoined);
-        unjoined.map(|unjoined| unjoined.of_the_robot())
+        let reflex = self.waiting.filter(|waiting| *waiting == Waiting::Reflex);
+        reflex
+            .map(|reflex| reflex.to_string())
+            .or(unjoined.map(|unjoined| unjoined.of_the_robot()))
+            .or(self.waiting.map(|waiting| waiting.to_string()))
+            .or(self.guidance.reason.map(|reason| reason.to_string()))
     }
 }
 
@@ -440,9 +451,7 @@ impl Guide {
     fn stop(&self) {
         match self {
             Guide::TopoMetric(guide) => guide.stop(),
-            Guide::Appearance(guide) => {
-                guide.stop();
-            }
+            Guide::Appearance(guide) => guide.stop(),
         }
     }
 }
@@ -494,7 +503,8 @@ impl NavigationStream {
             Guide::TopoMetric(guide) => guide.clone().go_to_in_time(&navigation, goal),
             Guide::Appearance(guide) => {
                 let guide = guide.clone();
-                let asked = guide.stop();
+                let asked = guide.ask();
+                guide.leave_reached_goal();
                 tokio::spawn(async move {
                     let named = goal.goal();
                     if let Err(error) = guide.go_to(&navigation, goal, asked).await {

@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::names::{check_id, id_in};
-use crate::pages::{Page, page_size};
+use crate::pages::{Page, named_page, page_after, page_size};
 use crate::role::Role;
 pub(crate) use crate::storage::TokenRow;
 use crate::storage::{SecretHash, Storage, StorageError};
@@ -249,17 +249,15 @@ impl Tokens {
         Ok(())
     }
 
-    /// Tokens after the name `page_token`, by name.
+    /// Tokens by name, from a page on.
     pub(crate) fn list(&self, size: u32, page_token: &str) -> Result<Page<TokenRow>, ServiceError> {
         let size = page_size(size)? as usize;
-        if !page_token.is_empty() {
-            check_id("page token", page_token)?;
-        }
+        let after = named_page(page_token)?;
         let mut items = self.all();
-        items.retain(|token| token.name.as_str() > page_token);
+        items.retain(|token| token.name > after);
         let more = items.len() > size;
         items.truncate(size);
-        let next = items.last().filter(|_| more).map(|token| token.name.clone()).unwrap_or_default();
+        let next = items.last().filter(|_| more).map(|token| page_after(&token.name)).unwrap_or_default();
         Ok(Page { items, next })
     }
 }

@@ -40,8 +40,9 @@ pub(crate) fn navigation(view: NavigationView) -> v1::Navigation {
 
 pub(crate) fn guidance(told: Told) -> v1::Guidance {
     let detail = told.detail();
-    let Told { stamp_ns, guidance, appearance } = told;
-    let Guidance { command, status, localization, remaining_m, heading_to_target_rad } = guidance;
+    // Both say why: the detail is made of them.
+    let Told { stamp_ns, guidance, appearance, waiting: _ } = told;
+    let Guidance { command, status, localization, remaining_m, heading_to_target_rad, reason: _ } = guidance;
     let VelocityCommand { number, forward_m_s, turn_rad_s, valid_ns } = command;
     v1::Guidance {
         stamp_ns,

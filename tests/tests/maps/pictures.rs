@@ -210,7 +210,8 @@ fn the_command_line_writes_pictures() {
         "--picture",
         path(&folder.path().join("none/six.svg")),
     ]);
-    assert!(code == 1 && stderr.contains("cannot write"), "{code}: {stderr}");
-    let (code, stderr) = waypost.fails(&["explain", "drive", "robot", "1", "--picture", path(&file)]);
+    assert!(code == 1 && stderr.contains("there is no folder"), "{code}: {stderr}");
+    let late = ["explain", "drive", "robot", "1", "--picture", path(&file), "--force"];
+    let (code, stderr) = waypost.fails(&late);
     assert!(code == 4 && stderr.contains("no frame of place 0"), "{code}: {stderr}");
 }

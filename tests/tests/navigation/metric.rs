@@ -21,7 +21,7 @@ use crate::harness::{
 };
 
 /// The first metres of a way through an office.
-fn way(length_m: f64) -> Building {
+pub(super) fn way(length_m: f64) -> Building {
     let mut office = building(NamedWorld::Office, 2, "teach");
     office.route = office.route.cut(length_m);
     office
@@ -36,7 +36,7 @@ fn sent(building: &Building, frame: &CameraFrame) -> FrameInput {
 }
 
 /// Teaches the map `taught`; true poses of the way, and the place that it ends at.
-async fn teach(building: &Building, client: &Client) -> (Vec<Pose>, u32) {
+pub(super) async fn teach(building: &Building, client: &Client) -> (Vec<Pose>, u32) {
     let model = import_model(client).await;
     client.create_map(map_request("taught", &model.name)).await.unwrap();
     let taught = driven(building, WheelErrors::drawn(1), 1);
@@ -46,7 +46,7 @@ async fn teach(building: &Building, client: &Client) -> (Vec<Pose>, u32) {
     (taught.ticks.iter().map(|tick| tick.truth).collect(), answers.last().unwrap().place_number.unwrap())
 }
 
-fn to_place(place: u32) -> v1::Goal {
+pub(super) fn to_place(place: u32) -> v1::Goal {
     v1::Goal { target: Some(v1::goal::Target::PlaceNumber(place)) }
 }
 

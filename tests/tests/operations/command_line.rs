@@ -99,6 +99,9 @@ fn maps_are_made_listed_shown_and_removed() {
     assert!(waypost.text(&["map", "ls"]).contains("drive"));
     assert_eq!(shown["state_hash"].as_str().unwrap().len(), 64);
     assert!(waypost.text(&["map", "show", "drive"]).contains("maps/drive"));
+    let by_words = waypost.text(&["map", "create", "words", "--model", "shipped", "--keep", "words"]);
+    assert!(by_words.contains("nothing is verified: words decide"), "{by_words}");
+    waypost.text(&["map", "delete", "words", "--yes"]);
     waypost.text(&["map", "rm", "drive"]);
     assert_eq!(waypost.json(&["map", "ls"])["maps"].as_array().unwrap().len(), 0);
 }
@@ -130,7 +133,9 @@ fn a_folder_is_streamed_and_told_frame_by_frame() {
     let first = check_csv(&csv, FRAMES);
 
     // Again: the session is complete, and its rows come from the store.
-    let again = waypost.json(&stream);
+    let (code, refused) = waypost.fails(&stream);
+    assert!(code == 1 && refused.contains("--force"), "{refused}");
+    let again = waypost.json(&[&stream[..], &["--force"]].concat());
     assert_eq!(again["resumed_after_sequence"].as_u64(), Some(FRAMES as u64));
     assert!(again["frames"].as_array().unwrap().iter().all(|row| row["resent"] == true));
     assert_eq!(check_csv(&csv, FRAMES), first);
@@ -248,6 +253,7 @@ fn a_model_is_trained_from_the_command_line() {
     let job = waypost.json(&again)["name"].as_str().unwrap().to_owned();
     assert_eq!(waypost.json(&["job", "watch", &job])["state"], "succeeded");
     assert_eq!(waypost.json(&["job", "show", &job])["state"], "succeeded");
+    assert_eq!(waypost.json(&["job", "get", job.trim_start_matches("jobs/")])["state"], "succeeded");
     let (code, stderr) = waypost.fails(&["job", "show", "jobs/9"]);
     assert_eq!(code, 4, "{stderr}");
 }

@@ -9,8 +9,8 @@ use waypost_client::{Client, SessionOptions, v1};
 
 use super::super::model;
 use super::super::stream::closure_line;
-use super::Demo;
 use super::repeat::{self, Repeated};
+use super::{Demo, tell_where_it_is};
 use crate::failure::Failure;
 use crate::frame_row::FrameRow;
 use crate::images::images_of;
@@ -56,8 +56,8 @@ pub(super) async fn run(demo: &Demo, output: Output) -> Result<(), Failure> {
     let images = images_of(&sequence)?;
     let stamps = Stamps::Even { rate_hz: STAMP_RATE_HZ };
     let replay = Replay { images, stamps, pace_hz: None, contents: ContentMaker::Images };
-    let (driven, taught) = demo
-        .with_server(output, async |server| {
+    let (driven, taught, data_dir) = demo
+        .with_server(output, async |server, data_dir| {
             let client = Client::connect(&server.endpoint()).await?;
             let model = model::import(&client, &demo.model_file(), "demo", output).await?;
             output.line(format_args!(
@@ -67,11 +67,12 @@ pub(super) async fn run(demo: &Demo, output: Output) -> Result<(), Failure> {
                 model.words
             ))?;
             let driven = drive(&client, &model.name, &replay, &truth, output).await?;
-            let picture = demo.keep_data.join("taught.svg");
-            Ok((driven, repeat::run(&client, &model.name, &picture, output).await?))
+            let picture = data_dir.join("taught.svg");
+            let taught = repeat::run(&client, &model.name, &picture, output).await?;
+            Ok((driven, taught, data_dir.to_owned()))
         })
         .await?;
-    report(driven, taught, &truth, &demo.keep_data, output)
+    report(driven, taught, &truth, &data_dir, output)
 }
 
 /// What came out of the stream.
@@ -179,8 +180,7 @@ fn write_report(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "links in the map            {:5}", report.map.links)?;
     repeat::write(&report.taught, out)?;
     writeln!(out)?;
-    writeln!(out, "The map is kept in {}. To look at it: `make serve`, then", report.data_dir)?;
-    writeln!(out, "  http://127.0.0.1:7601/#/maps/{MAP}")
+    tell_where_it_is(out, Path::new(&report.data_dir), MAP)
 }
 
 fn truth_of(sequence: &Path) -> Result<Truth, Failure> {

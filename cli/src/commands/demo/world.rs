@@ -12,7 +12,7 @@ use waypost_sim::pose::Pose;
 use waypost_sim::simulation::{CameraFrame, Recording};
 
 use super::super::model;
-use super::Demo;
+use super::{Demo, tell_where_it_is};
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::progress;
@@ -58,10 +58,13 @@ pub(super) async fn run(
     let recording =
         robot(&building, seed, 0, WHEN_MOVED)?.drive_along(&building.route, SPEED_M_S).map_err(unfit)?;
     let model_file = demo.model_file();
-    let mapped = demo
-        .with_server(output, async |server| map(server, &model_file, &building, &recording, output).await)
+    let (mapped, data_dir) = demo
+        .with_server(output, async |server, data_dir| {
+            let mapped = map(server, &model_file, &building, &recording, output).await?;
+            Ok((mapped, data_dir.to_owned()))
+        })
         .await?;
-    let picture = demo.keep_data.join("building.svg");
+    let picture = data_dir.join("building.svg");
     let svg = plan_svg(building.scene.plan(), &layers(&building, &recording, &mapped));
     std::fs::write(&picture, svg).map_err(Failure::file("write", &picture))?;
     let by_wheels: Vec<Pose> = recording.frames().map(|frame| frame.odometry.pose).collect();
@@ -78,7 +81,7 @@ pub(super) async fn run(
         picture: picture.to_string_lossy().into_owned(),
         closures: mapped.closures,
     };
-    output.result(&report, |out| write_report(&report, &demo.keep_data, out))
+    output.result(&report, |out| write_report(&report, &data_dir, out))
 }
 
 /// What the server made of the drive.
@@ -248,6 +251,5 @@ fn write_report(report: &Report, data: &Path, out: &mut dyn Write) -> io::Result
     writeln!(out, "error of the map                {map_error_m:8.2} m")?;
     writeln!(out)?;
     writeln!(out, "Truth, wheels and map are drawn in {picture}")?;
-    writeln!(out, "The map is kept in {}. To look at it: `make serve`, then", data.display())?;
-    writeln!(out, "  http://127.0.0.1:7601/#/maps/{MAP}")
+    tell_where_it_is(out, data, MAP)
 }

@@ -89,7 +89,7 @@ async fn poses(
     replacing: Replacing,
     output: Output,
 ) -> Result<(), Failure> {
-    replacing.check(path)?;
+    replacing.check_wanted(Some(path))?;
     let mut text = Vec::new();
     client.export_poses(request, &mut text).await?;
     replacing.write(path, &text)?;

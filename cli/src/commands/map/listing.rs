@@ -34,9 +34,21 @@ pub(super) fn show(map: &v1::Map, output: Output) -> Result<(), Failure> {
         writeln!(out, "  frames               {}", map.frames)?;
         writeln!(out, "  loop closures        {}", map.loop_closures)?;
         fields(out, &map.settings, "the model's")?;
+        if map.settings.as_ref().is_some_and(verifies_nothing) {
+            writeln!(
+                out,
+                "                       it keeps words alone, so nothing is verified: words decide"
+            )?;
+        }
         fields(out, &map.storage, "none")?;
         map.state_hash.as_ref().map_or(Ok(()), |hash| writeln!(out, "  state hash           {hash}"))
     })
+}
+
+/// Whether there is nothing by which the map could verify as it is set to.
+fn verifies_nothing(settings: &v1::MapSettings) -> bool {
+    use v1::map_settings::{Keep, Verification};
+    settings.keep() == Keep::Words && settings.verification() != Verification::None
 }
 
 pub(super) fn loop_closures(closures: &[v1::LoopClosure], output: Output) -> Result<(), Failure> {

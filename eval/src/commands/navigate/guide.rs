@@ -13,13 +13,13 @@ use waypost_navigation::metric::planning::plan;
 use waypost_navigation::metric::{
     Goal, Guidance, Look, Lookout, MapPosition, NavigationSettings, Navigator, PlanError, Seen, WheelReport,
 };
-use waypost_sim::render::Shot;
+use waypost_vision::GreyImage;
 use waypost_vision::features::Extractor;
 use waypost_vision::structure::{RobotCamera, Tracker};
 use waypost_vision::verification::Verifier;
 
 use super::teaching::Taught;
-use crate::commands::map::drive::{grey, robot_camera};
+use crate::commands::map::drive::robot_camera;
 use crate::error::refused;
 use crate::observing::{CurrentView, Observed};
 use crate::timing::FrameWatch;
@@ -75,10 +75,14 @@ impl<'a> Guide<'a> {
     }
 
     /// A frame has come in.
-    pub(super) fn see(&mut self, stamp_ns: i64, odometry: Odometry, shot: &Shot) -> Result<(Look, Seen)> {
-        let image = grey(&self.taught.building.image(shot))?;
+    pub(super) fn see(
+        &mut self,
+        stamp_ns: i64,
+        odometry: Odometry,
+        image: &GreyImage,
+    ) -> Result<(Look, Seen)> {
         let mut watch = FrameWatch::start();
-        let observed = Observed::in_image(&image, self.model, self.extractor, &mut watch)?;
+        let observed = Observed::in_image(image, self.model, self.extractor, &mut watch)?;
         let mapped = &self.taught.mapped;
         let features = Arc::new(observed.features);
         let features = self.tracker.track(features, Some(&self.camera), Some(&odometry));
@@ -112,8 +116,8 @@ impl<'a> Guide<'a> {
     }
 
     /// Odometry has come in.
-    pub(super) fn drive(&mut self, report: &WheelReport, now_ns: i64) -> Result<Guidance> {
-        let guidance = self.navigator.drive(report, now_ns);
+    pub(super) fn drive(&mut self, report: &WheelReport) -> Result<Guidance> {
+        let guidance = self.navigator.drive(report);
         self.plan()?;
         Ok(guidance)
     }
@@ -139,9 +143,12 @@ impl<'a> Guide<'a> {
             Err(PlanError::TooFar { .. } | PlanError::OneWay { .. } | PlanError::OtherPart { .. }) => {
                 self.navigator.cancel();
             }
-            Err(reason @ (PlanError::UnknownPlace { .. } | PlanError::NotFinite)) => {
-                return Err(reason.into());
-            }
+            Err(
+                reason @ (PlanError::UnknownPlace { .. }
+                | PlanError::UnknownPart { .. }
+                | PlanError::GoalTooFar { .. }
+                | PlanError::NotFinite),
+            ) => return Err(reason.into()),
         }
         Ok(())
     }
@@ -155,12 +162,14 @@ mod tests {
     use topomap::evidence::{ClosureNoise, VerificationSettings, ViewMotion};
     use waypost_sim::light::Light;
     use waypost_sim::pose::Pose;
+    use waypost_sim::render::Shot;
     use waypost_sim::scene::Scene;
     use waypost_sim::worlds::NamedWorld;
     use waypost_vision::feature_record::FeatureRecord;
     use waypost_vision::verification::View;
 
     use super::*;
+    use crate::commands::map::drive::grey;
     use crate::commands::map::training::MapTraining;
     use waypost_sim::drive::{IMAGE_SIZE_PX, camera_rig};
 

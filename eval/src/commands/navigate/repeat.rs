@@ -1,5 +1,7 @@
 //! The drive that follows the map: robot, link and server, in simulated time.
 
+mod stuck;
+
 use std::f64::consts::PI;
 
 use anyhow::Result;
@@ -21,6 +23,8 @@ use waypost_sim::robot::{Command, OdometryReading, WheelErrors};
 use waypost_sim::simulation::{CameraFrame, Obedience, Simulation, SimulationSettings, Tick};
 use waypost_vision::features::Extractor;
 
+pub(super) use self::stuck::stuck;
+pub(crate) use self::stuck::{StuckReport, StuckRun};
 use super::guide::Guide;
 use super::teaching::Taught;
 use super::{Lighting, NavigateOptions, Trial};
@@ -117,6 +121,10 @@ struct Course<'a> {
     random: ChaCha8Rng,
     blind_from_ns: i64,
     kidnapped_at_m: f64,
+    /// Speed ahead of the last command that the robot heard.
+    told_m_s: f64,
+    /// Whether all that it sees is a wall without anything on it.
+    sees_bare_wall: bool,
     drive: Drive,
 }
 
@@ -199,7 +207,7 @@ impl<'a> Course<'a> {
         let kidnapped_at_m = taught.length_m() * random.random_range(0.2..0.7);
         let facing_rad = match options.trial {
             Trial::Facing => Some(random.random_range(-PI..PI)),
-            Trial::Repeat | Trial::Shortcut | Trial::Sparse | Trial::Kidnapped => None,
+            Trial::Repeat | Trial::Shortcut | Trial::Sparse | Trial::Kidnapped | Trial::Stuck => None,
         };
         Ok(Self {
             options,
@@ -216,6 +224,8 @@ impl<'a> Course<'a> {
             random,
             blind_from_ns,
             kidnapped_at_m,
+            told_m_s: 0.0,
+            sees_bare_wall: false,
             drive: Drive { facing_rad, ..Drive::default() },
         })
     }
@@ -237,17 +247,17 @@ impl<'a> Course<'a> {
         while let Some((_, SentFrame { frame, truth })) = self.frames.receive(now_ns) {
             self.look(&frame, &truth)?;
         }
-        while let Some((arrival_ns, wheels)) = self.wheels.receive(now_ns) {
+        while let Some((_, wheels)) = self.wheels.receive(now_ns) {
             let SentWheels { stamp_ns, reading, obeyed, driver } = wheels;
             let report = WheelReport { stamp_ns, odometry: sent_odometry(&reading)?, obeyed, driver };
-            let guidance = self.guide.drive(&report, arrival_ns)?;
+            let guidance = self.guide.drive(&report)?;
             self.note(&guidance);
             self.commands.send(now_ns, guidance.command);
         }
         while let Some((_, command)) = self.commands.receive(now_ns) {
             let VelocityCommand { number, forward_m_s, turn_rad_s, valid_ns } = command;
             self.simulation.command(Command { forward_m_s, turn_rad_s, valid_ns });
-            self.obeyed = Some(number);
+            (self.obeyed, self.told_m_s) = (Some(number), forward_m_s);
         }
         Ok(tick)
     }
@@ -263,7 +273,12 @@ impl<'a> Course<'a> {
                 moved.position().norm() >= SPARSE.0 || moved.heading_rad.abs() >= SPARSE.1
             }
             (
-                Trial::Repeat | Trial::Shortcut | Trial::Sparse | Trial::Kidnapped | Trial::Facing,
+                Trial::Repeat
+                | Trial::Shortcut
+                | Trial::Sparse
+                | Trial::Kidnapped
+                | Trial::Facing
+                | Trial::Stuck,
                 Some(_) | None,
             ) => true,
         };
@@ -276,7 +291,12 @@ impl<'a> Course<'a> {
 
     fn look(&mut self, frame: &CameraFrame, truth: &PlanarPose) -> Result<()> {
         let on_the_way = self.has_started() && self.status != Status::Lost;
-        let (look, seen) = self.guide.see(frame.stamp_ns, sent_odometry(&frame.odometry)?, &frame.shot)?;
+        let (look, seen) = {
+            let odometry = sent_odometry(&frame.odometry)?;
+            let image =
+                if self.sees_bare_wall { stuck::bare_wall()? } else { self.taught.image(&frame.shot)? };
+            self.guide.see(frame.stamp_ns, odometry, &image)?
+        };
         let closure = match look.sight {
             Sight::Closure(closure) => Some(closure),
             Sight::Unknown | Sight::TooLittle => None,

@@ -10,13 +10,15 @@ use topomap::settings::MapperSettings;
 use waypost_sim::drive::{Building, WHEN_MOVED};
 use waypost_sim::people::{Behaviour, Person};
 use waypost_sim::pose::Pose;
+use waypost_sim::render::Shot;
 use waypost_sim::robot::WheelErrors;
 use waypost_sim::simulation::CameraTrigger;
 use waypost_sim::worlds::{NamedRoute, NamedWorld};
+use waypost_vision::GreyImage;
 use waypost_vision::features::Extractor;
 
 use super::{NavigateOptions, Trial};
-use crate::commands::map::drive::{Drive, drive_through};
+use crate::commands::map::drive::{Drive, drive_through, grey};
 use crate::commands::map::mapping::{Mapped, map};
 use crate::commands::map::named_route;
 
@@ -40,7 +42,7 @@ pub(super) fn teach(
     (model, extractor): (&Model, Extractor),
 ) -> Result<Taught> {
     let (world, route) = match options.trial {
-        Trial::Repeat | Trial::Sparse | Trial::Kidnapped | Trial::Facing => {
+        Trial::Repeat | Trial::Sparse | Trial::Kidnapped | Trial::Facing | Trial::Stuck => {
             (options.world, named_route(options.world, &options.route)?)
         }
         Trial::Shortcut => (NamedWorld::Office, detour()),
@@ -49,7 +51,7 @@ pub(super) fn teach(
     let wheels = WheelErrors::drawn(2 * seed);
     let trigger = match options.trial {
         Trial::Sparse => CameraTrigger::Moved { distance_m: 0.05, angle_rad: 10_f64.to_radians() },
-        Trial::Repeat | Trial::Shortcut | Trial::Kidnapped | Trial::Facing => WHEN_MOVED,
+        Trial::Repeat | Trial::Shortcut | Trial::Kidnapped | Trial::Facing | Trial::Stuck => WHEN_MOVED,
     };
     let drive = drive_through(&building, 2 * seed, wheels, trigger)?;
     let mapped = map(&drive.frames, model, extractor, MapperSettings::default())?;
@@ -65,6 +67,11 @@ fn detour() -> NamedRoute {
 }
 
 impl Taught {
+    /// What a camera sees of the building.
+    pub(super) fn image(&self, shot: &Shot) -> Result<GreyImage> {
+        grey(&self.building.image(shot))
+    }
+
     /// Where the robot really was when it took a frame of the map.
     pub(super) fn truth(&self, frame: FrameId) -> Option<PlanarPose> {
         Some(self.drive.frames.get(self.mapped.log.index(frame)?)?.truth)

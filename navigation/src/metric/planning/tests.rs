@@ -61,6 +61,16 @@ fn what_cannot_be_planned_says_why() {
     assert_eq!(tried(from, Goal::Place(0), &forbidden), Err(PlanError::OneWay { goal: 0 }));
     let nowhere = Goal::Position { part: 0, position_m: [f64::NAN, 0.0] };
     assert_eq!(tried(from, nowhere, &forbidden), Err(PlanError::NotFinite));
+    // No place is near, or no such part is there: wherever the robot is.
+    let off_the_map = Goal::Position { part: 0, position_m: [3.0, 1000.0] };
+    let Err(PlanError::GoalTooFar { place: 3, distance_m, reach_m: 0.1 }) =
+        tried(from, off_the_map, &forbidden)
+    else {
+        panic!("a goal that is 1 km from the map")
+    };
+    assert!((distance_m - 1000.0).abs() < 1e-9);
+    let no_part = Goal::Position { part: 1, position_m: [1.0, 0.0] };
+    assert_eq!(tried(from, no_part, &forbidden), Err(PlanError::UnknownPart { part: 1 }));
     let far = MapPosition { part: 0, pose: PlanarPose::new(1.0, 5.0, 0.0) };
     let too_far = PlanError::TooFar { distance_m: 5.0, reach_m: forbidden.reach_m };
     assert_eq!(tried(far, Goal::Place(3), &forbidden), Err(too_far));
@@ -70,9 +80,12 @@ fn what_cannot_be_planned_says_why() {
     assert_eq!(places(&back), [2, 1, 0]);
     let travels: Vec<Travel> = back.waypoints.iter().map(|waypoint| waypoint.travel).collect();
     assert_eq!(travels, [Travel::Along, Travel::Against, Travel::Against]);
-    let nearest = Goal::Position { part: 0, position_m: [2.9, 0.4] };
+    let nearest = Goal::Position { part: 0, position_m: [2.95, 0.05] };
     assert_eq!(places(&tried(from, nearest, &forbidden).unwrap()), [2, 3]);
-    assert_eq!(places(&tried(from, Goal::Place(2), &forbidden).unwrap()), [2]);
+    let stays = tried(from, Goal::Place(2), &forbidden).unwrap();
+    assert_eq!(places(&stays), [2]);
+    // Not -0.0, which JSON would show.
+    assert!(stays.length_m == 0.0 && stays.length_m.is_sign_positive());
 }
 
 /// Metres that a way costs, from the definition.

@@ -6,7 +6,6 @@ mod journey;
 mod state;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
 
 use crate::ingest::PanoramicView;
 use fabmap::appearance::PlaceId;
@@ -18,6 +17,7 @@ use waypost_navigation::metric::Seen;
 
 pub(crate) use self::goals::Unjoined;
 use self::journey::{Journey, Step, most_similar};
+pub(crate) use self::state::Waiting;
 use self::state::{Heading, Report, State};
 use super::{
     AppearanceView, BodyReport, Driving, FrameSeen, Goal, GoalRefusal, GoalRequest, Identity, Looked,
@@ -165,24 +165,33 @@ impl AppearanceGuide {
         state.asked
     }
 
-    /// The robot stands from now on; the number of a goal that may be asked for in place of what it had.
-    pub(super) fn stop(&self) -> u64 {
+    /// The robot stands from now on.
+    pub(super) fn stop(&self) {
         let mut state = self.state();
         state.asked += 1;
+        state.taken = state.asked;
         (state.journey, state.goal_refusal, state.heading, state.told) = (None, None, None, None);
-        state.asked
+    }
+
+    /// Whoever waits for the arrival at the next goal must not take that at the last one for it.
+    pub(super) fn leave_reached_goal(&self) {
+        let mut state = self.state();
+        if state.journey.as_ref().is_some_and(|journey| journey.has_arrived) {
+            (state.journey, state.heading, state.told) = (None, None, None);
+        }
     }
 
     pub(super) fn refuse(&self, asked: u64, refusal: GoalRefusal) {
         let mut state = self.state();
-        if state.asked == asked {
+        if asked >= state.taken {
             state.goal_refusal = Some(refusal.clone());
             drop(state);
             self.refusals.send_replace(Some(refusal));
         }
     }
 
-    /// Sets out for a goal, unless another one was `asked` for since.
+    /// Sets out for a goal, unless a later one than this that was `asked` for was taken meanwhile. Where it is refused, the
+    /// robot goes on to the one that it had.
     pub(super) async fn go_to(
         &self,
         navigation: &Navigation,
@@ -200,7 +209,8 @@ impl AppearanceGuide {
         };
         let images = navigation.images_of(&row, &graph, &goal).await?;
         let mut state = self.state();
-        if state.asked == asked {
+        if asked > state.taken {
+            state.taken = asked;
             state.journey = Some(Journey::new(asked, goal, graph, images));
             // Of the goal before: whoever waits for the arrival must not take it for that at this one.
             (state.goal_refusal, state.heading, state.told) = (None, None, None);
@@ -285,7 +295,8 @@ impl AppearanceGuide {
         if let Some((journey, step)) = step
             && state.journey.as_ref().is_some_and(|now| now.number == journey.number)
         {
-            let heading = self.heading(&journey, &step, odometry.as_ref());
+            let since_ns = state.last_report.map_or(stamp_ns, |report| report.stamp_ns.max(stamp_ns));
+            let heading = self.heading(&journey, &step, odometry.as_ref(), since_ns);
             subgoal = heading.view.subgoal.filter(|_| step.similarity.is_some_and(|s| s > LINK_SIMILARITY));
             state.closures += u64::from(subgoal.is_some());
             (state.journey, state.heading) = (Some(journey), Some(heading));
@@ -296,7 +307,8 @@ impl AppearanceGuide {
         Ok(Looked { seen, told: Some(told) })
     }
 
-    fn heading(&self, journey: &Journey, step: &Step, odometry: Option<&Odometry>) -> Heading {
+    /// `since_ns` is the robot's latest stamp of when it was found.
+    fn heading(&self, journey: &Journey, step: &Step, odometry: Option<&Odometry>, since_ns: i64) -> Heading {
         let place = |image: Option<ImageId>| journey.graph.place_of(image?);
         Heading {
             status: step.status,
@@ -309,7 +321,7 @@ impl AppearanceGuide {
                 unjoined: step.unjoined,
             },
             yaw_rad: odometry.map(yaw_rad),
-            since: Instant::now(),
+            since_ns,
         }
     }
 

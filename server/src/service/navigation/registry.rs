@@ -68,6 +68,15 @@ impl Registry {
         Ok(Opened { guide, resumed: false })
     }
 
+    /// A robot whose stream was not opened after all.
+    pub(super) fn forget(&self, (map, name): (MapId, &str), guide: &Guide) {
+        let mut led = self.led();
+        let key = (map, name.to_owned());
+        if led.get(&key).is_some_and(|led| led.guide.is(guide)) {
+            led.remove(&key);
+        }
+    }
+
     pub(super) fn find(&self, (map, name): (MapId, &str)) -> Option<Guide> {
         self.led().get(&(map, name.to_owned())).map(|led| led.guide.clone())
     }

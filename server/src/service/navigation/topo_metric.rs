@@ -3,16 +3,15 @@
 //! writer is asked for looks and plans alone.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
 
 use fabmap::appearance::PlaceId;
 use tokio::sync::watch;
 use topomap::ids::SessionId;
 use topomap::mapper::{FrameInput, Localizer};
 use topomap::metric::{Odometry, OdometryNoise};
-use waypost_navigation::metric::planning::{self, Route};
-use waypost_navigation::metric::settings::NavigationSettings;
-use waypost_navigation::metric::{Lookout, Navigator, Sight, WheelReport};
+use waypost_navigation::metric::planning::{self, PlanError, Route};
+use waypost_navigation::metric::settings::{NavigationSettings, PlanningSettings};
+use waypost_navigation::metric::{Lookout, Navigator, Sight, Status, WheelReport};
 
 use super::{
     BodyReport, Driving, FrameSeen, Goal, GoalRefusal, GoalRequest, Identity, Navigation, NavigationView,
@@ -38,8 +37,6 @@ pub(super) struct TopoMetricGuide {
     settings: NavigationSettings,
     /// Of the map: odometry that is faster has jumped.
     max_speed_m_per_s: f64,
-    /// The navigator's clock begins here.
-    since: Instant,
     /// One frame is looked at after the other.
     eyes: tokio::sync::Mutex<Eyes>,
     state: Mutex<State>,
@@ -58,7 +55,13 @@ struct State {
     navigator: Navigator,
     last_report: Option<(i64, Odometry)>,
     told: Option<Told>,
+    /// Counts goals that were asked for or taken away.
+    asked: u64,
+    /// The one of them that the robot goes by; an earlier one is found too late.
+    taken: u64,
     goal: Option<MeasuredGoal>,
+    /// Where it was going until it was sent there, for as long as no way there is planned.
+    goal_before: Option<MeasuredGoal>,
     route: Option<Route>,
     goal_refusal: Option<GoalRefusal>,
     planning: Planning,
@@ -78,6 +81,22 @@ pub(super) struct MeasuredGoal {
 enum Planning {
     No,
     UnderWay,
+}
+
+impl State {
+    /// What was said of the goal before counts no more: whoever waits for the arrival must not take it for that at this one.
+    fn set_out(&mut self, goal: MeasuredGoal) {
+        match goal.heading_rad {
+            None => self.navigator.go_to(goal.goal),
+            // Looked at when it came in: it is finite.
+            Some(heading_rad) => {
+                if let Err(error) = self.navigator.go_to_facing(goal.goal, heading_rad) {
+                    tracing::error!(%error, "a goal's heading was not checked");
+                }
+            }
+        }
+        (self.goal, self.route, self.told) = (Some(goal), None, None);
+    }
 }
 
 impl MeasuredGoal {
@@ -122,31 +141,48 @@ impl Navigation {
         row: &MapRow,
         goal: GoalRequest,
     ) -> Result<MeasuredGoal, ServiceError> {
-        match goal {
-            GoalRequest::Goal(Goal::Place(place)) => Ok(MeasuredGoal::place(place)),
+        let goal = match goal {
+            GoalRequest::Goal(Goal::Place(place)) => MeasuredGoal::place(place),
             GoalRequest::Goal(Goal::Position { part, position_m, heading_rad }) => {
-                Ok(MeasuredGoal { goal: planning::Goal::Position { part, position_m }, heading_rad })
+                MeasuredGoal { goal: planning::Goal::Position { part, position_m }, heading_rad }
             }
             GoalRequest::Goal(Goal::Label(label)) => {
                 match self.labels.labelled(row, &label).await?.as_slice() {
-                    [place] => Ok(MeasuredGoal::place(*place)),
+                    [place] => MeasuredGoal::place(*place),
                     places => {
                         let numbers: Vec<String> = places.iter().map(u32::to_string).collect();
-                        Err(ServiceError::precondition(format_args!(
+                        return Err(ServiceError::precondition(format_args!(
                             "{label:?} are {} places of the map {}, and a robot goes to one: name it by its number ({})",
                             places.len(),
                             row.name,
                             numbers.join(", ")
-                        )))
+                        )));
                     }
                 }
             }
-            GoalRequest::Image(_) => Err(ServiceError::precondition(format_args!(
-                "where an image was taken is a goal on maps with the navigation strategy appearance; on the map {} ask \
-                 with a query which place it shows, and go there",
-                row.name
-            ))),
-        }
+            GoalRequest::Image(_) => {
+                return Err(ServiceError::precondition(format_args!(
+                    "where an image was taken is a goal on maps with the navigation strategy appearance; on the map {} \
+                     ask with a query which place it shows, and go there",
+                    row.name
+                )));
+            }
+        };
+        let map = self.open_maps.open_of(row).await?;
+        map.check_goal(goal.goal, PlanningSettings::default()).await?.map_err(not_planned)?;
+        Ok(goal)
+    }
+}
+
+/// Why there is no way, as a refusal.
+pub(super) fn not_planned(error: PlanError) -> ServiceError {
+    match error {
+        PlanError::UnknownPlace { .. } | PlanError::UnknownPart { .. } => ServiceError::not_found(error),
+        PlanError::NotFinite => ServiceError::invalid(error),
+        PlanError::GoalTooFar { .. }
+        | PlanError::OtherPart { .. }
+        | PlanError::OneWay { .. }
+        | PlanError::TooFar { .. } => ServiceError::precondition(error),
     }
 }
 
@@ -165,7 +201,6 @@ impl TopoMetricGuide {
             intrinsics,
             settings,
             max_speed_m_per_s,
-            since: Instant::now(),
             eyes: tokio::sync::Mutex::new(Eyes {
                 lookout: Lookout::new(),
                 tracker: Tracker::new(OdometryNoise::default()),
@@ -174,7 +209,10 @@ impl TopoMetricGuide {
                 navigator,
                 last_report: None,
                 told: None,
+                asked: 0,
+                taken: 0,
                 goal: None,
+                goal_before: None,
                 route: None,
                 goal_refusal: None,
                 planning: Planning::No,
@@ -217,69 +255,95 @@ impl TopoMetricGuide {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Sends the robot to a goal. One that does not exist, or that no way leads to from where the robot is, is refused, and
+    /// the robot goes on to the one that it had.
     pub(super) async fn go_to(
         self: &Arc<Self>,
         navigation: &Navigation,
         goal: GoalRequest,
     ) -> Result<(), ServiceError> {
-        let row = navigation.open_maps.row(&self.identity.map).await?;
-        if row.id != self.identity.map_id {
-            return Err(self.identity.replaced());
-        }
-        self.head_for(navigation.measured_goal(&row, goal).await?);
-        self.plan_if_wanted(navigation);
-        Ok(())
+        let asked = self.ask();
+        self.set_out(navigation, goal, asked).await
     }
 
     /// The same without waiting; refusals tell why it was refused.
     pub(super) fn go_to_in_time(self: Arc<Self>, navigation: &Navigation, goal: GoalRequest) {
-        let known = match goal {
-            GoalRequest::Goal(Goal::Place(place)) => MeasuredGoal::place(place),
-            GoalRequest::Goal(Goal::Position { part, position_m, heading_rad }) => {
-                MeasuredGoal { goal: planning::Goal::Position { part, position_m }, heading_rad }
+        let asked = self.ask();
+        self.leave_reached_goal();
+        let navigation = navigation.clone();
+        tokio::spawn(async move {
+            let named = goal.goal();
+            if let Err(error) = self.set_out(&navigation, goal, asked).await {
+                self.refuse(asked, GoalRefusal { goal: named, error });
             }
-            GoalRequest::Goal(Goal::Label(_)) | GoalRequest::Image(_) => {
-                self.stop();
-                let navigation = navigation.clone();
-                tokio::spawn(async move {
-                    let named = goal.goal();
-                    if let Err(error) = self.go_to(&navigation, goal).await {
-                        self.refuse(GoalRefusal { goal: named, error });
-                    }
-                });
-                return;
-            }
-        };
-        self.head_for(known);
-        self.plan_if_wanted(navigation);
+        });
     }
 
-    fn head_for(&self, goal: MeasuredGoal) {
+    /// The number of a goal that is asked for.
+    fn ask(&self) -> u64 {
         let mut state = self.state();
-        match goal.heading_rad {
-            None => state.navigator.go_to(goal.goal),
-            // Looked at when it came in: it is finite.
-            Some(heading_rad) => {
-                if let Err(error) = state.navigator.go_to_facing(goal.goal, heading_rad) {
-                    tracing::error!(%error, "a goal's heading was not checked");
-                }
-            }
+        state.asked += 1;
+        state.asked
+    }
+
+    /// Whoever waits for the arrival at the next goal must not take that at the last one for it.
+    fn leave_reached_goal(&self) {
+        let mut state = self.state();
+        if state.told.is_some_and(|told| told.guidance.status == Status::Arrived) {
+            state.navigator.cancel();
+            (state.goal, state.route, state.told) = (None, None, None);
         }
-        (state.goal, state.route, state.goal_refusal) = (Some(goal), None, None);
-        // Of the goal before: whoever waits for the arrival must not take it for that at this one.
-        state.told = None;
+    }
+
+    async fn set_out(
+        self: &Arc<Self>,
+        navigation: &Navigation,
+        goal: GoalRequest,
+        asked: u64,
+    ) -> Result<(), ServiceError> {
+        let row = navigation.open_maps.row(&self.identity.map).await?;
+        if row.id != self.identity.map_id {
+            return Err(self.identity.replaced());
+        }
+        let goal = navigation.measured_goal(&row, goal).await?;
+        let here = self.state().navigator.localization();
+        if let Some(here) = here {
+            self.planned(navigation, PlanFrom::Robot(here.at), goal.goal).await?;
+        }
+        self.head_for(goal, asked);
+        self.plan_if_wanted(navigation);
+        Ok(())
+    }
+
+    /// Unless a later goal was taken meanwhile.
+    fn head_for(&self, goal: MeasuredGoal, asked: u64) {
+        let mut state = self.state();
+        if asked <= state.taken {
+            return;
+        }
+        let before =
+            state.goal.filter(|_| state.told.is_none_or(|told| told.guidance.status != Status::Arrived));
+        state.set_out(goal);
+        (state.taken, state.goal_before, state.goal_refusal) = (asked, before, None);
     }
 
     pub(super) fn stop(&self) {
         let mut state = self.state();
         state.navigator.cancel();
-        (state.goal, state.route, state.goal_refusal) = (None, None, None);
+        state.asked += 1;
+        state.taken = state.asked;
+        (state.goal, state.goal_before, state.route, state.goal_refusal) = (None, None, None, None);
         state.told = None;
     }
 
-    fn refuse(&self, refusal: GoalRefusal) {
-        self.state().goal_refusal = Some(refusal.clone());
-        self.refusals.send_replace(Some(refusal));
+    /// Unless a later goal was taken meanwhile.
+    fn refuse(&self, asked: u64, refusal: GoalRefusal) {
+        let mut state = self.state();
+        if asked >= state.taken {
+            state.goal_refusal = Some(refusal.clone());
+            drop(state);
+            self.refusals.send_replace(Some(refusal));
+        }
     }
 
     /// Has a way planned if the robot waits for one. It stands meanwhile.
@@ -303,16 +367,23 @@ impl TopoMetricGuide {
             match planned {
                 Ok(route) => {
                     state.navigator.follow(&route);
-                    state.route = Some(route);
+                    (state.route, state.goal_before) = (Some(route), None);
                 }
                 // The map is opened anew: the next report asks again.
                 Err(ServiceError::Unavailable { .. }) => {}
                 Err(error) => {
-                    state.navigator.cancel();
-                    state.goal = None;
+                    let asked = state.taken;
+                    match state.goal_before.take() {
+                        Some(before) => state.set_out(before),
+                        None => {
+                            state.navigator.cancel();
+                            state.goal = None;
+                        }
+                    }
                     drop(state);
                     let goal = Some(goal.into());
-                    guide.refuse(GoalRefusal { goal, error });
+                    guide.refuse(asked, GoalRefusal { goal, error });
+                    guide.plan_if_wanted(&navigation);
                 }
             }
         });
@@ -328,7 +399,7 @@ impl TopoMetricGuide {
         if map.id() != self.identity.map_id {
             return Err(self.identity.replaced());
         }
-        map.plan(from, goal, self.settings.planning).await?.map_err(ServiceError::precondition)
+        map.plan(from, goal, self.settings.planning).await?.map_err(not_planned)
     }
 
     /// A wheel report that no wheels make.
@@ -365,11 +436,10 @@ impl TopoMetricGuide {
         })?;
         let report = WheelReport { stamp_ns, odometry, obeyed, driver };
         self.check(&report)?;
-        let now_ns = i64::try_from(self.since.elapsed().as_nanos()).unwrap_or(i64::MAX);
         let told = {
             let mut state = self.state();
-            let guidance = state.navigator.drive(&report, now_ns);
-            let told = Told { stamp_ns, guidance, appearance: None };
+            let guidance = state.navigator.drive(&report);
+            let told = Told { stamp_ns, guidance, appearance: None, waiting: None };
             state.told = Some(told);
             state.last_report = Some((report.stamp_ns, report.odometry));
             told

@@ -70,6 +70,7 @@ pub(super) async fn paths_and_queries(ground: &Ground) -> Cases {
         ("page size of 2^32", b"/v1/maps/drive/loop-closures?page_size=4294967296", 400, "page_size=NUMBER"),
         ("page size twice", b"/v1/maps/drive/loop-closures?page_size=1&page_size=2", 400, "page_size=NUMBER"),
         ("foreign token of maps", b"/v1/maps?page_token=No%20Token", 400, "begin again without one"),
+        ("a name for a token of maps", b"/v1/maps?page_token=junk", 400, "begin again without one"),
         (
             "foreign token of places",
             b"/v1/maps/drive/places?page_token=drive",

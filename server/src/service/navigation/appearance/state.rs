@@ -1,6 +1,6 @@
 //! What a robot that is led by looks was told, and what it said last.
 
-use std::time::{Duration, Instant};
+use std::fmt;
 
 use waypost_navigation::appearance::navigator::{Body, HeadingSteering};
 use waypost_navigation::metric::settings::NavigationSettings;
@@ -9,13 +9,15 @@ use waypost_navigation::metric::{Driver, Guidance, Status, VelocityCommand};
 use super::journey::Journey;
 use crate::service::navigation::{AppearanceView, GoalRefusal, Told};
 
-/// How long a robot is led by one panorama, by its wheels.
-const PANORAMA_HOLDS: Duration = Duration::from_secs(1);
+/// How long a robot is led by one panorama, by its wheels, in nanoseconds of its own clock.
+const PANORAMA_HOLDS_NS: i64 = 1_000_000_000;
 
 #[derive(Debug, Default)]
 pub(super) struct State {
-    /// Counts goals that were asked for or taken away: the way to an earlier one is found too late.
+    /// Counts goals that were asked for or taken away.
     pub(super) asked: u64,
+    /// The one of them that the robot goes by; an earlier one is found too late.
+    pub(super) taken: u64,
     pub(super) journey: Option<Journey>,
     pub(super) goal_refusal: Option<GoalRefusal>,
     pub(super) heading: Option<Heading>,
@@ -35,7 +37,19 @@ pub(super) struct Heading {
     pub(super) view: AppearanceView,
     /// Of the odometry at the panorama.
     pub(super) yaw_rad: Option<f64>,
-    pub(super) since: Instant,
+    /// The robot's latest stamp of when it was found: how long that took does not count.
+    pub(super) since_ns: i64,
+}
+
+/// Why a robot that is led by looks is not on its way, and what it waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Waiting {
+    NoGoal,
+    Reflex,
+    /// The last panorama is too old to lead it.
+    Panorama,
+    OutOfSight,
+    NothingKnown,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -72,10 +86,12 @@ impl State {
             }
             (Some(_), Some(heading)) => heading.status,
         };
-        let is_led = heading.is_some_and(|heading| heading.since.elapsed() < PANORAMA_HOLDS);
+        let leading = heading.filter(|heading| heading.leads_at(stamp_ns));
         let waits = view.is_some_and(|view| view.unjoined.is_some());
         let [forward_m_s, turn_rad_s] = match status {
-            Status::Following | Status::Searching | Status::Lost | Status::Blocked if is_led && !waits => {
+            Status::Following | Status::Searching | Status::Lost | Status::Blocked
+                if leading.is_some() && !waits =>
+            {
                 steering.steer(view.and_then(|view| view.heading_rad))
             }
             Status::Following
@@ -87,14 +103,91 @@ impl State {
         };
         let valid_ns = NavigationSettings::default().steering.valid_ns;
         let command = VelocityCommand { number: self.commands, forward_m_s, turn_rad_s, valid_ns };
-        let guidance =
-            Guidance { command, status, localization: None, remaining_m: None, heading_to_target_rad: None };
-        let told = Told { stamp_ns, guidance, appearance: view };
+        let guidance = Guidance {
+            command,
+            status,
+            localization: None,
+            remaining_m: None,
+            heading_to_target_rad: None,
+            reason: None,
+        };
+        let waiting = self.waiting(status, leading);
+        let told = Told { stamp_ns, guidance, appearance: view, waiting };
         self.told = Some(told);
         told
     }
 }
 
+impl State {
+    /// Why a robot that is led by looks is not on its way.
+    fn waiting(&self, status: Status, leading: Option<Heading>) -> Option<Waiting> {
+        match status {
+            Status::Idle => Some(Waiting::NoGoal),
+            Status::Arrived => None,
+            Status::Blocked if self.body() == Body::Held => Some(Waiting::Reflex),
+            Status::Following | Status::Searching | Status::Lost | Status::Blocked if leading.is_none() => {
+                Some(Waiting::Panorama)
+            }
+            Status::Following | Status::Blocked => None,
+            Status::Searching => Some(Waiting::OutOfSight),
+            Status::Lost => Some(Waiting::NothingKnown),
+        }
+    }
+}
+
+impl Heading {
+    /// Whether it still leads a robot, by the robot's stamps.
+    fn leads_at(&self, stamp_ns: i64) -> bool {
+        stamp_ns.saturating_sub(self.since_ns) < PANORAMA_HOLDS_NS
+    }
+}
+
+impl fmt::Display for Waiting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::NoGoal => "it has no goal: it stands until it is given one",
+            Self::Reflex => {
+                "its own reflex drives, and commands are not obeyed: it goes on when the reports say that the reflex is over"
+            }
+            Self::Panorama => {
+                "no panorama was looked at for a second by its stamps: it stands until the next one; send about four a second"
+            }
+            Self::OutOfSight => "it does not see its subgoal: it keeps its heading for a few panoramas to find it again",
+            Self::NothingKnown => {
+                "no place with a way to the goal looks like what it sees: it looks around until one does; bring it to where \
+                 the map was driven if it stays so"
+            }
+        })
+    }
+}
+
 fn wrapped(angle_rad: f64) -> f64 {
     angle_rad.sin().atan2(angle_rad.cos())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A robot whose time is slow or fast is led as long by what it saw.
+    #[test]
+    fn a_panorama_leads_for_a_second_of_the_robots_time() {
+        let heading = Heading {
+            status: Status::Following,
+            view: AppearanceView::default(),
+            yaw_rad: None,
+            since_ns: 5_000_000_000,
+        };
+        for (stamp_ns, leads) in [(4_900_000_000, true), (5_999_999_999, true), (6_000_000_000, false)] {
+            assert_eq!(heading.leads_at(stamp_ns), leads, "{stamp_ns}");
+        }
+    }
+
+    #[test]
+    fn why_it_stands_is_said() {
+        let mut state = State::default();
+        let told = state.tell(1, None, &HeadingSteering::default());
+        assert_eq!((told.guidance.status, told.waiting), (Status::Idle, Some(Waiting::NoGoal)));
+        assert!(told.detail().unwrap().contains("it has no goal"));
+    }
 }

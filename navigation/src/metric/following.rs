@@ -1,0 +1,309 @@
+//! Whether a robot does what it is told to, and what it does if it does not. Time is the robot's.
+
+use std::collections::VecDeque;
+
+use posegraph::{PlanarPose, Pose};
+
+use super::guidance::Obstacle;
+use super::settings::SupervisionSettings;
+
+/// Whether the robot moves when it is told to all along.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct MotionWatch {
+    ahead: Told,
+    turning: Told,
+    /// When it was last judged, and at which odometry: after a pause in which commands lapsed it starts again.
+    judged: Option<(i64, PlanarPose)>,
+    /// Sum of all turns of the wheels, in radians.
+    turned_rad: f64,
+    recovery: Option<Recovery>,
+    /// Where it came from, by its wheels, oldest first.
+    trail: VecDeque<PlanarPose>,
+    /// How often in a row it was held, and where first.
+    tries: u32,
+    held_at: Option<PlanarPose>,
+}
+
+/// What it has been told to do without a break, along one axis.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Told {
+    samples: VecDeque<Sample>,
+    /// In metres or radians, with the sign.
+    total: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Sample {
+    stamp_ns: i64,
+    total: f64,
+    done: Done,
+}
+
+/// What the wheels have done until then.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Done {
+    odometry: PlanarPose,
+    /// Sum of all turns, in radians: more than a circle is possible.
+    turned_rad: f64,
+}
+
+/// A robot that was held waits, and then goes back a little the way that it came.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Recovery {
+    obstacle: Obstacle,
+    wait_until_ns: i64,
+    /// Where it goes back to then, by its wheels, and how long at most.
+    back_to: Option<PlanarPose>,
+    back_until_ns: i64,
+}
+
+/// What a robot may do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Motion {
+    /// What it was to do.
+    Free,
+    /// Nothing for a while.
+    Waiting(Obstacle),
+    /// It goes back to there, by its wheels.
+    BackingOff(Obstacle, PlanarPose),
+}
+
+/// Wheels that do less than this share of what they are told to do not follow.
+const FOLLOWED_SHARE: f64 = 0.2;
+
+/// Less than this that it was told to do says nothing, in metres and radians.
+const LEAST_AHEAD_M: f64 = 0.05;
+const LEAST_TURN_RAD: f64 = 0.1;
+
+/// A slow robot is watched for so many times as long, at most.
+const LONGEST_WATCH: i64 = 10;
+
+/// Of the trail, in metres.
+const TRAIL_STEP_M: f64 = 0.05;
+
+/// How long it backs off at most.
+const BACKING_NS: i64 = 6_000_000_000;
+
+/// Waiting times double with each time that it is held at one spot, so often at most.
+const MOST_DOUBLINGS: u32 = 4;
+
+/// It is another spot so far away, in metres.
+const ELSEWHERE_M: f64 = 1.0;
+
+impl Told {
+    fn forget(&mut self) {
+        *self = Self::default();
+    }
+
+    /// It has been told to do `amount` more until now. Then how much that makes, and from where on, once that says
+    /// something.
+    fn add(
+        &mut self,
+        amount: f64,
+        (stamp_ns, done): (i64, Done),
+        least: f64,
+        watched_ns: i64,
+    ) -> Option<(f64, Done)> {
+        if self.total * amount < 0.0 {
+            self.forget();
+        }
+        self.total += amount;
+        let total = self.total;
+        let age_ns = |sample: &Sample| stamp_ns.saturating_sub(sample.stamp_ns);
+        while let Some(next) = self.samples.get(1) {
+            let enough = age_ns(next) >= watched_ns && (total - next.total).abs() >= least;
+            if !enough && age_ns(next) < LONGEST_WATCH * watched_ns {
+                break;
+            }
+            self.samples.pop_front();
+        }
+        self.samples.push_back(Sample { stamp_ns, total, done });
+        let first = self.samples.front()?;
+        let told = total - first.total;
+        (age_ns(first) >= watched_ns && told.abs() >= least).then_some((told, first.done))
+    }
+}
+
+impl MotionWatch {
+    /// `obeyed` is what the robot was doing by command since the report before, `wanted` what it would be told next.
+    pub(super) fn judge(
+        &mut self,
+        (obeyed, wanted): ([f64; 2], [f64; 2]),
+        (stamp_ns, odometry): (i64, &PlanarPose),
+        settings: &SupervisionSettings,
+        pause_ns: i64,
+    ) -> Motion {
+        let (before_ns, before) = self.judged.replace((stamp_ns, *odometry)).unwrap_or((stamp_ns, *odometry));
+        let elapsed_ns = stamp_ns.saturating_sub(before_ns);
+        self.turned_rad += before.inverse().compose(odometry).heading_rad();
+        let done = Done { odometry: *odometry, turned_rad: self.turned_rad };
+        self.follow_trail(odometry, settings.back_off_m);
+        if !is_motion(wanted) || elapsed_ns > pause_ns {
+            self.forget_told();
+            self.recovery = None;
+            return Motion::Free;
+        }
+        if let Some(motion) = self.recovering(stamp_ns, odometry) {
+            let backing = matches!(motion, Motion::BackingOff(..));
+            if backing && self.is_held(obeyed, (stamp_ns, done), elapsed_ns, settings.blocked_ns) {
+                // Something is behind it as well.
+                self.recovery = None;
+                self.forget_told();
+            } else {
+                return motion;
+            }
+        }
+        if !self.is_held(obeyed, (stamp_ns, done), elapsed_ns, settings.blocked_ns) {
+            return Motion::Free;
+        }
+        self.hold(Obstacle::WheelsStand, (stamp_ns, odometry), settings);
+        Motion::Waiting(Obstacle::WheelsStand)
+    }
+
+    /// Something holds it from now on.
+    pub(super) fn hold(
+        &mut self,
+        obstacle: Obstacle,
+        (stamp_ns, odometry): (i64, &PlanarPose),
+        settings: &SupervisionSettings,
+    ) {
+        let same = self.held_at.is_some_and(|held_at| apart_m(&held_at, odometry) < ELSEWHERE_M);
+        self.tries = if same { (self.tries + 1).min(MOST_DOUBLINGS) } else { 0 };
+        if !same {
+            self.held_at = Some(*odometry);
+        }
+        let wait_ns = settings.blocked_wait_ns.saturating_mul(1 << self.tries);
+        let wait_until_ns = stamp_ns.saturating_add(wait_ns);
+        let far = |point: &&PlanarPose| apart_m(point, odometry) >= settings.back_off_m;
+        let back_to = self.trail.iter().rev().find(far).or(self.trail.front()).copied();
+        let back_until_ns = wait_until_ns.saturating_add(BACKING_NS);
+        self.recovery = Some(Recovery { obstacle, wait_until_ns, back_to, back_until_ns });
+        self.forget_told();
+    }
+
+    /// Whether something held it just now, and it waits or goes back.
+    pub(super) fn is_recovering(&self) -> bool {
+        self.recovery.is_some()
+    }
+
+    /// Where it goes back to is reached.
+    pub(super) fn is_back(&mut self) {
+        self.recovery = None;
+        self.forget_told();
+    }
+
+    fn recovering(&mut self, stamp_ns: i64, odometry: &PlanarPose) -> Option<Motion> {
+        let Recovery { obstacle, wait_until_ns, back_to, back_until_ns } = self.recovery?;
+        if stamp_ns < wait_until_ns {
+            self.forget_told();
+            return Some(Motion::Waiting(obstacle));
+        }
+        match back_to {
+            Some(back_to) if stamp_ns < back_until_ns && apart_m(&back_to, odometry) > TRAIL_STEP_M => {
+                Some(Motion::BackingOff(obstacle, back_to))
+            }
+            Some(_) | None => {
+                self.is_back();
+                None
+            }
+        }
+    }
+
+    fn is_held(
+        &mut self,
+        [forward_m_s, turn_rad_s]: [f64; 2],
+        now: (i64, Done),
+        elapsed_ns: i64,
+        watched_ns: i64,
+    ) -> bool {
+        let seconds = elapsed_ns as f64 * 1e-9;
+        let (_, done) = now;
+        if is_ahead(forward_m_s) {
+            self.turning.forget();
+            let told = self.ahead.add(forward_m_s * seconds, now, LEAST_AHEAD_M, watched_ns);
+            return told.is_some_and(|(told_m, then)| {
+                apart_m(&then.odometry, &done.odometry) < FOLLOWED_SHARE * told_m.abs()
+            });
+        }
+        self.ahead.forget();
+        if !is_turn(turn_rad_s) {
+            self.turning.forget();
+            return false;
+        }
+        let told = self.turning.add(turn_rad_s * seconds, now, LEAST_TURN_RAD, watched_ns);
+        told.is_some_and(|(told_rad, then)| {
+            (done.turned_rad - then.turned_rad) * told_rad.signum() < FOLLOWED_SHARE * told_rad.abs()
+        })
+    }
+
+    fn follow_trail(&mut self, odometry: &PlanarPose, back_off_m: f64) {
+        if self.trail.back().is_some_and(|last| apart_m(last, odometry) < TRAIL_STEP_M) {
+            return;
+        }
+        // Going back, it takes in what it laid out.
+        let near = |point: &PlanarPose| apart_m(point, odometry) < TRAIL_STEP_M;
+        if let Some(known) = self.trail.iter().position(near) {
+            self.trail.truncate(known + 1);
+            return;
+        }
+        self.trail.push_back(*odometry);
+        let longest = (2.0 * back_off_m / TRAIL_STEP_M) as usize + 2;
+        while self.trail.len() > longest {
+            self.trail.pop_front();
+        }
+    }
+
+    fn forget_told(&mut self) {
+        self.ahead.forget();
+        self.turning.forget();
+    }
+}
+
+fn is_ahead(forward_m_s: f64) -> bool {
+    forward_m_s.abs() > 1e-3
+}
+
+fn is_turn(turn_rad_s: f64) -> bool {
+    turn_rad_s.abs() > 1e-2
+}
+
+fn is_motion([forward_m_s, turn_rad_s]: [f64; 2]) -> bool {
+    is_ahead(forward_m_s) || is_turn(turn_rad_s)
+}
+
+fn apart_m(from: &PlanarPose, to: &PlanarPose) -> f64 {
+    (to.x_m() - from.x_m()).hypot(to.y_m() - from.y_m())
+}
+
+/// Whether what is recognised goes by as the wheels say: wheels that slip turn, and what is before the camera stays.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct SlipWatch {
+    /// Odometry and where a closure put the robot, oldest first.
+    closures: VecDeque<(PlanarPose, PlanarPose)>,
+}
+
+/// Closures that it takes to say so.
+const SLIP_CLOSURES: usize = 5;
+/// How far wheels turn for that, in metres: a far wall grows little in less.
+const SLIP_M: f64 = 1.6;
+/// A robot that has come no further than this share of that slips.
+const SLIP_SHARE: f64 = 0.25;
+
+impl SlipWatch {
+    pub(super) fn forget(&mut self) {
+        self.closures.clear();
+    }
+
+    /// A closure says where the robot was at `odometry`; whether its wheels have slipped.
+    pub(super) fn slips(&mut self, odometry: &PlanarPose, at: &PlanarPose) -> bool {
+        self.closures.push_back((*odometry, *at));
+        while self.closures.get(1).is_some_and(|(then, _)| apart_m(then, odometry) >= SLIP_M) {
+            self.closures.pop_front();
+        }
+        let Some((then, from)) = self.closures.front() else { return false };
+        let turned_m = apart_m(then, odometry);
+        self.closures.len() >= SLIP_CLOSURES
+            && turned_m >= SLIP_M
+            && self.closures.iter().all(|(_, closure)| apart_m(from, closure) < SLIP_SHARE * turned_m)
+    }
+}

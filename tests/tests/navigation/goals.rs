@@ -1,0 +1,88 @@
+//! Goals that do not exist are refused at every door, and the robot goes on to the one that it had.
+
+use reqwest::StatusCode;
+use serde_json::json;
+use waypost_client::{Client, Code, NavigationEvent, NavigationOptions, v1};
+
+use super::metric::{teach, to_place, way};
+use crate::harness::{CommandLine, assert_status, camera_ahead, in_time, refused};
+
+fn to(target: v1::goal::Target) -> v1::Goal {
+    v1::Goal { target: Some(target) }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_goal_that_does_not_exist_takes_no_other_away() {
+    use v1::goal::Target;
+    let building = way(3.0);
+    let waypost = CommandLine::new();
+    let client = Client::connect(&waypost.endpoint()).await.unwrap();
+    let (_, goal) = teach(&building, &client).await;
+    let options = |navigation_id: &str, goal| NavigationOptions {
+        navigation_id: navigation_id.to_owned(),
+        goal: Some(goal),
+        ..NavigationOptions::new("taught", camera_ahead())
+    };
+    let mut navigation = client.navigate(options("robot", to_place(goal))).await.unwrap();
+    let name = "maps/taught/navigations/robot";
+    let url = format!("{}/v1/{name}/goal", waypost.http());
+    let position = |part, x_m| Target::Position(v1::PositionGoal { part, x_m, y_m: 0.0, heading_rad: None });
+    for (target, body, code, status, fragment) in [
+        (
+            Target::PlaceNumber(9999),
+            json!({ "place_number": 9999 }),
+            Code::NotFound,
+            StatusCode::NOT_FOUND,
+            "no place 9999",
+        ),
+        (
+            position(0, 1000.0),
+            json!({ "position": { "part": 0, "x_m": 1000.0, "y_m": 0.0 } }),
+            Code::FailedPrecondition,
+            StatusCode::CONFLICT,
+            "m from the nearest place",
+        ),
+        (
+            position(77, 0.0),
+            json!({ "position": { "part": 77, "x_m": 0.0, "y_m": 0.0 } }),
+            Code::NotFound,
+            StatusCode::NOT_FOUND,
+            "no part of the map begins with place 77",
+        ),
+        (
+            Target::Label("attic".to_owned()),
+            json!({ "label": "attic" }),
+            Code::NotFound,
+            StatusCode::NOT_FOUND,
+            "attic",
+        ),
+    ] {
+        let case = format!("{body}");
+        let (said, message) = refused(client.set_goal(name, to(target.clone())).await);
+        assert_status(&case, (said, &message), code, fragment);
+        let answer = reqwest::Client::new().put(&url).json(&body).send().await.unwrap();
+        assert_eq!(answer.status(), status, "{case}");
+        navigation.go_to(to(target.clone())).await.unwrap();
+        let event = in_time(navigation.next()).await.unwrap().unwrap();
+        let NavigationEvent::GoalRefused(refusal) = event else { panic!("{case}: {event:?}") };
+        assert!(refusal.status.unwrap().message.contains(fragment), "{case}");
+        let (said, message) = refused(client.navigate(options("other", to(target))).await);
+        assert_status(&case, (said, &message), code, fragment);
+        let view = client.navigation(name).await.unwrap();
+        assert_eq!(view.goal, Some(to_place(goal)), "{case}");
+    }
+    // Those that were not opened are not there.
+    let led: Vec<String> =
+        client.navigations("taught").await.unwrap().into_iter().map(|led| led.name).collect();
+    assert_eq!(led, [name]);
+    for (arguments, fragment) in [
+        (["--to", "9999"], "no place 9999"),
+        (["--to-position", "1000,1000"], "m from the nearest place"),
+        (["--to-label", "attic"], "attic"),
+    ] {
+        let (code, said) = waypost.fails(&[&["navigate", "taught", "robot"][..], &arguments].concat());
+        assert!(code == 4 && said.contains(fragment), "{code}: {said}");
+    }
+    let view = client.navigation(name).await.unwrap();
+    assert_eq!(view.goal, Some(to_place(goal)));
+}

@@ -1,0 +1,72 @@
+//! What a mistaken command says; a command that is refused has done nothing.
+
+use crate::harness::{Built, CommandLine, folder, path, run_to_its_end};
+
+#[test]
+fn a_command_that_cannot_write_its_file_asks_the_server_for_nothing() {
+    let waypost = CommandLine::new();
+    waypost.prepare();
+    waypost.text(&["map", "create", "other", "--model", "shipped"]);
+    let images = folder(2);
+    let folder = tempfile::tempdir().unwrap();
+    let there = folder.path().join("there");
+    std::fs::write(&there, b"precious").unwrap();
+    let nowhere = folder.path().join("nowhere/new.svg");
+    let stream = ["stream", path(images.path()), "--map", "drive", "--session", "robot"];
+    let merge = ["map", "merge", "drive", "other", "--into", "both"];
+    let before = waypost.json(&["map", "ls"]);
+    for (command, option) in [
+        (&merge[..], Some("--picture")),
+        (&["merge", "show", "merges/1"], Some("--picture")),
+        (&["explain", "drive", "robot", "1"], Some("--picture")),
+        (&stream[..], Some("--csv")),
+        (&["map", "export", "drive"], None),
+        (&["model", "export", "shipped"], None),
+        (&["map", "graph", "drive"], Some("--out")),
+    ] {
+        for (file, fragment) in [
+            (&there, "is there already; choose another file, or replace it with --force"),
+            (&nowhere, "there is no folder"),
+        ] {
+            let output = [command, option.as_slice(), &[path(file)]].concat();
+            let (code, said) = waypost.fails(&output);
+            assert_eq!(code, 1, "{output:?}: {said}");
+            assert!(said.contains(fragment), "{output:?}: {said}");
+        }
+    }
+    assert_eq!(std::fs::read(&there).unwrap(), b"precious");
+    assert_eq!(waypost.json(&["map", "ls"]), before);
+    assert_eq!(waypost.json(&["merge", "ls"])["merges"].as_array().unwrap().len(), 0);
+    assert_eq!(waypost.json(&["session", "ls", "drive"])["sessions"].as_array().unwrap().len(), 0);
+}
+
+#[test]
+fn a_server_without_tls_is_told_from_one_that_is_not_there() {
+    let waypost = CommandLine::new();
+    let encrypted = waypost.endpoint().replace("http://", "https://");
+    let mut command = Built::command("waypost");
+    command.args(["map", "ls", "--server", &encrypted]);
+    let output = run_to_its_end(command);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        output.status.code() == Some(3) && said.contains("speaks no TLS: name it with http://"),
+        "{said}"
+    );
+}
+
+#[test]
+fn shells_and_man_know_every_command() {
+    let waypost = CommandLine::new();
+    for shell in ["bash", "zsh", "fish"] {
+        let script = waypost.text(&["completions", shell]);
+        assert!(script.contains("navigate") && script.contains("--to-label"), "{shell}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let pages = folder.path().join("man1");
+    waypost.text(&["man", path(&pages)]);
+    let page = std::fs::read_to_string(pages.join("waypost-map-create.1")).unwrap();
+    assert!(page.contains("place\\-spacing\\-m"), "{page}");
+    assert!(pages.join("waypost.1").is_file() && pages.join("waypost-stream.1").is_file());
+    let (code, said) = waypost.fails(&["man", path(&pages)]);
+    assert!(code == 1 && said.contains("--force"), "{said}");
+}
