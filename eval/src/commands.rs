@@ -6,6 +6,7 @@ pub(crate) mod map;
 pub(crate) mod merge;
 pub(crate) mod navigate;
 pub(crate) mod posegraph;
+pub(crate) mod recorded;
 pub(crate) mod scale;
 pub(crate) mod sequence;
 pub(crate) mod train;

@@ -30,7 +30,7 @@ use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
 use serde_json::to_string;
 
-use commands::{appearance, load, map, merge, navigate, posegraph, scale, sequence, train};
+use commands::{appearance, load, map, merge, navigate, posegraph, recorded, scale, sequence, train};
 use error::Refused;
 
 /// Measures Waypost: trains models, runs sequences in process and judges what is recognised, puts a server
@@ -58,6 +58,7 @@ enum Command {
     Navigate(navigate::NavigateOptions),
     Appearance(appearance::AppearanceOptions),
     Merge(Box<merge::MergeOptions>),
+    Recorded(recorded::RecordedOptions),
 }
 
 fn main() -> ExitCode {
@@ -81,6 +82,7 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Navigate(options) => to_string(&navigate::run(options)?),
         Command::Appearance(options) => to_string(&appearance::run(options)?),
         Command::Merge(options) => to_string(&merge::run(options)?),
+        Command::Recorded(options) => to_string(&recorded::run(options)?),
     }?;
     if cli.json {
         writeln!(io::stdout().lock(), "{report}").context("stdout cannot be written")?;

@@ -12,6 +12,7 @@
 mod depths;
 mod locating;
 mod motion;
+mod nodding;
 mod resection;
 mod robot_camera;
 mod tracker;

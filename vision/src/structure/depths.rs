@@ -1,11 +1,11 @@
 //! How far the features of a frame are.
 
-use nalgebra::{Matrix2x3, Vector2, Vector3};
-use posegraph::{PlanarPose, Pose};
+use nalgebra::{Matrix2x5, Vector2, Vector3};
 use topomap::metric::RelativePose;
 
-use super::motion::{self, Pair};
-use super::robot_camera::{RobotCamera, Sighted, carried, seen_from};
+use super::motion::{Pair, Refined, refined};
+use super::nodding::Motion;
+use super::robot_camera::{RobotCamera, Sighted};
 use crate::depth::{InverseDepth, Structure};
 use crate::feature_record::FeatureRecord;
 use crate::matching::matches as feature_matches;
@@ -77,9 +77,9 @@ pub(super) fn tracked(
     let has_parallax = base_m >= LEAST_BASE_M;
     let moved = if has_parallax {
         let sights: Vec<Pair> = pairs.iter().map(|(.., pair)| *pair).collect();
-        motion::refined(camera, &sights, wheels)
+        refined(camera, &sights, wheels)
     } else {
-        *wheels
+        Refined::by(wheels)
     };
     let known = earlier.structure().depths();
     let views = TwoViews::new(camera, &moved);
@@ -102,26 +102,28 @@ pub(super) fn tracked(
 /// Two views of one camera, by how it moved in between.
 struct TwoViews<'a> {
     camera: &'a RobotCamera,
-    motion: PlanarPose,
+    motion: Motion,
     /// The motion, a little further by each of its standard deviations.
-    varied: [PlanarPose; 3],
+    varied: [Motion; 5],
     /// Of the position, in metres.
     position_sigma_m: f64,
 }
 
 impl<'a> TwoViews<'a> {
-    fn new(camera: &'a RobotCamera, motion: &RelativePose) -> Self {
+    fn new(camera: &'a RobotCamera, moved: &Refined) -> Self {
+        let Refined { motion, covariance } = *moved;
         // The columns of a square root of the covariance.
-        let root = motion.covariance().cholesky().map(|factor| factor.l()).unwrap_or_default();
-        let pose = *motion.pose();
-        let varied = [0, 1, 2].map(|axis| pose.retract(&root.column(axis).into_owned()));
-        Self { camera, motion: pose, varied, position_sigma_m: motion.position_sigma_m() }
+        let root = covariance.cholesky().map(|factor| factor.l()).unwrap_or_default();
+        let varied = Motion::AXES.map(|axis| motion.retract(&root.column(axis).into_owned()));
+        let position = covariance.fixed_view::<2, 2>(0, 0).into_owned();
+        let position_sigma_m = position.symmetric_eigenvalues().max().max(0.0).sqrt();
+        Self { camera, motion, varied, position_sigma_m }
     }
 
     /// Where the earlier camera sees what the later one sees at that depth.
-    fn in_earlier(&self, motion: &PlanarPose, later: &Sighted, per_m: f64) -> Option<Vector2<f64>> {
+    fn in_earlier(&self, motion: &Motion, later: &Sighted, per_m: f64) -> Option<Vector2<f64>> {
         let depth = InverseDepth { per_m, sigma_per_m: 0.0 };
-        self.camera.project(&carried(motion, &depth.point(self.camera, later)))
+        self.camera.project(&motion.carried(&depth.point(self.camera, later)))
     }
 
     /// The depth in the later view at which the earlier one sees the feature best, with what is not
@@ -144,7 +146,7 @@ impl<'a> TwoViews<'a> {
         let pixel_variance = pair.earlier.sigma.powi(2) + pair.later.sigma.powi(2);
         // What the motion may be wrong by moves the feature along the line that depth moves it on.
         let along = slope.normalize();
-        let mut shifts = Matrix2x3::zeros();
+        let mut shifts = Matrix2x5::zeros();
         for (axis, varied) in self.varied.iter().enumerate() {
             shifts.set_column(axis, &(self.in_earlier(varied, &pair.later, per_m)? - here));
         }
@@ -166,7 +168,7 @@ impl<'a> TwoViews<'a> {
             in_camera.x
         };
         let point = before.point(self.camera, &pair.earlier);
-        let now_m = depth_m(&seen_from(&self.motion, &point));
+        let now_m = depth_m(&self.motion.seen_from(&point));
         let per_m = 1.0 / now_m;
         if now_m <= 0.0 || !PER_M.contains(&per_m) {
             return None;

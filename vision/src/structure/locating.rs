@@ -1,6 +1,6 @@
 //! Where a robot is that sees features of known depth again.
 
-use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x5, Matrix5, Vector2, Vector3, Vector5};
 use posegraph::{PlanarPose, Pose};
 use rand::RngExt;
 use rand::SeedableRng;
@@ -9,8 +9,9 @@ use topomap::metric::RelativePose;
 
 use super::depths::SAME_FEATURE_CHI_SQUARED;
 use super::motion::symmetric;
+use super::nodding::Motion;
 use super::resection::{Bearing, observer_of};
-use super::robot_camera::{RobotCamera, Sighted, carried, seen_from};
+use super::robot_camera::{RobotCamera, Sighted};
 use crate::depth::{InverseDepth, Structure};
 use crate::feature_record::FeatureRecord;
 use crate::matching::Match;
@@ -94,20 +95,22 @@ pub(crate) fn locate(earlier: Sight<'_>, current: Sight<'_>, matches: &[Match], 
 }
 
 fn located(landmarks: &[Landmark<'_>], random: &mut ChaCha8Rng) -> Option<Located> {
-    let mut pose = most_agreed(landmarks, random)?;
-    let mut information = Matrix3::zeros();
+    let mut motion = Motion::level(most_agreed(landmarks, random)?);
+    let mut information = Matrix5::zeros();
     for _ in 0..REFITS {
-        (pose, information) = refitted(landmarks, pose)?;
+        (motion, information) = refitted(landmarks, motion)?;
     }
-    let agreeing: Vec<&Landmark<'_>> = landmarks.iter().filter(|landmark| landmark.agrees(&pose)).collect();
+    let agreeing: Vec<&Landmark<'_>> = landmarks.iter().filter(|landmark| landmark.agrees(&motion)).collect();
     let mut inliers: Vec<Match> = agreeing.iter().map(|landmark| landmark.of).collect();
     inliers.dedup();
     if inliers.len() < LEAST_INLIERS {
         return None;
     }
-    let spread = agreeing.iter().filter_map(|landmark| Some(landmark.off(&pose)?.squared)).sum::<f64>()
+    let spread = agreeing.iter().filter_map(|landmark| Some(landmark.off(&motion)?.squared)).sum::<f64>()
         / (2 * agreeing.len()) as f64;
-    let covariance = information.try_inverse()? * spread.max(1.0);
+    // Of the motion over the floor, whatever the tilt.
+    let covariance = information.try_inverse()?.fixed_view::<3, 3>(0, 0).into_owned() * spread.max(1.0);
+    let pose = motion.planar();
     // Along the pose's own axes, as the covariance is.
     let along = pose.inverse();
     let scale = Vector3::new(along.x_m(), along.y_m(), 0.0) * SCALE_SIGMA;
@@ -176,21 +179,21 @@ fn landmarks_of<'a>(earlier: &'a Sight<'a>, current: &'a Sight<'a>, matches: &[M
 
 impl Landmark<'_> {
     /// A point of the frame that knows the landmark, in the other frame.
-    fn moved(&self, pose: &PlanarPose, point: &Vector3<f64>) -> Vector3<f64> {
+    fn moved(&self, motion: &Motion, point: &Vector3<f64>) -> Vector3<f64> {
         match self.known_by {
-            KnownBy::Earlier => seen_from(pose, point),
-            KnownBy::Current => carried(pose, point),
+            KnownBy::Earlier => motion.seen_from(point),
+            KnownBy::Current => motion.carried(point),
         }
     }
 
-    fn expected(&self, pose: &PlanarPose, point: &Vector3<f64>) -> Option<Vector2<f64>> {
-        self.by.project(&self.moved(pose, point))
+    fn expected(&self, motion: &Motion, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+        self.by.project(&self.moved(motion, point))
     }
 
-    fn off(&self, pose: &PlanarPose) -> Option<Off> {
-        let expected = self.expected(pose, &self.point_m)?;
+    fn off(&self, motion: &Motion) -> Option<Off> {
+        let expected = self.expected(motion, &self.point_m)?;
         let residual = expected - self.seen.at;
-        let by_depth = self.expected(pose, &self.nearer_m)? - expected;
+        let by_depth = self.expected(motion, &self.nearer_m)? - expected;
         // The same pixels of noise where the landmark was seen first.
         let pixels = Matrix2::from_diagonal_element(2.0 * self.seen.sigma.powi(2));
         let information = (pixels + by_depth * by_depth.transpose()).try_inverse()?;
@@ -198,12 +201,12 @@ impl Landmark<'_> {
         Some(Off { residual, information, squared })
     }
 
-    fn agrees(&self, pose: &PlanarPose) -> bool {
-        self.off(pose).is_some_and(|off| off.squared <= SAME_FEATURE_CHI_SQUARED)
+    fn agrees(&self, motion: &Motion) -> bool {
+        self.off(motion).is_some_and(|off| off.squared <= SAME_FEATURE_CHI_SQUARED)
     }
 
-    fn agrees_coarsely(&self, pose: &PlanarPose) -> bool {
-        self.expected(pose, &self.point_m)
+    fn agrees_coarsely(&self, motion: &Motion) -> bool {
+        self.expected(motion, &self.point_m)
             .is_some_and(|expected| (expected - self.seen.at).norm() <= COARSE_SIGMAS * self.seen.sigma)
     }
 
@@ -238,7 +241,8 @@ fn most_agreed(landmarks: &[Landmark<'_>], random: &mut ChaCha8Rng) -> Option<Pl
         let center_m = by.center_m();
         let base = camera.compose(&PlanarPose::new(-center_m.x, -center_m.y, 0.0));
         let pose = if known_earlier { base } else { base.inverse() };
-        let agreeing = landmarks.iter().filter(|landmark| landmark.agrees_coarsely(&pose)).count();
+        let motion = Motion::level(pose);
+        let agreeing = landmarks.iter().filter(|landmark| landmark.agrees_coarsely(&motion)).count();
         if best.is_none_or(|(most, _)| agreeing > most) {
             best = Some((agreeing, pose));
         }
@@ -246,24 +250,24 @@ fn most_agreed(landmarks: &[Landmark<'_>], random: &mut ChaCha8Rng) -> Option<Pl
     best.filter(|&(agreeing, _)| agreeing >= LEAST_INLIERS).map(|(_, pose)| pose)
 }
 
-/// The pose that those agree on best that agree with `start`, and the information on it: least
+/// The motion that those agree on best that agree with `start`, and the information on it: least
 /// squares with the kernel of Cauchy.
-fn refitted(landmarks: &[Landmark<'_>], start: PlanarPose) -> Option<(PlanarPose, Matrix3<f64>)> {
+fn refitted(landmarks: &[Landmark<'_>], start: Motion) -> Option<(Motion, Matrix5<f64>)> {
     let agreeing: Vec<&Landmark<'_>> = landmarks
         .iter()
         .filter(|landmark| landmark.agrees(&start) || landmark.agrees_coarsely(&start))
         .collect();
-    let mut pose = start;
-    let mut information = Matrix3::zeros();
+    let prior = Motion::information_on_tilt();
+    let mut motion = start;
+    let mut information = prior;
     for _ in 0..STEPS {
-        information = Matrix3::zeros();
-        let mut gradient = Vector3::zeros();
-        let varied = [0, 1, 2]
-            .map(|axis| pose.retract(&Vector3::from_fn(|row, _| if row == axis { DIFFERENCE } else { 0.0 })));
+        information = prior;
+        let mut gradient: Vector5<f64> = prior * motion.tilt();
+        let varied = Motion::AXES.map(|axis| motion.varied(axis, DIFFERENCE));
         for landmark in &agreeing {
-            let Some(off) = landmark.off(&pose) else { continue };
+            let Some(off) = landmark.off(&motion) else { continue };
             let expected = off.residual + landmark.seen.at;
-            let mut slope = Matrix2x3::zeros();
+            let mut slope = Matrix2x5::zeros();
             for (axis, varied) in varied.iter().enumerate() {
                 let Some(moved) = landmark.expected(varied, &landmark.point_m) else { continue };
                 slope.set_column(axis, &((moved - expected) / DIFFERENCE));
@@ -274,7 +278,7 @@ fn refitted(landmarks: &[Landmark<'_>], start: PlanarPose) -> Option<(PlanarPose
             gradient += weighted * off.residual;
         }
         let step = -information.cholesky()?.solve(&gradient);
-        pose = pose.retract(&step);
+        motion = motion.retract(&step);
     }
-    pose.is_finite().then_some((pose, information))
+    motion.planar().is_finite().then_some((motion, information))
 }

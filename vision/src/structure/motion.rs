@@ -1,9 +1,9 @@
 //! How the robot moved between two frames: what wheels say, set right by the two images.
 
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
-use posegraph::{PlanarPose, Pose};
+use nalgebra::{Matrix3, Matrix5, SMatrix, Vector5};
 use topomap::metric::RelativePose;
 
+use super::nodding::Motion;
 use super::robot_camera::{RobotCamera, Sighted};
 
 /// A feature, as it is seen from the earlier and from the later pose.
@@ -23,16 +23,29 @@ const STEPS: usize = 3;
 /// For derivatives by central differences, in metres and radians.
 const DIFFERENCE: f64 = 1e-6;
 
-/// The motion that pairs and wheels agree on best, with its covariance: wheels as a prior, and the
-/// pairs' distances from their epipolar lines with a robust kernel.
-pub(super) fn refined(camera: &RobotCamera, pairs: &[Pair], wheels: &RelativePose) -> RelativePose {
-    let prior = wheels.information();
-    let mut motion = *wheels.pose();
+/// How the robot moved, with the covariance of the motion's steps.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Refined {
+    pub(super) motion: Motion,
+    pub(super) covariance: Matrix5<f64>,
+}
+
+impl Refined {
+    /// By wheels alone.
+    pub(super) fn by(wheels: &RelativePose) -> Self {
+        Self { motion: Motion::level(*wheels.pose()), covariance: Motion::covariance(wheels) }
+    }
+}
+
+/// The motion that pairs and wheels agree on best: wheels as a prior, and the pairs' distances from
+/// their epipolar lines with a robust kernel.
+pub(super) fn refined(camera: &RobotCamera, pairs: &[Pair], wheels: &RelativePose) -> Refined {
+    let prior = Motion::information(wheels);
+    let mut motion = Motion::level(*wheels.pose());
     let mut information = prior;
     for tolerance in TOLERANCES {
         for _ in 0..STEPS {
-            let off = PlanarPose::error(wheels.pose(), &PlanarPose::identity(), &motion);
-            let mut gradient = prior * off;
+            let mut gradient = prior * motion.off(wheels);
             information = prior;
             let ends = epipoles_around(camera, &motion);
             let here = Epipolar::of(camera, &motion);
@@ -47,44 +60,36 @@ pub(super) fn refined(camera: &RobotCamera, pairs: &[Pair], wheels: &RelativePos
                         .zip(behind.distance(pair))
                         .map_or(0.0, |(ahead, behind)| (ahead - behind) / (2.0 * DIFFERENCE))
                 };
-                let slope = Vector3::new(slope(0), slope(1), slope(2));
+                let slope = Vector5::from(Motion::AXES.map(slope));
                 information += slope * slope.transpose() * weight;
                 gradient += slope * (distance * weight);
             }
-            let Some(factor) = information.cholesky() else { return *wheels };
+            let Some(factor) = information.cholesky() else { return Refined::by(wheels) };
             let step = -factor.solve(&gradient);
             if step.iter().any(|value| !value.is_finite()) {
-                return *wheels;
+                return Refined::by(wheels);
             }
             motion = motion.retract(&step);
         }
     }
-    let covariance = information.try_inverse().unwrap_or(*wheels.covariance());
-    RelativePose::new(motion, symmetric(&covariance)).unwrap_or(*wheels)
+    let covariance = information.try_inverse().unwrap_or_else(|| Motion::covariance(wheels));
+    Refined { motion, covariance: symmetric(&covariance) }
 }
 
-fn epipoles_around(camera: &RobotCamera, motion: &PlanarPose) -> [[Epipolar; 2]; 3] {
-    [0, 1, 2].map(|axis| {
-        [DIFFERENCE, -DIFFERENCE].map(|by| {
-            let step = Vector3::from_fn(|row, _| if row == axis { by } else { 0.0 });
-            Epipolar::of(camera, &motion.retract(&step))
-        })
-    })
+fn epipoles_around(camera: &RobotCamera, motion: &Motion) -> [[Epipolar; 2]; 5] {
+    Motion::AXES
+        .map(|axis| [DIFFERENCE, -DIFFERENCE].map(|by| Epipolar::of(camera, &motion.varied(axis, by))))
 }
 
 /// aᵀ E b = 0 of the rays a and b of one feature. Hartley & Zisserman 2004, eq. (9.12).
 struct Epipolar(Matrix3<f64>);
 
 impl Epipolar {
-    fn of(camera: &RobotCamera, motion: &PlanarPose) -> Self {
-        let turn = UnitQuaternion::from_euler_angles(0.0, 0.0, motion.heading_rad());
-        let shift = super::robot_camera::carried(motion, &camera.center_m()) - camera.center_m();
-        let mounted = camera.rotation();
-        let [turn, shift] = [
-            (mounted.inverse() * turn * mounted).to_rotation_matrix().into_inner(),
-            (mounted.inverse() * shift).cross_matrix(),
-        ];
-        Self(shift * turn)
+    fn of(camera: &RobotCamera, motion: &Motion) -> Self {
+        let mounted = camera.rotation().to_rotation_matrix().into_inner();
+        let shift = motion.carried(&camera.center_m()) - camera.center_m();
+        let turn = mounted.tr_mul(motion.rotation()) * mounted;
+        Self(mounted.tr_mul(&shift).cross_matrix() * turn)
     }
 
     /// The Sampson distance, in standard deviations of where the features lie. Hartley & Zisserman
@@ -98,6 +103,6 @@ impl Epipolar {
     }
 }
 
-pub(super) fn symmetric(matrix: &Matrix3<f64>) -> Matrix3<f64> {
+pub(super) fn symmetric<const SIZE: usize>(matrix: &SMatrix<f64, SIZE, SIZE>) -> SMatrix<f64, SIZE, SIZE> {
     (matrix + matrix.transpose()) * 0.5
 }

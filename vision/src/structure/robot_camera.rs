@@ -1,7 +1,6 @@
 //! A camera, and where it sits on its robot.
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
-use posegraph::PlanarPose;
 
 use crate::camera::Pinhole;
 use crate::feature_record::FeatureRecord;
@@ -80,18 +79,4 @@ impl RobotCamera {
         let Point3 { coords } = self.base_to_camera.inverse_transform_point(&Point3::from(*point_m));
         (coords.x > NEAREST_M).then(|| Vector2::new(coords.y, coords.z) / coords.x)
     }
-}
-
-/// A point seen from `pose`, as seen from where `pose` is measured from.
-pub(super) fn carried(pose: &PlanarPose, point: &Vector3<f64>) -> Vector3<f64> {
-    let (sin, cos) = pose.heading_rad().sin_cos();
-    let [x, y] = [cos * point.x - sin * point.y, sin * point.x + cos * point.y];
-    Vector3::new(pose.x_m() + x, pose.y_m() + y, point.z)
-}
-
-/// The inverse of [`carried`].
-pub(super) fn seen_from(pose: &PlanarPose, point: &Vector3<f64>) -> Vector3<f64> {
-    let (sin, cos) = pose.heading_rad().sin_cos();
-    let [x, y] = [point.x - pose.x_m(), point.y - pose.y_m()];
-    Vector3::new(cos * x + sin * y, cos * y - sin * x, point.z)
 }

@@ -10,10 +10,12 @@ use topomap::ids::SessionId;
 use topomap::in_memory;
 use topomap::log::{LinkKind, MapEvent};
 use topomap::mapper::{Decided, FrameInput, Mapper};
+use topomap::metric::Odometry;
 use topomap::settings::MapperSettings;
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::features::Extractor;
-use waypost_vision::structure::Tracker;
+use waypost_vision::image::GreyImage;
+use waypost_vision::structure::{RobotCamera, Tracker};
 use waypost_vision::verification::Verifier;
 
 use super::drive::{DrivenFrame, sent_odometry};
@@ -39,78 +41,114 @@ pub(crate) struct Mapped {
     pub relax_ms: Vec<f64>,
 }
 
-const SESSION: SessionId = 0;
+/// A frame as it comes to the map.
+#[derive(Clone, Debug)]
+pub(crate) struct SeenFrame<'a> {
+    /// Nanoseconds since the start.
+    pub stamp_ns: i64,
+    /// What the wheels said.
+    pub odometry: Odometry,
+    /// What the robot saw.
+    pub image: &'a GreyImage,
+    /// By which camera; `None` if nothing is known of it.
+    pub camera: Option<RobotCamera>,
+}
 
-/// Maps what a robot saw, frame by frame, on the calling thread's pool.
+/// Maps what a robot saw in one session, frame by frame, on the calling thread's pool.
 pub(crate) fn map(
     frames: &[DrivenFrame],
     model: &Model,
     extractor: Extractor,
     settings: MapperSettings,
 ) -> Result<Mapped> {
-    let mut mapper = Mapper::new(model, settings).map_err(refused)?;
-    let opened = MapEvent::SessionOpened { session: SESSION };
-    mapper.apply(&opened).map_err(fault)?;
-    let mut mapped = Mapped {
-        mapper,
-        log: EventLog(vec![opened]),
-        robot: Vec::new(),
-        times: Vec::new(),
-        features: Vec::with_capacity(frames.len()),
-        relax_ms: Vec::new(),
-    };
-    let mut tracker = Tracker::new(settings.odometry_noise);
-    for (index, frame) in frames.iter().enumerate() {
-        mapped
-            .add(index, frame, (model, extractor), &mut tracker)
-            .with_context(|| format!("frame {index}"))?;
+    let mut mapping = Mapping::new(model, extractor, settings)?;
+    mapping.open_session()?;
+    for frame in frames {
+        let DrivenFrame { stamp_ns, truth: _, odometry, image, camera } = frame;
+        let odometry = sent_odometry(odometry)?;
+        mapping.add(&SeenFrame { stamp_ns: *stamp_ns, odometry, image, camera: Some(*camera) })?;
     }
-    Ok(mapped)
+    Ok(mapping.mapped)
 }
 
-impl Mapped {
-    fn add(
-        &mut self,
-        index: usize,
-        frame: &DrivenFrame,
-        (model, extractor): (&Model, Extractor),
-        tracker: &mut Tracker,
-    ) -> Result<()> {
+/// A map that grows, session after session.
+pub(crate) struct Mapping<'a> {
+    /// So far.
+    pub mapped: Mapped,
+    model: &'a Model,
+    extractor: Extractor,
+    /// Of the session that is open.
+    tracker: Tracker,
+    sessions: SessionId,
+}
+
+impl<'a> Mapping<'a> {
+    /// An empty map without a session.
+    pub(crate) fn new(model: &'a Model, extractor: Extractor, settings: MapperSettings) -> Result<Self> {
+        let mapped = Mapped {
+            mapper: Mapper::new(model, settings).map_err(refused)?,
+            log: EventLog::default(),
+            robot: Vec::new(),
+            times: Vec::new(),
+            features: Vec::new(),
+            relax_ms: Vec::new(),
+        };
+        Ok(Self { mapped, model, extractor, tracker: Tracker::new(settings.odometry_noise), sessions: 0 })
+    }
+
+    /// Opens the next session; frames belong to it from now on.
+    pub(crate) fn open_session(&mut self) -> Result<()> {
+        let opened = MapEvent::SessionOpened { session: self.sessions };
+        self.mapped.mapper.apply(&opened).map_err(fault)?;
+        self.mapped.log.0.push(opened);
+        self.tracker = Tracker::new(self.mapped.mapper.settings().odometry_noise);
+        self.sessions += 1;
+        Ok(())
+    }
+
+    /// Decides a frame of the open session, and maps it.
+    pub(crate) fn add(&mut self, frame: &SeenFrame<'_>) -> Result<()> {
+        let index = self.mapped.features.len();
+        self.added(index, frame).with_context(|| format!("frame {index}"))
+    }
+
+    fn added(&mut self, index: usize, frame: &SeenFrame<'_>) -> Result<()> {
+        let session = self.sessions.saturating_sub(1);
         let mut watch = FrameWatch::start();
         let Observed { observation, features } =
-            Observed::in_image(&frame.image, model, extractor, &mut watch)?;
-        let odometry = sent_odometry(&frame.odometry)?;
-        let features = tracker.track(Arc::new(features), Some(&frame.camera), Some(&odometry));
+            Observed::in_image(frame.image, self.model, self.extractor, &mut watch)?;
+        let features = self.tracker.track(Arc::new(features), frame.camera.as_ref(), Some(&frame.odometry));
         watch.tracked();
+        let Mapped { mapper, log, robot, times, features: earlier, relax_ms } = &mut self.mapped;
         let views = CurrentView {
             current: &features,
-            log: &self.log,
-            earlier: &self.features,
-            verifier: Verifier::new(self.mapper.settings().verification, 0),
-            camera: Some(frame.camera),
+            log,
+            earlier,
+            verifier: Verifier::new(mapper.settings().verification, 0),
+            camera: frame.camera,
         };
         let input = FrameInput {
-            session: SESSION,
+            session,
             sequence: index as u64,
             stamp_ns: frame.stamp_ns,
-            odometry: Some(odometry),
+            odometry: Some(frame.odometry.clone()),
             observation,
         };
-        let Decided { event, .. } = in_memory::decide(&self.mapper, &self.log.0, input, &views, &mut watch)?;
+        let Decided { event, .. } = in_memory::decide(mapper, &log.0, input, &views, &mut watch)?;
         let closes_a_loop = event.link.is_some_and(|link| matches!(link.kind, LinkKind::Closed(_)));
         let event = MapEvent::Frame(Box::new(event));
         // The two halves of `Mapper::apply`.
-        self.mapper.fold(&event).map_err(fault)?;
+        mapper.fold(&event).map_err(fault)?;
         let folded = Instant::now();
-        self.mapper.relax();
+        mapper.relax();
         if closes_a_loop {
-            self.relax_ms.push(folded.elapsed().as_secs_f64() * 1e3);
+            relax_ms.push(folded.elapsed().as_secs_f64() * 1e3);
         }
-        self.times.push(watch.stop());
-        self.log.0.push(event);
-        self.features.push(features);
-        let session = self.mapper.map().session(SESSION);
-        self.robot.push(session.and_then(|session| self.mapper.map_pose(session)).map(|pose| pose.robot));
+        times.push(watch.stop());
+        log.0.push(event);
+        earlier.push(features);
+        let open = mapper.map().session(session);
+        robot.push(open.and_then(|session| mapper.map_pose(session)).map(|pose| pose.robot));
         Ok(())
     }
 }
