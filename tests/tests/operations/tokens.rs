@@ -1,3 +1,4 @@
+// long: the tables of what is open, and to whom, stand beside the calls that try them.
 //! Who may do what: every method and every route with no, wrong and right token.
 
 use futures::stream;
