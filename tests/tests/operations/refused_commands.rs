@@ -59,7 +59,7 @@ fn shells_and_man_know_every_command() {
     let waypost = CommandLine::new();
     for shell in ["bash", "zsh", "fish"] {
         let script = waypost.text(&["completions", shell]);
-        assert!(script.contains("navigate") && script.contains("--to-label"), "{shell}");
+        assert!(script.contains("navigate") && script.contains("to-label"), "{shell}");
     }
     let folder = tempfile::tempdir().unwrap();
     let pages = folder.path().join("man1");
