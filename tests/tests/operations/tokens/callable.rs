@@ -1,0 +1,99 @@
+//! What can be called: every method of the contract and every route, and who may.
+
+use futures::stream;
+use prost::Message;
+use prost_types::FileDescriptorSet;
+use reqwest::Method;
+use tonic::metadata::AsciiMetadataValue;
+use tonic::transport::Channel;
+use tonic::{Request, Status};
+use tonic_prost::ProstCodec;
+
+use crate::harness::{in_time, workspace};
+
+/// Methods that a robot may not call.
+pub(super) const FOR_ADMINS: [&str; 20] = [
+    "/waypost.v1.MapService/CreateMap",
+    "/waypost.v1.MapService/DeleteMap",
+    "/waypost.v1.MapService/RebindMap",
+    "/waypost.v1.MapService/ExportMap",
+    "/waypost.v1.MapService/ImportMap",
+    "/waypost.v1.SessionService/DeleteSession",
+    "/waypost.v1.MapService/RebuildMap",
+    "/waypost.v1.MapService/TrimMap",
+    "/waypost.v1.MapService/CompactMap",
+    "/waypost.v1.MergeService/MergeMaps",
+    "/waypost.v1.MergeService/CommitMerge",
+    "/waypost.v1.MergeService/DiscardMerge",
+    "/waypost.v1.MergeService/UndoMerge",
+    "/waypost.v1.ModelService/TrainModel",
+    "/waypost.v1.ModelService/ImportModel",
+    "/waypost.v1.ModelService/DeleteModel",
+    "/waypost.v1.JobService/CancelJob",
+    "/waypost.v1.TokenService/CreateToken",
+    "/waypost.v1.TokenService/ListTokens",
+    "/waypost.v1.TokenService/DeleteToken",
+];
+
+/// Routes over HTTP that are open to all.
+pub(super) const OPEN_ROUTES: [&str; 7] = [
+    "/healthz",
+    "/readyz",
+    "/",
+    "/inspector/inspector.js",
+    "/inspector/inspector.css",
+    "/inspector/icon.svg",
+    "/inspector/licences.txt",
+];
+
+/// Routes that are not in the API's description, and one that is none.
+const OTHER_ROUTES: [&str; 5] =
+    ["/docs", "/inspector/other.js", "/metrics", "/v1/openapi.json", "/v1/nowhere"];
+
+/// Method and path of every route that asks for a token.
+pub(super) fn guarded_routes() -> Vec<(Method, String)> {
+    let description = std::fs::read_to_string(workspace().join("server/openapi.json")).unwrap();
+    let description: serde_json::Value = serde_json::from_str(&description).unwrap();
+    let mut routes: Vec<(Method, String)> =
+        OTHER_ROUTES.iter().map(|&path| (Method::GET, path.to_owned())).collect();
+    for (path, methods) in description["paths"].as_object().unwrap() {
+        // Whether there is such a thing is told only to those who may know.
+        let path: Vec<&str> = path
+            .split('/')
+            .map(|part| if part == "{map}" { "drive" } else { part.trim_matches(['{', '}']) })
+            .collect();
+        for method in methods.as_object().unwrap().keys() {
+            routes.push((method.to_uppercase().parse().unwrap(), path.join("/")));
+        }
+    }
+    assert!(routes.len() > 20, "{routes:?}");
+    routes
+}
+
+/// Every method of the contract, from its descriptors.
+pub(super) fn methods() -> Vec<String> {
+    let set = FileDescriptorSet::decode(waypost_proto::FILE_DESCRIPTOR_SET).unwrap();
+    let mut paths = Vec::new();
+    for file in &set.file {
+        for service in &file.service {
+            let path = |method: &str| format!("/{}.{}/{method}", file.package(), service.name());
+            paths.extend(service.method.iter().map(|method| path(method.name())));
+        }
+    }
+    assert!(paths.len() >= 32, "this test sees few methods: {paths:?}");
+    paths
+}
+
+/// Calls a method by its path, with one empty message.
+pub(super) async fn call(channel: &Channel, path: &str, authorization: Option<&str>) -> Result<(), Status> {
+    let mut grpc = tonic::client::Grpc::new(channel.clone());
+    grpc.ready().await.unwrap();
+    let mut request = Request::new(stream::iter([()]));
+    if let Some(authorization) = authorization {
+        let value: AsciiMetadataValue = authorization.parse().unwrap();
+        request.metadata_mut().insert("authorization", value);
+    }
+    let codec = ProstCodec::<(), ()>::default();
+    let mut answers = in_time(grpc.streaming(request, path.parse().unwrap(), codec)).await?.into_inner();
+    in_time(answers.message()).await.map(drop)
+}
