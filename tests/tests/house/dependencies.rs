@@ -26,7 +26,7 @@ pub(crate) static METADATA: LazyLock<Value> = LazyLock::new(|| {
 const ANY: &[&str] = &["*"];
 
 /// Member, and the members that it may depend on where no feature is asked for.
-const ALLOWED: [(&str, &[&str]); 12] = [
+const ALLOWED: [(&str, &[&str]); 13] = [
     ("fabmap", &[]),
     ("posegraph", &[]),
     ("topomap", &["fabmap", "posegraph"]),
@@ -34,23 +34,25 @@ const ALLOWED: [(&str, &[&str]); 12] = [
     ("waypost-vision", &["fabmap", "posegraph", "topomap", "waypost-navigation"]),
     ("waypost-sim", &[]),
     ("waypost-proto", &[]),
+    ("waypost-bags", &[]),
     (
         "waypost-server",
         &["fabmap", "posegraph", "topomap", "waypost-navigation", "waypost-vision", "waypost-proto"],
     ),
     ("waypost-client", &["waypost-proto"]),
-    ("waypost-cli", &["waypost-client", "waypost-proto", "waypost-sim"]),
+    ("waypost-cli", &["waypost-bags", "waypost-client", "waypost-proto", "waypost-sim"]),
     ("waypost-eval", ANY),
     ("waypost-e2e", ANY),
 ];
 
 /// Members, and what none of their normal dependencies may be, however deep, where no feature is asked for.
-const FORBIDDEN: [(&str, &[&str]); 8] = [
+const FORBIDDEN: [(&str, &[&str]); 9] = [
     ("fabmap", &["tokio", "serde", "sqlx", "opencv", "tonic"]),
     ("posegraph", &["tokio", "serde", "sqlx", "opencv", "tonic"]),
     ("topomap", &["tokio", "serde", "sqlx", "opencv", "tonic"]),
     ("waypost-navigation", &["tokio", "serde", "sqlx", "opencv", "tonic"]),
     ("waypost-sim", &["tokio", "serde", "sqlx", "opencv", "tonic"]),
+    ("waypost-bags", &["tokio", "sqlx", "opencv", "tonic"]),
     ("waypost-proto", &["opencv", "sqlx"]),
     ("waypost-client", &["opencv", "sqlx"]),
     ("waypost-cli", &["opencv", "sqlx"]),

@@ -6,7 +6,7 @@ use std::vec::IntoIter;
 use super::dependencies::METADATA;
 
 /// SPDX identifiers of the terms that we accept; `A WITH B` is an identifier of its own.
-const ACCEPTED: [&str; 16] = [
+const ACCEPTED: [&str; 17] = [
     "0BSD",
     "Apache-2.0",
     "Apache-2.0 WITH LLVM-exception",
@@ -23,6 +23,7 @@ const ACCEPTED: [&str; 16] = [
     "Unicode-3.0",
     "Unlicense",
     "Zlib",
+    "bzip2-1.0.6",
 ];
 
 /// What is said of an expression.

@@ -68,11 +68,12 @@ fn leads_into(path: &[String], place: &str) -> bool {
     path.len() >= place.len() && path.iter().zip(&place).all(|(segment, wanted)| segment == wanted)
 }
 
-/// One line for each text that reads as SQL in a crate's sources outside of `folder`.
-pub(super) fn sql_outside(sources: &Sources, folder: &str) -> Vec<String> {
+/// One line for each text that reads as SQL in a crate's sources outside of `folders`.
+pub(super) fn sql_outside(sources: &Sources, folders: &[&str]) -> Vec<String> {
     let mut found = Vec::new();
     for crate_sources in crates(sources).values() {
-        for (path, text) in crate_sources.iter().filter(|(path, _)| !is_within(path, folder)) {
+        let outside = |path: &str| !folders.iter().any(|folder| is_within(path, folder));
+        for (path, text) in crate_sources.iter().filter(|(path, _)| outside(path)) {
             let file = syn::parse_file(text).unwrap_or_else(|error| panic!("{path}: {error}"));
             let mut texts = Texts(Vec::new());
             texts.visit_file(&file);

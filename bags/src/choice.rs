@@ -1,0 +1,322 @@
+//! Which topics are used: those that are asked for, or the only ones that serve.
+
+use crate::bag::Bag;
+use crate::camera::{Camera, Rectification, camera};
+use crate::error::{ChoiceError, LeftOut, Problem};
+use crate::messages::Kind;
+use crate::survey::Topic;
+
+/// In place of a topic: not to use one that is there.
+pub const NONE: &str = "none";
+/// The robot's base, if its odometry does not name it.
+const BASE_FRAME: &str = "base_link";
+
+/// What somebody wants of a bag.
+#[derive(Clone, Debug, Default)]
+pub struct Wanted {
+    /// Topic of images; the only one if left out.
+    pub image_topic: Option<String>,
+    /// Topic of camera infos, or `none`; the one beside the images if left out.
+    pub camera_info_topic: Option<String>,
+    /// Topic of odometry, poses or transforms, or `none`; the only nav_msgs/Odometry if left out.
+    pub odometry_topic: Option<String>,
+    /// Which times count.
+    pub clock: Clock,
+}
+
+/// Which times count.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Clock {
+    /// The stamps of the messages' headers.
+    #[default]
+    Header,
+    /// When the messages were recorded.
+    Log,
+}
+
+/// What is used of a bag.
+#[derive(Clone, Debug)]
+pub struct Choice {
+    /// Topic of the images.
+    pub image_topic: String,
+    pub(crate) image_kind: Kind,
+    /// Width and height of the first image.
+    pub size_px: Option<(u32, u32)>,
+    /// Topic of the camera infos, where the camera can be declared.
+    pub camera_info_topic: Option<String>,
+    /// The camera that its camera info describes.
+    pub camera: Option<Camera>,
+    /// Where poses come from.
+    pub odometry: Option<OdometrySource>,
+    /// Which times count.
+    pub clock: Clock,
+    /// Stamps of the images, in their order; none for those that are left out.
+    pub stamps_ns: Vec<Option<i64>>,
+    /// Images that are left out.
+    pub left_out: Option<LeftOut>,
+    /// What whoever looks should know.
+    pub notes: Vec<String>,
+}
+
+/// Where poses come from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OdometrySource {
+    /// Topic of the poses.
+    pub topic: String,
+    pub(crate) kind: Kind,
+    /// The frame whose pose it is.
+    pub base_frame: String,
+}
+
+impl Choice {
+    /// How many images are used.
+    pub fn frame_count(&self) -> usize {
+        self.stamps_ns.iter().flatten().count()
+    }
+}
+
+impl Bag {
+    /// Chooses topics.
+    ///
+    /// # Errors
+    /// Where a topic that is asked for is not there or does not serve, or several do and none is asked for.
+    pub fn choose(&self, wanted: &Wanted) -> Result<Choice, ChoiceError> {
+        let Wanted { image_topic, camera_info_topic, odometry_topic, clock } = wanted;
+        let mut notes = Vec::new();
+        let images = self.images(image_topic.as_deref())?;
+        let odometry = self.odometry(odometry_topic.as_deref(), &mut notes)?;
+        let base_frame = odometry.as_ref().map_or(BASE_FRAME, |source| source.base_frame.as_str());
+        let info = self.camera_infos(camera_info_topic.as_deref(), images)?;
+        let camera = match info {
+            Some(info) => self.camera(info, images, base_frame, &mut notes)?,
+            None => {
+                notes.push(format!("no camera is declared: no CameraInfo belongs to {}", images.name));
+                None
+            }
+        };
+        let (stamps_ns, left_out) = stamps(images, *clock);
+        if stamps_ns.iter().flatten().next().is_none() {
+            let reason =
+                left_out.as_ref().map_or_else(String::new, |left_out| left_out.first_problem.to_string());
+            return Err(ChoiceError::NoImages { reason: format!("{}: {reason}", images.name) });
+        }
+        Ok(Choice {
+            image_topic: images.name.clone(),
+            image_kind: images.kind,
+            size_px: images.size_px,
+            camera_info_topic: info.filter(|_| camera.is_some()).map(|info| info.name.clone()),
+            camera,
+            odometry,
+            clock: *clock,
+            stamps_ns,
+            left_out,
+            notes,
+        })
+    }
+
+    fn images(&self, asked: Option<&str>) -> Result<&Topic, ChoiceError> {
+        const FLAG: &str = "--image-topic";
+        const TYPES: &str = "sensor_msgs/CompressedImage or sensor_msgs/Image";
+        let is_image = |topic: &&Topic| matches!(topic.kind, Kind::CompressedImage | Kind::Image);
+        if let Some(asked) = asked {
+            return self.asked(asked, FLAG, TYPES, is_image);
+        }
+        let all: Vec<&Topic> = self.topics().iter().filter(is_image).collect();
+        let readable: Vec<&Topic> = all.iter().copied().filter(|topic| topic.readable() > 0).collect();
+        // The same images, compressed and not: the compressed ones are what they are.
+        let has_compressed = |topic: &Topic| {
+            let compressed = format!("{}/compressed", topic.name);
+            readable.iter().any(|other| other.name == compressed)
+        };
+        let serving: Vec<&Topic> = readable.iter().copied().filter(|topic| !has_compressed(topic)).collect();
+        match serving.as_slice() {
+            [] => Err(ChoiceError::NoImages { reason: why_no_images(&all) }),
+            [only] => self.asked(&only.name, FLAG, TYPES, is_image),
+            several => Err(ChoiceError::Several { what: "images", topics: names(several), flag: FLAG }),
+        }
+    }
+
+    fn camera_infos(&self, asked: Option<&str>, images: &Topic) -> Result<Option<&Topic>, ChoiceError> {
+        const FLAG: &str = "--camera-info-topic";
+        let is_info = |topic: &&Topic| topic.kind == Kind::CameraInfo && topic.camera_info.is_some();
+        match asked {
+            Some(NONE) => return Ok(None),
+            Some(asked) => return self.asked(asked, FLAG, "sensor_msgs/CameraInfo", is_info).map(Some),
+            None => {}
+        }
+        let infos: Vec<&Topic> = self.topics().iter().filter(is_info).collect();
+        let raw = images.name.strip_suffix("/compressed").unwrap_or(&images.name);
+        let beside = raw.rsplit_once('/').map(|(camera, _)| format!("{camera}/camera_info"));
+        if let Some(beside) = infos.iter().find(|info| Some(&info.name) == beside.as_ref()) {
+            return Ok(Some(beside));
+        }
+        let same_frame: Vec<&Topic> =
+            infos.iter().copied().filter(|info| info.frame_id == images.frame_id).collect();
+        match same_frame.as_slice() {
+            [] => Ok(None),
+            [only] => Ok(Some(only)),
+            several => Err(ChoiceError::Several { what: "camera infos", topics: names(several), flag: FLAG }),
+        }
+    }
+
+    fn odometry(
+        &self,
+        asked: Option<&str>,
+        notes: &mut Vec<String>,
+    ) -> Result<Option<OdometrySource>, ChoiceError> {
+        const FLAG: &str = "--odometry-topic";
+        const TYPES: &str = "nav_msgs/Odometry, geometry_msgs/PoseStamped or tf2_msgs/TFMessage";
+        let source = |topic: &Topic| OdometrySource {
+            topic: topic.name.clone(),
+            kind: topic.kind,
+            base_frame: topic.child_frame.clone().unwrap_or_else(|| BASE_FRAME.to_owned()),
+        };
+        let has_poses =
+            |topic: &&Topic| matches!(topic.kind, Kind::Odometry | Kind::PoseStamped | Kind::Transforms);
+        match asked {
+            Some(NONE) => return Ok(None),
+            Some(asked) => return self.asked(asked, FLAG, TYPES, has_poses).map(|topic| Some(source(topic))),
+            None => {}
+        }
+        let is_odometry = |topic: &&Topic| topic.kind == Kind::Odometry && topic.readable() > 0;
+        let all: Vec<&Topic> = self.topics().iter().filter(is_odometry).collect();
+        match all.as_slice() {
+            [] => {
+                let others: Vec<&Topic> = self.topics().iter().filter(has_poses).collect();
+                let may = if others.is_empty() {
+                    String::new()
+                } else {
+                    format!("; {FLAG} also takes {}", names(&others).join(", "))
+                };
+                notes.push(format!("frames have no odometry: no topic is of type nav_msgs/Odometry{may}"));
+                Ok(None)
+            }
+            [only] => Ok(Some(source(only))),
+            several => Err(ChoiceError::Several { what: "odometry", topics: names(several), flag: FLAG }),
+        }
+    }
+
+    /// The topic of a name, if it serves and has one type.
+    fn asked(
+        &self,
+        name: &str,
+        flag: &'static str,
+        wanted: &'static str,
+        serves: impl Fn(&&Topic) -> bool,
+    ) -> Result<&Topic, ChoiceError> {
+        let named: Vec<&Topic> = self.topics().iter().filter(|topic| topic.name == name).collect();
+        match named.as_slice() {
+            [] => Err(ChoiceError::NoTopic {
+                topic: name.to_owned(),
+                present: self.topics().iter().map(|topic| topic.name.clone()).collect(),
+            }),
+            [only] if serves(only) => Ok(only),
+            [only] => Err(ChoiceError::WrongType {
+                topic: name.to_owned(),
+                type_name: only.type_name.clone(),
+                flag,
+                wanted,
+            }),
+            [first, second, ..] => Err(ChoiceError::TypeChanges {
+                topic: name.to_owned(),
+                first: first.type_name.clone(),
+                second: second.type_name.clone(),
+            }),
+        }
+    }
+
+    fn camera(
+        &self,
+        info: &Topic,
+        images: &Topic,
+        base_frame: &str,
+        notes: &mut Vec<String>,
+    ) -> Result<Option<Camera>, ChoiceError> {
+        let Some(described) = &info.camera_info else { return Ok(None) };
+        if info.changed_camera_infos > 0 {
+            let (name, changed) = (&info.name, info.changed_camera_infos);
+            notes.push(format!("{name} changes in {changed} of its messages; the first is declared"));
+        }
+        let mut camera = match camera(described, Rectification::of(&images.name)) {
+            Ok(camera) => camera,
+            Err(reason) => {
+                notes.push(format!("no camera is declared of {}: {reason}", info.name));
+                return Ok(None);
+            }
+        };
+        if let Some(size_px) = images.size_px.filter(|size_px| *size_px != camera.size_px) {
+            let ((width, height), (of_width, of_height)) = (size_px, camera.size_px);
+            notes.push(format!(
+                "no camera is declared: the images are {width} x {height}, and {} is for {of_width} x {of_height}",
+                info.name
+            ));
+            return Ok(None);
+        }
+        camera.base_to_camera = self.transforms.camera_in(base_frame, &described.frame_id)?;
+        if camera.base_to_camera.is_none() {
+            notes.push(format!(
+                "where the camera is on the robot is not declared: tf_static does not lead from {base_frame} to {}",
+                described.frame_id
+            ));
+        }
+        Ok(Some(camera))
+    }
+}
+
+fn names(topics: &[&Topic]) -> Vec<String> {
+    topics.iter().map(|topic| topic.name.clone()).collect()
+}
+
+fn why_no_images(all: &[&Topic]) -> String {
+    let reasons: Vec<String> = all
+        .iter()
+        .filter_map(|topic| {
+            let left_out = topic.left_out.as_ref()?;
+            Some(format!("{}: message {}: {}", topic.name, left_out.first_number, left_out.first_problem))
+        })
+        .collect();
+    if reasons.is_empty() {
+        "none is of type sensor_msgs/CompressedImage or sensor_msgs/Image".to_owned()
+    } else {
+        reasons.join("; ")
+    }
+}
+
+/// Stamps of the images that can be used: they rise.
+fn stamps(images: &Topic, clock: Clock) -> (Vec<Option<i64>>, Option<LeftOut>) {
+    let mut left_out = images.left_out.clone();
+    let mut before_ns = 0;
+    let mut stamps_ns = Vec::with_capacity(images.images.len());
+    for (number, image) in (1..).zip(&images.images) {
+        let stamp_ns = image.header_ns.map(|header_ns| match clock {
+            Clock::Header => header_ns,
+            Clock::Log => image.log_ns,
+        });
+        let problem = match stamp_ns {
+            Some(stamp_ns) if stamp_ns <= 0 => Some(Problem::NoStamp),
+            Some(stamp_ns) if stamp_ns <= before_ns => Some(Problem::NotRising { stamp_ns, before_ns }),
+            Some(stamp_ns) => {
+                before_ns = stamp_ns;
+                None
+            }
+            None => None,
+        };
+        stamps_ns.push(stamp_ns.filter(|_| problem.is_none()));
+        if let Some(problem) = problem {
+            leave_out(&mut left_out, number, image.log_ns, problem);
+        }
+    }
+    (stamps_ns, left_out)
+}
+
+fn leave_out(left_out: &mut Option<LeftOut>, number: u64, log_ns: i64, problem: Problem) {
+    let this = LeftOut { count: 1, first_number: number, first_log_ns: log_ns, first_problem: problem };
+    *left_out = Some(match left_out.take() {
+        None => this,
+        Some(other) => {
+            let count = other.count + 1;
+            let first = if other.first_number <= number { other } else { this };
+            LeftOut { count, ..first }
+        }
+    });
+}

@@ -1,0 +1,164 @@
+//! Which topics are chosen, and what is said where none can be.
+
+use waypost_bags::{ChoiceError, Wanted};
+
+use crate::reading::open;
+use crate::writing::mcap_file::mcap;
+use crate::writing::messages::{Order, camera_info, compressed_image, odometry, raw_image, transforms};
+use crate::writing::{Folder, Message, drive, png};
+
+const COMPRESSED: &str = "sensor_msgs/CompressedImage";
+
+fn image(topic: &'static str, log_ns: u64) -> Message {
+    let fields = compressed_image(log_ns, "png", &png(1));
+    Message { topic, type_name: COMPRESSED, log_ns, fields }
+}
+
+fn chosen(messages: &[Message], wanted: &Wanted) -> Result<waypost_bags::Choice, ChoiceError> {
+    let folder = Folder::new();
+    open(&folder.file("drive.mcap", &mcap(messages, None, Order::Little))).choose(wanted)
+}
+
+fn refused(messages: &[Message], wanted: &Wanted) -> String {
+    chosen(messages, wanted).unwrap_err().to_string()
+}
+
+#[test]
+fn two_cameras_have_to_be_chosen_between() {
+    let two = [image("/left/image/compressed", 5), image("/right/image/compressed", 6)];
+    assert_eq!(
+        refused(&two, &Wanted::default()),
+        "several topics have images: /left/image/compressed, /right/image/compressed; name one with --image-topic"
+    );
+    let wanted = Wanted { image_topic: Some("/right/image/compressed".to_owned()), ..Wanted::default() };
+    assert_eq!(chosen(&two, &wanted).unwrap().image_topic, "/right/image/compressed");
+}
+
+#[test]
+fn the_compressed_twin_is_taken() {
+    let raw = Message {
+        topic: "/camera/image",
+        type_name: "sensor_msgs/Image",
+        log_ns: 5,
+        fields: raw_image(5, "mono8", (1, 1), 1, &[7]),
+    };
+    let choice = chosen(&[raw, image("/camera/image/compressed", 6)], &Wanted::default()).unwrap();
+    assert_eq!(choice.image_topic, "/camera/image/compressed");
+}
+
+#[test]
+fn topics_that_do_not_serve_are_named() {
+    let wanted = Wanted { image_topic: Some("/odom".to_owned()), ..Wanted::default() };
+    assert_eq!(
+        refused(&drive(), &wanted),
+        "/odom is of type nav_msgs/msg/Odometry; --image-topic takes sensor_msgs/CompressedImage or sensor_msgs/Image"
+    );
+    let wanted = Wanted { odometry_topic: Some("/odo".to_owned()), ..Wanted::default() };
+    let told = refused(&drive(), &wanted);
+    assert!(told.starts_with("there is no topic /odo; the bag has /camera/camera_info, "), "{told}");
+    let without = refused(&drive()[..2], &Wanted::default());
+    assert!(without.contains("none is of type sensor_msgs/CompressedImage"), "{without}");
+}
+
+#[test]
+fn a_topic_that_changes_its_type_is_refused() {
+    let mut messages = drive();
+    messages.push(Message { topic: "/camera/image/compressed", ..messages[3].clone() });
+    assert_eq!(
+        refused(&messages, &Wanted::default()),
+        "/camera/image/compressed changes its type from sensor_msgs/msg/CompressedImage to nav_msgs/msg/Odometry; \
+         a topic of one type is needed"
+    );
+}
+
+#[test]
+fn images_that_cannot_be_used_say_why() {
+    let raw = |encoding: &str| Message {
+        topic: "/depth/image",
+        type_name: "sensor_msgs/Image",
+        log_ns: 5,
+        fields: raw_image(5, encoding, (1, 1), 2, &[7, 0]),
+    };
+    let told = refused(&[raw("mono16")], &Wanted::default());
+    assert!(
+        told.contains("/depth/image: message 1: pixels of encoding `mono16` are not read; mono8"),
+        "{told}"
+    );
+    // A depth image beside a camera is no choice.
+    let choice = chosen(&[raw("32FC1"), image("/camera/image/compressed", 6)], &Wanted::default()).unwrap();
+    assert_eq!(choice.image_topic, "/camera/image/compressed");
+}
+
+#[test]
+fn a_clock_that_jumps_back_or_says_nothing_leaves_images_out() {
+    let topic = "/camera/image/compressed";
+    let stamped = |stamp_ns: u64, log_ns: u64| Message {
+        topic,
+        type_name: COMPRESSED,
+        log_ns,
+        fields: compressed_image(stamp_ns, "png", &png(1)),
+    };
+    let choice = chosen(&[stamped(10, 1), stamped(9, 2), stamped(10, 3), stamped(11, 4)], &Wanted::default());
+    let choice = choice.unwrap();
+    assert_eq!(choice.stamps_ns, [Some(10), None, None, Some(11)]);
+    let left_out = choice.left_out.unwrap();
+    assert_eq!((left_out.count, left_out.first_number), (2, 2));
+    let problem = left_out.first_problem.to_string();
+    assert_eq!(
+        problem,
+        "its stamp 9 is not above the 10 of one before; --stamps log takes the times of recording"
+    );
+    let told = refused(&[stamped(0, 1)], &Wanted::default());
+    assert!(told.contains("its header has no stamp above 0; --stamps log takes"), "{told}");
+}
+
+#[test]
+fn what_is_missing_is_said_and_not_guessed() {
+    let choice = chosen(&[image("/camera/image/compressed", 5)], &Wanted::default()).unwrap();
+    assert_eq!(choice.camera, None);
+    assert_eq!(
+        choice.notes,
+        [
+            "frames have no odometry: no topic is of type nav_msgs/Odometry",
+            "no camera is declared: no CameraInfo belongs to /camera/image/compressed"
+        ]
+    );
+    let of = |size, model, parameters: &[f64]| {
+        let info = Message {
+            topic: "/camera/camera_info",
+            type_name: "sensor_msgs/CameraInfo",
+            log_ns: 4,
+            fields: camera_info(4, size, model, parameters),
+        };
+        let odometry = Message {
+            topic: "/odom",
+            type_name: "nav_msgs/Odometry",
+            log_ns: 5,
+            fields: odometry(5, "base_footprint", 0.0),
+        };
+        let choice = chosen(&[info, odometry, image("/camera/image", 6)], &Wanted::default()).unwrap();
+        (choice.camera.is_some(), choice.notes)
+    };
+    let (declared, notes) = of((8, 6), "plumb_bob", &[]);
+    let unplaced = "where the camera is on the robot is not declared: tf_static does not lead from base_footprint to \
+                    camera_optical";
+    assert_eq!((declared, notes.as_slice()), (true, [unplaced.to_owned()].as_slice()));
+    let (declared, notes) = of((16, 12), "plumb_bob", &[]);
+    assert!(!declared && notes[0].contains("the images are 8 x 6, and /camera/camera_info is for 16 x 12"));
+    let (declared, notes) = of((8, 6), "rational_polynomial", &[0.1; 8]);
+    assert!(!declared && notes[0].contains("has k4, k5 or k6, which cannot be declared"), "{notes:?}");
+}
+
+#[test]
+fn transforms_in_a_circle_are_refused() {
+    let mut messages = drive();
+    let still = [0.0, 0.0, 0.0, 1.0];
+    messages[0].fields = transforms(&[
+        ("camera_optical", "base_link", [0.0; 3], still),
+        ("base_link", "camera_optical", [0.0; 3], still),
+    ]);
+    let told = refused(&messages, &Wanted::default());
+    assert!(told.contains("the transforms of tf_static go in a circle at"), "{told}");
+    let wanted = Wanted { camera_info_topic: Some("none".to_owned()), ..Wanted::default() };
+    assert!(chosen(&messages, &wanted).unwrap().camera.is_none());
+}

@@ -1,0 +1,9 @@
+//! Bags that are written here and read back: whole, damaged and hostile.
+#![allow(clippy::unwrap_used, clippy::expect_used, missing_docs, unreachable_pub)]
+
+mod choosing;
+mod hostile;
+mod mutated;
+mod reading;
+mod samples;
+mod writing;
