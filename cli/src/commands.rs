@@ -2,6 +2,7 @@
 
 pub(crate) mod demo;
 pub(crate) mod explain;
+pub(crate) mod inspect;
 pub(crate) mod job;
 pub(crate) mod map;
 pub(crate) mod merge;

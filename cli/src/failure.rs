@@ -4,6 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use waypost_bags::{BagError, ChoiceError};
 use waypost_client::launch::LaunchError;
 use waypost_client::{Code, Error};
 
@@ -28,6 +29,10 @@ pub(crate) enum Failure {
     Client(#[from] Error),
     #[error(transparent)]
     Images(#[from] ListingError),
+    #[error(transparent)]
+    Bag(#[from] BagError),
+    #[error("{}: {source}", path.display())]
+    Topics { path: PathBuf, source: ChoiceError },
     #[error("{}: {source}", path.display())]
     Odometry { path: PathBuf, source: OdometryError },
     #[error("{}: {source}", path.display())]
@@ -93,6 +98,8 @@ impl Failure {
             Failure::GoalRefused(_) => 4,
             Failure::FramesRefused { .. } => 5,
             Failure::Images(_)
+            | Failure::Bag(_)
+            | Failure::Topics { .. }
             | Failure::Odometry { .. }
             | Failure::Truth { .. }
             | Failure::File { .. }

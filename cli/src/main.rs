@@ -6,12 +6,15 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
 
-use commands::{demo, explain, job, map, merge, model, navigate, query, session, shell, stream, token};
+use commands::{
+    demo, explain, inspect, job, map, merge, model, navigate, query, session, shell, stream, token,
+};
 use failure::{EXIT_CODES, Failure};
 use output::Output;
 use waypost_client::ClientOptions;
 
 mod commands;
+mod drive;
 mod explanations;
 mod failure;
 mod files;
@@ -113,6 +116,7 @@ enum Command {
     #[command(subcommand, after_help = EXIT_CODES)]
     Token(token::Command),
     Stream(stream::Arguments),
+    Inspect(inspect::Arguments),
     Query(query::Arguments),
     Explain(explain::Arguments),
     Navigate(navigate::Arguments),
@@ -162,6 +166,7 @@ async fn run(Arguments { globals, command }: Arguments) -> Result<(), Failure> {
         Command::Navigate(arguments) => navigate::run(arguments, &server, output).await,
         Command::Token(command) => token::run(command, &server, output).await,
         Command::Stream(arguments) => stream::run(arguments, &server, output).await,
+        Command::Inspect(arguments) => inspect::run(arguments, output).await,
         Command::Demo(arguments) => demo::run(arguments, output).await,
         Command::Completions(asked) => shell::completions(&asked, Arguments::command()),
         Command::Man(asked) => shell::manual(&asked, Arguments::command()),

@@ -34,13 +34,8 @@ struct Mirror {
     ahead_rad: f64,
 }
 
-/// The camera of panoramas like `first`.
-pub(crate) fn camera(projection: Projection, first: &ImageFile) -> Result<v1::Camera, Failure> {
-    Ok(camera_of(projection, size_px(first)?))
-}
-
-/// The camera of images like `first` that a file of JSON describes.
-pub(crate) fn mirror_camera(file: &Path, first: &ImageFile) -> Result<v1::Camera, Failure> {
+/// The camera of images of a size that a file of JSON describes.
+pub(crate) fn mirror_camera(file: &Path, size_px: (u32, u32)) -> Result<v1::Camera, Failure> {
     let name = file.display();
     let text = std::fs::read_to_string(file).map_err(|error| {
         Failure::Unfit(format!("{name} cannot be read: {error}; check the path and its permissions"))
@@ -52,10 +47,11 @@ pub(crate) fn mirror_camera(file: &Path, first: &ImageFile) -> Result<v1::Camera
              is not to the right in the images"
         ))
     })?;
-    Ok(camera_of_mirror(mirror, size_px(first)?))
+    Ok(camera_of_mirror(mirror, size_px))
 }
 
-fn size_px(first: &ImageFile) -> Result<(u32, u32), Failure> {
+/// Width and height of an image.
+pub(crate) fn size_px(first: &ImageFile) -> Result<(u32, u32), Failure> {
     image::image_dimensions(&first.path).map_err(|error| {
         Failure::Unfit(format!(
             "{} is no image that can be read: {error}; send JPEG or PNG",
@@ -64,7 +60,8 @@ fn size_px(first: &ImageFile) -> Result<(u32, u32), Failure> {
     })
 }
 
-fn camera_of(projection: Projection, (image_width_px, image_height_px): (u32, u32)) -> v1::Camera {
+/// The camera of panoramas of a width and a height.
+pub(crate) fn camera_of(projection: Projection, (image_width_px, image_height_px): (u32, u32)) -> v1::Camera {
     // Half of the height, in widths of a circle of radius 1.
     let half = PI * f64::from(image_height_px) / f64::from(image_width_px.max(1));
     let (projection, vertical_rad) = match projection {

@@ -1,37 +1,43 @@
-//! `waypost stream`: streams a folder of images, as a robot would.
+//! `waypost stream`: streams a folder of images or a bag, as a robot would.
 
+use std::borrow::Cow;
 use std::fs::File;
 use std::hash::{BuildHasher, RandomState};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde::Serialize;
+use waypost_bags::Bag;
 use waypost_client::{Client, ClientOptions, SessionOptions, v1};
 
+use crate::drive::{Drive, Topics};
 use crate::failure::{EXIT_CODES, Failure};
 use crate::files::Replacing;
 use crate::frame_row::FrameRow;
 use crate::images::{ImageFile, images_of};
 use crate::odometry;
 use crate::output::Output;
-use crate::panorama::{Projection, camera, mirror_camera};
+use crate::panorama::{Projection, camera_of, mirror_camera, size_px};
 use crate::progress;
-use crate::replay::{Replay, Sent, Stamps};
+use crate::replay::{Recording, Replay, Sent, Stamps};
 use crate::robot_words::{ContentMaker, Words};
 
 /// Rate of generated stamps.
 const DEFAULT_RATE_HZ: f64 = 1.0;
 
-/// Stream a folder of images into a map and print the loop closures
+/// Stream a folder of images, or a robot's bag, into a map and print the loop closures
 ///
 /// Streams DIR/images, or DIR, by file names, numbers in them by their value (frame2 before
-/// frame10): frame 1 is the first image. With the --session of an earlier run it continues where
+/// frame10): frame 1 is the first image. A bag is an MCAP file, a database of rosbag2 (.db3) or its
+/// folder, or a ROS 1 bag; it brings stamps, odometry and camera, and `waypost inspect` shows what
+/// is in it. With the --session of an earlier run it continues where
 /// that run stopped; with --csv or --json it also fetches the answers of the earlier frames, so
 /// that the rows are complete. With --localize every run starts from the beginning.
 #[derive(clap::Args)]
 #[command(after_help = EXIT_CODES, after_long_help = format!("{}\n\n{EXIT_CODES}", odometry::FORMATS))]
 pub(crate) struct Arguments {
-    /// Folder of JPEG or PNG images
+    /// Folder of JPEG or PNG images, or a bag
     dir: PathBuf,
     /// Map to stream into
     #[arg(long)]
@@ -46,6 +52,8 @@ pub(crate) struct Arguments {
     /// then generated at 1 Hz
     #[arg(long, value_name = "HZ", value_parser = rate_hz)]
     rate: Option<f64>,
+    #[command(flatten)]
+    topics: Topics,
     #[command(flatten)]
     words: Words,
     /// The images are panoramas of 360 degrees with the robot's front in the middle. Maps with the
@@ -89,15 +97,26 @@ struct Summary {
 }
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
-    let Arguments { dir, map, session, odometry, rate, words, panorama, mirror, localize, csv, force } =
-        arguments;
+    let Arguments {
+        dir,
+        map,
+        session,
+        odometry,
+        rate,
+        topics,
+        words,
+        panorama,
+        mirror,
+        localize,
+        csv,
+        force,
+    } = arguments;
     Replacing::of(force).check_wanted(csv.as_deref())?;
-    let images = images_of(&dir)?;
-    let stamps = stamps(&images, odometry.as_deref(), rate)?;
-    let camera = match (panorama, mirror, images.first()) {
-        (Some(projection), _, Some(first)) => Some(camera(projection, first)?),
-        (None, Some(file), Some(first)) => Some(mirror_camera(&file, first)?),
-        (_, _, _) => None,
+    let recording = recording(&dir, odometry.as_deref(), rate, topics, output).await?;
+    let camera = match (panorama, mirror) {
+        (Some(projection), _) => Some(camera_of(projection, first_size_px(&recording)?)),
+        (None, Some(file)) => Some(mirror_camera(&file, first_size_px(&recording)?)?),
+        (None, None) => declared_camera(&recording),
     };
     let client = Client::connect(server).await?;
     let contents = ContentMaker::new(&client, &map, words.words).await?;
@@ -106,7 +125,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let run_id = format!("{:016x}", RandomState::new().hash_one(()));
     let options =
         SessionOptions { session_id: session, mode, words_hash, run_id, camera, ..SessionOptions::new(&map) };
-    let replay = Replay { images, stamps, pace_hz: rate, contents };
+    let replay = Replay { recording, pace_hz: rate, contents };
     let session = client.open_session(options).await?;
     let mut table = csv.as_deref().map(Table::create).transpose()?;
     let opened = session.opened().clone();
@@ -151,13 +170,60 @@ fn unstreamed(
     after_sequence: u64,
     session: &str,
 ) -> Result<usize, Failure> {
-    let frames = replay.images.len();
+    let frames = replay.recording.last_sequence();
     match committed {
-        Some(sequence) if sequence > frames as u64 => Err(Failure::Unfit(format!(
+        Some(sequence) if sequence > frames => Err(Failure::Unfit(format!(
             "{session} is at frame {sequence} already, but there are only {frames} images; \
-             give the folder that it was begun with, or another --session"
+             give what it was begun with, or another --session"
         ))),
-        Some(_) | None => Ok(frames.saturating_sub(usize::try_from(after_sequence).unwrap_or(frames))),
+        Some(_) | None => Ok(replay.recording.count_after(after_sequence)),
+    }
+}
+
+/// The images of a folder, or of a bag.
+async fn recording(
+    path: &Path,
+    odometry: Option<&Path>,
+    rate: Option<f64>,
+    topics: Topics,
+    output: Output,
+) -> Result<Recording, Failure> {
+    // A folder of images stays one, whatever else lies in it.
+    if Bag::is_bag(path) && (!path.is_dir() || images_of(path).is_err()) {
+        if odometry.is_some() {
+            return Err(Failure::Unfit(
+                "a bag brings its own odometry; leave out --odometry, or choose with --odometry-topic"
+                    .to_owned(),
+            ));
+        }
+        let drive = Drive::open(path, topics, output).await?;
+        drive.tell();
+        return Ok(Recording::Bag(Arc::new(drive)));
+    }
+    if let Some(flag) = topics.first_flag() {
+        return Err(Failure::Unfit(format!(
+            "{flag} is for bags, and {} is none; leave it out",
+            path.display()
+        )));
+    }
+    let images = images_of(path)?;
+    let stamps = stamps(&images, odometry, rate)?;
+    Ok(Recording::Folder { images, stamps })
+}
+
+fn first_size_px(recording: &Recording) -> Result<(u32, u32), Failure> {
+    let unknown = || Failure::Unfit("the first image cannot be read; send JPEG or PNG".to_owned());
+    match recording {
+        Recording::Folder { images, stamps: _ } => size_px(images.first().ok_or_else(unknown)?),
+        Recording::Bag(drive) => drive.size_px().ok_or_else(unknown),
+    }
+}
+
+/// The camera that a bag describes.
+fn declared_camera(recording: &Recording) -> Option<v1::Camera> {
+    match recording {
+        Recording::Folder { images: _, stamps: _ } => None,
+        Recording::Bag(drive) => drive.camera(),
     }
 }
 
@@ -196,7 +262,7 @@ fn tell(row: &FrameRow, replay: &Replay, session: &str, output: Output) -> Resul
 pub(crate) fn closure_line(row: &FrameRow, replay: &Replay, session: &str) -> String {
     let matched = match (&row.match_session, row.match_sequence) {
         (Some(matched), Some(sequence)) if matched == session => {
-            replay.image_name(sequence).map_or(format!("frame {sequence}"), str::to_owned)
+            replay.image_name(sequence).map_or_else(|| format!("frame {sequence}"), Cow::into_owned)
         }
         (Some(matched), Some(sequence)) => format!("frame {sequence} of {matched}"),
         (_, _) => "no frame".to_owned(),

@@ -17,7 +17,7 @@ use crate::images::images_of;
 use crate::names::short;
 use crate::output::Output;
 use crate::progress;
-use crate::replay::{Replay, Stamps};
+use crate::replay::{Recording, Replay, Stamps};
 use crate::robot_words::ContentMaker;
 use crate::truth::{Truth, Verdict};
 
@@ -55,7 +55,8 @@ pub(super) async fn run(demo: &Demo, output: Output) -> Result<(), Failure> {
     let truth = truth_of(&sequence)?;
     let images = images_of(&sequence)?;
     let stamps = Stamps::Even { rate_hz: STAMP_RATE_HZ };
-    let replay = Replay { images, stamps, pace_hz: None, contents: ContentMaker::Images };
+    let recording = Recording::Folder { images, stamps };
+    let replay = Replay { recording, pace_hz: None, contents: ContentMaker::Images };
     let (driven, taught, data_dir) = demo
         .with_server(output, async |server, data_dir| {
             let client = Client::connect(&server.endpoint()).await?;
@@ -93,9 +94,10 @@ async fn drive(
     client.create_map(creation).await?;
     let session = client.open_session(SessionOptions::new(MAP)).await?;
     let session_name = session.opened().session.clone();
-    output.line(format_args!("streaming {} images into {session_name}\n", replay.images.len()))?;
+    let count = replay.recording.count_after(0);
+    output.line(format_args!("streaming {count} images into {session_name}\n"))?;
 
-    let bar = progress::counter(output, "frames answered", replay.images.len());
+    let bar = progress::counter(output, "frames answered", count);
     let mut rows = Vec::new();
     let mut closures = Vec::new();
     replay
@@ -133,7 +135,7 @@ fn judged(row: &FrameRow, truth: &Truth) -> Option<JudgedClosure> {
 }
 
 fn true_matches(query_index: u64, truth: &Truth, replay: &Replay) -> String {
-    let names: Vec<&str> =
+    let names: Vec<_> =
         truth.matches_of(query_index).filter_map(|index| replay.image_name(index + 1)).collect();
     if names.is_empty() { "none labelled".to_owned() } else { names.join(", ") }
 }
