@@ -4,8 +4,9 @@ import { useEffect, useState } from "preact/hooks";
 import "uplot/dist/uPlot.min.css";
 import "./style.css";
 import { hash, START, useLink } from "./link";
-import { forgetPictures, Refused } from "./parts";
-import { get, token, whenTokenWanted } from "./rest";
+import { forgetPictures, Refused, Who } from "./parts";
+import { get, short, token, whenTokenWanted, type Caller } from "./rest";
+import { useSampling } from "./panels/metrics";
 import { MapPage } from "./panels/map";
 import { Maps } from "./panels/maps";
 import { Operations } from "./panels/operations";
@@ -14,23 +15,28 @@ function Inspector() {
     const [link, go] = useLink();
     const [wanted, setWanted] = useState(false);
     const [held, setHeld] = useState(token.get() !== null);
-    useEffect(() => whenTokenWanted(() => {
-        token.forget();
-        forgetPictures();
-        setHeld(false);
-        setWanted(true);
-    }), []);
-    useEffect(() => {
-        document.title = link.page === "map" ? `${link.map} · Waypost` : "Waypost";
-    }, [link.page, link.map]);
+    const [entered, setEntered] = useState(0);
+    const [who, setWho] = useState<Caller | null>(null);
+    // A token that was made or lost in the page changes who it is, but not what is open.
+    const learn = () => {
+        setHeld(token.get() !== null);
+        get<Caller>("/v1/whoami").then(setWho, () => setWho(null));
+    };
+    useEffect(learn, [entered]);
+    useSampling(entered, wanted);
     const leave = () => {
         token.forget();
         forgetPictures();
         setHeld(false);
+        setWho(null);
         setWanted(true);
     };
+    useEffect(() => whenTokenWanted(leave), []);
+    useEffect(() => {
+        document.title = link.page === "map" ? `${link.map} · Waypost` : "Waypost";
+    }, [link.page, link.map]);
     const enter = () => {
-        setHeld(true);
+        setEntered((times) => times + 1);
         setWanted(false);
     };
     const current = (page: typeof link.page) => link.page === page ? "page" as const : undefined;
@@ -46,20 +52,29 @@ function Inspector() {
                 <a href={hash({ ...START, page: "operations" })} aria-current={current("operations")}>Operations</a>
                 <a href="/docs/">API</a>
             </nav>
+            {who?.token && <span class="who" title="Who the server says that you are">{short(who.token)} <span class={`reason ${who.role}`}>{who.role}</span></span>}
             {held && <button type="button" onClick={leave}>Log out</button>}
         </header>
-        {wanted ? <Login onEnter={enter} /> : <Page key={String(held)} link={link} go={go} />}
+        <Who.Provider value={who}>
+            {wanted ? <Login onEnter={enter} /> : <Page key={entered} link={link} go={go} onTokens={learn} />}
+        </Who.Provider>
     </>;
 }
 
-function Page({ link, go }: { link: ReturnType<typeof useLink>[0]; go: ReturnType<typeof useLink>[1] }) {
+interface PageProps {
+    link: ReturnType<typeof useLink>[0];
+    go: ReturnType<typeof useLink>[1];
+    onTokens: () => void;
+}
+
+function Page({ link, go, onTokens }: PageProps) {
     switch (link.page) {
         case "maps":
             return <Maps />;
         case "map":
             return <MapPage key={link.map} link={link} go={go} />;
         case "operations":
-            return <Operations />;
+            return <Operations onTokens={onTokens} />;
     }
 }
 
@@ -87,7 +102,7 @@ function Login({ onEnter }: { onEnter: () => void }) {
                 void enter();
             }}>
                 <h1>This server asks for a token</h1>
-                <p>Whoever runs the server makes one: <code>waypost token create NAME</code>. It is kept until this tab is closed.</p>
+                <p>Whoever runs the server makes one, under Operations or by <code>waypost token create NAME</code>. It is kept until this tab is closed.</p>
                 <label>Token <input type="password" autoComplete="off" autoFocus required value={secret} onInput={(event) => setSecret(event.currentTarget.value)} /></label>
                 <button type="submit" class="main" disabled={busy}>Log in</button>
                 {refused && <Refused error={refused} />}

@@ -1,7 +1,15 @@
 // Small parts that every panel uses: what is loading, what was refused, pictures, numbers.
-import type { ComponentChildren } from "preact";
-import { useEffect, useRef, useState } from "preact/hooks";
-import { blob } from "./rest";
+import { createContext, type ComponentChildren } from "preact";
+import { useContext, useEffect, useRef, useState } from "preact/hooks";
+import { at, blob, get, type Caller, type Job } from "./rest";
+
+/** Who the server says that this page is; nobody until it has. */
+export const Who = createContext<Caller | null>(null);
+
+/** Whether the person may do what is for administrators. */
+export function useMayAll(): boolean {
+    return useContext(Who)?.role === "admin";
+}
 
 /** What is being asked for: nothing yet but what came before, an answer, or why there is none. */
 export type Asked<T> = { state: "asking"; before?: T } | { state: "there"; value: T } | { state: "refused"; error: Error };
@@ -39,6 +47,104 @@ export function Shown<T>({ asked, what, children }: ShownProps<T>) {
         case "there":
             return <>{children(asked.value)}</>;
     }
+}
+
+/** Work that a person began by hand: whether it goes on, and what became of it. */
+export type Told = { state: "idle" } | { state: "busy"; doing: string } | { state: "done"; what: string } | { state: "refused"; error: Error };
+
+/** Does one thing at a time, and says how it goes. */
+export function useAttempt() {
+    const [told, setTold] = useState<Told>({ state: "idle" });
+    const attempt = async (doing: string, act: (tell: (doing: string) => void) => Promise<string>) => {
+        const tell = (doing: string) => setTold({ state: "busy", doing });
+        tell(doing);
+        try {
+            setTold({ state: "done", what: await act(tell) });
+            return true;
+        } catch (error) {
+            setTold({ state: "refused", error: error as Error });
+            return false;
+        }
+    };
+    return { told, busy: told.state === "busy", attempt };
+}
+
+/** How an attempt goes, for everybody. */
+export function Outcome({ told }: { told: Told }) {
+    if (told.state === "refused") return <Refused error={told.error} />;
+    return <p class="quiet outcome" role="status">{told.state === "busy" ? `${told.doing}…` : told.state === "done" ? told.what : ""}</p>;
+}
+
+const JOB_POLL_MS = 500;
+
+/** Until a job has ended; says how far it is. What did not go well is an error. */
+export async function ended(begun: Job, tell: (doing: string) => void): Promise<Job> {
+    let job = begun;
+    while (job.state === "running") {
+        tell(`${job.stage || "waiting"}, ${Math.round(job.fraction * 100)} %`);
+        await new Promise((later) => setTimeout(later, JOB_POLL_MS));
+        job = await get<Job>(at(begun.name));
+    }
+    if (job.state !== "succeeded") throw new Error(job.error?.message ?? `The job was ${job.state}.`);
+    return job;
+}
+
+interface DialogProps {
+    title: string;
+    onClose: () => void;
+    children: ComponentChildren;
+}
+
+/** A question that must be answered, or left by Escape, before anything else. */
+export function Dialog({ title, onClose, children }: DialogProps) {
+    const dialog = useRef<HTMLDialogElement>(null);
+    useEffect(() => dialog.current?.showModal(), []);
+    return (
+        <dialog class="question" ref={dialog} aria-label={title} onClose={onClose}>
+            <header>
+                <h2>{title}</h2>
+                <button type="button" aria-label="Close" onClick={() => dialog.current?.close()}>✕</button>
+            </header>
+            {children}
+        </dialog>
+    );
+}
+
+interface DeletionProps {
+    /** What it is, as in "the map". */
+    what: string;
+    /** What has to be typed. */
+    name: string;
+    /** What is lost. */
+    loss: string;
+    act: () => Promise<unknown>;
+    onDone: () => void;
+    onClose: () => void;
+}
+
+/** Deletes what a person has named: nobody does so by a slip of the hand. */
+export function Deletion({ what, name, loss, act, onDone, onClose }: DeletionProps) {
+    const [typed, setTyped] = useState("");
+    const { told, busy, attempt } = useAttempt();
+    const remove = async () => {
+        if (await attempt("Deleting", async () => {
+            await act();
+            return "deleted";
+        })) onDone();
+    };
+    return (
+        <Dialog title={`Delete ${what} ${name}?`} onClose={onClose}>
+            <form onSubmit={(event) => {
+                event.preventDefault();
+                void remove();
+            }}>
+                <p>{loss}</p>
+                <label><span>Type <strong>{name}</strong> to delete it</span> <input value={typed} autoComplete="off" autoFocus spellcheck={false} onInput={(event) => setTyped(event.currentTarget.value)} /></label>
+                <p class="actions"><button type="submit" class="stop" disabled={busy || typed !== name}>Delete {what}</button></p>
+                <Outcome told={told} />
+            </form>
+        </Dialog>
+    );
 }
 
 export function Refused({ error }: { error: Error }) {
@@ -91,8 +197,10 @@ export function Picture({ path, alt, class: kind = "" }: PictureProps) {
             gone = true;
         };
     }, [path]);
-    if (missing) return <div class={`picture missing ${kind}`} title={missing} role="img" aria-label={alt}>no image</div>;
-    if (!url) return <div class={`picture ${kind}`} role="img" aria-label={alt} />;
+    // Beside a text that says the same, a picture is nothing to those who hear the page.
+    const heard = alt ? { role: "img" as const, "aria-label": alt } : { "aria-hidden": true };
+    if (missing) return <div class={`picture missing ${kind}`} title={missing} {...heard}>no image</div>;
+    if (!url) return <div class={`picture ${kind}`} {...heard} />;
     return <img class={`picture ${kind}`} src={url} alt={alt} />;
 }
 

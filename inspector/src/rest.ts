@@ -10,6 +10,10 @@ export type Explanation = Schemas["FrameExplanation"];
 export type LoopClosure = Schemas["LoopClosure"];
 export type Navigation = Schemas["Navigation"];
 export type AppearanceGraph = Schemas["AppearanceGraph"];
+export type Caller = Schemas["Caller"];
+export type Job = Schemas["Job"];
+export type Model = Schemas["Model"];
+export type Token = Schemas["Token"];
 
 /** What the server refused, in its own words. */
 export class Refusal extends Error {
@@ -20,6 +24,7 @@ export class Refusal extends Error {
 
 const TOKEN = "waypost-token";
 let tokenWanted: () => void = () => {};
+let tokensChange = false;
 
 /** Whom to call when the server asks for a token. */
 export function whenTokenWanted(call: () => void) {
@@ -45,7 +50,8 @@ async function ask(path: string, init: RequestInit = {}): Promise<Response> {
         throw new Refusal(0, "unreachable", "The server does not answer. Is it running, and reachable from here?");
     }
     if (answer.ok) return answer;
-    if (answer.status === 401) tokenWanted();
+    // Who makes the first token has none for a moment: what is asked meanwhile is no reason to ask for one.
+    if (answer.status === 401 && !tokensChange && secret === token.get()) tokenWanted();
     const body: unknown = await answer.json().catch(() => null);
     const { code, message } = (body as Schemas["ErrorBody"] | null)?.error ?? {
         code: "unknown",
@@ -66,11 +72,38 @@ export async function blob(path: string, signal?: AbortSignal): Promise<Blob> {
     return (await ask(path, signal ? { signal } : {})).blob();
 }
 
-/** Changes something: PUT with a body, DELETE without. */
-export async function change<T>(method: "PUT" | "DELETE", path: string, body?: unknown): Promise<T> {
+/** Changes something: POST and PUT with a body, DELETE without. */
+export async function change<T>(method: "POST" | "PUT" | "DELETE", path: string, body?: unknown): Promise<T> {
     const json = { "content-type": "application/json" };
     return (await ask(path, body === undefined ? { method } : { method, headers: json, body: JSON.stringify(body) }))
         .json();
+}
+
+/** Makes a token. The first one is taken by this page itself: from then on the server serves nobody without one. */
+export async function createToken(id: string, role: Token["role"]): Promise<Schemas["CreateTokenResponse"]> {
+    tokensChange = true;
+    try {
+        const made = await change<Schemas["CreateTokenResponse"]>("POST", "/v1/tokens", { token_id: id, role });
+        if (token.get() === null) token.set(made.secret);
+        return made;
+    } finally {
+        tokensChange = false;
+    }
+}
+
+/** Sends a file as it lies on the disk. */
+export async function send<T>(path: string, file: Blob): Promise<T> {
+    return (await ask(path, { method: "POST", headers: { "content-type": "application/octet-stream" }, body: file })).json();
+}
+
+/** Puts what is at a path among the person's downloads. A link sends no token: with one, it is fetched and then kept. */
+export async function download(path: string, name: string) {
+    const url = token.get() === null ? null : URL.createObjectURL(await blob(path));
+    const link = document.createElement("a");
+    link.href = url ?? path;
+    link.download = name;
+    link.click();
+    if (url) setTimeout(() => URL.revokeObjectURL(url), 60_000);
 }
 
 const PAGE_SIZE = 1000;

@@ -281,6 +281,166 @@ test("on a phone nothing is wider than the screen", async () => {
     }
 });
 
+test("a map is made, exported, imported under another name, and deleted by who types its name", async () => {
+    const { page, close } = await open("");
+    await page.getByRole("button", { name: "New map" }).click();
+    const making = page.getByRole("dialog", { name: "New map" });
+    await making.getByLabel("Name").fill("No Name");
+    await making.getByLabel("Keep of each frame").selectOption("images");
+    await making.getByRole("button", { name: "Make the map" }).click();
+    await making.getByText("is no map name").waitFor();
+    await accessible(page, "a new map");
+    await making.getByLabel("Name").fill("office");
+    await making.getByRole("button", { name: "Make the map" }).click();
+    await page.getByRole("heading", { name: "office", exact: true }).waitFor();
+    assert.equal((await rest("maps/office")).settings.keep, "images");
+
+    const coming = page.waitForEvent("download");
+    await page.getByRole("button", { name: "Export the map taught" }).click();
+    const file = join(folder, "Taught Again.waypost-map");
+    await (await coming).saveAs(file);
+    await page.getByRole("button", { name: "Import a map" }).click();
+    const importing = page.getByRole("dialog", { name: "Import a map" });
+    await importing.getByLabel("Snapshot").setInputFiles(file);
+    assert.equal(await importing.getByLabel("Name").inputValue(), "taught-again");
+    await importing.getByLabel("Name").fill("taught");
+    await importing.getByRole("button", { name: "Import it" }).click();
+    await importing.getByText("choose another name").waitFor();
+    await importing.getByLabel("Name").fill("taught-again");
+    await importing.getByRole("button", { name: "Import it" }).click();
+    await page.getByRole("heading", { name: "taught-again", exact: true }).waitFor();
+    const [there, again] = await Promise.all(["taught", "taught-again"].map((map) => rest(`maps/${map}?view=full`)));
+    assert.equal(again.state_hash, there.state_hash);
+
+    await page.getByRole("button", { name: "Delete the map taught-again" }).click();
+    const leaving = page.getByRole("dialog", { name: "Delete the map taught-again?" });
+    assert.match(await leaving.textContent(), new RegExp(`${there.places} places`));
+    await accessible(page, "a map to be deleted");
+    const remove = leaving.getByRole("button", { name: "Delete the map" });
+    assert.ok(await remove.isDisabled());
+    await leaving.getByRole("textbox").fill("taught");
+    assert.ok(await remove.isDisabled());
+    await page.keyboard.press("Escape");
+    await leaving.waitFor({ state: "detached" });
+    for (const map of ["taught-again", "office"]) {
+        await page.getByRole("button", { name: `Delete the map ${map}`, exact: true }).click();
+        await page.getByRole("dialog").getByRole("textbox").fill(map);
+        await page.getByRole("dialog").getByRole("button", { name: "Delete the map" }).click();
+        await page.getByRole("heading", { name: map, exact: true }).waitFor({ state: "detached" });
+    }
+    const { maps } = await rest("maps");
+    assert.deepEqual(maps.filter(({ name }) => /office|again/.test(name)), []);
+    await close();
+});
+
+test("a model goes out and in by its file, and one that a map uses stays", async () => {
+    const { page, close } = await open("#/operations");
+    const panel = page.getByRole("region", { name: "Models" });
+    const [{ name, display_name }] = (await rest("models")).models;
+    const called = display_name || name.slice(7, 19);
+    const coming = page.waitForEvent("download");
+    await panel.getByRole("button", { name: `Export the model ${called}` }).click();
+    const file = join(folder, "out.waypost");
+    await (await coming).saveAs(file);
+    await panel.getByRole("button", { name: `Delete the model ${called}` }).click();
+    await page.getByRole("dialog").getByRole("textbox").fill(called);
+    await page.getByRole("dialog").getByRole("button", { name: "Delete the model" }).click();
+    await page.getByRole("dialog").getByText("delete the map first").waitFor();
+    await page.getByRole("button", { name: "Close" }).click();
+
+    const bare = await serve(join(folder, "bare"));
+    const other = await open("#/operations", { url: bare.url });
+    const models = other.page.getByRole("region", { name: "Models" });
+    await models.getByText("There is no model yet").waitFor();
+    await models.getByLabel("Model file").setInputFiles(join(folder, "demo.waypost-map"));
+    await models.getByRole("button", { name: "Import a model" }).click();
+    await models.getByRole("alert").waitFor();
+    await models.getByLabel("Model file").setInputFiles(file);
+    await models.getByLabel("Name").fill("site");
+    await models.getByRole("button", { name: "Import a model" }).click();
+    await models.getByRole("cell", { name: "site", exact: true }).waitFor();
+    assert.equal((await rest("models", { url: bare.url })).models[0].name, name);
+    await models.getByRole("button", { name: "Delete the model site" }).click();
+    await other.page.getByRole("dialog").getByRole("textbox").fill("site");
+    await other.page.getByRole("dialog").getByRole("button", { name: "Delete the model" }).click();
+    await models.getByText("There is no model yet").waitFor();
+    await other.close();
+    await close();
+});
+
+test("a job that runs can be cancelled, and how the server fares is drawn", async () => {
+    const { page, close } = await open("#/operations");
+    // A job that goes on for as long as it is looked at: how long real ones take is the machine's affair.
+    const job = { name: "jobs/77", kind: "train_model", state: "running", stage: "learning words", fraction: 0.25, error: null, result: null, create_time_ns: 1e18, end_time_ns: null };
+    await page.route("**/v1/jobs?*", (route) => route.fulfill({ json: { jobs: [job], next_page_token: "" } }));
+    const asked = [];
+    await page.route("**/v1/jobs/77/cancel", (route) => {
+        asked.push(route.request().method());
+        Object.assign(job, { state: "cancelled" });
+        return route.fulfill({ json: job });
+    });
+    const jobs = page.getByRole("region", { name: "Jobs" });
+    await jobs.getByRole("button", { name: "Cancel job 77" }).click();
+    await jobs.getByRole("cell", { name: "cancelled", exact: true }).waitFor();
+    assert.deepEqual(asked, ["POST"]);
+    await jobs.getByRole("button", { name: "Cancel job 77" }).waitFor({ state: "detached" });
+
+    const metrics = page.getByRole("region", { name: "Metrics" });
+    await metrics.getByRole("img", { name: /^Requests: REST (0\.\d*[1-9]|[1-9])/ }).waitFor();
+    await metrics.getByRole("img", { name: /^Database: size [1-9]/ }).waitFor();
+    const requests = metrics.getByRole("img", { name: /^Requests/ }).locator("canvas");
+    await until("its line", async () => (await colours(requests)) > 3);
+    await accessible(page, "metrics");
+    await close();
+});
+
+test("the first token is an admin's, is shown once, and is the page's own from then on", async () => {
+    const fresh = await serve(join(folder, "fresh"));
+    const { page, close } = await open("#/operations", { url: fresh.url });
+    const tokens = page.getByRole("region", { name: "Tokens" });
+    await tokens.getByText("There is none").waitFor();
+    await tokens.getByLabel("Name of a new token").fill("operator");
+    await tokens.getByRole("button", { name: "Make a token" }).click();
+    const shown = tokens.locator(".secret");
+    await shown.getByText("The secret of operator.").waitFor();
+    const admin = await shown.locator("code").textContent();
+    assert.match(admin, /^waypost_[0-9a-f]{64}$/);
+    await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);
+    await shown.getByRole("button", { name: "Copy" }).click();
+    await shown.getByText("copied", { exact: true }).waitFor();
+    assert.equal(await page.evaluate(() => navigator.clipboard.readText()), admin);
+    await page.getByRole("button", { name: "Log out" }).waitFor();
+    await tokens.getByText("(this page’s)").waitFor();
+    await accessible(page, "a secret");
+    await tokens.getByLabel("Name of a new token").fill("reader");
+    await tokens.getByRole("button", { name: "Make a token" }).click();
+    await shown.getByText("The secret of reader.").waitFor();
+    const robot = await shown.locator("code").textContent();
+    assert.ok(!(await tokens.textContent()).includes(admin), "a secret is shown again");
+    const who = await rest("whoami", { url: fresh.url, token: robot });
+    assert.deepEqual(who, { token: "tokens/reader", role: "robot", asks_for_token: true });
+
+    // A robot's token: nothing is offered that it may not do.
+    const other = await open("#/operations", { url: fresh.url });
+    await other.page.getByLabel("Token").fill(robot);
+    await other.page.getByRole("button", { name: "Log in" }).click();
+    await other.page.getByText("There is no model yet").waitFor();
+    await other.page.locator(".who", { hasText: "reader" }).waitFor();
+    assert.equal(await other.page.getByRole("region", { name: "Tokens" }).count(), 0);
+    assert.equal(await other.page.getByRole("button", { name: /Import|Delete|Cancel/ }).count(), 0);
+    await other.page.getByRole("link", { name: "Maps" }).click();
+    await other.page.getByText("There is no map yet.").waitFor();
+    assert.equal(await other.page.getByRole("button", { name: /New map|Import/ }).count(), 0);
+
+    await tokens.getByRole("button", { name: "Delete the token reader" }).click();
+    await page.getByRole("dialog").getByRole("textbox").fill("reader");
+    await page.getByRole("dialog").getByRole("button", { name: "Delete the token" }).click();
+    await tokens.getByRole("rowheader", { name: "reader" }).waitFor({ state: "detached" });
+    await other.page.getByRole("heading", { name: "This server asks for a token" }).waitFor();
+    await other.close();
+    await close();
+});
+
 // Last, for from here on this server asks for tokens.
 test("a server with tokens asks for one, and shows what its holder may see", async () => {
     const secretOf = (text) => text.match(/waypost_\w+/)[0];
@@ -306,6 +466,10 @@ test("a server with tokens asks for one, and shows what its holder may see", asy
     await page.getByLabel("Token").fill(admin);
     await page.getByRole("button", { name: "Log in" }).click();
     await cursor(page).filter({ hasText: "frame 109" }).waitFor();
+    await page.getByRole("link", { name: "Maps" }).click();
+    const coming = page.waitForEvent("download");
+    await page.getByRole("button", { name: "Export the map demo" }).click();
+    assert.equal((await coming).suggestedFilename(), "demo.waypost-map");
     await page.getByRole("button", { name: "Log out" }).click();
     await page.getByRole("heading", { name: "This server asks for a token" }).waitFor();
     assert.equal(await page.evaluate(() => sessionStorage.length), 0);

@@ -13,6 +13,9 @@ use prost_types::{
 
 pub(crate) const PACKAGE: &str = "waypost.v1";
 
+/// Messages that are read from JSON, too. What is left out or null has no value, and other fields are refused.
+const READ: [&str; 1] = ["MapSettings"];
+
 /// The Rust code of all implementations.
 pub(crate) fn generate(set: &FileDescriptorSet) -> String {
     let mut code = String::new();
@@ -77,6 +80,48 @@ fn write_message(code: &mut String, message: &DescriptorProto) {
 }}
 "
     );
+    if READ.contains(&name) {
+        write_reader(code, message);
+    }
+}
+
+/// `serde::Deserialize`, for messages of numbers and enums.
+fn write_reader(code: &mut String, message: &DescriptorProto) {
+    let name = message.name();
+    let mut fields = String::new();
+    let mut values = String::new();
+    for field in &message.field {
+        let field_name = field.name();
+        let (kind, value) = match field.r#type() {
+            Type::Enum => {
+                let path = enum_path(field.type_name());
+                let named = format!(
+                    "crate::json::named(fields.{field_name}, {path}::from_json_name, {path}::NAMES)?"
+                );
+                ("String", named)
+            }
+            Type::Double => ("f64", format!("fields.{field_name}")),
+            Type::Uint32 => ("u32", format!("fields.{field_name}")),
+            other => panic!("{name}.{field_name}: {other:?} is not expected"),
+        };
+        let _ = writeln!(fields, "            {field_name}: Option<{kind}>,");
+        let _ = writeln!(values, "            {field_name}: {value},");
+    }
+    let _ = write!(
+        code,
+        "impl<'de> ::serde::Deserialize<'de> for crate::v1::{name} {{
+    fn deserialize<D: ::serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {{
+        #[derive(Default, ::serde::Deserialize)]
+        #[serde(default, deny_unknown_fields)]
+        struct Fields {{
+{fields}        }}
+        let fields = Fields::deserialize(deserializer)?;
+        Ok(Self {{
+{values}        }})
+    }}
+}}
+"
+    );
 }
 
 fn field_line(message: &DescriptorProto, field: &FieldDescriptorProto) -> String {
@@ -102,12 +147,16 @@ fn write_enum(code: &mut String, path: &str, descriptor: &EnumDescriptorProto) {
     let words: Vec<(String, String)> = words.map(|word| (pascal(&word), word)).collect();
     let names: String =
         words.iter().map(|(variant, word)| format!("            Self::{variant} => {word:?},\n")).collect();
-    let known = words.iter().filter(|(_, word)| word != "unspecified");
+    let known = || words.iter().filter(|(_, word)| word != "unspecified");
+    let listed: String = known().map(|(_, word)| format!("{word:?}, ")).collect();
     let parsed: String =
-        known.map(|(variant, word)| format!("            {word:?} => Some(Self::{variant}),\n")).collect();
+        known().map(|(variant, word)| format!("            {word:?} => Some(Self::{variant}),\n")).collect();
     let _ = write!(
         code,
         "impl {path} {{
+    /// All names that a value can be given by.
+    pub const NAMES: &'static [&'static str] = &[{listed}];
+
     /// Its name in JSON and on the command line.
     pub fn json_name(self) -> &'static str {{
         match self {{

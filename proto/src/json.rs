@@ -1,5 +1,6 @@
 //! Messages as JSON, the same for REST and the command line.
 
+use serde::de::Error;
 use serde::ser::{Serialize, SerializeStruct, Serializer};
 
 include!(concat!(env!("OUT_DIR"), "/json.rs"));
@@ -7,6 +8,16 @@ include!(concat!(env!("OUT_DIR"), "/json.rs"));
 /// The name of an enum's value; `None` if it was left open or is of a later contract.
 fn shown<E: TryFrom<i32>>(value: i32, name: fn(E) -> &'static str) -> Option<&'static str> {
     if value == 0 { None } else { E::try_from(value).ok().map(name) }
+}
+
+/// The number of the enum's value that has this name; 0 if none is given.
+fn named<V: Into<i32>, E: Error>(
+    name: Option<String>,
+    value: fn(&str) -> Option<V>,
+    names: &'static [&'static str],
+) -> Result<i32, E> {
+    let Some(name) = name else { return Ok(0) };
+    value(&name).map(Into::into).ok_or_else(|| E::unknown_variant(&name, names))
 }
 
 impl Serialize for crate::google::rpc::Status {

@@ -1,4 +1,4 @@
-//! REST, for people: what the maps hold, what places are called, where robots are to go, and which maps are to be one.
+//! REST, for people and scripts: what the maps hold, where robots are to go, and how maps, models and tokens come and go.
 
 mod access;
 mod appearance;
@@ -19,14 +19,17 @@ mod places;
 mod queries;
 mod requests;
 mod sessions;
+mod snapshots;
+mod tokens;
 mod trajectories;
+mod uploads;
 
 use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::{DefaultBodyLimit, State};
-use axum::http::header::RETRY_AFTER;
+use axum::http::header::{CONTENT_TYPE, RETRY_AFTER};
 use axum::http::{HeaderValue, StatusCode};
 use axum::middleware::{from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
@@ -127,15 +130,17 @@ fn router(service: Arc<Service>) -> anyhow::Result<Router> {
 /// The routes and their description at once, so that neither knows what the other does not.
 fn api() -> OpenApiRouter<Arc<Service>> {
     description::begin()
-        .routes(routes!(maps::list_maps))
-        .routes(routes!(maps::get_map))
+        .routes(routes!(maps::list_maps, maps::create_map))
+        .routes(routes!(maps::get_map, maps::delete_map))
+        .routes(routes!(snapshots::export_map))
+        .routes(routes!(snapshots::import_map))
         .routes(routes!(places::list_places))
         .routes(routes!(places::get_place))
         .routes(routes!(places::list_word_places))
         .routes(routes!(maps::list_loop_closures))
         .routes(routes!(queries::query).layer(DefaultBodyLimit::max(queries::MAX_BODY_BYTES)))
         .routes(routes!(sessions::list_sessions))
-        .routes(routes!(sessions::get_session))
+        .routes(routes!(sessions::get_session, sessions::delete_session))
         .routes(routes!(sessions::list_frames))
         .routes(routes!(frames::get_frame))
         .routes(routes!(frames::get_frame_image))
@@ -158,10 +163,15 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(appearance::list_labels))
         .routes(routes!(appearance::set_label, appearance::delete_label))
         .routes(routes!(appearance::get_appearance_graph))
-        .routes(routes!(models::list_models))
-        .routes(routes!(models::get_model))
+        .routes(routes!(models::list_models, models::import_model))
+        .routes(routes!(models::get_model, models::delete_model))
+        .routes(routes!(models::export_model))
         .routes(routes!(jobs::list_jobs))
         .routes(routes!(jobs::get_job))
+        .routes(routes!(jobs::cancel_job))
+        .routes(routes!(tokens::list_tokens, tokens::create_token))
+        .routes(routes!(tokens::delete_token))
+        .routes(routes!(tokens::get_caller))
 }
 
 /// That it answers at all is the answer.
@@ -192,11 +202,11 @@ fn nothing_here() -> HttpError {
 /// The router itself adds which methods are allowed.
 async fn wrong_method() -> Response {
     let message = "this route does not take that method: the header Allow says which it takes, and /docs what \
-                   each does; what else changes a map goes over gRPC";
+                   each does; what lets a map grow goes over gRPC";
     error_response(StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed", message.to_owned())
 }
 
-/// An error as status and JSON: `{"error": {"code": "not_found", "message": "…"}}`.
+/// An error as status and JSON: a problem as RFC 9457 has it, with `"error": {"code": "not_found", "message": "…"}` beside.
 #[derive(Debug)]
 pub(crate) struct HttpError(ServiceError);
 
@@ -206,15 +216,30 @@ impl From<ServiceError> for HttpError {
     }
 }
 
+/// What kind of JSON an error is.
+const PROBLEM: HeaderValue = HeaderValue::from_static("application/problem+json");
+
 /// What is said when a request is not served.
 #[derive(Serialize, ToSchema)]
 #[schema(example = json!({
+    "type": "about:blank",
+    "title": "Not Found",
+    "status": 404,
+    "detail": "there is no map attic; list the maps to see what there is, or create it",
     "error": {
         "code": "not_found",
         "message": "there is no map attic; list the maps to see what there is, or create it"
     }
 }))]
 struct ErrorBody {
+    /// Always `about:blank`: the title says what the status does.
+    r#type: &'static str,
+    /// What the status says, for people.
+    title: &'static str,
+    /// The status of the answer.
+    status: u16,
+    /// As `error.message`.
+    detail: String,
     error: ErrorContent,
 }
 
@@ -227,7 +252,14 @@ struct ErrorContent {
 }
 
 fn error_response(status: StatusCode, code: &'static str, message: String) -> Response {
-    (status, Json(ErrorBody { error: ErrorContent { code, message } })).into_response()
+    let body = ErrorBody {
+        r#type: "about:blank",
+        title: status.canonical_reason().unwrap_or("Unknown"),
+        status: status.as_u16(),
+        detail: message.clone(),
+        error: ErrorContent { code, message },
+    };
+    (status, [(CONTENT_TYPE, PROBLEM)], Json(body)).into_response()
 }
 
 impl IntoResponse for HttpError {

@@ -12,6 +12,7 @@ pub(crate) mod recognition;
 pub(crate) mod sessions;
 pub(crate) mod settings;
 pub(crate) mod status;
+pub(crate) mod tokens;
 
 use crate::error::ServiceError;
 

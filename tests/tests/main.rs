@@ -70,6 +70,7 @@ mod rest {
     mod exports;
     mod openapi;
     mod parity;
+    mod writes;
 }
 
 /// Robots that stream frames: what they are told, and what they get wrong.

@@ -62,8 +62,11 @@ def test_the_environment_is_that_of_the_command_line(mortal: Server, monkeypatch
     with waypost.connect() as client:
         token, robot = client.create_token("robot", token_pb2.Token.ROLE_ROBOT)
         assert [known.name for known in client.tokens()] == ["tokens/operator", token.name]
-    with waypost.connect(token=robot) as client, pytest.raises(waypost.PermissionDenied, match="admin"):
-        client.tokens()
+    with waypost.connect(token=robot) as client:
+        caller = client.caller()
+        assert (caller.token, caller.role, caller.asks_for_token) == (token.name, token.role, True)
+        with pytest.raises(waypost.PermissionDenied, match="admin"):
+            client.tokens()
     # Without greeting, the first call is what is refused.
     with waypost.lazy(token="waypost_0") as client:
         with pytest.raises(waypost.Unauthenticated):

@@ -46,4 +46,12 @@ impl Client {
         let v1::DeleteTokenResponse {} = self.taken(self.tokens_client().delete_token(request).await)?;
         Ok(())
     }
+
+    /// Who this client is to the server, and what it may do.
+    ///
+    /// # Errors
+    /// As every call: [`Error::Connection`] or [`Error::Status`].
+    pub async fn caller(&self) -> Result<v1::Caller, Error> {
+        self.taken(self.tokens_client().get_caller(v1::GetCallerRequest {}).await)
+    }
 }

@@ -1,24 +1,28 @@
 // All maps: what each looks like, how large it is, where to go on.
-import { useEffect, useRef } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 import { ink } from "../drawing/colours";
 import { load, type MapData } from "../drawing/data";
 import { paintSmall } from "../drawing/paint";
 import { sceneOf } from "../drawing/scene";
 import { hash, START } from "../link";
 import { all, at, get, short, type WayMap } from "../rest";
-import { bytes, moment, plural, Shown, useAsked, useDark, type Asked } from "../parts";
+import { bytes, moment, plural, Shown, useAsked, useDark, useMayAll, type Asked } from "../parts";
+import { MapActions, NewMaps } from "./making";
 
 /** Larger maps are drawn when they are opened: a list should not ask for a hundred thousand places. */
 const MOST_DRAWN = 5000;
 
 export function Maps() {
-    const asked = useAsked((signal) => all<"maps", WayMap>("/v1/maps", "maps", signal), []);
+    const may = useMayAll();
+    const [changes, setChanges] = useState(0);
+    const changed = () => setChanges((count) => count + 1);
+    const asked = useAsked((signal) => all<"maps", WayMap>("/v1/maps", "maps", signal), [changes]);
     return (
         <main class="maps" id="content">
-            <h1>Maps</h1>
+            <div class="title"><h1>Maps</h1>{may && <NewMaps onChange={changed} />}</div>
             <Shown asked={asked} what="maps">
                 {(maps) => maps.length === 0 ? <NoMaps /> : (
-                    <ul class="cards">{maps.map((map) => <MapCard key={map.name} map={map} />)}</ul>
+                    <ul class="cards">{maps.map((map) => <MapCard key={`${map.name} ${map.create_time_ns}`} map={map} onChange={may ? changed : null} />)}</ul>
                 )}
             </Shown>
         </main>
@@ -36,7 +40,7 @@ function NoMaps() {
     );
 }
 
-function MapCard({ map }: { map: WayMap }) {
+function MapCard({ map, onChange }: { map: WayMap; onChange: (() => void) | null }) {
     const name = short(map.name);
     const whole = useAsked((signal) => get<WayMap>(`${at(map.name)}?view=full`, signal), [map.name]);
     const size = whole.state === "there" && whole.value.storage ? bytesOf(whole.value.storage) : null;
@@ -49,6 +53,7 @@ function MapCard({ map }: { map: WayMap }) {
                 <p>{plural(map.places, "place")} · {plural(map.sessions, "session")} · {plural(map.frames, "frame")}</p>
                 <p>{plural(map.loop_closures, "loop closure")} · {plural(map.links, "link")}{size === null ? "" : ` · ${bytes(size)}`}</p>
                 <p class="quiet">{map.settings?.navigation_strategy === "appearance" ? "by appearance" : "topo-metric"} · made {moment(map.create_time_ns)}</p>
+                {onChange && <MapActions map={map} onChange={onChange} />}
             </div>
         </li>
     );

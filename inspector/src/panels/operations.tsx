@@ -1,58 +1,173 @@
-// What the server works with and on: models and jobs.
-import { all, short, type Schemas } from "../rest";
-import { bytes, count, moment, Shown, useAsked } from "../parts";
+// What the server works with and on: how it fares, its jobs, models and tokens.
+import { useEffect, useState } from "preact/hooks";
+import { all, at, change, download, send, short, type Job, type Model } from "../rest";
+import { bytes, count, Deletion, moment, Outcome, Refused, Shown, useAsked, useAttempt, useMayAll } from "../parts";
+import { Metrics } from "./metrics";
+import { Tokens } from "./tokens";
 
-export function Operations() {
-    const models = useAsked((signal) => all<"models", Schemas["Model"]>("/v1/models", "models", signal, 200), []);
-    const jobs = useAsked((signal) => all<"jobs", Schemas["Job"]>("/v1/jobs", "jobs", signal, 200), []);
+export function Operations({ onTokens }: { onTokens: () => void }) {
+    const may = useMayAll();
     return (
         <main class="operations" id="content">
             <h1>Operations</h1>
-            <section class="panel" aria-label="Jobs">
-                <header><h2>Jobs</h2></header>
-                <Shown asked={jobs} what="jobs">{(jobs) => <Jobs jobs={jobs} />}</Shown>
-            </section>
-            <section class="panel" aria-label="Models">
-                <header><h2>Models</h2></header>
-                <Shown asked={models} what="models">{(models) => <Models models={models} />}</Shown>
-            </section>
+            <Metrics />
+            <Jobs />
+            <Models />
+            {may && <Tokens onTokens={onTokens} />}
         </main>
     );
 }
 
-function Jobs({ jobs }: { jobs: Schemas["Job"][] }) {
-    if (jobs.length === 0) return <p class="quiet">No job has run in the last 30 days.</p>;
+/** Jobs are asked for again while the page is looked at. */
+const JOBS_EVERY_MS = 2000;
+const MOST_JOBS = 200;
+
+function useJobs(): { jobs: Job[] | null; error: Error | null; again: () => void } {
+    const [known, setKnown] = useState<{ jobs: Job[] | null; error: Error | null }>({ jobs: null, error: null });
+    const [times, setTimes] = useState(0);
+    useEffect(() => {
+        const gone = new AbortController();
+        let timer = 0;
+        const ask = async () => {
+            try {
+                if (document.visibilityState === "visible") {
+                    const jobs = await all<"jobs", Job>("/v1/jobs", "jobs", gone.signal, MOST_JOBS);
+                    if (!gone.signal.aborted) setKnown({ jobs, error: null });
+                }
+            } catch (error) {
+                if (!gone.signal.aborted) setKnown((now) => ({ ...now, error: error as Error }));
+            }
+            if (!gone.signal.aborted) timer = window.setTimeout(ask, JOBS_EVERY_MS);
+        };
+        void ask();
+        return () => {
+            gone.abort();
+            clearTimeout(timer);
+        };
+    }, [times]);
+    return { ...known, again: () => setTimes((times) => times + 1) };
+}
+
+function Jobs() {
+    const { jobs, error, again } = useJobs();
     return (
-        <div class="wide" tabIndex={0} role="group" aria-label="Table of jobs"><table>
+        <section class="panel" aria-label="Jobs">
+            <header><h2>Jobs</h2></header>
+            {error && <Refused error={error} />}
+            {jobs === null ? !error && <p class="quiet" role="status">Loading jobs…</p>
+                : jobs.length === 0 ? <p class="quiet">No job has run in the last 30 days.</p>
+                : <JobTable jobs={jobs} onCancelled={again} />}
+        </section>
+    );
+}
+
+function JobTable({ jobs, onCancelled }: { jobs: Job[]; onCancelled: () => void }) {
+    const may = useMayAll();
+    const { told, busy, attempt } = useAttempt();
+    const cancel = async (job: Job) => {
+        await attempt(`Cancelling ${short(job.name)}`, async () => {
+            await change("POST", `${at(job.name)}/cancel`);
+            return `job ${short(job.name)} is asked to end`;
+        });
+        onCancelled();
+    };
+    return <>
+        <div class="wide tall roomy" tabIndex={0} role="group" aria-label="Table of jobs"><table>
             <thead><tr><th scope="col">job</th><th scope="col">what</th><th scope="col">state</th><th scope="col">progress</th><th scope="col">result</th><th scope="col">began</th></tr></thead>
             <tbody>
                 {jobs.map((job) => (
                     <tr key={job.name}>
-                        <th scope="row">{short(job.name)}</th><td>{job.kind.replaceAll("_", " ")}</td>
+                        <th scope="row">{short(job.name)}</th><td class="short">{job.kind.replaceAll("_", " ")}</td>
                         <td><span class={`reason ${job.state}`}>{job.state}</span></td>
-                        <td><progress aria-label={`progress of ${short(job.name)}`} value={job.fraction} max={1} /> {job.stage}</td>
-                        <td>{job.error?.message ?? job.result ?? ""}</td><td>{moment(job.create_time_ns)}</td>
+                        <td class="progress">
+                            <progress aria-label={`progress of ${short(job.name)}`} value={job.state === "succeeded" ? 1 : job.fraction} max={1} /> {job.state === "running" && job.stage}
+                            {may && job.state === "running" && <button type="button" disabled={busy} aria-label={`Cancel job ${short(job.name)}`} onClick={() => void cancel(job)}>Cancel</button>}
+                        </td>
+                        <td>{job.error?.message ?? job.result ?? ""}</td><td class="short">{moment(job.create_time_ns)}</td>
                     </tr>
                 ))}
             </tbody>
         </table></div>
+        <Outcome told={told} />
+    </>;
+}
+
+function Models() {
+    const may = useMayAll();
+    const [changes, setChanges] = useState(0);
+    const [leaving, setLeaving] = useState<Model | null>(null);
+    const asked = useAsked((signal) => all<"models", Model>("/v1/models", "models", signal, 200), [changes]);
+    const changed = () => {
+        setLeaving(null);
+        setChanges((count) => count + 1);
+    };
+    return (
+        <section class="panel" aria-label="Models">
+            <header><h2>Models</h2></header>
+            <Shown asked={asked} what="models">
+                {(models) => models.length === 0
+                    ? <p class="quiet">There is no model yet: <code>waypost model train</code> makes one of images, and a file of one can be brought here.</p>
+                    : <ModelTable models={models} onDelete={may ? setLeaving : null} />}
+            </Shown>
+            {may && <Bringing onCame={changed} />}
+            {leaving && (
+                <Deletion
+                    what="the model" name={leaving.display_name || short(leaving.name).slice(0, 12)} act={() => change("DELETE", at(leaving.name))}
+                    loss="It cannot be trained again to the same bytes without its images. A model that a map uses is not deleted."
+                    onClose={() => setLeaving(null)} onDone={changed}
+                />
+            )}
+        </section>
     );
 }
 
-function Models({ models }: { models: Schemas["Model"][] }) {
-    if (models.length === 0) return <p class="quiet">There is no model yet: <code>waypost model import FILE</code> brings one.</p>;
-    return (
-        <div class="wide" tabIndex={0} role="group" aria-label="Table of models"><table>
-            <thead><tr><th scope="col">model</th><th scope="col">name</th><th scope="col">features</th><th scope="col">words</th><th scope="col">samples</th><th scope="col">size</th><th scope="col">since</th></tr></thead>
+function ModelTable({ models, onDelete }: { models: Model[]; onDelete: ((model: Model) => void) | null }) {
+    const { told, busy, attempt } = useAttempt();
+    const take = (model: Model) => attempt("Fetching it", async () => {
+        await download(`${at(model.name)}/export`, `${short(model.name).slice(0, 12)}.waypost`);
+        return "among your downloads";
+    });
+    const named = (model: Model) => model.display_name || short(model.name).slice(0, 12);
+    return <>
+        <div class="wide tall roomy" tabIndex={0} role="group" aria-label="Table of models"><table>
+            <thead><tr><th scope="col">model</th><th scope="col">name</th><th scope="col">features</th><th scope="col">words</th><th scope="col">samples</th><th scope="col">size</th><th scope="col">since</th><th scope="col"><span class="unseen">what to do</span></th></tr></thead>
             <tbody>
                 {models.map((model) => (
                     <tr key={model.name}>
                         <th scope="row"><code title={model.name}>{short(model.name).slice(0, 12)}</code></th><td>{model.display_name}</td>
                         <td>{model.extractor}</td><td>{count(model.words)}</td><td>{count(model.samples)}</td>
                         <td>{bytes(model.size_bytes)}</td><td>{moment(model.create_time_ns)}</td>
+                        <td class="do">
+                            <button type="button" disabled={busy} aria-label={`Export the model ${named(model)}`} onClick={() => void take(model)}>Export</button>
+                            {onDelete && <button type="button" aria-label={`Delete the model ${named(model)}`} onClick={() => onDelete(model)}>Delete</button>}
+                        </td>
                     </tr>
                 ))}
             </tbody>
         </table></div>
-    );
+        <Outcome told={told} />
+    </>;
+}
+
+function Bringing({ onCame }: { onCame: () => void }) {
+    const [name, setName] = useState("");
+    const [file, setFile] = useState<File | null>(null);
+    const { told, busy, attempt } = useAttempt();
+    const bring = async () => {
+        if (file && await attempt("Sending it", async () => {
+            const model = await send<Model>(`/v1/models?display_name=${encodeURIComponent(name)}`, file);
+            return `model ${short(model.name).slice(0, 12)} is there`;
+        })) onCame();
+    };
+    return <>
+        <form class="making" onSubmit={(event) => {
+            event.preventDefault();
+            void bring();
+        }}>
+            <label>Model file <input type="file" accept=".waypost" required onChange={(event) => setFile(event.currentTarget.files?.[0] ?? null)} /></label>
+            <label>Name <input value={name} autoComplete="off" placeholder="site" onInput={(event) => setName(event.currentTarget.value)} /></label>
+            <button type="submit" disabled={busy || !file}>Import a model</button>
+        </form>
+        <Outcome told={told} />
+    </>;
 }

@@ -21,7 +21,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, Admitted, no_longer_admitted};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 60] = [
+const METHODS: [(&str, Access); 61] = [
     ("/waypost.v1.SessionService/Stream", Access::Robot),
     ("/waypost.v1.RecognitionService/Query", Access::Robot),
     ("/waypost.v1.SessionService/ListSessions", Access::Robot),
@@ -79,6 +79,7 @@ const METHODS: [(&str, Access); 60] = [
     ("/waypost.v1.TokenService/CreateToken", Access::Admin),
     ("/waypost.v1.TokenService/ListTokens", Access::Admin),
     ("/waypost.v1.TokenService/DeleteToken", Access::Admin),
+    ("/waypost.v1.TokenService/GetCaller", Access::Robot),
     // Whatever watches over servers holds no token.
     ("/grpc.health.v1.Health/Check", Access::Open),
     ("/grpc.health.v1.Health/Watch", Access::Open),
@@ -166,7 +167,7 @@ impl<S> Guarded<S> {
 }
 
 /// The secret in `authorization: Bearer SECRET`.
-fn bearer(headers: &HeaderMap) -> Option<&str> {
+pub(super) fn bearer(headers: &HeaderMap) -> Option<&str> {
     let (scheme, secret) = headers.get(header::AUTHORIZATION)?.to_str().ok()?.split_once(' ')?;
     scheme.eq_ignore_ascii_case("bearer").then(|| secret.trim())
 }

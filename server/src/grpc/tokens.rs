@@ -3,10 +3,11 @@ use waypost_proto::v1;
 use waypost_proto::v1::token_service_server::TokenService;
 
 use super::Adapter;
+use super::access::bearer;
 use crate::error::ServiceError;
 use crate::pages::Page;
 use crate::role::Role;
-use crate::service::tokens::TokenRow;
+use crate::wire::tokens::{caller, token};
 
 #[tonic::async_trait]
 impl TokenService for Adapter {
@@ -39,6 +40,15 @@ impl TokenService for Adapter {
         self.service.tokens.delete(&name).await?;
         Ok(Response::new(v1::DeleteTokenResponse {}))
     }
+
+    async fn get_caller(
+        &self,
+        request: Request<v1::GetCallerRequest>,
+    ) -> Result<Response<v1::Caller>, Status> {
+        let (metadata, _, v1::GetCallerRequest {}) = request.into_parts();
+        let headers = metadata.into_headers();
+        Ok(Response::new(caller(self.service.tokens.caller(bearer(&headers))?)))
+    }
 }
 
 fn role(code: i32) -> Result<Role, ServiceError> {
@@ -52,13 +62,4 @@ fn role(code: i32) -> Result<Role, ServiceError> {
             Err(ServiceError::invalid(format_args!("{code} is no role; write ROLE_ROBOT or ROLE_ADMIN")))
         }
     }
-}
-
-fn token(row: TokenRow) -> v1::Token {
-    let TokenRow { name, role, secret_sha256: _, created_ns } = row;
-    let role = match role {
-        Role::Robot => v1::token::Role::Robot,
-        Role::Admin => v1::token::Role::Admin,
-    };
-    v1::Token { name: format!("tokens/{name}"), role: role.into(), create_time_ns: created_ns }
 }

@@ -4,14 +4,14 @@ use std::net::IpAddr;
 use std::sync::Arc;
 
 use axum::body::Body;
-use axum::extract::{ConnectInfo, Request, State};
+use axum::extract::{ConnectInfo, MatchedPath, Request, State};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use futures::stream::{self, StreamExt};
 use http::uri::Authority;
-use http::{HeaderMap, HeaderValue, Method, header};
+use http::{HeaderMap, HeaderName, HeaderValue, Method, header};
 use http_body::Body as _;
 use tokio_util::sync::CancellationToken;
 
@@ -24,20 +24,41 @@ use crate::net::standing::Standing;
 use crate::service::Service;
 use crate::service::tokens::{Access, Admitted, no_longer_admitted};
 
+/// How the page that asks is related to this server, as newer browsers say.
+const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
+
 /// What tells whether the server lives is asked by machines that hold no token.
 const OPEN: [&str; 2] = ["/healthz", "/readyz"];
 
-/// What changes maps is for administrators; where a robot is sent to is for its operators, too.
-const CHANGES_MAPS: &str = "/v1/merges";
+/// What a robot may change: where robots go, and what places are called. A query changes nothing. All else that is changed is
+/// for administrators.
+const ROBOTS_CHANGE: [&str; 3] = [
+    "/v1/maps/{map}/query",
+    "/v1/maps/{map}/navigations/{navigation}/goal",
+    "/v1/maps/{map}/places/{place}/label",
+];
 
-/// Serves those who may see it: all else that is here reads, names places or sends robots, as any token may over gRPC.
+/// What administrators alone may read.
+const ADMINS_READ: [&str; 2] = ["/v1/maps/{map}/export", TOKENS];
+
+const TOKENS: &str = "/v1/tokens";
+
+/// Serves those who may ask for it, as over gRPC.
 pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request, next: Next) -> Response {
-    let access = access(request.method(), request.uri().path());
+    let route = request.extensions().get::<MatchedPath>().map(|route| route.as_str().to_owned());
+    let access = access(request.method(), request.uri().path(), route.as_deref());
     if access != Access::Open && service.tokens.serve_this_machine() && !addresses_this_machine(&request) {
         return refusal(ServiceError::PermissionDenied {
             message: "this server has no token, so it is for this machine alone and answers to localhost or an IP \
                       address, not to other names: a page in a browser could have made its own name lead here; ask \
                       http://127.0.0.1, or create a token, or say --allow-anonymous"
+                .to_owned(),
+        });
+    }
+    if !request.method().is_safe() && comes_from_another_site(request.headers()) {
+        return refusal(ServiceError::PermissionDenied {
+            message: "a page of another site asked for this in a browser, and such a page may change nothing here; \
+                      ask from this server's own page, or send a token as `authorization: Bearer SECRET`"
                 .to_owned(),
         });
     }
@@ -51,7 +72,10 @@ pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request,
         }
         Ok(admitted)
     });
+    // It must hear that it made the first token, or deleted its own.
+    let of_tokens = route.is_some_and(|route| route.starts_with(TOKENS));
     match admitted {
+        Ok(Admitted { deleted: _, room }) if of_tokens => with_room(&room, request, next).await,
         Ok(Admitted { deleted, room }) => tokio::select! {
             biased;
             response = with_room(&room, request, next) => response.map(|body| until_deleted(body, deleted)),
@@ -77,13 +101,29 @@ async fn with_room(room: &Room, request: Request, next: Next) -> Response {
     }
 }
 
-fn access(method: &Method, path: &str) -> Access {
+fn access(method: &Method, path: &str, route: Option<&str>) -> Access {
     if OPEN.contains(&path) || (method.is_safe() && inspector::holds(path)) {
-        Access::Open
-    } else if path.starts_with(CHANGES_MAPS) && !method.is_safe() {
-        Access::Admin
-    } else {
-        Access::Robot
+        return Access::Open;
+    }
+    let among = |routes: &[&str]| route.is_some_and(|route| routes.contains(&route));
+    let for_admins = if method.is_safe() { among(&ADMINS_READ) } else { !among(&ROBOTS_CHANGE) };
+    if for_admins { Access::Admin } else { Access::Robot }
+}
+
+/// Whether a browser sends this for a page that is not this server's own. It adds by itself what it remembers of a password,
+/// but never a bearer's token.
+fn comes_from_another_site(headers: &HeaderMap) -> bool {
+    let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or("not text"));
+    if text(header::AUTHORIZATION).is_some_and(is_bearer) {
+        return false;
+    }
+    match text(SEC_FETCH_SITE) {
+        Some(site) => !["same-origin", "none"].contains(&site),
+        // Older browsers tell the page's origin alone; what is no browser tells nothing.
+        None => text(header::ORIGIN).is_some_and(|origin| {
+            let host = origin.split_once("://").map(|(_, host)| host);
+            host.is_none() || host != text(header::HOST)
+        }),
     }
 }
 
@@ -133,9 +173,13 @@ fn refusal(error: ServiceError) -> Response {
     response
 }
 
+fn is_bearer(authorization: &str) -> bool {
+    authorization.split_once(' ').is_some_and(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
+}
+
 /// The secret in `Authorization: Bearer SECRET`, or the password in Basic: a browser asks for that by
 /// itself. Any user name will do.
-fn secret(headers: &HeaderMap) -> Option<String> {
+pub(super) fn secret(headers: &HeaderMap) -> Option<String> {
     let (scheme, credentials) = headers.get(header::AUTHORIZATION)?.to_str().ok()?.split_once(' ')?;
     let credentials = credentials.trim();
     if scheme.eq_ignore_ascii_case("bearer") {
@@ -217,6 +261,38 @@ mod tests {
             assert_eq!(of(other), None, "{other:?}");
         }
         assert_eq!(secret(&HeaderMap::new()), None);
+    }
+
+    #[test]
+    fn pages_of_other_sites_are_known_by_what_browsers_say() {
+        let of = |said: &[(&'static str, &str)]| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::HOST, HeaderValue::from_static("127.0.0.1:7601"));
+            for (name, value) in said {
+                headers.insert(*name, HeaderValue::from_str(value).unwrap());
+            }
+            comes_from_another_site(&headers)
+        };
+        let (own, other) = ("http://127.0.0.1:7601", "http://127.0.0.1:8080");
+        for said in [
+            &[][..],
+            &[("origin", own)],
+            &[("sec-fetch-site", "same-origin"), ("origin", "https://behind.a.proxy")],
+            &[("sec-fetch-site", "none")],
+            &[("origin", other), ("authorization", "Bearer waypost_1")],
+        ] {
+            assert!(!of(said), "{said:?}");
+        }
+        for said in [
+            &[("origin", other)][..],
+            &[("origin", "null")],
+            &[("origin", "https://evil.example")],
+            &[("sec-fetch-site", "cross-site")],
+            &[("sec-fetch-site", "same-site"), ("origin", other)],
+            &[("origin", other), ("authorization", "Basic eDp5")],
+        ] {
+            assert!(of(said), "{said:?}");
+        }
     }
 
     #[test]

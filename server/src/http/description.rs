@@ -33,8 +33,9 @@ const PAGE_POLICY: HeaderValue = HeaderValue::from_static(
 #[openapi(
     info(
         title = "Waypost REST",
-        description = "What Waypost's maps hold, for people, scripts and other languages. It answers what gRPC \
-            (`waypost.v1`) answers, field by field; what lets a map grow goes over gRPC alone.\n\n\
+        description = "What Waypost's maps hold, for people, scripts and other languages; maps, models and tokens are \
+            made and removed here, too. It answers what gRPC (`waypost.v1`) answers, field by field; what lets a map \
+            grow goes over gRPC alone.\n\n\
             - **Names** are paths, as in gRPC: `maps/demo/sessions/monday/frames/7`.\n\
             - **Fields** are always there; one that has no value is `null`. New ones may come: ignore what you \
             do not know.\n\
@@ -44,7 +45,9 @@ const PAGE_POLICY: HeaderValue = HeaderValue::from_static(
             unless it is given a reviver that makes a BigInt of the source text.\n\
             - **Lists** come in pages of at most 1000: ask again with the `next_page_token` of the page before \
             until it is empty.\n\
-            - **Errors** are `{\"error\": {\"code\": …, \"message\": …}}`, and say how to mend it."
+            - **Errors** are `application/problem+json` (RFC 9457) with `\"error\": {\"code\": …, \"message\": …}` \
+            beside, and say how to mend it.\n\
+            - **Pages of other sites** may change nothing in a browser, unless they send a token as a bearer's."
     ),
     components(schemas(ErrorBody)),
     tags(
@@ -53,6 +56,8 @@ const PAGE_POLICY: HeaderValue = HeaderValue::from_static(
         (name = "navigations", description = "Robots that are led along a map: where they are, and where they are to go."),
         (name = "models", description = "What is learnt before a robot drives."),
         (name = "merges", description = "Maps that become one: looked for, proposed with their evidence, decided."),
+        (name = "tokens", description = "Who may use the server. Where it has no token, it serves whoever is on the \
+            same machine."),
         (name = "jobs", description = "Work that takes longer than a call."),
         (name = "exports", description = "Whole tables, sent as they are read. Rows that a robot adds meanwhile may \
             be in or not."),
@@ -164,7 +169,8 @@ impl Modify for Shared {
         let components = description.components.get_or_insert_default();
         for Refusal(_, name, when) in REFUSALS.into_iter().chain([TOO_LARGE, UNSUPPORTED]) {
             let body = ContentBuilder::new().schema(Some(Ref::from_schema_name("ErrorBody"))).build();
-            let response = ResponseBuilder::new().description(when).content("application/json", body).build();
+            let response =
+                ResponseBuilder::new().description(when).content("application/problem+json", body).build();
             components.responses.insert(name.to_owned(), response.into());
         }
         let token = HttpBuilder::new()

@@ -33,3 +33,14 @@ pub(super) async fn get_job(
 ) -> Result<Json<v1::Job>, HttpError> {
     Ok(Json(message(service.jobs.get(&format!("jobs/{job}")).await?)))
 }
+
+/// Asks a job to end before it is done; one that has ended already stays as it is. For administrators.
+#[utoipa::path(post, path = "/v1/jobs/{job}/cancel", tag = "jobs", params(JobPath),
+    responses((status = 200, description = "The job as it stands; it may take a moment to end.", body = v1::Job), Refusals))]
+pub(super) async fn cancel_job(
+    State(service): State<Arc<Service>>,
+    InPath(JobPath { job }): InPath<JobPath>,
+    InQuery(Nothing {}): InQuery<Nothing>,
+) -> Result<Json<v1::Job>, HttpError> {
+    Ok(Json(message(service.jobs.cancel(&format!("jobs/{job}")).await?)))
+}

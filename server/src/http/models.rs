@@ -1,14 +1,23 @@
 use std::sync::Arc;
 
 use axum::Json;
+use axum::body::Body;
 use axum::extract::State;
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use utoipa::IntoParams;
 use waypost_proto::v1;
 
 use super::HttpError;
 use super::description::Refusals;
-use super::parameters::{InPath, InQuery, ModelPath, Nothing, Paging};
+use super::parameters::{InPath, InQuery, ModelPath, Nothing, Paging, Parameters};
+use super::uploads::{BinaryFile, Upload};
+use crate::error::ServiceError;
+use crate::names::model_name;
 use crate::pages::Page;
 use crate::service::Service;
+use crate::service::models::MAX_MODEL_BYTES;
 use crate::wire::models::model as message;
 
 /// All models, newest first.
@@ -23,6 +32,40 @@ pub(super) async fn list_models(
     Ok(Json(v1::ListModelsResponse { models, next_page_token: next }))
 }
 
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Naming {
+    /// What people call it; at most 100 characters.
+    #[param(example = "site")]
+    display_name: String,
+}
+
+impl Parameters for Naming {
+    const TAKES: &str = "display_name=NAME";
+}
+
+/// Takes in a model file. One that is there already stays as it is. For administrators.
+#[utoipa::path(post, path = "/v1/models", tag = "models", params(Naming),
+    request_body(content = BinaryFile, content_type = "application/octet-stream", description = "The file, of at most 512 MiB."),
+    responses((status = 200, description = "The model.", body = v1::Model), Refusals))]
+pub(super) async fn import_model(
+    State(service): State<Arc<Service>>,
+    InQuery(Naming { display_name }): InQuery<Naming>,
+    body: Body,
+) -> Result<Json<v1::Model>, HttpError> {
+    let (mut upload, mut file) = (Upload::of(&service, body), Vec::new());
+    while let Some(piece) = upload.next().await? {
+        file.extend_from_slice(&piece);
+        if file.len() > MAX_MODEL_BYTES {
+            let message =
+                format!("a model file has at most {MAX_MODEL_BYTES} bytes; train one with fewer words");
+            return Err(ServiceError::ResourceExhausted { message }.into());
+        }
+    }
+    Ok(Json(message(service.models.import(&display_name, file).await?)))
+}
+
 /// A model.
 #[utoipa::path(get, path = "/v1/models/{model}", tag = "models", params(ModelPath),
     responses((status = 200, description = "The model.", body = v1::Model), Refusals))]
@@ -32,4 +75,31 @@ pub(super) async fn get_model(
     InQuery(Nothing {}): InQuery<Nothing>,
 ) -> Result<Json<v1::Model>, HttpError> {
     Ok(Json(message(service.models.find(&model).await?)))
+}
+
+/// A model as a file.
+#[utoipa::path(get, path = "/v1/models/{model}/export", tag = "models", params(ModelPath),
+    responses((status = 200, description = "The file.", body = BinaryFile, content_type = "application/octet-stream"), Refusals))]
+pub(super) async fn export_model(
+    State(service): State<Arc<Service>>,
+    InPath(ModelPath { model }): InPath<ModelPath>,
+    InQuery(Nothing {}): InQuery<Nothing>,
+) -> Result<Response, HttpError> {
+    let hash = service.models.find(&model).await?.hash;
+    let file = service.models.export(&model_name(&hash)).await?;
+    let name = format!("attachment; filename=\"{hash}.waypost\"");
+    let about = [(CONTENT_TYPE, "application/octet-stream".to_owned()), (CONTENT_DISPOSITION, name)];
+    Ok((about, file).into_response())
+}
+
+/// Deletes a model that no map uses. For administrators.
+#[utoipa::path(delete, path = "/v1/models/{model}", tag = "models", params(ModelPath),
+    responses((status = 200, description = "It is gone.", body = v1::DeleteModelResponse), Refusals))]
+pub(super) async fn delete_model(
+    State(service): State<Arc<Service>>,
+    InPath(ModelPath { model }): InPath<ModelPath>,
+    InQuery(Nothing {}): InQuery<Nothing>,
+) -> Result<Json<v1::DeleteModelResponse>, HttpError> {
+    service.models.delete(&model).await?;
+    Ok(Json(v1::DeleteModelResponse {}))
 }

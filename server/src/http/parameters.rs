@@ -165,3 +165,11 @@ pub(super) struct MergePath {
     #[param(value_type = u64)]
     pub(super) merge: String,
 }
+
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Path)]
+pub(super) struct TokenPath {
+    /// Name of the token.
+    #[param(pattern = "^[a-z0-9][a-z0-9_-]{0,62}$", example = "robot-7")]
+    pub(super) token: String,
+}

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use axum::extract::{MatchedPath, Request, State};
+use axum::http::Method;
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tracing::Instrument;
@@ -17,6 +18,9 @@ use crate::service::Service;
 /// Within which an answer begins.
 const TIMEOUT: Duration = Duration::from_secs(30);
 
+/// Who sends a file may take longer; an upload itself says how long it may pause.
+const UPLOADS: [&str; 2] = ["/v1/maps/{map}/import", "/v1/models"];
+
 /// What machines ask every few seconds is logged for those alone who look for it.
 const POLLED: [&str; 3] = ["/healthz", "/readyz", "/metrics"];
 
@@ -28,7 +32,10 @@ pub(super) async fn watch(State(service): State<Arc<Service>>, request: Request,
     let peer = standing(&request).map(|standing| standing.peer().to_string());
     let span = id.span();
     async move {
-        let mut response = within(TIMEOUT, next.run(request)).await;
+        let uploads =
+            method == Method::POST && route.as_deref().is_some_and(|route| UPLOADS.contains(&route));
+        let answering = next.run(request);
+        let mut response = if uploads { answering.await } else { within(TIMEOUT, answering).await };
         id.tell(response.headers_mut());
         let (status, took) = (response.status().as_u16(), since.elapsed());
         let route = route.as_deref().unwrap_or("unknown");

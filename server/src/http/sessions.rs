@@ -10,6 +10,7 @@ use super::parameters::{InPath, InQuery, MapPath, Nothing, Paging, SessionPath};
 use crate::names::{map_name, session_name};
 use crate::pages::Page;
 use crate::service::Service;
+use crate::wire::jobs::job;
 use crate::wire::sessions::{listed_frame, session as message};
 
 /// The sessions of a map that let it grow, oldest first.
@@ -34,6 +35,17 @@ pub(super) async fn get_session(
     InQuery(Nothing {}): InQuery<Nothing>,
 ) -> Result<Json<v1::Session>, HttpError> {
     Ok(Json(message(service.frames.session(&session_name(&map, &session)).await?)))
+}
+
+/// Takes a session out of its map, as a job: the map is then as if the robot had not been there. For administrators.
+#[utoipa::path(delete, path = "/v1/maps/{map}/sessions/{session}", tag = "sessions", params(SessionPath),
+    responses((status = 200, description = "The job that does so.", body = v1::Job), Refusals))]
+pub(super) async fn delete_session(
+    State(service): State<Arc<Service>>,
+    InPath(SessionPath { map, session }): InPath<SessionPath>,
+    InQuery(Nothing {}): InQuery<Nothing>,
+) -> Result<Json<v1::Job>, HttpError> {
+    Ok(Json(job(service.rewriting.delete_session(&session_name(&map, &session)).await?)))
 }
 
 /// The frames of a session with what was decided about them, by sequence number.

@@ -50,6 +50,14 @@ pub(crate) enum Anonymous {
     Refused,
 }
 
+/// Who asks, and what they may do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Caller {
+    /// Name of the token that was shown; `None` where the server has none.
+    pub(crate) token: Option<String>,
+    pub(crate) role: Role,
+}
+
 /// All tokens, in memory: to check one costs no query. Cheap to clone.
 #[derive(Clone, Debug)]
 pub(crate) struct Tokens {
@@ -245,6 +253,18 @@ impl Tokens {
     /// How many wrong secrets are taken from one address in a minute.
     pub(crate) fn set_guesses_per_minute(&self, guesses: u32) {
         self.lock().guesses.per_minute = guesses;
+    }
+
+    /// Who shows this secret, who was admitted already.
+    pub(crate) fn caller(&self, secret: Option<&str>) -> Result<Caller, ServiceError> {
+        let known = self.lock();
+        if known.by_hash.is_empty() {
+            return Ok(Caller { token: None, role: Role::Admin });
+        }
+        // It may have been deleted since.
+        let holder = secret.and_then(|secret| known.by_hash.get(&hash(secret)));
+        let token = holder.map(|holder| &holder.token).ok_or_else(no_longer_admitted)?;
+        Ok(Caller { token: Some(token.name.clone()), role: token.role })
     }
 
     /// Makes a token; gives its secret too, which is not kept.

@@ -43,7 +43,8 @@ impl Answer {
     /// The body, if it is JSON and says so.
     #[track_caller]
     pub(crate) fn json(&self) -> Value {
-        assert_eq!(self.header("content-type"), "application/json", "{}", self.text());
+        let kind = if self.status.is_success() { "application/json" } else { "application/problem+json" };
+        assert_eq!(self.header("content-type"), kind, "{}", self.text());
         serde_json::from_slice(&self.body).unwrap_or_else(|error| panic!("{error}: {}", self.text()))
     }
 }

@@ -86,8 +86,10 @@ fn assert_error(case: &str, answer: &Answer, code: &str, fragment: &str) {
 async fn other_methods_are_refused_and_the_right_ones_named() {
     let (server, _client) = Server::with_map().await;
     let cases = [
-        (Method::POST, "/v1/maps", "GET,HEAD"),
-        (Method::DELETE, "/v1/maps/drive", "GET,HEAD"),
+        (Method::PUT, "/v1/maps", "GET,HEAD,POST"),
+        (Method::PUT, "/v1/maps/drive", "GET,HEAD,DELETE"),
+        (Method::DELETE, "/v1/maps/drive/places", "GET,HEAD"),
+        (Method::GET, "/v1/maps/drive/import", "POST"),
         (Method::PUT, "/v1/maps/drive/loop-closures.csv", "GET,HEAD"),
         (Method::GET, "/v1/maps/drive/query", "POST"),
         (Method::POST, "/v1/maps/drive/navigations/robot/goal", "PUT,DELETE"),

@@ -1,13 +1,15 @@
 //! What the REST API says of itself is what it does.
 
 mod calls;
+mod writes;
 
 use jsonschema::Validator;
 use reqwest::StatusCode;
 use serde_json::{Value, json};
-use waypost_client::v1;
+use waypost_client::{Client, ClientOptions, v1};
 
 use self::calls::{Call, bad_calls, good_calls};
+use self::writes::{bad_writes, good_writes};
 use crate::harness::{Answer, Server, Surveyed, found, get, http, images, led, taught_hall, workspace};
 
 /// Writes the description anew when it is set.
@@ -80,7 +82,7 @@ impl Description {
         let kind = answer.header("content-type").split(';').next().unwrap();
         let content = &self.response(call, status)["content"][kind];
         assert!(content["schema"].is_object(), "{asked}: {kind} is not described");
-        if kind != "application/json" {
+        if !["application/json", "application/problem+json"].contains(&kind) {
             return None;
         }
         let (validator, value) = (self.validator(&content["schema"]), answer.json());
@@ -98,18 +100,25 @@ async fn every_answer_is_as_described() {
     let surveyed = Surveyed::start().await;
     let description = Description::of(&surveyed.server).await;
     let client = surveyed.server.client().await;
+    let mut snapshot = Vec::new();
+    client.export_map("empty", &mut snapshot).await.unwrap();
+    // The first token would end what was begun without one.
+    let (_, admin) = client.create_token("operator", v1::token::Role::Admin).await.unwrap();
+    let options = ClientOptions::new(surveyed.server.endpoint()).with_token(&admin);
+    let client = Client::connect(options).await.unwrap();
     let _led = led(&client).await;
     let model = client.model("shipped").await.unwrap();
     taught_hall(&client, &model.name).await;
     // It is taken away before it is set.
     client.set_label("maps/looks/places/0", "hall", v1::LabelScope::Place).await.unwrap();
-    let calls = good_calls(&surveyed);
+    let mut calls = good_calls(&surveyed);
+    calls.extend(good_writes(&surveyed, snapshot));
     for (method, path) in description.operations() {
         let described: Vec<&Call> =
             calls.iter().filter(|call| call.method == method && call.path == path).collect();
         assert!(!described.is_empty(), "{method} {path} is called by no test: say with which parameters");
         for call in described {
-            let answer = call.answer(&surveyed.server).await;
+            let answer = call.answer(&surveyed.server, Some(&admin)).await;
             if let Some(validator) = description.check(call, StatusCode::OK, &answer) {
                 assert_strict(&validator, &call.asked, &answer.json());
             }
@@ -147,7 +156,7 @@ async fn every_refusal_is_as_described() {
     assert!(operations.len() >= 20, "{operations:?}");
     for (method, path) in operations {
         for (status, call) in bad_calls(method, path) {
-            let answer = call.answer(&server).await;
+            let answer = call.answer(&server, None).await;
             assert!(description.check(&call, status, &answer).is_some(), "{}: no JSON", call.asked);
         }
     }

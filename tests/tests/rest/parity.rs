@@ -21,6 +21,7 @@ use waypost_proto::v1::navigation_service_client::NavigationServiceClient;
 use waypost_proto::v1::query_request::Content;
 use waypost_proto::v1::recognition_service_client::RecognitionServiceClient;
 use waypost_proto::v1::session_service_client::SessionServiceClient;
+use waypost_proto::v1::token_service_client::TokenServiceClient;
 
 use crate::harness::{
     Answer, Server, Surveyed, channel, found, get, http, images, import_model, led, taught_hall,
@@ -178,7 +179,10 @@ fn same<M: Message>(
         Err(status) => {
             assert!(!answer.status.is_success(), "{path}: {status} over gRPC, but {told}");
             let code = snake(&format!("{:?}", status.code()));
-            assert_eq!(told, json!({ "error": { "code": code, "message": status.message() } }), "{path}");
+            let (title, message) = (answer.status.canonical_reason(), status.message());
+            let problem = json!({ "type": "about:blank", "title": title, "status": answer.status.as_u16(),
+                "detail": message, "error": { "code": code, "message": message } });
+            assert_eq!(told, problem, "{path}");
         }
     }
     told
@@ -427,6 +431,36 @@ async fn models_and_jobs_are_the_same() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn tokens_are_the_same() {
+    let both = Both::of(Server::start().await).await;
+    let tokens = TokenServiceClient::new(channel(&both.server.endpoint()).await);
+    let nobody = tokens.clone().get_caller(v1::GetCallerRequest {}).await;
+    let told = both.agree("/v1/whoami", "waypost.v1.Caller", nobody).await;
+    assert_eq!(told, json!({ "token": "", "role": "admin", "asks_for_token": false }));
+    let client = both.server.client().await;
+    let (_, admin) = client.create_token("operator", v1::token::Role::Admin).await.unwrap();
+    let bearer = format!("Bearer {admin}");
+    fn shown<T>(bearer: &str, message: T) -> tonic::Request<T> {
+        let mut request = tonic::Request::new(message);
+        request.metadata_mut().insert("authorization", bearer.parse().unwrap());
+        request
+    }
+    let robot = shown(&bearer, v1::CreateTokenRequest { token_id: "robot".to_owned(), role: 1 });
+    tokens.clone().create_token(robot).await.unwrap();
+    let ask = async |path: &str| Answer::to(http().get(both.server.url(path)).bearer_auth(&admin)).await;
+    let caller = tokens.clone().get_caller(shown(&bearer, v1::GetCallerRequest {})).await;
+    let told = same("/v1/whoami", &ask("/v1/whoami").await, "waypost.v1.Caller", caller);
+    assert_eq!(told, json!({ "token": "tokens/operator", "role": "admin", "asks_for_token": true }));
+    for (size, token) in [(0, ""), (1, ""), (1, "x"), (1001, "")] {
+        let request = v1::ListTokensRequest { page_size: size, page_token: token.to_owned() };
+        let listed = tokens.clone().list_tokens(shown(&bearer, request)).await;
+        let path = format!("/v1/tokens?page_size={size}&page_token={token}");
+        same(&path, &ask(&path).await, "waypost.v1.ListTokensResponse", listed);
+    }
+    both.server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn merges_are_the_same() {
     let Surveyed { server, merges, .. } = Surveyed::start().await;
     let both = Both::of(server).await;
@@ -562,9 +596,6 @@ async fn labels_and_appearance_graphs_are_the_same() {
     both.server.stop().await;
 }
 
-/// Reads that REST does not have: who may use a server is not to be read there.
-const NOT_IN_REST: [&str; 1] = ["ListTokens"];
-
 #[tokio::test(flavor = "multi_thread")]
 async fn every_read_of_grpc_has_a_route() {
     let server = Server::start().await;
@@ -578,7 +609,7 @@ async fn every_read_of_grpc_has_a_route() {
         .filter(|method| ["List", "Get", "Explain", "Query"].iter().any(|read| method.starts_with(read)))
         .collect();
     assert!(methods.len() > 12, "{methods:?}");
-    for method in methods.iter().filter(|method| !NOT_IN_REST.contains(&method.as_str())) {
+    for method in &methods {
         assert!(routes.contains(&snake(method).as_str()), "REST has no {method}");
     }
     server.stop().await;

@@ -131,6 +131,7 @@ class AsyncClient:
     create_token = _awaited(Client.create_token)
     tokens = _awaited(Client.tokens)
     delete_token = _awaited(Client.delete_token)
+    caller = _awaited(Client.caller)
 
     async def watch_job(self, name: str) -> AsyncGenerator[job_pb2.Job, None]:
         """The job now and after every progress, until it has ended."""

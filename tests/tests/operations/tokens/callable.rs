@@ -35,6 +35,23 @@ pub(super) const FOR_ADMINS: [&str; 20] = [
     "/waypost.v1.TokenService/DeleteToken",
 ];
 
+/// Routes over HTTP that a robot may not ask for.
+pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 13] = [
+    (Method::POST, "/v1/maps"),
+    (Method::DELETE, "/v1/maps/{map}"),
+    (Method::GET, "/v1/maps/{map}/export"),
+    (Method::POST, "/v1/maps/{map}/import"),
+    (Method::DELETE, "/v1/maps/{map}/sessions/{session}"),
+    (Method::POST, "/v1/merges"),
+    (Method::PUT, "/v1/merges/{merge}/decision"),
+    (Method::POST, "/v1/models"),
+    (Method::DELETE, "/v1/models/{model}"),
+    (Method::POST, "/v1/jobs/{job}/cancel"),
+    (Method::GET, "/v1/tokens"),
+    (Method::POST, "/v1/tokens"),
+    (Method::DELETE, "/v1/tokens/{token}"),
+];
+
 /// Routes over HTTP that are open to all.
 pub(super) const OPEN_ROUTES: [&str; 7] = [
     "/healthz",
@@ -50,22 +67,27 @@ pub(super) const OPEN_ROUTES: [&str; 7] = [
 const OTHER_ROUTES: [&str; 5] =
     ["/docs", "/inspector/other.js", "/metrics", "/v1/openapi.json", "/v1/nowhere"];
 
-/// Method and path of every route that asks for a token.
-pub(super) fn guarded_routes() -> Vec<(Method, String)> {
+/// Method and path of every route that asks for a token, and whether it is for administrators.
+pub(super) fn guarded_routes() -> Vec<(Method, String, bool)> {
     let description = std::fs::read_to_string(workspace().join("server/openapi.json")).unwrap();
     let description: serde_json::Value = serde_json::from_str(&description).unwrap();
-    let mut routes: Vec<(Method, String)> =
-        OTHER_ROUTES.iter().map(|&path| (Method::GET, path.to_owned())).collect();
-    for (path, methods) in description["paths"].as_object().unwrap() {
-        // Whether there is such a thing is told only to those who may know.
-        let path: Vec<&str> = path
-            .split('/')
-            .map(|part| if part == "{map}" { "drive" } else { part.trim_matches(['{', '}']) })
-            .collect();
+    let mut routes: Vec<(Method, String, bool)> =
+        OTHER_ROUTES.iter().map(|&path| (Method::GET, path.to_owned(), false)).collect();
+    let mut for_admins = 0;
+    for (route, methods) in description["paths"].as_object().unwrap() {
         for method in methods.as_object().unwrap().keys() {
-            routes.push((method.to_uppercase().parse().unwrap(), path.join("/")));
+            let method: Method = method.to_uppercase().parse().unwrap();
+            // Whether there is such a thing is told only to those who may know. The map is still asked for later.
+            let map = if method == Method::DELETE { "nowhere" } else { "drive" };
+            let named =
+                |part: &str| if part == "{map}" { map } else { part.trim_matches(['{', '}']) }.to_owned();
+            let path: Vec<String> = route.split('/').map(named).collect();
+            let is_for_admins = ROUTES_FOR_ADMINS.contains(&(method.clone(), route.as_str()));
+            for_admins += usize::from(is_for_admins);
+            routes.push((method, path.join("/"), is_for_admins));
         }
     }
+    assert_eq!(for_admins, ROUTES_FOR_ADMINS.len(), "a route of the table is none");
     assert!(routes.len() > 20, "{routes:?}");
     routes
 }

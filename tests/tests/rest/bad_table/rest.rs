@@ -111,7 +111,7 @@ pub(super) async fn requests(ground: &Ground) -> Cases {
     let announced = announced.into_bytes();
     let many_headers: String = (0..200).map(|number| format!("X-{number}: y\r\n")).collect();
     let requests: Vec<(&str, Vec<u8>, u16)> = vec![
-        ("POST", with_body("POST", "/v1/maps", json, "{}"), 405),
+        ("POST", with_body("POST", "/v1/maps", json, "{}"), 400),
         (
             "POST of a form",
             with_body("POST", "/v1/maps/drive", "application/x-www-form-urlencoded", "a=b"),
@@ -119,9 +119,9 @@ pub(super) async fn requests(ground: &Ground) -> Cases {
         ),
         ("PUT", with_body("PUT", "/v1/maps/drive", json, "{}"), 405),
         ("PATCH", with_body("PATCH", "/v1/maps/drive/places", json, "{}"), 405),
-        ("DELETE", with_body("DELETE", "/v1/maps/drive", json, ""), 405),
+        ("DELETE", with_body("DELETE", "/v1/maps/drive/places", json, ""), 405),
         ("a method of one's own", with_body("MERGE", "/v1/maps/drive/loop-closures", json, ""), 405),
-        ("a body of 8 GiB that does not come", announced, 405),
+        ("a body of 8 GiB that does not come", announced, 400),
         ("a target of 100,000 bytes", get(&format!("/v1/maps?page_token={}", "x".repeat(100_000))), 431),
         ("200 headers", format!("GET /v1/maps HTTP/1.1\r\n{many_headers}{close}\r\n\r\n").into_bytes(), 431),
         ("no HTTP", b"HELLO WAYPOST\r\n\r\n".to_vec(), 400),

@@ -46,10 +46,14 @@ impl Call {
         Self { method, path, asked: asked.to_owned(), body }
     }
 
-    pub(super) async fn answer(&self, server: &Server) -> Answer {
+    pub(super) async fn answer(&self, server: &Server, token: Option<&str>) -> Answer {
         let url = server.url(&self.asked);
         let method = self.method.to_uppercase().parse().unwrap();
         let request = http().request(method, url);
+        let request = match token {
+            Some(token) => request.bearer_auth(token),
+            None => request,
+        };
         Answer::to(match &self.body {
             Some((kind, body)) => request.header("content-type", *kind).body(body.clone()),
             None => request,
@@ -158,11 +162,13 @@ pub(super) fn bad_calls(method: &'static str, path: &str) -> Vec<(StatusCode, Ca
     let nowhere = path.replace("{map}", "nowhere").replace("{session}", "none").replace("{word}", "0");
     let nowhere = nowhere.replace("{place}", "0").replace("{sequence}", "1").replace("{job}", "999999");
     let nowhere = nowhere.replace("{model}", "nothing").replace("{navigation}", "nobody");
-    let nowhere = nowhere.replace("{merge}", "999999");
+    let nowhere = nowhere.replace("{merge}", "999999").replace("{token}", "nobody");
     let body = ["post", "put"].contains(&method).then(|| ("application/json", b"{}".to_vec()));
     let asked = format!("{nowhere}?no_such_parameter=1");
     let mut calls = vec![(StatusCode::BAD_REQUEST, Call { method, path: path.to_owned(), asked, body })];
-    if method == "post" && path == "/v1/merges" {
+    if let Some(writes) = bad_writes(method, path, &nowhere) {
+        calls.extend(writes);
+    } else if method == "post" && path == "/v1/merges" {
         for body in [
             "",
             "{}",

@@ -7,7 +7,7 @@ from waypost.v1 import token_pb2
 
 
 class TokenCalls:
-    """Who may use a server; for admins."""
+    """Who may use a server; for admins, but for the question who asks."""
 
     _connection: Connection
 
@@ -42,3 +42,10 @@ class TokenCalls:
         """
         request = token_pb2.DeleteTokenRequest(name=resource("tokens", name))
         self._connection.call(self._connection.tokens.DeleteToken, request)
+
+    def caller(self) -> token_pb2.Caller:
+        """Who this client is to the server, and what it may do."""
+        caller: token_pb2.Caller = self._connection.call(
+            self._connection.tokens.GetCaller, token_pb2.GetCallerRequest()
+        )
+        return caller

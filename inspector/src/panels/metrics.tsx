@@ -1,0 +1,196 @@
+// How the server fares: its own metrics over the last hour, for as long as this page has been there to ask.
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import uPlot from "uplot";
+import { ink } from "../drawing/colours";
+import { text } from "../rest";
+import { bytes, Refused, useDark, useSize } from "../parts";
+
+const EVERY_MS = 5000;
+const HOUR_S = 3600;
+
+/** What the server said at a moment; sums of a metric over all its labels, but for those that are asked for. */
+interface Sample {
+    /** Seconds since 1970. */
+    at: number;
+    values: Map<string, number>;
+}
+
+interface Hour {
+    samples: Sample[];
+    error: Error | null;
+}
+
+/** Labels that tell things apart that do not add up. */
+const APART = /\b(stage|outcome)="([^"]*)"/;
+
+/** Reads Prometheus' text format as far as this server writes it. */
+export function parsed(text: string): Map<string, number> {
+    const values = new Map<string, number>();
+    for (const line of text.split("\n")) {
+        const [, name, labels = "", written] = /^([a-z_]+)(?:\{(.*)\})? (\S+)$/.exec(line) ?? [];
+        const value = Number(written);
+        if (!name || name.endsWith("_bucket") || !Number.isFinite(value)) continue;
+        const apart = APART.exec(labels)?.[2];
+        for (const key of apart === undefined ? [name] : [name, `${name} ${apart}`]) values.set(key, (values.get(key) ?? 0) + value);
+    }
+    return values;
+}
+
+let hour: Hour = { samples: [], error: null };
+/** Who draws it: only that panel is to be drawn anew every few seconds. */
+let onHour: (hour: Hour) => void = () => {};
+
+function setHour(next: Hour) {
+    hour = next;
+    onHour(hour);
+}
+
+/** Asks for the metrics again and again while the page is there, whatever it shows. */
+export function useSampling(entered: number, waits: boolean) {
+    useEffect(() => {
+        if (waits) return;
+        const gone = new AbortController();
+        let timer = 0;
+        const ask = async () => {
+            try {
+                const values = parsed(await text("/metrics", gone.signal));
+                const at = Date.now() / 1000;
+                setHour({ samples: [...hour.samples.filter((sample) => sample.at > at - HOUR_S), { at, values }], error: null });
+            } catch (error) {
+                if (!gone.signal.aborted) setHour({ ...hour, error: error as Error });
+            }
+            if (!gone.signal.aborted) timer = window.setTimeout(ask, EVERY_MS);
+        };
+        void ask();
+        return () => {
+            gone.abort();
+            clearTimeout(timer);
+        };
+    }, [entered, waits]);
+}
+
+function useHour(): Hour {
+    const [now, setNow] = useState(hour);
+    useEffect(() => {
+        onHour = setNow;
+        setNow(hour);
+        return () => {
+            onHour = () => {};
+        };
+    }, []);
+    return now;
+}
+
+type Line = [label: string, of: (now: Sample, before: Sample) => number | null];
+
+interface Chart {
+    title: string;
+    lines: Line[];
+    show: (value: number) => string;
+}
+
+const level = (name: string) => (now: Sample) => now.values.get(name) ?? null;
+/** A counter's rise per second. One that fell is a server that began anew. */
+const rate = (...names: string[]) => (now: Sample, before: Sample) => {
+    const rise = names.reduce((sum, name) => sum + (now.values.get(name) ?? 0) - (before.values.get(name) ?? 0), 0);
+    return rise < 0 ? null : rise / Math.max(now.at - before.at, 1e-3);
+};
+/** What a histogram's newest entries are on average, in milliseconds. */
+const mean = (name: string, apart = "") => (now: Sample, before: Sample) => {
+    const rise = (part: string) => (now.values.get(`${name}_${part}${apart}`) ?? 0) - (before.values.get(`${name}_${part}${apart}`) ?? 0);
+    return rise("count") > 0 ? (1000 * rise("sum")) / rise("count") : null;
+};
+
+const each = (value: number) => Number.isInteger(value) ? String(value) : value < 10 ? value.toFixed(value < 1 ? 2 : 1) : value.toFixed(0);
+const MS = (value: number) => `${each(value)} ms`;
+const PER_S = (value: number) => `${each(value)}/s`;
+
+const CHARTS: Chart[] = [
+    { title: "Frames", show: PER_S, lines: [
+        ["all", rate("waypost_frames_total")],
+        ["loop closures", rate("waypost_frames_total loop_closure")],
+    ] },
+    { title: "Time of a frame", show: MS, lines: [
+        ["in all", mean("waypost_frame_duration_seconds", " total")],
+        ["features", mean("waypost_frame_duration_seconds", " extract")],
+        ["commit", mean("waypost_frame_duration_seconds", " commit")],
+    ] },
+    { title: "Requests", show: PER_S, lines: [["REST", rate("waypost_http_requests_total")], ["gRPC", rate("waypost_grpc_requests_total")]] },
+    { title: "Time of a REST request", show: MS, lines: [["mean", mean("waypost_http_request_duration_seconds")]] },
+    { title: "Open", show: each, lines: [
+        ["streams", level("waypost_open_streams")], ["maps", level("waypost_open_maps")], ["jobs", level("waypost_jobs_running")],
+    ] },
+    { title: "Database", show: bytes, lines: [["size", level("waypost_database_bytes")]] },
+];
+
+export function Metrics() {
+    const { samples, error } = useHour();
+    const dark = useDark();
+    return (
+        <section class="panel" aria-label="Metrics">
+            <header><h2>Metrics</h2><p class="quiet small">While this page is open, for an hour at most. <a href="/metrics">/metrics</a> is for Prometheus.</p></header>
+            {error && <Refused error={error} />}
+            <div class="plots">{CHARTS.map((chart) => <Plot key={chart.title} chart={chart} samples={samples} dark={dark} />)}</div>
+        </section>
+    );
+}
+
+/** A few minutes at least, so that the first lines do not rush by. */
+function spread(from: number | null, to: number | null): [number, number] {
+    // Of a single moment, uPlot would make a day.
+    const end = Math.min(to ?? Infinity, Date.now() / 1000);
+    return [Math.min(from ?? end, end - 300), end];
+}
+
+const PLOT_PX = 118;
+const AXIS_PX = 58;
+const DASHES = [[], [6, 3], [2, 3]];
+
+function Plot({ chart, samples, dark }: { chart: Chart; samples: Sample[]; dark: boolean }) {
+    const [box, { width }] = useSize<HTMLDivElement>();
+    const plot = useRef<uPlot | null>(null);
+    const data = useMemo((): uPlot.AlignedData => [
+        samples.slice(1).map(({ at }) => at),
+        ...chart.lines.map(([, of]) => samples.slice(1).map((now, before) => of(now, samples[before]!))),
+    ], [samples, chart]);
+    const newest = useRef(data);
+    newest.current = data;
+    useEffect(() => {
+        if (!box.current || !width) return;
+        const { faint, line, accent, closure } = ink(box.current);
+        const axis = { stroke: faint, grid: { stroke: line, width: 1 }, ticks: { show: false }, font: "11px system-ui" };
+        const colours = [accent, closure, faint];
+        const made = new uPlot({
+            width, height: PLOT_PX,
+            padding: [6, 20, 0, 0],
+            legend: { show: false },
+            cursor: { show: false },
+            scales: { x: { range: (_, from, to) => spread(from, to) }, y: { range: (_, __, most) => [0, (most || 1) * 1.1] } },
+            axes: [
+                { ...axis, size: 22, space: 60, values: (_, at) => at.map((seconds) => new Date(seconds * 1000).toTimeString().slice(0, 5)) },
+                { ...axis, size: AXIS_PX, space: 28, values: (_, at) => at.map((value) => chart.show(value)) },
+            ],
+            series: [{}, ...chart.lines.map(([label], at) => ({
+                label, stroke: colours[at]!, width: 1.75, dash: DASHES[at]!, points: { show: false }, spanGaps: false,
+            }))],
+        }, newest.current, box.current);
+        plot.current = made;
+        return () => {
+            plot.current = null;
+            made.destroy();
+        };
+    }, [width, dark, chart]);
+    useEffect(() => plot.current?.setData(data), [data]);
+    const last = chart.lines.map(([label], at) => {
+        const values = data[at + 1] as (number | null)[];
+        const value = values.at(-1) ?? null;
+        return { label, told: value === null ? "none" : chart.show(value) };
+    });
+    return (
+        <figure class="metric">
+            <figcaption>{chart.title}</figcaption>
+            <div class="plot" ref={box} role="img" aria-label={`${chart.title}: ${last.map(({ label, told }) => `${label} ${told}`).join(", ")}`} />
+            <p class="legend" aria-hidden="true">{last.map(({ label, told }, at) => <span key={label} class={`key line-${at}`}>{label} <b>{told}</b></span>)}</p>
+        </figure>
+    );
+}

@@ -1,0 +1,76 @@
+//! Calls that make and remove maps, models and tokens: some that are answered, some that are refused.
+
+use super::*;
+use crate::harness::model_file;
+
+impl Call {
+    fn write(method: &'static str, path: &str, asked: &str, body: Option<(&'static str, Vec<u8>)>) -> Self {
+        Self { method, path: path.to_owned(), asked: asked.to_owned(), body }
+    }
+}
+
+fn json_body(text: &str) -> Option<(&'static str, Vec<u8>)> {
+    Some(("application/json", text.as_bytes().to_vec()))
+}
+
+fn file(bytes: Vec<u8>) -> Option<(&'static str, Vec<u8>)> {
+    Some(("application/octet-stream", bytes))
+}
+
+/// What makes something comes before what removes it, in the order of the description.
+pub(super) fn good_writes(surveyed: &Surveyed, snapshot: Vec<u8>) -> Vec<Call> {
+    let create =
+        r#"{"map_id": "made", "model": "shipped", "settings": {"keep": "images", "guard_frames": null}}"#;
+    let model = std::fs::read(model_file()).unwrap();
+    let (map, job) = ("/v1/maps/{map}", format!("/v1/jobs/{}/cancel", surveyed.job));
+    let (session, token) = ("/v1/maps/{map}/sessions/{session}", r#"{"token_id": "made", "role": "robot"}"#);
+    vec![
+        Call::write("post", "/v1/maps", "/v1/maps", json_body(create)),
+        Call::write("delete", map, "/v1/maps/made", None),
+        Call::get("/v1/maps/{map}/export", "/v1/maps/empty/export"),
+        Call::write("post", "/v1/maps/{map}/import", "/v1/maps/copied/import", file(snapshot)),
+        Call::write("delete", session, "/v1/maps/twin/sessions/second", None),
+        Call::write("post", "/v1/models", "/v1/models?display_name=again", file(model)),
+        Call::write("delete", "/v1/models/{model}", "/v1/models/small", None),
+        Call::get("/v1/models/{model}/export", "/v1/models/shipped/export"),
+        Call::write("post", "/v1/jobs/{job}/cancel", &job, None),
+        Call::get("/v1/tokens", "/v1/tokens"),
+        Call::write("post", "/v1/tokens", "/v1/tokens", json_body(token)),
+        Call::write("delete", "/v1/tokens/{token}", "/v1/tokens/made", None),
+        Call::get("/v1/whoami", "/v1/whoami"),
+    ]
+}
+
+/// What such a route refuses, if it is one; `nowhere` is its path with names that nothing has.
+pub(super) fn bad_writes(method: &'static str, path: &str, nowhere: &str) -> Option<Vec<(StatusCode, Call)>> {
+    let (bad, missing) = (StatusCode::BAD_REQUEST, StatusCode::NOT_FOUND);
+    let refused = |status, body| (status, Call::write(method, path, nowhere, body));
+    match (method, path) {
+        ("post", "/v1/maps") => Some(vec![
+            refused(bad, json_body("")),
+            refused(bad, json_body(r#"{"map_id": "new"}"#)),
+            refused(bad, json_body(r#"{"map_id": "No Name", "model": "shipped"}"#)),
+            refused(bad, json_body(r#"{"map_id": "new", "model": "shipped", "settings": {"keep": "all"}}"#)),
+            refused(missing, json_body(r#"{"map_id": "new", "model": "nothing"}"#)),
+            refused(StatusCode::CONFLICT, json_body(r#"{"map_id": "drive", "model": "shipped"}"#)),
+        ]),
+        ("post", "/v1/maps/{map}/import" | "/v1/models") => {
+            Some(vec![refused(bad, file(Vec::new())), refused(bad, file(vec![7; 4000]))])
+        }
+        ("post", "/v1/tokens") => Some(vec![
+            refused(bad, json_body("")),
+            refused(bad, json_body(r#"{"token_id": "new", "role": "king"}"#)),
+            refused(bad, json_body(r#"{"token_id": "No Name", "role": "admin"}"#)),
+            refused(StatusCode::CONFLICT, json_body(r#"{"token_id": "first", "role": "robot"}"#)),
+        ]),
+        ("post", "/v1/jobs/{job}/cancel")
+        | (
+            "delete",
+            "/v1/maps/{map}"
+            | "/v1/maps/{map}/sessions/{session}"
+            | "/v1/models/{model}"
+            | "/v1/tokens/{token}",
+        ) => Some(vec![refused(missing, None)]),
+        _ => None,
+    }
+}
