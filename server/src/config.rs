@@ -2,22 +2,28 @@
 
 use std::ffi::OsString;
 use std::net::{Ipv4Addr, SocketAddr};
+use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use clap::ValueEnum;
 use figment::providers::{Format, Serialized, Toml};
-use figment::value::{Dict, Map, Value};
-use figment::{Figment, Metadata, Profile, Provider, Source};
+use figment::{Figment, Metadata, Source};
 use serde::{Deserialize, Serialize};
 use tracing_subscriber::EnvFilter;
 
+use crate::net::standing::Strangers;
 use crate::net::tls::TlsFiles;
+
+mod layers;
+
+use layers::{CommandLine, Environment};
 
 /// Begins the names of variables in the environment.
 const PREFIX: &str = "WAYPOST_";
 
 /// Every setting, with how it is written.
-const KEYS: [(&str, &str); 11] = [
+const KEYS: [(&str, &str); 15] = [
     ("data_dir", "a directory, as in \"waypost-data\""),
     ("grpc_address", "an address and a port, as in \"127.0.0.1:7600\""),
     ("http_address", "an address and a port, as in \"127.0.0.1:7601\""),
@@ -26,6 +32,10 @@ const KEYS: [(&str, &str); 11] = [
     ("log_format", "\"text\" or \"json\""),
     ("allow_anonymous", "true or false"),
     ("map_memory_mib", "a whole number of mebibytes, as in 1024"),
+    ("stranger_connections", "a whole number from 1 on, as in 128"),
+    ("stranger_connections_per_address", "a whole number from 1 on, as in 64"),
+    ("stranger_time_s", "a whole number of seconds from 1 on, as in 30"),
+    ("wrong_tokens_per_minute", "a whole number, as in 1000"),
     ("tls_certificate", "a file, as in \"/etc/waypost/server.crt\""),
     ("tls_key", "a file, as in \"/etc/waypost/server.key\""),
     ("tls_client_ca", "a file, as in \"/etc/waypost/clients.crt\""),
@@ -55,6 +65,14 @@ pub struct Config {
     pub allow_anonymous: bool,
     /// While open maps take more memory than so many mebibytes, those that nobody uses are closed.
     pub map_memory_mib: u64,
+    /// Connections without an admitted call that each listener keeps.
+    pub stranger_connections: NonZeroU32,
+    /// Those of them that may come from one address.
+    pub stranger_connections_per_address: NonZeroU32,
+    /// How long each of them is kept.
+    pub stranger_time_s: NonZeroU32,
+    /// Wrong tokens that are taken from one address in a minute.
+    pub wrong_tokens_per_minute: u32,
     /// The server's certificate and those above it, PEM.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tls_certificate: Option<PathBuf>,
@@ -77,11 +95,19 @@ impl Default for Config {
             log_format: LogFormat::Text,
             allow_anonymous: false,
             map_memory_mib: 1024,
+            stranger_connections: nonzero(128),
+            stranger_connections_per_address: nonzero(64),
+            stranger_time_s: nonzero(30),
+            wrong_tokens_per_minute: 1000,
             tls_certificate: None,
             tls_key: None,
             tls_client_ca: None,
         }
     }
+}
+
+fn nonzero(number: u32) -> NonZeroU32 {
+    NonZeroU32::new(number).unwrap_or(NonZeroU32::MIN)
 }
 
 /// How log lines are written.
@@ -129,6 +155,23 @@ pub struct Flags {
     #[arg(long, value_name = "MIB")]
     #[serde(skip_serializing_if = "Option::is_none")]
     map_memory_mib: Option<u64>,
+    /// Connections without an admitted call that each listener keeps; the oldest make room for further ones
+    /// [default: 128]
+    #[arg(long, value_name = "NUMBER")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stranger_connections: Option<NonZeroU32>,
+    /// Those of them that may come from one address; raise it for a proxy [default: 64]
+    #[arg(long, value_name = "NUMBER")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stranger_connections_per_address: Option<NonZeroU32>,
+    /// Seconds after which a connection without an admitted call is closed [default: 30]
+    #[arg(long, value_name = "SECONDS")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stranger_time_s: Option<NonZeroU32>,
+    /// Wrong tokens that are taken from one address in a minute [default: 1000]
+    #[arg(long, value_name = "NUMBER")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    wrong_tokens_per_minute: Option<u32>,
     /// The server's certificate and those above it (PEM); both listeners then speak TLS
     #[arg(long, value_name = "FILE")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -236,6 +279,16 @@ impl Config {
         self.map_memory_mib.saturating_mul(1 << 20)
     }
 
+    /// What connections are granted on which no call was admitted.
+    #[must_use]
+    pub fn strangers(&self) -> Strangers {
+        Strangers {
+            connections: self.stranger_connections.get() as usize,
+            connections_per_address: self.stranger_connections_per_address.get() as usize,
+            time: Duration::from_secs(self.stranger_time_s.get().into()),
+        }
+    }
+
     /// Files of the certificates, if there are any.
     #[must_use]
     pub fn tls_files(&self) -> Option<TlsFiles> {
@@ -326,69 +379,6 @@ fn form(key: &str) -> &'static str {
 
 fn names() -> String {
     KEYS.map(|(key, _)| key).join(", ")
-}
-
-/// `WAYPOST_…`. Values are taken as they are: a directory may be called 7.
-struct Environment(Dict);
-
-impl Environment {
-    const NAME: &'static str = "environment";
-
-    fn of(variables: impl IntoIterator<Item = (OsString, OsString)>) -> Result<Self, ConfigError> {
-        let mut values = Dict::new();
-        for (name, value) in variables {
-            let Some(name) = name.to_str().and_then(|name| name.strip_prefix(PREFIX)) else { continue };
-            let key = name.to_lowercase();
-            if value.is_empty() || !KEYS.iter().any(|(known, _)| *known == key) {
-                continue;
-            }
-            let Some(value) = value.to_str() else {
-                return Err(ConfigError::Value {
-                    origin: format!("from the environment, {PREFIX}{name}"),
-                    reason: "it is not UTF-8".to_owned(),
-                    form: form(&key),
-                    key,
-                });
-            };
-            let value = match (key.as_str(), value) {
-                ("allow_anonymous", "true" | "1") => Value::from(true),
-                ("allow_anonymous", "false" | "0") => Value::from(false),
-                ("map_memory_mib", number) => {
-                    number.parse::<u64>().map_or_else(|_| Value::from(number), Value::from)
-                }
-                (_, other) => Value::from(other),
-            };
-            values.insert(key, value);
-        }
-        Ok(Self(values))
-    }
-}
-
-impl Provider for Environment {
-    fn metadata(&self) -> Metadata {
-        Metadata::named(Self::NAME)
-    }
-
-    fn data(&self) -> figment::Result<Map<Profile, Dict>> {
-        Ok(Map::from([(Profile::Default, self.0.clone())]))
-    }
-}
-
-/// The flags that were given.
-struct CommandLine<'a>(&'a Flags);
-
-impl CommandLine<'_> {
-    const NAME: &'static str = "command line";
-}
-
-impl Provider for CommandLine<'_> {
-    fn metadata(&self) -> Metadata {
-        Metadata::named(Self::NAME)
-    }
-
-    fn data(&self) -> figment::Result<Map<Profile, Dict>> {
-        Serialized::defaults(self.0).data()
-    }
 }
 
 #[cfg(test)]

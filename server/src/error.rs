@@ -8,6 +8,9 @@ use topomap::mapper::FrameError;
 use crate::camera::CameraError;
 use crate::storage::{StorageError, StoredError};
 
+/// After which a database that is held up may be free again.
+const HELD_UP_RETRY: Duration = Duration::from_secs(2);
+
 /// Why a request was not served. The message is for the one who asked and says how to mend it; what
 /// only the operator can mend is logged where it happened.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -148,6 +151,16 @@ impl ServiceError {
         )
     }
 
+    /// The database is held up, or failed this once: `cause` goes to the log.
+    pub(crate) fn held_up(cause: impl std::fmt::Display) -> Self {
+        tracing::warn!(%cause, "the database is held up");
+        let message = format!(
+            "the server's database is held up and nothing was stored; send again in {} s",
+            HELD_UP_RETRY.as_secs()
+        );
+        Self::Unavailable { message, retry_after: Some(HELD_UP_RETRY) }
+    }
+
     /// A later stream of the same robot goes on in place of this one.
     pub(crate) fn taken_over() -> Self {
         Self::Aborted { message: "a later stream took this session over; this one is closed".to_owned() }
@@ -165,6 +178,7 @@ impl From<StorageError> for ServiceError {
     fn from(error: StorageError) -> Self {
         match error {
             StorageError::DiskFull(_) => Self::disk_full(error),
+            StorageError::HeldUp(_) => Self::held_up(error),
             StorageError::Exists
             | StorageError::InUse
             | StorageError::JobEnded
@@ -174,6 +188,7 @@ impl From<StorageError> for ServiceError {
             | StorageError::Newer { .. }
             | StorageError::NoDatabase { .. }
             | StorageError::Damaged(_)
+            | StorageError::Broken { .. }
             | StorageError::Sqlite(_)
             | StorageError::Migration(_) => Self::internal(error),
         }

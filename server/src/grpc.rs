@@ -36,12 +36,14 @@ use crate::error::ServiceError;
 use crate::grpc::access::AccessLayer;
 use crate::grpc::requests::RequestLayer;
 use crate::net::connections::{Connections, Limits};
+use crate::net::messages::MAX_MESSAGE_BYTES;
+use crate::net::standing::Strangers;
 use crate::net::tls::Tls;
 use crate::service::Service;
 
 /// Largest message taken in: an image of 4 MiB is refused with an answer, not by ending the stream,
 /// even if it is a good deal too large.
-const MAX_REQUEST_BYTES: usize = 16 << 20;
+const MAX_REQUEST_BYTES: usize = MAX_MESSAGE_BYTES;
 
 /// Largest message sent; tonic itself has no limit.
 const MAX_RESPONSE_BYTES: usize = 16 << 20;
@@ -57,7 +59,7 @@ const MAX_HEADER_BYTES: u32 = 16 << 10;
 
 /// Connections for all streams and as many robots that only ask now and then; with those of HTTP they stay below
 /// the 1024 files that most systems let a process have.
-const LIMITS: Limits = Limits { connections: 640, patience: Duration::from_secs(10) };
+const LIMITS: Limits = Limits { connections: 640, kept_for_strangers: 16, patience: Duration::from_secs(10) };
 
 /// Within which the first message of a stream has to come.
 const FIRST_MESSAGE_TIMEOUT: Duration = Duration::from_secs(30);
@@ -76,6 +78,7 @@ pub(crate) async fn serve(
     service: Arc<Service>,
     listener: TcpListener,
     tls: Option<&Tls>,
+    strangers: Strangers,
     shutdown: impl Future<Output = ()> + Send,
 ) -> anyhow::Result<()> {
     let adapter = || Adapter { service: service.clone() };
@@ -93,7 +96,7 @@ pub(crate) async fn serve(
     };
     // Python's reflection client, among others, speaks the older version alone.
     let (reflection, reflection_alpha) = (reflected().build_v1()?, reflected().build_v1alpha()?);
-    let connections = Connections::at(listener, tls.map(|tls| tls.grpc.clone()), LIMITS)?;
+    let connections = Connections::at(listener, tls.map(|tls| tls.grpc.clone()), LIMITS, strangers)?;
     tonic::transport::Server::builder()
         .http2_keepalive_interval(Some(KEEPALIVE))
         .http2_keepalive_timeout(Some(KEEPALIVE))

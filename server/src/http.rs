@@ -42,7 +42,8 @@ use utoipa_axum::router::{OpenApiRouter, UtoipaMethodRouterExt};
 use utoipa_axum::routes;
 
 use crate::error::ServiceError;
-use crate::net::connections::{Connections, Limits, Port};
+use crate::net::connections::{Came, Connections, Limits, Port};
+use crate::net::standing::Strangers;
 use crate::net::tls::Tls;
 use crate::service::Service;
 
@@ -56,7 +57,7 @@ const MAX_HEADER_BYTES: u32 = 16 << 10;
 const HEADER_TIMEOUT: Duration = Duration::from_secs(15);
 
 /// Browsers take six connections each.
-const LIMITS: Limits = Limits { connections: 256, patience: Duration::from_secs(10) };
+const LIMITS: Limits = Limits { connections: 256, kept_for_strangers: 16, patience: Duration::from_secs(10) };
 
 /// Requests that one connection may have open at a time, with HTTP/2.
 const MAX_STREAMS_PER_CONNECTION: u32 = 64;
@@ -68,10 +69,16 @@ pub(crate) async fn serve(
     service: Arc<Service>,
     listener: TcpListener,
     tls: Option<&Tls>,
+    strangers: Strangers,
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> anyhow::Result<()> {
-    let routes = router(service)?.into_make_service();
-    let connections = Connections::at(listener, tls.map(|tls| tls.http.clone()), LIMITS)?;
+    let routes = router(service)?;
+    let routes = match tls {
+        Some(_) => routes.layer(map_response(pages::encrypted_alone)),
+        None => routes,
+    };
+    let routes = routes.into_make_service_with_connect_info::<Came>();
+    let connections = Connections::at(listener, tls.map(|tls| tls.http.clone()), LIMITS, strangers)?;
     let handle: Handle<Port> = Handle::new();
     let stopping = handle.clone();
     tokio::spawn(async move {

@@ -10,6 +10,7 @@ mod grpc;
 mod http;
 mod ingest;
 mod map_settings;
+mod memory;
 mod metrics;
 mod names;
 mod net;
@@ -29,6 +30,7 @@ use std::time::Duration;
 
 use tokio::net::TcpListener;
 
+pub use crate::net::standing::Strangers;
 pub use crate::net::tls::{Tls, TlsError, TlsFiles};
 pub use crate::role::Role;
 
@@ -44,12 +46,16 @@ const GRACE: Duration = Duration::from_secs(5);
 /// How often the metrics are summed up.
 const METRICS_UPKEEP: Duration = Duration::from_secs(5);
 
+/// How often memory that was freed goes back to the system.
+const MEMORY_UPKEEP: Duration = Duration::from_secs(20);
+
 /// A server whose database is open.
 #[derive(Debug)]
 pub struct Server {
     service: Arc<Service>,
     tls: Option<Tls>,
     map_memory_bytes: u64,
+    strangers: Strangers,
 }
 
 /// A server without any token was to listen where others can reach it.
@@ -73,8 +79,9 @@ impl Server {
     pub async fn open(data_dir: PathBuf) -> anyhow::Result<Self> {
         let service = open(&data_dir).await?;
         service.settle().await?;
-        let map_memory_bytes = Config::default().map_memory_bytes();
-        Ok(Self { service, tls: None, map_memory_bytes })
+        let defaults = Config::default();
+        let (map_memory_bytes, strangers) = (defaults.map_memory_bytes(), defaults.strangers());
+        Ok(Self { service, tls: None, map_memory_bytes, strangers })
     }
 
     /// Both listeners speak TLS.
@@ -87,6 +94,19 @@ impl Server {
     #[must_use]
     pub fn with_map_memory(self, bytes: u64) -> Self {
         Self { map_memory_bytes: bytes, ..self }
+    }
+
+    /// What connections are granted on which no call was admitted, at each listener.
+    #[must_use]
+    pub fn with_strangers(self, strangers: Strangers) -> Self {
+        Self { strangers, ..self }
+    }
+
+    /// How many wrong tokens are taken from one address in a minute.
+    #[must_use]
+    pub fn with_wrong_tokens_per_minute(self, wrong_tokens: u32) -> Self {
+        self.service.tokens.set_guesses_per_minute(wrong_tokens);
+        self
     }
 
     /// While there is no token, everyone who reaches the server is served, from other machines too.
@@ -134,7 +154,7 @@ impl Server {
                  the network to yourself"
             );
         }
-        let Self { service, tls, map_memory_bytes } = self;
+        let Self { service, tls, map_memory_bytes, strangers } = self;
         service.start_upkeep(map_memory_bytes);
         let stopping = service.stopping().clone();
         let signal = stopping.clone();
@@ -149,10 +169,29 @@ impl Server {
                 metrics.sum_up();
             }
         });
+        let trimming = tokio::spawn(async {
+            loop {
+                tokio::time::sleep(MEMORY_UPKEEP).await;
+                // It takes the allocator's locks for a moment.
+                drop(tokio::task::spawn_blocking(memory::give_back).await);
+            }
+        });
         let serving = async {
             tokio::try_join!(
-                grpc::serve(service.clone(), grpc, tls.as_ref(), stopping.clone().cancelled_owned()),
-                http::serve(service.clone(), http, tls.as_ref(), stopping.clone().cancelled_owned()),
+                grpc::serve(
+                    service.clone(),
+                    grpc,
+                    tls.as_ref(),
+                    strangers,
+                    stopping.clone().cancelled_owned()
+                ),
+                http::serve(
+                    service.clone(),
+                    http,
+                    tls.as_ref(),
+                    strangers,
+                    stopping.clone().cancelled_owned()
+                ),
             )
         };
         let patience = async {
@@ -168,6 +207,7 @@ impl Server {
         };
         watch.abort();
         upkeep.abort();
+        trimming.abort();
         service.stop().await;
         served
     }

@@ -91,7 +91,7 @@ async fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
 
 async fn serve(config: Config) -> anyhow::Result<ExitCode> {
     let tls = config.tls_files().as_ref().map(Tls::load).transpose()?;
-    let map_memory_bytes = config.map_memory_bytes();
+    let (map_memory_bytes, strangers) = (config.map_memory_bytes(), config.strangers());
     let Config {
         data_dir,
         grpc_address,
@@ -101,6 +101,10 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
         log_format,
         allow_anonymous,
         map_memory_mib: _,
+        stranger_connections: _,
+        stranger_connections_per_address: _,
+        stranger_time_s: _,
+        wrong_tokens_per_minute,
         tls_certificate: _,
         tls_key: _,
         tls_client_ca: _,
@@ -110,7 +114,11 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
         tracing::warn!(variable, "no setting has this name; it is left alone");
     }
 
-    let mut server = Server::open(data_dir.clone()).await?.with_map_memory(map_memory_bytes);
+    let mut server = Server::open(data_dir.clone())
+        .await?
+        .with_map_memory(map_memory_bytes)
+        .with_strangers(strangers)
+        .with_wrong_tokens_per_minute(wrong_tokens_per_minute);
     let encrypted = tls.is_some();
     if let Some(tls) = tls {
         server = server.with_tls(tls);

@@ -1,5 +1,7 @@
 //! Connections, and what is known of them before anything is asked.
 
 pub(crate) mod connections;
+pub(crate) mod messages;
 pub(crate) mod request_id;
+pub(crate) mod standing;
 pub(crate) mod tls;

@@ -7,6 +7,7 @@ mod frames;
 mod inspection;
 mod jobs;
 mod labels;
+mod lock;
 mod log;
 mod maps;
 mod media;
@@ -33,12 +34,15 @@ pub(crate) use retelling::RetoldLog;
 pub(crate) use snapshots::{FormerModelRow, ImportedMap, MapView, MediaRow, StoredSession};
 pub(crate) use tokens::{SecretHash, TokenRow};
 
-use std::fs::File;
+use lock::{DirectoryLock, make_private};
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use sqlx::migrate::MigrateError;
+use sqlx::pool::PoolConnection;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, Connection, Sqlite, SqlitePool, Transaction};
 
@@ -55,7 +59,9 @@ pub(crate) struct Storage {
     directory: PathBuf,
     /// Held until the storage is closed; two servers on one directory would each believe that they are
     /// the one writer.
-    lock: Arc<File>,
+    lock: Arc<DirectoryLock>,
+    /// Those who write wait for the database's being written anew, however long that takes.
+    compacting: Arc<AtomicBool>,
 }
 
 /// What went wrong with the database.
@@ -75,8 +81,12 @@ pub(crate) enum StorageError {
     Newer { schema: i64 },
     #[error("{path} is no database of Waypost; restore it from a copy, or give another data directory")]
     NoDatabase { path: PathBuf },
+    #[error("{path} is damaged ({reason}); restore it from a backup, or give another data directory")]
+    Broken { path: PathBuf, reason: String },
     #[error("the disk is full; free some space")]
     DiskFull(#[source] sqlx::Error),
+    #[error("the database is held up: {0}")]
+    HeldUp(sqlx::Error),
     #[error("something of this name is there already")]
     Exists,
     #[error("it is still in use")]
@@ -89,21 +99,24 @@ pub(crate) enum StorageError {
     Damaged(String),
     #[error("the database failed: {0}")]
     Sqlite(sqlx::Error),
-    #[error("the database could not be brought up to date: {0}")]
+    #[error(
+        "the database could not be brought up to date: {0}; use the version that wrote it, or restore it from a backup"
+    )]
     Migration(MigrateError),
 }
 
 const FILE_NAME: &str = "waypost.sqlite";
-const LOCK_NAME: &str = "waypost.lock";
 const READERS: u32 = 4;
 /// Snapshots that may be read out at the same time.
 pub(crate) const EXPORTERS: u32 = 2;
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
+const WAL_LIMIT_BYTES: &str = "4194304";
 
 impl Storage {
     /// Opens the database of `directory`, making both where they are missing.
     pub(crate) async fn open(directory: &Path) -> Result<Self, StorageError> {
-        let lock = lock_directory(directory)?;
+        let lock = DirectoryLock::take(directory)?;
+        make_private(&directory.join(FILE_NAME));
         let options = SqliteConnectOptions::new()
             .filename(directory.join(FILE_NAME))
             .create_if_missing(true)
@@ -111,7 +124,9 @@ impl Storage {
             // An acknowledged frame must survive a power cut, not the process alone.
             .synchronous(SqliteSynchronous::Full)
             .foreign_keys(true)
-            .busy_timeout(BUSY_TIMEOUT);
+            .busy_timeout(BUSY_TIMEOUT)
+            // The write-ahead log shrinks to this once nobody reads from it any more.
+            .pragma("journal_size_limit", WAL_LIMIT_BYTES);
         let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await;
         let writer = writer.map_err(|error| or_no_database(error, directory))?;
         sqlx::migrate!("../migrations").run(&writer).await.map_err(|error| match error {
@@ -122,8 +137,8 @@ impl Storage {
         let options = options.read_only(true);
         let readers = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.clone()).await?;
         let exporters = SqlitePoolOptions::new().max_connections(EXPORTERS).connect_lazy_with(options);
-        let storage =
-            Self { writer, readers, exporters, directory: directory.to_owned(), lock: Arc::new(lock) };
+        let (directory, lock) = (directory.to_owned(), Arc::new(lock));
+        let storage = Self { writer, readers, exporters, directory, lock, compacting: Arc::default() };
         storage.rewrite_camera_messages().await?;
         Ok(storage)
     }
@@ -141,7 +156,7 @@ impl Storage {
         &self,
         work: impl AsyncFnOnce(&mut Transaction<'_, Sqlite>) -> Result<T, StorageError>,
     ) -> Result<T, StorageError> {
-        let mut connection = self.writer.acquire().await?;
+        let mut connection = self.writing_connection().await?;
         let written = async {
             let mut transaction = connection.begin().await?;
             let value = work(&mut transaction).await?;
@@ -155,47 +170,57 @@ impl Storage {
         written
     }
 
+    /// The one connection that writes, once it is free.
+    async fn writing_connection(&self) -> Result<PoolConnection<Sqlite>, StorageError> {
+        loop {
+            match self.writer.acquire().await {
+                Err(sqlx::Error::PoolTimedOut) if self.compacting.load(Ordering::Relaxed) => {}
+                acquired => return Ok(acquired?),
+            }
+        }
+    }
+
     /// Waits for what is being written and folds the write-ahead log into the file.
     pub(crate) async fn close(&self) {
         self.readers.close().await;
         self.exporters.close().await;
         self.writer.close().await;
         // A connection that is still being closed may hold a copy of this for a moment more.
-        if let Err(error) = self.lock.unlock() {
-            tracing::warn!(%error, "the data directory stays locked until this program ends");
-        }
+        self.lock.release();
     }
 }
 
-fn lock_directory(directory: &Path) -> Result<File, StorageError> {
-    let failed = |source| StorageError::Directory { directory: directory.to_owned(), source };
-    std::fs::create_dir_all(directory).map_err(failed)?;
-    let lock = File::create(directory.join(LOCK_NAME)).map_err(failed)?;
-    match lock.try_lock() {
-        Ok(()) => Ok(lock),
-        Err(std::fs::TryLockError::WouldBlock) => {
-            Err(StorageError::Locked { directory: directory.to_owned() })
-        }
-        Err(std::fs::TryLockError::Error(source)) => Err(failed(source)),
-    }
-}
+/// SQLite's primary result codes.
+const SQLITE_BUSY: u32 = 5;
+const SQLITE_LOCKED: u32 = 6;
+const SQLITE_IOERR: u32 = 10;
+const SQLITE_CORRUPT: u32 = 11;
+const SQLITE_FULL: u32 = 13;
+const SQLITE_CANTOPEN: u32 = 14;
+const SQLITE_NOTADB: u32 = 26;
 
-/// SQLite's primary result codes for a full disk, and for a file that is no database.
-const SQLITE_FULL: &str = "13";
-const SQLITE_NOTADB: &str = "26";
+/// The primary result code of SQLite, if it was SQLite that failed.
+fn primary_code(error: &sqlx::Error) -> Option<u32> {
+    let extended: u32 = error.as_database_error()?.code()?.parse().ok()?;
+    Some(extended & 0xff)
+}
 
 fn or_no_database(error: sqlx::Error, directory: &Path) -> StorageError {
-    let code = error.as_database_error().and_then(sqlx::error::DatabaseError::code);
-    if code.as_deref() == Some(SQLITE_NOTADB) {
-        return StorageError::NoDatabase { path: directory.join(FILE_NAME) };
+    let path = || directory.join(FILE_NAME);
+    match primary_code(&error) {
+        Some(SQLITE_NOTADB) => StorageError::NoDatabase { path: path() },
+        Some(SQLITE_CORRUPT) => StorageError::Broken { path: path(), reason: error.to_string() },
+        Some(_) | None => error.into(),
     }
-    error.into()
 }
 
 impl From<sqlx::Error> for StorageError {
     fn from(error: sqlx::Error) -> Self {
         if let sqlx::Error::ColumnDecode { .. } = &error {
             return Self::Damaged(error.to_string());
+        }
+        if let sqlx::Error::PoolTimedOut = &error {
+            return Self::HeldUp(error);
         }
         if let Some(database) = error.as_database_error() {
             if database.is_unique_violation() {
@@ -204,11 +229,12 @@ impl From<sqlx::Error> for StorageError {
             if database.is_foreign_key_violation() {
                 return Self::InUse;
             }
-            if database.code().as_deref() == Some(SQLITE_FULL) {
-                return Self::DiskFull(error);
-            }
         }
-        Self::Sqlite(error)
+        match primary_code(&error) {
+            Some(SQLITE_FULL) => Self::DiskFull(error),
+            Some(SQLITE_BUSY | SQLITE_LOCKED | SQLITE_IOERR | SQLITE_CANTOPEN) => Self::HeldUp(error),
+            Some(_) | None => Self::Sqlite(error),
+        }
     }
 }
 

@@ -54,6 +54,7 @@ mod operations {
     mod config;
     mod connections;
     mod disk_full;
+    mod held_up;
     mod kill;
     mod operating;
     mod refused_commands;

@@ -14,8 +14,11 @@ use tonic::Status;
 use tonic::body::Body;
 use tower::{Layer, Service as TowerService};
 
+use crate::error::ServiceError;
+use crate::net::messages::Metered;
+use crate::net::standing::Standing;
 use crate::service::Service;
-use crate::service::tokens::{Access, no_longer_admitted};
+use crate::service::tokens::{Access, Admitted, no_longer_admitted};
 
 /// Every method, and what it asks of who calls it.
 const METHODS: [(&str, Access); 60] = [
@@ -129,13 +132,14 @@ where
     fn call(&mut self, request: Request<Body>) -> Self::Future {
         // What is in no table may be added to a service one day; until then it is for admins.
         let access = known_method(request.uri().path()).map_or(Access::Admin, |(_, access)| access);
-        let deleted = match self.service.tokens.admit(bearer(request.headers()), access) {
-            // It must hear that it made the first token, or deleted its own.
-            Ok(_) if request.uri().path().starts_with(TOKEN_SERVICE) => CancellationToken::new(),
-            Ok(deleted) => deleted,
+        let Admitted { deleted, room } = match self.admit(&request, access) {
+            Ok(admitted) => admitted,
             Err(error) => return std::future::ready(Ok(Status::from(error).into_http())).boxed(),
         };
-        let answering = self.inner.call(request);
+        // It must hear that it made the first token, or deleted its own.
+        let of_tokens = request.uri().path().starts_with(TOKEN_SERVICE);
+        let deleted = if of_tokens { CancellationToken::new() } else { deleted };
+        let answering = self.inner.call(request.map(|body| Body::new(Metered::new(body, room))));
         async move {
             tokio::select! {
                 biased;
@@ -144,6 +148,20 @@ where
             }
         }
         .boxed()
+    }
+}
+
+impl<S> Guarded<S> {
+    /// Lets a call in, and its connection stay.
+    fn admit(&self, request: &Request<Body>, access: Access) -> Result<Admitted, ServiceError> {
+        let standing = request.extensions().get::<Standing>();
+        let secret = bearer(request.headers());
+        let admitted = self.service.tokens.admit(standing.map(Standing::peer), secret, access)?;
+        match (access, standing) {
+            (Access::Robot | Access::Admin, Some(standing)) => standing.admit(&admitted.deleted)?,
+            (Access::Open, _) | (_, None) => {}
+        }
+        Ok(admitted)
     }
 }
 

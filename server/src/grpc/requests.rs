@@ -1,5 +1,6 @@
 //! Every call has an id, a line in the log when it is over, and its place in the metrics.
 
+use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -18,6 +19,7 @@ use tracing::{Instrument, Span};
 use super::access::known_method;
 use crate::metrics::OpenStream;
 use crate::net::request_id::RequestId;
+use crate::net::standing::Standing;
 use crate::service::Service;
 
 /// The method whose calls count as open streams.
@@ -61,7 +63,8 @@ where
     fn call(&mut self, request: Request<Body>) -> Self::Future {
         let id = RequestId::of(request.headers());
         let span = id.span();
-        let call = Call::begin(self.service.clone(), request.uri().path(), span.clone());
+        let peer = request.extensions().get::<Standing>().map(Standing::peer);
+        let call = Call::begin(self.service.clone(), request.uri().path(), peer, span.clone());
         // Entered already: what the service does before its first wait belongs to the call, too.
         let answering = span.in_scope(|| self.inner.call(request)).instrument(span.clone());
         async move {
@@ -85,6 +88,7 @@ struct Call {
     service: Arc<Service>,
     /// As it came, for the log.
     path: String,
+    peer: Option<IpAddr>,
     /// A known method, for the metrics.
     method: &'static str,
     since: Instant,
@@ -94,12 +98,13 @@ struct Call {
 }
 
 impl Call {
-    fn begin(service: Arc<Service>, path: &str, span: Span) -> Self {
+    fn begin(service: Arc<Service>, path: &str, peer: Option<IpAddr>, span: Span) -> Self {
         let method = known_method(path).map_or("unknown", |(method, _)| method);
         let stream = (method == STREAM).then(|| service.metrics().open_stream());
         Self {
             service,
             path: path.to_owned(),
+            peer,
             method,
             since: Instant::now(),
             span,
@@ -120,11 +125,12 @@ impl Drop for Call {
         // Whole microseconds: more digits are noise.
         let duration_ms = took.as_micros() as f64 / 1e3;
         let path = &self.path;
+        let peer = self.peer.map(|peer| peer.to_string());
         let _in_call = self.span.enter();
         if path.starts_with("/grpc.health.v1.") {
-            tracing::debug!(method = "gRPC", path, status, duration_ms, "answered");
+            tracing::debug!(method = "gRPC", path, status, duration_ms, peer, "answered");
         } else {
-            tracing::info!(method = "gRPC", path, status, duration_ms, "answered");
+            tracing::info!(method = "gRPC", path, status, duration_ms, peer, "answered");
         }
     }
 }

@@ -4,7 +4,7 @@ use std::net::IpAddr;
 use std::sync::Arc;
 
 use axum::body::Body;
-use axum::extract::{Request, State};
+use axum::extract::{ConnectInfo, Request, State};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
@@ -18,8 +18,11 @@ use tokio_util::sync::CancellationToken;
 use super::HttpError;
 use super::inspector;
 use crate::error::ServiceError;
+use crate::net::connections::Came;
+use crate::net::messages::{MAX_MESSAGE_BYTES, Room};
+use crate::net::standing::Standing;
 use crate::service::Service;
-use crate::service::tokens::{Access, no_longer_admitted};
+use crate::service::tokens::{Access, Admitted, no_longer_admitted};
 
 /// What tells whether the server lives is asked by machines that hold no token.
 const OPEN: [&str; 2] = ["/healthz", "/readyz"];
@@ -39,12 +42,37 @@ pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request,
         });
     }
     let secret = secret(request.headers());
-    match service.tokens.admit(secret.as_deref(), access) {
-        Ok(deleted) => tokio::select! {
+    let standing = standing(&request);
+    let peer = standing.as_ref().map(Standing::peer);
+    let admitted = service.tokens.admit(peer, secret.as_deref(), access).and_then(|admitted| {
+        match (access, standing) {
+            (Access::Robot | Access::Admin, Some(standing)) => standing.admit(&admitted.deleted)?,
+            (Access::Open, _) | (_, None) => {}
+        }
+        Ok(admitted)
+    });
+    match admitted {
+        Ok(Admitted { deleted, room }) => tokio::select! {
             biased;
-            response = next.run(request) => response.map(|body| until_deleted(body, deleted)),
+            response = with_room(&room, request, next) => response.map(|body| until_deleted(body, deleted)),
             () = deleted.cancelled() => refusal(no_longer_admitted()),
         },
+        Err(error) => refusal(error),
+    }
+}
+
+/// What is known of the connection that a request came over.
+pub(super) fn standing(request: &Request) -> Option<Standing> {
+    request.extensions().get::<ConnectInfo<Came>>().and_then(|ConnectInfo(Came(standing))| standing.clone())
+}
+
+/// Answers a request while there is room for its body.
+async fn with_room(room: &Room, request: Request, next: Next) -> Response {
+    let body = request.body().size_hint();
+    let most =
+        body.upper().map_or(MAX_MESSAGE_BYTES, |bytes| usize::try_from(bytes).unwrap_or(MAX_MESSAGE_BYTES));
+    match room.reserve(most).await {
+        Ok(_reserved) => next.run(request).await,
         Err(error) => refusal(error),
     }
 }
@@ -84,7 +112,8 @@ fn addresses_this_machine(request: &Request) -> bool {
         None if request.uri().authority().is_none() => return true,
         None => request.uri().authority().cloned(),
     };
-    let Some(host) = host else { return false };
+    // No browser sends a user's name there, and what follows it is not all that was asked for.
+    let Some(host) = host.filter(|host| !host.as_str().contains('@')) else { return false };
     let name = host.host().trim_start_matches('[').trim_end_matches(']').trim_end_matches('.');
     name.parse::<IpAddr>().is_ok()
         || name.eq_ignore_ascii_case("localhost")
@@ -201,8 +230,14 @@ mod tests {
         {
             assert!(of(local), "{local}");
         }
-        for foreign in ["waypost.example", "localhost.example:7601", "127.0.0.1.example", "xlocalhost", "a b"]
-        {
+        for foreign in [
+            "waypost.example",
+            "localhost.example:7601",
+            "127.0.0.1.example",
+            "xlocalhost",
+            "a b",
+            "evil@127.0.0.1",
+        ] {
             assert!(!of(foreign), "{foreign}");
         }
         assert!(addresses_this_machine(&Request::new(axum::body::Body::empty())));

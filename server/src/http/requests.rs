@@ -9,6 +9,7 @@ use axum::response::{IntoResponse, Response};
 use tracing::Instrument;
 
 use super::HttpError;
+use super::access::standing;
 use crate::error::ServiceError;
 use crate::net::request_id::RequestId;
 use crate::service::Service;
@@ -24,6 +25,7 @@ pub(super) async fn watch(State(service): State<Arc<Service>>, request: Request,
     let (id, since) = (RequestId::of(request.headers()), Instant::now());
     let (method, path) = (request.method().clone(), request.uri().path().to_owned());
     let route = request.extensions().get::<MatchedPath>().map(|route| route.as_str().to_owned());
+    let peer = standing(&request).map(|standing| standing.peer().to_string());
     let span = id.span();
     async move {
         let mut response = within(TIMEOUT, next.run(request)).await;
@@ -34,9 +36,9 @@ pub(super) async fn watch(State(service): State<Arc<Service>>, request: Request,
         // Whole microseconds: more digits are noise.
         let duration_ms = took.as_micros() as f64 / 1e3;
         if POLLED.contains(&path.as_str()) {
-            tracing::debug!(%method, path, status, duration_ms, "answered");
+            tracing::debug!(%method, path, status, duration_ms, peer, "answered");
         } else {
-            tracing::info!(%method, path, status, duration_ms, "answered");
+            tracing::info!(%method, path, status, duration_ms, peer, "answered");
         }
         response
     }

@@ -13,12 +13,16 @@ use futures::Stream;
 use rustls::ServerConfig;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::sync::{Mutex, mpsc};
 use tokio::task::JoinSet;
+use tokio::time::Sleep;
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::server::TlsStream;
+use tokio_util::sync::WaitForCancellationFutureOwned;
 use tokio_util::task::AbortOnDropHandle;
 use tonic::transport::server::Connected;
+
+use super::standing::{Place, Standing, Standings, Strangers};
 
 /// How an HTTP/2 client begins, RFC 9113 section 3.4.
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
@@ -35,8 +39,10 @@ const COMPLAINT_INTERVAL: Duration = Duration::from_secs(10);
 /// What a port takes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
-    /// Connections open at a time; further ones are closed at once.
+    /// Connections open at a time; strangers are cut to make room for further ones.
     pub(crate) connections: usize,
+    /// Of these, as many as strangers can always have: to ask how the server is, or to show a token.
+    pub(crate) kept_for_strangers: usize,
     /// Within which a client must have finished the TLS handshake and sent its first byte, and, if that begins
     /// the preface of HTTP/2, all of the preface.
     pub(crate) patience: Duration,
@@ -56,48 +62,43 @@ impl Connections {
         listener: TcpListener,
         tls: Option<Arc<ServerConfig>>,
         limits: Limits,
+        strangers: Strangers,
     ) -> io::Result<Self> {
         let at = listener.local_addr()?;
         let (sender, ready) = mpsc::channel(QUEUE);
-        let accepting = tokio::spawn(accept(listener, tls.map(TlsAcceptor::from), limits, sender));
+        let standings = Standings::new(limits.connections, limits.kept_for_strangers, strangers);
+        let opening = Opening { tls: tls.map(TlsAcceptor::from), patience: limits.patience, ready: sender };
+        let accepting = tokio::spawn(accept(listener, standings, opening));
         Ok(Self { at, ready: Mutex::new(ready), _accepting: AbortOnDropHandle::new(accepting) })
     }
 }
 
-async fn accept(
-    listener: TcpListener,
+/// How a connection is taken from its first byte to who serves it. Cheap to clone.
+#[derive(Clone)]
+struct Opening {
     tls: Option<TlsAcceptor>,
-    limits: Limits,
+    patience: Duration,
     ready: mpsc::Sender<Connection>,
-) {
-    let room = Arc::new(Semaphore::new(limits.connections));
-    let mut opening = JoinSet::new();
+}
+
+async fn accept(listener: TcpListener, standings: Standings, opening: Opening) {
+    let mut connections = JoinSet::new();
     let mut complaint = Complaint::default();
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
-            Some(_) = opening.join_next() => continue,
+            Some(_) = connections.join_next() => continue,
         };
         match accepted {
-            Ok((stream, from)) => match room.clone().try_acquire_owned() {
-                Ok(room) => {
-                    let tls = tls.clone();
-                    let ready = ready.clone();
-                    opening.spawn(async move {
-                        match tokio::time::timeout(limits.patience, open(stream, tls, room)).await {
-                            // An error means that the server stops.
-                            Ok(Ok(connection)) => drop(ready.send(connection).await),
-                            Ok(Err(error)) => tracing::debug!(%from, %error, "a connection was not opened"),
-                            Err(_) => tracing::debug!(%from, "a connection was silent, and is cut"),
-                        }
-                    });
+            Ok((stream, from)) => match standings.enter(from.ip().to_canonical()) {
+                Some(place) => {
+                    connections.spawn(opening.clone().take(stream, place));
                 }
-                Err(_) if complaint.is_due() => tracing::warn!(
-                    most = limits.connections,
+                None if complaint.is_due() => tracing::warn!(
                     %from,
                     "no more connections are taken: as many are open as may be; further ones are closed at once"
                 ),
-                Err(_) => {}
+                None => {}
             },
             Err(error) if is_of_one_connection(&error) => {}
             Err(error) => {
@@ -109,6 +110,24 @@ async fn accept(
                 }
                 tokio::time::sleep(RETRY).await;
             }
+        }
+    }
+}
+
+impl Opening {
+    /// Waits until the client has begun to speak, and hands the connection on.
+    async fn take(self, stream: TcpStream, place: Place) {
+        let from = place.standing().peer();
+        let cut = place.cut().clone();
+        let opened = tokio::select! {
+            opened = tokio::time::timeout(self.patience, open(stream, self.tls, place)) => opened,
+            () = cut.cancelled() => return tracing::debug!(%from, "a connection made room for another"),
+        };
+        match opened {
+            // An error means that the server stops.
+            Ok(Ok(connection)) => drop(self.ready.send(connection).await),
+            Ok(Err(error)) => tracing::debug!(%from, %error, "a connection was not opened"),
+            Err(_) => tracing::debug!(%from, "a connection was silent, and is cut"),
         }
     }
 }
@@ -134,11 +153,7 @@ impl Complaint {
     }
 }
 
-async fn open(
-    stream: TcpStream,
-    tls: Option<TlsAcceptor>,
-    room: OwnedSemaphorePermit,
-) -> io::Result<Connection> {
+async fn open(stream: TcpStream, tls: Option<TlsAcceptor>, place: Place) -> io::Result<Connection> {
     // Answers are small and come in bursts: none is to wait until the one before it is acknowledged.
     stream.set_nodelay(true)?;
     let mut wire = match tls {
@@ -151,7 +166,7 @@ async fn open(
             return Err(io::ErrorKind::UnexpectedEof.into());
         }
     }
-    Ok(Connection { head: head.freeze(), wire, _room: room })
+    Ok(Connection::new(head.freeze(), wire, place))
 }
 
 /// Whether it can be told which version of HTTP is spoken: what serves it sees to the rest.
@@ -166,7 +181,30 @@ pub(crate) struct Connection {
     head: Bytes,
     wire: Wire,
     /// Given back when the connection is closed.
-    _room: OwnedSemaphorePermit,
+    place: Place,
+    cut: Pin<Box<WaitForCancellationFutureOwned>>,
+    /// Until it is asked whether the connection may stay.
+    review: Pin<Box<Sleep>>,
+}
+
+impl Connection {
+    fn new(head: Bytes, wire: Wire, place: Place) -> Self {
+        let cut = Box::pin(place.cut().clone().cancelled_owned());
+        let review = Box::pin(tokio::time::sleep(place.review().unwrap_or_default()));
+        Self { head, wire, place, cut, review }
+    }
+
+    /// An error once the connection is to be closed: it made room for another, or nobody on it was admitted in time.
+    fn poll_stay(&mut self, context: &mut Context<'_>) -> io::Result<()> {
+        if self.cut.as_mut().poll(context).is_ready() {
+            return Err(io::ErrorKind::ConnectionAborted.into());
+        }
+        while self.review.as_mut().poll(context).is_ready() {
+            let Some(next) = self.place.review() else { return Err(io::ErrorKind::ConnectionAborted.into()) };
+            self.review.as_mut().reset(tokio::time::Instant::now() + next);
+        }
+        Ok(())
+    }
 }
 
 #[derive(Debug)]
@@ -194,6 +232,7 @@ impl AsyncRead for Connection {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
+        self.poll_stay(context)?;
         if self.head.is_empty() {
             return Pin::new(self.wire.stream()).poll_read(context, buffer);
         }
@@ -210,6 +249,7 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
+        self.poll_stay(context)?;
         Pin::new(self.wire.stream()).poll_write(context, bytes)
     }
 
@@ -218,6 +258,7 @@ impl AsyncWrite for Connection {
         context: &mut Context<'_>,
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
+        self.poll_stay(context)?;
         Pin::new(self.wire.stream()).poll_write_vectored(context, slices)
     }
 
@@ -229,6 +270,7 @@ impl AsyncWrite for Connection {
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.poll_stay(context)?;
         Pin::new(self.wire.stream()).poll_flush(context)
     }
 
@@ -237,11 +279,13 @@ impl AsyncWrite for Connection {
     }
 }
 
-/// For tonic; nobody asks where a call comes from.
+/// For tonic.
 impl Connected for Connection {
-    type ConnectInfo = ();
+    type ConnectInfo = Standing;
 
-    fn connect_info(&self) {}
+    fn connect_info(&self) -> Standing {
+        self.place.standing().clone()
+    }
 }
 
 /// For tonic.
@@ -253,9 +297,19 @@ impl Stream for Connections {
     }
 }
 
-/// For axum-server: an address at which [`Connections`] come in.
+/// For axum-server: an address at which [`Connections`] come in, and who came.
 #[derive(Clone, Debug)]
-pub(crate) struct Port(SocketAddr);
+pub(crate) struct Port(SocketAddr, Option<Standing>);
+
+/// For axum: what calls know of their connection.
+#[derive(Clone, Debug)]
+pub(crate) struct Came(pub(crate) Option<Standing>);
+
+impl axum::extract::connect_info::Connected<Port> for Came {
+    fn connect_info(Port(_, standing): Port) -> Self {
+        Self(standing)
+    }
+}
 
 impl Address for Port {
     type Stream = Connection;
@@ -263,92 +317,25 @@ impl Address for Port {
 }
 
 impl AddrListener<Connection, Port> for Connections {
-    async fn bind_to(Port(address): Port) -> io::Result<Self> {
+    async fn bind_to(Port(address, _): Port) -> io::Result<Self> {
         Err(io::Error::new(io::ErrorKind::Unsupported, format!("{address} is bound by who asks to serve")))
     }
 
     async fn accept_stream(&self) -> io::Result<(Connection, Port)> {
         match self.ready.lock().await.recv().await {
-            Some(connection) => Ok((connection, Port(self.at))),
+            Some(connection) => {
+                let standing = connection.place.standing().clone();
+                Ok((connection, Port(self.at, Some(standing))))
+            }
             // What accepts has ended: none will come.
             None => std::future::pending().await,
         }
     }
 
     fn get_local_addr(&self) -> io::Result<Port> {
-        Ok(Port(self.at))
+        Ok(Port(self.at, None))
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use futures::StreamExt;
-    use tokio::io::AsyncWriteExt;
-
-    use super::*;
-
-    const PATIENT: Limits = Limits { connections: 2, patience: Duration::from_secs(60) };
-    const HASTY: Limits = Limits { connections: 2, patience: Duration::from_millis(50) };
-
-    async fn port(limits: Limits) -> Connections {
-        Connections::at(TcpListener::bind("127.0.0.1:0").await.unwrap(), None, limits).unwrap()
-    }
-
-    async fn client(connections: &Connections, says: &[u8]) -> TcpStream {
-        let mut stream = TcpStream::connect(connections.at).await.unwrap();
-        stream.write_all(says).await.unwrap();
-        stream
-    }
-
-    /// Whether the server closes it, once it may have done so.
-    async fn is_closed(mut stream: TcpStream) -> bool {
-        let read = tokio::time::timeout(Duration::from_secs(30), stream.read_u8()).await;
-        read.is_ok_and(|read| read.is_err())
-    }
-
-    #[tokio::test]
-    async fn answers_do_not_wait_for_the_acknowledgement_of_those_before() {
-        let mut connections = port(PATIENT).await;
-        let _client = client(&connections, PREFACE).await;
-        let Connection { wire, .. } = connections.next().await.unwrap().unwrap();
-        assert!(matches!(wire, Wire::Plain(stream) if stream.nodelay().unwrap()));
-    }
-
-    #[tokio::test]
-    async fn nothing_that_was_said_is_lost() {
-        let mut connections = port(PATIENT).await;
-        for said in [PREFACE, b"G", b"PUT / HTTP/1.1\r\nHost: a\r\n\r\n", &[PREFACE, b"\0\0\0"].concat()] {
-            let mut client = client(&connections, said).await;
-            let mut connection = connections.next().await.unwrap().unwrap();
-            client.write_all(b" and more").await.unwrap();
-            let mut heard = vec![0; said.len() + 9];
-            connection.read_exact(&mut heard).await.unwrap();
-            assert_eq!(heard, [said, b" and more"].concat());
-            connection.write_all(b"!").await.unwrap();
-            assert_eq!(client.read_u8().await.unwrap(), b'!');
-        }
-    }
-
-    #[tokio::test]
-    async fn who_says_nothing_or_half_of_it_is_cut() {
-        let mut connections = port(HASTY).await;
-        for said in [&b""[..], b"P", &PREFACE[..PREFACE.len() - 1]] {
-            assert!(is_closed(client(&connections, said).await).await, "{said:?}");
-        }
-        let _client = client(&connections, PREFACE).await;
-        assert!(connections.next().await.unwrap().is_ok());
-    }
-
-    #[tokio::test]
-    async fn there_are_only_so_many() {
-        let mut connections = port(PATIENT).await;
-        let _clients = [client(&connections, b"GET").await, client(&connections, b"GET").await];
-        let first = connections.next().await.unwrap().unwrap();
-        let _second = connections.next().await.unwrap().unwrap();
-        // It may be closed before it has said anything.
-        assert!(is_closed(TcpStream::connect(connections.at).await.unwrap()).await);
-        drop(first);
-        let _third = client(&connections, b"GET").await;
-        assert!(connections.next().await.unwrap().is_ok());
-    }
-}
+mod tests;

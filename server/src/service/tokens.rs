@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
+use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use sha2::{Digest, Sha256};
@@ -11,10 +12,15 @@ use tokio_util::sync::CancellationToken;
 use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::names::{check_id, id_in};
+use crate::net::messages::Room;
 use crate::pages::{Page, named_page, page_after, page_size};
 use crate::role::Role;
 pub(crate) use crate::storage::TokenRow;
 use crate::storage::{SecretHash, Storage, StorageError};
+
+mod guesses;
+
+use guesses::Guesses;
 
 /// Begins every secret, so that people and scanners know one that they come across.
 const PREFIX: &str = "waypost_";
@@ -53,13 +59,25 @@ pub(crate) struct Tokens {
     changing: Arc<AsyncMutex<()>>,
 }
 
-#[derive(Debug, Default)]
+/// What a call may go on with that was let in.
+#[derive(Clone, Debug)]
+pub(crate) struct Admitted {
+    /// Cancelled when the call's token is deleted; the call must end then.
+    pub(crate) deleted: CancellationToken,
+    /// For the messages that come in.
+    pub(crate) room: Room,
+}
+
+#[derive(Debug)]
 struct Known {
     /// Looked up by the hash of the secret: how long that takes tells nothing about secrets.
     by_hash: HashMap<SecretHash, Holder>,
     /// What is served to those without a token; cancelled by the first token.
     without_token: CancellationToken,
     anonymous: Anonymous,
+    /// For all messages that come in.
+    room: Room,
+    guesses: Guesses,
 }
 
 #[derive(Debug)]
@@ -67,11 +85,12 @@ struct Holder {
     token: TokenRow,
     /// Cancelled when the token is deleted.
     deleted: CancellationToken,
+    room: Room,
 }
 
 impl Tokens {
     pub(crate) async fn load(storage: &Storage) -> Result<Self, StorageError> {
-        let mut known = Known::default();
+        let mut known = Known::new();
         storage.tokens().await?.into_iter().for_each(|token| known.add(token));
         Ok(Self { storage: storage.clone(), known: Arc::new(Mutex::new(known)), changing: Arc::default() })
     }
@@ -108,10 +127,25 @@ impl Tokens {
 }
 
 impl Known {
+    fn new() -> Self {
+        Self {
+            by_hash: HashMap::new(),
+            without_token: CancellationToken::new(),
+            anonymous: Anonymous::default(),
+            room: Room::whole(),
+            guesses: Guesses::default(),
+        }
+    }
+
+    /// Let in without a token.
+    fn anybody(&self, deleted: CancellationToken) -> Admitted {
+        Admitted { deleted, room: self.room.clone() }
+    }
+
     fn add(&mut self, token: TokenRow) {
         self.without_token.cancel();
         let deleted = CancellationToken::new();
-        self.by_hash.insert(token.secret_sha256, Holder { token, deleted });
+        self.by_hash.insert(token.secret_sha256, Holder { token, deleted, room: self.room.for_token() });
     }
 
     fn remove(&mut self, name: &str) {
@@ -168,19 +202,19 @@ impl Known {
 }
 
 impl Tokens {
-    /// Lets a call in, or says why not. What comes back is cancelled when its token is deleted; the
-    /// call must end then.
+    /// Lets a call from `peer` in, or says why not.
     pub(crate) fn admit(
         &self,
+        peer: Option<IpAddr>,
         secret: Option<&str>,
         access: Access,
-    ) -> Result<CancellationToken, ServiceError> {
+    ) -> Result<Admitted, ServiceError> {
+        let mut known = self.lock();
         if access == Access::Open {
-            return Ok(CancellationToken::new());
+            return Ok(known.anybody(CancellationToken::new()));
         }
-        let known = self.lock();
         if known.by_hash.is_empty() && known.anonymous != Anonymous::Refused {
-            return Ok(known.without_token.clone());
+            return Ok(known.anybody(known.without_token.clone()));
         }
         let Some(secret) = secret else {
             return Err(ServiceError::unauthenticated(
@@ -188,14 +222,17 @@ impl Tokens {
                  (waypost: --token or WAYPOST_TOKEN); who runs the server can create one",
             ));
         };
-        let Some(Holder { token, deleted }) = known.by_hash.get(&hash(secret)) else {
+        let Some(Holder { token, deleted, room }) = known.by_hash.get(&hash(secret)) else {
+            known.guesses.count(peer)?;
             return Err(ServiceError::unauthenticated(
                 "this token is not known here: it was deleted, or is of another server, or not whole; \
                  ask who runs the server for a new one",
             ));
         };
         match (access, token.role) {
-            (Access::Open | Access::Robot, _) | (Access::Admin, Role::Admin) => Ok(deleted.clone()),
+            (Access::Open | Access::Robot, _) | (Access::Admin, Role::Admin) => {
+                Ok(Admitted { deleted: deleted.clone(), room: room.clone() })
+            }
             (Access::Admin, Role::Robot) => Err(ServiceError::PermissionDenied {
                 message: format!(
                     "this takes the token of an admin, and {} is a robot's; ask who runs the server for one",
@@ -203,6 +240,11 @@ impl Tokens {
                 ),
             }),
         }
+    }
+
+    /// How many wrong secrets are taken from one address in a minute.
+    pub(crate) fn set_guesses_per_minute(&self, guesses: u32) {
+        self.lock().guesses.per_minute = guesses;
     }
 
     /// Makes a token; gives its secret too, which is not kept.

@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use sqlx::SqlitePool;
+use sqlx::migrate::MigrateError;
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
 
-use super::{FILE_NAME, Storage, StorageError, lock_directory, or_no_database};
+use super::{DirectoryLock, FILE_NAME, Storage, StorageError, or_no_database};
 
 /// What a data directory holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,7 +21,7 @@ pub(crate) struct Inspection {
 ///
 /// Takes the directory's lock meanwhile: a server that runs on it is an error.
 pub(crate) async fn inspect(directory: &Path) -> Result<Option<Inspection>, StorageError> {
-    let _lock = lock_directory(directory)?;
+    let _lock = DirectoryLock::take(directory)?;
     let file = directory.join(FILE_NAME);
     if !file.exists() {
         return Ok(None);
@@ -42,14 +43,7 @@ async fn look_at(database: &SqlitePool) -> Result<Inspection, StorageError> {
     if problem != "ok" {
         return Err(StorageError::Damaged(problem));
     }
-    let migrator = sqlx::migrate!("../migrations");
-    let known: Vec<i64> = migrator.iter().map(|migration| migration.version).collect();
-    let applied: Vec<i64> =
-        sqlx::query_scalar("SELECT version FROM _sqlx_migrations").fetch_all(database).await?;
-    if let Some(&schema) = applied.iter().find(|version| !known.contains(version)) {
-        return Err(StorageError::Newer { schema });
-    }
-    let outdated = applied.len() < known.len();
+    let outdated = look_at_migrations(database).await?;
     let maps = sqlx::query_scalar("SELECT count(*) FROM maps").fetch_one(database).await?;
     // A database of the first version has no tokens.
     let has_tokens = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = 'tokens'";
@@ -58,6 +52,27 @@ async fn look_at(database: &SqlitePool) -> Result<Inspection, StorageError> {
         _ => sqlx::query_scalar("SELECT count(*) FROM tokens").fetch_one(database).await?,
     };
     Ok(Inspection { maps, tokens, outdated })
+}
+
+/// Whether there are later ones; an error where those that there are would keep a server from starting.
+async fn look_at_migrations(database: &SqlitePool) -> Result<bool, StorageError> {
+    let migrator = sqlx::migrate!("../migrations");
+    let applied: Vec<(i64, bool, Vec<u8>)> =
+        sqlx::query_as("SELECT version, success, checksum FROM _sqlx_migrations ORDER BY version")
+            .fetch_all(database)
+            .await?;
+    for (version, success, checksum) in &applied {
+        let known = migrator.iter().find(|known| known.version == *version);
+        match known {
+            None => return Err(StorageError::Newer { schema: *version }),
+            Some(_) if !success => return Err(StorageError::Migration(MigrateError::Dirty(*version))),
+            Some(known) if known.checksum.as_ref() != checksum.as_slice() => {
+                return Err(StorageError::Migration(MigrateError::VersionMismatch(*version)));
+            }
+            Some(_) => {}
+        }
+    }
+    Ok(applied.len() < migrator.iter().count())
 }
 
 impl Storage {

@@ -1,6 +1,7 @@
 //! A log that is told anew, without some sessions.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use fabmap::appearance::PlaceId;
 use sqlx::{Sqlite, Transaction};
@@ -112,6 +113,7 @@ impl Storage {
     /// write-ahead log. Commits wait meanwhile. [`StorageError::InUse`] if somebody reads from that log for so long that
     /// it cannot be emptied.
     pub(crate) async fn wipe_deleted(&self) -> Result<(), StorageError> {
+        let _compacting = Compacting::begin(&self.compacting);
         sqlx::query("VACUUM").execute(&self.writer).await?;
         // The first column says whether it could not.
         let busy: i64 = sqlx::query_scalar("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(&self.writer).await?;
@@ -138,6 +140,22 @@ impl Storage {
             .fetch_all(&self.readers)
             .await?;
         Ok(numbers)
+    }
+}
+
+/// Whoever writes waits until this is dropped.
+struct Compacting<'a>(&'a AtomicBool);
+
+impl<'a> Compacting<'a> {
+    fn begin(compacting: &'a AtomicBool) -> Self {
+        compacting.store(true, Ordering::Relaxed);
+        Self(compacting)
+    }
+}
+
+impl Drop for Compacting<'_> {
+    fn drop(&mut self) {
+        self.0.store(false, Ordering::Relaxed);
     }
 }
 

@@ -90,6 +90,11 @@ impl Server {
         format!("http://{}", self.grpc)
     }
 
+    /// Where gRPC is served, as an address.
+    pub(crate) fn grpc(&self) -> SocketAddr {
+        self.grpc
+    }
+
     /// Where REST is served.
     pub(crate) fn http(&self) -> SocketAddr {
         self.http

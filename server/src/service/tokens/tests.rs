@@ -4,7 +4,7 @@ async fn tokens(directory: &std::path::Path) -> Tokens {
     Tokens::load(&Storage::open(directory).await.unwrap()).await.unwrap()
 }
 
-fn is_unauthenticated(admitted: &Result<CancellationToken, ServiceError>) -> bool {
+fn is_unauthenticated(admitted: &Result<Admitted, ServiceError>) -> bool {
     matches!(admitted, Err(ServiceError::Unauthenticated { .. }))
 }
 
@@ -12,19 +12,19 @@ fn is_unauthenticated(admitted: &Result<CancellationToken, ServiceError>) -> boo
 async fn roles_open_what_they_are_for() {
     let directory = tempfile::tempdir().unwrap();
     let tokens = tokens(directory.path()).await;
-    let before = tokens.admit(None, Access::Admin).unwrap();
+    let before = tokens.admit(None, None, Access::Admin).unwrap();
     let (_, admin) = tokens.create("operator", Role::Admin).await.unwrap();
-    assert!(before.is_cancelled(), "what was let in without a token must end");
+    assert!(before.deleted.is_cancelled(), "what was let in without a token must end");
     let (_, robot) = tokens.create("robot", Role::Robot).await.unwrap();
     for access in [Access::Robot, Access::Admin] {
-        assert!(is_unauthenticated(&tokens.admit(None, access)));
-        assert!(is_unauthenticated(&tokens.admit(Some(""), access)));
-        assert!(is_unauthenticated(&tokens.admit(Some(&robot[..robot.len() - 1]), access)));
-        assert!(tokens.admit(Some(&admin), access).is_ok());
+        assert!(is_unauthenticated(&tokens.admit(None, None, access)));
+        assert!(is_unauthenticated(&tokens.admit(None, Some(""), access)));
+        assert!(is_unauthenticated(&tokens.admit(None, Some(&robot[..robot.len() - 1]), access)));
+        assert!(tokens.admit(None, Some(&admin), access).is_ok());
     }
-    assert!(tokens.admit(None, Access::Open).is_ok());
-    assert!(tokens.admit(Some(&robot), Access::Robot).is_ok());
-    let denied = tokens.admit(Some(&robot), Access::Admin);
+    assert!(tokens.admit(None, None, Access::Open).is_ok());
+    assert!(tokens.admit(None, Some(&robot), Access::Robot).is_ok());
+    let denied = tokens.admit(None, Some(&robot), Access::Admin);
     assert!(matches!(denied, Err(ServiceError::PermissionDenied { .. })), "{denied:?}");
     tokens.storage.close().await;
 }
@@ -41,10 +41,10 @@ async fn a_token_outlives_the_server_and_only_its_hash_is_stored() {
     let holds = |bytes: &[u8]| file.windows(bytes.len()).any(|window| window == bytes);
     assert!(holds(&hash(&secret)) && !holds(&secret.as_bytes()[PREFIX.len()..]));
     let second = tokens(directory.path()).await;
-    let admitted = second.admit(Some(&secret), Access::Admin).unwrap();
+    let admitted = second.admit(None, Some(&secret), Access::Admin).unwrap();
     second.delete("tokens/operator").await.unwrap();
-    assert!(admitted.is_cancelled());
-    assert!(second.admit(None, Access::Admin).is_ok(), "with no token left, everyone is served again");
+    assert!(admitted.deleted.is_cancelled());
+    assert!(second.admit(None, None, Access::Admin).is_ok(), "with no token left, everyone is served again");
     second.storage.close().await;
 }
 

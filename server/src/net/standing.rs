@@ -1,0 +1,293 @@
+//! Who holds connections at a port: strangers, of whom there may be few and none for long, and those who were admitted.
+
+use std::collections::{BTreeMap, HashMap};
+use std::net::IpAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio_util::sync::CancellationToken;
+
+use crate::error::ServiceError;
+
+/// A stranger is not cut for another within this time of coming: it may be about to show its token.
+const GRACE: Duration = Duration::from_secs(1);
+
+/// Connections that were cut and are not yet closed, beyond those that may be open.
+const CLOSING: usize = 32;
+
+/// After which a client that found no place may try again.
+const FULL_RETRY: Duration = Duration::from_secs(5);
+
+/// What a port grants to connections on which no call was admitted yet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Strangers {
+    /// Open at a time, in all.
+    pub connections: usize,
+    /// Open at a time, from one address.
+    pub connections_per_address: usize,
+    /// How long each is kept.
+    pub time: Duration,
+}
+
+/// Everyone at one port. Cheap to clone.
+#[derive(Clone, Debug)]
+pub(crate) struct Standings(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    /// Connections that may be open at a time.
+    connections: usize,
+    /// Of these, as many as may be held by who was admitted: the others are for who comes to ask how the server is.
+    admitted: usize,
+    strangers: Strangers,
+    held: Mutex<Held>,
+}
+
+#[derive(Debug, Default)]
+struct Held {
+    /// By number: who came first has the lowest.
+    connections: BTreeMap<u64, Holder>,
+    last: u64,
+}
+
+#[derive(Debug)]
+struct Holder {
+    peer: IpAddr,
+    /// Since when it is what it is.
+    since: Instant,
+    /// The token that its last admitted call showed; cancelled when that is deleted.
+    admitted_by: Option<CancellationToken>,
+    /// Cancelled when it is to be closed.
+    cut: CancellationToken,
+}
+
+impl Holder {
+    fn is_admitted(&self) -> bool {
+        self.admitted_by.is_some()
+    }
+
+    fn is_stranger(&self) -> bool {
+        !self.is_admitted() && !self.cut.is_cancelled()
+    }
+}
+
+impl Standings {
+    /// At a port with room for so many connections, some of which are for strangers alone.
+    pub(crate) fn new(connections: usize, kept_for_strangers: usize, strangers: Strangers) -> Self {
+        let admitted = connections.saturating_sub(kept_for_strangers);
+        Self(Arc::new(Shared { connections, admitted, strangers, held: Mutex::default() }))
+    }
+
+    /// A place for a connection from `peer`, as a stranger; another stranger's if there is no room. `None` if none can
+    /// be had now.
+    pub(crate) fn enter(&self, peer: IpAddr) -> Option<Place> {
+        let Shared { connections, admitted: _, strangers, held: _ } = &*self.0;
+        let mut held = self.held();
+        if held.connections.len() >= connections + CLOSING {
+            return None;
+        }
+        let by_address = held.strangers_by_address();
+        if by_address.get(&peer).is_some_and(|those| *those >= strangers.connections_per_address) {
+            held.cut_oldest(peer)?;
+        } else {
+            let all: usize = by_address.values().sum();
+            let open = held.connections.values().filter(|holder| !holder.cut.is_cancelled()).count();
+            if all >= strangers.connections || open >= *connections {
+                // Whoever came with the most has to make room.
+                let (most, _) = by_address.into_iter().max_by_key(|(_, those)| *those)?;
+                held.cut_oldest(most)?;
+            }
+        }
+        held.last += 1;
+        let number = held.last;
+        let cut = CancellationToken::new();
+        let holder = Holder { peer, since: Instant::now(), admitted_by: None, cut: cut.clone() };
+        held.connections.insert(number, holder);
+        Some(Place { standing: Standing { all: self.clone(), number, peer }, cut })
+    }
+
+    fn held(&self) -> MutexGuard<'_, Held> {
+        self.0.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Held {
+    fn strangers_by_address(&self) -> HashMap<IpAddr, usize> {
+        let mut by_address = HashMap::new();
+        for holder in self.connections.values().filter(|holder| holder.is_stranger()) {
+            *by_address.entry(holder.peer).or_default() += 1;
+        }
+        by_address
+    }
+
+    /// Cuts the stranger from `peer` that came first; `None` if each has come just now.
+    fn cut_oldest(&mut self, peer: IpAddr) -> Option<()> {
+        let mut strangers = self.connections.values().filter(|holder| holder.is_stranger());
+        let oldest = strangers.find(|holder| holder.peer == peer)?;
+        (oldest.since.elapsed() >= GRACE).then(|| oldest.cut.cancel())
+    }
+}
+
+/// One connection's place at its port; given back when dropped.
+#[derive(Debug)]
+pub(crate) struct Place {
+    standing: Standing,
+    /// Cancelled when the connection is to be closed.
+    cut: CancellationToken,
+}
+
+impl Place {
+    pub(crate) fn standing(&self) -> &Standing {
+        &self.standing
+    }
+
+    pub(crate) fn cut(&self) -> &CancellationToken {
+        &self.cut
+    }
+
+    /// When to ask again whether the connection may stay; `None` if it may not.
+    pub(crate) fn review(&self) -> Option<Duration> {
+        let Standing { all, number, peer: _ } = &self.standing;
+        let time = all.0.strangers.time;
+        let mut held = all.held();
+        let holder = held.connections.get_mut(number)?;
+        match &holder.admitted_by {
+            Some(deleted) if deleted.is_cancelled() => {
+                holder.admitted_by = None;
+                holder.since = Instant::now();
+                Some(time)
+            }
+            Some(_) => Some(time),
+            None => time.checked_sub(holder.since.elapsed()).filter(|left| !left.is_zero()),
+        }
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let Standing { all, number, peer: _ } = &self.standing;
+        all.held().connections.remove(number);
+    }
+}
+
+/// What calls know of the connection that they come over.
+#[derive(Clone, Debug)]
+pub(crate) struct Standing {
+    all: Standings,
+    number: u64,
+    peer: IpAddr,
+}
+
+impl Standing {
+    /// Where the connection comes from.
+    pub(crate) fn peer(&self) -> IpAddr {
+        self.peer
+    }
+
+    /// A call on this connection was admitted by a token that is cancelled when that is deleted: it may stay.
+    ///
+    /// # Errors
+    /// UNAVAILABLE if as many connections of such are open as may be.
+    pub(crate) fn admit(&self, deleted: &CancellationToken) -> Result<(), ServiceError> {
+        let mut held = self.all.held();
+        let Some(holder) = held.connections.get(&self.number) else { return Ok(()) };
+        if holder.admitted_by.as_ref().is_some_and(|deleted| !deleted.is_cancelled()) {
+            return Ok(());
+        }
+        let admitted = held.connections.values().filter(|holder| holder.is_admitted()).count();
+        let was_admitted = held.connections.get(&self.number).is_some_and(Holder::is_admitted);
+        if !was_admitted && admitted >= self.all.0.admitted {
+            return Err(ServiceError::Unavailable {
+                message: format!(
+                    "{admitted} connections are open, and no more are served; close some that are not needed, or \
+                     connect again in {} s",
+                    FULL_RETRY.as_secs()
+                ),
+                retry_after: Some(FULL_RETRY),
+            });
+        }
+        if let Some(holder) = held.connections.get_mut(&self.number) {
+            holder.admitted_by = Some(deleted.clone());
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MANY: Strangers =
+        Strangers { connections: 3, connections_per_address: 2, time: Duration::from_secs(60) };
+
+    fn address(last: u8) -> IpAddr {
+        [10, 0, 0, last].into()
+    }
+
+    /// As if all had come a while ago.
+    fn let_time_pass(standings: &Standings) {
+        for holder in standings.held().connections.values_mut() {
+            holder.since = Instant::now().checked_sub(2 * GRACE).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_stranger_makes_room_for_the_next_one_from_its_address() {
+        let standings = Standings::new(100, 1, MANY);
+        let first = standings.enter(address(1)).unwrap();
+        let second = standings.enter(address(1)).unwrap();
+        standings
+            .held()
+            .connections
+            .values_mut()
+            .for_each(|holder| holder.since += Duration::from_secs(3600));
+        assert!(standings.enter(address(1)).is_none(), "both have come just now");
+        let other = standings.enter(address(2)).unwrap();
+        let_time_pass(&standings);
+        let _third = standings.enter(address(1)).unwrap();
+        assert!(first.cut().is_cancelled() && !second.cut().is_cancelled() && !other.cut().is_cancelled());
+    }
+
+    #[test]
+    fn whoever_holds_the_most_makes_room_for_others() {
+        let standings = Standings::new(100, 1, MANY);
+        let one = standings.enter(address(1)).unwrap();
+        let two = [standings.enter(address(2)).unwrap(), standings.enter(address(2)).unwrap()];
+        let_time_pass(&standings);
+        let _three = standings.enter(address(3)).unwrap();
+        assert!(two[0].cut().is_cancelled() && !two[1].cut().is_cancelled() && !one.cut().is_cancelled());
+    }
+
+    #[test]
+    fn who_was_admitted_is_never_cut_for_a_stranger_and_strangers_keep_some_places() {
+        let standings = Standings::new(3, 1, MANY);
+        let token = CancellationToken::new();
+        let admitted = [standings.enter(address(1)).unwrap(), standings.enter(address(1)).unwrap()];
+        for place in &admitted {
+            place.standing().admit(&token).unwrap();
+        }
+        let health = standings.enter(address(1)).unwrap();
+        assert!(matches!(health.standing().admit(&token), Err(ServiceError::Unavailable { .. })));
+        assert!(admitted[0].standing().admit(&token).is_ok(), "it has its place already");
+        let_time_pass(&standings);
+        let _next = standings.enter(address(1)).unwrap();
+        assert!(health.cut().is_cancelled() && admitted.iter().all(|place| !place.cut().is_cancelled()));
+    }
+
+    #[test]
+    fn time_ends_for_strangers_and_begins_anew_when_a_token_is_deleted() {
+        let brief = Strangers { time: Duration::from_millis(1), ..MANY };
+        let standings = Standings::new(3, 1, brief);
+        let place = standings.enter(address(1)).unwrap();
+        let token = CancellationToken::new();
+        place.standing().admit(&token).unwrap();
+        let_time_pass(&standings);
+        assert!(place.review().is_some());
+        token.cancel();
+        assert!(place.review().is_some());
+        let_time_pass(&standings);
+        assert!(place.review().is_none());
+        drop(place);
+        assert!(standings.held().connections.is_empty());
+    }
+}

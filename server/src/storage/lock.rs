@@ -1,0 +1,69 @@
+//! A data directory is one server's, and no other user's.
+
+use std::fs::{DirBuilder, File, OpenOptions, TryLockError};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
+use std::path::Path;
+
+use super::StorageError;
+
+const LOCK_NAME: &str = "waypost.lock";
+
+/// What others on the machine may do to what is made here: nothing.
+const OF_THE_OWNER: u32 = 0o700;
+const FILE_OF_THE_OWNER: u32 = 0o600;
+
+/// Held while a server, or who stands in for one, works on a data directory.
+#[derive(Debug)]
+pub(super) struct DirectoryLock {
+    /// The directory itself: a file in it can be deleted, and made anew, while it is locked. Not every file system locks
+    /// directories.
+    directory: Option<File>,
+    file: File,
+}
+
+impl DirectoryLock {
+    /// Makes the directory if it is missing.
+    pub(super) fn take(directory: &Path) -> Result<Self, StorageError> {
+        let failed = |source| StorageError::Directory { directory: directory.to_owned(), source };
+        let locked = |error| match error {
+            TryLockError::WouldBlock => StorageError::Locked { directory: directory.to_owned() },
+            TryLockError::Error(source) => failed(source),
+        };
+        DirBuilder::new().recursive(true).mode(OF_THE_OWNER).create(directory).map_err(failed)?;
+        let itself = File::open(directory).map_err(failed)?;
+        let itself = match itself.try_lock() {
+            Ok(()) => Some(itself),
+            Err(TryLockError::WouldBlock) => return Err(locked(TryLockError::WouldBlock)),
+            Err(TryLockError::Error(_not_possible_here)) => None,
+        };
+        let path = directory.join(LOCK_NAME);
+        let options =
+            OpenOptions::new().write(true).create(true).truncate(false).mode(FILE_OF_THE_OWNER).open(path);
+        let file = options.map_err(failed)?;
+        file.try_lock().map_err(locked)?;
+        Ok(Self { directory: itself, file })
+    }
+
+    /// Before this is dropped: a connection that is still being closed may hold a copy for a moment more.
+    pub(super) fn release(&self) {
+        for held in self.directory.iter().chain([&self.file]) {
+            if let Err(error) = held.unlock() {
+                tracing::warn!(%error, "the data directory stays locked until this program ends");
+            }
+        }
+    }
+}
+
+/// Sees to it that a file, if it is made now, is for its owner alone; SQLite makes its other files like this one.
+pub(super) fn make_private(path: &Path) {
+    let opened =
+        OpenOptions::new().write(true).create(true).truncate(false).mode(FILE_OF_THE_OWNER).open(path);
+    // Whoever opens the database says what is wrong with it.
+    let Ok(metadata) = opened.and_then(|file| file.metadata()) else { return };
+    if metadata.permissions().mode() & !FILE_OF_THE_OWNER & 0o777 != 0 {
+        tracing::warn!(
+            file = %path.display(),
+            "other users of this machine may read the database; `chmod 600` it, and `chmod 700` its directory"
+        );
+    }
+}
