@@ -12,6 +12,7 @@ use metrics::{
     with_local_recorder,
 };
 use metrics_exporter_prometheus::{BuildError, Matcher, PrometheusBuilder, PrometheusRecorder};
+use topomap::metric::AgreementVerdict;
 
 const GRPC_REQUESTS: &str = "waypost_grpc_requests_total";
 const GRPC_SECONDS: &str = "waypost_grpc_request_duration_seconds";
@@ -20,6 +21,7 @@ const HTTP_SECONDS: &str = "waypost_http_request_duration_seconds";
 const OPEN_STREAMS: &str = "waypost_open_streams";
 const FRAMES: &str = "waypost_frames_total";
 const FRAME_SECONDS: &str = "waypost_frame_duration_seconds";
+const TURNED_UNLIKE_ODOMETRY: &str = "waypost_frames_turned_unlike_odometry_total";
 const COMMIT_FRAMES: &str = "waypost_commit_frames";
 const OPEN_MAPS: &str = "waypost_open_maps";
 const JOBS_RUNNING: &str = "waypost_jobs_running";
@@ -158,6 +160,16 @@ impl Metrics {
         stages.total.record(total);
     }
 
+    /// A frame by which images and odometry did not turn alike over a robot's last turns; nothing if they did.
+    pub(crate) fn turned(&self, verdict: AgreementVerdict) {
+        let how = match verdict {
+            AgreementVerdict::Alike => return,
+            AgreementVerdict::OfAnotherScale => "of_another_scale",
+            AgreementVerdict::OutOfStep => "out_of_step",
+        };
+        self.local(|| counter!(TURNED_UNLIKE_ODOMETRY, "how" => how)).increment(1);
+    }
+
     /// Frames that one transaction brought to the disk.
     pub(crate) fn committed(&self, frames: usize) {
         self.commit_frames.record(frames as f64);
@@ -223,6 +235,11 @@ fn describe() {
         FRAME_SECONDS,
         Unit::Seconds,
         "Time of a frame by stage; commit includes waiting, total is from its arrival to its answer."
+    );
+    describe_counter!(
+        TURNED_UNLIKE_ODOMETRY,
+        "Frames by which a robot's images did not turn as its odometry did, of another scale (wrong field of \
+         view, or odometry) or out of step (wrong stamps); explain says more."
     );
     describe_histogram!(COMMIT_FRAMES, "Frames that shared one commit.");
     describe_gauge!(OPEN_MAPS, "Maps in memory.");

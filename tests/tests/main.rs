@@ -17,6 +17,7 @@ mod maps {
     mod explain;
     mod jobs;
     mod mapping;
+    mod odometry_agreement;
     mod pictures;
     mod places;
     mod queries;

@@ -16,6 +16,7 @@ mod nodding;
 mod resection;
 mod robot_camera;
 mod tracker;
+mod turning;
 
 pub(crate) use locating::{Located, Locating, Sight, locate};
 pub use robot_camera::RobotCamera;

@@ -12,7 +12,7 @@ use proptest::prelude::*;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use topomap::evidence::{Placement, VerificationSettings};
-use topomap::metric::{Odometry, OdometryNoise, RelativePose};
+use topomap::metric::{Agreement, AgreementVerdict, Odometry, OdometryNoise, RelativePose};
 use waypost_vision::structure::{RobotCamera, Tracker};
 use waypost_vision::{FeatureRecord, Keypoint, Pinhole, Verifier, View};
 
@@ -266,4 +266,84 @@ fn without_odometry_or_camera_nothing_is_known() {
     assert!(known.structure().known() > 50);
     assert_eq!(tracker.track(third, Some(&camera), None).structure().known(), 0);
     assert_eq!(tracker.track(fourth, None, Some(&odometry(&poses[3]))).structure().known(), 0);
+}
+
+/// What is found of the turns of a robot that sees by a camera of 70 degrees, of which another is declared,
+/// and whose wheels say so many times the turn.
+fn turning(
+    poses: &[PlanarPose],
+    declared_degrees: f64,
+    wheels_turn: f64,
+    late_frames: usize,
+) -> Option<Agreement> {
+    let room = Room::new(8);
+    let mut random = ChaCha8Rng::seed_from_u64(8);
+    let declared = Pinhole::of_field_of_view(declared_degrees.to_radians(), SIZE_PX);
+    let declared = RobotCamera { pinhole: declared, ..camera() };
+    let mut tracker = Tracker::new(OdometryNoise::default());
+    let mut wheels = vec![PlanarPose::identity()];
+    for pair in poses.windows(2) {
+        let step = pair[0].inverse().compose(&pair[1]);
+        let step = PlanarPose::new(step.x_m(), step.y_m(), step.heading_rad() * wheels_turn);
+        wheels.push(wheels[wheels.len() - 1].compose(&step));
+    }
+    for index in late_frames..poses.len() {
+        let features = Arc::new(room.seen(&poses[index], [0.0; 2], &mut random));
+        tracker.track(features, Some(&declared), Some(&odometry(&wheels[index - late_frames])));
+    }
+    tracker.turning()
+}
+
+/// A way in bends: so much ahead at each image, and to the left or to the right by turns.
+fn bends(step_m: f64, turn_rad: f64, images_a_bend: usize) -> Vec<PlanarPose> {
+    let mut pose = PlanarPose::new(1.0, 0.0, 0.0);
+    let mut poses = vec![pose];
+    for image in 0..36 {
+        let left = (image / images_a_bend) % 2 == 0;
+        pose = pose.compose(&PlanarPose::new(step_m, 0.0, if left { turn_rad } else { -turn_rad }));
+        poses.push(pose);
+    }
+    poses
+}
+
+/// On bends and on the spot.
+const WAYS: [(f64, f64); 2] = [(0.1, 0.15), (0.0, 0.15)];
+
+#[test]
+fn a_camera_as_declared_turns_as_wheels_do() {
+    for (step_m, turn_rad) in WAYS {
+        let found = turning(&bends(step_m, turn_rad, 5), 70.0, 1.0, 0).unwrap();
+        assert!(found.compared >= 20 && (found.ratio - 1.0).abs() < 0.05, "{found:?}");
+        assert_eq!(found.verdict(), AgreementVerdict::Alike);
+    }
+}
+
+/// An image of a wider field of view seems to turn less: by the ratio of the focal lengths.
+#[test]
+fn another_field_of_view_shows_in_turns() {
+    for (step_m, turn_rad) in WAYS {
+        for declared_degrees in [50.0_f64, 95.0] {
+            let tangent = |degrees: f64| (degrees.to_radians() / 2.0).tan();
+            let truly = tangent(declared_degrees) / tangent(70.0);
+            let found = turning(&bends(step_m, turn_rad, 5), declared_degrees, 1.0, 0).unwrap();
+            assert!((found.ratio / truly - 1.0).abs() < 0.1, "{truly}: {found:?}");
+            assert_eq!(found.verdict(), AgreementVerdict::OfAnotherScale);
+        }
+        let found = turning(&bends(step_m, turn_rad, 5), 70.0, 1.4, 0).unwrap();
+        assert!((found.ratio * 1.4 - 1.0).abs() < 0.1, "{found:?}");
+    }
+}
+
+/// Odometry that is an image or two late leads around other bends than the images.
+#[test]
+fn odometry_out_of_step_with_images_shows_in_turns() {
+    for (step_m, turn_rad) in WAYS {
+        let found = turning(&bends(step_m, turn_rad, 2), 70.0, 1.0, 1).unwrap();
+        assert_eq!(found.verdict(), AgreementVerdict::OutOfStep, "{found:?}");
+    }
+}
+
+#[test]
+fn a_way_without_turns_says_nothing_of_them() {
+    assert_eq!(turning(&straight(PlanarPose::identity(), 0.2, 30), 70.0, 1.0, 0), None);
 }

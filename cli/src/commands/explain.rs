@@ -1,8 +1,9 @@
 //! `waypost explain`: the reasons of a frame's decision.
 
+use std::io::{self, Write};
 use std::path::PathBuf;
 
-use waypost_client::{Client, ClientOptions};
+use waypost_client::{Client, ClientOptions, v1};
 
 use crate::explanations::show_place;
 use crate::failure::{EXIT_CODES, Failure};
@@ -58,6 +59,9 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
             Some(place) => show_place(place, out)?,
             None => writeln!(out, "the map had no place yet")?,
         }
+        if let Some(odometry) = &explained.odometry_agreement {
+            show_odometry(odometry, out)?;
+        }
         if !explained.reproduced {
             writeln!(out, "this build decides the frame otherwise to the last bit; what was logged holds")?;
         }
@@ -66,4 +70,16 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         }
         Ok(())
     })
+}
+
+fn show_odometry(odometry: &v1::OdometryAgreement, out: &mut dyn Write) -> io::Result<()> {
+    let mut show = |what: &str, ratio: &Option<v1::OdometryRatio>| match ratio {
+        Some(v1::OdometryRatio { compared, ratio, spread }) => {
+            writeln!(out, "  {what} {ratio:.2} times what odometry says (+-{spread:.2}, {compared} compared)")
+        }
+        None => Ok(()),
+    };
+    show("by its images the robot turned", &odometry.turns)?;
+    show("the same ways took, when driven before,", &odometry.ways)?;
+    if odometry.finding.is_empty() { Ok(()) } else { writeln!(out, "  - {}", odometry.finding) }
 }

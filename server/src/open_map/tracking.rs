@@ -62,6 +62,9 @@ impl MapWriter {
         let mut tracker = tracker.clone();
         let camera = self.intrinsics.get(&session).and_then(|known| known.of_image(features.image_size_px()));
         let features = tracker.track(features, camera.as_ref(), odometry);
+        if let Some(turning) = tracker.turning() {
+            self.metrics.turned(turning.verdict());
+        }
         if !features.structure().depths().is_empty() {
             kept.content = features.to_bytes();
         }

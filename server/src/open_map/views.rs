@@ -74,6 +74,11 @@ impl SeenFeatures {
         self.camera.map(|camera| camera.pinhole.focal_length_widths(width_px))
     }
 
+    /// Horizontally, if the camera is known and does not see all around.
+    pub(crate) fn field_of_view_rad(&self) -> Option<f64> {
+        self.focal_length_widths().map(|focal_length_widths| 2.0 * (0.5 / focal_length_widths).atan())
+    }
+
     fn view(&self) -> View<'_> {
         View { features: &self.features, camera: self.camera }
     }

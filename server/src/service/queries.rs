@@ -1,5 +1,8 @@
 //! Where something was seen, and why a frame was decided as it was.
 
+mod odometry_agreement;
+
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use fabmap::appearance::PlaceId;
@@ -7,11 +10,13 @@ use fabmap::explanation::Explanation;
 use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
-use topomap::evidence::{ArchiveError, Bound, Candidate, Check, Quantity, Verdict};
+use topomap::evidence::{ArchiveError, Bound, Candidate, Check, Placement, Quantity, Verdict};
 use topomap::ids::FrameId;
 use topomap::log::{FrameEvent, MapEvent, Reason};
 use topomap::mapper::{Decided, EarlierFrame, FrameInput, Gate, Gates, Mapper};
 
+pub(crate) use self::odometry_agreement::OdometryAgreement;
+use self::odometry_agreement::SeenAgain;
 use super::frames::{Frames, LocatedFrame};
 use crate::error::ServiceError;
 use crate::ingest::content::{Content, Words};
@@ -41,6 +46,8 @@ pub(crate) struct FrameExplanation {
     pub(crate) reproduced: bool,
     /// Where REST has the frame beside the place; none if the map had no place yet.
     pub(crate) picture: Option<String>,
+    /// None if nothing can be said of it.
+    pub(crate) odometry: Option<OdometryAgreement>,
 }
 
 /// A condition for a loop closure.
@@ -150,7 +157,7 @@ impl Replay {
         place: Option<PlaceId>,
         words: usize,
     ) -> Result<FrameExplanation, ServiceError> {
-        let (mapper, event) = self.up_to(position)?;
+        let (mapper, before, event) = self.up_to(position)?;
         let input = FrameInput {
             session: event.session,
             sequence: event.sequence,
@@ -185,28 +192,75 @@ impl Replay {
             gates,
             place: explained.and_then(|place| mapper.explain(&input.observation, recognition, place, words)),
             reproduced: decided.event == event,
+            odometry: self.odometry_agreement(&mapper, before, event)?,
         })
     }
 
-    /// The map before the event at `position`, and that event.
-    fn up_to(&self, position: FrameId) -> Result<(Mapper, FrameEvent), ServiceError> {
+    fn odometry_agreement(
+        &self,
+        mapper: &Mapper,
+        before: VecDeque<FrameEvent>,
+        event: FrameEvent,
+    ) -> Result<Option<OdometryAgreement>, ServiceError> {
+        let mut frames = Vec::from(before);
+        frames.push(event);
+        let seen = frames.iter().map(|event| self.features(event.frame)).collect::<Result<Vec<_>, _>>()?;
+        let mut seen_again = Vec::new();
+        for event in &frames {
+            seen_again.extend(self.seen_again(mapper, event)?);
+        }
+        Ok(OdometryAgreement::of(mapper.settings().odometry_noise, &frames, &seen, &seen_again))
+    }
+
+    /// The earlier frame that a frame was accepted to be near to, if there is one and the way between
+    /// them was measured.
+    fn seen_again(&self, mapper: &Mapper, event: &FrameEvent) -> Result<Option<SeenAgain>, ServiceError> {
+        let measured = |candidate: &Candidate| match candidate.view?.placement {
+            Placement::At { pose, .. } => Some((candidate.matched.frame, pose)),
+            Placement::Unknown | Placement::Nowhere => None,
+        };
+        let accepted = event.candidates.iter().filter(|candidate| mapper.verdict(candidate).is_accepted());
+        let Some((frame, pose)) = accepted.filter_map(measured).next() else { return Ok(None) };
+        let words = self.model.model.vocabulary().len();
+        match self.runtime.block_on(self.storage.event_at(self.map.id, frame, words))? {
+            Some(MapEvent::Frame(earlier)) => Ok(earlier
+                .odometry
+                .zip(event.odometry.clone())
+                .map(|(then, now)| SeenAgain { session: earlier.session, then, now, pose })),
+            Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None => Ok(None),
+        }
+    }
+
+    /// The map before the event at `position`, the last frames of its session before it, and that event.
+    fn up_to(&self, position: FrameId) -> Result<(Mapper, VecDeque<FrameEvent>, FrameEvent), ServiceError> {
         let Self { storage, runtime, map, model, abandoned } = self;
         let settings = map_settings::from_json(&map.settings)?.mapper;
         let mut mapper = Mapper::new(&model.model, settings).map_err(ServiceError::internal)?;
         let words = model.model.vocabulary().len();
+        let deleted = || ServiceError::not_found(format_args!("the map {} was deleted just now", map.name));
+        let event = match runtime.block_on(storage.event_at(map.id, position, words))? {
+            Some(MapEvent::Frame(event)) => *event,
+            Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None => return Err(deleted()),
+        };
+        let session = event.session;
+        let mut before = VecDeque::new();
         let mut fold = |LogEntry { position: _, event, media: _ }: LogEntry| {
             if abandoned.is_cancelled() {
                 return Err(StorageError::Damaged("a replay that nobody waits for".to_owned()));
             }
-            mapper.apply(&event).map_err(|error| StorageError::Damaged(error.to_string()))
+            mapper.apply(&event).map_err(|error| StorageError::Damaged(error.to_string()))?;
+            if let MapEvent::Frame(frame) = event
+                && frame.session == session
+            {
+                before.push_back(*frame);
+                if before.len() == odometry_agreement::MOST_FRAMES {
+                    before.pop_front();
+                }
+            }
+            Ok(())
         };
         runtime.block_on(storage.replay(map.id, 0..position, words, &mut fold))?;
-        match runtime.block_on(storage.event_at(map.id, position, words))? {
-            Some(MapEvent::Frame(event)) => Ok((mapper, *event)),
-            Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None => {
-                Err(ServiceError::not_found(format_args!("the map {} was deleted just now", map.name)))
-            }
-        }
+        Ok((mapper, before, event))
     }
 }
 

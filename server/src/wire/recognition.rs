@@ -4,12 +4,13 @@ use fabmap::explanation::{Explanation, WordEvidence};
 use topomap::evidence::{Placement, Similarity};
 use topomap::log::Reason;
 use topomap::mapper::Gate;
+use topomap::metric::Agreement;
 use waypost_proto::v1;
 
 use super::geometry::planar_pose;
 use super::maps::frame_reference;
 use crate::open_map::answers::{GeometryView, MatchView, QueryAnswer};
-use crate::service::queries::{FrameExplanation, GateView};
+use crate::service::queries::{FrameExplanation, GateView, OdometryAgreement};
 
 pub(crate) fn query_response(answer: QueryAnswer) -> v1::QueryResponse {
     let QueryAnswer { places, new_place_posterior, matched, accepted, words, explanation } = answer;
@@ -65,7 +66,7 @@ fn placement_message(placement: &Placement) -> Option<v1::Placement> {
 }
 
 pub(crate) fn explanation(explanation: FrameExplanation) -> v1::FrameExplanation {
-    let FrameExplanation { name, reason, gates, place, reproduced, picture } = explanation;
+    let FrameExplanation { name, reason, gates, place, reproduced, picture, odometry } = explanation;
     v1::FrameExplanation {
         name,
         reason: reason_code(reason).into(),
@@ -73,7 +74,18 @@ pub(crate) fn explanation(explanation: FrameExplanation) -> v1::FrameExplanation
         place_explanation: place.map(place_explanation),
         reproduced,
         picture,
+        odometry_agreement: odometry.map(odometry_agreement),
     }
+}
+
+fn odometry_agreement(agreement: OdometryAgreement) -> v1::OdometryAgreement {
+    let OdometryAgreement { turns, ways, finding } = agreement;
+    v1::OdometryAgreement { turns: turns.map(ratio), ways: ways.map(ratio), finding }
+}
+
+fn ratio(agreement: Agreement) -> v1::OdometryRatio {
+    let Agreement { compared, ratio, spread } = agreement;
+    v1::OdometryRatio { compared: u32::try_from(compared).unwrap_or(u32::MAX), ratio, spread }
 }
 
 fn gate(view: GateView) -> v1::Gate {

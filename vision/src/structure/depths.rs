@@ -6,6 +6,7 @@ use topomap::metric::RelativePose;
 use super::motion::{Pair, Refined, refined};
 use super::nodding::Motion;
 use super::robot_camera::{RobotCamera, Sighted};
+use super::turning::images_per_wheels;
 use crate::depth::{InverseDepth, Structure};
 use crate::feature_record::FeatureRecord;
 use crate::matching::matches as feature_matches;
@@ -54,6 +55,14 @@ impl InverseDepth {
     }
 }
 
+/// What two frames of a robot say.
+pub(super) struct Tracked {
+    /// Of how far the later one's features are.
+    pub(super) structure: Structure,
+    /// Of how many times as far as the wheels the images turned; `None` if they do not say.
+    pub(super) images_per_wheels: Option<f64>,
+}
+
 /// What the way from an earlier frame says of the depths of a later one's features, and what
 /// the earlier one knew of them. `wheels` is the pose of `base_link` at the later frame, seen
 /// from where it was at the earlier one.
@@ -62,7 +71,7 @@ pub(super) fn tracked(
     earlier: &FeatureRecord,
     later: &FeatureRecord,
     wheels: &RelativePose,
-) -> Structure {
+) -> Tracked {
     let mut depths = vec![None; later.keypoints().len()];
     let (from, to) = (camera.sighted(earlier), camera.sighted(later));
     let matches = feature_matches(earlier, later);
@@ -75,12 +84,8 @@ pub(super) fn tracked(
         .collect();
     let base_m = wheels.pose().x_m().hypot(wheels.pose().y_m());
     let has_parallax = base_m >= LEAST_BASE_M;
-    let moved = if has_parallax {
-        let sights: Vec<Pair> = pairs.iter().map(|(.., pair)| *pair).collect();
-        refined(camera, &sights, wheels)
-    } else {
-        Refined::by(wheels)
-    };
+    let sights: Vec<Pair> = pairs.iter().map(|(.., pair)| *pair).collect();
+    let moved = if has_parallax { refined(camera, &sights, wheels) } else { Refined::by(wheels) };
     let known = earlier.structure().depths();
     let views = TwoViews::new(camera, &moved);
     for (earlier, later, pair) in pairs {
@@ -96,7 +101,10 @@ pub(super) fn tracked(
         };
         depths[later] = depth.map(InverseDepth::as_stored);
     }
-    Structure::new(depths)
+    Tracked {
+        structure: Structure::new(depths),
+        images_per_wheels: images_per_wheels(camera, &sights, wheels),
+    }
 }
 
 /// Two views of one camera, by how it moved in between.

@@ -4,9 +4,9 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use posegraph::Pose;
-use topomap::metric::{Odometry, OdometryNoise, RelativePose};
+use topomap::metric::{Agreement, Odometry, OdometryNoise, RelativePose};
 
-use super::depths::tracked;
+use super::depths::{Tracked, tracked};
 use super::robot_camera::RobotCamera;
 use crate::feature_record::FeatureRecord;
 
@@ -19,6 +19,8 @@ pub struct Tracker {
     noise: OdometryNoise,
     /// The latest frames, oldest first.
     frames: VecDeque<TrackedFrame>,
+    /// How many times as far as the wheels the images turned at the latest turns, oldest first.
+    turns: VecDeque<f64>,
 }
 
 /// A frame that later ones are held against.
@@ -41,13 +43,13 @@ impl Tracker {
     /// A tracker of a robot whose wheels are as good as that.
     #[must_use]
     pub fn new(noise: OdometryNoise) -> Self {
-        Self { noise, frames: VecDeque::new() }
+        Self::resumed(noise, Vec::new())
     }
 
     /// Goes on after these frames, the last [`Tracker::MAX_FRAMES`] of a robot, oldest first.
     #[must_use]
     pub fn resumed(noise: OdometryNoise, frames: Vec<TrackedFrame>) -> Self {
-        Self { noise, frames: frames.into() }
+        Self { noise, frames: frames.into(), turns: VecDeque::new() }
     }
 
     /// A frame's features with their depths, by a camera; `odometry` is where the wheels put the
@@ -60,11 +62,14 @@ impl Tracker {
     ) -> Arc<FeatureRecord> {
         let (Some(camera), Some(odometry)) = (camera, odometry) else {
             self.frames.clear();
+            self.turns.clear();
             return features;
         };
         let features = match self.held_against(odometry) {
             Some((earlier, motion)) => {
-                let structure = tracked(camera, &earlier.features, &features, &motion);
+                let Tracked { structure, images_per_wheels } =
+                    tracked(camera, &earlier.features, &features, &motion);
+                self.turns.extend(images_per_wheels);
                 Arc::new(FeatureRecord::clone(&features).with_structure(structure))
             }
             None => features,
@@ -73,7 +78,17 @@ impl Tracker {
         if self.frames.len() > Self::MAX_FRAMES {
             self.frames.pop_front();
         }
+        if self.turns.len() > Self::MAX_FRAMES {
+            self.turns.pop_front();
+        }
         features
+    }
+
+    /// How far the images turned, beside the wheels, at the last [`Tracker::MAX_FRAMES`] turns since it
+    /// began; `None` if it has seen too few.
+    #[must_use]
+    pub fn turning(&self) -> Option<Agreement> {
+        Agreement::of(self.turns.iter().copied())
     }
 
     /// The latest frame that the robot has moved away from, or else the oldest, and the way since.

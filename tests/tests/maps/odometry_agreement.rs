@@ -1,0 +1,110 @@
+//! Cameras, odometry and stamps that are not what was declared show in explanations and in metrics.
+
+use waypost_client::{Client, FrameInput, SessionOptions, v1};
+use waypost_sim::robot::WheelErrors;
+use waypost_sim::worlds::NamedWorld;
+
+use crate::harness::{Drive, Server, building, http, import_model, map_request, session_options, stream};
+
+/// A drive that comes back, by good wheels.
+fn drive() -> Drive {
+    let wheels = WheelErrors { scale: 0.01, ..WheelErrors::NONE };
+    Drive::new(building(NamedWorld::Gallery, 12, "rooms"), wheels, 12)
+}
+
+/// Streams a session of the drive, and asks at every tenth frame how its odometry agrees.
+async fn agreements(
+    client: &Client,
+    session: &str,
+    camera: v1::Camera,
+    frames: Vec<FrameInput>,
+) -> Vec<v1::OdometryAgreement> {
+    let options = SessionOptions { camera: Some(camera), ..session_options("gallery", session) };
+    let asked: Vec<u64> = frames.iter().skip(9).step_by(10).map(|frame| frame.sequence).collect();
+    stream(client.open_session(options).await.unwrap(), frames).await;
+    let mut agreements = Vec::new();
+    for sequence in asked {
+        let name = format!("maps/gallery/sessions/{session}/frames/{sequence}");
+        let explained = client.explain_frame(&name, None, Some(0)).await.unwrap();
+        agreements.extend(explained.odometry_agreement);
+    }
+    agreements
+}
+
+async fn turned_unlike(server: &Server, how: &str) -> bool {
+    let text = http().get(server.url("/metrics")).send().await.unwrap().text().await.unwrap();
+    text.contains(&format!("waypost_frames_turned_unlike_odometry_total{{how=\"{how}\"}}"))
+}
+
+fn findings(agreements: &[v1::OdometryAgreement]) -> Vec<&str> {
+    let findings = agreements.iter().map(|agreement| agreement.finding.as_str());
+    findings.filter(|finding| !finding.is_empty()).collect()
+}
+
+async fn map_server() -> (Server, Client) {
+    let server = Server::start().await;
+    let client = server.client().await;
+    let model = import_model(&client).await;
+    client.create_map(map_request("gallery", &model.name)).await.unwrap();
+    (server, client)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_declared_well_is_found_well_and_another_scale_later_is_seen() {
+    let drive = drive();
+    let (server, client) = map_server().await;
+    let well = agreements(&client, "first", drive.camera(), drive.inputs().collect()).await;
+    assert_eq!(findings(&well), Vec::<&str>::new());
+    let turns: Vec<f64> = well.iter().flat_map(|found| found.turns).map(|turns| turns.ratio).collect();
+    assert!(!turns.is_empty() && turns.iter().all(|ratio| (ratio - 1.0).abs() < 0.1), "{turns:?}");
+    let ways: Vec<f64> = well.iter().flat_map(|found| found.ways).map(|ways| ways.ratio).collect();
+    assert!(!ways.is_empty() && ways.iter().all(|ratio| (ratio - 1.0).abs() < 0.1), "{ways:?}");
+    assert!(
+        !turned_unlike(&server, "of_another_scale").await && !turned_unlike(&server, "out_of_step").await
+    );
+
+    // The same way by wheels that take 1.3 m for one.
+    let scaled = drive.inputs().map(|mut frame| {
+        let pose = frame.odometry.as_mut().and_then(|odometry| odometry.pose.as_mut()).unwrap();
+        let position = pose.position_m.as_mut().unwrap();
+        (position.x, position.y) = (1.3 * position.x, 1.3 * position.y);
+        frame
+    });
+    let second = agreements(&client, "second", drive.camera(), scaled.collect()).await;
+    let found = findings(&second);
+    assert!(found.iter().any(|finding| finding.contains("check the odometry's scale")), "{second:?}");
+    let ways: Vec<f64> = second.iter().flat_map(|found| found.ways).map(|ways| ways.ratio).collect();
+    assert!(ways.iter().all(|ratio| (ratio * 1.3 - 1.0).abs() < 0.1), "{ways:?}");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn another_field_of_view_than_the_declared_one_is_named() {
+    let drive = drive();
+    let (server, client) = map_server().await;
+    let narrow = v1::FieldOfView { horizontal_rad: 60_f64.to_radians() };
+    let camera = v1::Camera { model: Some(v1::camera::Model::FieldOfView(narrow)), ..drive.camera() };
+    let found = agreements(&client, "robot", camera, drive.inputs().collect()).await;
+    let said = findings(&found);
+    let named =
+        |finding: &&&str| finding.contains("declared as 60 degrees (8") && finding.contains("field of view");
+    assert!(said.iter().filter(named).count() > 0, "{found:?}");
+    assert!(turned_unlike(&server, "of_another_scale").await);
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn odometry_of_other_moments_than_the_images_is_named() {
+    let drive = drive();
+    let (server, client) = map_server().await;
+    let frames: Vec<FrameInput> = drive.inputs().collect();
+    let late = frames.iter().enumerate().map(|(index, frame)| FrameInput {
+        odometry: frames[index.saturating_sub(3)].odometry.clone(),
+        ..frame.clone()
+    });
+    let found = agreements(&client, "robot", drive.camera(), late.collect()).await;
+    let said = findings(&found);
+    assert!(said.iter().any(|finding| finding.contains("at which it was taken")), "{found:?}");
+    assert!(turned_unlike(&server, "out_of_step").await);
+    server.stop().await;
+}
