@@ -298,8 +298,8 @@ fn turning(
 fn bends(step_m: f64, turn_rad: f64, images_a_bend: usize) -> Vec<PlanarPose> {
     let mut pose = PlanarPose::new(1.0, 0.0, 0.0);
     let mut poses = vec![pose];
-    for image in 0..36 {
-        let left = (image / images_a_bend) % 2 == 0;
+    for image in 0..36_usize {
+        let left = (image / images_a_bend).is_multiple_of(2);
         pose = pose.compose(&PlanarPose::new(step_m, 0.0, if left { turn_rad } else { -turn_rad }));
         poses.push(pose);
     }

@@ -1,8 +1,8 @@
 //! Whether a robot's images turn as far as its wheels do.
 //!
-//! They do not where another camera than the declared one took the images (of another field of view), where wheels'
-//! turns are off, or where images and odometry that are sent together are not of the same moment. All
-//! three bend the depths of features and with them what closures measure.
+//! They do not where the camera has another field of view than the declared one, where the wheels'
+//! turns are off, or where images and odometry that are sent together are not of the same moment.
+//! All three bend the depths of features and with them what closures measure.
 
 use std::f64::consts::PI;
 
@@ -19,16 +19,18 @@ const LEAST_TURN_RAD: f64 = 5.0 / 180.0 * PI;
 /// Features, fewer of which say little.
 const LEAST_FEATURES: usize = 12;
 
-/// The way between two images may move a feature that is this far, in metres, by this share of the turn.
+/// The way between two images may move a feature that is so far away, in metres, by such a share of
+/// the turn.
 const NEAR_M: f64 = 2.0;
 const SHARE_OF_TURN: f64 = 0.1;
 
 /// How many times as far as the wheels the images turned; `None` if the robot hardly turned, or
 /// the images do not say.
 ///
-/// Things move to the right by as much as the robot turns left. They move by the robot's way, too, but hardly those that
-/// lie where it drives to: these are looked at. Epipolar geometry would know a turn from noise
-/// better, but where the camera moves to its side it takes one field of view for another turn.
+/// Things move to the right by as much as the robot turns left. They move by the robot's way, too,
+/// but hardly those that lie where it drives to: these are looked at. Epipolar geometry would know a
+/// turn from noise better, but where the camera moves to its side it takes one field of view for
+/// another turn.
 pub(super) fn images_per_wheels(camera: &RobotCamera, pairs: &[Pair], wheels: &RelativePose) -> Option<f64> {
     let turn_rad = wheels.pose().heading_rad();
     if turn_rad.abs() < LEAST_TURN_RAD {
