@@ -237,7 +237,9 @@ fn lens_name(lens: &Lens) -> &'static str {
 fn looks(pose: &Pose) -> String {
     let [x, y, z, w] = pose.orientation;
     let ahead = [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)];
-    let azimuth = ahead[1].atan2(ahead[0]).to_degrees().round();
+    // Straight up is no side.
+    let has_side = ahead[0].hypot(ahead[1]) > 1e-6;
+    let azimuth = if has_side { ahead[1].atan2(ahead[0]).to_degrees().round() } else { 0.0 };
     let elevation = ahead[2].clamp(-1.0, 1.0).asin().to_degrees().round();
     let [x_m, y_m, z_m] = pose.position_m;
     // No minus before a zero.
