@@ -1,5 +1,5 @@
 // One map: its drawing, its time, the frame under the cursor and the place that it shows. One cursor drives all.
-import { useEffect, useMemo, useState } from "preact/hooks";
+import { useEffect, useLayoutEffect, useMemo, useRef, useState } from "preact/hooks";
 import { load, MOST_DRIVES, type MapData } from "../drawing/data";
 import { asDriven, kindOf, sceneOf, type Scene } from "../drawing/scene";
 import { ring } from "../drawing/layout";
@@ -43,8 +43,15 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
     const { robots, error: unheard } = useRobots(map.name);
     const scene = useMemo(() => sceneOf(data, link.shape), [data, link.shape]);
 
+    // Keys may come faster than the page is drawn: each goes on from the one before.
+    const latest = useRef(cursor);
+    useLayoutEffect(() => {
+        latest.current = cursor;
+    }, [cursor]);
     const onCursor = (index: number) => {
-        const to = steps[Math.min(Math.max(index, 0), steps.length - 1)];
+        const nearest = Math.min(Math.max(index, 0), steps.length - 1);
+        const to = steps[nearest];
+        if (to) latest.current = nearest;
         if (to) go({ frame: to.sequence, place: null, session: session ? short(session.name) : null });
     };
     const onFrame = (session: string, frame: number) => go({ session: short(session), frame, place: null });
@@ -53,7 +60,7 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
         const first = frames.find((frame) => frame.session === session?.name) ?? frames[0];
         go({ place: number, ...(first && { session: short(first.session), frame: first.sequence }) });
     };
-    useKeys((by) => onCursor(cursor + by), (to) => onCursor(to === "first" ? 0 : steps.length - 1));
+    useKeys((by) => onCursor(latest.current + by), (to) => onCursor(to === "first" ? 0 : steps.length - 1));
     return <>
         <div class="title">
             <h1>{short(map.name)}</h1>
