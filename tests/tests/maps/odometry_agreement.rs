@@ -108,3 +108,18 @@ async fn odometry_of_other_moments_than_the_images_is_named() {
     assert!(turned_unlike(&server, "out_of_step").await);
     server.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn odometry_that_turns_the_other_way_is_named() {
+    let drive = drive();
+    let (server, client) = map_server().await;
+    let mirrored = drive.inputs().take(40).map(|mut frame| {
+        let pose = frame.odometry.as_mut().and_then(|odometry| odometry.pose.as_mut()).unwrap();
+        pose.orientation.as_mut().unwrap().z *= -1.0;
+        pose.position_m.as_mut().unwrap().y *= -1.0;
+        frame
+    });
+    let found = agreements(&client, "robot", drive.camera(), mirrored.collect()).await;
+    assert!(findings(&found).iter().any(|finding| finding.contains("the other way")), "{found:?}");
+    server.stop().await;
+}

@@ -59,7 +59,8 @@ impl OdometryAgreement {
 fn turns(noise: OdometryNoise, frames: &[FrameEvent], seen: &[Option<SeenFeatures>]) -> Option<Agreement> {
     let mut tracker = Tracker::new(noise);
     for (frame, seen) in frames.iter().zip(seen) {
-        let seen = seen.as_ref()?;
+        // Of a frame that showed nothing no features are kept, and a robot's own tracker passes over it.
+        let Some(seen) = seen else { continue };
         let camera: Option<&RobotCamera> = seen.camera.as_ref();
         tracker.track(seen.features.clone(), camera, frame.odometry.as_ref());
     }
@@ -89,6 +90,10 @@ fn turns_finding(turns: &Agreement, field_of_view_rad: Option<f64>) -> Option<St
     let Agreement { compared, ratio, .. } = turns;
     match turns.verdict() {
         AgreementVerdict::Alike => None,
+        AgreementVerdict::OfAnotherScale if *ratio <= 0.0 => Some(format!(
+            "at the last {compared} turns images turned the other way than odometry: headings grow to the left, \
+             seen from above, and images must not be mirrored"
+        )),
         AgreementVerdict::OfAnotherScale => {
             let declared = field_of_view_rad.map(|declared_rad| {
                 let agreeing_rad = 2.0 * ((declared_rad / 2.0).tan() / ratio).atan();
@@ -116,12 +121,12 @@ fn ways_finding(ways: &Agreement) -> Option<String> {
     match ways.verdict() {
         AgreementVerdict::Alike => None,
         AgreementVerdict::OfAnotherScale => Some(format!(
-            "over the last {compared} ways that it had driven before the robot's odometry said {ratio:.2} times as much \
-             then as now: check the odometry's scale, in this session and in the one that it is at the places of"
+            "the last {compared} ways had been driven before, and odometry made them {ratio:.2} times as long then as \
+             now: check the odometry's scale, in this session and in the one that mapped these places"
         )),
         AgreementVerdict::OutOfStep => Some(format!(
-            "over the last {compared} ways that it had driven before the robot's odometry said now more than then and \
-             now less: its wheels slip, or images and odometry are not of the same moments"
+            "the last {compared} ways had been driven before, and odometry made some longer then and others \
+             shorter: wheels slip, or images and odometry are not of the same moments"
         )),
     }
 }
