@@ -1,6 +1,7 @@
 //! Chunks of records, compressed or not, read as they come: no chunk is ever whole in memory.
 
 use std::io::{self, BufReader, Read};
+use std::ops::ControlFlow;
 
 use crate::input::{Fault, zstd_decoder};
 
@@ -19,13 +20,14 @@ pub(super) struct ChunkSizes {
     pub(super) crc: Option<u32>,
 }
 
-/// Passes the decompressed records of a chunk to `records` as a stream, and holds them against what the chunk says.
+/// Reads the decompressed records of a chunk, one at each call of `record`, until that finds no more (`None`), and holds
+/// them against what the chunk says. Whoever breaks off in the middle of a chunk wants no more of it.
 pub(super) fn read_chunk(
     file: &mut dyn Read,
     compression: &str,
     sizes: &ChunkSizes,
-    records: &mut dyn FnMut(&mut dyn Read) -> Result<(), Fault>,
-) -> Result<(), Fault> {
+    record: &mut dyn FnMut(&mut dyn Read) -> Result<Option<ControlFlow<()>>, Fault>,
+) -> Result<ControlFlow<()>, Fault> {
     let &ChunkSizes { stored_bytes, plain_bytes, crc } = sizes;
     if plain_bytes > MOST_CHUNK_BYTES {
         return Err(Fault::Wrong(format!(
@@ -46,12 +48,17 @@ pub(super) fn read_chunk(
             }
         };
         let mut plain = Checked { inner: decoder, left: plain_bytes, hash: crc32fast::Hasher::new() };
-        records(&mut BufReader::with_capacity(BUFFER_BYTES, &mut plain))?;
+        let mut records = BufReader::with_capacity(BUFFER_BYTES, &mut plain);
+        while let Some(flow) = record(&mut records)? {
+            if flow.is_break() {
+                return Ok(flow);
+            }
+        }
         plain.finish(plain_bytes, crc)?;
     }
     // What a compressor put behind its last frame.
     io::copy(&mut stored, &mut io::sink())?;
-    if stored.limit() > 0 { Err(Fault::Ended) } else { Ok(()) }
+    if stored.limit() > 0 { Err(Fault::Ended) } else { Ok(ControlFlow::Continue(())) }
 }
 
 /// Counts and hashes what is read, and reads no more than there should be.

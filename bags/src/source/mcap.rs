@@ -103,21 +103,13 @@ fn chunk(
         )));
     }
     let sizes = ChunkSizes { stored_bytes, plain_bytes, crc: (crc != 0).then_some(crc) };
-    let mut flow = ControlFlow::Continue(());
-    let finished = read_chunk(input, &compression, &sizes, &mut |records| {
-        while let Some((opcode, size)) = record_head(records)? {
-            if opcode == CHUNK || opcode == DATA_END {
-                return Err(Fault::Wrong(format!("a chunk has a record of type {opcode:#04x}")));
-            }
-            flow = known.record(records, opcode, size, visit)?;
-            if flow.is_break() {
-                return Ok(());
-            }
+    read_chunk(input, &compression, &sizes, &mut |records| {
+        let Some((opcode, size)) = record_head(records)? else { return Ok(None) };
+        if opcode == CHUNK || opcode == DATA_END {
+            return Err(Fault::Wrong(format!("a chunk has a record of type {opcode:#04x}")));
         }
-        Ok(())
-    });
-    // Whoever breaks off in the middle of a chunk wants no more of it.
-    if flow.is_break() { Ok(flow) } else { finished.map(|()| flow) }
+        known.record(records, opcode, size, visit).map(Some)
+    })
 }
 
 /// What the records so far say of those that come.

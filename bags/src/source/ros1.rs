@@ -129,18 +129,10 @@ fn chunk(
 ) -> Result<ControlFlow<()>, Fault> {
     let compression = String::from_utf8_lossy(head.needed("compression")?).into_owned();
     let sizes = ChunkSizes { stored_bytes: size, plain_bytes: head.number("size")?, crc: None };
-    let mut flow = ControlFlow::Continue(());
-    let finished = read_chunk(input, &compression, &sizes, &mut |records| {
-        while let Some((head, size)) = record_head(records)? {
-            flow = known.record(records, &head, size, visit)?;
-            if flow.is_break() {
-                return Ok(());
-            }
-        }
-        Ok(())
-    });
-    // Whoever breaks off in the middle of a chunk wants no more of it.
-    if flow.is_break() { Ok(flow) } else { finished.map(|()| flow) }
+    read_chunk(input, &compression, &sizes, &mut |records| {
+        let Some((head, size)) = record_head(records)? else { return Ok(None) };
+        known.record(records, &head, size, visit).map(Some)
+    })
 }
 
 /// What the records so far say of those that come.
