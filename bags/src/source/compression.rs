@@ -20,13 +20,16 @@ pub(super) struct ChunkSizes {
     pub(super) crc: Option<u32>,
 }
 
-/// Reads the decompressed records of a chunk, one at each call of `record`, until that finds no more (`None`), and holds
-/// them against what the chunk says. Whoever breaks off in the middle of a chunk wants no more of it.
+/// Reads one record and tells whether more are wanted; `None` where the records end.
+type ReadRecord<'a> = dyn FnMut(&mut dyn Read) -> Result<Option<ControlFlow<()>>, Fault> + 'a;
+
+/// Reads the decompressed records of a chunk, one at each call of `record`, until that finds no more, and holds them
+/// against what the chunk says. Whoever breaks off in the middle of a chunk wants no more of it.
 pub(super) fn read_chunk(
     file: &mut dyn Read,
     compression: &str,
     sizes: &ChunkSizes,
-    record: &mut dyn FnMut(&mut dyn Read) -> Result<Option<ControlFlow<()>>, Fault>,
+    record: &mut ReadRecord<'_>,
 ) -> Result<ControlFlow<()>, Fault> {
     let &ChunkSizes { stored_bytes, plain_bytes, crc } = sizes;
     if plain_bytes > MOST_CHUNK_BYTES {
