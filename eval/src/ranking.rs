@@ -10,6 +10,7 @@ pub(crate) use tf_idf::TfIdfRanking;
 
 use anyhow::Result;
 use fabmap::appearance::PlaceId;
+use topomap::evidence::Candidate;
 use topomap::log::Reason;
 
 use crate::observing::Observed;
@@ -33,6 +34,8 @@ pub(crate) struct Ranked {
     pub proposal: Option<Proposal>,
     /// What was made of the frame; `None` for a system that only ranks.
     pub decision: Option<RankedDecision>,
+    /// The earlier frames that it was compared with; none for a system that only ranks.
+    pub candidates: Vec<RankedCandidate>,
     /// How well each frame before this one matches, in [0, 1]: the posterior of its place, or its
     /// cosine.
     pub similarities: Vec<f64>,
@@ -52,6 +55,15 @@ pub(crate) struct Proposal {
     pub posterior: Option<f64>,
     /// That it is right, as the system reports it: its posterior, or that and geometry together.
     pub probability: Option<f64>,
+}
+
+/// An earlier frame that a frame was compared with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct RankedCandidate {
+    /// Index of the earlier frame.
+    pub frame: usize,
+    /// What speaks for it.
+    pub candidate: Candidate,
 }
 
 /// What a system that maps decided about a frame.

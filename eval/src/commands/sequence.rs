@@ -1,6 +1,7 @@
 //! `waypost-eval sequence`: a drive with known loops, streamed once, its proposals judged.
 
 mod csv_files;
+mod recognised;
 mod report;
 mod results;
 mod summary;
@@ -14,6 +15,7 @@ use fabmap::model::Model;
 use topomap::log::Reason;
 use waypost_vision::features::Extractor;
 
+use self::recognised::Recognised;
 use self::report::SequenceReport;
 use self::system::SystemOptions;
 use crate::calibration::{Prediction, Reliability};
@@ -27,7 +29,8 @@ use crate::{files, progress};
 
 /// Stream a sequence with known loops once, in order, and judge the earlier frame proposed for each.
 ///
-/// Writes precision_recall.csv and .svg, reliability.svg, match_matrix.png, frames.csv and summary.json.
+/// Writes precision_recall.csv and .svg, reliability.svg, match_matrix.png, frames.csv, candidates.csv and
+/// summary.json.
 #[derive(Args)]
 pub(crate) struct SequenceOptions {
     /// Folder with images/, loops.csv and optionally ignore.csv (query_index,match_index).
@@ -82,7 +85,11 @@ pub(crate) fn run(options: &SequenceOptions) -> Result<SequenceReport> {
     let curve = PrecisionRecall::sweep(proposals, sequence.truth.queries_with_loop(options.gap as usize));
     let predictions: Vec<Prediction> = frames.iter().filter_map(JudgedFrame::prediction).collect();
     let reliability = Reliability::of(&predictions);
-    let report = SequenceReport::new(&frames, &curve, &reliability, system.places(), &options.system);
+    let places = frames.iter().map(|frame| frame.ranked.decision.and_then(|decision| decision.place));
+    let recognised = Recognised::of(places, &sequence.truth, options.gap as usize);
+    let on_map = system.places();
+    let on_map = (on_map, on_map.map(|_| recognised));
+    let report = SequenceReport::new(&frames, &curve, &reliability, on_map, &options.system);
     results::write_all(&report, &sequence, &model, &frames, (&curve, &reliability), &matrix, options)?;
     Ok(report)
 }

@@ -15,7 +15,7 @@ use topomap::settings::MapperSettings;
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::verification::Verifier;
 
-use super::{Proposal, Ranked, RankedDecision, Ranking};
+use super::{Proposal, Ranked, RankedCandidate, RankedDecision, Ranking};
 use crate::error::{fault, refused};
 use crate::event_log::EventLog;
 use crate::observing::{CurrentView, Observed};
@@ -91,6 +91,7 @@ impl Ranking for FabMap {
                 closure,
                 inliers,
             }),
+            candidates: candidates.iter().filter_map(|candidate| self.log.compared(candidate)).collect(),
             similarities: self
                 .log
                 .frames()
@@ -114,6 +115,10 @@ fn posterior_of(place: Option<PlaceId>, recognition: &Recognition) -> f64 {
 }
 
 impl EventLog {
+    fn compared(&self, candidate: &Candidate) -> Option<RankedCandidate> {
+        Some(RankedCandidate { frame: self.index(candidate.matched.frame)?, candidate: *candidate })
+    }
+
     /// The index in the sequence is the sequence number that the frame was sent with.
     fn proposal(&self, matched: Match, candidates: &[Candidate]) -> Option<Proposal> {
         let Match { place: _, posterior, log_odds, frame } = matched;

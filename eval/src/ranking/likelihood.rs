@@ -50,7 +50,14 @@ impl Ranking for LikelihoodRanking {
         self.waiting.push_back(observation);
         let mut similarities = recognition.posterior.places.clone();
         similarities.resize(index, 0.0);
-        Ok(Ranked { words, proposal: best(&recognition), decision: None, times: watch.stop(), similarities })
+        Ok(Ranked {
+            words,
+            proposal: best(&recognition),
+            decision: None,
+            candidates: Vec::new(),
+            times: watch.stop(),
+            similarities,
+        })
     }
 
     fn places(&self) -> Option<usize> {

@@ -32,7 +32,14 @@ impl Ranking for TfIdfRanking {
         self.tf_idf.add(observation);
         let far_enough = (index + 1).saturating_sub(self.gap);
         let proposal = best(&similarities[..far_enough.min(similarities.len())]);
-        Ok(Ranked { words, proposal, decision: None, times: watch.stop(), similarities })
+        Ok(Ranked {
+            words,
+            proposal,
+            decision: None,
+            candidates: Vec::new(),
+            times: watch.stop(),
+            similarities,
+        })
     }
 
     fn places(&self) -> Option<usize> {

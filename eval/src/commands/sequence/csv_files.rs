@@ -1,11 +1,13 @@
 //! The tables of a run, as CSV with a header.
 
 use serde::Serialize;
+use topomap::evidence::{Match, ViewMotion};
 
 use super::JudgedFrame;
 use crate::choices::{REASONS, VERDICTS, name_of};
-use crate::dataset::Sequence;
+use crate::dataset::{Sequence, Truth};
 use crate::precision_recall::{OperatingPoint, PrecisionRecall};
+use crate::ranking::RankedCandidate;
 
 /// One row per frame; the same input gives the same bytes.
 pub(super) fn frames(sequence: &Sequence, frames: &[JudgedFrame]) -> csv::Result<Vec<u8>> {
@@ -52,6 +54,61 @@ struct FrameRow {
     verdict: &'static str,
     closure_frame: Option<usize>,
     closure_verdict: &'static str,
+}
+
+/// One row per earlier frame that a frame was compared with.
+pub(super) fn candidates(frames: &[JudgedFrame], truth: &Truth) -> csv::Result<Vec<u8>> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    for (index, frame) in frames.iter().enumerate() {
+        for &RankedCandidate { frame: earlier, candidate } in &frame.ranked.candidates {
+            let Match { place, posterior, log_odds, frame: _ } = candidate.matched;
+            let motion = match candidate.view.and_then(|view| view.motion) {
+                Some(ViewMotion::Similarity(motion)) => Some(motion),
+                Some(ViewMotion::Essential { .. } | ViewMotion::Fundamental(_)) | None => None,
+            };
+            writer.serialize(CandidateRow {
+                index,
+                frame: earlier,
+                place,
+                posterior,
+                log_odds_nats: log_odds,
+                matches: candidate.view.map(|view| view.matches),
+                inliers: candidate.view.map(|view| view.inliers),
+                distinct_inliers: candidate.view.map(|view| view.distinct_inliers),
+                own_evidence: candidate.own_evidence(),
+                support: candidate.support,
+                evidence: candidate.evidence(),
+                probability: candidate.probability(),
+                rotation_rad: motion.map(|motion| motion.rotation_rad),
+                ln_scale: motion.map(|motion| motion.ln_scale),
+                shift_x_widths: motion.map(|motion| motion.translation_widths[0]),
+                shift_y_widths: motion.map(|motion| motion.translation_widths[1]),
+                verdict: name_of(VERDICTS, &Some(truth.verdict(index, earlier))),
+            })?;
+        }
+    }
+    writer.into_inner().map_err(|error| error.into_error().into())
+}
+
+#[derive(Serialize)]
+struct CandidateRow {
+    index: usize,
+    frame: usize,
+    place: u32,
+    posterior: f64,
+    log_odds_nats: f64,
+    matches: Option<u32>,
+    inliers: Option<u32>,
+    distinct_inliers: Option<u32>,
+    own_evidence: f64,
+    support: f64,
+    evidence: f64,
+    probability: f64,
+    rotation_rad: Option<f64>,
+    ln_scale: Option<f64>,
+    shift_x_widths: Option<f64>,
+    shift_y_widths: Option<f64>,
+    verdict: &'static str,
 }
 
 /// One row per operating point, highest threshold first.

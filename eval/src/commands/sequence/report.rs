@@ -5,6 +5,7 @@ use std::fmt::Write;
 use serde::Serialize;
 
 use super::JudgedFrame;
+use super::recognised::Recognised;
 use super::system::{RankingName, SystemOptions};
 use crate::calibration::Reliability;
 use crate::dataset::{Sequence, Verdict};
@@ -30,6 +31,11 @@ pub(crate) struct SequenceReport {
     pub loop_closures: Option<usize>,
     /// Those of them that are false.
     pub loop_closures_false: Option<usize>,
+    /// Frames put to a place known from before that holds a true match: what a robot gets; null for a system without a
+    /// map.
+    pub recognised: Option<usize>,
+    /// Frames put to one that holds none.
+    pub recognised_wrongly: Option<usize>,
     /// The same as `loop_closures`.
     pub accepted: Option<usize>,
     /// The same as `loop_closures_false`.
@@ -46,7 +52,7 @@ impl SequenceReport {
         frames: &[JudgedFrame],
         curve: &PrecisionRecall,
         reliability: &Reliability,
-        places: Option<usize>,
+        (places, recognised): (Option<usize>, Option<Recognised>),
         system: &SystemOptions,
     ) -> Self {
         let above = |threshold| frames.iter().filter_map(|frame| frame.accepted_above(threshold)).collect();
@@ -71,6 +77,8 @@ impl SequenceReport {
             places,
             loop_closures: accepted,
             loop_closures_false: accepted_false,
+            recognised: recognised.map(|recognised| recognised.right),
+            recognised_wrongly: recognised.map(|recognised| recognised.wrong),
             accepted,
             accepted_false,
             ece: reliability.expected_calibration_error(),
@@ -102,6 +110,9 @@ impl SequenceReport {
         }
         if let (Some(accepted), Some(wrong)) = (self.loop_closures, self.loop_closures_false) {
             let _ = writeln!(table, "loop closures accepted     {accepted}, {wrong} of them false");
+        }
+        if let (Some(right), Some(wrong)) = (self.recognised, self.recognised_wrongly) {
+            let _ = writeln!(table, "recognised                 {right}, and {wrong} put to a wrong place");
         }
         if let Some(error) = self.ece {
             let _ = writeln!(table, "expected calibration error {error:.3}");

@@ -27,6 +27,7 @@ pub(super) fn write_all(
     let system = options.system.in_words();
     let title = format!("{}: {system}", sequence.name);
     write(FRAMES, &csv_files::frames(sequence, frames)?)?;
+    write(CANDIDATES, &csv_files::candidates(frames, &sequence.truth)?)?;
     write(CURVE, &csv_files::curve(curve)?)?;
     write(CURVE_PLOT, plots::precision_recall_svg(&title, curve)?.as_bytes())?;
     write(RELIABILITY_PLOT, plots::reliability_svg(&title, reliability)?.as_bytes())?;
@@ -36,13 +37,14 @@ pub(super) fn write_all(
 
     eprint!("{}", report.table(sequence, &system));
     eprintln!(
-        "results                    {} ({FRAMES}, {CURVE}, {CURVE_PLOT}, {RELIABILITY_PLOT}, {MATRIX}, {SUMMARY}, {MISTAKES}/)",
+        "results                    {} ({FRAMES}, {CANDIDATES}, {CURVE}, {CURVE_PLOT}, {RELIABILITY_PLOT}, {MATRIX}, {SUMMARY}, {MISTAKES}/)",
         options.out.display()
     );
     Ok(())
 }
 
 const FRAMES: &str = "frames.csv";
+const CANDIDATES: &str = "candidates.csv";
 const CURVE: &str = "precision_recall.csv";
 const CURVE_PLOT: &str = "precision_recall.svg";
 const RELIABILITY_PLOT: &str = "reliability.svg";
