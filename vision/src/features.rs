@@ -2,8 +2,10 @@
 
 mod settings;
 
+use std::collections::HashSet;
+
 use fabmap::descriptor::Descriptors;
-use opencv::core::{KeyPoint, KeyPointTraitConst, Mat, Vector, no_array};
+use opencv::core::{KeyPoint, KeyPointTrait, KeyPointTraitConst, Mat, Vector, no_array};
 use opencv::features2d::{
     AKAZE, AKAZE_DescriptorType, Feature2DTrait, KAZE_DiffusivityType, ORB, ORB_ScoreType, SIFT,
 };
@@ -105,6 +107,12 @@ impl Extractor {
             Feature::Sift | Feature::RootSift => {
                 sift(most)?.detect_and_compute_def(&pixels, &no_array(), &mut found, &mut matrix)?;
             }
+            Feature::UprightRootSift => {
+                let mut sift = sift(UNLIMITED)?;
+                sift.detect_def(&pixels, &mut found)?;
+                found = upright(&found, most);
+                sift.compute(&pixels, &mut found, &mut matrix)?;
+            }
             Feature::Orb => {
                 orb(most)?.detect_and_compute_def(&pixels, &no_array(), &mut found, &mut matrix)?;
             }
@@ -114,7 +122,9 @@ impl Extractor {
         }
         let rows: Vec<Vec<u8>> = match self.settings.feature() {
             Feature::Sift => mat::float_rows(&matrix)?.into_iter().map(sift_bytes).collect(),
-            Feature::RootSift => mat::float_rows(&matrix)?.into_iter().map(root_sift_bytes).collect(),
+            Feature::RootSift | Feature::UprightRootSift => {
+                mat::float_rows(&matrix)?.into_iter().map(root_sift_bytes).collect()
+            }
             Feature::Orb | Feature::Akaze => {
                 mat::byte_rows(&matrix)?.into_iter().map(<[u8]>::to_vec).collect()
             }
@@ -247,6 +257,26 @@ impl Scale {
             ..keypoint
         }
     }
+}
+
+/// As many features as there are, in OpenCV's terms.
+const UNLIMITED: i32 = 0;
+
+/// The strongest keypoints, each once whatever its orientations, and as the camera stands.
+fn upright(found: &Vector<KeyPoint>, most: i32) -> Vector<KeyPoint> {
+    let mut seen = HashSet::new();
+    let place = |keypoint: &KeyPoint| [keypoint.pt().x, keypoint.pt().y, keypoint.size()].map(f32::to_bits);
+    let mut once: Vec<KeyPoint> = found.iter().filter(|keypoint| seen.insert(place(keypoint))).collect();
+    once.sort_by(|a, b| {
+        b.response()
+            .total_cmp(&a.response())
+            .then(a.pt().y.total_cmp(&b.pt().y))
+            .then(a.pt().x.total_cmp(&b.pt().x))
+            .then(a.size().total_cmp(&b.size()))
+    });
+    once.truncate(usize::try_from(most).unwrap_or(usize::MAX));
+    once.iter_mut().for_each(|keypoint| keypoint.set_angle(0.0));
+    once.into()
 }
 
 /// OpenCV's SIFT descriptor, which is integers from 0 to 255 already, though in floats.

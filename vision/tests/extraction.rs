@@ -39,7 +39,7 @@ fn every_feature_gives_what_it_promises() {
 #[test]
 fn fewer_features_are_the_strongest_of_many() {
     let scene = scenes::textured(320, 240, 2);
-    for feature in [Feature::Sift, Feature::RootSift, Feature::Akaze] {
+    for feature in [Feature::Sift, Feature::RootSift, Feature::UprightRootSift, Feature::Akaze] {
         let many = extract(feature, 400, 320, &scene);
         let few = extract(feature, 50, 320, &scene);
         assert_eq!(few.keypoints, many.keypoints[..50], "{feature}");
@@ -85,6 +85,7 @@ fn a_shifted_view_keeps_its_descriptors() {
     for (feature, near) in [
         (Feature::Sift, 100 * 100),
         (Feature::RootSift, 100 * 100),
+        (Feature::UprightRootSift, 100 * 100),
         (Feature::Orb, 64),
         (Feature::Akaze, 100),
     ] {
@@ -127,6 +128,35 @@ fn sift_and_root_sift_look_at_the_same_points() {
         (extract(Feature::Sift, 200, 320, &scene), extract(Feature::RootSift, 200, 320, &scene));
     assert_eq!(sift.keypoints, root_sift.keypoints);
     assert_ne!(sift.descriptors, root_sift.descriptors);
+}
+
+/// The same points, each once, and what looks alike but for a quarter of a turn stays apart.
+#[test]
+fn upright_features_keep_to_the_camera() {
+    let scene = scenes::textured(320, 240, 6);
+    let upright = extract(Feature::UprightRootSift, 200, 320, &scene);
+    assert!(upright.keypoints.iter().all(|keypoint| keypoint.angle_rad == 0.0));
+    let mut places: Vec<_> =
+        upright.keypoints.iter().map(|one| [one.x_px, one.y_px, one.size_px].map(f32::to_bits)).collect();
+    places.sort_unstable();
+    places.dedup();
+    assert!(places.len() > 100 && places.len() == upright.keypoints.len(), "{} places", places.len());
+
+    let turned: Vec<u8> = (0..320)
+        .flat_map(|y| (0..240).map(move |x| (x, y)))
+        .map(|(x, y)| scene.pixels()[(239 - x) * 320 + y])
+        .collect();
+    let turned = GreyImage::new(240, 320, turned).unwrap();
+    let found_again = |feature| {
+        let (first, second) = (extract(feature, 200, 320, &scene), extract(feature, 200, 320, &turned));
+        let near = |row: &[u8]| {
+            let distance = |other| feature.descriptor_kind().distance(row, other);
+            second.descriptors.rows().any(|other| distance(other) <= 100 * 100)
+        };
+        first.descriptors.rows().filter(|row| near(row)).count()
+    };
+    let (upright, turning) = (found_again(Feature::UprightRootSift), found_again(Feature::RootSift));
+    assert!(turning > 100 && upright < 20, "{turning} that turn, {upright} upright");
 }
 
 #[test]

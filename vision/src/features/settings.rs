@@ -98,6 +98,10 @@ pub enum Feature {
     /// SIFT compared by the Hellinger kernel (Arandjelović & Zisserman, CVPR 2012): the square
     /// roots of the L1-normalised SIFT descriptor, times [`Feature::ROOT_SIFT_SCALE`].
     RootSift,
+    /// RootSIFT described as the camera stands, not turned to each feature's own orientation: for cameras that do not
+    /// roll. What looks alike but for its turn stays apart, and one orientation instead of several leaves room for
+    /// more features.
+    UprightRootSift,
     /// ORB (Rublee et al., ICCV 2011): 256 brightness comparisons.
     Orb,
     /// AKAZE with its M-LDB descriptor (Alcantarilla et al., BMVC 2013): 486 comparisons.
@@ -106,7 +110,8 @@ pub enum Feature {
 
 impl Feature {
     /// All features, in the order of their definition.
-    pub const ALL: [Feature; 4] = [Feature::Sift, Feature::RootSift, Feature::Orb, Feature::Akaze];
+    pub const ALL: [Feature; 5] =
+        [Feature::Sift, Feature::RootSift, Feature::UprightRootSift, Feature::Orb, Feature::Akaze];
 
     /// Length of a RootSIFT descriptor before it is rounded to bytes. On 3 million values from real
     /// corridors and streets the largest byte was 176 and rounding moved descriptors by 0.6% of
@@ -117,7 +122,7 @@ impl Feature {
     #[must_use]
     pub fn descriptor_kind(self) -> DescriptorKind {
         match self {
-            Feature::Sift | Feature::RootSift => DescriptorKind::Float,
+            Feature::Sift | Feature::RootSift | Feature::UprightRootSift => DescriptorKind::Float,
             Feature::Orb | Feature::Akaze => DescriptorKind::Binary,
         }
     }
@@ -126,7 +131,7 @@ impl Feature {
     #[must_use]
     pub fn descriptor_width(self) -> usize {
         match self {
-            Feature::Sift | Feature::RootSift => 128,
+            Feature::Sift | Feature::RootSift | Feature::UprightRootSift => 128,
             Feature::Orb => 32,
             Feature::Akaze => 61,
         }
@@ -138,7 +143,7 @@ impl Feature {
     /// coordinates found there without taking the 1/2 off.
     pub(super) fn opencv_offset_px(self) -> f32 {
         match self {
-            Feature::Sift | Feature::RootSift => 0.25,
+            Feature::Sift | Feature::RootSift | Feature::UprightRootSift => 0.25,
             Feature::Orb | Feature::Akaze => 0.0,
         }
     }
@@ -149,6 +154,7 @@ impl Feature {
         match self {
             Feature::Sift => "sift",
             Feature::RootSift => "rootsift",
+            Feature::UprightRootSift => "upright-rootsift",
             Feature::Orb => "orb",
             Feature::Akaze => "akaze",
         }
@@ -176,7 +182,7 @@ impl FromStr for Feature {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SettingsError {
     /// No feature of this name.
-    #[error("unknown feature \"{found}\"; use sift, rootsift, orb or akaze")]
+    #[error("unknown feature \"{found}\"; use sift, rootsift, upright-rootsift, orb or akaze")]
     UnknownFeature {
         /// The name given.
         found: String,
