@@ -15,6 +15,7 @@ mod deciding;
 mod errors;
 mod frame;
 mod gates;
+mod in_step;
 mod link_prior;
 mod localizer;
 mod measuring;

@@ -88,17 +88,6 @@ pub struct Placed {
     pub wheels: PlanarPose,
 }
 
-impl Sighting {
-    /// Whether it is of `place`, or of a frame that the same session took within `frames` of
-    /// `other`.
-    #[must_use]
-    pub fn is_near(&self, place: PlaceId, other: PlaceFrame, frames: u64) -> bool {
-        let same_way =
-            self.seen.session == other.session && self.seen.number.abs_diff(other.number) <= frames;
-        self.place == place || same_way
-    }
-}
-
 /// How well it is known where a robot was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Measured {

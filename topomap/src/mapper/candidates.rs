@@ -13,7 +13,7 @@ use crate::settings::MapperSettings;
 /// taken.
 const AS_GOOD: f64 = 0.9;
 
-/// Views around a verified one with this share of the strongest own evidence may be the nearest.
+/// Views with this share of the strongest own evidence may be the nearest.
 const HALF_AS_GOOD: f64 = 0.5;
 
 /// How many place spacings around that is.
@@ -43,11 +43,15 @@ impl Mapper {
     ) -> Option<&'a Candidate> {
         let possible = candidates.iter().filter(|candidate| !self.is_elsewhere(candidate));
         let strongest = possible.map(Candidate::evidence).fold(0.0, f64::max);
-        let passed = candidates
+        let as_good = candidates
             .iter()
             .filter(|candidate| !session.is_near(candidate.matched.place, self.settings()))
             .filter(|candidate| candidate.view.is_some() && candidate.evidence() >= AS_GOOD * strongest)
-            .filter(|candidate| self.verdict(candidate).is_accepted());
+            .filter(|candidate| !self.is_elsewhere(candidate));
+        let passed = as_good
+            .clone()
+            .filter(|candidate| self.verdict(candidate).is_accepted())
+            .filter(|candidate| !is_outdone(candidate, as_good.clone()));
         passed.min_by(|a, b| nearer(a, b))
     }
 
@@ -96,6 +100,14 @@ impl Mapper {
     }
 }
 
+/// Whether one of the others, which as much speaks for altogether, shows far more of what is seen
+/// now: on a straight way the frames behind the robot follow in step as well as those beside it.
+/// Where the distance is measured, that tells.
+fn is_outdone<'a>(candidate: &Candidate, mut others: impl Iterator<Item = &'a Candidate>) -> bool {
+    measured_m(candidate).is_none()
+        && others.any(|other| candidate.own_evidence() < HALF_AS_GOOD * other.own_evidence())
+}
+
 fn nearer(a: &Candidate, b: &Candidate) -> Ordering {
     let by_distance = match (measured_m(a), measured_m(b)) {
         (Some(a), Some(b)) => a.total_cmp(&b),
@@ -128,6 +140,20 @@ pub(super) fn most_likely(candidates: &[Candidate]) -> Option<&Candidate> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_shows_far_less_of_it_is_further_behind() {
+        let of_inliers = |inliers| {
+            let candidate = Candidate::shifted(0.3, 0.0);
+            let view = candidate.view.map(|view| TwoView { inliers, distinct_inliers: inliers, ..view });
+            Candidate { view, ..candidate }
+        };
+        let beside = [of_inliers(60), of_inliers(40)];
+        assert!(is_outdone(&of_inliers(20), beside.iter()));
+        assert!(!is_outdone(&of_inliers(40), beside.iter()));
+        assert!(!is_outdone(&of_inliers(60), beside.iter()));
+        assert!(!is_outdone(&of_inliers(20), [].iter()));
+    }
 
     #[test]
     fn the_end_of_a_corridor_is_nearer_where_it_is_no_larger() {

@@ -1,20 +1,19 @@
 //! What the last frames of a session say for a candidate of this one.
 
+use std::collections::BTreeMap;
+
 use fabmap::appearance::PlaceId;
 use fabmap::recognizer::Association;
 use nalgebra::{Matrix3, Vector3};
 use posegraph::{PlanarPose, Pose};
 
 use super::frame::FrameInHand;
+use super::in_step::{Step, evidence_in_step};
 use super::state::Mapper;
 use crate::evidence::{Candidate, Placement};
+use crate::ids::SessionId;
 use crate::map::{Measured, Placed, Sighting};
 use crate::metric::{Odometry, PlaceSpacing, RelativePose};
-
-/// Where nothing is measured: places that a session goes past in a frame at most, and how far apart
-/// matches of the same place may be.
-const FRAMES_PER_FRAME: u64 = 1;
-const SLACK_FRAMES: u64 = 2;
 
 /// Beyond so many squared standard deviations of three degrees of freedom, one in a hundred, wheels
 /// do not lead from one measured pose to another.
@@ -39,8 +38,8 @@ enum Motion {
 
 impl FrameInHand<'_> {
     /// What the last frames of the session said for the candidate, in inliers: of each frame the
-    /// strongest that is of one motion with it. Without metres frames count that saw the same place
-    /// or one near it. What is not measured does not outvote words that say that the place is new.
+    /// strongest that is of one motion with it. Without metres frames count that follow an earlier
+    /// drive in its order. What is not measured does not outvote words that say that the place is new.
     pub(super) fn support(&self, candidate: &Candidate) -> f64 {
         let Some(seen) = self.mapper.map().locate(candidate.matched.place, candidate.matched.frame) else {
             return 0.0;
@@ -48,23 +47,37 @@ impl FrameInHand<'_> {
         let now = self.session.frames;
         let earliest = now.saturating_sub(self.mapper.settings().verification.consistency_frames);
         let words_say_new = self.input.odometry.is_some() && self.association == Association::New;
-        let mut of_frames = vec![0.0_f64; usize::try_from(now - earliest).unwrap_or(0)];
+        let mut of_frames = BTreeMap::<u64, f64>::new();
+        let mut unmeasured: Vec<&Sighting> = Vec::new();
         for sighting in self.session.sightings.iter().filter(|sighting| sighting.number >= earliest) {
-            let frames = FRAMES_PER_FRAME * (now - sighting.number) + SLACK_FRAMES;
             let speaks = match self.motion(sighting, candidate) {
                 Motion::Leads => true,
                 Motion::MayLead => !words_say_new,
                 Motion::Misleads => false,
                 Motion::Unmeasured => {
-                    !words_say_new && sighting.is_near(candidate.matched.place, seen, frames)
+                    unmeasured.extend(Some(sighting).filter(|_| !words_say_new));
+                    false
                 }
             };
             if speaks {
-                let strongest = &mut of_frames[(sighting.number - earliest) as usize];
+                let strongest = of_frames.entry(sighting.number).or_default();
                 *strongest = strongest.max(sighting.evidence);
             }
         }
-        of_frames.iter().sum()
+        unmeasured.retain(|sighting| !of_frames.contains_key(&sighting.number));
+        let steps: Vec<Step> =
+            unmeasured.into_iter().flat_map(|sighting| self.steps(sighting, seen.session)).collect();
+        of_frames.values().sum::<f64>() + evidence_in_step(&steps, seen.number)
+    }
+
+    /// A sighting by the frames of its place that `session` took: whoever drives the same way again
+    /// is seen now at frames of one drive, now at those of another.
+    fn steps(&self, sighting: &Sighting, session: SessionId) -> impl Iterator<Item = Step> {
+        let place = self.mapper.map().places().get(sighting.place as usize);
+        let frames = place.map_or(&[][..], |place| &place.frames);
+        let frames_ago = self.session.frames - sighting.number;
+        let of_session = frames.iter().filter(move |frame| frame.session == session);
+        of_session.map(move |frame| Step { frames_ago, number: frame.number, evidence: sighting.evidence })
     }
 
     fn motion(&self, sighting: &Sighting, candidate: &Candidate) -> Motion {
