@@ -25,7 +25,7 @@ use crate::ingest::model::{LoadedModel, LoadedModels};
 use crate::map_settings::{self, Keep};
 use crate::names::map_in;
 pub(crate) use crate::open_map::answers::QueryAnswer;
-use crate::open_map::{FrameStore, OpenMaps, SeenFeatures, compared, stored_features, verifier};
+use crate::open_map::{FrameStore, OpenMaps, SeenFeatures, compared, no_such_map, stored_features, verifier};
 use crate::storage::{LogEntry, MapRow, Storage, StorageError};
 
 /// Words for, and as many against, that an explanation lists at most.
@@ -107,13 +107,19 @@ impl Queries {
         let abandoned = CancellationToken::new();
         let name = name.to_owned();
         let _abandon = abandoned.clone().drop_guard();
+        let (id, map_name) = (map.id, map.name.clone());
         let replay =
             Replay { storage: self.storage.clone(), runtime: Handle::current(), map, model, abandoned };
         let explaining = tokio::task::spawn_blocking(move || {
             let _turn = turn;
             replay.explain(name, position, place, words)
         });
-        explaining.await.map_err(ServiceError::internal)?
+        let explained = explaining.await.map_err(ServiceError::internal)?;
+        // Of a map that is deleted meanwhile some frames may be gone before others.
+        if self.storage.map_of_id(id).await?.is_none() {
+            return Err(no_such_map(&map_name));
+        }
+        explained
     }
 
     /// The model that a map had when a frame was decided; the present one if that is gone.
@@ -237,7 +243,7 @@ impl Replay {
         let settings = map_settings::from_json(&map.settings)?.mapper;
         let mut mapper = Mapper::new(&model.model, settings).map_err(ServiceError::internal)?;
         let words = model.model.vocabulary().len();
-        let deleted = || ServiceError::not_found(format_args!("the map {} was deleted just now", map.name));
+        let deleted = || no_such_map(&map.name);
         let event = match runtime.block_on(storage.event_at(map.id, position, words))? {
             Some(MapEvent::Frame(event)) => *event,
             Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None => return Err(deleted()),
