@@ -98,7 +98,7 @@ fn a_file_that_is_no_model_of_ours_is_refused() {
     fs::write(world.path("foreign"), foreign.unwrap().to_bytes()).unwrap();
     assert_says(
         sequence(&world, "foreign", &[]).refusal(1),
-        &["extractor", "surf", "use sift, rootsift, orb or akaze", "train it anew"],
+        &["extractor", "surf", "use sift, rootsift, upright-rootsift, orb or akaze", "train it anew"],
     );
     let other_width = Model::new(
         "rootsift features=500 width=640".to_owned(),
