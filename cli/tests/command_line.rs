@@ -1,9 +1,10 @@
 //! The command line where it needs no server: exit codes, and errors that say what to do.
 #![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
 
-use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Command, Output};
+
+use tokio::net::TcpSocket;
 
 fn waypost(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_waypost"))
@@ -20,10 +21,11 @@ fn failed(arguments: &[&str]) -> (i32, String) {
     (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
 }
 
-/// An address that nobody listens at.
-fn nowhere() -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    format!("http://{}", listener.local_addr().unwrap())
+/// An address that nobody listens at, and nobody else gets while the socket is kept.
+fn nowhere() -> (String, TcpSocket) {
+    let socket = TcpSocket::new_v4().unwrap();
+    socket.bind(([127, 0, 0, 1], 0).into()).unwrap();
+    (format!("http://{}", socket.local_addr().unwrap()), socket)
 }
 
 fn images(folder: &Path, count: usize) {
@@ -45,7 +47,7 @@ fn an_unreachable_server_is_code_3() {
         &["stream", dir, "--map", "office"],
     ];
     for command in commands {
-        let server = nowhere();
+        let (server, _port) = nowhere();
         let (code, stderr) = failed(&[command, &["--server", &server]].concat());
         assert_eq!(code, 3, "{command:?}: {stderr}");
         assert!(stderr.contains(&server) && stderr.contains("check that waypost-server runs"), "{stderr}");
@@ -54,7 +56,7 @@ fn an_unreachable_server_is_code_3() {
 
 #[test]
 fn the_address_may_come_from_the_environment() {
-    let server = nowhere();
+    let (server, _port) = nowhere();
     let output = Command::new(env!("CARGO_BIN_EXE_waypost"))
         .env("WAYPOST_SERVER", &server)
         .args(["map", "ls"])

@@ -1,8 +1,8 @@
 //! A server of sessions that breaks where the script says, over real sockets.
 //!
 //! It keeps the contract: frames are committed once, in rising order, and answered from the store when
-//! they are sent again. A crash takes the whole runtime down, sockets and all, and a new one comes up
-//! at the same address with what was committed.
+//! they are sent again. A crash takes the whole runtime down, connections and all, and a new one comes
+//! up at the same address with what was committed.
 
 use std::collections::{HashMap, VecDeque};
 use std::net::SocketAddr;
@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, mpsc};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use tokio::net::TcpListener;
+use tokio::net::TcpSocket;
 use tokio::sync::Notify;
 use tokio_stream::wrappers::{TcpListenerStream, UnboundedReceiverStream};
 use tonic::transport::Server;
@@ -60,6 +60,8 @@ pub(crate) struct Peer {
     holding: Arc<Holding>,
     orders: mpsc::Sender<Order>,
     supervisor: Option<JoinHandle<()>>,
+    /// Bound and never listening: keeps the port from other tests' servers while this one is down.
+    _port: TcpSocket,
 }
 
 /// Answers are held back while it is on.
@@ -83,12 +85,14 @@ impl Peer {
         let record = Arc::new(Mutex::new(record));
         let holding = Arc::new(Holding::default());
         let (orders, taken) = mpsc::channel();
-        let (listening, address) = mpsc::channel();
+        let (listening, is_listening) = mpsc::channel();
+        let port = bound(SocketAddr::from(([127, 0, 0, 1], 0)));
+        let address = port.local_addr().unwrap();
         let sessions =
             Sessions { record: Arc::clone(&record), holding: Arc::clone(&holding), orders: orders.clone() };
-        let supervisor = std::thread::spawn(move || supervise(&sessions, &taken, &listening));
-        let address = address.recv().unwrap();
-        Self { address, record, holding, orders, supervisor: Some(supervisor) }
+        let supervisor = std::thread::spawn(move || supervise(address, &sessions, &taken, &listening));
+        is_listening.recv().unwrap();
+        Self { address, record, holding, orders, supervisor: Some(supervisor), _port: port }
     }
 
     pub(crate) fn endpoint(&self) -> String {
@@ -123,16 +127,27 @@ impl Drop for Peer {
     }
 }
 
+/// A socket at an address that others of ours may share until one of them listens.
+fn bound(address: SocketAddr) -> TcpSocket {
+    let socket = TcpSocket::new_v4().unwrap();
+    socket.set_reuseaddr(true).unwrap();
+    socket.bind(address).unwrap();
+    socket
+}
+
 /// Keeps one server running at one address until it is told to stop.
-fn supervise(sessions: &Sessions, orders: &mpsc::Receiver<Order>, listening: &mpsc::Sender<SocketAddr>) {
-    let mut address = SocketAddr::from(([127, 0, 0, 1], 0));
+fn supervise(
+    address: SocketAddr,
+    sessions: &Sessions,
+    orders: &mpsc::Receiver<Order>,
+    listening: &mpsc::Sender<()>,
+) {
     loop {
         let runtime =
             tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
-        let listener = runtime.block_on(TcpListener::bind(address)).unwrap();
-        address = listener.local_addr().unwrap();
+        let listener = runtime.block_on(async { bound(address).listen(1024) }).unwrap();
         // Only the first start is waited for.
-        let _ = listening.send(address);
+        let _ = listening.send(());
         let service = SessionServiceServer::new(sessions.clone()).max_decoding_message_size(8 << 20);
         runtime.spawn(
             Server::builder().add_service(service).serve_with_incoming(TcpListenerStream::new(listener)),
