@@ -15,7 +15,7 @@ demo: build
 
 # All unit, property and end-to-end tests, and then those of the Python client, of docker/ and of the page.
 test: setup
-	$(CARGO) test --release --locked --workspace
+	$(CARGO) test --release --locked --workspace --no-fail-fast
 	$(MAKE) --no-print-directory test-python test-inspector
 
 test-python: build
