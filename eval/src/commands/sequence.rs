@@ -87,8 +87,7 @@ pub(crate) fn run(options: &SequenceOptions) -> Result<SequenceReport> {
     let reliability = Reliability::of(&predictions);
     let places = frames.iter().map(|frame| frame.ranked.decision.and_then(|decision| decision.place));
     let recognised = Recognised::of(places, &sequence.truth, options.gap as usize);
-    let on_map = system.places();
-    let on_map = (on_map, on_map.map(|_| recognised));
+    let on_map = system.places().map(|places| (places, recognised));
     let report = SequenceReport::new(&frames, &curve, &reliability, on_map, &options.system);
     results::write_all(&report, &sequence, &model, &frames, (&curve, &reliability), &matrix, options)?;
     Ok(report)

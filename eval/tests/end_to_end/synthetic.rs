@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use image::{GrayImage, Luma};
 use serde_json::Value;
 
-use crate::tool::{FrameRow, frame_rows, proposal, waypost_eval, waypost_eval_on_threads};
+use crate::tool::{Row, candidate_rows, frame_rows, proposal, waypost_eval, waypost_eval_on_threads};
 
 pub(crate) const PLACES: usize = 8;
 pub(crate) const GAP: usize = 4;
@@ -149,10 +149,34 @@ fn a_second_pass_is_recognised() {
     assert_eq!(summary["average_precision"], report["average_precision"]);
     assert_eq!(summary["model_hash"], trained["model_hash"]);
     assert_rows_agree(&frame_rows(&world.path("out")), &report);
+    assert_candidates_agree(&candidate_rows(&world.path("out")), &frame_rows(&world.path("out")));
+}
+
+/// What was proposed was compared, with the same numbers.
+fn assert_candidates_agree(candidates: &[Row], frames: &[Row]) {
+    for (index, frame) in frames.iter().enumerate() {
+        let of_frame: Vec<&Row> = candidates.iter().filter(|row| row["index"] == index.to_string()).collect();
+        assert!(of_frame.len() <= 8, "{of_frame:?}");
+        assert_eq!(of_frame.is_empty(), proposal(frame).is_none());
+        if let Some(earlier) = proposal(frame) {
+            let proposed = of_frame.iter().find(|row| row["frame"] == earlier.to_string()).unwrap();
+            assert_eq!(proposed["probability"], frame["proposal_probability"]);
+            assert_eq!(proposed["posterior"], frame["proposal_posterior"]);
+            assert_eq!(proposed["verdict"], frame["verdict"]);
+            let number = |column: &str| proposed[column].parse::<f64>().unwrap();
+            assert!(
+                number("inliers") <= number("matches") && number("distinct_inliers") <= number("inliers")
+            );
+            assert!(
+                number("own_evidence_inliers") <= number("evidence_inliers")
+                    || number("own_evidence_inliers") < 20.0
+            );
+        }
+    }
 }
 
 /// The table of frames and the report tell the same story, and the gap is kept.
-fn assert_rows_agree(rows: &[FrameRow], report: &Value) {
+fn assert_rows_agree(rows: &[Row], report: &Value) {
     assert_eq!(rows.len(), 16);
     for (index, row) in rows.iter().enumerate() {
         assert_eq!(row["index"], index.to_string());
@@ -167,6 +191,14 @@ fn assert_rows_agree(rows: &[FrameRow], report: &Value) {
     assert_eq!(report["true_positives"], count("verdict", "true"));
     assert_eq!(report["false_positives"], count("verdict", "false"));
     assert_eq!(report["loop_closures"], count("reason", "loop-closure"));
+    // Every closure is right here, and leads to a place that was known.
+    let (recognised, closures) =
+        (report["recognised"].as_u64().unwrap(), report["loop_closures"].as_u64().unwrap());
+    assert!(recognised >= closures && recognised <= 8 && closures > 0, "{report}");
+    assert_eq!(
+        (&report["loop_closures_false"], &report["recognised_wrongly"]),
+        (&Value::from(0), &Value::from(0))
+    );
 }
 
 #[test]
@@ -193,9 +225,10 @@ fn the_baseline_ranks_by_similarity_alone() {
     world.train("model");
     let report = world.run("model", "out", &["--ranking", "tf-idf"]);
     assert!(report["recall_at_100_precision"].as_f64().unwrap() > 0.8, "{report}");
-    for key in ["places", "loop_closures", "loop_closures_false"] {
+    for key in ["places", "loop_closures", "loop_closures_false", "recognised", "recognised_wrongly"] {
         assert_eq!(report.get(key), Some(&Value::Null), "{key}");
     }
+    assert!(candidate_rows(&world.path("out")).is_empty());
     for (index, row) in frame_rows(&world.path("out")).iter().enumerate() {
         assert_eq!(proposal(row).is_some(), index >= GAP);
         assert!(proposal(row).is_none_or(|earlier| earlier + GAP <= index));

@@ -51,15 +51,24 @@ impl Run {
     }
 }
 
-/// One row of `frames.csv`, by column.
-pub(crate) type FrameRow = std::collections::HashMap<String, String>;
+/// One row of a table, by column.
+pub(crate) type Row = std::collections::HashMap<String, String>;
 
-pub(crate) fn frame_rows(folder: &Path) -> Vec<FrameRow> {
-    let mut reader = csv::Reader::from_path(folder.join("frames.csv")).unwrap();
+pub(crate) fn frame_rows(folder: &Path) -> Vec<Row> {
+    rows(&folder.join("frames.csv"))
+}
+
+pub(crate) fn candidate_rows(folder: &Path) -> Vec<Row> {
+    rows(&folder.join("candidates.csv"))
+}
+
+fn rows(file: &Path) -> Vec<Row> {
+    let mut reader = csv::Reader::from_path(file).unwrap();
+    assert!(reader.headers().unwrap().len() > 1, "{} has no header", file.display());
     reader.deserialize().map(Result::unwrap).collect()
 }
 
 /// Index of the proposed frame; `None` without a proposal.
-pub(crate) fn proposal(row: &FrameRow) -> Option<usize> {
+pub(crate) fn proposal(row: &Row) -> Option<usize> {
     row["proposal_frame"].parse().ok()
 }

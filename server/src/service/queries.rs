@@ -107,7 +107,7 @@ impl Queries {
         let abandoned = CancellationToken::new();
         let name = name.to_owned();
         let _abandon = abandoned.clone().drop_guard();
-        let (id, map_name) = (map.id, map.name.clone());
+        let read = map.clone();
         let replay =
             Replay { storage: self.storage.clone(), runtime: Handle::current(), map, model, abandoned };
         let explaining = tokio::task::spawn_blocking(move || {
@@ -115,11 +115,17 @@ impl Queries {
             replay.explain(name, position, place, words)
         });
         let explained = explaining.await.map_err(ServiceError::internal)?;
-        // Of a map that is deleted meanwhile some frames may be gone before others.
-        if self.storage.map_of_id(id).await?.is_none() {
-            return Err(no_such_map(&map_name));
+        // Of a map that is deleted or told anew meanwhile, some of what was read may be older than the rest.
+        match self.storage.map_of_id(read.id).await? {
+            Some(now) if now.edition == read.edition => explained,
+            Some(_) => Err(ServiceError::Aborted {
+                message: format!(
+                    "the map {} was told anew while the frame was explained; ask again",
+                    read.name
+                ),
+            }),
+            None => Err(no_such_map(&read.name)),
         }
-        explained
     }
 
     /// The model that a map had when a frame was decided; the present one if that is gone.

@@ -13,7 +13,7 @@ use crate::settings::MapperSettings;
 /// taken.
 const AS_GOOD: f64 = 0.9;
 
-/// Views with this share of the strongest own evidence may be the nearest.
+/// Views with less than this share of the strongest own evidence are not the nearest.
 const HALF_AS_GOOD: f64 = 0.5;
 
 /// How many place spacings around that is.
@@ -100,9 +100,9 @@ impl Mapper {
     }
 }
 
-/// Whether one of the others, which as much speaks for altogether, shows far more of what is seen
-/// now: on a straight way the frames behind the robot follow in step as well as those beside it.
-/// Where the distance is measured, that tells.
+/// Whether another candidate with about as much evidence has more than twice as much of its own: on
+/// a straight way the frames behind the robot are in step as those beside it are, and look less like
+/// what it sees. Where the distance is measured, that decides.
 fn is_outdone<'a>(candidate: &Candidate, mut others: impl Iterator<Item = &'a Candidate>) -> bool {
     measured_m(candidate).is_none()
         && others.any(|other| candidate.own_evidence() < HALF_AS_GOOD * other.own_evidence())

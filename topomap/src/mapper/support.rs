@@ -11,8 +11,7 @@ use super::frame::FrameInHand;
 use super::in_step::{Step, evidence_in_step};
 use super::state::Mapper;
 use crate::evidence::{Candidate, Placement};
-use crate::ids::SessionId;
-use crate::map::{Measured, Placed, Sighting};
+use crate::map::{Measured, PlaceFrame, Placed, Sighting};
 use crate::metric::{Odometry, PlaceSpacing, RelativePose};
 
 /// Beyond so many squared standard deviations of three degrees of freedom, one in a hundred, wheels
@@ -55,7 +54,9 @@ impl FrameInHand<'_> {
                 Motion::MayLead => !words_say_new,
                 Motion::Misleads => false,
                 Motion::Unmeasured => {
-                    unmeasured.extend(Some(sighting).filter(|_| !words_say_new));
+                    if !words_say_new {
+                        unmeasured.push(sighting);
+                    }
                     false
                 }
             };
@@ -66,18 +67,21 @@ impl FrameInHand<'_> {
         }
         unmeasured.retain(|sighting| !of_frames.contains_key(&sighting.number));
         let steps: Vec<Step> =
-            unmeasured.into_iter().flat_map(|sighting| self.steps(sighting, seen.session)).collect();
-        of_frames.values().sum::<f64>() + evidence_in_step(&steps, seen.number)
+            unmeasured.into_iter().flat_map(|sighting| self.steps(sighting, seen)).collect();
+        of_frames.values().sum::<f64>() + evidence_in_step(steps, seen.number)
     }
 
-    /// A sighting by the frames of its place that `session` took: whoever drives the same way again
-    /// is seen now at frames of one drive, now at those of another.
-    fn steps(&self, sighting: &Sighting, session: SessionId) -> impl Iterator<Item = Step> {
+    /// A sighting by all frames of its place from which the session of `seen` may have come there:
+    /// who drives a way once more matches now frames of one drive, now those of another.
+    fn steps(&self, sighting: &Sighting, seen: PlaceFrame) -> impl Iterator<Item = Step> {
         let place = self.mapper.map().places().get(sighting.place as usize);
         let frames = place.map_or(&[][..], |place| &place.frames);
         let frames_ago = self.session.frames - sighting.number;
-        let of_session = frames.iter().filter(move |frame| frame.session == session);
-        of_session.map(move |frame| Step { frames_ago, number: frame.number, evidence: sighting.evidence })
+        let of_session = frames.iter().filter(move |frame| frame.session == seen.session);
+        let evidence = sighting.evidence;
+        of_session
+            .map(move |frame| Step { frames_ago, number: frame.number, evidence })
+            .filter(move |step| step.is_within_reach(seen.number))
     }
 
     fn motion(&self, sighting: &Sighting, candidate: &Candidate) -> Motion {

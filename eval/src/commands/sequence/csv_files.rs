@@ -58,7 +58,9 @@ struct FrameRow {
 
 /// One row per earlier frame that a frame was compared with.
 pub(super) fn candidates(frames: &[JudgedFrame], truth: &Truth) -> csv::Result<Vec<u8>> {
-    let mut writer = csv::Writer::from_writer(Vec::new());
+    // The header also where nothing was compared.
+    let mut writer = csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new());
+    writer.write_record(CANDIDATE_COLUMNS)?;
     for (index, frame) in frames.iter().enumerate() {
         for &RankedCandidate { frame: earlier, candidate } in &frame.ranked.candidates {
             let Match { place, posterior, log_odds, frame: _ } = candidate.matched;
@@ -75,9 +77,9 @@ pub(super) fn candidates(frames: &[JudgedFrame], truth: &Truth) -> csv::Result<V
                 matches: candidate.view.map(|view| view.matches),
                 inliers: candidate.view.map(|view| view.inliers),
                 distinct_inliers: candidate.view.map(|view| view.distinct_inliers),
-                own_evidence: candidate.own_evidence(),
-                support: candidate.support,
-                evidence: candidate.evidence(),
+                own_evidence_inliers: candidate.own_evidence(),
+                support_inliers: candidate.support,
+                evidence_inliers: candidate.evidence(),
                 probability: candidate.probability(),
                 rotation_rad: motion.map(|motion| motion.rotation_rad),
                 ln_scale: motion.map(|motion| motion.ln_scale),
@@ -90,6 +92,27 @@ pub(super) fn candidates(frames: &[JudgedFrame], truth: &Truth) -> csv::Result<V
     writer.into_inner().map_err(|error| error.into_error().into())
 }
 
+const CANDIDATE_COLUMNS: [&str; 17] = [
+    "index",
+    "frame",
+    "place",
+    "posterior",
+    "log_odds_nats",
+    "matches",
+    "inliers",
+    "distinct_inliers",
+    "own_evidence_inliers",
+    "support_inliers",
+    "evidence_inliers",
+    "probability",
+    "rotation_rad",
+    "ln_scale",
+    "shift_x_widths",
+    "shift_y_widths",
+    "verdict",
+];
+
+/// Fields in the order of [`CANDIDATE_COLUMNS`].
 #[derive(Serialize)]
 struct CandidateRow {
     index: usize,
@@ -100,9 +123,9 @@ struct CandidateRow {
     matches: Option<u32>,
     inliers: Option<u32>,
     distinct_inliers: Option<u32>,
-    own_evidence: f64,
-    support: f64,
-    evidence: f64,
+    own_evidence_inliers: f64,
+    support_inliers: f64,
+    evidence_inliers: f64,
     probability: f64,
     rotation_rad: Option<f64>,
     ln_scale: Option<f64>,

@@ -52,7 +52,7 @@ impl SequenceReport {
         frames: &[JudgedFrame],
         curve: &PrecisionRecall,
         reliability: &Reliability,
-        (places, recognised): (Option<usize>, Option<Recognised>),
+        on_map: Option<(usize, Recognised)>,
         system: &SystemOptions,
     ) -> Self {
         let above = |threshold| frames.iter().filter_map(|frame| frame.accepted_above(threshold)).collect();
@@ -74,11 +74,11 @@ impl SequenceReport {
             average_precision: curve.average_precision(),
             false_positives: curve.unthresholded().map_or(0, |all| all.false_proposals),
             true_positives: curve.unthresholded().map_or(0, |all| all.true_proposals),
-            places,
+            places: on_map.map(|(places, _)| places),
             loop_closures: accepted,
             loop_closures_false: accepted_false,
-            recognised: recognised.map(|recognised| recognised.right),
-            recognised_wrongly: recognised.map(|recognised| recognised.wrong),
+            recognised: on_map.map(|(_, recognised)| recognised.right),
+            recognised_wrongly: on_map.map(|(_, recognised)| recognised.wrong),
             accepted,
             accepted_false,
             ece: reliability.expected_calibration_error(),
