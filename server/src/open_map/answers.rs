@@ -54,6 +54,8 @@ pub(crate) struct GeometryView {
     pub(crate) inliers: u32,
     /// In inliers, with what the frames before say.
     pub(crate) evidence: f64,
+    /// What look-alikes are expected to show over the same frames, in inliers.
+    pub(crate) look_alikes: f64,
     /// That both show the same place, by words and geometry together.
     pub(crate) probability: f64,
     pub(crate) similarity: Option<Similarity>,
@@ -154,7 +156,8 @@ impl GeometryView {
         };
         let evidence = candidate.evidence();
         let probability = candidate.probability();
-        Some(Self { matches, inliers, evidence, probability, similarity, placement })
+        let look_alikes = candidate.look_alike_inliers;
+        Some(Self { matches, inliers, evidence, look_alikes, probability, similarity, placement })
     }
 }
 

@@ -4,11 +4,11 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::ingest::Extractor;
+use crate::ingest::look_alikes::{self, LearnError, TrainingImage};
+use crate::ingest::{Extractor, Features};
 use bytes::Bytes;
 use fabmap::calibration;
 use fabmap::chow_liu::TreeTrainingSettings;
-use fabmap::descriptor::Descriptors;
 use fabmap::detector::DetectorModel;
 use fabmap::model::{Model, ModelTrainingError, ModelTrainingSettings, TrainingStage};
 use fabmap::vocabulary::VocabularySettings;
@@ -48,7 +48,7 @@ pub(crate) struct TrainingUpload {
     display_name: String,
     extractor: Extractor,
     settings: ModelTrainingSettings,
-    images: Vec<Descriptors>,
+    images: Vec<TrainingImage>,
     bytes: usize,
     /// How many images the sender said would come: a cancelled upload can look like a complete one.
     announced: Option<u32>,
@@ -113,14 +113,15 @@ impl Models {
         image: Bytes,
     ) -> Result<(), ServiceError> {
         let number = upload.images.len() + 1;
-        let descriptors =
+        let described =
             self.extraction.describe(upload.extractor, image).await.map_err(|error| match error {
                 ServiceError::InvalidArgument { message } => {
                     ServiceError::invalid(format_args!("training image {number}: {message}"))
                 }
                 other => other,
             })?;
-        upload.bytes += descriptors.as_bytes().len();
+        let Features { keypoints, descriptors } = &described.features;
+        upload.bytes += descriptors.as_bytes().len() + size_of_val(keypoints.as_slice());
         if upload.bytes > MAX_TRAINING_BYTES {
             return Err(ServiceError::ResourceExhausted {
                 message: format!(
@@ -128,7 +129,7 @@ impl Models {
                 ),
             });
         }
-        upload.images.push(descriptors);
+        upload.images.push(described);
         Ok(())
     }
 
@@ -166,10 +167,12 @@ impl Models {
             let trained = pool.install(|| {
                 let model = Model::train(&name, &images, &settings, &mut observer)?;
                 let mut observer = |fraction| progress.progress("learning how reliable words are", fraction);
-                match calibration::calibrate(&model, &mut observer) {
-                    ControlFlow::Continue((model, _)) => Ok(model),
-                    ControlFlow::Break(()) => Err(ModelTrainingError::Cancelled),
-                }
+                let model = match calibration::calibrate(&model, &mut observer) {
+                    ControlFlow::Continue((model, _)) => model,
+                    ControlFlow::Break(()) => return Err(ModelTrainingError::Cancelled),
+                };
+                let mut observer = |fraction| progress.progress("learning what look-alikes show", fraction);
+                knowing_look_alikes(model, &images, &mut observer)
             });
             Ok(trained.map(|model| {
                 let file = model.to_bytes();
@@ -319,6 +322,28 @@ pub(super) fn check_display_name(name: &str) -> Result<String, ServiceError> {
     Err(ServiceError::invalid(format_args!(
         "a display name has at most {MAX_DISPLAY_NAME_CHARS} characters and no slash or control character"
     )))
+}
+
+/// The same model, which knows what look-alikes of its training images show, if those tell.
+fn knowing_look_alikes(
+    model: Model,
+    images: &[TrainingImage],
+    observer: &mut dyn FnMut(f64) -> ControlFlow<()>,
+) -> Result<Model, ModelTrainingError> {
+    match look_alikes::learn(&model, images, observer) {
+        Ok(look_alikes) => Ok(model.with_look_alikes(look_alikes)),
+        Err(LearnError::Cancelled) => Err(ModelTrainingError::Cancelled),
+        Err(
+            error @ (LearnError::TooFew { .. }
+            | LearnError::NoOrder
+            | LearnError::Vocabulary(_)
+            | LearnError::Uneven(_)
+            | LearnError::LookAlikes(_)),
+        ) => {
+            tracing::warn!(%error, "a model without look-alikes: its maps ask for more evidence");
+            Ok(model)
+        }
+    }
 }
 
 fn stage_name(stage: TrainingStage) -> &'static str {

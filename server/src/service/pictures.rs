@@ -203,7 +203,7 @@ fn heading(event: &FrameEvent, place: PlaceId) -> String {
 
 fn verdict(event: &FrameEvent, place: PlaceId, settings: &MapperSettings) -> Vec<GateView> {
     let candidate = event.candidates.iter().find(|candidate| candidate.matched.place == place);
-    candidate.map(|candidate| verdict_views(&settings.verdict(candidate))).unwrap_or_default()
+    candidate.map(|candidate| verdict_views(settings, candidate)).unwrap_or_default()
 }
 
 /// Features that structure measured by, or else those that the motion of the view joins.

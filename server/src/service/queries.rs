@@ -10,10 +10,11 @@ use fabmap::explanation::Explanation;
 use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
-use topomap::evidence::{ArchiveError, Bound, Candidate, Check, Placement, Quantity, Verdict};
+use topomap::evidence::{ArchiveError, Bound, Candidate, Check, Contributions, Placement, Quantity, Verdict};
 use topomap::ids::FrameId;
 use topomap::log::{FrameEvent, MapEvent, Reason};
 use topomap::mapper::{Decided, EarlierFrame, FrameInput, Gate, Gates, Mapper};
+use topomap::settings::MapperSettings;
 
 pub(crate) use self::odometry_agreement::OdometryAgreement;
 use self::odometry_agreement::SeenAgain;
@@ -195,8 +196,9 @@ impl Replay {
         // As logged: the decision stands by what was found then.
         let candidate = event.candidates.iter().find(|candidate| Some(candidate.matched.place) == explained);
         let mut gates = gates.map(|gates| gate_views(&gates, candidate)).unwrap_or_default();
-        gates
-            .extend(candidate.map(|candidate| verdict_views(&mapper.verdict(candidate))).unwrap_or_default());
+        gates.extend(
+            candidate.map(|candidate| verdict_views(mapper.settings(), candidate)).unwrap_or_default(),
+        );
         Ok(FrameExplanation {
             picture: explained.map(|place| format!("/v1/{name}/picture?place_number={place}")),
             name,
@@ -323,49 +325,73 @@ fn gate_views(gates: &Gates, candidate: Option<&Candidate>) -> Vec<GateView> {
         ),
     };
     let reaches = if threshold.passed { "reaches" } else { "stays below" };
-    let or_evidence = match candidate.and_then(|candidate| candidate.view) {
-        Some(_) if !threshold.passed => "; geometry may close the loop all the same, with evidence enough",
-        Some(_) | None => "",
-    };
     let threshold_text = format!(
-        "the posterior {} {reaches} the map's threshold {}{or_evidence}",
+        "the posterior {} {reaches} the map's threshold {}",
         probability(threshold.value),
         probability(threshold.required)
     );
     let view = |name, gate, description| GateView { name, gate, description };
-    vec![
+    let mut views = vec![
         view("words", words, words_text),
         view("known_place", known_place, known_place_text),
         view("guard", guard, guard_text),
-        view("threshold", threshold, threshold_text),
-    ]
+    ];
+    // Where views were compared, words are a part of the probability that the threshold is for.
+    if candidate.is_none_or(|candidate| candidate.view.is_none()) {
+        views.push(view("threshold", threshold, threshold_text));
+    }
+    views
 }
 
-pub(super) fn verdict_views(verdict: &Verdict) -> Vec<GateView> {
-    let view = |check: &Check, by: &str, more: &str| {
+pub(super) fn verdict_views(settings: &MapperSettings, candidate: &Candidate) -> Vec<GateView> {
+    let view = |check: &Check| {
         let Check { quantity, value, bound } = *check;
         let (required, asked) = match bound {
             Bound::AtLeast(least) => (least, "at least"),
             Bound::AtMost(most) => (most, "at most"),
         };
         let [found, wanted] = [value, required].map(|value| digits(quantity, value));
-        let description = format!("{by}: {quantity} {found}, {asked} {wanted} asked for{more}");
+        let found = format!("{quantity} {found}, {asked} {wanted} asked for");
+        let description = match quantity {
+            Quantity::Probability => format!("{found}: {}", nats(settings, candidate)),
+            Quantity::Posterior => format!("without keypoints to compare, words decide: {found}"),
+            Quantity::Inliers
+            | Quantity::RotationRad
+            | Quantity::LnScale
+            | Quantity::TranslationWidths
+            | Quantity::PlacedInliers
+            | Quantity::DistanceM
+            | Quantity::HeadingRad => format!("geometry: {found}"),
+        };
         let gate = Gate { passed: check.passed(), value, required };
         GateView { name: gate_name(quantity), gate, description }
     };
-    let Verdict { all, one } = verdict;
-    if let ([], [only]) = (&all[..], &one[..]) {
-        return vec![view(only, "without keypoints to compare, words decide", "")];
-    }
-    let all = all.iter().map(|check| view(check, "geometry", ""));
-    all.chain(one.iter().map(|check| view(check, "geometry", ", of this or the other"))).collect()
+    let Verdict { checks } = settings.verdict(candidate);
+    checks.iter().map(view).collect()
+}
+
+/// What a candidate's probability is made of, and what would have been enough.
+fn nats(settings: &MapperSettings, candidate: &Candidate) -> String {
+    let weights = settings.verification.weights;
+    let Contributions { offset_nats, geometry_nats, words_nats } = candidate.contributions(&weights);
+    let threshold = settings.closure_threshold;
+    let wanted_nats = (threshold / (1.0 - threshold).max(f64::MIN_POSITIVE)).ln();
+    let enough = (wanted_nats - offset_nats - words_nats) / weights.per_look_alike_nats;
+    format!(
+        "{:+.1} nats of {wanted_nats:.1}; geometry gives {geometry_nats:+.1} (evidence {:.0} inliers, where \
+         look-alikes show {:.0}; {:.0} would be enough), words {words_nats:+.1}, and {offset_nats:+.1} to begin with",
+        candidate.log_odds_nats,
+        candidate.evidence(),
+        candidate.look_alike_inliers,
+        (enough * candidate.look_alike_inliers).max(0.0),
+    )
 }
 
 /// As many digits as tell something.
 fn digits(quantity: Quantity, value: f64) -> String {
     match quantity {
-        Quantity::Inliers | Quantity::Evidence | Quantity::PlacedInliers => format!("{value:.0}"),
-        Quantity::Posterior => probability(value),
+        Quantity::Inliers | Quantity::PlacedInliers => format!("{value:.0}"),
+        Quantity::Probability | Quantity::Posterior => probability(value),
         Quantity::RotationRad | Quantity::HeadingRad => format!("{value:.3} rad"),
         Quantity::DistanceM => format!("{value:.2} m"),
         Quantity::LnScale => format!("ln {value:.3}"),
@@ -376,7 +402,7 @@ fn digits(quantity: Quantity, value: f64) -> String {
 fn gate_name(quantity: Quantity) -> &'static str {
     match quantity {
         Quantity::Inliers => "inliers",
-        Quantity::Evidence => "evidence",
+        Quantity::Probability => "probability",
         Quantity::Posterior => "posterior",
         Quantity::RotationRad => "rotation",
         Quantity::LnScale => "scale",

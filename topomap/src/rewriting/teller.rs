@@ -178,6 +178,7 @@ impl<'a> Teller<'a> {
             link: None,
             at,
             belief,
+            look_alike_inliers: event.look_alike_inliers,
         };
         let link = self.link(&run, event, &told, here);
         let told = FrameEvent { link, ..told };

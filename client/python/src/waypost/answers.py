@@ -90,6 +90,8 @@ class Geometry:
     #: Where features of known depth put the robot; None if they say nothing: camera or odometry are not
     #: known, or the robot had not moved far enough to see depths.
     placement: Placement | None = None
+    #: What the best look-alike is expected to show over the same frames, in inliers.
+    look_alike_inliers: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -313,6 +315,7 @@ def _geometry(message: recognition_pb2.Geometry) -> Geometry:
         similarity=_similarity(similarity) if similarity is not None else None,
         probability=message.probability,
         placement=_placement(message.placement) if message.HasField("placement") else None,
+        look_alike_inliers=message.look_alike_inliers,
     )
 
 

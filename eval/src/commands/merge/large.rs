@@ -155,6 +155,7 @@ fn new_place(place: u32, observation: Observation) -> FrameEvent {
         link,
         at: None,
         belief: Belief { places: vec![(place, 1.0)], new_place: 0.0, remainder: 0.0 },
+        look_alike_inliers: None,
     }
 }
 

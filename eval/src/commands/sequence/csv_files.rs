@@ -80,6 +80,7 @@ pub(super) fn candidates(frames: &[JudgedFrame], truth: &Truth) -> csv::Result<V
                 own_evidence_inliers: candidate.own_evidence(),
                 support_inliers: candidate.support,
                 evidence_inliers: candidate.evidence(),
+                look_alike_inliers: candidate.look_alike_inliers,
                 probability: candidate.probability(),
                 rotation_rad: motion.map(|motion| motion.rotation_rad),
                 ln_scale: motion.map(|motion| motion.ln_scale),
@@ -92,7 +93,7 @@ pub(super) fn candidates(frames: &[JudgedFrame], truth: &Truth) -> csv::Result<V
     writer.into_inner().map_err(|error| error.into_error().into())
 }
 
-const CANDIDATE_COLUMNS: [&str; 17] = [
+const CANDIDATE_COLUMNS: [&str; 18] = [
     "index",
     "frame",
     "place",
@@ -104,6 +105,7 @@ const CANDIDATE_COLUMNS: [&str; 17] = [
     "own_evidence_inliers",
     "support_inliers",
     "evidence_inliers",
+    "look_alike_inliers",
     "probability",
     "rotation_rad",
     "ln_scale",
@@ -126,6 +128,7 @@ struct CandidateRow {
     own_evidence_inliers: f64,
     support_inliers: f64,
     evidence_inliers: f64,
+    look_alike_inliers: f64,
     probability: f64,
     rotation_rad: Option<f64>,
     ln_scale: Option<f64>,

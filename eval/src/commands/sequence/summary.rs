@@ -7,7 +7,7 @@ use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::RecognizerSettings;
 use serde::Serialize;
 use serde_json::{Value, json};
-use topomap::evidence::VerificationSettings;
+use topomap::evidence::{ProbabilityWeights, VerificationSettings};
 use topomap::settings::MapperSettings;
 
 use super::SequenceOptions;
@@ -115,7 +115,7 @@ fn of_verification(settings: &VerificationSettings) -> Value {
         max_rotation_rad,
         max_ln_scale,
         max_translation_widths,
-        min_evidence,
+        weights: ProbabilityWeights { offset_nats, per_look_alike_nats, per_word_nat },
         consistency_frames,
     } = *settings;
     json!({
@@ -125,7 +125,7 @@ fn of_verification(settings: &VerificationSettings) -> Value {
         "max_rotation_rad": max_rotation_rad,
         "max_ln_scale": max_ln_scale,
         "max_translation_widths": max_translation_widths,
-        "min_evidence": min_evidence,
+        "probability_weights": [offset_nats, per_look_alike_nats, per_word_nat],
         "consistency_frames": consistency_frames,
     })
 }

@@ -54,11 +54,6 @@ struct Knobs {
         name_of(VERIFICATION_METHODS, &MapperSettings::default().verification.method),
     ))]
     verification: Option<VerificationMethod>,
-    #[arg(long, value_name = "INLIERS", help = with_default(
-        "Least evidence of a verified closure",
-        MapperSettings::default().verification.min_evidence,
-    ))]
-    min_evidence: Option<f64>,
     #[arg(long, value_name = "FRAMES", help = with_default(
         "Earlier frames whose matches speak for those near them",
         MapperSettings::default().verification.consistency_frames,
@@ -140,7 +135,6 @@ impl SystemOptions {
     pub(super) fn settings(&self, model: &Model, gap: usize) -> Result<MapperSettings> {
         let Knobs {
             verification,
-            min_evidence,
             consistency_frames,
             dependence,
             new_place,
@@ -154,7 +148,6 @@ impl SystemOptions {
         let mut settings = MapperSettings { guard_frames: gap as u64, ..MapperSettings::default() };
         set(&mut settings.closure_threshold, self.threshold);
         set(&mut settings.verification.method, verification);
-        set(&mut settings.verification.min_evidence, min_evidence);
         set(&mut settings.verification.consistency_frames, consistency_frames);
         set(&mut settings.recognizer.dependence, dependence);
         set(&mut settings.recognizer.new_place, new_place);
