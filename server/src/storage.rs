@@ -3,6 +3,7 @@
 mod appearance;
 mod cameras;
 mod checkpoints;
+mod commits;
 mod frames;
 mod inspection;
 mod jobs;
@@ -13,6 +14,7 @@ mod maps;
 mod media;
 mod merges;
 mod models;
+mod notes;
 mod removal;
 mod retelling;
 mod snapshots;
@@ -29,6 +31,7 @@ pub(crate) use maps::{MapCounts, MapEdition, MapId, MapRow, SessionRow};
 pub(crate) use media::{MapBytes, Medium, MediumKind, StoredFeatures};
 pub(crate) use merges::{JoinedLog, JoinedSession, MergeOutcome, MergeRow, MergeState};
 pub(crate) use models::ModelRow;
+pub(crate) use notes::NoteRow;
 pub(crate) use removal::Removal;
 pub(crate) use retelling::RetoldLog;
 pub(crate) use snapshots::{FormerModelRow, ImportedMap, MapView, MediaRow, StoredSession};
@@ -62,6 +65,8 @@ pub(crate) struct Storage {
     lock: Arc<DirectoryLock>,
     /// Those who write wait for the database's being written anew, however long that takes.
     compacting: Arc<AtomicBool>,
+    /// Whoever watches maps.
+    commits: Arc<commits::Commits>,
 }
 
 /// What went wrong with the database.
@@ -138,7 +143,15 @@ impl Storage {
         let readers = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.clone()).await?;
         let exporters = SqlitePoolOptions::new().max_connections(EXPORTERS).connect_lazy_with(options);
         let (directory, lock) = (directory.to_owned(), Arc::new(lock));
-        let storage = Self { writer, readers, exporters, directory, lock, compacting: Arc::default() };
+        let storage = Self {
+            writer,
+            readers,
+            exporters,
+            directory,
+            lock,
+            compacting: Arc::default(),
+            commits: Arc::default(),
+        };
         storage.rewrite_camera_messages().await?;
         Ok(storage)
     }

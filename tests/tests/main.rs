@@ -17,6 +17,7 @@ mod maps {
     mod explain;
     mod jobs;
     mod mapping;
+    mod notes;
     mod odometry_agreement;
     mod pictures;
     mod places;
@@ -79,6 +80,7 @@ mod robots {
     mod bad_frames;
     mod bad_sessions;
     mod decisions;
+    mod events;
     mod frames;
     mod golden;
     mod load;

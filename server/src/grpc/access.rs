@@ -21,7 +21,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, Admitted, no_longer_admitted};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 61] = [
+const METHODS: [(&str, Access); 62] = [
     ("/waypost.v1.SessionService/Stream", Access::Robot),
     ("/waypost.v1.RecognitionService/Query", Access::Robot),
     ("/waypost.v1.SessionService/ListSessions", Access::Robot),
@@ -43,6 +43,7 @@ const METHODS: [(&str, Access); 61] = [
     ("/waypost.v1.LabelService/SetLabel", Access::Robot),
     ("/waypost.v1.LabelService/DeleteLabel", Access::Robot),
     ("/waypost.v1.AppearanceService/GetAppearanceGraph", Access::Robot),
+    ("/waypost.v1.EventService/Watch", Access::Robot),
     ("/waypost.v1.MapService/ListMaps", Access::Robot),
     ("/waypost.v1.MapService/GetMap", Access::Robot),
     ("/waypost.v1.MapService/ListPlaces", Access::Robot),

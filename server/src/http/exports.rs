@@ -116,7 +116,7 @@ fn frames_of(
     let of = session.clone();
     let frames = pages(move |token| {
         let (service, session) = (service.clone(), session.clone());
-        async move { service.frames.list(&session, PAGE_ROWS, &token).await }
+        async move { service.frames.list(&session, "", PAGE_ROWS, &token).await }
     });
     frames.map_ok(move |rows| rows.into_iter().map(|frame| (of.clone(), frame)).collect())
 }
@@ -203,18 +203,20 @@ const LOOP_CLOSURE_COLUMNS: &[&str] = &[
     "place_number",
     "posterior",
     "probability",
+    "note",
+    "matched_note",
 ];
 
 /// A line of the table of loop closures, in the order of [`LOOP_CLOSURE_COLUMNS`].
 #[derive(Debug, Serialize)]
-struct LoopClosureLine(String, u64, i64, String, u64, i64, u32, f64, Option<f64>);
+struct LoopClosureLine(String, u64, i64, String, u64, i64, u32, f64, Option<f64>, String, String);
 
 impl From<LoopClosureView> for LoopClosureLine {
     fn from(view: LoopClosureView) -> Self {
         let LoopClosureView { frame, matched, place, posterior, probability } = view;
-        let FrameReference { session, sequence, stamp_ns } = frame;
-        let FrameReference { session: at, sequence: number, stamp_ns: stamp } = matched;
-        Self(session, sequence, stamp_ns, at, number, stamp, place, posterior, probability)
+        let FrameReference { session, sequence, stamp_ns, note } = frame;
+        let FrameReference { session: at, sequence: number, stamp_ns: stamp, note: noted } = matched;
+        Self(session, sequence, stamp_ns, at, number, stamp, place, posterior, probability, note, noted)
     }
 }
 
@@ -226,6 +228,8 @@ pub(super) struct FramePosterior {
     sequence: u64,
     /// When the image was taken, by the robot's clock.
     stamp_ns: i64,
+    /// What the robot calls the frame; empty if nothing.
+    note: String,
     /// As in the frame's answer.
     #[schema(example = "loop_closure")]
     reason: &'static str,
@@ -250,6 +254,7 @@ impl From<(String, FrameView)> for FramePosterior {
             session,
             sequence: answer.sequence,
             stamp_ns: frame.stamp_ns,
+            note: frame.note,
             reason: answer.reason().json_name(),
             place_number: answer.place_number,
             posterior: answer.posterior,
@@ -290,6 +295,7 @@ const POSTERIOR_COLUMNS: &[&str] = &[
     "posterior_9",
     "place_number_10",
     "posterior_10",
+    "note",
 ];
 
 /// A line of the table of posteriors, in the order of [`POSTERIOR_COLUMNS`].
@@ -303,6 +309,7 @@ struct PosteriorLine(
     f64,
     f64,
     [(Option<u32>, Option<f64>); LINE_PLACES],
+    String,
 );
 
 impl From<FramePosterior> for PosteriorLine {
@@ -311,6 +318,7 @@ impl From<FramePosterior> for PosteriorLine {
             session,
             sequence,
             stamp_ns,
+            note,
             reason,
             place_number,
             posterior,
@@ -319,8 +327,8 @@ impl From<FramePosterior> for PosteriorLine {
         } = row;
         let place_at =
             |rank: usize| places.get(rank).map(|place| (place.place_number, place.posterior)).unzip();
-        let most_probable = std::array::from_fn(place_at);
-        Self(session, sequence, stamp_ns, reason, place_number, posterior, new_place_posterior, most_probable)
+        let by_rank = std::array::from_fn(place_at);
+        Self(session, sequence, stamp_ns, reason, place_number, posterior, new_place_posterior, by_rank, note)
     }
 }
 

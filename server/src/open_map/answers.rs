@@ -69,6 +69,8 @@ pub(crate) struct FrameReference {
     pub(crate) session: String,
     pub(crate) sequence: u64,
     pub(crate) stamp_ns: i64,
+    /// What its robot calls it; empty if nothing.
+    pub(crate) note: String,
 }
 
 /// Where one observation was made.
@@ -167,5 +169,6 @@ pub(crate) fn reference(map: &str, sessions: &[SessionRow], frame: &StoredFrame)
         session: session.map_or_else(String::new, |session| session_name(map, &session.name)),
         sequence: frame.sequence,
         stamp_ns: frame.stamp_ns,
+        note: frame.note.clone(),
     }
 }

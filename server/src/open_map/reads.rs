@@ -39,6 +39,12 @@ impl MapWriter {
             Read::Poses { reply } => {
                 let _ = reply.send(Box::new(self.mapper.poses().clone()));
             }
+            Read::PosesOf { places, reply } => {
+                let poses = self.mapper.poses();
+                let pose =
+                    |place: PlaceId| Some(PlacePose { part: poses.part(place)?, pose: *poses.pose(place)? });
+                let _ = reply.send(places.into_iter().map(pose).collect());
+            }
             Read::Places { from, count, reply } => {
                 let _ = reply.send(self.places(from, count));
             }

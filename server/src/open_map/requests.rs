@@ -17,7 +17,7 @@ use waypost_navigation::metric::planning::{Goal, MapPosition, PlanError, Route};
 use waypost_navigation::metric::settings::{LocalizationSettings, PlanningSettings};
 use waypost_navigation::metric::{Look, Lookout};
 
-use super::answers::{FrameAnswer, PlaceSummary, QueryAnswer, WordPlace};
+use super::answers::{FrameAnswer, PlacePose, PlaceSummary, QueryAnswer, WordPlace};
 use crate::camera::Camera;
 use crate::error::ServiceError;
 use crate::ingest::intrinsics::Intrinsics;
@@ -78,6 +78,11 @@ pub(crate) enum Read {
     },
     Poses {
         reply: oneshot::Sender<Box<PlacePoses>>,
+    },
+    /// Where some places are, in their order.
+    PosesOf {
+        places: Vec<PlaceId>,
+        reply: oneshot::Sender<Vec<Option<PlacePose>>>,
     },
     Places {
         from: PlaceId,
@@ -196,6 +201,7 @@ pub(crate) enum FrameWork {
         input: Box<FrameInput>,
         features: Option<Arc<FeatureRecord>>,
         media: Vec<Medium>,
+        note: String,
         timings: FrameTimings,
     },
 }

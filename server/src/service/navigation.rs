@@ -316,6 +316,11 @@ impl Navigation {
         Ok(Page { items, next })
     }
 
+    /// The robots that are led along a map, or were a moment ago, by name.
+    pub(in crate::service) fn led_on(&self, map: MapId) -> Vec<NavigationView> {
+        self.led.of_map(map).iter().map(|guide| self.led.view(guide)).collect()
+    }
+
     /// Sends a robot that is led to a goal.
     pub(crate) async fn set_goal(
         &self,

@@ -34,6 +34,8 @@ pub(crate) struct FramePicture {
 /// A frame with all that is kept of it.
 struct ShownFrame {
     name: String,
+    /// What its robot calls it; empty if nothing.
+    note: String,
     position: FrameId,
     event: FrameEvent,
     image: Option<StillImage>,
@@ -83,7 +85,8 @@ impl Pictures {
                 image = bytes.map(|bytes| StillImage { content_type: content_type(&bytes), bytes });
             }
         }
-        Ok(ShownFrame { name: frame_name(&reference.session, reference.sequence), position, event, image })
+        let name = frame_name(&reference.session, reference.sequence);
+        Ok(ShownFrame { name, note: reference.note, position, event, image })
     }
 
     async fn frame_event(&self, map: &MapRow, position: FrameId) -> Result<FrameEvent, ServiceError> {
@@ -177,7 +180,7 @@ impl ShownFrame {
             "where its words are is not known: the robot sent counts, or the map keeps words alone";
         let notes = [self.image.is_none().then_some(no_image), features.is_none().then_some(no_keypoints)];
         Panel {
-            title: self.name,
+            title: if self.note.is_empty() { self.name } else { format!("{} ({})", self.name, self.note) },
             image: self.image,
             size_px: features.map(FeatureRecord::image_size_px),
             marks,

@@ -27,7 +27,7 @@ use crate::map_settings::{self, Keep};
 use crate::names::map_in;
 pub(crate) use crate::open_map::answers::QueryAnswer;
 use crate::open_map::{FrameStore, OpenMaps, SeenFeatures, compared, no_such_map, stored_features, verifier};
-use crate::storage::{LogEntry, MapRow, Storage, StorageError};
+use crate::storage::{MapRow, Storage, StorageError};
 
 /// Words for, and as many against, that an explanation lists at most.
 const MAX_EXPLAINED_WORDS: u32 = 100;
@@ -258,7 +258,7 @@ impl Replay {
         };
         let session = event.session;
         let mut before = VecDeque::new();
-        let mut fold = |LogEntry { position: _, event, media: _ }: LogEntry| {
+        let mut fold = |_: u64, event: MapEvent| {
             if abandoned.is_cancelled() {
                 return Err(StorageError::Damaged("a replay that nobody waits for".to_owned()));
             }

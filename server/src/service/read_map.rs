@@ -19,7 +19,7 @@ use crate::ingest::model::LoadedModel;
 use crate::map_settings;
 use crate::names::{frame_name, session_name};
 use crate::open_map::{Recent, SeenFeatures, compare, no_such_map, stored_features};
-use crate::storage::{LogEntry, MapId, MapRow, SessionRow, Storage, StorageError};
+use crate::storage::{MapId, MapRow, SessionRow, Storage, StorageError};
 
 /// Frames whose features are kept in memory, of about 80 kB each: a place is compared with several.
 const MOST_RECENT_FEATURES: usize = 512;
@@ -142,7 +142,7 @@ pub(super) fn read_on(
     log: &mut Vec<MapEvent>,
 ) -> Result<(), ServiceError> {
     let positions = log.len() as u64..events.unwrap_or(u64::MAX);
-    let mut fold = |LogEntry { position: _, event, media: _ }: LogEntry| {
+    let mut fold = |_: u64, event: MapEvent| {
         mapper.fold(&event).map_err(|error| StorageError::Damaged(error.to_string()))?;
         log.push(event);
         Ok(())

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::ingest::FeatureRecord;
 use bytes::Bytes;
 use futures::stream::{self, StreamExt};
-use topomap::ids::SessionId;
+use topomap::ids::{FrameId, SessionId};
 use topomap::log::{FrameEvent, MapEvent};
 
 use super::jobs::{JobOutcome, JobReporter, JobStatus, Jobs, Stopped};
@@ -21,7 +21,7 @@ use crate::ingest::model::LoadedModel;
 use crate::map_settings::{self, Keep};
 use crate::names::{check_id, map_in, map_name};
 use crate::open_map::SessionMode;
-use crate::storage::{JobKind, LogEntry, MapRow, MediumKind, StorageError, StoredSession};
+use crate::storage::{JobKind, MapRow, MediumKind, NoteRow, StorageError, StoredSession};
 
 /// Log events that are read at a time.
 const EVENTS_PAGE: u64 = 256;
@@ -110,11 +110,17 @@ impl Rebuilding {
                 }));
             }
             let mut page = Vec::new();
-            let mut keep = |LogEntry { position: _, event, media: _ }: LogEntry| {
+            let mut keep = |_: u64, event: MapEvent| {
                 page.push(event);
                 Ok(())
             };
             let positions = from..(from + EVENTS_PAGE).min(events);
+            let notes = self.maps.storage.notes(rebuild.source.id, positions.clone()).await;
+            let notes: HashMap<FrameId, String> = notes
+                .map_err(ServiceError::from)?
+                .into_iter()
+                .map(|NoteRow { position, note }| (position, note))
+                .collect();
             let read = self.maps.storage.replay(rebuild.source.id, positions, rebuild.words, &mut keep).await;
             read.map_err(ServiceError::from)?;
             let mut frames = Vec::new();
@@ -128,7 +134,7 @@ impl Rebuilding {
                     MapEvent::Measured(_) => {}
                 }
             }
-            self.send(rebuild, &streams, frames).await?;
+            self.send(rebuild, &streams, frames, &notes).await?;
         }
         Ok(())
     }
@@ -146,6 +152,7 @@ impl Rebuilding {
         rebuild: &Rebuild,
         streams: &HashMap<SessionId, Arc<SessionStream>>,
         frames: Vec<FrameEvent>,
+        notes: &HashMap<FrameId, String>,
     ) -> Result<(), ServiceError> {
         let committed = |frame: &FrameEvent| {
             let last = streams.get(&frame.session).and_then(|stream| stream.last_committed());
@@ -155,8 +162,9 @@ impl Rebuilding {
             let stream = streams.get(&frame.session);
             let stream = stream.ok_or_else(|| ServiceError::internal("a frame of no session"))?;
             let content = self.kept_content(rebuild, &frame).await?;
+            let note = notes.get(&frame.frame).cloned().unwrap_or_default();
             let FrameEvent { sequence, stamp_ns, odometry, .. } = frame;
-            Ok::<_, ServiceError>((stream.clone(), Ok(Frame { sequence, stamp_ns, content, odometry })))
+            Ok::<_, ServiceError>((stream.clone(), Ok(Frame { sequence, stamp_ns, content, odometry, note })))
         };
         let left = frames.into_iter().filter(|frame| !committed(frame));
         let frames = stream::iter(left).map(read).buffered(WINDOWS.prepared);

@@ -12,6 +12,7 @@ use tokio_util::sync::CancellationToken;
 use topomap::mapper::{FrameInput, Localizer};
 
 pub(crate) use self::frame::Frame;
+pub(super) use self::frame::check_note;
 use self::order::Order;
 pub(super) use self::pipeline::run;
 pub(crate) use self::pipeline::{ReceivedFrame, RefusedFrame, Windows};
@@ -205,7 +206,7 @@ impl SessionStream {
 
     async fn work(&self, frame: Frame) -> Result<FrameWork, ServiceError> {
         frame.check()?;
-        let Frame { sequence, stamp_ns, content, odometry } = frame;
+        let Frame { sequence, stamp_ns, content, odometry, note } = frame;
         if self.last_committed.is_some_and(|last| sequence <= last) {
             return Ok(FrameWork::Resend { sequence });
         }
@@ -234,7 +235,7 @@ impl SessionStream {
         };
         let input = FrameInput { session, sequence, stamp_ns, odometry, observation };
         let timings = FrameTimings { extract, quantize, ..FrameTimings::default() };
-        Ok(FrameWork::Fresh { input: Box::new(input), features, media, timings })
+        Ok(FrameWork::Fresh { input: Box::new(input), features, media, note, timings })
     }
 
     /// Hands a prepared frame to the map's writer, in the order of calls; what comes back waits for

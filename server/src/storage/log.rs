@@ -8,6 +8,7 @@ use topomap::ids::{FrameId, SessionId};
 use topomap::log::{FrameEvent, Link, MapEvent, MeasuredEvent, Reason};
 
 use super::media::insert_media;
+use super::notes::insert_note;
 use super::{MapId, Medium, Storage, StorageError, to_sql};
 
 /// Events read at a time when a log is replayed.
@@ -20,14 +21,18 @@ pub(crate) struct LogEntry {
     pub(crate) event: MapEvent,
     /// Written with the event, and read apart from it.
     pub(crate) media: Vec<Medium>,
+    /// What the robot calls the frame; empty if nothing.
+    pub(crate) note: String,
 }
 
 /// Which frame a log position is.
-#[derive(Clone, Copy, Debug, PartialEq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct StoredFrame {
     pub(crate) session: SessionId,
     pub(crate) sequence: u64,
     pub(crate) stamp_ns: i64,
+    /// What its robot calls it; empty if nothing.
+    pub(crate) note: String,
 }
 
 /// A loop closure as the log's columns tell it.
@@ -49,12 +54,18 @@ struct MatchedColumns {
     matched_session: SessionId,
     matched_sequence: u64,
     matched_stamp_ns: i64,
+    matched_note: String,
 }
 
 impl From<MatchedColumns> for StoredFrame {
     fn from(matched: MatchedColumns) -> Self {
-        let MatchedColumns { matched_session, matched_sequence, matched_stamp_ns } = matched;
-        Self { session: matched_session, sequence: matched_sequence, stamp_ns: matched_stamp_ns }
+        let MatchedColumns { matched_session, matched_sequence, matched_stamp_ns, matched_note } = matched;
+        Self {
+            session: matched_session,
+            sequence: matched_sequence,
+            stamp_ns: matched_stamp_ns,
+            note: matched_note,
+        }
     }
 }
 
@@ -62,22 +73,25 @@ impl Storage {
     /// Appends events to a map's log, all or none, and returns when they are on the disk.
     pub(crate) async fn append(&self, map: MapId, entries: &[LogEntry]) -> Result<(), StorageError> {
         self.write(async |transaction| {
-            for LogEntry { position, event, media } in entries {
+            for LogEntry { position, event, media, note } in entries {
                 insert_event(transaction, map, to_sql(*position), event).await?;
                 insert_media(transaction, map, to_sql(*position), media).await?;
+                insert_note(transaction, map, to_sql(*position), note).await?;
             }
             Ok(())
         })
-        .await
+        .await?;
+        self.commits.tell(map);
+        Ok(())
     }
 
-    /// Hands the entries at `positions` to `fold`, in order.
+    /// Hands the events at `positions` to `fold`, in order, without what is kept beside them.
     pub(crate) async fn replay(
         &self,
         map: MapId,
         positions: Range<u64>,
         vocabulary_len: usize,
-        fold: &mut (dyn FnMut(LogEntry) -> Result<(), StorageError> + Send),
+        fold: &mut (dyn FnMut(u64, MapEvent) -> Result<(), StorageError> + Send),
     ) -> Result<(), StorageError> {
         // Page by page, so that a long replay does not keep a connection from others.
         let mut next = to_sql(positions.start);
@@ -94,7 +108,7 @@ impl Storage {
             .await?;
             let last = rows.len() < REPLAY_PAGE as usize;
             for (position, bytes) in rows {
-                fold(LogEntry { position, event: event(&bytes, vocabulary_len)?, media: Vec::new() })?;
+                fold(position, event(&bytes, vocabulary_len)?)?;
                 next = to_sql(position) + 1;
             }
             if last {
@@ -117,6 +131,24 @@ impl Storage {
                 .fetch_optional(&self.readers)
                 .await?;
         bytes.map(|bytes| event(&bytes, vocabulary_len)).transpose()
+    }
+
+    /// The same with what its robot calls the frame; empty if nothing.
+    pub(crate) async fn noted_event_at(
+        &self,
+        map: MapId,
+        position: FrameId,
+        vocabulary_len: usize,
+    ) -> Result<Option<(MapEvent, String)>, StorageError> {
+        let row: Option<(Vec<u8>, String)> = sqlx::query_as(
+            "SELECT event, coalesce(note, '') FROM log LEFT JOIN frame_notes USING (map_id, position) \
+             WHERE map_id = ? AND position = ?",
+        )
+        .bind(map)
+        .bind(to_sql(position))
+        .fetch_optional(&self.readers)
+        .await?;
+        row.map(|(bytes, note)| Ok((event(&bytes, vocabulary_len)?, note))).transpose()
     }
 
     /// The frame that a session sent under `sequence`, if it is durable.
@@ -233,7 +265,7 @@ impl Storage {
         positions: &[FrameId],
     ) -> Result<Vec<StoredFrame>, StorageError> {
         let found = self.frames_by_position(map, positions.iter().copied()).await?;
-        Ok(positions.iter().filter_map(|position| found.get(position).copied()).collect())
+        Ok(positions.iter().filter_map(|position| found.get(position).cloned()).collect())
     }
 
     /// The same, each with its position: many cost one query.
@@ -244,16 +276,18 @@ impl Storage {
     ) -> Result<HashMap<FrameId, StoredFrame>, StorageError> {
         // A list of numbers is JSON already.
         let positions = format!("{:?}", positions.into_iter().map(to_sql).collect::<Vec<_>>());
-        let rows: Vec<(FrameId, SessionId, u64, i64)> = sqlx::query_as(
-            "SELECT position, session, sequence, stamp_ns FROM log \
+        let rows: Vec<(FrameId, SessionId, u64, i64, String)> = sqlx::query_as(
+            "SELECT position, session, sequence, stamp_ns, coalesce(note, '') \
+             FROM log LEFT JOIN frame_notes USING (map_id, position) \
              WHERE map_id = ? AND sequence IS NOT NULL AND position IN (SELECT value FROM json_each(?))",
         )
         .bind(map)
         .bind(positions)
         .fetch_all(&self.readers)
         .await?;
-        let frame =
-            |(position, session, sequence, stamp_ns)| (position, StoredFrame { session, sequence, stamp_ns });
+        let frame = |(position, session, sequence, stamp_ns, note)| {
+            (position, StoredFrame { session, sequence, stamp_ns, note })
+        };
         Ok(rows.into_iter().map(frame).collect())
     }
 
@@ -266,8 +300,11 @@ impl Storage {
     ) -> Result<Vec<ClosureRow>, StorageError> {
         Ok(sqlx::query_as(
             "SELECT f.position, f.session, f.sequence, f.stamp_ns, f.place, f.posterior, f.probability, \
-             m.session AS matched_session, m.sequence AS matched_sequence, m.stamp_ns AS matched_stamp_ns \
+             m.session AS matched_session, m.sequence AS matched_sequence, m.stamp_ns AS matched_stamp_ns, \
+             coalesce(fn.note, '') AS note, coalesce(mn.note, '') AS matched_note \
              FROM log AS f JOIN log AS m ON m.map_id = f.map_id AND m.position = f.matched_frame \
+             LEFT JOIN frame_notes AS fn ON fn.map_id = f.map_id AND fn.position = f.position \
+             LEFT JOIN frame_notes AS mn ON mn.map_id = m.map_id AND mn.position = m.position \
              WHERE f.map_id = ? AND f.reason = 'loop_closure' AND f.position > ? ORDER BY f.position LIMIT ?",
         )
         .bind(map)

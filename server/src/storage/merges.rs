@@ -11,6 +11,7 @@ use topomap::log::MapEvent;
 use super::jobs::{ErrorColumns, end_job};
 use super::log::insert_event;
 use super::maps::check_edition;
+use super::notes::copy_notes;
 use super::{
     JobEnd, LabelRow, MapEdition, MapId, MapRow, Storage, StorageError, StoredError, StoredSession, from_sql,
     to_sql,
@@ -469,6 +470,7 @@ async fn insert_sessions_and_labels(
     Ok(())
 }
 
+/// Media and notes.
 async fn copy_media(
     transaction: &mut Transaction<'_, Sqlite>,
     source: MapId,
@@ -488,7 +490,7 @@ async fn copy_media(
     .bind(to_sql(positions.end))
     .execute(&mut **transaction)
     .await?;
-    Ok(())
+    copy_notes(transaction, source, map, positions, from).await
 }
 
 impl MergeState {

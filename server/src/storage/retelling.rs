@@ -77,7 +77,7 @@ impl Storage {
         let map = log.map.map;
         self.write(async |transaction| {
             raise_edition(transaction, log.map).await?;
-            move_media(transaction, log).await?;
+            move_kept(transaction, log).await?;
             move_former_models(transaction, log).await?;
             move_labels(transaction, log).await?;
             replace_events(transaction, log).await?;
@@ -173,28 +173,37 @@ async fn raise_edition(
     if done.rows_affected() == 1 { Ok(()) } else { Err(StorageError::Retold) }
 }
 
-/// Media of frames that stay get the frames' new positions; the others go.
-async fn move_media(transaction: &mut Transaction<'_, Sqlite>, log: &RetoldLog) -> Result<(), StorageError> {
+/// What is kept of frames beside the log.
+const BESIDE_FRAMES: [&str; 2] = ["frame_media", "frame_notes"];
+
+/// What is kept of frames that stay gets the frames' new positions; the rest goes.
+async fn move_kept(transaction: &mut Transaction<'_, Sqlite>, log: &RetoldLog) -> Result<(), StorageError> {
     let map = log.map.map;
     // A list of numbers is JSON already.
     let positions = format!("{:?}", log.kept.keys().collect::<Vec<_>>());
-    sqlx::query(
-        "DELETE FROM frame_media WHERE map_id = ? AND position >= ? \
-         AND position NOT IN (SELECT value FROM json_each(?))",
-    )
-    .bind(map)
-    .bind(to_sql(log.from))
-    .bind(positions)
-    .execute(&mut **transaction)
-    .await?;
-    // In order, so that each finds its new position free.
-    for (before, now) in log.kept.iter().filter(|(before, now)| before != now) {
-        sqlx::query("UPDATE frame_media SET position = ? WHERE map_id = ? AND position = ?")
-            .bind(to_sql(*now))
+    for table in BESIDE_FRAMES {
+        let delete = format!(
+            "DELETE FROM {table} WHERE map_id = ? AND position >= ? \
+             AND position NOT IN (SELECT value FROM json_each(?))"
+        );
+        sqlx::query(sqlx::AssertSqlSafe(delete))
             .bind(map)
-            .bind(to_sql(*before))
+            .bind(to_sql(log.from))
+            .bind(&positions)
             .execute(&mut **transaction)
             .await?;
+    }
+    // In order, so that each finds its new position free.
+    for (before, now) in log.kept.iter().filter(|(before, now)| before != now) {
+        for table in BESIDE_FRAMES {
+            let renumber = format!("UPDATE {table} SET position = ? WHERE map_id = ? AND position = ?");
+            sqlx::query(sqlx::AssertSqlSafe(renumber))
+                .bind(to_sql(*now))
+                .bind(map)
+                .bind(to_sql(*before))
+                .execute(&mut **transaction)
+                .await?;
+        }
     }
     Ok(())
 }

@@ -8,7 +8,8 @@ use topomap::log::MapEvent;
 use super::jobs::end_job;
 use super::labels::insert_label;
 use super::log::insert_event;
-use super::{JobEnd, LabelRow, MapId, MapRow, MediumKind, ModelRow, Storage, StorageError, to_sql};
+use super::notes::insert_note;
+use super::{JobEnd, LabelRow, MapId, MapRow, MediumKind, ModelRow, NoteRow, Storage, StorageError, to_sql};
 use crate::camera::Camera;
 
 /// Log events that are read at a time.
@@ -19,6 +20,9 @@ const MEDIA_PAGE: u32 = 8;
 
 /// Labels that are read at a time.
 const LABELS_PAGE: u32 = 500;
+
+/// Notes of frames that are read at a time.
+const NOTES_PAGE: u32 = 500;
 
 /// A session with all that is stored of it.
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
@@ -136,6 +140,7 @@ impl Storage {
         events: &[(u64, MapEvent)],
         media: &[MediaRow],
         labels: &[LabelRow],
+        notes: &[NoteRow],
     ) -> Result<(), StorageError> {
         self.write(async |transaction| {
             for (position, event) in events {
@@ -152,6 +157,9 @@ impl Storage {
             }
             for LabelRow { place, label } in labels {
                 insert_label(transaction, map, *place, label).await?;
+            }
+            for NoteRow { position, note } in notes {
+                insert_note(transaction, map, to_sql(*position), note).await?;
             }
             Ok(())
         })
@@ -244,6 +252,18 @@ impl MapView {
         .bind(self.map.id)
         .bind(from)
         .bind(LABELS_PAGE)
+        .fetch_all(&mut *self.snapshot)
+        .await?)
+    }
+
+    /// The next notes, from that of a frame on; none after the last.
+    pub(crate) async fn notes(&mut self, from: u64) -> Result<Vec<NoteRow>, StorageError> {
+        Ok(sqlx::query_as(
+            "SELECT position, note FROM frame_notes WHERE map_id = ? AND position >= ? ORDER BY position LIMIT ?",
+        )
+        .bind(self.map.id)
+        .bind(to_sql(from))
+        .bind(NOTES_PAGE)
         .fetch_all(&mut *self.snapshot)
         .await?)
     }

@@ -43,6 +43,8 @@ class FrameReference:
     session: str
     sequence: int
     stamp_ns: int
+    #: What its robot calls it; empty if nothing.
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -332,7 +334,7 @@ def _similarity(message: recognition_pb2.Similarity) -> Similarity:
 
 
 def _frame_reference(message: map_pb2.FrameReference) -> FrameReference:
-    return FrameReference(message.session, message.sequence, message.stamp_ns)
+    return FrameReference(message.session, message.sequence, message.stamp_ns, message.note)
 
 
 def _timings(message: session_pb2.Timings) -> Timings:

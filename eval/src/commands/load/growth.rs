@@ -139,7 +139,13 @@ async fn grow(endpoint: &str, workload: &Workload, words_hash: &str, places: u32
         for place in 0..places {
             let content = histogram(&workload.image(Use::Place, place));
             let sequence = u64::from(place) + 1;
-            let frame = FrameInput { sequence, stamp_ns: sequence as i64, content, odometry: None };
+            let frame = FrameInput {
+                sequence,
+                stamp_ns: sequence as i64,
+                content,
+                odometry: None,
+                note: String::new(),
+            };
             sender.send(frame).await?;
         }
         Ok::<(), anyhow::Error>(())

@@ -110,7 +110,15 @@ async fn make_map(client: &Client, contents: &Contents) -> Result<()> {
         for (sequence, content) in (1..).zip(&contents.frames) {
             let odometry = Some(at(0.5 * sequence as f64));
             let stamp_ns = 1_000_000_000 * sequence as i64;
-            sender.send(FrameInput { sequence, stamp_ns, content: content.clone(), odometry }).await?;
+            sender
+                .send(FrameInput {
+                    sequence,
+                    stamp_ns,
+                    content: content.clone(),
+                    odometry,
+                    note: String::new(),
+                })
+                .await?;
         }
         Ok::<(), anyhow::Error>(())
     };
@@ -149,7 +157,13 @@ async fn lead(
             sequence += 1;
             let image = (sequence as usize + 7 * number as usize) % contents.frames.len();
             let content = contents.frames[image].clone();
-            navigation.see(FrameInput { sequence, stamp_ns, content, odometry: Some(at(0.0)) });
+            navigation.see(FrameInput {
+                sequence,
+                stamp_ns,
+                content,
+                odometry: Some(at(0.0)),
+                note: String::new(),
+            });
         }
         let sent = Instant::now();
         navigation.report(Reading { stamp_ns, odometry: at(0.0), reflex: false });

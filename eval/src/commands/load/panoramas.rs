@@ -161,7 +161,9 @@ async fn stream(
             let _ = sent.send((sequence, Instant::now()));
             let stamp_ns = 1_000_000_000 * sequence as i64;
             let content = FrameContent::Image(image.clone());
-            sender.send(FrameInput { sequence, stamp_ns, content, odometry: None }).await?;
+            sender
+                .send(FrameInput { sequence, stamp_ns, content, odometry: None, note: String::new() })
+                .await?;
         }
         Ok::<(), anyhow::Error>(())
     };

@@ -342,7 +342,7 @@ pub(super) fn wire(sequence: u64, stamp_ns: i64, content: FrameContent) -> v1::F
         FrameContent::Histogram(histogram) => v1::frame::Content::Histogram(histogram),
         FrameContent::Words(words) => v1::frame::Content::Words(words),
     };
-    v1::Frame { sequence, stamp_ns, odometry: None, content: Some(content) }
+    v1::Frame { sequence, stamp_ns, odometry: None, content: Some(content), note: String::new() }
 }
 
 fn computing(timings: &v1::Timings) -> Duration {

@@ -275,7 +275,7 @@ impl AppearanceGuide {
         words: Words,
         stream: u64,
     ) -> Result<Looked, ServiceError> {
-        let Frame { sequence, stamp_ns, content, odometry } = frame;
+        let Frame { sequence, stamp_ns, content, odometry, note: _ } = frame;
         let mut before = self.before.lock().await;
         self.check_order(sequence, stamp_ns)?;
         let seen = Arc::new(self.panorama(navigation, content, words, Some(stream)).await?);

@@ -456,7 +456,7 @@ impl TopoMetricGuide {
         words: Words,
         stream: u64,
     ) -> Result<FrameSeen, ServiceError> {
-        let Frame { sequence, stamp_ns, content, odometry } = frame;
+        let Frame { sequence, stamp_ns, content, odometry, note: _ } = frame;
         if odometry.is_none() {
             return Err(ServiceError::invalid(
                 "the frame has no odometry; while a robot is led, send where its wheels were when the image was taken",
