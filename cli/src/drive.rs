@@ -153,7 +153,7 @@ impl Drive {
                 let waypost_bags::Frame { number, stamp_ns, image, pose } = frame;
                 let odometry =
                     pose.map(|pose| Odometry { pose: Some(pose_message(&pose)), covariance: Vec::new() });
-                // Whoever streams may have given up.
+                // The sender may have given up.
                 match sender.blocking_send(Shot { sequence: number, stamp_ns, image, odometry }) {
                     Ok(()) => ControlFlow::Continue(()),
                     Err(_) => ControlFlow::Break(()),
