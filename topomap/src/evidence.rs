@@ -1,10 +1,9 @@
 //! What speaks for two frames showing the same place.
 //!
-//! Whoever holds keypoints compares two views and says what was found ([`TwoView`]); here is what
+//! The holder of keypoints compares two views and says what was found ([`TwoView`]); here is what
 //! that is worth ([`Candidate::evidence`]), whether it is enough
 //! ([`VerificationSettings::verdict`]) and what it measures ([`ClosureNoise`]).
 
-mod archive;
 mod candidate;
 mod closure_noise;
 mod placement;
@@ -13,7 +12,6 @@ mod two_view;
 mod verdict;
 mod verification;
 
-pub use archive::{ArchiveError, FrameArchive};
 pub use candidate::{Candidate, Match};
 pub use closure_noise::ClosureNoise;
 pub use placement::Placement;
