@@ -156,7 +156,7 @@ impl Drive {
             self.bag.read_frames(&self.choice, after_sequence, &mut |_, _| {}, &mut |frame| {
                 let waypost_bags::Frame { number, stamp_ns, image, pose } = frame;
                 let odometry = pose.as_ref().map(message);
-                // Whoever streams may have given up.
+                // The sender may have given up.
                 match sender.blocking_send(Shot {
                     sequence: number,
                     stamp_ns,

@@ -97,7 +97,8 @@ pub(crate) async fn serve(
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
     };
     // Python's reflection client, among others, speaks the older version alone.
-    let (reflection, reflection_alpha) = (reflected().build_v1()?, reflected().build_v1alpha()?);
+    let reflection = reflected().build_v1()?;
+    let reflection_alpha = reflected().build_v1alpha()?;
     let connections = Connections::at(listener, tls.map(|tls| tls.grpc.clone()), LIMITS, strangers)?;
     tonic::transport::Server::builder()
         .http2_keepalive_interval(Some(KEEPALIVE))

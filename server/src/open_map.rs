@@ -34,7 +34,7 @@ use fabmap::recognizer::{Stage, StageObserver};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
-use topomap::evidence::{ArchiveError, Candidate, Match};
+use topomap::evidence::{Candidate, Match};
 use topomap::ids::{FrameId, SessionId};
 use topomap::log::{FrameEvent, MapEvent};
 use topomap::mapper::{EarlierFrame, FrameInput, MapPose, Mapper};
@@ -47,7 +47,7 @@ use self::recent::RecentFrame;
 use self::requests::{FrameReply, MapRequest, OpenedSession};
 use crate::camera::Camera;
 use crate::clock::now_ns;
-use crate::error::ServiceError;
+use crate::error::{ArchiveError, ServiceError};
 use crate::ingest::intrinsics::Intrinsics;
 use crate::ingest::model::LoadedModel;
 use crate::ingest::panoramic::PanoramicOptics;
@@ -138,7 +138,7 @@ impl MapWriter {
                     for (reply, error) in refused {
                         let _ = reply.send(Err(FrameFailure::Refused(error)));
                     }
-                    // Who opens the map anew waits for this thread: the disk must be at rest by then.
+                    // The next opening of the map waits for this thread: the disk must be at rest by then.
                     self.finish_checkpoint();
                     return;
                 }

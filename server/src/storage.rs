@@ -63,7 +63,7 @@ pub(crate) struct Storage {
     /// Held until the storage is closed; two servers on one directory would each believe that they are
     /// the one writer.
     lock: Arc<DirectoryLock>,
-    /// Those who write wait for the database's being written anew, however long that takes.
+    /// Writers wait while the database is rewritten, however long that takes.
     compacting: Arc<AtomicBool>,
     /// Whoever watches maps.
     commits: Arc<commits::Commits>,
@@ -98,7 +98,7 @@ pub(crate) enum StorageError {
     InUse,
     #[error("the job has ended already")]
     JobEnded,
-    #[error("the log was told anew, or deleted, since it was read")]
+    #[error("the log was rewritten, or deleted, since it was read")]
     Retold,
     #[error("the database holds what cannot be read: {0}; restore it from a copy")]
     Damaged(String),

@@ -1,11 +1,10 @@
 //! What speaks for two frames showing the same place.
 //!
-//! Whoever holds keypoints compares two views and says what was found ([`TwoView`]); here is what
+//! The holder of keypoints compares two views and says what was found ([`TwoView`]); here is what
 //! that is worth ([`Candidate::evidence`]), how probable it makes the place beside what look-alikes
 //! show ([`ProbabilityWeights`]), whether it is enough
 //! ([`VerificationSettings::verdict`]) and what it measures ([`ClosureNoise`]).
 
-mod archive;
 mod candidate;
 mod closure_noise;
 mod look_alikes;
@@ -16,7 +15,6 @@ mod two_view;
 mod verdict;
 mod verification;
 
-pub use archive::{ArchiveError, FrameArchive};
 pub use candidate::{Candidate, Match};
 pub use closure_noise::ClosureNoise;
 pub use look_alikes::LookAlikesSeen;

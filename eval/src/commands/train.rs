@@ -81,6 +81,8 @@ pub(crate) struct TrainReport {
     images: Option<usize>,
     /// Descriptors found in them.
     descriptors: Option<usize>,
+    /// The features that words are made of.
+    features: String,
     /// Words of the vocabulary.
     words: usize,
     /// How long it took.
@@ -132,9 +134,10 @@ pub(crate) fn run(options: &TrainOptions) -> Result<TrainReport> {
     let trained = Instant::now();
     let bytes = model.to_bytes();
     files::write(&options.out, &bytes)?;
-    let report = TrainReport {
+    Ok(TrainReport {
         images: images.as_ref().map(Vec::len),
         descriptors: images.map(|images| images.iter().map(|image| image.features.descriptors.len()).sum()),
+        features: model.extractor().to_owned(),
         words: model.vocabulary().len(),
         seconds: TrainSeconds {
             extract: extracted.duration_since(began).as_secs_f64(),
@@ -151,9 +154,7 @@ pub(crate) fn run(options: &TrainOptions) -> Result<TrainReport> {
         }),
         model_hash: model.hash().to_string(),
         bytes: bytes.len(),
-    };
-    eprint!("{}", report.table(model.extractor(), &options.out));
-    Ok(report)
+    })
 }
 
 impl TrainOptions {
@@ -267,47 +268,4 @@ fn show(progress: ModelTrainingProgress, bar: &ProgressBar) -> ControlFlow<()> {
     });
     bar.set_position((fraction.clamp(0.0, 1.0) * PER_MILLE as f64) as u64);
     ControlFlow::Continue(())
-}
-
-impl TrainReport {
-    fn table(&self, features: &str, out: &Path) -> String {
-        let Self {
-            images,
-            descriptors,
-            words,
-            seconds: TrainSeconds { extract, train },
-            true_positive_rate,
-            false_positive_rate,
-            evidence_exponent,
-            pairs,
-            loss_nats,
-            look_alike_share,
-            model_hash,
-            bytes,
-        } = self;
-        let count = |count: Option<usize>| count.map_or("–".to_owned(), |count| count.to_string());
-        let learnt = match (pairs, loss_nats) {
-            (Some(pairs), Some(loss)) => format!("{pairs} overlapping pairs, loss {loss:.4} nats"),
-            (Some(_) | None, _) => "none of its images".to_owned(),
-        };
-        let look_alikes = match look_alike_share {
-            Some(share) => format!("show {:.1} % of an image's words", 100.0 * share),
-            None => "not known".to_owned(),
-        };
-        format!(
-            "model        {model_hash}\n\
-             file         {out} ({bytes} bytes)\n\
-             features     {features}\n\
-             images       {}\n\
-             descriptors  {}\n\
-             words        {words}\n\
-             detector     p(z=1|e=1) {true_positive_rate}, p(z=1|e=0) {false_positive_rate}, exponent {evidence_exponent:.4}\n\
-             learnt from  {learnt}\n\
-             look-alikes  {look_alikes}\n\
-             time         {extract:.1} s features, {train:.1} s training\n",
-            count(*images),
-            count(*descriptors),
-            out = out.display(),
-        )
-    }
 }

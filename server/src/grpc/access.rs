@@ -39,7 +39,7 @@ const METHODS: [(&str, Access); 62] = [
     ("/waypost.v1.NavigationService/ListNavigations", Access::Robot),
     ("/waypost.v1.NavigationService/PlanRoute", Access::Robot),
     ("/waypost.v1.LabelService/ListLabels", Access::Robot),
-    // As goals: whoever may send a robot somewhere may say what that is called.
+    // As goals: a token that may send a robot somewhere may name that place.
     ("/waypost.v1.LabelService/SetLabel", Access::Robot),
     ("/waypost.v1.LabelService/DeleteLabel", Access::Robot),
     ("/waypost.v1.AppearanceService/GetAppearanceGraph", Access::Robot),

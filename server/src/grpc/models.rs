@@ -79,7 +79,8 @@ impl ModelService for Adapter {
         request: Request<Streaming<v1::ImportModelRequest>>,
     ) -> Result<Response<v1::Model>, Status> {
         let mut requests = request.into_inner();
-        let (mut name, mut file) = (None, Vec::new());
+        let mut name = None;
+        let mut file = Vec::new();
         while let Some(v1::ImportModelRequest { display_name, chunk }) = self.next(&mut requests).await? {
             name.get_or_insert(display_name);
             file.extend_from_slice(&chunk);

@@ -90,7 +90,8 @@ fn loop_closures(
     map: String,
 ) -> impl Stream<Item = Rows<LoopClosureView>> + Send + 'static {
     pages(move |token| {
-        let (service, map) = (service.clone(), map.clone());
+        let service = service.clone();
+        let map = map.clone();
         async move { service.maps.loop_closures(&map, PAGE_ROWS, &token).await }
     })
 }
@@ -102,7 +103,8 @@ fn frames(
 ) -> impl Stream<Item = Rows<(String, FrameView)>> + Send + 'static {
     let listing = service.clone();
     let sessions = pages(move |token| {
-        let (service, map) = (listing.clone(), map.clone());
+        let service = listing.clone();
+        let map = map.clone();
         async move { service.frames.sessions(&map, PAGE_ROWS, &token).await }
     });
     let sessions = sessions.map_ok(|rows| stream::iter(rows).map(Ok::<_, ServiceError>)).try_flatten();
@@ -115,7 +117,8 @@ fn frames_of(
 ) -> impl Stream<Item = Rows<(String, FrameView)>> + Send + 'static {
     let of = session.clone();
     let frames = pages(move |token| {
-        let (service, session) = (service.clone(), session.clone());
+        let service = service.clone();
+        let session = session.clone();
         async move { service.frames.list(&session, "", PAGE_ROWS, &token).await }
     });
     frames.map_ok(move |rows| rows.into_iter().map(|frame| (of.clone(), frame)).collect())

@@ -54,7 +54,8 @@ pub(super) async fn import_model(
     InQuery(Naming { display_name }): InQuery<Naming>,
     body: Body,
 ) -> Result<Json<v1::Model>, HttpError> {
-    let (mut upload, mut file) = (Upload::of(&service, body), Vec::new());
+    let mut upload = Upload::of(&service, body);
+    let mut file = Vec::new();
     while let Some(piece) = upload.next().await? {
         file.extend_from_slice(&piece);
         if file.len() > MAX_MODEL_BYTES {

@@ -21,7 +21,7 @@ use crate::error::ServiceError;
 use crate::map_settings::Keep;
 use crate::storage::{Medium, MediumKind};
 
-/// Bounds how many images are worked on at once, one a core, whoever sends them; and how many wait.
+/// Bounds how many images are worked on at once, one a core, over all senders; and how many wait.
 #[derive(Clone, Debug)]
 pub(crate) struct Extraction {
     cores: Arc<Semaphore>,

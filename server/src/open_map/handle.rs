@@ -95,7 +95,7 @@ impl MapHandle {
         self.edition.map
     }
 
-    /// The map, as often told anew as when it was opened.
+    /// The map, in the edition that was opened.
     pub(crate) fn edition(&self) -> MapEdition {
         self.edition
     }

@@ -169,7 +169,7 @@ impl OpenMaps {
         }
         let Self { storage, models, metrics, .. } = self.clone();
         let span = Span::current();
-        // A task of its own: whoever asked may go away, but a map must not be left half open, or a
+        // A task of its own: the caller may go away, but a map must not be left half open, or a
         // second writer could be started beside the first.
         let opening = tokio::spawn(async move {
             slot.close().await;

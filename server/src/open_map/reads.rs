@@ -18,7 +18,7 @@ const MAX_LISTED_FRAMES: usize = 100;
 impl MapWriter {
     /// Answers one question about the map as it is on the disk.
     pub(super) fn read(&mut self, read: Read) {
-        // An error means that whoever asked is gone.
+        // An error means that the caller is gone.
         match read {
             Read::Localize(localizer, request) => self.localize(localizer, request),
             Read::Query { observation, features, explained_words, reply } => {

@@ -170,7 +170,7 @@ pub(crate) enum SessionMode {
 }
 
 /// Number of a localizer, that of the stream that began it: never given again while the server runs, also
-/// if the map is opened anew.
+/// if the map is opened again.
 pub(crate) type LocalizerId = u64;
 
 /// Whose frame it is.

@@ -10,7 +10,7 @@ use fabmap::explanation::Explanation;
 use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
-use topomap::evidence::{ArchiveError, Bound, Candidate, Check, Contributions, Placement, Quantity, Verdict};
+use topomap::evidence::{Bound, Candidate, Check, Contributions, Placement, Quantity, Verdict};
 use topomap::ids::FrameId;
 use topomap::log::{FrameEvent, MapEvent, Reason};
 use topomap::mapper::{Decided, EarlierFrame, FrameInput, Gate, Gates, Mapper};
@@ -19,7 +19,7 @@ use topomap::settings::MapperSettings;
 pub(crate) use self::odometry_agreement::OdometryAgreement;
 use self::odometry_agreement::SeenAgain;
 use super::frames::{Frames, LocatedFrame};
-use crate::error::ServiceError;
+use crate::error::{ArchiveError, ServiceError};
 use crate::ingest::content::{Content, Words};
 use crate::ingest::extraction::Extraction;
 use crate::ingest::model::{LoadedModel, LoadedModels};
@@ -116,12 +116,12 @@ impl Queries {
             replay.explain(name, position, place, words)
         });
         let explained = explaining.await.map_err(ServiceError::internal)?;
-        // Of a map that is deleted or told anew meanwhile, some of what was read may be older than the rest.
+        // Of a map that is deleted or rewritten meanwhile, some of what was read may be older than the rest.
         match self.storage.map_of_id(read.id).await? {
             Some(now) if now.edition == read.edition => explained,
             Some(_) => Err(ServiceError::Aborted {
                 message: format!(
-                    "the map {} was told anew while the frame was explained; ask again",
+                    "the map {} was rewritten while the frame was explained; ask again",
                     read.name
                 ),
             }),

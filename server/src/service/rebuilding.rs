@@ -1,4 +1,4 @@
-//! A map made anew with another model, from what it keeps of its frames.
+//! A map rebuilt with another model, from what it keeps of its frames.
 
 use std::collections::HashMap;
 use std::pin::pin;
@@ -29,7 +29,7 @@ const EVENTS_PAGE: u64 = 256;
 /// Nobody waits for an answer, so as many frames as share a commit well.
 const WINDOWS: Windows = Windows { prepared: 4, submitted: 32 };
 
-/// A map, and what it is to be made anew with.
+/// A map, and what it is to be rebuilt with.
 struct Rebuild {
     source: MapRow,
     words: usize,
@@ -38,7 +38,7 @@ struct Rebuild {
     into: String,
 }
 
-/// Makes maps anew with other models. Cheap to clone.
+/// Rebuilds maps with other models. Cheap to clone.
 #[derive(Clone, Debug)]
 pub(crate) struct Rebuilding {
     pub(super) maps: Maps,
@@ -47,7 +47,7 @@ pub(crate) struct Rebuilding {
 }
 
 impl Rebuilding {
-    /// Begins to make a map anew with another model. If that was begun before and cut off, it goes on where it was.
+    /// Begins to rebuild a map with another model. If that was begun before and cut off, it goes on where it was.
     pub(crate) async fn start(&self, name: &str, model: &str, into: &str) -> Result<JobStatus, ServiceError> {
         let source = self.maps.open_maps.row(map_in(name)?).await?;
         let into = check_id("map name", into)?.to_owned();
@@ -98,7 +98,7 @@ impl Rebuilding {
         let mut streams: HashMap<SessionId, Arc<SessionStream>> = HashMap::new();
         for from in (0..events).step_by(EVENTS_PAGE as usize) {
             let fraction = from as f64 / events as f64;
-            Stopped::unless(reporter.progress("looking at the frames anew", fraction))?;
+            Stopped::unless(reporter.progress("looking at the frames again", fraction))?;
             // Positions mean something else once sessions were removed.
             let now = self.maps.storage.map_of_id(rebuild.source.id).await.map_err(ServiceError::from)?;
             if now.map(|row| row.edition()) != Some(rebuild.source.edition()) {

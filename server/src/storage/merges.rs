@@ -41,7 +41,7 @@ pub(crate) struct MergeRow {
 #[sqlx(rename_all = "snake_case")]
 pub(crate) enum MergeState {
     Searching,
-    /// Found; somebody has to decide.
+    /// Found; a person has to decide.
     Proposed,
     /// As far as can be told.
     #[sqlx(rename = "apart")]
@@ -61,7 +61,7 @@ pub(crate) struct MergeOutcome {
     pub(crate) report: String,
 }
 
-/// A source's log, told anew as the target's.
+/// A source's log, rewritten as the target's.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct JoinedLog {
     pub(crate) source: MapEdition,
@@ -238,7 +238,7 @@ impl Storage {
     }
 
     /// Appends sources to a map's log, with their sessions and media, and ends merge and job: all or nothing.
-    /// [`StorageError::Retold`] if a source was told anew or deleted since it was read.
+    /// [`StorageError::Retold`] if a source was rewritten or deleted since it was read.
     pub(crate) async fn append_merged(
         &self,
         target: MapId,
@@ -359,7 +359,7 @@ impl Storage {
     }
 
     /// Shows a map that holds several, and ends merge and job: all or nothing. [`StorageError::Retold`] if one of those
-    /// it was made of was told anew or deleted since it was read.
+    /// it was made of was rewritten or deleted since it was read.
     pub(crate) async fn finish_merged_map(
         &self,
         map: MapId,

@@ -1,4 +1,4 @@
-//! A log that is told anew, without some sessions.
+//! A log that is rewritten, without some sessions.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -37,7 +37,7 @@ pub(crate) struct RetoldLog {
 }
 
 impl RetoldLog {
-    /// What is another in a log that was told anew.
+    /// What differs in a log that was rewritten.
     pub(crate) fn new(map: MapEdition, before: &[MapEvent], retold: Retold) -> Self {
         let Retold { mut events, frames, sessions, places, dropped: _ } = retold;
         // An event that has come to stand where one like it was removed is another, with other media.
@@ -109,7 +109,7 @@ impl Storage {
         .await
     }
 
-    /// Writes the database anew without what was deleted, which is still between the rows until then, and in the
+    /// Rewrites the database without what was deleted, which is still between the rows until then, and in the
     /// write-ahead log. Commits wait meanwhile. [`StorageError::InUse`] if somebody reads from that log for so long that
     /// it cannot be emptied.
     pub(crate) async fn wipe_deleted(&self) -> Result<(), StorageError> {
@@ -143,7 +143,7 @@ impl Storage {
     }
 }
 
-/// Whoever writes waits until this is dropped.
+/// Writers wait until this is dropped.
 struct Compacting<'a>(&'a AtomicBool);
 
 impl<'a> Compacting<'a> {

@@ -88,7 +88,7 @@ async fn geometry_finds_more_loops_and_none_that_is_wrong() {
     server.stop().await;
 }
 
-/// The same decisions after a restart, by a robot that only looks, and for whoever asks why.
+/// The same decisions after a restart, by a robot that only looks, and in explanations.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_geometry_decided_is_in_the_log() {
     let directory = tempfile::tempdir().unwrap();

@@ -17,7 +17,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Endpoint;
 use tonic::{Code, Status, Streaming};
 use tonic_types::pb::RetryInfo;
-use waypost_client::FrameContent;
+use waypost_client::{Client, FrameContent, FrameInput, FrameOutcome, SessionOptions};
 use waypost_proto::google::rpc;
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_client::SessionServiceClient;
@@ -295,6 +295,30 @@ pub(super) async fn drive_all(robots: impl IntoIterator<Item = (Robot, Camera)>)
         records.push(driven??);
     }
     Ok(records)
+}
+
+/// Streams frames by the client library, as fast as they are taken; fails if one is refused.
+pub(super) async fn stream_all(
+    client: &Client,
+    options: SessionOptions,
+    frames: impl Iterator<Item = FrameInput> + Send + 'static,
+    answered: impl Fn(),
+) -> Result<()> {
+    let (mut sender, mut outcomes) = client.open_session(options).await?.split();
+    let sending = tokio::spawn(async move {
+        for frame in frames {
+            sender.send(frame).await?;
+        }
+        Ok::<(), anyhow::Error>(())
+    });
+    while let Some(outcome) = outcomes.next().await? {
+        if let FrameOutcome::Refusal(refusal) = outcome {
+            let why = refusal.status.unwrap_or_default().message;
+            bail!("the server under load refused a frame: {why}");
+        }
+        answered();
+    }
+    sending.await?
 }
 
 /// A connection to be made.

@@ -72,7 +72,7 @@ impl Merges {
         }
     }
 
-    /// Into a map that is there. Its robots wait for as long as it takes to append and open it anew.
+    /// Into a map that is there. Its robots wait for as long as it takes to append and open it again.
     async fn append(
         &self,
         number: u64,

@@ -40,7 +40,7 @@ const PIECE_ROWS: usize = 500;
 pub(crate) struct MapUpload {
     /// The name asked for, if any.
     reservation: Option<Reservation>,
-    /// It has no name in the file system, so it goes with whoever holds it, however that ends.
+    /// It has no name in the file system, so it goes with its holder, however that ends.
     spool: Arc<File>,
     bytes: u64,
     room: OwnedSemaphorePermit,
