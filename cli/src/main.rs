@@ -30,6 +30,7 @@ mod panorama;
 mod progress;
 mod replay;
 mod robot_words;
+mod shrinking;
 mod simulated;
 mod truth;
 mod units;

@@ -167,6 +167,7 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(appearance::get_appearance_graph))
         .routes(routes!(models::list_models, models::import_model))
         .routes(routes!(models::get_model, models::delete_model))
+        .routes(routes!(models::rename_model))
         .routes(routes!(models::export_model))
         .routes(routes!(jobs::list_jobs))
         .routes(routes!(jobs::get_job))

@@ -169,6 +169,16 @@ impl Service {
         let open_maps = self.open_maps.count();
         let jobs_running = self.jobs.count();
         let database_bytes = self.storage.size_bytes().await.ok();
-        self.metrics.render(Levels { open_maps, jobs_running, database_bytes })
+        let disk_free_bytes = self.storage.free_bytes();
+        let robots_led = self.navigation.counts();
+        let process = crate::memory::process_levels();
+        self.metrics.render(Levels {
+            open_maps,
+            jobs_running,
+            database_bytes,
+            disk_free_bytes,
+            robots_led,
+            process,
+        })
     }
 }

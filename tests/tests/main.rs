@@ -57,6 +57,7 @@ mod operations {
     mod disk_full;
     mod held_up;
     mod kill;
+    mod mistakes;
     mod operating;
     mod refused_commands;
     mod shutdown;

@@ -21,7 +21,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, Admitted, no_longer_admitted};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 62] = [
+const METHODS: [(&str, Access); 63] = [
     ("/waypost.v1.SessionService/Stream", Access::Robot),
     ("/waypost.v1.RecognitionService/Query", Access::Robot),
     ("/waypost.v1.SessionService/ListSessions", Access::Robot),
@@ -72,6 +72,7 @@ const METHODS: [(&str, Access); 62] = [
     ("/waypost.v1.ModelService/ExportModel", Access::Robot),
     ("/waypost.v1.ModelService/TrainModel", Access::Admin),
     ("/waypost.v1.ModelService/ImportModel", Access::Admin),
+    ("/waypost.v1.ModelService/RenameModel", Access::Admin),
     ("/waypost.v1.ModelService/DeleteModel", Access::Admin),
     ("/waypost.v1.JobService/ListJobs", Access::Robot),
     ("/waypost.v1.JobService/GetJob", Access::Robot),

@@ -93,6 +93,14 @@ impl ModelService for Adapter {
         Ok(Response::new(model(self.service.models.import(&name.unwrap_or_default(), file).await?)))
     }
 
+    async fn rename_model(
+        &self,
+        request: Request<v1::RenameModelRequest>,
+    ) -> Result<Response<v1::Model>, Status> {
+        let v1::RenameModelRequest { name, display_name } = request.into_inner();
+        Ok(Response::new(model(self.service.models.rename(&name, &display_name).await?)))
+    }
+
     async fn delete_model(
         &self,
         request: Request<v1::DeleteModelRequest>,

@@ -32,7 +32,7 @@ const PAGE_ROWS: u32 = 1000;
 #[utoipa::path(get, path = "/v1/maps/{map}/loop-closures.csv", tag = "exports", params(MapPath),
     responses((status = 200, description = "A header, then a line per loop closure.", body = String,
         content_type = "text/csv", example = json!("session,sequence,stamp_ns,matched_session,matched_sequence,\
-        matched_stamp_ns,place_number,posterior,probability\n")), Refusals))]
+        matched_stamp_ns,place_number,posterior,probability,note,matched_note\n")), Refusals))]
 pub(super) async fn export_loop_closures_csv(
     State(service): State<Arc<Service>>,
     InPath(MapPath { map }): InPath<MapPath>,
@@ -58,7 +58,8 @@ pub(super) async fn export_loop_closures_json(
 #[utoipa::path(get, path = "/v1/maps/{map}/posteriors.csv", tag = "exports", params(MapPath),
     responses((status = 200, body = String, content_type = "text/csv", description = "A header, then a line per \
         frame: session, sequence, stamp_ns, reason, place_number, posterior, new_place_posterior, and the \
-        most probable places in columns place_number_1, posterior_1 to place_number_10, posterior_10."), Refusals))]
+        most probable places in columns place_number_1, posterior_1 to place_number_10, posterior_10; note is what \
+        the robot calls the frame."), Refusals))]
 pub(super) async fn export_posteriors_csv(
     State(service): State<Arc<Service>>,
     InPath(MapPath { map }): InPath<MapPath>,

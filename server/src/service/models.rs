@@ -235,9 +235,15 @@ impl Models {
             (Some(_), false) => Err(ServiceError::precondition(format_args!(
                 "more than one model is called {reference:?}; name it by its hash"
             ))),
-            (None, _) => Err(ServiceError::not_found(format_args!(
-                "there is no model {reference:?}; list the models to see what there is, or train or import one"
-            ))),
+            (None, _) => {
+                let is_short =
+                    hash.len() < MIN_HASH_DIGITS && hash.chars().all(|digit| digit.is_ascii_hexdigit());
+                let digits = format!(" (the beginning of a hash has at least {MIN_HASH_DIGITS} digits)");
+                let digits = if is_short { digits.as_str() } else { "" };
+                Err(ServiceError::not_found(format_args!(
+                    "there is no model {reference:?}{digits}; list the models to see what there is, or train or import one"
+                )))
+            }
         }
     }
 
@@ -263,6 +269,14 @@ impl Models {
         let model = self.find(reference).await?;
         let file = self.storage.model_file(&model.hash).await?;
         file.ok_or_else(|| ServiceError::not_found(format_args!("the model {} was just deleted", model.hash)))
+    }
+
+    /// Gives a model another display name.
+    pub(crate) async fn rename(&self, reference: &str, display_name: &str) -> Result<ModelRow, ServiceError> {
+        let display_name = check_display_name(display_name)?;
+        let model = self.find(reference).await?;
+        self.storage.rename_model(&model.hash, &display_name).await?;
+        self.find(&model_name(&model.hash)).await
     }
 
     pub(crate) async fn delete(&self, reference: &str) -> Result<(), ServiceError> {

@@ -64,7 +64,7 @@ async fn notes_are_told_back() {
     }
     let place = client.place("maps/drive/places/0").await.unwrap();
     assert_eq!(place.frames[0].note, note(place.frames[0].sequence));
-    let posteriors = get(&server, "/v1/maps/drive/posteriors.csv?session=monday").await;
+    let posteriors = get(&server, "/v1/maps/drive/posteriors.csv").await;
     let lines: Vec<&str> = posteriors.text().lines().collect();
     assert!(lines[0].ends_with(",note") && lines[7].ends_with(",000007.jpg"), "{}", lines[7]);
     let picture = client.frame_picture(&format!("{monday}/frames/{again}"), None).await.unwrap();

@@ -18,7 +18,15 @@ impl Beginner {
         let waypost = CommandLine::new();
         waypost.prepare();
         waypost.text(&["map", "create", "hall", "--model", "shipped"]);
-        waypost.text(&["map", "create", "looks", "--model", "shipped", "--navigation-strategy", "appearance"]);
+        waypost.text(&[
+            "map",
+            "create",
+            "looks",
+            "--model",
+            "shipped",
+            "--navigation-strategy",
+            "appearance",
+        ]);
         let images = folder(6);
         waypost.text(&["stream", path(images.path()), "--map", "hall", "--session", "monday"]);
         Self { waypost, images, files: tempfile::tempdir().unwrap() }
@@ -43,6 +51,8 @@ impl Beginner {
 #[test]
 fn names_and_verbs_that_are_wrong() {
     let beginner = Beginner::new();
+    let out = beginner.files.path().join("out");
+    let out = path(&out);
     for (mistake, arguments, code, fragment) in [
         ("no model", &["map", "create", "new"][..], 2, "--model <MODEL>"),
         ("unknown model", &["map", "create", "new", "--model", "nosuch"], 4, "there is no model"),
@@ -61,8 +71,13 @@ fn names_and_verbs_that_are_wrong() {
             "waypost session frames hall monday",
         ),
         ("a job that is not there", &["job", "show", "7"], 4, "jobs/7"),
-        ("a map without metres", &["map", "graph", "hall"], 4, "it takes frames with odometry"),
-        ("a trajectory of none", &["map", "trajectory", "hall", "monday"], 4, "it takes frames with odometry"),
+        ("a map without metres", &["map", "graph", "hall", "--out", out], 4, "it takes frames with odometry"),
+        (
+            "a trajectory of none",
+            &["map", "trajectory", "hall", "monday", "--out", out],
+            4,
+            "it takes frames with odometry",
+        ),
         (
             "a threshold above 1",
             &["map", "create", "new", "--model", "shipped", "--closure-threshold", "99"],
@@ -90,7 +105,7 @@ fn addresses_that_are_wrong() {
     for (mistake, address, code, fragment) in [
         ("no server", "http://127.0.0.1:1", 3, "start a server with `make serve`"),
         ("no scheme", "127.0.0.1:7600", 2, "http://"),
-        ("the HTTP port", &http, 3, "HTTP port"),
+        ("the HTTP port", &http, 1, "HTTP port"),
         ("https against plain", &grpc.replace("http://", "https://"), 3, "speaks no TLS"),
     ] {
         let mut command = Built::command("waypost");
@@ -129,7 +144,7 @@ fn folders_and_images_that_are_wrong() {
     beginner.says("photos for panoramas", &["stream", folder, "--map", "looks"], 4, "--panorama");
     beginner.says(
         "more words than images give",
-        &["model", "train", folder, "--words", "500000", "--name", "large"],
+        &["model", "train", "--images", folder, "--words", "500000", "--name", "large"],
         1,
         "at most",
     );
@@ -143,9 +158,15 @@ fn folders_and_images_that_are_wrong() {
     let arguments = ["stream", path(&other), "--map", "hall", "--session", "monday"];
     beginner.says("another folder", &arguments, 1, "was begun with other images");
     for index in (0..8).rev() {
-        std::fs::rename(other.join(format!("{index:06}.jpg")), other.join(format!("{:06}.jpg", index + 100))).unwrap();
+        std::fs::rename(other.join(format!("{index:06}.jpg")), other.join(format!("{:06}.jpg", index + 100)))
+            .unwrap();
     }
-    beginner.says("a folder of other names", &arguments, 1, "its frame 6 is 000005.jpg, and here it is 000105.jpg");
+    beginner.says(
+        "a folder of other names",
+        &arguments,
+        1,
+        "its frame 6 is 000005.jpg, and here it is 000105.jpg",
+    );
     // The same one goes on.
     std::fs::write(beginner.images.path().join("000006.jpg"), &images()[6]).unwrap();
     let said = beginner.waypost.text(&["stream", folder, "--map", "hall", "--session", "monday"]);
@@ -169,7 +190,9 @@ fn odometry_that_is_wrong() {
     stream("stamps that fall", &csv(&["2,0,0,0", "1,0,0,0"]), 1, "sort the rows by time");
     stream("no number", &csv(&["1,nan,0,0"]), 1, "no number for x_m");
     stream("no rotation", "1 0 0 0 0 0 0 0\n", 1, "has length 0.0000; it has to be 1");
-    let rows = |row: &dyn Fn(i64) -> String| csv(&(1..=6).map(row).collect::<Vec<_>>().iter().map(String::as_str).collect::<Vec<_>>());
+    let rows = |row: &dyn Fn(i64) -> String| {
+        csv(&(1..=6).map(row).collect::<Vec<_>>().iter().map(String::as_str).collect::<Vec<_>>())
+    };
     let second = 1_000_000_000;
     stream(
         "degrees",
@@ -183,11 +206,26 @@ fn odometry_that_is_wrong() {
         1,
         "are positions in centimetres or millimetres",
     );
-    stream("seconds for nanoseconds", &rows(&|n| format!("{n},{},0,0", 0.5 * n as f64)), 1, "stamps not in their unit");
+    stream(
+        "seconds for nanoseconds",
+        &rows(&|n| format!("{n},{},0,0", 0.5 * n as f64)),
+        1,
+        "stamps not in their unit",
+    );
     // Who knows better says so.
     let file = beginner.file("odometry.csv", rows(&|n| format!("{},{},0,0", n * second, 50 * n)));
     let folder = path(beginner.images.path());
-    beginner.waypost.text(&["stream", folder, "--map", "drive", "--session", "fast", "--odometry", path(&file), "--yes"]);
+    beginner.waypost.text(&[
+        "stream",
+        folder,
+        "--map",
+        "drive",
+        "--session",
+        "fast",
+        "--odometry",
+        path(&file),
+        "--yes",
+    ]);
 }
 
 #[test]
@@ -196,12 +234,17 @@ fn odometry_of_another_rate_is_joined_by_time_and_cameras_are_declared() {
     let stamped = beginner.files.path().join("stamped");
     std::fs::create_dir(&stamped).unwrap();
     // Fractions of unequal length: 1700000000.5 is after 1700000000.25.
-    for (name, image) in ["1700000000.0", "1700000000.25", "1700000000.5", "1700000003.75"].iter().zip(images()) {
+    for (name, image) in
+        ["1700000000.0", "1700000000.25", "1700000000.5", "1700000003.75"].iter().zip(images())
+    {
         std::fs::write(stamped.join(format!("{name}.jpg")), image).unwrap();
     }
-    let rows: Vec<String> = (0..20).map(|n| format!("{:.1} {} 0 0 0 0 0 1", 1_700_000_000.0 + 0.1 * f64::from(n), 0.05 * f64::from(n))).collect();
+    let rows: Vec<String> = (0..20)
+        .map(|n| format!("{:.1} {} 0 0 0 0 0 1", 1_700_000_000.0 + 0.1 * f64::from(n), 0.05 * f64::from(n)))
+        .collect();
     let odometry = beginner.file("odometry.tum", rows.join("\n"));
-    let arguments = ["stream", path(&stamped), "--map", "drive", "--session", "timed", "--odometry", path(&odometry)];
+    let arguments =
+        ["stream", path(&stamped), "--map", "drive", "--session", "timed", "--odometry", path(&odometry)];
     let camera = ["--camera", "500,500,320,180", "--json"];
     let output = beginner.waypost.run(&[&arguments[..], &camera].concat());
     let said = String::from_utf8(output.stderr).unwrap();
@@ -213,7 +256,8 @@ fn odometry_of_another_rate_is_joined_by_time_and_cameras_are_declared() {
         summary["frames"].as_array().unwrap().iter().map(|row| row["image"].as_str().unwrap()).collect();
     assert_eq!(names, ["1700000000.0.jpg", "1700000000.25.jpg", "1700000000.5.jpg", "1700000003.75.jpg"]);
     assert_eq!(summary["frames"][1]["stamp_ns"], 1_700_000_000_250_000_000_i64);
-    let counted: u64 = summary["reasons"].as_object().unwrap().values().map(|count| count.as_u64().unwrap()).sum();
+    let counted: u64 =
+        summary["reasons"].as_object().unwrap().values().map(|count| count.as_u64().unwrap()).sum();
     assert_eq!(counted, 4, "{summary}");
     let sessions = beginner.waypost.json(&["session", "ls", "drive"]);
     assert_eq!(sessions["sessions"][0]["camera"]["pinhole"]["fx_px"], 500.0, "{sessions}");

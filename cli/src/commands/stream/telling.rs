@@ -115,7 +115,7 @@ pub(super) async fn short_sequence_hint(
     rows: &[FrameRow],
 ) -> Result<Option<String>, Failure> {
     let closes = rows.iter().any(|row| row.reason == Some("loop_closure"));
-    let longest = rows.iter().map(|row| row.sequence).max();
+    let longest = rows.iter().filter(|row| row.reason.is_some()).map(|row| row.sequence).max();
     let Some(last) = longest.filter(|_| !closes) else { return Ok(None) };
     let settings = client.map(map, v1::MapView::Basic).await?.settings.unwrap_or_default();
     let guard = settings.guard_frames.unwrap_or_default();

@@ -101,6 +101,7 @@ class AsyncClient:
     model = _awaited(Client.model)
     export_model = _awaited(Client.export_model)
     import_model = _awaited(Client.import_model)
+    rename_model = _awaited(Client.rename_model)
     delete_model = _awaited(Client.delete_model)
     # Navigations.
     navigations = _awaited(Client.navigations)

@@ -93,8 +93,8 @@ class Frame:
     odometry: Pose2 | Pose3 | npt.ArrayLike | None = None
     #: 6 x 6, of (x, y, z, rotation about x, y, z), in m^2 and rad^2.
     odometry_covariance: npt.ArrayLike | None = None
-    #: What the robot calls the frame, as by the name of its file: at most 200 bytes, without control characters.
-    #: Told back wherever the frame is named.
+    #: What the robot calls the frame, as by the name of its file: at most 200 bytes, without control
+    #: characters. Told back wherever the frame is named.
     note: str = ""
 
     def __post_init__(self) -> None:

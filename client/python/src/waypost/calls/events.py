@@ -23,12 +23,13 @@ class EventCalls:
 
         Args:
             map_id: `{map}` or `maps/{map}`.
-            from_position: Frames from this position of the map's log on come first, 0 for all. Left out, only frames
-                that are decided from now on. To go on after a broken connection: one more than the last position.
+            from_position: Frames from this position of the map's log on come first, 0 for all. Left out, only
+                frames that are decided from now on. To go on after a broken connection: one more than the
+                last position.
 
         Raises:
             NotFound: While iterating, if there is no such map, or once it is deleted.
-            Aborted: While iterating, when sessions were removed from the map: positions mean something else then.
+            Aborted: While iterating, when sessions were removed from the map, which changes positions.
         """
         request = event_pb2.WatchRequest(map=resource("maps", map_id), from_position=from_position)
         return MapEvents(self._connection.events.Watch(request), self._connection.address)
