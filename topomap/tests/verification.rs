@@ -1,3 +1,4 @@
+// long: one frame's verdict, from what was compared to the bytes that the log keeps.
 //! What geometry says decides: closures, what is remembered of them, and what the log keeps.
 
 use crate::words::WORDS;
