@@ -1,4 +1,3 @@
-// long: one frame's verdict, from what was compared to the bytes that the log keeps.
 //! What geometry says decides: closures, what is remembered of them, and what the log keeps.
 
 use crate::words::WORDS;
@@ -9,7 +8,7 @@ use proptest::prelude::*;
 use topomap::checkpoint::{Changes, Pieces, Restoration};
 use topomap::evidence::{
     Candidate, Contributions, Match, Placement, ProbabilityWeights, Quantity, Similarity, TwoView,
-    VerificationError, VerificationMethod, VerificationSettings, ViewMotion,
+    VerificationMethod, VerificationSettings, ViewMotion,
 };
 use topomap::ids::FrameId;
 use topomap::in_memory::{self, NoViews, Views};
@@ -17,7 +16,7 @@ use topomap::log::{MapEvent, Reason};
 use topomap::map::decode_place;
 use topomap::mapper::{FrameInput, Localizer, Mapper};
 use topomap::metric::RelativePose;
-use topomap::settings::{MapperError, MapperSettings};
+use topomap::settings::MapperSettings;
 
 use crate::look_alikes::{FrameEventViews, Truth, World, model, plane, settings, view};
 
@@ -221,32 +220,6 @@ fn a_query_is_verified_too() {
     let found = ask(2, 40);
     assert_eq!((found.accepted, found.matched.unwrap().place), (true, 1));
     assert!(!ask(99, 40).accepted);
-}
-
-#[test]
-fn settings_out_of_range_are_refused() {
-    let refused = |verification| {
-        let settings = MapperSettings { verification, ..settings() };
-        match Mapper::new(&model(), settings).unwrap_err() {
-            MapperError::Verification(error) => error,
-            other => panic!("{other}"),
-        }
-    };
-    let good = VerificationSettings::default();
-    let improbable = VerificationSettings { min_posterior: 1.5, ..good };
-    assert_eq!(refused(improbable), VerificationError::MinPosterior { value: 1.5 });
-    assert_eq!(refused(VerificationSettings { min_inliers: 0, ..good }), VerificationError::MinInliers);
-    for (settings, quantity) in [
-        (VerificationSettings { max_rotation_rad: 0.0, ..good }, Quantity::RotationRad),
-        (VerificationSettings { max_ln_scale: -1.0, ..good }, Quantity::LnScale),
-        (VerificationSettings { max_translation_widths: 0.0, ..good }, Quantity::TranslationWidths),
-    ] {
-        assert!(
-            matches!(refused(settings), VerificationError::Bound { quantity: found, .. } if found == quantity)
-        );
-    }
-    let forgetless = VerificationSettings { consistency_frames: 101, ..good };
-    assert_eq!(refused(forgetless), VerificationError::ConsistencyFrames { value: 101 });
 }
 
 fn placements() -> impl Strategy<Value = Placement> {
