@@ -159,7 +159,7 @@ mod tests {
             edges in prop::collection::vec((0..12_usize, 0..12_usize, 0..20_u8), 0..60),
         ) {
             let edges: Edges = edges.into_iter().map(|(from, to, length)| (from, to, f64::from(length))).collect();
-            let mut plain = vec![f64::INFINITY; 12];
+            let mut plain = [f64::INFINITY; 12];
             plain[3] = 0.0;
             for _ in 0..12 {
                 for &(from, to, length) in &edges {
