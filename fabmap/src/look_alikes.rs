@@ -114,10 +114,10 @@ fn all_of(sampling_set: &[Observation], vocabulary_len: usize) -> TfIdf {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Kind {
     /// Evidence of the best look-alike that is expected, per word of the image: the mean of the
-    /// [`KINDRED_IMAGES`] training images that resemble it most.
+    /// thirty training images that resemble it most.
     pub share: f64,
     /// How much the image resembles those, over how much training images resemble each other,
-    /// to the power of [`FAMILIARITY_EXPONENT`]: about 1 where the model knows the kind.
+    /// to the eighth power: about 1 where the model knows the kind.
     pub familiarity: f64,
 }
 
