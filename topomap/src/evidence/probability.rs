@@ -2,7 +2,7 @@
 
 /// What a candidate's log-odds are made of:
 /// ln [p / (1 - p)] = offset + per_look_alike · e / m + per_word_nat · w
-/// with e the evidence of words' geometry over the last frames, m what the best look-alike of this
+/// with e the evidence of geometry over the last frames, m what the best look-alike of this
 /// kind of place is expected to show over as many, and w the log-odds by words, which are at least
 /// [`ProbabilityWeights::LEAST_WORD_NATS`].
 ///
@@ -51,8 +51,8 @@ impl ProbabilityWeights {
 }
 
 impl Default for ProbabilityWeights {
-    /// By logistic regression over the proposals of the development sequences, each of the same
-    /// weight (`waypost-eval calibrate`).
+    /// By logistic regression over the proposals of all four development sequences, each of the same
+    /// weight; ACCURACY.md says how the same does on one that is left out.
     fn default() -> Self {
         Self { offset_nats: -1.59, per_look_alike_nats: 1.38, per_word_nat: 0.131 }
     }
