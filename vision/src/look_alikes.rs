@@ -190,3 +190,86 @@ impl<'a> Gallery<'a> {
         self.verifier.compare(view(other), view(image)).evidence()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use fabmap::model::ModelTrainingSettings;
+    use fabmap::vocabulary::VocabularySettings;
+    use fabmap::{DetectorModel, TreeTrainingSettings};
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::features::Keypoint;
+
+    const FEATURES: usize = 40;
+    const VIEWS_OF_A_PLACE: usize = 3;
+
+    /// Places passed in order, three images of each: place `p` shows features of its own, and
+    /// `shared` features that its look-alike in the other half of the drive shows at the same spots.
+    fn drive(places: u64, shared: usize) -> Vec<TrainingImage> {
+        let feature = |seed: u64| {
+            let mut random = ChaCha8Rng::seed_from_u64(seed);
+            let keypoint = Keypoint {
+                x_px: random.random_range(20.0..300.0),
+                y_px: random.random_range(20.0..220.0),
+                size_px: 8.0,
+                angle_rad: 0.0,
+                response: 1.0,
+            };
+            (keypoint, (0..128).map(|_| random.random::<u8>()).collect::<Vec<u8>>())
+        };
+        let image = |place: u64| {
+            let of_look_alikes = place % (places / 2);
+            let seeds = (0..FEATURES as u64).map(|number| {
+                let shown_by = if (number as usize) < shared { of_look_alikes } else { place + places };
+                1_000 * shown_by + number
+            });
+            let (keypoints, rows): (Vec<_>, Vec<_>) = seeds.map(feature).unzip();
+            let descriptors = Descriptors::new(fabmap::DescriptorKind::Float, 128, rows.concat()).unwrap();
+            TrainingImage { size_px: (320, 240), features: Features { keypoints, descriptors } }
+        };
+        (0..places).flat_map(|place| vec![image(place); VIEWS_OF_A_PLACE]).collect()
+    }
+
+    fn learnt(images: &[TrainingImage]) -> Result<LookAlikes, LearnError> {
+        let settings = ModelTrainingSettings {
+            vocabulary: VocabularySettings { words: 200, ..VocabularySettings::default() },
+            tree: TreeTrainingSettings::default(),
+            detector: DetectorModel::default(),
+        };
+        let go_on = &mut |_| ControlFlow::Continue(());
+        let model = Model::train("test", images, &settings, go_on).unwrap();
+        learn(&model, images, &mut |_| ControlFlow::Continue(()))
+    }
+
+    fn median(look_alikes: &LookAlikes) -> f32 {
+        let mut shares = look_alikes.shares().to_vec();
+        shares.sort_by(f32::total_cmp);
+        shares[shares.len() / 2]
+    }
+
+    #[test]
+    fn look_alikes_count_by_what_they_share() {
+        let unlike = learnt(&drive(40, 0)).unwrap();
+        let alike = learnt(&drive(40, 16)).unwrap();
+        assert_eq!(unlike.shares().len(), 40 * VIEWS_OF_A_PLACE);
+        assert!(median(&unlike) < 0.05, "{unlike:?}");
+        assert!(median(&alike) > 0.08, "{alike:?}");
+    }
+
+    /// Who drives a way twice sees the same places again: those are no look-alikes.
+    #[test]
+    fn places_seen_twice_are_no_look_alikes() {
+        let again = learnt(&drive(40, FEATURES)).unwrap();
+        assert!(median(&again) < 0.05, "{again:?}");
+    }
+
+    #[test]
+    fn what_does_not_tell_is_refused() {
+        assert_eq!(learnt(&drive(20, 0)).unwrap_err(), LearnError::TooFew { images: 60 });
+        let ordered = drive(120, 0);
+        let shuffled: Vec<_> = (0..360).map(|number| ordered[(number * 127) % 360].clone()).collect();
+        assert_eq!(learnt(&shuffled).unwrap_err(), LearnError::NoOrder);
+    }
+}
