@@ -20,6 +20,13 @@ pub struct FrameInput {
     pub note: String,
 }
 
+impl FrameInput {
+    /// A frame without odometry and without a note.
+    pub fn new(sequence: u64, stamp_ns: i64, content: FrameContent) -> Self {
+        FrameInput { sequence, stamp_ns, content, odometry: None, note: String::new() }
+    }
+}
+
 /// The image of a frame, or its words.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FrameContent {
