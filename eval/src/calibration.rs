@@ -1,5 +1,7 @@
 //! Are reported probabilities what they say? Reliability and expected calibration error.
 
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 use crate::dataset::Verdict;
@@ -57,6 +59,26 @@ impl Reliability {
         };
         (all > 0).then(|| self.bins.iter().map(weighted).sum())
     }
+}
+
+/// Times that predictions are drawn anew for an interval.
+const DRAWS: usize = 1000;
+
+/// Where 95 % of the values of [`Reliability::expected_calibration_error`] lie when as many predictions are drawn anew
+/// out of these: how much so few of them tell. Neighbours in a drive are alike, so that the truth is wider. The error
+/// of few is above that of many, for the bins of few stray; so is the interval. `None` without predictions.
+pub(crate) fn error_interval(predictions: &[Prediction]) -> Option<[f64; 2]> {
+    let judged: Vec<Prediction> =
+        predictions.iter().copied().filter(|one| one.verdict != Verdict::Neutral).collect();
+    let mut random = ChaCha8Rng::seed_from_u64(0);
+    let mut draw = || {
+        let drawn: Vec<Prediction> =
+            judged.iter().map(|_| judged[random.random_range(0..judged.len())]).collect();
+        Reliability::of(&drawn).expected_calibration_error()
+    };
+    let mut errors = (0..DRAWS).map(|_| draw()).collect::<Option<Vec<f64>>>()?;
+    errors.sort_by(f64::total_cmp);
+    Some([errors[DRAWS / 40], errors[DRAWS - 1 - DRAWS / 40]])
 }
 
 /// (probability, share right) of all that are not neutral, least probable first.
@@ -134,6 +156,18 @@ mod tests {
         assert!(error(&hundred).unwrap() < 1e-12);
         hundred.reverse();
         assert!(error(&hundred).unwrap() < 1e-12);
+    }
+
+    #[test]
+    fn an_interval_tells_how_little_few_tell() {
+        // Right as often as said, in tens: of many the error is surely small, of few it may be large.
+        let right = |i: usize| if i % 10 < 7 { Verdict::True } else { Verdict::False };
+        let of = |count| predictions(&(0..count).map(|i| (0.7, right(i))).collect::<Vec<_>>());
+        let [low, high] = error_interval(&of(2000)).unwrap();
+        assert!(0.0 <= low && low < high && high < 0.03, "{low} {high}");
+        let [_, of_few] = error_interval(&of(20)).unwrap();
+        assert!(of_few > 0.1, "{of_few}");
+        assert_eq!(error_interval(&predictions(&[(0.7, Verdict::Neutral)])), None);
     }
 
     #[test]

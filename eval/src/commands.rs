@@ -1,6 +1,7 @@
 //! One file per command.
 
 pub(crate) mod appearance;
+pub(crate) mod leave_one_out;
 pub(crate) mod load;
 pub(crate) mod map;
 pub(crate) mod merge;

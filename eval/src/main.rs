@@ -22,6 +22,7 @@ mod progress;
 mod ranking;
 mod report;
 mod timing;
+mod weights;
 mod workload;
 
 use std::io::{self, Write};
@@ -31,7 +32,9 @@ use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
 use serde_json::to_string;
 
-use commands::{appearance, load, map, merge, navigate, posegraph, recorded, scale, sequence, train};
+use commands::{
+    appearance, leave_one_out, load, map, merge, navigate, posegraph, recorded, scale, sequence, train,
+};
 use error::Refused;
 
 /// Measures Waypost: trains models, runs sequences in process and judges what is recognised, puts a server
@@ -52,6 +55,7 @@ struct Cli {
 enum Command {
     Train(train::TrainOptions),
     Sequence(Box<sequence::SequenceOptions>),
+    LeaveOneOut(leave_one_out::LeaveOneOutOptions),
     Scale(scale::ScaleOptions),
     Load(load::LoadOptions),
     Posegraph(posegraph::PoseGraphOptions),
@@ -76,6 +80,7 @@ fn run(cli: &Cli) -> Result<()> {
     let report = match &cli.command {
         Command::Train(options) => to_string(&train::run(options)?),
         Command::Sequence(options) => to_string(&sequence::run(options)?),
+        Command::LeaveOneOut(options) => to_string(&leave_one_out::run(options)?),
         Command::Scale(options) => to_string(&scale::run(options)?),
         Command::Load(options) => to_string(&load::run(options)?),
         Command::Posegraph(options) => to_string(&posegraph::run(options)?),

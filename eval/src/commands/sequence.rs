@@ -16,15 +16,16 @@ use topomap::log::Reason;
 use waypost_vision::features::Extractor;
 
 use self::recognised::Recognised;
-use self::report::SequenceReport;
-use self::system::SystemOptions;
-use crate::calibration::{Prediction, Reliability};
+pub(crate) use self::report::SequenceReport;
+pub(crate) use self::system::SystemOptions;
+use crate::calibration::{self, Prediction, Reliability};
 use crate::dataset::{Sequence, Verdict};
 use crate::match_matrix::MatchMatrix;
 use crate::observing::Observed;
 use crate::precision_recall::{JudgedProposal, PrecisionRecall};
 use crate::ranking::{Ranked, Ranking};
 use crate::timing::FrameWatch;
+use crate::weights::JudgedEvidence;
 use crate::{files, progress};
 
 /// Stream a sequence with known loops once, in order, and judge the earlier frame proposed for each.
@@ -63,48 +64,74 @@ pub(crate) struct JudgedFrame {
     pub closure_verdict: Option<Verdict>,
 }
 
+/// A sequence that was streamed, with what came of it.
+pub(crate) struct Streamed {
+    /// Every frame with the answer to it.
+    pub(crate) frames: Vec<JudgedFrame>,
+    pub(crate) curve: PrecisionRecall,
+    pub(crate) reliability: Reliability,
+    pub(crate) matrix: MatchMatrix,
+    pub(crate) report: SequenceReport,
+}
+
 /// Streams the sequence through the system, judges its proposals and writes what came of it.
 pub(crate) fn run(options: &SequenceOptions) -> Result<SequenceReport> {
     options.system.check()?;
     let sequence = Sequence::open(&options.sequence)?;
     let (model, extractor) = files::read_model(&options.model)?;
-    let mut system = options.system.start(&model, options.gap as usize, options.seed)?;
+    let system = options.system.start(&model, options.gap as usize, options.seed)?;
     files::create_folder(&options.out)?;
 
-    let mut matrix = MatchMatrix::new(options.system.scale());
+    let observed = sequence.images.iter().map(|path| observe(path, extractor, &model));
+    let streamed = stream(&sequence, observed, options.gap, &options.system, system)?;
+    results::write_all(&streamed, &sequence, &model, options)?;
+    Ok(streamed.report)
+}
+
+/// Streams what the frames of a sequence show through a system, in order, and judges its proposals.
+pub(crate) fn stream(
+    sequence: &Sequence,
+    observed: impl Iterator<Item = Result<(Observed, FrameWatch)>>,
+    gap: u32,
+    options: &SystemOptions,
+    mut system: Box<dyn Ranking>,
+) -> Result<Streamed> {
+    let gap = gap as usize;
+    let mut matrix = MatchMatrix::new(options.scale());
     let mut frames = Vec::with_capacity(sequence.images.len());
-    let bar = progress::bar("frames", sequence.images.len());
-    for (index, image) in bar.wrap_iter(sequence.images.iter().enumerate()) {
-        let mut ranked = recognise(index, image, extractor, &model, system.as_mut())?;
+    let bar = progress::bar(sequence.name.clone(), sequence.images.len());
+    for (index, observed) in bar.wrap_iter(observed).enumerate() {
+        let (seen, watch) = observed?;
+        let mut ranked = system.rank(index, seen, watch)?;
         matrix.push(&std::mem::take(&mut ranked.similarities));
-        frames.push(judge(index, ranked, &sequence));
+        frames.push(judge(index, ranked, sequence));
     }
     bar.finish_and_clear();
 
     let proposals = frames.iter().filter_map(JudgedFrame::judged_proposal).collect();
-    let curve = PrecisionRecall::sweep(proposals, sequence.truth.queries_with_loop(options.gap as usize));
+    let curve = PrecisionRecall::sweep(proposals, sequence.truth.queries_with_loop(gap));
     let predictions: Vec<Prediction> = frames.iter().filter_map(JudgedFrame::prediction).collect();
     let reliability = Reliability::of(&predictions);
     let places = frames.iter().map(|frame| frame.ranked.decision.and_then(|decision| decision.place));
-    let recognised = Recognised::of(places, &sequence.truth, options.gap as usize);
+    let recognised = Recognised::of(places, &sequence.truth, gap);
     let on_map = system.places().map(|places| (places, recognised));
-    let report = SequenceReport::new(&frames, &curve, &reliability, on_map, &options.system);
-    results::write_all(&report, &sequence, &model, &frames, (&curve, &reliability), &matrix, options)?;
-    Ok(report)
+    let ece_95 = calibration::error_interval(&predictions);
+    let report = SequenceReport::new(
+        &frames,
+        &curve,
+        (reliability.expected_calibration_error(), ece_95),
+        on_map,
+        options,
+    );
+    Ok(Streamed { frames, curve, reliability, matrix, report })
 }
 
-/// One frame, from the encoded image to the answer.
-fn recognise(
-    index: usize,
-    path: &Path,
-    extractor: Extractor,
-    model: &Model,
-    system: &mut dyn Ranking,
-) -> Result<Ranked> {
+/// What the image of a file shows, and the watch that runs along with the frame.
+pub(crate) fn observe(path: &Path, extractor: Extractor, model: &Model) -> Result<(Observed, FrameWatch)> {
     let encoded = files::read(path)?;
     let mut watch = FrameWatch::start();
     let seen = Observed::in_file(&encoded, model, extractor, &mut watch);
-    system.rank(index, seen.with_context(|| path.display().to_string())?, watch)
+    Ok((seen.with_context(|| path.display().to_string())?, watch))
 }
 
 fn judge(index: usize, ranked: Ranked, sequence: &Sequence) -> JudgedFrame {
@@ -133,6 +160,21 @@ impl JudgedFrame {
     /// The probability reported for the proposal; `None` for a system without probabilities.
     fn prediction(&self) -> Option<Prediction> {
         Some(Prediction { probability: self.ranked.proposal?.probability?, verdict: self.proposal_verdict? })
+    }
+
+    /// What speaks for the proposal, if geometry had its say and the truth tells.
+    pub(crate) fn judged_evidence(&self) -> Option<JudgedEvidence> {
+        let proposal = self.ranked.proposal?;
+        let is_right = match self.proposal_verdict? {
+            Verdict::True => true,
+            Verdict::False => false,
+            Verdict::Neutral => return None,
+        };
+        let compared = self.ranked.candidates.iter().find(|compared| compared.frame == proposal.frame)?;
+        let candidate = &compared.candidate;
+        candidate.view?;
+        let look_alikes = candidate.evidence() / candidate.look_alike_inliers;
+        Some(JudgedEvidence { look_alikes, word_nats: candidate.matched.log_odds, is_right })
     }
 
     fn judged_proposal(&self) -> Option<JudgedProposal> {

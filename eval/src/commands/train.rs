@@ -158,6 +158,23 @@ pub(crate) fn run(options: &TrainOptions) -> Result<TrainReport> {
 }
 
 impl TrainOptions {
+    /// A model of these images, all else as it is by default.
+    pub(crate) fn of_images(images: Vec<PathBuf>, words: u32, seed: u64, out: PathBuf) -> Self {
+        let features = FeatureSettings::default();
+        Self {
+            images,
+            recalibrate: None,
+            feature: features.feature(),
+            words,
+            seed,
+            orb_vocabulary: None,
+            detector: DetectorChoice::default(),
+            out,
+            max_features: features.max_features(),
+            image_width: features.image_width(),
+        }
+    }
+
     fn features(&self) -> Result<FeatureSettings> {
         if self.orb_vocabulary.is_some() && self.feature != Feature::Orb {
             return Err(refused("an ORB vocabulary has words of ORB; add --feature orb"));

@@ -5,7 +5,6 @@ use serde::Serialize;
 use super::JudgedFrame;
 use super::recognised::Recognised;
 use super::system::{RankingName, SystemOptions};
-use crate::calibration::Reliability;
 use crate::dataset::Verdict;
 use crate::precision_recall::PrecisionRecall;
 use crate::timing::StageTimes;
@@ -35,8 +34,10 @@ pub(crate) struct SequenceReport {
     /// Frames put to one that holds none.
     pub recognised_wrongly: Option<usize>,
     /// Expected calibration error of the probability reported for the proposal; null for a system
-    /// without probabilities. See [`Reliability::expected_calibration_error`].
+    /// without probabilities. See [`crate::calibration::Reliability`].
     pub ece: Option<f64>,
+    /// Where 95 % of its values lie when frames are drawn anew; see [`crate::calibration::error_interval`].
+    pub ece_95: Option<[f64; 2]>,
     /// Median wall time per frame and stage, in milliseconds.
     pub ms_p50: StageTimes,
 }
@@ -45,7 +46,7 @@ impl SequenceReport {
     pub(super) fn new(
         frames: &[JudgedFrame],
         curve: &PrecisionRecall,
-        reliability: &Reliability,
+        (ece, ece_95): (Option<f64>, Option<[f64; 2]>),
         on_map: Option<(usize, Recognised)>,
         system: &SystemOptions,
     ) -> Self {
@@ -71,7 +72,8 @@ impl SequenceReport {
             loop_closures_false: closures.as_ref().map(|closures| closures.iter().filter(is_false).count()),
             recognised: on_map.map(|(_, recognised)| recognised.right),
             recognised_wrongly: on_map.map(|(_, recognised)| recognised.wrong),
-            ece: reliability.expected_calibration_error(),
+            ece,
+            ece_95,
             ms_p50: StageTimes::medians(&times),
         }
     }

@@ -3,26 +3,20 @@
 use anyhow::{Context, Result};
 use fabmap::model::Model;
 
-use super::report::SequenceReport;
 use super::summary::Summary;
-use super::{JudgedFrame, SequenceOptions, csv_files};
-use crate::calibration::Reliability;
+use super::{JudgedFrame, SequenceOptions, Streamed, csv_files};
 use crate::dataset::{Sequence, Verdict};
 use crate::false_pictures::{self, Mistake};
-use crate::match_matrix::MatchMatrix;
-use crate::precision_recall::PrecisionRecall;
 use crate::{files, plots};
 
 /// Writes all files of a run.
 pub(super) fn write_all(
-    report: &SequenceReport,
+    streamed: &Streamed,
     sequence: &Sequence,
     model: &Model,
-    frames: &[JudgedFrame],
-    (curve, reliability): (&PrecisionRecall, &Reliability),
-    matrix: &MatchMatrix,
     options: &SequenceOptions,
 ) -> Result<()> {
+    let Streamed { frames, curve, reliability, matrix, report } = streamed;
     let write = |name: &str, content: &[u8]| files::write(&options.out.join(name), content);
     let system = options.system.in_words();
     let title = format!("{}: {system}", sequence.name);

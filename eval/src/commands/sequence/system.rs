@@ -6,7 +6,7 @@ use fabmap::likelihood::Dependence;
 use fabmap::model::Model;
 use fabmap::new_place::NewPlaceMethod;
 use fabmap::recognizer::{RecognizerSettings, Scorer};
-use topomap::evidence::VerificationMethod;
+use topomap::evidence::{ProbabilityWeights, VerificationMethod};
 use topomap::settings::MapperSettings;
 
 use crate::choices::{
@@ -17,8 +17,8 @@ use crate::match_matrix::Scale;
 use crate::ranking::{FabMap, LikelihoodRanking, Ranking, TfIdfRanking};
 
 /// The system to judge, with its settings.
-#[derive(Args)]
-pub(super) struct SystemOptions {
+#[derive(Args, Default)]
+pub(crate) struct SystemOptions {
     #[arg(long, value_name = "P", help = with_default(
         "Posterior (with tf-idf: cosine) from which a loop closure is accepted",
         MapperSettings::default().closure_threshold,
@@ -29,6 +29,9 @@ pub(super) struct SystemOptions {
     pub(super) ranking: RankingName,
     #[command(flatten)]
     knobs: Knobs,
+    /// Weights of the probability in place of the default ones.
+    #[arg(skip)]
+    weights: Option<ProbabilityWeights>,
 }
 
 /// A system to judge.
@@ -70,6 +73,11 @@ struct Knobs {
 }
 
 impl SystemOptions {
+    /// The default system but for the weights of the probability.
+    pub(crate) fn with_weights(weights: ProbabilityWeights) -> Self {
+        Self { weights: Some(weights), ..Self::default() }
+    }
+
     /// Refuses what cannot be asked for together.
     pub(super) fn check(&self) -> Result<()> {
         if self.ranking == RankingName::TfIdf && self.knobs != Knobs::default() {
@@ -82,7 +90,7 @@ impl SystemOptions {
     }
 
     /// An empty system; frames closer than `gap` are never loops.
-    pub(super) fn start(&self, model: &Model, gap: usize, seed: u64) -> Result<Box<dyn Ranking>> {
+    pub(crate) fn start(&self, model: &Model, gap: usize, seed: u64) -> Result<Box<dyn Ranking>> {
         Ok(match self.ranking {
             RankingName::FabMap => Box::new(FabMap::new(model, self.settings(gap), seed)?),
             RankingName::Likelihood => {
@@ -94,7 +102,7 @@ impl SystemOptions {
     }
 
     /// How the system's similarities are drawn.
-    pub(super) fn scale(&self) -> Scale {
+    pub(crate) fn scale(&self) -> Scale {
         match self.ranking {
             RankingName::FabMap | RankingName::Likelihood => Scale::Posterior,
             RankingName::TfIdf => Scale::Cosine,
@@ -107,6 +115,7 @@ impl SystemOptions {
         let mut settings = MapperSettings { guard_frames: gap as u64, ..MapperSettings::default() };
         set(&mut settings.closure_threshold, self.threshold);
         set(&mut settings.verification.method, verification);
+        set(&mut settings.verification.weights, self.weights);
         set(&mut settings.recognizer.dependence, dependence);
         set(&mut settings.recognizer.new_place, new_place);
         set(&mut settings.recognizer.scorer, scorer);
