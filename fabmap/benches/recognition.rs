@@ -6,6 +6,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
+use fabmap::PlaceId;
 use fabmap::appearance::Appearance;
 use fabmap::baselines::{BailOutRisk, DenseScorer};
 use fabmap::chow_liu::{ChowLiuTree, WordDependence};
@@ -67,10 +68,14 @@ fn scoring(criterion: &mut Criterion) {
         bencher.iter_batched_ref(|| index.clone(), |index| index.add(&place), BatchSize::LargeInput);
     });
     criterion.bench_function("look at a place once more", |bencher| {
-        bencher.iter_batched_ref(|| index.clone(), |index| index.observe(17, &query), BatchSize::LargeInput);
+        bencher.iter_batched_ref(
+            || index.clone(),
+            |index| index.observe(PlaceId::new(17), &query),
+            BatchSize::LargeInput,
+        );
     });
     for (place, looks) in (0..).zip((0..PLACES).map(|place| place % 15)) {
-        (0..looks).for_each(|_| index.observe(place, &images[place as usize]));
+        (0..looks).for_each(|_| index.observe(PlaceId::new(place), &images[place as usize]));
     }
     criterion.bench_function("index, 10,000 places looked at 1 to 15 times", |bencher| {
         bencher.iter(|| index.log_likelihoods_into(black_box(&informative), &mut weights, &mut scores));

@@ -79,7 +79,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 fn of(posterior: &fabmap::PlaceDistribution, place: PlaceId) -> f64 {
-    posterior.places[place as usize]
+    posterior.places[place.index()]
 }
 
 /// Scenes made of objects, and a camera that misses some of their words and mistakes others.

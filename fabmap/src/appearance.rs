@@ -3,8 +3,7 @@
 use crate::codec::{DecodeError, Reader, Writer};
 use crate::observation::{Observation, WordId};
 
-/// Number of a place within its map, counted from 0 in order of creation.
-pub type PlaceId = u32;
+pub use crate::ids::PlaceId;
 
 /// The appearance of a place L_i: n looks, and for each word the k of them that showed it.
 ///

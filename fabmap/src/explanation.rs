@@ -61,7 +61,7 @@ impl Explanation {
         appearance: &Appearance,
         words: usize,
     ) -> Option<Self> {
-        let index = place as usize;
+        let index = place.index();
         let average_place_log_likelihood = model.dense_log_likelihood_of_average_place(observation);
         let log_likelihood = *recognition.log_likelihoods.get(index)?;
         let (words_for, words_against) = strongest_words(model, observation, appearance, words);
@@ -126,7 +126,7 @@ mod tests {
             let explain = |place: PlaceId, appearance| {
                 Explanation::new(&model, NewPlaceMethod::MeanField, z, &recognition, place, appearance, words)
             };
-            for (place, appearance) in (0..).zip(&appearances) {
+            for (place, appearance) in PlaceId::all().zip(&appearances) {
                 let explanation = explain(place, appearance).unwrap();
                 let Explanation { words_for, words_against, .. } = &explanation;
                 prop_assert!(words_for.iter().all(|evidence| evidence.nats > 0.0) && words_for.len() <= words);
@@ -137,7 +137,7 @@ mod tests {
                     prop_assert!(explanation.other_words_nats.abs() < 1e-9, "{}", explanation.other_words_nats);
                 }
             }
-            prop_assert_eq!(explain(appearances.len() as PlaceId, &appearances[0]), None);
+            prop_assert_eq!(explain(PlaceId::from_index(appearances.len()), &appearances[0]), None);
         }
     }
 }

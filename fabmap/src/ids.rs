@@ -42,10 +42,30 @@ macro_rules! ids {
                     self.0 as usize
                 }
 
+                /// The number after it.
+                #[must_use]
+                #[inline(always)]
+                pub const fn next(self) -> Self {
+                    Self(self.0 + 1)
+                }
+
+                /// The same, counted from `first` on in place of 0.
+                #[must_use]
+                #[inline(always)]
+                pub const fn counted_from(self, first: Self) -> Self {
+                    Self(first.0 + self.0)
+                }
+
                 /// The first `count`, from number 0 on.
                 #[inline(always)]
                 pub fn first(count: usize) -> impl ExactSizeIterator<Item = Self> + DoubleEndedIterator + Clone {
                     (0..count as u32).map(Self)
+                }
+
+                /// It and all that follow.
+                #[inline(always)]
+                pub fn onwards(self) -> impl Iterator<Item = Self> + Clone {
+                    (self.0..).map(Self)
                 }
 
                 /// All that follow number 0, itself included.
@@ -88,4 +108,6 @@ macro_rules! ids {
 ids! {
     /// Number of a visual word, counted from 0.
     WordId;
+    /// Number of a place within its map, counted from 0 in order of creation.
+    PlaceId;
 }

@@ -99,7 +99,7 @@ impl InvertedIndex {
     /// A place's appearance; `None` if there is no such place. It is read from the postings.
     #[must_use]
     pub fn appearance(&self, place: PlaceId) -> Option<Appearance> {
-        let (block, place) = (place as usize / BLOCK_PLACES, place as usize % BLOCK_PLACES);
+        let (block, place) = (place.index() / BLOCK_PLACES, place.index() % BLOCK_PLACES);
         let block = self.blocks.get(block).filter(|block| place < block.len())?;
         Some(block.appearance(place))
     }
@@ -115,7 +115,7 @@ impl InvertedIndex {
         let blocks = (0..).step_by(BLOCK_PLACES).zip(&self.blocks);
         blocks
             .flat_map(|(first, block)| {
-                block.places_with(word).into_iter().map(move |place| (first + place) as PlaceId)
+                block.places_with(word).into_iter().map(move |place| PlaceId::from_index(first + place))
             })
             .collect()
     }
@@ -183,7 +183,7 @@ impl InvertedIndex {
 
     fn push(&mut self, appearance: &Appearance) -> PlaceId {
         self.count(appearance);
-        let place = self.len() as PlaceId;
+        let place = PlaceId::from_index(self.len());
         let block = match self.blocks.last_mut() {
             Some(last) if !last.is_full() => last,
             Some(_) | None => self.blocks.push_mut(Block::default()),
@@ -207,7 +207,7 @@ impl InvertedIndex {
         let words = self.model.vocabulary_len();
         let last_word = observation.words().last();
         assert!(last_word.is_none_or(|&word| word.index() < words), "a look of another vocabulary");
-        let (block, place) = (place as usize / BLOCK_PLACES, place as usize % BLOCK_PLACES);
+        let (block, place) = (place.index() / BLOCK_PLACES, place.index() % BLOCK_PLACES);
         let block = &mut self.blocks[block];
         self.places_of_looks[usize::from(block.looks(place))] -= 1;
         block.observe(place, &self.model, observation);

@@ -88,13 +88,13 @@ impl PlaceFilter {
         let even = (1.0 - sigma) / (places as f64 + 1.0);
         let smoothed = |likelihood: f64| factor * likelihood + even;
         let more: f64 =
-            prior.more.iter().map(|&(place, more)| more * smoothed(likelihoods[place as usize])).sum();
+            prior.more.iter().map(|&(place, more)| more * smoothed(likelihoods[place.index()])).sum();
         let of_all = prior.everywhere * (factor * sum + even * places as f64);
         let of_new_place = prior.new_place * smoothed(new_place);
         let evidence = of_all + more + of_new_place;
 
         let more = prior.more.iter().map(|&(place, more)| {
-            (place as usize, (prior.everywhere + more) * smoothed(likelihoods[place as usize]) / evidence)
+            (place.index(), (prior.everywhere + more) * smoothed(likelihoods[place.index()]) / evidence)
         });
         let more: Vec<(usize, f64)> = more.collect();
         scale(likelihoods, prior.everywhere * factor / evidence, prior.everywhere * even / evidence);
@@ -112,7 +112,7 @@ impl PlaceFilter {
         let FilterSettings { new_place_prior, even_share, .. } = self.settings;
         let known = 1.0 - new_place_prior;
         let everywhere = known * ((1.0 - even_share) * motion.even + even_share) / places as f64;
-        let named = motion.places.iter().filter(|&&(place, _)| (place as usize) < places);
+        let named = motion.places.iter().filter(|&&(place, _)| (place.index()) < places);
         let more = named.map(|&(place, weight)| (place, known * (1.0 - even_share) * weight)).collect();
         PlacePrior { places, everywhere, more, new_place: new_place_prior }
     }

@@ -4,6 +4,7 @@
 
 mod led_robot;
 
+use fabmap::PlaceId;
 use posegraph::PlanarPose;
 use proptest::prelude::*;
 use waypost_navigation::metric::planning::PlanError;
@@ -280,7 +281,7 @@ fn a_goal_may_say_where_to_look() {
     for heading_rad in [-2.5, -0.6, 0.0, 1.2, 3.1] {
         let mut world = World::new(PlanarPose::new(0.2, 0.1, 0.0), Fixes::Perfect);
         world.drift_rad_per_m = 0.05;
-        world.navigator.go_to_facing(Goal::Place(24), heading_rad).unwrap();
+        world.navigator.go_to_facing(Goal::Place(PlaceId::new(24)), heading_rad).unwrap();
         world.run(1500);
         (0..20).for_each(|_| world.advance(true, true));
         assert_eq!(world.status(), Status::Arrived);
@@ -288,7 +289,10 @@ fn a_goal_may_say_where_to_look() {
         assert!(off.abs() < 0.1 && (world.truth.x_m() - LENGTH_M).abs() < 0.15, "{:?}", world.truth);
     }
     let mut world = World::new(PlanarPose::new(0.2, 0.1, 0.0), Fixes::Perfect);
-    assert_eq!(world.navigator.go_to_facing(Goal::Place(24), f64::NAN), Err(PlanError::NotFinite));
+    assert_eq!(
+        world.navigator.go_to_facing(Goal::Place(PlaceId::new(24)), f64::NAN),
+        Err(PlanError::NotFinite)
+    );
 }
 
 /// It looks away from what was taught as it turns to where it is to look: that is no reason to be
@@ -296,7 +300,7 @@ fn a_goal_may_say_where_to_look() {
 #[test]
 fn views_that_are_not_those_of_the_way_say_nothing_while_it_is_not_on_it() {
     let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
-    world.navigator.go_to_facing(Goal::Place(24), 3.0).unwrap();
+    world.navigator.go_to_facing(Goal::Place(PlaceId::new(24)), 3.0).unwrap();
     while world.truth.heading_rad().abs() < 0.5 {
         world.advance(true, true);
         assert!(world.step < 2000);

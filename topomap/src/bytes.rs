@@ -1,5 +1,6 @@
 //! Bytes of what the log and the map both store: optional values, beliefs, amounts of evidence.
 
+use fabmap::PlaceId;
 use fabmap::codec::{DecodeError, Reader, Writer};
 use fabmap::place_filter::Belief;
 
@@ -7,7 +8,7 @@ pub(crate) fn encode_belief(belief: &Belief, writer: &mut Writer) {
     let Belief { places, new_place, remainder } = belief;
     writer.varint(places.len() as u64);
     for &(place, probability) in places {
-        writer.u32(place);
+        writer.u32(place.number());
         writer.f64(probability);
     }
     writer.f64(*new_place);
@@ -19,8 +20,9 @@ pub(crate) fn decode_belief(reader: &mut Reader<'_>) -> Result<Belief, DecodeErr
     if places > Belief::MAX_PLACES {
         return Err(DecodeError::invalid(format_args!("a belief of {places} places")));
     }
-    let places =
-        (0..places).map(|_| Ok((reader.u32()?, reader.f64()?))).collect::<Result<Vec<_>, DecodeError>>()?;
+    let places = (0..places)
+        .map(|_| Ok((PlaceId::new(reader.u32()?), reader.f64()?)))
+        .collect::<Result<Vec<_>, DecodeError>>()?;
     Ok(Belief { places, new_place: reader.f64()?, remainder: reader.f64()? })
 }
 

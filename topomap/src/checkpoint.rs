@@ -112,7 +112,7 @@ impl Mapper {
         let session = |&id: &SessionId| Some((id, encode_session(map.session(id)?)));
         let index = self.recognizer().index();
         let place = |&place: &PlaceId| {
-            Some((place, encode_place(map.places().get(place as usize)?, &index.appearance(place)?)))
+            Some((place, encode_place(map.places().get(place.index())?, &index.appearance(place)?)))
         };
         let first_piece = links / LINKS_PER_PIECE;
         let changed_links =
@@ -134,11 +134,11 @@ impl Mapper {
         let mut places = (0..).zip(self.map().places()).peekable();
         let index = self.recognizer().index();
         std::iter::from_fn(move || {
-            let mut block = BlockWriter::new(places.peek()?.0);
+            let mut block = BlockWriter::new(PlaceId::new(places.peek()?.0));
             while block.len_bytes() < block_bytes
                 && let Some((id, place)) = places.next()
             {
-                block.push(place, &index.appearance(id)?);
+                block.push(place, &index.appearance(PlaceId::new(id))?);
             }
             Some(block.seal())
         })
@@ -232,7 +232,7 @@ impl BlockWriter {
     pub fn seal(self) -> Block {
         let Self { first, places, writer, len_bytes: _ } = self;
         let mut head = Writer::default();
-        head.u32(first);
+        head.u32(first.number());
         head.u32(places);
         head.raw(&writer.into_bytes());
         Block { first, places, bytes: BLOCK.seal(&head.into_bytes()) }
@@ -257,7 +257,7 @@ pub fn decode_block(
         decoded.push((Place::decode(&mut reader)?, appearance));
     }
     reader.end()?;
-    Ok((first, decoded))
+    Ok((PlaceId::new(first), decoded))
 }
 
 fn encode_session(session: &Session) -> Vec<u8> {
@@ -340,7 +340,7 @@ impl Restoration {
         id: PlaceId,
         (place, appearance): (Place, Appearance),
     ) -> Result<(), RestoreError> {
-        if id as usize != self.places.len() {
+        if id.index() != self.places.len() {
             return Err(RestoreError::Missing { what: "places", from: self.places.len() as u64 });
         }
         self.places.push(place);

@@ -69,13 +69,13 @@ impl Map {
     /// The places linked with `place`, ascending; none for a place that does not exist.
     #[must_use]
     pub fn linked(&self, place: PlaceId) -> &[PlaceId] {
-        self.linked.get(place as usize).map_or(&[], Vec::as_slice)
+        self.linked.get(place.index()).map_or(&[], Vec::as_slice)
     }
 
     /// A frame that `place` learnt from, by its id.
     #[must_use]
     pub fn locate(&self, place: PlaceId, frame: FrameId) -> Option<PlaceFrame> {
-        let frames = &self.places.get(place as usize)?.frames;
+        let frames = &self.places.get(place.index())?.frames;
         let position = frames.binary_search_by_key(&frame, |learnt| learnt.frame).ok()?;
         Some(frames[position])
     }
@@ -133,7 +133,7 @@ impl Map {
         let linked = vec![Vec::new(); places.len()];
         let mut map = Self { places, links: Vec::with_capacity(links.len()), linked, sessions, events };
         for link in links {
-            let known = |place: PlaceId| (place as usize) < map.places.len();
+            let known = |place: PlaceId| (place.index()) < map.places.len();
             if !known(link.from) || !known(link.to) {
                 return Err(DecodeError::invalid("a link to a place that does not exist"));
             }
@@ -157,14 +157,14 @@ impl Map {
     ) {
         let session = self.sessions.entry(event.session).or_insert_with(Session::new);
         if let Some(place) = event.decision.place {
-            if place as usize >= self.places.len() {
-                self.places.resize_with(place as usize + 1, Place::default);
-                self.linked.resize_with(place as usize + 1, Vec::new);
+            if place.index() >= self.places.len() {
+                self.places.resize_with(place.index() + 1, Place::default);
+                self.linked.resize_with(place.index() + 1, Vec::new);
             }
             if event.learnt {
                 let learnt =
                     PlaceFrame { frame: event.frame, session: event.session, number: session.frames };
-                self.places[place as usize].frames.push(learnt);
+                self.places[place.index()].frames.push(learnt);
             }
         }
         session.follow(event, settings, sightings);
@@ -189,7 +189,7 @@ impl Map {
     fn add_link(&mut self, link: Link) {
         self.links.push(link);
         for (place, other) in [(link.from, link.to), (link.to, link.from)] {
-            let linked = &mut self.linked[place as usize];
+            let linked = &mut self.linked[place.index()];
             if let Err(position) = linked.binary_search(&other) {
                 linked.insert(position, other);
             }

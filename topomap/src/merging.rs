@@ -206,10 +206,14 @@ impl MergePlan {
     #[must_use]
     pub fn on_a_grown_target(
         mut self,
-        (places, later_places): (PlaceId, PlaceId),
+        (places, later_places): (PlaceId, u32),
         (events, later_events): (FrameId, FrameId),
     ) -> Self {
-        let place = |place: &mut PlaceId| *place += if *place < places { 0 } else { later_places };
+        let place = |place: &mut PlaceId| {
+            if *place >= places {
+                *place = place.counted_from(PlaceId::new(later_places));
+            }
+        };
         let fused = self.fused.iter_mut().map(|fused| &mut fused.matched);
         for matched in fused.chain(&mut self.matches).chain(&mut self.rejected) {
             place(&mut matched.target);

@@ -120,7 +120,7 @@ pub fn without_places<'a>(
     dropped: &BTreeSet<PlaceId>,
 ) -> Result<Retold, RetellError> {
     let (retold, _) = told(settings, log, &Left { sessions: &BTreeSet::new(), places: dropped })?;
-    match dropped.iter().find(|&&place| place as usize >= retold.places.len()) {
+    match dropped.iter().find(|&&place| place.index() >= retold.places.len()) {
         Some(&place) => Err(RetellError::NoPlace { place }),
         None => Ok(retold),
     }

@@ -1,6 +1,7 @@
 //! What closes a loop by words alone, what links it, and which frames are refused.
 
 use crate::words::WORDS;
+use fabmap::PlaceId;
 use fabmap::observation::Observation;
 use topomap::log::{LinkKind, MapEvent, Reason};
 use topomap::mapper::{FrameError, FrameInput};
@@ -21,9 +22,9 @@ fn a_round_closes_where_it_began() {
     assert_eq!(reasons[11], Reason::LoopClosure);
     let map = robot.mapper.map();
     assert_eq!(map.links().len(), 6, "the chain of six places and the link that closes it");
-    assert_eq!(map.linked(0), [1, 5]);
+    assert_eq!(map.linked(PlaceId::new(0)), [1, 5].map(PlaceId::new));
     // Two visits: one look of the first, at most three of the second.
-    assert_eq!(robot.mapper.recognizer().index().appearance(0).unwrap().looks(), 4);
+    assert_eq!(robot.mapper.recognizer().index().appearance(PlaceId::new(0)).unwrap().looks(), 4);
 }
 
 #[test]
@@ -35,7 +36,10 @@ fn a_closure_names_the_frame_that_matched() {
     let event = robot.see(one_frame(0, 7, 7, 2));
     let closure = event.decision.closure.unwrap();
     // Position 0 of the log is the session's opening, so the second frame is at 2.
-    assert_eq!((event.decision.reason, closure.place, closure.frame), (Reason::LoopClosure, 1, 2));
+    assert_eq!(
+        (event.decision.reason, closure.place, closure.frame),
+        (Reason::LoopClosure, PlaceId::new(1), 2)
+    );
     assert_eq!(event.proposal, Some(closure));
     assert!(closure.posterior > 0.999 && closure.log_odds > 7.0);
 }

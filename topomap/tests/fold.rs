@@ -27,7 +27,7 @@ fn each_frame_makes_a_place_where_that_is_the_rule() {
     drive(&mut mapper, &mut log, &[(0, 3), (0, 3), (0, 4), (0, 3), (1, 3), (1, 9), (1, 3)], 5);
     assert_eq!(mapper.map().places().len(), 7);
     let found = query(&mapper, &log, 9);
-    assert_eq!(found.recognition.posterior.best_place().map(|(place, _)| place), Some(5));
+    assert_eq!(found.recognition.posterior.best_place().map(|(place, _)| place), Some(PlaceId::new(5)));
     // The log has it all.
     let mut replayed = Mapper::new(&model(), settings).unwrap();
     replay(&mut replayed, &log);
@@ -45,7 +45,8 @@ fn who_stands_makes_no_place_where_each_frame_does() {
         MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
     });
     let (same, new) = (Reason::SamePlace, Reason::NewPlace);
-    let expected = [(same, Some(0)), (same, Some(0)), (new, Some(2)), (same, Some(2)), (new, Some(3))];
+    let expected = [(same, 0), (same, 0), (new, 2), (same, 2), (new, 3)]
+        .map(|(reason, place)| (reason, Some(PlaceId::new(place))));
     assert_eq!(decided.collect::<Vec<_>>(), expected);
 }
 
@@ -70,7 +71,7 @@ impl Stored {
     }
 
     fn sealed(&self) -> PlaceId {
-        self.blocks.last().map_or(0, |last| last.first + last.places)
+        self.blocks.last().map_or(PlaceId::new(0), |last| PlaceId::new(last.places).counted_from(last.first))
     }
 
     /// All places in order, each as it was written last.
@@ -83,7 +84,7 @@ impl Stored {
         let mut places: Vec<_> = self.blocks.iter().flat_map(decode).collect();
         for (&id, bytes) in &self.places {
             let place = decode_place(bytes, WORDS as usize).unwrap();
-            if (id as usize) < places.len() { places[id as usize] = place } else { places.push(place) }
+            if id.index() < places.len() { places[id.index()] = place } else { places.push(place) }
         }
         places
     }
@@ -95,14 +96,14 @@ impl Stored {
             let mut block = BlockWriter::new(first);
             places
                 .iter()
-                .skip(first as usize)
+                .skip(first.index())
                 .take(count)
                 .for_each(|(place, appearance)| block.push(place, appearance));
             block.seal()
         };
         if let Some(first) = self.blocks.first_mut() {
-            *first = seal(0, first.places as usize);
-            self.places.retain(|&place, _| place >= first.places);
+            *first = seal(PlaceId::new(0), first.places as usize);
+            self.places.retain(|&place, _| place >= PlaceId::new(first.places));
         }
         self.blocks.extend(Some(seal(sealed, count)).filter(|block| block.places > 0));
         let (before, after) = (sealed, self.sealed());
@@ -113,7 +114,9 @@ impl Stored {
         let mut restoration = Restoration::new(model, settings(), &self.head).unwrap();
         self.sessions.iter().for_each(|(&id, bytes)| restoration.session(id, bytes).unwrap());
         self.links.iter().for_each(|(&first, bytes)| restoration.links(first, bytes).unwrap());
-        (0..).zip(self.all_places()).for_each(|(id, place)| restoration.place(id, place).unwrap());
+        (0..)
+            .zip(self.all_places())
+            .for_each(|(id, place)| restoration.place(PlaceId::new(id), place).unwrap());
         restoration.finish().unwrap()
     }
 }
@@ -131,8 +134,11 @@ fn pieces_that_do_not_add_up_are_no_map() {
     let begin = || Restoration::new(&model, settings(), &pieces.head).unwrap();
 
     let mut gap = begin();
-    gap.place(0, places[0].1.clone()).unwrap();
-    assert_eq!(gap.place(2, places[2].1.clone()), Err(RestoreError::Missing { what: "places", from: 1 }));
+    gap.place(PlaceId::new(0), places[0].1.clone()).unwrap();
+    assert_eq!(
+        gap.place(PlaceId::new(2), places[2].1.clone()),
+        Err(RestoreError::Missing { what: "places", from: 1 })
+    );
     assert_eq!(gap.links(LINKS_PER_PIECE as u64, &[]), Err(RestoreError::Missing { what: "links", from: 0 }));
     assert_eq!(gap.finish().unwrap_err(), RestoreError::Missing { what: "places", from: 1 });
 
@@ -150,7 +156,7 @@ fn pieces_that_do_not_add_up_are_no_map() {
         assert!(decode_block(&block[..cut], WORDS as usize).is_err(), "{cut} of {} bytes", block.len());
     }
     let small: Vec<PlaceId> = mapper.blocks(1).map(|block| block.first).collect();
-    assert_eq!(small, (0..mapper.map().places().len() as PlaceId).collect::<Vec<_>>());
+    assert_eq!(small, PlaceId::first(mapper.map().places().len()).collect::<Vec<_>>());
 }
 
 proptest! {
@@ -211,7 +217,7 @@ proptest! {
             let input = one_frame(Localizer::SESSION, step as u64, step, place);
             let decided = in_memory::localize(&mapper, &localizer, &log, input, &NoViews).unwrap();
             prop_assert!(!decided.event.learnt && decided.event.link.is_none());
-            prop_assert!(decided.event.decision.place.is_none_or(|place| (place as usize) < mapper.recognizer().places()));
+            prop_assert!(decided.event.decision.place.is_none_or(|place| (place.index()) < mapper.recognizer().places()));
             localizer.follow(&decided.event, &mapper);
             prop_assert_eq!(localizer.last_sequence(), Some(step as u64));
         }
@@ -297,16 +303,16 @@ fn a_query_finds_the_place_and_its_gates_say_why() {
     let again = one_frame(0, 100, 100, 2);
     let queried = in_memory::query(&robot.mapper, &robot.log, &again.observation, &NoViews).unwrap();
     let matched = queried.matched.unwrap();
-    assert_eq!((matched.place, matched.frame, queried.accepted), (1, 2, true));
+    assert_eq!((matched.place, matched.frame, queried.accepted), (PlaceId::new(1), 2, true));
     let decided = in_memory::decide(&robot.mapper, &robot.log, again.clone(), &NoViews, &mut ()).unwrap();
     let gates = robot.mapper.gates(&again, &decided.recognition, matched.place).unwrap();
     // Left four frames ago, as the guard asks.
     assert_eq!((gates.guard.value, gates.guard.required), (6.0, 4.0));
     assert!(gates.words.passed && gates.known_place.passed && gates.guard.passed && gates.threshold.passed);
-    let near = robot.mapper.gates(&again, &decided.recognition, 4).unwrap();
+    let near = robot.mapper.gates(&again, &decided.recognition, PlaceId::new(4)).unwrap();
     assert_eq!((near.guard.passed, near.guard.value), (false, 1.0));
     assert!(!near.known_place.passed && !near.threshold.passed);
-    assert_eq!(robot.mapper.gates(&again, &decided.recognition, 99), None);
+    assert_eq!(robot.mapper.gates(&again, &decided.recognition, PlaceId::new(99)), None);
 
     let nothing = Observation::from_words([1, 2], WORDS as usize).unwrap();
     let queried = in_memory::query(&robot.mapper, &robot.log, &nothing, &NoViews).unwrap();

@@ -54,7 +54,7 @@ fn maps_without_metres_are_joined_in_step() {
     assert_eq!(joined.mapper.map().places().len(), of_target + of_source - plan.fused.len());
     assert!(!joined.mapper.poses().has_metres());
     // The source's way goes on from the target's.
-    let last = (of_target..joined.mapper.map().places().len()).map(|place| place as PlaceId);
+    let last = (of_target..joined.mapper.map().places().len()).map(PlaceId::from_index);
     assert!(
         last.clone().count() >= 10
             && last.into_iter().all(|place| !joined.mapper.map().linked(place).is_empty())
@@ -87,8 +87,8 @@ fn without_metres_too_halls_that_look_the_same_are_none_to_merge_by() {
     };
     let (target, source) = (made(0.1, 32), made(10.1, 12));
     let mut found = Vec::new();
-    for place in 0..source.mapper.map().places().len() as PlaceId {
-        for other in 0..target.mapper.map().places().len() as PlaceId {
+    for place in PlaceId::first(source.mapper.map().places().len()) {
+        for other in PlaceId::first(target.mapper.map().places().len()) {
             let view = seen(repeated, &target.made_at(other), &source.made_at(place));
             if view.motion.is_some() {
                 let (source_frame, target_frame) = (1 + u64::from(place), 1 + u64::from(other));
@@ -113,7 +113,7 @@ fn without_metres_too_halls_that_look_the_same_are_none_to_merge_by() {
 impl Robot {
     /// Where the frame that made a place truly was.
     fn made_at(&self, place: PlaceId) -> PlanarPose {
-        self.truth[self.mapper.map().places()[place as usize].frames[0].frame as usize]
+        self.truth[self.mapper.map().places()[place.index()].frames[0].frame as usize]
     }
 }
 
@@ -136,8 +136,11 @@ fn two_maps_of_one_building_become_one() {
     let (map, poses) = (joined.mapper.map(), joined.mapper.poses());
     let [of_target, of_source] = [&target, &source].map(|robot| robot.mapper.map().places().len());
     assert_eq!(map.places().len(), of_target + of_source - plan.fused.len());
-    assert!((0..map.places().len() as PlaceId).all(|place| poses.part(place) == Some(0)), "one part");
-    let squares = (0..map.places().len() as PlaceId).map(|place| {
+    assert!(
+        PlaceId::first(map.places().len()).all(|place| poses.part(place) == Some(PlaceId::new(0))),
+        "one part"
+    );
+    let squares = PlaceId::first(map.places().len()).map(|place| {
         let was = joined.truth[1].inverse().compose(&joined.made_at(place));
         apart_m(&was, poses.pose(place).unwrap()).powi(2)
     });
@@ -162,7 +165,7 @@ fn a_place_of_both_maps_has_learnt_from_both() {
         assert_eq!(appearance, learnt, "place {place}");
     }
     let of_both = |place: PlaceId| {
-        let frames = &joined.mapper.map().places()[place as usize].frames;
+        let frames = &joined.mapper.map().places()[place.index()].frames;
         [0, 1].iter().all(|session| frames.iter().any(|frame| frame.session == *session))
     };
     assert!(plan.fused.iter().all(|fused| of_both(fused.matched.target)));
@@ -230,9 +233,9 @@ fn halls_that_look_the_same_are_none_to_merge_by() {
     };
     let (target, source) = (along(0.1, 32), along(10.1, 14));
     let mut found = Vec::new();
-    for place in 0..source.mapper.map().places().len() as PlaceId {
+    for place in PlaceId::first(source.mapper.map().places().len()) {
         let at = source.made_at(place);
-        for other in 0..target.mapper.map().places().len() as PlaceId {
+        for other in PlaceId::first(target.mapper.map().places().len()) {
             let is_at = target.made_at(other);
             let view = seen(repeated, &is_at, &at);
             if view.motion.is_some() {
@@ -266,8 +269,8 @@ proptest! {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut all = true_ones.clone();
         for like in true_ones.iter().take(true_ones.len() / 4) {
-            let [a, b] = [&source, &target].map(|robot| robot.mapper.map().places().len() as PlaceId);
-            all.push(PlaceMatch { source: random.random_range(0..a), target: random.random_range(0..b), ..*like });
+            let [a, b] = [&source, &target].map(|robot| robot.mapper.map().places().len());
+            all.push(PlaceMatch { source: PlaceId::from_index(random.random_range(0..a)), target: PlaceId::from_index(random.random_range(0..b)), ..*like });
         }
         let Verdict::Overlap(plan) = judged(&source, &target, &all) else { return Err(TestCaseError::fail("apart")) };
         for fused in &plan.fused {
@@ -287,8 +290,8 @@ proptest! {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut all = true_ones.clone();
         for like in true_ones.iter().take(true_ones.len() / 4) {
-            let [a, b] = [&source, &target].map(|robot| robot.mapper.map().places().len() as PlaceId);
-            all.push(PlaceMatch { source: random.random_range(0..a), target: random.random_range(0..b), ..*like });
+            let [a, b] = [&source, &target].map(|robot| robot.mapper.map().places().len());
+            all.push(PlaceMatch { source: PlaceId::from_index(random.random_range(0..a)), target: PlaceId::from_index(random.random_range(0..b)), ..*like });
         }
         let Verdict::Overlap(plan) = judged(&source, &target, &all) else { return Err(TestCaseError::fail("apart")) };
         for matched in &plan.matches {

@@ -3,6 +3,7 @@
 
 use std::f64::consts::FRAC_PI_2;
 
+use fabmap::PlaceId;
 use fabmap::observation::Observation;
 use posegraph::{PlanarPose, Pose};
 use topomap::in_memory::{self};
@@ -21,12 +22,12 @@ fn a_robot_that_stays_within_the_spacing_stays_at_its_place() {
     for _ in 0..4 {
         robot.go(0.1, 0.02);
         let event = robot.see();
-        assert_eq!((event.decision.reason, event.decision.place), (Reason::SamePlace, Some(0)));
+        assert_eq!((event.decision.reason, event.decision.place), (Reason::SamePlace, Some(PlaceId::new(0))));
     }
     assert!(apart_m(&robot.on_the_map(), &robot.pose) < 1e-9);
     robot.go(0.15, 0.0);
     let gone = robot.see();
-    assert_eq!((gone.decision.reason, gone.decision.place), (Reason::NewPlace, Some(1)));
+    assert_eq!((gone.decision.reason, gone.decision.place), (Reason::NewPlace, Some(PlaceId::new(1))));
     // The link leads from the place's origin, not from where its last frame was.
     let LinkKind::Driven(measured) = gone.link.unwrap().kind else { panic!("{:?}", gone.link) };
     assert!((measured.pose().x_m() - robot.pose.x_m()).abs() < 1e-9, "{measured:?}");
@@ -82,7 +83,7 @@ fn odometry_turned_into_map_poses_is_where_the_map_puts_the_robot() {
     let corrected = pose.odom.compose(&robot.odometry);
     assert!(apart_m(&corrected, &pose.robot) < 1e-9);
     assert!((corrected.heading_rad() - pose.robot.heading_rad()).abs() < 1e-9);
-    assert_eq!(pose.part, 0);
+    assert_eq!(pose.part, PlaceId::new(0));
     // In the dark wheels go on.
     robot.go(0.4, 0.0);
     let dark = FrameInput { observation: Observation::default(), ..robot.input() };
@@ -96,7 +97,7 @@ fn a_second_session_joins_the_map_when_it_recognises_a_place() {
     let mut robot = Robot::new(MapperSettings::default(), [0.0; 2]);
     robot.see();
     round(&mut robot);
-    let places = robot.mapper.map().places().len() as u32;
+    let places = PlaceId::from_index(robot.mapper.map().places().len());
     // It begins beside the round, where nobody has been, facing it.
     robot.pose = PlanarPose::new(2.0, -2.0, FRAC_PI_2);
     robot.begin();
@@ -115,7 +116,7 @@ fn a_second_session_joins_the_map_when_it_recognises_a_place() {
         robot.go(0.4, 0.0);
         robot.see();
     }
-    assert_eq!(robot.mapper.poses().part(places), Some(0), "it never recognised anything");
+    assert_eq!(robot.mapper.poses().part(places), Some(PlaceId::new(0)), "it never recognised anything");
     let joined = robot.mapper.poses().pose(places).unwrap();
     assert!(apart_m(joined, &PlanarPose::new(2.0, -2.0, 0.0)) < 0.6, "{joined:?}");
     assert!(apart_m(&robot.on_the_map(), &robot.pose) < 0.6);
@@ -129,15 +130,15 @@ fn frames_without_odometry_measure_nothing_and_join_nothing() {
     let input = FrameInput { odometry: None, ..robot.input() };
     let event = robot.take(input, CameraModel::Known);
     assert_eq!((event.at, event.link.unwrap().kind), (None, LinkKind::Session));
-    assert_eq!(robot.mapper.poses().part(1), Some(1));
+    assert_eq!(robot.mapper.poses().part(PlaceId::new(1)), Some(PlaceId::new(1)));
     assert_eq!(robot.mapper.map_pose(robot.mapper.map().session(0).unwrap()), None);
     robot.go(0.6, 0.0);
     // Wheels went on turning meanwhile: they tell the way from where they were last heard of.
     let link = robot.see().link.unwrap();
     let LinkKind::Driven(measured) = link.kind else { panic!("{link:?}") };
-    assert_eq!((link.from, link.to), (0, 2));
+    assert_eq!((link.from, link.to), (PlaceId::new(0), PlaceId::new(2)));
     assert!((measured.pose().x_m() - 1.2).abs() < 1e-9);
-    assert_eq!(robot.mapper.poses().part(2), Some(0));
+    assert_eq!(robot.mapper.poses().part(PlaceId::new(2)), Some(PlaceId::new(0)));
 }
 
 /// Wheels say nothing of how places lie that were mapped without: their links do.
@@ -151,13 +152,13 @@ fn a_robot_with_odometry_is_expected_along_the_links_of_a_map_without() {
     }
     robot.pose = PlanarPose::new(3.2, 0.0, 0.0);
     robot.begin();
-    assert_eq!(robot.see().decision.place, Some(4));
+    assert_eq!(robot.see().decision.place, Some(PlaceId::new(4)));
     robot.go(0.8, 0.0);
     let input = robot.input();
     let camera = Camera { robot: &robot, model: CameraModel::Known };
     let prior =
         in_memory::decide(&robot.mapper, &robot.log, input, &camera, &mut ()).unwrap().recognition.prior;
-    let [next, far] = [5, 10].map(|place| prior.of(place).unwrap());
+    let [next, far] = [5, 10].map(|place| prior.of(PlaceId::new(place)).unwrap());
     assert!(next > 2.0 * far, "{next} for the next place, {far} for a far one");
 }
 
@@ -169,7 +170,7 @@ fn odometry_that_stands_still_while_the_robot_drives_is_refused() {
     robot.see();
     robot.go(0.8, 0.0);
     for _ in 0..40 {
-        assert_eq!(robot.see().decision.place, Some(1), "it stands");
+        assert_eq!(robot.see().decision.place, Some(PlaceId::new(1)), "it stands");
     }
     let hash = robot.mapper.state_hash();
     robot.pose = PlanarPose::new(9.0, 4.0, 1.0);
@@ -233,7 +234,10 @@ fn without_a_camera_model_a_turned_view_measures_nothing() {
         robot.odometry = PlanarPose::new(0.7, 0.0, 0.0);
         let input = robot.input();
         let event = robot.take(input, model);
-        assert_eq!((event.decision.reason, event.decision.place), (Reason::LoopClosure, Some(0)));
+        assert_eq!(
+            (event.decision.reason, event.decision.place),
+            (Reason::LoopClosure, Some(PlaceId::new(0)))
+        );
         let link = event.link.unwrap();
         assert_eq!(matches!(link.kind, LinkKind::Closed(_)), measures, "{turn_rad}: {link:?}");
         if model == CameraModel::Known {
@@ -271,7 +275,7 @@ fn what_a_robot_measures_is_used() {
     assert!(apart_m(&robot.on_the_map(), &robot.pose) < 1e-9, "{:?}", robot.on_the_map());
     assert_eq!(robot.mapper.map().links().len(), links + 1);
     let link = robot.mapper.map().links()[links];
-    assert!(matches!(link.kind, LinkKind::Closed(_)) && link.to == 0, "{link:?}");
+    assert!(matches!(link.kind, LinkKind::Closed(_)) && link.to == PlaceId::new(0), "{link:?}");
 
     // Wheels go on from there.
     robot.go(0.0, 0.3);

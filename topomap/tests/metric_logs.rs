@@ -3,6 +3,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use crate::words::WORDS;
+use fabmap::PlaceId;
 use fabmap::codec::{Reader, Writer};
 use posegraph::{PlanarPose, Pose};
 use topomap::log::{LinkKind, MapEvent};
@@ -36,7 +37,7 @@ fn folds(bytes: &[u8], state_hash: &str) {
     assert_eq!(kinds(|kind| matches!(kind, LinkKind::Driven(_))), mapper.map().places().len() - 1);
     assert!(kinds(|kind| matches!(kind, LinkKind::Closed(_))) > 0);
     let pose = mapper.map_pose(mapper.map().session(0).unwrap()).unwrap();
-    assert!(pose.part == 0 && apart_m(&pose.robot, &PlanarPose::identity()) < 0.6, "{pose:?}");
+    assert!(pose.part == PlaceId::new(0) && apart_m(&pose.robot, &PlanarPose::identity()) < 0.6, "{pose:?}");
 }
 
 #[test]

@@ -110,11 +110,11 @@ fn check_appearances(log: &[MapEvent], map: &Mapper) {
 fn check_names(log: &[MapEvent], map: &Mapper) {
     let mut made = 0;
     for event in frames(log) {
-        made += u32::from(event.decision.place == Some(made));
+        made += u32::from(event.decision.place == Some(PlaceId::new(made)));
         let belief = &event.belief;
         assert!(
             belief.places.is_sorted_by(|a, b| a.0 < b.0)
-                && belief.places.iter().all(|(place, _)| *place < made)
+                && belief.places.iter().all(|(place, _)| *place < PlaceId::new(made))
         );
         let sum =
             belief.places.iter().map(|place| place.1).sum::<f64>() + belief.new_place + belief.remainder;
@@ -157,16 +157,16 @@ fn check_links(log: &[MapEvent], map: &Mapper) {
 fn errors_m(log: &[MapEvent], map: &Mapper, truth: impl Fn(u64) -> PlanarPose) -> Vec<f64> {
     let mut made: Vec<PlanarPose> = Vec::new();
     for event in frames(log) {
-        if event.decision.place == Some(made.len() as PlaceId) {
+        if event.decision.place == Some(PlaceId::from_index(made.len())) {
             made.push(truth(event.frame));
         }
     }
     let error_m = |(place, truth): (PlaceId, &PlanarPose)| {
         let part = map.poses().part(place).unwrap();
-        let origin = made[part as usize];
+        let origin = made[part.index()];
         apart_m(&origin.inverse().compose(truth), map.poses().pose(place).unwrap())
     };
-    (0..).zip(&made).map(error_m).collect()
+    PlaceId::all().zip(&made).map(error_m).collect()
 }
 
 proptest! {
@@ -178,8 +178,8 @@ proptest! {
         let retold = without(&robot.log, &[]);
         prop_assert_eq!(&retold.events, &robot.log);
         prop_assert_eq!(retold.dropped, Dropped::default());
-        let places = robot.mapper.map().places().len() as PlaceId;
-        prop_assert_eq!(retold.places, (0..places).map(Some).collect::<Vec<_>>());
+        let places = robot.mapper.map().places().len();
+        prop_assert_eq!(retold.places, PlaceId::first(places).map(Some).collect::<Vec<_>>());
     }
 
     #[test]
@@ -244,7 +244,7 @@ proptest! {
         if places == 0 {
             return Ok(());
         }
-        let dropped: BTreeSet<PlaceId> = dropped.into_iter().map(|index| index.index(places) as PlaceId).collect();
+        let dropped: BTreeSet<PlaceId> = dropped.into_iter().map(|index| PlaceId::from_index(index.index(places))).collect();
         let retold = without_places(&MapperSettings::default(), &robot.log, &dropped).unwrap();
         let map = folded(&retold.events);
         check_appearances(&retold.events, &map);
@@ -270,11 +270,11 @@ fn check_stays(log: &[MapEvent], retold: &Retold, removed: &[SessionId]) {
         let Some(told) = position.map(|position| told[position]) else { continue };
         assert_eq!((&told.observation, &told.odometry), (&event.observation, &event.odometry));
         assert_eq!(told.session, retold.sessions[&event.session]);
-        let place = event.decision.place.and_then(|place| retold.places[place as usize]);
+        let place = event.decision.place.and_then(|place| retold.places[place.index()]);
         assert_eq!(told.decision.place, place);
         visited.extend(event.decision.place);
     }
-    let kept = (0..).zip(&retold.places).filter(|(_, kept)| kept.is_some()).map(|(place, _)| place);
+    let kept = PlaceId::all().zip(&retold.places).filter(|(_, kept)| kept.is_some()).map(|(place, _)| place);
     assert_eq!(kept.collect::<BTreeSet<PlaceId>>(), visited);
     assert_eq!(retold.dropped.events + retold.events.len() as u64, log.len() as u64);
 }
@@ -302,7 +302,7 @@ fn a_session_that_came_after_a_merge_stays_when_it_is_undone() {
     ahead(&mut joined, 24);
     let shared =
         frames(&joined.log).filter(|event| event.session == 2).filter_map(|event| event.decision.place);
-    let only_source = |place: &PlaceId| joined.mapper.map().places()[*place as usize].frames[0].session == 1;
+    let only_source = |place: &PlaceId| joined.mapper.map().places()[place.index()].frames[0].session == 1;
     assert!(shared.filter(only_source).count() >= 5, "it has been where only the source was");
 
     let retold = without(&joined.log, &[1]);
@@ -320,7 +320,7 @@ fn a_session_that_came_after_a_merge_stays_when_it_is_undone() {
         };
         let [was, is] = [(event, &joined.mapper), (told.as_ref(), &map)].map(|(event, mapper)| {
             let place = event.decision.place.unwrap();
-            assert_eq!(mapper.poses().part(place), Some(0));
+            assert_eq!(mapper.poses().part(place), Some(PlaceId::new(0)));
             mapper.poses().pose(place).unwrap().compose(event.at.unwrap().pose())
         });
         assert!(apart_m(&was, &is) < 0.6, "{was:?}, now {is:?}");
@@ -372,8 +372,8 @@ fn what_cannot_be_told_says_why() {
         Err(RetellError::NoSession { session: 1 })
     );
     assert_eq!(
-        without_places(&settings, &robot.log, &[999].into()),
-        Err(RetellError::NoPlace { place: 999 })
+        without_places(&settings, &robot.log, &[PlaceId::new(999)].into()),
+        Err(RetellError::NoPlace { place: PlaceId::new(999) })
     );
     assert_eq!(refused(&robot.log[1..]), RetellError::Position { expected: 0, found: 1 });
     assert_eq!(
@@ -384,7 +384,7 @@ fn what_cannot_be_told_says_why() {
     other[0] = MapEvent::SessionOpened { session: 3 };
     assert_eq!(refused(&other), RetellError::Unknown { position: 0 });
     let MapEvent::Frame(event) = &robot.log[5] else { panic!("no frame") };
-    let elsewhere = topomap::log::Decision { place: Some(99), ..event.decision };
+    let elsewhere = topomap::log::Decision { place: Some(PlaceId::new(99)), ..event.decision };
     other = robot.log.clone();
     other[5] = MapEvent::Frame(Box::new(FrameEvent { decision: elsewhere, ..event.as_ref().clone() }));
     assert_eq!(refused(&other), RetellError::Unknown { position: 5 });

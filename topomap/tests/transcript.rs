@@ -36,7 +36,7 @@ pub(crate) fn of_query(queried: &Queried) -> String {
     for candidate in candidates {
         let Match { place, posterior, log_odds, frame } = candidate.matched;
         let inliers = candidate.view.map_or(-1.0, |view| f64::from(view.inliers));
-        numbers.extend([f64::from(place), posterior, log_odds, frame as f64]);
+        numbers.extend([f64::from(place.number()), posterior, log_odds, frame as f64]);
         numbers.extend([inliers, candidate.own_evidence(), candidate.support]);
     }
     let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();

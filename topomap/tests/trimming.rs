@@ -22,7 +22,7 @@ fn crossing(steps: usize, again: usize) -> Robot {
 }
 
 fn islands(mapper: &Mapper) -> usize {
-    let mut left: BTreeSet<PlaceId> = (0..mapper.map().places().len() as PlaceId).collect();
+    let mut left: BTreeSet<PlaceId> = PlaceId::first(mapper.map().places().len()).collect();
     let mut islands = 0;
     while let Some(first) = left.pop_first() {
         let mut waiting = vec![first];
@@ -73,7 +73,7 @@ fn the_rest_is_thinned_evenly() {
     assert_eq!(budgeted.over, 0);
     let least_seen = budgeted.dropped.iter().filter(|dropped| matches!(dropped.why, Why::LeastSeen { .. }));
     let straight: Vec<PlaceId> =
-        least_seen.map(|dropped| dropped.place).filter(|&place| place < 30).collect();
-    let neighbours = straight.iter().filter(|&&place| straight.contains(&(place + 1))).count();
+        least_seen.map(|dropped| dropped.place).filter(|&place| place < PlaceId::new(30)).collect();
+    let neighbours = straight.iter().filter(|&&place| straight.contains(&place.next())).count();
     assert!(neighbours <= straight.len() / 3, "{straight:?}");
 }

@@ -1,6 +1,7 @@
 //! What geometry says decides: closures, what is remembered of them, and what the log keeps.
 
 use crate::words::WORDS;
+use fabmap::PlaceId;
 use fabmap::codec::{Reader, Writer};
 use nalgebra::{Matrix3, UnitQuaternion, UnitVector3, Vector3};
 use posegraph::PlanarPose;
@@ -27,9 +28,10 @@ fn geometry_confirms_what_words_are_sure_of() {
         assert_eq!(world.sees(place, 40).decision.reason, Reason::NewPlace);
     }
     let event = world.sees(1, 40);
-    assert_eq!((event.decision.reason, event.decision.place), (Reason::LoopClosure, Some(0)));
+    assert_eq!((event.decision.reason, event.decision.place), (Reason::LoopClosure, Some(PlaceId::new(0))));
     assert!(event.candidates.len() <= VerificationSettings::MAX_CANDIDATES);
-    let candidate = event.candidates.iter().find(|candidate| candidate.matched.place == 0).unwrap();
+    let candidate =
+        event.candidates.iter().find(|candidate| candidate.matched.place == PlaceId::new(0)).unwrap();
     assert_eq!((Some(candidate.matched), candidate.view.unwrap().inliers), (event.decision.closure, 40));
     assert!(world.mapper.verdict(candidate).is_accepted());
     // Of the words it is sure: the evidence of one frame is not enough by itself.
@@ -48,9 +50,13 @@ fn look_alikes_are_refused_and_make_a_place() {
     }
     let elsewhere = |_: &[u64]| FrameEventViews { inliers: 40, shift_widths: 0.1, truly: Some(99) };
     let event = world.see(1, elsewhere);
-    assert_eq!((event.decision.reason, event.decision.place), (Reason::GeometryRefused, Some(6)));
-    assert_eq!(event.decision.closure.map(|closure| closure.place), Some(0));
-    let refused = event.candidates.iter().find(|candidate| candidate.matched.place == 0).unwrap();
+    assert_eq!(
+        (event.decision.reason, event.decision.place),
+        (Reason::GeometryRefused, Some(PlaceId::new(6)))
+    );
+    assert_eq!(event.decision.closure.map(|closure| closure.place), Some(PlaceId::new(0)));
+    let refused =
+        event.candidates.iter().find(|candidate| candidate.matched.place == PlaceId::new(0)).unwrap();
     let failed = *world.mapper.verdict(refused).failed().unwrap();
     assert_eq!((failed.quantity, failed.value), (Quantity::Inliers, 3.0));
 }
@@ -75,10 +81,11 @@ fn without_keypoints_words_decide_alone() {
         world.sees(place, 40);
     }
     let event = world.decide(1, &NoViews);
-    assert_eq!((event.decision.reason, event.decision.place), (Reason::LoopClosure, Some(0)));
-    let closed = event.candidates.iter().find(|candidate| candidate.matched.place == 0).unwrap();
+    assert_eq!((event.decision.reason, event.decision.place), (Reason::LoopClosure, Some(PlaceId::new(0))));
+    let closed =
+        event.candidates.iter().find(|candidate| candidate.matched.place == PlaceId::new(0)).unwrap();
     assert!(closed.view.is_none() && world.mapper.verdict(closed).is_accepted());
-    let other = event.candidates.iter().find(|candidate| candidate.matched.place != 0).unwrap();
+    let other = event.candidates.iter().find(|candidate| candidate.matched.place != PlaceId::new(0)).unwrap();
     let failed = *world.mapper.verdict(other).failed().unwrap();
     assert_eq!(failed.quantity, Quantity::Posterior);
     // A robot that stands still stays where it is all the same.
@@ -100,7 +107,7 @@ fn the_place_where_the_session_is_must_look_the_same() {
     );
     let moved_on =
         world.decide(3, &Truth { shows: &world.shows, current: 98, inliers: 40, shift_widths: 0.0 });
-    assert_ne!(moved_on.decision.place, Some(2));
+    assert_ne!(moved_on.decision.place, Some(PlaceId::new(2)));
 }
 
 proptest! {
@@ -111,7 +118,7 @@ proptest! {
         inliers in 0..500u32, support in 0.0..2000.0f64, log_odds in -200.0..200.0f64,
         look_alikes in 1.0..300.0f64, a in -4.0..0.0f64, b in 0.1..3.0f64, c in 0.0..0.3f64,
     ) {
-        let matched = Match { place: 3, posterior: 1.0 / (1.0 + (-log_odds).exp()), log_odds, frame: 9 };
+        let matched = Match { place: PlaceId::new(3), posterior: 1.0 / (1.0 + (-log_odds).exp()), log_odds, frame: 9 };
         let weights = ProbabilityWeights { offset_nats: a, per_look_alike_nats: b, per_word_nat: c };
         let of = |inliers| {
             let view = plane(500, inliers, [0.1, 0.0]);
@@ -141,7 +148,7 @@ fn matches_in_line_support_each_other() {
         let event = world.sees(place, 23);
         let proposed =
             event.candidates.iter().find(|candidate| Some(candidate.matched) == event.proposal).unwrap();
-        assert_eq!(proposed.matched.place, place as u32 - 1);
+        assert_eq!(proposed.matched.place, PlaceId::new(place as u32 - 1));
         evidence.push(proposed.evidence());
     }
     // 20 each beyond chance: 20 (k + 1) after k frames in line.
@@ -179,7 +186,7 @@ fn geometry_closes_where_words_cannot() {
     // Words of a place never seen, in the scene of the second.
     let dimmed = |_: &[u64]| FrameEventViews { inliers: 60, shift_widths: 0.1, truly: Some(2) };
     let event = world.see(50, dimmed);
-    assert_eq!((event.decision.reason, event.decision.place), (Reason::LoopClosure, Some(1)));
+    assert_eq!((event.decision.reason, event.decision.place), (Reason::LoopClosure, Some(PlaceId::new(1))));
     assert!(event.decision.posterior < 0.5);
 }
 
@@ -218,7 +225,7 @@ fn a_query_is_verified_too() {
         in_memory::query(&world.mapper, &world.log, &view(2, 777), &truth).unwrap()
     };
     let found = ask(2, 40);
-    assert_eq!((found.accepted, found.matched.unwrap().place), (true, 1));
+    assert_eq!((found.accepted, found.matched.unwrap().place), (true, PlaceId::new(1)));
     assert!(!ask(99, 40).accepted);
 }
 
@@ -313,7 +320,7 @@ proptest! {
         let mut event = world.decide(2, &NoViews);
         let distinct_inliers = (f64::from(inliers) * distinct) as u32;
         let view = TwoView { matches: inliers + more, inliers, distinct_inliers, motion, placement };
-        let matched = Match { place: 0, posterior: 0.25, log_odds: -1.0, frame: 1 };
+        let matched = Match { place: PlaceId::new(0), posterior: 0.25, log_odds: -1.0, frame: 1 };
         let seen_from = seen.then(RelativePose::none);
         let candidate = Candidate::new(matched, seen.then_some(view), seen_from, 1.0 + support);
         event.candidates = vec![candidate.judged(support, &ProbabilityWeights::default())];

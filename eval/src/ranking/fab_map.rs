@@ -111,7 +111,7 @@ impl Ranking for FabMap {
 
 /// The posterior of the place that an earlier frame was assigned to; 0 if it was to none.
 fn posterior_of(place: Option<PlaceId>, recognition: &Recognition) -> f64 {
-    place.and_then(|place| recognition.posterior.places.get(place as usize)).copied().unwrap_or(0.0)
+    place.and_then(|place| recognition.posterior.places.get(place.index())).copied().unwrap_or(0.0)
 }
 
 impl EventLog {

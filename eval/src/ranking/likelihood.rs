@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use anyhow::Result;
+use fabmap::PlaceId;
 use fabmap::appearance::Appearance;
 use fabmap::calibration::EvidenceExponent;
 use fabmap::model::Model;
@@ -69,7 +70,8 @@ impl Ranking for LikelihoodRanking {
 /// are all equal.
 fn best(recognition: &Recognition) -> Option<Proposal> {
     let Recognition { log_likelihoods, new_place_log_likelihood, prior, posterior } = recognition;
-    let joint = |place: usize| log_likelihoods[place] + prior.of(place as u32).unwrap_or(0.0).ln();
+    let joint =
+        |place: usize| log_likelihoods[place] + prior.of(PlaceId::new(place as u32)).unwrap_or(0.0).ln();
     let best = (0..log_likelihoods.len())
         .reduce(|best, place| if joint(place) > joint(best) { place } else { best })?;
     let others = (0..log_likelihoods.len()).filter(|&place| place != best).map(joint);

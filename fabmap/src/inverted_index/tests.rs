@@ -26,9 +26,9 @@ proptest! {
         let World { model, observations, .. } = world;
         let model = Arc::new(model);
         let mut grown = InvertedIndex::new(model.clone());
-        for (place, look) in looks {
+        for (place, look) in looks.into_iter().map(|(place, look)| (PlaceId::new(place), look)) {
             let z = &observations[look % observations.len()];
-            if place as usize >= grown.len() { grown.add(&Appearance::of(z)); } else { grown.observe(place, z); }
+            if place.index() >= grown.len() { grown.add(&Appearance::of(z)); } else { grown.observe(place, z); }
         }
         let mut restored = InvertedIndex::new(model);
         grown.appearances().for_each(|appearance| { restored.add(&appearance); });
@@ -64,7 +64,7 @@ fn heavy_words_are_the_dense_evaluation_however_often_places_were_looked_at() {
         }
         assert!(index.appearances().eq(appearances.iter().cloned()));
         let with = |word| {
-            let places = (0..).zip(&appearances).filter(move |(_, place)| place.hits(word) > 0);
+            let places = PlaceId::all().zip(&appearances).filter(move |(_, place)| place.hits(word) > 0);
             places.map(|(place, _)| place).collect::<Vec<PlaceId>>()
         };
         assert_eq!(index.places_with(WordId::new(9)), with(WordId::new(9)));
@@ -75,7 +75,7 @@ fn heavy_words_are_the_dense_evaluation_however_often_places_were_looked_at() {
         for place in (round..5000).step_by(2 + round) {
             let look = &observations[(place * 31 + round) % 5000];
             appearances[place].observe(look);
-            index.observe(place as PlaceId, look);
+            index.observe(PlaceId::from_index(place), look);
         }
     }
     let mut restored = InvertedIndex::new(model);
@@ -117,6 +117,7 @@ fn many_blocks_on_any_number_of_threads_give_the_same_bits() {
             .collect::<Vec<_>>()
     };
     assert_eq!(scores(1), scores(3));
-    let last = index.model().dense_log_likelihood(&observations[17], &index.appearance(4999).unwrap());
+    let last =
+        index.model().dense_log_likelihood(&observations[17], &index.appearance(PlaceId::new(4999)).unwrap());
     assert!((f64::from_bits(scores(1)[4999]) - last).abs() < 1e-9 * last.abs());
 }

@@ -41,7 +41,7 @@ impl PlaceDistribution {
     /// If there is no such place.
     #[must_use]
     pub fn log_odds(&self, place: PlaceId) -> f64 {
-        let (before, rest) = self.places.split_at(place as usize);
+        let (before, rest) = self.places.split_at(place.index());
         let others = slices::sum(before) + slices::sum(&rest[1..]) + self.new_place;
         rest[0].max(f64::MIN_POSITIVE).ln() - others.max(f64::MIN_POSITIVE).ln()
     }
@@ -64,7 +64,7 @@ impl PlaceDistribution {
             }
             for (place, &probability) in (first..).zip(chunk) {
                 if probability > least {
-                    best.push((place, probability));
+                    best.push((PlaceId::new(place), probability));
                 }
                 if best.len() == best.capacity() {
                     least = best.select_nth_unstable_by(count - 1, by_probability).1.1;

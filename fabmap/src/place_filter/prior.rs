@@ -27,7 +27,7 @@ impl PlacePrior {
     pub fn of(&self, place: PlaceId) -> Option<f64> {
         let more = self.more.binary_search_by_key(&place, |&(place, _)| place);
         let more = more.map_or(0.0, |index| self.more[index].1);
-        ((place as usize) < self.places).then_some(self.everywhere + more)
+        (place.index() < self.places).then_some(self.everywhere + more)
     }
 
     /// p(new).

@@ -11,7 +11,7 @@ fn filters() -> impl Strategy<Value = PlaceFilter> {
 }
 
 fn motion_priors() -> impl Strategy<Value = MotionPrior> {
-    (proptest::collection::vec((0..30u32, 0.0..1.0f64), 0..10), 0.0..1.0f64)
+    (proptest::collection::vec(((0..30u32).prop_map(PlaceId::new), 0.0..1.0f64), 0..10), 0.0..1.0f64)
         .prop_map(|(places, even)| MotionPrior::from_weights(places, even))
 }
 
@@ -24,7 +24,7 @@ fn untempered(log_likelihood: f64) -> NewPlaceTerm {
 }
 
 fn all(prior: &PlacePrior) -> Vec<f64> {
-    (0..prior.places as PlaceId).map(|place| prior.of(place).unwrap()).collect()
+    PlaceId::first(prior.places).map(|place| prior.of(place).unwrap()).collect()
 }
 
 proptest! {
@@ -35,7 +35,7 @@ proptest! {
         let prior = filter.prior(&motion, likelihoods.len());
         prop_assert!((all(&prior).iter().sum::<f64>() + prior.new_place() - 1.0).abs() < 1e-12);
         prop_assert!((prior.new_place() - filter.settings().new_place_prior).abs() < 1e-12);
-        prop_assert_eq!(prior.of(likelihoods.len() as PlaceId), None);
+        prop_assert_eq!(prior.of(PlaceId::from_index(likelihoods.len())), None);
         let posterior = filter.update(&likelihoods, &untempered(new), &prior);
         prop_assert!((total(&posterior) - 1.0).abs() < 1e-12);
         prop_assert!(posterior.places.iter().all(|p| (0.0..=1.0).contains(p)));
@@ -72,7 +72,7 @@ proptest! {
         let all = weights.iter().sum::<f64>() + new;
         let places = weights.iter().map(|weight| weight / all).collect();
         let distribution = PlaceDistribution { places, new_place: new / all };
-        let next = distribution.places.len() as PlaceId;
+        let next = PlaceId::from_index(distribution.places.len());
         let belief = distribution.carry(creates.then_some(next));
         prop_assert!(belief.places.len() <= Belief::MAX_PLACES);
         prop_assert!(belief.places.is_sorted_by(|a, b| a.0 < b.0));
@@ -84,7 +84,7 @@ proptest! {
     #[test]
     fn top_is_the_sorted_beginning(weights in proptest::collection::vec(0..30u8, 0..400), count in 0..60usize) {
         let distribution = PlaceDistribution { places: weights.iter().map(|&w| f64::from(w)).collect(), new_place: 0.0 };
-        let mut sorted: Vec<(PlaceId, f64)> = (0..).zip(distribution.places.iter().copied()).collect();
+        let mut sorted: Vec<(PlaceId, f64)> = PlaceId::all().zip(distribution.places.iter().copied()).collect();
         sorted.sort_by(|a, b| b.1.total_cmp(&a.1));
         sorted.truncate(count);
         prop_assert_eq!(distribution.top(count), sorted);
@@ -94,11 +94,13 @@ proptest! {
 #[test]
 fn log_odds_tell_near_certainties_apart() {
     let near = |doubt: f64| PlaceDistribution { places: vec![doubt, 1.0], new_place: 0.0 };
-    assert!(near(1e-30).log_odds(1) > near(1e-20).log_odds(1));
-    assert!((near(1e-20).log_odds(1) - 20.0 * 10f64.ln()).abs() < 1e-9);
-    assert!(near(0.0).log_odds(1).is_finite() && near(0.0).log_odds(0).is_finite());
+    assert!(near(1e-30).log_odds(PlaceId::new(1)) > near(1e-20).log_odds(PlaceId::new(1)));
+    assert!((near(1e-20).log_odds(PlaceId::new(1)) - 20.0 * 10f64.ln()).abs() < 1e-9);
+    assert!(
+        near(0.0).log_odds(PlaceId::new(1)).is_finite() && near(0.0).log_odds(PlaceId::new(0)).is_finite()
+    );
     let even = PlaceDistribution { places: vec![0.25, 0.25], new_place: 0.5 };
-    assert!((even.log_odds(0) - (0.25f64 / 0.75).ln()).abs() < 1e-15);
+    assert!((even.log_odds(PlaceId::new(0)) - (0.25f64 / 0.75).ln()).abs() < 1e-15);
 }
 
 #[test]
@@ -112,9 +114,15 @@ fn an_empty_map_has_only_new_places() {
 #[test]
 fn motion_moves_the_mass_where_it_says() {
     let filter = PlaceFilter::new(FilterSettings::default()).unwrap();
-    let prior = filter.prior(&MotionPrior::from_weights(vec![(3, 2.0), (1, 1.0), (3, 1.0)], 0.0), 5);
-    assert!((prior.of(3).unwrap() - 0.1 * (0.9 * 0.75 + 0.1 / 5.0)).abs() < 1e-15);
-    assert!((prior.of(0).unwrap() - 0.1 * 0.1 / 5.0).abs() < 1e-15);
+    let prior = filter.prior(
+        &MotionPrior::from_weights(
+            vec![(PlaceId::new(3), 2.0), (PlaceId::new(1), 1.0), (PlaceId::new(3), 1.0)],
+            0.0,
+        ),
+        5,
+    );
+    assert!((prior.of(PlaceId::new(3)).unwrap() - 0.1 * (0.9 * 0.75 + 0.1 / 5.0)).abs() < 1e-15);
+    assert!((prior.of(PlaceId::new(0)).unwrap() - 0.1 * 0.1 / 5.0).abs() < 1e-15);
 }
 
 #[test]

@@ -237,7 +237,7 @@ mod tests {
         let motion = Some(ViewMotion::Similarity(motion));
         let placement = Placement::Unknown;
         let view = TwoView { matches: 90, inliers: 80, distinct_inliers: 80, motion, placement };
-        let matched = Match { place: 0, posterior: 1.0, log_odds: 9.0, frame: 1 };
+        let matched = Match { place: PlaceId::new(0), posterior: 1.0, log_odds: 9.0, frame: 1 };
         Candidate::new(matched, Some(view), None, 10.0)
     }
 

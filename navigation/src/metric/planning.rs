@@ -180,7 +180,7 @@ pub fn goal_place(poses: &PlacePoses, goal: Goal, settings: &PlanningSettings) -
 }
 
 fn of_part(poses: &PlacePoses, part: PlaceId) -> impl Iterator<Item = (PlaceId, &PlanarPose)> {
-    (0..).zip(poses.poses()).filter(move |&(place, _)| poses.part(place) == Some(part))
+    PlaceId::all().zip(poses.poses()).filter(move |&(place, _)| poses.part(place) == Some(part))
 }
 
 fn distance_m(pose: &PlanarPose, [x_m, y_m]: [f64; 2]) -> f64 {
@@ -230,8 +230,8 @@ impl<'a> Graph<'a> {
             if contradicted.contains(&number) || poses.part(link.from) != poses.part(link.to) {
                 continue;
             }
-            ways[link.from as usize].push((link.to, Travel::Along));
-            ways[link.to as usize].push((link.from, Travel::Against));
+            ways[link.from.index()].push((link.to, Travel::Along));
+            ways[link.to.index()].push((link.from, Travel::Against));
         }
         Self { poses, settings, ways }
     }
@@ -252,9 +252,12 @@ impl<'a> Graph<'a> {
 
     /// The nodes of the cheapest way, from start to goal, however the robot looks there.
     fn cheapest(&self, start: PlaceId, goal: PlaceId) -> Option<Vec<Node>> {
-        let index = |(place, travel): Node| 2 * place as usize + usize::from(travel == Travel::Against);
+        let index = |(place, travel): Node| 2 * place.index() + usize::from(travel == Travel::Against);
         let node = |index: usize| -> Node {
-            ((index / 2) as PlaceId, if index.is_multiple_of(2) { Travel::Along } else { Travel::Against })
+            (
+                PlaceId::from_index(index / 2),
+                if index.is_multiple_of(2) { Travel::Along } else { Travel::Against },
+            )
         };
         let mut paths = ShortestPaths::new(2 * self.ways.len());
         let steps = |from: usize| {

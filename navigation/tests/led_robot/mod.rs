@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use fabmap::PlaceId;
 use nalgebra::{Matrix3, Vector3};
 use posegraph::{PlanarPose, Pose};
 use topomap::evidence::VerificationSettings;
@@ -65,9 +66,9 @@ pub(crate) const NOTHING: Glimpses = [None; VerificationSettings::MAX_CANDIDATES
 pub(crate) fn route() -> Route {
     let waypoint = |place: u32| {
         let pose = PlanarPose::new(0.5 * f64::from(place), 0.0, 0.0);
-        Waypoint { place, pose, travel: Travel::Along }
+        Waypoint { place: PlaceId::new(place), pose, travel: Travel::Along }
     };
-    Route { part: 0, waypoints: (0..=24).map(waypoint).collect(), length_m: LENGTH_M }
+    Route { part: PlaceId::new(0), waypoints: (0..=24).map(waypoint).collect(), length_m: LENGTH_M }
 }
 
 pub(crate) fn odometry(pose: &PlanarPose) -> Odometry {
@@ -78,7 +79,7 @@ pub(crate) fn odometry(pose: &PlanarPose) -> Odometry {
 impl World {
     pub(crate) fn new(start: PlanarPose, fixes: Fixes) -> Self {
         let mut navigator = Navigator::new(NavigationSettings::default()).unwrap();
-        navigator.go_to(Goal::Place(24));
+        navigator.go_to(Goal::Place(PlaceId::new(24)));
         Self {
             evidence: 100.0,
             knows: true,
@@ -122,10 +123,10 @@ impl World {
             Fixes::OfTheLine { depth_m } => PlanarPose::new(x_m, 0.0, heading_rad + (y_m / depth_m).atan()),
         };
         let covariance = Matrix3::from_diagonal(&Vector3::new(0.02, 0.006, 0.0012));
-        let (at, from_view) = (MapPosition { part: 0, pose }, PlanarPose::identity());
+        let (at, from_view) = (MapPosition { part: PlaceId::new(0), pose }, PlanarPose::identity());
         let place = (2.0 * x_m).max(0.0) as u32;
         Closure {
-            place,
+            place: PlaceId::new(place),
             frame: 1,
             at,
             from_view,

@@ -1,3 +1,4 @@
+use fabmap::PlaceId;
 use futures::stream::{self, BoxStream, StreamExt};
 use tonic::{Request, Response, Status, Streaming};
 use waypost_proto::v1;
@@ -100,7 +101,8 @@ impl SessionService for Adapter {
         request: Request<v1::ExplainFrameRequest>,
     ) -> Result<Response<v1::FrameExplanation>, Status> {
         let v1::ExplainFrameRequest { name, place_number, max_words } = request.into_inner();
-        let explanation = self.service.queries.explain(&name, place_number, max_words).await?;
+        let explanation =
+            self.service.queries.explain(&name, place_number.map(PlaceId::new), max_words).await?;
         Ok(Response::new(self::explanation(explanation)))
     }
 
@@ -109,7 +111,8 @@ impl SessionService for Adapter {
         request: Request<v1::GetFramePictureRequest>,
     ) -> Result<Response<v1::GetFramePictureResponse>, Status> {
         let v1::GetFramePictureRequest { name, place_number } = request.into_inner();
-        let FramePicture { content_type, picture } = self.service.pictures.frame(&name, place_number).await?;
+        let FramePicture { content_type, picture } =
+            self.service.pictures.frame(&name, place_number.map(PlaceId::new)).await?;
         Ok(Response::new(v1::GetFramePictureResponse { content_type: content_type.to_owned(), picture }))
     }
 

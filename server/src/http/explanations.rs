@@ -2,6 +2,7 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::State;
+use fabmap::PlaceId;
 use serde::Deserialize;
 use utoipa::IntoParams;
 use waypost_proto::v1;
@@ -38,6 +39,6 @@ pub(super) async fn explain_frame(
     InPath(path): InPath<FramePath>,
     InQuery(Asked { place_number, max_words }): InQuery<Asked>,
 ) -> Result<Json<v1::FrameExplanation>, HttpError> {
-    let explained = service.queries.explain(&path.name(), place_number, max_words).await?;
+    let explained = service.queries.explain(&path.name(), place_number.map(PlaceId::new), max_words).await?;
     Ok(Json(explanation(explained)))
 }

@@ -9,6 +9,7 @@ use axum::extract::State;
 use axum::extract::rejection::BytesRejection;
 use axum::http::HeaderMap;
 use axum::http::header::CONTENT_TYPE;
+use fabmap::PlaceId;
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 use waypost_proto::v1;
@@ -140,7 +141,7 @@ pub(super) async fn plan_route(
         ReverseTravel::Forbidden => navigation::ReverseTravel::Forbidden,
         ReverseTravel::Costly => navigation::ReverseTravel::Costly,
     };
-    let goal = Goal::Place(to_place_number);
+    let goal = Goal::Place(PlaceId::new(to_place_number));
     let planned = service.navigation.plan_route(&map_name(&map), from_place_number, goal, reverse).await?;
     Ok(Json(way(planned)))
 }

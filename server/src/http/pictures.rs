@@ -4,6 +4,7 @@ use axum::extract::State;
 use axum::http::header::CONTENT_SECURITY_POLICY;
 use axum::http::{HeaderMap, HeaderValue};
 use axum::response::{IntoResponse, Response};
+use fabmap::PlaceId;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
@@ -51,7 +52,8 @@ pub(super) async fn get_frame_picture(
     InQuery(Beside { place_number }): InQuery<Beside>,
     headers: HeaderMap,
 ) -> Result<Response, HttpError> {
-    let FramePicture { content_type, picture } = service.pictures.frame(&path.name(), place_number).await?;
+    let FramePicture { content_type, picture } =
+        service.pictures.frame(&path.name(), place_number.map(PlaceId::new)).await?;
     let response = unless_known(&headers, content_type, picture).await?;
     Ok(([(CONTENT_SECURITY_POLICY, IMAGES_WITHIN)], response).into_response())
 }

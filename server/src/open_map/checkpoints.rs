@@ -229,7 +229,7 @@ impl Layout {
     /// Notes blocks that were sealed.
     fn sealed(&mut self, blocks: &[Block]) {
         for &Block { first, places, .. } in blocks {
-            let next = first + places;
+            let next = PlaceId::new(places).counted_from(first);
             if let Err(position) = self.blocks.binary_search(&first) {
                 self.blocks.insert(position, first);
             }
@@ -303,7 +303,7 @@ fn overlaid(
 ) -> Result<Vec<(Place, Appearance)>, String> {
     for (place, bytes) in rows {
         let decoded = decode_place(&bytes, words).map_err(|error| error.to_string())?;
-        match (place - first) as usize {
+        match place.index() - first.index() {
             known if known < places.len() => places[known] = decoded,
             next if next == places.len() => places.push(decoded),
             _ => return Err(format!("places are missing before {place}")),
@@ -324,7 +324,7 @@ fn decode(block: &StoredBlock, words: usize) -> Result<Vec<(Place, Appearance)>,
 fn blocks(first: PlaceId, places: &[(Place, Appearance)], block_bytes: usize) -> Vec<Block> {
     let mut blocks = Vec::new();
     let mut block = BlockWriter::new(first);
-    for (id, (place, appearance)) in (first..).zip(places) {
+    for (id, (place, appearance)) in first.onwards().zip(places) {
         if block.len_bytes() >= block_bytes {
             blocks.push(std::mem::replace(&mut block, BlockWriter::new(id)).seal());
         }

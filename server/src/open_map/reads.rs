@@ -83,13 +83,13 @@ impl MapWriter {
 
     fn places(&self, from: PlaceId, count: u32) -> (Vec<PlaceSummary>, u32) {
         let total = self.mapper.map().places().len() as u32;
-        let listed = (from..total).take(count as usize);
+        let listed = from.onwards().take_while(|place| place.number() < total).take(count as usize);
         (listed.filter_map(|place| self.place(place)).collect(), total)
     }
 
     fn place(&self, place: PlaceId) -> Option<PlaceSummary> {
         let map = self.mapper.map();
-        let frames = &map.places().get(place as usize)?.frames;
+        let frames = &map.places().get(place.index())?.frames;
         let appearance = self.mapper.recognizer().index().appearance(place)?;
         let unlisted = frames.len().saturating_sub(MAX_LISTED_FRAMES);
         Some(PlaceSummary {

@@ -49,7 +49,7 @@ impl AppearanceGraphs {
     pub(crate) async fn get(&self, map: &str) -> Result<GraphView, ServiceError> {
         let row = self.open_maps.row(map_in(map)?).await?;
         let graph = self.of(&row).await?;
-        let labels = self.storage.labels(row.id, 0, u32::MAX).await?;
+        let labels = self.storage.labels(row.id, PlaceId::new(0), u32::MAX).await?;
         let label = |place: PlaceId| {
             let found = labels.binary_search_by_key(&place, |row| row.place);
             found.ok().map(|index| labels[index].label.clone())

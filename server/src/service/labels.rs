@@ -46,7 +46,7 @@ impl Labels {
         let size = page_size(size)?;
         let from = numbered_page(token)?.unwrap_or(0);
         let row = self.maps.open_maps.row(map).await?;
-        let mut items = self.storage.labels(row.id, from, size + 1).await?;
+        let mut items = self.storage.labels(row.id, PlaceId::new(from), size + 1).await?;
         let next = items.get(size as usize).map_or_else(String::new, |next| next.place.to_string());
         items.truncate(size as usize);
         Ok(Page { items, next })
@@ -65,8 +65,8 @@ impl Labels {
         self.maps.place(place).await?;
         let row = self.maps.open_maps.row(map).await?;
         let places = match scope {
-            LabelScope::Place => vec![number],
-            LabelScope::Space => self.space_of(&row, number).await?,
+            LabelScope::Place => vec![PlaceId::new(number)],
+            LabelScope::Space => self.space_of(&row, PlaceId::new(number)).await?,
         };
         self.storage.put_labels(row.id, &places, label).await.map_err(|error| match error {
             StorageError::InUse => {
@@ -81,7 +81,7 @@ impl Labels {
     pub(crate) async fn delete(&self, place: &str) -> Result<(), ServiceError> {
         let (map, number) = place_in(place)?;
         let row = self.maps.open_maps.row(map).await?;
-        if self.storage.delete_label(row.id, number).await? {
+        if self.storage.delete_label(row.id, PlaceId::new(number)).await? {
             return Ok(());
         }
         Err(ServiceError::not_found(format_args!(

@@ -146,7 +146,7 @@ impl Maps {
         let size = page_size(size)?;
         let from = numbered_page(token)?.unwrap_or(0);
         let open = self.open_maps.open(map).await?;
-        let (places, total) = open.places(from, size).await?;
+        let (places, total) = open.places(PlaceId::new(from), size).await?;
         let end = from.saturating_add(size);
         let next = if end < total { end.to_string() } else { String::new() };
         Ok(Page { items: self.place_views(map, open.id(), places).await?, next })
@@ -161,7 +161,7 @@ impl Maps {
                 "the map {map} has no place {place}; list its places to see what there is"
             ))
         };
-        let place = open.place(place).await?.ok_or_else(no_such_place)?;
+        let place = open.place(PlaceId::new(place)).await?.ok_or_else(no_such_place)?;
         self.place_views(map, open.id(), vec![place]).await?.pop().ok_or_else(no_such_place)
     }
 
@@ -184,7 +184,8 @@ impl Maps {
                 words.saturating_sub(1)
             )));
         }
-        let mut items = self.open_maps.open_of(&row).await?.word_places(word, from, size + 1).await?;
+        let mut items =
+            self.open_maps.open_of(&row).await?.word_places(word, PlaceId::new(from), size + 1).await?;
         let next = items.get(size as usize).map_or_else(String::new, |next| next.place.to_string());
         items.truncate(size as usize);
         Ok(Page { items, next })
@@ -259,7 +260,7 @@ impl Maps {
         let view = |closure: &ClosureRow| LoopClosureView {
             frame: reference(map, &sessions, &closure.frame),
             matched: reference(map, &sessions, &closure.matched),
-            place: closure.place,
+            place: PlaceId::new(closure.place),
             posterior: closure.posterior,
             probability: closure.probability,
         };

@@ -367,13 +367,13 @@ impl Navigation {
         match map_settings::from_json(&row.settings)?.strategy {
             NavigationStrategy::TopoMetric => {}
             NavigationStrategy::Appearance => {
-                return Ok(PlannedWay::ByLooks(self.plan_by_looks(&row, from, &goal).await?));
+                return Ok(PlannedWay::ByLooks(self.plan_by_looks(&row, PlaceId::new(from), &goal).await?));
             }
         }
         let goal = self.measured_goal(&row, GoalRequest::Goal(goal)).await?.goal;
         let map = self.open_maps.open_of(&row).await?;
         let settings = Driving { reverse_travel, ..Driving::default() }.settings()?.planning;
-        let route = map.plan(PlanFrom::Place(from), goal, settings).await?;
+        let route = map.plan(PlanFrom::Place(PlaceId::new(from)), goal, settings).await?;
         route.map(PlannedWay::Measured).map_err(topo_metric::not_planned)
     }
 

@@ -187,7 +187,7 @@ impl Replay {
         let decided = proposed.decide(&comparisons)?;
         let explained = place.or_else(|| contested_place(&event, &decided));
         let places = mapper.recognizer().places();
-        if let Some(place) = place.filter(|&place| place as usize >= places) {
+        if let Some(place) = place.filter(|&place| place.index() >= places) {
             return Err(ServiceError::not_found(format_args!(
                 "there was no place {place} when {name} came in, there were {places}; ask about an earlier one, \
                  or leave the place out"
@@ -300,7 +300,7 @@ impl FrameStore for Replay {
 
 /// The place that was matched, or else the one that came closest to it.
 fn contested_place(event: &FrameEvent, decided: &Decided) -> Option<PlaceId> {
-    let existing = |place: &PlaceId| (*place as usize) < decided.recognition.posterior.places.len();
+    let existing = |place: &PlaceId| place.index() < decided.recognition.posterior.places.len();
     let closure = event.decision.closure.map(|closure| closure.place);
     let best = || decided.recognition.posterior.best_place().map(|(place, _)| place);
     closure.or(event.decision.place.filter(existing)).or_else(best)

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use fabmap::PlaceId;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use posegraph::Pose;
 use posegraph::g2o::{G2o, NamedGraph};
@@ -117,7 +118,7 @@ impl Trajectories {
 struct Located {
     stamp_ns: i64,
     pose: Isometry3<f64>,
-    part: Option<u32>,
+    part: Option<PlaceId>,
 }
 
 fn located(

@@ -9,7 +9,9 @@ use super::{MapEdition, MapId, Storage, StorageError};
 /// A similarity that two places were found to have.
 #[derive(Clone, Copy, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct LinkRow {
+    #[sqlx(try_from = "u32")]
     pub(crate) place: PlaceId,
+    #[sqlx(try_from = "u32")]
     pub(crate) earlier: PlaceId,
     pub(crate) similarity: f64,
 }
@@ -45,7 +47,8 @@ impl Storage {
         let next_place = kept_until(&mut snapshot, map, rules).await?;
         let select = "SELECT place, earlier, similarity FROM appearance_links WHERE map_id = ? AND place < ? \
                       ORDER BY place, earlier";
-        let links = sqlx::query_as(select).bind(map).bind(next_place).fetch_all(&mut *snapshot).await?;
+        let links =
+            sqlx::query_as(select).bind(map).bind(next_place.number()).fetch_all(&mut *snapshot).await?;
         Ok(KeptLinks { next_place, links })
     }
 
@@ -67,14 +70,18 @@ impl Storage {
             if until != from {
                 return Err(StorageError::Exists);
             }
-            if until == 0 {
+            if until == PlaceId::new(0) {
                 forget_links(transaction, map.map).await?;
             }
             for rows in links.chunks(ROWS) {
                 let insert = "INSERT INTO appearance_links (map_id, place, earlier, similarity) ";
                 let mut insert = QueryBuilder::new(insert);
                 insert.push_values(rows, |mut values, &LinkRow { place, earlier, similarity }| {
-                    values.push_bind(map.map).push_bind(place).push_bind(earlier).push_bind(similarity);
+                    values
+                        .push_bind(map.map)
+                        .push_bind(place.number())
+                        .push_bind(earlier.number())
+                        .push_bind(similarity);
                 });
                 insert.build().persistent(false).execute(&mut **transaction).await?;
             }
@@ -84,7 +91,7 @@ impl Storage {
             )
             .bind(map.map)
             .bind(rules)
-            .bind(next_place)
+            .bind(next_place.number())
             .execute(&mut **transaction)
             .await?;
             Ok(())
@@ -101,7 +108,7 @@ async fn kept_until(
 ) -> Result<PlaceId, StorageError> {
     let select = "SELECT next_place FROM appearance_graphs WHERE map_id = ? AND rules = ?";
     let next_place = sqlx::query_scalar(select).bind(map).bind(rules).fetch_optional(&mut **transaction);
-    Ok(next_place.await?.unwrap_or(0))
+    Ok(next_place.await?.map(PlaceId::new).unwrap_or_default())
 }
 
 /// What was found out about the places of a map.

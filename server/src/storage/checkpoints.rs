@@ -28,7 +28,7 @@ pub(crate) struct CheckpointView {
 /// A sealed block as it was stored.
 #[derive(Clone, Debug, sqlx::FromRow)]
 pub(crate) struct StoredBlock {
-    #[sqlx(rename = "first_place")]
+    #[sqlx(rename = "first_place", try_from = "u32")]
     pub(crate) first: PlaceId,
     pub(crate) places: u32,
     /// As of this log position.
@@ -38,7 +38,7 @@ pub(crate) struct StoredBlock {
 
 impl StoredBlock {
     pub(crate) fn range(&self) -> Range<PlaceId> {
-        self.first..self.first.saturating_add(self.places)
+        self.first..PlaceId::new(self.first.number().saturating_add(self.places))
     }
 }
 
@@ -88,7 +88,7 @@ impl Storage {
                      ON CONFLICT (map_id, place) DO UPDATE SET events = excluded.events, content = excluded.content",
                 )
                 .bind(map)
-                .bind(place)
+                .bind(place.number())
                 .bind(to_sql(*events))
                 .bind(content)
                 .execute(&mut **transaction)
@@ -121,7 +121,7 @@ impl Storage {
                     "DELETE FROM checkpoint_blocks WHERE map_id = ? AND first_place = ? AND events = ?",
                 )
                 .bind(map)
-                .bind(before.first)
+                .bind(before.first.number())
                 .bind(to_sql(before.events))
                 .execute(&mut **transaction)
                 .await?;
@@ -135,8 +135,8 @@ impl Storage {
                     "DELETE FROM checkpoint_places WHERE map_id = ? AND place >= ? AND place < ? AND events <= ?",
                 )
                 .bind(map)
-                .bind(block.first)
-                .bind(block.first + block.places)
+                .bind(block.first.number())
+                .bind(PlaceId::new(block.places).counted_from(block.first).number())
                 .bind(to_sql(events))
                 .execute(&mut **transaction)
                 .await?;
@@ -198,14 +198,15 @@ impl CheckpointView {
         &mut self,
         places: Range<PlaceId>,
     ) -> Result<Vec<(PlaceId, Vec<u8>)>, StorageError> {
-        Ok(sqlx::query_as(
+        let rows: Vec<(u32, Vec<u8>)> = sqlx::query_as(
             "SELECT place, content FROM checkpoint_places WHERE map_id = ? AND place >= ? AND place < ? ORDER BY place",
         )
         .bind(self.map)
-        .bind(places.start)
-        .bind(places.end)
+        .bind(places.start.number())
+        .bind(places.end.number())
         .fetch_all(&mut *self.snapshot)
-        .await?)
+        .await?;
+        Ok(rows.into_iter().map(|(place, content)| (PlaceId::new(place), content)).collect())
     }
 
     /// Up to `limit` blocks of places from `from` on, in order.
@@ -219,7 +220,7 @@ impl CheckpointView {
              WHERE map_id = ? AND first_place >= ? ORDER BY first_place LIMIT ?",
         )
         .bind(self.map)
-        .bind(from)
+        .bind(from.number())
         .bind(limit)
         .fetch_all(&mut *self.snapshot)
         .await?)
@@ -237,7 +238,7 @@ async fn insert_block(
         "INSERT INTO checkpoint_blocks (map_id, first_place, places, events, content) VALUES (?, ?, ?, ?, ?)",
     )
     .bind(map)
-    .bind(first)
+    .bind(first.number())
     .bind(places)
     .bind(to_sql(events))
     .bind(bytes)

@@ -9,6 +9,7 @@ use super::{MapId, Storage, StorageError};
 /// A place with what people call it.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
 pub(crate) struct LabelRow {
+    #[sqlx(try_from = "u32")]
     pub(crate) place: PlaceId,
     pub(crate) label: String,
 }
@@ -25,7 +26,7 @@ impl Storage {
             "SELECT place, label FROM labels WHERE map_id = ? AND place >= ? ORDER BY place LIMIT ?",
         )
         .bind(map)
-        .bind(from)
+        .bind(from.number())
         .bind(limit)
         .fetch_all(&self.readers)
         .await?)
@@ -33,11 +34,13 @@ impl Storage {
 
     /// The places that bear a label, by number.
     pub(crate) async fn labelled(&self, map: MapId, label: &str) -> Result<Vec<PlaceId>, StorageError> {
-        Ok(sqlx::query_scalar("SELECT place FROM labels WHERE map_id = ? AND label = ? ORDER BY place")
-            .bind(map)
-            .bind(label)
-            .fetch_all(&self.readers)
-            .await?)
+        let places: Vec<u32> =
+            sqlx::query_scalar("SELECT place FROM labels WHERE map_id = ? AND label = ? ORDER BY place")
+                .bind(map)
+                .bind(label)
+                .fetch_all(&self.readers)
+                .await?;
+        Ok(places.into_iter().map(PlaceId::new).collect())
     }
 
     /// The labels that there are, each once, by name.
@@ -70,7 +73,7 @@ impl Storage {
         self.write(async |transaction| {
             let done = sqlx::query("DELETE FROM labels WHERE map_id = ? AND place = ?")
                 .bind(map)
-                .bind(place)
+                .bind(place.number())
                 .execute(&mut **transaction)
                 .await?;
             Ok(done.rows_affected() > 0)
@@ -85,15 +88,16 @@ impl Storage {
         from: PlaceId,
         limit: u32,
     ) -> Result<Vec<(PlaceId, FrameId)>, StorageError> {
-        Ok(sqlx::query_as(
+        let rows: Vec<(u32, FrameId)> = sqlx::query_as(
             "SELECT place, min(position) AS first FROM log WHERE map_id = ? AND place >= ? \
              GROUP BY place ORDER BY place LIMIT ?",
         )
         .bind(map)
-        .bind(from)
+        .bind(from.number())
         .bind(limit)
         .fetch_all(&self.readers)
-        .await?)
+        .await?;
+        Ok(rows.into_iter().map(|(place, frame)| (PlaceId::new(place), frame)).collect())
     }
 }
 
@@ -106,7 +110,7 @@ pub(super) async fn insert_label(
 ) -> Result<(), StorageError> {
     sqlx::query("INSERT OR REPLACE INTO labels (map_id, place, label) VALUES (?, ?, ?)")
         .bind(map)
-        .bind(place)
+        .bind(place.number())
         .bind(label)
         .execute(&mut **transaction)
         .await?;

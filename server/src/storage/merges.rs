@@ -462,7 +462,7 @@ async fn insert_sessions_and_labels(
         // What the target calls a place counts.
         sqlx::query("INSERT INTO labels (map_id, place, label) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
             .bind(map)
-            .bind(joined)
+            .bind(joined.number())
             .bind(label)
             .execute(&mut **transaction)
             .await?;

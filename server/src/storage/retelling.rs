@@ -299,10 +299,10 @@ async fn move_labels(transaction: &mut Transaction<'_, Sqlite>, log: &RetoldLog)
         .fetch_all(&mut **transaction)
         .await?;
     for LabelRow { place, label } in labels {
-        let Some(now) = log.places.get(place as usize).copied().flatten() else { continue };
+        let Some(now) = log.places.get(place.index()).copied().flatten() else { continue };
         sqlx::query("INSERT INTO labels (map_id, place, label) VALUES (?, ?, ?)")
             .bind(log.map.map)
-            .bind(now)
+            .bind(now.number())
             .bind(label)
             .execute(&mut **transaction)
             .await?;

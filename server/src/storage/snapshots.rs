@@ -250,7 +250,7 @@ impl MapView {
              ORDER BY place LIMIT ?",
         )
         .bind(self.map.id)
-        .bind(from)
+        .bind(from.number())
         .bind(LABELS_PAGE)
         .fetch_all(&mut *self.snapshot)
         .await?)

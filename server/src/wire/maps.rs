@@ -45,7 +45,7 @@ pub(crate) fn loop_closure(view: LoopClosureView) -> v1::LoopClosure {
     v1::LoopClosure {
         frame: Some(frame_reference(frame)),
         matched_frame: Some(frame_reference(matched)),
-        place_number: place,
+        place_number: place.number(),
         posterior,
         probability,
     }
@@ -62,7 +62,7 @@ pub(crate) fn dropped_place(dropped: Dispensable) -> v1::DroppedPlace {
     let Dispensable { place, why } = dropped;
     let reason = match why {
         Why::Redundant { of, alike } => {
-            Reason::Redundant(v1::RedundantPlace { of_place_number: of, similarity: alike })
+            Reason::Redundant(v1::RedundantPlace { of_place_number: of.number(), similarity: alike })
         }
         Why::LeastSeen { looks, nearest } => {
             let distance = match nearest {
@@ -72,5 +72,5 @@ pub(crate) fn dropped_place(dropped: Dispensable) -> v1::DroppedPlace {
             Reason::LeastSeen(v1::LeastSeenPlace { looks: looks.into(), distance: Some(distance) })
         }
     };
-    v1::DroppedPlace { place_number: place, reason: Some(reason) }
+    v1::DroppedPlace { place_number: place.number(), reason: Some(reason) }
 }

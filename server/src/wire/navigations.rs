@@ -1,6 +1,7 @@
 //! Navigations, guidance, goals and routes, to and from messages.
 
 use bytes::Bytes;
+use fabmap::PlaceId;
 use waypost_navigation::metric::planning::{MapPosition, Route, Travel, Waypoint};
 use waypost_navigation::metric::{Driver, Guidance, Localization, Seen, VelocityCommand};
 use waypost_proto::v1;
@@ -60,8 +61,8 @@ fn appearance_guidance(view: AppearanceView) -> v1::AppearanceGuidance {
     let AppearanceView { heading_rad, subgoal, goal, similarity, left, unjoined: _ } = view;
     v1::AppearanceGuidance {
         heading_rad,
-        subgoal_place_number: subgoal,
-        goal_place_number: goal,
+        subgoal_place_number: subgoal.map(PlaceId::number),
+        goal_place_number: goal.map(PlaceId::number),
         similarity,
         remaining_cost: left,
     }
@@ -90,8 +91,8 @@ fn localization_message(localization: Localization) -> v1::Localization {
         since_closure_m,
     } = localization;
     v1::Localization {
-        place_number: node,
-        part,
+        place_number: node.number(),
+        part: part.number(),
         pose: Some(planar_pose(&pose)),
         position_sigma_m,
         heading_sigma_rad,
@@ -113,14 +114,14 @@ pub(crate) fn seen(frame: FrameSeen) -> v1::FrameSeen {
         Some(Seen::Nothing) => Outcome::Nothing,
         None => Outcome::Skipped,
     };
-    v1::FrameSeen { sequence, outcome: outcome.into(), place_number: place, probability }
+    v1::FrameSeen { sequence, outcome: outcome.into(), place_number: place.map(PlaceId::number), probability }
 }
 
 fn goal_message(goal: Goal) -> v1::Goal {
     let target = match goal {
-        Goal::Place(place) => goal::Target::PlaceNumber(place),
+        Goal::Place(place) => goal::Target::PlaceNumber(place.number()),
         Goal::Position { part, position_m: [x_m, y_m], heading_rad } => {
-            goal::Target::Position(v1::PositionGoal { part, x_m, y_m, heading_rad })
+            goal::Target::Position(v1::PositionGoal { part: part.number(), x_m, y_m, heading_rad })
         }
         Goal::Label(label) => goal::Target::Label(label),
     };
@@ -135,7 +136,7 @@ pub(crate) fn goal_refusal(refusal: GoalRefusal) -> v1::GoalRefusal {
 fn route(route: Route) -> v1::Route {
     let Route { part, waypoints, length_m } = route;
     let waypoint = |Waypoint { place, pose, travel }| v1::Waypoint {
-        place_number: place,
+        place_number: place.number(),
         pose: Some(planar_pose(&pose)),
         reverse: match travel {
             Travel::Along => false,
@@ -143,14 +144,15 @@ fn route(route: Route) -> v1::Route {
         },
     };
     let waypoints = waypoints.into_iter().map(waypoint).collect();
-    v1::Route { part: Some(part), waypoints, length_m: Some(length_m), appearance_cost: None }
+    v1::Route { part: Some(part.number()), waypoints, length_m: Some(length_m), appearance_cost: None }
 }
 
 pub(crate) fn way(planned: PlannedWay) -> v1::Route {
     match planned {
         PlannedWay::Measured(measured) => route(measured),
         PlannedWay::ByLooks(WayByLooks { places, length }) => {
-            let waypoint = |place| v1::Waypoint { place_number: place, pose: None, reverse: false };
+            let waypoint =
+                |place: PlaceId| v1::Waypoint { place_number: place.number(), pose: None, reverse: false };
             let waypoints = places.into_iter().map(waypoint).collect();
             v1::Route { part: None, waypoints, length_m: None, appearance_cost: Some(length) }
         }
@@ -166,11 +168,15 @@ pub(crate) fn reverse(message: i32) -> Result<ReverseTravel, ServiceError> {
 
 pub(crate) fn goal_request(message: Option<v1::Goal>) -> Result<GoalRequest, ServiceError> {
     match message.and_then(|message| message.target) {
-        Some(goal::Target::PlaceNumber(place)) => Ok(GoalRequest::Goal(Goal::Place(place))),
+        Some(goal::Target::PlaceNumber(place)) => Ok(GoalRequest::Goal(Goal::Place(PlaceId::new(place)))),
         Some(goal::Target::Position(v1::PositionGoal { part, x_m, y_m, heading_rad }))
             if (x_m + y_m + heading_rad.unwrap_or(0.0)).is_finite() =>
         {
-            Ok(GoalRequest::Goal(Goal::Position { part, position_m: [x_m, y_m], heading_rad }))
+            Ok(GoalRequest::Goal(Goal::Position {
+                part: PlaceId::new(part),
+                position_m: [x_m, y_m],
+                heading_rad,
+            }))
         }
         Some(goal::Target::Label(label)) => Ok(GoalRequest::Goal(Goal::Label(label))),
         Some(goal::Target::Image(image)) if !image.is_empty() => Ok(GoalRequest::Image(Bytes::from(image))),

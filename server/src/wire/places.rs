@@ -1,5 +1,6 @@
 //! Places, their labels and the graph of them as messages.
 
+use fabmap::PlaceId;
 use waypost_proto::v1;
 
 use super::geometry::planar_pose;
@@ -14,16 +15,19 @@ use crate::service::maps::PlaceView;
 pub(crate) fn place(map: &str, view: PlaceView) -> v1::Place {
     let PlaceView { place, looks, word_hits, frames, linked, pose } = view;
     v1::Place {
-        name: place_name(map, place),
+        name: place_name(map, place.number()),
         looks: u32::from(looks),
         words: u32::try_from(word_hits.len()).unwrap_or(u32::MAX),
         frames: frames.into_iter().map(frame_reference).collect(),
-        linked_place_numbers: linked,
+        linked_place_numbers: linked.into_iter().map(PlaceId::number).collect(),
         word_hits: word_hits
             .into_iter()
             .map(|(word, hits)| v1::PlaceWord { word: word.into(), hits: hits.into() })
             .collect(),
-        pose: pose.map(|PlacePose { part, pose }| v1::PlacePose { part, pose: Some(planar_pose(&pose)) }),
+        pose: pose.map(|PlacePose { part, pose }| v1::PlacePose {
+            part: part.number(),
+            pose: Some(planar_pose(&pose)),
+        }),
     }
 }
 
@@ -34,20 +38,21 @@ pub(crate) fn listed_place(map: &str, view: PlaceView) -> v1::Place {
 
 pub(crate) fn word_place(found: WordPlace) -> v1::WordPlace {
     let WordPlace { place, hits, looks } = found;
-    v1::WordPlace { place_number: place, hits: hits.into(), looks: looks.into() }
+    v1::WordPlace { place_number: place.number(), hits: hits.into(), looks: looks.into() }
 }
 
 pub(crate) fn labels(map: &str, rows: Vec<LabelRow>) -> Vec<v1::PlaceLabel> {
-    let label = |LabelRow { place, label }| v1::PlaceLabel { place: place_name(map, place), label };
+    let label = |LabelRow { place, label }| v1::PlaceLabel { place: place_name(map, place.number()), label };
     rows.into_iter().map(label).collect()
 }
 
 pub(crate) fn graph(view: GraphView) -> v1::AppearanceGraph {
     let GraphView { map, nodes, links } = view;
-    let node = |NodeView { place, space, label }| v1::AppearanceNode { place_number: place, space, label };
+    let node =
+        |NodeView { place, space, label }| v1::AppearanceNode { place_number: place.number(), space, label };
     let link = |LinkView { from, to, similarity }| v1::AppearanceLink {
-        from_place_number: from,
-        to_place_number: to,
+        from_place_number: from.number(),
+        to_place_number: to.number(),
         similarity,
     };
     v1::AppearanceGraph {

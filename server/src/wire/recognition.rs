@@ -14,8 +14,10 @@ use crate::service::queries::{FrameExplanation, GateView, OdometryAgreement};
 
 pub(crate) fn query_response(answer: QueryAnswer) -> v1::QueryResponse {
     let QueryAnswer { places, new_place_posterior, matched, accepted, words, explanation } = answer;
-    let places =
-        places.into_iter().map(|(place_number, posterior)| v1::PlaceProbability { place_number, posterior });
+    let places = places.into_iter().map(|(place_number, posterior)| v1::PlaceProbability {
+        place_number: place_number.number(),
+        posterior,
+    });
     v1::QueryResponse {
         places: places.collect(),
         new_place_posterior,
@@ -40,7 +42,13 @@ pub(crate) fn reason_code(reason: Reason) -> v1::Reason {
 pub(crate) fn found(found: MatchView) -> v1::Match {
     let MatchView { place, posterior, log_odds, frame, geometry } = found;
     let geometry = geometry.map(geometry_message);
-    v1::Match { place_number: place, posterior, log_odds, frame: Some(frame_reference(frame)), geometry }
+    v1::Match {
+        place_number: place.number(),
+        posterior,
+        log_odds,
+        frame: Some(frame_reference(frame)),
+        geometry,
+    }
 }
 
 fn geometry_message(geometry: GeometryView) -> v1::Geometry {
@@ -119,7 +127,7 @@ fn place_explanation(explanation: Explanation) -> v1::PlaceExplanation {
         other_words_nats,
     } = explanation;
     v1::PlaceExplanation {
-        place_number: place,
+        place_number: place.number(),
         prior,
         posterior,
         new_place_posterior,

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use bytes::Bytes;
+use fabmap::PlaceId;
 use waypost_proto::v1;
 use waypost_proto::v1::frame::Content as FrameContent;
 
@@ -88,12 +89,15 @@ pub(crate) fn answer(answer: FrameAnswer) -> v1::FrameAnswer {
         sequence,
         last_committed_sequence: last_committed,
         reason: reason_code(reason).into(),
-        place_number: place,
+        place_number: place.map(PlaceId::number),
         posterior,
         new_place_posterior,
         places: places
             .into_iter()
-            .map(|(place_number, posterior)| v1::PlaceProbability { place_number, posterior })
+            .map(|(place_number, posterior)| v1::PlaceProbability {
+                place_number: place_number.number(),
+                posterior,
+            })
             .collect(),
         r#match: closure.map(found),
         best_candidate: proposal.map(found),

@@ -201,7 +201,8 @@ impl Reference {
 
     /// The most probable places of a frame, most probable first.
     pub(crate) fn most_probable(&self, frame: usize, count: usize) -> Vec<(PlaceId, f64)> {
-        let mut places: Vec<(PlaceId, f64)> = (0..).zip(self.posteriors[frame].iter().copied()).collect();
+        let mut places: Vec<(PlaceId, f64)> =
+            PlaceId::all().zip(self.posteriors[frame].iter().copied()).collect();
         places.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         places.truncate(count);
         places

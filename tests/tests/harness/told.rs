@@ -1,5 +1,6 @@
 //! What a server told and what the library decided, made alike for comparing.
 
+use fabmap::PlaceId;
 use topomap::evidence::Match;
 use topomap::log::{FrameEvent, Reason};
 use waypost_client::v1;
@@ -59,7 +60,7 @@ pub(crate) fn decided(event: &FrameEvent, reference: &Reference) -> Told {
             Reason::TooFewWords => v1::Reason::TooFewWords,
             Reason::GeometryRefused => v1::Reason::GeometryRefused,
         },
-        place: event.decision.place,
+        place: event.decision.place.map(PlaceId::number),
         posterior_bits: event.decision.posterior.to_bits(),
         new_place_posterior_bits: event.new_place_posterior.to_bits(),
         words: event.observation.len(),
@@ -71,7 +72,7 @@ pub(crate) fn decided(event: &FrameEvent, reference: &Reference) -> Told {
 pub(crate) fn decided_match(found: Match, reference: &Reference) -> ToldMatch {
     let Match { place, posterior, log_odds, frame } = found;
     ToldMatch {
-        place,
+        place: place.number(),
         posterior_bits: posterior.to_bits(),
         log_odds_bits: log_odds.to_bits(),
         sequence: reference.sequence_of(frame),

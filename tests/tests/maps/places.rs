@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use fabmap::PlaceId;
 use waypost_client::v1;
 use waypost_proto::v1::map_service_client::MapServiceClient;
 
@@ -19,13 +20,14 @@ async fn places_are_told_as_the_log_folds_them() {
     for (number, place) in (0_u32..).zip(&listed) {
         let whole = client.place(&place.name).await.unwrap();
         assert_eq!(&v1::Place { word_hits: Vec::new(), ..whole.clone() }, place);
-        let appearance = mapper.recognizer().index().appearance(number).unwrap();
+        let appearance = mapper.recognizer().index().appearance(PlaceId::new(number)).unwrap();
         let hits: Vec<(u32, u32)> = whole.word_hits.iter().map(|word| (word.word, word.hits)).collect();
         let folded: Vec<(u32, u32)> =
             appearance.word_hits().map(|(word, hits)| (word.into(), hits.into())).collect();
         assert_eq!(hits, folded, "place {number}");
         assert_eq!((whole.looks, whole.words as usize), (appearance.looks().into(), hits.len()));
-        assert_eq!(whole.linked_place_numbers, mapper.map().linked(number));
+        let linked = mapper.map().linked(PlaceId::new(number)).iter().map(|place| place.number());
+        assert_eq!(whole.linked_place_numbers, linked.collect::<Vec<_>>());
         let frames: Vec<u64> = whole.frames.iter().map(|frame| frame.sequence).collect();
         let learnt = mapper.map().places()[number as usize].frames.iter();
         assert_eq!(frames, learnt.map(|frame| reference().sequence_of(frame.frame)).collect::<Vec<_>>());

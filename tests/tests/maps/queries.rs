@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use fabmap::PlaceId;
 use futures::future::join_all;
 use topomap::mapper::Queried;
 use waypost_client::{Client, Code, Error, FrameContent, v1};
@@ -44,7 +45,7 @@ fn found(queried: &Queried, sequence: u64) -> Answered {
         places: posterior
             .top(LISTED)
             .iter()
-            .map(|&(place, posterior)| (place, posterior.to_bits()))
+            .map(|&(place, posterior)| (place.number(), posterior.to_bits()))
             .collect(),
         new_place_posterior_bits: posterior.new_place.to_bits(),
         matched: matched.map(|matched| decided_match(matched, reference_by_words())),
@@ -141,7 +142,8 @@ async fn a_query_is_explained_by_its_words_if_asked() {
         assert_eq!(explanation.new_place_posterior.to_bits(), response.new_place_posterior.to_bits());
         super::explain::assert_adds_up(&explanation, asked as usize);
         let index = reference_by_words().mapper(40);
-        let appearance = index.recognizer().index().appearance(explanation.place_number).unwrap();
+        let appearance =
+            index.recognizer().index().appearance(PlaceId::new(explanation.place_number)).unwrap();
         for evidence in explanation.words_for.iter().chain(&explanation.words_against) {
             let there = (u32::from(appearance.hits(evidence.word.into())), u32::from(appearance.looks()));
             assert_eq!((evidence.hits, evidence.looks), there, "{evidence:?}");

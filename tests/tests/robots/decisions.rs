@@ -67,7 +67,7 @@ async fn check_loop_closures(client: &waypost_client::Client, reference: &Refere
         .map(|event| {
             let closure = event.decision.closure.expect("a closure has a match");
             let matched = reference.sequence_of(closure.frame);
-            (event.sequence, matched, closure.place, closure.posterior.to_bits())
+            (event.sequence, matched, closure.place.number(), closure.posterior.to_bits())
         })
         .collect();
     assert!(!expected.is_empty(), "the shipped drive closes no loop");
@@ -120,5 +120,5 @@ fn listed(answer: &v1::FrameAnswer) -> Vec<(u32, u64)> {
 /// What the answer should list, from the whole posterior.
 fn probable(index: usize, reference: &Reference) -> Vec<(u32, u64)> {
     let probable = reference.most_probable(index, LISTED).into_iter();
-    probable.map(|(place, posterior)| (place, posterior.to_bits())).collect()
+    probable.map(|(place, posterior)| (place.number(), posterior.to_bits())).collect()
 }

@@ -29,7 +29,7 @@ pub struct Match {
 impl Match {
     pub(crate) fn encode(&self, writer: &mut Writer) {
         let Match { place, posterior, log_odds, frame } = self;
-        writer.u32(*place);
+        writer.u32(place.number());
         writer.f64(*posterior);
         writer.f64(*log_odds);
         writer.u64(*frame);
@@ -37,7 +37,7 @@ impl Match {
 
     pub(crate) fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
         Ok(Match {
-            place: reader.u32()?,
+            place: PlaceId::new(reader.u32()?),
             posterior: reader.f64()?,
             log_odds: reader.f64()?,
             frame: reader.u64()?,
@@ -81,7 +81,7 @@ impl Candidate {
         let motion = Some(ViewMotion::Similarity(motion));
         let placement = Placement::Unknown;
         let view = TwoView { matches: 90, inliers: 80, distinct_inliers: 80, motion, placement };
-        let matched = Match { place: 0, posterior: 1.0, log_odds: 9.0, frame: 1 };
+        let matched = Match { place: PlaceId::new(0), posterior: 1.0, log_odds: 9.0, frame: 1 };
         Self::new(matched, Some(view), None, 10.0).judged(0.0, &ProbabilityWeights::default())
     }
 }

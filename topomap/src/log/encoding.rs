@@ -1,5 +1,6 @@
 //! The byte form of events, version by version.
 
+use fabmap::PlaceId;
 use fabmap::codec::{DecodeError, Reader, Writer};
 use fabmap::observation::Observation;
 
@@ -92,7 +93,7 @@ fn encode_frame(event: &FrameEvent, writer: &mut Writer) {
     observation.encode(writer);
     let Decision { reason, place, posterior, closure } = decision;
     writer.u8(reason.code());
-    encode_option(place.as_ref(), writer, |place, writer| writer.u32(*place));
+    encode_option(place.as_ref(), writer, |place, writer| writer.u32(place.number()));
     writer.f64(*posterior);
     encode_option(closure.as_ref(), writer, Match::encode);
     writer.f64(*new_place_posterior);
@@ -120,7 +121,7 @@ fn decode_frame(
         observation: Observation::decode(reader, vocabulary_len)?,
         decision: Decision {
             reason: Reason::from_code(reader.u8()?)?,
-            place: decode_option(reader, Reader::u32)?,
+            place: decode_option(reader, Reader::u32)?.map(PlaceId::new),
             posterior: reader.f64()?,
             closure: decode_option(reader, Match::decode)?,
         },
@@ -150,7 +151,7 @@ impl MeasuredEvent {
         writer.u32(*session);
         writer.u64(*frame);
         writer.u64(*earlier);
-        writer.u32(*place);
+        writer.u32(place.number());
         at.encode(writer);
         encode_option(link.as_ref(), writer, Link::encode);
         encode_option(goes_on_from.as_ref(), writer, Odometry::encode);
@@ -162,7 +163,7 @@ impl MeasuredEvent {
             session: reader.u32()?,
             frame: reader.u64()?,
             earlier: reader.u64()?,
-            place: reader.u32()?,
+            place: PlaceId::new(reader.u32()?),
             at: RelativePose::decode(reader)?,
             link: decode_option(reader, Link::decode)?,
             goes_on_from: decode_option(reader, Odometry::decode)?,

@@ -126,7 +126,7 @@ impl Decision {
     /// many places before the decision; the belief before, if too little was seen.
     #[must_use]
     pub fn belief_after(&self, before: &Belief, posterior: &PlaceDistribution, places: usize) -> Belief {
-        let created = self.place.filter(|&place| place as usize == places);
+        let created = self.place.filter(|&place| place.index() == places);
         if self.is_of_too_few_words() { before.clone() } else { posterior.carry(created) }
     }
 

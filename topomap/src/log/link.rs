@@ -36,8 +36,8 @@ pub enum LinkKind {
 impl Link {
     pub(crate) fn encode(&self, writer: &mut Writer) {
         let Link { from, to, kind } = self;
-        writer.u32(*from);
-        writer.u32(*to);
+        writer.u32(from.number());
+        writer.u32(to.number());
         match kind {
             LinkKind::Session => writer.u8(0),
             LinkKind::Odometry(relative) => {
@@ -57,8 +57,8 @@ impl Link {
 
     pub(crate) fn decode(reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
         Ok(Link {
-            from: reader.u32()?,
-            to: reader.u32()?,
+            from: PlaceId::new(reader.u32()?),
+            to: PlaceId::new(reader.u32()?),
             kind: match reader.u8()? {
                 0 => LinkKind::Session,
                 1 => LinkKind::Odometry(decode_pose(reader)?),

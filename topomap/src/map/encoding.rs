@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use fabmap::PlaceId;
 use fabmap::appearance::Appearance;
 use fabmap::codec::{Container, DecodeError, Reader, Writer};
 use sha2::{Digest, Sha256};
@@ -156,7 +157,7 @@ impl Session {
             odometry.encode(writer);
         });
         encode_option(stay.as_ref(), writer, |Stay { place, looks, odometry, at }, writer| {
-            writer.u32(*place);
+            writer.u32(place.number());
             writer.u32(*looks);
             encode_option(odometry.as_ref(), writer, Odometry::encode);
             if version > BEFORE_POSES {
@@ -165,7 +166,7 @@ impl Session {
         });
         writer.varint(left.len() as u64);
         for &LeftPlace { place, number, looks } in left {
-            writer.u32(place);
+            writer.u32(place.number());
             writer.u64(number);
             writer.u32(looks);
         }
@@ -181,7 +182,7 @@ impl Session {
                 encode_belief(belief, writer);
             }
             encode_option(anchor.as_ref(), writer, |Anchor { place, odometry, at }, writer| {
-                writer.u32(*place);
+                writer.u32(place.number());
                 odometry.encode(writer);
                 at.encode(writer);
             });
@@ -204,7 +205,7 @@ impl Session {
             last_odometry: decode_option(reader, |reader| Ok((reader.i64()?, Odometry::decode(reader)?)))?,
             stay: decode_option(reader, |reader| {
                 Ok(Stay {
-                    place: reader.u32()?,
+                    place: PlaceId::new(reader.u32()?),
                     looks: reader.u32()?,
                     odometry: decode_option(reader, Odometry::decode)?,
                     at: if version > BEFORE_POSES {
@@ -215,7 +216,13 @@ impl Session {
                 })
             })?,
             left: (0..reader.count(16)?)
-                .map(|_| Ok(LeftPlace { place: reader.u32()?, number: reader.u64()?, looks: reader.u32()? }))
+                .map(|_| {
+                    Ok(LeftPlace {
+                        place: PlaceId::new(reader.u32()?),
+                        number: reader.u64()?,
+                        looks: reader.u32()?,
+                    })
+                })
                 .collect::<Result<_, DecodeError>>()?,
             belief: decode_belief(reader)?,
             sightings: if version > BEFORE_VERIFICATION {
@@ -247,7 +254,7 @@ impl Session {
 
 fn decode_anchor(reader: &mut Reader<'_>) -> Result<Anchor, DecodeError> {
     Ok(Anchor {
-        place: reader.u32()?,
+        place: PlaceId::new(reader.u32()?),
         odometry: Odometry::decode(reader)?,
         at: RelativePose::decode(reader)?,
     })
@@ -334,7 +341,7 @@ impl Sighting {
     fn decode(version: u32, reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
         Ok(Self {
             number: reader.varint()?,
-            place: reader.varint_u32()?,
+            place: PlaceId::new(reader.varint_u32()?),
             seen: PlaceFrame {
                 frame: reader.varint()?,
                 session: reader.varint_u32()?,

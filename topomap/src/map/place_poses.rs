@@ -104,20 +104,20 @@ impl PlacePoses {
     /// Where a place is in the frame of its part; `None` if there is no such place.
     #[must_use]
     pub fn pose(&self, place: PlaceId) -> Option<&PlanarPose> {
-        self.poses.get(place as usize)
+        self.poses.get(place.index())
     }
 
     /// The lowest place of the part that a place is of, whose frame its pose is in; `None` if there
     /// is no such place.
     #[must_use]
     pub fn part(&self, place: PlaceId) -> Option<PlaceId> {
-        self.parts.get(place as usize).copied()
+        self.parts.get(place.index()).copied()
     }
 
     /// The session that made a place; `None` if there is no such place.
     #[must_use]
     pub fn maker(&self, place: PlaceId) -> Option<SessionId> {
-        self.ways.makers.get(place as usize).copied()
+        self.ways.makers.get(place.index()).copied()
     }
 
     /// The links that measured something, as they did.
@@ -127,7 +127,11 @@ impl PlacePoses {
                 EdgeKind::Odometry => (&self.ways.driven[index].0, LinkKind::Driven as fn(_) -> _),
                 EdgeKind::Closure => (&self.ways.closed[index], LinkKind::Closed as fn(_) -> _),
             };
-            Link { from: way.from as PlaceId, to: way.to as PlaceId, kind: kind(way.measured) }
+            Link {
+                from: PlaceId::from_index(way.from),
+                to: PlaceId::from_index(way.to),
+                kind: kind(way.measured),
+            }
         })
     }
 
@@ -164,7 +168,7 @@ impl PlacePoses {
         let range = move |centre: f64| cell(centre - distance_m)..=cell(centre + distance_m);
         // A robot that does not know where it is may be anywhere: its reach is not walked cell by
         // cell.
-        let alone = self.parts.get(part as usize).map_or(&[][..], std::slice::from_ref);
+        let alone = self.parts.get(part.index()).map_or(&[][..], std::slice::from_ref);
         let members = self.members.get(&part).map_or(alone, Vec::as_slice);
         let reaches_far = (2.0 * distance_m / CELL_M).powi(2) > members.len() as f64;
         let (columns, of_part) = if reaches_far { (None, members) } else { (Some(range(x_m)), &[][..]) };
@@ -174,7 +178,7 @@ impl PlacePoses {
             .flat_map(move |column| range(y_m).map(move |row| (part, column, row)));
         let places = cells.filter_map(|cell| self.by_position.get(&cell)).flatten().chain(of_part);
         places.filter_map(move |&place| {
-            let pose = self.poses.get(place as usize)?;
+            let pose = self.poses.get(place.index())?;
             let near = (pose.x_m() - x_m).hypot(pose.y_m() - y_m) <= distance_m;
             near.then_some((place, pose))
         })
@@ -209,7 +213,7 @@ impl PlacePoses {
 
     /// Adds the next place, which a session has made, a part of its own until a link leads to it.
     pub(crate) fn add_place(&mut self, session: SessionId) {
-        let place = self.graph.add_pose() as PlaceId;
+        let place = PlaceId::from_index(self.graph.add_pose());
         self.ways.makers.push(session);
         self.poses.push(PlanarPose::identity());
         self.parts.push(place);
@@ -229,7 +233,7 @@ impl PlacePoses {
             LinkKind::Driven(measured) => (measured, EdgeKind::Odometry),
             LinkKind::Closed(measured) => (measured, EdgeKind::Closure),
         };
-        let way = Way { from: from as usize, to: to as usize, measured };
+        let way = Way { from: from.index(), to: to.index(), measured };
         let Some(edge) = self.edge(&way, kind) else { return };
         let start = way.from;
         let end = way.to;
@@ -275,7 +279,7 @@ impl PlacePoses {
         self.relaxed = relax(&self.graph, Start::Earlier(&self.relaxed), &RelaxationSettings::default());
         self.poses.clone_from(&self.relaxed.poses);
         self.by_position.clear();
-        (0..self.poses.len() as PlaceId).for_each(|place| self.index(place));
+        PlaceId::first(self.poses.len()).for_each(|place| self.index(place));
         self.settled = Settled::Yes;
     }
 
@@ -309,19 +313,19 @@ impl PlacePoses {
     fn join(&mut self, part: PlaceId, joining: PlaceId, moved_by: &PlanarPose) {
         let places = self.members.remove(&joining).unwrap_or_else(|| vec![joining]);
         for &place in &places {
-            let pose = &self.poses[place as usize];
+            let pose = &self.poses[place.index()];
             if let Some(places) = self.by_position.get_mut(&cell_of(joining, pose)) {
                 places.retain(|&other| other != place);
             }
-            self.poses[place as usize] = moved_by.compose(pose);
-            self.parts[place as usize] = part;
+            self.poses[place.index()] = moved_by.compose(pose);
+            self.parts[place.index()] = part;
             self.index(place);
         }
         self.members.entry(part).or_insert_with(|| vec![part]).extend(places);
     }
 
     fn index(&mut self, place: PlaceId) {
-        let cell = cell_of(self.parts[place as usize], &self.poses[place as usize]);
+        let cell = cell_of(self.parts[place.index()], &self.poses[place.index()]);
         self.by_position.entry(cell).or_default().push(place);
     }
 }

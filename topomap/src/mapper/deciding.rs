@@ -136,7 +136,7 @@ impl Proposed<'_> {
         if frame.pose_of_robot().is_some() && frame.was_just_at(place) {
             return frame.new_place(Reason::NewPlace, None);
         }
-        let probability = frame.recognition.posterior.places[place as usize];
+        let probability = frame.recognition.posterior.places[place.index()];
         let closure = self.match_at(place);
         if probability < frame.mapper.settings().closure_threshold {
             return frame.new_place(Reason::BelowThreshold, closure);
@@ -177,7 +177,7 @@ impl Proposed<'_> {
         comparisons: &Comparisons,
     ) -> Option<Located> {
         let place = decision.place.filter(|_| self.frame.input.odometry.is_some())?;
-        if place as usize == self.frame.mapper.recognizer().places() {
+        if place.index() == self.frame.mapper.recognizer().places() {
             return Some(Located::AtOrigin);
         }
         if decision.reason != Reason::LoopClosure {
@@ -206,13 +206,13 @@ impl FrameInHand<'_> {
     }
 
     fn same_place(&self, place: PlaceId) -> Decision {
-        let posterior = self.recognition.posterior.places[place as usize];
+        let posterior = self.recognition.posterior.places[place.index()];
         Decision { reason: Reason::SamePlace, place: Some(place), posterior, closure: None }
     }
 
     /// A place that is created; none where nothing grows.
     fn new_place(&self, reason: Reason, closure: Option<Match>) -> Decision {
-        let next = self.mapper.recognizer().places() as PlaceId;
+        let next = PlaceId::from_index(self.mapper.recognizer().places());
         let place = (self.growth == Growth::Grows).then_some(next);
         Decision { reason, place, posterior: self.recognition.posterior.new_place, closure }
     }

@@ -63,7 +63,7 @@ impl FrameInHand<'_> {
 
     /// The frames that a place has learnt from, oldest first; none of a place that does not exist.
     pub(super) fn frames_of(&self, place: PlaceId) -> &[PlaceFrame] {
-        self.mapper.map().places().get(place as usize).map_or(&[], |place| &place.frames)
+        self.mapper.map().places().get(place.index()).map_or(&[], |place| &place.frames)
     }
 
     /// Frames that a place learnt from, latest first, but for those that the session has sent

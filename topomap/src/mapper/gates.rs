@@ -38,7 +38,7 @@ impl Mapper {
     /// such place or session.
     #[must_use]
     pub fn gates(&self, input: &FrameInput, recognition: &Recognition, place: PlaceId) -> Option<Gates> {
-        let posterior = *recognition.posterior.places.get(place as usize)?;
+        let posterior = *recognition.posterior.places.get(place.index())?;
         let session = self.map().session(input.session)?;
         let at_least = |value: f64, required: f64| Gate { passed: value >= required, value, required };
         let since = session.since(place, self.settings());

@@ -26,10 +26,18 @@ mod tests {
 
     #[test]
     fn mass_goes_to_the_place_and_its_neighbours() {
-        let links: [&[PlaceId]; 3] = [&[1], &[0, 2], &[1]];
-        let belief = Belief { places: vec![(0, 0.5), (1, 0.375)], new_place: 0.0625, remainder: 0.0625 };
-        let prior = spread_over_links(&belief, |place| links[place as usize]);
-        let expected = MotionPrior::from_weights(vec![(0, 0.375), (1, 0.375), (2, 0.125)], 0.125);
+        let links: [&[PlaceId]; 3] =
+            [&[PlaceId::new(1)], &[PlaceId::new(0), PlaceId::new(2)], &[PlaceId::new(1)]];
+        let belief = Belief {
+            places: vec![(PlaceId::new(0), 0.5), (PlaceId::new(1), 0.375)],
+            new_place: 0.0625,
+            remainder: 0.0625,
+        };
+        let prior = spread_over_links(&belief, |place| links[place.index()]);
+        let expected = MotionPrior::from_weights(
+            vec![(PlaceId::new(0), 0.375), (PlaceId::new(1), 0.375), (PlaceId::new(2), 0.125)],
+            0.125,
+        );
         assert_eq!(prior, expected);
     }
 }

@@ -119,7 +119,7 @@ impl FrameInHand<'_> {
         best.map(|(_, frame, at)| EarlierMatch {
             matched: Match {
                 place,
-                posterior: posterior.places[place as usize],
+                posterior: posterior.places[place.index()],
                 log_odds: posterior.log_odds(place),
                 frame,
             },

@@ -176,11 +176,11 @@ impl FrameInHand<'_> {
         }
         let posterior = &self.recognition.posterior.places;
         let may_be = |place: PlaceId| {
-            posterior[place as usize] >= settings.verification.min_posterior
+            posterior[place.index()] >= settings.verification.min_posterior
                 && self.frames_before_guard(place).next().is_some()
         };
         let mut places: Vec<PlaceId> = self.expected().into_iter().filter(|&place| may_be(place)).collect();
-        places.sort_by(|&a, &b| posterior[b as usize].total_cmp(&posterior[a as usize]).then(a.cmp(&b)));
+        places.sort_by(|&a, &b| posterior[b.index()].total_cmp(&posterior[a.index()]).then(a.cmp(&b)));
         places.truncate(EXPECTED_CANDIDATES);
 
         // Places within the guard are the most probable of all and not to be compared: the one where
@@ -216,7 +216,7 @@ impl FrameInHand<'_> {
     /// The most probable place known from before the guard; of equal ones the first.
     fn most_probable_before_guard(&self) -> Option<PlaceId> {
         let mut best: Option<(PlaceId, f64)> = None;
-        for (place, &posterior) in (0..).zip(&self.recognition.posterior.places) {
+        for (place, &posterior) in PlaceId::all().zip(&self.recognition.posterior.places) {
             if best.is_none_or(|(_, best)| posterior > best)
                 && self.frames_before_guard(place).next().is_some()
             {

@@ -79,13 +79,13 @@ impl Mapper {
             MapEvent::SessionOpened { session } => self.map.open_session(*session),
             MapEvent::Frame(event) => {
                 match event.decision.place {
-                    Some(place) if place as usize == self.recognizer.places() => {
+                    Some(place) if place.index() == self.recognizer.places() => {
                         self.recognizer.add_place(&Appearance::of(&event.observation));
                     }
                     Some(place) if event.learnt => self.recognizer.observe_place(place, &event.observation),
                     Some(_) | None => {}
                 }
-                if event.decision.place.is_some_and(|place| place as usize == self.map.places().len()) {
+                if event.decision.place.is_some_and(|place| place.index() == self.map.places().len()) {
                     self.poses.add_place(event.session);
                 }
                 if let Some(link) = &event.link {
@@ -217,7 +217,7 @@ impl Mapper {
                     event.as_ref();
                 let places = self.map.places().len();
                 let ends = link.map(|link| [link.from, link.to]).into_iter().flatten();
-                let unknown = ends.chain([*place]).find(|&place| place as usize >= places);
+                let unknown = ends.chain([*place]).find(|&place| place.index() >= places);
                 let at = |session: &Session| session.stay.as_ref().map(|stay| stay.place);
                 match (self.map.session(*session), unknown) {
                     _ if *position != expected || frame.max(earlier) >= position => {

@@ -74,7 +74,7 @@ impl FrameInHand<'_> {
     /// A sighting by all frames of its place from which the session of `seen` may have come there:
     /// who drives a way once more matches now frames of one drive, now those of another.
     fn steps(&self, sighting: &Sighting, seen: PlaceFrame) -> impl Iterator<Item = Step> {
-        let place = self.mapper.map().places().get(sighting.place as usize);
+        let place = self.mapper.map().places().get(sighting.place.index());
         let frames = place.map_or(&[][..], |place| &place.frames);
         let frames_ago = self.session.frames - sighting.number;
         let of_session = frames.iter().filter(move |frame| frame.session == seen.session);

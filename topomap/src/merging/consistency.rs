@@ -41,7 +41,7 @@ impl Lengths {
         places.dedup();
         let lengths = |&from: &PlaceId| {
             let all = ways.lengths_m(from);
-            places.iter().map(|&place| all[place as usize]).collect()
+            places.iter().map(|&place| all[place.index()]).collect()
         };
         let lengths_m = places.par_iter().map(lengths).collect();
         Self { numbers: (0..).zip(&places).map(|(number, &place)| (place, number)).collect(), lengths_m }

@@ -79,7 +79,7 @@ impl<'a> Joining<'a> {
             sessions: BTreeMap::new(),
             next_event: target.map().events(),
             next_session: target.map().next_session(),
-            next_place: target.map().places().len() as PlaceId,
+            next_place: PlaceId::from_index(target.map().places().len()),
             linked: linked.collect(),
         }
     }
@@ -102,10 +102,10 @@ impl<'a> Joining<'a> {
 
     /// The same measurement, between the same frames.
     fn measured(&self, position: u64, event: &MeasuredEvent) -> Option<MeasuredEvent> {
-        let joined = self.places.get(event.place as usize)?;
+        let joined = self.places.get(event.place.index())?;
         let link = event.link.and_then(|link| {
-            let from = self.places.get(link.from as usize)?;
-            let to = self.places.get(link.to as usize)?;
+            let from = self.places.get(link.from.index())?;
+            let to = self.places.get(link.to.index())?;
             let LinkKind::Closed(measured) = link.kind else { return None };
             let kind = LinkKind::Closed(from.way_to(to, &measured));
             (from.place != to.place).then_some(Link { from: from.place, to: to.place, kind })
@@ -126,7 +126,7 @@ impl<'a> Joining<'a> {
         let mut candidates: Vec<Candidate> =
             event.candidates.iter().map(|candidate| self.candidate(candidate)).collect::<Option<_>>()?;
         let decision = self.decision(&event.decision, &mut candidates)?;
-        let joined = event.decision.place.map(|place| self.places[place as usize]);
+        let joined = event.decision.place.map(|place| self.places[place.index()]);
         let at = event.at.map(|at| joined.map_or(at, |joined| joined.seen(&at)));
         Some(FrameEvent {
             frame,
@@ -160,16 +160,17 @@ impl<'a> Joining<'a> {
             None => None,
         };
         let Some(place) = decision.place else { return Some(Decision { closure, ..*decision }) };
-        if (place as usize) < self.places.len() {
-            return Some(Decision { place: Some(self.places[place as usize].place), closure, ..*decision });
+        if place.index() < self.places.len() {
+            return Some(Decision { place: Some(self.places[place.index()].place), closure, ..*decision });
         }
-        if place as usize != self.places.len() {
+        if place.index() != self.places.len() {
             return None;
         }
         let Some(&FusedPlace { matched, at }) = self.fused.get(&place).copied() else {
-            self.places.push(MovedPlace { place: self.next_place, at: None });
-            self.next_place += 1;
-            return Some(Decision { place: Some(self.next_place - 1), closure, ..*decision });
+            let created = self.next_place;
+            self.places.push(MovedPlace { place: created, at: None });
+            self.next_place = created.next();
+            return Some(Decision { place: Some(created), closure, ..*decision });
         };
         self.places.push(MovedPlace { place: matched.target, at: Some(at) });
         let log_odds = (matched.posterior / (1.0 - matched.posterior).max(f64::MIN_POSITIVE)).ln();
@@ -182,20 +183,20 @@ impl<'a> Joining<'a> {
     }
 
     fn candidate(&self, candidate: &Candidate) -> Option<Candidate> {
-        let place = self.places.get(candidate.matched.place as usize)?;
+        let place = self.places.get(candidate.matched.place.index())?;
         let seen_from = candidate.seen_from.map(|at| place.seen(&at));
         Some(Candidate { matched: self.matched(&candidate.matched)?, seen_from, ..*candidate })
     }
 
     fn matched(&self, matched: &Match) -> Option<Match> {
-        let place = self.places.get(matched.place as usize)?.place;
+        let place = self.places.get(matched.place.index())?.place;
         Some(Match { place, frame: *self.frames.get(&matched.frame)?, ..*matched })
     }
 
     /// The link between the same places; none where they are one, or linked already.
     fn link(&mut self, link: &Link, session: SessionId) -> Option<Option<Link>> {
-        let from = *self.places.get(link.from as usize)?;
-        let to = *self.places.get(link.to as usize)?;
+        let from = *self.places.get(link.from.index())?;
+        let to = *self.places.get(link.to.index())?;
         let from = &from;
         let to = &to;
         if from.place == to.place || !self.linked.insert((from.place, to.place)) {
@@ -224,7 +225,7 @@ impl<'a> Joining<'a> {
     fn belief(&self, belief: &Belief) -> Option<Belief> {
         let mut places: BTreeMap<PlaceId, f64> = BTreeMap::new();
         for &(place, probability) in &belief.places {
-            *places.entry(self.places.get(place as usize)?.place).or_insert(0.0) += probability;
+            *places.entry(self.places.get(place.index())?.place).or_insert(0.0) += probability;
         }
         Some(Belief { places: places.into_iter().collect(), ..*belief })
     }

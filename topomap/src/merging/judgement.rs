@@ -79,10 +79,10 @@ fn agreed(
         return Err(Apart::Contradicted(overlap));
     }
     let joined = settled(source, target, &strongest, &members, settings);
-    let first_of_source = target.poses.poses().len() as PlaceId;
+    let first_of_source = PlaceId::from_index(target.poses.poses().len());
     let at_root = joined
-        .pose(first_of_source + parts.0)
-        .filter(|_| joined.part(first_of_source + parts.0) == joined.part(parts.1));
+        .pose(parts.0.counted_from(first_of_source))
+        .filter(|_| joined.part(parts.0.counted_from(first_of_source)) == joined.part(parts.1));
     let (Some(at_root), Some(root)) = (at_root, source.poses.pose(parts.0)) else {
         let required = settings.min_support;
         return Err(Apart::TooLittleSupport { matches: strongest.len(), support: 0, required });
@@ -129,7 +129,7 @@ fn settled(
     agreeing: &[PlaceMatch],
     settings: &MergeSettings,
 ) -> PlacePoses {
-    let first_of_source = target.poses.poses().len() as PlaceId;
+    let first_of_source = PlaceId::from_index(target.poses.poses().len());
     let fitting = |joined: &PlacePoses| {
         let fits = |matched: &&PlaceMatch| {
             misfit(matched, joined, first_of_source) <= PlanarPose::CHI_SQUARED_HUNDRED
@@ -231,7 +231,7 @@ fn overlap(source: Layout<'_>, target: Layout<'_>, chosen: &[Measured]) -> Overl
         chosen.iter().map(|matched| (matched.source, matched)).collect();
     let nearest = Ways::of(source.poses, source.noise).nearest(by_place.keys().copied());
     let mut overlap = Overlap::default();
-    for (place, &(length_m, origin)) in (0..).zip(&nearest) {
+    for (place, &(length_m, origin)) in PlaceId::all().zip(&nearest) {
         if length_m > LAID_WITHIN_M {
             continue;
         }
@@ -258,9 +258,9 @@ fn laid(source: Layout<'_>, target: Layout<'_>, by: &Measured, place: PlaceId) -
 /// drift by is learnt from the loops that close over both.
 #[must_use]
 pub fn joined_poses(source: Layout<'_>, target: Layout<'_>, matches: &[PlaceMatch]) -> PlacePoses {
-    let first = target.poses.poses().len() as PlaceId;
+    let first = PlaceId::from_index(target.poses.poses().len());
     let makers = |map: Layout<'_>| {
-        let places = 0..map.poses.poses().len() as PlaceId;
+        let places = PlaceId::first(map.poses.poses().len());
         places.filter_map(|place| map.poses.maker(place)).collect::<Vec<SessionId>>()
     };
     let sessions = makers(target).iter().max().map_or(0, |last| last + 1);
@@ -268,13 +268,13 @@ pub fn joined_poses(source: Layout<'_>, target: Layout<'_>, matches: &[PlaceMatc
         makers(target).into_iter().chain(makers(source).into_iter().map(|session| session + sessions));
     let mut links: Vec<Link> = target.poses.measured_links().collect();
     links.extend(source.poses.measured_links().map(|link| Link {
-        from: link.from + first,
-        to: link.to + first,
+        from: link.from.counted_from(first),
+        to: link.to.counted_from(first),
         kind: link.kind,
     }));
     links.extend(matches.iter().filter_map(measured).map(|matched| Link {
         from: matched.target,
-        to: matched.source + first,
+        to: matched.source.counted_from(first),
         kind: LinkKind::Closed(matched.pose),
     }));
     PlacePoses::new(makers, &links, &target.noise)
@@ -298,7 +298,7 @@ fn nearest_views(matches: &[PlaceMatch]) -> Vec<PlaceMatch> {
 fn fused(matches: &[PlaceMatch], joined: &PlacePoses, first_of_source: PlaceId) -> Vec<FusedPlace> {
     let mut nearest: BTreeMap<PlaceId, (f64, FusedPlace)> = BTreeMap::new();
     for matched in matches {
-        let ends = joined.pose(matched.target).zip(joined.pose(matched.source + first_of_source));
+        let ends = joined.pose(matched.target).zip(joined.pose(matched.source.counted_from(first_of_source)));
         let (Some((target, source)), Some(measured)) = (ends, matched.measured) else { continue };
         let apart = target.inverse().compose(source);
         let distance_m = apart.x_m().hypot(apart.y_m());
@@ -314,7 +314,7 @@ fn fused(matches: &[PlaceMatch], joined: &PlacePoses, first_of_source: PlaceId) 
 
 /// How badly a match agrees with both maps as one, in squared standard deviations.
 fn misfit(matched: &PlaceMatch, joined: &PlacePoses, first_of_source: PlaceId) -> f64 {
-    let ends = joined.pose(matched.target).zip(joined.pose(matched.source + first_of_source));
+    let ends = joined.pose(matched.target).zip(joined.pose(matched.source.counted_from(first_of_source)));
     let (Some(measured), Some((target, source))) = (matched.measured, ends) else { return f64::INFINITY };
     let error = PlanarPose::error(measured.pose(), target, source);
     error.dot(&(measured.information() * error))

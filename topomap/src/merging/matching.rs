@@ -45,8 +45,11 @@ pub fn pairs_to_compare(
         }
         Ok(found)
     };
-    let places = source.mapper.map().places().len() as PlaceId;
-    let found = (0..places).into_par_iter().map(of_place).collect::<Result<Vec<_>, MergeError>>()?;
+    let places = source.mapper.map().places().len();
+    let found = (0..places)
+        .into_par_iter()
+        .map(|index| of_place(PlaceId::from_index(index)))
+        .collect::<Result<Vec<_>, MergeError>>()?;
     Ok(found.into_iter().flatten().collect())
 }
 
@@ -57,7 +60,7 @@ fn pairs_of(
     target: KnownMap<'_>,
     settings: &MergeSettings,
 ) -> Vec<PlacePair> {
-    let frames = &source.mapper.map().places()[place as usize].frames;
+    let frames = &source.mapper.map().places()[place.index()].frames;
     let Some(seen) = frames.first().and_then(|frame| source.frame(frame.frame)) else { return Vec::new() };
     let observation = &seen.observation;
     let recognizer = target.mapper.recognizer();
@@ -80,7 +83,7 @@ fn pairs_of(
 
 /// Of the frames that a place learnt from, the one that explains an observation best.
 fn best_frame(place: PlaceId, target: KnownMap<'_>, observation: &Observation) -> Option<FrameId> {
-    let frames = &target.mapper.map().places()[place as usize].frames;
+    let frames = &target.mapper.map().places()[place.index()].frames;
     let single_looks = target.mapper.recognizer().index().model().single_looks(observation);
     let mut best: Option<(f64, FrameId)> = None;
     for frame in frames.iter().rev().take(MAX_COMPARED_FRAMES) {

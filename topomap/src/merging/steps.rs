@@ -73,11 +73,14 @@ pub(super) fn in_step(
     }
     let agreeing: Vec<PlaceMatch> = kept.iter().map(|&index| steps.matches[index]).collect();
     let others = (0..steps.matches.len()).filter(|index| !kept.contains(index));
-    let first = agreeing.first().map_or((0, 0), |matched| (matched.source, matched.target));
+    let first = agreeing.first().map(|matched| (matched.source, matched.target)).unwrap_or_default();
     let cost = source.poses.cost() + target.poses.cost();
     Ok(MergePlan {
         transformation: PlanarPose::identity(),
-        parts: (source.poses.part(first.0).unwrap_or(0), target.poses.part(first.1).unwrap_or(0)),
+        parts: (
+            source.poses.part(first.0).unwrap_or_default(),
+            target.poses.part(first.1).unwrap_or_default(),
+        ),
         fused: fused(&agreeing, target, settings),
         rejected: others.map(|index| steps.matches[index]).collect(),
         overlap: steps.overlap(&agreeing.iter().map(|matched| matched.source).collect()),
@@ -114,8 +117,8 @@ impl Steps {
     fn of(poses: &PlacePoses) -> Self {
         let mut neighbours = vec![Vec::new(); poses.poses().len()];
         for (from, to) in poses.linked() {
-            neighbours[from as usize].push(to);
-            neighbours[to as usize].push(from);
+            neighbours[from.index()].push(to);
+            neighbours[to.index()].push(from);
         }
         Self { neighbours }
     }
@@ -130,7 +133,7 @@ impl Steps {
             if far == steps {
                 continue;
             }
-            for &next in &self.neighbours[place as usize] {
+            for &next in &self.neighbours[place.index()] {
                 if let Entry::Vacant(unreached) = reached.entry(next) {
                     unreached.insert(far + 1);
                     waiting.push_back((next, far + 1));

@@ -29,8 +29,8 @@ impl<'a> Ways<'a> {
                 EdgeKind::Odometry => length_m,
                 EdgeKind::Closure => length_m + CLOSURE_M,
             };
-            neighbours[edge.from()].push((edge.to() as PlaceId, length_m));
-            neighbours[edge.to()].push((edge.from() as PlaceId, length_m));
+            neighbours[edge.from()].push((PlaceId::from_index(edge.to()), length_m));
+            neighbours[edge.to()].push((PlaceId::from_index(edge.from()), length_m));
         }
         Self { poses, noise, neighbours }
     }
@@ -43,7 +43,7 @@ impl<'a> Ways<'a> {
     /// Metres along links to the nearest of some places, and which of them that is.
     pub(super) fn nearest(&self, places: impl IntoIterator<Item = PlaceId>) -> Vec<(f64, PlaceId)> {
         let paths = self.paths(places);
-        let origin = |origin: Option<usize>| origin.map_or(PlaceId::MAX, |origin| origin as PlaceId);
+        let origin = |origin: Option<usize>| origin.map_or(PlaceId::MAX, PlaceId::from_index);
         let origins = paths.origins().into_iter().map(origin);
         paths.lengths().iter().copied().zip(origins).collect()
     }
@@ -52,9 +52,9 @@ impl<'a> Ways<'a> {
         let mut paths = ShortestPaths::new(self.neighbours.len());
         let steps = |place: usize| {
             let to = self.neighbours[place].iter();
-            to.map(|&(to, length)| Step { to: to as usize, length, edge: 0 })
+            to.map(|&(to, length)| Step { to: to.index(), length, edge: 0 })
         };
-        paths.search(places.into_iter().map(|place| place as usize), |_| false, steps);
+        paths.search(places.into_iter().map(fabmap::PlaceId::index), |_| false, steps);
         paths
     }
 

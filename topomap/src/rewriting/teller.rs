@@ -138,7 +138,7 @@ impl<'a> Teller<'a> {
 
     fn frame(&mut self, event: &FrameEvent) -> Result<Option<FrameEvent>, RetellError> {
         self.at_its_position(event.frame)?;
-        let creates = event.decision.place.is_some_and(|place| place as usize == self.places.len());
+        let creates = event.decision.place.is_some_and(|place| place.index() == self.places.len());
         if creates {
             self.places.push(None);
         }
@@ -190,7 +190,7 @@ impl<'a> Teller<'a> {
     /// Where a frame of a session that stays is; makes the place if nothing has.
     fn here(&mut self, event: &FrameEvent, creates: bool) -> Result<Here, RetellError> {
         let Some(place) = event.decision.place else { return Ok(Here::Nowhere) };
-        let known = *self.places.get(place as usize).ok_or(self.unknown())?;
+        let known = *self.places.get(place.index()).ok_or(self.unknown())?;
         if self.left.places.contains(&place) {
             return Ok(Here::Dropped);
         }
@@ -199,8 +199,8 @@ impl<'a> Teller<'a> {
         }
         // The new place's frame is that of the robot here.
         let at = event.at.filter(|_| !creates).map(|at| at.back());
-        let rebased = MovedPlace { place: self.makers.len() as PlaceId, at };
-        self.places[place as usize] = Some(rebased);
+        let rebased = MovedPlace { place: PlaceId::from_index(self.makers.len()), at };
+        self.places[place.index()] = Some(rebased);
         self.makers.push(self.now());
         Ok(if creates { Here::Makes(rebased) } else { Here::MakesInstead(rebased) })
     }
@@ -242,7 +242,7 @@ impl<'a> Teller<'a> {
 
     /// A match with a frame that stays.
     fn matched(&self, matched: &Match) -> Result<Option<Match>, RetellError> {
-        let place = self.places.get(matched.place as usize).ok_or(self.unknown())?;
+        let place = self.places.get(matched.place.index()).ok_or(self.unknown())?;
         let ends = place.zip(self.frames.get(&matched.frame).copied());
         Ok(ends.map(|(place, frame)| Match { place: place.place, frame, ..*matched }))
     }
@@ -250,8 +250,8 @@ impl<'a> Teller<'a> {
     /// The same place, by the frame that made it where the one that matched is gone.
     fn moved(&self, matched: &Match) -> Result<Option<Match>, RetellError> {
         let same = self.matched(matched)?;
-        let place = self.places[matched.place as usize].map(|rebased| rebased.place);
-        let by_maker = place.map(|place| (place, self.makers[place as usize]));
+        let place = self.places[matched.place.index()].map(|rebased| rebased.place);
+        let by_maker = place.map(|place| (place, self.makers[place.index()]));
         // Not the frame itself that is being rewritten.
         let by_maker = by_maker.filter(|&(_, frame)| frame < self.now());
         Ok(same.or(by_maker.map(|(place, frame)| Match { place, frame, ..*matched })))
@@ -260,7 +260,7 @@ impl<'a> Teller<'a> {
     fn candidates(&self, candidates: &[Candidate]) -> Result<Vec<Candidate>, RetellError> {
         let told = candidates.iter().map(|candidate| {
             let matched = self.matched(&candidate.matched)?;
-            let place = self.places[candidate.matched.place as usize];
+            let place = self.places[candidate.matched.place.index()];
             let seen_from = place.zip(candidate.seen_from).map(|(place, at)| place.seen(&at));
             Ok(matched.map(|matched| Candidate { matched, seen_from, ..*candidate }))
         });
@@ -270,7 +270,7 @@ impl<'a> Teller<'a> {
     /// The same belief, and how much of it was of places that nothing told has made: that is
     /// somewhere new.
     fn belief(&self, belief: &Belief, here: Here) -> (Belief, f64) {
-        let of = |place: PlaceId| self.places.get(place as usize).copied().flatten();
+        let of = |place: PlaceId| self.places.get(place.index()).copied().flatten();
         let known = belief.places.iter().filter_map(|&(place, mass)| Some((of(place)?.place, mass)));
         let mut places: Vec<(PlaceId, f64)> = known.collect();
         places.sort_unstable_by_key(|&(place, _)| place);
@@ -288,7 +288,7 @@ impl<'a> Teller<'a> {
     /// What a link of the old log says of the old places, whatever event made it.
     fn follow_old_link(&mut self, link: Option<&Link>) -> Result<(), RetellError> {
         let Some(link) = link else { return Ok(()) };
-        if [link.from, link.to].iter().any(|&place| place as usize >= self.places.len()) {
+        if [link.from, link.to].iter().any(|&place| place.index() >= self.places.len()) {
             return Err(self.unknown());
         }
         self.ways.follow_old(link);
@@ -298,7 +298,7 @@ impl<'a> Teller<'a> {
     fn link(&mut self, run: &Run, event: &FrameEvent, told: &FrameEvent, here: Here) -> Option<Link> {
         let rebased = here.rebased();
         let kept = event.link.and_then(|link| {
-            let [from, to] = [link.from, link.to].map(|place| self.places[place as usize]);
+            let [from, to] = [link.from, link.to].map(|place| self.places[place.index()]);
             Some((from?, to?, link))
         });
         let link = rebased.and_then(|rebased| match here {
@@ -315,14 +315,14 @@ impl<'a> Teller<'a> {
     fn measured(&mut self, event: &MeasuredEvent) -> Result<Option<MeasuredEvent>, RetellError> {
         self.at_its_position(event.position)?;
         self.follow_old_link(event.link.as_ref())?;
-        let place = *self.places.get(event.place as usize).ok_or(self.unknown())?;
+        let place = *self.places.get(event.place.index()).ok_or(self.unknown())?;
         let run = self.runs.get(&event.session).ok_or(self.unknown())?.clone();
         let frames = [event.frame, event.earlier].map(|frame| self.frames.get(&frame).copied());
         let (Some(mut run), Some(place), [Some(frame), Some(earlier)]) = (run, place, frames) else {
             return Ok(None);
         };
         let link = event.link.and_then(|link| {
-            let [from, to] = [link.from, link.to].map(|place| self.places[place as usize]);
+            let [from, to] = [link.from, link.to].map(|place| self.places[place.index()]);
             self.ways.measured(from?, to?, &link)
         });
         if link.is_none() && event.goes_on_from.is_none() {

@@ -96,9 +96,9 @@ pub fn over_budget<'a>(
     }
     let key = |visits: &Visits, place: PlaceId| {
         let distance = visits.nearest(mapper, place).map_or(f64::INFINITY, Distance::value);
-        (appearances[place as usize].looks(), distance.to_bits(), place)
+        (appearances[place.index()].looks(), distance.to_bits(), place)
     };
-    let left = (0..appearances.len() as PlaceId).filter(|&place| !visits.is_dropped(place));
+    let left = PlaceId::first(appearances.len()).filter(|&place| !visits.is_dropped(place));
     let mut waiting: BinaryHeap<Reverse<(u8, u64, PlaceId)>> =
         left.map(|place| Reverse(key(&visits, place))).collect();
     while let Some(Reverse(first)) = waiting.pop().filter(|_| budgeted.over > 0) {
@@ -128,7 +128,7 @@ fn redundant(mapper: &Mapper, appearances: &[Appearance]) -> Vec<(PlaceId, Place
     let poses = mapper.poses();
     let spacing = mapper.settings().place_spacing;
     let mut pairs = Vec::new();
-    for place in 0..appearances.len() as PlaceId {
+    for place in PlaceId::first(appearances.len()) {
         let near: BTreeSet<PlaceId> = match (poses.part(place), poses.pose(place)) {
             (Some(part), Some(pose)) if poses.is_joined(place) => {
                 let near = poses.near(part, [pose.x_m(), pose.y_m()], spacing.distance_m);
@@ -139,8 +139,8 @@ fn redundant(mapper: &Mapper, appearances: &[Appearance]) -> Vec<(PlaceId, Place
             _ => mapper.map().linked(place).iter().copied().collect(),
         };
         for other in near.into_iter().filter(|&other| other > place) {
-            let alike = alike(&appearances[place as usize], &appearances[other as usize]);
-            let looks = |place: PlaceId| appearances[place as usize].looks();
+            let alike = alike(&appearances[place.index()], &appearances[other.index()]);
+            let looks = |place: PlaceId| appearances[place.index()].looks();
             let (less, more) = if looks(place) < looks(other) { (place, other) } else { (other, place) };
             pairs.extend((alike >= ALIKE).then_some((less, more, alike)));
         }
@@ -180,7 +180,7 @@ impl Visits {
         let mut visits = Self { places: Vec::new(), before, after, of_place: vec![Vec::new(); places] };
         for event in log {
             let MapEvent::Frame(event) = event else { continue };
-            let Some(place) = event.decision.place.filter(|&place| (place as usize) < places) else {
+            let Some(place) = event.decision.place.filter(|&place| (place.index()) < places) else {
                 continue;
             };
             let was = last.get(&event.session).copied();
@@ -194,20 +194,20 @@ impl Visits {
             visits.places.push(place);
             visits.before.push(was);
             visits.after.push(None);
-            visits.of_place[place as usize].push(now);
+            visits.of_place[place.index()].push(now);
             last.insert(event.session, now);
         }
         visits
     }
 
     fn is_dropped(&self, place: PlaceId) -> bool {
-        self.of_place[place as usize].is_empty()
+        self.of_place[place.index()].is_empty()
     }
 
     /// Places that sessions came from or went to.
     fn neighbours(&self, place: PlaceId) -> impl Iterator<Item = PlaceId> + '_ {
         let around =
-            self.of_place[place as usize].iter().flat_map(|&visit| [self.before[visit], self.after[visit]]);
+            self.of_place[place.index()].iter().flat_map(|&visit| [self.before[visit], self.after[visit]]);
         around.flatten().map(|visit| self.places[visit]).filter(move |&other| other != place)
     }
 
@@ -230,7 +230,7 @@ impl Visits {
         if !self.hang_together(first, around, place) {
             return false;
         }
-        for visit in std::mem::take(&mut self.of_place[place as usize]) {
+        for visit in std::mem::take(&mut self.of_place[place.index()]) {
             let before = self.before[visit];
             let after = self.after[visit];
             if let Some(before) = before {
@@ -260,7 +260,7 @@ impl Visits {
             if others.is_empty() {
                 return true;
             }
-            for &visit in &self.of_place[place as usize] {
+            for &visit in &self.of_place[place.index()] {
                 let next = [past(self.before[visit], &self.before), past(self.after[visit], &self.after)];
                 waiting.extend(next.into_iter().flatten().filter(|&next| seen.insert(next)));
             }

@@ -1,5 +1,6 @@
 //! A map held against the truth of the drive that made it.
 
+use fabmap::PlaceId;
 use posegraph::{PlanarPose, Pose};
 use serde::Serialize;
 use topomap::ids::FrameId;
@@ -128,9 +129,9 @@ impl Judge<'_> {
     /// Poses of the places that are joined to the first, and the frames that made them.
     fn places(&self) -> (Vec<PlanarPose>, Vec<usize>) {
         let poses = self.mapped.mapper.poses();
-        let made = (0..).zip(self.mapped.mapper.map().places()).filter_map(|(place, of_place)| {
+        let made = PlaceId::all().zip(self.mapped.mapper.map().places()).filter_map(|(place, of_place)| {
             let made = self.index_of(of_place.frames.first()?.frame)?;
-            (poses.part(place) == Some(0)).then_some((*poses.pose(place)?, made))
+            (poses.part(place) == Some(PlaceId::new(0))).then_some((*poses.pose(place)?, made))
         });
         made.unzip()
     }
@@ -158,7 +159,7 @@ impl Judge<'_> {
 
     fn is_found(&self, index: usize, event: &FrameEvent) -> bool {
         let Some(place) = event.decision.place else { return false };
-        let of_place = self.mapped.mapper.map().places().get(place as usize);
+        let of_place = self.mapped.mapper.map().places().get(place.index());
         let maker = of_place.and_then(|place| self.index_of(place.frames.first()?.frame));
         maker.is_some_and(|maker| maker + self.guard_frames <= index && !is_far(&self.between(index, maker)))
     }
@@ -183,7 +184,7 @@ impl Judge<'_> {
         let errors = self.mapped.log.frames().enumerate().filter_map(|(index, event)| {
             accepted_closure((index, event)).filter(|&(_, matched)| !self.is_false(index, matched))?;
             let measured = event.at?;
-            let place = self.mapped.mapper.map().places().get(event.decision.place? as usize)?;
+            let place = self.mapped.mapper.map().places().get(event.decision.place?.index())?;
             let maker = self.index_of(place.frames.first()?.frame)?;
             let error = measured.pose().inverse().compose(&self.between(index, maker));
             Some((error.x_m().hypot(error.y_m()), error.heading_rad()))

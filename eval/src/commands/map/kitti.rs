@@ -5,6 +5,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
+use fabmap::PlaceId;
 use posegraph::{PlanarPose, Pose};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -104,7 +105,7 @@ pub(crate) fn driven(
         wheels.add(metres, motion.heading_rad());
         let now = sent_odometry(wheels.reading())?;
         let kind = LinkKind::Driven(noise.between(&before, &now));
-        driven.links.push(Link { from: place - 1, to: place, kind });
+        driven.links.push(Link { from: PlaceId::new(place - 1), to: PlaceId::new(place), kind });
         driven.felt.push(planar(&wheels.reading().pose));
         driven.length_m += metres;
         before = now;
@@ -154,7 +155,11 @@ pub(crate) fn closures(path: &Path, truth: &[PlanarPose], spacing_m: f64, seed: 
         let deviations = nalgebra::Vector3::new(noise.position_m, noise.position_m, noise.heading_rad);
         let variances = nalgebra::Matrix3::from_diagonal(&deviations.map(|deviation| deviation * deviation));
         let measured = RelativePose::new(heading, variances).ok()?;
-        Some(Link { from: query as u32, to: earlier as u32, kind: LinkKind::Closed(measured) })
+        Some(Link {
+            from: PlaceId::new(query as u32),
+            to: PlaceId::new(earlier as u32),
+            kind: LinkKind::Closed(measured),
+        })
     };
     Ok(within.filter_map(link).collect())
 }

@@ -20,10 +20,10 @@ pub(super) fn svg(drive: &Drive, mapped: &Mapped) -> String {
         |tick: &waypost_sim::simulation::Tick| position(&start.compose(&planar(&tick.odometry.pose)));
     let links = |wanted: fn(&LinkKind) -> bool| {
         let links = mapped.mapper.map().links().iter().filter(|link| wanted(&link.kind));
-        links.map(|link| (places[link.from as usize], places[link.to as usize], 1.0)).collect()
+        links.map(|link| (places[link.from.index()], places[link.to.index()], 1.0)).collect()
     };
     let recognised = mapped.log.frames().filter(|event| event.decision.reason == Reason::LoopClosure);
-    let recognised = recognised.filter_map(|event| Some(places[event.decision.place? as usize])).collect();
+    let recognised = recognised.filter_map(|event| Some(places[event.decision.place?.index()])).collect();
     let layers = [
         ("truth", "#1459aa", Marks::Path(truth)),
         ("wheels alone", "#e0a040", Marks::Path(ticks.iter().map(wheels).collect())),

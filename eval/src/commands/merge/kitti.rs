@@ -5,6 +5,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Result;
+use fabmap::PlaceId;
 use posegraph::{PlanarPose, Pose};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -60,12 +61,12 @@ fn trial(folder: &Path, options: &MergeOptions, seed: u64, truth: &[PlanarPose])
     let mut left: Vec<Piece> = cuts
         .into_iter()
         .map(|cut| {
-            let inside = |link: &&Link| [link.from, link.to].iter().all(|&end| cut.contains(&(end as usize)));
-            let first = cut.start as u32;
+            let inside = |link: &&Link| [link.from, link.to].iter().all(|&end| cut.contains(&end.index()));
+            let moved = |place: PlaceId| PlaceId::from_index(place.index() - cut.start);
             let links: Vec<Link> = whole
                 .iter()
                 .filter(inside)
-                .map(|link| Link { from: link.from - first, to: link.to - first, kind: link.kind })
+                .map(|link| Link { from: moved(link.from), to: moved(link.to), kind: link.kind })
                 .collect();
             Piece { poses: PlacePoses::new(vec![0; cut.len()], &links, &noise), places: cut.collect() }
         })
@@ -93,7 +94,7 @@ fn trial(folder: &Path, options: &MergeOptions, seed: u64, truth: &[PlanarPose])
                 continue;
             };
             let apart = |matched: &&PlaceMatch| {
-                let [a, b] = [source.places[matched.source as usize], merged.places[matched.target as usize]];
+                let [a, b] = [source.places[matched.source.index()], merged.places[matched.target.index()]];
                 is_far(&truth[a].inverse().compose(&truth[b]))
             };
             run.count(&plan, plan.matches.iter().filter(apart).count());
@@ -147,7 +148,11 @@ fn made_up(
         if let Some(measured) =
             RelativePose::new(heading, variances).ok().filter(|_| session(to) < session(from))
         {
-            made_up.push(Link { from, to, kind: LinkKind::Closed(measured) });
+            made_up.push(Link {
+                from: PlaceId::new(from),
+                to: PlaceId::new(to),
+                kind: LinkKind::Closed(measured),
+            });
         }
     }
     made_up
@@ -160,13 +165,16 @@ fn between(source: &Piece, target: &Piece, closed: &[Link]) -> Vec<PlaceMatch> {
     };
     let matched = |link: &Link| {
         let LinkKind::Closed(measured) = link.kind else { return None };
-        let (source, target, measured) = match (number(source, link.to), number(target, link.from)) {
-            (Some(to), Some(from)) => (to, from, measured),
-            _ => (number(source, link.from)?, number(target, link.to)?, measured.back()),
-        };
+        let (source, target, measured) =
+            match (number(source, link.to.number()), number(target, link.from.number())) {
+                (Some(to), Some(from)) => (to, from, measured),
+                _ => {
+                    (number(source, link.from.number())?, number(target, link.to.number())?, measured.back())
+                }
+            };
         Some(PlaceMatch {
-            source,
-            target,
+            source: PlaceId::new(source),
+            target: PlaceId::new(target),
             source_frame: u64::from(source),
             target_frame: u64::from(target),
             posterior: 1.0,

@@ -4,6 +4,7 @@ use std::sync::Mutex;
 use std::time::Instant;
 
 use anyhow::Result;
+use fabmap::PlaceId;
 use fabmap::model::Model;
 use fabmap::observation::Observation;
 use fabmap::place_filter::Belief;
@@ -90,8 +91,11 @@ pub(super) fn run(places: u32, options: &MergeOptions) -> Result<LargeReport> {
         Verdict::Overlap(plan) => {
             fused = plan.fused.len();
             let is_false = |source: u32, target: u32| source >= shared || target != places - shared + source;
-            false_fused =
-                plan.fused.iter().filter(|one| is_false(one.matched.source, one.matched.target)).count();
+            false_fused = plan
+                .fused
+                .iter()
+                .filter(|one| is_false(one.matched.source.number(), one.matched.target.number()))
+                .count();
             let mut joined = target.mapper.clone();
             let events = join((&source.mapper, &target.mapper), &plan, &source.log.0).map_err(fault)?;
             fold_all(&mut joined, &events)?;
@@ -136,7 +140,11 @@ impl RowMap {
 
 /// The frame that makes the next place, linked with the one before.
 fn new_place(place: u32, observation: Observation) -> FrameEvent {
-    let link = place.checked_sub(1).map(|from| Link { from, to: place, kind: LinkKind::Session });
+    let link = place.checked_sub(1).map(|from| Link {
+        from: PlaceId::new(from),
+        to: PlaceId::new(place),
+        kind: LinkKind::Session,
+    });
     FrameEvent {
         frame: u64::from(place) + 1,
         session: 0,
@@ -144,14 +152,19 @@ fn new_place(place: u32, observation: Observation) -> FrameEvent {
         stamp_ns: i64::from(place) * 1_000_000_000,
         odometry: None,
         observation,
-        decision: Decision { reason: Reason::NewPlace, place: Some(place), posterior: 1.0, closure: None },
+        decision: Decision {
+            reason: Reason::NewPlace,
+            place: Some(PlaceId::new(place)),
+            posterior: 1.0,
+            closure: None,
+        },
         new_place_posterior: 1.0,
         proposal: None,
         candidates: Vec::new(),
         learnt: true,
         link,
         at: None,
-        belief: Belief { places: vec![(place, 1.0)], new_place: 0.0, remainder: 0.0 },
+        belief: Belief { places: vec![(PlaceId::new(place), 1.0)], new_place: 0.0, remainder: 0.0 },
         look_alike_inliers: None,
     }
 }

@@ -176,7 +176,9 @@ fn meet(
         floors = plan
             .fused
             .iter()
-            .map(|fused| (source.floor(fused.matched.source), target.floor(fused.matched.target)))
+            .map(|fused| {
+                (source.floor(fused.matched.source.number()), target.floor(fused.matched.target.number()))
+            })
             .collect();
         meeting.fused = plan.fused.len();
         meeting.false_fused = floors.iter().filter(|(source, target)| source != target).count();

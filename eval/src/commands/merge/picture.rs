@@ -1,6 +1,7 @@
 //! Maps before and after, as in the overview paper's figure 5: trajectories blue, links within a session red, links
 //! between sessions green.
 
+use fabmap::PlaceId;
 use nalgebra::Vector2;
 use posegraph::{PlanarPose, Pose};
 use topomap::ids::SessionId;
@@ -56,20 +57,22 @@ fn drawn(
     name: impl Fn(&str) -> String,
 ) -> Vec<Layer> {
     let poses = map.mapper.poses();
-    let of_place = |place: u32| poses.pose(place).map(at);
+    let of_place = |place: u32| poses.pose(PlaceId::new(place)).map(at);
     let links = |wanted: fn(SessionId, SessionId) -> bool| {
         let links = map.log.frames().filter_map(|event| Some((event.session, event.link?)));
         let links = links.filter(|(session, link)| {
             let made = [link.from, link.to].map(|place| poses.maker(place).unwrap_or(*session));
             wanted(made[0], made[1])
         });
-        links.filter_map(|(_, link)| Some((of_place(link.from)?, of_place(link.to)?, 1.0))).collect()
+        links
+            .filter_map(|(_, link)| Some((of_place(link.from.number())?, of_place(link.to.number())?, 1.0)))
+            .collect()
     };
     let mut layers = Vec::new();
     for (number, session) in map.mapper.map().sessions().map(|(session, _)| session).enumerate() {
         let frames = map.log.frames().filter(|event| event.session == session);
         let path = frames.filter_map(|event| {
-            let place = event.decision.place.filter(|&place| poses.part(place) == Some(0))?;
+            let place = event.decision.place.filter(|&place| poses.part(place) == Some(PlaceId::new(0)))?;
             Some(at(&poses.pose(place)?.compose(event.at?.pose())))
         });
         let name = if number == 0 { name("trajectories") } else { String::new() };

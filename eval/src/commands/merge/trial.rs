@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Result;
+use fabmap::PlaceId;
 use fabmap::model::Model;
 use posegraph::{PlanarPose, Pose};
 use rand::{RngExt, SeedableRng};
@@ -156,8 +157,8 @@ fn made_up(
         let heading = PlanarPose::new(0.0, 0.0, 0.3 * (random.random::<f64>() - 0.5));
         let covariance = *like.measured.unwrap_or_else(|| noise.somewhere()).covariance();
         made_up.push(PlaceMatch {
-            source: random.random_range(0..places(source)),
-            target: random.random_range(0..places(target)),
+            source: PlaceId::new(random.random_range(0..places(source))),
+            target: PlaceId::new(random.random_range(0..places(target))),
             measured: RelativePose::new(heading, covariance).ok(),
             ..like
         });
@@ -181,7 +182,8 @@ fn overlap(source: &TrueMap, target: &TrueMap, buildings: &[usize]) -> usize {
 impl MergeRun {
     fn judge(&mut self, plan: &MergePlan, source: &TrueMap, target: &TrueMap, buildings: &[usize]) {
         let is_false = |matched: &&PlaceMatch| {
-            let frames = source.makers_of(matched.source).zip(target.makers_of(matched.target));
+            let frames =
+                source.makers_of(matched.source.number()).zip(target.makers_of(matched.target.number()));
             frames.is_none_or(|(source, target)| {
                 buildings[source.drive] != buildings[target.drive]
                     || is_far(&target.pose.inverse().compose(&source.pose))

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use anyhow::Result;
+use fabmap::PlaceId;
 use fabmap::model::Model;
 use posegraph::{PlanarPose, Pose};
 use rayon::prelude::*;
@@ -92,7 +93,7 @@ impl TrueMap {
     pub(super) fn trajectory(&self) -> (Vec<PlanarPose>, Vec<PlanarPose>) {
         let poses = self.mapper.poses();
         let frames = self.log.frames().filter_map(|event| {
-            let place = event.decision.place.filter(|&place| poses.part(place) == Some(0))?;
+            let place = event.decision.place.filter(|&place| poses.part(place) == Some(PlaceId::new(0)))?;
             let at = poses.pose(place)?.compose(event.at?.pose());
             Some((at, self.frame(event.frame)?.pose))
         });

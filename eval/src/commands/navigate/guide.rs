@@ -126,7 +126,7 @@ impl<'a> Guide<'a> {
     pub(super) fn believed(&self) -> Option<(PlaceId, PlanarPose)> {
         let MapPosition { part, pose } = self.navigator.localization()?.at;
         let poses = self.taught.mapped.mapper.poses();
-        let of_part = (0..).zip(poses.poses()).filter(|&(place, _)| poses.part(place) == Some(part));
+        let of_part = PlaceId::all().zip(poses.poses()).filter(|&(place, _)| poses.part(place) == Some(part));
         let apart = of_part.map(|(place, origin)| (place, origin.inverse().compose(&pose)));
         apart.min_by(|(_, a), (_, b)| a.x_m().hypot(a.y_m()).total_cmp(&b.x_m().hypot(b.y_m())))
     }

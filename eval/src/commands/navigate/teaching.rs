@@ -55,7 +55,7 @@ pub(super) fn teach(
     };
     let drive = drive_through(&building, 2 * seed, wheels, trigger)?;
     let mapped = map(&drive.frames, model, extractor, MapperSettings::default())?;
-    let goal = mapped.log.frames().filter_map(|event| event.decision.place).last().unwrap_or(0);
+    let goal = mapped.log.frames().filter_map(|event| event.decision.place).last().unwrap_or(PlaceId::new(0));
     Ok(Taught { building, wheels, drive, mapped, goal })
 }
 
@@ -79,7 +79,7 @@ impl Taught {
 
     /// Where it was when it made a place.
     pub(super) fn truth_of_place(&self, place: PlaceId) -> Option<PlanarPose> {
-        let place = self.mapped.mapper.map().places().get(place as usize)?;
+        let place = self.mapped.mapper.map().places().get(place.index())?;
         self.truth(place.frames.first()?.frame)
     }
 

@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use fabmap::PlaceId;
 use fabmap::baselines::{BailOutRisk, DenseScorer};
 use fabmap::new_place::{NewPlace, SampleWorkspace};
 use fabmap::observation::Observation;
@@ -77,7 +78,7 @@ pub(super) fn compare(
 }
 
 /// The place, or `None` for a new one.
-fn decision(posterior: &PlaceDistribution) -> Option<u32> {
+fn decision(posterior: &PlaceDistribution) -> Option<PlaceId> {
     let best = posterior.best_place().filter(|&(_, probability)| probability >= posterior.new_place);
     best.map(|(place, _)| place)
 }

@@ -1,5 +1,6 @@
 //! How often a place that nobody has seen is taken for a known one, and a known one for another.
 
+use fabmap::PlaceId;
 use fabmap::place_filter::MotionPrior;
 use fabmap::recognizer::Recognizer;
 use rayon::prelude::*;
@@ -32,8 +33,8 @@ pub(crate) struct MistakesReport {
 /// What one query came to.
 struct Answer {
     /// Where it was made; `None` for a new place.
-    truth: Option<u32>,
-    best_place: u32,
+    truth: Option<PlaceId>,
+    best_place: PlaceId,
     posterior: f64,
 }
 
@@ -57,7 +58,7 @@ pub(super) fn count(
     let answer = |query: &Query| {
         let recognition = recognizer.recognize(&query.observation, &MotionPrior::even());
         let (best_place, posterior) = recognition.posterior.best_place().unwrap_or_default();
-        Answer { truth: query.place, best_place, posterior }
+        Answer { truth: query.place.map(PlaceId::new), best_place, posterior }
     };
     let answers: Vec<Answer> = threads.install(|| queries.par_iter().map(answer).collect());
     let accepted = |which: fn(&Answer) -> bool| {

@@ -71,7 +71,7 @@ impl Source {
     /// Looks at places all over the map.
     pub(super) fn revisits(&self, count: u32, places: u32) -> Vec<(PlaceId, Observation)> {
         let chosen = |index: u32| (u64::from(index) * u64::from(places) / u64::from(count)) as u32;
-        let look = |index| (chosen(index), self.workload.revisit_to(index, chosen(index)));
+        let look = |index| (PlaceId::new(chosen(index)), self.workload.revisit_to(index, chosen(index)));
         (0..count).into_par_iter().map(look).collect()
     }
 }

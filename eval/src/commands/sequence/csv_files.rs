@@ -1,5 +1,6 @@
 //! The tables of a run, as CSV with a header.
 
+use fabmap::PlaceId;
 use serde::Serialize;
 use topomap::evidence::{Match, ViewMotion};
 
@@ -19,7 +20,7 @@ pub(super) fn frames(sequence: &Sequence, frames: &[JudgedFrame]) -> csv::Result
             image: image.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
             words: ranked.words,
             reason: decision.map_or("", |decision| name_of(REASONS, &decision.reason)),
-            place: decision.and_then(|decision| decision.place),
+            place: decision.and_then(|decision| decision.place).map(PlaceId::number),
             posterior: decision.map(|decision| decision.posterior),
             p_new: decision.map(|decision| decision.new_place_posterior),
             proposal_frame: ranked.proposal.map(|proposal| proposal.frame),
@@ -79,7 +80,7 @@ pub(super) fn candidates(frames: &[JudgedFrame], truth: &Truth) -> csv::Result<V
             CandidateRow {
                 index,
                 frame: earlier,
-                place,
+                place: place.number(),
                 posterior,
                 log_odds_nats: log_odds,
                 matches: candidate.view.map(|view| view.matches),

@@ -49,7 +49,7 @@ mod tests {
             let Recognised { right, wrong } = Recognised::of(places.iter().copied(), &truth, gap);
             (right, wrong)
         };
-        let (a, b, c) = (Some(0), Some(1), Some(2));
+        let [a, b, c] = [0, 1, 2].map(|place| Some(PlaceId::new(place)));
         // Frame 4 is back where 0 was, 5 where it is not known, 6 by staying there with 4.
         assert_eq!(of(&[a, b, c, None, a, b, a], 4), (2, 0));
         // Put to the wrong places; what was seen within the gap was not known before.

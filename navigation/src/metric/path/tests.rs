@@ -1,10 +1,11 @@
 use super::*;
+use fabmap::PlaceId;
 use proptest::prelude::*;
 
 fn route(poses: &[PlanarPose]) -> Route {
-    let waypoint = |(place, &pose): (u32, &PlanarPose)| Waypoint { place, pose, travel: Travel::Along };
-    let waypoints = (0..).zip(poses).map(waypoint).collect();
-    Route { part: 0, waypoints, length_m: 0.0 }
+    let waypoint = |(place, &pose): (PlaceId, &PlanarPose)| Waypoint { place, pose, travel: Travel::Along };
+    let waypoints = PlaceId::all().zip(poses).map(waypoint).collect();
+    Route { part: PlaceId::new(0), waypoints, length_m: 0.0 }
 }
 
 /// Places every half metre along a wavy way.

@@ -5,9 +5,17 @@ use topomap::evidence::VerificationSettings;
 
 fn closure(pose: PlanarPose) -> Closure {
     let covariance = Matrix3::from_diagonal(&Vector3::new(0.02, 0.006, 0.001));
-    let at = MapPosition { part: 0, pose };
+    let at = MapPosition { part: PlaceId::new(0), pose };
     let from_view = PlanarPose::identity();
-    Closure { place: 0, frame: 1, at, from_view, covariance, probability: 0.99, evidence: Some(100.0) }
+    Closure {
+        place: PlaceId::new(0),
+        frame: 1,
+        at,
+        from_view,
+        covariance,
+        probability: 0.99,
+        evidence: Some(100.0),
+    }
 }
 
 fn see(

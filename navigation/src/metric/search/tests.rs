@@ -1,3 +1,4 @@
+use fabmap::PlaceId;
 use proptest::prelude::*;
 
 use super::*;
@@ -7,9 +8,17 @@ const TRUTH: [f64; 3] = [3.0, -1.0, 0.4];
 
 fn closure(pose: PlanarPose, evidence: f64) -> Closure {
     let covariance = Matrix3::from_diagonal(&Vector3::new(0.02, 0.006, 0.001));
-    let at = MapPosition { part: 0, pose };
+    let at = MapPosition { part: PlaceId::new(0), pose };
     let from_view = PlanarPose::identity();
-    Closure { place: 7, frame: 1, at, from_view, covariance, probability: 0.9, evidence: Some(evidence) }
+    Closure {
+        place: PlaceId::new(7),
+        frame: 1,
+        at,
+        from_view,
+        covariance,
+        probability: 0.9,
+        evidence: Some(evidence),
+    }
 }
 
 fn glimpses(closures: &[Closure]) -> Glimpses {

@@ -106,7 +106,7 @@ impl GrowingGraph {
                         (Some(shown), None) => growing.add(place, shown),
                         (None, _) => {}
                     }
-                    *next_place = place + 1;
+                    *next_place = place.next();
                 }
             }
             self.memory_bytes.store(graph.memory_bytes(), Ordering::Relaxed);
@@ -114,7 +114,7 @@ impl GrowingGraph {
             if *next_place >= kept.next_place {
                 kept.links = Vec::new();
             }
-            if *next_place >= kept.next_place + KEPT_TOGETHER {
+            if next_place.number() >= kept.next_place.number() + KEPT_TOGETHER {
                 ground.keep(graph, *next_place, kept);
             }
             if places.len() < PIECE as usize {

@@ -57,7 +57,7 @@ pub(in crate::open_map) fn restore(
         restoration.links(first, &bytes)?;
     }
     let mut layout = Layout::default();
-    let rows = runtime.block_on(view.places(0..PlaceId::MAX))?;
+    let rows = runtime.block_on(view.places(PlaceId::new(0)..PlaceId::MAX))?;
     layout.rows = rows.iter().map(|(place, bytes)| (*place, bytes.len())).collect();
     let mut rows = rows.into_iter().peekable();
     loop {
@@ -68,7 +68,7 @@ pub(in crate::open_map) fn restore(
             .collect::<Result<_, _>>()
             .map_err(Unusable::Damaged)?;
         for (block, places) in decoded {
-            for (id, place) in (block.first..).zip(places) {
+            for (id, place) in block.first.onwards().zip(places) {
                 let place = match rows.next_if(|&(changed, _)| changed == id) {
                     Some((_, bytes)) => decode_place(&bytes, words).map_err(RestoreError::from)?,
                     None => place,

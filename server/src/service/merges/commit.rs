@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
+use fabmap::PlaceId;
 use tokio::runtime::Handle;
 use tokio::sync::OwnedSemaphorePermit;
 use topomap::log::MapEvent;
@@ -240,8 +241,10 @@ impl Reading {
         for (Joining { source, row, events: _, plan }, read) in joining.iter().zip(&self.sources) {
             let from = mapper.map().events();
             // What was planned for the target is said of it as it was then.
-            let plan =
-                plan.clone().on_a_grown_target((target.places, later_places), (target.events, later_events));
+            let plan = plan.clone().on_a_grown_target(
+                (PlaceId::new(target.places), later_places),
+                (target.events, later_events),
+            );
             let events =
                 join((&read.mapper, mapper), &plan, &read.log.events).map_err(ServiceError::internal)?;
             for event in &events {

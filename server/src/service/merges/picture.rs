@@ -33,9 +33,10 @@ pub(super) struct Panel {
 impl Panel {
     pub(super) fn of(title: &str, map: &ReadMap) -> Self {
         let poses = map.mapper.poses();
-        let places = map.mapper.map().places().len() as PlaceId;
+        let places = PlaceId::first(map.mapper.map().places().len());
         let mut sizes: BTreeMap<PlaceId, usize> = BTreeMap::new();
-        (0..places)
+        places
+            .clone()
             .filter_map(|place| poses.part(place))
             .for_each(|part| *sizes.entry(part).or_default() += 1);
         let largest = sizes.into_iter().max_by_key(|&(part, size)| (size, std::cmp::Reverse(part)));

@@ -130,8 +130,8 @@ impl MapOverlap {
         let told = |matched: &PlaceMatch| {
             let [source_frame, target_frame] = frames(matched);
             MatchedPlaces {
-                source_place: matched.source,
-                target_place: matched.target,
+                source_place: matched.source.number(),
+                target_place: matched.target.number(),
                 source_frame,
                 target_frame,
                 posterior: matched.posterior,
@@ -145,8 +145,8 @@ impl MapOverlap {
                 }
                 Metres::Unknown => None,
             },
-            source_part: *source_part,
-            target_part: *target_part,
+            source_part: (*source_part).number(),
+            target_part: (*target_part).number(),
             agreeing: matches.len() as u64,
             rejected: rejected.len() as u64,
             rival_support: *rival_support as u64,

@@ -150,7 +150,7 @@ impl Navigation {
                 match self.labels.labelled(row, &label).await?.as_slice() {
                     [place] => MeasuredGoal::place(*place),
                     places => {
-                        let numbers: Vec<String> = places.iter().map(u32::to_string).collect();
+                        let numbers: Vec<String> = places.iter().map(PlaceId::to_string).collect();
                         return Err(ServiceError::precondition(format_args!(
                             "{label:?} are {} places of the map {}, and a robot goes to one: name it by its number ({})",
                             places.len(),

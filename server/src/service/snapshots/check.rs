@@ -210,7 +210,7 @@ impl Log {
 
     fn check_label(&self, row: &LabelRow) -> Result<(), NotTaken> {
         let LabelRow { place, label } = row;
-        if self.mapper.map().places().get(*place as usize).is_none() {
+        if self.mapper.map().places().get(place.index()).is_none() {
             return Err(refused(format_args!("it calls the place {place} {label:?}, which does not exist")));
         }
         Ok(check_label(label)?)

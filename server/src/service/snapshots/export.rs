@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use fabmap::PlaceId;
 use futures::stream::{self, BoxStream, StreamExt};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
@@ -106,10 +107,10 @@ fn write(mut view: MapView, outlet: &Outlet) -> Result<(), ServiceError> {
             outlet.put(&mut writer, &Record::Medium(medium))?;
         }
     }
-    let mut next = Some(0);
+    let mut next = Some(PlaceId::new(0));
     while let Some(from) = next {
         let labels = runtime.block_on(view.labels(from))?;
-        next = labels.last().and_then(|last| last.place.checked_add(1));
+        next = labels.last().and_then(|last| last.place.number().checked_add(1)).map(PlaceId::new);
         for label in labels {
             outlet.put(&mut writer, &Record::Label(label))?;
         }

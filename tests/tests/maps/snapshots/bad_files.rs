@@ -1,5 +1,6 @@
 //! Files that are no snapshots, or no longer: refused with what to do, and nothing is left of them.
 
+use fabmap::PlaceId;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use topomap::log::{FrameEvent, MapEvent};
@@ -226,14 +227,14 @@ async fn forged_files_are_refused_and_leave_nothing() {
             "unknown place",
             |r| {
                 with_frame(r, 3, |f| {
-                    f.decision.place = Some(500);
+                    f.decision.place = Some(PlaceId::new(500));
                 });
             },
             "event 3 of its log",
         ),
         (
             "unknown believed",
-            |r| with_frame(r, 3, |f| f.belief.places = vec![(900, 0.5)]),
+            |r| with_frame(r, 3, |f| f.belief.places = vec![(PlaceId::new(900), 0.5)]),
             "believes in a place that does not exist",
         ),
         (

@@ -69,7 +69,7 @@ impl WayByLooks {
 
 /// The images of places that a way may lead to; there is one at least.
 pub(super) fn images(map: &str, graph: &Graph, places: &[PlaceId]) -> Result<Vec<ImageId>, ServiceError> {
-    let named = |places: &[PlaceId]| places.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
+    let named = |places: &[PlaceId]| places.iter().map(PlaceId::to_string).collect::<Vec<_>>().join(", ");
     let images: Vec<ImageId> = places.iter().filter_map(|&place| graph.image_of(place)).collect();
     if images.is_empty() {
         return Err(ServiceError::not_found(format_args!(
@@ -176,7 +176,7 @@ mod tests {
 
     #[test]
     fn what_is_missing_is_said() {
-        let unjoined = Unjoined { from: 12, goal: 40, others: 0 };
+        let unjoined = Unjoined { from: PlaceId::new(12), goal: PlaceId::new(40), others: 0 };
         let message = unjoined.of_the_robot();
         assert!(
             message.starts_with(

@@ -2,6 +2,7 @@
 
 use std::io::{self, Read};
 
+use fabmap::PlaceId;
 use fabmap::codec::{DecodeError, Reader};
 use sha2::{Digest, Sha256};
 
@@ -216,7 +217,10 @@ fn decode(kind: u8, content: Vec<u8>, version: u32) -> Result<Record, DecodeErro
             let rest = reader.remaining();
             return Ok(Record::Medium(MediaRow { position, kind, content: last(content, rest) }));
         }
-        LABEL => Record::Label(LabelRow { place: reader.varint_u32()?, label: reader.str()?.to_owned() }),
+        LABEL => Record::Label(LabelRow {
+            place: PlaceId::new(reader.varint_u32()?),
+            label: reader.str()?.to_owned(),
+        }),
         NOTE => Record::Note(NoteRow { position: reader.varint()?, note: reader.str()?.to_owned() }),
         other => return Err(no_such_kind(other)),
     };

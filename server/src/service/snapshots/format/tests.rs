@@ -1,3 +1,4 @@
+use fabmap::PlaceId;
 use sha2::{Digest, Sha256};
 
 use super::*;
@@ -34,8 +35,8 @@ fn records() -> Vec<Record> {
         Record::Event { position: 1, event: vec![] },
         medium(1, MediumKind::Features),
         medium(1, MediumKind::Thumbnail),
-        label(0, "kitchen"),
-        label(7, "Küche"),
+        label(PlaceId::new(0), "kitchen"),
+        label(PlaceId::new(7), "Küche"),
         note(0, "left.jpg"),
         note(1, "right.jpg"),
     ]
