@@ -77,6 +77,12 @@ pub enum ServiceError {
         /// What is wrong and how to mend it.
         message: String,
     },
+    /// What was stored is damaged.
+    #[error("{message}")]
+    DataLoss {
+        /// What is damaged, and how to mend it.
+        message: String,
+    },
     /// The server is at fault.
     #[error("the server failed on this request; its log says more")]
     Internal,
@@ -133,6 +139,7 @@ impl ServiceError {
             Self::Unauthenticated { .. } => "unauthenticated",
             Self::PermissionDenied { .. } => "permission_denied",
             Self::DeadlineExceeded { .. } => "deadline_exceeded",
+            Self::DataLoss { .. } => "data_loss",
             Self::Internal => "internal",
         }
     }
@@ -161,6 +168,15 @@ impl ServiceError {
         Self::Unavailable { message, retry_after: Some(HELD_UP_RETRY) }
     }
 
+    /// What was asked for is not as it was written, and is not handed out. Where it is was logged as it was found.
+    pub(crate) fn damaged(found: &str) -> Self {
+        let message = format!(
+            "{found}; it is damaged on the server's disk and not handed out. `waypost-server check --deep` tells all \
+             that is damaged; bring it back from a snapshot or a backup"
+        );
+        Self::DataLoss { message }
+    }
+
     /// A later stream of the same robot goes on in place of this one.
     pub(crate) fn taken_over() -> Self {
         Self::Aborted { message: "a later stream took this session over; this one is closed".to_owned() }
@@ -179,6 +195,8 @@ impl From<StorageError> for ServiceError {
         match error {
             StorageError::DiskFull(_) => Self::disk_full(error),
             StorageError::HeldUp(_) => Self::held_up(error),
+            StorageError::Rot(found) => Self::damaged(&found),
+            StorageError::ReadOnly(_) => Self::precondition(error),
             StorageError::Exists
             | StorageError::InUse
             | StorageError::JobEnded
@@ -219,6 +237,7 @@ impl From<StoredError> for ServiceError {
             "unauthenticated" => Self::Unauthenticated { message },
             "permission_denied" => Self::PermissionDenied { message },
             "deadline_exceeded" => Self::DeadlineExceeded { message },
+            "data_loss" => Self::DataLoss { message },
             "internal" => Self::Internal,
             _aborted_or_of_a_later_server => Self::Aborted { message },
         }

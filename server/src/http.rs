@@ -275,7 +275,7 @@ impl IntoResponse for HttpError {
             ServiceError::Unauthenticated { .. } => StatusCode::UNAUTHORIZED,
             ServiceError::PermissionDenied { .. } => StatusCode::FORBIDDEN,
             ServiceError::DeadlineExceeded { .. } => StatusCode::GATEWAY_TIMEOUT,
-            ServiceError::Internal => StatusCode::INTERNAL_SERVER_ERROR,
+            ServiceError::DataLoss { .. } | ServiceError::Internal => StatusCode::INTERNAL_SERVER_ERROR,
         };
         let mut response = error_response(status, self.0.code_name(), self.0.to_string());
         if let ServiceError::Unavailable { retry_after: Some(retry_after), .. } = self.0 {

@@ -206,6 +206,10 @@ impl MapWriter {
             let _ = reply.send(Err(not_stored()));
             return Ok(());
         };
+        if let Err(damaged) = self.storage.check_sound(self.map.id) {
+            let _ = reply.send(Err(FrameFailure::Ended(damaged.into())));
+            return Ok(());
+        }
         self.load_tracker(session)?;
         let mut clock = StageClock::start(&mut timings);
         match self.decide_and_apply(*input, features, media, &mut clock) {
@@ -312,7 +316,9 @@ impl MapWriter {
             Ok(Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None) => {
                 Err(FrameFailure::Refused(self.never_sent(session, sequence)))
             }
-            Err(error @ StorageError::Damaged(_)) => Err(FrameFailure::Refused(error.into())),
+            Err(error @ (StorageError::Damaged(_) | StorageError::Rot(_))) => {
+                Err(FrameFailure::Refused(error.into()))
+            }
             Err(error) => {
                 tracing::error!(map = self.map.name, %error, "a stored answer could not be read");
                 Err(answer_unreadable())
@@ -374,10 +380,12 @@ impl MapWriter {
 
     fn open_session(&mut self, name: String, camera: Option<&Camera>) -> Result<OpenedSession, ServiceError> {
         if let Some(session) = self.sessions.iter().find(|session| session.name == name) {
+            // What is stored of a damaged map is still answered to those who send it again.
             let number = session.number;
             let last_committed = self.mapper.map().session(number).and_then(|session| session.last_sequence);
             return Ok(OpenedSession { source: FrameSource::Session(number), name, last_committed });
         }
+        self.storage.check_sound(self.map.id)?;
         if !self.localizers.free(&name) {
             return Err(ServiceError::precondition(format_args!(
                 "a robot is localizing under the name {name}; choose another name for the session"

@@ -50,6 +50,7 @@ mod navigation {
 
 /// What an operator relies on: settings, limits, access, crashes, full disks.
 mod operations {
+    mod backups;
     mod command_line;
     mod config;
     mod connections;
@@ -58,6 +59,7 @@ mod operations {
     mod kill;
     mod operating;
     mod refused_commands;
+    mod rot;
     mod shutdown;
     mod startup;
     mod tls;

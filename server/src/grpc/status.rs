@@ -22,6 +22,7 @@ impl From<ServiceError> for Status {
             | ServiceError::Unauthenticated { .. }
             | ServiceError::PermissionDenied { .. }
             | ServiceError::DeadlineExceeded { .. }
+            | ServiceError::DataLoss { .. }
             | ServiceError::Internal => Status::new(code, message),
         }
     }
@@ -53,6 +54,7 @@ fn code(error: &ServiceError) -> Code {
         ServiceError::Unauthenticated { .. } => Code::Unauthenticated,
         ServiceError::PermissionDenied { .. } => Code::PermissionDenied,
         ServiceError::DeadlineExceeded { .. } => Code::DeadlineExceeded,
+        ServiceError::DataLoss { .. } => Code::DataLoss,
         ServiceError::Internal => Code::Internal,
     }
 }

@@ -2,9 +2,9 @@ use sqlx::{Sqlite, Transaction};
 use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 
+use super::columns::insert_event;
 use super::{Storage, StorageError, to_sql};
 use crate::camera::Camera;
-use crate::storage::log::insert_event;
 
 /// Number of a map in the database; never used twice.
 pub(crate) type MapId = i64;
@@ -108,6 +108,7 @@ impl Storage {
 
     /// Binds a map to another model, noting which one it had up to now.
     pub(crate) async fn rebind_map(&self, map: MapId, model: &str) -> Result<(), StorageError> {
+        self.check_sound(map)?;
         self.write(async |transaction| {
             sqlx::query(
                 "INSERT INTO map_models (map_id, until_events, model) \
@@ -182,6 +183,7 @@ impl Storage {
         camera: Option<&Camera>,
         opened_ns: i64,
     ) -> Result<(), StorageError> {
+        self.check_sound(map)?;
         self.write(async |transaction| {
             sqlx::query(
                 "INSERT INTO sessions (map_id, number, name, camera, opened_ns) VALUES (?, ?, ?, ?, ?)",

@@ -8,8 +8,8 @@ use sqlx::{Sqlite, Transaction};
 use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 
+use super::columns::insert_event;
 use super::jobs::{ErrorColumns, end_job};
-use super::log::insert_event;
 use super::maps::check_edition;
 use super::{
     JobEnd, LabelRow, MapEdition, MapId, MapRow, Storage, StorageError, StoredError, StoredSession, from_sql,
@@ -245,6 +245,7 @@ impl Storage {
         outcome: &MergeOutcome,
         end: &JobEnd,
     ) -> Result<(), StorageError> {
+        self.check_sound(target)?;
         self.write(async |transaction| {
             for log in joined {
                 check_edition(transaction, log.source).await?;
@@ -319,7 +320,7 @@ impl Storage {
             .execute(&mut **transaction)
             .await?;
             const REST: &str = "position, session, sequence, stamp_ns, reason, place, posterior, matched_frame, \
-                                probability, link_from, link_to, event";
+                                probability, link_from, link_to, event, checksum, chain";
             let copy = format!(
                 "INSERT INTO log (map_id, {REST}) SELECT ?, {REST} FROM log \
                  WHERE map_id = ? AND position >= ? AND position < ?"

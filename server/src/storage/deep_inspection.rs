@@ -1,0 +1,276 @@
+//! Reading all that a data directory holds, to see whether it is as it was written.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use fabmap::model::Model;
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection, SqliteConnection};
+use topomap::ids::SessionId;
+use topomap::log::MapEvent;
+
+use super::columns::EventColumns;
+use super::opening::{FileKind, file_kind};
+use super::row_sums::{CHAIN_START, StoredEvent};
+use super::{DirectoryLock, FILE_NAME, MapId, MediumKind, StorageError, or_no_database, page_sums};
+
+/// What was read, and what is wrong with it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct DeepInspection {
+    pub(crate) models: u64,
+    pub(crate) maps: u64,
+    pub(crate) events: u64,
+    /// Images and features.
+    pub(crate) media: u64,
+    /// One sentence each; no more of one kind than tell what it is.
+    pub(crate) problems: Vec<String>,
+}
+
+/// Problems of one kind that are told in full.
+const MOST_TOLD: usize = 20;
+
+/// A map as it is inspected.
+#[derive(sqlx::FromRow)]
+struct InspectedMap {
+    id: MapId,
+    name: String,
+    words: Option<i64>,
+}
+
+/// An event with all that the log tells of it.
+#[derive(sqlx::FromRow)]
+struct WholeEvent {
+    #[sqlx(flatten)]
+    stored: StoredEvent,
+    #[sqlx(flatten)]
+    columns: EventColumns,
+}
+
+/// Reads all of the database of `directory`, and changes nothing. `None` if there is none.
+///
+/// Takes the directory's lock meanwhile: a server that runs on it is an error.
+pub(crate) async fn inspect_all(directory: &Path) -> Result<Option<DeepInspection>, StorageError> {
+    let _lock = DirectoryLock::take(directory)?;
+    page_sums::register()?;
+    let file = directory.join(FILE_NAME);
+    if !file.exists() {
+        return Ok(None);
+    }
+    match file_kind(&file)? {
+        FileKind::Empty => return Ok(None),
+        FileKind::WithChecksums => {}
+        FileKind::WithoutChecksums => {
+            let problems = vec!["the database has no checksums yet; start the server on it once".to_owned()];
+            return Ok(Some(DeepInspection { problems, ..DeepInspection::default() }));
+        }
+    }
+    let options = SqliteConnectOptions::new().filename(&file).vfs(page_sums::VFS).read_only(true);
+    let database = options.connect().await.map_err(|error| or_no_database(error, directory))?;
+    let mut reading = Reading { database, found: DeepInspection::default() };
+    reading.all().await;
+    let Reading { database, found } = reading;
+    database.close().await?;
+    Ok(Some(found))
+}
+
+struct Reading {
+    database: SqliteConnection,
+    found: DeepInspection,
+}
+
+impl Reading {
+    async fn all(&mut self) {
+        self.sqlite().await;
+        self.models().await;
+        self.known_damage().await;
+        let maps = sqlx::query_as(
+            "SELECT maps.id, maps.name, models.words FROM maps LEFT JOIN models ON models.hash = maps.model \
+             WHERE state = 'live' ORDER BY maps.name",
+        );
+        let maps: Result<Vec<InspectedMap>, _> = maps.fetch_all(&mut self.database).await;
+        for map in self.read("the maps", maps).unwrap_or_default() {
+            self.found.maps += 1;
+            self.map(&map).await;
+        }
+    }
+
+    /// What was read, or else the problem.
+    fn read<T>(&mut self, what: &str, read: Result<T, sqlx::Error>) -> Option<T> {
+        match read {
+            Ok(read) => Some(read),
+            Err(error) => {
+                self.found.problems.push(format!("{what} cannot be read: {}", StorageError::from(error)));
+                None
+            }
+        }
+    }
+
+    /// All pages, the indices against their tables, and what rows say of each other.
+    async fn sqlite(&mut self) {
+        let told: Result<Vec<String>, _> =
+            sqlx::query_scalar("PRAGMA integrity_check(20)").fetch_all(&mut self.database).await;
+        let told = self.read("the database as a whole", told).unwrap_or_default();
+        let wrong = told.into_iter().filter(|line| line != "ok");
+        self.found.problems.extend(wrong.map(|line| format!("SQLite finds: {line}")));
+        let orphans: Result<Vec<String>, _> =
+            sqlx::query_scalar("SELECT DISTINCT \"table\" FROM pragma_foreign_key_check")
+                .fetch_all(&mut self.database)
+                .await;
+        for table in self.read("references between tables", orphans).unwrap_or_default() {
+            self.found.problems.push(format!("the table {table} has rows of what is not there"));
+        }
+    }
+
+    async fn models(&mut self) {
+        let hashes: Result<Vec<String>, _> =
+            sqlx::query_scalar("SELECT hash FROM models ORDER BY hash").fetch_all(&mut self.database).await;
+        for hash in self.read("the models", hashes).unwrap_or_default() {
+            self.found.models += 1;
+            let file = sqlx::query_scalar("SELECT file FROM models WHERE hash = ?").bind(&hash);
+            let file: Result<Vec<u8>, _> = file.fetch_one(&mut self.database).await;
+            let Some(file) = self.read(&format!("the model {hash}"), file) else { continue };
+            if !Model::from_bytes(&file).is_ok_and(|model| model.hash().to_string() == hash) {
+                self.found.problems.push(format!("the model {hash} is not what was stored under this name"));
+            }
+        }
+    }
+
+    async fn known_damage(&mut self) {
+        let known: Result<Vec<String>, _> = sqlx::query_scalar(
+            "SELECT found FROM map_damage JOIN maps ON maps.id = map_id WHERE state = 'live' ORDER BY map_id",
+        )
+        .fetch_all(&mut self.database)
+        .await;
+        let known = self.read("what was found damaged before", known).unwrap_or_default();
+        self.found.problems.extend(known.into_iter().map(|found| format!("a server found, {found}")));
+    }
+
+    async fn map(&mut self, map: &InspectedMap) {
+        let InspectedMap { id, name, words } = map;
+        let sessions = sqlx::query_as("SELECT number, name FROM sessions WHERE map_id = ?").bind(id);
+        let sessions: Result<Vec<(SessionId, String)>, _> = sessions.fetch_all(&mut self.database).await;
+        let sessions = self.read(&format!("map {name}: its sessions"), sessions);
+        let sessions = sessions.unwrap_or_default().into_iter().collect::<BTreeMap<_, _>>();
+        let last = sqlx::query_scalar("SELECT max(position) FROM log WHERE map_id = ?").bind(id);
+        let last: Result<Option<i64>, _> = last.fetch_one(&mut self.database).await;
+        let last = self.read(&format!("map {name}: its log"), last).flatten();
+        let mut problems = Problems::default();
+        let mut chain = CHAIN_START;
+        let mut opened = BTreeSet::new();
+        for position in 0..=last.unwrap_or(-1) {
+            self.found.events += 1;
+            let event = self.event(*id, position, words.unwrap_or(0), &mut chain, &mut problems, &sessions);
+            if let Some(MapEvent::SessionOpened { session }) = event.await {
+                opened.insert(session);
+            }
+        }
+        if problems.0.is_empty() && opened != sessions.keys().copied().collect() {
+            problems.add("its sessions are not those of its log".to_owned());
+        }
+        self.media(*id, &mut problems).await;
+        let told = problems.0.len().min(MOST_TOLD);
+        let told = problems.0[..told].iter().map(|problem| format!("map {name}, {problem}"));
+        self.found.problems.extend(told);
+        if let Some(more) = problems.0.len().checked_sub(MOST_TOLD).filter(|more| *more > 0) {
+            self.found.problems.push(format!("map {name}: {more} more of the kind"));
+        }
+    }
+
+    /// The event at a position, if it is as it was written.
+    async fn event(
+        &mut self,
+        map: MapId,
+        position: i64,
+        words: i64,
+        chain: &mut i64,
+        problems: &mut Problems,
+        sessions: &BTreeMap<SessionId, String>,
+    ) -> Option<MapEvent> {
+        let row = sqlx::query_as("SELECT * FROM log WHERE map_id = ? AND position = ?");
+        let row = row.bind(map).bind(position).fetch_optional(&mut self.database).await;
+        let row: WholeEvent = match row {
+            Ok(Some(row)) => row,
+            Ok(None) => {
+                problems.add(format!("event {position} of the log is gone"));
+                return None;
+            }
+            Err(error) => {
+                problems.add(format!("event {position} of the log: {}", StorageError::from(error)));
+                return None;
+            }
+        };
+        let WholeEvent { stored, columns } = row;
+        let named = columns.named(sessions, position);
+        let before = std::mem::replace(chain, stored.chain());
+        let followed = stored.follow(u64::try_from(position).unwrap_or(0), before);
+        let decoded = followed.and_then(|_| stored.decode(usize::try_from(words).unwrap_or(0)));
+        match decoded {
+            Ok(event) if columns.are_of(&event) => Some(event),
+            Ok(_) => {
+                problems.add(format!("{named}: the log's columns are not those of the event"));
+                None
+            }
+            Err(error) => {
+                problems.add(format!("{named}: {error}"));
+                None
+            }
+        }
+    }
+
+    /// What is kept of frames can be read, and is of frames.
+    async fn media(&mut self, map: MapId, problems: &mut Problems) {
+        let mut after = (-1, MediumKind::Features);
+        loop {
+            let next = sqlx::query_as(
+                "SELECT m.position, m.kind, \
+                 (SELECT sequence IS NOT NULL FROM log AS l WHERE l.map_id = m.map_id AND l.position = m.position) \
+                 FROM frame_media AS m WHERE m.map_id = ? AND (m.position, m.kind) > (?, ?) \
+                 ORDER BY m.position, m.kind LIMIT 1",
+            );
+            let next = next.bind(map).bind(after.0).bind(after.1).fetch_optional(&mut self.database).await;
+            let (position, kind, of_a_frame): (i64, MediumKind, Option<bool>) = match next {
+                Ok(Some(next)) => next,
+                Ok(None) => return,
+                Err(error) => {
+                    return problems
+                        .add(format!("what is kept of its frames: {}", StorageError::from(error)));
+                }
+            };
+            after = (position, kind);
+            self.found.media += 1;
+            if of_a_frame != Some(true) {
+                problems
+                    .add(format!("event {position} of the log: something is kept of a frame that is none"));
+            }
+            let content = sqlx::query_scalar(
+                "SELECT content FROM frame_media WHERE map_id = ? AND position = ? AND kind = ?",
+            );
+            let content = content.bind(map).bind(position).bind(kind).fetch_one(&mut self.database).await;
+            if let Err(error) = content.map(|content: Vec<u8>| content.len()) {
+                let error = StorageError::from(error);
+                problems.add(format!("event {position} of the log, its image or features: {error}"));
+            }
+        }
+    }
+}
+
+/// What is wrong with one map.
+#[derive(Default)]
+struct Problems(Vec<String>);
+
+impl Problems {
+    fn add(&mut self, problem: String) {
+        self.0.push(problem);
+    }
+}
+
+impl EventColumns {
+    /// The event as people name it.
+    fn named(&self, sessions: &BTreeMap<SessionId, String>, position: i64) -> String {
+        let session = sessions.get(&self.session()).map_or("?", String::as_str);
+        match self.sequence() {
+            Some(sequence) => format!("session {session}, frame {sequence}"),
+            None => format!("session {session}, event {position} of the log"),
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! Bits that rot on the disk: what is damaged is named and not handed out, its map takes nothing more, and all else goes on.
+
+mod flips;
+mod old_databases;
+
+use std::path::Path;
+
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
+use waypost_client::{Client, Code, FrameOutcome, v1};
+
+use crate::harness::{
+    Server, answers, assert_status, database_options, first_return, frame, import_model, in_time,
+    map_request, refused, session_options,
+};
+
+/// A directory with the maps `drive` and `spare`.
+async fn two_maps() -> tempfile::TempDir {
+    let directory = tempfile::tempdir().unwrap();
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let model = import_model(&client).await;
+    for map in ["drive", "spare"] {
+        client.create_map(map_request(map, &model.name)).await.unwrap();
+    }
+    answers(&client, "drive", "first", (1..=20).map(frame)).await;
+    let again = first_return();
+    answers(&client, "drive", "second", (again..again + 12).map(frame)).await;
+    answers(&client, "spare", "only", (1..=5).map(frame)).await;
+    server.stop().await;
+    directory
+}
+
+async fn sql(directory: &Path, statement: &str) {
+    let mut database = database_options(directory).connect().await.unwrap();
+    let done = sqlx::query(AssertSqlSafe(statement.to_owned())).execute(&mut database).await.unwrap();
+    assert!(done.rows_affected() > 0, "{statement} changed nothing");
+    database.close().await.unwrap();
+}
+
+/// One byte of what the log has of a frame is another.
+const ROTTEN_FRAME: &str = "UPDATE log SET event = CAST(substr(event, 1, 40) || \
+     (CASE hex(substr(event, 41, 1)) WHEN '00' THEN x'01' ELSE x'00' END) || substr(event, 42) AS BLOB) \
+     WHERE map_id = (SELECT id FROM maps WHERE name = 'drive') AND session = 0 AND sequence = 7";
+
+async fn deep(directory: &Path) -> Vec<String> {
+    let findings = waypost_server::offline::check_all(directory).await.unwrap();
+    findings.into_iter().filter_map(|finding| finding.result.err()).collect()
+}
+
+async fn export(client: &Client, map: &str) -> Result<u64, waypost_client::Error> {
+    in_time(client.export_map(map, &mut Vec::new())).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rotten_frame_is_named_and_its_map_takes_nothing_more() {
+    let directory = two_maps().await;
+    assert_eq!(deep(directory.path()).await, [""; 0]);
+    sql(directory.path(), ROTTEN_FRAME).await;
+    let found = deep(directory.path()).await;
+    assert!(found.len() == 1 && found[0].contains("map drive, session first, frame 7:"), "{found:?}");
+
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let (code, message) = refused(client.frame("maps/drive/sessions/first/frames/7").await);
+    assert_status("the frame", (code, &message), Code::DataLoss, "map drive, session first, frame 7");
+    assert_status("the frame", (code, &message), Code::DataLoss, "check --deep");
+    // All that is whole is served.
+    client.frame("maps/drive/sessions/first/frames/8").await.unwrap();
+    let map = client.map("drive", v1::MapView::Full).await.unwrap();
+    assert_eq!(map.frames, 32);
+    assert_eq!(client.frames("maps/spare/sessions/only").await.unwrap().len(), 5);
+
+    takes_nothing_more(&client).await;
+    assert_eq!(answers(&client, "spare", "later", (1..=3).map(frame)).await.len(), 3);
+    let (code, message) = refused(export(&client, "drive").await);
+    assert_status("export", (code, &message), Code::DataLoss, "session first, frame 7");
+    assert!(export(&client, "spare").await.unwrap() > 0);
+    server.stop().await;
+
+    // It is remembered, and the map can be taken away.
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    takes_nothing_more(&client).await;
+    client.delete_map("drive").await.unwrap();
+    server.stop().await;
+}
+
+async fn takes_nothing_more(client: &Client) {
+    let opened = client.open_session(session_options("drive", "third")).await;
+    let (code, message) = refused(opened.map(drop));
+    assert_status("a session", (code, &message), Code::FailedPrecondition, "session first, frame 7");
+    let labelled = client.set_label("maps/drive/places/0", "hall", v1::LabelScope::Place).await;
+    let (code, message) = refused(labelled);
+    assert_status("a label", (code, &message), Code::FailedPrecondition, "takes nothing more");
+    // A session that is there may be asked for what it has, and gets no frame more.
+    let (mut sender, mut outcomes) =
+        client.open_session(session_options("drive", "first")).await.unwrap().split();
+    sender.send(frame(20)).await.unwrap();
+    match in_time(outcomes.next()).await.unwrap() {
+        Some(FrameOutcome::Answer(answer)) => assert!(answer.resent),
+        other => panic!("{other:?}"),
+    }
+    sender.send(frame(21)).await.unwrap();
+    let (code, message) = refused(in_time(outcomes.next()).await);
+    assert_status("a frame", (code, &message), Code::FailedPrecondition, "takes nothing more");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn events_that_are_gone_or_changed_places_show() {
+    const DRIVE: &str = "map_id = (SELECT id FROM maps WHERE name = 'drive')";
+    for (change, told) in [
+        (format!("DELETE FROM log WHERE {DRIVE} AND position = 10"), "event 10 of the log is gone"),
+        (
+            format!(
+                "UPDATE log SET (event, checksum, chain) = (SELECT event, checksum, chain FROM log WHERE {DRIVE} \
+                 AND position = 12) WHERE {DRIVE} AND position = 11"
+            ),
+            "session first, frame 11",
+        ),
+        (
+            format!("UPDATE log SET chain = chain + 1 WHERE {DRIVE} AND position = 9"),
+            "does not follow the event before it",
+        ),
+        (
+            format!("UPDATE log SET place = place + 1 WHERE {DRIVE} AND position = 9"),
+            "the log's columns are not those of the event",
+        ),
+        (
+            format!("DELETE FROM sessions WHERE {DRIVE} AND number = 1"),
+            "its sessions are not those of its log",
+        ),
+        (
+            format!("UPDATE frame_media SET position = 900 WHERE {DRIVE} AND position = 9"),
+            "of a frame that is none",
+        ),
+    ] {
+        let directory = two_maps().await;
+        sql(directory.path(), &change).await;
+        let found = deep(directory.path()).await;
+        assert!(
+            found.iter().any(|line| line.contains("map drive") && line.contains(told)),
+            "{change}: {found:?}"
+        );
+        assert!(!found.iter().any(|line| line.contains("spare")), "{change}: {found:?}");
+        let chained =
+            !change.contains("SET place") && !change.contains("sessions") && !change.contains("media");
+        if chained {
+            let server = Server::start_on(directory.path()).await;
+            let (code, message) = refused(export(&server.client().await, "drive").await);
+            assert_status(&change, (code, &message), Code::DataLoss, "map drive");
+            server.stop().await;
+        }
+    }
+}
