@@ -19,8 +19,8 @@ pub(crate) use self::handle::{MapHandle, WriterGone};
 pub(crate) use self::open_maps::{OpenMaps, no_such_map};
 pub(crate) use self::recent::Recent;
 pub(crate) use self::requests::{
-    FrameFailure, FrameRequest, FrameSource, FrameWork, LookRequest, Looked, MeasuredFrames, PlanFrom,
-    SessionMode, SessionOpening, StreamOpening,
+    FrameFailure, FrameRequest, FrameSource, FrameWork, LookRequest, Looked, MeasuredFrames, Opener,
+    PlanFrom, SessionMode, SessionOpening, StreamOpening,
 };
 pub(crate) use self::views::{FrameStore, SeenFeatures, compare, compared, stored_features, verifier};
 
@@ -366,7 +366,7 @@ impl MapWriter {
         let name = name.unwrap_or_else(|| self.unused_session_name());
         match mode {
             SessionMode::Map => {
-                let opened = self.open_session(name, camera.as_ref())?;
+                let opened = self.open_session(name, camera.as_ref(), &stream.opener)?;
                 if let FrameSource::Session(session) = opened.source {
                     self.follow(session, stream.stream, stream.taken_over);
                 }
@@ -378,9 +378,15 @@ impl MapWriter {
         }
     }
 
-    fn open_session(&mut self, name: String, camera: Option<&Camera>) -> Result<OpenedSession, ServiceError> {
+    fn open_session(
+        &mut self,
+        name: String,
+        camera: Option<&Camera>,
+        opener: &Opener,
+    ) -> Result<OpenedSession, ServiceError> {
         if let Some(session) = self.sessions.iter().find(|session| session.name == name) {
             // What is stored of a damaged map is still answered to those who send it again.
+            opener.check(&name, session.owner.as_deref())?;
             let number = session.number;
             let last_committed = self.mapper.map().session(number).and_then(|session| session.last_sequence);
             return Ok(OpenedSession { source: FrameSource::Session(number), name, last_committed });
@@ -391,7 +397,8 @@ impl MapWriter {
                 "a robot is localizing under the name {name}; choose another name for the session"
             )));
         }
-        let session = SessionRow { number: self.mapper.map().next_session(), name: name.clone() };
+        let (number, owner) = (self.mapper.map().next_session(), opener.token.clone());
+        let session = SessionRow { number, name: name.clone(), owner };
         let position = self.mapper.map().events();
         let opened = self.storage.open_session(self.map.id, position, &session, camera, now_ns());
         self.runtime.block_on(opened)?;

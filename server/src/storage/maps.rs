@@ -33,6 +33,8 @@ pub(crate) struct MapEdition {
 pub(crate) struct SessionRow {
     pub(crate) number: SessionId,
     pub(crate) name: String,
+    /// Name of the token that opened it, if one did.
+    pub(crate) owner: Option<String>,
 }
 
 /// What a map holds, by its log.
@@ -145,7 +147,7 @@ impl Storage {
 
     /// All sessions of a map, by number.
     pub(crate) async fn sessions(&self, map: MapId) -> Result<Vec<SessionRow>, StorageError> {
-        Ok(sqlx::query_as("SELECT number, name FROM sessions WHERE map_id = ? ORDER BY number")
+        Ok(sqlx::query_as("SELECT number, name, owner FROM sessions WHERE map_id = ? ORDER BY number")
             .bind(map)
             .fetch_all(&self.readers)
             .await?)
@@ -186,13 +188,14 @@ impl Storage {
         self.check_sound(map)?;
         self.write(async |transaction| {
             sqlx::query(
-                "INSERT INTO sessions (map_id, number, name, camera, opened_ns) VALUES (?, ?, ?, ?, ?)",
+                "INSERT INTO sessions (map_id, number, name, camera, opened_ns, owner) VALUES (?, ?, ?, ?, ?, ?)",
             )
             .bind(map)
             .bind(session.number)
             .bind(&session.name)
             .bind(camera)
             .bind(opened_ns)
+            .bind(&session.owner)
             .execute(&mut **transaction)
             .await?;
             let event = MapEvent::SessionOpened { session: session.number };

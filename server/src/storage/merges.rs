@@ -307,8 +307,8 @@ impl Storage {
     ) -> Result<(), StorageError> {
         self.write(async |transaction| {
             sqlx::query(
-                "INSERT INTO sessions (map_id, number, name, camera, opened_ns, merge) \
-                 SELECT ?1, number, name, camera, opened_ns, merge FROM sessions \
+                "INSERT INTO sessions (map_id, number, name, camera, opened_ns, merge, owner) \
+                 SELECT ?1, number, name, camera, opened_ns, merge, owner FROM sessions \
                  WHERE map_id = ?2 AND number IN \
                  (SELECT session FROM log WHERE map_id = ?2 AND position >= ?3 AND position < ?4) \
                  ON CONFLICT DO NOTHING",
@@ -441,8 +441,8 @@ async fn insert_sessions_and_labels(
 ) -> Result<(), StorageError> {
     for JoinedSession { of_source, number, name } in &log.sessions {
         sqlx::query(
-            "INSERT INTO sessions (map_id, number, name, camera, opened_ns, merge) \
-             SELECT ?, ?, ?, camera, opened_ns, ? FROM sessions WHERE map_id = ? AND number = ?",
+            "INSERT INTO sessions (map_id, number, name, camera, opened_ns, merge, owner) \
+             SELECT ?, ?, ?, camera, opened_ns, ?, owner FROM sessions WHERE map_id = ? AND number = ?",
         )
         .bind(map)
         .bind(number)
