@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import socket
 import subprocess
@@ -185,3 +186,48 @@ def test_a_server_that_is_not_well_is_told(answer: bytes) -> None:
         assert asked.startswith(b"GET /healthz HTTP/1.1\r\n")
         check.communicate(timeout=10)
         assert check.returncode == 1
+
+
+#: What Prometheus itself adds to a metric, and the label of buckets.
+PROMETHEUS_LABELS = {"instance", "job", "le"}
+
+
+def expressions() -> list[str]:
+    """Every question that the board and the alerts ask of Prometheus."""
+    board = json.loads((DOCKER / "grafana-board.json").read_text())
+    rules = yaml.safe_load((DOCKER / "alerts.yaml").read_text())
+    asked = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
+    asked += [rule["expr"] for group in rules["groups"] for rule in group["rules"]]
+    assert len(asked) >= 15
+    return asked
+
+
+def test_the_board_and_the_alerts_ask_for_metrics_that_there_are() -> None:
+    source = (REPOSITORY / "server" / "src" / "metrics.rs").read_text()
+    known = set(re.findall(r'const [A-Z_]+: &str = "(waypost_\w+)"', source))
+    labels = set(re.findall(r'"(\w+)" => ', source)) | PROMETHEUS_LABELS
+    histograms = set(re.findall(r"describe_histogram!\(\s*(\w+)", source))
+    of_histograms = set(re.findall(rf'const (?:{"|".join(histograms)}): &str = "(waypost_\w+)"', source))
+    assert len(known) >= 12
+    assert len(of_histograms) >= 4
+    sums = {f"{name}_{part}" for name in of_histograms for part in ("bucket", "sum", "count")}
+    asked = set()
+    for expression in expressions():
+        asked |= set(re.findall(r"waypost_\w+", expression))
+        used = set(re.findall(r"(\w+) *(?:=~|!~|!=|=)", re.sub(r"[=<>]= ", "", expression)))
+        for grouped in re.findall(r"by \(([^)]*)\)", expression):
+            used |= {label.strip() for label in grouped.split(",")}
+        assert used <= labels, f"{used - labels} of {expression}"
+    assert asked <= (known - of_histograms) | sums, asked - known - sums
+    # What the server counts, somebody sees.
+    shown = {re.sub(r"_(bucket|sum|count)$", "", name) for name in asked}
+    assert known - shown <= {"waypost_build_info"}, known - shown
+
+
+def test_each_alert_says_what_it_means() -> None:
+    rules = yaml.safe_load((DOCKER / "alerts.yaml").read_text())["groups"][0]["rules"]
+    names = [rule["alert"] for rule in rules]
+    assert len(names) == len(set(names)) >= 6
+    for rule in rules:
+        assert rule["labels"]["severity"] in {"warning", "critical"}
+        assert {"summary", "description"} == rule["annotations"].keys()

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 
 use prost::Message;
 
-const FILES: [&str; 10] = [
+const FILES: [&str; 11] = [
     "waypost/v1/job.proto",
     "waypost/v1/model.proto",
     "waypost/v1/map.proto",
@@ -19,6 +19,7 @@ const FILES: [&str; 10] = [
     "waypost/v1/navigation.proto",
     "waypost/v1/merge.proto",
     "waypost/v1/appearance.proto",
+    "waypost/v1/event.proto",
     "waypost/v1/token.proto",
 ];
 

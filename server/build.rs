@@ -1,4 +1,4 @@
-//! Migrations are compiled in: a change to them must compile the server anew.
+//! Migrations are compiled in: a change to them must compile the server again.
 
 fn main() {
     println!("cargo:rerun-if-changed=../migrations");

@@ -169,7 +169,7 @@ fn listed_file(folder: &Path, name: &Path) -> Result<(Format, PathBuf), String> 
     if !name.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
         return Err(format!("it names {}, which is not in its folder", name.display()));
     }
-    // Whoever decompresses a file, or compresses it, forgets the metadata.
+    // People who decompress a file, or compress it, forget the metadata.
     let candidates = [folder.join(name), folder.join(name).with_extension(""), with_zstd(&folder.join(name))];
     let found = candidates.into_iter().find(|path| path.is_file() && Format::of(path).is_some());
     let path = found.ok_or_else(|| format!("it names {}, which is not there", name.display()))?;

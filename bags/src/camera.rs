@@ -78,6 +78,16 @@ impl Rectification {
     }
 }
 
+impl CameraInfo {
+    /// The camera of raw images.
+    ///
+    /// # Errors
+    /// Why such a camera cannot be declared.
+    pub fn declared(&self) -> Result<Camera, Undeclared> {
+        camera(self, Rectification::Raw)
+    }
+}
+
 /// The camera that took the images.
 pub(crate) fn camera(info: &CameraInfo, rectification: Rectification) -> Result<Camera, Undeclared> {
     let [fx_px, _, cx_px, _, fy_px, cy_px, ..] = info.intrinsics;

@@ -11,7 +11,7 @@ pub const NONE: &str = "none";
 /// The robot's base, if its odometry does not name it.
 const BASE_FRAME: &str = "base_link";
 
-/// What somebody wants of a bag.
+/// What is wanted of a bag.
 #[derive(Clone, Debug, Default)]
 pub struct Wanted {
     /// Topic of images; the only one if left out.
@@ -54,7 +54,7 @@ pub struct Choice {
     pub stamps_ns: Vec<Option<i64>>,
     /// Images that are left out.
     pub left_out: Option<LeftOut>,
-    /// What whoever looks should know.
+    /// What a reader of the list should know.
     pub notes: Vec<String>,
 }
 
@@ -234,7 +234,8 @@ impl Bag {
     ) -> Result<Option<Camera>, ChoiceError> {
         let Some(described) = &info.camera_info else { return Ok(None) };
         if info.changed_camera_infos > 0 {
-            let (name, changed) = (&info.name, info.changed_camera_infos);
+            let name = &info.name;
+            let changed = info.changed_camera_infos;
             notes.push(format!("{name} changes in {changed} of its messages; the first is declared"));
         }
         let mut camera = match camera(described, Rectification::of(&images.name)) {

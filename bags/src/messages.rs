@@ -93,9 +93,12 @@ pub(crate) struct Image<'a> {
 impl<'a> Image<'a> {
     pub(crate) fn read(reader: &mut Reader<'a>) -> Result<Self, Malformed> {
         let header = Header::read(reader)?;
-        let (height_px, width_px, encoding) = (reader.u32()?, reader.u32()?, reader.text()?);
+        let height_px = reader.u32()?;
+        let width_px = reader.u32()?;
+        let encoding = reader.text()?;
         let _is_big_endian = reader.u8()?;
-        let (step_bytes, data) = (reader.u32()?, reader.bytes()?);
+        let step_bytes = reader.u32()?;
+        let data = reader.bytes()?;
         Ok(Self { header, height_px, width_px, encoding, step_bytes, data })
     }
 }

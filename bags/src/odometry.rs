@@ -1,11 +1,10 @@
-//! Images and poses, joined by time.
+//! Images and poses that come beside each other, joined by time.
 
 use std::collections::VecDeque;
 
 use crate::messages::Pose;
+use crate::poses::Poses;
 
-/// The two poses around an image are at most this far apart.
-pub const MOST_GAP_NS: i64 = 1_000_000_000;
 /// An image that waited for poses as long as this, by the times of recording, has none.
 const LONGEST_WAIT_NS: i64 = 5_000_000_000;
 /// Poses are kept as long as this, by their stamps, for images that come late.
@@ -31,8 +30,7 @@ pub struct Frame {
 /// Images that wait for the poses around them.
 #[derive(Default)]
 pub(crate) struct Joining {
-    /// In the order of their stamps.
-    poses: VecDeque<(i64, Pose)>,
+    poses: Poses,
     /// In their order, each with the time of its recording.
     waiting: VecDeque<(i64, Frame)>,
     waiting_bytes: usize,
@@ -50,18 +48,11 @@ impl Joining {
     /// One whose stamp is not above the last is not taken.
     pub(crate) fn add_pose(&mut self, log_ns: i64, stamp_ns: i64, pose: Pose) {
         self.log_ns = self.log_ns.max(log_ns);
-        if self.poses.back().is_some_and(|(last_ns, _)| stamp_ns <= *last_ns) {
+        if !self.poses.push(stamp_ns, pose) {
             return;
         }
-        self.poses.push_back((stamp_ns, pose));
         let needed_ns = self.waiting.front().map_or(i64::MAX, |(_, frame)| frame.stamp_ns);
-        let old_ns = needed_ns.min(stamp_ns.saturating_sub(KEPT_NS));
-        // The last one before what is needed stays.
-        while self.poses.get(1).is_some_and(|(next_ns, _)| *next_ns <= old_ns)
-            || self.poses.len() > MOST_POSES
-        {
-            self.poses.pop_front();
-        }
+        self.poses.forget_before(needed_ns.min(stamp_ns.saturating_sub(KEPT_NS)), MOST_POSES);
     }
 
     /// No more poses come.
@@ -72,7 +63,7 @@ impl Joining {
     /// The next image that need not wait any longer.
     pub(crate) fn next(&mut self) -> Option<Frame> {
         let (log_ns, frame) = self.waiting.front()?;
-        let is_passed = self.poses.back().is_some_and(|(last_ns, _)| *last_ns >= frame.stamp_ns);
+        let is_passed = self.poses.last_ns().is_some_and(|last_ns| last_ns >= frame.stamp_ns);
         let is_late = self.log_ns.saturating_sub(*log_ns) > LONGEST_WAIT_NS;
         let is_much = self.waiting.len() > MOST_WAITING || self.waiting_bytes > MOST_WAITING_BYTES;
         if !(is_passed || is_late || is_much || self.is_over) {
@@ -80,45 +71,15 @@ impl Joining {
         }
         let (_, mut frame) = self.waiting.pop_front()?;
         self.waiting_bytes -= frame.image.len();
-        frame.pose = self.pose_at(frame.stamp_ns);
+        frame.pose = self.poses.at(frame.stamp_ns);
         Some(frame)
     }
-
-    fn pose_at(&self, stamp_ns: i64) -> Option<Pose> {
-        let after = self.poses.partition_point(|(pose_ns, _)| *pose_ns < stamp_ns);
-        let &(after_ns, after_pose) = self.poses.get(after)?;
-        if after_ns == stamp_ns {
-            return Some(after_pose);
-        }
-        let &(before_ns, before_pose) = self.poses.get(after.checked_sub(1)?)?;
-        let gap_ns = after_ns.checked_sub(before_ns).filter(|gap_ns| *gap_ns <= MOST_GAP_NS)?;
-        let share = (stamp_ns - before_ns) as f64 / gap_ns as f64;
-        Some(between(before_pose, after_pose, share))
-    }
-}
-
-/// The pose at a share of the way from one to another: straight, and turning evenly (slerp).
-fn between(one: Pose, other: Pose, share: f64) -> Pose {
-    let mix = |from: f64, to: f64| from + share * (to - from);
-    let position_m = std::array::from_fn(|axis| mix(one.position_m[axis], other.position_m[axis]));
-    let dot: f64 = one.orientation.iter().zip(other.orientation).map(|(one, other)| one * other).sum();
-    // A quaternion and its negative are the same rotation.
-    let angle = dot.abs().min(1.0).acos();
-    let (from, to) = if angle < 1e-6 {
-        (1.0 - share, share)
-    } else {
-        (((1.0 - share) * angle).sin() / angle.sin(), (share * angle).sin() / angle.sin())
-    };
-    let to = to.copysign(dot);
-    let orientation: [f64; 4] =
-        std::array::from_fn(|part| from * one.orientation[part] + to * other.orientation[part]);
-    let length = orientation.iter().map(|part| part * part).sum::<f64>().sqrt();
-    Pose { position_m, orientation: orientation.map(|part| part / length) }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::poses::MOST_GAP_NS;
 
     fn heading(x_m: f64, yaw_rad: f64) -> Pose {
         let (z, w) = (yaw_rad / 2.0).sin_cos();
@@ -142,14 +103,6 @@ mod tests {
         // One that is there is taken as it is.
         joining.add_image(0, image(2, 200));
         assert_eq!(joining.next().unwrap().pose, Some(heading(2.0, 0.6)));
-    }
-
-    #[test]
-    fn the_same_rotation_with_the_other_sign_is_no_turn() {
-        let one = heading(0.0, 0.3);
-        let other = Pose { orientation: one.orientation.map(|part| -part), ..one };
-        let middle = between(one, other, 0.5);
-        assert!((middle.orientation[2] - one.orientation[2]).abs() < 1e-12, "{middle:?}");
     }
 
     #[test]

@@ -11,6 +11,7 @@ pub(crate) mod navigate;
 pub(crate) mod query;
 pub(crate) mod session;
 pub(crate) mod shell;
+pub(crate) mod simulate;
 pub(crate) mod snapshot;
 pub(crate) mod stream;
 pub(crate) mod token;

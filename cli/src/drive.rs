@@ -9,9 +9,11 @@ use clap::ValueEnum;
 use tokio::sync::mpsc::{Receiver, channel};
 use tokio::task::JoinHandle;
 use waypost_bags::{Bag, BagError, Camera, Choice, Clock, Joined, Lens, Pose, Wanted};
-use waypost_client::v1::{self, Odometry, Quaternion, Vector3};
+use waypost_client::v1::{self, Odometry};
 
 use crate::failure::Failure;
+use crate::moments::without_odometry;
+use crate::odometry::{message, pose_message};
 use crate::output::Output;
 use crate::progress;
 
@@ -75,6 +77,8 @@ pub(crate) struct Shot {
     pub(crate) stamp_ns: i64,
     pub(crate) image: Vec<u8>,
     pub(crate) odometry: Option<Odometry>,
+    /// What it is called in its recording.
+    pub(crate) note: String,
 }
 
 /// A bag, and which of its topics are streamed.
@@ -151,10 +155,15 @@ impl Drive {
         let thread = tokio::task::spawn_blocking(move || {
             self.bag.read_frames(&self.choice, after_sequence, &mut |_, _| {}, &mut |frame| {
                 let waypost_bags::Frame { number, stamp_ns, image, pose } = frame;
-                let odometry =
-                    pose.map(|pose| Odometry { pose: Some(pose_message(&pose)), covariance: Vec::new() });
-                // Whoever streams may have given up.
-                match sender.blocking_send(Shot { sequence: number, stamp_ns, image, odometry }) {
+                let odometry = pose.as_ref().map(message);
+                // The sender may have given up.
+                match sender.blocking_send(Shot {
+                    sequence: number,
+                    stamp_ns,
+                    image,
+                    odometry,
+                    note: String::new(),
+                }) {
                     Ok(()) => ControlFlow::Continue(()),
                     Err(_) => ControlFlow::Break(()),
                 }
@@ -179,13 +188,9 @@ impl Reading {
     pub(crate) async fn end(self) -> Result<(), Failure> {
         let Joined { with_pose, without_pose } = joined(self.thread).await?;
         if without_pose > 0 {
-            let all = with_pose + without_pose;
-            let seconds = waypost_bags::MOST_GAP_NS / 1_000_000_000;
             // If stderr is closed, the message is lost.
-            let _ = writeln!(
-                std::io::stderr(),
-                "{without_pose} of {all} frames were sent without odometry: none was recorded within {seconds} s around them"
-            );
+            let _ =
+                writeln!(std::io::stderr(), "{}", without_odometry(without_pose, with_pose + without_pose));
         }
         Ok(())
     }
@@ -247,15 +252,8 @@ fn looks(pose: &Pose) -> String {
     format!("at ({x_m:.2}, {y_m:.2}, {z_m:.2}) m, looking {azimuth:.0}° to the left and {elevation:.0}° up")
 }
 
-fn pose_message(pose: &Pose) -> v1::Pose {
-    let ([x, y, z], [qx, qy, qz, qw]) = (pose.position_m, pose.orientation);
-    v1::Pose {
-        position_m: Some(Vector3 { x, y, z }),
-        orientation: Some(Quaternion { x: qx, y: qy, z: qz, w: qw }),
-    }
-}
-
-fn camera_message(camera: &Camera) -> v1::Camera {
+/// A camera as a session declares it.
+pub(crate) fn camera_message(camera: &Camera) -> v1::Camera {
     let Camera { lens, size_px: (width, height), base_to_camera } = camera;
     let model = match lens.clone() {
         Lens::Pinhole(waypost_bags::Intrinsics { fx_px, fy_px, cx_px, cy_px, distortion }) => {

@@ -8,6 +8,7 @@ use waypost_bags::{BagError, ChoiceError};
 use waypost_client::launch::LaunchError;
 use waypost_client::{Code, Error};
 
+use crate::camera_file::CameraFileError;
 use crate::images::ListingError;
 use crate::odometry::OdometryError;
 use crate::truth::TruthError;
@@ -31,6 +32,8 @@ pub(crate) enum Failure {
     Images(#[from] ListingError),
     #[error(transparent)]
     Bag(#[from] BagError),
+    #[error(transparent)]
+    Camera(#[from] CameraFileError),
     #[error("{}: {source}", path.display())]
     Topics { path: PathBuf, source: ChoiceError },
     #[error("{}: {source}", path.display())]
@@ -99,6 +102,7 @@ impl Failure {
             Failure::FramesRefused { .. } => 5,
             Failure::Images(_)
             | Failure::Bag(_)
+            | Failure::Camera(_)
             | Failure::Topics { .. }
             | Failure::Odometry { .. }
             | Failure::Truth { .. }

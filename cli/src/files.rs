@@ -41,6 +41,23 @@ impl Asking {
     }
 }
 
+impl Asking {
+    /// Asks about something that seems wrong. Where nobody can answer, that is a no.
+    ///
+    /// # Errors
+    /// [`Failure`] if somebody says no, or nobody anything.
+    pub(crate) fn confirm_doubt(self, doubt: &str) -> Result<(), Failure> {
+        let is_asked = io::stdin().is_terminal() && io::stderr().is_terminal();
+        match self {
+            Self::Never => Ok(()),
+            Self::OnATerminal if is_asked => self.confirm(&format!("{doubt}\nstream it as it is?")),
+            Self::OnATerminal => Err(Failure::Unfit(format!(
+                "{doubt}\nnothing was sent; mend the file, or give --yes if it is right"
+            ))),
+        }
+    }
+}
+
 fn agreed(answer: &str) -> Result<(), Failure> {
     match answer.trim().to_lowercase().as_str() {
         "y" | "yes" => Ok(()),

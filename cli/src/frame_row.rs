@@ -24,11 +24,18 @@ pub(crate) struct FrameRow {
     pub(crate) match_probability: Option<f64>,
     pub(crate) match_session: Option<String>,
     pub(crate) match_sequence: Option<u64>,
+    /// What its robot calls the frame that matched; null where there was none.
+    pub(crate) match_note: Option<String>,
     pub(crate) best_candidate_place_number: Option<u32>,
     pub(crate) best_candidate_posterior: Option<f64>,
     pub(crate) best_candidate_log_odds: Option<f64>,
     pub(crate) best_candidate_session: Option<String>,
     pub(crate) best_candidate_sequence: Option<u64>,
+    /// The part of the map whose frame the robot's pose is in; null, as the pose, where that is not known.
+    pub(crate) map_part: Option<u32>,
+    pub(crate) map_x_m: Option<f64>,
+    pub(crate) map_y_m: Option<f64>,
+    pub(crate) map_heading_rad: Option<f64>,
     pub(crate) extract_ms: Option<f64>,
     pub(crate) quantize_ms: Option<f64>,
     pub(crate) likelihood_ms: Option<f64>,
@@ -57,8 +64,9 @@ impl FrameRow {
             words,
             timings,
             resent,
-            map_pose: _,
+            map_pose,
         } = answer;
+        let robot = map_pose.as_ref().and_then(|pose| planar(pose.robot.as_ref()?));
         let match_frame = matched.as_ref().and_then(|matched| matched.frame.as_ref());
         let best_candidate_frame = best_candidate.as_ref().and_then(|candidate| candidate.frame.as_ref());
         Self {
@@ -80,11 +88,16 @@ impl FrameRow {
                 .and_then(|matched| Some(matched.geometry.as_ref()?.probability)),
             match_session: match_frame.map(|frame| frame.session.clone()),
             match_sequence: match_frame.map(|frame| frame.sequence),
+            match_note: match_frame.map(|frame| frame.note.clone()),
             best_candidate_place_number: best_candidate.as_ref().map(|candidate| candidate.place_number),
             best_candidate_posterior: best_candidate.as_ref().map(|candidate| candidate.posterior),
             best_candidate_log_odds: best_candidate.as_ref().map(|candidate| candidate.log_odds),
             best_candidate_session: best_candidate_frame.map(|frame| frame.session.clone()),
             best_candidate_sequence: best_candidate_frame.map(|frame| frame.sequence),
+            map_part: map_pose.as_ref().map(|pose| pose.part),
+            map_x_m: robot.map(|[x_m, _, _]| x_m),
+            map_y_m: robot.map(|[_, y_m, _]| y_m),
+            map_heading_rad: robot.map(|[_, _, heading_rad]| heading_rad),
             extract_ms: timings.map(|timings| timings.extract_ms),
             quantize_ms: timings.map(|timings| timings.quantize_ms),
             likelihood_ms: timings.map(|timings| timings.likelihood_ms),
@@ -110,4 +123,10 @@ impl FrameRow {
             ..Self::default()
         }
     }
+}
+
+/// A pose seen from above: x, y and heading.
+fn planar(pose: &v1::Pose) -> Option<[f64; 3]> {
+    let (position, turned) = (pose.position_m?, pose.orientation?);
+    Some([position.x, position.y, 2.0 * turned.z.atan2(turned.w)])
 }

@@ -1,8 +1,13 @@
 //! Images of a folder, in the order of their names: frame2 before frame10.
 
-use std::cmp::Ordering;
+mod dataset;
 
+use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
+
+pub(crate) use self::dataset::LAYOUTS;
+use self::dataset::{DatasetError, images_of_dataset};
+use crate::file_stamps::stamps_of;
 
 /// One image file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -10,6 +15,8 @@ pub(crate) struct ImageFile {
     /// File name, as shown to people.
     pub(crate) name: String,
     pub(crate) path: PathBuf,
+    /// When it was taken, if that is told beside it or by its name.
+    pub(crate) stamp_ns: Option<i64>,
 }
 
 /// Why a folder has no usable images.
@@ -21,11 +28,14 @@ pub(crate) enum ListingError {
     NotAFolder(PathBuf),
     #[error("no images in {}; they have to end in .jpg, .jpeg or .png", .0.display())]
     NoImages(PathBuf),
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
     #[error("cannot list {}: {source}", path.display())]
     Unreadable { path: PathBuf, source: std::io::Error },
 }
 
-/// The images in `folder/images`, or else in `folder`, sorted by name, with numbers in it as numbers.
+/// The images of a data set by its table, or else those in `folder/images`, or in `folder`: by the stamps that all their
+/// names end with, or else by name, with numbers in it as numbers.
 pub(crate) fn images_of(folder: &Path) -> Result<Vec<ImageFile>, ListingError> {
     if !folder.exists() {
         return Err(ListingError::Missing(folder.to_owned()));
@@ -33,19 +43,34 @@ pub(crate) fn images_of(folder: &Path) -> Result<Vec<ImageFile>, ListingError> {
     if !folder.is_dir() {
         return Err(ListingError::NotAFolder(folder.to_owned()));
     }
+    let unreadable = |source| ListingError::Unreadable { path: folder.to_owned(), source };
+    if let Some(images) = images_of_dataset(folder, |inner| listed(inner).map_err(unreadable))? {
+        return Ok(images);
+    }
     let inner = folder.join("images");
     let folder = if inner.is_dir() { inner } else { folder.to_owned() };
     let unreadable = |source| ListingError::Unreadable { path: folder.clone(), source };
-    let mut images = Vec::new();
-    for entry in std::fs::read_dir(&folder).map_err(unreadable)? {
-        let path = entry.map_err(unreadable)?.path();
-        if is_image(&path) && path.is_file() {
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            images.push(ImageFile { name, path });
-        }
-    }
+    let mut images = listed(&folder).map_err(unreadable)?;
     if images.is_empty() {
         return Err(ListingError::NoImages(folder));
+    }
+    let names: Vec<&str> = images.iter().map(|image| image.name.as_str()).collect();
+    if let Some(stamps) = stamps_of(&names) {
+        images.iter_mut().zip(stamps).for_each(|(image, stamp_ns)| image.stamp_ns = Some(stamp_ns));
+        images.sort_by_key(|image| image.stamp_ns);
+    }
+    Ok(images)
+}
+
+/// The images in a folder, in the order of their names.
+fn listed(folder: &Path) -> std::io::Result<Vec<ImageFile>> {
+    let mut images = Vec::new();
+    for entry in std::fs::read_dir(folder)? {
+        let path = entry?.path();
+        if is_image(&path) && path.is_file() {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            images.push(ImageFile { name, path, stamp_ns: None });
+        }
     }
     images.sort_by(|one, other| natural_order(&one.name, &other.name).then(one.path.cmp(&other.path)));
     Ok(images)
@@ -118,6 +143,17 @@ mod tests {
             folder_of(&["frame10.png", "frame2.png", "frame1.png", "frame002b.png", "g.png", "frame.png"]);
         let sorted = ["frame.png", "frame1.png", "frame2.png", "frame002b.png", "frame10.png", "g.png"];
         assert_eq!(names(folder.path()), sorted);
+    }
+
+    #[test]
+    fn stamps_in_names_count_as_times() {
+        let folder = folder_of(&["1305031102.9.png", "1305031102.175304.png", "1305031101.png.png"]);
+        // Not all end with a stamp: then numbers are numbers.
+        assert_eq!(names(folder.path())[1..], ["1305031102.9.png", "1305031102.175304.png"]);
+        std::fs::remove_file(folder.path().join("1305031101.png.png")).unwrap();
+        assert_eq!(names(folder.path()), ["1305031102.175304.png", "1305031102.9.png"]);
+        let first = &images_of(folder.path()).unwrap()[0];
+        assert_eq!(first.stamp_ns, Some(1_305_031_102_175_304_000));
     }
 
     #[test]

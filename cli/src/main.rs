@@ -7,19 +7,22 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use commands::{
-    demo, explain, inspect, job, map, merge, model, navigate, query, session, shell, stream, token,
+    demo, explain, inspect, job, map, merge, model, navigate, query, session, shell, simulate, stream, token,
 };
 use failure::{EXIT_CODES, Failure};
 use output::Output;
 use waypost_client::ClientOptions;
 
+mod camera_file;
 mod commands;
 mod drive;
 mod explanations;
 mod failure;
+mod file_stamps;
 mod files;
 mod frame_row;
 mod images;
+mod moments;
 mod names;
 mod odometry;
 mod output;
@@ -27,8 +30,10 @@ mod panorama;
 mod progress;
 mod replay;
 mod robot_words;
+mod shrinking;
 mod simulated;
 mod truth;
+mod units;
 
 /// Place recognition and maps from a robot's images, on a Waypost server
 #[derive(Parser)]
@@ -120,6 +125,7 @@ enum Command {
     Query(query::Arguments),
     Explain(explain::Arguments),
     Navigate(navigate::Arguments),
+    Simulate(simulate::Arguments),
     Demo(demo::Arguments),
     Completions(shell::Completions),
     Man(shell::Manual),
@@ -166,6 +172,7 @@ async fn run(Arguments { globals, command }: Arguments) -> Result<(), Failure> {
         Command::Navigate(arguments) => navigate::run(arguments, &server, output).await,
         Command::Token(command) => token::run(command, &server, output).await,
         Command::Stream(arguments) => stream::run(arguments, &server, output).await,
+        Command::Simulate(arguments) => simulate::run(arguments, &server, output).await,
         Command::Inspect(arguments) => inspect::run(arguments, output).await,
         Command::Demo(arguments) => demo::run(arguments, output).await,
         Command::Completions(asked) => shell::completions(&asked, Arguments::command()),

@@ -1,5 +1,9 @@
 //! Resource names as people write them.
 
+use waypost_client::Client;
+
+use crate::failure::Failure;
+
 /// The identifier of a map given with or without its collection.
 pub(crate) fn short_map(name: &str) -> &str {
     name.strip_prefix("maps/").unwrap_or(name)
@@ -15,6 +19,37 @@ pub(crate) fn short(name: &str) -> &str {
 pub(crate) fn numbered(collection: &str, name: &str) -> String {
     let is_number = !name.is_empty() && name.bytes().all(|byte| byte.is_ascii_digit());
     if is_number { format!("{collection}/{name}") } else { name.to_owned() }
+}
+
+/// The name of a frame of a session, by its number or by what its robot calls it.
+pub(crate) async fn frame_name(
+    client: &Client,
+    map: &str,
+    session: &str,
+    frame: &str,
+) -> Result<String, Failure> {
+    let session_name = format!("maps/{map}/sessions/{session}");
+    if !frame.is_empty() && frame.bytes().all(|byte| byte.is_ascii_digit()) {
+        return Ok(format!("{session_name}/frames/{frame}"));
+    }
+    let called = client.frames_called(&session_name, frame).await?;
+    match called.as_slice() {
+        [only] => Ok(only.name.clone()),
+        [] => Err(Failure::Unfit(format!(
+            "no frame of {session_name} is called {frame:?}; list what there is: \
+             `waypost session frames {map} {session}`"
+        ))),
+        [first, .., last] => Err(Failure::Unfit(format!(
+            "{} frames of {session_name} are called {frame:?}, from {} to {}; name one by its number",
+            called.len(),
+            number_of(&first.name),
+            number_of(&last.name)
+        ))),
+    }
+}
+
+fn number_of(frame: &str) -> &str {
+    frame.rsplit('/').next().unwrap_or(frame)
 }
 
 #[cfg(test)]

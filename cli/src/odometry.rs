@@ -1,19 +1,21 @@
-//! Odometry files: one pose of base_link per image, as CSV or in the TUM format.
+//! Odometry files: poses of base_link at their own times, as CSV or in the TUM format.
 
-use std::num::ParseIntError;
+use waypost_bags::Pose;
+use waypost_client::v1::{self, Odometry, Quaternion, Vector3};
 
-use waypost_client::v1::{Odometry, Pose, Quaternion, Vector3};
+use crate::file_stamps::nanoseconds;
 
 /// Describes the formats in `--help`.
 pub(crate) const FORMATS: &str = "\
-Odometry files have one row per image, in the order of the images: the absolute pose of base_link in
-the odom frame (x forward, y left, metres, radians), with stamps above 0 that rise. Two formats are read:
+Odometry files have the absolute poses of base_link in the odom frame (x forward, y left, metres,
+radians), with stamps that rise. Where images have stamps, poses are at any rate and by the same clock:
+the pose of an image lies between the two around it, which are at most 1 s apart. Where images have none,
+there is one row per image, in their order, and its stamp is the image's. Two formats are read:
   CSV, with the header     stamp_ns,x_m,y_m,yaw_rad
   TUM, without a header    stamp_s x y z qx qy qz qw     (blanks between; # begins a comment)";
 
 const CSV_HEADER: [&str; 4] = ["stamp_ns", "x_m", "y_m", "yaw_rad"];
 const TUM_COLUMNS: [&str; 8] = ["stamp_s", "x", "y", "z", "qx", "qy", "qz", "qw"];
-const NANOSECONDS_PER_SECOND: i64 = 1_000_000_000;
 /// How far the norm of a unit quaternion may be off after rounding to four digits.
 const UNIT_TOLERANCE: f64 = 1e-3;
 
@@ -21,13 +23,28 @@ const UNIT_TOLERANCE: f64 = 1e-3;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct StampedPose {
     pub(crate) stamp_ns: i64,
-    pub(crate) odometry: Odometry,
+    pub(crate) pose: Pose,
+    /// The heading as a CSV file has it, which may count whole turns.
+    pub(crate) yaw_rad: Option<f64>,
+}
+
+/// A pose as a frame carries it.
+pub(crate) fn message(pose: &Pose) -> Odometry {
+    Odometry { pose: Some(pose_message(pose)), covariance: Vec::new() }
+}
+
+pub(crate) fn pose_message(pose: &Pose) -> v1::Pose {
+    let ([x, y, z], [qx, qy, qz, qw]) = (pose.position_m, pose.orientation);
+    v1::Pose {
+        position_m: Some(Vector3 { x, y, z }),
+        orientation: Some(Quaternion { x: qx, y: qy, z: qz, w: qw }),
+    }
 }
 
 /// What is wrong, and in which line.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub(crate) enum OdometryError {
-    #[error("no poses in it; write one row per image")]
+    #[error("no poses in it; write a row for each")]
     Empty,
     #[error("line {line}: the header is `{found}`; write `stamp_ns,x_m,y_m,yaw_rad`")]
     Header { line: usize, found: String },
@@ -45,8 +62,6 @@ pub(crate) enum OdometryError {
     Semicolons { line: usize },
     #[error("line {line}: the quaternion (qx, qy, qz, qw) has length {length:.4}; it has to be 1")]
     NotARotation { line: usize, length: f64 },
-    #[error("line {line}: the stamp is not above 0; add the same time to all stamps")]
-    NotPositive { line: usize },
     #[error("line {line}: the stamp is not above that of the row before; sort the rows by time")]
     NotRising { line: usize },
 }
@@ -78,9 +93,6 @@ pub(crate) fn parse(text: &str) -> Result<Vec<StampedPose>, OdometryError> {
     if poses.is_empty() {
         return Err(OdometryError::Empty);
     }
-    if let Some((line, _)) = poses.iter().find(|(_, pose)| pose.stamp_ns <= 0) {
-        return Err(OdometryError::NotPositive { line: *line });
-    }
     if let Some((line, _)) = poses
         .iter()
         .zip(poses.iter().skip(1))
@@ -97,8 +109,8 @@ fn csv_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
         stamp_ns.parse().map_err(|_| OdometryError::WholeNanoseconds { line, text: stamp_ns.to_owned() })?;
     let [x, y, yaw] = numbers(line, [x, y, yaw], [CSV_HEADER[1], CSV_HEADER[2], CSV_HEADER[3]])?;
     let (z, w) = (yaw / 2.0).sin_cos();
-    let position_m = Vector3 { x, y, z: 0.0 };
-    Ok(stamped(stamp_ns, position_m, Quaternion { x: 0.0, y: 0.0, z, w }))
+    let pose = Pose { position_m: [x, y, 0.0], orientation: [0.0, 0.0, z, w] };
+    Ok(StampedPose { stamp_ns, pose, yaw_rad: Some(yaw) })
 }
 
 fn tum_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
@@ -110,13 +122,8 @@ fn tum_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
     if (length - 1.0).abs() > UNIT_TOLERANCE {
         return Err(OdometryError::NotARotation { line, length });
     }
-    let orientation = Quaternion { x: qx / length, y: qy / length, z: qz / length, w: qw / length };
-    Ok(stamped(stamp_ns, Vector3 { x, y, z }, orientation))
-}
-
-fn stamped(stamp_ns: i64, position_m: Vector3, orientation: Quaternion) -> StampedPose {
-    let pose = Pose { position_m: Some(position_m), orientation: Some(orientation) };
-    StampedPose { stamp_ns, odometry: Odometry { pose: Some(pose), covariance: Vec::new() } }
+    let orientation = [qx, qy, qz, qw].map(|part| part / length);
+    Ok(StampedPose { stamp_ns, pose: Pose { position_m: [x, y, z], orientation }, yaw_rad: None })
 }
 
 fn fields<'a, const COLUMNS: usize>(
@@ -149,30 +156,12 @@ fn not_a_number(line: usize, column: &'static str, text: &str) -> OdometryError 
     OdometryError::Number { line, column, text: text.to_owned() }
 }
 
-/// Decimal seconds as nanoseconds, exactly: an f64 has too few digits for seconds since 1970.
-fn nanoseconds(seconds: &str) -> Option<i64> {
-    let (sign, digits) = match seconds.strip_prefix('-') {
-        Some(digits) => (-1, digits),
-        None => (1, seconds),
-    };
-    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
-    let all_digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
-    if whole.is_empty() || !all_digits(whole) || !all_digits(fraction) {
-        return None;
-    }
-    let nine_digits: String = fraction.chars().chain("000000000".chars()).take(9).collect();
-    let parsed: Result<(i64, i64), ParseIntError> =
-        whole.parse().and_then(|whole| Ok((whole, nine_digits.parse()?)));
-    let (whole, fraction) = parsed.ok()?;
-    whole.checked_mul(NANOSECONDS_PER_SECOND)?.checked_add(fraction)?.checked_mul(sign)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn pose(row: &StampedPose) -> (Vector3, Quaternion) {
-        let pose = row.odometry.pose.unwrap();
+        let pose = pose_message(&row.pose);
         (pose.position_m.unwrap(), pose.orientation.unwrap())
     }
 
@@ -214,7 +203,6 @@ mod tests {
         let semicolons = parse("stamp_ns;x_m;y_m;yaw_rad\n1;0;0;0\n").unwrap_err();
         assert_eq!(semicolons, OdometryError::Semicolons { line: 1 });
         assert_eq!(csv("1,0,0,0\n2,0,0,0\n2,0,0,0\n"), OdometryError::NotRising { line: 4 });
-        assert_eq!(csv("0,0,0,0\n1,0,0,0\n"), OdometryError::NotPositive { line: 2 });
         let skewed = parse("1 0 0 0 0 0 0 2").unwrap_err();
         assert_eq!(skewed, OdometryError::NotARotation { line: 1, length: 2.0 });
         assert!(matches!(parse("1e9 0 0 0 0 0 0 1").unwrap_err(), OdometryError::Number { line: 1, .. }));

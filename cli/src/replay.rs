@@ -11,7 +11,7 @@ use crate::drive::{Drive, Shot};
 use crate::failure::Failure;
 use crate::frame_row::FrameRow;
 use crate::images::ImageFile;
-use crate::odometry::StampedPose;
+use crate::moments::Moment;
 use crate::robot_words::ContentMaker;
 
 /// What to stream, and how.
@@ -25,16 +25,12 @@ pub(crate) struct Replay {
 
 /// Where images are. Frame numbers are positions in the folder or on the topic, from 1.
 pub(crate) enum Recording {
-    Folder { images: Vec<ImageFile>, stamps: Stamps },
+    /// With a moment for each image.
+    Folder {
+        images: Vec<ImageFile>,
+        moments: Vec<Moment>,
+    },
     Bag(Arc<Drive>),
-}
-
-/// When the images were taken.
-pub(crate) enum Stamps {
-    /// Recorded, one for each image.
-    Odometry(Vec<StampedPose>),
-    /// Generated.
-    Even { rate_hz: f64 },
 }
 
 /// What was sent.
@@ -73,12 +69,15 @@ impl Replay {
         }
         let mut sending = Sending { frames, pace, contents: &self.contents, sent: Sent::default() };
         match &self.recording {
-            Recording::Folder { images, stamps } => {
-                let numbered = (1..).zip(images).filter(|(sequence, _)| *sequence > after_sequence);
-                for (sequence, image) in numbered {
-                    let bytes = tokio::fs::read(&image.path).await;
-                    let image = bytes.map_err(Failure::file("read", &image.path))?;
-                    sending.send(stamps.shot(sequence, image)).await?;
+            Recording::Folder { images, moments } => {
+                let numbered = (1..).zip(images.iter().zip(moments));
+                for (sequence, (file, moment)) in numbered.filter(|(sequence, _)| *sequence > after_sequence)
+                {
+                    let bytes = tokio::fs::read(&file.path).await;
+                    let image = bytes.map_err(Failure::file("read", &file.path))?;
+                    let Moment { stamp_ns, odometry } = moment.clone();
+                    let note = note(&file.name);
+                    sending.send(Shot { sequence, stamp_ns, image, odometry, note }).await?;
                 }
             }
             Recording::Bag(drive) => {
@@ -112,7 +111,7 @@ impl Replay {
     /// Name of the image that was frame `sequence`.
     pub(crate) fn image_name(&self, sequence: u64) -> Option<Cow<'_, str>> {
         match &self.recording {
-            Recording::Folder { images, stamps: _ } => {
+            Recording::Folder { images, moments: _ } => {
                 at(images, sequence).map(|image| Cow::Borrowed(image.name.as_str()))
             }
             Recording::Bag(drive) => {
@@ -126,7 +125,7 @@ impl Recording {
     /// Number of the last image.
     pub(crate) fn last_sequence(&self) -> u64 {
         match self {
-            Recording::Folder { images, stamps: _ } => images.len() as u64,
+            Recording::Folder { images, moments: _ } => images.len() as u64,
             Recording::Bag(drive) => drive.last_sequence(),
         }
     }
@@ -134,7 +133,7 @@ impl Recording {
     /// How many images are above number `after_sequence`.
     pub(crate) fn count_after(&self, after_sequence: u64) -> usize {
         match self {
-            Recording::Folder { images, stamps: _ } => {
+            Recording::Folder { images, moments: _ } => {
                 images.len().saturating_sub(usize::try_from(after_sequence).unwrap_or(images.len()))
             }
             Recording::Bag(drive) => drive.count_after(after_sequence),
@@ -143,30 +142,10 @@ impl Recording {
 
     fn stamp_ns(&self, sequence: u64) -> i64 {
         match self {
-            Recording::Folder { images: _, stamps } => stamps.stamp_ns(sequence),
+            Recording::Folder { images: _, moments } => {
+                at(moments, sequence).map_or(0, |moment| moment.stamp_ns)
+            }
             Recording::Bag(drive) => drive.stamp_ns(sequence).unwrap_or_default(),
-        }
-    }
-}
-
-impl Stamps {
-    fn shot(&self, sequence: u64, image: Vec<u8>) -> Shot {
-        let odometry = self.pose(sequence).map(|pose| pose.odometry.clone());
-        Shot { sequence, stamp_ns: self.stamp_ns(sequence), image, odometry }
-    }
-
-    fn pose(&self, sequence: u64) -> Option<&StampedPose> {
-        match self {
-            Stamps::Odometry(poses) => at(poses, sequence),
-            Stamps::Even { .. } => None,
-        }
-    }
-
-    fn stamp_ns(&self, sequence: u64) -> i64 {
-        match self {
-            Stamps::Odometry(_) => self.pose(sequence).map_or(0, |pose| pose.stamp_ns),
-            // From above 0, which means no stamp.
-            Stamps::Even { rate_hz } => (sequence as f64 * 1e9 / rate_hz).round() as i64,
         }
     }
 }
@@ -181,15 +160,24 @@ struct Sending<'a> {
 
 impl Sending<'_> {
     async fn send(&mut self, shot: Shot) -> Result<(), Failure> {
-        let Shot { sequence, stamp_ns, image, odometry } = shot;
+        let Shot { sequence, stamp_ns, image, odometry, note } = shot;
         let content: FrameContent = self.contents.content(image).await;
         self.sent.frames += 1;
         self.sent.bytes += content.encoded_len();
         if let Some(pace) = &mut self.pace {
             pace.tick().await;
         }
-        Ok(self.frames.send(FrameInput { sequence, stamp_ns, content, odometry }).await?)
+        Ok(self.frames.send(FrameInput { sequence, stamp_ns, content, odometry, note }).await?)
     }
+}
+
+/// The longest note that a frame can have, in bytes.
+const MOST_NOTE_BYTES: usize = 200;
+
+/// A file's name as a frame's note; none if it does not fit into a line.
+pub(crate) fn note(name: &str) -> String {
+    let fits = name.len() <= MOST_NOTE_BYTES && !name.chars().any(char::is_control);
+    if fits { name.to_owned() } else { String::new() }
 }
 
 /// The element that belongs to frame `sequence`.
@@ -202,37 +190,26 @@ mod tests {
     use std::path::PathBuf;
 
     use super::*;
-    use crate::odometry;
-
-    #[test]
-    fn made_up_stamps_rise_by_the_rate() {
-        let stamps = Stamps::Even { rate_hz: 4.0 };
-        assert_eq!(
-            [1, 2, 3].map(|sequence| stamps.stamp_ns(sequence)),
-            [250_000_000, 500_000_000, 750_000_000]
-        );
-        assert_eq!(stamps.shot(2, vec![7]).odometry, None);
-    }
-
-    #[test]
-    fn frames_take_stamp_and_pose_of_their_row() {
-        let poses = odometry::parse("stamp_ns,x_m,y_m,yaw_rad\n100,1,0,0\n230,2,0,0\n").unwrap();
-        let shot = Stamps::Odometry(poses).shot(2, vec![7]);
-        assert_eq!((shot.sequence, shot.stamp_ns), (2, 230));
-        let position_m = shot.odometry.unwrap().pose.unwrap().position_m.unwrap();
-        assert_eq!(position_m.x.to_bits(), 2.0_f64.to_bits());
-    }
+    use crate::moments::even;
 
     #[test]
     fn images_are_named_by_their_files() {
-        let image = |name: &str| ImageFile { name: name.to_owned(), path: PathBuf::from(name) };
+        let image =
+            |name: &str| ImageFile { name: name.to_owned(), path: PathBuf::from(name), stamp_ns: None };
         let images = vec![image("a.jpg"), image("b.jpg")];
-        let recording = Recording::Folder { images, stamps: Stamps::Even { rate_hz: 1.0 } };
+        let recording = Recording::Folder { moments: even(images.len(), 1.0), images };
         assert_eq!(
             (recording.last_sequence(), recording.count_after(1), recording.count_after(9)),
             (2, 1, 0)
         );
         let replay = Replay { recording, pace_hz: None, contents: ContentMaker::Images };
         assert_eq!((replay.image_name(1).as_deref(), replay.image_name(3)), (Some("a.jpg"), None));
+    }
+
+    #[test]
+    fn a_name_that_is_no_line_is_no_note() {
+        assert_eq!(note("000147.jpg"), "000147.jpg");
+        assert_eq!(note("two\nlines.jpg"), "");
+        assert_eq!(note(&"x".repeat(MOST_NOTE_BYTES + 1)), "");
     }
 }

@@ -7,6 +7,7 @@ use clap::ValueEnum;
 use waypost_client::{Client, FrameContent};
 
 use crate::failure::Failure;
+use crate::shrinking::fitting;
 
 /// How words are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -74,9 +75,11 @@ impl ContentMaker {
         }
     }
 
-    /// The content of a frame with this image. An image that gives no words is sent as it is, so
-    /// that the server says what is wrong with it.
+    /// The content of a frame with this image, made smaller if no server takes it. An image that
+    /// gives no words is sent as it is, so that the server says what is wrong with it.
     pub(crate) async fn content(&self, image: Vec<u8>) -> FrameContent {
+        let fitted = tokio::task::spawn_blocking(move || fitting(image)).await;
+        let image = fitted.unwrap_or_else(|panic| std::panic::resume_unwind(panic.into_panic()));
         match self.clone() {
             ContentMaker::Images => FrameContent::Image(image),
             #[cfg(feature = "words")]

@@ -1,5 +1,7 @@
 //! A simulated robot that drives as a server tells it.
 
+pub(crate) mod mapping;
+
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::sync::Arc;
@@ -55,6 +57,11 @@ pub(crate) fn robot(
     building.robot(WheelErrors::drawn(seed), seed, trigger).map_err(unfit)
 }
 
+/// A map with the settings that it has by default.
+pub(crate) fn new_map(map: &str, model: &str) -> v1::CreateMapRequest {
+    v1::CreateMapRequest { map_id: map.to_owned(), model: model.to_owned(), settings: None }
+}
+
 /// What the camera takes, as JPEG.
 pub(crate) fn jpeg(building: &Building, shot: &Shot) -> Result<Vec<u8>, Failure> {
     building.image(shot).to_jpeg().map_err(unfit)
@@ -87,12 +94,21 @@ struct Developing {
     frame: CameraFrame,
 }
 
-/// Lets the robot drive as it is told, in real time, until it has arrived; `on_seen` hears what its frames showed.
+/// When a drive that the server leads is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Ending {
+    /// When the robot has arrived; that takes no longer than this.
+    OnArrival(Duration),
+    /// Never by itself: goals come and go.
+    Never,
+}
+
+/// Lets the robot drive as it is told, in real time; `on_seen` hears what its frames showed.
 pub(crate) async fn drive(
     building: &Arc<Building>,
     robot: &mut Simulation,
     navigation: &mut Navigation,
-    patience: Duration,
+    ending: Ending,
     mut on_seen: impl FnMut(&v1::FrameSeen, &Pose) -> Result<(), Failure>,
 ) -> Result<LedDrive, Failure> {
     let period = Duration::from_nanos(u64::try_from(robot.settings().period_ns).unwrap_or(u64::MAX));
@@ -101,12 +117,14 @@ pub(crate) async fn drive(
     let guidance = navigation.guidance();
     let began = Instant::now();
     let mut ticks = Vec::new();
+    let mut steps_taken = 0_usize;
     let mut seen = Vec::new();
     let mut poses = BTreeMap::new();
     let mut developing: Option<Developing> = None;
     loop {
         steps.tick().await;
-        let mut tick = step(robot, navigation, ticks.len() % STEPS_PER_REPORT == 0);
+        let mut tick = step(robot, navigation, steps_taken.is_multiple_of(STEPS_PER_REPORT));
+        steps_taken = steps_taken.wrapping_add(1);
         if let Some(frame) = tick.frame.take().filter(|_| developing.is_none()) {
             poses.insert(frame.number + 1, frame.shot.pose);
             let building = building.clone();
@@ -120,10 +138,16 @@ pub(crate) async fn drive(
         }
         while let Some(event) = navigation.try_next() {
             let Some(what) = shown(event)? else { continue };
-            let Some(pose) = poses.get(&what.sequence) else { continue };
-            on_seen(&what, pose)?;
-            seen.push((what, *pose));
+            let Some(pose) = poses.remove(&what.sequence) else { continue };
+            on_seen(&what, &pose)?;
+            seen.push((what, pose));
         }
+        let Ending::OnArrival(patience) = ending else {
+            // A drive without an end is not kept.
+            ticks.clear();
+            seen.clear();
+            continue;
+        };
         let told = guidance.borrow().clone().unwrap_or_default();
         if told.status() == v1::NavigationStatus::Arrived {
             return Ok(LedDrive { ticks, seen });
@@ -161,6 +185,7 @@ pub(crate) fn frame_input(frame: &CameraFrame, image: Vec<u8>) -> FrameInput {
         stamp_ns: frame.stamp_ns + 1,
         content: FrameContent::Image(image),
         odometry: Some(odometry(&frame.odometry)),
+        note: String::new(),
     }
 }
 

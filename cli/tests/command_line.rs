@@ -108,7 +108,12 @@ fn odometry_has_to_fit_the_images() {
     std::fs::write(&odometry, "stamp_ns,x_m,y_m,yaw_rad\n1,0,0,0\n").unwrap();
     let (code, stderr) = stream();
     assert_eq!(code, 1);
-    assert!(stderr.contains("has 1 poses for 2 images; write one row per image"), "{stderr}");
+    assert!(
+        stderr.contains(
+            "has 1 poses for 2 images that have no stamps to join them by; write one row per image"
+        ),
+        "{stderr}"
+    );
 
     std::fs::write(&odometry, "stamp_ns,x_m,y_m,yaw_rad\n1,0,0,0\n2,0,wheel,0\n").unwrap();
     let (code, stderr) = stream();

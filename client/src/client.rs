@@ -6,6 +6,7 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Response, Status};
 use waypost_proto::v1::appearance_service_client::AppearanceServiceClient;
+use waypost_proto::v1::event_service_client::EventServiceClient;
 use waypost_proto::v1::job_service_client::JobServiceClient;
 use waypost_proto::v1::label_service_client::LabelServiceClient;
 use waypost_proto::v1::map_service_client::MapServiceClient;
@@ -119,6 +120,7 @@ macro_rules! stubs {
 
 stubs! {
     appearance_client: AppearanceServiceClient,
+    events_client: EventServiceClient,
     jobs_client: JobServiceClient,
     labels_client: LabelServiceClient,
     maps_client: MapServiceClient,

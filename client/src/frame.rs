@@ -15,6 +15,16 @@ pub struct FrameInput {
     pub content: FrameContent,
     /// Pose of `base_link` in the session's `odom` frame at that time.
     pub odometry: Option<v1::Odometry>,
+    /// What the robot calls the frame, as by the name of its file: at most 200 bytes, without control
+    /// characters; empty if nothing. Told back wherever the frame is named.
+    pub note: String,
+}
+
+impl FrameInput {
+    /// A frame without odometry and without a note.
+    pub fn new(sequence: u64, stamp_ns: i64, content: FrameContent) -> Self {
+        FrameInput { sequence, stamp_ns, content, odometry: None, note: String::new() }
+    }
 }
 
 /// The image of a frame, or its words.
@@ -41,13 +51,13 @@ impl FrameContent {
 }
 
 impl From<FrameInput> for v1::Frame {
-    fn from(FrameInput { sequence, stamp_ns, content, odometry }: FrameInput) -> Self {
+    fn from(FrameInput { sequence, stamp_ns, content, odometry, note }: FrameInput) -> Self {
         let content = match content {
             FrameContent::Image(image) => v1::frame::Content::Image(image),
             FrameContent::Histogram(histogram) => v1::frame::Content::Histogram(histogram),
             FrameContent::Words(words) => v1::frame::Content::Words(words),
         };
-        v1::Frame { sequence, stamp_ns, odometry, content: Some(content) }
+        v1::Frame { sequence, stamp_ns, odometry, content: Some(content), note }
     }
 }
 

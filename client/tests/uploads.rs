@@ -104,6 +104,10 @@ impl ModelService for Models {
     ) -> Result<Response<v1::DeleteModelResponse>, Status> {
         Err(Status::unimplemented("not needed here"))
     }
+
+    async fn rename_model(&self, _: Request<v1::RenameModelRequest>) -> Result<Response<v1::Model>, Status> {
+        Err(Status::unimplemented("not needed here"))
+    }
 }
 
 async fn server() -> (Client, mpsc::UnboundedReceiver<Seen>) {

@@ -9,7 +9,6 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use fabmap::likelihood::Dependence;
 use fabmap::new_place::NewPlaceMethod;
 use fabmap::recognizer::Scorer;
-use posegraph::Closures;
 use topomap::evidence::VerificationMethod;
 use topomap::log::Reason;
 use waypost_sim::worlds::NamedWorld;
@@ -41,10 +40,6 @@ pub(crate) const VERIFICATION_METHODS: Choices<VerificationMethod> = &[
     ("similarity", VerificationMethod::Similarity),
     ("epipolar", VerificationMethod::Epipolar),
 ];
-
-/// Whether closures of a pose graph may be wrong.
-pub(crate) const CLOSURES: Choices<Closures> =
-    &[("judged", Closures::Judged), ("trusted", Closures::Trusted)];
 
 /// Why a frame was decided as it was.
 pub(crate) const REASONS: Choices<Reason> = &[

@@ -1,13 +1,10 @@
 //! A map's log, in memory.
 
 use anyhow::Context;
-use fabmap::observation::Observation;
-use topomap::evidence::{ArchiveError, FrameArchive};
 use topomap::ids::FrameId;
 use topomap::log::{FrameEvent, MapEvent};
 use topomap::mapper::Mapper;
 use topomap::merging::Layout;
-use topomap::metric::RelativePose;
 
 use crate::error::fault;
 
@@ -51,17 +48,4 @@ pub(crate) fn fold_all(mapper: &mut Mapper, events: &[MapEvent]) -> anyhow::Resu
 pub(crate) fn layout(mapper: &Mapper) -> Layout<'_> {
     let settings = mapper.settings();
     Layout { poses: mapper.poses(), noise: settings.odometry_noise, spacing: settings.place_spacing }
-}
-
-impl FrameArchive for EventLog {
-    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
-        match self.frame(frame) {
-            Some(event) => Ok(Some(event.observation.clone())),
-            None => Err(ArchiveError { frame, why: "it is not in the log".to_owned() }),
-        }
-    }
-
-    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
-        Ok(self.frame(frame).and_then(|event| event.at))
-    }
 }

@@ -70,15 +70,9 @@ fn write_beside_and_move(path: &Path, content: &[u8]) -> io::Result<()> {
 }
 
 /// Readable as any new file is, not by its owner alone as temporary files are.
-#[cfg(unix)]
 fn new_file_in(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
     use std::os::unix::fs::PermissionsExt;
     tempfile::Builder::new().permissions(fs::Permissions::from_mode(0o666)).tempfile_in(folder)
-}
-
-#[cfg(not(unix))]
-fn new_file_in(folder: &Path) -> io::Result<tempfile::NamedTempFile> {
-    tempfile::NamedTempFile::new_in(folder)
 }
 
 #[cfg(test)]

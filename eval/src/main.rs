@@ -20,6 +20,7 @@ mod plots;
 mod precision_recall;
 mod progress;
 mod ranking;
+mod report;
 mod timing;
 mod workload;
 
@@ -84,6 +85,7 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Merge(options) => to_string(&merge::run(options)?),
         Command::Recorded(options) => to_string(&recorded::run(options)?),
     }?;
+    eprint!("{}", report::for_people(&report)?);
     if cli.json {
         writeln!(io::stdout().lock(), "{report}").context("stdout cannot be written")?;
     }

@@ -1,10 +1,8 @@
 //! Plots as SVG.
 
-mod growth;
 mod headings;
 mod reliability;
 
-pub(crate) use growth::growth_svg;
 pub(crate) use headings::{HeadingErrors, heading_errors_svg};
 pub(crate) use reliability::reliability_svg;
 

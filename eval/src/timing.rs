@@ -47,22 +47,6 @@ impl StageTimes {
             total: median_of(|times| times.total),
         }
     }
-
-    /// The stages that were gone through, in order, with their names: `extract 1.23, quantize 4.56`.
-    pub(crate) fn text(&self) -> String {
-        let Self { extract, quantize, likelihood, new_place, filter, verify, total } = *self;
-        let stages = [
-            ("extract", extract),
-            ("quantize", quantize),
-            ("likelihood", likelihood),
-            ("new_place", new_place),
-            ("filter", filter),
-            ("verify", verify),
-            ("total", total),
-        ];
-        let stages = stages.into_iter().filter_map(|(stage, time)| Some(format!("{stage} {:.2}", time?)));
-        stages.collect::<Vec<String>>().join(", ")
-    }
 }
 
 impl FrameWatch {

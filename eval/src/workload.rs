@@ -1,12 +1,10 @@
 //! The synthetic workload: sparse binary images of a tree of words, of any size, by seed.
 //!
-//! The model is that of the numpy generator that the baselines were measured with, whose files
-//! [`files`] reads: marginals by a Zipf-Mandelbrot law, words coupled to a slightly more frequent
+//! The model is that of the numpy generator that the baselines were measured with: marginals by a Zipf-Mandelbrot law, words coupled to a slightly more frequent
 //! parent, a place an image of that distribution, a revisit half of the place's words and half of
 //! another image's. Random numbers are drawn otherwise, so equal seeds give other images of the
 //! same distribution.
 
-pub(crate) mod files;
 mod model;
 
 use std::collections::BTreeSet;

@@ -73,6 +73,12 @@ pub enum DescriptorError {
     },
 }
 
+impl AsRef<Descriptors> for Descriptors {
+    fn as_ref(&self) -> &Descriptors {
+        self
+    }
+}
+
 impl Descriptors {
     /// Widest row in bytes; keeps every squared distance within 32 bits.
     pub const MAX_WIDTH: usize = 4096;

@@ -13,6 +13,7 @@ use crate::chow_liu::ChowLiuTree;
 use crate::codec::{Container, DecodeError, Reader, Writer};
 use crate::detector::DetectorModel;
 use crate::evidence_exponent::EvidenceExponent;
+use crate::look_alikes::{Kinds, LookAlikes};
 use crate::observation::{Observation, WordId};
 use crate::vocabulary::Vocabulary;
 
@@ -26,6 +27,7 @@ pub struct Model {
     detector: DetectorModel,
     sampling_set: Vec<Observation>,
     evidence_exponent: EvidenceExponent,
+    look_alikes: Option<LookAlikes>,
 }
 
 /// SHA-256 of a content, shown as 64 hexadecimal digits.
@@ -54,11 +56,14 @@ pub enum ModelError {
 }
 
 /// `.waypost` model files.
-const CONTAINER: Container = Container { magic: *b"WPMODEL\n", name: "Waypost model", version: 2 };
+const CONTAINER: Container = Container { magic: *b"WPMODEL\n", name: "Waypost model", version: 3 };
 
 /// A model whose likelihoods count in full is written as version 1 wrote it, byte by byte: its name
 /// is the hash of these bytes, and maps know it by that name.
 const WITHOUT_EXPONENT: Container = Container { version: 1, ..CONTAINER };
+
+/// The same for models that know nothing of look-alikes.
+const WITHOUT_LOOK_ALIKES: Container = Container { version: 2, ..CONTAINER };
 
 impl Model {
     /// Joins the parts. `extractor` names feature and settings that the words are made of, in the
@@ -81,13 +86,36 @@ impl Model {
             return Err(ModelError::SampleWord { word, vocabulary: vocabulary.len() });
         }
         let evidence_exponent = EvidenceExponent::NONE;
-        Ok(Self { extractor, vocabulary, tree, detector, sampling_set, evidence_exponent })
+        let look_alikes = None;
+        Ok(Self { extractor, vocabulary, tree, detector, sampling_set, evidence_exponent, look_alikes })
     }
 
     /// Another model over the same words: with this detector, and likelihoods to this exponent.
     #[must_use]
     pub fn recalibrated(&self, detector: DetectorModel, evidence_exponent: EvidenceExponent) -> Self {
         Self { detector, evidence_exponent, ..self.clone() }
+    }
+
+    /// The same model, which knows what look-alikes of its kinds of places reach. Those of images
+    /// that are not of its sampling set are refused by [`LookAlikes::new`].
+    #[must_use]
+    pub fn with_look_alikes(self, look_alikes: LookAlikes) -> Self {
+        debug_assert_eq!(look_alikes.shares().len(), self.sampling_set.len(), "one an image");
+        Self { look_alikes: Some(look_alikes), ..self }
+    }
+
+    /// What look-alikes of each image of the sampling set reach; `None` of models that were trained
+    /// before that was learnt, or from words alone.
+    #[must_use]
+    pub fn look_alikes(&self) -> Option<&LookAlikes> {
+        self.look_alikes.as_ref()
+    }
+
+    /// What tells of which kind an image is, where look-alikes are known.
+    #[must_use]
+    pub fn kinds(&self) -> Option<Kinds> {
+        let look_alikes = self.look_alikes.as_ref()?;
+        Some(Kinds::new(&self.sampling_set, self.vocabulary.len(), look_alikes))
     }
 
     /// The name of the extractor that the words are made with.
@@ -143,8 +171,12 @@ impl Model {
     /// The model as a file.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
-        let container =
-            if self.evidence_exponent == EvidenceExponent::NONE { WITHOUT_EXPONENT } else { CONTAINER };
+        let exponent = self.evidence_exponent != EvidenceExponent::NONE;
+        let container = match (&self.look_alikes, exponent) {
+            (Some(_), _) => CONTAINER,
+            (None, true) => WITHOUT_LOOK_ALIKES,
+            (None, false) => WITHOUT_EXPONENT,
+        };
         container.seal(&self.payload())
     }
 
@@ -167,13 +199,26 @@ impl Model {
             0 | 1 => EvidenceExponent::NONE,
             _ => EvidenceExponent::new(reader.f64()?).map_err(DecodeError::invalid)?,
         };
+        let look_alikes = match version {
+            0..=2 => None,
+            _ => Some(decode_look_alikes(&mut reader, samples)?),
+        };
         reader.end()?;
         let model = Self::new(extractor, vocabulary, tree, detector, sampling_set);
-        Ok(model.map_err(DecodeError::invalid)?.recalibrated(detector, evidence_exponent))
+        let model = model.map_err(DecodeError::invalid)?.recalibrated(detector, evidence_exponent);
+        Ok(Self { look_alikes, ..model })
     }
 
     fn payload(&self) -> Vec<u8> {
-        let Self { extractor: _, vocabulary: _, tree, detector, sampling_set, evidence_exponent } = self;
+        let Self {
+            extractor: _,
+            vocabulary: _,
+            tree,
+            detector,
+            sampling_set,
+            evidence_exponent,
+            look_alikes,
+        } = self;
         let mut writer = Writer::default();
         self.encode_words(&mut writer);
         tree.encode(&mut writer);
@@ -181,8 +226,12 @@ impl Model {
         writer.f64(detector.probability(true, false));
         writer.varint(sampling_set.len() as u64);
         sampling_set.iter().for_each(|sample| sample.encode(&mut writer));
-        if *evidence_exponent != EvidenceExponent::NONE {
+        if *evidence_exponent != EvidenceExponent::NONE || look_alikes.is_some() {
             writer.f64(evidence_exponent.value());
+        }
+        if let Some(look_alikes) = look_alikes {
+            writer.f64(look_alikes.usual_likeness());
+            look_alikes.shares().iter().for_each(|share| writer.u32(share.to_bits()));
         }
         writer.into_bytes()
     }
@@ -191,6 +240,13 @@ impl Model {
         writer.str(&self.extractor);
         self.vocabulary.encode(writer);
     }
+}
+
+fn decode_look_alikes(reader: &mut Reader<'_>, images: usize) -> Result<LookAlikes, DecodeError> {
+    let usual_likeness = reader.f64()?;
+    let shares =
+        (0..images).map(|_| Ok(f32::from_bits(reader.u32()?))).collect::<Result<_, DecodeError>>()?;
+    LookAlikes::from_parts(shares, usual_likeness, images).map_err(DecodeError::invalid)
 }
 
 impl ContentHash {

@@ -3,7 +3,7 @@
 //!
 //! Frames come in now and then and say where the robot is ([`Lookout`], beside the map); odometry
 //! comes in often and is answered with a command ([`Navigator::drive`]). In between is a plan
-//! ([`planning::plan`]). The navigator itself knows no map: whoever holds one looks at frames and
+//! ([`planning::plan`]). The navigator itself knows no map: its holder looks at frames and
 //! plans, when [`Navigator::wanted_route`] asks for it.
 
 mod commands;

@@ -5,6 +5,7 @@ mod graph;
 mod planar;
 mod pose;
 mod relaxation;
+pub mod shortest_paths;
 pub mod trajectory;
 
 pub use graph::{Edge, EdgeError, EdgeKind, MissingPose, PlanarGraph, PoseGraph, SpatialGraph};

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use topomap::evidence::ArchiveError;
+use topomap::ids::FrameId;
 use topomap::mapper::FrameError;
 
 use crate::camera::CameraError;
@@ -256,6 +256,16 @@ impl From<FrameError> for ServiceError {
             | FrameError::ForeignWord { .. } => Self::invalid(error),
         }
     }
+}
+
+/// A stored frame could not be read now.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("frame {frame} of the map could not be read back: {why}; send the frame again")]
+pub(crate) struct ArchiveError {
+    /// The frame.
+    pub(crate) frame: FrameId,
+    /// What happened.
+    pub(crate) why: String,
 }
 
 impl From<ArchiveError> for ServiceError {

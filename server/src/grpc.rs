@@ -2,6 +2,7 @@
 
 mod access;
 mod appearance;
+mod events;
 mod jobs;
 mod labels;
 mod maps;
@@ -22,6 +23,7 @@ use tokio::net::TcpListener;
 use tonic::{Status, Streaming};
 use waypost_proto::FILE_DESCRIPTOR_SET;
 use waypost_proto::v1::appearance_service_server::AppearanceServiceServer;
+use waypost_proto::v1::event_service_server::EventServiceServer;
 use waypost_proto::v1::job_service_server::JobServiceServer;
 use waypost_proto::v1::label_service_server::LabelServiceServer;
 use waypost_proto::v1::map_service_server::MapServiceServer;
@@ -95,7 +97,8 @@ pub(crate) async fn serve(
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
     };
     // Python's reflection client, among others, speaks the older version alone.
-    let (reflection, reflection_alpha) = (reflected().build_v1()?, reflected().build_v1alpha()?);
+    let reflection = reflected().build_v1()?;
+    let reflection_alpha = reflected().build_v1alpha()?;
     let connections = Connections::at(listener, tls.map(|tls| tls.grpc.clone()), LIMITS, strangers)?;
     tonic::transport::Server::builder()
         .http2_keepalive_interval(Some(KEEPALIVE))
@@ -116,6 +119,7 @@ pub(crate) async fn serve(
         .add_service(limited!(RecognitionServiceServer::new(adapter())))
         .add_service(limited!(LabelServiceServer::new(adapter())))
         .add_service(limited!(AppearanceServiceServer::new(adapter())))
+        .add_service(limited!(EventServiceServer::new(adapter())))
         .add_service(limited!(TokenServiceServer::new(adapter())))
         .serve_with_incoming_shutdown(connections, shutdown)
         .await?;

@@ -3,6 +3,7 @@
 mod access;
 mod appearance;
 mod description;
+mod events;
 mod explanations;
 mod exports;
 mod frames;
@@ -134,6 +135,7 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(maps::get_map, maps::delete_map))
         .routes(routes!(snapshots::export_map))
         .routes(routes!(snapshots::import_map))
+        .routes(routes!(events::watch_map))
         .routes(routes!(places::list_places))
         .routes(routes!(places::get_place))
         .routes(routes!(places::list_word_places))
@@ -165,6 +167,7 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(appearance::get_appearance_graph))
         .routes(routes!(models::list_models, models::import_model))
         .routes(routes!(models::get_model, models::delete_model))
+        .routes(routes!(models::rename_model))
         .routes(routes!(models::export_model))
         .routes(routes!(jobs::list_jobs))
         .routes(routes!(jobs::get_job))
@@ -251,20 +254,23 @@ struct ErrorContent {
     message: String,
 }
 
-fn error_response(status: StatusCode, code: &'static str, message: String) -> Response {
-    let body = ErrorBody {
+fn error_body(status: StatusCode, code: &'static str, message: String) -> ErrorBody {
+    ErrorBody {
         r#type: "about:blank",
         title: status.canonical_reason().unwrap_or("Unknown"),
         status: status.as_u16(),
         detail: message.clone(),
         error: ErrorContent { code, message },
-    };
-    (status, [(CONTENT_TYPE, PROBLEM)], Json(body)).into_response()
+    }
 }
 
-impl IntoResponse for HttpError {
-    fn into_response(self) -> Response {
-        let status = match &self.0 {
+fn error_response(status: StatusCode, code: &'static str, message: String) -> Response {
+    (status, [(CONTENT_TYPE, PROBLEM)], Json(error_body(status, code, message))).into_response()
+}
+
+impl HttpError {
+    fn status(&self) -> StatusCode {
+        match &self.0 {
             ServiceError::InvalidArgument { .. } => StatusCode::BAD_REQUEST,
             ServiceError::NotFound { .. } => StatusCode::NOT_FOUND,
             ServiceError::AlreadyExists { .. }
@@ -276,8 +282,18 @@ impl IntoResponse for HttpError {
             ServiceError::PermissionDenied { .. } => StatusCode::FORBIDDEN,
             ServiceError::DeadlineExceeded { .. } => StatusCode::GATEWAY_TIMEOUT,
             ServiceError::DataLoss { .. } | ServiceError::Internal => StatusCode::INTERNAL_SERVER_ERROR,
-        };
-        let mut response = error_response(status, self.0.code_name(), self.0.to_string());
+        }
+    }
+
+    /// What the body of a refusal is, for an answer that has begun already.
+    fn body(&self) -> ErrorBody {
+        error_body(self.status(), self.0.code_name(), self.0.to_string())
+    }
+}
+
+impl IntoResponse for HttpError {
+    fn into_response(self) -> Response {
+        let mut response = error_response(self.status(), self.0.code_name(), self.0.to_string());
         if let ServiceError::Unavailable { retry_after: Some(retry_after), .. } = self.0 {
             let seconds = HeaderValue::from(retry_after.as_secs_f64().ceil() as u64);
             response.headers_mut().insert(RETRY_AFTER, seconds);

@@ -9,7 +9,8 @@ pub(crate) mod model;
 pub(crate) mod panoramic;
 
 pub(crate) use waypost_vision::feature_record::FeatureRecord;
-pub(crate) use waypost_vision::features::{Extractor, Keypoint};
+pub(crate) use waypost_vision::features::{Extractor, Features, Keypoint};
+pub(crate) use waypost_vision::look_alikes;
 pub(crate) use waypost_vision::panorama::PanoramicView;
 pub(crate) use waypost_vision::structure::{RobotCamera, TrackedFrame, Tracker};
 pub(crate) use waypost_vision::verification::{Comparison, Verifier, View};

@@ -80,7 +80,8 @@ impl Server {
         let service = open(&data_dir).await?;
         service.settle().await?;
         let defaults = Config::default();
-        let (map_memory_bytes, strangers) = (defaults.map_memory_bytes(), defaults.strangers());
+        let map_memory_bytes = defaults.map_memory_bytes();
+        let strangers = defaults.strangers();
         Ok(Self { service, tls: None, map_memory_bytes, strangers })
     }
 

@@ -121,7 +121,8 @@ async fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
 
 async fn serve(config: Config) -> anyhow::Result<ExitCode> {
     let tls = config.tls_files().as_ref().map(Tls::load).transpose()?;
-    let (map_memory_bytes, strangers) = (config.map_memory_bytes(), config.strangers());
+    let map_memory_bytes = config.map_memory_bytes();
+    let strangers = config.strangers();
     let Config {
         data_dir,
         grpc_address,
@@ -207,7 +208,7 @@ async fn bind(address: std::net::SocketAddr, option: &str) -> anyhow::Result<Tcp
     })
 }
 
-/// Written beside and renamed, so that whoever waits for the file never reads half of it.
+/// Written beside and renamed, so that a reader who waits for the file never reads half of it.
 fn announce(file: &Path, grpc: &str, http: &str) -> anyhow::Result<()> {
     #[derive(Serialize)]
     struct Addresses<'a> {

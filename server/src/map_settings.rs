@@ -96,8 +96,8 @@ struct StoredSettings {
     #[serde(default = "keep_before_it_was_a_setting")]
     keep: Keep,
     /// Maps that were made before there was any have none.
-    #[serde(default = "VerificationSettings::none", with = "StoredVerification")]
-    verification: VerificationSettings,
+    #[serde(default = "StoredVerification::none")]
+    verification: StoredVerification,
     /// Maps that were made before places had poses take the defaults of then.
     #[serde(default)]
     metric: StoredMetric,
@@ -134,8 +134,8 @@ impl Default for StoredMetric {
     }
 }
 
-#[derive(Serialize, Deserialize)]
-#[serde(remote = "VerificationSettings", deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct StoredVerification {
     #[serde(with = "StoredVerificationMethod")]
     method: VerificationMethod,
@@ -144,8 +144,68 @@ struct StoredVerification {
     max_rotation_rad: f64,
     max_ln_scale: f64,
     max_translation_widths: f64,
-    min_evidence: f64,
+    /// Maps that were made before closures had one probability asked for so many inliers beside it.
+    /// It is read and decides nothing.
+    #[serde(default, skip_serializing)]
+    min_evidence: Option<f64>,
     consistency_frames: u64,
+}
+
+impl StoredVerification {
+    fn none() -> Self {
+        VerificationSettings::none().into()
+    }
+}
+
+impl From<VerificationSettings> for StoredVerification {
+    fn from(settings: VerificationSettings) -> Self {
+        let VerificationSettings {
+            method,
+            min_posterior,
+            min_inliers,
+            max_rotation_rad,
+            max_ln_scale,
+            max_translation_widths,
+            // Part of the program, as how likelihoods are scored is.
+            weights: _,
+            consistency_frames,
+        } = settings;
+        Self {
+            method,
+            min_posterior,
+            min_inliers,
+            max_rotation_rad,
+            max_ln_scale,
+            max_translation_widths,
+            min_evidence: None,
+            consistency_frames,
+        }
+    }
+}
+
+impl From<StoredVerification> for VerificationSettings {
+    fn from(stored: StoredVerification) -> Self {
+        let StoredVerification {
+            method,
+            min_posterior,
+            min_inliers,
+            max_rotation_rad,
+            max_ln_scale,
+            max_translation_widths,
+            min_evidence: _,
+            consistency_frames,
+        } = stored;
+        Self {
+            method,
+            min_posterior,
+            min_inliers,
+            max_rotation_rad,
+            max_ln_scale,
+            max_translation_widths,
+            consistency_frames,
+            ..Self::default()
+        }
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -238,7 +298,7 @@ pub(crate) fn to_json(settings: &MapSettings) -> Result<String, ServiceError> {
         min_words: min_words as u64,
         max_speed_m_per_s,
         keep,
-        verification,
+        verification: verification.into(),
         metric: StoredMetric {
             place_spacing_m: distance_m,
             place_spacing_rad: angle_rad,
@@ -296,7 +356,7 @@ pub(crate) fn from_json(json: &str) -> Result<MapSettings, ServiceError> {
             filter: FilterSettings { new_place_prior, even_share, likelihood_smoothing },
         },
         closure_threshold,
-        verification,
+        verification: verification.into(),
         guard_frames,
         guard_measure,
         looks_per_stay,

@@ -26,6 +26,10 @@ const COMMIT_FRAMES: &str = "waypost_commit_frames";
 const OPEN_MAPS: &str = "waypost_open_maps";
 const JOBS_RUNNING: &str = "waypost_jobs_running";
 const DATABASE_BYTES: &str = "waypost_database_bytes";
+const DISK_FREE_BYTES: &str = "waypost_disk_free_bytes";
+const ROBOTS_LED: &str = "waypost_robots_led";
+const MEMORY_BYTES: &str = "waypost_process_resident_memory_bytes";
+const CPU_SECONDS: &str = "waypost_process_cpu_seconds";
 const BUILD: &str = "waypost_build_info";
 
 /// Upper bounds of what a stage of a frame takes, from an indexed likelihood to a queue that is full.
@@ -81,12 +85,24 @@ struct Stages {
 }
 
 /// What is looked at when the metrics are read, rather than counted.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Levels {
     pub(crate) open_maps: usize,
     pub(crate) jobs_running: usize,
     /// `None` if the database does not answer.
     pub(crate) database_bytes: Option<u64>,
+    /// What is left of the disk that the database is on; `None` if that cannot be told.
+    pub(crate) disk_free_bytes: Option<u64>,
+    /// Robots that are led, by their status.
+    pub(crate) robots_led: Vec<(&'static str, usize)>,
+    pub(crate) process: ProcessLevels,
+}
+
+/// What the process takes; `None` where the system does not tell.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct ProcessLevels {
+    pub(crate) resident_bytes: Option<u64>,
+    pub(crate) cpu_seconds: Option<f64>,
 }
 
 impl Metrics {
@@ -177,11 +193,19 @@ impl Metrics {
 
     /// All metrics in Prometheus' text format.
     pub(crate) fn render(&self, levels: Levels) -> String {
-        let Levels { open_maps, jobs_running, database_bytes } = levels;
+        let Levels { open_maps, jobs_running, database_bytes, disk_free_bytes, robots_led, process } = levels;
+        let ProcessLevels { resident_bytes, cpu_seconds } = process;
+        let bytes = |bytes: Option<u64>| bytes.map_or(f64::NAN, |bytes| bytes as f64);
         self.local(|| {
+            gauge!(DISK_FREE_BYTES).set(bytes(disk_free_bytes));
+            gauge!(MEMORY_BYTES).set(bytes(resident_bytes));
+            gauge!(CPU_SECONDS).set(cpu_seconds.unwrap_or(f64::NAN));
+            for (status, robots) in robots_led {
+                gauge!(ROBOTS_LED, "status" => status).set(robots as f64);
+            }
             gauge!(OPEN_MAPS).set(open_maps as f64);
             gauge!(JOBS_RUNNING).set(jobs_running as f64);
-            gauge!(DATABASE_BYTES).set(database_bytes.map_or(f64::NAN, |bytes| bytes as f64));
+            gauge!(DATABASE_BYTES).set(bytes(database_bytes));
         });
         self.recorder.handle().render()
     }
@@ -245,6 +269,10 @@ fn describe() {
     describe_gauge!(OPEN_MAPS, "Maps in memory.");
     describe_gauge!(JOBS_RUNNING, "Jobs that are running or wait for their turn.");
     describe_gauge!(DATABASE_BYTES, Unit::Bytes, "Size of the database, without its write-ahead log.");
+    describe_gauge!(DISK_FREE_BYTES, Unit::Bytes, "What is left of the disk that the database is on.");
+    describe_gauge!(ROBOTS_LED, "Robots that navigate, by their status.");
+    describe_gauge!(MEMORY_BYTES, Unit::Bytes, "Memory of the process.");
+    describe_gauge!(CPU_SECONDS, Unit::Seconds, "Processor time that the process has taken.");
     describe_gauge!(BUILD, "Always 1; the version is in the label.");
 }
 
@@ -252,24 +280,33 @@ fn describe() {
 mod tests {
     use super::*;
 
-    const NOTHING: Levels = Levels { open_maps: 2, jobs_running: 1, database_bytes: Some(4096) };
+    fn levels() -> Levels {
+        Levels {
+            open_maps: 2,
+            jobs_running: 1,
+            database_bytes: Some(4096),
+            disk_free_bytes: Some(8192),
+            robots_led: vec![("lost", 3)],
+            process: ProcessLevels { resident_bytes: Some(512), cpu_seconds: Some(1.5) },
+        }
+    }
 
     #[test]
     fn two_servers_count_apart() {
         let (first, second) = (Metrics::new().unwrap(), Metrics::new().unwrap());
         first.frame("invalid_argument", None);
         let counted = "waypost_frames_total{outcome=\"invalid_argument\"} 1";
-        assert!(first.render(NOTHING).lines().any(|line| line == counted), "{}", first.render(NOTHING));
-        assert!(!second.render(NOTHING).contains("waypost_frames_total{"));
+        assert!(first.render(levels()).lines().any(|line| line == counted), "{}", first.render(levels()));
+        assert!(!second.render(levels()).contains("waypost_frames_total{"));
     }
 
     #[test]
     fn streams_are_counted_while_they_are_open() {
         let metrics = Metrics::new().unwrap();
         let stream = metrics.open_stream();
-        assert!(metrics.render(NOTHING).contains("waypost_open_streams 1"));
+        assert!(metrics.render(levels()).contains("waypost_open_streams 1"));
         drop(stream);
-        assert!(metrics.render(NOTHING).contains("waypost_open_streams 0"));
+        assert!(metrics.render(levels()).contains("waypost_open_streams 0"));
     }
 
     #[test]
@@ -280,7 +317,7 @@ mod tests {
         metrics.http_request("BREW", "/v1/maps/{map}", 405, Duration::from_millis(2));
         metrics.committed(3);
         metrics.sum_up();
-        let text = metrics.render(NOTHING);
+        let text = metrics.render(levels());
         for line in [
             "waypost_grpc_requests_total{method=\"/a/B\",code=\"ok\"} 1",
             "waypost_grpc_request_duration_seconds_bucket{method=\"/a/B\",le=\"0.01\"} 0",
@@ -292,6 +329,10 @@ mod tests {
             "waypost_open_maps 2",
             "waypost_jobs_running 1",
             "waypost_database_bytes 4096",
+            "waypost_disk_free_bytes 8192",
+            "waypost_robots_led{status=\"lost\"} 3",
+            "waypost_process_resident_memory_bytes 512",
+            "waypost_process_cpu_seconds 1.5",
         ] {
             assert!(text.lines().any(|there| there == line), "no {line} in\n{text}");
         }

@@ -87,12 +87,13 @@ pub async fn check_all(data_dir: &Path) -> anyhow::Result<Vec<Finding>> {
     let Some(inspected) = inspect_all(data_dir).await? else {
         return Ok(vec![finding(Ok(format!("{} holds no database yet", data_dir.display())))]);
     };
-    let DeepInspection { models, maps, events, media, problems } = inspected;
+    let DeepInspection { models, maps, events, notes, media, problems } = inspected;
     if !problems.is_empty() {
         return Ok(problems.into_iter().map(|problem| finding(Err(problem))).collect());
     }
     Ok(vec![finding(Ok(format!(
-        "{models} models and {maps} maps with {events} events and {media} images and features are as they were written"
+        "{models} models and {maps} maps with {events} events, {notes} notes and {media} images and features are as they \
+         were written"
     )))])
 }
 

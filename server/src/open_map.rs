@@ -34,7 +34,7 @@ use fabmap::recognizer::{Stage, StageObserver};
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
-use topomap::evidence::{ArchiveError, Candidate, Match};
+use topomap::evidence::{Candidate, Match};
 use topomap::ids::{FrameId, SessionId};
 use topomap::log::{FrameEvent, MapEvent};
 use topomap::mapper::{EarlierFrame, FrameInput, MapPose, Mapper};
@@ -47,7 +47,7 @@ use self::recent::RecentFrame;
 use self::requests::{FrameReply, MapRequest, OpenedSession};
 use crate::camera::Camera;
 use crate::clock::now_ns;
-use crate::error::ServiceError;
+use crate::error::{ArchiveError, ServiceError};
 use crate::ingest::intrinsics::Intrinsics;
 use crate::ingest::model::LoadedModel;
 use crate::ingest::panoramic::PanoramicOptics;
@@ -138,7 +138,7 @@ impl MapWriter {
                     for (reply, error) in refused {
                         let _ = reply.send(Err(FrameFailure::Refused(error)));
                     }
-                    // Who opens the map anew waits for this thread: the disk must be at rest by then.
+                    // The next opening of the map waits for this thread: the disk must be at rest by then.
                     self.finish_checkpoint();
                     return;
                 }
@@ -202,7 +202,7 @@ impl MapWriter {
         if last.is_some_and(|last| work.sequence() <= last) {
             return self.answer_resend(session, work.sequence(), reply);
         }
-        let FrameWork::Fresh { input, features, media, mut timings } = work else {
+        let FrameWork::Fresh { input, features, media, note, mut timings } = work else {
             let _ = reply.send(Err(not_stored()));
             return Ok(());
         };
@@ -214,6 +214,7 @@ impl MapWriter {
         let mut clock = StageClock::start(&mut timings);
         match self.decide_and_apply(*input, features, media, &mut clock) {
             Ok(entry) => {
+                let entry = LogEntry { note, ..entry };
                 let session = self.mapper.map().session(session).filter(|_| has_odometry(&entry.event));
                 let map_pose = session.and_then(|session| self.mapper.map_pose(session));
                 self.pending.push(Pending { entry, reply, timings, map_pose, since });
@@ -260,7 +261,7 @@ impl MapWriter {
         if let Some(tracker) = tracker.flatten() {
             self.trackers.keep(session, tracker);
         }
-        Ok(LogEntry { position, event, media })
+        Ok(LogEntry { position, event, media, note: String::new() })
     }
 
     /// Brings all pending frames to the disk in one transaction, then answers them.
@@ -292,7 +293,7 @@ impl MapWriter {
             timings.total = since.elapsed();
             timings.commit = timings.total.saturating_sub(timings.work());
             if let MapEvent::Frame(event) = entry.event {
-                self.recent.get_mut().keep(event.frame, RecentFrame::of(&event));
+                self.recent.get_mut().keep(event.frame, RecentFrame::of(&event, entry.note));
                 let answer = self.answer(&event, Some(timings));
                 let answer = answer.map(|answer| FrameAnswer { map_pose, ..answer });
                 let _ = reply.send(answer.map_err(|_| answer_unreadable()));
@@ -348,12 +349,10 @@ impl MapWriter {
 
     /// A match with its frame as users name it.
     fn matched(&self, found: Match, candidates: &[Candidate]) -> Result<MatchView, ServiceError> {
-        let recent = self.recent.borrow().get(found.frame).map(|recent| recent.stored);
+        let recent = self.recent.borrow().get(found.frame).map(|recent| recent.stored.clone());
         let stored = match recent {
             Some(stored) => Some(stored),
-            None => {
-                self.runtime.block_on(self.storage.frames_at(self.map.id, &[found.frame]))?.first().copied()
-            }
+            None => self.runtime.block_on(self.storage.frames_at(self.map.id, &[found.frame]))?.pop(),
         };
         let stored = stored.ok_or_else(|| ServiceError::internal("a matched frame is not in the log"))?;
         let frame = reference(&self.map.name, &self.sessions, &stored);
@@ -469,12 +468,12 @@ impl MapWriter {
         {
             return Ok(Some(of_event(event)));
         }
-        match runtime.block_on(storage.event_at(map.id, frame, model.model.vocabulary().len())) {
-            Ok(Some(MapEvent::Frame(event))) => {
-                recent.borrow_mut().keep(frame, RecentFrame::of(&event));
+        match runtime.block_on(storage.noted_event_at(map.id, frame, model.model.vocabulary().len())) {
+            Ok(Some((MapEvent::Frame(event), note))) => {
+                recent.borrow_mut().keep(frame, RecentFrame::of(&event, note));
                 Ok(Some(of_event(&event)))
             }
-            Ok(Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None)
+            Ok(Some((MapEvent::SessionOpened { .. } | MapEvent::Measured(_), _)) | None)
             | Err(StorageError::Damaged(_)) => {
                 tracing::error!(
                     map = map.name,

@@ -3,6 +3,7 @@
 
 pub(crate) mod appearance;
 mod deleted_maps;
+pub(crate) mod events;
 pub(crate) mod frames;
 pub(crate) mod jobs;
 pub(crate) mod labels;
@@ -28,6 +29,7 @@ use tokio_util::sync::CancellationToken;
 
 use self::appearance::AppearanceGraphs;
 use self::deleted_maps::DeletedMaps;
+use self::events::Events;
 use self::frames::Frames;
 use self::jobs::Jobs;
 use self::labels::Labels;
@@ -54,6 +56,7 @@ use crate::storage::Storage;
 #[derive(Debug)]
 pub(crate) struct Service {
     pub(crate) appearance: AppearanceGraphs,
+    pub(crate) events: Events,
     pub(crate) frames: Frames,
     pub(crate) jobs: Jobs,
     pub(crate) labels: Labels,
@@ -95,6 +98,7 @@ impl Service {
             merges: Merges::new(rewriting.clone(), names, deleted_maps.clone(), stopping.clone()),
             pictures: Pictures { storage: storage.clone(), frames: frames.clone() },
             queries: Queries::new(frames.clone(), extraction),
+            events: Events::new(frames.clone(), navigation.clone(), stopping.clone()),
             measurements: Measurements { frames: frames.clone() },
             trajectories: Trajectories { frames: frames.clone() },
             rebuilding: Rebuilding { maps: maps.clone(), sessions: sessions.clone(), jobs: jobs.clone() },
@@ -165,6 +169,16 @@ impl Service {
         let open_maps = self.open_maps.count();
         let jobs_running = self.jobs.count();
         let database_bytes = self.storage.size_bytes().await.ok();
-        self.metrics.render(Levels { open_maps, jobs_running, database_bytes })
+        let disk_free_bytes = self.storage.free_bytes();
+        let robots_led = self.navigation.counts();
+        let process = crate::memory::process_levels();
+        self.metrics.render(Levels {
+            open_maps,
+            jobs_running,
+            database_bytes,
+            disk_free_bytes,
+            robots_led,
+            process,
+        })
     }
 }

@@ -5,6 +5,7 @@ mod backups;
 mod cameras;
 mod checkpoints;
 mod columns;
+mod commits;
 mod damage;
 mod deep_inspection;
 mod frames;
@@ -17,6 +18,7 @@ mod maps;
 mod media;
 mod merges;
 mod models;
+mod notes;
 mod opening;
 mod page_sums;
 mod removal;
@@ -39,6 +41,7 @@ pub(crate) use maps::{MapCounts, MapEdition, MapId, MapRow, SessionRow};
 pub(crate) use media::{MapBytes, Medium, MediumKind, StoredFeatures};
 pub(crate) use merges::{JoinedLog, JoinedSession, MergeOutcome, MergeRow, MergeState};
 pub(crate) use models::ModelRow;
+pub(crate) use notes::NoteRow;
 pub(crate) use removal::Removal;
 pub(crate) use retelling::RetoldLog;
 pub(crate) use snapshots::{FormerModelRow, ImportedMap, MapView, MediaRow, StoredSession};
@@ -71,9 +74,11 @@ pub(crate) struct Storage {
     /// Held until the storage is closed; two servers on one directory would each believe that they are
     /// the one writer.
     lock: Arc<DirectoryLock>,
-    /// Those who write wait for the database's being written anew, however long that takes.
+    /// Writers wait while the database is rewritten, however long that takes.
     compacting: Arc<AtomicBool>,
     damages: Arc<Damages>,
+    /// Whoever watches maps.
+    commits: Arc<commits::Commits>,
 }
 
 /// What went wrong with the database.
@@ -105,7 +110,7 @@ pub(crate) enum StorageError {
     InUse,
     #[error("the job has ended already")]
     JobEnded,
-    #[error("the log was told anew, or deleted, since it was read")]
+    #[error("the log was rewritten, or deleted, since it was read")]
     Retold,
     #[error("the database holds what cannot be read: {0}; restore it from a copy")]
     Damaged(String),
@@ -157,8 +162,16 @@ impl Storage {
         let readers = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.clone()).await?;
         let exporters = SqlitePoolOptions::new().max_connections(EXPORTERS).connect_lazy_with(options);
         let (directory, lock) = (directory.to_owned(), Arc::new(lock));
-        let (compacting, damages) = Default::default();
-        let storage = Self { writer, readers, exporters, directory, lock, compacting, damages };
+        let storage = Self {
+            writer,
+            readers,
+            exporters,
+            directory,
+            lock,
+            compacting: Arc::default(),
+            damages: Arc::default(),
+            commits: Arc::default(),
+        };
         storage.rewrite_camera_messages().await?;
         storage.sum_old_rows().await?;
         storage.load_damages().await?;

@@ -216,7 +216,7 @@ impl Simulation {
         })
     }
 
-    /// Somebody comes in.
+    /// A person comes in.
     ///
     /// # Errors
     /// [`PersonError`] if there is no room for them.

@@ -17,6 +17,7 @@ mod maps {
     mod explain;
     mod jobs;
     mod mapping;
+    mod notes;
     mod odometry_agreement;
     mod pictures;
     mod places;
@@ -57,6 +58,7 @@ mod operations {
     mod disk_full;
     mod held_up;
     mod kill;
+    mod mistakes;
     mod operating;
     mod refused_commands;
     mod rot;
@@ -81,6 +83,7 @@ mod robots {
     mod bad_frames;
     mod bad_sessions;
     mod decisions;
+    mod events;
     mod frames;
     mod golden;
     mod load;

@@ -97,6 +97,13 @@ impl Map {
         self.sessions.last_key_value().map_or(0, |(last, _)| last + 1)
     }
 
+    /// What other places than a frame's own showed of it, over all sessions: the sum per word, and
+    /// the number of frames.
+    pub(crate) fn look_alikes(&self) -> (f64, u64) {
+        let seen = self.sessions.values().map(|session| session.look_alikes);
+        seen.fold((0.0, 0), |(shares, frames), seen| (shares + seen.shares, frames + seen.frames))
+    }
+
     /// Events folded in so far: the position of the next.
     #[must_use]
     pub fn events(&self) -> u64 {

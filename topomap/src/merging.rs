@@ -1,9 +1,11 @@
 //! Two maps of the same places become one.
 //!
-//! [`find_matches`] asks for every place of one map where it is on the other; [`judge`] chooses the
-//! largest set of matches that agree with each other and says whether it is enough, or why not;
-//! [`join`] rewrites the source's log as what happened on the target. None of them changes
-//! anything: the holder of the logs commits.
+//! [`pairs_to_compare`] looks for every place of one map on the other, by words, and names the pairs
+//! of frames whose views are to be compared; the holder of keypoints compares them, and
+//! [`find_matches`] says which are enough. [`judge`] chooses the largest set of matches that agree
+//! with each other and says whether it is enough, or why not; [`join`] rewrites the source's log as
+//! what happened on the target. All take values, none calls back or changes anything: the holder of
+//! the logs commits.
 //!
 //! Wrong matches between two maps are no noise: offices that look alike agree with each other as
 //! well as true ones do. So what is looked for is the largest set of pairwise consistent matches
@@ -22,8 +24,9 @@ mod ways;
 
 use fabmap::appearance::PlaceId;
 
-use crate::evidence::{ArchiveError, FrameArchive, TwoView};
+use crate::evidence::TwoView;
 use crate::ids::FrameId;
+use crate::log::{FrameEvent, MapEvent};
 use crate::mapper::Mapper;
 use crate::metric::RelativePose;
 use posegraph::PlanarPose;
@@ -31,29 +34,50 @@ use posegraph::PlanarPose;
 pub use joining::{JoinError, join};
 pub use judgement::{joined_poses, judge};
 pub use layout::Layout;
-pub use matching::find_matches;
+pub use matching::{find_matches, pairs_to_compare};
 
-/// A map, and what its frames showed.
+/// A map, and the log that made it.
 #[derive(Clone, Copy)]
 pub struct KnownMap<'a> {
     /// The map.
     pub mapper: &'a Mapper,
-    /// Its frames.
-    pub archive: &'a (dyn FrameArchive + Sync),
+    /// Its log, from the first event on.
+    pub log: &'a [MapEvent],
 }
 
-/// Compares frames of two maps; whoever keeps keypoints implements it.
-pub trait ViewsBetween: Sync {
-    /// What geometry finds between a frame of the target, the earlier view, and one of the source,
-    /// the current view; `None` if one of the two has no keypoints.
-    ///
-    /// # Errors
-    /// [`ArchiveError`] if one cannot be read now.
-    fn compare(&self, source: FrameId, target: FrameId) -> Result<Option<TwoView>, ArchiveError>;
+impl<'a> KnownMap<'a> {
+    /// A frame; `None` if the log has none at that position.
+    fn frame(&self, frame: FrameId) -> Option<&'a FrameEvent> {
+        match self.log.get(usize::try_from(frame).ok()?)? {
+            MapEvent::Frame(event) => Some(event),
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+        }
+    }
+}
 
-    /// Focal length of the camera of a frame of the source along x, in image widths; `None` if its
+/// A place of the source that may be one of the target, by words.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlacePair {
+    /// The place of the source.
+    pub source: PlaceId,
+    /// The place of the target.
+    pub target: PlaceId,
+    /// The frame that made the place of the source: the current view of the two to be compared.
+    pub source_frame: FrameId,
+    /// The frame of the target's place that explains its words best: the earlier view.
+    pub target_frame: FrameId,
+    /// Probability of the place of the target among all its places and "somewhere new".
+    pub posterior: f64,
+}
+
+/// What comparing the two views of a [`PlacePair`] found.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PairComparison {
+    /// `None` if one of the frames has no keypoints: words then decide alone.
+    pub view: Option<TwoView>,
+    /// Focal length of the camera of the source's frame along x, in image widths; `None` if its
     /// model is not known.
-    fn focal_length_widths(&self, source: FrameId) -> Option<f64>;
+    pub focal_length_widths: Option<f64>,
 }
 
 /// Hears how far the search is, and may end it.
@@ -286,10 +310,7 @@ pub enum MergeError {
         /// The value given.
         value: f64,
     },
-    /// A frame cannot be read.
-    #[error(transparent)]
-    Archive(#[from] ArchiveError),
-    /// Whoever watches has ended it.
+    /// The observer has ended it.
     #[error("the search was ended before it had asked for all places")]
     Ended,
 }

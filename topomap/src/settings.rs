@@ -35,8 +35,9 @@ pub enum GuardMeasure {
 pub struct MapperSettings {
     /// How places are recognised.
     pub recognizer: RecognizerSettings,
-    /// Posterior from which another place is accepted as a loop closure, in (0, 1], if geometry has
-    /// nothing against it.
+    /// Probability from which another place is accepted as a loop closure, in (0, 1]: that of
+    /// [`Candidate::probability`], by words, order and geometry; where there is no geometry, the
+    /// posterior.
     pub closure_threshold: f64,
     /// What geometry has to say before a loop is closed.
     pub verification: VerificationSettings,

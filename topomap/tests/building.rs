@@ -9,15 +9,16 @@ use fabmap::observation::Observation;
 use posegraph::{PlanarPose, Pose};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use topomap::evidence::{ArchiveError, FrameArchive, Placement, Similarity, TwoView, ViewMotion};
+use topomap::evidence::{Placement, Similarity, TwoView, ViewMotion};
 use topomap::ids::{FrameId, SessionId};
 use topomap::in_memory::{self, Views};
 use topomap::log::{FrameEvent, MapEvent};
 use topomap::mapper::{FrameInput, Mapper};
 use topomap::merging::{
-    KnownMap, Layout, MergePlan, MergeSettings, PlaceMatch, Verdict, ViewsBetween, find_matches, join, judge,
+    KnownMap, Layout, MergePlan, MergeSettings, PairComparison, PlaceMatch, PlacePair, Verdict, find_matches,
+    join, judge, pairs_to_compare,
 };
-use topomap::metric::{Odometry, RelativePose};
+use topomap::metric::Odometry;
 use topomap::settings::MapperSettings;
 
 pub(crate) use crate::words::WORDS;
@@ -74,32 +75,6 @@ impl Views for Robot {
 
     fn focal_length_widths(&self) -> Option<f64> {
         Some(FOCAL_LENGTH_WIDTHS)
-    }
-}
-
-/// Frames of two maps; buildings look as the source's does.
-pub(crate) struct Between<'a>(pub(crate) &'a Robot, pub(crate) &'a Robot);
-
-impl ViewsBetween for Between<'_> {
-    fn compare(&self, source: FrameId, target: FrameId) -> Result<Option<TwoView>, ArchiveError> {
-        let (looks, other) = (self.0.looks, self.1.looks);
-        let current = looks(&self.0.truth[source as usize]);
-        let earlier = other(&self.1.truth[target as usize]);
-        Ok(Some(seen(unique, &earlier, &current)))
-    }
-
-    fn focal_length_widths(&self, _source: FrameId) -> Option<f64> {
-        Some(FOCAL_LENGTH_WIDTHS)
-    }
-}
-
-impl FrameArchive for Robot {
-    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
-        Ok(Some(self.event(frame).observation.clone()))
-    }
-
-    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
-        Ok(self.event(frame).at)
     }
 }
 
@@ -162,7 +137,7 @@ impl Robot {
     }
 
     pub(crate) fn known(&self) -> KnownMap<'_> {
-        KnownMap { mapper: &self.mapper, archive: self }
+        KnownMap { mapper: &self.mapper, log: &self.log }
     }
 
     pub(crate) fn layout(&self) -> Layout<'_> {
@@ -237,9 +212,19 @@ pub(crate) fn second(looks: Looks) -> Robot {
     robot
 }
 
+/// The views of two maps; buildings look as the source's does.
+fn compared(source: &Robot, target: &Robot, pair: &PlacePair) -> PairComparison {
+    let current = (source.looks)(&source.truth[pair.source_frame as usize]);
+    let earlier = (target.looks)(&target.truth[pair.target_frame as usize]);
+    let view = Some(seen(unique, &earlier, &current));
+    PairComparison { view, focal_length_widths: Some(FOCAL_LENGTH_WIDTHS) }
+}
+
 pub(crate) fn matches(source: &Robot, target: &Robot) -> Vec<PlaceMatch> {
     let settings = MergeSettings::default();
-    find_matches(source.known(), target.known(), &Between(source, target), &settings, &()).unwrap()
+    let pairs = pairs_to_compare(source.known(), target.known(), &settings, &()).unwrap();
+    let comparisons: Vec<PairComparison> = pairs.iter().map(|pair| compared(source, target, pair)).collect();
+    find_matches(source.known(), target.known(), &pairs, &comparisons, &settings)
 }
 
 pub(crate) fn judged(source: &Robot, target: &Robot, matches: &[PlaceMatch]) -> Verdict {

@@ -16,4 +16,5 @@ mod rounds;
 mod transcript;
 mod trimming;
 mod verification;
+mod verification_settings;
 mod words;

@@ -1,8 +1,7 @@
 //! Maps of the same places become one, others stay apart; and what both have seen is learnt once.
 
 use crate::building::{
-    Between, Robot, WORDS, ahead, apart_m, first, judged, matches, model, model_of, plan, second, seen,
-    unique,
+    Robot, WORDS, ahead, apart_m, first, judged, matches, model, model_of, plan, second, seen, unique,
 };
 use fabmap::appearance::{Appearance, PlaceId};
 use posegraph::{PlanarPose, Pose};
@@ -12,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use topomap::log::{MapEvent, Reason};
 use topomap::mapper::Mapper;
 use topomap::merging::{
-    Apart, MergeError, MergeObserver, MergeSettings, PlaceMatch, Verdict, find_matches, join,
+    Apart, MergeError, MergeObserver, MergeSettings, PlaceMatch, Verdict, join, pairs_to_compare,
 };
 use topomap::metric::RelativePose;
 use topomap::settings::MapperSettings;
@@ -327,9 +326,8 @@ impl MergeObserver for Ends {
 #[test]
 fn what_cannot_be_searched_says_why() {
     let (target, source) = (first(unique), second(unique));
-    let views = Between(&source, &target);
     let search = |settings: &MergeSettings, observer: &dyn MergeObserver| {
-        find_matches(source.known(), target.known(), &views, settings, observer)
+        pairs_to_compare(source.known(), target.known(), settings, observer)
     };
     assert_eq!(search(&MergeSettings::default(), &Ends(3)), Err(MergeError::Ended));
     let none = MergeSettings { candidates: 0, ..MergeSettings::default() };
@@ -338,9 +336,11 @@ fn what_cannot_be_searched_says_why() {
     assert!(matches!(search(&nan, &()), Err(MergeError::Setting { .. })));
     let mut other = source.clone();
     other.mapper = Mapper::new(&model_of(900), MapperSettings::default()).unwrap();
-    let found =
-        find_matches(other.known(), target.known(), &views, &MergeSettings::default(), &()).unwrap_err();
-    assert_eq!(found, MergeError::Vocabulary { source_words: 900, target_words: WORDS as usize });
+    let found = pairs_to_compare(other.known(), target.known(), &MergeSettings::default(), &());
+    assert_eq!(
+        found.unwrap_err(),
+        MergeError::Vocabulary { source_words: 900, target_words: WORDS as usize }
+    );
     let empty = Robot::new(unique, PlanarPose::identity(), [0.0; 2]);
     assert_eq!(matches(&empty, &target), []);
     assert_eq!(judged(&empty, &target, &[]), Verdict::Apart(Apart::NothingMeasured));

@@ -3,7 +3,7 @@
 
 use nalgebra::Matrix3;
 use posegraph::{PlanarPose, Pose};
-use topomap::evidence::{Candidate, Placement, TwoView};
+use topomap::evidence::{Candidate, Placement, ProbabilityWeights, TwoView, VerificationSettings};
 use topomap::ids::FrameId;
 use topomap::in_memory::{self, Views};
 use topomap::log::{FrameEvent, MapEvent, Reason};
@@ -25,7 +25,11 @@ fn closures(settings: MapperSettings, step_m: f64) -> usize {
 #[test]
 fn images_every_few_centimetres_close_no_loop_on_the_way() {
     let place_spacing = PlaceSpacing { distance_m: 0.3, ..PlaceSpacing::default() };
-    let settings = MapperSettings { guard_frames: 4, place_spacing, ..MapperSettings::default() };
+    // As if look-alikes were known to show next to nothing: the guard alone stands against closures.
+    let weights = ProbabilityWeights { per_look_alike_nats: 20.0, ..ProbabilityWeights::default() };
+    let verification = VerificationSettings { weights, ..VerificationSettings::default() };
+    let settings =
+        MapperSettings { guard_frames: 4, place_spacing, verification, ..MapperSettings::default() };
     let by_frames = MapperSettings { guard_measure: GuardMeasure::Frames, ..settings };
     assert!(closures(by_frames, 0.05) > 10, "four frames are 20 cm: the robot sees where it just was");
     assert_eq!(closures(settings, 0.05), 0);

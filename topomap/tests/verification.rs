@@ -7,8 +7,8 @@ use posegraph::PlanarPose;
 use proptest::prelude::*;
 use topomap::checkpoint::{Changes, Pieces, Restoration};
 use topomap::evidence::{
-    Candidate, Match, Placement, Quantity, Similarity, TwoView, VerificationError, VerificationMethod,
-    VerificationSettings, ViewMotion,
+    Candidate, Contributions, Match, Placement, ProbabilityWeights, Quantity, Similarity, TwoView,
+    VerificationMethod, VerificationSettings, ViewMotion,
 };
 use topomap::ids::FrameId;
 use topomap::in_memory::{self, NoViews, Views};
@@ -16,7 +16,7 @@ use topomap::log::{MapEvent, Reason};
 use topomap::map::decode_place;
 use topomap::mapper::{FrameInput, Localizer, Mapper};
 use topomap::metric::RelativePose;
-use topomap::settings::{MapperError, MapperSettings};
+use topomap::settings::MapperSettings;
 
 use crate::look_alikes::{FrameEventViews, Truth, World, model, plane, settings, view};
 
@@ -32,8 +32,12 @@ fn geometry_confirms_what_words_are_sure_of() {
     let candidate = event.candidates.iter().find(|candidate| candidate.matched.place == 0).unwrap();
     assert_eq!((Some(candidate.matched), candidate.view.unwrap().inliers), (event.decision.closure, 40));
     assert!(world.mapper.verdict(candidate).is_accepted());
-    // Of the words alone it is sure: the evidence of one frame is not enough by itself.
-    assert!(!world.mapper.verdict(candidate).one[0].passed());
+    // Of the words it is sure: the evidence of one frame is not enough by itself.
+    let weights = ProbabilityWeights::default();
+    let Contributions { offset_nats, geometry_nats, words_nats } = candidate.contributions(&weights);
+    let by_geometry = 1.0 / (1.0 + (-offset_nats - geometry_nats).exp());
+    assert!(by_geometry < settings().closure_threshold && words_nats > 0.0, "{by_geometry}");
+    assert_eq!(candidate.log_odds_nats, offset_nats + geometry_nats + words_nats);
 }
 
 #[test]
@@ -100,20 +104,26 @@ fn the_place_where_the_session_is_must_look_the_same() {
 }
 
 proptest! {
-    /// Written out: ln [p / (1 - p)] = -0.80 + 0.68 ln (1 + evidence) + 0.17 ln [posterior / (1 -
-    /// posterior)].
+    /// Written out: ln [p / (1 - p)] = a + b evidence / look-alikes + c ln [posterior / (1 - posterior)],
+    /// the last at least -20.
     #[test]
     fn words_and_geometry_make_one_probability(
         inliers in 0..500u32, support in 0.0..2000.0f64, log_odds in -200.0..200.0f64,
+        look_alikes in 1.0..300.0f64, a in -4.0..0.0f64, b in 0.1..3.0f64, c in 0.0..0.3f64,
     ) {
         let matched = Match { place: 3, posterior: 1.0 / (1.0 + (-log_odds).exp()), log_odds, frame: 9 };
-        let seen = Candidate { matched, view: Some(plane(500, inliers, [0.1, 0.0])), support, seen_from: None };
-        let expected = (-0.80 + 0.68 * (1.0 + seen.evidence()).ln() + 0.17 * log_odds).exp();
+        let weights = ProbabilityWeights { offset_nats: a, per_look_alike_nats: b, per_word_nat: c };
+        let of = |inliers| {
+            let view = plane(500, inliers, [0.1, 0.0]);
+            Candidate::new(matched, Some(view), None, look_alikes).judged(support, &weights)
+        };
+        let seen = of(inliers);
+        let log_odds = a + b * seen.evidence() / look_alikes + c * f64::max(log_odds, -20.0);
         let probability = seen.probability();
-        prop_assert!((probability - expected / (1.0 + expected)).abs() < 1e-9, "{probability}");
-        let likelier = Candidate { view: Some(plane(500, inliers + 10, [0.1, 0.0])), ..seen };
+        prop_assert!((probability - 1.0 / (1.0 + (-log_odds).exp())).abs() < 1e-9, "{probability}");
+        let likelier = of(inliers + 10);
         prop_assert!((0.0..=1.0).contains(&probability) && likelier.probability() >= probability);
-        let unseen = Candidate { view: None, ..seen };
+        let unseen = Candidate::new(matched, None, None, look_alikes).judged(support, &weights);
         prop_assert_eq!(unseen.probability(), matched.posterior);
     }
 }
@@ -159,7 +169,9 @@ fn without_memory_each_frame_stands_alone() {
 
 #[test]
 fn geometry_closes_where_words_cannot() {
-    let verification = VerificationSettings { min_evidence: 30.0, ..VerificationSettings::default() };
+    // As if look-alikes were known to show nothing.
+    let weights = ProbabilityWeights { per_look_alike_nats: 20.0, ..ProbabilityWeights::default() };
+    let verification = VerificationSettings { weights, ..VerificationSettings::default() };
     let mut world = World::new(MapperSettings { verification, ..settings() });
     for place in 1..=6 {
         world.sees(place, 60);
@@ -208,33 +220,6 @@ fn a_query_is_verified_too() {
     let found = ask(2, 40);
     assert_eq!((found.accepted, found.matched.unwrap().place), (true, 1));
     assert!(!ask(99, 40).accepted);
-}
-
-#[test]
-fn settings_out_of_range_are_refused() {
-    let refused = |verification| {
-        let settings = MapperSettings { verification, ..settings() };
-        match Mapper::new(&model(), settings).unwrap_err() {
-            MapperError::Verification(error) => error,
-            other => panic!("{other}"),
-        }
-    };
-    let good = VerificationSettings::default();
-    let improbable = VerificationSettings { min_posterior: 1.5, ..good };
-    assert_eq!(refused(improbable), VerificationError::MinPosterior { value: 1.5 });
-    assert_eq!(refused(VerificationSettings { min_inliers: 0, ..good }), VerificationError::MinInliers);
-    for (settings, quantity) in [
-        (VerificationSettings { max_rotation_rad: 0.0, ..good }, Quantity::RotationRad),
-        (VerificationSettings { max_ln_scale: -1.0, ..good }, Quantity::LnScale),
-        (VerificationSettings { max_translation_widths: 0.0, ..good }, Quantity::TranslationWidths),
-        (VerificationSettings { min_evidence: f64::NAN, ..good }, Quantity::Evidence),
-    ] {
-        assert!(
-            matches!(refused(settings), VerificationError::Bound { quantity: found, .. } if found == quantity)
-        );
-    }
-    let forgetless = VerificationSettings { consistency_frames: 101, ..good };
-    assert_eq!(refused(forgetless), VerificationError::ConsistencyFrames { value: 101 });
 }
 
 fn placements() -> impl Strategy<Value = Placement> {
@@ -330,7 +315,8 @@ proptest! {
         let view = TwoView { matches: inliers + more, inliers, distinct_inliers, motion, placement };
         let matched = Match { place: 0, posterior: 0.25, log_odds: -1.0, frame: 1 };
         let seen_from = seen.then(RelativePose::none);
-        event.candidates = vec![Candidate { matched, view: seen.then_some(view), support, seen_from }];
+        let candidate = Candidate::new(matched, seen.then_some(view), seen_from, 1.0 + support);
+        event.candidates = vec![candidate.judged(support, &ProbabilityWeights::default())];
         let event = MapEvent::Frame(Box::new(event));
         let bytes = event.to_bytes();
         prop_assert_eq!(&MapEvent::from_bytes(&bytes, WORDS as usize).unwrap(), &event);

@@ -5,6 +5,7 @@ pub mod depth;
 pub mod feature_record;
 pub mod features;
 pub mod image;
+pub mod look_alikes;
 mod mat;
 mod matching;
 pub mod panorama;

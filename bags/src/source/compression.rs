@@ -24,7 +24,7 @@ pub(super) struct ChunkSizes {
 type ReadRecord<'a> = dyn FnMut(&mut dyn Read) -> Result<Option<ControlFlow<()>>, Fault> + 'a;
 
 /// Reads the decompressed records of a chunk, one at each call of `record`, until that finds no more, and holds them
-/// against what the chunk says. Whoever breaks off in the middle of a chunk wants no more of it.
+/// against what the chunk says. A reader that stops in the middle of a chunk wants no more of it.
 pub(super) fn read_chunk(
     file: &mut dyn Read,
     compression: &str,

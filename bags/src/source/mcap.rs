@@ -87,7 +87,8 @@ fn chunk(
     read_bytes(input, CHUNK_HEAD_BYTES as u64, &mut head)?;
     let mut fields = Reader::packed(&head);
     let [_first_ns, _last_ns, plain_bytes] = [fields.u64()?, fields.u64()?, fields.u64()?];
-    let (crc, name_bytes) = (fields.u32()?, u64::from(fields.u32()?));
+    let crc = fields.u32()?;
+    let name_bytes = u64::from(fields.u32()?);
     let before_records = CHUNK_HEAD_BYTES as u64 + name_bytes + 8;
     if name_bytes > MOST_NAME_BYTES || before_records > size {
         return Err(Fault::Wrong("a chunk's compression has a name that is too long".to_owned()));
@@ -141,7 +142,9 @@ impl Known {
             CHANNEL => {
                 read_bytes(reader, size, &mut self.buffer)?;
                 let mut fields = Reader::packed(&self.buffer);
-                let (id, schema, topic) = (fields.u16()?, fields.u16()?, fields.text()?.to_owned());
+                let id = fields.u16()?;
+                let schema = fields.u16()?;
+                let topic = fields.text()?.to_owned();
                 let encoding = match fields.text()? {
                     "cdr" => Encoding::Cdr,
                     "ros1" => Encoding::Ros1,

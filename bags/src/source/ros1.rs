@@ -164,7 +164,8 @@ impl Known {
             return Err(Fault::Wrong(format!("the description of a connection has {size} bytes")));
         }
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-        let (id, topic) = (head.number("conn")?, text(head.needed("topic")?));
+        let id = head.number("conn")?;
+        let topic = text(head.needed("topic")?);
         let mut description = Vec::new();
         read_bytes(reader, size, &mut description)?;
         let type_name = text(Head(description).field("type")?.unwrap_or_default());

@@ -128,7 +128,7 @@ fn sibling_server() -> Result<PathBuf, Failure> {
 const MOST_KEPT: u32 = 1000;
 
 /// Makes the folder for data: the one that is `asked` for, or the first beside `usual` that is not there. What is
-/// there stays, whoever made it: people go on with the server of a demo, and make maps of their own in its folder.
+/// there stays: people go on with the server of a demo, and make maps of their own in its folder.
 fn make_data_dir(asked: Option<&Path>, usual: &Path) -> Result<PathBuf, Failure> {
     let folder = match asked {
         Some(asked) if is_used(asked)? => {

@@ -8,6 +8,7 @@ use waypost_client::{Client, ClientOptions, v1};
 use crate::explanations::show_place;
 use crate::failure::{EXIT_CODES, Failure};
 use crate::files::Replacing;
+use crate::names::{frame_name, short_map};
 use crate::output::Output;
 
 /// Show why a frame did, or did not, close a loop
@@ -21,8 +22,9 @@ pub(crate) struct Arguments {
     map: String,
     /// Name of the session
     session: String,
-    /// Sequence number of the frame
-    sequence: u64,
+    /// Sequence number of the frame, or the note that it was sent with: the image's file name, if
+    /// `waypost stream` sent it
+    frame: String,
     /// Place to explain; if left out, the matched one or the best candidate
     #[arg(long)]
     place: Option<u32>,
@@ -38,12 +40,11 @@ pub(crate) struct Arguments {
 }
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
-    let Arguments { map, session, sequence, place, words, picture: file, force } = arguments;
+    let Arguments { map, session, frame, place, words, picture: file, force } = arguments;
     let replacing = Replacing::of(force);
     replacing.check_wanted(file.as_deref())?;
-    let map = map.strip_prefix("maps/").unwrap_or(&map);
-    let name = format!("maps/{map}/sessions/{session}/frames/{sequence}");
     let client = Client::connect(server).await?;
+    let name = frame_name(&client, short_map(&map), &session, &frame).await?;
     let explained = client.explain_frame(&name, place, Some(words)).await?;
     if let Some(file) = &file {
         let place = explained.place_explanation.as_ref().map(|place| place.place_number);

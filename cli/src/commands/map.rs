@@ -5,6 +5,7 @@ mod exports;
 mod labels;
 mod listing;
 mod trimming;
+mod watching;
 
 use std::path::PathBuf;
 
@@ -98,6 +99,7 @@ pub(crate) enum Command {
         yes: bool,
     },
     Trim(trimming::Trimming),
+    Watch(watching::Watching),
     /// Show what each of two maps has that the other lacks
     Diff {
         /// Name of a map
@@ -150,6 +152,7 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
             output.result(&json!({ "compacted": name }), |out| writeln!(out, "compacted {name}"))
         }
         Command::Trim(trimming) => trimming::trim(&client, trimming, output).await,
+        Command::Watch(watching) => watching::watch(&client, watching, output).await,
         Command::Diff { first, second } => merge::diff(&client, [&first, &second], output).await,
         Command::Rm { name, yes } => {
             Asking::unless(yes).confirm(&format!("delete the map {name} with all its sessions?"))?;

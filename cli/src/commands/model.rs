@@ -1,6 +1,6 @@
 //! `waypost model`: models of what a kind of surroundings looks like.
 
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
@@ -18,6 +18,7 @@ use crate::images::{ImageFile, images_of};
 use crate::names::short;
 use crate::output::{Output, mebibytes, table};
 use crate::progress;
+use crate::shrinking::fitting;
 
 const MODEL_HELP: &str = "Hash, its beginning (6 digits or more), or a display name that only one model has";
 
@@ -51,6 +52,13 @@ pub(crate) enum Command {
         /// Name for people
         #[arg(long, default_value = "")]
         name: String,
+    },
+    /// Give a model another display name
+    Rename {
+        #[arg(help = MODEL_HELP)]
+        name: String,
+        /// Name for people: at most 100 characters, without slashes
+        display_name: String,
     },
     /// Delete a model that no map uses
     #[command(visible_alias = "delete")]
@@ -94,7 +102,20 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         }
         Command::Import { file, name } => {
             let client = Client::connect(server).await?;
-            show(&import(&client, &file, &name, output).await?, output)
+            let model = import(&client, &file, &name, output).await?;
+            if !name.is_empty() && model.display_name != name {
+                // If stderr is closed, the hint is lost.
+                let _ = writeln!(
+                    io::stderr(),
+                    "the server has this model already, as {:?}; `waypost model rename {} {name:?}` changes that",
+                    model.display_name,
+                    short(&model.name)
+                );
+            }
+            show(&model, output)
+        }
+        Command::Rename { name, display_name } => {
+            show(&Client::connect(server).await?.rename_model(&name, &display_name).await?, output)
         }
         Command::Rm { name } => {
             Client::connect(server).await?.delete_model(&name).await?;
@@ -137,9 +158,10 @@ fn read_each(
             if stopped {
                 return Err(io::ErrorKind::Interrupted.into());
             }
-            tokio::fs::read(&image.path)
-                .await
-                .map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", image.path.display())))
+            let bytes = tokio::fs::read(&image.path).await.map_err(|error| {
+                io::Error::new(error.kind(), format!("{}: {error}", image.path.display()))
+            })?;
+            Ok(tokio::task::block_in_place(|| fitting(bytes)))
         }
     })
 }

@@ -50,12 +50,13 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
                 if let Some(frame) = frame {
                     writeln!(out, "best match: frame {} of {}", frame.sequence, frame.session)?;
                 }
-                if let Some(v1::Geometry { matches, inliers, evidence_inliers, probability, similarity: _, placement: _ }) =
+                if let Some(v1::Geometry { matches, inliers, evidence_inliers, look_alike_inliers, probability, .. }) =
                     geometry
                 {
                     writeln!(
                         out,
-                        "geometry: {inliers} of {matches} matches agree, evidence {evidence_inliers:.1} inliers; \
+                        "geometry: {inliers} of {matches} matches agree, evidence {evidence_inliers:.1} inliers, \
+                         look-alikes show {look_alike_inliers:.1}; \
                          the same place with {probability:.3}"
                     )?;
                 }

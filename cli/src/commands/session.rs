@@ -89,8 +89,8 @@ fn frames(frames: &[v1::FrameRecord], output: Output) -> Result<(), Failure> {
                 None => Default::default(),
             };
             let bytes = log_bytes + features_bytes + thumbnail_bytes + image_bytes;
-            [sequence, reason, place, posterior, bytes.to_string()]
+            [sequence, reason, place, posterior, bytes.to_string(), frame.note.clone()]
         });
-        table(out, ["FRAME", "REASON", "PLACE", "POSTERIOR", "BYTES"], rows)
+        table(out, ["FRAME", "REASON", "PLACE", "POSTERIOR", "BYTES", "NOTE"], rows)
     })
 }

@@ -134,8 +134,10 @@ def streamed(server: Server, client: waypost.Client, map_id: str, images: Path) 
     summary = run("stream", images, "--map", map_id, "--session", "drive", server=f"http://{server.address}")
     assert (summary["frame_count"], summary["refused"]) == (len(IMAGES), 0)
     rows = json.loads(json.dumps(summary["frames"]).replace(f"maps/{map_id}/", "maps/M/"))
+    # A folder's frames bear their files' names.
+    names = {"image", "match_note"}
     return [
-        {name: value for name, value in row.items() if name != "image" and not name.endswith("_ms")}
+        {name: value for name, value in row.items() if name not in names and not name.endswith("_ms")}
         for row in rows
     ]
 

@@ -16,6 +16,7 @@ import waypost
 from waypost import aio
 from waypost.v1 import (
     appearance_pb2,
+    event_pb2,
     job_pb2,
     label_pb2,
     map_pb2,
@@ -29,6 +30,7 @@ from waypost.v1 import (
 
 CONTRACT = [
     appearance_pb2,
+    event_pb2,
     job_pb2,
     label_pb2,
     map_pb2,
@@ -109,6 +111,37 @@ def test_sessions_and_frames_are_read_back(
     job = client.delete_session(looped)
     assert client.wait_for_job(job).state == job_pb2.Job.STATE_SUCCEEDED
     assert client.sessions(hall) == []
+
+
+def test_frames_keep_their_notes(client: waypost.Client, hall: str) -> None:
+    with client.session(hall, "robot") as session:
+        frames = [waypost.Frame(n, n, IMAGES[n - 1].read_bytes(), note=f"{n}.jpg") for n in (1, 2)]
+        assert len(list(session.stream(frames))) == 2
+        assert [kept.note for kept in client.frames(session.name)] == ["1.jpg", "2.jpg"]
+        [called] = client.frames(session.name, note="2.jpg")
+        assert called.name == f"{session.name}/frames/2"
+    answer = client.query(hall, IMAGES[0].read_bytes())
+    assert answer.match is not None
+    assert answer.match.frame.note == f"{answer.match.frame.sequence}.jpg"
+    with client.session(hall, "wrong") as session:
+        [refusal] = session.stream([waypost.Frame(1, 1, IMAGES[0].read_bytes(), note="two\nlines")])
+        assert isinstance(refusal, waypost.Refusal)
+        assert "control character" in str(refusal.error)
+
+
+def test_maps_are_watched(client: waypost.Client, hall: str) -> None:
+    with client.session(hall, "robot") as session:
+        answers(session, range(1, 4))
+        with client.watch(hall, 0) as events:
+            told = [next(events).frame for _ in range(3)]
+            assert [kept.frame.answer.sequence for kept in told] == [1, 2, 3]
+            answers(session, range(4, 5))
+            last = next(events).frame
+            assert last.frame.name == f"{session.name}/frames/4"
+            assert last.position > told[-1].position
+        assert list(events) == []
+    with pytest.raises(waypost.NotFound), client.watch("cellar") as events:
+        next(events)
 
 
 def test_labels_are_put_and_taken_away(client: waypost.Client, hall: str) -> None:

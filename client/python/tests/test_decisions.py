@@ -1,4 +1,4 @@
-"""The same images give the same decisions, whoever streams them."""
+"""The same images give the same decisions, from either client."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ GOAL, GOAL_M = 4, 4.5
 
 @pytest.fixture(scope="module")
 def guide(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """A server whose map `hall` is taught; whoever kills it starts it again."""
+    """A server whose map `hall` is taught; the test that kills it starts it again."""
     server = Server(tmp_path_factory.mktemp("guide") / "data")
     server.start()
     try:

@@ -134,7 +134,7 @@ def test_the_readme_runs_as_it_stands(client: waypost.Client, server: Server, tm
     assert client.map("hall").frames == 122
     assert "61 " in shown(asynchronous).splitlines()[-1]
     explained = shown(kept)
-    assert "threshold" in explained
+    assert "\nprobability - " in explained
     assert explained.splitlines()[-1] == "maps/copy"
     assert client.map("copy").frames == client.map("hall").frames
 

@@ -85,6 +85,15 @@ impl Client {
         upload(requests, unsendable, self.endpoint(), call).await
     }
 
+    /// Gives a model another display name.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND, or INVALID_ARGUMENT for what is no name.
+    pub async fn rename_model(&self, name: &str, display_name: &str) -> Result<v1::Model, Error> {
+        let request = v1::RenameModelRequest { name: name.to_owned(), display_name: display_name.to_owned() };
+        self.taken(self.models_client().rename_model(request).await)
+    }
+
     /// Deletes a model that no map uses.
     ///
     /// # Errors

@@ -85,9 +85,18 @@ impl Client {
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND.
     pub async fn frames(&self, session: &str) -> Result<Vec<v1::FrameRecord>, Error> {
+        self.frames_called(session, "").await
+    }
+
+    /// The frames of a session whose robot calls them `note`, by sequence number; all if it is empty.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND.
+    pub async fn frames_called(&self, session: &str, note: &str) -> Result<Vec<v1::FrameRecord>, Error> {
         self.all_pages(|page_token| async move {
             let session = session.to_owned();
-            let request = v1::ListFramesRequest { session, page_size: PAGE_SIZE, page_token };
+            let request =
+                v1::ListFramesRequest { session, page_size: PAGE_SIZE, page_token, note: note.to_owned() };
             let page = self.sessions_client().list_frames(request).await?.into_inner();
             Ok((page.frames, page.next_page_token))
         })

@@ -32,6 +32,7 @@ fn frame(sequence: u64) -> FrameInput {
         stamp_ns: sequence as i64,
         content: FrameContent::Image(vec![0xff; 64]),
         odometry: None,
+        note: String::new(),
     }
 }
 

@@ -55,11 +55,9 @@ pub(crate) enum LoadReport {
 /// Starts the server, drives robots as the scenario says, and says how long they waited.
 pub(crate) fn run(options: &LoadOptions) -> Result<LoadReport> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
-    let report = runtime
+    runtime
         .context("no threads can be started; end other programs")?
-        .block_on(drive(&options.server, &options.scenario))?;
-    eprint!("{}", report.table());
-    Ok(report)
+        .block_on(drive(&options.server, &options.scenario))
 }
 
 async fn drive(server: &ServerOptions, scenario: &Scenario) -> Result<LoadReport> {
@@ -71,19 +69,6 @@ async fn drive(server: &ServerOptions, scenario: &Scenario) -> Result<LoadReport
         Scenario::Panoramas(options) => LoadReport::Panoramas(panoramas::run(server, options).await?),
         Scenario::Robots(options) => LoadReport::Robots(robots::run(server, options).await?),
     })
-}
-
-impl LoadReport {
-    fn table(&self) -> String {
-        match self {
-            Self::Words(report) => report.table(),
-            Self::Overload(report) => report.table(),
-            Self::Growth(report) => report.table(),
-            Self::Leading(report) => report.table(),
-            Self::Panoramas(report) => report.table(),
-            Self::Robots(report) => report.table(),
-        }
-    }
 }
 
 /// Reads a rate or a factor.

@@ -1,7 +1,7 @@
 //! `waypost-eval map`: a simulated robot drives a route and maps it, and its map is held against the truth.
 
 pub(crate) mod alignment;
-mod closures;
+pub(crate) mod closures;
 pub(crate) mod drive;
 pub(crate) mod judgement;
 pub(crate) mod kitti;
@@ -23,7 +23,7 @@ use waypost_vision::features::{Extractor, Feature, FeatureSettings};
 
 use self::closures::{ClosureCheck, MeasuredFigures};
 use self::drive::Drive;
-use self::judgement::{CLOSURE_DEFINITIONS, Figures, MapTimes};
+use self::judgement::{Figures, MapTimes};
 use self::kitti::KittiReport;
 use self::mapping::Mapped;
 use self::training::{MapTraining, check_seeds};
@@ -144,8 +144,6 @@ pub(crate) struct MapReport {
     pub measured: MeasuredFigures,
     /// Medians where the prior looks back on one frame alone.
     pub with_one_prior_frame: Figures,
-    /// How the figures are defined.
-    pub definitions: std::collections::BTreeMap<&'static str, &'static str>,
     /// Drive by drive.
     pub runs: Vec<MapRun>,
 }
@@ -205,7 +203,6 @@ pub(crate) fn run(options: &MapOptions) -> Result<MapOutcome> {
     if let Some(out) = &options.out {
         files::write_json(&out.join("map.json"), &report)?;
     }
-    eprint!("{}", report.table());
     Ok(MapOutcome::Drives(Box::new(report)))
 }
 
@@ -290,54 +287,6 @@ fn report(
             &trials.iter().flat_map(|(run, ..)| run.closures.iter().cloned()).collect::<Vec<_>>(),
         ),
         with_one_prior_frame: Figures::combined(with_one, median),
-        definitions: CLOSURE_DEFINITIONS.into(),
         runs: trials.iter().map(|(run, ..)| run.clone()).collect(),
-    }
-}
-
-impl MapReport {
-    fn table(&self) -> String {
-        let percent = |fraction: f64| format!("{:.1} %", 100.0 * fraction);
-        let Self { median, worst, times, with_one_prior_frame: one, .. } = self;
-        let mut table = format!(
-            "{} {}, {} drives of {:.0} m, {:.0} images, {}\n\
-             seed  revisits  missed  accepted  false  wheels m  map m  rigid m  scaled m  robot m  left out\n",
-            self.world, self.route, self.trials, self.length_m, median.images, self.features,
-        );
-        let rows = self.runs.iter().map(|run| (run.seed.to_string(), &run.figures));
-        for (name, figures) in rows.chain([("median".to_owned(), median), ("worst".to_owned(), worst)]) {
-            table += &format!(
-                "{name:<6}{:>8.0}{:>8}{:>10.0}{:>7.0}{:>10.2}{:>7.2}{:>9.2}{:>10.2}{:>9.2}{:>6.0} of {:.0}\n",
-                figures.closures_true,
-                percent(figures.missed_fraction),
-                figures.closures_accepted,
-                figures.closures_false,
-                figures.odometry_rmse_m,
-                figures.map_rmse_m,
-                figures.map_rmse_rigid_m,
-                figures.map_rmse_scaled_m,
-                figures.robot_error_closed_m_median,
-                figures.map_contradicted_links,
-                figures.map_closure_links,
-            );
-        }
-        table
-            + &self.measured.text()
-            + &format!(
-                "closures are wrong by  {:.2} m, {:.1} degrees\n\
-                 one frame in the prior missed {}, false {}\n\
-                 ms per image           median {:.1}, 95 % within {:.1}; {}\n\
-                 ms per relaxation      median {:.2}, 95 % within {:.2}, at most {:.2}\n",
-                median.closure_position_error_m,
-                median.closure_heading_error_deg,
-                percent(one.missed_fraction),
-                percent(one.false_fraction),
-                times.ms_per_image_p50,
-                times.ms_per_image_p95,
-                self.stages_ms_p50.text(),
-                times.relax_ms_p50,
-                times.relax_ms_p95,
-                times.relax_ms_max,
-            )
     }
 }

@@ -16,13 +16,12 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use topomap::merging::MergeSettings;
 
-use self::kitti::KittiMergeReport;
 use self::large::LargeReport;
 use self::passes::PassesReport;
 use self::report::MergeReport;
 use super::map::WheelChoice;
 use super::map::training::model_or_default;
-use crate::choices::with_default;
+use crate::choices::{own_name, with_default};
 use crate::{files, progress};
 
 /// Makes one map of several, and holds it against the truth.
@@ -101,7 +100,6 @@ enum MergeScenario {
 #[serde(untagged)]
 pub(crate) enum MergeOutcome {
     Drives(MergeReport),
-    Kitti(KittiMergeReport),
     Passes(PassesReport),
     Large(LargeReport),
 }
@@ -115,7 +113,7 @@ pub(crate) fn run(options: &MergeOptions) -> Result<MergeOutcome> {
         return Ok(MergeOutcome::Passes(passes::run(folder, model, options)?));
     }
     if let Some(folder) = &options.kitti {
-        return Ok(MergeOutcome::Kitti(kitti::run(folder, options)?));
+        return Ok(MergeOutcome::Drives(kitti::run(folder, options)?));
     }
     let (model, extractor) = model_or_default(options.model.as_deref())?;
     if let Some(out) = &options.out {
@@ -128,9 +126,7 @@ pub(crate) fn run(options: &MergeOptions) -> Result<MergeOutcome> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let report = MergeReport::of(options, runs);
-    eprint!("{}", report.table());
-    Ok(MergeOutcome::Drives(report))
+    Ok(MergeOutcome::Drives(MergeReport::of(own_name(&options.scenario), options, runs)))
 }
 
 impl MergeOptions {

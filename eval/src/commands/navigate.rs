@@ -24,7 +24,7 @@ use crate::{files, progress};
 
 /// Teach a simulated robot a way, lead it along that way again by camera and wheels, and hold it against the truth.
 ///
-/// Wheels are drawn anew for teaching and for repeating: within 5 % of scale and 3 degrees a metre of drift. The robot
+/// Wheels are drawn for teaching and again for repeating: within 5 % of scale and 3 degrees a metre of drift. The robot
 /// drives 0.4 m/s and sends two images a second.
 #[derive(Args)]
 pub(crate) struct NavigateOptions {
@@ -132,7 +132,6 @@ pub(crate) fn run(options: &NavigateOptions) -> Result<Outcome> {
     if let Some(out) = &options.out {
         files::write_json(&out.join("navigate.json"), &report)?;
     }
-    eprint!("{}", report.table());
     Ok(Outcome::Drives(Box::new(report)))
 }
 
@@ -159,7 +158,6 @@ fn stuck(
     if let Some(out) = &options.out {
         files::write_json(&out.join("stuck.json"), &report)?;
     }
-    eprint!("{}", report.table());
     Ok(report)
 }
 

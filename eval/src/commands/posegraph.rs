@@ -11,7 +11,6 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::choices::{CLOSURES, name_of, own_name};
 use crate::error::{fault, refused};
 use crate::files;
 use crate::timing::median;
@@ -134,7 +133,6 @@ pub(crate) fn run(options: &PoseGraphOptions) -> Result<PoseGraphReport> {
     if let Some(out) = &options.out {
         files::write(out, &relaxed.write())?;
     }
-    eprint!("{}", report.table());
     Ok(report)
 }
 
@@ -180,7 +178,7 @@ fn relax_named<P: Pose<D>, const D: usize>(
         edges: edges.len(),
         closures: edges.iter().filter(is_closure).count(),
         start: options.start,
-        mode: name_of(CLOSURES, &closures),
+        mode: if options.robust { "judged" } else { "trusted" },
         start_cost: first.as_deref().map(|poses| graph.cost(poses)),
         cost: relaxed.cost,
         cost_of_all: graph.cost(&relaxed.poses),
@@ -245,30 +243,4 @@ fn timed<T>(repeats: u32, work: impl Fn() -> T) -> (T, f64) {
     let mut times = vec![first];
     times.extend((1..repeats).map(|_| once().1));
     (outcome, median(times).unwrap_or(first))
-}
-
-impl PoseGraphReport {
-    fn table(&self) -> String {
-        let mut table = format!(
-            "graph        {} poses, {} edges, {} of them closures, {} dimensions\nstart        {}\nclosures     {}, \
-             {} left out\ncost         {:.6}\niterations   {}\ntime         {:.2} ms\n",
-            self.poses,
-            self.edges,
-            self.closures,
-            self.dimensions,
-            own_name(&self.start),
-            self.mode,
-            self.left_out.len(),
-            self.cost,
-            self.iterations,
-            self.ms,
-        );
-        if let Some(found) = &self.false_loops {
-            table += &format!(
-                "false loops  {} added, {} kept; {} true ones left out\ntrue edges   {:.6}, {:.4} times the optimum\n",
-                found.added, found.kept, found.true_left_out, found.true_cost, found.optimum_ratio,
-            );
-        }
-        table
-    }
 }

@@ -26,17 +26,17 @@ use rayon::prelude::*;
 
 use self::bail_out::BailOutReport;
 use self::report::{GrowthPoint, ScaleReport};
-use self::source::{Opened, Source};
+use self::source::Source;
 use crate::choices::{NEW_PLACE_METHODS, choice, name_of};
 use crate::error::refused;
-use crate::timing::{FrameWatch, milliseconds};
+use crate::timing::{FrameWatch, median, milliseconds};
 use crate::workload::WorkloadSettings;
-use crate::{memory, progress};
+use crate::{files, memory, progress};
 
 /// Grow a synthetic map and measure what a filter update, a new place and a look cost, and what the index takes.
 ///
 /// A filter update is everything from a query's words to the normalised posterior and its top ten. With --out,
-/// writes scale.json and scale.svg.
+/// writes scale.json.
 #[derive(Args)]
 pub(crate) struct ScaleOptions {
     /// Places of the map.
@@ -61,10 +61,6 @@ pub(crate) struct ScaleOptions {
     /// Seed of tree, places and queries.
     #[arg(long, value_name = "S", default_value_t = WorkloadSettings::default().seed)]
     seed: u64,
-    /// Take tree, places, samples and queries from the files of the numpy generator instead.
-    #[arg(long, value_name = "DIR",
-          conflicts_with_all = ["places", "words", "most_looks", "samples", "queries", "seed"])]
-    workload: Option<PathBuf>,
     /// How places nobody has seen are stood in for.
     #[arg(long, value_parser = choice(NEW_PLACE_METHODS),
           default_value = name_of(NEW_PLACE_METHODS, &RecognizerSettings::default().new_place))]
@@ -94,8 +90,9 @@ const UPDATED_PLACES: u32 = 2000;
 
 /// Measures a map as it grows.
 pub(crate) fn run(options: &ScaleOptions) -> Result<ScaleReport> {
-    let Opened { source, tree, training } = Source::open(options)?;
-    let model = ObservationModel::new(&tree, DetectorModel::default(), Dependence::ChowLiu);
+    let source = Source::new(options)?;
+    let training = source.training();
+    let model = ObservationModel::new(source.tree(), DetectorModel::default(), Dependence::ChowLiu);
     let settings = RecognizerSettings { new_place: options.new_place, ..RecognizerSettings::default() };
     let recognizer = Recognizer::over(Arc::new(model), &training, settings).map_err(refused)?;
     let threads = rayon::ThreadPoolBuilder::new().num_threads(usize::from(options.threads)).build()?;
@@ -107,7 +104,10 @@ pub(crate) fn run(options: &ScaleOptions) -> Result<ScaleReport> {
         mistakes::count(&measurement.recognizer, &measurement.source.judged_queries(), &measurement.threads)
     });
     let report = ScaleReport { bail_out, mistakes, ..measurement.report(growth, options.threads) };
-    report.write(options.out.as_deref())?;
+    if let Some(out) = &options.out {
+        files::create_folder(out)?;
+        files::write_json(&out.join("scale.json"), &report)?;
+    }
     Ok(report)
 }
 
@@ -122,7 +122,7 @@ struct Measurement {
 
 impl Measurement {
     fn growth(&mut self) -> Vec<GrowthPoint> {
-        let places = self.source.places();
+        let places = self.source.places;
         let mut growth = Vec::new();
         for step in GROWTH_STEPS {
             self.grow((places / step).max(1));
@@ -145,25 +145,28 @@ impl Measurement {
         let index = self.recognizer.index();
         let words = index.model().vocabulary_len();
         let postings = index.postings();
-        let index_bytes = index.memory_bytes();
+        let per_posting = |bytes: usize| bytes as f64 / postings.max(1) as f64;
+        let bytes_per_posting = per_posting(index.memory_bytes());
         let checkpoint = Checkpoint::of(index);
         let updating_us = self.look_again();
         let Self { recognizer, adding_us, .. } = self;
         let model = recognizer.index().model().clone();
         drop(recognizer);
-        let open_ms = checkpoint.open_ms(&model);
-        ScaleReport::new(report::Measures {
+        ScaleReport {
+            whole: growth.last().cloned().unwrap_or_else(|| GrowthPoint::new(0, &[])),
             words,
             threads,
-            growth,
-            adding_us,
-            updating_us,
+            add_place_us_p50: median(adding_us).unwrap_or(0.0),
+            update_place_us_p50: median(updating_us).unwrap_or(0.0),
             postings,
-            index_bytes,
-            checkpoint_bytes: checkpoint.rows.len(),
+            bytes_per_posting,
+            checkpoint_bytes_per_posting: per_posting(checkpoint.rows.len()),
             rss_mib,
-            open_ms,
-        })
+            open_ms: checkpoint.open_ms(&model),
+            bail_out: None,
+            mistakes: None,
+            growth,
+        }
     }
 
     /// Adds places until there are `places`.

@@ -8,7 +8,6 @@ use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use fabmap::calibration::{self, Calibration, EvidenceExponent, LearnError, Rates};
 use fabmap::chow_liu::TreeTrainingSettings;
-use fabmap::descriptor::Descriptors;
 use fabmap::detector::DetectorModel;
 use fabmap::model::{Model, ModelTrainingProgress, ModelTrainingSettings, TrainingStage};
 use fabmap::vocabulary::{Vocabulary, VocabularySettings};
@@ -16,6 +15,7 @@ use indicatif::ProgressBar;
 use rayon::prelude::*;
 use serde::Serialize;
 use waypost_vision::features::{Extractor, Feature, FeatureSettings};
+use waypost_vision::look_alikes::{self, LearnError as LookAlikesError, TrainingImage};
 
 use crate::choices::features;
 use crate::dataset;
@@ -81,6 +81,8 @@ pub(crate) struct TrainReport {
     images: Option<usize>,
     /// Descriptors found in them.
     descriptors: Option<usize>,
+    /// The features that words are made of.
+    features: String,
     /// Words of the vocabulary.
     words: usize,
     /// How long it took.
@@ -95,6 +97,8 @@ pub(crate) struct TrainReport {
     pairs: Option<usize>,
     /// Mean of -ln p(what is right) over staged revisits and new places, in nats.
     loss_nats: Option<f64>,
+    /// What the best look-alike shows of an image, per word, in the mean; null if it was not learnt.
+    look_alike_share: Option<f64>,
     /// Hash of the model's content, its name.
     model_hash: String,
     /// Size of the model file.
@@ -117,19 +121,23 @@ pub(crate) fn run(options: &TrainOptions) -> Result<TrainReport> {
         Some(path) => (began, None, files::read_model(path)?.0),
         None => {
             let features = options.features()?;
-            let descriptors = extract_all(&options.images, Extractor::new(features))?;
+            let images = extract_all(&options.images, Extractor::new(features))?;
             let extracted = Instant::now();
-            let model = options.train(features, &descriptors)?;
-            (extracted, Some(descriptors), model)
+            let model = options.train(features, &images)?;
+            (extracted, Some(images), model)
         }
     };
-    let (model, learnt) = calibrated(&model, options.detector)?;
+    let (mut model, learnt) = calibrated(&model, options.detector)?;
+    if let Some(images) = &images {
+        model = knowing_look_alikes(model, images)?;
+    }
     let trained = Instant::now();
     let bytes = model.to_bytes();
     files::write(&options.out, &bytes)?;
-    let report = TrainReport {
+    Ok(TrainReport {
         images: images.as_ref().map(Vec::len),
-        descriptors: images.map(|images| images.iter().map(Descriptors::len).sum()),
+        descriptors: images.map(|images| images.iter().map(|image| image.features.descriptors.len()).sum()),
+        features: model.extractor().to_owned(),
         words: model.vocabulary().len(),
         seconds: TrainSeconds {
             extract: extracted.duration_since(began).as_secs_f64(),
@@ -140,11 +148,13 @@ pub(crate) fn run(options: &TrainOptions) -> Result<TrainReport> {
         evidence_exponent: model.evidence_exponent().value(),
         pairs: learnt.map(|learnt| learnt.pairs),
         loss_nats: learnt.map(|learnt| learnt.loss_nats),
+        look_alike_share: model.look_alikes().map(|known| {
+            let shares = known.shares();
+            shares.iter().map(|&share| f64::from(share)).sum::<f64>() / shares.len().max(1) as f64
+        }),
         model_hash: model.hash().to_string(),
         bytes: bytes.len(),
-    };
-    eprint!("{}", report.table(model.extractor(), &options.out));
-    Ok(report)
+    })
 }
 
 impl TrainOptions {
@@ -155,7 +165,7 @@ impl TrainOptions {
         FeatureSettings::new(self.feature, self.max_features, self.image_width).map_err(refused)
     }
 
-    fn train(&self, features: FeatureSettings, descriptors: &[Descriptors]) -> Result<Model> {
+    fn train(&self, features: FeatureSettings, images: &[TrainingImage]) -> Result<Model> {
         let tree = TreeTrainingSettings::default();
         let detector = DetectorModel::default();
         let extractor = features.to_string();
@@ -169,11 +179,11 @@ impl TrainOptions {
                     ..VocabularySettings::default()
                 };
                 let settings = ModelTrainingSettings { vocabulary, tree, detector };
-                Model::train(&extractor, descriptors, &settings, &mut observer)
+                Model::train(&extractor, images, &settings, &mut observer)
             }
             Some(path) => {
                 let vocabulary = orb_vocabulary(path)?;
-                Model::train_over(vocabulary, &extractor, descriptors, tree, detector, &mut observer)
+                Model::train_over(vocabulary, &extractor, images, tree, detector, &mut observer)
             }
         };
         bar.finish_and_clear();
@@ -181,16 +191,16 @@ impl TrainOptions {
     }
 }
 
-/// The descriptors of each image of these folders, in order of the paths; one image per thread.
-fn extract_all(folders: &[PathBuf], extractor: Extractor) -> Result<Vec<Descriptors>> {
+/// The features of each image of these folders, in order of the paths; one image per thread.
+fn extract_all(folders: &[PathBuf], extractor: Extractor) -> Result<Vec<TrainingImage>> {
     let paths =
         folders.iter().map(|folder| dataset::image_files(folder)).collect::<Result<Vec<_>>>()?.concat();
     let bar = progress::bar("features", paths.len());
     let extracted = paths.par_iter().map(|path| {
         let extracted = extractor.extract_encoded(&files::read(path)?);
-        let (_image, features) = extracted.with_context(|| path.display().to_string())?;
+        let (image, features) = extracted.with_context(|| path.display().to_string())?;
         bar.inc(1);
-        Ok(features.descriptors)
+        Ok(TrainingImage { size_px: (image.width(), image.height()), features })
     });
     let extracted = extracted.collect();
     bar.finish_and_clear();
@@ -226,6 +236,26 @@ pub(crate) fn calibrated(model: &Model, choice: DetectorChoice) -> Result<(Model
     Ok(calibrated)
 }
 
+/// The same model, which knows what look-alikes of its training images show. If those do not tell, the model does
+/// without, and says so.
+pub(crate) fn knowing_look_alikes(model: Model, images: &[TrainingImage]) -> Result<Model> {
+    let bar = progress::bar("look-alikes", PER_MILLE);
+    let mut observer = |fraction| {
+        bar.set_position((fraction * PER_MILLE as f64) as u64);
+        ControlFlow::Continue(())
+    };
+    let learnt = look_alikes::learn(&model, images, &mut observer);
+    bar.finish_and_clear();
+    match learnt {
+        Ok(look_alikes) => Ok(model.with_look_alikes(look_alikes)),
+        Err(error @ (LookAlikesError::TooFew { .. } | LookAlikesError::NoOrder)) => {
+            eprintln!("{error}; without, maps ask for as much evidence as look-alike floors need");
+            Ok(model)
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
 /// Steps of the bar of one stage.
 const PER_MILLE: usize = 1000;
 
@@ -238,41 +268,4 @@ fn show(progress: ModelTrainingProgress, bar: &ProgressBar) -> ControlFlow<()> {
     });
     bar.set_position((fraction.clamp(0.0, 1.0) * PER_MILLE as f64) as u64);
     ControlFlow::Continue(())
-}
-
-impl TrainReport {
-    fn table(&self, features: &str, out: &Path) -> String {
-        let Self {
-            images,
-            descriptors,
-            words,
-            seconds: TrainSeconds { extract, train },
-            true_positive_rate,
-            false_positive_rate,
-            evidence_exponent,
-            pairs,
-            loss_nats,
-            model_hash,
-            bytes,
-        } = self;
-        let count = |count: Option<usize>| count.map_or("–".to_owned(), |count| count.to_string());
-        let learnt = match (pairs, loss_nats) {
-            (Some(pairs), Some(loss)) => format!("{pairs} overlapping pairs, loss {loss:.4} nats"),
-            (Some(_) | None, _) => "none of its images".to_owned(),
-        };
-        format!(
-            "model        {model_hash}\n\
-             file         {out} ({bytes} bytes)\n\
-             features     {features}\n\
-             images       {}\n\
-             descriptors  {}\n\
-             words        {words}\n\
-             detector     p(z=1|e=1) {true_positive_rate}, p(z=1|e=0) {false_positive_rate}, exponent {evidence_exponent:.4}\n\
-             learnt from  {learnt}\n\
-             time         {extract:.1} s features, {train:.1} s training\n",
-            count(*images),
-            count(*descriptors),
-            out = out.display(),
-        )
-    }
 }

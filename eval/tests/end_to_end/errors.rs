@@ -30,8 +30,6 @@ fn wrong_arguments_exit_with_2() {
         sequence(&world, "model", &["--threshold", "1.5"]).refusal(2),
         &["1.5", "leave it out for the default"],
     );
-    assert_says(sequence(&world, "model", &["--new-place-prior", "1"]).refusal(2), &["between 0 and 1"]);
-    assert_says(sequence(&world, "model", &["--false-positive-rate", "0.5"]).refusal(2), &["below the true"]);
     assert_says(
         sequence(&world, "model", &["--ranking", "tf-idf", "--dependence", "chow_liu"]).refusal(2),
         &["tf-idf", "leave out"],

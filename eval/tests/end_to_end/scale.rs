@@ -22,7 +22,7 @@ const MEASURES: [&str; 9] = [
 ];
 
 #[test]
-fn every_measure_is_there_and_the_curve_is_drawn() {
+fn every_measure_is_there_and_written() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("results").display().to_string();
     let report = waypost_eval(&[&SMALL[..], &["--threads", "2", "--json", "--out", &out]].concat()).json();
@@ -41,7 +41,6 @@ fn every_measure_is_there_and_the_curve_is_drawn() {
     let written: Value =
         serde_json::from_slice(&fs::read(folder.path().join("results/scale.json")).unwrap()).unwrap();
     assert_eq!(written, report);
-    assert!(fs::read_to_string(folder.path().join("results/scale.svg")).unwrap().contains("measured"));
 }
 
 #[test]
@@ -86,17 +85,4 @@ fn the_same_seed_gives_the_same_mistakes_on_any_number_of_threads() {
 fn what_cannot_be_measured_is_refused() {
     assert!(waypost_eval(&["scale", "--words", "599"]).refusal(2).contains("at least twice"));
     assert!(waypost_eval(&["scale", "--places", "0"]).refusal(2).contains("--places"));
-    assert!(waypost_eval(&["scale", "--workload", "nowhere"]).refusal(1).contains("nowhere/tree.txt"));
-    assert!(waypost_eval(&["scale", "--workload", "x", "--seed", "3"]).refusal(2).contains("--seed"));
-}
-
-#[test]
-fn the_generators_files_can_be_measured() {
-    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/workload");
-    let report = waypost_eval(&["scale", "--workload", folder, "--mistakes", "--json"]).json();
-    assert_eq!(
-        (&report["mistakes"]["new_queries"], &report["mistakes"]["revisit_queries"]),
-        (&Value::from(5), &Value::from(5))
-    );
-    assert_eq!([&report["places"], &report["words"], &report["postings"]], [25, 60, 278]);
 }

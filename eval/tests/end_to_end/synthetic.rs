@@ -247,14 +247,14 @@ fn the_same_seed_trains_the_same_model_on_any_number_of_threads() {
 }
 
 #[test]
-fn without_json_stdout_stays_empty_and_people_get_a_table() {
+fn without_json_stdout_stays_empty_and_people_get_the_figures() {
     let world = World::new();
     world.train("model");
     let (sequence, model, out) = (world.text("sequence"), world.text("model"), world.text("out"));
     let run =
         waypost_eval(&["sequence", "--sequence", &sequence, "--gap", "4", "--model", &model, "--out", &out]);
     assert_eq!((run.exit_code, run.stdout.as_str()), (Some(0), ""));
-    assert!(run.stderr.contains("recall at 100 % precision"), "{}", run.stderr);
+    assert!(run.stderr.contains("recall_at_100_precision"), "{}", run.stderr);
 }
 
 /// One level of twenty words of 32 bytes, as DBoW2 writes them.

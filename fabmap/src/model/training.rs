@@ -26,6 +26,11 @@ impl ModelTrainingSettings {
     pub const DESCRIPTORS_PER_WORD: usize = 50;
     /// Observations kept as the sampling set, taken evenly over all images.
     pub const MAX_SAMPLES: usize = 3000;
+
+    /// The numbers of the images that make the sampling set, of so many.
+    pub fn sampled(images: usize) -> impl Iterator<Item = usize> {
+        every_nth(images, Self::MAX_SAMPLES)
+    }
 }
 
 /// What training is busy with.
@@ -94,7 +99,7 @@ impl Model {
     /// [`ModelTrainingError`].
     pub fn train(
         extractor: &str,
-        images: &[Descriptors],
+        images: &[impl AsRef<Descriptors>],
         settings: &ModelTrainingSettings,
         observer: &mut dyn FnMut(ModelTrainingProgress) -> ControlFlow<()>,
     ) -> Result<Self, ModelTrainingError> {
@@ -114,57 +119,55 @@ impl Model {
     pub fn train_over(
         vocabulary: Vocabulary,
         extractor: &str,
-        images: &[Descriptors],
+        images: &[impl AsRef<Descriptors>],
         tree: TreeTrainingSettings,
         detector: DetectorModel,
         observer: &mut dyn FnMut(ModelTrainingProgress) -> ControlFlow<()>,
     ) -> Result<Self, ModelTrainingError> {
-        if images.iter().all(Descriptors::is_empty) {
+        if images.iter().all(|image| image.as_ref().is_empty()) {
             return Err(ModelTrainingError::NoDescriptors { images: images.len() });
         }
         let observations = observe_all(&vocabulary, images, observer)?;
         let tree = ChowLiuTree::train(&observations, vocabulary.len(), tree, &mut |fraction| {
             observer(ModelTrainingProgress { stage: TrainingStage::Tree, fraction })
         })?;
-        let sampling_set = evenly_taken(&observations, ModelTrainingSettings::MAX_SAMPLES);
+        let sampled = ModelTrainingSettings::sampled(observations.len());
+        let sampling_set = sampled.map(|image| observations[image].clone()).collect();
         Ok(Self::new(extractor.to_owned(), vocabulary, tree, detector, sampling_set)?)
     }
 }
 
 fn observe_all(
     vocabulary: &Vocabulary,
-    images: &[Descriptors],
+    images: &[impl AsRef<Descriptors>],
     observer: &mut dyn FnMut(ModelTrainingProgress) -> ControlFlow<()>,
 ) -> Result<Vec<Observation>, ModelTrainingError> {
     let mut observations = Vec::with_capacity(images.len());
-    for (done, descriptors) in images.iter().enumerate() {
+    for (done, image) in images.iter().enumerate() {
         let fraction = done as f64 / images.len() as f64;
         if observer(ModelTrainingProgress { stage: TrainingStage::Quantization, fraction }).is_break() {
             return Err(ModelTrainingError::Cancelled);
         }
-        observations.push(vocabulary.observe(descriptors)?);
+        observations.push(vocabulary.observe(image.as_ref())?);
     }
     Ok(observations)
 }
 
 /// At most `wanted` descriptors, evenly spaced over all of them in order.
 fn evenly_taken_descriptors(
-    images: &[Descriptors],
+    images: &[impl AsRef<Descriptors>],
     wanted: usize,
 ) -> Result<Descriptors, ModelTrainingError> {
     let none = ModelTrainingError::NoDescriptors { images: images.len() };
-    let Some(first) = images.iter().find(|descriptors| !descriptors.is_empty()) else { return Err(none) };
+    let described = || images.iter().map(AsRef::as_ref);
+    let Some(first) = described().find(|descriptors| !descriptors.is_empty()) else { return Err(none) };
     let mut rows = Vec::new();
-    for descriptors in images {
+    for descriptors in described() {
         first.check_matches(descriptors)?;
         rows.extend(descriptors.rows());
     }
     let taken: Vec<u8> = every_nth(rows.len(), wanted).flat_map(|row| rows[row]).copied().collect();
     Ok(Descriptors::new(first.kind(), first.width(), taken)?)
-}
-
-fn evenly_taken(observations: &[Observation], wanted: usize) -> Vec<Observation> {
-    every_nth(observations.len(), wanted).map(|index| observations[index].clone()).collect()
 }
 
 /// At most `wanted` of the numbers below `len`, evenly spread.

@@ -6,9 +6,10 @@
 //! the target. The way to drive is d = -R t.
 //!
 //! The motion is searched by RANSAC (Fischler & Bolles, CACM 1981): planar motion by the linear
-//! four-point algorithm (Booij, Terwijn, Zivkovic & Kröse, ICRA 2007), any motion by the
-//! eight-point one, to compare. The same rays, settings and seed give the same answer.
+//! four-point algorithm (Booij, Terwijn, Zivkovic & Kröse, ICRA 2007). The same rays, settings and
+//! seed give the same answer; tests compare it with the eight-point algorithm for any motion.
 
+#[cfg(test)]
 mod general;
 mod planar;
 mod reprojection;
@@ -18,7 +19,6 @@ use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-pub use general::GeneralMotion;
 pub use planar::PlanarMotion;
 pub use reprojection::{Reprojection, reprojection};
 pub use turning::{Turn, turn};

@@ -11,11 +11,11 @@ pub mod candidates;
 mod promise;
 mod spaces;
 
-use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::BTreeMap;
+
+use posegraph::shortest_paths::{ShortestPaths, Step};
 
 use crate::appearance::epipolar::PlanarMotion;
-use topomap::evidence::ArchiveError;
 
 /// An image of the map: numbered from 0 as they came.
 pub type ImageId = u32;
@@ -51,13 +51,10 @@ impl Overlap {
 }
 
 /// Compares one panoramic image, that which the robot sees or which comes to the map, with those of
-/// the map; whoever keeps features implements it.
+/// the map; the holder of features implements it.
 pub trait Panorama {
     /// What the image and one of the map have in common; `None` if no motion joins them.
-    ///
-    /// # Errors
-    /// [`ArchiveError`] if the one of the map cannot be read now.
-    fn overlap(&self, image: ImageId) -> Result<Option<Overlap>, ArchiveError>;
+    fn overlap(&self, image: ImageId) -> Option<Overlap>;
 }
 
 /// With which images a new one is compared.
@@ -117,25 +114,18 @@ pub struct NoSuchImage {
 impl AppearanceGraph {
     /// Adds an image and links it to those that it is similar to, of those that it is compared
     /// with.
-    ///
-    /// # Errors
-    /// [`ArchiveError`] if one of them cannot be read now; nothing is added then.
-    pub fn add(&mut self, panorama: &impl Panorama, checks: Checks<'_>) -> Result<Added, ArchiveError> {
-        let similarity =
-            |image| Ok(panorama.overlap(image)?.map_or(0.0, |overlap: Overlap| overlap.similarity()));
+    pub fn add(&mut self, panorama: &impl Panorama, checks: Checks<'_>) -> Added {
+        let similarity = |image| panorama.overlap(image).map_or(0.0, |overlap| overlap.similarity());
         let found: BTreeMap<ImageId, f64> = match checks {
-            Checks::All => {
-                let all = (0..self.len() as ImageId).map(|image| Ok((image, similarity(image)?)));
-                all.collect::<Result<_, ArchiveError>>()?
-            }
-            Checks::Promising(votes) => promise::compared(self, votes, similarity)?,
+            Checks::All => (0..self.len() as ImageId).map(|image| (image, similarity(image))).collect(),
+            Checks::Promising(votes) => promise::compared(self, votes, similarity),
         };
         let image = self.add_image();
         let checks = found.len();
         for (other, similarity) in found {
             self.link(image, other, similarity);
         }
-        Ok(Added { image, checks })
+        Added { image, checks }
     }
 
     /// Adds an image without links.
@@ -186,7 +176,7 @@ impl AppearanceGraph {
         })
     }
 
-    /// How far each image is from a goal: Dijkstra's search over lengths 1 / S.
+    /// How far each image is from a goal, by links that are 1 / S long.
     ///
     /// # Errors
     /// [`NoSuchImage`] if the goal is none.
@@ -194,24 +184,13 @@ impl AppearanceGraph {
         if goal as usize >= self.len() {
             return Err(NoSuchImage { image: goal, images: self.len() });
         }
-        let mut distances = vec![f64::INFINITY; self.len()];
-        distances[goal as usize] = 0.0;
-        // Positive numbers are in the order of their bits.
-        let mut queue = BinaryHeap::from([Reverse((0_u64, goal))]);
-        while let Some(Reverse((bits, image))) = queue.pop() {
-            let so_far = f64::from_bits(bits);
-            if so_far > distances[image as usize] {
-                continue;
-            }
-            for link in self.neighbours(image) {
-                let total = so_far + 1.0 / link.similarity;
-                if total < distances[link.to as usize] {
-                    distances[link.to as usize] = total;
-                    queue.push(Reverse((total.to_bits(), link.to)));
-                }
-            }
-        }
-        Ok(GoalDistances { goal, distances })
+        let mut paths = ShortestPaths::new(self.len());
+        let steps = |image: usize| {
+            let links = self.links[image].iter();
+            links.map(|link| Step { to: link.to as usize, length: 1.0 / link.similarity, edge: 0 })
+        };
+        paths.search([goal as usize], |_| false, steps);
+        Ok(GoalDistances { goal, distances: paths.lengths().to_vec() })
     }
 
     /// Images by convex space, such as a room: groups within which most can be matched from most.

@@ -14,7 +14,6 @@ use std::collections::BTreeMap;
 use crate::appearance::graph::{
     AppearanceGraph, GoalDistances, ImageId, LINK_SIMILARITY, Link, NoSuchImage, Overlap, Panorama,
 };
-use topomap::evidence::ArchiveError;
 
 pub use smoothing::SmoothedHeading;
 pub use steering::HeadingSteering;
@@ -129,13 +128,8 @@ struct Compared<'a, S> {
 }
 
 impl<S: Sight> Compared<'_, S> {
-    fn overlap(&mut self, image: ImageId) -> Result<Option<Overlap>, ArchiveError> {
-        if let Some(known) = self.overlaps.get(&image) {
-            return Ok(*known);
-        }
-        let overlap = self.sight.overlap(image)?;
-        self.overlaps.insert(image, overlap);
-        Ok(overlap)
+    fn overlap(&mut self, image: ImageId) -> Option<Overlap> {
+        *self.overlaps.entry(image).or_insert_with(|| self.sight.overlap(image))
     }
 }
 
@@ -164,28 +158,16 @@ impl AppearanceNavigator {
     }
 
     /// Takes what the robot sees, and says where to drive.
-    ///
-    /// # Errors
-    /// [`ArchiveError`] if an image of the map cannot be read now; the navigation is as it was
-    /// before.
-    pub fn observe<S: Sight>(
-        &mut self,
-        graph: &AppearanceGraph,
-        sight: &S,
-        body: Body,
-    ) -> Result<Guidance, ArchiveError> {
+    pub fn observe<S: Sight>(&mut self, graph: &AppearanceGraph, sight: &S, body: Body) -> Guidance {
         let mut compared = Compared { sight, overlaps: BTreeMap::new() };
         let mut subgoal = match self.subgoal {
             Some(subgoal) if !self.is_out_of_patience() => Some(subgoal),
-            Some(_) | None => self.relocalized(&mut compared)?,
+            Some(_) | None => self.relocalized(&mut compared),
         };
         if let Some(image) = subgoal {
-            subgoal = Some(self.advanced(graph, image, &mut compared)?);
+            subgoal = Some(self.advanced(graph, image, &mut compared));
         }
-        let overlap = match subgoal {
-            Some(image) => compared.overlap(image)?.filter(matches),
-            None => None,
-        };
+        let overlap = subgoal.and_then(|image| compared.overlap(image)).filter(matches);
         self.heading.turn(sight.turned_rad().unwrap_or(0.0));
         if let Some(overlap) = &overlap {
             self.heading.take(overlap.motion.heading_rad());
@@ -205,13 +187,13 @@ impl AppearanceNavigator {
         } else {
             NavigationStatus::Recovering
         };
-        Ok(Guidance {
+        Guidance {
             status,
             subgoal: self.subgoal,
             heading_rad: self.heading.heading_rad().filter(|_| status != NavigationStatus::Arrived),
             remaining: self.subgoal.and_then(|subgoal| self.distances.of(subgoal)),
             compared: compared.overlaps.len(),
-        })
+        }
     }
 
     /// How far images are from the goal.
@@ -236,19 +218,19 @@ impl AppearanceNavigator {
     }
 
     /// Of the images that lead to the goal, the one most similar to what is seen.
-    fn relocalized<S: Sight>(&self, compared: &mut Compared<'_, S>) -> Result<Option<ImageId>, ArchiveError> {
+    fn relocalized<S: Sight>(&self, compared: &mut Compared<'_, S>) -> Option<ImageId> {
         let mut best: Option<(f64, ImageId)> = None;
         for image in compared.sight.relocalization_candidates() {
             if self.distances.of(image).is_none() {
                 continue;
             }
-            let found = compared.overlap(image)?.filter(matches);
+            let found = compared.overlap(image).filter(matches);
             let similarity = found.map_or(0.0, |overlap| overlap.similarity());
             if similarity > best.map_or(0.0, |(most, _)| most) {
                 best = Some((similarity, image));
             }
         }
-        Ok(best.map(|(_, image)| image))
+        best.map(|(_, image)| image)
     }
 
     /// As far from a subgoal towards the goal as neighbours match.
@@ -257,13 +239,13 @@ impl AppearanceNavigator {
         graph: &AppearanceGraph,
         mut subgoal: ImageId,
         compared: &mut Compared<'_, S>,
-    ) -> Result<ImageId, ArchiveError> {
+    ) -> ImageId {
         let mut left = self.settings.max_neighbours;
         'subgoals: loop {
             let here = self.distances.of(subgoal).unwrap_or(f64::INFINITY);
             let next = self.distances.next(graph, subgoal).map_or(0.0, |link| link.similarity);
             let wanted =
-                if self.is_at(graph, subgoal, compared)? { 0.0 } else { self.settings.advance_share * next };
+                if self.is_at(graph, subgoal, compared) { 0.0 } else { self.settings.advance_share * next };
             let is_well_seen = |overlap: Overlap| matches(&overlap) && overlap.similarity() >= wanted;
             let is_nearer = |link: &&Link| self.distances.of(link.to).is_some_and(|there| there < here);
             let mut nearer: Vec<&Link> = graph.neighbours(subgoal).iter().filter(is_nearer).collect();
@@ -275,12 +257,12 @@ impl AppearanceNavigator {
                     }
                     left -= 1;
                 }
-                if compared.overlap(link.to)?.is_some_and(is_well_seen) {
+                if compared.overlap(link.to).is_some_and(is_well_seen) {
                     subgoal = link.to;
                     continue 'subgoals;
                 }
             }
-            return Ok(subgoal);
+            return subgoal;
         }
     }
 
@@ -291,9 +273,9 @@ impl AppearanceNavigator {
         graph: &AppearanceGraph,
         image: ImageId,
         compared: &mut Compared<'_, S>,
-    ) -> Result<bool, ArchiveError> {
+    ) -> bool {
         let best = graph.neighbours(image).iter().map(|link| link.similarity).fold(0.0, f64::max);
-        Ok(compared.overlap(image)?.is_some_and(|overlap| overlap.similarity() >= best))
+        compared.overlap(image).is_some_and(|overlap| overlap.similarity() >= best)
     }
 
     fn has_arrived(&self, overlap: &Overlap) -> bool {

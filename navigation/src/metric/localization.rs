@@ -238,7 +238,7 @@ mod tests {
         let placement = Placement::Unknown;
         let view = TwoView { matches: 90, inliers: 80, distinct_inliers: 80, motion, placement };
         let matched = Match { place: 0, posterior: 1.0, log_odds: 9.0, frame: 1 };
-        Candidate { matched, view: Some(view), support: 0.0, seen_from: None }
+        Candidate::new(matched, Some(view), None, 10.0)
     }
 
     /// 33 pixels of 320 are 4.73 degrees at the camera of Bazeille et al. 2011. A robot that has

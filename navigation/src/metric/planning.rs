@@ -1,11 +1,11 @@
 //! Which way leads there: Dijkstra over places, with the way that the robot looks.
 
-use std::cmp::Ordering;
-use std::collections::{BTreeSet, BinaryHeap};
+use std::collections::BTreeSet;
 
 use fabmap::appearance::PlaceId;
 
 use super::settings::{AgainstTheWay, PlanningSettings};
+use posegraph::shortest_paths::{ShortestPaths, Step};
 use posegraph::{PlanarPose, Pose};
 use topomap::map::{Map, PlacePoses};
 
@@ -253,31 +253,20 @@ impl<'a> Graph<'a> {
     /// The nodes of the cheapest way, from start to goal, however the robot looks there.
     fn cheapest(&self, start: PlaceId, goal: PlaceId) -> Option<Vec<Node>> {
         let index = |(place, travel): Node| 2 * place as usize + usize::from(travel == Travel::Against);
-        let mut costs = vec![f64::INFINITY; 2 * self.ways.len()];
-        let mut before: Vec<Option<Node>> = vec![None; costs.len()];
-        let mut open = BinaryHeap::from([Open { cost_m: 0.0, node: (start, Travel::Along) }]);
-        costs[index((start, Travel::Along))] = 0.0;
-        while let Some(Open { cost_m, node }) = open.pop() {
-            if node.0 == goal {
-                let back = |&node: &Node| before[index(node)];
-                let mut nodes: Vec<Node> = std::iter::successors(Some(node), back).collect();
-                nodes.reverse();
-                return Some(nodes);
-            }
-            if cost_m > costs[index(node)] {
-                continue;
-            }
-            for &next in &self.ways[node.0 as usize] {
-                let Some(step_m) = self.cost_m(node, next) else { continue };
-                let cost_m = cost_m + step_m;
-                if cost_m < costs[index(next)] {
-                    costs[index(next)] = cost_m;
-                    before[index(next)] = Some(node);
-                    open.push(Open { cost_m, node: next });
-                }
-            }
-        }
-        None
+        let node = |index: usize| -> Node {
+            ((index / 2) as PlaceId, if index.is_multiple_of(2) { Travel::Along } else { Travel::Against })
+        };
+        let mut paths = ShortestPaths::new(2 * self.ways.len());
+        let steps = |from: usize| {
+            let step = move |&to: &Node| {
+                let length = self.cost_m(node(from), to)?;
+                Some(Step { to: index(to), length, edge: 0 })
+            };
+            self.ways[from / 2].iter().filter_map(step)
+        };
+        let is_goal = |index: usize| node(index).0 == goal;
+        let end = paths.search([index((start, Travel::Along))], is_goal, steps)?;
+        Some(paths.way_to(end).into_iter().map(|(index, _)| node(index)).collect())
     }
 }
 
@@ -288,27 +277,6 @@ fn route(poses: &PlacePoses, part: PlaceId, nodes: &[Node]) -> Route {
     // An empty sum of floats is -0.0.
     let length_m = waypoints.windows(2).map(between).fold(0.0, |sum_m, metres| sum_m + metres);
     Route { part, waypoints, length_m }
-}
-
-/// A node on the edge of what is known, the cheapest first.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Open {
-    cost_m: f64,
-    node: Node,
-}
-
-impl Eq for Open {}
-
-impl Ord for Open {
-    fn cmp(&self, other: &Self) -> Ordering {
-        other.cost_m.total_cmp(&self.cost_m).then(other.node.cmp(&self.node))
-    }
-}
-
-impl PartialOrd for Open {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
 }
 
 #[cfg(test)]

@@ -139,7 +139,8 @@ impl Navigator {
             Task::LookAround(looks) => Some(Reason::Lost(looks.because)),
             Task::Follow(_) | Task::Face { .. } if status == Status::Searching => {
                 let now = self.localization()?;
-                let (since_closure_ns, since_closure_m) = (now.since_closure_ns, now.since_closure_m);
+                let since_closure_ns = now.since_closure_ns;
+                let since_closure_m = now.since_closure_m;
                 Some(Reason::Searching { since_closure_ns, since_closure_m })
             }
             Task::Follow(_) | Task::Face { .. } | Task::Arrived => None,

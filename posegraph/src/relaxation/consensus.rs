@@ -6,14 +6,13 @@
 //! is says how much agreement there is; short ways say much, long ones little. So what is sure is
 //! accepted first, and shortens the ways around the rest.
 
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::SMatrix;
 
 use crate::graph::{Edge, EdgeKind, Neighbours, PoseGraph};
 use crate::pose::Pose;
+use crate::shortest_paths::{ShortestPaths, Step};
 
 /// Agreement from which a closure is accepted, in nats, in rounds: the surest first.
 const AGREEMENT_NATS: [f64; 3] = [10.0, 6.0, 3.0];
@@ -53,7 +52,7 @@ pub(super) struct Consensus<'a, P, const D: usize> {
     uncertainty: Vec<f64>,
     /// Volume of all that a wrong closure may say: positions times rotations.
     log_volume: f64,
-    search: Search,
+    paths: ShortestPaths,
 }
 
 /// What is said of one closure.
@@ -81,8 +80,8 @@ impl<'a, P: Pose<D>, const D: usize> Consensus<'a, P, D> {
             .collect();
         let log_volume = log_volume::<P, D>(poses, squared_length.sqrt());
         let neighbours = Neighbours::of(graph);
-        let search = Search::new(graph.poses());
-        Self { graph, neighbours, covariances, uncertainty, log_volume, search }
+        let paths = ShortestPaths::new(graph.poses());
+        Self { graph, neighbours, covariances, uncertainty, log_volume, paths }
     }
 
     /// Accepts closures, all but `excluded`.
@@ -161,13 +160,17 @@ impl<'a, P: Pose<D>, const D: usize> Consensus<'a, P, D> {
     fn agreement(&mut self, closure: usize, accepted: &[bool], scale: f64) -> Option<Agreement> {
         let edge = &self.graph.edges()[closure];
         let usable = |other: usize| accepted[other] && other != closure;
-        let way = self.search.surest_way(
-            self.graph,
-            &self.neighbours,
-            &self.uncertainty,
-            usable,
-            (edge.from(), edge.to()),
+        // The way whose uncertainty sums up to least.
+        let Self { neighbours, uncertainty, paths, .. } = self;
+        let goal = paths.search(
+            [edge.from()],
+            |pose| pose == edge.to(),
+            |pose| {
+                let around = neighbours.at(pose).iter().filter(|(other, _)| usable(*other));
+                around.map(|&(edge, to)| Step { to, length: uncertainty[edge], edge })
+            },
         )?;
+        let way: Vec<usize> = paths.way_to(goal).into_iter().filter_map(|(_, edge)| edge).collect();
         let (end, mut covariance) = self.along(edge.from(), &way);
         covariance += self.covariances[closure];
         let by_step = P::linearized(edge.measurement(), &P::identity(), edge.measurement()).by_to;
@@ -231,76 +234,4 @@ fn noise_scale<P: Pose<D>, const D: usize>(mut squares: Vec<f64>) -> f64 {
     }
     squares.sort_by(f64::total_cmp);
     (squares[squares.len() / 2] / P::CHI_SQUARED_MEDIAN).clamp(LEAST_NOISE, 1.0)
-}
-
-/// Dijkstra's search, with its memory kept from one to the next.
-struct Search {
-    distance: Vec<f64>,
-    by_edge: Vec<usize>,
-    touched: Vec<usize>,
-    waiting: BinaryHeap<Reverse<(u64, usize)>>,
-}
-
-impl Search {
-    fn new(poses: usize) -> Self {
-        let distance = vec![f64::INFINITY; poses];
-        let by_edge = vec![0; poses];
-        Self { distance, by_edge, touched: Vec::new(), waiting: BinaryHeap::new() }
-    }
-
-    /// The edges from one pose to another whose uncertainty sums up to least, in order.
-    fn surest_way<P: Pose<D>, const D: usize>(
-        &mut self,
-        graph: &PoseGraph<P, D>,
-        neighbours: &Neighbours,
-        uncertainty: &[f64],
-        usable: impl Fn(usize) -> bool,
-        (start, goal): (usize, usize),
-    ) -> Option<Vec<usize>> {
-        self.touched.drain(..).for_each(|pose| self.distance[pose] = f64::INFINITY);
-        self.waiting.clear();
-        self.distance[start] = 0.0;
-        self.touched.push(start);
-        // The bits of positive numbers are in their order.
-        self.waiting.push(Reverse((0, start)));
-        while let Some(Reverse((bits, pose))) = self.waiting.pop() {
-            if pose == goal {
-                return Some(self.way_back(graph, start, goal));
-            }
-            let distance = f64::from_bits(bits);
-            if distance > self.distance[pose] {
-                continue;
-            }
-            for &(edge, other) in neighbours.at(pose) {
-                let there = distance + uncertainty[edge];
-                if there < self.distance[other] && usable(edge) {
-                    if self.distance[other] == f64::INFINITY {
-                        self.touched.push(other);
-                    }
-                    self.distance[other] = there;
-                    self.by_edge[other] = edge;
-                    self.waiting.push(Reverse((there.to_bits(), other)));
-                }
-            }
-        }
-        None
-    }
-
-    fn way_back<P: Pose<D>, const D: usize>(
-        &self,
-        graph: &PoseGraph<P, D>,
-        start: usize,
-        goal: usize,
-    ) -> Vec<usize> {
-        let mut way = Vec::new();
-        let mut at = goal;
-        while at != start {
-            let number = self.by_edge[at];
-            way.push(number);
-            let edge = &graph.edges()[number];
-            at = if edge.to() == at { edge.from() } else { edge.to() };
-        }
-        way.reverse();
-        way
-    }
 }

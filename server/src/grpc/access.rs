@@ -21,7 +21,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, Admitted, no_longer_admitted};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 61] = [
+const METHODS: [(&str, Access); 63] = [
     ("/waypost.v1.SessionService/Stream", Access::Robot),
     ("/waypost.v1.RecognitionService/Query", Access::Robot),
     ("/waypost.v1.SessionService/ListSessions", Access::Robot),
@@ -39,10 +39,11 @@ const METHODS: [(&str, Access); 61] = [
     ("/waypost.v1.NavigationService/ListNavigations", Access::Robot),
     ("/waypost.v1.NavigationService/PlanRoute", Access::Robot),
     ("/waypost.v1.LabelService/ListLabels", Access::Robot),
-    // As goals: whoever may send a robot somewhere may say what that is called.
+    // As goals: a token that may send a robot somewhere may name that place.
     ("/waypost.v1.LabelService/SetLabel", Access::Robot),
     ("/waypost.v1.LabelService/DeleteLabel", Access::Robot),
     ("/waypost.v1.AppearanceService/GetAppearanceGraph", Access::Robot),
+    ("/waypost.v1.EventService/Watch", Access::Robot),
     ("/waypost.v1.MapService/ListMaps", Access::Robot),
     ("/waypost.v1.MapService/GetMap", Access::Robot),
     ("/waypost.v1.MapService/ListPlaces", Access::Robot),
@@ -71,6 +72,7 @@ const METHODS: [(&str, Access); 61] = [
     ("/waypost.v1.ModelService/ExportModel", Access::Robot),
     ("/waypost.v1.ModelService/TrainModel", Access::Admin),
     ("/waypost.v1.ModelService/ImportModel", Access::Admin),
+    ("/waypost.v1.ModelService/RenameModel", Access::Admin),
     ("/waypost.v1.ModelService/DeleteModel", Access::Admin),
     ("/waypost.v1.JobService/ListJobs", Access::Robot),
     ("/waypost.v1.JobService/GetJob", Access::Robot),

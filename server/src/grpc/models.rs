@@ -79,7 +79,8 @@ impl ModelService for Adapter {
         request: Request<Streaming<v1::ImportModelRequest>>,
     ) -> Result<Response<v1::Model>, Status> {
         let mut requests = request.into_inner();
-        let (mut name, mut file) = (None, Vec::new());
+        let mut name = None;
+        let mut file = Vec::new();
         while let Some(v1::ImportModelRequest { display_name, chunk }) = self.next(&mut requests).await? {
             name.get_or_insert(display_name);
             file.extend_from_slice(&chunk);
@@ -90,6 +91,14 @@ impl ModelService for Adapter {
             }
         }
         Ok(Response::new(model(self.service.models.import(&name.unwrap_or_default(), file).await?)))
+    }
+
+    async fn rename_model(
+        &self,
+        request: Request<v1::RenameModelRequest>,
+    ) -> Result<Response<v1::Model>, Status> {
+        let v1::RenameModelRequest { name, display_name } = request.into_inner();
+        Ok(Response::new(model(self.service.models.rename(&name, &display_name).await?)))
     }
 
     async fn delete_model(

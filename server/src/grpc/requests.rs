@@ -120,7 +120,8 @@ impl Call {
 
 impl Drop for Call {
     fn drop(&mut self) {
-        let (status, took) = (code_name(self.ended.unwrap_or(Code::Cancelled)), self.since.elapsed());
+        let status = code_name(self.ended.unwrap_or(Code::Cancelled));
+        let took = self.since.elapsed();
         self.service.metrics().grpc_request(self.method, status, took);
         // Whole microseconds: more digits are noise.
         let duration_ms = took.as_micros() as f64 / 1e3;

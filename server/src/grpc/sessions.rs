@@ -70,8 +70,8 @@ impl SessionService for Adapter {
         &self,
         request: Request<v1::ListFramesRequest>,
     ) -> Result<Response<v1::ListFramesResponse>, Status> {
-        let v1::ListFramesRequest { session, page_size, page_token } = request.into_inner();
-        let Page { items, next } = self.service.frames.list(&session, page_size, &page_token).await?;
+        let v1::ListFramesRequest { session, page_size, page_token, note } = request.into_inner();
+        let Page { items, next } = self.service.frames.list(&session, &note, page_size, &page_token).await?;
         let frames = items.into_iter().map(listed_frame).collect();
         Ok(Response::new(v1::ListFramesResponse { frames, next_page_token: next }))
     }

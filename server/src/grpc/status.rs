@@ -7,7 +7,8 @@ use crate::error::ServiceError;
 
 impl From<ServiceError> for Status {
     fn from(error: ServiceError) -> Self {
-        let (code, message) = (code(&error), fitting(error.to_string()));
+        let code = code(&error);
+        let message = fitting(error.to_string());
         match error {
             ServiceError::Unavailable { retry_after: Some(retry_after), .. } => {
                 Status::with_error_details(code, message, ErrorDetails::with_retry_info(Some(retry_after)))

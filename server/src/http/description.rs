@@ -56,7 +56,7 @@ const PAGE_POLICY: HeaderValue = HeaderValue::from_static(
         (name = "navigations", description = "Robots that are led along a map: where they are, and where they are to go."),
         (name = "models", description = "What is learnt before a robot drives."),
         (name = "merges", description = "Maps that become one: looked for, proposed with their evidence, decided."),
-        (name = "tokens", description = "Who may use the server. Where it has no token, it serves whoever is on the \
+        (name = "tokens", description = "Who may use the server. Where it has no token, it serves everyone on the \
             same machine."),
         (name = "jobs", description = "Work that takes longer than a call."),
         (name = "exports", description = "Whole tables, sent as they are read. Rows that a robot adds meanwhile may \

@@ -32,7 +32,7 @@ const PAGE_ROWS: u32 = 1000;
 #[utoipa::path(get, path = "/v1/maps/{map}/loop-closures.csv", tag = "exports", params(MapPath),
     responses((status = 200, description = "A header, then a line per loop closure.", body = String,
         content_type = "text/csv", example = json!("session,sequence,stamp_ns,matched_session,matched_sequence,\
-        matched_stamp_ns,place_number,posterior,probability\n")), Refusals))]
+        matched_stamp_ns,place_number,posterior,probability,note,matched_note\n")), Refusals))]
 pub(super) async fn export_loop_closures_csv(
     State(service): State<Arc<Service>>,
     InPath(MapPath { map }): InPath<MapPath>,
@@ -58,7 +58,8 @@ pub(super) async fn export_loop_closures_json(
 #[utoipa::path(get, path = "/v1/maps/{map}/posteriors.csv", tag = "exports", params(MapPath),
     responses((status = 200, body = String, content_type = "text/csv", description = "A header, then a line per \
         frame: session, sequence, stamp_ns, reason, place_number, posterior, new_place_posterior, and the \
-        most probable places in columns place_number_1, posterior_1 to place_number_10, posterior_10."), Refusals))]
+        most probable places in columns place_number_1, posterior_1 to place_number_10, posterior_10; note is what \
+        the robot calls the frame."), Refusals))]
 pub(super) async fn export_posteriors_csv(
     State(service): State<Arc<Service>>,
     InPath(MapPath { map }): InPath<MapPath>,
@@ -90,7 +91,8 @@ fn loop_closures(
     map: String,
 ) -> impl Stream<Item = Rows<LoopClosureView>> + Send + 'static {
     pages(move |token| {
-        let (service, map) = (service.clone(), map.clone());
+        let service = service.clone();
+        let map = map.clone();
         async move { service.maps.loop_closures(&map, PAGE_ROWS, &token).await }
     })
 }
@@ -102,7 +104,8 @@ fn frames(
 ) -> impl Stream<Item = Rows<(String, FrameView)>> + Send + 'static {
     let listing = service.clone();
     let sessions = pages(move |token| {
-        let (service, map) = (listing.clone(), map.clone());
+        let service = listing.clone();
+        let map = map.clone();
         async move { service.frames.sessions(&map, PAGE_ROWS, &token).await }
     });
     let sessions = sessions.map_ok(|rows| stream::iter(rows).map(Ok::<_, ServiceError>)).try_flatten();
@@ -115,8 +118,9 @@ fn frames_of(
 ) -> impl Stream<Item = Rows<(String, FrameView)>> + Send + 'static {
     let of = session.clone();
     let frames = pages(move |token| {
-        let (service, session) = (service.clone(), session.clone());
-        async move { service.frames.list(&session, PAGE_ROWS, &token).await }
+        let service = service.clone();
+        let session = session.clone();
+        async move { service.frames.list(&session, "", PAGE_ROWS, &token).await }
     });
     frames.map_ok(move |rows| rows.into_iter().map(|frame| (of.clone(), frame)).collect())
 }
@@ -203,18 +207,20 @@ const LOOP_CLOSURE_COLUMNS: &[&str] = &[
     "place_number",
     "posterior",
     "probability",
+    "note",
+    "matched_note",
 ];
 
 /// A line of the table of loop closures, in the order of [`LOOP_CLOSURE_COLUMNS`].
 #[derive(Debug, Serialize)]
-struct LoopClosureLine(String, u64, i64, String, u64, i64, u32, f64, Option<f64>);
+struct LoopClosureLine(String, u64, i64, String, u64, i64, u32, f64, Option<f64>, String, String);
 
 impl From<LoopClosureView> for LoopClosureLine {
     fn from(view: LoopClosureView) -> Self {
         let LoopClosureView { frame, matched, place, posterior, probability } = view;
-        let FrameReference { session, sequence, stamp_ns } = frame;
-        let FrameReference { session: at, sequence: number, stamp_ns: stamp } = matched;
-        Self(session, sequence, stamp_ns, at, number, stamp, place, posterior, probability)
+        let FrameReference { session, sequence, stamp_ns, note } = frame;
+        let FrameReference { session: at, sequence: number, stamp_ns: stamp, note: noted } = matched;
+        Self(session, sequence, stamp_ns, at, number, stamp, place, posterior, probability, note, noted)
     }
 }
 
@@ -226,6 +232,8 @@ pub(super) struct FramePosterior {
     sequence: u64,
     /// When the image was taken, by the robot's clock.
     stamp_ns: i64,
+    /// What the robot calls the frame; empty if nothing.
+    note: String,
     /// As in the frame's answer.
     #[schema(example = "loop_closure")]
     reason: &'static str,
@@ -250,6 +258,7 @@ impl From<(String, FrameView)> for FramePosterior {
             session,
             sequence: answer.sequence,
             stamp_ns: frame.stamp_ns,
+            note: frame.note,
             reason: answer.reason().json_name(),
             place_number: answer.place_number,
             posterior: answer.posterior,
@@ -290,6 +299,7 @@ const POSTERIOR_COLUMNS: &[&str] = &[
     "posterior_9",
     "place_number_10",
     "posterior_10",
+    "note",
 ];
 
 /// A line of the table of posteriors, in the order of [`POSTERIOR_COLUMNS`].
@@ -303,6 +313,7 @@ struct PosteriorLine(
     f64,
     f64,
     [(Option<u32>, Option<f64>); LINE_PLACES],
+    String,
 );
 
 impl From<FramePosterior> for PosteriorLine {
@@ -311,6 +322,7 @@ impl From<FramePosterior> for PosteriorLine {
             session,
             sequence,
             stamp_ns,
+            note,
             reason,
             place_number,
             posterior,
@@ -319,8 +331,8 @@ impl From<FramePosterior> for PosteriorLine {
         } = row;
         let place_at =
             |rank: usize| places.get(rank).map(|place| (place.place_number, place.posterior)).unzip();
-        let most_probable = std::array::from_fn(place_at);
-        Self(session, sequence, stamp_ns, reason, place_number, posterior, new_place_posterior, most_probable)
+        let by_rank = std::array::from_fn(place_at);
+        Self(session, sequence, stamp_ns, reason, place_number, posterior, new_place_posterior, by_rank, note)
     }
 }
 

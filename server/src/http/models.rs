@@ -3,10 +3,11 @@ use std::sync::Arc;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
+use axum::extract::rejection::JsonRejection;
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
-use utoipa::IntoParams;
+use utoipa::{IntoParams, ToSchema};
 use waypost_proto::v1;
 
 use super::HttpError;
@@ -54,7 +55,8 @@ pub(super) async fn import_model(
     InQuery(Naming { display_name }): InQuery<Naming>,
     body: Body,
 ) -> Result<Json<v1::Model>, HttpError> {
-    let (mut upload, mut file) = (Upload::of(&service, body), Vec::new());
+    let mut upload = Upload::of(&service, body);
+    let mut file = Vec::new();
     while let Some(piece) = upload.next().await? {
         file.extend_from_slice(&piece);
         if file.len() > MAX_MODEL_BYTES {
@@ -90,6 +92,34 @@ pub(super) async fn export_model(
     let name = format!("attachment; filename=\"{hash}.waypost\"");
     let about = [(CONTENT_TYPE, "application/octet-stream".to_owned()), (CONTENT_DISPOSITION, name)];
     Ok((about, file).into_response())
+}
+
+/// What a model is to be called.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({ "display_name": "site" }))]
+pub(super) struct Renaming {
+    /// At most 100 characters, without slashes and control characters.
+    display_name: String,
+}
+
+/// Gives a model another display name. For administrators.
+#[utoipa::path(put, path = "/v1/models/{model}/display-name", tag = "models", params(ModelPath),
+    request_body(content = Renaming, description = "What people call it from now on."),
+    responses((status = 200, description = "The model.", body = v1::Model), Refusals))]
+pub(super) async fn rename_model(
+    State(service): State<Arc<Service>>,
+    InPath(ModelPath { model }): InPath<ModelPath>,
+    InQuery(Nothing {}): InQuery<Nothing>,
+    request: Result<Json<Renaming>, JsonRejection>,
+) -> Result<Json<v1::Model>, HttpError> {
+    let Json(Renaming { display_name }) = request.map_err(|rejection| {
+        ServiceError::invalid(format_args!(
+            "{}; send {{\"display_name\": \"site\"}} as application/json",
+            rejection.body_text()
+        ))
+    })?;
+    Ok(Json(message(service.models.rename(&model, &display_name).await?)))
 }
 
 /// Deletes a model that no map uses. For administrators.

@@ -18,7 +18,7 @@ pub(super) async fn harmless(mut response: Response) -> Response {
     headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
     headers.entry(CONTENT_SECURITY_POLICY).or_insert(NOTHING_RUNS);
-    // Maps change, and what a token opened is not for who comes after.
+    // Maps change, and what one token opened is not for the next user of the browser.
     headers.entry(CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
     response
 }

@@ -26,8 +26,10 @@ const POLLED: [&str; 3] = ["/healthz", "/readyz", "/metrics"];
 
 /// Watches over a request; goes around everything else.
 pub(super) async fn watch(State(service): State<Arc<Service>>, request: Request, next: Next) -> Response {
-    let (id, since) = (RequestId::of(request.headers()), Instant::now());
-    let (method, path) = (request.method().clone(), request.uri().path().to_owned());
+    let id = RequestId::of(request.headers());
+    let since = Instant::now();
+    let method = request.method().clone();
+    let path = request.uri().path().to_owned();
     let route = request.extensions().get::<MatchedPath>().map(|route| route.as_str().to_owned());
     let peer = standing(&request).map(|standing| standing.peer().to_string());
     let span = id.span();
@@ -37,7 +39,8 @@ pub(super) async fn watch(State(service): State<Arc<Service>>, request: Request,
         let answering = next.run(request);
         let mut response = if uploads { answering.await } else { within(TIMEOUT, answering).await };
         id.tell(response.headers_mut());
-        let (status, took) = (response.status().as_u16(), since.elapsed());
+        let status = response.status().as_u16();
+        let took = since.elapsed();
         let route = route.as_deref().unwrap_or("unknown");
         service.metrics().http_request(method.as_str(), route, status, took);
         // Whole microseconds: more digits are noise.

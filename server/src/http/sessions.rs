@@ -2,11 +2,13 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::State;
+use serde::Deserialize;
+use utoipa::IntoParams;
 use waypost_proto::v1;
 
 use super::HttpError;
 use super::description::Refusals;
-use super::parameters::{InPath, InQuery, MapPath, Nothing, Paging, SessionPath};
+use super::parameters::{InPath, InQuery, MapPath, Nothing, Paging, Parameters, SessionPath};
 use crate::names::{map_name, session_name};
 use crate::pages::Page;
 use crate::service::Service;
@@ -48,17 +50,35 @@ pub(super) async fn delete_session(
     Ok(Json(job(service.rewriting.delete_session(&session_name(&map, &session)).await?)))
 }
 
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct FramesWanted {
+    /// Most entries in one answer; 0 asks for the default.
+    #[param(minimum = 0, maximum = 1000, default = 100, example = 100)]
+    page_size: u32,
+    /// `next_page_token` of the page before. Left out, the first page comes.
+    page_token: String,
+    /// Only the frames that their robot calls so, as by the name of a file. Left out, all come.
+    #[param(example = "000147.jpg")]
+    note: String,
+}
+
+impl Parameters for FramesWanted {
+    const TAKES: &str = "page_size=NUMBER, page_token=TOKEN and note=TEXT";
+}
+
 /// The frames of a session with what was decided about them, by sequence number.
 #[utoipa::path(get, path = "/v1/maps/{map}/sessions/{session}/frames", tag = "sessions",
-    params(SessionPath, Paging),
+    params(SessionPath, FramesWanted),
     responses((status = 200, description = "A page of frames.", body = v1::ListFramesResponse), Refusals))]
 pub(super) async fn list_frames(
     State(service): State<Arc<Service>>,
     InPath(SessionPath { map, session }): InPath<SessionPath>,
-    InQuery(Paging { page_size, page_token }): InQuery<Paging>,
+    InQuery(FramesWanted { page_size, page_token, note }): InQuery<FramesWanted>,
 ) -> Result<Json<v1::ListFramesResponse>, HttpError> {
     let Page { items, next } =
-        service.frames.list(&session_name(&map, &session), page_size, &page_token).await?;
+        service.frames.list(&session_name(&map, &session), &note, page_size, &page_token).await?;
     let frames = items.into_iter().map(listed_frame).collect();
     Ok(Json(v1::ListFramesResponse { frames, next_page_token: next }))
 }

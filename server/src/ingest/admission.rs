@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 /// Images of robots that may wait for each core. Beyond that they would be late for any robot.
 const WAITING_PER_CORE: usize = 16;
 
-/// With fewer images on hand for each core, whoever comes is taken: no core idles for those in line.
+/// With fewer images on hand for each core, the next to come is taken: no core idles for those in line.
 const ENOUGH_PER_CORE: usize = 4;
 
 /// How late a robot may come for its turn.
@@ -145,7 +145,7 @@ mod tests {
         let waits: Vec<Duration> =
             (1..=3).map(|stream| admission.admit(Some(stream), now).unwrap_err()).collect();
         assert!(waits.is_sorted() && waits[2] - waits[0] == 2 * IMAGE, "{waits:?}");
-        // Whoever asks early hears the same time.
+        // One that asks early hears the same time.
         assert_eq!(admission.admit(Some(2), now + IMAGE).unwrap_err(), waits[1] - IMAGE);
 
         now += waits[2];

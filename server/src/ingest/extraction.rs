@@ -4,7 +4,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use fabmap::descriptor::Descriptors;
 use fabmap::observation::Observation;
 use tokio::sync::Semaphore;
 use tokio_util::task::AbortOnDropHandle;
@@ -12,6 +11,7 @@ use tracing::Span;
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::features::{ExtractError, Extractor, FeatureError, Features};
 use waypost_vision::image::{self, GreyImage, ImageError};
+use waypost_vision::look_alikes::TrainingImage;
 use waypost_vision::panorama;
 
 use super::admission::Admission;
@@ -21,7 +21,7 @@ use crate::error::ServiceError;
 use crate::map_settings::Keep;
 use crate::storage::{Medium, MediumKind};
 
-/// Bounds how many images are worked on at once, one a core, whoever sends them; and how many wait.
+/// Bounds how many images are worked on at once, one a core, over all senders; and how many wait.
 #[derive(Clone, Debug)]
 pub(crate) struct Extraction {
     cores: Arc<Semaphore>,
@@ -69,8 +69,12 @@ impl Extraction {
         &self,
         extractor: Extractor,
         image: Bytes,
-    ) -> Result<Descriptors, ServiceError> {
-        self.run(move || Ok(extract(&extractor, &image)?.1.descriptors)).await
+    ) -> Result<TrainingImage, ServiceError> {
+        self.run(move || {
+            let (image, features) = extract(&extractor, &image)?;
+            Ok(TrainingImage { size_px: (image.width(), image.height()), features })
+        })
+        .await
     }
 
     async fn run<T: Send + 'static>(

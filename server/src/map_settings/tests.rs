@@ -33,7 +33,7 @@ fn the_stored_form_stays_as_it_is() {
         r#""max_speed_m_per_s":100.0,"keep":"images","#,
         r#""verification":{"method":"epipolar","min_posterior":0.0,"min_inliers":8,"#,
         r#""max_rotation_rad":0.5,"max_ln_scale":0.8,"max_translation_widths":0.5,"#,
-        r#""min_evidence":350.0,"consistency_frames":8},"#,
+        r#""consistency_frames":8},"#,
         r#""metric":{"place_spacing_m":0.25,"place_spacing_rad":0.1,"translation_share":0.05,"#,
         r#""heading_rad_per_m":0.05,"turn_share":0.05,"position_floor_m":0.01,"#,
         r#""heading_floor_rad":0.01,"prior_frames":4},"navigation_strategy":"appearance"}"#,

@@ -1,4 +1,6 @@
-//! Ids that requests are known by: in the log, and by whoever sent them.
+//! Ids that requests are known by: in the log, and by their senders.
+//!
+//! The layer of `tower-http` takes any id that a client sends; ours end up in logs, so they are checked first.
 
 use std::fmt;
 

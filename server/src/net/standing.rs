@@ -37,7 +37,7 @@ pub(crate) struct Standings(Arc<Shared>);
 struct Shared {
     /// Connections that may be open at a time.
     connections: usize,
-    /// Of these, as many as may be held by who was admitted: the others are for who comes to ask how the server is.
+    /// Of these, as many as admitted callers may hold: the others are kept for health checks.
     admitted: usize,
     strangers: Strangers,
     held: Mutex<Held>,
@@ -93,7 +93,7 @@ impl Standings {
             let all: usize = by_address.values().sum();
             let open = held.connections.values().filter(|holder| !holder.cut.is_cancelled()).count();
             if all >= strangers.connections || open >= *connections {
-                // Whoever came with the most has to make room.
+                // The address with the most has to make room.
                 let (most, _) = by_address.into_iter().max_by_key(|(_, those)| *those)?;
                 held.cut_oldest(most)?;
             }

@@ -54,6 +54,8 @@ pub(crate) struct GeometryView {
     pub(crate) inliers: u32,
     /// In inliers, with what the frames before say.
     pub(crate) evidence: f64,
+    /// What look-alikes are expected to show over the same frames, in inliers.
+    pub(crate) look_alikes: f64,
     /// That both show the same place, by words and geometry together.
     pub(crate) probability: f64,
     pub(crate) similarity: Option<Similarity>,
@@ -67,6 +69,8 @@ pub(crate) struct FrameReference {
     pub(crate) session: String,
     pub(crate) sequence: u64,
     pub(crate) stamp_ns: i64,
+    /// What its robot calls it; empty if nothing.
+    pub(crate) note: String,
 }
 
 /// Where one observation was made.
@@ -154,7 +158,8 @@ impl GeometryView {
         };
         let evidence = candidate.evidence();
         let probability = candidate.probability();
-        Some(Self { matches, inliers, evidence, probability, similarity, placement })
+        let look_alikes = candidate.look_alike_inliers;
+        Some(Self { matches, inliers, evidence, look_alikes, probability, similarity, placement })
     }
 }
 
@@ -164,5 +169,6 @@ pub(crate) fn reference(map: &str, sessions: &[SessionRow], frame: &StoredFrame)
         session: session.map_or_else(String::new, |session| session_name(map, &session.name)),
         sequence: frame.sequence,
         stamp_ns: frame.stamp_ns,
+        note: frame.note.clone(),
     }
 }

@@ -25,7 +25,7 @@ const BLOCK_BYTES: usize = 512 << 10;
 /// A block that has grown to more is divided.
 const MOST_BLOCK_BYTES: usize = 1 << 20;
 
-/// A block is sealed anew when its places' changes have come to so many bytes: an eighth of it is then written for
+/// A block is sealed again when its places' changes have come to so many bytes: an eighth of it is then written for
 /// each byte that changed.
 const CHANGED_BYTES: usize = BLOCK_BYTES / 8;
 
@@ -84,7 +84,7 @@ impl Checkpoints {
         Self { changes, events, state: State::Idle(layout) }
     }
 
-    /// None, until the map is opened anew.
+    /// None, until the map is opened again.
     pub(super) fn none() -> Self {
         Self { changes: Changes::default(), events: 0, state: State::Lost }
     }

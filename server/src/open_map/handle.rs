@@ -12,7 +12,7 @@ use topomap::mapper::MapPose;
 use waypost_navigation::metric::planning::{Goal, PlanError, Route};
 use waypost_navigation::metric::settings::PlanningSettings;
 
-use super::answers::{PlaceSummary, QueryAnswer, WordPlace};
+use super::answers::{PlacePose, PlaceSummary, QueryAnswer, WordPlace};
 use super::appearance::GrowingGraph;
 use super::requests::{
     FrameRequest, FrameSource, LookRequest, Looked, MapRequest, MeasuredFrames, OpenedSession, PlanFrom,
@@ -95,7 +95,7 @@ impl MapHandle {
         self.edition.map
     }
 
-    /// The map, as often told anew as when it was opened.
+    /// The map, in the edition that was opened.
     pub(crate) fn edition(&self) -> MapEdition {
         self.edition
     }
@@ -183,6 +183,14 @@ impl MapHandle {
     /// Where places are.
     pub(crate) async fn poses(&self) -> Result<Box<PlacePoses>, ServiceError> {
         Ok(self.read(|reply| Read::Poses { reply }).await?)
+    }
+
+    /// Where some places are, in their order; none where that is not known.
+    pub(crate) async fn place_poses(
+        &self,
+        places: Vec<PlaceId>,
+    ) -> Result<Vec<Option<PlacePose>>, ServiceError> {
+        Ok(self.read(|reply| Read::PosesOf { places, reply }).await?)
     }
 
     /// Up to `count` places from `from` on, and how many there are in all.

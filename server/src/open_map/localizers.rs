@@ -186,7 +186,7 @@ impl MapWriter {
         if localizing.localizer.last_sequence().is_some_and(|last| sequence <= last) {
             return localizing.stored(sequence);
         }
-        let FrameWork::Fresh { input, features, media: _, mut timings } = work else {
+        let FrameWork::Fresh { input, features, media: _, note: _, mut timings } = work else {
             return Err(not_stored());
         };
         let answer =

@@ -24,7 +24,7 @@ impl MapWriter {
             let position = event.position;
             let session = event.session;
             let event = MapEvent::Measured(Box::new(event));
-            let entry = LogEntry { position, event, media: Vec::new() };
+            let entry = LogEntry { position, event, media: Vec::new(), note: String::new() };
             let entries = std::slice::from_ref(&entry);
             if let Err(error) = self.runtime.block_on(self.storage.append(self.map.id, entries)) {
                 tracing::error!(map = self.map.name, %error, "what a robot measured could not be stored");

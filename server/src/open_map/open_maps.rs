@@ -29,7 +29,7 @@ use crate::ingest::model::{LoadedModel, LoadedModels};
 use crate::ingest::panoramic::PanoramicOptics;
 use crate::map_settings;
 use crate::metrics::Metrics;
-use crate::storage::{LogEntry, MapRow, Storage, StorageError};
+use crate::storage::{MapRow, Storage, StorageError};
 
 /// A map's place among the open ones: locked while it is being opened, closed or deleted.
 #[derive(Debug, Default)]
@@ -169,7 +169,7 @@ impl OpenMaps {
         }
         let Self { storage, models, metrics, .. } = self.clone();
         let span = Span::current();
-        // A task of its own: whoever asked may go away, but a map must not be left half open, or a
+        // A task of its own: the caller may go away, but a map must not be left half open, or a
         // second writer could be started beside the first.
         let opening = tokio::spawn(async move {
             slot.close().await;
@@ -277,7 +277,7 @@ fn read(
     let (mut mapper, layout) = restore(runtime, storage, map, model)?;
     let checkpoint_events = mapper.map().events();
     let mut changes = Changes::since(mapper.map());
-    let mut fold = |LogEntry { position: _, event, media: _ }: LogEntry| {
+    let mut fold = |_: u64, event| {
         changes.follow(&event);
         mapper.fold(&event).map_err(|error| StorageError::Damaged(error.to_string()))
     };

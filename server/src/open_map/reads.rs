@@ -18,7 +18,7 @@ const MAX_LISTED_FRAMES: usize = 100;
 impl MapWriter {
     /// Answers one question about the map as it is on the disk.
     pub(super) fn read(&mut self, read: Read) {
-        // An error means that whoever asked is gone.
+        // An error means that the caller is gone.
         match read {
             Read::Localize(localizer, request) => self.localize(localizer, request),
             Read::Query { observation, features, explained_words, reply } => {
@@ -38,6 +38,12 @@ impl MapWriter {
             }
             Read::Poses { reply } => {
                 let _ = reply.send(Box::new(self.mapper.poses().clone()));
+            }
+            Read::PosesOf { places, reply } => {
+                let poses = self.mapper.poses();
+                let pose =
+                    |place: PlaceId| Some(PlacePose { part: poses.part(place)?, pose: *poses.pose(place)? });
+                let _ = reply.send(places.into_iter().map(pose).collect());
             }
             Read::Places { from, count, reply } => {
                 let _ = reply.send(self.places(from, count));

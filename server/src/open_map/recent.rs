@@ -52,8 +52,9 @@ impl<T, Key: Copy + Eq + Hash> Recent<T, Key> {
 }
 
 impl RecentFrame {
-    pub(super) fn of(event: &FrameEvent) -> Self {
+    pub(super) fn of(event: &FrameEvent, note: String) -> Self {
         let FrameEvent { session, sequence, stamp_ns, at, ref observation, .. } = *event;
-        Self { stored: StoredFrame { session, sequence, stamp_ns }, observation: observation.clone(), at }
+        let stored = StoredFrame { session, sequence, stamp_ns, note };
+        Self { stored, observation: observation.clone(), at }
     }
 }

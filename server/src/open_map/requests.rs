@@ -17,7 +17,7 @@ use waypost_navigation::metric::planning::{Goal, MapPosition, PlanError, Route};
 use waypost_navigation::metric::settings::{LocalizationSettings, PlanningSettings};
 use waypost_navigation::metric::{Look, Lookout};
 
-use super::answers::{FrameAnswer, PlaceSummary, QueryAnswer, WordPlace};
+use super::answers::{FrameAnswer, PlacePose, PlaceSummary, QueryAnswer, WordPlace};
 use crate::camera::Camera;
 use crate::error::ServiceError;
 use crate::ingest::intrinsics::Intrinsics;
@@ -79,6 +79,11 @@ pub(crate) enum Read {
     },
     Poses {
         reply: oneshot::Sender<Box<PlacePoses>>,
+    },
+    /// Where some places are, in their order.
+    PosesOf {
+        places: Vec<PlaceId>,
+        reply: oneshot::Sender<Vec<Option<PlacePose>>>,
     },
     Places {
         from: PlaceId,
@@ -194,7 +199,7 @@ pub(crate) enum SessionMode {
 }
 
 /// Number of a localizer, that of the stream that began it: never given again while the server runs, also
-/// if the map is opened anew.
+/// if the map is opened again.
 pub(crate) type LocalizerId = u64;
 
 /// Whose frame it is.
@@ -225,6 +230,7 @@ pub(crate) enum FrameWork {
         input: Box<FrameInput>,
         features: Option<Arc<FeatureRecord>>,
         media: Vec<Medium>,
+        note: String,
         timings: FrameTimings,
     },
 }

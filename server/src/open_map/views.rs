@@ -5,13 +5,14 @@ use std::sync::Arc;
 use crate::ingest::{Comparison, FeatureRecord, RobotCamera, Tracker, Verifier, View};
 use rayon::prelude::*;
 use tokio::runtime::Handle;
-use topomap::evidence::{ArchiveError, TurnedView, VerificationMethod, VerificationSettings};
+use topomap::evidence::{TurnedView, VerificationMethod, VerificationSettings};
 use topomap::ids::FrameId;
 use topomap::mapper::{Comparisons, EarlierFrame, EarlierFrames, Proposed, Recognized, WantedViews};
 use topomap::metric::Odometry;
 use waypost_navigation::appearance::epipolar::SearchSettings;
 
 use super::MapWriter;
+use crate::error::ArchiveError;
 use crate::ingest::intrinsics::Intrinsics;
 use crate::ingest::panoramic::PanoramicOptics;
 use crate::storage::{MapId, Storage, StorageError, StoredFeatures};

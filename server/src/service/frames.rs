@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use fabmap::observation::Observation;
 use topomap::evidence::{Candidate, Match};
-use topomap::ids::FrameId;
+use topomap::ids::{FrameId, SessionId};
 use topomap::log::FrameEvent;
 use topomap::metric::Odometry;
 
@@ -31,6 +31,8 @@ pub(crate) struct FrameView {
     /// `maps/{map}/sessions/{session}/frames/{sequence}`.
     pub(crate) name: String,
     pub(crate) stamp_ns: i64,
+    /// What its robot calls it; empty if nothing.
+    pub(crate) note: String,
     /// What was decided, as the robot was told.
     pub(crate) answer: FrameAnswer,
     pub(crate) odometry: Option<Odometry>,
@@ -97,10 +99,11 @@ impl Frames {
         }
     }
 
-    /// The frames of a session, by sequence number.
+    /// The frames of a session, by sequence number; only those with that note, unless it is empty.
     pub(crate) async fn list(
         &self,
         name: &str,
+        note: &str,
         size: u32,
         token: &str,
     ) -> Result<Page<FrameView>, ServiceError> {
@@ -111,12 +114,12 @@ impl Frames {
         let number = number.ok_or_else(|| no_such_session(map, session))?;
         let after = numbered_page(token)?;
         let words = self.vocabulary_len(&row).await?;
-        let mut frames = self.storage.frames_of_session(row.id, number, after, size + 1, words).await?;
+        let mut frames = self.storage.frames_of_session(row.id, number, after, note, size + 1, words).await?;
         let more = frames.len() > size as usize;
         frames.truncate(size as usize);
         let next =
             frames.last().filter(|_| more).map_or_else(String::new, |frame| frame.event.sequence.to_string());
-        Ok(Page { items: self.frame_views(&row, session, frames).await?, next })
+        Ok(Page { items: self.frame_views(&row, frames).await?, next })
     }
 
     pub(crate) async fn get(&self, name: &str) -> Result<FrameView, ServiceError> {
@@ -127,7 +130,7 @@ impl Frames {
         let words = self.vocabulary_len(&row).await?;
         let frame = self.storage.frame_of_sequence(row.id, number, sequence, words).await?;
         let frame = frame.ok_or_else(|| no_such_frame(map, session, sequence))?;
-        let mut views = self.frame_views(&row, session, vec![frame]).await?;
+        let mut views = self.frame_views(&row, vec![frame]).await?;
         views.pop().ok_or_else(|| ServiceError::internal("a frame without a view"))
     }
 
@@ -164,11 +167,10 @@ impl Frames {
         Ok(self.models.get(&map.model).await?.model.vocabulary().len())
     }
 
-    /// Views of frames of one session; the frames that they matched are looked up together.
-    async fn frame_views(
+    /// Views of frames; the frames that they matched are looked up together.
+    pub(super) async fn frame_views(
         &self,
         map: &MapRow,
-        session: &str,
         frames: Vec<FrameRow>,
     ) -> Result<Vec<FrameView>, ServiceError> {
         let matches = |event: &FrameEvent| [event.decision.closure, event.proposal].into_iter().flatten();
@@ -181,8 +183,7 @@ impl Frames {
         }
         let sessions = self.storage.sessions(map.id).await?;
         let known = Known { map: &map.name, sessions: &sessions, matched: &matched };
-        let session = session_name(&map.name, session);
-        frames.into_iter().map(|row| frame_view(row, &session, &known)).collect()
+        frames.into_iter().map(|row| frame_view(row, &known)).collect()
     }
 }
 
@@ -194,6 +195,14 @@ struct Known<'a> {
 }
 
 impl Known<'_> {
+    /// `maps/{map}/sessions/{session}`.
+    fn session(&self, number: SessionId) -> Result<String, ServiceError> {
+        let session = self.sessions.iter().find(|session| session.number == number);
+        let session =
+            session.ok_or_else(|| ServiceError::internal("a frame's session is not in the table"))?;
+        Ok(session_name(self.map, &session.name))
+    }
+
     fn matched(&self, found: Match, candidates: &[Candidate]) -> Result<MatchView, ServiceError> {
         let geometry = GeometryView::of(found, candidates);
         let Match { place, posterior, log_odds, frame } = found;
@@ -204,8 +213,9 @@ impl Known<'_> {
     }
 }
 
-fn frame_view(row: FrameRow, session: &str, known: &Known<'_>) -> Result<FrameView, ServiceError> {
-    let FrameRow { event, bytes } = row;
+fn frame_view(row: FrameRow, known: &Known<'_>) -> Result<FrameView, ServiceError> {
+    let FrameRow { event, note, bytes } = row;
+    let session = known.session(event.session)?;
     let matched = |found| known.matched(found, &event.candidates);
     let answer = FrameAnswer::new(
         &event,
@@ -215,8 +225,9 @@ fn frame_view(row: FrameRow, session: &str, known: &Known<'_>) -> Result<FrameVi
         None,
     );
     Ok(FrameView {
-        name: frame_name(session, event.sequence),
+        name: frame_name(&session, event.sequence),
         stamp_ns: event.stamp_ns,
+        note,
         answer,
         odometry: event.odometry,
         learnt: event.learnt,

@@ -52,7 +52,7 @@ pub(crate) struct MergeView {
 /// When a merge whose overlap was found is committed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CommitPolicy {
-    /// It is proposed, and somebody decides.
+    /// It is proposed, and a person decides.
     OnRequest,
     Automatic,
 }
@@ -197,7 +197,7 @@ impl Merges {
             let kept = proposal.clone();
             let outcome = merges.join(number, proposal, &reporter).await;
             match &outcome {
-                // Somebody may think again.
+                // A person may think again.
                 JobOutcome::Cancelled => {
                     merges.proposals().insert(number, kept);
                 }

@@ -4,11 +4,11 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::ingest::Extractor;
+use crate::ingest::look_alikes::{self, LearnError, TrainingImage};
+use crate::ingest::{Extractor, Features};
 use bytes::Bytes;
 use fabmap::calibration;
 use fabmap::chow_liu::TreeTrainingSettings;
-use fabmap::descriptor::Descriptors;
 use fabmap::detector::DetectorModel;
 use fabmap::model::{Model, ModelTrainingError, ModelTrainingSettings, TrainingStage};
 use fabmap::vocabulary::VocabularySettings;
@@ -48,7 +48,7 @@ pub(crate) struct TrainingUpload {
     display_name: String,
     extractor: Extractor,
     settings: ModelTrainingSettings,
-    images: Vec<Descriptors>,
+    images: Vec<TrainingImage>,
     bytes: usize,
     /// How many images the sender said would come: a cancelled upload can look like a complete one.
     announced: Option<u32>,
@@ -113,14 +113,15 @@ impl Models {
         image: Bytes,
     ) -> Result<(), ServiceError> {
         let number = upload.images.len() + 1;
-        let descriptors =
+        let described =
             self.extraction.describe(upload.extractor, image).await.map_err(|error| match error {
                 ServiceError::InvalidArgument { message } => {
                     ServiceError::invalid(format_args!("training image {number}: {message}"))
                 }
                 other => other,
             })?;
-        upload.bytes += descriptors.as_bytes().len();
+        let Features { keypoints, descriptors } = &described.features;
+        upload.bytes += descriptors.as_bytes().len() + size_of_val(keypoints.as_slice());
         if upload.bytes > MAX_TRAINING_BYTES {
             return Err(ServiceError::ResourceExhausted {
                 message: format!(
@@ -128,7 +129,7 @@ impl Models {
                 ),
             });
         }
-        upload.images.push(descriptors);
+        upload.images.push(described);
         Ok(())
     }
 
@@ -166,10 +167,12 @@ impl Models {
             let trained = pool.install(|| {
                 let model = Model::train(&name, &images, &settings, &mut observer)?;
                 let mut observer = |fraction| progress.progress("learning how reliable words are", fraction);
-                match calibration::calibrate(&model, &mut observer) {
-                    ControlFlow::Continue((model, _)) => Ok(model),
-                    ControlFlow::Break(()) => Err(ModelTrainingError::Cancelled),
-                }
+                let model = match calibration::calibrate(&model, &mut observer) {
+                    ControlFlow::Continue((model, _)) => model,
+                    ControlFlow::Break(()) => return Err(ModelTrainingError::Cancelled),
+                };
+                let mut observer = |fraction| progress.progress("learning what look-alikes show", fraction);
+                knowing_look_alikes(model, &images, &mut observer)
             });
             Ok(trained.map(|model| {
                 let file = model.to_bytes();
@@ -232,9 +235,15 @@ impl Models {
             (Some(_), false) => Err(ServiceError::precondition(format_args!(
                 "more than one model is called {reference:?}; name it by its hash"
             ))),
-            (None, _) => Err(ServiceError::not_found(format_args!(
-                "there is no model {reference:?}; list the models to see what there is, or train or import one"
-            ))),
+            (None, _) => {
+                let is_short =
+                    hash.len() < MIN_HASH_DIGITS && hash.chars().all(|digit| digit.is_ascii_hexdigit());
+                let digits = format!(" (the beginning of a hash has at least {MIN_HASH_DIGITS} digits)");
+                let digits = if is_short { digits.as_str() } else { "" };
+                Err(ServiceError::not_found(format_args!(
+                    "there is no model {reference:?}{digits}; list the models to see what there is, or train or import one"
+                )))
+            }
         }
     }
 
@@ -260,6 +269,14 @@ impl Models {
         let model = self.find(reference).await?;
         let file = self.storage.model_file(&model.hash).await?;
         file.ok_or_else(|| ServiceError::not_found(format_args!("the model {} was just deleted", model.hash)))
+    }
+
+    /// Gives a model another display name.
+    pub(crate) async fn rename(&self, reference: &str, display_name: &str) -> Result<ModelRow, ServiceError> {
+        let display_name = check_display_name(display_name)?;
+        let model = self.find(reference).await?;
+        self.storage.rename_model(&model.hash, &display_name).await?;
+        self.find(&model_name(&model.hash)).await
     }
 
     pub(crate) async fn delete(&self, reference: &str) -> Result<(), ServiceError> {
@@ -319,6 +336,28 @@ pub(super) fn check_display_name(name: &str) -> Result<String, ServiceError> {
     Err(ServiceError::invalid(format_args!(
         "a display name has at most {MAX_DISPLAY_NAME_CHARS} characters and no slash or control character"
     )))
+}
+
+/// The same model, which knows what look-alikes of its training images show, if those tell.
+fn knowing_look_alikes(
+    model: Model,
+    images: &[TrainingImage],
+    observer: &mut dyn FnMut(f64) -> ControlFlow<()>,
+) -> Result<Model, ModelTrainingError> {
+    match look_alikes::learn(&model, images, observer) {
+        Ok(look_alikes) => Ok(model.with_look_alikes(look_alikes)),
+        Err(LearnError::Cancelled) => Err(ModelTrainingError::Cancelled),
+        Err(
+            error @ (LearnError::TooFew { .. }
+            | LearnError::NoOrder
+            | LearnError::Vocabulary(_)
+            | LearnError::Uneven(_)
+            | LearnError::LookAlikes(_)),
+        ) => {
+            tracing::warn!(%error, "a model without look-alikes: its maps ask for more evidence");
+            Ok(model)
+        }
+    }
 }
 
 fn stage_name(stage: TrainingStage) -> &'static str {

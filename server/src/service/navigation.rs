@@ -14,7 +14,7 @@ use tokio_util::sync::CancellationToken;
 use topomap::metric::Odometry;
 use waypost_navigation::metric::planning::Route;
 use waypost_navigation::metric::settings::{AgainstTheWay, NavigationSettings};
-use waypost_navigation::metric::{Driver, Guidance, Seen};
+use waypost_navigation::metric::{Driver, Guidance, Seen, Status};
 
 use self::appearance::AppearanceGuide;
 pub(crate) use self::appearance::{Unjoined, Waiting};
@@ -314,6 +314,28 @@ impl Navigation {
         items.truncate(size);
         let next = items.last().filter(|_| more).map_or_else(String::new, |last| page_after(&last.name));
         Ok(Page { items, next })
+    }
+
+    /// The robots that are led along a map, or were a moment ago, by name.
+    pub(in crate::service) fn led_on(&self, map: MapId) -> Vec<NavigationView> {
+        self.led.of_map(map).iter().map(|guide| self.led.view(guide)).collect()
+    }
+
+    /// How many robots are led, by their status.
+    pub(in crate::service) fn counts(&self) -> Vec<(&'static str, usize)> {
+        let guides = self.led.all();
+        let of =
+            |guide: &Guide| self.led.view(guide).guidance.map_or(Status::Idle, |told| told.guidance.status);
+        let found: Vec<Status> = guides.iter().map(of).collect();
+        let named = [
+            ("idle", Status::Idle),
+            ("following", Status::Following),
+            ("searching", Status::Searching),
+            ("lost", Status::Lost),
+            ("arrived", Status::Arrived),
+            ("blocked", Status::Blocked),
+        ];
+        named.map(|(name, status)| (name, found.iter().filter(|found| **found == status).count())).to_vec()
     }
 
     /// Sends a robot that is led to a goal.

@@ -6,7 +6,7 @@ use crate::ingest::{Comparison, FeatureRecord, Keypoint};
 use fabmap::appearance::PlaceId;
 use fabmap::observation::{Observation, WordId};
 use tokio::runtime::Handle;
-use topomap::evidence::{ArchiveError, Match, Placement, VerificationMethod};
+use topomap::evidence::{Match, Placement, VerificationMethod};
 use topomap::ids::FrameId;
 use topomap::log::{FrameEvent, MapEvent};
 use topomap::settings::MapperSettings;
@@ -14,7 +14,7 @@ use topomap::settings::MapperSettings;
 use self::drawing::{Mark, Panel, Picture, StillImage};
 use super::frames::{Frames, LocatedFrame, content_type};
 use super::queries::{GateView, probability, verdict_views};
-use crate::error::ServiceError;
+use crate::error::{ArchiveError, ServiceError};
 use crate::map_settings;
 use crate::names::frame_name;
 use crate::open_map::answers::reference;
@@ -34,6 +34,8 @@ pub(crate) struct FramePicture {
 /// A frame with all that is kept of it.
 struct ShownFrame {
     name: String,
+    /// What its robot calls it; empty if nothing.
+    note: String,
     position: FrameId,
     event: FrameEvent,
     image: Option<StillImage>,
@@ -83,7 +85,8 @@ impl Pictures {
                 image = bytes.map(|bytes| StillImage { content_type: content_type(&bytes), bytes });
             }
         }
-        Ok(ShownFrame { name: frame_name(&reference.session, reference.sequence), position, event, image })
+        let name = frame_name(&reference.session, reference.sequence);
+        Ok(ShownFrame { name, note: reference.note, position, event, image })
     }
 
     async fn frame_event(&self, map: &MapRow, position: FrameId) -> Result<FrameEvent, ServiceError> {
@@ -177,7 +180,7 @@ impl ShownFrame {
             "where its words are is not known: the robot sent counts, or the map keeps words alone";
         let notes = [self.image.is_none().then_some(no_image), features.is_none().then_some(no_keypoints)];
         Panel {
-            title: self.name,
+            title: if self.note.is_empty() { self.name } else { format!("{} ({})", self.name, self.note) },
             image: self.image,
             size_px: features.map(FeatureRecord::image_size_px),
             marks,
@@ -203,7 +206,7 @@ fn heading(event: &FrameEvent, place: PlaceId) -> String {
 
 fn verdict(event: &FrameEvent, place: PlaceId, settings: &MapperSettings) -> Vec<GateView> {
     let candidate = event.candidates.iter().find(|candidate| candidate.matched.place == place);
-    candidate.map(|candidate| verdict_views(&settings.verdict(candidate))).unwrap_or_default()
+    candidate.map(|candidate| verdict_views(settings, candidate)).unwrap_or_default()
 }
 
 /// Features that structure measured by, or else those that the motion of the view joins.

@@ -1,5 +1,6 @@
 //! Where something was seen, and why a frame was decided as it was.
 
+mod gates;
 mod odometry_agreement;
 
 use std::collections::VecDeque;
@@ -10,15 +11,17 @@ use fabmap::explanation::Explanation;
 use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
-use topomap::evidence::{ArchiveError, Bound, Candidate, Check, Placement, Quantity, Verdict};
+use topomap::evidence::{Candidate, Placement};
 use topomap::ids::FrameId;
 use topomap::log::{FrameEvent, MapEvent, Reason};
-use topomap::mapper::{Decided, EarlierFrame, FrameInput, Gate, Gates, Mapper};
+use topomap::mapper::{Decided, EarlierFrame, FrameInput, Gate, Mapper};
 
+use self::gates::gate_views;
+pub(super) use self::gates::{probability, verdict_views};
 pub(crate) use self::odometry_agreement::OdometryAgreement;
 use self::odometry_agreement::SeenAgain;
 use super::frames::{Frames, LocatedFrame};
-use crate::error::ServiceError;
+use crate::error::{ArchiveError, ServiceError};
 use crate::ingest::content::{Content, Words};
 use crate::ingest::extraction::Extraction;
 use crate::ingest::model::{LoadedModel, LoadedModels};
@@ -26,7 +29,7 @@ use crate::map_settings::{self, Keep};
 use crate::names::map_in;
 pub(crate) use crate::open_map::answers::QueryAnswer;
 use crate::open_map::{FrameStore, OpenMaps, SeenFeatures, compared, no_such_map, stored_features, verifier};
-use crate::storage::{LogEntry, MapRow, Storage, StorageError};
+use crate::storage::{MapRow, Storage, StorageError};
 
 /// Words for, and as many against, that an explanation lists at most.
 const MAX_EXPLAINED_WORDS: u32 = 100;
@@ -115,12 +118,12 @@ impl Queries {
             replay.explain(name, position, place, words)
         });
         let explained = explaining.await.map_err(ServiceError::internal)?;
-        // Of a map that is deleted or told anew meanwhile, some of what was read may be older than the rest.
+        // Of a map that is deleted or rewritten meanwhile, some of what was read may be older than the rest.
         match self.storage.map_of_id(read.id).await? {
             Some(now) if now.edition == read.edition => explained,
             Some(_) => Err(ServiceError::Aborted {
                 message: format!(
-                    "the map {} was told anew while the frame was explained; ask again",
+                    "the map {} was rewritten while the frame was explained; ask again",
                     read.name
                 ),
             }),
@@ -195,8 +198,9 @@ impl Replay {
         // As logged: the decision stands by what was found then.
         let candidate = event.candidates.iter().find(|candidate| Some(candidate.matched.place) == explained);
         let mut gates = gates.map(|gates| gate_views(&gates, candidate)).unwrap_or_default();
-        gates
-            .extend(candidate.map(|candidate| verdict_views(&mapper.verdict(candidate))).unwrap_or_default());
+        gates.extend(
+            candidate.map(|candidate| verdict_views(mapper.settings(), candidate)).unwrap_or_default(),
+        );
         Ok(FrameExplanation {
             picture: explained.map(|place| format!("/v1/{name}/picture?place_number={place}")),
             name,
@@ -256,7 +260,7 @@ impl Replay {
         };
         let session = event.session;
         let mut before = VecDeque::new();
-        let mut fold = |LogEntry { position: _, event, media: _ }: LogEntry| {
+        let mut fold = |_: u64, event: MapEvent| {
             if abandoned.is_cancelled() {
                 return Err(StorageError::Damaged("a replay that nobody waits for".to_owned()));
             }
@@ -300,94 +304,4 @@ fn contested_place(event: &FrameEvent, decided: &Decided) -> Option<PlaceId> {
     let closure = event.decision.closure.map(|closure| closure.place);
     let best = || decided.recognition.posterior.best_place().map(|(place, _)| place);
     closure.or(event.decision.place.filter(existing)).or_else(best)
-}
-
-fn gate_views(gates: &Gates, candidate: Option<&Candidate>) -> Vec<GateView> {
-    let Gates { place, words, known_place, guard, threshold } = *gates;
-    let enough = if words.passed { "enough" } else { "too few" };
-    let words_text = format!("{} different words are {enough}: {} are needed", words.value, words.required);
-    let compared = if known_place.passed { "at least as probable as" } else { "less probable than" };
-    let known_place_text = format!(
-        "place {place}, posterior {}, is {compared} somewhere new, {}",
-        probability(known_place.value),
-        probability(known_place.required)
-    );
-    let guard_text = match (guard.passed, guard.value) {
-        (true, _) => {
-            format!("the session was not at place {place} within the last {} frames", guard.required)
-        }
-        (false, 0.0) => format!("the session is at place {place}: staying closes no loop"),
-        (false, frames) => format!(
-            "the session left place {place} {frames} frames ago; a loop takes {} or more",
-            guard.required
-        ),
-    };
-    let reaches = if threshold.passed { "reaches" } else { "stays below" };
-    let or_evidence = match candidate.and_then(|candidate| candidate.view) {
-        Some(_) if !threshold.passed => "; geometry may close the loop all the same, with evidence enough",
-        Some(_) | None => "",
-    };
-    let threshold_text = format!(
-        "the posterior {} {reaches} the map's threshold {}{or_evidence}",
-        probability(threshold.value),
-        probability(threshold.required)
-    );
-    let view = |name, gate, description| GateView { name, gate, description };
-    vec![
-        view("words", words, words_text),
-        view("known_place", known_place, known_place_text),
-        view("guard", guard, guard_text),
-        view("threshold", threshold, threshold_text),
-    ]
-}
-
-pub(super) fn verdict_views(verdict: &Verdict) -> Vec<GateView> {
-    let view = |check: &Check, by: &str, more: &str| {
-        let Check { quantity, value, bound } = *check;
-        let (required, asked) = match bound {
-            Bound::AtLeast(least) => (least, "at least"),
-            Bound::AtMost(most) => (most, "at most"),
-        };
-        let [found, wanted] = [value, required].map(|value| digits(quantity, value));
-        let description = format!("{by}: {quantity} {found}, {asked} {wanted} asked for{more}");
-        let gate = Gate { passed: check.passed(), value, required };
-        GateView { name: gate_name(quantity), gate, description }
-    };
-    let Verdict { all, one } = verdict;
-    if let ([], [only]) = (&all[..], &one[..]) {
-        return vec![view(only, "without keypoints to compare, words decide", "")];
-    }
-    let all = all.iter().map(|check| view(check, "geometry", ""));
-    all.chain(one.iter().map(|check| view(check, "geometry", ", of this or the other"))).collect()
-}
-
-/// As many digits as tell something.
-fn digits(quantity: Quantity, value: f64) -> String {
-    match quantity {
-        Quantity::Inliers | Quantity::Evidence | Quantity::PlacedInliers => format!("{value:.0}"),
-        Quantity::Posterior => probability(value),
-        Quantity::RotationRad | Quantity::HeadingRad => format!("{value:.3} rad"),
-        Quantity::DistanceM => format!("{value:.2} m"),
-        Quantity::LnScale => format!("ln {value:.3}"),
-        Quantity::TranslationWidths => format!("{value:.3} widths"),
-    }
-}
-
-fn gate_name(quantity: Quantity) -> &'static str {
-    match quantity {
-        Quantity::Inliers => "inliers",
-        Quantity::Evidence => "evidence",
-        Quantity::Posterior => "posterior",
-        Quantity::RotationRad => "rotation",
-        Quantity::LnScale => "scale",
-        Quantity::TranslationWidths => "translation",
-        Quantity::PlacedInliers => "placed_inliers",
-        Quantity::DistanceM => "distance",
-        Quantity::HeadingRad => "heading",
-    }
-}
-
-/// Digits where they tell: near 0 and near 1.
-pub(super) fn probability(value: f64) -> String {
-    if value < 1e-3 { format!("{value:.1e}") } else { format!("{value:.9}") }
 }

@@ -5,21 +5,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::ingest::Verifier;
 use fabmap::appearance::PlaceId;
-use fabmap::observation::Observation;
 use tokio::runtime::Handle;
-use topomap::evidence::{ArchiveError, FrameArchive, TwoView};
 use topomap::ids::{FrameId, SessionId};
 use topomap::log::MapEvent;
 use topomap::mapper::Mapper;
-use topomap::merging::{KnownMap, Layout, ViewsBetween};
-use topomap::metric::RelativePose;
+use topomap::merging::{KnownMap, Layout, PairComparison, PlacePair};
 
-use crate::error::ServiceError;
+use crate::error::{ArchiveError, ServiceError};
 use crate::ingest::model::LoadedModel;
 use crate::map_settings;
 use crate::names::{frame_name, session_name};
 use crate::open_map::{Recent, SeenFeatures, compare, no_such_map, stored_features};
-use crate::storage::{LogEntry, MapId, MapRow, SessionRow, Storage, StorageError};
+use crate::storage::{MapId, MapRow, SessionRow, Storage, StorageError};
 
 /// Frames whose features are kept in memory, of about 80 kB each: a place is compared with several.
 const MOST_RECENT_FEATURES: usize = 512;
@@ -71,7 +68,7 @@ impl ReadMap {
     }
 
     pub(super) fn known(&self) -> KnownMap<'_> {
-        KnownMap { mapper: &self.mapper, archive: &self.log }
+        KnownMap { mapper: &self.mapper, log: &self.log.events }
     }
 
     pub(super) fn layout(&self) -> Layout<'_> {
@@ -108,7 +105,7 @@ impl ReadMap {
     }
 }
 
-/// Sessions of a source, with what they are once its log is told anew.
+/// Sessions of a source, with what they are once its log is rewritten.
 pub(super) fn joined_sessions<'a>(
     source: &'a [MapEvent],
     joined: &'a [MapEvent],
@@ -121,7 +118,7 @@ pub(super) fn joined_sessions<'a>(
     })
 }
 
-/// Places of a source, with what they are once its log is told anew.
+/// Places of a source, with what they are once its log is rewritten.
 pub(super) fn joined_places<'a>(
     source: &'a [MapEvent],
     joined: &'a [MapEvent],
@@ -142,7 +139,7 @@ pub(super) fn read_on(
     log: &mut Vec<MapEvent>,
 ) -> Result<(), ServiceError> {
     let positions = log.len() as u64..events.unwrap_or(u64::MAX);
-    let mut fold = |LogEntry { position: _, event, media: _ }: LogEntry| {
+    let mut fold = |_: u64, event: MapEvent| {
         mapper.fold(&event).map_err(|error| StorageError::Damaged(error.to_string()))?;
         log.push(event);
         Ok(())
@@ -161,22 +158,6 @@ impl Log {
         let piece = self.pieces.partition_point(|&(from, _)| from <= frame).checked_sub(1)?;
         let (from, map) = self.pieces[piece];
         Some((map, frame - from))
-    }
-}
-
-impl FrameArchive for Log {
-    fn observation(&self, frame: FrameId) -> Result<Option<Observation>, ArchiveError> {
-        Ok(self.event(frame).and_then(|event| match event {
-            MapEvent::Frame(event) => Some(event.observation.clone()),
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
-        }))
-    }
-
-    fn at(&self, frame: FrameId) -> Result<Option<RelativePose>, ArchiveError> {
-        Ok(self.event(frame).and_then(|event| match event {
-            MapEvent::Frame(event) => event.at,
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
-        }))
     }
 }
 
@@ -205,18 +186,16 @@ impl<'a> Between<'a> {
         recent().keep((map, position), features.clone());
         Ok(features)
     }
-}
 
-impl ViewsBetween for Between<'_> {
-    fn compare(&self, source: FrameId, target: FrameId) -> Result<Option<TwoView>, ArchiveError> {
-        let Some(current) = self.features(self.source, source)? else { return Ok(None) };
-        let Some(earlier) = self.features(self.target, target)? else { return Ok(None) };
-        Ok(Some(compare(&self.verifier, &earlier, &current).view))
-    }
-
-    fn focal_length_widths(&self, source: FrameId) -> Option<f64> {
-        // Compared just before, so it is in memory; unreadable features have no camera.
-        self.features(self.source, source).ok().flatten()?.focal_length_widths()
+    /// Compares the two frames of a pair. Blocks.
+    pub(super) fn compare(&self, pair: &PlacePair) -> Result<PairComparison, ArchiveError> {
+        let Some(current) = self.features(self.source, pair.source_frame)? else {
+            return Ok(PairComparison::default());
+        };
+        let focal_length_widths = current.focal_length_widths();
+        let earlier = self.features(self.target, pair.target_frame)?;
+        let view = earlier.map(|earlier| compare(&self.verifier, &earlier, &current).view);
+        Ok(PairComparison { view, focal_length_widths })
     }
 }
 

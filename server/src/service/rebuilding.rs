@@ -1,4 +1,4 @@
-//! A map made anew with another model, from what it keeps of its frames.
+//! A map rebuilt with another model, from what it keeps of its frames.
 
 use std::collections::HashMap;
 use std::pin::pin;
@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::ingest::FeatureRecord;
 use bytes::Bytes;
 use futures::stream::{self, StreamExt};
-use topomap::ids::SessionId;
+use topomap::ids::{FrameId, SessionId};
 use topomap::log::{FrameEvent, MapEvent};
 
 use super::jobs::{JobOutcome, JobReporter, JobStatus, Jobs, Stopped};
@@ -21,7 +21,7 @@ use crate::ingest::model::LoadedModel;
 use crate::map_settings::{self, Keep};
 use crate::names::{check_id, map_in, map_name};
 use crate::open_map::{Opener, SessionMode};
-use crate::storage::{JobKind, LogEntry, MapRow, MediumKind, StorageError, StoredSession};
+use crate::storage::{JobKind, MapRow, MediumKind, NoteRow, StorageError, StoredSession};
 
 /// Log events that are read at a time.
 const EVENTS_PAGE: u64 = 256;
@@ -29,7 +29,7 @@ const EVENTS_PAGE: u64 = 256;
 /// Nobody waits for an answer, so as many frames as share a commit well.
 const WINDOWS: Windows = Windows { prepared: 4, submitted: 32 };
 
-/// A map, and what it is to be made anew with.
+/// A map, and what it is to be rebuilt with.
 struct Rebuild {
     source: MapRow,
     words: usize,
@@ -38,7 +38,7 @@ struct Rebuild {
     into: String,
 }
 
-/// Makes maps anew with other models. Cheap to clone.
+/// Rebuilds maps with other models. Cheap to clone.
 #[derive(Clone, Debug)]
 pub(crate) struct Rebuilding {
     pub(super) maps: Maps,
@@ -47,7 +47,7 @@ pub(crate) struct Rebuilding {
 }
 
 impl Rebuilding {
-    /// Begins to make a map anew with another model. If that was begun before and cut off, it goes on where it was.
+    /// Begins to rebuild a map with another model. If that was begun before and cut off, it goes on where it was.
     pub(crate) async fn start(&self, name: &str, model: &str, into: &str) -> Result<JobStatus, ServiceError> {
         let source = self.maps.open_maps.row(map_in(name)?).await?;
         let into = check_id("map name", into)?.to_owned();
@@ -98,7 +98,7 @@ impl Rebuilding {
         let mut streams: HashMap<SessionId, Arc<SessionStream>> = HashMap::new();
         for from in (0..events).step_by(EVENTS_PAGE as usize) {
             let fraction = from as f64 / events as f64;
-            Stopped::unless(reporter.progress("looking at the frames anew", fraction))?;
+            Stopped::unless(reporter.progress("looking at the frames again", fraction))?;
             // Positions mean something else once sessions were removed.
             let now = self.maps.storage.map_of_id(rebuild.source.id).await.map_err(ServiceError::from)?;
             if now.map(|row| row.edition()) != Some(rebuild.source.edition()) {
@@ -110,11 +110,17 @@ impl Rebuilding {
                 }));
             }
             let mut page = Vec::new();
-            let mut keep = |LogEntry { position: _, event, media: _ }: LogEntry| {
+            let mut keep = |_: u64, event: MapEvent| {
                 page.push(event);
                 Ok(())
             };
             let positions = from..(from + EVENTS_PAGE).min(events);
+            let notes = self.maps.storage.notes(rebuild.source.id, positions.clone()).await;
+            let notes: HashMap<FrameId, String> = notes
+                .map_err(ServiceError::from)?
+                .into_iter()
+                .map(|NoteRow { position, note }| (position, note))
+                .collect();
             let read = self.maps.storage.replay(rebuild.source.id, positions, rebuild.words, &mut keep).await;
             read.map_err(ServiceError::from)?;
             let mut frames = Vec::new();
@@ -128,7 +134,7 @@ impl Rebuilding {
                     MapEvent::Measured(_) => {}
                 }
             }
-            self.send(rebuild, &streams, frames).await?;
+            self.send(rebuild, &streams, frames, &notes).await?;
         }
         Ok(())
     }
@@ -147,6 +153,7 @@ impl Rebuilding {
         rebuild: &Rebuild,
         streams: &HashMap<SessionId, Arc<SessionStream>>,
         frames: Vec<FrameEvent>,
+        notes: &HashMap<FrameId, String>,
     ) -> Result<(), ServiceError> {
         let committed = |frame: &FrameEvent| {
             let last = streams.get(&frame.session).and_then(|stream| stream.last_committed());
@@ -156,8 +163,9 @@ impl Rebuilding {
             let stream = streams.get(&frame.session);
             let stream = stream.ok_or_else(|| ServiceError::internal("a frame of no session"))?;
             let content = self.kept_content(rebuild, &frame).await?;
+            let note = notes.get(&frame.frame).cloned().unwrap_or_default();
             let FrameEvent { sequence, stamp_ns, odometry, .. } = frame;
-            Ok::<_, ServiceError>((stream.clone(), Ok(Frame { sequence, stamp_ns, content, odometry })))
+            Ok::<_, ServiceError>((stream.clone(), Ok(Frame { sequence, stamp_ns, content, odometry, note })))
         };
         let left = frames.into_iter().filter(|frame| !committed(frame));
         let frames = stream::iter(left).map(read).buffered(WINDOWS.prepared);

@@ -33,7 +33,7 @@ impl Rewriting {
         let work = |reporter: JobReporter| async move {
             let Some(_turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
             // The last moment to stop.
-            if Stopped::unless(reporter.progress("writing the database anew", 0.0)).is_err() {
+            if Stopped::unless(reporter.progress("rewriting the database", 0.0)).is_err() {
                 return JobOutcome::Cancelled;
             }
             let compacted = async {

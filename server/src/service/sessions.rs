@@ -11,6 +11,7 @@ use tokio::sync::{OwnedSemaphorePermit, oneshot};
 use tokio_util::sync::CancellationToken;
 use topomap::mapper::{FrameInput, Localizer};
 
+pub(super) use self::frame::check_note;
 pub(crate) use self::frame::{Frame, Robot};
 use self::order::Order;
 pub(super) use self::pipeline::run;
@@ -210,7 +211,7 @@ impl SessionStream {
 
     async fn work(&self, frame: Frame) -> Result<FrameWork, ServiceError> {
         frame.check()?;
-        let Frame { sequence, stamp_ns, content, odometry } = frame;
+        let Frame { sequence, stamp_ns, content, odometry, note } = frame;
         if self.last_committed.is_some_and(|last| sequence <= last) {
             return Ok(FrameWork::Resend { sequence });
         }
@@ -239,7 +240,7 @@ impl SessionStream {
         };
         let input = FrameInput { session, sequence, stamp_ns, odometry, observation };
         let timings = FrameTimings { extract, quantize, ..FrameTimings::default() };
-        Ok(FrameWork::Fresh { input: Box::new(input), features, media, timings })
+        Ok(FrameWork::Fresh { input: Box::new(input), features, media, note, timings })
     }
 
     /// Hands a prepared frame to the map's writer, in the order of calls; what comes back waits for

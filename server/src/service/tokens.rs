@@ -41,10 +41,10 @@ pub(crate) enum Access {
 /// Whom a server without any token serves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Anonymous {
-    /// Whoever is on the same machine.
+    /// Everyone on the same machine.
     #[default]
     Local,
-    /// Whoever reaches it.
+    /// Everyone who reaches it.
     Everyone,
     /// Nobody.
     Refused,
@@ -274,7 +274,7 @@ impl Tokens {
         let token = TokenRow { name: name.clone(), role, secret_sha256: hash(&secret), created_ns: now_ns() };
         let tokens = self.clone();
         let changing = self.changing.clone().lock_owned().await;
-        // A task of its own: whoever asked may go away, but database and memory must agree.
+        // A task of its own: the caller may go away, but database and memory must agree.
         let created = tokio::spawn(async move {
             let _changing = changing;
             tokens.lock().check_new(role)?;

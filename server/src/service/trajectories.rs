@@ -76,7 +76,7 @@ impl Trajectories {
         let mut after = None;
         loop {
             let frames =
-                self.frames.storage.frames_of_session(row.id, summary.number, after, PAGE, words).await?;
+                self.frames.storage.frames_of_session(row.id, summary.number, after, "", PAGE, words).await?;
             after = frames.last().map(|frame| frame.event.sequence);
             let located = |row: &FrameRow| located(&row.event, measured.get(&row.event.frame), frame, &poses);
             stamped.extend(frames.iter().filter_map(located));

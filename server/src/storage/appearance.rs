@@ -51,7 +51,7 @@ impl Storage {
 
     /// Keeps the links of the places that follow `from`, up to `next_place`; what other rules found goes.
     ///
-    /// [`StorageError::Retold`] if the log was told anew or the map deleted meanwhile, [`StorageError::Exists`] if it is
+    /// [`StorageError::Retold`] if the log was rewritten or the map deleted meanwhile, [`StorageError::Exists`] if it is
     /// not `from` up to where links are kept; nothing changes then.
     pub(crate) async fn keep_links(
         &self,

@@ -20,6 +20,8 @@ pub(crate) struct DeepInspection {
     pub(crate) models: u64,
     pub(crate) maps: u64,
     pub(crate) events: u64,
+    /// What robots call frames.
+    pub(crate) notes: u64,
     /// Images and features.
     pub(crate) media: u64,
     /// One sentence each; no more of one kind than tell what it is.
@@ -167,6 +169,7 @@ impl Reading {
         if problems.0.is_empty() && opened != sessions.keys().copied().collect() {
             problems.add("its sessions are not those of its log".to_owned());
         }
+        self.notes(*id, &mut problems).await;
         self.media(*id, &mut problems).await;
         let told = problems.0.len().min(MOST_TOLD);
         let told = problems.0[..told].iter().map(|problem| format!("map {name}, {problem}"));
@@ -213,6 +216,34 @@ impl Reading {
             Err(error) => {
                 problems.add(format!("{named}: {error}"));
                 None
+            }
+        }
+    }
+
+    /// What frames are called can be read, and is of frames.
+    async fn notes(&mut self, map: MapId, problems: &mut Problems) {
+        let mut after = -1;
+        loop {
+            let next = sqlx::query_as(
+                "SELECT n.position, n.note, \
+                 (SELECT sequence IS NOT NULL FROM log AS l WHERE l.map_id = n.map_id AND l.position = n.position) \
+                 FROM frame_notes AS n WHERE n.map_id = ? AND n.position > ? ORDER BY n.position LIMIT 1",
+            );
+            let next = next.bind(map).bind(after).fetch_optional(&mut self.database).await;
+            let (position, note, of_a_frame): (i64, String, Option<bool>) = match next {
+                Ok(Some(next)) => next,
+                Ok(None) => return,
+                Err(error) => {
+                    return problems
+                        .add(format!("what its frames are called: {}", StorageError::from(error)));
+                }
+            };
+            after = position;
+            self.found.notes += 1;
+            if of_a_frame != Some(true) {
+                problems.add(format!(
+                    "event {position} of the log: the note {note:?} is of a frame that is none"
+                ));
             }
         }
     }

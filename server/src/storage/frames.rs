@@ -25,6 +25,8 @@ pub(crate) struct SessionSummary {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct FrameRow {
     pub(crate) event: FrameEvent,
+    /// What its robot calls it; empty if nothing.
+    pub(crate) note: String,
     pub(crate) bytes: FrameBytes,
 }
 
@@ -42,6 +44,7 @@ pub(crate) struct FrameBytes {
 struct FrameColumns {
     #[sqlx(flatten)]
     event: StoredEvent,
+    note: String,
     #[sqlx(flatten)]
     bytes: FrameBytes,
 }
@@ -57,6 +60,7 @@ const SESSION_COLUMNS: &str = "number, name, camera, opened_ns, \
      FROM sessions AS s";
 
 const FRAME_COLUMNS: &str = "position, event, checksum, chain, length(event) AS log, \
+     coalesce((SELECT note FROM frame_notes WHERE map_id = l.map_id AND position = l.position), '') AS note, \
      coalesce((SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'features'), 0) AS features, \
      coalesce((SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'thumbnail'), 0) AS thumbnail, \
      coalesce((SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'image'), 0) AS image \
@@ -101,21 +105,40 @@ impl Storage {
             .await?)
     }
 
-    /// Frames of a session whose sequence number is above `after` (all if `None`), by number.
+    /// Frames of a session whose sequence number is above `after` (all if `None`), by number; only those with that note,
+    /// unless it is empty.
     pub(crate) async fn frames_of_session(
         &self,
         map: MapId,
         session: SessionId,
         after: Option<u64>,
+        note: &str,
         limit: u32,
         vocabulary_len: usize,
     ) -> Result<Vec<FrameRow>, StorageError> {
         let sql = format!(
-            "SELECT {FRAME_COLUMNS} WHERE map_id = ? AND session = ? AND sequence > ? ORDER BY sequence LIMIT ?"
+            "SELECT {FRAME_COLUMNS} WHERE map_id = ?1 AND session = ?2 AND sequence > ?3 AND (?4 = '' OR note = ?4) \
+             ORDER BY sequence LIMIT ?5"
         );
         let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(session);
-        let rows = query.bind(after.map_or(-1, to_sql)).bind(limit).fetch_all(&self.readers).await;
-        self.frame_rows(map, rows, vocabulary_len).await
+        let query = query.bind(after.map_or(-1, to_sql)).bind(note).bind(limit);
+        self.frame_rows(map, query.fetch_all(&self.readers).await, vocabulary_len).await
+    }
+
+    /// Frames from log position `from` on, by position.
+    pub(crate) async fn frames_from(
+        &self,
+        map: MapId,
+        from: FrameId,
+        limit: u32,
+        vocabulary_len: usize,
+    ) -> Result<Vec<FrameRow>, StorageError> {
+        let sql = format!(
+            "SELECT {FRAME_COLUMNS} WHERE map_id = ? AND position >= ? AND sequence IS NOT NULL \
+             ORDER BY position LIMIT ?"
+        );
+        let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(to_sql(from)).bind(limit);
+        self.frame_rows(map, query.fetch_all(&self.readers).await, vocabulary_len).await
     }
 
     /// The frame that a session sent under `sequence`.
@@ -165,5 +188,5 @@ fn frame_row(row: &FrameColumns, vocabulary_len: usize) -> Result<FrameRow, Stor
     let MapEvent::Frame(event) = row.event.decode(vocabulary_len)? else {
         return Err(StorageError::Damaged("a frame of the log that is none".to_owned()));
     };
-    Ok(FrameRow { event: *event, bytes: row.bytes })
+    Ok(FrameRow { event: *event, note: row.note.clone(), bytes: row.bytes })
 }

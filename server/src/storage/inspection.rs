@@ -95,6 +95,12 @@ impl Storage {
         .await?)
     }
 
+    /// What is left of the disk that the database is on, if the system tells.
+    pub(crate) fn free_bytes(&self) -> Option<u64> {
+        let disk = rustix::fs::statvfs(&self.directory).ok()?;
+        Some(disk.f_bavail.saturating_mul(disk.f_frsize))
+    }
+
     /// Fails if the database does not answer.
     pub(crate) async fn ping(&self) -> Result<(), StorageError> {
         sqlx::query("SELECT 1 FROM maps LIMIT 1").fetch_optional(&self.readers).await?;

@@ -15,7 +15,7 @@ const FILE_OF_THE_OWNER: u32 = 0o600;
 /// Held while a server, or who stands in for one, works on a data directory.
 #[derive(Debug)]
 pub(super) struct DirectoryLock {
-    /// The directory itself: a file in it can be deleted, and made anew, while it is locked. Not every file system locks
+    /// The directory itself: a file in it can be deleted, and made again, while it is locked. Not every file system locks
     /// directories.
     directory: Option<File>,
     file: File,
@@ -58,7 +58,7 @@ impl DirectoryLock {
 pub(super) fn make_private(path: &Path) {
     let opened =
         OpenOptions::new().write(true).create(true).truncate(false).mode(FILE_OF_THE_OWNER).open(path);
-    // Whoever opens the database says what is wrong with it.
+    // Opening the database says what is wrong with it.
     let Ok(metadata) = opened.and_then(|file| file.metadata()) else { return };
     if metadata.permissions().mode() & !FILE_OF_THE_OWNER & 0o777 != 0 {
         tracing::warn!(

@@ -8,6 +8,7 @@ use topomap::log::{FrameEvent, MapEvent, MeasuredEvent};
 use super::columns::insert_event;
 use super::damage::Where;
 use super::media::insert_media;
+use super::notes::insert_note;
 use super::row_sums::{CHAIN_START, StoredEvent};
 use super::{MapId, Medium, Storage, StorageError, to_sql};
 
@@ -21,14 +22,18 @@ pub(crate) struct LogEntry {
     pub(crate) event: MapEvent,
     /// Written with the event, and read apart from it.
     pub(crate) media: Vec<Medium>,
+    /// What the robot calls the frame; empty if nothing.
+    pub(crate) note: String,
 }
 
 /// Which frame a log position is.
-#[derive(Clone, Copy, Debug, PartialEq, sqlx::FromRow)]
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct StoredFrame {
     pub(crate) session: SessionId,
     pub(crate) sequence: u64,
     pub(crate) stamp_ns: i64,
+    /// What its robot calls it; empty if nothing.
+    pub(crate) note: String,
 }
 
 /// A loop closure as the log's columns tell it.
@@ -50,12 +55,18 @@ struct MatchedColumns {
     matched_session: SessionId,
     matched_sequence: u64,
     matched_stamp_ns: i64,
+    matched_note: String,
 }
 
 impl From<MatchedColumns> for StoredFrame {
     fn from(matched: MatchedColumns) -> Self {
-        let MatchedColumns { matched_session, matched_sequence, matched_stamp_ns } = matched;
-        Self { session: matched_session, sequence: matched_sequence, stamp_ns: matched_stamp_ns }
+        let MatchedColumns { matched_session, matched_sequence, matched_stamp_ns, matched_note } = matched;
+        Self {
+            session: matched_session,
+            sequence: matched_sequence,
+            stamp_ns: matched_stamp_ns,
+            note: matched_note,
+        }
     }
 }
 
@@ -64,23 +75,26 @@ impl Storage {
     pub(crate) async fn append(&self, map: MapId, entries: &[LogEntry]) -> Result<(), StorageError> {
         self.check_sound(map)?;
         let appended = self.write(async |transaction| {
-            for LogEntry { position, event, media } in entries {
+            for LogEntry { position, event, media, note } in entries {
                 insert_event(transaction, map, to_sql(*position), event).await?;
                 insert_media(transaction, map, to_sql(*position), media).await?;
+                insert_note(transaction, map, to_sql(*position), note).await?;
             }
             Ok(())
         });
         let appended = appended.await;
-        self.noting_rot(map, Where::Somewhere, appended).await
+        self.noting_rot(map, Where::Somewhere, appended).await?;
+        self.commits.tell(map);
+        Ok(())
     }
 
-    /// Hands the entries at `positions` to `fold`, in order.
+    /// Hands the events at `positions` to `fold`, in order, without what is kept beside them.
     pub(crate) async fn replay(
         &self,
         map: MapId,
         positions: Range<u64>,
         vocabulary_len: usize,
-        fold: &mut (dyn FnMut(LogEntry) -> Result<(), StorageError> + Send),
+        fold: &mut (dyn FnMut(u64, MapEvent) -> Result<(), StorageError> + Send),
     ) -> Result<(), StorageError> {
         let mut next = positions.start;
         let mut chain = self.chain_before(map, next).await?;
@@ -94,8 +108,7 @@ impl Storage {
                     chain = link;
                     stored.decode(vocabulary_len)
                 });
-                let event = self.noting_rot(map, Where::Event(next), event).await?;
-                fold(LogEntry { position: next, event, media: Vec::new() })?;
+                fold(next, self.noting_rot(map, Where::Event(next), event).await?)?;
                 next += 1;
             }
             if last {
@@ -271,7 +284,7 @@ impl Storage {
         positions: &[FrameId],
     ) -> Result<Vec<StoredFrame>, StorageError> {
         let found = self.frames_by_position(map, positions.iter().copied()).await?;
-        Ok(positions.iter().filter_map(|position| found.get(position).copied()).collect())
+        Ok(positions.iter().filter_map(|position| found.get(position).cloned()).collect())
     }
 
     /// The same, each with its position: many cost one query.
@@ -283,17 +296,19 @@ impl Storage {
         // A list of numbers is JSON already.
         let positions = format!("{:?}", positions.into_iter().map(to_sql).collect::<Vec<_>>());
         let rows = sqlx::query_as(
-            "SELECT position, session, sequence, stamp_ns FROM log \
+            "SELECT position, session, sequence, stamp_ns, coalesce(note, '') \
+             FROM log LEFT JOIN frame_notes USING (map_id, position) \
              WHERE map_id = ? AND sequence IS NOT NULL AND position IN (SELECT value FROM json_each(?))",
         )
         .bind(map)
         .bind(positions)
         .fetch_all(&self.readers)
         .await;
-        let rows: Vec<(FrameId, SessionId, u64, i64)> =
+        let rows: Vec<(FrameId, SessionId, u64, i64, String)> =
             self.noting_rot(map, Where::Somewhere, rows.map_err(StorageError::from)).await?;
-        let frame =
-            |(position, session, sequence, stamp_ns)| (position, StoredFrame { session, sequence, stamp_ns });
+        let frame = |(position, session, sequence, stamp_ns, note)| {
+            (position, StoredFrame { session, sequence, stamp_ns, note })
+        };
         Ok(rows.into_iter().map(frame).collect())
     }
 
@@ -306,8 +321,11 @@ impl Storage {
     ) -> Result<Vec<ClosureRow>, StorageError> {
         let closures = sqlx::query_as(
             "SELECT f.position, f.session, f.sequence, f.stamp_ns, f.place, f.posterior, f.probability, \
-             m.session AS matched_session, m.sequence AS matched_sequence, m.stamp_ns AS matched_stamp_ns \
+             m.session AS matched_session, m.sequence AS matched_sequence, m.stamp_ns AS matched_stamp_ns, \
+             coalesce(fn.note, '') AS note, coalesce(mn.note, '') AS matched_note \
              FROM log AS f JOIN log AS m ON m.map_id = f.map_id AND m.position = f.matched_frame \
+             LEFT JOIN frame_notes AS fn ON fn.map_id = f.map_id AND fn.position = f.position \
+             LEFT JOIN frame_notes AS mn ON mn.map_id = m.map_id AND mn.position = m.position \
              WHERE f.map_id = ? AND f.reason = 'loop_closure' AND f.position > ? ORDER BY f.position LIMIT ?",
         )
         .bind(map)

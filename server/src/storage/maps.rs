@@ -18,7 +18,7 @@ pub(crate) struct MapRow {
     /// JSON.
     pub(crate) settings: String,
     pub(crate) created_ns: i64,
-    /// How often its log was told anew.
+    /// How often its log was rewritten.
     pub(crate) edition: u64,
 }
 
@@ -205,7 +205,7 @@ impl Storage {
     }
 }
 
-/// [`StorageError::Retold`] if the log was told anew since, or the map deleted.
+/// [`StorageError::Retold`] if the log was rewritten since, or the map deleted.
 pub(super) async fn check_edition(
     transaction: &mut Transaction<'_, Sqlite>,
     MapEdition { map, edition }: MapEdition,

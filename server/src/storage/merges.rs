@@ -11,6 +11,7 @@ use topomap::log::MapEvent;
 use super::columns::insert_event;
 use super::jobs::{ErrorColumns, end_job};
 use super::maps::check_edition;
+use super::notes::copy_notes;
 use super::{
     JobEnd, LabelRow, MapEdition, MapId, MapRow, Storage, StorageError, StoredError, StoredSession, from_sql,
     to_sql,
@@ -40,7 +41,7 @@ pub(crate) struct MergeRow {
 #[sqlx(rename_all = "snake_case")]
 pub(crate) enum MergeState {
     Searching,
-    /// Found; somebody has to decide.
+    /// Found; a person has to decide.
     Proposed,
     /// As far as can be told.
     #[sqlx(rename = "apart")]
@@ -60,7 +61,7 @@ pub(crate) struct MergeOutcome {
     pub(crate) report: String,
 }
 
-/// A source's log, told anew as the target's.
+/// A source's log, rewritten as the target's.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct JoinedLog {
     pub(crate) source: MapEdition,
@@ -237,7 +238,7 @@ impl Storage {
     }
 
     /// Appends sources to a map's log, with their sessions and media, and ends merge and job: all or nothing.
-    /// [`StorageError::Retold`] if a source was told anew or deleted since it was read.
+    /// [`StorageError::Retold`] if a source was rewritten or deleted since it was read.
     pub(crate) async fn append_merged(
         &self,
         target: MapId,
@@ -359,7 +360,7 @@ impl Storage {
     }
 
     /// Shows a map that holds several, and ends merge and job: all or nothing. [`StorageError::Retold`] if one of those
-    /// it was made of was told anew or deleted since it was read.
+    /// it was made of was rewritten or deleted since it was read.
     pub(crate) async fn finish_merged_map(
         &self,
         map: MapId,
@@ -470,6 +471,7 @@ async fn insert_sessions_and_labels(
     Ok(())
 }
 
+/// Media and notes.
 async fn copy_media(
     transaction: &mut Transaction<'_, Sqlite>,
     source: MapId,
@@ -489,7 +491,7 @@ async fn copy_media(
     .bind(to_sql(positions.end))
     .execute(&mut **transaction)
     .await?;
-    Ok(())
+    copy_notes(transaction, source, map, positions, from).await
 }
 
 impl MergeState {

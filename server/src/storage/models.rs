@@ -88,6 +88,19 @@ impl Storage {
             .await?)
     }
 
+    /// Whether there was one.
+    pub(crate) async fn rename_model(&self, hash: &str, display_name: &str) -> Result<bool, StorageError> {
+        self.write(async |transaction| {
+            let done = sqlx::query("UPDATE models SET display_name = ? WHERE hash = ?")
+                .bind(display_name)
+                .bind(hash)
+                .execute(&mut **transaction)
+                .await?;
+            Ok(done.rows_affected() > 0)
+        })
+        .await
+    }
+
     /// Whether there was one. [`StorageError::InUse`] while a map uses it.
     pub(crate) async fn delete_model(&self, hash: &str) -> Result<bool, StorageError> {
         let done = sqlx::query("DELETE FROM models WHERE hash = ?").bind(hash).execute(&self.writer).await?;

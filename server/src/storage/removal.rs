@@ -6,8 +6,9 @@ use super::{MapId, Storage, StorageError, delete_some};
 
 /// What belongs to a map beside its checkpoint, by table: the key within the map, and how many rows are deleted at a time.
 /// Images are large.
-const TABLES: [(&str, &str, u32); 8] = [
+const TABLES: [(&str, &str, u32); 9] = [
     ("frame_media", "position", 32),
+    ("frame_notes", "position", 500),
     ("log", "position", 500),
     ("checkpoints", "events", 1),
     ("map_models", "until_events", 500),

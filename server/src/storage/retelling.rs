@@ -1,4 +1,4 @@
-//! A log that is told anew, without some sessions.
+//! A log that is rewritten, without some sessions.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -37,7 +37,7 @@ pub(crate) struct RetoldLog {
 }
 
 impl RetoldLog {
-    /// What is another in a log that was told anew.
+    /// What differs in a log that was rewritten.
     pub(crate) fn new(map: MapEdition, before: &[MapEvent], retold: Retold) -> Self {
         let Retold { mut events, frames, sessions, places, dropped: _ } = retold;
         // An event that has come to stand where one like it was removed is another, with other media.
@@ -78,7 +78,7 @@ impl Storage {
         self.check_sound(map)?;
         self.write(async |transaction| {
             raise_edition(transaction, log.map).await?;
-            move_media(transaction, log).await?;
+            move_kept(transaction, log).await?;
             move_former_models(transaction, log).await?;
             move_labels(transaction, log).await?;
             replace_events(transaction, log).await?;
@@ -110,7 +110,7 @@ impl Storage {
         .await
     }
 
-    /// Writes the database anew without what was deleted, which is still between the rows until then, and in the
+    /// Rewrites the database without what was deleted, which is still between the rows until then, and in the
     /// write-ahead log. Commits wait meanwhile. [`StorageError::InUse`] if somebody reads from that log for so long that
     /// it cannot be emptied.
     pub(crate) async fn wipe_deleted(&self) -> Result<(), StorageError> {
@@ -144,7 +144,7 @@ impl Storage {
     }
 }
 
-/// Whoever writes waits until this is dropped.
+/// Writers wait until this is dropped.
 struct Compacting<'a>(&'a AtomicBool);
 
 impl<'a> Compacting<'a> {
@@ -174,28 +174,37 @@ async fn raise_edition(
     if done.rows_affected() == 1 { Ok(()) } else { Err(StorageError::Retold) }
 }
 
-/// Media of frames that stay get the frames' new positions; the others go.
-async fn move_media(transaction: &mut Transaction<'_, Sqlite>, log: &RetoldLog) -> Result<(), StorageError> {
+/// What is kept of frames beside the log.
+const BESIDE_FRAMES: [&str; 2] = ["frame_media", "frame_notes"];
+
+/// What is kept of frames that stay gets the frames' new positions; the rest goes.
+async fn move_kept(transaction: &mut Transaction<'_, Sqlite>, log: &RetoldLog) -> Result<(), StorageError> {
     let map = log.map.map;
     // A list of numbers is JSON already.
     let positions = format!("{:?}", log.kept.keys().collect::<Vec<_>>());
-    sqlx::query(
-        "DELETE FROM frame_media WHERE map_id = ? AND position >= ? \
-         AND position NOT IN (SELECT value FROM json_each(?))",
-    )
-    .bind(map)
-    .bind(to_sql(log.from))
-    .bind(positions)
-    .execute(&mut **transaction)
-    .await?;
-    // In order, so that each finds its new position free.
-    for (before, now) in log.kept.iter().filter(|(before, now)| before != now) {
-        sqlx::query("UPDATE frame_media SET position = ? WHERE map_id = ? AND position = ?")
-            .bind(to_sql(*now))
+    for table in BESIDE_FRAMES {
+        let delete = format!(
+            "DELETE FROM {table} WHERE map_id = ? AND position >= ? \
+             AND position NOT IN (SELECT value FROM json_each(?))"
+        );
+        sqlx::query(sqlx::AssertSqlSafe(delete))
             .bind(map)
-            .bind(to_sql(*before))
+            .bind(to_sql(log.from))
+            .bind(&positions)
             .execute(&mut **transaction)
             .await?;
+    }
+    // In order, so that each finds its new position free.
+    for (before, now) in log.kept.iter().filter(|(before, now)| before != now) {
+        for table in BESIDE_FRAMES {
+            let renumber = format!("UPDATE {table} SET position = ? WHERE map_id = ? AND position = ?");
+            sqlx::query(sqlx::AssertSqlSafe(renumber))
+                .bind(to_sql(*now))
+                .bind(map)
+                .bind(to_sql(*before))
+                .execute(&mut **transaction)
+                .await?;
+        }
     }
     Ok(())
 }

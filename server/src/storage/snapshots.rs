@@ -9,8 +9,9 @@ use super::columns::insert_event;
 use super::damage::Where;
 use super::jobs::end_job;
 use super::labels::insert_label;
+use super::notes::insert_note;
 use super::row_sums::{CHAIN_START, StoredEvent};
-use super::{JobEnd, LabelRow, MapId, MapRow, MediumKind, ModelRow, Storage, StorageError, to_sql};
+use super::{JobEnd, LabelRow, MapId, MapRow, MediumKind, ModelRow, NoteRow, Storage, StorageError, to_sql};
 use crate::camera::Camera;
 
 /// Log events that are read at a time.
@@ -21,6 +22,9 @@ const MEDIA_PAGE: u32 = 8;
 
 /// Labels that are read at a time.
 const LABELS_PAGE: u32 = 500;
+
+/// Notes of frames that are read at a time.
+const NOTES_PAGE: u32 = 500;
 
 /// A session with all that is stored of it.
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
@@ -142,6 +146,7 @@ impl Storage {
         events: &[(u64, MapEvent)],
         media: &[MediaRow],
         labels: &[LabelRow],
+        notes: &[NoteRow],
     ) -> Result<(), StorageError> {
         self.write(async |transaction| {
             for (position, event) in events {
@@ -158,6 +163,9 @@ impl Storage {
             }
             for LabelRow { place, label } in labels {
                 insert_label(transaction, map, *place, label).await?;
+            }
+            for NoteRow { position, note } in notes {
+                insert_note(transaction, map, to_sql(*position), note).await?;
             }
             Ok(())
         })
@@ -191,21 +199,23 @@ impl MapView {
     }
 
     pub(crate) async fn former_models(&mut self) -> Result<Vec<FormerModelRow>, StorageError> {
-        Ok(sqlx::query_as(
+        let rows = sqlx::query_as(
             "SELECT until_events, model FROM map_models WHERE map_id = ? ORDER BY until_events",
         )
         .bind(self.map.id)
         .fetch_all(&mut *self.snapshot)
-        .await?)
+        .await;
+        self.noting_rot(Where::Somewhere, rows.map_err(StorageError::from)).await
     }
 
     pub(crate) async fn sessions(&mut self) -> Result<Vec<StoredSession>, StorageError> {
-        Ok(sqlx::query_as(
+        let rows = sqlx::query_as(
             "SELECT number, name, camera, opened_ns FROM sessions WHERE map_id = ? ORDER BY number",
         )
         .bind(self.map.id)
         .fetch_all(&mut *self.snapshot)
-        .await?)
+        .await;
+        self.noting_rot(Where::Somewhere, rows.map_err(StorageError::from)).await
     }
 
     /// The next events as they are stored; none at the end of the log. [`StorageError::Rot`] if one is not as it was
@@ -259,7 +269,7 @@ impl MapView {
 
     /// The next labels, from that of a place on; none after the last.
     pub(crate) async fn labels(&mut self, from: PlaceId) -> Result<Vec<LabelRow>, StorageError> {
-        Ok(sqlx::query_as(
+        let rows = sqlx::query_as(
             // One that was put while places were renumbered may be of none.
             "SELECT place, label FROM labels WHERE map_id = ? AND place >= ? \
              AND EXISTS (SELECT 1 FROM log WHERE log.map_id = labels.map_id AND log.place = labels.place) \
@@ -269,6 +279,20 @@ impl MapView {
         .bind(from)
         .bind(LABELS_PAGE)
         .fetch_all(&mut *self.snapshot)
-        .await?)
+        .await;
+        self.noting_rot(Where::Somewhere, rows.map_err(StorageError::from)).await
+    }
+
+    /// The next notes, from that of a frame on; none after the last.
+    pub(crate) async fn notes(&mut self, from: u64) -> Result<Vec<NoteRow>, StorageError> {
+        let rows = sqlx::query_as(
+            "SELECT position, note FROM frame_notes WHERE map_id = ? AND position >= ? ORDER BY position LIMIT ?",
+        )
+        .bind(self.map.id)
+        .bind(to_sql(from))
+        .bind(NOTES_PAGE)
+        .fetch_all(&mut *self.snapshot)
+        .await;
+        self.noting_rot(Where::Somewhere, rows.map_err(StorageError::from)).await
     }
 }

@@ -52,8 +52,8 @@ pub(crate) fn loop_closure(view: LoopClosureView) -> v1::LoopClosure {
 }
 
 pub(crate) fn frame_reference(reference: FrameReference) -> v1::FrameReference {
-    let FrameReference { session, sequence, stamp_ns } = reference;
-    v1::FrameReference { session, sequence, stamp_ns }
+    let FrameReference { session, sequence, stamp_ns, note } = reference;
+    v1::FrameReference { session, sequence, stamp_ns, note }
 }
 
 pub(crate) fn dropped_place(dropped: Dispensable) -> v1::DroppedPlace {

@@ -44,13 +44,22 @@ pub(crate) fn found(found: MatchView) -> v1::Match {
 }
 
 fn geometry_message(geometry: GeometryView) -> v1::Geometry {
-    let GeometryView { matches, inliers, evidence, probability, similarity, placement } = geometry;
+    let GeometryView { matches, inliers, evidence, look_alikes, probability, similarity, placement } =
+        geometry;
     let similarity = similarity.map(|similarity| {
         let Similarity { rotation_rad, ln_scale, translation_widths: [x_widths, y_widths] } = similarity;
         v1::Similarity { rotation_rad, ln_scale, x_widths, y_widths }
     });
     let placement = placement_message(&placement);
-    v1::Geometry { matches, inliers, evidence_inliers: evidence, similarity, probability, placement }
+    v1::Geometry {
+        matches,
+        inliers,
+        evidence_inliers: evidence,
+        similarity,
+        probability,
+        placement,
+        look_alike_inliers: look_alikes,
+    }
 }
 
 fn placement_message(placement: &Placement) -> Option<v1::Placement> {

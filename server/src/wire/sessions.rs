@@ -44,7 +44,7 @@ pub(crate) fn session(view: SessionView) -> v1::Session {
 }
 
 pub(crate) fn frame_record(view: FrameView) -> v1::FrameRecord {
-    let FrameView { name, stamp_ns, answer: told, odometry, learnt, observation, bytes } = view;
+    let FrameView { name, stamp_ns, note, answer: told, odometry, learnt, observation, bytes } = view;
     let FrameBytes { log, features, thumbnail, image } = bytes;
     let (words, counts) = observation.histogram();
     v1::FrameRecord {
@@ -60,6 +60,7 @@ pub(crate) fn frame_record(view: FrameView) -> v1::FrameRecord {
             image_bytes: image,
         }),
         histogram: Some(v1::WordHistogram { words, counts }),
+        note,
     }
 }
 
@@ -121,7 +122,7 @@ fn timings_message(timings: FrameTimings) -> v1::Timings {
 
 /// A frame, or what is wrong with it.
 pub(crate) fn frame(message: v1::Frame) -> ReceivedFrame {
-    let v1::Frame { sequence, stamp_ns, content, odometry: moved } = message;
+    let v1::Frame { sequence, stamp_ns, content, odometry: moved, note } = message;
     let refused = |error| RefusedFrame { sequence, error };
     let content = match content {
         Some(FrameContent::Image(image)) => Content::Image(Bytes::from(image)),
@@ -133,7 +134,7 @@ pub(crate) fn frame(message: v1::Frame) -> ReceivedFrame {
         }
     };
     let moved = moved.map(odometry).transpose().map_err(refused)?;
-    Ok(Frame { sequence, stamp_ns, content, odometry: moved })
+    Ok(Frame { sequence, stamp_ns, content, odometry: moved, note })
 }
 
 pub(crate) fn histogram(message: v1::WordHistogram) -> Content {

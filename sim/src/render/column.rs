@@ -120,7 +120,7 @@ impl Scene {
             top: wall.top_m as f32,
             brightness: brightness(shot, lit.room, normal),
             side: &lit.texture,
-            // Whoever looks at the left side has the start to the right.
+            // Seen from the left side, the start is to the right.
             side_x_m: (if side == 0 { length - from_start } else { from_start }) as f32,
             side_step_m: step_along(ray, normal, hit.enters),
             lid: None,

@@ -111,6 +111,7 @@ pub(crate) fn frame_input(frame: &CameraFrame, image: Vec<u8>) -> FrameInput {
         stamp_ns: frame.stamp_ns + 1,
         content: FrameContent::Image(image),
         odometry: Some(odometry(&frame.odometry)),
+        note: String::new(),
     }
 }
 

@@ -76,6 +76,7 @@ impl Panoramas {
             stamp_ns: 1_000_000_000 * sequence as i64,
             content: FrameContent::Image(self.taken_at(pose, sequence)),
             odometry: None,
+            note: String::new(),
         });
         let frames: Vec<FrameInput> = frames.collect();
         let options = SessionOptions { camera: Some(self.camera()), ..session_options(map, "teacher") };

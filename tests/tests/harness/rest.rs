@@ -32,6 +32,14 @@ impl Answer {
         Self { status, headers, body: in_time(response.bytes()).await.unwrap().to_vec() }
     }
 
+    /// The beginning of an answer that does not end.
+    pub(crate) async fn begun(request: reqwest::RequestBuilder) -> Self {
+        let mut response = in_time(request.send()).await.unwrap();
+        let (status, headers) = (response.status(), response.headers().clone());
+        let body = in_time(response.chunk()).await.unwrap();
+        Self { status, headers, body: body.map(|body| body.to_vec()).unwrap_or_default() }
+    }
+
     pub(crate) fn header(&self, name: &str) -> &str {
         self.headers.get(name).map_or("", |value| value.to_str().unwrap())
     }

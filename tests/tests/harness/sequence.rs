@@ -43,7 +43,13 @@ pub(crate) fn frame_count() -> u64 {
 pub(crate) fn frame(sequence: u64) -> FrameInput {
     let image = images()[usize::try_from(sequence).unwrap() - 1].clone();
     let stamp_ns = SECOND_NS * i64::try_from(sequence).unwrap();
-    FrameInput { sequence, stamp_ns, content: FrameContent::Image(image), odometry: None }
+    FrameInput {
+        sequence,
+        stamp_ns,
+        content: FrameContent::Image(image),
+        odometry: None,
+        note: String::new(),
+    }
 }
 
 /// The first frame of the shipped drive that is at a place seen before, by its truth.

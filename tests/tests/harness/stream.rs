@@ -91,13 +91,13 @@ pub(crate) async fn answers_of(
 
 /// A frame as it goes over the wire.
 pub(crate) fn wire(frame: FrameInput) -> v1::Frame {
-    let FrameInput { sequence, stamp_ns, content, odometry } = frame;
+    let FrameInput { sequence, stamp_ns, content, odometry, note } = frame;
     let content = match content {
         FrameContent::Image(image) => v1::frame::Content::Image(image),
         FrameContent::Histogram(histogram) => v1::frame::Content::Histogram(histogram),
         FrameContent::Words(words) => v1::frame::Content::Words(words),
     };
-    v1::Frame { sequence, stamp_ns, odometry, content: Some(content) }
+    v1::Frame { sequence, stamp_ns, odometry, content: Some(content), note }
 }
 
 /// The first message of an ordinary stream.

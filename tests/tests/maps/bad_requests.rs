@@ -192,7 +192,7 @@ async fn files_that_are_no_models() {
         ("truncated", good[..good.len() / 3].to_vec(), "was cut short, so fetch it again"),
         ("without its checksum", good[..good.len() - 32].to_vec(), "was cut short"),
         ("flipped bit", flipped, "the checksum does not match"),
-        ("newer version", newer, "format version 99, this program reads up to 2; update Waypost"),
+        ("newer version", newer, "format version 99, this program reads up to 3; update Waypost"),
         ("longer", longer, "follow the end of the content"),
     ];
     for (case, file, fragment) in cases {

@@ -1,4 +1,4 @@
-//! Why frames were decided as they were: what is told fits what was decided, to the bit.
+//! Why frames were decided as they were: explanations fit what was decided, to the bit.
 
 use waypost_client::{Client, Code, FrameContent, FrameInput, v1};
 

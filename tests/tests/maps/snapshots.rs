@@ -24,15 +24,17 @@ use crate::harness::{
     said, session_options, state_hash, wire, workspace,
 };
 
-/// Snapshots of the format's versions. The second has labels.
+/// Snapshots of the format's versions. From the second on they have labels.
 const VERSION_1: &str = "tests/tests/fixtures/map-v1.snapshot";
 const VERSION_2: &str = "tests/tests/fixtures/map-v2.snapshot";
+const VERSION_3: &str = "tests/tests/fixtures/map-v3.snapshot";
 
 /// State hashes of the maps in them.
 const VERSION_1_STATE: &str = include_str!("../fixtures/map-v1.state-hash").trim_ascii();
 const VERSION_2_STATE: &str = include_str!("../fixtures/map-v2.state-hash").trim_ascii();
+const VERSION_3_STATE: &str = include_str!("../fixtures/map-v3.state-hash").trim_ascii();
 
-/// What people call places of the second.
+/// What people call places from the second on.
 const LABELS: [(&str, &str); 2] = [("maps/fixture/places/0", "kitchen"), ("maps/fixture/places/1", "Küche")];
 
 async fn export(client: &Client, map: &str) -> Vec<u8> {
@@ -79,6 +81,7 @@ async fn rows(directory: &Path) -> Vec<(&'static str, i64)> {
         "sessions",
         "log",
         "frame_media",
+        "frame_notes",
         "map_models",
         "labels",
         "checkpoints",

@@ -145,7 +145,7 @@ async fn a_mirror_leads_as_a_panorama_does() {
         let stamp_ns = sequence as i64 * 1_000_000_000;
         let content = FrameContent::Image(seen_from(&panoramas, pose, 700 + sequence));
         let mut guidance = navigation.guidance();
-        navigation.see(FrameInput { sequence, stamp_ns, content, odometry: None });
+        navigation.see(FrameInput { sequence, stamp_ns, content, odometry: None, note: String::new() });
         let told = guidance.wait_for(|told| told.as_ref().is_some_and(|told| told.stamp_ns == stamp_ns));
         let told = in_time(told).await.unwrap().clone().unwrap();
         let heading = told.appearance.and_then(|by_looks| by_looks.heading_rad);

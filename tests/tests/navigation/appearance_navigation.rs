@@ -58,7 +58,7 @@ async fn look(
     let stamp_ns = robot.now_ns() + 1;
     let content = FrameContent::Image(panoramas.image(&shot));
     let mut guidance = navigation.guidance();
-    navigation.see(FrameInput { sequence, stamp_ns, content, odometry: None });
+    navigation.see(FrameInput { sequence, stamp_ns, content, odometry: None, note: String::new() });
     let told = guidance.wait_for(|told| told.as_ref().is_some_and(|told| told.stamp_ns == stamp_ns));
     in_time(told).await.unwrap().clone().unwrap()
 }

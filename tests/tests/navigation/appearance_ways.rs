@@ -24,6 +24,7 @@ fn seen_from(panoramas: &Panoramas, sequence: u64, pose: Pose) -> FrameInput {
         stamp_ns: sequence as i64 * SECOND_NS,
         content: FrameContent::Image(panoramas.taken_at(pose, 500 + sequence)),
         odometry: None,
+        note: String::new(),
     }
 }
 

@@ -151,7 +151,11 @@ fn a_folder_is_streamed_and_told_frame_by_frame() {
         map["loop_closures"]
     );
     let text = waypost.text(&["stream", path(folder.path()), "--map", "drive", "--session", "text"]);
-    assert!(text.contains("maps/drive/sessions/text begun") && text.contains("frames         12"), "{text}");
+    let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(
+        text.contains("maps/drive/sessions/text begun") && words.contains("agree frames 12 somewhere new"),
+        "{text}"
+    );
 }
 
 /// Header and a row per frame; gives sequence and place of each.
@@ -256,4 +260,43 @@ fn a_model_is_trained_from_the_command_line() {
     assert_eq!(waypost.json(&["job", "get", job.trim_start_matches("jobs/")])["state"], "succeeded");
     let (code, stderr) = waypost.fails(&["job", "show", "jobs/9"]);
     assert_eq!(code, 4, "{stderr}");
+}
+
+/// A map that is made without settings has the defaults that the help tells of.
+#[test]
+fn the_help_has_the_numbers_of_the_defaults() {
+    let waypost = CommandLine::new();
+    waypost.prepare();
+    let settings = waypost.json(&["map", "show", "drive"])["settings"].clone();
+    let help = waypost.text(&["map", "create", "--help"]);
+    let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    for (setting, unit) in [
+        ("closure_threshold", ""),
+        ("guard_frames", " frames"),
+        ("new_place_prior", ""),
+        ("place_spacing_m", " m"),
+    ] {
+        let default = format!("{}{unit} by default", settings[setting]);
+        assert!(help.contains(&default), "{setting}: no {default:?} in {help}");
+    }
+    let degrees = settings["place_spacing_rad"].as_f64().unwrap().to_degrees().round();
+    assert!(help.contains(&format!("{degrees} degrees by default")), "{degrees}");
+}
+
+#[test]
+fn models_are_renamed_and_maps_are_watched() {
+    let waypost = CommandLine::new();
+    waypost.prepare();
+    assert_eq!(waypost.json(&["model", "rename", "shipped", "site"])["display_name"], "site");
+    assert_eq!(waypost.json(&["model", "show", "site"])["display_name"], "site");
+    let (code, said) = waypost.fails(&["model", "rename", "site", "a/b"]);
+    assert!(code == 4 && said.contains("no slash"), "{said}");
+    let again = waypost.run(&["model", "import", path(&model_file()), "--name", "other"]);
+    let said = String::from_utf8(again.stderr).unwrap();
+    assert!(
+        said.contains("has this model already, as \"site\"") && said.contains("waypost model rename"),
+        "{said}"
+    );
+    let (code, said) = waypost.fails(&["map", "watch", "drive", "--from", "5"]);
+    assert!(code == 4 && said.contains("no position 5"), "{said}");
 }

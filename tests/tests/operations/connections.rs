@@ -116,7 +116,7 @@ async fn strangers_keep_nobody_out() {
     let few = Strangers { connections: 8, connections_per_address: 8, time: Duration::from_secs(3600) };
     let server = Server::start_as(directory.path(), |server| server.with_strangers(few)).await;
     let ports = [server.grpc(), server.http()];
-    // Whoever is cut comes again.
+    // A robot that is cut comes again.
     let strangers: Vec<_> = (0..STRANGERS)
         .map(|stranger| {
             tokio::spawn(async move {

@@ -1,4 +1,4 @@
-//! A database that is held up: whoever writes is told to wait, robots wait, and nothing is lost.
+//! A database that is held up: writers are asked to wait, robots wait, and nothing is lost.
 
 use std::time::Duration;
 

@@ -1,17 +1,27 @@
 //! Bits that rot on the disk: what is damaged is named and not handed out, its map takes nothing more, and all else goes on.
 
 mod flips;
+mod notes;
 mod old_databases;
 
 use std::path::Path;
 
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
-use waypost_client::{Client, Code, FrameOutcome, v1};
+use waypost_client::{Client, Code, FrameInput, FrameOutcome, v1};
 
 use crate::harness::{
-    Server, answers, assert_status, database_options, first_return, frame, import_model, in_time,
-    map_request, refused, session_options,
+    Server, answers, assert_status, database_options, first_return, frame, get, import_model, in_time,
+    map_request, model_file, refused, session_options,
 };
+
+/// What the robot calls frames of the session `first`.
+fn note(sequence: u64) -> String {
+    format!("camera-{sequence:06}.jpg")
+}
+
+fn noted(sequence: u64) -> FrameInput {
+    FrameInput { note: note(sequence), ..frame(sequence) }
+}
 
 /// A directory with the maps `drive` and `spare`.
 async fn two_maps() -> tempfile::TempDir {
@@ -22,7 +32,7 @@ async fn two_maps() -> tempfile::TempDir {
     for map in ["drive", "spare"] {
         client.create_map(map_request(map, &model.name)).await.unwrap();
     }
-    answers(&client, "drive", "first", (1..=20).map(frame)).await;
+    answers(&client, "drive", "first", (1..=20).map(noted)).await;
     let again = first_return();
     answers(&client, "drive", "second", (again..again + 12).map(frame)).await;
     answers(&client, "spare", "only", (1..=5).map(frame)).await;
@@ -41,6 +51,15 @@ async fn sql(directory: &Path, statement: &str) {
 const ROTTEN_FRAME: &str = "UPDATE log SET event = CAST(substr(event, 1, 40) || \
      (CASE hex(substr(event, 41, 1)) WHEN '00' THEN x'01' ELSE x'00' END) || substr(event, 42) AS BLOB) \
      WHERE map_id = (SELECT id FROM maps WHERE name = 'drive') AND session = 0 AND sequence = 7";
+
+/// Flips a bit of the file where `bytes` lie in it.
+fn flip_at(directory: &Path, bytes: &[u8]) {
+    let file = directory.join("waypost.sqlite");
+    let mut content = std::fs::read(&file).unwrap();
+    let at = content.windows(bytes.len()).position(|window| window == bytes).expect("it is in the file");
+    content[at] ^= 1;
+    std::fs::write(&file, content).unwrap();
+}
 
 async fn deep(directory: &Path) -> Vec<String> {
     let findings = waypost_server::offline::check_all(directory).await.unwrap();
@@ -70,6 +89,7 @@ async fn a_rotten_frame_is_named_and_its_map_takes_nothing_more() {
     assert_eq!(map.frames, 32);
     assert_eq!(client.frames("maps/spare/sessions/only").await.unwrap().len(), 5);
 
+    watches_end(&server, &client).await;
     takes_nothing_more(&client).await;
     assert_eq!(answers(&client, "spare", "later", (1..=3).map(frame)).await.len(), 3);
     let (code, message) = refused(export(&client, "drive").await);
@@ -83,6 +103,23 @@ async fn a_rotten_frame_is_named_and_its_map_takes_nothing_more() {
     takes_nothing_more(&client).await;
     client.delete_map("drive").await.unwrap();
     server.stop().await;
+}
+
+/// Whoever watches the map is told of the damage; frames behind it are told.
+async fn watches_end(server: &Server, client: &Client) {
+    let mut watch = client.watch_map("drive", Some(0)).await.unwrap();
+    let (code, message) = refused(in_time(watch.next()).await);
+    assert_status("a watch", (code, &message), Code::DataLoss, "session first, frame 7");
+    let sent = get(server, "/v1/maps/drive/events?from_position=0").await;
+    let text = sent.text();
+    assert!(text.contains("event: error") && text.contains("\"data_loss\""), "{text}");
+    assert!(text.contains("session first, frame 7"), "{text}");
+    let position = 8;
+    let mut behind = client.watch_map("drive", Some(position)).await.unwrap();
+    match in_time(behind.next()).await.unwrap().unwrap().event {
+        Some(v1::map_event::Event::Frame(frame)) => assert_eq!(frame.position, position),
+        other => panic!("{other:?}"),
+    }
 }
 
 async fn takes_nothing_more(client: &Client) {
@@ -133,6 +170,10 @@ async fn events_that_are_gone_or_changed_places_show() {
             format!("UPDATE frame_media SET position = 900 WHERE {DRIVE} AND position = 9"),
             "of a frame that is none",
         ),
+        (
+            format!("UPDATE frame_notes SET position = 900 WHERE {DRIVE} AND position = 9"),
+            "the note \"camera-000009.jpg\" is of a frame that is none",
+        ),
     ] {
         let directory = two_maps().await;
         sql(directory.path(), &change).await;
@@ -142,8 +183,8 @@ async fn events_that_are_gone_or_changed_places_show() {
             "{change}: {found:?}"
         );
         assert!(!found.iter().any(|line| line.contains("spare")), "{change}: {found:?}");
-        let chained =
-            !change.contains("SET place") && !change.contains("sessions") && !change.contains("media");
+        let beside = ["SET place", "sessions", "frame_media", "frame_notes"];
+        let chained = !beside.iter().any(|beside| change.contains(beside));
         if chained {
             let server = Server::start_on(directory.path()).await;
             let (code, message) = refused(export(&server.client().await, "drive").await);
@@ -151,4 +192,23 @@ async fn events_that_are_gone_or_changed_places_show() {
             server.stop().await;
         }
     }
+}
+
+/// A model whose file is damaged keeps its name: whoever renames it would write the damage anew, with a right checksum.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_damaged_model_is_not_renamed() {
+    let directory = two_maps().await;
+    let model = std::fs::read(model_file()).unwrap();
+    let middle = model.len() / 2;
+    flip_at(directory.path(), &model[middle..middle + 24]);
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let before = client.models().await.unwrap();
+    let (code, message) = refused(client.rename_model(&before[0].name, "other").await);
+    assert_status("renaming", (code, &message), Code::DataLoss, "damaged");
+    assert_eq!(client.models().await.unwrap(), before);
+    server.stop().await;
+    let found = deep(directory.path()).await;
+    let named = before[0].name.strip_prefix("models/").unwrap();
+    assert!(found.iter().any(|line| line.contains(&format!("the model {named}"))), "{found:?}");
 }

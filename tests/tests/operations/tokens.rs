@@ -201,7 +201,7 @@ async fn a_server_without_a_token_answers_to_no_foreign_name() {
         assert_eq!(ask("/healthz", host).send().await.unwrap().status(), StatusCode::OK);
     }
     assert_eq!(ask("/v1/maps", "localhost:7601").send().await.unwrap().status(), StatusCode::OK);
-    // With a token, names are no matter: whoever asks must hold one.
+    // With a token, names are no matter: the caller must hold one.
     let (_, admin) = client.create_token("operator", v1::token::Role::Admin).await.unwrap();
     let admitted = ask("/v1/maps", "waypost.example").bearer_auth(admin).send().await.unwrap();
     assert_eq!(admitted.status(), StatusCode::OK);

@@ -294,6 +294,7 @@ async fn health_and_reflection_answer() {
     names.sort();
     let expected = [
         "AppearanceService",
+        "EventService",
         "JobService",
         "LabelService",
         "MapService",

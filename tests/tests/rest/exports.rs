@@ -59,7 +59,8 @@ async fn tables_hold_what_the_lists_hold() {
 fn in_short(session: &str, frame: &Value) -> Value {
     let answer = &frame["answer"];
     json!({
-        "session": session, "sequence": answer["sequence"], "stamp_ns": frame["stamp_ns"], "reason": answer["reason"],
+        "session": session, "sequence": answer["sequence"], "stamp_ns": frame["stamp_ns"], "note": frame["note"],
+        "reason": answer["reason"],
         "place_number": answer["place_number"], "posterior": answer["posterior"],
         "new_place_posterior": answer["new_place_posterior"], "places": answer["places"],
     })
@@ -73,7 +74,7 @@ fn in_columns(row: &Value) -> Value {
         columns.insert(format!("place_number_{}", rank + 1), place["place_number"].clone());
         columns.insert(format!("posterior_{}", rank + 1), place["posterior"].clone());
     }
-    columns.retain(|_, value| !value.is_null());
+    columns.retain(|_, value| !value.is_null() && value != "");
     Value::Object(columns)
 }
 

@@ -282,7 +282,12 @@ async fn sessions_and_frames_are_the_same() {
                 let session = session.to_owned();
                 both.sessions
                     .clone()
-                    .list_frames(v1::ListFramesRequest { session, page_size, page_token })
+                    .list_frames(v1::ListFramesRequest {
+                        session,
+                        page_size,
+                        page_token,
+                        note: String::new(),
+                    })
                     .await
             })
             .await;

@@ -107,8 +107,16 @@ async fn a_frame_is_kept_as_its_robot_was_told() {
         let name = frame_name("drive", "robot", sequence);
         let whole = client.frame(&name).await.unwrap();
         assert_eq!(whole, v1::FrameRecord { histogram: whole.histogram.clone(), ..record.clone() });
-        let v1::FrameRecord { name: named, stamp_ns, answer: kept, odometry, learnt, storage, histogram } =
-            whole;
+        let v1::FrameRecord {
+            name: named,
+            stamp_ns,
+            answer: kept,
+            odometry,
+            learnt,
+            storage,
+            histogram,
+            note: _,
+        } = whole;
         assert_eq!((named, stamp_ns), (name, SECOND_NS * sequence as i64));
         let told = v1::FrameAnswer {
             timings: None,
@@ -128,7 +136,8 @@ async fn a_frame_is_kept_as_its_robot_was_told() {
     let session = || "maps/drive/sessions/robot".to_owned();
     let (mut paged, mut page_token) = (Vec::new(), String::new());
     loop {
-        let request = v1::ListFramesRequest { session: session(), page_size: 7, page_token };
+        let request =
+            v1::ListFramesRequest { session: session(), page_size: 7, page_token, note: String::new() };
         let page = service.list_frames(request).await.unwrap().into_inner();
         assert!(!page.frames.is_empty() && page.frames.len() <= 7);
         paged.extend(page.frames);

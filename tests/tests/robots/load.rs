@@ -35,7 +35,13 @@ fn frame_of_words(sequence: u64, offset: usize) -> FrameInput {
     let (_, histograms) = &*WORDS;
     let histogram = histograms[(sequence as usize + offset) % histograms.len()].clone();
     let stamp_ns = SECOND_NS * i64::try_from(sequence).unwrap();
-    FrameInput { sequence, stamp_ns, content: FrameContent::Histogram(histogram), odometry: None }
+    FrameInput {
+        sequence,
+        stamp_ns,
+        content: FrameContent::Histogram(histogram),
+        odometry: None,
+        note: String::new(),
+    }
 }
 
 fn words_options(session: &str) -> SessionOptions {

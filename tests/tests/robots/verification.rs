@@ -88,7 +88,7 @@ async fn geometry_finds_more_loops_and_none_that_is_wrong() {
     server.stop().await;
 }
 
-/// The same decisions after a restart, by a robot that only looks, and for whoever asks why.
+/// The same decisions after a restart, by a robot that only looks, and in explanations.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_geometry_decided_is_in_the_log() {
     let directory = tempfile::tempdir().unwrap();
@@ -128,8 +128,8 @@ async fn what_geometry_decided_is_in_the_log() {
     let geometry = closed.r#match.as_ref().unwrap().geometry.as_ref().unwrap();
     assert_eq!(gate("inliers").value, f64::from(geometry.inliers));
     assert!(gate("inliers").passed && gate("translation").passed && gate("rotation").passed);
-    assert_eq!(gate("evidence").value, geometry.evidence_inliers);
-    assert!(gate("evidence").passed || gate("posterior").passed);
+    assert_eq!(gate("probability").value, geometry.probability);
+    assert!(gate("probability").passed && geometry.look_alike_inliers > 0.0);
 
     let looked = answers(&client, "hall", "lookout", (closed.sequence..=closed.sequence).map(frame)).await;
     assert!(looked[0].best_candidate.as_ref().unwrap().geometry.is_some());

@@ -3,11 +3,13 @@
 use fabmap::appearance::PlaceId;
 use fabmap::codec::{DecodeError, Reader, Writer};
 
+use super::look_alikes::unknown_over_frames;
 use super::placement::Placement;
+use super::probability::{Contributions, ProbabilityWeights};
 use super::two_view::{CandidateForm, TwoView};
 #[cfg(test)]
 use super::two_view::{Similarity, ViewMotion};
-use crate::bytes::{decode_option, encode_option, not_negative};
+use crate::bytes::{decode_option, encode_option, finite, not_negative};
 use crate::ids::FrameId;
 use crate::metric::RelativePose;
 
@@ -52,10 +54,6 @@ const ENOUGH: f64 = 20.0;
 /// that is asked for.
 const WORTH_OF_PLACED: f64 = 2.0;
 
-/// a, b, c of [`Candidate::probability`]: logistic regression over the proposals of the development
-/// sequences, each sequence of the same weight.
-const LOG_ODDS_WEIGHTS: [f64; 3] = [-0.80, 0.68, 0.17];
-
 /// A place that a frame was compared with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
@@ -67,6 +65,12 @@ pub struct Candidate {
     pub support: f64,
     /// Where in the place's frame the robot was at that frame, if it is known.
     pub seen_from: Option<RelativePose>,
+    /// What the best look-alike of this kind of place is expected to come to over the same frames,
+    /// in inliers, above 0.
+    pub look_alike_inliers: f64,
+    /// ln [p / (1 - p)] of the probability that both frames show the same place, by all that is
+    /// known, in nats; see [`ProbabilityWeights`]. Without a view, by words alone.
+    pub log_odds_nats: f64,
 }
 
 #[cfg(test)]
@@ -78,11 +82,51 @@ impl Candidate {
         let placement = Placement::Unknown;
         let view = TwoView { matches: 90, inliers: 80, distinct_inliers: 80, motion, placement };
         let matched = Match { place: 0, posterior: 1.0, log_odds: 9.0, frame: 1 };
-        Self { matched, view: Some(view), support: 0.0, seen_from: None }
+        Self::new(matched, Some(view), None, 10.0).judged(0.0, &ProbabilityWeights::default())
     }
 }
 
 impl Candidate {
+    /// What was compared, before it is judged.
+    #[must_use]
+    pub fn new(
+        matched: Match,
+        view: Option<TwoView>,
+        seen_from: Option<RelativePose>,
+        look_alike_inliers: f64,
+    ) -> Self {
+        let log_odds_nats = matched.log_odds;
+        Self { matched, view, support: 0.0, seen_from, look_alike_inliers, log_odds_nats }
+    }
+
+    /// The same with what the last frames say for it, and how probable that makes it by `weights`.
+    #[must_use]
+    pub fn judged(self, support: f64, weights: &ProbabilityWeights) -> Self {
+        let supported = Self { support, ..self };
+        let log_odds_nats = match self.view {
+            Some(_) => supported.contributions(weights).log_odds_nats(),
+            None => self.matched.log_odds,
+        };
+        Self { log_odds_nats, ..supported }
+    }
+
+    /// That both frames show the same place, in [0, 1]: what is held against the map's threshold.
+    /// Without keypoints the posterior.
+    #[must_use]
+    pub fn probability(&self) -> f64 {
+        match self.view {
+            Some(_) => 1.0 / (1.0 + (-self.log_odds_nats).exp()),
+            None => self.matched.posterior,
+        }
+    }
+
+    /// What speaks for it and against it, in nats. Without keypoints the posterior decides alone,
+    /// and this says nothing.
+    #[must_use]
+    pub fn contributions(&self, weights: &ProbabilityWeights) -> Contributions {
+        weights.contributions(self.evidence(), self.look_alike_inliers, self.matched.log_odds)
+    }
+
     /// min(1, e / 20) (e + 2 p + support) with e the pair's own evidence and p the features of known
     /// depth that agree where the robot is, in inliers: what this frame and the last ones say
     /// together, once this one says enough. A robot that has just left its old way still has the
@@ -109,25 +153,11 @@ impl Candidate {
         self.view.as_ref().map_or(0.0, TwoView::evidence)
     }
 
-    /// What proposals are ranked by: first those that geometry has evidence for, by that; then all
-    /// others by the log-odds of their posterior, less [`Candidate::UNVERIFIED`].
+    /// What proposals are ranked by: first those that geometry has evidence for, by their log-odds;
+    /// then all others by the log-odds of their posterior, less [`Candidate::UNVERIFIED`].
     #[must_use]
     pub fn score(&self) -> f64 {
-        let evidence = self.evidence();
-        if evidence > 0.0 { evidence } else { self.matched.log_odds - Self::UNVERIFIED }
-    }
-
-    /// That both frames show the same place, in [0, 1], by words and geometry together:
-    /// ln [p / (1 - p)] = a + b ln (1 + evidence) + c ln [posterior / (1 - posterior)].
-    /// Without keypoints the posterior itself.
-    #[must_use]
-    pub fn probability(&self) -> f64 {
-        if self.view.is_none() {
-            return self.matched.posterior;
-        }
-        let [offset, of_evidence, of_posterior] = LOG_ODDS_WEIGHTS;
-        let log_odds = offset + of_evidence * self.evidence().ln_1p() + of_posterior * self.matched.log_odds;
-        1.0 / (1.0 + (-log_odds).exp())
+        if self.evidence() > 0.0 { self.log_odds_nats } else { self.matched.log_odds - Self::UNVERIFIED }
     }
 
     /// More than any log-odds.
@@ -136,22 +166,38 @@ impl Candidate {
 
 impl Candidate {
     pub(crate) fn encode(&self, writer: &mut Writer) {
-        let Candidate { matched, view, support, seen_from } = self;
+        let Candidate { matched, view, support, seen_from, look_alike_inliers, log_odds_nats } = self;
         matched.encode(writer);
         encode_option(view.as_ref(), writer, TwoView::encode);
         writer.f64(*support);
         encode_option(seen_from.as_ref(), writer, RelativePose::encode);
+        writer.f64(*look_alike_inliers);
+        writer.f64(*log_odds_nats);
     }
 
     pub(crate) fn decode(form: CandidateForm, reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        Ok(Candidate {
-            matched: Match::decode(reader)?,
-            view: decode_option(reader, |reader| TwoView::decode(form, reader))?,
-            support: not_negative(reader.f64()?)?,
-            seen_from: match form {
-                CandidateForm::WithoutPlacement => None,
-                CandidateForm::WithPlacement => decode_option(reader, RelativePose::decode)?,
-            },
-        })
+        let matched = Match::decode(reader)?;
+        let view = decode_option(reader, |reader| TwoView::decode(form, reader))?;
+        let support = not_negative(reader.f64()?)?;
+        let seen_from = match form {
+            CandidateForm::WithoutPlacement => None,
+            CandidateForm::WithPlacement | CandidateForm::WithProbability => {
+                decode_option(reader, RelativePose::decode)?
+            }
+        };
+        match form {
+            CandidateForm::WithoutPlacement | CandidateForm::WithPlacement => {
+                let candidate = Self::new(matched, view, seen_from, unknown_over_frames());
+                Ok(candidate.judged(support, &ProbabilityWeights::default()))
+            }
+            CandidateForm::WithProbability => {
+                let look_alike_inliers = not_negative(reader.f64()?)?;
+                let log_odds_nats = finite(reader.f64()?)?;
+                if look_alike_inliers == 0.0 {
+                    return Err(DecodeError::invalid("look-alikes of no inlier"));
+                }
+                Ok(Candidate { matched, view, support, seen_from, look_alike_inliers, log_odds_nats })
+            }
+        }
     }
 }

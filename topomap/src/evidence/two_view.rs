@@ -122,7 +122,7 @@ impl TwoView {
         let motion = decode_option(reader, ViewMotion::decode)?;
         let placement = match form {
             CandidateForm::WithoutPlacement => Placement::Unknown,
-            CandidateForm::WithPlacement => Placement::decode(reader)?,
+            CandidateForm::WithPlacement | CandidateForm::WithProbability => Placement::decode(reader)?,
         };
         Ok(TwoView { matches, inliers, distinct_inliers, motion, placement })
     }
@@ -133,6 +133,7 @@ impl TwoView {
 pub(crate) enum CandidateForm {
     WithoutPlacement,
     WithPlacement,
+    WithProbability,
 }
 
 const SIMILARITY: u8 = 0;

@@ -3,11 +3,9 @@
 /// Whether a candidate is the same place, and why.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Verdict {
-    /// What must hold altogether, in the order of checking: both views may be of one scene.
-    pub all: Vec<Check>,
-    /// Of these one must hold: look-alike scenes pass for one too, so geometry has to be sure, or
-    /// the words.
-    pub one: Vec<Check>,
+    /// What must hold altogether, in the order of checking: both views may be of one scene, and,
+    /// since look-alike scenes may too, that they show the same place is probable enough.
+    pub checks: Vec<Check>,
 }
 
 /// One number of a verdict.
@@ -35,9 +33,9 @@ pub enum Bound {
 pub enum Quantity {
     /// [`super::TwoView::inliers`].
     Inliers,
-    /// [`super::Candidate::evidence`].
-    Evidence,
-    /// Of the place.
+    /// [`super::Candidate::probability`].
+    Probability,
+    /// Of the place, where nothing but words can tell.
     Posterior,
     /// |rotation|, in the image plane or in space, in radians.
     RotationRad,
@@ -57,7 +55,7 @@ impl std::fmt::Display for Quantity {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter.write_str(match self {
             Quantity::Inliers => "inliers",
-            Quantity::Evidence => "evidence",
+            Quantity::Probability => "probability",
             Quantity::Posterior => "posterior",
             Quantity::RotationRad => "rotation",
             Quantity::LnScale => "scale",
@@ -79,8 +77,7 @@ impl Verdict {
     /// The first check for which it is refused.
     #[must_use]
     pub fn failed(&self) -> Option<&Check> {
-        let unmet = || if self.one.iter().any(Check::passed) { None } else { self.one.first() };
-        self.all.iter().find(|check| !check.passed()).or_else(unmet)
+        self.checks.iter().find(|check| !check.passed())
     }
 }
 

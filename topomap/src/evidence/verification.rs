@@ -2,6 +2,7 @@
 
 use super::candidate::Candidate;
 use super::placement::Placement;
+use super::probability::ProbabilityWeights;
 use super::two_view::{TwoView, ViewMotion};
 use super::verdict::{Bound, Check, Quantity, Verdict};
 use crate::metric::PlaceSpacing;
@@ -46,9 +47,8 @@ pub struct VerificationSettings {
     pub max_ln_scale: f64,
     /// Largest |t|, in image widths, above 0; infinite where a robot steers by the shift.
     pub max_translation_widths: f64,
-    /// Least [`Candidate::evidence`] for a closure that the words alone are not sure of, above 0.
-    /// Offices whose floors look alike reach 260.
-    pub min_evidence: f64,
+    /// What the probability of a candidate is made of.
+    pub weights: ProbabilityWeights,
     /// Earlier frames of the session whose matches speak for those near them; 0 lets each frame
     /// stand alone.
     pub consistency_frames: u64,
@@ -63,7 +63,7 @@ impl Default for VerificationSettings {
             max_rotation_rad: 0.5,
             max_ln_scale: 0.8,
             max_translation_widths: 0.5,
-            min_evidence: 350.0,
+            weights: ProbabilityWeights::default(),
             consistency_frames: 8,
         }
     }
@@ -133,7 +133,6 @@ impl VerificationSettings {
             (Quantity::RotationRad, self.max_rotation_rad),
             (Quantity::LnScale, self.max_ln_scale),
             (Quantity::TranslationWidths, self.max_translation_widths),
-            (Quantity::Evidence, self.min_evidence),
         ];
         if let Some(&(quantity, value)) = bounds.iter().find(|(_, value)| value.is_nan() || *value <= 0.0) {
             return Err(VerificationError::Bound { quantity, value });
@@ -145,20 +144,22 @@ impl VerificationSettings {
     }
 
     /// Whether the candidate is the same place, with each number and what is asked of it, where
-    /// places are `spacing` apart. `closure_threshold` is the posterior from which words are sure
-    /// enough, see [`crate::settings::MapperSettings::closure_threshold`]. Where a frame has no
-    /// keypoints, they decide alone.
+    /// places are `spacing` apart. `closure_threshold` is the probability from which a loop is
+    /// closed, see [`crate::settings::MapperSettings::closure_threshold`]. Where a frame has no
+    /// keypoints, that is the posterior: words decide alone.
     #[must_use]
     pub fn verdict(&self, candidate: &Candidate, closure_threshold: f64, spacing: &PlaceSpacing) -> Verdict {
-        let at_least = |quantity, value, least| Check { quantity, value, bound: Bound::AtLeast(least) };
-        let posterior = at_least(Quantity::Posterior, candidate.matched.posterior, closure_threshold);
-        match &candidate.view {
-            Some(view) => Verdict {
-                all: self.of_one_place(view, spacing),
-                one: vec![at_least(Quantity::Evidence, candidate.evidence(), self.min_evidence), posterior],
-            },
-            None => Verdict { all: Vec::new(), one: vec![posterior] },
-        }
+        let bound = Bound::AtLeast(closure_threshold);
+        let reaches = |quantity| Check { quantity, value: candidate.probability(), bound };
+        let checks = match &candidate.view {
+            Some(view) => {
+                let mut checks = self.of_one_place(view, spacing);
+                checks.push(reaches(Quantity::Probability));
+                checks
+            }
+            None => vec![reaches(Quantity::Posterior)],
+        };
+        Verdict { checks }
     }
 
     fn placed_inliers(value: u32) -> Check {

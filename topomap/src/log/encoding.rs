@@ -5,13 +5,15 @@ use fabmap::observation::Observation;
 
 use super::event::{Decision, FrameEvent, MapEvent, MeasuredEvent, Reason};
 use super::link::Link;
-use crate::bytes::{decode_belief, decode_flag, decode_option, encode_belief, encode_option};
+use crate::bytes::{decode_belief, decode_flag, decode_option, encode_belief, encode_option, not_negative};
 use crate::evidence::{Candidate, CandidateForm, Match, VerificationSettings};
 use crate::metric::{Odometry, RelativePose};
 
 /// Version of the byte form of [`MapEvent`]; 2 added the candidates, 3 where in its place the robot
-/// is, 4 what robots measured by themselves, 5 where structure puts the robot.
-const VERSION: u8 = 5;
+/// is, 4 what robots measured by themselves, 5 where structure puts the robot, 6 how probable
+/// candidates are beside look-alikes.
+const VERSION: u8 = 6;
+const VERSION_BEFORE_PROBABILITY: u8 = 5;
 const VERSION_BEFORE_PLACEMENT: u8 = 4;
 const VERSION_BEFORE_POSES: u8 = 2;
 const VERSION_BEFORE_VERIFICATION: u8 = 1;
@@ -80,6 +82,7 @@ fn encode_frame(event: &FrameEvent, writer: &mut Writer) {
         link,
         at,
         belief,
+        look_alike_inliers,
     } = event;
     writer.u64(*frame);
     writer.u32(*session);
@@ -100,6 +103,7 @@ fn encode_frame(event: &FrameEvent, writer: &mut Writer) {
     encode_option(link.as_ref(), writer, Link::encode);
     encode_option(at.as_ref(), writer, RelativePose::encode);
     encode_belief(belief, writer);
+    encode_option(look_alike_inliers.as_ref(), writer, |inliers, writer| writer.f64(*inliers));
 }
 
 fn decode_frame(
@@ -131,6 +135,11 @@ fn decode_frame(
         link: decode_option(reader, Link::decode)?,
         at: if version > VERSION_BEFORE_POSES { decode_option(reader, RelativePose::decode)? } else { None },
         belief: decode_belief(reader)?,
+        look_alike_inliers: if version > VERSION_BEFORE_PROBABILITY {
+            decode_option(reader, |reader| not_negative(reader.f64()?))?
+        } else {
+            None
+        },
     })
 }
 
@@ -165,7 +174,9 @@ impl MeasuredEvent {
 const CANDIDATE_BYTES: usize = 37;
 
 fn decode_candidates(version: u8, reader: &mut Reader<'_>) -> Result<Vec<Candidate>, DecodeError> {
-    let form = if version > VERSION_BEFORE_PLACEMENT {
+    let form = if version > VERSION_BEFORE_PROBABILITY {
+        CandidateForm::WithProbability
+    } else if version > VERSION_BEFORE_PLACEMENT {
         CandidateForm::WithPlacement
     } else {
         CandidateForm::WithoutPlacement

@@ -70,6 +70,9 @@ pub struct FrameEvent {
     pub at: Option<RelativePose>,
     /// What the next frame of the session starts from.
     pub belief: Belief,
+    /// What the best look-alike of a frame like this one and the last ones is expected to show by
+    /// itself, in inliers; `None` where nothing was compared.
+    pub look_alike_inliers: Option<f64>,
 }
 
 impl FrameEvent {

@@ -11,6 +11,7 @@ use super::{
     Sighting, Stay,
 };
 use crate::bytes::{decode_belief, decode_option, encode_belief, encode_option, finite, not_negative};
+use crate::evidence::LookAlikesSeen;
 use crate::metric::{Odometry, RelativePose};
 use crate::settings::MAX_PAST_FRAMES;
 use posegraph::PlanarPose;
@@ -21,8 +22,10 @@ impl Map {
         let Self { places, links, linked: _, sessions, events } = self;
         let verified = sessions.values().any(|session| !session.sightings.is_empty());
         let posed = sessions.values().any(Session::is_posed);
-        let version = match (sessions.values().any(Session::is_measured), posed, verified) {
-            (true, _, _) => SESSION_VERSION,
+        let measured = sessions.values().any(Session::is_measured);
+        let version = match (measured, posed, verified) {
+            _ if sessions.values().any(Session::knows_look_alikes) => SESSION_VERSION,
+            (true, _, _) => BEFORE_LOOK_ALIKES,
             (false, true, _) => BEFORE_MILESTONES,
             (false, false, true) => BEFORE_POSES,
             (false, false, false) => BEFORE_VERIFICATION,
@@ -42,11 +45,12 @@ impl Map {
 }
 
 /// Version of a session's byte form; 2 added the sightings, 3 where the robot is in its place, 4 how
-/// far it has come and where sightings put it.
-pub(crate) const SESSION_VERSION: u32 = 4;
+/// far it has come and where sightings put it, 5 what look-alikes show.
+pub(crate) const SESSION_VERSION: u32 = 5;
 
 /// The versions without. The graph of a map that has none of what was added is still hashed so: its
 /// hash is what it was.
+const BEFORE_LOOK_ALIKES: u32 = 4;
 const BEFORE_MILESTONES: u32 = 3;
 const BEFORE_POSES: u32 = 2;
 const BEFORE_VERIFICATION: u32 = 1;
@@ -124,6 +128,11 @@ impl Session {
         !self.milestones.passed.is_empty() || self.sightings.iter().any(|sighting| sighting.placed.is_some())
     }
 
+    /// Whether anything is known that the fourth version has no bytes for.
+    fn knows_look_alikes(&self) -> bool {
+        self.look_alikes != LookAlikesSeen::default()
+    }
+
     pub(crate) fn encode(&self, version: u32, writer: &mut Writer) {
         let Self {
             frames,
@@ -137,6 +146,7 @@ impl Session {
             past,
             anchor,
             milestones,
+            look_alikes: LookAlikesSeen { inliers, shares, frames: compared },
         } = self;
         writer.u64(*frames);
         encode_option(last_sequence.as_ref(), writer, |sequence, writer| writer.u64(*sequence));
@@ -179,6 +189,11 @@ impl Session {
         if version > BEFORE_MILESTONES {
             milestones.encode(writer);
         }
+        if version > BEFORE_LOOK_ALIKES {
+            encode_option(inliers.as_ref(), writer, |inliers, writer| writer.f64(*inliers));
+            writer.f64(*shares);
+            writer.u64(*compared);
+        }
     }
 
     pub(crate) fn decode(version: u32, reader: &mut Reader<'_>) -> Result<Self, DecodeError> {
@@ -216,6 +231,15 @@ impl Session {
                 Milestones::decode(reader)?
             } else {
                 Milestones::default()
+            },
+            look_alikes: if version > BEFORE_LOOK_ALIKES {
+                LookAlikesSeen {
+                    inliers: decode_option(reader, |reader| not_negative(reader.f64()?))?,
+                    shares: not_negative(reader.f64()?)?,
+                    frames: reader.u64()?,
+                }
+            } else {
+                LookAlikesSeen::default()
             },
         })
     }

@@ -8,6 +8,7 @@ use posegraph::{PlanarPose, Pose};
 
 use super::PlaceFrame;
 use super::milestones::Milestones;
+use crate::evidence::{Compared, LookAlikesSeen};
 use crate::log::FrameEvent;
 use crate::metric::{Odometry, RelativePose};
 use crate::settings::{GuardMeasure, MAX_PAST_FRAMES, MapperSettings};
@@ -37,6 +38,8 @@ pub struct Session {
     pub anchor: Option<Anchor>,
     /// How far it has come; empty where the guard counts frames.
     pub milestones: Milestones,
+    /// What look-alikes show where it drives.
+    pub look_alikes: LookAlikesSeen,
 }
 
 /// A frame whose place was not only recognised: where in it the robot was is known to within a
@@ -121,6 +124,13 @@ pub struct LeftPlace {
     pub looks: u32,
 }
 
+impl Sighting {
+    fn compared(&self) -> Compared {
+        let Self { seen, evidence, total_evidence, .. } = *self;
+        Compared { seen: (seen.session, seen.number), evidence, total_evidence }
+    }
+}
+
 impl Session {
     /// A session without a frame.
     pub(crate) fn new() -> Self {
@@ -136,6 +146,7 @@ impl Session {
             past: VecDeque::new(),
             anchor: None,
             milestones: Milestones::default(),
+            look_alikes: LookAlikesSeen::default(),
         }
     }
 
@@ -206,6 +217,10 @@ impl Session {
             {
                 self.anchor = Some(Anchor { place, odometry: odometry.clone(), at });
             }
+        }
+        if let Some(expected_inliers) = event.look_alike_inliers {
+            let compared: Vec<Compared> = sightings.iter().map(Sighting::compared).collect();
+            self.look_alikes.follow(expected_inliers, event.observation.len(), &compared);
         }
         let earliest = (self.frames + 1).saturating_sub(settings.verification.consistency_frames.max(1));
         self.sightings.retain(|sighting| sighting.number >= earliest);

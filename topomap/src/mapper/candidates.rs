@@ -5,7 +5,7 @@ use std::cmp::Ordering;
 use fabmap::appearance::PlaceId;
 
 use super::state::Mapper;
-use crate::evidence::{Candidate, Check, Placement, TwoView, Verdict, VerificationSettings};
+use crate::evidence::{Candidate, Check, Placement, TwoView, Verdict, VerificationSettings, ViewMotion};
 use crate::map::Session;
 use crate::settings::MapperSettings;
 
@@ -15,6 +15,10 @@ const AS_GOOD: f64 = 0.9;
 
 /// Views with less than this share of the strongest own evidence are not the nearest.
 const HALF_AS_GOOD: f64 = 0.5;
+
+/// Largest |ln s| of a view that was taken beside the current one. On a walk with a frame a step,
+/// four in five of those a frame apart are within.
+const BESIDE_LN_SCALE: f64 = 0.25;
 
 /// How many place spacings around that is.
 const AROUND_SPACINGS: f64 = 6.0;
@@ -32,27 +36,22 @@ impl Mapper {
         self.settings().verdict(candidate)
     }
 
-    /// The candidate that is the same place: of those with about the most evidence, the nearest
-    /// view that is accepted. One with far less evidence than another is left out: words may be
-    /// sure of a place that merely looks alike. Those do not count that structure puts elsewhere: it
-    /// has explained why they look alike.
+    /// The candidate that is the same place: of those that are accepted, with about the most
+    /// evidence of all, the one taken from nearest. One with far less evidence than another is left
+    /// out: words may be sure of a place that merely looks alike. Those do not count that structure
+    /// puts elsewhere: it has explained why they look alike.
     pub(super) fn verified<'a>(
         &self,
         session: &Session,
         candidates: &'a [Candidate],
     ) -> Option<&'a Candidate> {
         let possible = candidates.iter().filter(|candidate| !self.is_elsewhere(candidate));
-        let strongest = possible.map(Candidate::evidence).fold(0.0, f64::max);
-        let as_good = candidates
-            .iter()
+        let strongest = possible.clone().map(Candidate::evidence).fold(0.0, f64::max);
+        let accepted = possible
+            .filter(|candidate| candidate.view.is_some())
             .filter(|candidate| !session.is_near(candidate.matched.place, self.settings()))
-            .filter(|candidate| candidate.view.is_some() && candidate.evidence() >= AS_GOOD * strongest)
-            .filter(|candidate| !self.is_elsewhere(candidate));
-        let passed = as_good
-            .clone()
-            .filter(|candidate| self.verdict(candidate).is_accepted())
-            .filter(|candidate| !is_outdone(candidate, as_good.clone()));
-        passed.min_by(|a, b| nearer(a, b))
+            .filter(|candidate| self.verdict(candidate).is_accepted());
+        taken_nearest(accepted, strongest)
     }
 
     /// Whether structure measured that the robot is not at the candidate's place.
@@ -100,12 +99,39 @@ impl Mapper {
     }
 }
 
-/// Whether another candidate with about as much evidence has more than twice as much of its own: on
-/// a straight way the frames behind the robot are in step as those beside it are, and look less like
-/// what it sees. Where the distance is measured, that decides.
-fn is_outdone<'a>(candidate: &Candidate, mut others: impl Iterator<Item = &'a Candidate>) -> bool {
-    measured_m(candidate).is_none()
-        && others.any(|other| candidate.own_evidence() < HALF_AS_GOOD * other.own_evidence())
+/// Of candidates with about the `strongest` evidence the one taken from nearest to the current
+/// frame: by metres, where they are measured; else the one that shows most of it by itself. If that
+/// one is seen larger or smaller, another that is not, and has half as much, was taken beside it:
+/// on a straight way the frames behind the robot are in step as those beside it are.
+fn taken_nearest<'a>(
+    candidates: impl Iterator<Item = &'a Candidate> + Clone,
+    strongest: f64,
+) -> Option<&'a Candidate> {
+    let as_good = candidates.clone().filter(|candidate| candidate.evidence() >= AS_GOOD * strongest);
+    let measured = as_good.clone().filter(|candidate| measured_m(candidate).is_some());
+    if let Some(nearest) = measured.min_by(|a, b| nearer(a, b)) {
+        return Some(nearest);
+    }
+    let shows_more = |best: &'a Candidate, next: &'a Candidate| {
+        if next.own_evidence() > best.own_evidence() { next } else { best }
+    };
+    let alike = as_good.reduce(shows_more)?;
+    if magnification(alike) <= BESIDE_LN_SCALE {
+        return Some(alike);
+    }
+    let half_as_good = candidates.filter(|other| {
+        other.evidence() >= HALF_AS_GOOD * strongest
+            && other.own_evidence() >= HALF_AS_GOOD * alike.own_evidence()
+    });
+    half_as_good.min_by(|a, b| magnification(a).total_cmp(&magnification(b)))
+}
+
+/// |ln s| of a motion in the image plane; 0 where that is not known.
+fn magnification(candidate: &Candidate) -> f64 {
+    match candidate.view.as_ref().and_then(|view| view.motion) {
+        Some(ViewMotion::Similarity(motion)) => motion.ln_scale.abs(),
+        Some(ViewMotion::Essential { .. } | ViewMotion::Fundamental(_)) | None => 0.0,
+    }
 }
 
 fn nearer(a: &Candidate, b: &Candidate) -> Ordering {
@@ -131,8 +157,13 @@ pub(super) fn is_without_keypoints(candidates: &[Candidate], place: PlaceId) -> 
     candidates.iter().any(|candidate| candidate.matched.place == place && candidate.view.is_none())
 }
 
-/// The candidate that a judge of loop closures would be shown.
+/// The candidate that a judge of loop closures would be shown: of those that geometry has evidence
+/// for, the nearest of the strongest; else the most probable by words.
 pub(super) fn most_likely(candidates: &[Candidate]) -> Option<&Candidate> {
+    let strongest = candidates.iter().map(Candidate::evidence).fold(0.0, f64::max);
+    if strongest > 0.0 {
+        return taken_nearest(candidates.iter().filter(|candidate| candidate.view.is_some()), strongest);
+    }
     // The first of equal ones: those come in order of probability.
     candidates.iter().reduce(|best, next| if next.score() > best.score() { next } else { best })
 }
@@ -141,18 +172,28 @@ pub(super) fn most_likely(candidates: &[Candidate]) -> Option<&Candidate> {
 mod tests {
     use super::*;
 
+    /// A candidate with so many inliers, seen larger by a factor of e to `ln_scale`.
+    fn seen_larger(inliers: u32, ln_scale: f64, support: f64) -> Candidate {
+        let candidate = Candidate::shifted(ln_scale, 0.0);
+        let view = candidate.view.map(|view| TwoView { inliers, distinct_inliers: inliers, ..view });
+        Candidate { view, support, ..candidate }
+    }
+
     #[test]
-    fn what_shows_far_less_of_it_is_further_behind() {
-        let of_inliers = |inliers| {
-            let candidate = Candidate::shifted(0.3, 0.0);
-            let view = candidate.view.map(|view| TwoView { inliers, distinct_inliers: inliers, ..view });
-            Candidate { view, ..candidate }
+    fn of_frames_in_step_the_one_beside_the_robot_is_taken() {
+        let taken = |candidates: &[Candidate]| {
+            let strongest = candidates.iter().map(Candidate::evidence).fold(0.0, f64::max);
+            let nearest = taken_nearest(candidates.iter(), strongest).unwrap();
+            candidates.iter().position(|candidate| candidate == nearest).unwrap()
         };
-        let beside = [of_inliers(60), of_inliers(40)];
-        assert!(is_outdone(&of_inliers(20), beside.iter()));
-        assert!(!is_outdone(&of_inliers(40), beside.iter()));
-        assert!(!is_outdone(&of_inliers(60), beside.iter()));
-        assert!(!is_outdone(&of_inliers(20), [].iter()));
+        let (behind, ahead) = (seen_larger(60, 0.1, 300.0), seen_larger(35, -0.05, 300.0));
+        assert_eq!(taken(&[behind, ahead]), 0);
+        // Far behind, while one ahead shows half as much: that was taken beside the robot.
+        let far_behind = seen_larger(60, 0.4, 300.0);
+        assert_eq!(taken(&[far_behind, ahead]), 1);
+        assert_eq!(taken(&[far_behind, seen_larger(20, -0.05, 300.0)]), 0);
+        // What is in step, but shows little of it, does not outdo what shows more.
+        assert_eq!(taken(&[seen_larger(23, 0.2, 340.0), seen_larger(60, 0.1, 290.0)]), 1);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use super::frame::{FrameInHand, FrameInput, Growth};
 use super::localizer::Queried;
 use super::poses::Located;
 use super::proposing::{Comparisons, EarlierMatch, Proposed};
-use crate::evidence::{Candidate, Check, Match, TurnedView};
+use crate::evidence::{Candidate, Check, Match, TurnedView, over_frames, unknown_over_frames};
 use crate::log::{Decision, FrameEvent, Link, LinkKind, Reason};
 use crate::settings::MapperSettings;
 
@@ -39,7 +39,7 @@ impl Proposed<'_> {
         };
         self.frame.check_that_wheels_turn(&decision, comparisons)?;
         let located = self.locate(&decision, &candidates, comparisons);
-        let FrameInHand { mapper, session, growth, input, recognition, .. } = self.frame;
+        let FrameInHand { mapper, session, growth, input, recognition, look_alike_inliers, .. } = self.frame;
         let (learnt, link) = match growth {
             Growth::Grows => (
                 mapper.learns(&session, &decision),
@@ -66,6 +66,7 @@ impl Proposed<'_> {
             link,
             at: located.map(|located| located.at()),
             belief,
+            look_alike_inliers,
         };
         Ok(Decided { event, recognition })
     }
@@ -90,10 +91,14 @@ impl Proposed<'_> {
 
     /// The compared places, with what speaks for them.
     fn candidates(&self, comparisons: &Comparisons) -> Vec<Candidate> {
+        let settings = self.frame.mapper.settings().verification;
+        let frames = self.frame.session.frames.min(settings.consistency_frames);
+        let of_frame = self.frame.look_alike_inliers;
+        let look_alikes = of_frame.map_or_else(unknown_over_frames, |inliers| over_frames(inliers, frames));
         let candidate = |&EarlierMatch { matched, at }: &EarlierMatch| {
             let view = comparisons.views.get(&matched.frame).copied();
-            let alone = Candidate { matched, view, support: 0.0, seen_from: at };
-            Candidate { support: self.frame.support(&alone), ..alone }
+            let alone = Candidate::new(matched, view, at, look_alikes);
+            alone.judged(self.frame.support(&alone), &settings.weights)
         };
         self.compared.iter().map(candidate).collect()
     }

@@ -45,6 +45,9 @@ pub(super) struct FrameInHand<'a> {
     pub(super) recognition: Recognition,
     /// The most probable of all places and "somewhere new", by `recognition`.
     pub(super) association: Association,
+    /// What the best look-alike is expected to show by itself; `None` where nothing is verified, or
+    /// the frame shows too little.
+    pub(super) look_alike_inliers: Option<f64>,
 }
 
 impl FrameInHand<'_> {

@@ -136,7 +136,12 @@ impl Mapper {
     ) -> Recognized<'a> {
         let recognition = self.recognizer().recognize_observed(&input.observation, prior, observer);
         let association = recognition.association();
-        let frame = FrameInHand { mapper: self, session, growth, input, recognition, association };
+        let looks = self.verifies() && input.observation.len() >= self.settings().min_words;
+        let look_alike_inliers =
+            looks.then(|| self.expected_look_alike_inliers(&session, &input.observation));
+        let mapper = self;
+        let frame =
+            FrameInHand { mapper, session, growth, input, recognition, association, look_alike_inliers };
         if frame.shows_too_little() {
             return Recognized { frame, compared: Vec::new(), wanted: BTreeMap::new() };
         }

@@ -1,7 +1,10 @@
 //! The fold, and what it has come to.
 
 use fabmap::appearance::{Appearance, PlaceId};
+use std::sync::Arc;
+
 use fabmap::explanation::Explanation;
+use fabmap::look_alikes::Kinds;
 use fabmap::model::{ContentHash, Model};
 use fabmap::observation::Observation;
 use fabmap::recognizer::{Recognition, Recognizer};
@@ -24,6 +27,8 @@ pub struct Mapper {
     poses: PlacePoses,
     settings: MapperSettings,
     vocabulary_len: usize,
+    /// Of the model; `None` if it does not know look-alikes.
+    kinds: Option<Arc<Kinds>>,
 }
 
 impl Mapper {
@@ -50,6 +55,7 @@ impl Mapper {
             poses: PlacePoses::default(),
             settings,
             vocabulary_len: model.vocabulary().len(),
+            kinds: model.kinds().map(Arc::new),
         })
     }
 
@@ -133,6 +139,12 @@ impl Mapper {
     #[must_use]
     pub fn vocabulary_len(&self) -> usize {
         self.vocabulary_len
+    }
+
+    /// What the best look-alike of a frame of `session` is expected to show by itself, in inliers.
+    pub(super) fn expected_look_alike_inliers(&self, session: &Session, observation: &Observation) -> f64 {
+        let kind = self.kinds.as_ref().map(|kinds| kinds.of(observation));
+        session.look_alikes.expected_inliers(kind, observation.len(), self.map.look_alikes())
     }
 
     /// Memory that the map takes, in bytes, roughly.

@@ -6,7 +6,7 @@ use fabmap::appearance::PlaceId;
 use fabmap::place_filter::Belief;
 
 use super::{FusedPlace, MergePlan, PlaceMatch};
-use crate::evidence::{Candidate, Match, VerificationSettings};
+use crate::evidence::{Candidate, Match, ProbabilityWeights, VerificationSettings, unknown_over_frames};
 use crate::ids::{FrameId, SessionId};
 use crate::log::{Decision, FrameEvent, Link, LinkKind, MapEvent, MeasuredEvent, MovedPlace, Reason};
 use crate::map::PlacePoses;
@@ -148,6 +148,7 @@ impl<'a> Joining<'a> {
                 None => None,
             },
             at,
+            look_alike_inliers: event.look_alike_inliers,
             belief: self.belief(&event.belief)?,
         })
     }
@@ -175,7 +176,8 @@ impl<'a> Joining<'a> {
         let PlaceMatch { target: place, target_frame: frame, posterior, view, .. } = matched;
         let closure = Match { place, posterior, log_odds: log_odds.max(f64::MIN), frame };
         candidates.truncate(VerificationSettings::MAX_CANDIDATES - 1);
-        candidates.push(Candidate { matched: closure, view, support: 0.0, seen_from: None });
+        let candidate = Candidate::new(closure, view, None, unknown_over_frames());
+        candidates.push(candidate.judged(0.0, &ProbabilityWeights::default()));
         Some(Decision { reason: Reason::LoopClosure, place: Some(place), posterior, closure: Some(closure) })
     }
 

@@ -7,8 +7,8 @@ use fabmap::observation::Observation;
 use fabmap::place_filter::MotionPrior;
 use rayon::prelude::*;
 
-use super::{KnownMap, MergeError, MergeObserver, MergeSettings, PlaceMatch, ViewsBetween};
-use crate::evidence::{ArchiveError, Check, ClosureNoise, TwoView};
+use super::{KnownMap, MergeError, MergeObserver, MergeSettings, PairComparison, PlaceMatch, PlacePair};
+use crate::evidence::{Check, ClosureNoise, TwoView};
 use crate::ids::FrameId;
 use crate::metric::RelativePose;
 
@@ -16,19 +16,18 @@ use crate::metric::RelativePose;
 /// a stay teaches, twice.
 const MAX_COMPARED_FRAMES: usize = 6;
 
-/// Matches of all places of the source with places of the target, in the order of the source's; of
-/// each at most [`MergeSettings::candidates`]. On the calling thread's pool; the same on any number
-/// of threads.
+/// Pairs of places whose frames are to be compared, in the order of the source's places; of each at
+/// most [`MergeSettings::candidates`], the most probable first. On the calling thread's pool; the
+/// same on any number of threads.
 ///
 /// # Errors
-/// [`MergeError`] if the vocabularies differ, a frame cannot be read, or the observer ends it.
-pub fn find_matches(
+/// [`MergeError`] if a setting is out of range, the vocabularies differ, or the observer ends it.
+pub fn pairs_to_compare(
     source: KnownMap<'_>,
     target: KnownMap<'_>,
-    views: &dyn ViewsBetween,
     settings: &MergeSettings,
     observer: &dyn MergeObserver,
-) -> Result<Vec<PlaceMatch>, MergeError> {
+) -> Result<Vec<PlacePair>, MergeError> {
     settings.check()?;
     let words = |map: KnownMap<'_>| map.mapper.vocabulary_len();
     if words(source) != words(target) {
@@ -40,7 +39,7 @@ pub fn find_matches(
         if ended.load(Ordering::Relaxed) {
             return Err(MergeError::Ended);
         }
-        let found = matches_of(place, source, target, views, settings)?;
+        let found = pairs_of(place, source, target, settings);
         if !observer.goes_on(done.fetch_add(1, Ordering::Relaxed) + 1) {
             ended.store(true, Ordering::Relaxed);
         }
@@ -52,64 +51,80 @@ pub fn find_matches(
 }
 
 /// One place, as it was first seen: there its frame is.
-fn matches_of(
+fn pairs_of(
     place: PlaceId,
     source: KnownMap<'_>,
     target: KnownMap<'_>,
-    views: &dyn ViewsBetween,
     settings: &MergeSettings,
-) -> Result<Vec<PlaceMatch>, ArchiveError> {
+) -> Vec<PlacePair> {
     let frames = &source.mapper.map().places()[place as usize].frames;
-    let Some(source_frame) = frames.first().map(|frame| frame.frame) else { return Ok(Vec::new()) };
-    let Some(observation) = source.archive.observation(source_frame)? else { return Ok(Vec::new()) };
+    let Some(seen) = frames.first().and_then(|frame| source.frame(frame.frame)) else { return Vec::new() };
+    let observation = &seen.observation;
     let recognizer = target.mapper.recognizer();
     if observation.len() < target.mapper.settings().min_words || recognizer.places() == 0 {
-        return Ok(Vec::new());
+        return Vec::new();
     }
-    let posterior = recognizer.recognize(&observation, &MotionPrior::even()).posterior;
-    let at_source = source.archive.at(source_frame)?.unwrap_or_else(RelativePose::none);
-    let mut found = Vec::new();
-    for (candidate, probability) in posterior.top(settings.candidates) {
-        let Some(target_frame) = best_frame(candidate, target, &observation)? else { continue };
-        let view = views.compare(source_frame, target_frame)?;
-        if !is_enough(view.as_ref(), probability, target, settings) {
-            continue;
+    let posterior = recognizer.recognize(observation, &MotionPrior::even()).posterior;
+    let pair = |(candidate, posterior)| {
+        let target_frame = best_frame(candidate, target, observation)?;
+        Some(PlacePair {
+            source: place,
+            target: candidate,
+            source_frame: seen.frame,
+            target_frame,
+            posterior,
+        })
+    };
+    posterior.top(settings.candidates).into_iter().filter_map(pair).collect()
+}
+
+/// Of the frames that a place learnt from, the one that explains an observation best.
+fn best_frame(place: PlaceId, target: KnownMap<'_>, observation: &Observation) -> Option<FrameId> {
+    let frames = &target.mapper.map().places()[place as usize].frames;
+    let single_looks = target.mapper.recognizer().index().model().single_looks(observation);
+    let mut best: Option<(f64, FrameId)> = None;
+    for frame in frames.iter().rev().take(MAX_COMPARED_FRAMES) {
+        let Some(seen) = target.frame(frame.frame) else { continue };
+        let log_likelihood = single_looks.log_likelihood(&seen.observation);
+        if best.is_none_or(|(best, _)| log_likelihood > best) {
+            best = Some((log_likelihood, frame.frame));
         }
-        let focal_length = views.focal_length_widths(source_frame);
-        let at_target = target.archive.at(target_frame)?.unwrap_or_else(RelativePose::none);
-        let measured = measured(view.as_ref(), focal_length, target);
-        let measured = measured.map(|measured| at_target.then(&measured).then(&at_source.back()));
-        let posterior = probability;
-        found.push(PlaceMatch {
+    }
+    best.map(|(_, frame)| frame)
+}
+
+/// The pairs that match by what was compared: a comparison for each pair, in their order.
+#[must_use]
+pub fn find_matches(
+    source: KnownMap<'_>,
+    target: KnownMap<'_>,
+    pairs: &[PlacePair],
+    comparisons: &[PairComparison],
+    settings: &MergeSettings,
+) -> Vec<PlaceMatch> {
+    let at = |map: KnownMap<'_>, frame| {
+        map.frame(frame).and_then(|event| event.at).unwrap_or_else(RelativePose::none)
+    };
+    let compared = pairs.iter().zip(comparisons);
+    let enough = compared
+        .filter(|(pair, compared)| is_enough(compared.view.as_ref(), pair.posterior, target, settings));
+    let matched = |(pair, compared): (&PlacePair, &PairComparison)| {
+        let &PlacePair { source: place, target: candidate, source_frame, target_frame, posterior } = pair;
+        let measured = measured(compared.view.as_ref(), compared.focal_length_widths, target);
+        let in_places = |measured: RelativePose| {
+            at(target, target_frame).then(&measured).then(&at(source, source_frame).back())
+        };
+        PlaceMatch {
             source: place,
             target: candidate,
             source_frame,
             target_frame,
             posterior,
-            view,
-            measured,
-        });
-    }
-    Ok(found)
-}
-
-/// Of the frames that a place learnt from, the one that explains an observation best.
-fn best_frame(
-    place: PlaceId,
-    target: KnownMap<'_>,
-    observation: &Observation,
-) -> Result<Option<FrameId>, ArchiveError> {
-    let frames = &target.mapper.map().places()[place as usize].frames;
-    let single_looks = target.mapper.recognizer().index().model().single_looks(observation);
-    let mut best: Option<(f64, FrameId)> = None;
-    for frame in frames.iter().rev().take(MAX_COMPARED_FRAMES) {
-        let Some(seen) = target.archive.observation(frame.frame)? else { continue };
-        let log_likelihood = single_looks.log_likelihood(&seen);
-        if best.is_none_or(|(best, _)| log_likelihood > best) {
-            best = Some((log_likelihood, frame.frame));
+            view: compared.view,
+            measured: measured.map(in_places),
         }
-    }
-    Ok(best.map(|(_, frame)| frame))
+    };
+    enough.map(matched).collect()
 }
 
 /// Whether a match has enough for it to be looked at with the others. Without keypoints words have

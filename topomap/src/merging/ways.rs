@@ -1,14 +1,12 @@
 //! How well one map knows how its places lie to each other.
 
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
-
 use fabmap::appearance::PlaceId;
 use nalgebra::{Matrix3, Vector3};
 
 use crate::map::PlacePoses;
 use crate::metric::wheel_drift::RANDOM_TURN;
 use crate::metric::{OdometryNoise, RelativePose};
+use posegraph::shortest_paths::{ShortestPaths, Step};
 use posegraph::{EdgeKind, Pose};
 
 /// A closure on the way is as uncertain as so many metres more.
@@ -39,32 +37,25 @@ impl<'a> Ways<'a> {
 
     /// Metres along links from a place to each; infinite where none leads.
     pub(super) fn lengths_m(&self, from: PlaceId) -> Vec<f64> {
-        self.nearest([from]).into_iter().map(|(length_m, _)| length_m).collect()
+        self.paths([from]).lengths().to_vec()
     }
 
     /// Metres along links to the nearest of some places, and which of them that is.
     pub(super) fn nearest(&self, places: impl IntoIterator<Item = PlaceId>) -> Vec<(f64, PlaceId)> {
-        let mut nearest = vec![(f64::INFINITY, PlaceId::MAX); self.neighbours.len()];
-        let mut waiting = BinaryHeap::new();
-        for place in places {
-            nearest[place as usize] = (0.0, place);
-            // The bits of positive numbers are in their order.
-            waiting.push(Reverse((0, place)));
-        }
-        while let Some(Reverse((bits, place))) = waiting.pop() {
-            let (length_m, origin) = nearest[place as usize];
-            if f64::from_bits(bits) > length_m {
-                continue;
-            }
-            for &(other, further_m) in &self.neighbours[place as usize] {
-                let there_m = length_m + further_m;
-                if there_m < nearest[other as usize].0 {
-                    nearest[other as usize] = (there_m, origin);
-                    waiting.push(Reverse((there_m.to_bits(), other)));
-                }
-            }
-        }
-        nearest
+        let paths = self.paths(places);
+        let origin = |origin: Option<usize>| origin.map_or(PlaceId::MAX, |origin| origin as PlaceId);
+        let origins = paths.origins().into_iter().map(origin);
+        paths.lengths().iter().copied().zip(origins).collect()
+    }
+
+    fn paths(&self, places: impl IntoIterator<Item = PlaceId>) -> ShortestPaths {
+        let mut paths = ShortestPaths::new(self.neighbours.len());
+        let steps = |place: usize| {
+            let to = self.neighbours[place].iter();
+            to.map(|&(to, length)| Step { to: to as usize, length, edge: 0 })
+        };
+        paths.search(places.into_iter().map(|place| place as usize), |_| false, steps);
+        paths
     }
 
     /// How one place lies to another that is so many metres away along links: as the map's poses

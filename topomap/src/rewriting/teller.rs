@@ -178,6 +178,7 @@ impl<'a> Teller<'a> {
             link: None,
             at,
             belief,
+            look_alike_inliers: event.look_alike_inliers,
         };
         let link = self.link(&run, event, &told, here);
         let told = FrameEvent { link, ..told };
@@ -284,7 +285,7 @@ impl<'a> Teller<'a> {
         (Belief { places, new_place, remainder: belief.remainder }, gone)
     }
 
-    /// What a link of the old log says of the old places, whoever made it.
+    /// What a link of the old log says of the old places, whatever event made it.
     fn follow_old_link(&mut self, link: Option<&Link>) -> Result<(), RetellError> {
         let Some(link) = link else { return Ok(()) };
         if [link.from, link.to].iter().any(|&place| place as usize >= self.places.len()) {

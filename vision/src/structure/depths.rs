@@ -33,7 +33,7 @@ impl InverseDepth {
         camera.center_m() + camera.rotation() * (sighted.ray() / self.per_m)
     }
 
-    /// To the precision that is kept of it: whoever reads it again has the same.
+    /// To the precision that is stored: read back, it is the same.
     fn as_stored(self) -> Self {
         let rounded = |value: f64| f64::from(value as f32);
         Self { per_m: rounded(self.per_m), sigma_per_m: rounded(self.sigma_per_m) }

@@ -53,7 +53,7 @@ impl Tracker {
     }
 
     /// A frame's features with their depths, by a camera; `odometry` is where the wheels put the
-    /// robot. Without either nothing is known, and the next frames start anew.
+    /// robot. Without either nothing is known, and tracking starts over.
     pub fn track(
         &mut self,
         features: Arc<FeatureRecord>,

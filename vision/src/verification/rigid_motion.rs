@@ -71,7 +71,8 @@ impl RigidMotion {
                 self.moved(&step).essential_matrix()
             })
         });
-        let (mut normal, mut gradient) = (SMatrix::<f64, 5, 5>::zeros(), Step::zeros());
+        let mut normal = SMatrix::<f64, 5, 5>::zeros();
+        let mut gradient = Step::zeros();
         for pair in pairs {
             let distance = sampson(&matrix, pair) / tolerance;
             let slope = Step::from_fn(|parameter, _| {

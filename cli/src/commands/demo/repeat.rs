@@ -12,10 +12,10 @@ use waypost_sim::drive::{Building, SPEED_M_S as TEACHING_SPEED_M_S, TWICE_A_SECO
 use waypost_sim::pose::Pose;
 use waypost_sim::simulation::Recording;
 
-use super::world::map_along;
 use crate::failure::Failure;
 use crate::output::Output;
-use crate::simulated::{LedDrive, building, camera, drive, robot, unfit};
+use crate::simulated::mapping::map_along;
+use crate::simulated::{Ending, LedDrive, building, camera, drive, new_map, robot, unfit};
 
 const WORLD: &str = "office";
 const ROUTE: &str = "teach";
@@ -66,7 +66,8 @@ pub(super) async fn run(
     output.line(format_args!("\na simulated robot is taught the way {ROUTE} through the {WORLD}"))?;
     let mut teacher = robot(&building, SEED, 0, WHEN_MOVED)?;
     let taught = teacher.drive_along(&building.route, TEACHING_SPEED_M_S).map_err(unfit)?;
-    let mapped = map_along(client, model, MAP, SESSION, &building, &taught, output).await?;
+    client.create_map(new_map(MAP, model)).await?;
+    let mapped = map_along(client, MAP, SESSION, &building, &taught, output).await?;
 
     let goal = v1::goal::Target::PlaceNumber(u32::try_from(mapped.map.places.saturating_sub(1)).unwrap_or(0));
     let goal = Some(v1::Goal { target: Some(goal) });
@@ -84,7 +85,7 @@ pub(super) async fn run(
     ))?;
     let mut robot = robot(&building, SEED, 1, TWICE_A_SECOND)?;
     let began = Instant::now();
-    let led = drive(&building, &mut robot, &mut navigation, PATIENCE, |seen, pose| {
+    let led = drive(&building, &mut robot, &mut navigation, Ending::OnArrival(PATIENCE), |seen, pose| {
         let Some(place) = seen.place_number else { return Ok(()) };
         let off_m = off_the_way_m(&taught, pose);
         let sure = seen.probability.unwrap_or_default();

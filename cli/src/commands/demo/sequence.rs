@@ -14,10 +14,11 @@ use super::{Demo, tell_where_it_is};
 use crate::failure::Failure;
 use crate::frame_row::FrameRow;
 use crate::images::images_of;
+use crate::moments::even;
 use crate::names::short;
 use crate::output::Output;
 use crate::progress;
-use crate::replay::{Recording, Replay, Stamps};
+use crate::replay::{Recording, Replay};
 use crate::robot_words::ContentMaker;
 use crate::truth::{Truth, Verdict};
 
@@ -54,8 +55,8 @@ pub(super) async fn run(demo: &Demo, output: Output) -> Result<(), Failure> {
     let sequence = demo.data.join("sequence");
     let truth = truth_of(&sequence)?;
     let images = images_of(&sequence)?;
-    let stamps = Stamps::Even { rate_hz: STAMP_RATE_HZ };
-    let recording = Recording::Folder { images, stamps };
+    let moments = even(images.len(), STAMP_RATE_HZ);
+    let recording = Recording::Folder { images, moments };
     let replay = Replay { recording, pace_hz: None, contents: ContentMaker::Images };
     let (driven, taught, data_dir) = demo
         .with_server(output, async |server, data_dir| {

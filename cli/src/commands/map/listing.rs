@@ -87,8 +87,13 @@ pub(super) fn places(places: &[v1::Place], output: Output) -> Result<(), Failure
 
 fn frame_words(frame: Option<&v1::FrameReference>) -> String {
     match frame {
-        Some(v1::FrameReference { session, sequence, stamp_ns: _ }) => {
-            format!("{}#{sequence}", session.rsplit('/').next().unwrap_or(session))
+        Some(v1::FrameReference { session, sequence, stamp_ns: _, note }) => {
+            let session = session.rsplit('/').next().unwrap_or(session);
+            if note.is_empty() {
+                format!("{session}#{sequence}")
+            } else {
+                format!("{session}#{sequence} {note}")
+            }
         }
         None => "-".to_owned(),
     }

@@ -24,7 +24,7 @@ from waypost.answers import (
     Similarity,
     Timings,
 )
-from waypost.calls import JobProgress
+from waypost.calls import JobProgress, MapEvents
 from waypost.client import Client, connect, lazy
 from waypost.errors import (
     Aborted,
@@ -86,6 +86,7 @@ __all__ = [
     "JobProgress",
     "Localization",
     "LoopClosure",
+    "MapEvents",
     "MapPose",
     "Match",
     "Mode",

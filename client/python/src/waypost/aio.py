@@ -23,7 +23,7 @@ from waypost.inbox import Inbox
 from waypost.navigation import Navigation
 from waypost.sender import Sender
 from waypost.session import Session
-from waypost.v1 import geometry_pb2, job_pb2
+from waypost.v1 import event_pb2, geometry_pb2, job_pb2
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine
@@ -101,6 +101,7 @@ class AsyncClient:
     model = _awaited(Client.model)
     export_model = _awaited(Client.export_model)
     import_model = _awaited(Client.import_model)
+    rename_model = _awaited(Client.rename_model)
     delete_model = _awaited(Client.delete_model)
     # Navigations.
     navigations = _awaited(Client.navigations)
@@ -141,6 +142,17 @@ class AsyncClient:
                 yield state
         finally:
             progress.close()
+
+    async def watch(
+        self, map_id: str, from_position: int | None = None
+    ) -> AsyncGenerator[event_pb2.MapEvent, None]:
+        """What happens in a map, as `Client.watch` has it."""
+        events = self.client.watch(map_id, from_position)
+        try:
+            while (event := await self._in_thread(functools.partial(next, events, None))) is not None:
+                yield event
+        finally:
+            events.close()
 
     @asynccontextmanager
     async def session(

@@ -43,6 +43,8 @@ class FrameReference:
     session: str
     sequence: int
     stamp_ns: int
+    #: What its robot calls it; empty if nothing.
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,8 @@ class Geometry:
     #: Where features of known depth put the robot; None if they say nothing: camera or odometry are not
     #: known, or the robot had not moved far enough to see depths.
     placement: Placement | None = None
+    #: What the best look-alike is expected to show over the same frames, in inliers.
+    look_alike_inliers: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -313,6 +317,7 @@ def _geometry(message: recognition_pb2.Geometry) -> Geometry:
         similarity=_similarity(similarity) if similarity is not None else None,
         probability=message.probability,
         placement=_placement(message.placement) if message.HasField("placement") else None,
+        look_alike_inliers=message.look_alike_inliers,
     )
 
 
@@ -329,7 +334,7 @@ def _similarity(message: recognition_pb2.Similarity) -> Similarity:
 
 
 def _frame_reference(message: map_pb2.FrameReference) -> FrameReference:
-    return FrameReference(message.session, message.sequence, message.stamp_ns)
+    return FrameReference(message.session, message.sequence, message.stamp_ns, message.note)
 
 
 def _timings(message: session_pb2.Timings) -> Timings:

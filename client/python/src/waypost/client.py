@@ -8,6 +8,7 @@ from typing import Callable
 import grpc
 
 from waypost.calls import (
+    EventCalls,
     JobCalls,
     MapCalls,
     MergeCalls,
@@ -85,7 +86,15 @@ def lazy(
 
 
 class Client(
-    JobCalls, MapCalls, MergeCalls, ModelCalls, NavigationCalls, PlaceCalls, SessionCalls, TokenCalls
+    EventCalls,
+    JobCalls,
+    MapCalls,
+    MergeCalls,
+    ModelCalls,
+    NavigationCalls,
+    PlaceCalls,
+    SessionCalls,
+    TokenCalls,
 ):
     """A connection to a server, made by `connect`. It mends itself for the next call when it broke.
 

@@ -93,6 +93,9 @@ class Frame:
     odometry: Pose2 | Pose3 | npt.ArrayLike | None = None
     #: 6 x 6, of (x, y, z, rotation about x, y, z), in m^2 and rad^2.
     odometry_covariance: npt.ArrayLike | None = None
+    #: What the robot calls the frame, as by the name of its file: at most 200 bytes, without control
+    #: characters. Told back wherever the frame is named.
+    note: str = ""
 
     def __post_init__(self) -> None:
         """Checks what can be checked without a server.
@@ -113,7 +116,7 @@ class Frame:
         Raises:
             ValueError: If image or odometry have a shape or type that cannot be sent.
         """
-        frame = session_pb2.Frame(sequence=self.sequence, stamp_ns=self.stamp_ns)
+        frame = session_pb2.Frame(sequence=self.sequence, stamp_ns=self.stamp_ns, note=self.note)
         put_content(frame, self.image if self.words is None else self.words)
         if self.odometry is not None:
             frame.odometry.CopyFrom(odometry(self.odometry, self.odometry_covariance))

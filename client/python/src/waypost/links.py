@@ -75,7 +75,7 @@ class Link:
     def cancel(self) -> None:
         """Ends the stream at once."""
         self._call.cancel()
-        # Whoever waits for requests would do so for ever.
+        # A reader of requests would wait for ever.
         self._requests.put(None)
         self._reader.join(_CLOSING_TIMEOUT_S)
 

@@ -1,7 +1,13 @@
 use super::*;
 
 fn frame(sequence: u64) -> FrameInput {
-    FrameInput { sequence, stamp_ns: 0, content: FrameContent::Image(vec![1]), odometry: None }
+    FrameInput {
+        sequence,
+        stamp_ns: 0,
+        content: FrameContent::Image(vec![1]),
+        odometry: None,
+        note: String::new(),
+    }
 }
 
 fn window(sequences: std::ops::RangeInclusive<u64>) -> Window {

@@ -4,13 +4,8 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 use anyhow::{Context, Result};
 use nalgebra::Vector2;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::Serialize;
-use waypost_navigation::appearance::epipolar::{
-    self, GeneralMotion, Motion, PlanarMotion, RayPair, SearchSettings,
-};
 use waypost_sim::floor_plan::{FloorPlan, Room};
 use waypost_sim::pose::{Pose, wrapped};
 use waypost_sim::scene::Scene;
@@ -23,9 +18,6 @@ use crate::timing::root_mean_square;
 
 /// From position to position of the grid, in metres.
 const SPACING_M: f64 = 1.0;
-
-/// Draws of each search where the two ways to search are compared.
-const DRAWS: usize = 100;
 
 /// Classes of the histogram, [`CLASS_RAD`] wide each, with 0 in the middle of the middle one.
 pub(crate) const CLASSES: usize = 61;
@@ -58,29 +50,6 @@ pub(crate) struct HeadingFigures {
     pub histogram: Vec<usize>,
     /// Errors beyond its outermost classes.
     pub outside_histogram: usize,
-    /// Planar four-point and general eight-point search, half of the pairs being wrong.
-    pub with_half_outliers: [SolverFigures; 2],
-}
-
-/// How well a search does with as many draws as the other.
-#[derive(Serialize)]
-pub(crate) struct SolverFigures {
-    /// Which one.
-    pub search: &'static str,
-    /// Draws of each search.
-    pub draws: usize,
-    /// Searches.
-    pub searches: usize,
-    /// Those that found nothing.
-    pub failed: usize,
-    /// Mean share of the right pairs that were found to agree.
-    pub inliers_found: f64,
-    /// Mean share of wrong pairs among those found to agree.
-    pub outliers_taken: f64,
-    /// Median of the heading's error, in radians; π for a search that found nothing.
-    pub heading_error_median_rad: f64,
-    /// Root mean square of it, in radians.
-    pub heading_error_std_rad: f64,
 }
 
 /// Positions and views of a grid.
@@ -121,10 +90,6 @@ pub(crate) fn measure(eye: &Eye, seeds: &[u64]) -> Result<HeadingFigures> {
         rotation_error_std_rad: root_mean_square(&of(1)),
         outside_histogram: errors.len() - histogram.iter().sum::<usize>(),
         histogram,
-        with_half_outliers: [
-            compared("planar four-point", &grids, PlanarMotion::heading_rad),
-            compared("general eight-point", &grids, GeneralMotion::heading_rad),
-        ],
     })
 }
 
@@ -194,73 +159,6 @@ fn roomy(plan: &FloorPlan, room: &Room) -> Option<Vector2<f64>> {
         offsets().all(|offset| room.contains(center + offset) && plan.clearance_m(center + offset) >= 0.25)
     };
     places.into_iter().find(has_place)
-}
-
-/// One way to search, where every second match has been replaced by a wrong one: the ray of another.
-fn compared<M: Motion>(search: &'static str, grids: &[Grid], heading_rad: fn(&M) -> f64) -> SolverFigures {
-    let tasks: Vec<(&Grid, [usize; 2])> =
-        grids.iter().flat_map(|grid| grid.pairs().map(move |pair| (grid, pair))).collect();
-    let found: Vec<(f64, f64, f64)> = tasks
-        .into_par_iter()
-        .filter_map(|(grid, [current, target])| {
-            let truth = grid.poses[current].relative(&grid.poses[target]);
-            let way = PlanarMotion::new(truth.heading_rad, truth.y_m.atan2(truth.x_m));
-            let settings = SearchSettings {
-                max_draws: DRAWS,
-                seed: (current * 1000 + target) as u64,
-                ..SearchSettings::default()
-            };
-            let (pairs, is_right) = half_wrong(grid, [current, target], &way, &settings)?;
-            let Some(found) = epipolar::search::<M>(&pairs, &settings) else { return Some((PI, 0.0, 0.0)) };
-            let right = found.inliers.iter().filter(|&&index| is_right[index]).count() as f64;
-            let all = is_right.iter().filter(|&&right| right).count() as f64;
-            let error = wrapped(heading_rad(&found.motion) - way.heading_rad());
-            Some((error, right / all, 1.0 - right / found.inliers.len() as f64))
-        })
-        .collect();
-    let mean =
-        |of: fn(&(f64, f64, f64)) -> f64| found.iter().map(of).sum::<f64>() / found.len().max(1) as f64;
-    let errors: Vec<f64> = found.iter().map(|found| found.0).collect();
-    let mut sizes: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
-    sizes.sort_by(f64::total_cmp);
-    SolverFigures {
-        search,
-        draws: DRAWS,
-        searches: found.len(),
-        failed: found.iter().filter(|found| found.1 == 0.0).count(),
-        inliers_found: mean(|found| found.1),
-        outliers_taken: mean(|found| found.2),
-        heading_error_median_rad: sizes.get(sizes.len() / 2).copied().unwrap_or(PI),
-        heading_error_std_rad: root_mean_square(&errors),
-    }
-}
-
-/// The matches that the true motion explains, and as many whose target is that of another, with which are right.
-fn half_wrong(
-    grid: &Grid,
-    [current, target]: [usize; 2],
-    way: &PlanarMotion,
-    settings: &SearchSettings,
-) -> Option<(Vec<RayPair>, Vec<bool>)> {
-    let seen = &grid.views[current];
-    let wanted = &grid.views[target];
-    let matches = seen.matches(wanted);
-    let right: Vec<RayPair> = seen
-        .ray_pairs(wanted, &matches)
-        .into_iter()
-        .filter(|pair| way.reprojection(pair).error_rad() <= settings.tolerance_rad)
-        .collect();
-    if right.len() < 16 {
-        return None;
-    }
-    let mut random = ChaCha8Rng::seed_from_u64(settings.seed);
-    let wrong = right.iter().map(|pair| {
-        let other = wanted.rays()[random.random_range(0..wanted.rays().len())];
-        RayPair { target: other, ..*pair }
-    });
-    let wrong: Vec<RayPair> = wrong.collect();
-    let is_right = [vec![true; right.len()], vec![false; wrong.len()]].concat();
-    Some(([right, wrong].concat(), is_right))
 }
 
 #[cfg(test)]

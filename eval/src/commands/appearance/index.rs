@@ -9,7 +9,6 @@ use fabmap::descriptor::{DescriptorKind, Descriptors};
 use fabmap::vocabulary::{Vocabulary, VocabularySettings};
 use rayon::prelude::*;
 use serde::Serialize;
-use topomap::evidence::ArchiveError;
 use waypost_navigation::appearance::graph::candidates::{CandidateIndex, IndexedFeature};
 use waypost_navigation::appearance::graph::{
     AppearanceGraph, Checks, ImageId, LINK_SIMILARITY, Overlap, Panorama,
@@ -134,8 +133,8 @@ struct Coming<'a> {
 }
 
 impl Panorama for Coming<'_> {
-    fn overlap(&self, image: ImageId) -> Result<Option<Overlap>, ArchiveError> {
-        Ok(self.view.compare(&self.earlier[image as usize], &self.eye.search).overlap)
+    fn overlap(&self, image: ImageId) -> Option<Overlap> {
+        self.view.compare(&self.earlier[image as usize], &self.eye.search).overlap
     }
 }
 
@@ -215,7 +214,7 @@ fn through_index(eye: &Eye, vocabulary: &Vocabulary, views: &[PanoramicView]) ->
         index.add(&features);
         let voted = thread_seconds();
         let coming = Coming { eye, view, earlier: &views[..image] };
-        checks += graph.add(&coming, Checks::Promising(&votes))?.checks;
+        checks += graph.add(&coming, Checks::Promising(&votes)).checks;
         seconds = seconds.zip(began).zip(signed).zip(voted).zip(thread_seconds()).map(
             |((((so_far, began), signed), voted), compared)| {
                 slowest = slowest.max(compared - began);

@@ -8,7 +8,6 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::Serialize;
-use topomap::evidence::ArchiveError;
 use waypost_navigation::appearance::graph::{ImageId, Overlap, Panorama};
 use waypost_navigation::appearance::navigator::{
     AppearanceNavigator, Body, Guidance, HeadingSteering, NavigationSettings, NavigationStatus, Sight,
@@ -85,8 +84,8 @@ struct Observation<'a> {
 }
 
 impl Panorama for Observation<'_> {
-    fn overlap(&self, image: ImageId) -> Result<Option<Overlap>, ArchiveError> {
-        Ok(self.view.compare(&self.map.views[image as usize], &self.eye.search).overlap)
+    fn overlap(&self, image: ImageId) -> Option<Overlap> {
+        self.view.compare(&self.map.views[image as usize], &self.eye.search).overlap
     }
 }
 
@@ -195,7 +194,7 @@ fn follow(
         let view = eye.see(&map.scene, &shot)?;
         let sight = Observation { eye, map, view: &view, before: before.as_ref() };
         let body = if obedience == Obedience::Reflex { Body::Held } else { Body::Free };
-        let guidance = navigator.observe(&map.graph, &sight, body)?;
+        let guidance = navigator.observe(&map.graph, &sight, body);
         followed.compared += guidance.compared;
         before = Some(view);
         match guidance.status {

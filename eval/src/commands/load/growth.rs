@@ -5,17 +5,17 @@ use std::num::NonZeroUsize;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use clap::Args;
 use fabmap::observation::Observation;
 use rayon::prelude::*;
 use serde::Serialize;
 use tokio::time::Instant;
-use waypost_client::{Client, FrameInput, FrameOutcome, SessionOptions};
+use waypost_client::{Client, FrameInput, SessionOptions};
 
 use super::contents::{Contents, histogram};
 use super::report::{LatencyReport, ServerUse};
-use super::robot::Answered;
+use super::robot::{Answered, stream_all};
 use super::server::{MAP, ServerOptions, ServerUnderLoad};
 use super::words::Fleet;
 use super::{positive, seconds};
@@ -133,27 +133,17 @@ async fn grow(endpoint: &str, workload: &Workload, words_hash: &str, places: u32
         window_frames: WINDOW,
         ..SessionOptions::new(MAP)
     };
-    let (mut sender, mut outcomes) = Client::connect(endpoint).await?.open_session(options).await?.split();
+    let client = Client::connect(endpoint).await?;
     let workload = workload.clone();
-    let sending = tokio::spawn(async move {
-        for place in 0..places {
-            let content = histogram(&workload.image(Use::Place, place));
-            let sequence = u64::from(place) + 1;
-            let frame = FrameInput { sequence, stamp_ns: sequence as i64, content, odometry: None };
-            sender.send(frame).await?;
-        }
-        Ok::<(), anyhow::Error>(())
+    let frames = (0..places).map(move |place| {
+        let content = histogram(&workload.image(Use::Place, place));
+        let sequence = u64::from(place) + 1;
+        FrameInput { sequence, stamp_ns: sequence as i64, content, odometry: None, note: String::new() }
     });
     let progress = progress::bar("frames", places as usize);
-    while let Some(outcome) = outcomes.next().await? {
-        if let FrameOutcome::Refusal(refusal) = outcome {
-            let why = refusal.status.unwrap_or_default().message;
-            return Err(anyhow!("the server under load refused a frame: {why}"));
-        }
-        progress.inc(1);
-    }
+    stream_all(&client, options, frames, || progress.inc(1)).await?;
     progress.finish_and_clear();
-    sending.await?
+    Ok(())
 }
 
 /// Asks where one image was taken.
@@ -162,34 +152,4 @@ async fn first_answer_ms(endpoint: &str, contents: &Contents) -> Result<f64> {
     let begun = Instant::now();
     client.query(MAP, contents.frames[0].clone(), &contents.words_hash, Some(0)).await?;
     Ok(begun.elapsed().as_secs_f64() * 1e3)
-}
-
-impl GrowthReport {
-    pub(super) fn table(&self) -> String {
-        let Self {
-            frames,
-            words,
-            places,
-            growth_frames_per_s,
-            server: ServerUse { cpu_cores, rss_mib },
-            looks_per_s,
-            beyond_computing,
-            computing,
-            open_ms,
-            open_after_kill_ms,
-            checkpoint_mib,
-            log_mib,
-        } = self;
-        format!(
-            "map                {places} places of {frames} frames, {words} words\n\
-             growing            {growth_frames_per_s:.0} frames/s, {cpu_cores:.2} cores, {rss_mib:.0} MiB\n\
-             {looks_per_s} looks/s:\n\
-             beyond computing   {}\n\
-             computing          {}\n\
-             opened in          {open_ms:.0} ms, after a kill {open_after_kill_ms:.0} ms\n\
-             on the disk        checkpoint {checkpoint_mib:.1} MiB, log {log_mib:.1} MiB\n",
-            beyond_computing.text(),
-            computing.text(),
-        )
-    }
 }

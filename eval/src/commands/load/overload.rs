@@ -10,7 +10,7 @@ use serde::Serialize;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
 use super::contents::Contents;
-use super::report::{LatencyReport, ServerUse, verdict};
+use super::report::{LatencyReport, ServerUse};
 use super::robot::{AtTheEnd, Camera, Record, Robot, drive_all};
 use super::server::{ServerOptions, ServerUnderLoad, cpu_s_of};
 use super::words::LEAD;
@@ -252,47 +252,4 @@ fn per_second(record: &Record, start: Instant, duration: Duration) -> Vec<u64> {
         }
     }
     counts
-}
-
-impl OverloadReport {
-    pub(super) fn table(&self) -> String {
-        let [fewest, median, most] = self.answered_per_robot;
-        let rss = |select: fn(f64, f64) -> f64, start| self.rss_mib.iter().copied().fold(start, select);
-        format!(
-            "overload           {robots} robots at {CAMERA_HZ} Hz for {seconds} s: {offered:.1} frames/s, {factor} times the peak\n\
-             peak goodput       {peak:.1} frames/s\n\
-             goodput            {goodput:.1} frames/s, {of_peak:.0} % of the peak: {goodput_verdict}\n\
-             per robot          {fewest} to {most} frames answered, median {median}\n\
-             dropped by robots  {dropped}\n\
-             refused for now    {refused_for_now}, {with_retry_info} with RetryInfo; {sent_per_answer:.1} sent per answer\n\
-             refused for good   {refused}\n\
-             round trip         {round_trip}\n\
-             server             {cores:.2} cores; robots {robots_cores:.2}\n\
-             memory             {rss_min:.0} to {rss_max:.0} MiB: {memory_verdict}\n\
-             single frame       {single} before\n\
-             recovery           {recovery}: {recovery_verdict}\n",
-            robots = self.robots,
-            seconds = self.seconds,
-            offered = self.offered_hz,
-            factor = self.factor,
-            peak = self.peak_goodput_hz,
-            goodput = self.goodput_hz,
-            of_peak = 100.0 * self.goodput_of_peak,
-            goodput_verdict = verdict(self.goodput_target_met),
-            dropped = self.dropped,
-            refused_for_now = self.refused_for_now,
-            with_retry_info = self.with_retry_info,
-            sent_per_answer = self.sent_per_answer,
-            refused = self.refused,
-            round_trip = self.round_trip.text(),
-            cores = self.server.cpu_cores,
-            robots_cores = self.robots_cpu_cores,
-            rss_min = rss(f64::min, f64::INFINITY),
-            rss_max = rss(f64::max, 0.0),
-            memory_verdict = verdict(self.memory_target_met),
-            single = self.single_before.text(),
-            recovery = self.recovery_s.map_or("not in 20 s".to_owned(), |after_s| format!("{after_s:.2} s")),
-            recovery_verdict = verdict(self.recovery_target_met),
-        )
-    }
 }

@@ -27,7 +27,7 @@ const SPACING_M: f64 = 0.4;
 const ASKING: Duration = Duration::from_secs(1);
 
 /// Panoramas into maps with and without an appearance graph: answers' latencies, and how long the graph takes to be built
-/// anew.
+/// again.
 #[derive(Args)]
 pub(super) struct PanoramasOptions {
     /// Panoramas, taken all over a simulated office, 1024 columns wide.
@@ -51,14 +51,14 @@ pub(crate) struct PanoramasReport {
     pub without_graph: LatencyReport,
     /// The same where a graph grows beside the stream.
     pub with_graph: LatencyReport,
-    /// The same where somebody asks for it every second.
+    /// The same where it is asked for every second.
     pub with_graph_asked_for: LatencyReport,
     /// From the last answer until the graph had it all, in seconds.
     pub graph_behind_s: f64,
     /// Its places and links.
     pub places: usize,
     pub links: usize,
-    /// Until a server that was started anew gave the graph, in seconds: the map was opened, and links were kept.
+    /// Until a restarted server gave the graph, in seconds: the map was opened, and links were kept.
     pub opened_s: f64,
     /// Until it gave it again.
     pub given_again_s: f64,
@@ -161,7 +161,9 @@ async fn stream(
             let _ = sent.send((sequence, Instant::now()));
             let stamp_ns = 1_000_000_000 * sequence as i64;
             let content = FrameContent::Image(image.clone());
-            sender.send(FrameInput { sequence, stamp_ns, content, odometry: None }).await?;
+            sender
+                .send(FrameInput { sequence, stamp_ns, content, odometry: None, note: String::new() })
+                .await?;
         }
         Ok::<(), anyhow::Error>(())
     };
@@ -208,7 +210,7 @@ async fn time(client: &Client, map: &str, before: &v1::AppearanceGraph) -> Resul
     if (&graph.nodes, &graph.links) == (&before.nodes, &before.links) {
         Ok(seconds)
     } else {
-        Err(breach("the graph is another one when it is given anew"))
+        Err(breach("the graph is another one when it is given again"))
     }
 }
 
@@ -225,21 +227,5 @@ async fn copy(client: &Client, map: &str, to: &str) -> Result<()> {
         Ok(())
     } else {
         Err(breach("a map that was exported could not be imported"))
-    }
-}
-
-impl PanoramasReport {
-    pub(super) fn table(&self) -> String {
-        let Self { panoramas, rate_hz, without_graph, with_graph, with_graph_asked_for, .. } = self;
-        let Self { graph_behind_s, places, links, opened_s, given_again_s, built_s, .. } = self;
-        format!(
-            "{panoramas} panoramas at {rate_hz} Hz into each map; from sending to the answer\n  \
-             without a graph             {}\n  beside a graph              {}\n  … that is asked for each s  {}\n\
-             graph of {places} places and {links} links: {graph_behind_s:.2} s behind the last answer, {opened_s:.2} s after a \
-             start, {given_again_s:.2} s when it is there, {built_s:.2} s when nothing of it is kept\n",
-            without_graph.text(),
-            with_graph.text(),
-            with_graph_asked_for.text(),
-        )
     }
 }

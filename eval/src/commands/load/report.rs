@@ -36,19 +36,10 @@ impl LatencyReport {
         Self { p50_ms: percentile(50), p99_ms: percentile(99), max_ms: percentile(100) }
     }
 
-    /// `p50 1.0  p99 2.0  max 3.0 ms`
-    pub(super) fn text(self) -> String {
-        let Self { p50_ms, p99_ms, max_ms } = self;
-        match (p50_ms, p99_ms, max_ms) {
-            (Some(p50), Some(p99), Some(max)) => format!("p50 {p50:.1}  p99 {p99:.1}  max {max:.1} ms"),
-            _ => "none".to_owned(),
-        }
+    /// Whether half of the times, and 99 of 100, are within these, in milliseconds.
+    pub(super) fn is_within(&self, [half_ms, most_ms]: [f64; 2]) -> bool {
+        self.p50_ms.is_some_and(|ms| ms <= half_ms) && self.p99_ms.is_some_and(|ms| ms <= most_ms)
     }
-}
-
-/// Whether a figure keeps within its target.
-pub(super) fn verdict(met: bool) -> &'static str {
-    if met { "met" } else { "MISSED" }
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Endpoint;
 use tonic::{Code, Status, Streaming};
 use tonic_types::pb::RetryInfo;
-use waypost_client::FrameContent;
+use waypost_client::{Client, FrameContent, FrameInput, FrameOutcome, SessionOptions};
 use waypost_proto::google::rpc;
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_client::SessionServiceClient;
@@ -297,6 +297,30 @@ pub(super) async fn drive_all(robots: impl IntoIterator<Item = (Robot, Camera)>)
     Ok(records)
 }
 
+/// Streams frames by the client library, as fast as they are taken; fails if one is refused.
+pub(super) async fn stream_all(
+    client: &Client,
+    options: SessionOptions,
+    frames: impl Iterator<Item = FrameInput> + Send + 'static,
+    answered: impl Fn(),
+) -> Result<()> {
+    let (mut sender, mut outcomes) = client.open_session(options).await?.split();
+    let sending = tokio::spawn(async move {
+        for frame in frames {
+            sender.send(frame).await?;
+        }
+        Ok::<(), anyhow::Error>(())
+    });
+    while let Some(outcome) = outcomes.next().await? {
+        if let FrameOutcome::Refusal(refusal) = outcome {
+            let why = refusal.status.unwrap_or_default().message;
+            bail!("the server under load refused a frame: {why}");
+        }
+        answered();
+    }
+    sending.await?
+}
+
 /// A connection to be made.
 pub(super) fn connection(endpoint: &str) -> Result<Endpoint> {
     Ok(Endpoint::from_shared(endpoint.to_owned())?.tcp_nodelay(true))
@@ -342,7 +366,7 @@ pub(super) fn wire(sequence: u64, stamp_ns: i64, content: FrameContent) -> v1::F
         FrameContent::Histogram(histogram) => v1::frame::Content::Histogram(histogram),
         FrameContent::Words(words) => v1::frame::Content::Words(words),
     };
-    v1::Frame { sequence, stamp_ns, odometry: None, content: Some(content) }
+    v1::Frame { sequence, stamp_ns, odometry: None, content: Some(content), note: String::new() }
 }
 
 fn computing(timings: &v1::Timings) -> Duration {

@@ -87,19 +87,3 @@ fn figures(record: &Record, server_rss_mib: f64) -> RobotsFigures {
         server_rss_mib,
     }
 }
-
-impl RobotsReport {
-    pub(super) fn table(&self) -> String {
-        let Self { rate_hz, seconds, alone, beside_stalled } = self;
-        let rows = [("alone", alone), ("beside stalled", beside_stalled)].map(|(name, figures)| {
-            let RobotsFigures { offered, answered, round_trip, beyond_computing, server_rss_mib } = figures;
-            format!(
-                "{name}\n  frames            {answered} answered of {offered}\n  round trip        {}\n  beyond computing  {}\n  \
-                 memory            {server_rss_mib:.0} MiB\n",
-                round_trip.text(),
-                beyond_computing.text(),
-            )
-        });
-        format!("{ROBOTS} robots at {rate_hz} Hz for {seconds} s\n{}", rows.concat())
-    }
-}

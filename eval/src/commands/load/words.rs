@@ -11,7 +11,7 @@ use serde::Serialize;
 use tokio::time::Instant;
 
 use super::contents::{Contents, WordSource};
-use super::report::{LatencyReport, ServerUse, verdict};
+use super::report::{LatencyReport, ServerUse};
 use super::robot::{Answered, AtTheEnd, Camera, Record, Robot, drive_all};
 use super::server::{ServerOptions, ServerUnderLoad};
 use super::{positive, seconds};
@@ -84,7 +84,6 @@ pub(super) async fn run(server: &ServerOptions, options: &WordsOptions) -> Resul
 
     let latency = |of: fn(&Answered) -> Duration| LatencyReport::of(record.answered.iter().map(of));
     let beyond_computing = latency(Answered::beyond_computing);
-    let within = |figure: Option<f64>, target_ms| figure.is_some_and(|figure| figure <= target_ms);
     Ok(WordsReport {
         streams: *streams,
         rate_hz: *rate_hz,
@@ -98,8 +97,7 @@ pub(super) async fn run(server: &ServerOptions, options: &WordsOptions) -> Resul
         send_late: latency(|answered| answered.send_late),
         frames_per_commit,
         server: server_use,
-        target_met: within(beyond_computing.p50_ms, TARGET_MS[0])
-            && within(beyond_computing.p99_ms, TARGET_MS[1]),
+        target_met: beyond_computing.is_within(TARGET_MS),
         beyond_computing,
     })
 }
@@ -137,45 +135,5 @@ impl Fleet {
             (robot, Camera { first, interval, until, backlog_frames: usize::MAX, at_the_end })
         });
         Ok(Record::together(drive_all(cameras).await?))
-    }
-}
-
-impl WordsReport {
-    pub(super) fn table(&self) -> String {
-        let Self {
-            streams,
-            rate_hz,
-            seconds,
-            bytes_per_frame,
-            offered,
-            answered,
-            refusals,
-            beyond_computing,
-            round_trip,
-            computing,
-            send_late,
-            frames_per_commit,
-            server: ServerUse { cpu_cores, rss_mib },
-            target_met,
-        } = self;
-        let frames_per_commit =
-            frames_per_commit.map_or("unknown".to_owned(), |frames| format!("{frames:.2}"));
-        let [p50, p99] = TARGET_MS;
-        format!(
-            "word streams       {streams} at {rate_hz} Hz for {seconds} s, {bytes_per_frame:.0} bytes a frame\n\
-             frames             {answered} answered of {offered}, {refusals} refusals\n\
-             beyond computing   {}\n\
-             target             p50 {p50} ms, p99 {p99} ms: {}\n\
-             round trip         {}\n\
-             computing          {}\n\
-             sent late by       {}\n\
-             frames per commit  {frames_per_commit}\n\
-             server             {cpu_cores:.2} cores, {rss_mib:.0} MiB\n",
-            beyond_computing.text(),
-            verdict(*target_met),
-            round_trip.text(),
-            computing.text(),
-            send_late.text(),
-        )
     }
 }

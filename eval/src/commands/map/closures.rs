@@ -57,7 +57,7 @@ pub(crate) struct MeasuredFigures {
 }
 
 /// 95 % of what has three degrees of freedom lie below.
-const CHI_SQUARED_95: f64 = 7.815;
+pub(crate) const CHI_SQUARED_95: f64 = 7.815;
 
 /// All accepted closures of a drive.
 pub(crate) fn closures(frames: &[DrivenFrame], mapped: &Mapped) -> Vec<ClosureCheck> {
@@ -110,18 +110,5 @@ impl MeasuredFigures {
             heading_error_deg: spread(|closure| closure.heading_error_deg),
             within_own_95: within as f64 / squares.len().max(1) as f64,
         }
-    }
-
-    pub(crate) fn text(&self) -> String {
-        let Self { accepted, measured, position_error_m, heading_error_deg, within_own_95 } = self;
-        format!(
-            "measured closures      {measured} of {accepted}: off by {:.3} m and {:.2} degrees in the median, 95 % within \
-             {:.3} m and {:.2} degrees; {:.0} % within their own 95 %\n",
-            position_error_m[0],
-            heading_error_deg[0],
-            position_error_m[1],
-            heading_error_deg[1],
-            100.0 * within_own_95,
-        )
     }
 }

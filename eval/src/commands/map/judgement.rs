@@ -18,15 +18,17 @@ pub(crate) struct Figures {
     pub images: f64,
     /// Places of the map.
     pub places: f64,
-    /// Frames at which the robot truly was where an earlier place had been made: see [`CLOSURE_DEFINITIONS`].
+    /// Frames whose true pose lies within 0.5 m and 15 degrees of that of a frame that made a place, 20 frames before or
+    /// earlier.
     pub closures_true: f64,
-    /// Those of them that were taken for such a place, by a closure or by staying where one had led.
+    /// Those of them that were taken for a place made 20 frames before or earlier, and rightly so: by a closure or by staying
+    /// where one had led.
     pub closures_found: f64,
     /// The share of them that was not.
     pub missed_fraction: f64,
     /// Loop closures that were accepted, at whatever frame.
     pub closures_accepted: f64,
-    /// Those of them that are false.
+    /// Those of them whose true pose lies farther than 1.5 m or 40 degrees from that of the frame they name.
     pub closures_false: f64,
     /// The share of them that is.
     pub false_fraction: f64,
@@ -56,28 +58,6 @@ pub(crate) struct Figures {
     /// The same of the heading, in degrees.
     pub closure_heading_error_deg: f64,
 }
-
-/// How the report judges.
-pub(crate) const CLOSURE_DEFINITIONS: [(&str, &str); 4] = [
-    (
-        "closures_true",
-        "frames whose true pose lies within 0.5 m and 15 degrees of that of a frame that made a place, 20 frames \
-         before or earlier",
-    ),
-    (
-        "closures_found",
-        "of these, frames assigned to a place that was made 20 frames before or earlier, and is not false",
-    ),
-    (
-        "closures_false",
-        "accepted closures whose true pose lies farther than 1.5 m or 40 degrees from that of the frame they name",
-    ),
-    (
-        "map_rmse_m",
-        "places' poses against the true poses of the frames that made them, laid over the truth at the first pose; \
-         _rigid and _scaled after the best such alignment",
-    ),
-];
 
 /// Turn within which a frame shows a place again: between the angle from place to place, and twice that.
 pub(crate) const REVISIT_RAD: f64 = 15.0 / 180.0 * std::f64::consts::PI;

@@ -64,7 +64,7 @@ pub(super) fn run(folder: &Path, seed: u64, wheels: WheelChoice) -> Result<Kitti
     links.extend(closures);
     let began = Instant::now();
     let map = PlacePoses::new(vec![0; truth.len()], &links, &noise);
-    let report = KittiReport {
+    Ok(KittiReport {
         places: truth.len(),
         length_m,
         closures: closed,
@@ -77,21 +77,7 @@ pub(super) fn run(folder: &Path, seed: u64, wheels: WheelChoice) -> Result<Kitti
         map_rmse_scaled_m: rmse_m(map.poses(), &truth, Alignment::Similarity),
         map_contradicted_links: map.contradicted().count(),
         map_ms: began.elapsed().as_secs_f64() * 1e3,
-    };
-    eprintln!(
-        "{} places, {:.0} m, {} closures, {} left out: wheels {:.1} m off, map {:.2} m, after the best rigid alignment \
-         {:.2} m, scaled {:.2} m; {:.1} ms",
-        report.places,
-        report.length_m,
-        report.closures,
-        report.map_contradicted_links,
-        report.odometry_rmse_m,
-        report.map_rmse_m,
-        report.map_rmse_rigid_m,
-        report.map_rmse_scaled_m,
-        report.map_ms,
-    );
-    Ok(report)
+    })
 }
 
 /// What wheels say of a drive from place to place.

@@ -5,7 +5,6 @@ use std::path::Path;
 
 use anyhow::Result;
 use fabmap::chow_liu::TreeTrainingSettings;
-use fabmap::descriptor::Descriptors;
 use fabmap::detector::DetectorModel;
 use fabmap::model::{Model, ModelTrainingSettings};
 use fabmap::vocabulary::VocabularySettings;
@@ -14,9 +13,10 @@ use waypost_sim::drive::IMAGE_SIZE_PX;
 use waypost_sim::robot::WheelErrors;
 use waypost_sim::worlds::NamedWorld;
 use waypost_vision::features::{Extractor, Feature, FeatureSettings};
+use waypost_vision::look_alikes::TrainingImage;
 
 use super::drive;
-use crate::commands::train::{DetectorChoice, calibrated};
+use crate::commands::train::{DetectorChoice, calibrated, knowing_look_alikes};
 use crate::error::refused;
 use crate::{files, progress};
 
@@ -83,14 +83,16 @@ impl MapTraining {
 fn train(training: &MapTraining) -> Result<Model> {
     let MapTraining { features, words, drives } = training;
     let extractor = Extractor::new(*features);
-    let mut seen: Vec<Descriptors> = Vec::new();
+    let mut seen: Vec<TrainingImage> = Vec::new();
     let bar = progress::bar("training drives", *drives as usize);
     for (number, &(world, name)) in (0..u64::from(*drives)).zip(DRIVES.iter().cycle()) {
         let Some(route) = world.route(name) else { continue };
         let driven = drive::drive(world, &route, FIRST_TRAINING_SEED + number, WheelErrors::NONE)?;
-        let descriptors =
-            driven.frames.par_iter().map(|frame| Ok(extractor.extract(&frame.image)?.descriptors));
-        seen.extend(descriptors.collect::<Result<Vec<_>>>()?);
+        let images = driven.frames.par_iter().map(|frame| {
+            let size_px = (frame.image.width(), frame.image.height());
+            Ok(TrainingImage { size_px, features: extractor.extract(&frame.image)? })
+        });
+        seen.extend(images.collect::<Result<Vec<_>>>()?);
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -100,5 +102,5 @@ fn train(training: &MapTraining) -> Result<Model> {
         detector: DetectorModel::default(),
     };
     let model = Model::train(&features.to_string(), &seen, &settings, &mut |_| ControlFlow::Continue(()))?;
-    Ok(calibrated(&model, DetectorChoice::Learned)?.0)
+    knowing_look_alikes(calibrated(&model, DetectorChoice::Learned)?.0, &seen)
 }

@@ -8,7 +8,6 @@ use anyhow::Result;
 use posegraph::{PlanarPose, Pose};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use serde::Serialize;
 use topomap::evidence::ClosureNoise;
 use topomap::log::{Link, LinkKind};
 use topomap::map::PlacePoses;
@@ -16,61 +15,11 @@ use topomap::merging::{Layout, MergeSettings, PlaceMatch, Verdict, joined_poses,
 use topomap::metric::{OdometryNoise, PlaceSpacing, RelativePose};
 
 use super::MergeOptions;
+use super::report::{MergeReport, MergeRun, said};
 use super::sessions::cuts;
 use crate::commands::map::alignment::{Alignment, rmse_m};
 use crate::commands::map::judgement::is_far;
 use crate::commands::map::kitti::{closures, driven, poses};
-use crate::timing::median;
-
-/// What came out.
-#[derive(Serialize)]
-pub(crate) struct KittiMergeReport {
-    /// Trials.
-    pub trials: u32,
-    /// Share of matches that were made up.
-    pub false_match_share: f64,
-    /// Median error of the places of the merged map, after the best rigid alignment.
-    pub rmse_m: f64,
-    /// Median of that over the error of the same places on the map built in one go.
-    pub rmse_ratio: f64,
-    /// The largest.
-    pub rmse_ratio_worst: f64,
-    /// Merges.
-    pub merges: usize,
-    /// Merges most of whose matches were made up.
-    pub false_merges: usize,
-    /// Sessions with enough true matches that stayed apart.
-    pub missed_overlaps: usize,
-    /// Median time of a merge.
-    pub seconds: f64,
-    /// Trial by trial.
-    pub runs: Vec<KittiMergeRun>,
-}
-
-/// One trial.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub(crate) struct KittiMergeRun {
-    /// Its seed.
-    pub seed: u64,
-    /// Sessions before.
-    pub sessions: usize,
-    /// Places of the merged map.
-    pub places: usize,
-    /// Merges.
-    pub merges: usize,
-    /// Merges most of whose matches were made up.
-    pub false_merges: usize,
-    /// Sessions with enough true matches that stayed apart.
-    pub missed_overlaps: usize,
-    /// Made-up matches that were kept.
-    pub false_matches: usize,
-    /// Of the merged map.
-    pub rmse_m: f64,
-    /// Of the same places on the map built in one go.
-    pub one_go_rmse_m: f64,
-    /// Of each merge or refusal.
-    pub seconds: Vec<f64>,
-}
 
 /// A session or several: poses, and which places of the drive they are.
 struct Piece {
@@ -85,47 +34,14 @@ impl Piece {
 }
 
 /// Cuts the drive in a folder with `poses.txt` and `loops.csv`, merges, and holds the map against the truth.
-pub(super) fn run(folder: &Path, options: &MergeOptions) -> Result<KittiMergeReport> {
+pub(super) fn run(folder: &Path, options: &MergeOptions) -> Result<MergeReport> {
     let truth = poses(&folder.join("poses.txt"))?;
-    let runs =
-        (options.seed..).take(options.trials as usize).map(|seed| trial(folder, options, seed, &truth));
-    let runs = runs.collect::<Result<Vec<KittiMergeRun>>>()?;
-    let sum = |of: fn(&KittiMergeRun) -> usize| runs.iter().map(of).sum();
-    let ratios: Vec<f64> = runs.iter().map(|run| run.rmse_m / run.one_go_rmse_m).collect();
-    let report = KittiMergeReport {
-        trials: options.trials,
-        false_match_share: options.false_matches,
-        rmse_m: median(runs.iter().map(|run| run.rmse_m).collect()).unwrap_or(0.0),
-        rmse_ratio: median(ratios.clone()).unwrap_or(0.0),
-        rmse_ratio_worst: ratios.into_iter().fold(0.0, f64::max),
-        merges: sum(|run| run.merges),
-        false_merges: sum(|run| run.false_merges),
-        missed_overlaps: sum(|run| run.missed_overlaps),
-        seconds: median(runs.iter().flat_map(|run| run.seconds.clone()).collect()).unwrap_or(0.0),
-        runs,
-    };
-    for run in &report.runs {
-        eprintln!(
-            "seed {}: {} sessions, {} merges, {} false, {} missed, {} made-up matches kept; {} places {:.2} m off, in one go {:.2} m",
-            run.seed,
-            run.sessions,
-            run.merges,
-            run.false_merges,
-            run.missed_overlaps,
-            run.false_matches,
-            run.places,
-            run.rmse_m,
-            run.one_go_rmse_m,
-        );
-    }
-    eprintln!(
-        "rmse over that of one go {:.2}, at most {:.2}; {:.2} s a merge",
-        report.rmse_ratio, report.rmse_ratio_worst, report.seconds
-    );
-    Ok(report)
+    let runs = (options.seed..).take(options.trials as usize);
+    let runs = runs.map(|seed| trial(folder, options, seed, &truth)).collect::<Result<Vec<MergeRun>>>()?;
+    Ok(MergeReport::of("kitti".to_owned(), options, runs))
 }
 
-fn trial(folder: &Path, options: &MergeOptions, seed: u64, truth: &[PlanarPose]) -> Result<KittiMergeRun> {
+fn trial(folder: &Path, options: &MergeOptions, seed: u64, truth: &[PlanarPose]) -> Result<MergeRun> {
     // Nothing was seen, so there is no evidence.
     let merge = MergeSettings { min_total_evidence: 0.0, ..options.merge() };
     let noise = OdometryNoise::default();
@@ -154,7 +70,12 @@ fn trial(folder: &Path, options: &MergeOptions, seed: u64, truth: &[PlanarPose])
             Piece { poses: PlacePoses::new(vec![0; cut.len()], &links, &noise), places: cut.collect() }
         })
         .collect();
-    let mut run = KittiMergeRun { seed, sessions: left.len(), ..KittiMergeRun::default() };
+    let mut run = MergeRun {
+        seed,
+        maps: left.len(),
+        places: left.iter().map(|piece| piece.places.len()).collect(),
+        ..MergeRun::default()
+    };
     let spacing = PlaceSpacing { distance_m: spacing_m, ..PlaceSpacing::default() };
     // The last one closes most loops.
     let mut merged = left.remove(left.len() - 1);
@@ -166,6 +87,7 @@ fn trial(folder: &Path, options: &MergeOptions, seed: u64, truth: &[PlanarPose])
             let verdict =
                 judge(source.layout(noise, spacing), merged.layout(noise, spacing), &matches, &merge);
             run.seconds.push(began.elapsed().as_secs_f64());
+            run.said.push(said(&verdict, matches.len()));
             let Verdict::Overlap(plan) = verdict else {
                 left.push(source);
                 continue;
@@ -174,10 +96,7 @@ fn trial(folder: &Path, options: &MergeOptions, seed: u64, truth: &[PlanarPose])
                 let [a, b] = [source.places[matched.source as usize], merged.places[matched.target as usize]];
                 is_far(&truth[a].inverse().compose(&truth[b]))
             };
-            let wrong = plan.matches.iter().filter(apart).count();
-            run.merges += 1;
-            run.false_matches += wrong;
-            run.false_merges += usize::from(2 * wrong > plan.matches.len());
+            run.count(&plan, plan.matches.iter().filter(apart).count());
             merged = Piece {
                 poses: joined_poses(
                     source.layout(noise, spacing),
@@ -198,9 +117,8 @@ fn trial(folder: &Path, options: &MergeOptions, seed: u64, truth: &[PlanarPose])
     let laid: Vec<PlanarPose> = (0..merged.places.len()).map(|place| of(&merged.poses, place)).collect();
     let was: Vec<PlanarPose> = merged.places.iter().map(|&place| truth[place]).collect();
     let whole: Vec<PlanarPose> = merged.places.iter().map(|&place| of(&one_go, place)).collect();
-    run.places = merged.places.len();
     run.rmse_m = rmse_m(&laid, &was, Alignment::Rigid);
-    run.one_go_rmse_m = rmse_m(&whole, &was, Alignment::Rigid);
+    run.one_go_rmse_m = Some(rmse_m(&whole, &was, Alignment::Rigid));
     Ok(run)
 }
 

@@ -9,11 +9,11 @@ use fabmap::observation::Observation;
 use fabmap::place_filter::Belief;
 use rayon::prelude::*;
 use serde::Serialize;
-use topomap::evidence::{ArchiveError, TwoView};
-use topomap::ids::FrameId;
 use topomap::log::{Decision, FrameEvent, Link, LinkKind, MapEvent, Reason};
 use topomap::mapper::Mapper;
-use topomap::merging::{KnownMap, MergeObserver, Verdict, ViewsBetween, find_matches, join, judge};
+use topomap::merging::{
+    KnownMap, MergeObserver, PairComparison, Verdict, find_matches, join, judge, pairs_to_compare,
+};
 use topomap::settings::MapperSettings;
 
 use super::MergeOptions;
@@ -43,7 +43,7 @@ pub(crate) struct LargeReport {
     pub find_seconds: f64,
     /// Choosing what agrees.
     pub judge_seconds: f64,
-    /// Telling the source's log anew, and folding it in.
+    /// Rewriting the source's log, and folding it in.
     pub join_seconds: f64,
     /// All of it.
     pub seconds: f64,
@@ -75,8 +75,11 @@ pub(super) fn run(places: u32, options: &MergeOptions) -> Result<LargeReport> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build()?;
     let silence = Silence::new();
     let began = Instant::now();
-    let matches =
-        pool.install(|| find_matches(source.known(), target.known(), &WordsAlone, merge, &silence))?;
+    let [source_map, target_map] = [source.known(), target.known()];
+    let pairs = pool.install(|| pairs_to_compare(source_map, target_map, merge, &silence))?;
+    // No frame has keypoints.
+    let comparisons = vec![PairComparison::default(); pairs.len()];
+    let matches = find_matches(source_map, target_map, &pairs, &comparisons, merge);
     let found = began.elapsed().as_secs_f64();
     let verdict = pool.install(|| judge(layout(&source.mapper), layout(&target.mapper), &matches, merge));
     let judged = began.elapsed().as_secs_f64();
@@ -97,7 +100,7 @@ pub(super) fn run(places: u32, options: &MergeOptions) -> Result<LargeReport> {
         Verdict::Apart(reason) => apart = Some(reason.to_string()),
     }
     let seconds = began.elapsed().as_secs_f64();
-    let report = LargeReport {
+    Ok(LargeReport {
         places,
         shared,
         threads,
@@ -111,13 +114,7 @@ pub(super) fn run(places: u32, options: &MergeOptions) -> Result<LargeReport> {
         seconds,
         longest_silence_seconds: silence.longest_s(),
         rss_mib: memory::resident_mib(),
-    };
-    eprintln!(
-        "{places} places each, {shared} of both: {} matches, {fused} fused, {false_fused} of them false; {found:.1} s to find, \
-         {:.1} s to judge, {:.1} s to join; nothing heard for {:.2} s at most",
-        report.matches, report.judge_seconds, report.join_seconds, report.longest_silence_seconds
-    );
-    Ok(report)
+    })
 }
 
 impl RowMap {
@@ -133,7 +130,7 @@ impl RowMap {
     }
 
     fn known(&self) -> KnownMap<'_> {
-        KnownMap { mapper: &self.mapper, archive: &self.log }
+        KnownMap { mapper: &self.mapper, log: &self.log.0 }
     }
 }
 
@@ -155,19 +152,7 @@ fn new_place(place: u32, observation: Observation) -> FrameEvent {
         link,
         at: None,
         belief: Belief { places: vec![(place, 1.0)], new_place: 0.0, remainder: 0.0 },
-    }
-}
-
-/// No frame has keypoints.
-struct WordsAlone;
-
-impl ViewsBetween for WordsAlone {
-    fn compare(&self, _source: FrameId, _target: FrameId) -> Result<Option<TwoView>, ArchiveError> {
-        Ok(None)
-    }
-
-    fn focal_length_widths(&self, _source: FrameId) -> Option<f64> {
-        None
+        look_alike_inliers: None,
     }
 }
 

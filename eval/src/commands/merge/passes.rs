@@ -7,16 +7,19 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow};
 use fabmap::model::Model;
+use rayon::prelude::*;
 use serde::Serialize;
-use topomap::evidence::{ArchiveError, TwoView};
 use topomap::ids::FrameId;
 use topomap::mapper::Mapper;
-use topomap::merging::{KnownMap, MergePlan, Verdict, ViewsBetween, find_matches, join, judge};
+use topomap::merging::{
+    KnownMap, MergePlan, PairComparison, PlacePair, Verdict, find_matches, join, judge, pairs_to_compare,
+};
 use topomap::settings::MapperSettings;
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::verification::{Verifier, View};
 
 use super::MergeOptions;
+use super::report::said;
 use crate::dataset::{Row, image_files, rows};
 use crate::error::fault;
 use crate::event_log::{fold_all, layout};
@@ -116,16 +119,14 @@ pub(super) fn run(folder: &Path, model_file: &Path, options: &MergeOptions) -> R
         }
     }
     let count = |of: fn(&Meeting) -> bool| by_floor.iter().filter(|meeting| of(meeting)).count();
-    let report = PassesReport {
+    Ok(PassesReport {
         false_merges: count(|meeting| meeting.fused > 0 && meeting.source != meeting.target),
         missed_overlaps: count(|meeting| meeting.fused == 0 && meeting.source == meeting.target),
         floors,
         whole,
         fused,
         by_floor,
-    };
-    eprint!("{}", report.table());
-    Ok(report)
+    })
 }
 
 /// What `index.csv` says of the images, in their order.
@@ -146,11 +147,18 @@ fn meet(
     options: &MergeOptions,
 ) -> Result<(Meeting, Vec<(String, String)>)> {
     let verifier = Verifier::new(MapperSettings::default().verification, options.seed);
-    let views = Between { source, target, verifier };
+    let settings = options.merge();
     let began = Instant::now();
-    let matches = find_matches(source.known(), target.known(), &views, &options.merge(), &())?;
-    let verdict =
-        judge(layout(&source.fab_map.mapper), layout(&target.fab_map.mapper), &matches, &options.merge());
+    let pairs = pairs_to_compare(source.known(), target.known(), &settings, &())?;
+    let view = |features| View { features, camera: None };
+    let compared = |pair: &PlacePair| {
+        let views = target.features(pair.target_frame).zip(source.features(pair.source_frame));
+        let view = views.map(|(earlier, current)| verifier.compare(view(earlier), view(current)));
+        PairComparison { view, focal_length_widths: None }
+    };
+    let comparisons: Vec<_> = pairs.par_iter().map(compared).collect();
+    let matches = find_matches(source.known(), target.known(), &pairs, &comparisons, &settings);
+    let verdict = judge(layout(&source.fab_map.mapper), layout(&target.fab_map.mapper), &matches, &settings);
     let places = [source, target].map(|map| map.fab_map.mapper.map().places().len());
     let mut meeting = Meeting {
         source: None,
@@ -159,31 +167,20 @@ fn meet(
         fused: 0,
         false_fused: 0,
         joined_places: 0,
-        said: String::new(),
+        said: said(&verdict, matches.len()),
         seconds: 0.0,
     };
     let mut floors = Vec::new();
-    match verdict {
-        Verdict::Overlap(plan) => {
-            let joined = target.joined_by(source, &plan)?;
-            floors = plan
-                .fused
-                .iter()
-                .map(|fused| (source.floor(fused.matched.source), target.floor(fused.matched.target)))
-                .collect();
-            meeting.fused = plan.fused.len();
-            meeting.false_fused = floors.iter().filter(|(source, target)| source != target).count();
-            meeting.joined_places = joined.map().places().len();
-            meeting.said = format!(
-                "{} of {} matches, rival {}, {} of {} places confirmed",
-                plan.matches.len(),
-                matches.len(),
-                plan.rival_support,
-                plan.overlap.confirmed,
-                plan.overlap.places
-            );
-        }
-        Verdict::Apart(apart) => meeting.said = apart.to_string(),
+    if let Verdict::Overlap(plan) = verdict {
+        let joined = target.joined_by(source, &plan)?;
+        floors = plan
+            .fused
+            .iter()
+            .map(|fused| (source.floor(fused.matched.source), target.floor(fused.matched.target)))
+            .collect();
+        meeting.fused = plan.fused.len();
+        meeting.false_fused = floors.iter().filter(|(source, target)| source != target).count();
+        meeting.joined_places = joined.map().places().len();
     }
     meeting.seconds = began.elapsed().as_secs_f64();
     Ok((meeting, floors))
@@ -205,7 +202,7 @@ impl PassMap {
     }
 
     fn known(&self) -> KnownMap<'_> {
-        KnownMap { mapper: &self.fab_map.mapper, archive: &self.fab_map.log }
+        KnownMap { mapper: &self.fab_map.mapper, log: &self.fab_map.log.0 }
     }
 
     fn joined_by(&self, source: &PassMap, plan: &MergePlan) -> Result<Mapper> {
@@ -228,47 +225,7 @@ impl PassMap {
         self.fab_map.log.index(frame)
     }
 
-    fn features(&self, frame: FrameId) -> Result<&FeatureRecord, ArchiveError> {
-        let features = self.index(frame).and_then(|index| self.fab_map.features.get(index)).map(Arc::as_ref);
-        features.ok_or_else(|| ArchiveError { frame, why: "it is not in the log".to_owned() })
-    }
-}
-
-/// Frames of two maps, side by side.
-struct Between<'a> {
-    source: &'a PassMap,
-    target: &'a PassMap,
-    verifier: Verifier,
-}
-
-impl ViewsBetween for Between<'_> {
-    fn compare(&self, source: FrameId, target: FrameId) -> Result<Option<TwoView>, ArchiveError> {
-        let current = self.source.features(source)?;
-        let earlier = self.target.features(target)?;
-        let view = |features| View { features, camera: None };
-        Ok(Some(self.verifier.compare(view(earlier), view(current))))
-    }
-
-    fn focal_length_widths(&self, _source: FrameId) -> Option<f64> {
-        None
-    }
-}
-
-impl PassesReport {
-    fn table(&self) -> String {
-        let Meeting { places, fused, false_fused, joined_places, said, seconds, .. } = &self.whole;
-        let mut table = format!(
-            "both passes: {} and {} places became {joined_places}, {fused} fused, {false_fused} of different floors; {said}; {seconds:.1} s\n",
-            places[0], places[1]
-        );
-        for (floor, row) in self.floors.iter().zip(&self.fused) {
-            table += &format!("  {floor}: {row:?}\n");
-        }
-        for meeting in &self.by_floor {
-            let [source, target] =
-                [&meeting.source, &meeting.target].map(|floor| floor.as_deref().unwrap_or("all"));
-            table += &format!("{source} with {target}: {} fused; {}\n", meeting.fused, meeting.said);
-        }
-        table + &format!("{} false merges, {} overlaps missed\n", self.false_merges, self.missed_overlaps)
+    fn features(&self, frame: FrameId) -> Option<&FeatureRecord> {
+        self.fab_map.features.get(self.index(frame)?).map(Arc::as_ref)
     }
 }

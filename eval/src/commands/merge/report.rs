@@ -1,9 +1,9 @@
 //! What merging simulated drives came to.
 
 use serde::Serialize;
+use topomap::merging::{MergePlan, Verdict};
 
 use super::MergeOptions;
-use crate::choices::own_name;
 use crate::timing::median;
 
 /// What came out.
@@ -65,14 +65,14 @@ pub(crate) struct MergeRun {
 }
 
 impl MergeReport {
-    pub(super) fn of(options: &MergeOptions, runs: Vec<MergeRun>) -> Self {
+    pub(super) fn of(scenario: String, options: &MergeOptions, runs: Vec<MergeRun>) -> Self {
         let sum = |of: fn(&MergeRun) -> usize| runs.iter().map(of).sum();
         let ratio = |run: &MergeRun| run.one_go_rmse_m.map(|one_go| run.rmse_m / one_go);
         let most = |values: Vec<f64>| values.into_iter().reduce(f64::max);
         let errors: Vec<f64> = runs.iter().map(|run| run.rmse_m).collect();
         let ratios: Vec<f64> = runs.iter().filter_map(ratio).collect();
         Self {
-            scenario: own_name(&options.scenario),
+            scenario,
             seed: options.seed,
             trials: options.trials,
             false_match_share: options.false_matches,
@@ -89,36 +89,30 @@ impl MergeReport {
             runs,
         }
     }
+}
 
-    pub(super) fn table(&self) -> String {
-        let mut table = format!(
-            "{}, {} trials\nseed  maps  merges  false  missed  matches  false  rmse m  one go m\n",
-            self.scenario, self.trials
-        );
-        for run in &self.runs {
-            let one_go = run.one_go_rmse_m.map_or("–".to_owned(), |metres| format!("{metres:.2}"));
-            table += &format!(
-                "{:<6}{:>4}{:>8}{:>7}{:>8}{:>9}{:>7}{:>8.2}{one_go:>10}\n",
-                run.seed,
-                run.maps,
-                run.merges,
-                run.false_merges,
-                run.missed_overlaps,
-                run.matches,
-                run.false_matches,
-                run.rmse_m,
-            );
-        }
-        table
-            + &format!(
-                "rmse {:.2} m, at most {:.2} m; over that of one go {}; {} merges, {} false; {} missed; {:.2} s\n",
-                self.rmse_m,
-                self.rmse_m_worst,
-                self.rmse_ratio.map_or("–".to_owned(), |ratio| format!("{ratio:.2}")),
-                self.merges,
-                self.false_merges,
-                self.missed_overlaps,
-                self.seconds,
-            )
+impl MergeRun {
+    /// A merge, of whose matches so many are of different places.
+    pub(super) fn count(&mut self, plan: &MergePlan, wrong: usize) {
+        self.merges += 1;
+        self.matches += plan.matches.len();
+        self.false_matches += wrong;
+        self.false_merges += usize::from(2 * wrong > plan.matches.len());
+    }
+}
+
+/// Why, or by what, of so many matches.
+pub(super) fn said(verdict: &Verdict, matches: usize) -> String {
+    match verdict {
+        Verdict::Overlap(plan) => format!(
+            "{} of {matches} matches, rival {}, {} of {} places confirmed, cost {:.0} to {:.0}",
+            plan.matches.len(),
+            plan.rival_support,
+            plan.overlap.confirmed,
+            plan.overlap.places,
+            plan.cost_before,
+            plan.cost_after,
+        ),
+        Verdict::Apart(apart) => apart.to_string(),
     }
 }

@@ -8,8 +8,9 @@ use fabmap::model::Model;
 use posegraph::{PlanarPose, Pose};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
 use topomap::evidence::ClosureNoise;
-use topomap::merging::{MergePlan, PlaceMatch, Verdict, find_matches, join, judge};
+use topomap::merging::{MergePlan, PlaceMatch, Verdict, find_matches, join, judge, pairs_to_compare};
 use topomap::metric::{PlaceSpacing, RelativePose};
 use topomap::settings::MapperSettings;
 use waypost_sim::scene::Scene;
@@ -17,8 +18,8 @@ use waypost_sim::worlds::NamedWorld;
 use waypost_vision::features::Extractor;
 use waypost_vision::verification::Verifier;
 
-use super::report::MergeRun;
-use super::world::{Between, TrueFrame, TrueMap, map_all};
+use super::report::{MergeRun, said};
+use super::world::{TrueFrame, TrueMap, compared, map_all};
 use super::{MergeOptions, MergeScenario, picture, sessions};
 use crate::choices::own_name;
 use crate::commands::map::alignment::{Alignment, rmse_m};
@@ -123,27 +124,18 @@ fn meet(
     target: &TrueMap,
     run: &mut MergeRun,
 ) -> Result<Verdict> {
-    let views =
-        Between { source, target, verifier: Verifier::new(MapperSettings::default().verification, 0) };
+    let verifier = Verifier::new(MapperSettings::default().verification, 0);
+    let settings = options.merge();
     let began = Instant::now();
-    let mut matches = find_matches(source.known(), target.known(), &views, &options.merge(), &())?;
+    let pairs = pairs_to_compare(source.known(), target.known(), &settings, &())?;
+    let comparisons: Vec<_> =
+        pairs.par_iter().map(|pair| compared(source, target, pair, &verifier)).collect();
+    let mut matches = find_matches(source.known(), target.known(), &pairs, &comparisons, &settings);
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     matches.extend(made_up(&matches, options.false_matches, source, target, &mut random));
-    let verdict = judge(layout(&source.mapper), layout(&target.mapper), &matches, &options.merge());
+    let verdict = judge(layout(&source.mapper), layout(&target.mapper), &matches, &settings);
     run.seconds.push(began.elapsed().as_secs_f64());
-    run.said.push(match &verdict {
-        Verdict::Overlap(plan) => format!(
-            "{} of {} matches, rival {}, {} of {} places confirmed, cost {:.0} to {:.0}",
-            plan.matches.len(),
-            matches.len(),
-            plan.rival_support,
-            plan.overlap.confirmed,
-            plan.overlap.places,
-            plan.cost_before,
-            plan.cost_after,
-        ),
-        Verdict::Apart(apart) => apart.to_string(),
-    });
+    run.said.push(said(&verdict, matches.len()));
     Ok(verdict)
 }
 
@@ -195,11 +187,7 @@ impl MergeRun {
                     || is_far(&target.pose.inverse().compose(&source.pose))
             })
         };
-        let wrong = plan.matches.iter().filter(is_false).count();
-        self.merges += 1;
-        self.matches += plan.matches.len();
-        self.false_matches += wrong;
-        self.false_merges += usize::from(2 * wrong > plan.matches.len());
+        self.count(plan, plan.matches.iter().filter(is_false).count());
     }
 }
 

@@ -6,11 +6,10 @@ use anyhow::Result;
 use fabmap::model::Model;
 use posegraph::{PlanarPose, Pose};
 use rayon::prelude::*;
-use topomap::evidence::{ArchiveError, TwoView};
 use topomap::ids::FrameId;
 use topomap::log::MapEvent;
 use topomap::mapper::Mapper;
-use topomap::merging::{KnownMap, ViewsBetween};
+use topomap::merging::{KnownMap, PairComparison, PlacePair};
 use topomap::settings::MapperSettings;
 use waypost_sim::drive::IMAGE_SIZE_PX;
 use waypost_vision::feature_record::FeatureRecord;
@@ -66,7 +65,7 @@ impl TrueMap {
 
     /// As merging knows it.
     pub(super) fn known(&self) -> KnownMap<'_> {
-        KnownMap { mapper: &self.mapper, archive: &self.log }
+        KnownMap { mapper: &self.mapper, log: &self.log.0 }
     }
 
     /// Takes in what another map's log has become.
@@ -101,28 +100,21 @@ impl TrueMap {
     }
 }
 
-/// Frames of two maps, side by side.
-pub(super) struct Between<'a> {
-    /// The map that joins.
-    pub source: &'a TrueMap,
-    /// The map that it joins.
-    pub target: &'a TrueMap,
-    /// Compares.
-    pub verifier: Verifier,
-}
-
-impl ViewsBetween for Between<'_> {
-    fn compare(&self, source: FrameId, target: FrameId) -> Result<Option<TwoView>, ArchiveError> {
-        let missing = |frame| ArchiveError { frame, why: "it is not in the log".to_owned() };
-        let current = self.source.frame(source).ok_or_else(|| missing(source))?;
-        let earlier = self.target.frame(target).ok_or_else(|| missing(target))?;
-        let [earlier, current] =
-            [earlier, current].map(|frame| View { features: &frame.features, camera: Some(frame.camera) });
-        Ok(Some(self.verifier.compare(earlier, current)))
+/// Compares the frames of a pair; none if one is not in its log.
+pub(super) fn compared(
+    source: &TrueMap,
+    target: &TrueMap,
+    pair: &PlacePair,
+    verifier: &Verifier,
+) -> PairComparison {
+    fn view(frame: &TrueFrame) -> View<'_> {
+        View { features: &frame.features, camera: Some(frame.camera) }
     }
-
-    fn focal_length_widths(&self, source: FrameId) -> Option<f64> {
-        Some(self.source.frame(source)?.camera.pinhole.focal_length_widths(IMAGE_SIZE_PX.0))
+    let current = source.frame(pair.source_frame);
+    let views = target.frame(pair.target_frame).zip(current);
+    PairComparison {
+        view: views.map(|(earlier, current)| verifier.compare(view(earlier), view(current))),
+        focal_length_widths: current.map(|frame| frame.camera.pinhole.focal_length_widths(IMAGE_SIZE_PX.0)),
     }
 }
 

@@ -7,7 +7,7 @@ use posegraph::{PlanarPose, Pose as _};
 use serde::Serialize;
 use waypost_navigation::metric::{Seen, Status};
 
-use super::repeat::{Drive, name};
+use super::repeat::{Drive, Kidnapping, name};
 use super::teaching::Taught;
 use super::{NavigateOptions, Trial};
 use crate::commands::map::judgement::{FALSE_M, FALSE_RAD};
@@ -130,26 +130,11 @@ pub(crate) struct NavigateRun {
     pub taught_drift_rad_per_m: f64,
     /// If it was carried off.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub kidnapping: Option<KidnappingRun>,
+    pub kidnapping: Option<Kidnapping>,
     #[serde(skip)]
     cross_track_m: Vec<f64>,
     #[serde(skip)]
     odometry_only_cross_track_m: Vec<f64>,
-}
-
-/// What came of carrying a robot off.
-#[derive(Clone, Copy, Serialize)]
-pub(crate) struct KidnappingRun {
-    /// Seconds until it knew that something was wrong.
-    pub noticed_s: Option<f64>,
-    /// Metres driven until then.
-    pub driven_m: f64,
-    /// Seconds until it knew where it was.
-    pub found_s: Option<f64>,
-    /// What it turned for that, in degrees.
-    pub turned_deg: f64,
-    /// Frames at which it believed to be elsewhere.
-    pub believed_elsewhere: u32,
 }
 
 /// How far from the goal a robot may end: a place's spacing.
@@ -172,13 +157,6 @@ impl NavigateRun {
             on_the_way.iter().filter(|look| wanted(look)).count()
         };
         let runs = on_the_way.split(|look| look.recognised.is_some());
-        let kidnapping = seen.kidnapping.map(|carried| KidnappingRun {
-            noticed_s: carried.noticed_s,
-            driven_m: carried.driven_m,
-            found_s: carried.found_s,
-            turned_deg: carried.turned_rad.to_degrees(),
-            believed_elsewhere: carried.believed_elsewhere,
-        });
         let mean = |errors: &[f64]| errors.iter().sum::<f64>() / errors.len().max(1) as f64;
         Self {
             seed,
@@ -205,7 +183,7 @@ impl NavigateRun {
             planned_m: seen.planned_m,
             taught_scale: taught.wheels.scale,
             taught_drift_rad_per_m: taught.wheels.drift_rad_per_m,
-            kidnapping,
+            kidnapping: seen.kidnapping,
             cross_track_m: errors,
             odometry_only_cross_track_m: wheel_errors,
         }
@@ -282,70 +260,14 @@ pub(super) fn report(options: &NavigateOptions, runs: Vec<NavigateRun>) -> Navig
 }
 
 fn kidnapped(runs: &[NavigateRun]) -> Option<KidnappedReport> {
-    let all: Vec<KidnappingRun> = runs.iter().filter_map(|run| run.kidnapping).collect();
+    let all: Vec<Kidnapping> = runs.iter().filter_map(|run| run.kidnapping).collect();
     let found = || all.iter().filter(|run| run.found_s.is_some() && run.believed_elsewhere == 0);
     (!all.is_empty()).then(|| KidnappedReport {
         kidnapped: all.len(),
         relocalized: found().count(),
-        relocalized_within_one_turn: found().filter(|run| run.turned_deg <= 360.0).count(),
+        relocalized_within_one_turn: found().filter(|run| run.turned_rad.to_degrees() <= 360.0).count(),
         believed_elsewhere: all.iter().filter(|run| run.believed_elsewhere > 0).count(),
         noticed_s_median: median(all.iter().filter_map(|run| run.noticed_s).collect()).unwrap_or(0.0),
-        turned_deg_median: median(all.iter().map(|run| run.turned_deg).collect()).unwrap_or(0.0),
+        turned_deg_median: median(all.iter().map(|run| run.turned_rad.to_degrees()).collect()).unwrap_or(0.0),
     })
-}
-
-impl NavigateReport {
-    pub(super) fn table(&self) -> String {
-        let mut table = String::from(
-            "seed  arrived  status     mean m  p95 m  max m  goal m  wheels: goal m  frames  closures  false  lost  hits\n",
-        );
-        for run in &self.runs {
-            table += &format!(
-                "{:<6}{:<9}{:<11}{:>6.3}{:>7.3}{:>7.3}{:>8.2}{:>16}{:>8}{:>10}{:>7}{:>6}{:>6}\n",
-                run.seed,
-                if run.arrived { "yes" } else { "NO" },
-                run.status,
-                run.cross_track_m_mean,
-                run.cross_track_m_p95,
-                run.cross_track_m_max,
-                run.goal_error_m,
-                run.odometry_only_goal_error_m
-                    .map_or_else(|| "–".to_owned(), |metres| format!("{metres:.2}")),
-                run.frames,
-                run.closures,
-                run.false_closures,
-                run.times_lost,
-                run.collisions,
-            );
-        }
-        table += &format!(
-            "{} of {} arrived; cross-track {:.3} m mean, {:.3} m 95 %, {:.2} m at most; by wheels alone {} arrived; \
-             {:.1} % of frames recognised, {:.1} % believed, {} false, {} of them believed; {:.1} m taught, {:.1} m planned\n",
-            self.arrived,
-            self.trials,
-            self.cross_track_m_mean,
-            self.cross_track_m_p95,
-            self.cross_track_m_max,
-            self.odometry_only_arrived,
-            100.0 * self.closure_rate,
-            100.0 * self.believed_rate,
-            self.false_closures,
-            self.false_believed,
-            self.taught_m_median,
-            self.planned_m_median,
-        );
-        if let Some(kidnapped) = &self.kidnapped {
-            table += &format!(
-                "{} of {} found out where they were, {} within one turn; {} believed to be elsewhere; noticed after \
-                 {:.1} s, turned {:.0} degrees\n",
-                kidnapped.relocalized,
-                kidnapped.kidnapped,
-                kidnapped.relocalized_within_one_turn,
-                kidnapped.believed_elsewhere,
-                kidnapped.noticed_s_median,
-                kidnapped.turned_deg_median,
-            );
-        }
-        table
-    }
 }

@@ -10,6 +10,7 @@ use nalgebra::Vector2;
 use posegraph::{PlanarPose, Pose as _};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
 use topomap::ids::FrameId;
 use waypost_navigation::metric::settings::SupervisionSettings;
 use waypost_navigation::metric::{
@@ -72,8 +73,8 @@ pub(super) struct Looked {
 }
 
 /// What came of carrying the robot off.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Kidnapping {
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub(crate) struct Kidnapping {
     pub(super) at_s: f64,
     /// Seconds until the robot knew.
     pub(super) noticed_s: Option<f64>,

@@ -19,6 +19,7 @@ use waypost_vision::structure::{RobotCamera, Tracker};
 use waypost_vision::verification::{Pinhole, Verifier, View};
 
 use super::recording::Recording;
+use crate::commands::map::closures::CHI_SQUARED_95;
 use crate::error::fault;
 use crate::files;
 use crate::timing::quantile;
@@ -57,9 +58,6 @@ struct Measured {
     is_within_own_95: bool,
 }
 
-/// 95 % of what has three degrees of freedom lie below.
-const CHI_SQUARED_95: f64 = 7.815;
-
 pub(super) fn run(
     folders: &[PathBuf],
     calibration: &Path,
@@ -86,9 +84,7 @@ pub(super) fn run(
         }
     }
     ensure!(pairs > 0, "no two frames are 2 to 8 m apart; give a recording of a camera that moves");
-    let report = DistancesReport::of(features, pairs, &measured);
-    eprint!("{}", report.table());
-    Ok(report)
+    Ok(DistancesReport::of(features, pairs, &measured))
 }
 
 /// The first camera of a calibration file: the first row of twelve numbers, a 3 x 4 matrix.
@@ -195,20 +191,5 @@ impl DistancesReport {
             heading_error_deg: spread(|measured| measured.heading_error_deg),
             within_own_95: within as f64 / measured.len().max(1) as f64,
         }
-    }
-
-    fn table(&self) -> String {
-        let Self { features, pairs, measured, distance_error_share, .. } = self;
-        format!(
-            "{features}: {measured} of {pairs} pairs measured; distance off by {:.1} %, 95 % by {:.1} %; direction by \
-             {:.2}, {:.2} degrees; heading by {:.2}, {:.2} degrees; {:.0} % within their own 95 %\n",
-            100.0 * distance_error_share[0],
-            100.0 * distance_error_share[1],
-            self.direction_error_deg[0],
-            self.direction_error_deg[1],
-            self.heading_error_deg[0],
-            self.heading_error_deg[1],
-            100.0 * self.within_own_95,
-        )
     }
 }

@@ -68,9 +68,7 @@ pub(super) fn run(folders: &[PathBuf], model: &Path) -> Result<WalksReport> {
         }
     }
     bar.finish_and_clear();
-    let report = WalksReport::of(&walks, &mapping.mapped);
-    eprint!("{}", report.table());
-    Ok(report)
+    Ok(WalksReport::of(&walks, &mapping.mapped))
 }
 
 /// A frame among all walks.
@@ -128,15 +126,6 @@ impl WalksReport {
                 })
                 .collect(),
         }
-    }
-
-    fn table(&self) -> String {
-        let Self { walks, frames, places, joined_walks, closures, .. } = self;
-        format!(
-            "{frames} frames of {walks} walks, {places} places; {closures} closures, {} between walks; by odometry {:.2} m \
-             apart in the median, {:.2} m at most, {} of them more than {FALSE_M} m; {joined_walks} walks joined\n",
-            self.closures_between_walks, self.apart_m[0], self.apart_m[1], self.closures_far_apart,
-        )
     }
 }
 

@@ -5,9 +5,9 @@ use fabmap::recognizer::Recognizer;
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::source::Query;
 use crate::calibration::{Prediction, Reliability};
 use crate::dataset::Verdict;
-use crate::workload::files::Query;
 
 /// Posterior from which the most probable place counts as accepted.
 const THRESHOLD: f64 = 0.5;

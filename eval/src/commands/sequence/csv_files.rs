@@ -31,14 +31,25 @@ pub(super) fn frames(sequence: &Sequence, frames: &[JudgedFrame]) -> csv::Result
             closure_verdict: name_of(VERDICTS, closure_verdict),
         }
     });
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    for row in rows {
-        writer.serialize(row)?;
-    }
-    writer.into_inner().map_err(|error| error.into_error().into())
+    table(rows)
 }
 
-#[derive(Serialize)]
+/// The rows under a header, which is there even without rows.
+fn table<Row: Serialize + Default>(rows: impl IntoIterator<Item = Row>) -> csv::Result<Vec<u8>> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let mut rows = rows.into_iter().peekable();
+    let is_empty = rows.peek().is_none();
+    for row in rows.chain(is_empty.then(Row::default)) {
+        writer.serialize(row)?;
+    }
+    let mut table = writer.into_inner().map_err(csv::IntoInnerError::into_error)?;
+    if is_empty {
+        table.truncate(table.iter().position(|&byte| byte == b'\n').map_or(0, |end| end + 1));
+    }
+    Ok(table)
+}
+
+#[derive(Default, Serialize)]
 struct FrameRow {
     index: usize,
     image: String,
@@ -58,17 +69,14 @@ struct FrameRow {
 
 /// One row per earlier frame that a frame was compared with.
 pub(super) fn candidates(frames: &[JudgedFrame], truth: &Truth) -> csv::Result<Vec<u8>> {
-    // The header also where nothing was compared.
-    let mut writer = csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new());
-    writer.write_record(CANDIDATE_COLUMNS)?;
-    for (index, frame) in frames.iter().enumerate() {
-        for &RankedCandidate { frame: earlier, candidate } in &frame.ranked.candidates {
+    table(frames.iter().enumerate().flat_map(|(index, frame)| {
+        frame.ranked.candidates.iter().map(move |&RankedCandidate { frame: earlier, candidate }| {
             let Match { place, posterior, log_odds, frame: _ } = candidate.matched;
             let motion = match candidate.view.and_then(|view| view.motion) {
                 Some(ViewMotion::Similarity(motion)) => Some(motion),
                 Some(ViewMotion::Essential { .. } | ViewMotion::Fundamental(_)) | None => None,
             };
-            writer.serialize(CandidateRow {
+            CandidateRow {
                 index,
                 frame: earlier,
                 place,
@@ -80,40 +88,19 @@ pub(super) fn candidates(frames: &[JudgedFrame], truth: &Truth) -> csv::Result<V
                 own_evidence_inliers: candidate.own_evidence(),
                 support_inliers: candidate.support,
                 evidence_inliers: candidate.evidence(),
+                look_alike_inliers: candidate.look_alike_inliers,
                 probability: candidate.probability(),
                 rotation_rad: motion.map(|motion| motion.rotation_rad),
                 ln_scale: motion.map(|motion| motion.ln_scale),
                 shift_x_widths: motion.map(|motion| motion.translation_widths[0]),
                 shift_y_widths: motion.map(|motion| motion.translation_widths[1]),
                 verdict: name_of(VERDICTS, &Some(truth.verdict(index, earlier))),
-            })?;
-        }
-    }
-    writer.into_inner().map_err(|error| error.into_error().into())
+            }
+        })
+    }))
 }
 
-const CANDIDATE_COLUMNS: [&str; 17] = [
-    "index",
-    "frame",
-    "place",
-    "posterior",
-    "log_odds_nats",
-    "matches",
-    "inliers",
-    "distinct_inliers",
-    "own_evidence_inliers",
-    "support_inliers",
-    "evidence_inliers",
-    "probability",
-    "rotation_rad",
-    "ln_scale",
-    "shift_x_widths",
-    "shift_y_widths",
-    "verdict",
-];
-
-/// Fields in the order of [`CANDIDATE_COLUMNS`].
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct CandidateRow {
     index: usize,
     frame: usize,
@@ -126,6 +113,7 @@ struct CandidateRow {
     own_evidence_inliers: f64,
     support_inliers: f64,
     evidence_inliers: f64,
+    look_alike_inliers: f64,
     probability: f64,
     rotation_rad: Option<f64>,
     ln_scale: Option<f64>,
@@ -136,28 +124,20 @@ struct CandidateRow {
 
 /// One row per operating point, highest threshold first.
 pub(super) fn curve(curve: &PrecisionRecall) -> csv::Result<Vec<u8>> {
-    // The header also where there are no rows.
-    let mut writer = csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new());
-    writer.write_record(CURVE_COLUMNS)?;
-    for point in &curve.points {
+    table(curve.points.iter().map(|point| {
         let OperatingPoint { threshold, true_proposals, false_proposals, neutral_proposals } = *point;
-        writer.serialize(CurveRow {
+        CurveRow {
             threshold,
             recall: curve.recall(point),
             precision: point.precision(),
             true_proposals,
             false_proposals,
             neutral_proposals,
-        })?;
-    }
-    writer.into_inner().map_err(|error| error.into_error().into())
+        }
+    }))
 }
 
-const CURVE_COLUMNS: [&str; 6] =
-    ["threshold", "recall", "precision", "true_proposals", "false_proposals", "neutral_proposals"];
-
-/// Fields in the order of [`CURVE_COLUMNS`].
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct CurveRow {
     threshold: f64,
     recall: Option<f64>,
@@ -173,23 +153,6 @@ mod tests {
     use crate::dataset::Verdict;
     use crate::precision_recall::JudgedProposal;
 
-    /// Where rows carry their own header, it is the one that is written.
-    #[test]
-    fn columns_are_the_fields() {
-        let row = CurveRow {
-            threshold: 0.5,
-            recall: None,
-            precision: 1.0,
-            true_proposals: 0,
-            false_proposals: 0,
-            neutral_proposals: 2,
-        };
-        let mut writer = csv::Writer::from_writer(Vec::new());
-        writer.serialize(&row).unwrap();
-        let with_own_header = writer.into_inner().unwrap();
-        assert!(with_own_header.starts_with(CURVE_COLUMNS.join(",").as_bytes()));
-    }
-
     #[test]
     fn a_curve_has_a_row_per_score() {
         let proposals = vec![
@@ -198,8 +161,9 @@ mod tests {
         ];
         let text = String::from_utf8(curve(&PrecisionRecall::sweep(proposals, 2)).unwrap()).unwrap();
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(lines, [CURVE_COLUMNS.join(",").as_str(), "0.75,0.5,1.0,1,0,0", "0.5,0.5,0.5,1,1,0"]);
+        let header = "threshold,recall,precision,true_proposals,false_proposals,neutral_proposals";
+        assert_eq!(lines, [header, "0.75,0.5,1.0,1,0,0", "0.5,0.5,0.5,1,1,0"]);
         let empty = curve(&PrecisionRecall::sweep(Vec::new(), 2)).unwrap();
-        assert_eq!(empty, format!("{}\n", CURVE_COLUMNS.join(",")).into_bytes());
+        assert_eq!(empty, format!("{header}\n").into_bytes());
     }
 }

@@ -1,14 +1,12 @@
 //! The measures of a run.
 
-use std::fmt::Write;
-
 use serde::Serialize;
 
 use super::JudgedFrame;
 use super::recognised::Recognised;
 use super::system::{RankingName, SystemOptions};
 use crate::calibration::Reliability;
-use crate::dataset::{Sequence, Verdict};
+use crate::dataset::Verdict;
 use crate::precision_recall::PrecisionRecall;
 use crate::timing::StageTimes;
 
@@ -36,10 +34,6 @@ pub(crate) struct SequenceReport {
     pub recognised: Option<usize>,
     /// Frames put to one that holds none.
     pub recognised_wrongly: Option<usize>,
-    /// The same as `loop_closures`.
-    pub accepted: Option<usize>,
-    /// The same as `loop_closures_false`.
-    pub accepted_false: Option<usize>,
     /// Expected calibration error of the probability reported for the proposal; null for a system
     /// without probabilities. See [`Reliability::expected_calibration_error`].
     pub ece: Option<f64>,
@@ -65,8 +59,6 @@ impl SequenceReport {
         };
         let is_false = |verdict: &&Option<Verdict>| **verdict == Some(Verdict::False);
         let times: Vec<StageTimes> = frames.iter().map(|frame| frame.ranked.times).collect();
-        let accepted = closures.as_ref().map(Vec::len);
-        let accepted_false = closures.as_ref().map(|closures| closures.iter().filter(is_false).count());
         Self {
             frames: frames.len(),
             queries_with_loop: curve.queries_with_loop,
@@ -75,49 +67,12 @@ impl SequenceReport {
             false_positives: curve.unthresholded().map_or(0, |all| all.false_proposals),
             true_positives: curve.unthresholded().map_or(0, |all| all.true_proposals),
             places: on_map.map(|(places, _)| places),
-            loop_closures: accepted,
-            loop_closures_false: accepted_false,
+            loop_closures: closures.as_ref().map(Vec::len),
+            loop_closures_false: closures.as_ref().map(|closures| closures.iter().filter(is_false).count()),
             recognised: on_map.map(|(_, recognised)| recognised.right),
             recognised_wrongly: on_map.map(|(_, recognised)| recognised.wrong),
-            accepted,
-            accepted_false,
             ece: reliability.expected_calibration_error(),
             ms_p50: StageTimes::medians(&times),
         }
-    }
-
-    pub(super) fn table(&self, sequence: &Sequence, system: &str) -> String {
-        let percent = |fraction: Option<f64>| match fraction {
-            Some(fraction) => format!("{:.1} %", 100.0 * fraction),
-            None => "none (no frame has a loop)".to_owned(),
-        };
-        let mut table = format!(
-            "sequence                   {} ({} frames, {} with a loop)\n\
-             system                     {system}\n\
-             recall at 100 % precision  {}\n\
-             average precision          {}\n\
-             proposals                  {} true, {} false\n",
-            sequence.name,
-            self.frames,
-            self.queries_with_loop,
-            percent(self.recall_at_100_precision),
-            percent(self.average_precision),
-            self.true_positives,
-            self.false_positives,
-        );
-        if let Some(places) = self.places {
-            let _ = writeln!(table, "places                     {places}");
-        }
-        if let (Some(accepted), Some(wrong)) = (self.loop_closures, self.loop_closures_false) {
-            let _ = writeln!(table, "loop closures accepted     {accepted}, {wrong} of them false");
-        }
-        if let (Some(right), Some(wrong)) = (self.recognised, self.recognised_wrongly) {
-            let _ = writeln!(table, "recognised                 {right}, and {wrong} put to a wrong place");
-        }
-        if let Some(error) = self.ece {
-            let _ = writeln!(table, "expected calibration error {error:.3}");
-        }
-        let _ = writeln!(table, "median time in ms          {}", self.ms_p50.text());
-        table
     }
 }

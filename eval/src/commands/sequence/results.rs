@@ -13,7 +13,7 @@ use crate::match_matrix::MatchMatrix;
 use crate::precision_recall::PrecisionRecall;
 use crate::{files, plots};
 
-/// Writes all files of a run, and the table to stderr.
+/// Writes all files of a run.
 pub(super) fn write_all(
     report: &SequenceReport,
     sequence: &Sequence,
@@ -33,13 +33,9 @@ pub(super) fn write_all(
     write(RELIABILITY_PLOT, plots::reliability_svg(&title, reliability)?.as_bytes())?;
     write(MATRIX, &matrix.to_png(&sequence.truth).with_context(|| format!("{MATRIX} could not be drawn"))?)?;
     false_pictures::write_all(&options.out.join(MISTAKES), sequence, &mistakes(frames))?;
-    files::write_json(&options.out.join(SUMMARY), &Summary::new(report, sequence, model, options)?)?;
+    files::write_json(&options.out.join(SUMMARY), &Summary::new(report, sequence, model, options))?;
 
-    eprint!("{}", report.table(sequence, &system));
-    eprintln!(
-        "results                    {} ({FRAMES}, {CANDIDATES}, {CURVE}, {CURVE_PLOT}, {RELIABILITY_PLOT}, {MATRIX}, {SUMMARY}, {MISTAKES}/)",
-        options.out.display()
-    );
+    eprintln!("{title}; results in {}", options.out.display());
     Ok(())
 }
 

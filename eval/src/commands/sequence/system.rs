@@ -2,11 +2,9 @@
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
-use fabmap::detector::DetectorModel;
 use fabmap::likelihood::Dependence;
 use fabmap::model::Model;
 use fabmap::new_place::NewPlaceMethod;
-use fabmap::place_filter::FilterSettings;
 use fabmap::recognizer::{RecognizerSettings, Scorer};
 use topomap::evidence::VerificationMethod;
 use topomap::settings::MapperSettings;
@@ -54,16 +52,6 @@ struct Knobs {
         name_of(VERIFICATION_METHODS, &MapperSettings::default().verification.method),
     ))]
     verification: Option<VerificationMethod>,
-    #[arg(long, value_name = "INLIERS", help = with_default(
-        "Least evidence of a verified closure",
-        MapperSettings::default().verification.min_evidence,
-    ))]
-    min_evidence: Option<f64>,
-    #[arg(long, value_name = "FRAMES", help = with_default(
-        "Earlier frames whose matches speak for those near them",
-        MapperSettings::default().verification.consistency_frames,
-    ))]
-    consistency_frames: Option<u64>,
     #[arg(long, value_parser = choice(DEPENDENCES), help = with_default(
         "Whether words depend on each other",
         name_of(DEPENDENCES, &RecognizerSettings::default().dependence),
@@ -79,27 +67,6 @@ struct Knobs {
         name_of(SCORERS, &RecognizerSettings::default().scorer),
     ))]
     scorer: Option<Scorer>,
-    /// p(z=1|e=1): how often a scene element that exists is seen [default: the model's].
-    #[arg(long, value_name = "P")]
-    true_positive_rate: Option<f64>,
-    /// p(z=1|e=0): how often one is seen that does not exist [default: the model's].
-    #[arg(long, value_name = "P")]
-    false_positive_rate: Option<f64>,
-    #[arg(long, value_name = "P", help = with_default(
-        "p(new): prior probability of a place never seen",
-        FilterSettings::default().new_place_prior,
-    ))]
-    new_place_prior: Option<f64>,
-    #[arg(long, value_name = "SIGMA", help = with_default(
-        "Weight of the normalised likelihoods against an even distribution; 1 is no smoothing",
-        FilterSettings::default().likelihood_smoothing,
-    ))]
-    smoothing: Option<f64>,
-    #[arg(long, value_name = "EPSILON", help = with_default(
-        "Share of the prior that is spread evenly over all places whatever the motion",
-        FilterSettings::default().even_share,
-    ))]
-    even_share: Option<f64>,
 }
 
 impl SystemOptions {
@@ -107,9 +74,8 @@ impl SystemOptions {
     pub(super) fn check(&self) -> Result<()> {
         if self.ranking == RankingName::TfIdf && self.knobs != Knobs::default() {
             return Err(refused(
-                "with --ranking tf-idf there are no FAB-MAP settings to make; leave out --verify, --min-evidence, \
-                 --consistency-frames, --dependence, --new-place, --scorer, the rates, --new-place-prior, \
-                 --smoothing and --even-share",
+                "with --ranking tf-idf there are no FAB-MAP settings to make; leave out --verify, --dependence, \
+                 --new-place and --scorer",
             ));
         }
         Ok(())
@@ -118,9 +84,9 @@ impl SystemOptions {
     /// An empty system; frames closer than `gap` are never loops.
     pub(super) fn start(&self, model: &Model, gap: usize, seed: u64) -> Result<Box<dyn Ranking>> {
         Ok(match self.ranking {
-            RankingName::FabMap => Box::new(FabMap::new(model, self.settings(model, gap)?, seed)?),
+            RankingName::FabMap => Box::new(FabMap::new(model, self.settings(gap), seed)?),
             RankingName::Likelihood => {
-                let settings = self.settings(model, gap)?.recognizer;
+                let settings = self.settings(gap).recognizer;
                 Box::new(LikelihoodRanking::new(model, settings, gap)?)
             }
             RankingName::TfIdf => Box::new(TfIdfRanking::new(model, gap)),
@@ -135,37 +101,16 @@ impl SystemOptions {
         }
     }
 
-    /// The mapper's settings with these knobs turned; frames closer than `gap` are never loops. Fails if a rate is out of
-    /// range. The mapper checks the others.
-    pub(super) fn settings(&self, model: &Model, gap: usize) -> Result<MapperSettings> {
-        let Knobs {
-            verification,
-            min_evidence,
-            consistency_frames,
-            dependence,
-            new_place,
-            scorer,
-            true_positive_rate,
-            false_positive_rate,
-            new_place_prior,
-            smoothing,
-            even_share,
-        } = self.knobs;
+    /// The mapper's settings with these knobs turned; frames closer than `gap` are never loops. The mapper checks them.
+    pub(super) fn settings(&self, gap: usize) -> MapperSettings {
+        let Knobs { verification, dependence, new_place, scorer } = self.knobs;
         let mut settings = MapperSettings { guard_frames: gap as u64, ..MapperSettings::default() };
         set(&mut settings.closure_threshold, self.threshold);
         set(&mut settings.verification.method, verification);
-        set(&mut settings.verification.min_evidence, min_evidence);
-        set(&mut settings.verification.consistency_frames, consistency_frames);
         set(&mut settings.recognizer.dependence, dependence);
         set(&mut settings.recognizer.new_place, new_place);
         set(&mut settings.recognizer.scorer, scorer);
-        set(&mut settings.recognizer.filter.new_place_prior, new_place_prior);
-        set(&mut settings.recognizer.filter.even_share, even_share);
-        set(&mut settings.recognizer.filter.likelihood_smoothing, smoothing);
-        let rate = |given: Option<f64>, exists| given.unwrap_or(model.detector().probability(true, exists));
-        let detector = DetectorModel::new(rate(true_positive_rate, true), rate(false_positive_rate, false));
-        settings.recognizer.detector = Some(detector.map_err(refused)?);
-        Ok(settings)
+        settings
     }
 
     /// The system in a few words, for titles.

@@ -7,15 +7,14 @@ use super::{Motion, RayPair, behind_both_rad};
 
 /// A motion in space.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GeneralMotion {
+pub(super) struct GeneralMotion {
     rotation: Rotation3<f64>,
     direction: Unit<Vector3<f64>>,
 }
 
 impl GeneralMotion {
     /// φ = atan2(d_y, d_x), in (-π, π].
-    #[must_use]
-    pub fn heading_rad(&self) -> f64 {
+    pub(super) fn heading_rad(&self) -> f64 {
         self.direction.y.atan2(self.direction.x)
     }
 }

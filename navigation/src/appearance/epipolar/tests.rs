@@ -3,6 +3,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use nalgebra::{Isometry2, Point2, Vector2};
 use proptest::prelude::*;
 
+use super::general::GeneralMotion;
 use super::*;
 use crate::appearance::graph::MIN_CONSTRAINED;
 

@@ -5,7 +5,6 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 
 use super::{AppearanceGraph, ImageId, LINK_SIMILARITY};
-use topomap::evidence::ArchiveError;
 
 /// Chance of a link below which an image is not compared with.
 const LEAST_CHANCE: f64 = 0.006;
@@ -24,8 +23,8 @@ struct Promises<'a> {
 pub(super) fn compared(
     graph: &AppearanceGraph,
     votes: &[f64],
-    similarity: impl Fn(ImageId) -> Result<f64, ArchiveError>,
-) -> Result<BTreeMap<ImageId, f64>, ArchiveError> {
+    similarity: impl Fn(ImageId) -> f64,
+) -> BTreeMap<ImageId, f64> {
     let votes = &votes[..votes.len().min(graph.len())];
     let mut promises = Promises { votes, support: BTreeMap::new(), queue: BinaryHeap::new() };
     (0..votes.len() as ImageId).for_each(|image| promises.consider(image));
@@ -34,7 +33,7 @@ pub(super) fn compared(
         if found.contains_key(&image) {
             continue;
         }
-        let here = similarity(image)?;
+        let here = similarity(image);
         found.insert(image, here);
         if here > LINK_SIMILARITY {
             for link in graph.neighbours(image) {
@@ -43,7 +42,7 @@ pub(super) fn compared(
             }
         }
     }
-    Ok(found)
+    found
 }
 
 impl Promises<'_> {
@@ -105,7 +104,7 @@ mod tests {
             let mut graph = AppearanceGraph::default();
             (0..IMAGES).for_each(|_| { graph.add_image(); });
             links.iter().for_each(|&(a, b, similarity)| graph.link(a, b, similarity));
-            let found = compared(&graph, &votes, |image| Ok(similarities[image as usize])).unwrap();
+            let found = compared(&graph, &votes, |image| similarities[image as usize]);
             let mut plain = plainly(&graph, &votes, &similarities);
             plain.sort_by_key(|(image, _)| *image);
             prop_assert_eq!(found.into_iter().collect::<Vec<_>>(), plain);

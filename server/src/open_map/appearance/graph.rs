@@ -8,7 +8,6 @@ use std::sync::{Arc, OnceLock};
 
 use crate::ingest::{FeatureRecord, PanoramicView};
 use fabmap::appearance::PlaceId;
-use topomap::evidence::ArchiveError;
 use waypost_navigation::appearance::epipolar::SearchSettings;
 use waypost_navigation::appearance::graph::candidates::{CandidateIndex, IndexedFeature};
 use waypost_navigation::appearance::graph::{AppearanceGraph, Checks, ImageId, Overlap, Panorama};
@@ -47,8 +46,8 @@ struct Coming<'a> {
 }
 
 impl Panorama for Coming<'_> {
-    fn overlap(&self, image: ImageId) -> Result<Option<Overlap>, ArchiveError> {
-        Ok(self.view.compare(&self.earlier[image as usize], &SearchSettings::default()).overlap)
+    fn overlap(&self, image: ImageId) -> Option<Overlap> {
+        self.view.compare(&self.earlier[image as usize], &SearchSettings::default()).overlap
     }
 }
 
@@ -113,12 +112,11 @@ impl Graph {
     }
 
     /// Adds the panorama of a place that is above all others, and looks for its links.
-    pub(crate) fn add(&mut self, place: PlaceId, shown: Shown) -> Result<(), ArchiveError> {
+    pub(crate) fn add(&mut self, place: PlaceId, shown: Shown) {
         let coming = Coming { view: &shown.view, earlier: &self.views };
         let votes = self.index.votes(&shown.indexed);
-        self.links.add(&coming, Checks::Promising(&votes))?;
+        self.links.add(&coming, Checks::Promising(&votes));
         self.show(place, shown);
-        Ok(())
     }
 
     /// Adds the panorama of a place that is above all others, with the links that it was found to have: rising by the

@@ -17,7 +17,7 @@ use crate::ingest::panoramic::PanoramicOptics;
 use crate::storage::{KeptLinks, MapEdition, Storage, StorageError, StoredFeatures};
 
 /// To be raised when the same panoramas would come to other links: by other candidates, another comparison or another
-/// threshold. Links that were kept by other rules are found anew.
+/// threshold. Links that were kept by other rules are found again.
 const LINK_RULES: u32 = 1;
 
 /// Places that are taken in before others see them.
@@ -32,7 +32,7 @@ pub(crate) struct GrowingGraph {
     growth: Arc<Mutex<Growth>>,
     /// What the others see.
     latest: RwLock<Option<Arc<Graph>>>,
-    /// Whether somebody is about to let it grow.
+    /// Whether a task is about to let it grow.
     wanted: AtomicBool,
     memory_bytes: AtomicU64,
 }
@@ -103,7 +103,7 @@ impl GrowingGraph {
                     }
                     match (ground.panorama(frame)?, kept.links_of(place)) {
                         (Some(shown), Some(links)) => growing.restore(place, shown, links),
-                        (Some(shown), None) => growing.add(place, shown)?,
+                        (Some(shown), None) => growing.add(place, shown),
                         (None, _) => {}
                     }
                     *next_place = place + 1;
@@ -129,14 +129,14 @@ impl Ground {
         Ok(self.runtime.block_on(self.storage.kept_links(self.map.map, LINK_RULES))?)
     }
 
-    /// Keeps the links of all places below `next_place`. If that fails, they are found anew when the map is opened again.
+    /// Keeps the links of all places below `next_place`. If that fails, they are found again when the map is next opened.
     fn keep(&self, graph: &Graph, next_place: PlaceId, kept: &mut KeptLinks) {
         let links = graph.links_of_places(kept.next_place..next_place).collect();
         let more = KeptLinks { next_place, links };
         let written = self.storage.keep_links(self.map, LINK_RULES, kept.next_place, &more);
         match self.runtime.block_on(written) {
             Ok(()) => kept.next_place = next_place,
-            // Told anew or deleted, or somebody who opened it again has come further: this one is about to go.
+            // Rewritten or deleted, or opened again and grown further there: this one is about to go.
             Err(StorageError::Retold | StorageError::Exists) => {}
             Err(error) => {
                 tracing::warn!(map = self.map.map, %error, "the links of an appearance graph could not be kept");

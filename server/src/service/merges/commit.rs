@@ -72,7 +72,7 @@ impl Merges {
         }
     }
 
-    /// Into a map that is there. Its robots wait for as long as it takes to append and open it anew.
+    /// Into a map that is there. Its robots wait for as long as it takes to append and open it again.
     async fn append(
         &self,
         number: u64,
@@ -160,7 +160,7 @@ impl Merges {
             let entries: Vec<(u64, MapEvent)> = positions.zip(log.events.iter().cloned()).collect();
             for piece in entries.chunks(EVENTS_PIECE as usize) {
                 Stopped::unless(go_on(piece[0].0))?;
-                self.storage.import_piece(map, piece, &[], &[]).await.map_err(ServiceError::from)?;
+                self.storage.import_piece(map, piece, &[], &[], &[]).await.map_err(ServiceError::from)?;
             }
             self.store_media(log.source.map, map, log.events.len() as u64, log.from, &go_on).await?;
         }

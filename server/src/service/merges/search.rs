@@ -1,10 +1,13 @@
 //! The search for maps on each other: it changes nothing.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
 use tokio::runtime::Handle;
 use topomap::merging::{
-    MergeError, MergeObserver, MergeSettings, PlaceMatch, Verdict, find_matches, join, judge,
+    MergeError, MergeObserver, MergeSettings, PairComparison, PlaceMatch, PlacePair, Verdict, find_matches,
+    join, judge, pairs_to_compare,
 };
-use topomap::settings::MapperSettings;
 
 use super::picture::{Panel, svg};
 use super::report::Metres;
@@ -172,20 +175,38 @@ impl Search {
 
     /// What is said of a source and the target.
     fn meet(&self, source: &ReadMap, target: &ReadMap) -> Result<Verdict, Stopped> {
-        let settings: &MapperSettings = target.mapper.settings();
-        let views = Between::new(self.disk(), &source.log, &target.log, verifier(settings));
         let places = source.mapper.map().places().len();
         let observer = Progress { reporter: &self.reporter, places };
-        let found = find_matches(source.known(), target.known(), &views, &self.settings, &observer);
-        let matches = found.map_err(|error| match error {
+        let pairs = pairs_to_compare(source.known(), target.known(), &self.settings, &observer);
+        let pairs = pairs.map_err(|error| match error {
             MergeError::Ended => Stopped::Cancelled,
             MergeError::Vocabulary { .. } | MergeError::Setting { .. } => {
                 Stopped::Failed(ServiceError::precondition(error))
             }
-            MergeError::Archive(error) => Stopped::Failed(ServiceError::unavailable(error)),
         })?;
+        let comparisons = self.compare(source, target, &pairs)?;
+        let matches = find_matches(source.known(), target.known(), &pairs, &comparisons, &self.settings);
         self.go_on("judging what was found", 0.0)?;
         Ok(judge(source.layout(), target.layout(), &matches, &self.settings))
+    }
+
+    /// Compares the views of all pairs, side by side.
+    fn compare(
+        &self,
+        source: &ReadMap,
+        target: &ReadMap,
+        pairs: &[PlacePair],
+    ) -> Result<Vec<PairComparison>, Stopped> {
+        let verifier = verifier(target.mapper.settings());
+        let views = Between::new(self.disk(), &source.log, &target.log, verifier);
+        let done = AtomicUsize::new(0);
+        let compare = |pair: &PlacePair| {
+            let compared = views.compare(pair).map_err(ServiceError::from)?;
+            let fraction = (done.fetch_add(1, Ordering::Relaxed) + 1) as f64 / pairs.len() as f64;
+            self.go_on("comparing places that look alike", fraction)?;
+            Ok(compared)
+        };
+        pairs.par_iter().map(compare).collect()
     }
 
     fn go_on(&self, stage: &'static str, fraction: f64) -> Result<(), Stopped> {

@@ -173,7 +173,7 @@ impl AppearanceGuide {
         (state.journey, state.goal_refusal, state.heading, state.told) = (None, None, None, None);
     }
 
-    /// Whoever waits for the arrival at the next goal must not take that at the last one for it.
+    /// A caller that waits for the arrival at the next goal must not take that at the last one for it.
     pub(super) fn leave_reached_goal(&self) {
         let mut state = self.state();
         if state.journey.as_ref().is_some_and(|journey| journey.has_arrived) {
@@ -212,7 +212,7 @@ impl AppearanceGuide {
         if asked > state.taken {
             state.taken = asked;
             state.journey = Some(Journey::new(asked, goal, graph, images));
-            // Of the goal before: whoever waits for the arrival must not take it for that at this one.
+            // Of the goal before: a caller that waits for the arrival must not take it for that at this one.
             (state.goal_refusal, state.heading, state.told) = (None, None, None);
         }
         Ok(())
@@ -275,7 +275,7 @@ impl AppearanceGuide {
         words: Words,
         stream: u64,
     ) -> Result<Looked, ServiceError> {
-        let Frame { sequence, stamp_ns, content, odometry } = frame;
+        let Frame { sequence, stamp_ns, content, odometry, note: _ } = frame;
         let mut before = self.before.lock().await;
         self.check_order(sequence, stamp_ns)?;
         let seen = Arc::new(self.panorama(navigation, content, words, Some(stream)).await?);

@@ -91,6 +91,10 @@ impl Registry {
         led.iter().filter(|((of, _), _)| *of == map).map(|(_, led)| led.guide.clone()).collect()
     }
 
+    pub(super) fn all(&self) -> Vec<Guide> {
+        self.led().values().map(|led| led.guide.clone()).collect()
+    }
+
     pub(super) fn unused_name(&self, map: MapId) -> String {
         let led = self.led();
         let names = (0_u64..).map(|number| format!("robot-{number}"));

@@ -84,7 +84,7 @@ enum Planning {
 }
 
 impl State {
-    /// What was said of the goal before counts no more: whoever waits for the arrival must not take it for that at this one.
+    /// What was said of the goal before counts no more: a caller that waits for the arrival must not take it for that at this one.
     fn set_out(&mut self, goal: MeasuredGoal) {
         match goal.heading_rad {
             None => self.navigator.go_to(goal.goal),
@@ -286,7 +286,7 @@ impl TopoMetricGuide {
         state.asked
     }
 
-    /// Whoever waits for the arrival at the next goal must not take that at the last one for it.
+    /// A caller that waits for the arrival at the next goal must not take that at the last one for it.
     fn leave_reached_goal(&self) {
         let mut state = self.state();
         if state.told.is_some_and(|told| told.guidance.status == Status::Arrived) {
@@ -456,7 +456,7 @@ impl TopoMetricGuide {
         words: Words,
         stream: u64,
     ) -> Result<FrameSeen, ServiceError> {
-        let Frame { sequence, stamp_ns, content, odometry } = frame;
+        let Frame { sequence, stamp_ns, content, odometry, note: _ } = frame;
         if odometry.is_none() {
             return Err(ServiceError::invalid(
                 "the frame has no odometry; while a robot is led, send where its wheels were when the image was taken",

@@ -39,7 +39,7 @@ impl Rewriting {
     ) -> JobOutcome {
         let Some(_turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
         // The last moment to stop: the map's robots wait from now on.
-        if Stopped::unless(reporter.progress("telling the map anew", 0.0)).is_err() {
+        if Stopped::unless(reporter.progress("rewriting the map", 0.0)).is_err() {
             return JobOutcome::Cancelled;
         }
         let model = match self.models.get(&map.model).await {

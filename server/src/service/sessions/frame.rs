@@ -13,7 +13,12 @@ pub(crate) struct Frame {
     pub(crate) stamp_ns: i64,
     pub(crate) content: Content,
     pub(crate) odometry: Option<Odometry>,
+    /// What the robot calls it; empty if nothing.
+    pub(crate) note: String,
 }
+
+/// Longest note, in bytes: a file's name, or a short path.
+const MAX_NOTE_BYTES: usize = 200;
 
 impl Frame {
     /// Refuses numbers that cannot be stored, and frames without a stamp.
@@ -26,7 +31,38 @@ impl Frame {
                 "the frame has no stamp; send when the image was taken, in nanoseconds above 0",
             ));
         }
-        Ok(())
+        check_note(&self.note)
+    }
+}
+
+/// Refuses what cannot stand in a line.
+pub(in crate::service) fn check_note(note: &str) -> Result<(), ServiceError> {
+    if note.len() > MAX_NOTE_BYTES {
+        return Err(ServiceError::invalid(format_args!(
+            "the frame's note has {} bytes; {MAX_NOTE_BYTES} are kept: send a file's name, and not its content",
+            note.len()
+        )));
+    }
+    if note.chars().any(char::is_control) {
+        return Err(ServiceError::invalid(
+            "the frame's note has a control character, as a line break is one; send one line of text",
+        ));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn notes_are_one_short_line() {
+        for good in ["", "000147.jpg", "left/0001 (Küche).png", &"x".repeat(200)] {
+            assert_eq!(check_note(good), Ok(()), "{good}");
+        }
+        for bad in ["a\nb", "a\u{7f}", &"x".repeat(201), &"ä".repeat(101)] {
+            assert!(matches!(check_note(bad), Err(ServiceError::InvalidArgument { .. })), "{bad:?}");
+        }
     }
 }
 

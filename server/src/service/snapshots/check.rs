@@ -19,7 +19,8 @@ use crate::map_settings;
 use crate::names::check_id;
 use crate::service::labels::check_label;
 use crate::service::models::{check_display_name, row_of};
-use crate::storage::{FormerModelRow, ImportedMap, LabelRow, MediaRow, StoredSession};
+use crate::service::sessions::check_note;
+use crate::storage::{FormerModelRow, ImportedMap, LabelRow, MediaRow, NoteRow, StoredSession};
 
 /// Why a snapshot was not taken.
 #[derive(Debug)]
@@ -47,7 +48,7 @@ pub(super) fn map_of(file: &File) -> Result<MapRecord, NotTaken> {
     }
 }
 
-/// Checks the whole file; gives all of it but log, media and labels, with `name` as the map's name.
+/// Checks the whole file; gives all of it but log, media, labels and notes, with `name` as the map's name.
 pub(super) fn check(file: &File, name: &str, progress: Progress<'_>) -> Result<ImportedMap, NotTaken> {
     check_sum(file, progress)?;
     let mut snapshot = reader(file)?;
@@ -77,6 +78,7 @@ pub(super) fn check(file: &File, name: &str, progress: Progress<'_>) -> Result<I
             Record::Event { position, event } => log.take(position, &event)?,
             Record::Medium(medium) => log.check_medium(&medium)?,
             Record::Label(label) => log.check_label(&label)?,
+            Record::Note(note) => log.check_note(&note)?,
             Record::Map(_) | Record::Model { .. } => return Err(refused("it holds more than one map")),
         }
         go_on(progress(snapshot.bytes()))?;
@@ -187,9 +189,20 @@ impl Log {
         Ok(())
     }
 
+    fn is_frame(&self, position: u64) -> bool {
+        usize::try_from(position).ok().and_then(|position| self.frames.get(position)) == Some(&true)
+    }
+
+    fn check_note(&self, row: &NoteRow) -> Result<(), NotTaken> {
+        let NoteRow { position, note } = row;
+        if note.is_empty() || !self.is_frame(*position) {
+            return Err(refused(format_args!("it calls frame {position} {note:?}, which does not exist")));
+        }
+        Ok(check_note(note)?)
+    }
+
     fn check_medium(&self, medium: &MediaRow) -> Result<(), NotTaken> {
-        let frame = usize::try_from(medium.position).ok().and_then(|position| self.frames.get(position));
-        if frame == Some(&true) {
+        if self.is_frame(medium.position) {
             return Ok(());
         }
         Err(refused(format_args!("it holds an image of frame {}, which does not exist", medium.position)))

@@ -114,6 +114,15 @@ fn write(mut view: MapView, outlet: &Outlet) -> Result<(), ServiceError> {
             outlet.put(&mut writer, &Record::Label(label))?;
         }
     }
+    let mut next = 0;
+    loop {
+        let notes = runtime.block_on(view.notes(next))?;
+        let Some(last) = notes.last() else { break };
+        next = last.position + 1;
+        for note in notes {
+            outlet.put(&mut writer, &Record::Note(note))?;
+        }
+    }
     outlet.hand_out(&writer.finish())
 }
 

@@ -1,4 +1,4 @@
-//! The byte form of a snapshot: a map with its model as one checksummed file. Version 3:
+//! The byte form of a snapshot: a map with its model as one checksummed file. Version 4:
 //!
 //! ```text
 //! snapshot = "WPSNAP\r\n"  version u32  record*
@@ -12,7 +12,8 @@
 //!    5  event: position varint, then the event up to the end               0, 1, 2, …
 //!    6  medium: position varint, kind u8, then the content up to the end   rising position, kind
 //!    7  label: place varint, what people call it                           rising place
-//!  255  end: number of former models, sessions, events, media and labels as varints, then
+//!    8  note: position varint, what its robot calls the frame              rising position
+//!  255  end: number of former models, sessions, events, media, labels and notes as varints, then
 //!       the SHA-256 of every byte of the file before it                    one, the last
 //! ```
 //!
@@ -21,7 +22,8 @@
 //! Hashes of models are 64 hexadecimal digits. Kinds of media: 0 features, 1 image, 2 thumbnail.
 //!
 //! A camera is what `Camera::to_bytes` makes. In versions 1 and 2 it is the message that the robot sent, as it was then;
-//! version 1 has neither labels nor their number in the end. Both are read still.
+//! version 1 has neither labels nor their number in the end, and versions before 4 neither notes nor theirs. All are read
+//! still.
 
 mod reader;
 mod writer;
@@ -33,16 +35,19 @@ use fabmap::codec::DecodeError;
 pub(super) use self::reader::SnapshotReader;
 pub(super) use self::writer::SnapshotWriter;
 use crate::service::models::MAX_MODEL_BYTES;
-use crate::storage::{FormerModelRow, LabelRow, MediaRow, MediumKind, StoredSession};
+use crate::storage::{FormerModelRow, LabelRow, MediaRow, MediumKind, NoteRow, StoredSession};
 
 const MAGIC: [u8; 8] = *b"WPSNAP\r\n";
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 /// The first version that has labels.
 const WITH_LABELS: u32 = 2;
 
 /// The first version whose cameras have a byte form of their own.
 const WITH_CAMERA_BYTES: u32 = 3;
+
+/// The first version that has notes.
+const WITH_NOTES: u32 = 4;
 
 const MAP: u8 = 1;
 const MODEL: u8 = 2;
@@ -51,6 +56,7 @@ const SESSION: u8 = 4;
 const EVENT: u8 = 5;
 const MEDIUM: u8 = 6;
 const LABEL: u8 = 7;
+const NOTE: u8 = 8;
 const END: u8 = 255;
 
 const HASH_BYTES: usize = 32;
@@ -71,6 +77,7 @@ pub(super) enum Record {
     Event { position: u64, event: Vec<u8> },
     Medium(MediaRow),
     Label(LabelRow),
+    Note(NoteRow),
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -91,6 +98,7 @@ struct Counts {
     events: u64,
     media: u64,
     labels: u64,
+    notes: u64,
 }
 
 /// Why a snapshot cannot be read.

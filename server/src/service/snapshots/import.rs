@@ -17,7 +17,7 @@ use crate::error::ServiceError;
 use crate::names::{check_id, map_name};
 use crate::service::jobs::{JobOutcome, JobReporter, JobStatus};
 use crate::service::map_names::{Reservation, map_exists};
-use crate::storage::{ImportedMap, JobKind, LabelRow, MapId, MediaRow, Storage, StorageError};
+use crate::storage::{ImportedMap, JobKind, LabelRow, MapId, MediaRow, NoteRow, Storage, StorageError};
 
 /// Largest snapshot that is taken in.
 const MAX_SNAPSHOT_BYTES: u64 = 16 << 30;
@@ -40,7 +40,7 @@ const PIECE_ROWS: usize = 500;
 pub(crate) struct MapUpload {
     /// The name asked for, if any.
     reservation: Option<Reservation>,
-    /// It has no name in the file system, so it goes with whoever holds it, however that ends.
+    /// It has no name in the file system, so it goes with its holder, however that ends.
     spool: Arc<File>,
     bytes: u64,
     room: OwnedSemaphorePermit,
@@ -171,7 +171,7 @@ impl Snapshots {
         tokio::task::spawn_blocking(work).await.map_err(ServiceError::internal)?
     }
 
-    /// Stores log, media and labels, piece by piece.
+    /// Stores log, media, labels and notes, piece by piece.
     async fn store_log(
         &self,
         map: MapId,
@@ -204,7 +204,7 @@ impl Snapshots {
 }
 
 async fn store_piece(storage: &Storage, map: MapId, piece: &Piece) -> Result<(), ServiceError> {
-    Ok(storage.import_piece(map, &piece.events, &piece.media, &piece.labels).await?)
+    Ok(storage.import_piece(map, &piece.events, &piece.media, &piece.labels, &piece.notes).await?)
 }
 
 /// What is stored in one transaction.
@@ -214,16 +214,17 @@ struct Piece {
     events: Vec<(u64, MapEvent)>,
     media: Vec<MediaRow>,
     labels: Vec<LabelRow>,
+    notes: Vec<NoteRow>,
 }
 
 impl Piece {
     fn rows(&self) -> usize {
-        let Self { events, media, labels } = self;
-        events.len() + media.len() + labels.len()
+        let Self { events, media, labels, notes } = self;
+        events.len() + media.len() + labels.len() + notes.len()
     }
 }
 
-/// The next events, media and labels; none at the end.
+/// The next events, media, labels and notes; none at the end.
 fn next_piece(
     snapshot: &mut SnapshotReader<BufReader<&File>>,
     words: usize,
@@ -241,6 +242,7 @@ fn next_piece(
             }
             Record::Medium(medium) => piece.media.push(medium),
             Record::Label(label) => piece.labels.push(label),
+            Record::Note(note) => piece.notes.push(note),
         }
         if is_full(&piece, snapshot.bytes()) {
             break;

@@ -279,7 +279,7 @@ async fn other_files_are_refused_at_once() {
             "this is not a Waypost snapshot file; check which file",
         ),
         ("an image", images()[0].clone(), "this is not a Waypost snapshot file"),
-        ("a newer version", with(8, &[4]), "format version 4, this program reads up to 3; update Waypost"),
+        ("a newer version", with(8, &[5]), "format version 5, this program reads up to 4; update Waypost"),
         ("version 0", with(8, &[0]), "format version 0"),
         ("a huge record", with(13, &u32::MAX.to_le_bytes()), "a record of kind 1 with 4294967295 bytes"),
         ("a record beyond the end", with(13, &(16_u32 << 20).to_le_bytes()), "it was cut short"),

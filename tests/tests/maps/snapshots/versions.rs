@@ -5,9 +5,11 @@ use super::*;
 /// Snapshots are kept for years.
 #[tokio::test(flavor = "multi_thread")]
 async fn snapshots_of_all_versions_open() {
-    for (version, state, labels) in
-        [(VERSION_1, VERSION_1_STATE, &[][..]), (VERSION_2, VERSION_2_STATE, &LABELS[..])]
-    {
+    for (version, state, labels) in [
+        (VERSION_1, VERSION_1_STATE, &[][..]),
+        (VERSION_2, VERSION_2_STATE, &LABELS[..]),
+        (VERSION_3, VERSION_3_STATE, &LABELS[..]),
+    ] {
         let server = Server::start().await;
         let client = server.client().await;
         imported(&client, "", std::fs::read(workspace().join(version)).unwrap()).await;
@@ -17,6 +19,8 @@ async fn snapshots_of_all_versions_open() {
         assert!(map.places > 1 && map.links > 0, "{map:?}");
         let media = rows(server.directory()).await.into_iter().find(|(table, _)| *table == "frame_media");
         assert_eq!(media, Some(("frame_media", 28)));
+        let frames = client.frames("maps/fixture/sessions/first").await.unwrap();
+        assert!(frames.iter().all(|frame| frame.note.is_empty()), "{version}: {frames:?}");
         let found = client.labels("fixture").await.unwrap();
         let found: Vec<_> = found.iter().map(|row| (row.place.as_str(), row.label.as_str())).collect();
         assert_eq!(found, labels, "{version}");
@@ -56,7 +60,7 @@ async fn write_fixture() {
     for (place, label) in LABELS {
         client.set_label(place, label, v1::LabelScope::Place).await.unwrap();
     }
-    let file: PathBuf = workspace().join(VERSION_2);
+    let file: PathBuf = workspace().join("tests/tests/fixtures/map-v4.snapshot");
     std::fs::create_dir_all(file.parent().unwrap()).unwrap();
     std::fs::write(&file, export(&client, "fixture").await).unwrap();
     std::fs::write(file.with_extension("state-hash"), state_hash(&client, "fixture").await + "\n").unwrap();

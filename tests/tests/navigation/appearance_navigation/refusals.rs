@@ -112,6 +112,7 @@ async fn what_cannot_be_led_by_looks_is_refused_with_the_way_out() {
         stamp_ns: 1_000_000_000 * sequence as i64,
         content: FrameContent::Image(content),
         odometry: None,
+        note: String::new(),
     };
     for (case, wrong, fragment) in [
         ("another size", frame(2, crate::harness::images()[0].clone()), "declared with 512 x 128"),

@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use sqlx::{ConnectOptions, Connection};
 use waypost_client::{Client, Code, Error, v1};
 
-use super::two_maps;
+use super::{note as frame_note, two_maps};
 use crate::harness::{Server, database_options, in_time};
 
 /// Those that every run of the tests tries.
@@ -36,6 +36,16 @@ fn note<T: Debug>(served: &mut Served, what: &str, answer: Result<T, Error>) {
     served.insert(what.to_owned(), answer);
 }
 
+/// The frames that whoever watches a map from its beginning is told.
+async fn watched(client: &Client, map: &str, frames: usize) -> Result<Vec<v1::MapEvent>, Error> {
+    let mut watch = client.watch_map(map, Some(0)).await?;
+    let mut told = Vec::new();
+    while told.len() < frames {
+        told.extend(in_time(watch.next()).await?);
+    }
+    Ok(told)
+}
+
 /// Asks for all that the maps hold.
 async fn all_of(client: &Client) -> Served {
     let mut served = Served::new();
@@ -43,7 +53,10 @@ async fn all_of(client: &Client) -> Served {
     note(&mut served, "maps", maps);
     note(&mut served, "models", client.models().await);
     note(&mut served, "tokens", client.tokens().await);
-    for (map, sessions) in [("drive", &["first", "second"][..]), ("spare", &["only"])] {
+    let called = client.frames_called("maps/drive/sessions/first", &frame_note(9)).await;
+    note(&mut served, "the frame of a note", called);
+    for (map, sessions, frames) in [("drive", &["first", "second"][..], 32), ("spare", &["only"], 5)] {
+        note(&mut served, &format!("{map}: events"), watched(client, map, frames).await);
         // What checkpoints weigh is not what a map is.
         let whole = client.map(map, v1::MapView::Full).await.map(|whole| v1::Map { storage: None, ..whole });
         note(&mut served, map, whole);

@@ -12,7 +12,7 @@ use tonic_prost::ProstCodec;
 use crate::harness::{in_time, workspace};
 
 /// Methods that a robot may not call.
-pub(super) const FOR_ADMINS: [&str; 20] = [
+pub(super) const FOR_ADMINS: [&str; 21] = [
     "/waypost.v1.MapService/CreateMap",
     "/waypost.v1.MapService/DeleteMap",
     "/waypost.v1.MapService/RebindMap",
@@ -28,6 +28,7 @@ pub(super) const FOR_ADMINS: [&str; 20] = [
     "/waypost.v1.MergeService/UndoMerge",
     "/waypost.v1.ModelService/TrainModel",
     "/waypost.v1.ModelService/ImportModel",
+    "/waypost.v1.ModelService/RenameModel",
     "/waypost.v1.ModelService/DeleteModel",
     "/waypost.v1.JobService/CancelJob",
     "/waypost.v1.TokenService/CreateToken",
@@ -36,7 +37,7 @@ pub(super) const FOR_ADMINS: [&str; 20] = [
 ];
 
 /// Routes over HTTP that a robot may not ask for.
-pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 13] = [
+pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 14] = [
     (Method::POST, "/v1/maps"),
     (Method::DELETE, "/v1/maps/{map}"),
     (Method::GET, "/v1/maps/{map}/export"),
@@ -46,6 +47,7 @@ pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 13] = [
     (Method::PUT, "/v1/merges/{merge}/decision"),
     (Method::POST, "/v1/models"),
     (Method::DELETE, "/v1/models/{model}"),
+    (Method::PUT, "/v1/models/{model}/display-name"),
     (Method::POST, "/v1/jobs/{job}/cancel"),
     (Method::GET, "/v1/tokens"),
     (Method::POST, "/v1/tokens"),

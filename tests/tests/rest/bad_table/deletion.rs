@@ -42,7 +42,7 @@ fn everything(client: &Client) -> Vec<(&'static str, Asked<'_>)> {
     ]
 }
 
-/// Whoever asks meanwhile sees the map as it was or not at all, and never a half of it.
+/// A caller meanwhile sees the map as it was or not at all, and never a half of it.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_map_that_is_being_deleted_is_there_or_not() {
     let (server, client) = Server::with_map_of_words().await;

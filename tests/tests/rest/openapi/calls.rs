@@ -54,11 +54,14 @@ impl Call {
             Some(token) => request.bearer_auth(token),
             None => request,
         };
-        Answer::to(match &self.body {
+        let request = match &self.body {
             Some((kind, body)) => request.header("content-type", *kind).body(body.clone()),
             None => request,
-        })
-        .await
+        };
+        if self.path.ends_with("/events") {
+            return Answer::begun(request).await;
+        }
+        Answer::to(request).await
     }
 }
 
@@ -75,6 +78,7 @@ pub(super) fn good_calls(surveyed: &Surveyed) -> Vec<Call> {
         Call::get("/v1/maps/{map}", "/v1/maps/drive"),
         Call::get("/v1/maps/{map}", "/v1/maps/drive?view=full"),
         Call::get("/v1/maps/{map}", "/v1/maps/empty?view=full"),
+        Call::get("/v1/maps/{map}/events", "/v1/maps/drive/events?from_position=0"),
         Call::get("/v1/maps/{map}/places", "/v1/maps/drive/places"),
         Call::get("/v1/maps/{map}/places", "/v1/maps/empty/places"),
         Call::get("/v1/maps/{map}/places/{place}", "/v1/maps/drive/places/0"),

@@ -32,6 +32,12 @@ pub(super) fn good_writes(surveyed: &Surveyed, snapshot: Vec<u8>) -> Vec<Call> {
         Call::write("delete", session, "/v1/maps/twin/sessions/second", None),
         Call::write("post", "/v1/models", "/v1/models?display_name=again", file(model)),
         Call::write("delete", "/v1/models/{model}", "/v1/models/small", None),
+        Call::write(
+            "put",
+            "/v1/models/{model}/display-name",
+            "/v1/models/shipped/display-name",
+            json_body(r#"{"display_name": "shipped"}"#),
+        ),
         Call::get("/v1/models/{model}/export", "/v1/models/shipped/export"),
         Call::write("post", "/v1/jobs/{job}/cancel", &job, None),
         Call::get("/v1/tokens", "/v1/tokens"),
@@ -57,6 +63,12 @@ pub(super) fn bad_writes(method: &'static str, path: &str, nowhere: &str) -> Opt
         ("post", "/v1/maps/{map}/import" | "/v1/models") => {
             Some(vec![refused(bad, file(Vec::new())), refused(bad, file(vec![7; 4000]))])
         }
+        ("put", "/v1/models/{model}/display-name") => Some(vec![
+            refused(bad, json_body("")),
+            refused(bad, json_body(r#"{"name": "site"}"#)),
+            refused(bad, json_body(r#"{"display_name": "a/b"}"#)),
+            refused(missing, json_body(r#"{"display_name": "site"}"#)),
+        ]),
         ("post", "/v1/tokens") => Some(vec![
             refused(bad, json_body("")),
             refused(bad, json_body(r#"{"token_id": "new", "role": "king"}"#)),

@@ -1,5 +1,6 @@
 """Calls of one request, by their nouns; `waypost.Client` has them all."""
 
+from waypost.calls.events import EventCalls, MapEvents
 from waypost.calls.jobs import JobCalls, JobProgress
 from waypost.calls.maps import MapCalls
 from waypost.calls.merges import MergeCalls
@@ -10,9 +11,11 @@ from waypost.calls.sessions import SessionCalls
 from waypost.calls.tokens import TokenCalls
 
 __all__ = [
+    "EventCalls",
     "JobCalls",
     "JobProgress",
     "MapCalls",
+    "MapEvents",
     "MergeCalls",
     "ModelCalls",
     "NavigationCalls",

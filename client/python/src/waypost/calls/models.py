@@ -96,6 +96,17 @@ class ModelCalls:
         model: model_pb2.Model = self._connection.upload(self._connection.models.ImportModel, requests)
         return model
 
+    def rename_model(self, name: str, display_name: str) -> model_pb2.Model:
+        """Gives a model another display name.
+
+        Raises:
+            NotFound: If there is no such model.
+            InvalidArgument: If that is no name.
+        """
+        request = model_pb2.RenameModelRequest(name=name, display_name=display_name)
+        model: model_pb2.Model = self._connection.call(self._connection.models.RenameModel, request)
+        return model
+
     def delete_model(self, name: str) -> None:
         """Deletes a model.
 

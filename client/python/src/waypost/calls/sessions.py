@@ -80,13 +80,17 @@ class SessionCalls:
         job: job_pb2.Job = self._connection.call(self._connection.sessions.DeleteSession, request)
         return job
 
-    def frames(self, session: str) -> list[session_pb2.FrameRecord]:
+    def frames(self, session: str, note: str = "") -> list[session_pb2.FrameRecord]:
         """The frames of a session with the decisions about them, without their words.
+
+        Args:
+            session: The session.
+            note: Only the frames that their robot calls so; all if left out.
 
         Raises:
             NotFound: If there is no such session.
         """
-        request = session_pb2.ListFramesRequest(session=session)
+        request = session_pb2.ListFramesRequest(session=session, note=note)
         return list(
             self._connection.pages(self._connection.sessions.ListFrames, request, lambda page: page.frames)
         )

@@ -168,18 +168,4 @@ impl StuckReport {
         });
         Self { cases: cases.to_vec(), runs }
     }
-
-    /// For people.
-    pub(in crate::commands::navigate) fn table(&self) -> String {
-        let lines = self.cases.iter().map(|case| {
-            let StuckCase { case, held, in_time, stopped_s_median, stopped_s_max, backed_off } = case;
-            format!(
-                "{:<24} {in_time:3} of {held} stopped within {:.0} s; median {stopped_s_median:.2} s, most \
-                 {stopped_s_max:.2} s; {backed_off} backed off\n",
-                format!("{case:?}"),
-                case.limit_s()
-            )
-        });
-        lines.collect()
-    }
 }

@@ -22,7 +22,7 @@ pub(crate) struct Unjoined {
 }
 
 impl Unjoined {
-    /// The reason, and how to mend it, for whoever leads the robot.
+    /// The reason, and how to mend it, for the operator of the robot.
     pub(crate) fn of_the_robot(&self) -> String {
         format!(
             "no links lead from where the robot is (place {}) to the goal ({}): map a drive that joins them, and set the \
@@ -32,7 +32,7 @@ impl Unjoined {
         )
     }
 
-    /// The same for whoever plans a way from a place.
+    /// The same for a caller that plans a way from a place.
     pub(super) fn of_the_way(&self) -> String {
         format!(
             "no links lead from the place {} to the goal ({}): map a drive that joins them",
@@ -89,7 +89,7 @@ pub(super) fn images(map: &str, graph: &Graph, places: &[PlaceId]) -> Result<Vec
     Ok(if linked.is_empty() { images } else { linked })
 }
 
-/// Of several goals the nearest by the shortest path, or rather the middle of those that hang together with it: whoever
+/// Of several goals the nearest by the shortest path, or rather the middle of those that hang together with it: one who
 /// goes to a room goes into it. None if no path leads to any.
 pub(super) fn nearest(graph: &AppearanceGraph, goals: &[ImageId], here: ImageId) -> Option<ImageId> {
     let distances = graph.distances_to(here).ok()?;

@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::ingest::PanoramicView;
-use topomap::evidence::ArchiveError;
 use waypost_navigation::appearance::epipolar::SearchSettings;
 use waypost_navigation::appearance::graph::{ImageId, LINK_SIMILARITY, Overlap, Panorama};
 use waypost_navigation::appearance::navigator::{
@@ -83,8 +82,8 @@ impl<'a> Sighting<'a> {
 }
 
 impl Panorama for Sighting<'_> {
-    fn overlap(&self, image: ImageId) -> Result<Option<Overlap>, ArchiveError> {
-        Ok(self.compared(image))
+    fn overlap(&self, image: ImageId) -> Option<Overlap> {
+        self.compared(image)
     }
 }
 
@@ -138,7 +137,7 @@ impl Journey {
             None => AppearanceNavigator::new(graph.appearance(), goal, NavigationSettings::default())
                 .map_err(ServiceError::internal)?,
         };
-        let guidance = navigator.observe(graph.appearance(), &sighting, body)?;
+        let guidance = navigator.observe(graph.appearance(), &sighting, body);
         self.navigator = Some(navigator);
         let Guidance { status, subgoal, heading_rad, remaining, compared: _ } = guidance;
         if status == NavigationStatus::Lost {

@@ -6,11 +6,12 @@ use fabmap::codec::{DecodeError, Reader};
 use sha2::{Digest, Sha256};
 
 use super::{
-    Counts, END, EVENT, FORMER_MODEL, HASH_BYTES, LABEL, MAGIC, MAP, MEDIUM, MODEL, MapRecord, Record,
-    SESSION, SnapshotError, VERSION, WITH_CAMERA_BYTES, WITH_LABELS, check_length, media_code, media_kind,
+    Counts, END, EVENT, FORMER_MODEL, HASH_BYTES, LABEL, MAGIC, MAP, MEDIUM, MODEL, MapRecord, NOTE, Record,
+    SESSION, SnapshotError, VERSION, WITH_CAMERA_BYTES, WITH_LABELS, WITH_NOTES, check_length, media_code,
+    media_kind,
 };
 use crate::camera::{Camera, from_message};
-use crate::storage::{FormerModelRow, LabelRow, MediaRow, StoredSession};
+use crate::storage::{FormerModelRow, LabelRow, MediaRow, NoteRow, StoredSession};
 
 /// Reads a snapshot record by record, and holds it to its format.
 #[derive(Debug)]
@@ -68,7 +69,8 @@ impl<R: Read> SnapshotReader<R> {
             return Ok(None);
         }
         self.hash.update(&content);
-        if kind == LABEL && self.version < WITH_LABELS {
+        let since = [(LABEL, WITH_LABELS), (NOTE, WITH_NOTES)];
+        if since.into_iter().any(|(since_then, version)| kind == since_then && self.version < version) {
             return Err(no_such_kind(kind).into());
         }
         let record = decode(kind, content, self.version)?;
@@ -92,6 +94,7 @@ impl<R: Read> SnapshotReader<R> {
             events: reader.varint()?,
             media: reader.varint()?,
             labels: if self.version < WITH_LABELS { 0 } else { reader.varint()? },
+            notes: if self.version < WITH_NOTES { 0 } else { reader.varint()? },
         };
         reader.end()?;
         if counts != self.counts {
@@ -140,6 +143,10 @@ impl<R: Read> SnapshotReader<R> {
             Record::Label(label) => {
                 counts.labels += 1;
                 (LABEL, u64::from(label.place), 0)
+            }
+            Record::Note(note) => {
+                counts.notes += 1;
+                (NOTE, note.position, 0)
             }
         };
         let in_order = match self.last {
@@ -210,6 +217,7 @@ fn decode(kind: u8, content: Vec<u8>, version: u32) -> Result<Record, DecodeErro
             return Ok(Record::Medium(MediaRow { position, kind, content: last(content, rest) }));
         }
         LABEL => Record::Label(LabelRow { place: reader.varint_u32()?, label: reader.str()?.to_owned() }),
+        NOTE => Record::Note(NoteRow { position: reader.varint()?, note: reader.str()?.to_owned() }),
         other => return Err(no_such_kind(other)),
     };
     reader.end()?;

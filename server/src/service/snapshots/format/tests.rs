@@ -18,6 +18,7 @@ fn records() -> Vec<Record> {
     };
     let medium = |position, kind| Record::Medium(MediaRow { position, kind, content: vec![7; 9] });
     let label = |place, label: &str| Record::Label(LabelRow { place, label: label.to_owned() });
+    let note = |position, note: &str| Record::Note(NoteRow { position, note: note.to_owned() });
     vec![
         Record::Map(MapRecord {
             name: "hall".to_owned(),
@@ -35,6 +36,8 @@ fn records() -> Vec<Record> {
         medium(1, MediumKind::Thumbnail),
         label(0, "kitchen"),
         label(7, "Küche"),
+        note(0, "left.jpg"),
+        note(1, "right.jpg"),
     ]
 }
 
@@ -115,7 +118,7 @@ fn each_damage_has_its_own_name() {
         read(&damaged).unwrap_err()
     };
     assert_eq!(read(b"WPMODEL\n and more").unwrap_err(), DecodeError::Magic { expected: "Waypost snapshot" });
-    assert_eq!(replaced(8, &[4]), DecodeError::Version { found: 4, newest: 3 });
+    assert_eq!(replaced(8, &[5]), DecodeError::Version { found: 5, newest: 4 });
     assert_eq!(replaced(whole.len() - 1, &[0, 0][..1]), DecodeError::Checksum);
     assert!(matches!(replaced(13, &u32::MAX.to_le_bytes()), DecodeError::Invalid { .. }));
     assert!(matches!(replaced(13, &(16u32 << 20).to_le_bytes()), DecodeError::Truncated { .. }));
@@ -129,19 +132,22 @@ fn written_before(version: u8, records: &[Record]) -> Vec<u8> {
     let whole = write(records);
     let mut bytes = whole[..whole.len() - HASH_BYTES].to_vec();
     bytes[MAGIC.len()] = version;
-    let present = camera().to_bytes();
-    let at = bytes.windows(present.len()).position(|bytes| bytes == present).unwrap();
-    // The camera, its length, and that of its record, behind the session's number, name and flag.
-    bytes.splice(at..at + present.len(), CAMERA_MESSAGE);
-    bytes[at - 1] = CAMERA_MESSAGE.len() as u8;
-    let record = at - 1 - 1 - "robot-1".len() - 1 - 1 - 4;
-    bytes[record] -= (present.len() - CAMERA_MESSAGE.len()) as u8;
-    if version < WITH_LABELS as u8 {
-        // One number less in the end.
-        bytes.pop();
-        let length = bytes.len() - 4 - 4;
-        bytes[length] -= 1;
+    let version = u32::from(version);
+    if version < WITH_CAMERA_BYTES {
+        let present = camera().to_bytes();
+        let at = bytes.windows(present.len()).position(|bytes| bytes == present).unwrap();
+        // The camera, its length, and that of its record, behind the session's number, name and flag.
+        bytes.splice(at..at + present.len(), CAMERA_MESSAGE);
+        bytes[at - 1] = CAMERA_MESSAGE.len() as u8;
+        let record = at - 1 - 1 - "robot-1".len() - 1 - 1 - 4;
+        bytes[record] -= (present.len() - CAMERA_MESSAGE.len()) as u8;
     }
+    // Numbers in the end that there were not yet.
+    let numbers = 6;
+    let fewer = [WITH_LABELS, WITH_NOTES].into_iter().filter(|since| version < *since).count();
+    bytes.truncate(bytes.len() - fewer);
+    let length = bytes.len() - (numbers - fewer) - 4;
+    bytes[length] -= fewer as u8;
     let hash = Sha256::digest(&bytes);
     bytes.extend(hash);
     bytes
@@ -157,5 +163,14 @@ fn the_first_version_is_read_and_has_no_labels() {
 
 #[test]
 fn the_second_version_is_read_with_its_cameras() {
-    assert_eq!(read(&written_before(2, &records())), Ok(records()));
+    let without = &records()[..11];
+    assert_eq!(read(&written_before(2, without)), Ok(without.to_vec()));
+}
+
+#[test]
+fn the_third_version_is_read_and_has_no_notes() {
+    let without = &records()[..11];
+    assert_eq!(read(&written_before(3, without)), Ok(without.to_vec()));
+    let error = read(&written_before(3, &records())).unwrap_err();
+    assert!(error.to_string().contains("a record of kind 8"), "{error}");
 }

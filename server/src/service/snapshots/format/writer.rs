@@ -4,10 +4,10 @@ use fabmap::codec::{DecodeError, Writer};
 use sha2::{Digest, Sha256};
 
 use super::{
-    Counts, END, EVENT, FORMER_MODEL, HASH_BYTES, LABEL, MAGIC, MAP, MEDIUM, MODEL, MapRecord, Record,
+    Counts, END, EVENT, FORMER_MODEL, HASH_BYTES, LABEL, MAGIC, MAP, MEDIUM, MODEL, MapRecord, NOTE, Record,
     SESSION, VERSION, check_length, media_code,
 };
-use crate::storage::{FormerModelRow, LabelRow, MediaRow, StoredSession};
+use crate::storage::{FormerModelRow, LabelRow, MediaRow, NoteRow, StoredSession};
 
 /// Writes a snapshot piece by piece.
 #[derive(Debug)]
@@ -93,6 +93,12 @@ impl SnapshotWriter {
                 counts.labels += 1;
                 LABEL
             }
+            Record::Note(NoteRow { position, note }) => {
+                writer.varint(*position);
+                writer.str(note);
+                counts.notes += 1;
+                NOTE
+            }
         };
         (kind, writer.into_bytes())
     }
@@ -109,9 +115,10 @@ impl SnapshotWriter {
 
     /// Ends the snapshot; gives what was not yet taken.
     pub(in crate::service::snapshots) fn finish(mut self) -> Vec<u8> {
-        let Counts { former_models, sessions, events, media, labels } = self.counts;
+        let Counts { former_models, sessions, events, media, labels, notes } = self.counts;
         let mut writer = Writer::default();
-        [former_models, sessions, events, media, labels].into_iter().for_each(|count| writer.varint(count));
+        let counts = [former_models, sessions, events, media, labels, notes];
+        counts.into_iter().for_each(|count| writer.varint(count));
         let counts = writer.into_bytes();
         self.put(&[END]);
         self.put(&((counts.len() + HASH_BYTES) as u32).to_le_bytes());

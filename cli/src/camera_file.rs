@@ -1,0 +1,287 @@
+//! Cameras as calibration tools write them down, or as numbers.
+
+use std::path::{Path, PathBuf};
+
+use serde_norway::Value;
+use waypost_bags::{Camera, CameraInfo, Intrinsics, Lens, Undeclared};
+
+/// Describes `--camera` in `--help`.
+pub(crate) const FORMATS: &str = "\
+A --camera is one of
+  a YAML file of ROS    camera_info as camera_calibration writes it, or as `ros2 topic echo` shows it
+  a YAML file of Kalibr camchain (cam0 is taken), or EuRoC's sensor.yaml
+  numbers               fx,fy,cx,cy in pixels, then the distortion k1,k2,p1,p2[,k3], if there is any
+  fisheye: numbers      fisheye:fx,fy,cx,cy[,k1,k2,k3,k4], equidistant
+It is taken to be in the middle of the robot, looking ahead.";
+
+/// Why no camera was read.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum CameraFileError {
+    #[error("cannot read {}: {source}; name a YAML file, or write fx,fy,cx,cy", path.display())]
+    Unreadable { path: PathBuf, source: std::io::Error },
+    #[error("{} is no YAML: {source}", path.display())]
+    NoYaml { path: PathBuf, source: serde_norway::Error },
+    #[error(
+        "{} describes no camera: it has neither camera_matrix (ROS), nor k, width and height (a message of ROS), nor \
+         intrinsics and resolution (Kalibr, EuRoC)",
+        .0.display()
+    )]
+    Unknown(PathBuf),
+    #[error("{}: {key} has {found} numbers in place of {expected}", path.display())]
+    Numbers { path: PathBuf, key: &'static str, found: usize, expected: &'static str },
+    #[error("{}: cameras of the model {model} cannot be declared; pinhole can, with radtan or equidistant", path.display())]
+    Model { path: PathBuf, model: String },
+    #[error("{}: {source}", path.display())]
+    Undeclared { path: PathBuf, source: Undeclared },
+    #[error(
+        "`{0}` are no numbers of a camera; write fx,fy,cx,cy, then k1,k2,p1,p2[,k3] if there is distortion"
+    )]
+    Arguments(String),
+    #[error(
+        "the camera is for images of {width} x {height} pixels, but the first has {image_width} x {image_height}; \
+         give the calibration of these images"
+    )]
+    Size { width: u32, height: u32, image_width: u32, image_height: u32 },
+}
+
+/// The camera that an argument describes, of images of a size.
+pub(crate) fn described_camera(argument: &str, size_px: (u32, u32)) -> Result<Camera, CameraFileError> {
+    if let Some(numbers) = argument.strip_prefix("fisheye:") {
+        return by_numbers(numbers, size_px, Lens::Fisheye, &[0, 4]);
+    }
+    let first = argument.split(',').next().unwrap_or_default();
+    if argument.contains(',') && first.trim().parse::<f64>().is_ok() {
+        return by_numbers(argument, size_px, Lens::Pinhole, &[0, 4, 5]);
+    }
+    let camera = read(Path::new(argument))?;
+    let ((width, height), (image_width, image_height)) = (camera.size_px, size_px);
+    // Images may have been made smaller, but not cut off.
+    let [across, down] =
+        [u64::from(width) * u64::from(image_height), u64::from(image_width) * u64::from(height)];
+    let one_pixel = u64::from(width.max(height));
+    if across.abs_diff(down) > one_pixel {
+        return Err(CameraFileError::Size { width, height, image_width, image_height });
+    }
+    Ok(camera)
+}
+
+fn by_numbers(
+    text: &str,
+    size_px: (u32, u32),
+    lens: impl Fn(Intrinsics) -> Lens,
+    distortions: &[usize],
+) -> Result<Camera, CameraFileError> {
+    let wrong = || CameraFileError::Arguments(text.to_owned());
+    let numbers =
+        text.split(',').map(|number| number.trim().parse::<f64>().ok().filter(|value| value.is_finite()));
+    let numbers: Vec<f64> = numbers.collect::<Option<_>>().ok_or_else(wrong)?;
+    let Some(([fx_px, fy_px, cx_px, cy_px], distortion)) = numbers.split_first_chunk() else {
+        return Err(wrong());
+    };
+    if !distortions.contains(&distortion.len()) || *fx_px <= 0.0 || *fy_px <= 0.0 {
+        return Err(wrong());
+    }
+    let intrinsics = Intrinsics {
+        fx_px: *fx_px,
+        fy_px: *fy_px,
+        cx_px: *cx_px,
+        cy_px: *cy_px,
+        distortion: distortion.to_vec(),
+    };
+    Ok(Camera { lens: lens(intrinsics), size_px, base_to_camera: None })
+}
+
+fn read(path: &Path) -> Result<Camera, CameraFileError> {
+    let text = std::fs::read_to_string(path);
+    let text = text.map_err(|source| CameraFileError::Unreadable { path: path.to_owned(), source })?;
+    let no_yaml = |source| CameraFileError::NoYaml { path: path.to_owned(), source };
+    // OpenCV writes a first line that YAML does not have, and `ros2 topic echo` more than one document.
+    let yaml = text.strip_prefix("%YAML:1.0").unwrap_or(&text);
+    let first = serde_norway::Deserializer::from_str(yaml).next();
+    let unknown = || CameraFileError::Unknown(path.to_owned());
+    let document = first.ok_or_else(unknown)?;
+    let document: Value = serde::Deserialize::deserialize(document).map_err(no_yaml)?;
+    let info = Sheet { path, yaml: &document }.camera_info()?.ok_or_else(unknown)?;
+    info.declared().map_err(|source| CameraFileError::Undeclared { path: path.to_owned(), source })
+}
+
+/// A file, as far as it is read.
+struct Sheet<'a> {
+    path: &'a Path,
+    yaml: &'a Value,
+}
+
+impl Sheet<'_> {
+    fn camera_info(&self) -> Result<Option<CameraInfo>, CameraFileError> {
+        if let Some(matrix) = self.yaml.get("camera_matrix") {
+            let distortion = self.yaml.get("distortion_coefficients");
+            return self.of_ros(["image_width", "image_height"], matrix, distortion).map(Some);
+        }
+        if let Some(matrix) = self.yaml.get("k").or_else(|| self.yaml.get("K")) {
+            let distortion = self.yaml.get("d").or_else(|| self.yaml.get("D"));
+            return self.of_ros(["width", "height"], matrix, distortion).map(Some);
+        }
+        match self.yaml.get("cam0") {
+            Some(camera) => Sheet { path: self.path, yaml: camera }.of_kalibr(),
+            None => self.of_kalibr(),
+        }
+    }
+
+    /// Of the two forms that ROS has.
+    fn of_ros(
+        &self,
+        size: [&'static str; 2],
+        matrix: &Value,
+        distortion: Option<&Value>,
+    ) -> Result<CameraInfo, CameraFileError> {
+        let intrinsics = self.fixed("the camera matrix", &numbers(matrix), "9")?;
+        let [width, height] = size.map(|key| self.yaml.get(key).and_then(Value::as_u64).unwrap_or_default());
+        let model = self.yaml.get("distortion_model").and_then(Value::as_str).unwrap_or("plumb_bob");
+        let size_px = (pixels(width), pixels(height));
+        Ok(info(size_px, model, distortion.map(numbers).unwrap_or_default(), intrinsics))
+    }
+
+    fn of_kalibr(&self) -> Result<Option<CameraInfo>, CameraFileError> {
+        let (Some(intrinsics), Some(resolution)) = (self.yaml.get("intrinsics"), self.yaml.get("resolution"))
+        else {
+            return Ok(None);
+        };
+        let model = self.yaml.get("camera_model").and_then(Value::as_str).unwrap_or("pinhole");
+        if model != "pinhole" {
+            return Err(CameraFileError::Model { path: self.path.to_owned(), model: model.to_owned() });
+        }
+        let [fx, fy, cx, cy] = self.fixed("intrinsics", &numbers(intrinsics), "4")?;
+        let [width, height]: [f64; 2] = self.fixed("resolution", &numbers(resolution), "2")?;
+        let distortion = ["distortion_coeffs", "distortion_coefficients"];
+        let distortion =
+            distortion.iter().find_map(|key| self.yaml.get(key)).map(numbers).unwrap_or_default();
+        let model = match self.yaml.get("distortion_model").and_then(Value::as_str) {
+            Some("radtan" | "radial-tangential") => "plumb_bob",
+            Some("none") | None => "",
+            Some(other) => other,
+        };
+        let matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0];
+        let size_px = (pixels(width.max(0.0) as u64), pixels(height.max(0.0) as u64));
+        Ok(Some(info(size_px, model, distortion, matrix)))
+    }
+
+    fn fixed<const COUNT: usize>(
+        &self,
+        key: &'static str,
+        numbers: &[f64],
+        expected: &'static str,
+    ) -> Result<[f64; COUNT], CameraFileError> {
+        let found = numbers.len();
+        let path = || self.path.to_owned();
+        numbers.try_into().map_err(|_| CameraFileError::Numbers { path: path(), key, found, expected })
+    }
+}
+
+fn info(size_px: (u32, u32), model: &str, distortion: Vec<f64>, intrinsics: [f64; 9]) -> CameraInfo {
+    CameraInfo {
+        frame_id: String::new(),
+        size_px,
+        distortion_model: model.to_owned(),
+        distortion,
+        intrinsics,
+        projection: [0.0; 12],
+        binning: (0, 0),
+        region_px: [0; 4],
+    }
+}
+
+/// The numbers of a list, or of a matrix's `data`.
+fn numbers(value: &Value) -> Vec<f64> {
+    let value = match value {
+        Value::Tagged(tagged) => &tagged.value,
+        other => other,
+    };
+    let list = value.get("data").unwrap_or(value);
+    list.as_sequence().into_iter().flatten().filter_map(Value::as_f64).collect()
+}
+
+fn pixels(count: u64) -> u32 {
+    u32::try_from(count).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of_file(yaml: &str, size_px: (u32, u32)) -> Result<Camera, CameraFileError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("camera.yaml");
+        std::fs::write(&path, yaml).unwrap();
+        described_camera(path.to_str().unwrap(), size_px)
+    }
+
+    fn pinhole(camera: Camera) -> Intrinsics {
+        match camera.lens {
+            Lens::Pinhole(intrinsics) => intrinsics,
+            Lens::Fisheye(intrinsics) => panic!("{intrinsics:?}"),
+        }
+    }
+
+    const ROS: &str = "image_width: 640\nimage_height: 480\ncamera_name: head\ncamera_matrix:\n  rows: 3\n  cols: 3\n  \
+        data: [438.78, 0., 305.59, 0., 437.35, 243.33,\n    0., 0., 1.]\ndistortion_model: plumb_bob\n\
+        distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [-0.36, 0.09, 0.0004, 0.0001, 0.]\n";
+
+    #[test]
+    fn calibrations_of_ros_are_read() {
+        let camera = of_file(ROS, (320, 240)).unwrap();
+        assert_eq!(camera.size_px, (640, 480));
+        let lens = pinhole(camera);
+        assert_eq!([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px], [438.78, 437.35, 305.59, 243.33]);
+        assert_eq!(lens.distortion, [-0.36, 0.09, 0.0004, 0.0001, 0.0]);
+        let echoed = "height: 480\nwidth: 640\ndistortion_model: plumb_bob\nd:\n- 0.1\n- 0.2\n- 0.0\n- 0.0\n- 0.0\n\
+                      k: [400.0, 0.0, 320.0, 0.0, 401.0, 240.0, 0.0, 0.0, 1.0]\n---\n";
+        assert_eq!(pinhole(of_file(echoed, (640, 480)).unwrap()).distortion.len(), 5);
+    }
+
+    #[test]
+    fn calibrations_of_kalibr_and_euroc_are_read() {
+        let kalibr = "cam0:\n  camera_model: pinhole\n  distortion_coeffs: [0.1, 0.2, 0.3, 0.4]\n  \
+                      distortion_model: equidistant\n  intrinsics: [461.6, 460.3, 363.2, 248.1]\n  resolution: [752, 480]\n";
+        let camera = of_file(kalibr, (752, 480)).unwrap();
+        assert!(matches!(&camera.lens, Lens::Fisheye(lens) if lens.fy_px == 460.3), "{camera:?}");
+        let euroc = "#Default\nsensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: [1.0, 0.0]\nresolution: [752, 480]\n\
+                     camera_model: pinhole\nintrinsics: [458.654, 457.296, 367.215, 248.375] #fu\n\
+                     distortion_model: radial-tangential\ndistortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002]\n";
+        assert_eq!(pinhole(of_file(euroc, (752, 480)).unwrap()).distortion.len(), 4);
+    }
+
+    #[test]
+    fn numbers_are_a_camera() {
+        let lens = pinhole(described_camera("500, 501,320,240,0.1,0,0,0", (640, 480)).unwrap());
+        assert_eq!((lens.fy_px, lens.distortion.len()), (501.0, 4));
+        let fisheye = described_camera("fisheye:300,300,320,240", (640, 480)).unwrap();
+        assert!(matches!(fisheye.lens, Lens::Fisheye(_)));
+        for wrong in
+            ["500,501,320", "500,501,320,240,1", "0,501,320,240", "fisheye:1,2,3,x", "500,501,320,nan"]
+        {
+            let error = described_camera(wrong, (640, 480)).unwrap_err();
+            assert!(matches!(error, CameraFileError::Arguments(_)), "{wrong}: {error}");
+        }
+    }
+
+    #[test]
+    fn what_describes_no_camera_is_said() {
+        let size = (640, 480);
+        for (yaml, fragment) in [
+            ("a: 1\n", "describes no camera"),
+            ("", "describes no camera"),
+            ("a: [1\n", "is no YAML"),
+            ("camera_matrix: {data: [1, 2]}\n", "the camera matrix has 2 numbers in place of 9"),
+            ("cam0: {camera_model: omni, intrinsics: [1], resolution: [1, 1]}\n", "the model omni"),
+            (&ROS.replace("438.78", "0"), "not calibrated"),
+            (&ROS.replace("plumb_bob", "thin_prism"), "thin_prism"),
+        ] {
+            let error = of_file(yaml, size).unwrap_err().to_string();
+            assert!(error.contains(fragment), "{yaml}: {error}");
+        }
+        let other = of_file(ROS, (1280, 720)).unwrap_err();
+        assert!(matches!(other, CameraFileError::Size { width: 640, image_width: 1280, .. }), "{other}");
+        let nowhere = described_camera("nowhere.yaml", size).unwrap_err().to_string();
+        assert!(nowhere.contains("cannot read nowhere.yaml"), "{nowhere}");
+    }
+}

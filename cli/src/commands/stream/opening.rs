@@ -1,0 +1,139 @@
+//! What is streamed: a folder's images or a bag, and the camera that took them.
+
+use std::io::Write;
+use std::path::Path;
+use std::sync::Arc;
+
+use waypost_bags::Bag;
+use waypost_client::{Client, v1};
+
+use super::Seeing;
+use crate::camera_file::described_camera;
+use crate::drive::{Drive, Topics, camera_message};
+use crate::failure::Failure;
+use crate::files::Asking;
+use crate::images::{ImageFile, images_of};
+use crate::moments::{Moments, moments};
+use crate::odometry::{self, StampedPose};
+use crate::output::Output;
+use crate::panorama::{camera_of, mirror_camera, size_px};
+use crate::replay::{Recording, Replay, note};
+use crate::units::doubts;
+
+/// Rate of generated stamps.
+const DEFAULT_RATE_HZ: f64 = 1.0;
+
+/// The images of a folder, or of a bag.
+pub(super) async fn recording(
+    path: &Path,
+    odometry: Option<&Path>,
+    rate: Option<f64>,
+    topics: Topics,
+    asking: Asking,
+    output: Output,
+) -> Result<Recording, Failure> {
+    // A folder of images stays one, whatever else lies in it.
+    if Bag::is_bag(path) && (!path.is_dir() || images_of(path).is_err()) {
+        if odometry.is_some() {
+            return Err(Failure::Unfit(
+                "a bag brings its own odometry; leave out --odometry, or choose with --odometry-topic"
+                    .to_owned(),
+            ));
+        }
+        let drive = Drive::open(path, topics, output).await?;
+        drive.tell();
+        return Ok(Recording::Bag(Arc::new(drive)));
+    }
+    if let Some(flag) = topics.first_flag() {
+        return Err(Failure::Unfit(format!(
+            "{flag} is for bags, and {} is none; leave it out",
+            path.display()
+        )));
+    }
+    let images = images_of(path)?;
+    let poses = odometry.map(poses_of).transpose()?;
+    if let Some(poses) = &poses {
+        check_units(poses, asking)?;
+    }
+    let with_file = odometry.zip(poses.as_deref());
+    let Moments { moments, told } = moments(&images, with_file, rate.unwrap_or(DEFAULT_RATE_HZ))?;
+    for line in told {
+        // If stderr is closed, the message is lost.
+        let _ = writeln!(std::io::stderr(), "{line}");
+    }
+    Ok(Recording::Folder { images, moments })
+}
+
+fn poses_of(path: &Path) -> Result<Vec<StampedPose>, Failure> {
+    let text = std::fs::read_to_string(path).map_err(Failure::file("read", path))?;
+    odometry::parse(&text).map_err(|source| Failure::Odometry { path: path.to_owned(), source })
+}
+
+/// Asks about odometry that seems to be in other units.
+fn check_units(poses: &[StampedPose], asking: Asking) -> Result<(), Failure> {
+    match doubts(poses).join("\n").as_str() {
+        "" => Ok(()),
+        doubts => asking.confirm_doubt(doubts),
+    }
+}
+
+/// The camera that took the images, as far as flags or the bag describe it.
+pub(super) fn declared_camera(seeing: Seeing, recording: &Recording) -> Result<Option<v1::Camera>, Failure> {
+    let Seeing { panorama, mirror, camera } = seeing;
+    if let Some(projection) = panorama {
+        return Ok(Some(camera_of(projection, first_size_px(recording)?)));
+    }
+    if let Some(file) = mirror {
+        return Ok(Some(mirror_camera(&file, first_size_px(recording)?)?));
+    }
+    if let Some(described) = camera {
+        let camera = described_camera(&described, first_size_px(recording)?)?;
+        return Ok(Some(camera_message(&camera)));
+    }
+    Ok(match recording {
+        Recording::Folder { images: _, moments: _ } => None,
+        Recording::Bag(drive) => drive.camera(),
+    })
+}
+
+fn first_size_px(recording: &Recording) -> Result<(u32, u32), Failure> {
+    let unknown = || Failure::Unfit("the first image cannot be read; send JPEG or PNG".to_owned());
+    match recording {
+        Recording::Folder { images, moments: _ } => size_px(images.first().ok_or_else(unknown)?),
+        Recording::Bag(drive) => drive.size_px().ok_or_else(unknown),
+    }
+}
+
+/// Refuses to go on in a session that was begun with other images: what is at its last frame here must be what was there.
+///
+/// # Errors
+/// [`Failure::Unfit`] if the names differ, or what the images show.
+pub(super) async fn check_same_images(
+    client: &Client,
+    (map, session): (&str, &str),
+    replay: &Replay,
+    committed: u64,
+) -> Result<(), Failure> {
+    let Recording::Folder { images, moments: _ } = &replay.recording else { return Ok(()) };
+    let index = committed.checked_sub(1).and_then(|index| usize::try_from(index).ok());
+    let Some(ImageFile { name, path, .. }) = index.and_then(|index| images.get(index)) else { return Ok(()) };
+    let record = client.frame(&format!("{session}/frames/{committed}")).await?;
+    let other = |there: &str| {
+        Failure::Unfit(format!(
+            "{session} was begun with other images: its frame {committed} is {there}, and here it is {name}; give the folder that it \
+             was begun with, or another --session"
+        ))
+    };
+    let here = note(name);
+    if !record.note.is_empty() && !here.is_empty() && record.note != here {
+        return Err(other(&record.note));
+    }
+    // Cameras count from 1 in every folder: what the image shows says more than its name.
+    let image = tokio::fs::read(path).await.map_err(Failure::file("read", path))?;
+    let content = replay.contents.content(image).await;
+    let Ok(seen) = client.query(map, content, &replay.contents.words_hash(), None).await else {
+        return Ok(());
+    };
+    let words = record.answer.as_ref().map_or(0, |answer| answer.words);
+    if seen.words == words { Ok(()) } else { Err(other("an image of other content")) }
+}

@@ -1,0 +1,161 @@
+//! What came of a stream, in the end.
+
+use std::io::{self, Write};
+
+use serde::Serialize;
+use waypost_client::v1;
+
+use crate::failure::Failure;
+use crate::frame_row::FrameRow;
+use crate::output::Output;
+use crate::replay::Sent;
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Summary {
+    session: String,
+    map: String,
+    model: String,
+    /// Null in a new session.
+    resumed_after_sequence: Option<u64>,
+    frame_count: usize,
+    refused: usize,
+    places_created: usize,
+    loop_closures: usize,
+    /// Of the frames that were answered: each has one.
+    reasons: Reasons,
+    /// Mean length of an image or its words, in bytes; null if nothing was sent.
+    bytes_per_frame: Option<f64>,
+    /// Median time of a frame at the server; null if all answers were stored ones.
+    ms_p50: Option<f64>,
+    frames: Vec<FrameRow>,
+}
+
+/// How many frames were decided for each reason.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+struct Reasons {
+    new_place: usize,
+    same_place: usize,
+    loop_closure: usize,
+    below_threshold: usize,
+    geometry_refused: usize,
+    too_few_words: usize,
+}
+
+impl Reasons {
+    fn of(frames: &[FrameRow]) -> Self {
+        let count = |reason| frames.iter().filter(|row| row.reason == Some(reason)).count();
+        Self {
+            new_place: count("new_place"),
+            same_place: count("same_place"),
+            loop_closure: count("loop_closure"),
+            below_threshold: count("below_threshold"),
+            geometry_refused: count("geometry_refused"),
+            too_few_words: count("too_few_words"),
+        }
+    }
+
+    /// A line for each reason; they add up to the frames that were answered.
+    fn write(self, out: &mut dyn Write) -> io::Result<()> {
+        let Reasons { new_place, same_place, loop_closure, below_threshold, geometry_refused, too_few_words } =
+            self;
+        for (what, frames) in [
+            ("somewhere new", new_place),
+            ("same place", same_place),
+            ("loop closures", loop_closure),
+            ("known place, not sure enough", below_threshold),
+            ("known place, refused by geometry", geometry_refused),
+            ("too few words", too_few_words),
+        ] {
+            writeln!(out, "  {what:<33}{frames:6}")?;
+        }
+        Ok(())
+    }
+}
+
+/// Prints what came of a stream, and `hint` to stderr. Fails if frames were refused.
+pub(super) fn conclude(
+    opened: v1::SessionOpened,
+    frames: Vec<FrameRow>,
+    sent: Sent,
+    hint: Option<String>,
+    output: Output,
+) -> Result<(), Failure> {
+    let v1::SessionOpened { session, last_committed_sequence, model, words_hash: _ } = opened;
+    let reasons = Reasons::of(&frames);
+    let summary = Summary {
+        map: session.split("/sessions/").next().unwrap_or_default().to_owned(),
+        session,
+        model,
+        resumed_after_sequence: last_committed_sequence,
+        frame_count: frames.len(),
+        refused: frames.iter().filter(|row| row.refusal_code.is_some()).count(),
+        // A localizing session has no place for frames with these reasons.
+        places_created: frames
+            .iter()
+            .filter(|row| {
+                row.place_number.is_some()
+                    && matches!(row.reason, Some("new_place" | "below_threshold" | "geometry_refused"))
+            })
+            .count(),
+        loop_closures: reasons.loop_closure,
+        reasons,
+        bytes_per_frame: sent.bytes_per_frame(),
+        ms_p50: median(frames.iter().filter_map(|row| row.total_ms).collect()),
+        frames,
+    };
+    output.result(&summary, |out| write(&summary, out))?;
+    if let (Some(hint), Output::Text) = (hint, output) {
+        // If stderr is closed, the hint is lost.
+        let _ = writeln!(io::stderr(), "{hint}");
+    }
+    match summary.refused {
+        0 => Ok(()),
+        refused => Err(Failure::FramesRefused { refused, frames: summary.frame_count }),
+    }
+}
+
+fn write(summary: &Summary, out: &mut dyn Write) -> io::Result<()> {
+    writeln!(out, "{:<35}{:6}", "frames", summary.frame_count)?;
+    summary.reasons.write(out)?;
+    writeln!(out, "  {:<33}{:6}", "refused", summary.refused)?;
+    writeln!(out, "{:<35}{:6}", "new places", summary.places_created)?;
+    if let Some(bytes) = summary.bytes_per_frame {
+        writeln!(out, "{:<35}{bytes:6.0} (mean, sent)", "bytes a frame")?;
+    }
+    match summary.ms_p50 {
+        Some(ms_p50) => writeln!(out, "{:<35}{ms_p50:6.1} (median, at the server)", "ms per frame"),
+        None => Ok(()),
+    }
+}
+
+/// The median of the values.
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len().saturating_sub(1) / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_frame_is_counted_once() {
+        let reasons = [
+            "new_place",
+            "same_place",
+            "same_place",
+            "loop_closure",
+            "below_threshold",
+            "geometry_refused",
+            "too_few_words",
+        ];
+        let frames: Vec<FrameRow> =
+            reasons.iter().map(|reason| FrameRow { reason: Some(reason), ..FrameRow::default() }).collect();
+        let mut text = Vec::new();
+        Reasons::of(&frames).write(&mut text).unwrap();
+        let text = String::from_utf8(text).unwrap();
+        let numbers = text.lines().map(|line| line.rsplit(' ').next().unwrap().parse::<usize>().unwrap());
+        assert_eq!(numbers.collect::<Vec<_>>(), [1, 2, 1, 1, 1, 1], "{text}");
+    }
+}

@@ -1,0 +1,270 @@
+//! What a beginner does wrong, and what is said. TLS, tokens, ports and settings of the server have tables of their own
+//! (`tls.rs`, `tokens.rs`, `startup.rs`, `config.rs`), bad frames have `robots/bad_frames.rs`.
+
+use std::path::{Path, PathBuf};
+
+use crate::harness::{Built, CommandLine, folder, images, path, run_to_its_end};
+
+/// A command line with a map `hall` of words and metres that are not known, its session `monday` of the first six images of the
+/// shipped drive, and an empty map `looks` for panoramas.
+struct Beginner {
+    waypost: CommandLine,
+    images: tempfile::TempDir,
+    files: tempfile::TempDir,
+}
+
+impl Beginner {
+    fn new() -> Self {
+        let waypost = CommandLine::new();
+        waypost.prepare();
+        waypost.text(&["map", "create", "hall", "--model", "shipped"]);
+        waypost.text(&[
+            "map",
+            "create",
+            "looks",
+            "--model",
+            "shipped",
+            "--navigation-strategy",
+            "appearance",
+        ]);
+        let images = folder(6);
+        waypost.text(&["stream", path(images.path()), "--map", "hall", "--session", "monday"]);
+        Self { waypost, images, files: tempfile::tempdir().unwrap() }
+    }
+
+    /// A file with this in it.
+    fn file(&self, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
+        let file = self.files.path().join(name);
+        std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+        std::fs::write(&file, content).unwrap();
+        file
+    }
+
+    fn says(&self, mistake: &str, arguments: &[&str], code: i32, fragment: &str) {
+        let output = self.waypost.run(arguments);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{mistake}: {said}");
+        assert!(said.contains(fragment), "{mistake}: {said}");
+    }
+}
+
+#[test]
+fn names_and_verbs_that_are_wrong() {
+    let beginner = Beginner::new();
+    let out = beginner.files.path().join("out");
+    let out = path(&out);
+    for (mistake, arguments, code, fragment) in [
+        ("no model", &["map", "create", "new"][..], 2, "--model <MODEL>"),
+        ("unknown model", &["map", "create", "new", "--model", "nosuch"], 4, "there is no model"),
+        ("a short hash", &["model", "show", "8f7ce"], 4, "at least 6"),
+        ("unknown map", &["map", "show", "nosuch"], 4, "there is no map nosuch; list the maps"),
+        ("no map name", &["map", "create", "My Map", "--model", "shipped"], 4, "1 to 63 of a-z"),
+        ("a map that exists", &["map", "create", "hall", "--model", "shipped"], 4, "choose another name"),
+        ("a verb with a typo", &["map", "lss"], 2, "similar subcommand"),
+        ("another verb", &["map", "delete", "nosuch", "--yes"], 4, "there is no map nosuch"),
+        ("an unknown robot", &["navigate", "hall", "robot", "--to", "9999"], 4, "robot"),
+        ("a frame that is not there", &["explain", "hall", "monday", "99"], 4, "list its frames"),
+        (
+            "a frame by a wrong file name",
+            &["explain", "hall", "monday", "99.jpg"],
+            1,
+            "waypost session frames hall monday",
+        ),
+        ("a job that is not there", &["job", "show", "7"], 4, "jobs/7"),
+        ("a map without metres", &["map", "graph", "hall", "--out", out], 4, "it takes frames with odometry"),
+        (
+            "a trajectory of none",
+            &["map", "trajectory", "hall", "monday", "--out", out],
+            4,
+            "it takes frames with odometry",
+        ),
+        (
+            "a threshold above 1",
+            &["map", "create", "new", "--model", "shipped", "--closure-threshold", "99"],
+            4,
+            "above 0 and at most 1",
+        ),
+        (
+            "places of no size",
+            &["map", "create", "new", "--model", "shipped", "--place-spacing-m", "0"],
+            4,
+            "must be a number above 0",
+        ),
+    ] {
+        beginner.says(mistake, arguments, code, fragment);
+    }
+    // By the name of its file, a frame is found.
+    let explained = beginner.waypost.text(&["explain", "hall", "monday", "000003.jpg"]);
+    assert!(explained.starts_with("maps/hall/sessions/monday/frames/4: "), "{explained}");
+}
+
+#[test]
+fn addresses_that_are_wrong() {
+    let waypost = CommandLine::new();
+    let (grpc, http) = (waypost.endpoint(), waypost.http());
+    for (mistake, address, code, fragment) in [
+        ("no server", "http://127.0.0.1:1", 3, "start a server with `make serve`"),
+        ("no scheme", "127.0.0.1:7600", 2, "http://"),
+        ("the HTTP port", &http, 1, "HTTP port"),
+        ("https against plain", &grpc.replace("http://", "https://"), 3, "speaks no TLS"),
+    ] {
+        let mut command = Built::command("waypost");
+        command.args(["map", "ls", "--server", address]);
+        let output = run_to_its_end(command);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{mistake}: {said}");
+        assert!(said.contains(fragment), "{mistake}: {said}");
+    }
+}
+
+#[test]
+fn folders_and_images_that_are_wrong() {
+    let beginner = Beginner::new();
+    let file = beginner.file("notes.txt", "x");
+    beginner.file("empty/notes.txt", "x");
+    let empty = beginner.files.path().join("empty");
+    let stream = |mistake: &str, folder: &Path, code, fragment: &str| {
+        let arguments = ["stream", path(folder), "--map", "hall", "--session", "new"];
+        beginner.says(mistake, &arguments, code, fragment);
+    };
+    stream("no folder", Path::new("/nope"), 1, "there is no folder /nope");
+    stream("no images", &empty, 1, "no images in");
+    stream("a file", &file, 1, "give the folder");
+    for (name, content, fragment) in [
+        ("truncated", &images()[0][..500], "refused"),
+        ("nothing", &[], "refused"),
+        ("text", b"no image", "refused"),
+        ("webp", b"RIFF\x24\0\0\0WEBPVP8 ", "convert it to JPEG or PNG"),
+    ] {
+        let bad = beginner.file(&format!("{name}/1.jpg"), content);
+        let arguments = ["stream", path(bad.parent().unwrap()), "--map", "hall", "--session", name];
+        beginner.says(name, &arguments, 5, fragment);
+    }
+    let folder = path(beginner.images.path());
+    beginner.says("photos for panoramas", &["stream", folder, "--map", "looks"], 4, "--panorama");
+    beginner.says(
+        "more words than images give",
+        &["model", "train", "--images", folder, "--words", "500000", "--name", "large"],
+        1,
+        "at most",
+    );
+
+    // Another folder into the session of this one, whatever its files are called.
+    let other = beginner.files.path().join("other");
+    std::fs::create_dir(&other).unwrap();
+    for (index, image) in images().iter().skip(50).take(8).enumerate() {
+        std::fs::write(other.join(format!("{index:06}.jpg")), image).unwrap();
+    }
+    let arguments = ["stream", path(&other), "--map", "hall", "--session", "monday"];
+    beginner.says("another folder", &arguments, 1, "was begun with other images");
+    for index in (0..8).rev() {
+        std::fs::rename(other.join(format!("{index:06}.jpg")), other.join(format!("{:06}.jpg", index + 100)))
+            .unwrap();
+    }
+    beginner.says(
+        "a folder of other names",
+        &arguments,
+        1,
+        "its frame 6 is 000005.jpg, and here it is 000105.jpg",
+    );
+    // The same one goes on.
+    std::fs::write(beginner.images.path().join("000006.jpg"), &images()[6]).unwrap();
+    let said = beginner.waypost.text(&["stream", folder, "--map", "hall", "--session", "monday"]);
+    assert!(said.contains("resumed after frame 6"), "{said}");
+}
+
+#[test]
+fn odometry_that_is_wrong() {
+    let beginner = Beginner::new();
+    let stream = |mistake: &str, odometry: &str, code, fragment: &str| {
+        let file = beginner.file("odometry.csv", odometry);
+        let folder = path(beginner.images.path());
+        let arguments = ["stream", folder, "--map", "drive", "--session", "new", "--odometry", path(&file)];
+        beginner.says(mistake, &arguments, code, fragment);
+    };
+    let csv = |rows: &[&str]| format!("stamp_ns,x_m,y_m,yaw_rad\n{}\n", rows.join("\n"));
+    stream("another header", "t,x,y,yaw\n", 1, "the header is `t,x,y,yaw`");
+    stream("semicolons", "stamp_ns;x_m;y_m;yaw_rad\n1;0;0;0\n", 1, "parted by semicolons");
+    stream("too few rows", &csv(&["1,0,0,0"]), 1, "1 poses for 6 images");
+    stream("stamps with a point", &csv(&["1.5,0,0,0"]), 1, "whole number of nanoseconds");
+    stream("stamps that fall", &csv(&["2,0,0,0", "1,0,0,0"]), 1, "sort the rows by time");
+    stream("no number", &csv(&["1,nan,0,0"]), 1, "no number for x_m");
+    stream("no rotation", "1 0 0 0 0 0 0 0\n", 1, "has length 0.0000; it has to be 1");
+    let rows = |row: &dyn Fn(i64) -> String| {
+        csv(&(1..=6).map(row).collect::<Vec<_>>().iter().map(String::as_str).collect::<Vec<_>>())
+    };
+    let second = 1_000_000_000;
+    stream(
+        "degrees",
+        &rows(&|n| format!("{},{},0,{}", n * second / 10, 0.1 * n as f64, 20 * n)),
+        1,
+        "is yaw_rad in degrees, and not in radians?",
+    );
+    stream(
+        "centimetres",
+        &rows(&|n| format!("{},{},0,0", n * second, 50 * n)),
+        1,
+        "are positions in centimetres or millimetres",
+    );
+    stream(
+        "seconds for nanoseconds",
+        &rows(&|n| format!("{n},{},0,0", 0.5 * n as f64)),
+        1,
+        "stamps not in their unit",
+    );
+    // Who knows better says so.
+    let file = beginner.file("odometry.csv", rows(&|n| format!("{},{},0,0", n * second, 50 * n)));
+    let folder = path(beginner.images.path());
+    beginner.waypost.text(&[
+        "stream",
+        folder,
+        "--map",
+        "drive",
+        "--session",
+        "fast",
+        "--odometry",
+        path(&file),
+        "--yes",
+    ]);
+}
+
+#[test]
+fn odometry_of_another_rate_is_joined_by_time_and_cameras_are_declared() {
+    let beginner = Beginner::new();
+    let stamped = beginner.files.path().join("stamped");
+    std::fs::create_dir(&stamped).unwrap();
+    // Fractions of unequal length: 1700000000.5 is after 1700000000.25.
+    for (name, image) in
+        ["1700000000.0", "1700000000.25", "1700000000.5", "1700000003.75"].iter().zip(images())
+    {
+        std::fs::write(stamped.join(format!("{name}.jpg")), image).unwrap();
+    }
+    let rows: Vec<String> = (0..20)
+        .map(|n| format!("{:.1} {} 0 0 0 0 0 1", 1_700_000_000.0 + 0.1 * f64::from(n), 0.05 * f64::from(n)))
+        .collect();
+    let odometry = beginner.file("odometry.tum", rows.join("\n"));
+    let arguments =
+        ["stream", path(&stamped), "--map", "drive", "--session", "timed", "--odometry", path(&odometry)];
+    let camera = ["--camera", "500,500,320,180", "--json"];
+    let output = beginner.waypost.run(&[&arguments[..], &camera].concat());
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{said}");
+    assert!(said.contains("20 poses, joined to 4 images by time"), "{said}");
+    assert!(said.contains("1 of 4 frames are sent without odometry"), "{said}");
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let names: Vec<&str> =
+        summary["frames"].as_array().unwrap().iter().map(|row| row["image"].as_str().unwrap()).collect();
+    assert_eq!(names, ["1700000000.0.jpg", "1700000000.25.jpg", "1700000000.5.jpg", "1700000003.75.jpg"]);
+    assert_eq!(summary["frames"][1]["stamp_ns"], 1_700_000_000_250_000_000_i64);
+    let counted: u64 =
+        summary["reasons"].as_object().unwrap().values().map(|count| count.as_u64().unwrap()).sum();
+    assert_eq!(counted, 4, "{summary}");
+    let sessions = beginner.waypost.json(&["session", "ls", "drive"]);
+    assert_eq!(sessions["sessions"][0]["camera"]["pinhole"]["fx_px"], 500.0, "{sessions}");
+
+    let other = beginner.file("clock.tum", "5 0 0 0 0 0 0 1\n6 0 0 0 0 0 0 1\n");
+    let arguments = ["stream", path(&stamped), "--map", "drive", "--odometry", path(&other)];
+    beginner.says("another clock", &arguments, 1, "both have to be by one clock");
+    let arguments = ["stream", path(&stamped), "--map", "drive", "--camera", "nowhere.yaml"];
+    beginner.says("no calibration", &arguments, 1, "cannot read nowhere.yaml");
+}
