@@ -261,7 +261,9 @@ fn is_rot(error: &sqlx::Error) -> bool {
 fn or_no_database(error: sqlx::Error, directory: &Path) -> StorageError {
     let path = || directory.join(FILE_NAME);
     if is_rot(&error) {
-        return StorageError::Broken { path: path(), reason: error.to_string() };
+        let reason =
+            "a part of it is not as it was written; `waypost-server check --deep` tells which".to_owned();
+        return StorageError::Broken { path: path(), reason };
     }
     match primary_code(&error) {
         Some(SQLITE_NOTADB) => StorageError::NoDatabase { path: path() },

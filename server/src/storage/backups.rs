@@ -43,7 +43,10 @@ pub(crate) async fn back_up(data_dir: &Path, directory: &Path) -> Result<(), Sto
     let mut database = options.connect().await.map_err(|error| or_no_database(error, data_dir))?;
     let copied = sqlx::query("VACUUM INTO ?").bind(partial.to_string_lossy()).execute(&mut database).await;
     database.close().await?;
-    copied.map_err(|error| or_no_database(error, data_dir))?;
+    if let Err(error) = copied {
+        std::fs::remove_file(&partial).map_err(failed)?;
+        return Err(or_no_database(error, data_dir));
+    }
     put_in_place(directory, &partial).map_err(failed)
 }
 

@@ -112,8 +112,8 @@ impl Reading {
         let told: Result<Vec<String>, _> =
             sqlx::query_scalar("PRAGMA integrity_check(20)").fetch_all(&mut self.database).await;
         let told = self.read("the database as a whole", told).unwrap_or_default();
-        let wrong = told.into_iter().filter(|line| line != "ok");
-        self.found.problems.extend(wrong.map(|line| format!("SQLite finds: {line}")));
+        let wrong = told.iter().filter(|line| *line != "ok");
+        self.found.problems.extend(wrong.map(|line| format!("SQLite finds: {}", in_one_line(line))));
         let orphans: Result<Vec<String>, _> =
             sqlx::query_scalar("SELECT DISTINCT \"table\" FROM pragma_foreign_key_check")
                 .fetch_all(&mut self.database)
@@ -169,8 +169,8 @@ impl Reading {
         if problems.0.is_empty() && opened != sessions.keys().copied().collect() {
             problems.add("its sessions are not those of its log".to_owned());
         }
-        self.notes(*id, &mut problems).await;
-        self.media(*id, &mut problems).await;
+        self.notes(*id, &sessions, &mut problems).await;
+        self.media(*id, &sessions, &mut problems).await;
         let told = problems.0.len().min(MOST_TOLD);
         let told = problems.0[..told].iter().map(|problem| format!("map {name}, {problem}"));
         self.found.problems.extend(told);
@@ -203,7 +203,7 @@ impl Reading {
             }
         };
         let WholeEvent { stored, columns } = row;
-        let named = columns.named(sessions, position);
+        let named = named(sessions, Some(columns.session()), columns.sequence(), position);
         let before = std::mem::replace(chain, stored.chain());
         let followed = stored.follow(u64::try_from(position).unwrap_or(0), before);
         let decoded = followed.and_then(|_| stored.decode(usize::try_from(words).unwrap_or(0)));
@@ -221,67 +221,95 @@ impl Reading {
     }
 
     /// What frames are called can be read, and is of frames.
-    async fn notes(&mut self, map: MapId, problems: &mut Problems) {
+    async fn notes(&mut self, map: MapId, sessions: &BTreeMap<SessionId, String>, problems: &mut Problems) {
         let mut after = -1;
         loop {
             let next = sqlx::query_as(
-                "SELECT n.position, n.note, \
-                 (SELECT sequence IS NOT NULL FROM log AS l WHERE l.map_id = n.map_id AND l.position = n.position) \
-                 FROM frame_notes AS n WHERE n.map_id = ? AND n.position > ? ORDER BY n.position LIMIT 1",
+                "SELECT position, note, session, sequence FROM frame_notes LEFT JOIN log USING (map_id, position) \
+                 WHERE map_id = ? AND position > ? ORDER BY position LIMIT 1",
             );
             let next = next.bind(map).bind(after).fetch_optional(&mut self.database).await;
-            let (position, note, of_a_frame): (i64, String, Option<bool>) = match next {
-                Ok(Some(next)) => next,
-                Ok(None) => return,
-                Err(error) => {
-                    return problems
-                        .add(format!("what its frames are called: {}", StorageError::from(error)));
-                }
-            };
+            let (position, note, session, sequence): (i64, String, Option<SessionId>, Option<i64>) =
+                match next {
+                    Ok(Some(next)) => next,
+                    Ok(None) => return,
+                    Err(error) => {
+                        return problems
+                            .add(format!("what its frames are called: {}", StorageError::from(error)));
+                    }
+                };
             after = position;
             self.found.notes += 1;
-            if of_a_frame != Some(true) {
-                problems.add(format!(
-                    "event {position} of the log: the note {note:?} is of a frame that is none"
-                ));
+            if sequence.is_none() {
+                let named = named(sessions, session, None, position);
+                problems.add(format!("{named}: the note {note:?} is of a frame that is none"));
             }
         }
     }
 
     /// What is kept of frames can be read, and is of frames.
-    async fn media(&mut self, map: MapId, problems: &mut Problems) {
+    async fn media(&mut self, map: MapId, sessions: &BTreeMap<SessionId, String>, problems: &mut Problems) {
         let mut after = (-1, MediumKind::Features);
         loop {
             let next = sqlx::query_as(
-                "SELECT m.position, m.kind, \
-                 (SELECT sequence IS NOT NULL FROM log AS l WHERE l.map_id = m.map_id AND l.position = m.position) \
-                 FROM frame_media AS m WHERE m.map_id = ? AND (m.position, m.kind) > (?, ?) \
-                 ORDER BY m.position, m.kind LIMIT 1",
+                "SELECT position, kind, session, sequence FROM frame_media LEFT JOIN log USING (map_id, position) \
+                 WHERE map_id = ? AND (position, kind) > (?, ?) ORDER BY position, kind LIMIT 1",
             );
             let next = next.bind(map).bind(after.0).bind(after.1).fetch_optional(&mut self.database).await;
-            let (position, kind, of_a_frame): (i64, MediumKind, Option<bool>) = match next {
-                Ok(Some(next)) => next,
-                Ok(None) => return,
-                Err(error) => {
-                    return problems
-                        .add(format!("what is kept of its frames: {}", StorageError::from(error)));
-                }
-            };
+            let (position, kind, session, sequence): (i64, MediumKind, Option<SessionId>, Option<i64>) =
+                match next {
+                    Ok(Some(next)) => next,
+                    Ok(None) => return,
+                    Err(error) => {
+                        return problems
+                            .add(format!("what is kept of its frames: {}", StorageError::from(error)));
+                    }
+                };
             after = (position, kind);
             self.found.media += 1;
-            if of_a_frame != Some(true) {
-                problems
-                    .add(format!("event {position} of the log: something is kept of a frame that is none"));
+            let named = named(sessions, session, sequence, position);
+            if sequence.is_none() {
+                problems.add(format!("{named}: something is kept of a frame that is none"));
             }
             let content = sqlx::query_scalar(
                 "SELECT content FROM frame_media WHERE map_id = ? AND position = ? AND kind = ?",
             );
             let content = content.bind(map).bind(position).bind(kind).fetch_one(&mut self.database).await;
             if let Err(error) = content.map(|content: Vec<u8>| content.len()) {
-                let error = StorageError::from(error);
-                problems.add(format!("event {position} of the log, its image or features: {error}"));
+                problems.add(format!("{named}, its {}: {}", kept(kind), StorageError::from(error)));
             }
         }
+    }
+}
+
+/// What is kept of a frame, for people.
+fn kept(kind: MediumKind) -> &'static str {
+    match kind {
+        MediumKind::Features => "features",
+        MediumKind::Thumbnail => "thumbnail",
+        MediumKind::Image => "image",
+    }
+}
+
+/// What SQLite finds, without what only follows from it.
+pub(super) fn in_one_line(found: &str) -> String {
+    let lines = || found.lines().filter(|line| !line.starts_with("***"));
+    let causes: Vec<&str> = lines().filter(|line| !line.ends_with("never used")).collect();
+    if causes.is_empty() { lines().collect::<Vec<_>>().join("; ") } else { causes.join("; ") }
+}
+
+/// A frame, or another event, as people name it.
+fn named(
+    sessions: &BTreeMap<SessionId, String>,
+    session: Option<SessionId>,
+    sequence: Option<i64>,
+    position: i64,
+) -> String {
+    let Some(session) = session else { return format!("event {position} of the log") };
+    let session = sessions.get(&session).map_or("?", String::as_str);
+    match sequence {
+        Some(sequence) => format!("session {session}, frame {sequence}"),
+        None => format!("session {session}, event {position} of the log"),
     }
 }
 
@@ -295,13 +323,17 @@ impl Problems {
     }
 }
 
-impl EventColumns {
-    /// The event as people name it.
-    fn named(&self, sessions: &BTreeMap<SessionId, String>, position: i64) -> String {
-        let session = sessions.get(&self.session()).map_or("?", String::as_str);
-        match self.sequence() {
-            Some(sequence) => format!("session {session}, frame {sequence}"),
-            None => format!("session {session}, event {position} of the log"),
-        }
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_sqlite_finds_is_one_line_of_causes() {
+        let found = "*** in database main ***\nTree 21 page 1005 cell 0: failed to get page 1001\nPage 1002: never used";
+        assert_eq!(in_one_line(found), "Tree 21 page 1005 cell 0: failed to get page 1001");
+        assert_eq!(
+            in_one_line("Page 7: never used\nPage 8: never used"),
+            "Page 7: never used; Page 8: never used"
+        );
     }
 }

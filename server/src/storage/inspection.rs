@@ -6,6 +6,7 @@ use sqlx::SqlitePool;
 use sqlx::migrate::MigrateError;
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
 
+use super::deep_inspection::in_one_line;
 use super::opening::{FileKind, file_kind};
 use super::{DirectoryLock, FILE_NAME, Storage, StorageError, or_no_database, page_sums};
 
@@ -51,7 +52,7 @@ pub(crate) async fn inspect(directory: &Path) -> Result<Option<Inspection>, Stor
 async fn look_at(database: &SqlitePool) -> Result<Inspection, StorageError> {
     let problem: String = sqlx::query_scalar("PRAGMA quick_check(1)").fetch_one(database).await?;
     if problem != "ok" {
-        return Err(StorageError::Damaged(problem));
+        return Err(StorageError::Damaged(in_one_line(&problem)));
     }
     let outdated = look_at_migrations(database).await?;
     let maps = sqlx::query_scalar("SELECT count(*) FROM maps").fetch_one(database).await?;

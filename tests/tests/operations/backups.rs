@@ -98,6 +98,11 @@ async fn a_damaged_backup_is_not_restored() {
     assert!(!restored.path().join("waypost.sqlite").exists());
     let (code, said) = run(&backup, &["check", "--deep"]);
     assert!(code != 0 && said.contains("wrong  contents: "), "{said}");
+    // Nor is one made of what is damaged: nothing is left of it.
+    let of_it = target.path().join("tuesday");
+    let (code, said) = run(&backup, &["backup", of_it.to_str().unwrap()]);
+    assert!(code != 0 && said.contains("`waypost-server check --deep` tells which"), "{said}");
+    assert_eq!(std::fs::read_dir(&of_it).unwrap().count(), 0);
     // A directory without one.
     let (code, said) = run(restored.path(), &["restore", data.path().join("nothing").to_str().unwrap()]);
     assert!(code != 0 && said.contains("holds no backup"), "{said}");

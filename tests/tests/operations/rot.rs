@@ -194,6 +194,27 @@ async fn events_that_are_gone_or_changed_places_show() {
     }
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_kept_of_a_frame_is_named() {
+    let directory = two_maps().await;
+    let mut database = database_options(directory.path()).connect().await.unwrap();
+    let select = "SELECT content FROM frame_media JOIN maps ON maps.id = map_id \
+                  WHERE name = 'drive' AND position = 7 AND kind = 'features'";
+    let features: Vec<u8> = sqlx::query_scalar(select).fetch_one(&mut database).await.unwrap();
+    database.close().await.unwrap();
+    flip_at(directory.path(), features.last_chunk::<24>().unwrap());
+    let found = deep(directory.path()).await;
+    let named = "map drive, session first, frame 7, its features: a part of the database is damaged";
+    assert!(found.iter().any(|line| line.contains(named)), "{found:?}");
+    assert!(found.iter().all(|line| line.lines().count() == 1), "{found:?}");
+
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let (code, message) = refused(client.frame_picture("maps/drive/sessions/first/frames/7", None).await);
+    assert_status("a picture", (code, &message), Code::DataLoss, "session first, frame 7");
+    server.stop().await;
+}
+
 /// A model whose file is damaged keeps its name: whoever renames it would write the damage anew, with a right checksum.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_damaged_model_is_not_renamed() {
