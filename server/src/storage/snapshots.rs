@@ -263,8 +263,8 @@ impl MapView {
         .bind(MEDIA_PAGE)
         .fetch_all(&mut *self.snapshot)
         .await;
-        let next = u64::try_from(position).unwrap_or(0);
-        self.noting_rot(Where::Event(next), media.map_err(StorageError::from)).await
+        // Several are read at once: which of them it is, nobody can say here.
+        self.noting_rot(Where::Somewhere, media.map_err(StorageError::from)).await
     }
 
     /// The next labels, from that of a place on; none after the last.
