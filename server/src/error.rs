@@ -77,6 +77,12 @@ pub enum ServiceError {
         /// What is wrong and how to mend it.
         message: String,
     },
+    /// What was stored is damaged.
+    #[error("{message}")]
+    DataLoss {
+        /// What is damaged, and how to mend it.
+        message: String,
+    },
     /// The server is at fault.
     #[error("the server failed on this request; its log says more")]
     Internal,
@@ -133,6 +139,7 @@ impl ServiceError {
             Self::Unauthenticated { .. } => "unauthenticated",
             Self::PermissionDenied { .. } => "permission_denied",
             Self::DeadlineExceeded { .. } => "deadline_exceeded",
+            Self::DataLoss { .. } => "data_loss",
             Self::Internal => "internal",
         }
     }
@@ -161,6 +168,15 @@ impl ServiceError {
         Self::Unavailable { message, retry_after: Some(HELD_UP_RETRY) }
     }
 
+    /// What was asked for is not as it was written, and is not handed out. Where it is was logged as it was found.
+    pub(crate) fn damaged(found: &str) -> Self {
+        let message = format!(
+            "{found}; it is damaged on the server's disk and not handed out. `waypost-server check --deep` tells all \
+             that is damaged; bring it back from a snapshot or a backup"
+        );
+        Self::DataLoss { message }
+    }
+
     /// A later stream of the same robot goes on in place of this one.
     pub(crate) fn taken_over() -> Self {
         Self::Aborted { message: "a later stream took this session over; this one is closed".to_owned() }
@@ -179,6 +195,8 @@ impl From<StorageError> for ServiceError {
         match error {
             StorageError::DiskFull(_) => Self::disk_full(error),
             StorageError::HeldUp(_) => Self::held_up(error),
+            StorageError::Rot(found) => Self::damaged(&found),
+            StorageError::ReadOnly(_) => Self::precondition(error),
             StorageError::Exists
             | StorageError::InUse
             | StorageError::JobEnded
@@ -219,6 +237,7 @@ impl From<StoredError> for ServiceError {
             "unauthenticated" => Self::Unauthenticated { message },
             "permission_denied" => Self::PermissionDenied { message },
             "deadline_exceeded" => Self::DeadlineExceeded { message },
+            "data_loss" => Self::DataLoss { message },
             "internal" => Self::Internal,
             _aborted_or_of_a_later_server => Self::Aborted { message },
         }
@@ -239,18 +258,37 @@ impl From<FrameError> for ServiceError {
     }
 }
 
-/// A stored frame could not be read now.
+/// A stored frame could not be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("frame {frame} of the map could not be read back: {why}; send the frame again")]
-pub(crate) struct ArchiveError {
-    /// The frame.
-    pub(crate) frame: FrameId,
-    /// What happened.
-    pub(crate) why: String,
+pub(crate) enum ArchiveError {
+    /// Now; later it may be.
+    #[error("frame {frame} of the map could not be read back: {why}; send the frame again")]
+    NotNow {
+        /// The frame.
+        frame: FrameId,
+        /// What happened.
+        why: String,
+    },
+    /// What is stored of it is not what was written: that does not mend by asking again.
+    #[error("{0}")]
+    Damaged(String),
+}
+
+impl ArchiveError {
+    /// Why `frame` could not be read.
+    pub(crate) fn of(frame: FrameId, error: StorageError) -> Self {
+        match error {
+            StorageError::Rot(found) => Self::Damaged(found),
+            error => Self::NotNow { frame, why: error.to_string() },
+        }
+    }
 }
 
 impl From<ArchiveError> for ServiceError {
     fn from(error: ArchiveError) -> Self {
-        Self::unavailable(error)
+        match error {
+            ArchiveError::NotNow { .. } => Self::unavailable(error),
+            ArchiveError::Damaged(found) => Self::damaged(&found),
+        }
     }
 }

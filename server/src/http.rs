@@ -281,7 +281,7 @@ impl HttpError {
             ServiceError::Unauthenticated { .. } => StatusCode::UNAUTHORIZED,
             ServiceError::PermissionDenied { .. } => StatusCode::FORBIDDEN,
             ServiceError::DeadlineExceeded { .. } => StatusCode::GATEWAY_TIMEOUT,
-            ServiceError::Internal => StatusCode::INTERNAL_SERVER_ERROR,
+            ServiceError::DataLoss { .. } | ServiceError::Internal => StatusCode::INTERNAL_SERVER_ERROR,
         }
     }
 

@@ -41,6 +41,22 @@ enum Command {
     /// Look after tokens while no server runs on the data directory; for a running one, see `waypost token`
     #[command(subcommand)]
     Token(TokenCommand),
+    /// Look whether the server could start, say what is wrong, and end
+    Check {
+        /// Read all of the database, too, and say what is not as it was written; while no server runs on it
+        #[arg(long)]
+        deep: bool,
+    },
+    /// Write a copy of all that the data directory holds, also while a server runs on it, and read the copy through
+    Backup {
+        /// Where to; made if it is missing, and holds no database yet
+        directory: PathBuf,
+    },
+    /// Make an empty data directory what a backup is, after reading all of that
+    Restore {
+        /// Where the backup was made
+        directory: PathBuf,
+    },
 }
 
 #[derive(Subcommand)]
@@ -80,6 +96,20 @@ async fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
     let config = Config::load(&flags, config.or_else(named).as_deref(), std::env::vars_os())?;
     match command {
         Some(Command::Token(command)) => look_after_tokens(command, &config.data_dir).await,
+        Some(Command::Check { deep: false }) => report(&offline::check(&config).await),
+        Some(Command::Check { deep: true }) => {
+            let mut findings = offline::check(&config).await;
+            findings.extend(offline::check_all(&config.data_dir).await?);
+            report(&findings)
+        }
+        Some(Command::Backup { directory }) => {
+            report(&offline::make_backup(&config.data_dir, &directory).await?)
+        }
+        Some(Command::Restore { directory }) => {
+            offline::restore_backup(&directory, &config.data_dir).await?;
+            eprintln!("{} is restored; start a server on it", config.data_dir.display());
+            Ok(ExitCode::SUCCESS)
+        }
         None if print_config => {
             std::io::stdout().write_all(config.to_toml()?.as_bytes())?;
             Ok(ExitCode::SUCCESS)

@@ -7,7 +7,7 @@ use tokio::net::TcpListener;
 use crate::config::Config;
 use crate::net::tls::Tls;
 use crate::role::Role;
-use crate::storage::{Inspection, inspect};
+use crate::storage::{DeepInspection, Inspection, back_up, inspect, inspect_all, restore};
 use crate::{Exposed, exposed, open};
 
 /// A token as it is listed.
@@ -76,6 +76,61 @@ pub async fn check(config: &Config) -> Vec<Finding> {
         findings.push(Finding { subject: "addresses", result: check_addresses(config).await });
     }
     findings
+}
+
+/// Reads all that `data_dir` holds, whole pages and every row, and says what is not as it was written. Changes nothing.
+///
+/// # Errors
+/// If the directory cannot be used, or a server runs on it; the message says how to mend it.
+pub async fn check_all(data_dir: &Path) -> anyhow::Result<Vec<Finding>> {
+    let finding = |result| Finding { subject: "contents", result };
+    let Some(inspected) = inspect_all(data_dir).await? else {
+        return Ok(vec![finding(Ok(format!("{} holds no database yet", data_dir.display())))]);
+    };
+    let DeepInspection { models, maps, events, notes, media, problems } = inspected;
+    if !problems.is_empty() {
+        return Ok(problems.into_iter().map(|problem| finding(Err(problem))).collect());
+    }
+    Ok(vec![finding(Ok(format!(
+        "{models} models and {maps} maps with {events} events, {notes} notes and {media} images and features are as they \
+         were written"
+    )))])
+}
+
+/// Writes a copy of all that `data_dir` holds into `directory`, also while a server runs, and reads all of the copy.
+///
+/// # Errors
+/// If the copy cannot be made; the message says how to mend it. What is damaged in the copy is a finding.
+pub async fn make_backup(data_dir: &Path, directory: &Path) -> anyhow::Result<Vec<Finding>> {
+    back_up(data_dir, directory).await?;
+    check_all(directory).await
+}
+
+/// Makes `data_dir`, which holds no database, what the backup in `directory` is. Reads all of the backup before.
+///
+/// # Errors
+/// If the backup is damaged, or the directory holds a database already; the message says how to mend it.
+pub async fn restore_backup(directory: &Path, data_dir: &Path) -> anyhow::Result<()> {
+    let Some(DeepInspection { problems, .. }) = inspect_all(directory).await? else {
+        anyhow::bail!("{} holds no backup; name the directory that one was made in", directory.display());
+    };
+    if let Some(first) = problems.first() {
+        anyhow::bail!(
+            "the backup in {} is damaged ({first}); take another, or see `waypost-server check --deep --data-dir {}`",
+            directory.display(),
+            directory.display()
+        );
+    }
+    Ok(restore(directory, data_dir).await?)
+}
+
+/// Makes the file system that writes checksums known to SQLite in this process; its name, for those who look into a
+/// database by themselves. What another one writes has no checksums, and is taken for damage.
+///
+/// # Errors
+/// If SQLite has no file system.
+pub fn file_system_with_checksums() -> anyhow::Result<&'static str> {
+    Ok(crate::storage::file_system()?)
 }
 
 fn check_tls(config: &Config) -> Result<String, String> {

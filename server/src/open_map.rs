@@ -19,8 +19,8 @@ pub(crate) use self::handle::{MapHandle, WriterGone};
 pub(crate) use self::open_maps::{OpenMaps, no_such_map};
 pub(crate) use self::recent::Recent;
 pub(crate) use self::requests::{
-    FrameFailure, FrameRequest, FrameSource, FrameWork, LookRequest, Looked, MeasuredFrames, PlanFrom,
-    SessionMode, SessionOpening, StreamOpening,
+    FrameFailure, FrameRequest, FrameSource, FrameWork, LookRequest, Looked, MeasuredFrames, Opener,
+    PlanFrom, SessionMode, SessionOpening, StreamOpening,
 };
 pub(crate) use self::views::{FrameStore, SeenFeatures, compare, compared, stored_features, verifier};
 
@@ -206,6 +206,10 @@ impl MapWriter {
             let _ = reply.send(Err(not_stored()));
             return Ok(());
         };
+        if let Err(damaged) = self.storage.check_sound(self.map.id) {
+            let _ = reply.send(Err(FrameFailure::Ended(damaged.into())));
+            return Ok(());
+        }
         self.load_tracker(session)?;
         let mut clock = StageClock::start(&mut timings);
         match self.decide_and_apply(*input, features, media, &mut clock) {
@@ -313,7 +317,9 @@ impl MapWriter {
             Ok(Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None) => {
                 Err(FrameFailure::Refused(self.never_sent(session, sequence)))
             }
-            Err(error @ StorageError::Damaged(_)) => Err(FrameFailure::Refused(error.into())),
+            Err(error @ (StorageError::Damaged(_) | StorageError::Rot(_))) => {
+                Err(FrameFailure::Refused(error.into()))
+            }
             Err(error) => {
                 tracing::error!(map = self.map.name, %error, "a stored answer could not be read");
                 Err(answer_unreadable())
@@ -359,7 +365,7 @@ impl MapWriter {
         let name = name.unwrap_or_else(|| self.unused_session_name());
         match mode {
             SessionMode::Map => {
-                let opened = self.open_session(name, camera.as_ref())?;
+                let opened = self.open_session(name, camera.as_ref(), &stream.opener)?;
                 if let FrameSource::Session(session) = opened.source {
                     self.follow(session, stream.stream, stream.taken_over);
                 }
@@ -371,18 +377,27 @@ impl MapWriter {
         }
     }
 
-    fn open_session(&mut self, name: String, camera: Option<&Camera>) -> Result<OpenedSession, ServiceError> {
+    fn open_session(
+        &mut self,
+        name: String,
+        camera: Option<&Camera>,
+        opener: &Opener,
+    ) -> Result<OpenedSession, ServiceError> {
         if let Some(session) = self.sessions.iter().find(|session| session.name == name) {
+            // What is stored of a damaged map is still answered to those who send it again.
+            opener.check(&name, session.owner.as_deref())?;
             let number = session.number;
             let last_committed = self.mapper.map().session(number).and_then(|session| session.last_sequence);
             return Ok(OpenedSession { source: FrameSource::Session(number), name, last_committed });
         }
+        self.storage.check_sound(self.map.id)?;
         if !self.localizers.free(&name) {
             return Err(ServiceError::precondition(format_args!(
                 "a robot is localizing under the name {name}; choose another name for the session"
             )));
         }
-        let session = SessionRow { number: self.mapper.map().next_session(), name: name.clone() };
+        let (number, owner) = (self.mapper.map().next_session(), opener.token.clone());
+        let session = SessionRow { number, name: name.clone(), owner };
         let position = self.mapper.map().events();
         let opened = self.storage.open_session(self.map.id, position, &session, camera, now_ns());
         self.runtime.block_on(opened)?;
@@ -467,7 +482,7 @@ impl MapWriter {
                 );
                 Ok(None)
             }
-            Err(error) => Err(ArchiveError { frame, why: error.to_string() }),
+            Err(error) => Err(ArchiveError::of(frame, error)),
         }
     }
 }

@@ -1,9 +1,13 @@
 //! Models, maps and logs in one SQLite file. All SQL of the project is in this module.
 
 mod appearance;
+mod backups;
 mod cameras;
 mod checkpoints;
+mod columns;
 mod commits;
+mod damage;
+mod deep_inspection;
 mod frames;
 mod inspection;
 mod jobs;
@@ -15,18 +19,24 @@ mod media;
 mod merges;
 mod models;
 mod notes;
+mod opening;
+mod page_sums;
 mod removal;
 mod retelling;
+mod row_sums;
 mod snapshots;
 mod tokens;
 
 pub(crate) use appearance::{KeptLinks, LinkRow};
+pub(crate) use backups::{back_up, restore};
 pub(crate) use checkpoints::{CheckpointView, StoredBlock};
+pub(crate) use columns::reason_name;
+pub(crate) use deep_inspection::{DeepInspection, inspect_all};
 pub(crate) use frames::{FrameBytes, FrameRow, SessionSummary};
 pub(crate) use inspection::{Inspection, inspect};
 pub(crate) use jobs::{JobEnd, JobKind, JobRow, StoredError, StoredJobState};
 pub(crate) use labels::LabelRow;
-pub(crate) use log::{ClosureRow, LogEntry, StoredFrame, reason_name};
+pub(crate) use log::{ClosureRow, LogEntry, StoredFrame};
 pub(crate) use maps::{MapCounts, MapEdition, MapId, MapRow, SessionRow};
 pub(crate) use media::{MapBytes, Medium, MediumKind, StoredFeatures};
 pub(crate) use merges::{JoinedLog, JoinedSession, MergeOutcome, MergeRow, MergeState};
@@ -37,7 +47,8 @@ pub(crate) use retelling::RetoldLog;
 pub(crate) use snapshots::{FormerModelRow, ImportedMap, MapView, MediaRow, StoredSession};
 pub(crate) use tokens::{SecretHash, TokenRow};
 
-use lock::{DirectoryLock, make_private};
+use damage::Damages;
+use lock::DirectoryLock;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -65,6 +76,7 @@ pub(crate) struct Storage {
     lock: Arc<DirectoryLock>,
     /// Writers wait while the database is rewritten, however long that takes.
     compacting: Arc<AtomicBool>,
+    damages: Arc<Damages>,
     /// Whoever watches maps.
     commits: Arc<commits::Commits>,
 }
@@ -102,6 +114,13 @@ pub(crate) enum StorageError {
     Retold,
     #[error("the database holds what cannot be read: {0}; restore it from a copy")]
     Damaged(String),
+    #[error("{0}")]
+    Rot(String),
+    #[error(
+        "the map takes nothing more since damage was found in it: {0}; `waypost-server check --deep` tells all of it; \
+         bring the map back from a snapshot or a backup"
+    )]
+    ReadOnly(String),
     #[error("the database failed: {0}")]
     Sqlite(sqlx::Error),
     #[error(
@@ -121,10 +140,10 @@ impl Storage {
     /// Opens the database of `directory`, making both where they are missing.
     pub(crate) async fn open(directory: &Path) -> Result<Self, StorageError> {
         let lock = DirectoryLock::take(directory)?;
-        make_private(&directory.join(FILE_NAME));
+        opening::prepare(directory).await?;
         let options = SqliteConnectOptions::new()
             .filename(directory.join(FILE_NAME))
-            .create_if_missing(true)
+            .vfs(page_sums::VFS)
             .journal_mode(SqliteJournalMode::Wal)
             // An acknowledged frame must survive a power cut, not the process alone.
             .synchronous(SqliteSynchronous::Full)
@@ -150,9 +169,12 @@ impl Storage {
             directory,
             lock,
             compacting: Arc::default(),
+            damages: Arc::default(),
             commits: Arc::default(),
         };
         storage.rewrite_camera_messages().await?;
+        storage.sum_old_rows().await?;
+        storage.load_damages().await?;
         Ok(storage)
     }
 
@@ -203,6 +225,12 @@ impl Storage {
     }
 }
 
+/// Who writes the checksums, as SQLite knows it.
+pub(crate) fn file_system() -> Result<&'static str, StorageError> {
+    page_sums::register()?;
+    Ok(page_sums::VFS)
+}
+
 /// SQLite's primary result codes.
 const SQLITE_BUSY: u32 = 5;
 const SQLITE_LOCKED: u32 = 6;
@@ -218,11 +246,27 @@ fn primary_code(error: &sqlx::Error) -> Option<u32> {
     Some(extended & 0xff)
 }
 
+/// The whole result code of SQLite where a page is not as it was written.
+const SQLITE_IOERR_DATA: &str = "8202";
+
+/// Whether SQLite met what is not as it was written.
+fn is_rot(error: &sqlx::Error) -> bool {
+    let checksum = error
+        .as_database_error()
+        .and_then(sqlx::error::DatabaseError::code)
+        .is_some_and(|code| code == SQLITE_IOERR_DATA);
+    checksum || primary_code(error) == Some(SQLITE_CORRUPT)
+}
+
 fn or_no_database(error: sqlx::Error, directory: &Path) -> StorageError {
     let path = || directory.join(FILE_NAME);
+    if is_rot(&error) {
+        let reason =
+            "a part of it is not as it was written; `waypost-server check --deep` tells which".to_owned();
+        return StorageError::Broken { path: path(), reason };
+    }
     match primary_code(&error) {
         Some(SQLITE_NOTADB) => StorageError::NoDatabase { path: path() },
-        Some(SQLITE_CORRUPT) => StorageError::Broken { path: path(), reason: error.to_string() },
         Some(_) | None => error.into(),
     }
 }
@@ -242,6 +286,9 @@ impl From<sqlx::Error> for StorageError {
             if database.is_foreign_key_violation() {
                 return Self::InUse;
             }
+        }
+        if is_rot(&error) {
+            return Self::Rot("a part of the database is damaged on the disk".to_owned());
         }
         match primary_code(&error) {
             Some(SQLITE_FULL) => Self::DiskFull(error),

@@ -51,6 +51,7 @@ mod navigation {
 
 /// What an operator relies on: settings, limits, access, crashes, full disks.
 mod operations {
+    mod backups;
     mod command_line;
     mod config;
     mod connections;
@@ -60,6 +61,7 @@ mod operations {
     mod mistakes;
     mod operating;
     mod refused_commands;
+    mod rot;
     mod shutdown;
     mod startup;
     mod tls;

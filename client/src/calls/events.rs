@@ -33,7 +33,8 @@ impl MapEvents {
     /// # Errors
     /// [`Error::Connection`] if the connection broke: watch again from behind the last position.
     /// [`Error::Status`]: NOT_FOUND once the map is deleted, ABORTED when sessions were removed from
-    /// it, UNAVAILABLE when the server stops.
+    /// it, UNAVAILABLE when the server stops, DATA_LOSS where a frame is damaged on its disk: those behind it are told from
+    /// the next position on.
     pub async fn next(&mut self) -> Result<Option<v1::MapEvent>, Error> {
         self.events.message().await.map_err(|status| Error::from_status(&status, &self.endpoint))
     }

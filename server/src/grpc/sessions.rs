@@ -1,18 +1,21 @@
 use fabmap::PlaceId;
 use futures::stream::{self, BoxStream, StreamExt};
+use tonic::metadata::MetadataMap;
 use tonic::{Request, Response, Status, Streaming};
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_server::SessionService;
 use waypost_proto::v1::{stream_request, stream_response};
 
 use super::Adapter;
+use super::access::bearer;
 use crate::error::ServiceError;
 use crate::names::model_name;
-use crate::open_map::SessionMode;
+use crate::open_map::{Opener, SessionMode};
 use crate::pages::Page;
 use crate::service::frames::{FrameImage, ImageSize};
 use crate::service::pictures::FramePicture;
-use crate::service::sessions::{FrameOutcome, SessionStream};
+use crate::service::sessions::{FrameOutcome, Robot, SessionStream};
+use crate::service::tokens::Caller;
 use crate::wire::geometry::{camera, map_pose_message, measured};
 use crate::wire::jobs::job;
 use crate::wire::known;
@@ -28,12 +31,13 @@ impl SessionService for Adapter {
         &self,
         request: Request<Streaming<v1::StreamRequest>>,
     ) -> Result<Response<Self::StreamStream>, Status> {
-        let mut requests = request.into_inner();
+        let (metadata, _, mut requests) = request.into_parts();
+        let opener = self.opener(metadata)?;
         let first = self.first(&mut requests).await?.and_then(|first| first.content);
         let Some(stream_request::Content::Open(open)) = first else {
             return Err(Status::invalid_argument("the first message of a stream must open a session"));
         };
-        let session = self.open(open).await?;
+        let session = self.open(open, opener).await?;
         let opened = stream::iter([Ok(opened(&session))]);
         let frames = requests.map(|request| match request?.content {
             Some(stream_request::Content::Frame(message)) => Ok(frame(message)),
@@ -137,7 +141,13 @@ impl SessionService for Adapter {
 }
 
 impl Adapter {
-    async fn open(&self, message: v1::OpenSession) -> Result<SessionStream, ServiceError> {
+    fn opener(&self, metadata: MetadataMap) -> Result<Opener, ServiceError> {
+        let headers = metadata.into_headers();
+        let Caller { token, role } = self.service.tokens.caller(bearer(&headers))?;
+        Ok(Opener { token, role })
+    }
+
+    async fn open(&self, message: v1::OpenSession, opener: Opener) -> Result<SessionStream, ServiceError> {
         let v1::OpenSession { map, session_id, mode, camera: declared, words_hash, run_id } = message;
         let mode = match known("mode", mode)? {
             v1::SessionMode::Map => SessionMode::Map,
@@ -150,7 +160,8 @@ impl Adapter {
             }
         };
         let camera = declared.map(camera).transpose()?;
-        self.service.sessions.open(&map, &session_id, mode, camera, &words_hash, &run_id).await
+        let robot = Robot { words_hash: &words_hash, run: &run_id, opener };
+        self.service.sessions.open(&map, &session_id, mode, camera, robot).await
     }
 }
 

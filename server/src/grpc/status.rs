@@ -23,6 +23,7 @@ impl From<ServiceError> for Status {
             | ServiceError::Unauthenticated { .. }
             | ServiceError::PermissionDenied { .. }
             | ServiceError::DeadlineExceeded { .. }
+            | ServiceError::DataLoss { .. }
             | ServiceError::Internal => Status::new(code, message),
         }
     }
@@ -54,6 +55,7 @@ fn code(error: &ServiceError) -> Code {
         ServiceError::Unauthenticated { .. } => Code::Unauthenticated,
         ServiceError::PermissionDenied { .. } => Code::PermissionDenied,
         ServiceError::DeadlineExceeded { .. } => Code::DeadlineExceeded,
+        ServiceError::DataLoss { .. } => Code::DataLoss,
         ServiceError::Internal => Code::Internal,
     }
 }

@@ -38,6 +38,8 @@ pub(super) struct Localizers {
 #[derive(Debug)]
 struct Localizing {
     name: String,
+    /// Name of the token that opened it, if one did.
+    owner: Option<String>,
     /// Of the robot, as it said; empty if it did not.
     run: String,
     /// Of its camera, where geometry can use it.
@@ -104,7 +106,7 @@ impl MapWriter {
         intrinsics: Option<Intrinsics>,
         opening: StreamOpening,
     ) -> Result<OpenedSession, ServiceError> {
-        let StreamOpening { run, stream, taken_over, room } = opening;
+        let StreamOpening { opener, run, stream, taken_over, room } = opening;
         if self.sessions.iter().any(|session| session.name == name) {
             return Err(ServiceError::precondition(format_args!(
                 "the map has a session {name} that let it grow; choose another name for localizing"
@@ -115,6 +117,11 @@ impl MapWriter {
         let noise = self.mapper.settings().odometry_noise;
         let (id, last_committed) = match self.localizers.by_name(&name) {
             Some((id, localizing)) => {
+                // Nothing is left behind by it: a name that no stream is open by is anybody's.
+                if localizing.is_open() {
+                    opener.check(&name, localizing.owner.as_deref())?;
+                }
+                localizing.owner = opener.token;
                 if localizing.stream > stream {
                     taken_over.cancel();
                 } else {
@@ -136,6 +143,7 @@ impl MapWriter {
                 let name = name.clone();
                 let localizing = Localizing {
                     name,
+                    owner: opener.token,
                     run,
                     intrinsics,
                     localizer,

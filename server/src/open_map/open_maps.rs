@@ -310,16 +310,21 @@ fn restore(
     model: &LoadedModel,
 ) -> Result<(Mapper, Option<Layout>), ServiceError> {
     let settings = map_settings::from_json(&map.settings)?.mapper;
-    if let Some(view) = runtime.block_on(storage.view_checkpoint(map.id))? {
-        match checkpoints::restore(runtime, view, model, settings) {
-            Ok((mapper, layout)) => return Ok((mapper, Some(layout))),
-            Err(Unusable::Unread(error)) => return Err(error.into()),
-            Err(Unusable::Damaged(why)) => tracing::warn!(
-                map = map.name,
-                why,
-                "the checkpoint cannot be used; the map is replayed from its log"
-            ),
-        }
+    let view = match runtime.block_on(storage.view_checkpoint(map.id)) {
+        Err(error @ StorageError::Rot(_)) => Err(Unusable::from(error)),
+        view => Ok(view?),
+    };
+    let restored = view
+        .and_then(|view| view.map(|view| checkpoints::restore(runtime, view, model, settings)).transpose());
+    match restored {
+        Ok(Some((mapper, layout))) => return Ok((mapper, Some(layout))),
+        Ok(None) => {}
+        Err(Unusable::Unread(error)) => return Err(error.into()),
+        Err(Unusable::Damaged(why)) => tracing::warn!(
+            map = map.name,
+            why,
+            "the checkpoint cannot be used; the map is replayed from its log"
+        ),
     }
     Ok((Mapper::new(&model.model, settings).map_err(ServiceError::internal)?, None))
 }

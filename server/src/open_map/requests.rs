@@ -22,6 +22,7 @@ use crate::camera::Camera;
 use crate::error::ServiceError;
 use crate::ingest::intrinsics::Intrinsics;
 use crate::metrics::FrameTimings;
+use crate::role::Role;
 use crate::storage::Medium;
 
 /// Requests that wait for a map's writer, at most; senders wait beyond that.
@@ -148,9 +149,37 @@ pub(crate) struct SessionOpening {
     pub(crate) stream: StreamOpening,
 }
 
+/// Who opens a stream.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Opener {
+    /// Name of its token, if it has one.
+    pub(crate) token: Option<String>,
+    pub(crate) role: Role,
+}
+
+impl Opener {
+    /// The server itself.
+    pub(crate) const SERVER: Self = Self { token: None, role: Role::Admin };
+
+    /// Refuses a session that another token opened.
+    pub(super) fn check(&self, session: &str, owner: Option<&str>) -> Result<(), ServiceError> {
+        match (self.role, owner) {
+            (Role::Admin, _) | (Role::Robot, None) => Ok(()),
+            (Role::Robot, Some(owner)) if self.token.as_deref() == Some(owner) => Ok(()),
+            (Role::Robot, Some(owner)) => Err(ServiceError::PermissionDenied {
+                message: format!(
+                    "the session {session} is of the token {owner}, which opened it; choose another name for yours, or \
+                     ask who runs the server for a token of that name if it is the same robot"
+                ),
+            }),
+        }
+    }
+}
+
 /// The stream that wants it.
 #[derive(Debug)]
 pub(crate) struct StreamOpening {
+    pub(crate) opener: Opener,
     /// Run of the robot; empty if it did not say.
     pub(crate) run: String,
     pub(crate) stream: u64,

@@ -150,8 +150,8 @@ pub(crate) fn stored_features(
     map: MapId,
     frame: FrameId,
 ) -> Result<Option<SeenFeatures>, ArchiveError> {
-    let unreadable = |error: StorageError| ArchiveError { frame, why: error.to_string() };
-    let stored = runtime.block_on(storage.features(map, frame)).map_err(unreadable)?;
+    let stored =
+        runtime.block_on(storage.features(map, frame)).map_err(|error| ArchiveError::of(frame, error))?;
     let Some(StoredFeatures { features, camera }) = stored else { return Ok(None) };
     match FeatureRecord::from_bytes(&features) {
         Ok(features) => {

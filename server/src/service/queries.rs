@@ -289,7 +289,7 @@ impl FrameStore for Replay {
             }
             Ok(Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None)
             | Err(StorageError::Damaged(_)) => Ok(None),
-            Err(error) => Err(ArchiveError { frame, why: error.to_string() }),
+            Err(error) => Err(ArchiveError::of(frame, error)),
         }
     }
 

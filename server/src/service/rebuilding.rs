@@ -13,14 +13,14 @@ use topomap::log::{FrameEvent, MapEvent};
 use super::jobs::{JobOutcome, JobReporter, JobStatus, Jobs, Stopped};
 use super::map_names::map_exists;
 use super::maps::{Maps, check_recognizer};
-use super::sessions::{self, Frame, FrameOutcome, SessionStream, Sessions, Windows};
+use super::sessions::{self, Frame, FrameOutcome, Robot, SessionStream, Sessions, Windows};
 use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::ingest::content::{Content, Described};
 use crate::ingest::model::LoadedModel;
 use crate::map_settings::{self, Keep};
 use crate::names::{check_id, map_in, map_name};
-use crate::open_map::SessionMode;
+use crate::open_map::{Opener, SessionMode};
 use crate::storage::{JobKind, MapRow, MediumKind, NoteRow, StorageError, StoredSession};
 
 /// Log events that are read at a time.
@@ -144,7 +144,8 @@ impl Rebuilding {
         let stored = stored.ok_or_else(|| ServiceError::internal("a session is not in the table"))?;
         let map = map_name(&rebuild.into);
         let camera = stored.camera.clone();
-        self.sessions.open(&map, &stored.name, SessionMode::Map, camera, "", "").await
+        let robot = Robot { words_hash: "", run: "", opener: Opener::SERVER };
+        self.sessions.open(&map, &stored.name, SessionMode::Map, camera, robot).await
     }
 
     async fn send(

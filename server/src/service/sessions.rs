@@ -11,8 +11,8 @@ use tokio::sync::{OwnedSemaphorePermit, oneshot};
 use tokio_util::sync::CancellationToken;
 use topomap::mapper::{FrameInput, Localizer};
 
-pub(crate) use self::frame::Frame;
 pub(super) use self::frame::check_note;
+pub(crate) use self::frame::{Frame, Robot};
 use self::order::Order;
 pub(super) use self::pipeline::run;
 pub(crate) use self::pipeline::{ReceivedFrame, RefusedFrame, Windows};
@@ -108,16 +108,16 @@ pub(crate) struct Sessions {
 }
 
 impl Sessions {
-    /// Opens a session of that name, or resumes it. An empty name is made up. `run` tells the robot's runs apart that localize by one name; empty if it is not said.
+    /// Opens a session of that name, or resumes it. An empty name is made up.
     pub(crate) async fn open(
         &self,
         map: &str,
         session: &str,
         mode: SessionMode,
         camera: Option<Camera>,
-        words_hash: &str,
-        run: &str,
+        robot: Robot<'_>,
     ) -> Result<SessionStream, ServiceError> {
+        let Robot { words_hash, run, opener } = robot;
         let map = map_in(map)?;
         let room = self.streams.room()?;
         let stream = self.streams.number();
@@ -146,8 +146,13 @@ impl Sessions {
         }
         let open = self.open_maps.open_of(&row).await?;
         let taken_over = CancellationToken::new();
-        let opened_by =
-            StreamOpening { run, stream, taken_over: taken_over.clone(), room: Arc::downgrade(&room) };
+        let opened_by = StreamOpening {
+            opener,
+            run,
+            stream,
+            taken_over: taken_over.clone(),
+            room: Arc::downgrade(&room),
+        };
         let session = open.open_session(SessionOpening { name, mode, camera, stream: opened_by }).await?;
         let last_committed = session.last_committed;
         let order = Order::new(open, last_committed);

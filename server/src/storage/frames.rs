@@ -1,7 +1,8 @@
 use topomap::ids::{FrameId, SessionId};
 use topomap::log::{FrameEvent, MapEvent};
 
-use super::log::event;
+use super::damage::Where;
+use super::row_sums::StoredEvent;
 use super::{MapId, Storage, StorageError, to_sql};
 use crate::camera::Camera;
 
@@ -41,7 +42,8 @@ pub(crate) struct FrameBytes {
 /// A frame whose event is still to be decoded.
 #[derive(sqlx::FromRow)]
 struct FrameColumns {
-    event: Vec<u8>,
+    #[sqlx(flatten)]
+    event: StoredEvent,
     note: String,
     #[sqlx(flatten)]
     bytes: FrameBytes,
@@ -57,7 +59,7 @@ const SESSION_COLUMNS: &str = "number, name, camera, opened_ns, \
      (SELECT max(stamp_ns) FROM log WHERE map_id = s.map_id AND session = s.number AND sequence IS NOT NULL) AS last_stamp_ns \
      FROM sessions AS s";
 
-const FRAME_COLUMNS: &str = "event, length(event) AS log, \
+const FRAME_COLUMNS: &str = "position, event, checksum, chain, length(event) AS log, \
      coalesce((SELECT note FROM frame_notes WHERE map_id = l.map_id AND position = l.position), '') AS note, \
      coalesce((SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'features'), 0) AS features, \
      coalesce((SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'thumbnail'), 0) AS thumbnail, \
@@ -74,12 +76,9 @@ impl Storage {
     ) -> Result<Vec<SessionSummary>, StorageError> {
         let sql =
             format!("SELECT {SESSION_COLUMNS} WHERE map_id = ? AND number >= ? ORDER BY number LIMIT ?");
-        Ok(sqlx::query_as(sqlx::AssertSqlSafe(sql))
-            .bind(map)
-            .bind(from)
-            .bind(limit)
-            .fetch_all(&self.readers)
-            .await?)
+        let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(from).bind(limit);
+        let summaries = query.fetch_all(&self.readers).await;
+        self.noting_rot(map, Where::Somewhere, summaries.map_err(StorageError::from)).await
     }
 
     pub(crate) async fn session_summary(
@@ -88,11 +87,9 @@ impl Storage {
         name: &str,
     ) -> Result<Option<SessionSummary>, StorageError> {
         let sql = format!("SELECT {SESSION_COLUMNS} WHERE map_id = ? AND name = ?");
-        Ok(sqlx::query_as(sqlx::AssertSqlSafe(sql))
-            .bind(map)
-            .bind(name)
-            .fetch_optional(&self.readers)
-            .await?)
+        let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(name);
+        let summary = query.fetch_optional(&self.readers).await;
+        self.noting_rot(map, Where::Somewhere, summary.map_err(StorageError::from)).await
     }
 
     /// The number of the session of that name.
@@ -123,15 +120,9 @@ impl Storage {
             "SELECT {FRAME_COLUMNS} WHERE map_id = ?1 AND session = ?2 AND sequence > ?3 AND (?4 = '' OR note = ?4) \
              ORDER BY sequence LIMIT ?5"
         );
-        let rows: Vec<FrameColumns> = sqlx::query_as(sqlx::AssertSqlSafe(sql))
-            .bind(map)
-            .bind(session)
-            .bind(after.map_or(-1, to_sql))
-            .bind(note)
-            .bind(limit)
-            .fetch_all(&self.readers)
-            .await?;
-        rows.iter().map(|row| frame_row(row, vocabulary_len)).collect()
+        let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(session);
+        let query = query.bind(after.map_or(-1, to_sql)).bind(note).bind(limit);
+        self.frame_rows(map, query.fetch_all(&self.readers).await, vocabulary_len).await
     }
 
     /// Frames from log position `from` on, by position.
@@ -146,13 +137,8 @@ impl Storage {
             "SELECT {FRAME_COLUMNS} WHERE map_id = ? AND position >= ? AND sequence IS NOT NULL \
              ORDER BY position LIMIT ?"
         );
-        let rows: Vec<FrameColumns> = sqlx::query_as(sqlx::AssertSqlSafe(sql))
-            .bind(map)
-            .bind(to_sql(from))
-            .bind(limit)
-            .fetch_all(&self.readers)
-            .await?;
-        rows.iter().map(|row| frame_row(row, vocabulary_len)).collect()
+        let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(to_sql(from)).bind(limit);
+        self.frame_rows(map, query.fetch_all(&self.readers).await, vocabulary_len).await
     }
 
     /// The frame that a session sent under `sequence`.
@@ -164,13 +150,24 @@ impl Storage {
         vocabulary_len: usize,
     ) -> Result<Option<FrameRow>, StorageError> {
         let sql = format!("SELECT {FRAME_COLUMNS} WHERE map_id = ? AND session = ? AND sequence = ?");
-        let row = sqlx::query_as(sqlx::AssertSqlSafe(sql))
-            .bind(map)
-            .bind(session)
-            .bind(to_sql(sequence))
-            .fetch_optional(&self.readers)
-            .await?;
-        row.map(|row| frame_row(&row, vocabulary_len)).transpose()
+        let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(session).bind(to_sql(sequence));
+        let rows = query.fetch_all(&self.readers).await;
+        Ok(self.frame_rows(map, rows, vocabulary_len).await?.pop())
+    }
+
+    async fn frame_rows(
+        &self,
+        map: MapId,
+        rows: Result<Vec<FrameColumns>, sqlx::Error>,
+        vocabulary_len: usize,
+    ) -> Result<Vec<FrameRow>, StorageError> {
+        let rows = self.noting_rot(map, Where::Somewhere, rows.map_err(StorageError::from)).await?;
+        let mut frames = Vec::with_capacity(rows.len());
+        for row in rows {
+            let frame = frame_row(&row, vocabulary_len);
+            frames.push(self.noting_rot(map, Where::Event(row.event.position), frame).await?);
+        }
+        Ok(frames)
     }
 
     /// Position in the log of the frame that a session sent under `sequence`.
@@ -180,17 +177,15 @@ impl Storage {
         session: SessionId,
         sequence: u64,
     ) -> Result<Option<FrameId>, StorageError> {
-        Ok(sqlx::query_scalar("SELECT position FROM log WHERE map_id = ? AND session = ? AND sequence = ?")
-            .bind(map)
-            .bind(session)
-            .bind(to_sql(sequence))
-            .fetch_optional(&self.readers)
-            .await?)
+        let select = "SELECT position FROM log WHERE map_id = ? AND session = ? AND sequence = ?";
+        let query = sqlx::query_scalar(select).bind(map).bind(session).bind(to_sql(sequence));
+        let position = query.fetch_optional(&self.readers).await;
+        self.noting_rot(map, Where::Somewhere, position.map_err(StorageError::from)).await
     }
 }
 
 fn frame_row(row: &FrameColumns, vocabulary_len: usize) -> Result<FrameRow, StorageError> {
-    let MapEvent::Frame(event) = event(&row.event, vocabulary_len)? else {
+    let MapEvent::Frame(event) = row.event.decode(vocabulary_len)? else {
         return Err(StorageError::Damaged("a frame of the log that is none".to_owned()));
     };
     Ok(FrameRow { event: *event, note: row.note.clone(), bytes: row.bytes })

@@ -6,7 +6,9 @@ use sqlx::SqlitePool;
 use sqlx::migrate::MigrateError;
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
 
-use super::{DirectoryLock, FILE_NAME, Storage, StorageError, or_no_database};
+use super::deep_inspection::in_one_line;
+use super::opening::{FileKind, file_kind};
+use super::{DirectoryLock, FILE_NAME, Storage, StorageError, or_no_database, page_sums};
 
 /// What a data directory holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,13 +28,22 @@ pub(crate) async fn inspect(directory: &Path) -> Result<Option<Inspection>, Stor
     if !file.exists() {
         return Ok(None);
     }
-    let options = SqliteConnectOptions::new().filename(file).read_only(true);
+    page_sums::register()?;
+    let options = SqliteConnectOptions::new().read_only(true);
+    let (options, without_checksums) = match file_kind(&file)? {
+        FileKind::Empty => return Ok(None),
+        FileKind::WithChecksums => (options.vfs(page_sums::VFS), false),
+        FileKind::WithoutChecksums => (options, true),
+    };
+    let options = options.filename(file);
     let database = SqlitePoolOptions::new().max_connections(1).connect_with(options).await;
     let database = database.map_err(|error| or_no_database(error, directory))?;
     let inspected = look_at(&database).await;
     database.close().await;
     match inspected {
-        Ok(inspection) => Ok(Some(inspection)),
+        Ok(inspection) => {
+            Ok(Some(Inspection { outdated: inspection.outdated || without_checksums, ..inspection }))
+        }
         Err(StorageError::Sqlite(error)) => Err(or_no_database(error, directory)),
         Err(error) => Err(error),
     }
@@ -41,7 +52,7 @@ pub(crate) async fn inspect(directory: &Path) -> Result<Option<Inspection>, Stor
 async fn look_at(database: &SqlitePool) -> Result<Inspection, StorageError> {
     let problem: String = sqlx::query_scalar("PRAGMA quick_check(1)").fetch_one(database).await?;
     if problem != "ok" {
-        return Err(StorageError::Damaged(problem));
+        return Err(StorageError::Damaged(in_one_line(&problem)));
     }
     let outdated = look_at_migrations(database).await?;
     let maps = sqlx::query_scalar("SELECT count(*) FROM maps").fetch_one(database).await?;

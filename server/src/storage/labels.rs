@@ -59,6 +59,7 @@ impl Storage {
         places: &[PlaceId],
         label: &str,
     ) -> Result<(), StorageError> {
+        self.check_sound(map)?;
         self.write(async |transaction| {
             for place in places {
                 insert_label(transaction, map, *place, label).await?;
@@ -70,6 +71,7 @@ impl Storage {
 
     /// Whether there was one.
     pub(crate) async fn delete_label(&self, map: MapId, place: PlaceId) -> Result<bool, StorageError> {
+        self.check_sound(map)?;
         self.write(async |transaction| {
             let done = sqlx::query("DELETE FROM labels WHERE map_id = ? AND place = ?")
                 .bind(map)

@@ -2,13 +2,14 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use fabmap::appearance::PlaceId;
-use sqlx::{Sqlite, Transaction};
-use topomap::evidence::Candidate;
 use topomap::ids::{FrameId, SessionId};
-use topomap::log::{FrameEvent, Link, MapEvent, MeasuredEvent, Reason};
+use topomap::log::{FrameEvent, MapEvent, MeasuredEvent};
 
+use super::columns::insert_event;
+use super::damage::Where;
 use super::media::insert_media;
 use super::notes::insert_note;
+use super::row_sums::{CHAIN_START, StoredEvent};
 use super::{MapId, Medium, Storage, StorageError, to_sql};
 
 /// Events read at a time when a log is replayed.
@@ -72,15 +73,17 @@ impl From<MatchedColumns> for StoredFrame {
 impl Storage {
     /// Appends events to a map's log, all or none, and returns when they are on the disk.
     pub(crate) async fn append(&self, map: MapId, entries: &[LogEntry]) -> Result<(), StorageError> {
-        self.write(async |transaction| {
+        self.check_sound(map)?;
+        let appended = self.write(async |transaction| {
             for LogEntry { position, event, media, note } in entries {
                 insert_event(transaction, map, to_sql(*position), event).await?;
                 insert_media(transaction, map, to_sql(*position), media).await?;
                 insert_note(transaction, map, to_sql(*position), note).await?;
             }
             Ok(())
-        })
-        .await?;
+        });
+        let appended = appended.await;
+        self.noting_rot(map, Where::Somewhere, appended).await?;
         self.commits.tell(map);
         Ok(())
     }
@@ -93,28 +96,56 @@ impl Storage {
         vocabulary_len: usize,
         fold: &mut (dyn FnMut(u64, MapEvent) -> Result<(), StorageError> + Send),
     ) -> Result<(), StorageError> {
+        let mut next = positions.start;
+        let mut chain = self.chain_before(map, next).await?;
         // Page by page, so that a long replay does not keep a connection from others.
-        let mut next = to_sql(positions.start);
-        let end = to_sql(positions.end);
         loop {
-            let rows: Vec<(u64, Vec<u8>)> = sqlx::query_as(
-                "SELECT position, event FROM log WHERE map_id = ? AND position >= ? AND position < ? ORDER BY position LIMIT ?",
-            )
-            .bind(map)
-            .bind(next)
-            .bind(end)
-            .bind(REPLAY_PAGE)
-            .fetch_all(&self.readers)
-            .await?;
+            let rows = self.stored_events(map, next..positions.end).await;
+            let rows = self.noting_rot(map, Where::Somewhere, rows).await?;
             let last = rows.len() < REPLAY_PAGE as usize;
-            for (position, bytes) in rows {
-                fold(position, event(&bytes, vocabulary_len)?)?;
-                next = to_sql(position) + 1;
+            for stored in rows {
+                let event = stored.follow(next, chain).and_then(|link| {
+                    chain = link;
+                    stored.decode(vocabulary_len)
+                });
+                fold(next, self.noting_rot(map, Where::Event(next), event).await?)?;
+                next += 1;
             }
             if last {
                 return Ok(());
             }
         }
+    }
+
+    /// The link of the event before `position` in the log's chain.
+    async fn chain_before(&self, map: MapId, position: u64) -> Result<i64, StorageError> {
+        let Some(before) = position.checked_sub(1) else { return Ok(CHAIN_START) };
+        let stored = self.stored_events(map, before..position).await;
+        let stored = self.noting_rot(map, Where::Event(before), stored).await?;
+        let chain = match stored.first() {
+            Some(stored) => stored.check().map(|()| stored.chain()),
+            // The log may be shorter than a checkpoint that was damaged says.
+            None => Ok(CHAIN_START),
+        };
+        self.noting_rot(map, Where::Event(before), chain).await
+    }
+
+    /// The first events at `positions`.
+    async fn stored_events(
+        &self,
+        map: MapId,
+        positions: Range<u64>,
+    ) -> Result<Vec<StoredEvent>, StorageError> {
+        Ok(sqlx::query_as(
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND position >= ? AND position < ? \
+             ORDER BY position LIMIT ?",
+        )
+        .bind(map)
+        .bind(to_sql(positions.start))
+        .bind(to_sql(positions.end))
+        .bind(REPLAY_PAGE)
+        .fetch_all(&self.readers)
+        .await?)
     }
 
     /// The event at a position of a map's log.
@@ -124,31 +155,9 @@ impl Storage {
         position: FrameId,
         vocabulary_len: usize,
     ) -> Result<Option<MapEvent>, StorageError> {
-        let bytes: Option<Vec<u8>> =
-            sqlx::query_scalar("SELECT event FROM log WHERE map_id = ? AND position = ?")
-                .bind(map)
-                .bind(to_sql(position))
-                .fetch_optional(&self.readers)
-                .await?;
-        bytes.map(|bytes| event(&bytes, vocabulary_len)).transpose()
-    }
-
-    /// The same with what its robot calls the frame; empty if nothing.
-    pub(crate) async fn noted_event_at(
-        &self,
-        map: MapId,
-        position: FrameId,
-        vocabulary_len: usize,
-    ) -> Result<Option<(MapEvent, String)>, StorageError> {
-        let row: Option<(Vec<u8>, String)> = sqlx::query_as(
-            "SELECT event, coalesce(note, '') FROM log LEFT JOIN frame_notes USING (map_id, position) \
-             WHERE map_id = ? AND position = ?",
-        )
-        .bind(map)
-        .bind(to_sql(position))
-        .fetch_optional(&self.readers)
-        .await?;
-        row.map(|(bytes, note)| Ok((event(&bytes, vocabulary_len)?, note))).transpose()
+        let select = "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND position = ?";
+        let stored = sqlx::query_as(select).bind(map).bind(to_sql(position)).fetch_all(&self.readers).await;
+        Ok(self.decoded(map, stored, vocabulary_len).await?.pop())
     }
 
     /// The frame that a session sent under `sequence`, if it is durable.
@@ -159,14 +168,15 @@ impl Storage {
         sequence: u64,
         vocabulary_len: usize,
     ) -> Result<Option<MapEvent>, StorageError> {
-        let bytes: Option<Vec<u8>> =
-            sqlx::query_scalar("SELECT event FROM log WHERE map_id = ? AND session = ? AND sequence = ?")
-                .bind(map)
-                .bind(session)
-                .bind(to_sql(sequence))
-                .fetch_optional(&self.readers)
-                .await?;
-        bytes.map(|bytes| event(&bytes, vocabulary_len)).transpose()
+        let stored = sqlx::query_as(
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND session = ? AND sequence = ?",
+        )
+        .bind(map)
+        .bind(session)
+        .bind(to_sql(sequence))
+        .fetch_all(&self.readers)
+        .await;
+        Ok(self.decoded(map, stored, vocabulary_len).await?.pop())
     }
 
     /// The frame that a session sent before another.
@@ -176,19 +186,16 @@ impl Storage {
         frame: &FrameEvent,
         vocabulary_len: usize,
     ) -> Result<Option<FrameEvent>, StorageError> {
-        let bytes: Option<Vec<u8>> = sqlx::query_scalar(
-            "SELECT event FROM log WHERE map_id = ? AND session = ? AND sequence < ? ORDER BY sequence DESC LIMIT 1",
+        let stored = sqlx::query_as(
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND session = ? AND sequence < ? \
+             ORDER BY sequence DESC LIMIT 1",
         )
         .bind(map)
         .bind(frame.session)
         .bind(to_sql(frame.sequence))
-        .fetch_optional(&self.readers)
-        .await?;
-        let event = bytes.map(|bytes| event(&bytes, vocabulary_len)).transpose()?;
-        Ok(event.and_then(|event| match event {
-            MapEvent::Frame(frame) => Some(*frame),
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
-        }))
+        .fetch_all(&self.readers)
+        .await;
+        Ok(self.decoded(map, stored, vocabulary_len).await?.pop().and_then(as_frame))
     }
 
     /// The last frames of a session, latest first.
@@ -199,21 +206,16 @@ impl Storage {
         most: usize,
         vocabulary_len: usize,
     ) -> Result<Vec<FrameEvent>, StorageError> {
-        let rows: Vec<Vec<u8>> = sqlx::query_scalar(
-            "SELECT event FROM log WHERE map_id = ? AND session = ? AND sequence IS NOT NULL \
-             ORDER BY sequence DESC LIMIT ?",
+        let stored = sqlx::query_as(
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND session = ? \
+             AND sequence IS NOT NULL ORDER BY sequence DESC LIMIT ?",
         )
         .bind(map)
         .bind(session)
         .bind(to_sql(most as u64))
         .fetch_all(&self.readers)
-        .await?;
-        let events = rows.iter().map(|bytes| event(bytes, vocabulary_len)).collect::<Result<Vec<_>, _>>()?;
-        let frame = |event: MapEvent| match event {
-            MapEvent::Frame(frame) => Some(*frame),
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
-        };
-        Ok(events.into_iter().filter_map(frame).collect())
+        .await;
+        Ok(self.decoded(map, stored, vocabulary_len).await?.into_iter().filter_map(as_frame).collect())
     }
 
     /// What robots measured at frames of a session, oldest first.
@@ -223,19 +225,35 @@ impl Storage {
         session: SessionId,
         vocabulary_len: usize,
     ) -> Result<Vec<MeasuredEvent>, StorageError> {
-        let rows: Vec<Vec<u8>> = sqlx::query_scalar(
-            "SELECT event FROM log WHERE map_id = ? AND session = ? AND sequence IS NULL ORDER BY position",
+        let stored = sqlx::query_as(
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND session = ? AND sequence IS NULL \
+             ORDER BY position",
         )
         .bind(map)
         .bind(session)
         .fetch_all(&self.readers)
-        .await?;
-        let events = rows.iter().map(|bytes| event(bytes, vocabulary_len)).collect::<Result<Vec<_>, _>>()?;
+        .await;
         let measured = |event| match event {
             MapEvent::Measured(event) => Some(*event),
             MapEvent::SessionOpened { .. } | MapEvent::Frame(_) => None,
         };
-        Ok(events.into_iter().filter_map(measured).collect())
+        Ok(self.decoded(map, stored, vocabulary_len).await?.into_iter().filter_map(measured).collect())
+    }
+
+    /// Events that were read of a map's log.
+    async fn decoded(
+        &self,
+        map: MapId,
+        stored: Result<Vec<StoredEvent>, sqlx::Error>,
+        vocabulary_len: usize,
+    ) -> Result<Vec<MapEvent>, StorageError> {
+        let stored = self.noting_rot(map, Where::Somewhere, stored.map_err(StorageError::from)).await?;
+        let mut events = Vec::with_capacity(stored.len());
+        for stored in stored {
+            let event = stored.decode(vocabulary_len);
+            events.push(self.noting_rot(map, Where::Event(stored.position), event).await?);
+        }
+        Ok(events)
     }
 
     /// The latest frames of a place that came in before `before`, latest first.
@@ -246,7 +264,7 @@ impl Storage {
         before: FrameId,
         limit: u32,
     ) -> Result<Vec<FrameId>, StorageError> {
-        Ok(sqlx::query_scalar(
+        let frames = sqlx::query_scalar(
             "SELECT position FROM log WHERE map_id = ? AND place = ? AND position < ? ORDER BY position DESC LIMIT ?",
         )
         .bind(map)
@@ -254,7 +272,8 @@ impl Storage {
         .bind(to_sql(before))
         .bind(limit)
         .fetch_all(&self.readers)
-        .await?)
+        .await;
+        self.noting_rot(map, Where::Somewhere, frames.map_err(StorageError::from)).await
     }
 
     /// Which session and sequence number the frames at these positions have, in the same order;
@@ -276,7 +295,7 @@ impl Storage {
     ) -> Result<HashMap<FrameId, StoredFrame>, StorageError> {
         // A list of numbers is JSON already.
         let positions = format!("{:?}", positions.into_iter().map(to_sql).collect::<Vec<_>>());
-        let rows: Vec<(FrameId, SessionId, u64, i64, String)> = sqlx::query_as(
+        let rows = sqlx::query_as(
             "SELECT position, session, sequence, stamp_ns, coalesce(note, '') \
              FROM log LEFT JOIN frame_notes USING (map_id, position) \
              WHERE map_id = ? AND sequence IS NOT NULL AND position IN (SELECT value FROM json_each(?))",
@@ -284,7 +303,9 @@ impl Storage {
         .bind(map)
         .bind(positions)
         .fetch_all(&self.readers)
-        .await?;
+        .await;
+        let rows: Vec<(FrameId, SessionId, u64, i64, String)> =
+            self.noting_rot(map, Where::Somewhere, rows.map_err(StorageError::from)).await?;
         let frame = |(position, session, sequence, stamp_ns, note)| {
             (position, StoredFrame { session, sequence, stamp_ns, note })
         };
@@ -298,7 +319,7 @@ impl Storage {
         after: Option<u64>,
         limit: u32,
     ) -> Result<Vec<ClosureRow>, StorageError> {
-        Ok(sqlx::query_as(
+        let closures = sqlx::query_as(
             "SELECT f.position, f.session, f.sequence, f.stamp_ns, f.place, f.posterior, f.probability, \
              m.session AS matched_session, m.sequence AS matched_sequence, m.stamp_ns AS matched_stamp_ns, \
              coalesce(fn.note, '') AS note, coalesce(mn.note, '') AS matched_note \
@@ -311,56 +332,14 @@ impl Storage {
         .bind(after.map_or(-1, to_sql))
         .bind(limit)
         .fetch_all(&self.readers)
-        .await?)
+        .await;
+        self.noting_rot(map, Where::Somewhere, closures.map_err(StorageError::from)).await
     }
 }
 
-pub(super) async fn insert_event(
-    transaction: &mut Transaction<'_, Sqlite>,
-    map: MapId,
-    position: i64,
-    event: &MapEvent,
-) -> Result<(), StorageError> {
-    let (frame, link): (_, Option<Link>) = match event {
-        MapEvent::SessionOpened { .. } => (None, None),
-        MapEvent::Frame(frame) => (Some(frame), frame.link),
-        MapEvent::Measured(measured) => (None, measured.link),
-    };
-    let decision = frame.map(|frame| &frame.decision);
-    sqlx::query(
-        "INSERT INTO log (map_id, position, session, sequence, stamp_ns, reason, place, posterior, matched_frame, \
-         probability, link_from, link_to, event) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-    )
-    .bind(map)
-    .bind(position)
-    .bind(event.session())
-    .bind(frame.map(|frame| to_sql(frame.sequence)))
-    .bind(frame.map(|frame| frame.stamp_ns))
-    .bind(decision.map(|decision| reason_name(decision.reason)))
-    .bind(decision.and_then(|decision| decision.place).map(PlaceId::number))
-    .bind(decision.map(|decision| decision.posterior))
-    .bind(decision.and_then(|decision| decision.closure).map(|closure| to_sql(closure.frame)))
-    .bind(frame.and_then(|frame| frame.verified_by()).map(Candidate::probability))
-    .bind(link.map(|link| link.from.number()))
-    .bind(link.map(|link| link.to.number()))
-    .bind(event.to_bytes())
-    .execute(&mut **transaction)
-    .await?;
-    Ok(())
-}
-
-/// A reason as the log, the metrics and people have it.
-pub(crate) fn reason_name(reason: Reason) -> &'static str {
-    match reason {
-        Reason::NewPlace => "new_place",
-        Reason::SamePlace => "same_place",
-        Reason::LoopClosure => "loop_closure",
-        Reason::BelowThreshold => "below_threshold",
-        Reason::TooFewWords => "too_few_words",
-        Reason::GeometryRefused => "geometry_refused",
+fn as_frame(event: MapEvent) -> Option<FrameEvent> {
+    match event {
+        MapEvent::Frame(frame) => Some(*frame),
+        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
     }
-}
-
-pub(super) fn event(bytes: &[u8], vocabulary_len: usize) -> Result<MapEvent, StorageError> {
-    MapEvent::from_bytes(bytes, vocabulary_len).map_err(|error| StorageError::Damaged(error.to_string()))
 }

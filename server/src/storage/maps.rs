@@ -2,9 +2,9 @@ use sqlx::{Sqlite, Transaction};
 use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 
+use super::columns::insert_event;
 use super::{Storage, StorageError, to_sql};
 use crate::camera::Camera;
-use crate::storage::log::insert_event;
 
 /// Number of a map in the database; never used twice.
 pub(crate) type MapId = i64;
@@ -33,6 +33,8 @@ pub(crate) struct MapEdition {
 pub(crate) struct SessionRow {
     pub(crate) number: SessionId,
     pub(crate) name: String,
+    /// Name of the token that opened it, if one did.
+    pub(crate) owner: Option<String>,
 }
 
 /// What a map holds, by its log.
@@ -108,6 +110,7 @@ impl Storage {
 
     /// Binds a map to another model, noting which one it had up to now.
     pub(crate) async fn rebind_map(&self, map: MapId, model: &str) -> Result<(), StorageError> {
+        self.check_sound(map)?;
         self.write(async |transaction| {
             sqlx::query(
                 "INSERT INTO map_models (map_id, until_events, model) \
@@ -144,7 +147,7 @@ impl Storage {
 
     /// All sessions of a map, by number.
     pub(crate) async fn sessions(&self, map: MapId) -> Result<Vec<SessionRow>, StorageError> {
-        Ok(sqlx::query_as("SELECT number, name FROM sessions WHERE map_id = ? ORDER BY number")
+        Ok(sqlx::query_as("SELECT number, name, owner FROM sessions WHERE map_id = ? ORDER BY number")
             .bind(map)
             .fetch_all(&self.readers)
             .await?)
@@ -182,15 +185,17 @@ impl Storage {
         camera: Option<&Camera>,
         opened_ns: i64,
     ) -> Result<(), StorageError> {
+        self.check_sound(map)?;
         self.write(async |transaction| {
             sqlx::query(
-                "INSERT INTO sessions (map_id, number, name, camera, opened_ns) VALUES (?, ?, ?, ?, ?)",
+                "INSERT INTO sessions (map_id, number, name, camera, opened_ns, owner) VALUES (?, ?, ?, ?, ?, ?)",
             )
             .bind(map)
             .bind(session.number)
             .bind(&session.name)
             .bind(camera)
             .bind(opened_ns)
+            .bind(&session.owner)
             .execute(&mut **transaction)
             .await?;
             let event = MapEvent::SessionOpened { session: session.number };

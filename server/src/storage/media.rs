@@ -1,6 +1,7 @@
 use sqlx::{Sqlite, Transaction};
 use topomap::ids::FrameId;
 
+use super::damage::Where;
 use super::{MapId, Storage, StorageError, to_sql};
 use crate::camera::Camera;
 
@@ -60,14 +61,10 @@ impl Storage {
         frame: FrameId,
         kind: MediumKind,
     ) -> Result<Option<Vec<u8>>, StorageError> {
-        Ok(sqlx::query_scalar(
-            "SELECT content FROM frame_media WHERE map_id = ? AND position = ? AND kind = ?",
-        )
-        .bind(map)
-        .bind(to_sql(frame))
-        .bind(kind)
-        .fetch_optional(&self.readers)
-        .await?)
+        let select = "SELECT content FROM frame_media WHERE map_id = ? AND position = ? AND kind = ?";
+        let query = sqlx::query_scalar(select).bind(map).bind(to_sql(frame)).bind(kind);
+        let medium = query.fetch_optional(&self.readers).await;
+        self.noting_rot(map, Where::Event(frame), medium.map_err(StorageError::from)).await
     }
 
     /// Where a frame's features are, if that is kept, with the camera that its session declared.
@@ -76,7 +73,7 @@ impl Storage {
         map: MapId,
         frame: FrameId,
     ) -> Result<Option<StoredFeatures>, StorageError> {
-        Ok(sqlx::query_as(
+        let features = sqlx::query_as(
             "SELECT m.content AS features, s.camera FROM frame_media AS m \
              JOIN log AS l ON l.map_id = m.map_id AND l.position = m.position \
              JOIN sessions AS s ON s.map_id = l.map_id AND s.number = l.session \
@@ -85,7 +82,8 @@ impl Storage {
         .bind(map)
         .bind(to_sql(frame))
         .fetch_optional(&self.readers)
-        .await?)
+        .await;
+        self.noting_rot(map, Where::Event(frame), features.map_err(StorageError::from)).await
     }
 
     /// Adds up what a map takes. SQLite knows the length of a blob without reading it.

@@ -8,8 +8,8 @@ use sqlx::{Sqlite, Transaction};
 use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 
+use super::columns::insert_event;
 use super::jobs::{ErrorColumns, end_job};
-use super::log::insert_event;
 use super::maps::check_edition;
 use super::notes::copy_notes;
 use super::{
@@ -246,6 +246,7 @@ impl Storage {
         outcome: &MergeOutcome,
         end: &JobEnd,
     ) -> Result<(), StorageError> {
+        self.check_sound(target)?;
         self.write(async |transaction| {
             for log in joined {
                 check_edition(transaction, log.source).await?;
@@ -307,8 +308,8 @@ impl Storage {
     ) -> Result<(), StorageError> {
         self.write(async |transaction| {
             sqlx::query(
-                "INSERT INTO sessions (map_id, number, name, camera, opened_ns, merge) \
-                 SELECT ?1, number, name, camera, opened_ns, merge FROM sessions \
+                "INSERT INTO sessions (map_id, number, name, camera, opened_ns, merge, owner) \
+                 SELECT ?1, number, name, camera, opened_ns, merge, owner FROM sessions \
                  WHERE map_id = ?2 AND number IN \
                  (SELECT session FROM log WHERE map_id = ?2 AND position >= ?3 AND position < ?4) \
                  ON CONFLICT DO NOTHING",
@@ -320,7 +321,7 @@ impl Storage {
             .execute(&mut **transaction)
             .await?;
             const REST: &str = "position, session, sequence, stamp_ns, reason, place, posterior, matched_frame, \
-                                probability, link_from, link_to, event";
+                                probability, link_from, link_to, event, checksum, chain";
             let copy = format!(
                 "INSERT INTO log (map_id, {REST}) SELECT ?, {REST} FROM log \
                  WHERE map_id = ? AND position >= ? AND position < ?"
@@ -441,8 +442,8 @@ async fn insert_sessions_and_labels(
 ) -> Result<(), StorageError> {
     for JoinedSession { of_source, number, name } in &log.sessions {
         sqlx::query(
-            "INSERT INTO sessions (map_id, number, name, camera, opened_ns, merge) \
-             SELECT ?, ?, ?, camera, opened_ns, ? FROM sessions WHERE map_id = ? AND number = ?",
+            "INSERT INTO sessions (map_id, number, name, camera, opened_ns, merge, owner) \
+             SELECT ?, ?, ?, camera, opened_ns, ?, owner FROM sessions WHERE map_id = ? AND number = ?",
         )
         .bind(map)
         .bind(number)

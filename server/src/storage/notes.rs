@@ -4,7 +4,10 @@ use std::ops::Range;
 
 use sqlx::{Sqlite, Transaction};
 use topomap::ids::FrameId;
+use topomap::log::MapEvent;
 
+use super::damage::Where;
+use super::row_sums::StoredEvent;
 use super::{MapId, Storage, StorageError, to_sql};
 
 /// A frame with what its robot calls it.
@@ -15,14 +18,44 @@ pub(crate) struct NoteRow {
     pub(crate) note: String,
 }
 
+/// An event with its note.
+#[derive(sqlx::FromRow)]
+struct NotedEvent {
+    #[sqlx(flatten)]
+    event: StoredEvent,
+    note: String,
+}
+
 impl Storage {
+    /// The event at a position of a map's log, and what its robot calls the frame; empty if nothing.
+    pub(crate) async fn noted_event_at(
+        &self,
+        map: MapId,
+        position: FrameId,
+        vocabulary_len: usize,
+    ) -> Result<Option<(MapEvent, String)>, StorageError> {
+        let row = sqlx::query_as(
+            "SELECT position, event, checksum, chain, coalesce(note, '') AS note \
+             FROM log LEFT JOIN frame_notes USING (map_id, position) WHERE map_id = ? AND position = ?",
+        )
+        .bind(map)
+        .bind(to_sql(position))
+        .fetch_optional(&self.readers)
+        .await;
+        let row: Result<Option<NotedEvent>, _> = row;
+        let read = row.map_err(StorageError::from).and_then(|row| {
+            row.map(|NotedEvent { event, note }| Ok((event.decode(vocabulary_len)?, note))).transpose()
+        });
+        self.noting_rot(map, Where::Event(position), read).await
+    }
+
     /// What the frames at log positions are called; those without a note are left out.
     pub(crate) async fn notes(
         &self,
         map: MapId,
         positions: Range<u64>,
     ) -> Result<Vec<NoteRow>, StorageError> {
-        Ok(sqlx::query_as(
+        let notes = sqlx::query_as(
             "SELECT position, note FROM frame_notes WHERE map_id = ? AND position >= ? AND position < ? \
              ORDER BY position",
         )
@@ -30,7 +63,8 @@ impl Storage {
         .bind(to_sql(positions.start))
         .bind(to_sql(positions.end))
         .fetch_all(&self.readers)
-        .await?)
+        .await;
+        self.noting_rot(map, Where::Somewhere, notes.map_err(StorageError::from)).await
     }
 }
 

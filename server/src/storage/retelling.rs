@@ -11,8 +11,8 @@ use topomap::rewriting::Retold;
 
 use super::appearance::forget_links;
 use super::checkpoints::CHECKPOINT_PIECES;
+use super::columns::insert_event;
 use super::jobs::end_job;
-use super::log::insert_event;
 use super::merges::set_outcome;
 use super::{
     FormerModelRow, JobEnd, LabelRow, MapEdition, MapId, MergeOutcome, MergeState, Storage, StorageError,
@@ -75,6 +75,7 @@ impl Storage {
         end: Option<&JobEnd>,
     ) -> Result<(), StorageError> {
         let map = log.map.map;
+        self.check_sound(map)?;
         self.write(async |transaction| {
             raise_edition(transaction, log.map).await?;
             move_kept(transaction, log).await?;

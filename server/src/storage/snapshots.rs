@@ -5,10 +5,12 @@ use sqlx::{Sqlite, Transaction};
 use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 
+use super::columns::insert_event;
+use super::damage::Where;
 use super::jobs::end_job;
 use super::labels::insert_label;
-use super::log::insert_event;
 use super::notes::insert_note;
+use super::row_sums::{CHAIN_START, StoredEvent};
 use super::{JobEnd, LabelRow, MapId, MapRow, MediumKind, ModelRow, NoteRow, Storage, StorageError, to_sql};
 use crate::camera::Camera;
 
@@ -69,6 +71,9 @@ pub(crate) struct ImportedMap {
 pub(crate) struct MapView {
     map: MapRow,
     snapshot: Transaction<'static, Sqlite>,
+    storage: Storage,
+    /// The next event of the log, and the link of the one before it.
+    next: (u64, i64),
 }
 
 impl Storage {
@@ -82,8 +87,9 @@ impl Storage {
         .bind(name)
         .fetch_optional(&mut *snapshot)
         .await?;
-        let Some(map) = map else { return Ok(None) };
-        Ok(Some(MapView { map, snapshot }))
+        let Some::<MapRow>(map) = map else { return Ok(None) };
+        let storage = self.clone();
+        Ok(Some(MapView { map, snapshot, storage, next: (0, CHAIN_START) }))
     }
 
     /// Begins an import: a map that nobody sees yet, with its sessions, and its model unless that is
@@ -193,33 +199,51 @@ impl MapView {
     }
 
     pub(crate) async fn former_models(&mut self) -> Result<Vec<FormerModelRow>, StorageError> {
-        Ok(sqlx::query_as(
+        let rows = sqlx::query_as(
             "SELECT until_events, model FROM map_models WHERE map_id = ? ORDER BY until_events",
         )
         .bind(self.map.id)
         .fetch_all(&mut *self.snapshot)
-        .await?)
+        .await;
+        self.noting_rot(Where::Somewhere, rows.map_err(StorageError::from)).await
     }
 
     pub(crate) async fn sessions(&mut self) -> Result<Vec<StoredSession>, StorageError> {
-        Ok(sqlx::query_as(
+        let rows = sqlx::query_as(
             "SELECT number, name, camera, opened_ns FROM sessions WHERE map_id = ? ORDER BY number",
         )
         .bind(self.map.id)
         .fetch_all(&mut *self.snapshot)
-        .await?)
+        .await;
+        self.noting_rot(Where::Somewhere, rows.map_err(StorageError::from)).await
     }
 
-    /// The next events as they are stored, from position `from` on; none at the end of the log.
-    pub(crate) async fn events(&mut self, from: u64) -> Result<Vec<(u64, Vec<u8>)>, StorageError> {
-        Ok(sqlx::query_as(
-            "SELECT position, event FROM log WHERE map_id = ? AND position >= ? ORDER BY position LIMIT ?",
+    /// The next events as they are stored; none at the end of the log. [`StorageError::Rot`] if one is not as it was
+    /// written: what leaves here gets a checksum that says it is whole.
+    pub(crate) async fn events(&mut self) -> Result<Vec<(u64, Vec<u8>)>, StorageError> {
+        let (from, mut chain) = self.next;
+        let stored: Result<Vec<StoredEvent>, _> = sqlx::query_as(
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND position >= ? \
+             ORDER BY position LIMIT ?",
         )
         .bind(self.map.id)
         .bind(to_sql(from))
         .bind(EVENTS_PAGE)
         .fetch_all(&mut *self.snapshot)
-        .await?)
+        .await;
+        let stored = self.noting_rot(Where::Somewhere, stored.map_err(StorageError::from)).await?;
+        let mut events = Vec::with_capacity(stored.len());
+        for (position, stored) in (from..).zip(stored) {
+            let link = stored.follow(position, chain);
+            chain = self.noting_rot(Where::Event(position), link).await?;
+            events.push((position, stored.bytes));
+        }
+        self.next = (from + events.len() as u64, chain);
+        Ok(events)
+    }
+
+    async fn noting_rot<T>(&self, place: Where, read: Result<T, StorageError>) -> Result<T, StorageError> {
+        self.storage.noting_rot(self.map.id, place, read).await
     }
 
     /// The next media after that of a position and kind; none after the last.
@@ -229,7 +253,7 @@ impl MapView {
     ) -> Result<Vec<MediaRow>, StorageError> {
         let first = (-1, MediumKind::Features);
         let (position, kind) = after.map_or(first, |(position, kind)| (to_sql(position), kind));
-        Ok(sqlx::query_as(
+        let media = sqlx::query_as(
             "SELECT position, kind, content FROM frame_media WHERE map_id = ? AND (position, kind) > (?, ?) \
              ORDER BY position, kind LIMIT ?",
         )
@@ -238,12 +262,14 @@ impl MapView {
         .bind(kind)
         .bind(MEDIA_PAGE)
         .fetch_all(&mut *self.snapshot)
-        .await?)
+        .await;
+        // Several are read at once: which of them it is, nobody can say here.
+        self.noting_rot(Where::Somewhere, media.map_err(StorageError::from)).await
     }
 
     /// The next labels, from that of a place on; none after the last.
     pub(crate) async fn labels(&mut self, from: PlaceId) -> Result<Vec<LabelRow>, StorageError> {
-        Ok(sqlx::query_as(
+        let rows = sqlx::query_as(
             // One that was put while places were renumbered may be of none.
             "SELECT place, label FROM labels WHERE map_id = ? AND place >= ? \
              AND EXISTS (SELECT 1 FROM log WHERE log.map_id = labels.map_id AND log.place = labels.place) \
@@ -253,18 +279,20 @@ impl MapView {
         .bind(from.number())
         .bind(LABELS_PAGE)
         .fetch_all(&mut *self.snapshot)
-        .await?)
+        .await;
+        self.noting_rot(Where::Somewhere, rows.map_err(StorageError::from)).await
     }
 
     /// The next notes, from that of a frame on; none after the last.
     pub(crate) async fn notes(&mut self, from: u64) -> Result<Vec<NoteRow>, StorageError> {
-        Ok(sqlx::query_as(
+        let rows = sqlx::query_as(
             "SELECT position, note FROM frame_notes WHERE map_id = ? AND position >= ? ORDER BY position LIMIT ?",
         )
         .bind(self.map.id)
         .bind(to_sql(from))
         .bind(NOTES_PAGE)
         .fetch_all(&mut *self.snapshot)
-        .await?)
+        .await;
+        self.noting_rot(Where::Somewhere, rows.map_err(StorageError::from)).await
     }
 }

@@ -37,16 +37,25 @@ impl Server {
         Self::start_as(directory, |server| server).await
     }
 
+    /// A server on a directory that may be damaged: what it says if it does not start.
+    pub(crate) async fn try_start_on(directory: &Path) -> Result<Self, String> {
+        let server = waypost_server::Server::open(directory.to_owned()).await;
+        Ok(Self::serving(directory, server.map_err(|error| error.to_string())?).await)
+    }
+
     /// A server on a directory, with what `configure` adds to it.
     pub(crate) async fn start_as(
         directory: &Path,
         configure: impl FnOnce(waypost_server::Server) -> waypost_server::Server,
     ) -> Self {
+        let server = waypost_server::Server::open(directory.to_owned()).await.expect("the directory opens");
+        Self::serving(directory, configure(server)).await
+    }
+
+    async fn serving(directory: &Path, server: waypost_server::Server) -> Self {
         let listener = async || TcpListener::bind("127.0.0.1:0").await.unwrap();
         let (grpc, http) = (listener().await, listener().await);
         let (grpc_at, http_at) = (grpc.local_addr().unwrap(), http.local_addr().unwrap());
-        let server = waypost_server::Server::open(directory.to_owned()).await.expect("the directory opens");
-        let server = configure(server);
         let (stop, stopped) = oneshot::channel();
         let serving = server.serve(grpc, http, async move {
             // Also when the sender is dropped.

@@ -6,13 +6,13 @@ use std::time::{Duration, Instant};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::sqlite::SqliteConnection;
 use sqlx::{ConnectOptions, Connection, Row};
 use waypost_client::{Client, FrameContent, FrameInput, v1};
 
 use crate::harness::{
-    RawStream, ServerProcess, answers_of, by_words_request, frame, http, import_model, map_request, mapped,
-    open, state_hash, word_maker, words_options,
+    RawStream, ServerProcess, answers_of, by_words_request, database_options, frame, http, import_model,
+    map_request, mapped, open, state_hash, word_maker, words_options,
 };
 
 /// Frame `number` of a drive past places that share few words: a frame a place.
@@ -37,7 +37,7 @@ async fn drive(client: &Client, session: &str, places: impl Iterator<Item = u64>
 }
 
 async fn numbers(directory: &Path, query: &'static str) -> Vec<i64> {
-    let options = SqliteConnectOptions::new().filename(directory.join("waypost.sqlite"));
+    let options = database_options(directory);
     let mut database: SqliteConnection = options.connect().await.unwrap();
     let row = sqlx::query(query).fetch_one(&mut database).await.unwrap();
     let numbers = (0..row.len()).map(|column| row.get(column)).collect();

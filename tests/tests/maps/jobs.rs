@@ -5,14 +5,14 @@ use std::path::Path;
 use std::time::Duration;
 
 use futures::{Stream, stream};
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::sqlite::SqliteConnection;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 use waypost_client::{Client, Code, v1};
 use waypost_proto::v1::job_service_client::JobServiceClient;
 
 use crate::harness::{
-    Built, Server, ServerProcess, assert_status, channel, followed, images, in_time, refused, run_to_its_end,
-    said,
+    Built, Server, ServerProcess, assert_status, channel, database_options, followed, images, in_time,
+    refused, run_to_its_end, said,
 };
 
 const TRAINING_IMAGES: usize = 40;
@@ -42,7 +42,7 @@ async fn train(client: &Client, settings: v1::TrainModelSettings) -> v1::Job {
 }
 
 async fn database(directory: &Path) -> SqliteConnection {
-    SqliteConnectOptions::new().filename(directory.join("waypost.sqlite")).connect().await.unwrap()
+    database_options(directory).connect().await.unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]

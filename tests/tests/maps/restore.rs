@@ -4,12 +4,13 @@ use std::path::Path;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::sqlite::SqliteConnection;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
 use waypost_client::{FrameInput, v1};
 
 use crate::harness::{
-    Server, ServerProcess, answers, first_return, frame, import_model, map_request, state_hash,
+    Server, ServerProcess, answers, database_options, first_return, frame, import_model, map_request,
+    state_hash,
 };
 
 /// A directory with a map of two sessions, one with odometry, that loops; left by SIGTERM.
@@ -57,8 +58,7 @@ impl Stored {
     }
 
     async fn database(&self) -> SqliteConnection {
-        let file = self.path().join("waypost.sqlite");
-        SqliteConnectOptions::new().filename(file).foreign_keys(true).connect().await.unwrap()
+        database_options(self.path()).foreign_keys(true).connect().await.unwrap()
     }
 
     async fn sql(&self, statement: &str) {

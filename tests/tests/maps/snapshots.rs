@@ -10,7 +10,7 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::sqlite::SqliteConnection;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -19,9 +19,9 @@ use waypost_client::{Client, Code, FrameOutcome, v1};
 use waypost_proto::v1::map_service_client::MapServiceClient;
 
 use crate::harness::{
-    Built, RawStream, Server, ServerProcess, answers, assert_status, channel, first_return, followed, frame,
-    images, import_model, in_time, map_request, open, reference, refused, run_to_its_end, said,
-    session_options, state_hash, wire, workspace,
+    Built, RawStream, Server, ServerProcess, answers, assert_status, channel, database_options, first_return,
+    followed, frame, images, import_model, in_time, map_request, open, reference, refused, run_to_its_end,
+    said, session_options, state_hash, wire, workspace,
 };
 
 /// Snapshots of the format's versions. From the second on they have labels.
@@ -60,7 +60,7 @@ async fn imported(client: &Client, name: &str, file: Vec<u8>) -> v1::Job {
 }
 
 async fn database(directory: &Path) -> SqliteConnection {
-    let options = SqliteConnectOptions::new().filename(directory.join("waypost.sqlite")).foreign_keys(true);
+    let options = database_options(directory).foreign_keys(true);
     options.busy_timeout(Duration::from_secs(30)).connect().await.unwrap()
 }
 

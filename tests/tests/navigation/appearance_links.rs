@@ -4,11 +4,11 @@ use std::path::Path;
 use std::time::Duration;
 
 use serde_json::Value;
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::sqlite::SqliteConnection;
 use sqlx::{ConnectOptions, Connection, Row};
 use waypost_client::v1;
 
-use crate::harness::{Panoramas, Server, found, import_model, in_time};
+use crate::harness::{Panoramas, Server, database_options, found, import_model, in_time};
 
 /// From one room through the hall into another.
 const WAY: [&[[f64; 2]]; 1] = [&[[5.0, 4.5], [5.0, 0.8], [9.2, 0.8], [9.2, 3.5], [7.1, 3.5]]];
@@ -16,7 +16,7 @@ const WAY: [&[[f64; 2]]; 1] = [&[[5.0, 4.5], [5.0, 0.8], [9.2, 0.8], [9.2, 3.5],
 const GRAPH: &str = "/v1/maps/looks/appearance-graph";
 
 async fn database(directory: &Path) -> SqliteConnection {
-    SqliteConnectOptions::new().filename(directory.join("waypost.sqlite")).connect().await.unwrap()
+    database_options(directory).connect().await.unwrap()
 }
 
 async fn links_on_disk(database: &mut SqliteConnection) -> Vec<(u32, u32, f64)> {

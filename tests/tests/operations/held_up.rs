@@ -2,19 +2,17 @@
 
 use std::time::Duration;
 
-use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use tonic_types::StatusExt;
 use waypost_client::{Code, FrameOutcome};
 use waypost_proto::v1;
 use waypost_proto::v1::map_service_client::MapServiceClient;
 
-use crate::harness::{Server, assert_status, channel, frame, in_time, session_options};
+use crate::harness::{Server, assert_status, channel, database_options, frame, in_time, session_options};
 
 /// Holds the lock of those who write, as a backup tool or a person with a shell may.
 async fn lock(server: &Server) -> SqliteConnection {
-    let file = server.directory().join("waypost.sqlite");
-    let mut database = SqliteConnectOptions::new().filename(file).connect().await.unwrap();
+    let mut database = database_options(server.directory()).connect().await.unwrap();
     sqlx::query("BEGIN IMMEDIATE").execute(&mut database).await.unwrap();
     database
 }

@@ -3,10 +3,9 @@
 use std::path::Path;
 use std::process::Output;
 
-use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
-use crate::harness::{Built, ServerProcess, import_model, run_to_its_end};
+use crate::harness::{Built, ServerProcess, database_options, import_model, run_to_its_end};
 
 const ANY_PORTS: [&str; 4] = ["--grpc-address", "127.0.0.1:0", "--http-address", "127.0.0.1:0"];
 
@@ -37,7 +36,7 @@ async fn a_database_of_a_newer_version_is_left_alone() {
     server.stop();
 
     let file = directory.path().join("waypost.sqlite");
-    let mut database = SqliteConnectOptions::new().filename(&file).connect().await.unwrap();
+    let mut database = database_options(directory.path()).connect().await.unwrap();
     sqlx::query(
         "INSERT INTO _sqlx_migrations (version, description, installed_on, success, checksum, execution_time) \
          SELECT 77, 'of the future', installed_on, success, checksum, execution_time FROM _sqlx_migrations LIMIT 1",

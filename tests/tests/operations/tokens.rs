@@ -2,12 +2,12 @@
 
 use reqwest::StatusCode;
 use tonic::Status;
-use waypost_client::{Client, ClientOptions, Code, Error, FrameOutcome, v1};
+use waypost_client::{Client, ClientOptions, Code, Error, FrameOutcome, SessionOptions, v1};
 
 use self::callable::{FOR_ADMINS, OPEN_ROUTES, call, guarded_routes, methods};
 use crate::harness::{
-    Built, Proxy, RawStream, Server, ServerProcess, assert_status, channel, frame, import_model, in_time,
-    map_request, open, refused, run_to_its_end, session_options, wire,
+    Built, Proxy, RawStream, Server, ServerProcess, answers, assert_status, channel, frame, import_model,
+    in_time, map_request, open, refused, run_to_its_end, session_options, wire,
 };
 
 mod callable;
@@ -65,6 +65,38 @@ async fn every_method_asks_for_the_right_token() {
     }
     let known = methods();
     assert!(FOR_ADMINS.iter().all(|path| known.iter().any(|known| known == path)));
+    guarded.server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_session_belongs_to_the_token_that_opened_it() {
+    let guarded = Guarded::start().await;
+    let (admin, robot) = (guarded.client(&guarded.admin).await, guarded.client(&guarded.robot).await);
+    let (_, secret) = admin.create_token("other", v1::token::Role::Robot).await.unwrap();
+    let other = guarded.client(&secret).await;
+    let looking =
+        |name: &str| SessionOptions { mode: v1::SessionMode::Localize, ..session_options("drive", name) };
+    answers(&robot, "drive", "tour", (1..=3).map(frame)).await;
+    let (mut sender, mut outcomes) =
+        robot.open_session(session_options("drive", "tour")).await.unwrap().split();
+    let localizing = robot.open_session(looking("watch")).await.unwrap();
+    for options in [session_options("drive", "tour"), looking("watch")] {
+        let (code, message) = refused(in_time(other.open_session(options)).await.map(drop));
+        assert_status("another's", (code, &message), Code::PermissionDenied, "is of the token robot, which");
+    }
+    sender.send(frame(4)).await.unwrap();
+    match in_time(outcomes.next()).await.unwrap() {
+        Some(FrameOutcome::Answer(answer)) => assert_eq!(answer.sequence, 4),
+        other => panic!("{other:?}"),
+    }
+    drop((sender, outcomes, localizing));
+    answers(&other, "drive", "round", (1..=2).map(frame)).await;
+
+    // The robot's next secret goes by the same name, and an admin may go on with all.
+    admin.delete_token("robot").await.unwrap();
+    let (_, secret) = admin.create_token("robot", v1::token::Role::Robot).await.unwrap();
+    answers(&guarded.client(&secret).await, "drive", "tour", (5..=6).map(frame)).await;
+    answers(&admin, "drive", "tour", (7..=8).map(frame)).await;
     guarded.server.stop().await;
 }
 

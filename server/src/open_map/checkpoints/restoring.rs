@@ -29,7 +29,7 @@ pub(in crate::open_map) enum Unusable {
 impl From<StorageError> for Unusable {
     fn from(error: StorageError) -> Self {
         match error {
-            StorageError::Damaged(why) => Self::Damaged(why),
+            StorageError::Damaged(why) | StorageError::Rot(why) => Self::Damaged(why),
             other => Self::Unread(other),
         }
     }

@@ -4,6 +4,7 @@ use topomap::metric::Odometry;
 
 use crate::error::ServiceError;
 use crate::ingest::content::Content;
+use crate::open_map::Opener;
 
 /// A frame as a robot sends it.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,4 +64,14 @@ mod tests {
             assert!(matches!(check_note(bad), Err(ServiceError::InvalidArgument { .. })), "{bad:?}");
         }
     }
+}
+
+/// What a robot says of itself.
+#[derive(Clone, Debug)]
+pub(crate) struct Robot<'a> {
+    /// Of the words that it sends; empty if it sends images.
+    pub(crate) words_hash: &'a str,
+    /// Tells the runs apart of a robot that localizes by one name; empty if it is not said.
+    pub(crate) run: &'a str,
+    pub(crate) opener: Opener,
 }

@@ -89,11 +89,11 @@ fn write(mut view: MapView, outlet: &Outlet) -> Result<(), ServiceError> {
     for session in runtime.block_on(view.sessions())? {
         outlet.put(&mut writer, &Record::Session(session))?;
     }
-    let mut next = 0;
     loop {
-        let events = runtime.block_on(view.events(next))?;
-        let Some(&(last, _)) = events.last() else { break };
-        next = last + 1;
+        let events = runtime.block_on(view.events())?;
+        if events.is_empty() {
+            break;
+        }
         for (position, event) in events {
             outlet.put(&mut writer, &Record::Event { position, event })?;
         }

@@ -1,0 +1,124 @@
+//! What the log's columns tell of an event, beside its bytes.
+
+use fabmap::appearance::PlaceId;
+use sqlx::{Sqlite, Transaction};
+use topomap::evidence::Candidate;
+use topomap::ids::SessionId;
+use topomap::log::{Link, MapEvent, Reason};
+
+use super::row_sums::checksum;
+use super::{MapId, StorageError, to_sql};
+
+/// The columns of an event.
+#[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
+pub(super) struct EventColumns {
+    session: SessionId,
+    sequence: Option<i64>,
+    stamp_ns: Option<i64>,
+    reason: Option<String>,
+    place: Option<u32>,
+    posterior: Option<f64>,
+    matched_frame: Option<i64>,
+    /// `None` in what the first servers wrote.
+    probability: Option<f64>,
+    link_from: Option<u32>,
+    link_to: Option<u32>,
+}
+
+impl EventColumns {
+    pub(super) fn of(event: &MapEvent) -> Self {
+        let (frame, link): (_, Option<Link>) = match event {
+            MapEvent::SessionOpened { .. } => (None, None),
+            MapEvent::Frame(frame) => (Some(frame), frame.link),
+            MapEvent::Measured(measured) => (None, measured.link),
+        };
+        let decision = frame.map(|frame| &frame.decision);
+        Self {
+            session: event.session(),
+            sequence: frame.map(|frame| to_sql(frame.sequence)),
+            stamp_ns: frame.map(|frame| frame.stamp_ns),
+            reason: decision.map(|decision| reason_name(decision.reason).to_owned()),
+            place: decision.and_then(|decision| decision.place).map(PlaceId::number),
+            posterior: decision.map(|decision| decision.posterior),
+            matched_frame: decision
+                .and_then(|decision| decision.closure)
+                .map(|closure| to_sql(closure.frame)),
+            probability: frame.and_then(|frame| frame.verified_by()).map(Candidate::probability),
+            link_from: link.map(|link| link.from.number()),
+            link_to: link.map(|link| link.to.number()),
+        }
+    }
+
+    pub(super) fn session(&self) -> SessionId {
+        self.session
+    }
+
+    /// Of a frame.
+    pub(super) fn sequence(&self) -> Option<i64> {
+        self.sequence
+    }
+
+    /// Whether these are the columns of that event.
+    pub(super) fn are_of(&self, event: &MapEvent) -> bool {
+        let columns = Self::of(event);
+        let probability = self.probability.and(columns.probability);
+        *self == Self { probability, ..columns }
+    }
+}
+
+pub(super) async fn insert_event(
+    transaction: &mut Transaction<'_, Sqlite>,
+    map: MapId,
+    position: i64,
+    event: &MapEvent,
+) -> Result<(), StorageError> {
+    let EventColumns {
+        session,
+        sequence,
+        stamp_ns,
+        reason,
+        place,
+        posterior,
+        matched_frame,
+        probability,
+        link_from,
+        link_to,
+    } = EventColumns::of(event);
+    let bytes = event.to_bytes();
+    // The chain goes on as in `row_sums::chained`.
+    sqlx::query(
+        "INSERT INTO log (map_id, position, checksum, chain, session, sequence, stamp_ns, reason, place, posterior, \
+         matched_frame, probability, link_from, link_to, event) VALUES (?1, ?2, ?3, \
+         (coalesce((SELECT chain FROM log WHERE map_id = ?1 AND position = ?2 - 1), 0) * 48271 + ?3) % 2147483647, \
+         ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14)",
+    )
+    .bind(map)
+    .bind(position)
+    .bind(checksum(position, &bytes))
+    .bind(session)
+    .bind(sequence)
+    .bind(stamp_ns)
+    .bind(reason)
+    .bind(place)
+    .bind(posterior)
+    .bind(matched_frame)
+    .bind(probability)
+    .bind(link_from)
+    .bind(link_to)
+    .bind(bytes)
+    .execute(&mut **transaction)
+    .await?;
+    Ok(())
+}
+
+/// A reason as the log, the metrics and people have it.
+pub(crate) fn reason_name(reason: Reason) -> &'static str {
+    match reason {
+        Reason::NewPlace => "new_place",
+        Reason::SamePlace => "same_place",
+        Reason::LoopClosure => "loop_closure",
+        Reason::BelowThreshold => "below_threshold",
+        Reason::TooFewWords => "too_few_words",
+        Reason::GeometryRefused => "geometry_refused",
+    }
+}
