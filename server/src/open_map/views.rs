@@ -15,7 +15,7 @@ use super::MapWriter;
 use crate::error::ArchiveError;
 use crate::ingest::intrinsics::Intrinsics;
 use crate::ingest::panoramic::PanoramicOptics;
-use crate::storage::{MapId, Storage, StorageError, StoredFeatures};
+use crate::storage::{MapId, Storage, StoredFeatures};
 
 /// Two views always give the same answer, on whichever server.
 const SEED: u64 = 0;
