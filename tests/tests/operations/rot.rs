@@ -212,6 +212,10 @@ async fn what_is_kept_of_a_frame_is_named() {
     let client = server.client().await;
     let (code, message) = refused(client.frame_picture("maps/drive/sessions/first/frames/7", None).await);
     assert_status("a picture", (code, &message), Code::DataLoss, "session first, frame 7");
+    // Nor is anybody told to ask again.
+    let (code, message) =
+        refused(client.explain_frame("maps/drive/sessions/first/frames/7", None, None).await);
+    assert_status("an explanation", (code, &message), Code::DataLoss, "check --deep");
     server.stop().await;
 }
 
