@@ -220,19 +220,8 @@ impl From<LoopClosureView> for LoopClosureLine {
         let LoopClosureView { frame, matched, place, posterior, probability } = view;
         let FrameReference { session, sequence, stamp_ns, note } = frame;
         let FrameReference { session: at, sequence: number, stamp_ns: stamp, note: noted } = matched;
-        Self(
-            session,
-            sequence,
-            stamp_ns,
-            at,
-            number,
-            stamp,
-            place.number(),
-            posterior,
-            probability,
-            note,
-            noted,
-        )
+        let place = place.number();
+        Self(session, sequence, stamp_ns, at, number, stamp, place, posterior, probability, note, noted)
     }
 }
 
