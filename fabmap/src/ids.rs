@@ -42,14 +42,14 @@ macro_rules! ids {
                     self.0 as usize
                 }
 
-                /// The number after it.
+                /// The number after it, which must be below the largest.
                 #[must_use]
                 #[inline(always)]
                 pub const fn next(self) -> Self {
                     Self(self.0 + 1)
                 }
 
-                /// The same, counted from `first` on in place of 0.
+                /// The same, counted from `first` on in place of 0; the sum must be below 2^32.
                 #[must_use]
                 #[inline(always)]
                 pub const fn counted_from(self, first: Self) -> Self {

@@ -112,7 +112,7 @@ impl PlaceFilter {
         let FilterSettings { new_place_prior, even_share, .. } = self.settings;
         let known = 1.0 - new_place_prior;
         let everywhere = known * ((1.0 - even_share) * motion.even + even_share) / places as f64;
-        let named = motion.places.iter().filter(|&&(place, _)| (place.index()) < places);
+        let named = motion.places.iter().filter(|&&(place, _)| place.index() < places);
         let more = named.map(|&(place, weight)| (place, known * (1.0 - even_share) * weight)).collect();
         PlacePrior { places, everywhere, more, new_place: new_place_prior }
     }

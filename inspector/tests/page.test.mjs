@@ -58,6 +58,12 @@ const rest = async (path, { url = server.url, token, ...init } = {}) => {
     return answer.json();
 };
 
+/** A frame by which the demo's map closes a loop, in the middle of the drive: which frames do, the model decides. */
+const closingFrame = async (init) => {
+    const { loop_closures } = await rest("maps/demo/loop-closures?page_size=100", init);
+    return Number(loop_closures[Math.floor(loop_closures.length / 2)].frame.sequence);
+};
+
 /** WCAG's rules, as far as a program can tell. The content policy lets no script in but by the debugger. */
 async function accessible(page, what) {
     await page.evaluate(AXE);
@@ -113,9 +119,10 @@ test("the list shows what REST says of each map, and draws it", async () => {
 });
 
 test("a map without metres is a ring whose frames are stepped by keyboard", async () => {
-    const { page, close } = await open("#/maps/demo?session=session-0&frame=109");
+    const closing = await closingFrame();
+    const { page, close } = await open(`#/maps/demo?session=session-0&frame=${closing}`);
     assert.match(await page.getByTestId("kind").textContent(), /without metres/);
-    await cursor(page).filter({ hasText: "frame 109: loop closure" }).waitFor();
+    await cursor(page).filter({ hasText: `frame ${closing}: loop closure` }).waitFor();
     const canvas = page.locator(".canvas canvas");
     const { places } = await rest("maps/demo");
     await until("the drawing", async () => (await canvas.getAttribute("data-drawn")) === String(places));
@@ -124,11 +131,11 @@ test("a map without metres is a ring whose frames are stepped by keyboard", asyn
     const { frames } = await rest("maps/demo/sessions/session-0/frames?page_size=200");
     const reason = (sequence) => frames[sequence - 1].answer.reason.replaceAll("_", " ");
     await page.keyboard.press("ArrowRight");
-    await cursor(page).filter({ hasText: `frame 110: ${reason(110)}` }).waitFor();
-    assert.match(page.url(), /frame=110/);
+    await cursor(page).filter({ hasText: `frame ${closing + 1}: ${reason(closing + 1)}` }).waitFor();
+    assert.ok(page.url().includes(`frame=${closing + 1}`), page.url());
     await page.keyboard.press("ArrowLeft");
     await page.keyboard.press("ArrowLeft");
-    await cursor(page).filter({ hasText: `frame 108: ${reason(108)}` }).waitFor();
+    await cursor(page).filter({ hasText: `frame ${closing - 1}: ${reason(closing - 1)}` }).waitFor();
     await page.keyboard.press("End");
     await cursor(page).filter({ hasText: `frame 152: ${reason(152)}` }).waitFor();
     assert.ok(await page.getByRole("button", { name: "Next frame" }).isDisabled());
@@ -154,20 +161,25 @@ test("a map without metres is a ring whose frames are stepped by keyboard", asyn
 });
 
 test("a pair shows the gates and numbers of REST, and both images", async () => {
-    const { page, close } = await open("#/maps/demo?frame=109");
+    const closing = await closingFrame();
+    const { page, close } = await open(`#/maps/demo?frame=${closing}`);
     const pair = page.getByRole("region", { name: "The pair" });
-    const explained = await rest("maps/demo/sessions/session-0/frames/109/explanation");
+    const explained = await rest(`maps/demo/sessions/session-0/frames/${closing}/explanation`);
     await pair.getByRole("heading", { name: "Gates" }).waitFor();
+    const { note, answer } = await rest(`maps/demo/sessions/session-0/frames/${closing}`);
+    assert.match(note, /^\d{6}\.jpg$/);
+    assert.equal(await pair.getByTestId("note").textContent(), note);
     const gates = await pair.locator(".gates li").allTextContents();
     assert.equal(gates.length, explained.gates.length);
     explained.gates.forEach(({ description, passed }, at) => {
         assert.ok(gates[at].includes(description), gates[at]);
         assert.ok(gates[at].includes(passed ? "✓ passed" : "✕ not passed"), gates[at]);
     });
-    const { answer } = await rest("maps/demo/sessions/session-0/frames/109");
     const { inliers, matches, probability } = answer.match.geometry;
     const facts = await pair.textContent();
-    assert.ok(facts.includes(`${inliers} of ${matches}`) && facts.includes(probability.toFixed(3)), facts);
+    // What is all but certain is not rounded to certainty.
+    const shown = probability > 0.9995 ? "> 0.999" : probability.toFixed(3);
+    assert.ok(facts.includes(`${inliers} of ${matches}`) && facts.includes(shown), facts);
     const picture = pair.locator("img");
     await until("the picture", () => picture.evaluate((image) => image.naturalWidth > 300));
     await pair.getByRole("button", { name: /^Enlarge/ }).click();
@@ -452,7 +464,8 @@ test("a server with tokens asks for one, and shows what its holder may see", asy
     const secretOf = (text) => text.match(/waypost_\w+/)[0];
     const admin = secretOf(await server.call(null, "token", "create", "operator", "--role", "admin"));
     const robot = secretOf(await server.call(admin, "token", "create", "reader", "--role", "robot"));
-    const { page, close } = await open("#/maps/demo?frame=109");
+    const closing = await closingFrame({ token: admin });
+    const { page, close } = await open(`#/maps/demo?frame=${closing}`);
     await page.getByRole("heading", { name: "This server asks for a token" }).waitFor();
     await accessible(page, "the way in");
     const body = await page.locator("body").textContent();
@@ -462,16 +475,16 @@ test("a server with tokens asks for one, and shows what its holder may see", asy
     await page.getByText("not known here").waitFor();
     await page.getByLabel("Token").fill(robot);
     await page.getByRole("button", { name: "Log in" }).click();
-    await cursor(page).filter({ hasText: "frame 109: loop closure" }).waitFor();
+    await cursor(page).filter({ hasText: `frame ${closing}: loop closure` }).waitFor();
     await until("a picture by token", () => page.locator(".pair img").evaluate((image) => image.naturalWidth > 300));
     assert.ok(!page.url().includes(robot), "the secret is in the link");
     await page.reload();
-    await cursor(page).filter({ hasText: "frame 109" }).waitFor();
+    await cursor(page).filter({ hasText: `frame ${closing}` }).waitFor();
     await server.call(admin, "token", "rm", "reader");
     await page.getByRole("heading", { name: "This server asks for a token" }).waitFor();
     await page.getByLabel("Token").fill(admin);
     await page.getByRole("button", { name: "Log in" }).click();
-    await cursor(page).filter({ hasText: "frame 109" }).waitFor();
+    await cursor(page).filter({ hasText: `frame ${closing}` }).waitFor();
     await page.getByRole("link", { name: "Maps" }).click();
     const coming = page.waitForEvent("download");
     await page.getByRole("button", { name: "Export the map demo" }).click();

@@ -63,14 +63,14 @@ pub(crate) struct LeaveOneOutReport {
     /// Fitted to all sequences: what the default is made from.
     weights_of_all: Weights,
     /// Each sequence, by weights that were fitted to the other three.
-    left_out: Vec<LeftOut>,
+    left_out: Vec<SequenceResult>,
     /// Each sequence by the default weights, which were fitted to it among others.
-    default: Vec<LeftOut>,
+    default: Vec<SequenceResult>,
 }
 
 /// One sequence as it was judged.
 #[derive(Serialize)]
-struct LeftOut {
+struct SequenceResult {
     sequence: String,
     #[serde(flatten)]
     weights: Weights,
@@ -115,8 +115,8 @@ pub(crate) fn run(options: &LeaveOneOutOptions) -> Result<LeaveOneOutReport> {
     let all: Vec<&[JudgedEvidence]> = evidence.iter().map(Vec::as_slice).collect();
     let report = LeaveOneOutReport {
         weights_of_all: weights::fit(&all).into(),
-        left_out: left_out.into_iter().map(LeftOut::from).collect(),
-        default: by_default.into_iter().map(LeftOut::from).collect(),
+        left_out: left_out.into_iter().map(SequenceResult::from).collect(),
+        default: by_default.into_iter().map(SequenceResult::from).collect(),
     };
     files::write_json(&options.out.join("leave_one_out.json"), &report)?;
     Ok(report)
@@ -185,7 +185,7 @@ impl Prepared {
     }
 }
 
-impl From<Judged> for LeftOut {
+impl From<Judged> for SequenceResult {
     fn from(Judged { sequence, weights, streamed }: Judged) -> Self {
         Self { sequence, weights: weights.into(), report: streamed.report }
     }

@@ -119,7 +119,8 @@ pub(crate) fn stream(
     let report = SequenceReport::new(
         &frames,
         &curve,
-        (reliability.expected_calibration_error(), ece_95),
+        reliability.expected_calibration_error(),
+        ece_95,
         on_map,
         options,
     );

@@ -23,7 +23,7 @@ export function Pair({ session, step, large, onLarge, onPlace }: PairProps) {
     }, [frame]);
     return (
         <section class="panel pair" aria-label="The pair">
-            <header><h2>Frame {step.sequence}</h2><span class={`reason ${step.reason}`}>{REASONS[step.reason] ?? step.reason}</span></header>
+            <header><h2>Frame {step.sequence}</h2>{step.note && <span class="note" data-testid="note">{step.note}</span>}<span class={`reason ${step.reason}`}>{REASONS[step.reason] ?? step.reason}</span></header>
             <Shown asked={asked} what="why it was decided so">
                 {([explanation, record]) => <>
                     <Views explanation={explanation} frame={frame} sequence={step.sequence} large={large} onLarge={onLarge} />

@@ -8,6 +8,8 @@ import { Picture, plural, Refused, useDark, useSize } from "../parts";
 /** What the strip needs of a frame: sessions are long. */
 export interface Step {
     sequence: number;
+    /** What its robot calls it, as by the name of its file; empty if nothing. */
+    note: string;
     stamp_ns: number;
     reason: string;
     place: number | null;
@@ -17,9 +19,10 @@ export interface Step {
     likely: [place: number, posterior: number][];
 }
 
-function stepOf({ name, stamp_ns, answer }: FrameRecord): Step {
+function stepOf({ name, note, stamp_ns, answer }: FrameRecord): Step {
     return {
         sequence: Number(short(name)),
+        note,
         stamp_ns,
         reason: answer?.reason ?? "unknown",
         place: answer?.place_number ?? null,
@@ -257,7 +260,7 @@ function Strip({ session, steps, cursor, onCursor }: AlongProps & { session: str
         <div class="strip" ref={box} role="group" aria-label="Frames around the cursor">
             {shown.map((step, offset) => {
                 const index = first + offset;
-                const words = `Frame ${step.sequence}: ${REASONS[step.reason] ?? step.reason}`;
+                const words = `Frame ${step.sequence}: ${REASONS[step.reason] ?? step.reason}${step.note && `, ${step.note}`}`;
                 return (
                     <button
                         key={step.sequence} type="button" class={`frame ${step.reason}`} aria-current={index === cursor}

@@ -11,8 +11,8 @@ use topomap::metric::Odometry;
 use crate::error::ServiceError;
 use crate::ingest::model::LoadedModels;
 use crate::names::{frame_in, frame_name, map_in, session_in, session_name};
-use crate::open_map::OpenMaps;
 use crate::open_map::answers::{FrameAnswer, GeometryView, MatchView, reference};
+use crate::open_map::{OpenMaps, no_such_map};
 use crate::pages::{Page, numbered_page, page_size};
 pub(crate) use crate::storage::{FrameBytes, SessionSummary};
 use crate::storage::{FrameRow, MapRow, MediumKind, SessionRow, Storage, StoredFrame};
@@ -176,14 +176,16 @@ impl Frames {
         let matches = |event: &FrameEvent| [event.decision.closure, event.proposal].into_iter().flatten();
         let positions = frames.iter().flat_map(|row| matches(&row.event)).map(|found| found.frame);
         let positions: Vec<FrameId> = positions.collect();
-        let matched = self.storage.frames_by_position(map.id, positions.clone()).await?;
-        if positions.iter().any(|position| !matched.contains_key(position)) {
-            // It was deleted since the frames were read, or its log is damaged.
-            self.open_maps.row(&map.name).await?;
-        }
+        let matched = self.storage.frames_by_position(map.id, positions).await?;
         let sessions = self.storage.sessions(map.id).await?;
         let known = Known { map: &map.name, sessions: &sessions, matched: &matched };
-        frames.into_iter().map(|row| frame_view(row, &known)).collect()
+        let views: Result<Vec<_>, ServiceError> =
+            frames.into_iter().map(|row| frame_view(row, &known)).collect();
+        if views.is_err() && self.open_maps.row(&map.name).await?.id != map.id {
+            // It was deleted since the frames were read, and another made of its name.
+            return Err(no_such_map(&map.name));
+        }
+        views
     }
 }
 

@@ -39,11 +39,7 @@ pub(crate) fn measured(pose: Option<v1::Pose>, covariance: Vec<f64>) -> Result<R
 
 pub(crate) fn map_pose_message(pose: &MapPose) -> v1::MapPose {
     let MapPose { part, robot, odom } = pose;
-    v1::MapPose {
-        part: (*part).number(),
-        robot: Some(planar_pose(robot)),
-        map_to_odom: Some(planar_pose(odom)),
-    }
+    v1::MapPose { part: part.number(), robot: Some(planar_pose(robot)), map_to_odom: Some(planar_pose(odom)) }
 }
 
 /// A pose on the ground.

@@ -46,7 +46,8 @@ impl SequenceReport {
     pub(super) fn new(
         frames: &[JudgedFrame],
         curve: &PrecisionRecall,
-        (ece, ece_95): (Option<f64>, Option<[f64; 2]>),
+        ece: Option<f64>,
+        ece_95: Option<[f64; 2]>,
         on_map: Option<(usize, Recognised)>,
         system: &SystemOptions,
     ) -> Self {

@@ -145,8 +145,8 @@ impl MapOverlap {
                 }
                 Metres::Unknown => None,
             },
-            source_part: (*source_part).number(),
-            target_part: (*target_part).number(),
+            source_part: source_part.number(),
+            target_part: target_part.number(),
             agreeing: matches.len() as u64,
             rejected: rejected.len() as u64,
             rival_support: *rival_support as u64,
