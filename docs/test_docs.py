@@ -231,6 +231,14 @@ def matches(expected: str, line: str) -> bool:
     return re.fullmatch(r"\s*.*\s*".join(parts), " ".join(line.split())) is not None
 
 
+def test_a_page_that_does_not_hold_is_found() -> None:
+    told = [Block(3, "sh", "waypost map ls", ["hall … 22"])]
+    page = GUIDE / "concepts.md"
+    assert wrong(page, told, ["MAP  PLACES\nhall     100  22\n", ""]) == ""
+    assert "concepts.md:3 does not print `hall … 22`" in wrong(page, told, ["hall  100  21\n", ""])
+    assert wrong(page, told, ["there is no server\n"]) == "concepts.md:3 failed:\nthere is no server\n"
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_what_a_page_tells_one_to_run_runs(runs: dict[str, Future[str]], page: Path) -> None:
     if problem := runs[page.name].result():
