@@ -20,6 +20,7 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import takewhile
 from pathlib import Path
 from textwrap import dedent
 from urllib.request import urlopen
@@ -248,6 +249,38 @@ def test_what_a_page_tells_one_to_run_runs(runs: dict[str, Future[str]], page: P
 def test_what_cannot_run_is_counted() -> None:
     infos = [info for page in PAGES for _, language, info, _ in fences(page) if language in {"sh", "python"}]
     assert Counter(info.removeprefix("needs=") for info in infos if info) == CANNOT_RUN
+
+
+def test_every_command_and_flag_exists() -> None:
+    """In prose, in tables and in blocks that cannot run as well, and of those that figures are made with."""
+    pages = [*PAGES, REPOSITORY / "ACCURACY.md", REPOSITORY / "PERFORMANCE.md"]
+    said = {command for page in pages for command in commands(page)}
+    assert len(said) > 100
+    assert unknown("waypost map shwo hall")
+    assert "['--nosuch']" in unknown("waypost map ls --nosuch")
+    with ThreadPoolExecutor(2) as pool:
+        assert not sorted(filter(None, pool.map(unknown, said)))
+
+
+def commands(page: Path) -> Iterator[str]:
+    """Calls of our programs, without comments, pipes and redirections."""
+    text = page.read_text()
+    shell = "\n".join(code for _, language, _, code in fences(page) if language == "sh")
+    inline = re.findall(r"`(waypost(?:-eval|-server)?(?: [^`\n]+)?)`", FENCE.sub("", text))
+    for line in [*inline, *shell.replace("\\\n", " ").splitlines()]:
+        found = re.search(r"\b(waypost(?:-eval|-server)? [^#|;>&<]+)", line)
+        if found and line.startswith("waypost"):
+            yield " ".join(found[1].split())
+
+
+def unknown(command: str) -> str:
+    """What is wrong with it, by the program's own help."""
+    program, *words = command.split()
+    names = list(takewhile(lambda word: re.fullmatch("[a-z][a-z-]*", word), words))
+    shown = subprocess.run([binary(program), *names, "--help"], capture_output=True, text=True)
+    flags = re.findall(r"(?<=\s)--[a-z][a-z-]*", f" {command}")
+    missing = [flag for flag in flags if not re.search(rf"{flag}\b(?!-)", shown.stdout)]
+    return f"{command}: {missing or shown.stderr}" if missing or shown.returncode else ""
 
 
 @pytest.mark.parametrize("page", LINKING, ids=lambda page: str(page.relative_to(REPOSITORY)))
