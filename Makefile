@@ -13,14 +13,14 @@ PYTHON := $(abspath $(or $(CARGO_TARGET_DIR),target)/python)
 demo: build
 	$(TARGET)/waypost demo
 
-# All unit, property and end-to-end tests, and then those of the Python client, of docker/ and of the page.
+# All unit, property and end-to-end tests, and then those of the Python client, of docker/, of docs/ and of the page.
 test: setup
 	$(CARGO) test --release --locked --workspace --no-fail-fast
 	$(MAKE) --no-print-directory test-python test-inspector
 
 test-python: build
 	scripts/setup-python $(PYTHON)
-	WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest client/python docker
+	WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest client/python docker docs
 
 # The page in a real browser, on a real server.
 test-inspector: build

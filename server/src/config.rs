@@ -374,7 +374,7 @@ fn origin(metadata: Option<&Metadata>, key: &str) -> String {
 }
 
 fn form(key: &str) -> &'static str {
-    KEYS.into_iter().find(|(known, _)| *known == key).map_or("it as the README has it", |(_, form)| form)
+    KEYS.into_iter().find(|(known, _)| *known == key).map_or("it as --help says", |(_, form)| form)
 }
 
 fn names() -> String {
