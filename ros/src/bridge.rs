@@ -157,7 +157,7 @@ fn drive(parts: &Parts, bus: &mut Bus, tasks: &mut Vec<JoinHandle<()>>) -> Resul
 fn streaming(parts: &Parts, bus: &Bus) -> Result<Streaming, Failure> {
     let Parts { settings, client, shared, outbox, unanswered, ending, .. } = parts;
     let pose = bus.write(&settings.topics.pose, Qos::Reliable)?;
-    let path = bus.write(&settings.topics.path, Qos::Latched)?;
+    let path = bus.write(&settings.topics.path, Qos::Latest)?;
     let covariance = Covariance::planar(settings.position_sigma_m, settings.heading_sigma_rad);
     Ok(Streaming {
         client: client.clone(),
@@ -175,7 +175,7 @@ fn markers(Parts { settings, client, shared, .. }: &Parts, bus: &Bus) -> Result<
         map: settings.map.clone(),
         map_frame: settings.map_frame.clone(),
         shared: shared.clone(),
-        out: bus.write(&settings.topics.markers, Qos::Latched)?,
+        out: bus.write(&settings.topics.markers, Qos::Latest)?,
     })
 }
 

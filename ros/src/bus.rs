@@ -26,8 +26,10 @@ pub(crate) enum Qos {
     Sensor(SensorQos),
     /// Nothing is lost between those who are there.
     Reliable,
-    /// As `/tf_static`: who comes late gets what was said before.
+    /// As `/tf_static`: who comes late gets what all said before.
     Latched,
+    /// What is whole in each message: who comes late gets the latest.
+    Latest,
 }
 
 impl Qos {
@@ -40,6 +42,7 @@ impl Qos {
             Qos::Sensor(SensorQos::Reliable) => (reliable, Durability::Volatile, SENSOR_DEPTH),
             Qos::Reliable => (reliable, Durability::Volatile, 10),
             Qos::Latched => (reliable, Durability::TransientLocal, 100),
+            Qos::Latest => (reliable, Durability::TransientLocal, 1),
         };
         let builder = QosPolicyBuilder::new().reliability(reliability).durability(durability);
         builder.history(History::KeepLast { depth }).build()
@@ -161,7 +164,7 @@ fn mismatch(
     let mend = match wanted.qos {
         Qos::Sensor(_) => "set sensor_qos to best-effort, which takes both",
         Qos::Reliable => "publish it as reliable",
-        Qos::Latched => "publish it as reliable and transient local",
+        Qos::Latched | Qos::Latest => "publish it as reliable and transient local",
     };
     Some(format!("{topic} is published with a quality of service that is not heard ({failure:?}): {mend}"))
 }

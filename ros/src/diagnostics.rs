@@ -38,9 +38,9 @@ pub(crate) struct Report<'a> {
 impl Report<'_> {
     pub(crate) fn message(&self) -> DiagnosticArray {
         let stamp_ns = self.state.robot_now_ns().unwrap_or(0);
-        let mut status = vec![self.server(), self.images(), self.camera(), self.localization()];
+        let mut status = vec![self.server(), self.images(), self.camera()];
         if self.topics.odometry.is_some() {
-            status.push(self.odometry());
+            status.extend([self.odometry(), self.localization()]);
         }
         status.extend(self.state.navigation.as_ref().map(|guidance| self.navigation(guidance)));
         DiagnosticArray { header: Header::new(stamp_ns, ""), status }
@@ -224,7 +224,7 @@ mod tests {
     fn what_is_missing_is_an_error_that_names_the_topic() {
         let told = reported(&State::default(), &[], 0);
         assert_eq!(told[1], (2, "nothing came on /camera/image_raw".to_owned()));
-        assert_eq!(told[4], (2, "nothing came on /odom".to_owned()));
+        assert_eq!(told[3], (2, "nothing came on /odom".to_owned()));
         let mismatch = "/camera/image_raw is published as std_msgs/String".to_owned();
         assert_eq!(reported(&State::default(), std::slice::from_ref(&mismatch), 0)[1], (2, mismatch));
     }
@@ -239,7 +239,7 @@ mod tests {
         state.placed = Some(Placed { part: 0, robot: pose, map_to_odom: pose, at: long_ago });
         let told = reported(&state, &[], 1);
         assert!(told[0].0 == 2 && told[0].1.contains("for 9.0 s"), "{told:?}");
-        assert!(told[3].0 == 1 && told[3].1.contains("told 9.0 s ago"), "{told:?}");
+        assert!(told[4].0 == 1 && told[4].1.contains("told 9.0 s ago"), "{told:?}");
         // Nothing to answer: the robot has sent nothing.
         assert_eq!(reported(&state, &[], 0)[0].0, 0);
     }

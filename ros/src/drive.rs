@@ -1,6 +1,6 @@
 //! Goals in, and speeds out: Waypost's navigation at the wheels of a robot.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use futures::StreamExt;
 use tokio::sync::{broadcast, mpsc, watch};
@@ -149,10 +149,14 @@ impl Drive {
             () = self.drive(settings) => {}
             _ = ending.wait_for(|ends| *ends) => {}
         }
-        for _ in 0..LAST_STOPS / 2 {
+        self.stop();
+        self.cmd_vel.flush(FAREWELL);
+    }
+
+    fn stop(&self) {
+        for _ in 0..LAST_STOPS {
             self.cmd_vel.publish(Twist::default());
         }
-        self.cmd_vel.flush(FAREWELL);
     }
 
     async fn drive(&mut self, settings: &Settings) {
@@ -166,7 +170,7 @@ impl Drive {
                 Ok(navigation) => self.follow(navigation).await,
                 Err(error) => Err(error),
             };
-            self.cmd_vel.publish(Twist::default());
+            self.stop();
             self.shared.lock().navigation = None;
             if let Err(error) = ended {
                 no_goal(&self.shared, format!("the navigation ended: {error}"));
@@ -218,11 +222,16 @@ impl Drive {
         let is_blind = state.odometry.age().is_none_or(|age| age > ODOMETRY_PATIENCE);
         state.navigation = guidance;
         drop(state);
-        // It is obeyed only if it is sent.
-        let command = if is_blind || !is_under_way { Command::default() } else { navigation.command() };
-        if last_stops.is_told(is_under_way) {
-            self.cmd_vel.publish(twist(command));
+        if !is_under_way {
+            if last_stops.take() {
+                self.cmd_vel.publish(Twist::default());
+            }
+            return;
         }
+        last_stops.renew();
+        // A command that is asked for counts as obeyed.
+        let command = if is_blind { Command::default() } else { navigation.command() };
+        self.cmd_vel.publish(twist(command));
     }
 
     fn event(&self, event: NavigationEvent) {
@@ -276,25 +285,28 @@ fn is_under_way(status: v1::NavigationStatus) -> bool {
     }
 }
 
-/// Speeds are told while the robot is under way, and a few stops after it; then others may have the wheels.
-#[derive(Default)]
+/// Stops that are told after a drive, and at the beginning; then others may have the wheels.
 struct LastStops {
     left: u32,
-    /// When this was asked last.
-    asked: Option<Instant>,
+}
+
+impl Default for LastStops {
+    fn default() -> Self {
+        Self { left: LAST_STOPS }
+    }
 }
 
 impl LastStops {
-    fn is_told(&mut self, is_under_way: bool) -> bool {
-        let is_first = self.asked.replace(Instant::now()).is_none();
-        if is_under_way || is_first {
-            self.left = LAST_STOPS;
-        }
-        let is_told = self.left > 0;
-        if !is_under_way {
-            self.left = self.left.saturating_sub(1);
-        }
-        is_told
+    /// The robot drives: all of them are needed after it.
+    fn renew(&mut self) {
+        self.left = LAST_STOPS;
+    }
+
+    /// Takes one, if one is left.
+    fn take(&mut self) -> bool {
+        let is_left = self.left > 0;
+        self.left = self.left.saturating_sub(1);
+        is_left
     }
 }
 
@@ -335,9 +347,8 @@ mod tests {
     #[test]
     fn after_a_drive_a_few_stops_are_told_and_then_nothing() {
         let mut last_stops = LastStops::default();
-        let told = (0..40).filter(|_| last_stops.is_told(false)).count();
-        assert_eq!(told, LAST_STOPS as usize);
-        assert!((0..5).all(|_| last_stops.is_told(true)));
-        assert_eq!((0..40).filter(|_| last_stops.is_told(false)).count(), LAST_STOPS as usize);
+        assert_eq!((0..40).filter(|_| last_stops.take()).count(), LAST_STOPS as usize);
+        last_stops.renew();
+        assert_eq!((0..40).filter(|_| last_stops.take()).count(), LAST_STOPS as usize);
     }
 }

@@ -176,7 +176,10 @@ impl Intake {
             match read {
                 Ok(info) => {
                     state.camera_infos.good();
-                    state.camera_info.get_or_insert(info);
+                    // One that cannot be declared may be followed by one that can.
+                    if state.declared == Declared::Waiting {
+                        state.camera_info = Some(info);
+                    }
                 }
                 Err(problem) => {
                     state.camera_infos.bad(problem.to_string());

@@ -36,11 +36,13 @@ def test_without_camera_info_nothing_is_sent_and_it_is_said(stage: Stage) -> Non
     assert "nothing came on /camera/camera_info" in told.message("camera")
     assert "camera_info_topic" in bridge.said()
     assert (told.count("server", "frames waiting"), told.count("server", "frames sent")) == (5, 0)
+    robot.camera_info(SIZE_PX, 0.0)
+    met(robot, "camera/camera_info")
+    robot.camera_info(SIZE_PX, 0.0)
+    until(lambda: "it is not calibrated" in told.message("camera"))
     # It comes after all, and nothing is lost.
     robot.camera_info(SIZE_PX, FOCAL_PX)
     robot.mounting()
-    met(robot, "camera/camera_info")
-    robot.camera_info(SIZE_PX, FOCAL_PX)
     until(lambda: told.count("server", "frames answered") == 5)
 
 
