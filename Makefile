@@ -7,20 +7,25 @@ TARGET := $(or $(CARGO_TARGET_DIR),target)/release
 # Where the Python client is tested in, with every version pinned.
 PYTHON := $(abspath $(or $(CARGO_TARGET_DIR),target)/python)
 
-.PHONY: demo test test-python test-inspector inspector serve build setup check deny bench
+.PHONY: demo test test-python test-ros test-inspector inspector serve build setup check deny bench
 
 # Drive a real recorded sequence through a real server, and compare the loop closures with the truth.
 demo: build
 	$(TARGET)/waypost demo
 
-# All unit, property and end-to-end tests, and then those of the Python client, of docker/, of docs/ and of the page.
+# All unit, property and end-to-end tests, and then those of the Python client, of docker/, of docs/, of ros/ and of the page.
 test: setup
 	$(CARGO) test --release --locked --workspace --no-fail-fast
-	$(MAKE) --no-print-directory test-python test-inspector
+	$(MAKE) --no-print-directory test-python test-ros test-inspector
 
 test-python: build
 	scripts/setup-python $(PYTHON)
 	WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest client/python docker docs
+
+# The bridge between a server and a robot that another DDS plays.
+test-ros: build
+	scripts/setup-python $(PYTHON)
+	WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest ros/tests
 
 # The page in a real browser, on a real server.
 test-inspector: build
@@ -38,7 +43,7 @@ serve: build
 
 build: setup
 	$(CARGO) build --release --locked --workspace --bins
-	scripts/split-symbols $(TARGET) waypost-server waypost
+	scripts/split-symbols $(TARGET) waypost-server waypost waypost-ros
 
 setup:
 	scripts/setup

@@ -4,6 +4,8 @@
 //! them can be used; nothing has been done with a bag that turns out to be damaged. [`Bag::choose`] says which topics
 //! are used, and [`Bag::read_frames`] hands out the images with their odometry. Neither holds more of a bag than a
 //! chunk's buffers and the images that wait for odometry, whatever its length.
+//!
+//! [`live`] reads the same messages where a robot sends them, and [`Joining`] joins them.
 
 mod bag;
 mod bytes;
@@ -13,6 +15,7 @@ mod error;
 mod frames;
 mod images;
 mod input;
+pub mod live;
 mod messages;
 mod odometry;
 mod pixels;
@@ -29,6 +32,6 @@ pub use error::{BagError, ChoiceError, LeftOut, Problem};
 pub use frames::{Joined, Take};
 pub use input::{MOST_MESSAGE_BYTES, Progress};
 pub use messages::{CameraInfo, Kind, Pose};
-pub use odometry::Frame;
+pub use odometry::{Frame, Joining};
 pub use poses::{MOST_GAP_NS, Poses};
 pub use survey::Topic;

@@ -27,9 +27,9 @@ pub struct Frame {
     pub pose: Option<Pose>,
 }
 
-/// Images that wait for the poses around them.
+/// Images that wait for the poses around them, in bounded memory.
 #[derive(Default)]
-pub(crate) struct Joining {
+pub struct Joining {
     poses: Poses,
     /// In their order, each with the time of its recording.
     waiting: VecDeque<(i64, Frame)>,
@@ -39,14 +39,15 @@ pub(crate) struct Joining {
 }
 
 impl Joining {
-    pub(crate) fn add_image(&mut self, log_ns: i64, frame: Frame) {
+    /// Takes an image, with the time at which it was recorded or came.
+    pub fn add_image(&mut self, log_ns: i64, frame: Frame) {
         self.log_ns = self.log_ns.max(log_ns);
         self.waiting_bytes += frame.image.len();
         self.waiting.push_back((log_ns, frame));
     }
 
-    /// One whose stamp is not above the last is not taken.
-    pub(crate) fn add_pose(&mut self, log_ns: i64, stamp_ns: i64, pose: Pose) {
+    /// Takes a pose, with the time at which it was recorded or came. One whose stamp is not above the last is not taken.
+    pub fn add_pose(&mut self, log_ns: i64, stamp_ns: i64, pose: Pose) {
         self.log_ns = self.log_ns.max(log_ns);
         if !self.poses.push(stamp_ns, pose) {
             return;
@@ -56,12 +57,13 @@ impl Joining {
     }
 
     /// No more poses come.
-    pub(crate) fn end(&mut self) {
+    pub fn end(&mut self) {
         self.is_over = true;
     }
 
     /// The next image that need not wait any longer.
-    pub(crate) fn next(&mut self) -> Option<Frame> {
+    #[expect(clippy::should_implement_trait, reason = "none now does not mean none later")]
+    pub fn next(&mut self) -> Option<Frame> {
         let (log_ns, frame) = self.waiting.front()?;
         let is_passed = self.poses.last_ns().is_some_and(|last_ns| last_ns >= frame.stamp_ns);
         let is_late = self.log_ns.saturating_sub(*log_ns) > LONGEST_WAIT_NS;

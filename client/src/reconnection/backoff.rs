@@ -32,6 +32,20 @@ impl Default for Reconnection {
     }
 }
 
+/// Whoever waits for longer does not mean to give up.
+const A_YEAR: Duration = Duration::from_secs(365 * 24 * 3600);
+
+impl Reconnection {
+    /// For how long another attempt is made, as a message says it.
+    pub(crate) fn patience(&self) -> String {
+        if self.give_up_after > A_YEAR {
+            "until it is back".to_owned()
+        } else {
+            format!("for {} s", self.give_up_after.as_secs())
+        }
+    }
+}
+
 /// Time and delays since the last progress.
 #[derive(Debug)]
 pub(crate) struct Backoff {
@@ -130,6 +144,14 @@ mod tests {
         }
         assert_eq!(full, settings.longest_delay);
         assert_eq!(delays.iter().sum::<Duration>(), settings.give_up_after);
+    }
+
+    #[test]
+    fn who_never_gives_up_is_told_no_number() {
+        let settings = Reconnection::default();
+        assert_eq!(settings.patience(), "for 60 s");
+        let never = Reconnection { give_up_after: 10 * A_YEAR, ..settings };
+        assert_eq!(never.patience(), "until it is back");
     }
 
     #[test]

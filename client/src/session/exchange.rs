@@ -205,8 +205,8 @@ impl Exchange for SessionExchange {
         } else {
             let unacknowledged = self.window.len();
             tracing::warn!(
-                "lost the server ({reason}); trying again for {} s, {unacknowledged} frames unacknowledged",
-                self.options.reconnection.give_up_after.as_secs(),
+                "lost the server ({reason}); trying again {}, {unacknowledged} frames unacknowledged",
+                self.options.reconnection.patience(),
             );
         }
     }

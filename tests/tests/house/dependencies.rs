@@ -26,7 +26,7 @@ pub(crate) static METADATA: LazyLock<Value> = LazyLock::new(|| {
 const ANY: &[&str] = &["*"];
 
 /// Member, and the members that it may depend on where no feature is asked for.
-const ALLOWED: [(&str, &[&str]); 13] = [
+const ALLOWED: [(&str, &[&str]); 14] = [
     ("fabmap", &[]),
     ("posegraph", &[]),
     ("topomap", &["fabmap", "posegraph"]),
@@ -41,12 +41,13 @@ const ALLOWED: [(&str, &[&str]); 13] = [
     ),
     ("waypost-client", &["waypost-proto"]),
     ("waypost-cli", &["waypost-bags", "waypost-client", "waypost-proto", "waypost-sim"]),
+    ("waypost-ros", &["waypost-bags", "waypost-client"]),
     ("waypost-eval", ANY),
     ("waypost-e2e", ANY),
 ];
 
 /// Members, and what none of their normal dependencies may be, however deep, where no feature is asked for.
-const FORBIDDEN: [(&str, &[&str]); 9] = [
+const FORBIDDEN: [(&str, &[&str]); 11] = [
     ("fabmap", &["tokio", "serde", "sqlx", "opencv", "tonic"]),
     ("posegraph", &["tokio", "serde", "sqlx", "opencv", "tonic"]),
     ("topomap", &["tokio", "serde", "sqlx", "opencv", "tonic"]),
@@ -55,7 +56,9 @@ const FORBIDDEN: [(&str, &[&str]); 9] = [
     ("waypost-bags", &["tokio", "sqlx", "opencv", "tonic"]),
     ("waypost-proto", &["opencv", "sqlx"]),
     ("waypost-client", &["opencv", "sqlx"]),
-    ("waypost-cli", &["opencv", "sqlx"]),
+    ("waypost-cli", &["opencv", "sqlx", "rustdds"]),
+    ("waypost-ros", &["opencv", "sqlx"]),
+    ("waypost-server", &["rustdds"]),
 ];
 
 /// The one member that may name OpenCV.

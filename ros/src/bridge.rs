@@ -1,0 +1,251 @@
+//! The whole: who reads what from the robot, who tells it what, and how all of it ends.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+use tokio::time::{MissedTickBehavior, interval};
+use waypost_bags::Kind;
+use waypost_client::{Client, ClientOptions};
+
+use crate::bus::{Bus, Outgoing, Qos};
+use crate::diagnostics::Report;
+use crate::drive::{Drive, goals, wishes};
+use crate::failure::Failure;
+use crate::intake::Intake;
+use crate::markers::Markers;
+use crate::messages::{Covariance, DiagnosticArray};
+use crate::outbox::Outbox;
+use crate::session::Streaming;
+use crate::settings::{Mode, Settings};
+use crate::state::{Declared, Shared};
+use crate::telling::Telling;
+use crate::tf::TfThread;
+
+const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
+/// For the robot to stand when the bridge ends.
+const LAST_STOP: Duration = Duration::from_secs(2);
+const ODOMETRY: &str = "nav_msgs::msg::dds_::Odometry_";
+const CAMERA_INFO: &str = "sensor_msgs::msg::dds_::CameraInfo_";
+const TRANSFORMS: &str = "tf2_msgs::msg::dds_::TFMessage_";
+
+type Unanswered = Arc<Mutex<VecDeque<(u64, i64)>>>;
+
+/// What the parts of the bridge have in common.
+struct Parts {
+    settings: Settings,
+    client: Client,
+    shared: Shared,
+    outbox: Arc<Outbox>,
+    intake: Arc<Intake>,
+    unanswered: Unanswered,
+    declared: watch::Receiver<Declared>,
+    ending: watch::Receiver<bool>,
+}
+
+/// Runs the bridge until it is told to end, or cannot go on.
+///
+/// # Errors
+/// [`Failure`], by its kind.
+pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
+    let client = Client::lazy(client_options(&settings).await?)?;
+    let mut bus = Bus::join(settings.domain, &settings.networks)?;
+    let (end, ending) = watch::channel(false);
+    let parts = parts(settings, client, ending);
+    let mut tasks = listen(&parts, &mut bus)?;
+    let driving = match parts.settings.mode {
+        Mode::Drive => Some(drive(&parts, &mut bus, &mut tasks)?),
+        Mode::Map | Mode::Localize => None,
+    };
+    let (settings, declared) = (parts.settings.clone(), parts.declared.clone());
+    let streaming = streaming(&parts, &bus)?;
+    let tf = bus.write(&settings.topics.tf, Qos::Reliable)?;
+    let tf = TfThread::start(parts.shared.clone(), tf, settings.map_frame.clone())?;
+    tasks.push(tokio::spawn(markers(&parts, &bus)?.run()));
+    tasks.push(tokio::spawn(reporting(&parts, bus)?.run()));
+    drop(parts);
+
+    tracing::info!(
+        "listening in domain {} for {}; map {} at {}",
+        settings.domain,
+        settings.topics.image,
+        settings.map,
+        settings.server
+    );
+    let is_whole = || !tf.is_over() && driving.as_ref().is_none_or(|driving| !driving.is_finished());
+    let ended = until_told(streaming.run(&settings, declared), &end, is_whole).await;
+    end.send_replace(true);
+    if let Some(driving) = driving {
+        // It has told of its own panic.
+        let _ = tokio::time::timeout(LAST_STOP, driving).await;
+    }
+    tasks.into_iter().for_each(|task| task.abort());
+    tf.stop();
+    ended
+}
+
+fn parts(settings: Settings, client: Client, ending: watch::Receiver<bool>) -> Parts {
+    let shared = Shared::default();
+    let outbox = Arc::new(Outbox::new(settings.buffer_frames));
+    let (declaring, declared) = watch::channel(Declared::default());
+    let topics = settings.topics.clone();
+    let intake = Intake::new(shared.clone(), topics, settings.most_hz, outbox.clone(), declaring);
+    let (intake, unanswered) = (Arc::new(intake), Unanswered::default());
+    Parts { settings, client, shared, outbox, intake, unanswered, declared, ending }
+}
+
+async fn client_options(settings: &Settings) -> Result<ClientOptions, Failure> {
+    let mut options = ClientOptions::new(&settings.server);
+    if let Some(token) = &settings.token {
+        options = options.with_token(token);
+    }
+    if let Some(path) = &settings.ca {
+        let read = tokio::fs::read(path).await;
+        options =
+            options.with_ca(read.map_err(|source| Failure::Certificate { path: path.clone(), source })?);
+    }
+    Ok(options)
+}
+
+/// Subscribes to all that comes from the robot.
+fn listen(Parts { intake, settings, .. }: &Parts, bus: &mut Bus) -> Result<Vec<JoinHandle<()>>, Failure> {
+    let topics = &settings.topics;
+    let sensor = Qos::Sensor(settings.sensor_qos);
+    let image = match topics.image_kind {
+        Kind::CompressedImage => "sensor_msgs::msg::dds_::CompressedImage_",
+        _ => "sensor_msgs::msg::dds_::Image_",
+    };
+    let images = bus.read(&topics.image, image, sensor)?;
+    let mut tasks = vec![tokio::spawn(intake.clone().images(images))];
+    if let Some(topic) = &topics.odometry {
+        tasks.push(tokio::spawn(intake.clone().odometry(bus.read(topic, ODOMETRY, sensor)?)));
+    }
+    if let Some(topic) = &topics.camera_info {
+        tasks.push(tokio::spawn(intake.clone().camera_infos(bus.read(topic, CAMERA_INFO, sensor)?)));
+        let latched = bus.read(&topics.tf_static, TRANSFORMS, Qos::Latched)?;
+        tasks.push(tokio::spawn(intake.clone().mountings(latched)));
+    }
+    tasks.push(tokio::spawn(intake.clone().declare()));
+    Ok(tasks)
+}
+
+/// Subscribes to goals, and begins to drive.
+fn drive(parts: &Parts, bus: &mut Bus, tasks: &mut Vec<JoinHandle<()>>) -> Result<JoinHandle<()>, Failure> {
+    let Parts { settings, client, shared, intake, declared, ending, .. } = parts;
+    let topics = &settings.topics;
+    let poses = bus.read(&topics.goal_pose, "geometry_msgs::msg::dds_::PoseStamped_", Qos::Reliable)?;
+    let names = bus.read(&topics.goal, "std_msgs::msg::dds_::String_", Qos::Reliable)?;
+    let (wished, wishes) = wishes();
+    tasks.push(tokio::spawn(goals(poses, names, settings.map_frame.clone(), shared.clone(), wished)));
+    let drive = Drive {
+        client: client.clone(),
+        shared: shared.clone(),
+        declared: declared.clone(),
+        wheels: intake.wheels.subscribe(),
+        seen: intake.seen.subscribe(),
+        wishes,
+        cmd_vel: bus.write(&topics.cmd_vel, Qos::Reliable)?,
+        ending: ending.clone(),
+    };
+    let settings = settings.clone();
+    Ok(tokio::spawn(async move { drive.run(&settings).await }))
+}
+
+fn streaming(parts: &Parts, bus: &Bus) -> Result<Streaming, Failure> {
+    let Parts { settings, client, shared, outbox, unanswered, ending, .. } = parts;
+    let pose = bus.write(&settings.topics.pose, Qos::Reliable)?;
+    let path = bus.write(&settings.topics.path, Qos::Latest)?;
+    let covariance = Covariance::planar(settings.position_sigma_m, settings.heading_sigma_rad);
+    Ok(Streaming {
+        client: client.clone(),
+        shared: shared.clone(),
+        outbox: outbox.clone(),
+        ending: ending.clone(),
+        telling: Telling::new(pose, path, settings.map_frame.clone(), covariance),
+        unanswered: unanswered.clone(),
+    })
+}
+
+fn markers(Parts { settings, client, shared, .. }: &Parts, bus: &Bus) -> Result<Markers, Failure> {
+    Ok(Markers {
+        client: client.clone(),
+        map: settings.map.clone(),
+        map_frame: settings.map_frame.clone(),
+        shared: shared.clone(),
+        out: bus.write(&settings.topics.markers, Qos::Latest)?,
+    })
+}
+
+fn reporting(parts: &Parts, bus: Bus) -> Result<Reporting, Failure> {
+    let Parts { settings, shared, outbox, unanswered, .. } = parts;
+    let diagnostics = bus.write(&settings.topics.diagnostics, Qos::Reliable)?;
+    let (settings, shared, outbox) = (settings.clone(), shared.clone(), outbox.clone());
+    Ok(Reporting { bus, settings, shared, outbox, unanswered: unanswered.clone(), diagnostics })
+}
+
+/// Streams until a signal comes, and then until the last answers have.
+async fn until_told(
+    streaming: impl Future<Output = Result<(), waypost_client::Error>>,
+    end: &watch::Sender<bool>,
+    is_whole: impl Fn() -> bool,
+) -> Result<(), Failure> {
+    let mut interrupted = signal(SignalKind::interrupt())?;
+    let mut terminated = signal(SignalKind::terminate())?;
+    let mut looking = interval(DIAGNOSTICS_PERIOD);
+    tokio::pin!(streaming);
+    loop {
+        tokio::select! {
+            ended = &mut streaming => return Ok(ended?),
+            _ = interrupted.recv() => break,
+            _ = terminated.recv() => break,
+            _ = looking.tick() => if !is_whole() { return Err(Failure::Died) },
+        }
+    }
+    tracing::info!("ending");
+    end.send_replace(true);
+    Ok(streaming.await?)
+}
+
+/// Tells of the bridge itself.
+struct Reporting {
+    bus: Bus,
+    settings: Settings,
+    shared: Shared,
+    outbox: Arc<Outbox>,
+    unanswered: Unanswered,
+    diagnostics: Outgoing<DiagnosticArray>,
+}
+
+impl Reporting {
+    async fn run(self) {
+        let mut due = interval(DIAGNOSTICS_PERIOD);
+        due.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut told = Vec::new();
+        loop {
+            due.tick().await;
+            let mismatches = self.bus.mismatches();
+            for mismatch in mismatches.iter().filter(|mismatch| !told.contains(*mismatch)) {
+                tracing::error!("{mismatch}");
+            }
+            self.diagnostics.publish(self.report(&mismatches));
+            told = mismatches;
+        }
+    }
+
+    fn report(&self, mismatches: &[String]) -> DiagnosticArray {
+        let unanswered = self.unanswered.lock().unwrap_or_else(PoisonError::into_inner).len();
+        let state = self.shared.lock();
+        let report = Report {
+            state: &state,
+            topics: &self.settings.topics,
+            robot: &self.settings.namespace,
+            mismatches,
+            waiting: self.outbox.len(),
+            unanswered,
+        };
+        report.message()
+    }
+}

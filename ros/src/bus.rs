@@ -1,0 +1,259 @@
+//! DDS: readers that hand out messages as bytes, and writers of the messages of ROS.
+
+use std::convert::Infallible;
+use std::net::IpAddr;
+use std::pin::Pin;
+
+use futures::{Stream, StreamExt};
+use rustdds::no_key::{DataWriter, Decode, DefaultDecoder, DeserializerAdapter};
+use rustdds::policy::{Durability, History, Reliability};
+use rustdds::{
+    DomainParticipant, DomainParticipantBuilder, Duration, Publisher, QosPolicies, QosPolicyBuilder,
+    RepresentationIdentifier, Subscriber, Topic, TopicKind,
+};
+
+use crate::messages::Message;
+use crate::names::{in_dds, type_in_ros};
+use crate::settings::SensorQos;
+
+/// Messages of a sensor that a busy machine may leave unread.
+const SENSOR_DEPTH: i32 = 32;
+
+/// What topics are read and written with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Qos {
+    /// Sensors: what is new counts.
+    Sensor(SensorQos),
+    /// Nothing is lost between those who are there.
+    Reliable,
+    /// As `/tf_static`: who comes late gets what all said before.
+    Latched,
+    /// What is whole in each message: who comes late gets the latest.
+    Latest,
+}
+
+impl Qos {
+    fn policies(self) -> QosPolicies {
+        let reliable = Reliability::Reliable { max_blocking_time: Duration::from_millis(100) };
+        let (reliability, durability, depth) = match self {
+            Qos::Sensor(SensorQos::BestEffort) => {
+                (Reliability::BestEffort, Durability::Volatile, SENSOR_DEPTH)
+            }
+            Qos::Sensor(SensorQos::Reliable) => (reliable, Durability::Volatile, SENSOR_DEPTH),
+            Qos::Reliable => (reliable, Durability::Volatile, 10),
+            Qos::Latched => (reliable, Durability::TransientLocal, 100),
+            Qos::Latest => (reliable, Durability::TransientLocal, 1),
+        };
+        let builder = QosPolicyBuilder::new().reliability(reliability).durability(durability);
+        builder.history(History::KeepLast { depth }).build()
+    }
+}
+
+/// DDS could not do what it was asked to.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "DDS failed with {what}: {reason}; see that the domain's ports are free and --network names an address of this machine"
+)]
+pub(crate) struct BusError {
+    what: String,
+    reason: String,
+}
+
+fn failed<E: std::fmt::Debug>(what: &str) -> impl FnOnce(E) -> BusError {
+    move |reason| BusError { what: what.to_owned(), reason: format!("{reason:?}") }
+}
+
+/// A topic that is read.
+#[derive(Clone, Debug)]
+struct Wanted {
+    topic: String,
+    type_name: &'static str,
+    qos: Qos,
+}
+
+/// This program among those of a DDS domain.
+pub(crate) struct Bus {
+    participant: DomainParticipant,
+    publisher: Publisher,
+    subscriber: Subscriber,
+    wanted: Vec<Wanted>,
+}
+
+/// Messages of a topic, each behind its four bytes of encapsulation.
+pub(crate) type Incoming = Pin<Box<dyn Stream<Item = Vec<u8>> + Send>>;
+
+impl Bus {
+    pub(crate) fn join(domain: u16, networks: &[IpAddr]) -> Result<Self, BusError> {
+        let mut builder = DomainParticipantBuilder::new(domain);
+        if !networks.is_empty() {
+            builder = builder.with_only_networks(networks.iter().copied());
+        }
+        let participant = builder.build().map_err(failed("joining the domain"))?;
+        let qos = QosPolicies::qos_none();
+        let publisher = participant.create_publisher(&qos).map_err(failed("making a publisher"))?;
+        let subscriber = participant.create_subscriber(&qos).map_err(failed("making a subscriber"))?;
+        Ok(Self { participant, publisher, subscriber, wanted: Vec::new() })
+    }
+
+    fn topic(&self, topic: &str, type_name: &str, qos: Qos) -> Result<Topic, BusError> {
+        let name = in_dds(topic);
+        let policies = qos.policies();
+        let made = self.participant.create_topic(name, type_name.to_owned(), &policies, TopicKind::NoKey);
+        made.map_err(failed(topic))
+    }
+
+    pub(crate) fn read(
+        &mut self,
+        topic: &str,
+        type_name: &'static str,
+        qos: Qos,
+    ) -> Result<Incoming, BusError> {
+        let made = self.topic(topic, type_name, qos)?;
+        let reader = self.subscriber.create_datareader_no_key::<Raw, AsItIs>(&made, None);
+        let reader = reader.map_err(failed(topic))?;
+        self.wanted.push(Wanted { topic: topic.to_owned(), type_name, qos });
+        let told = topic.to_owned();
+        let messages = reader.async_bare_sample_stream().filter_map(move |message| {
+            let message = message.inspect_err(|error| tracing::warn!("{told}: {error:?}")).ok();
+            std::future::ready(message.map(|Raw(data)| data))
+        });
+        Ok(Box::pin(messages))
+    }
+
+    pub(crate) fn write<M: Message>(&self, topic: &str, qos: Qos) -> Result<Outgoing<M>, BusError> {
+        let made = self.topic(topic, M::TYPE, qos)?;
+        let writer = self.publisher.create_datawriter_no_key(&made, None).map_err(failed(topic))?;
+        Ok(Outgoing { topic: topic.to_owned(), writer })
+    }
+
+    /// Who publishes what is read here in a way that cannot be read, and how to mend it.
+    pub(crate) fn mismatches(&self) -> Vec<String> {
+        let writers = self.participant.discovered_writers();
+        let told = self.wanted.iter().flat_map(|wanted| {
+            let name = in_dds(&wanted.topic);
+            let requested = wanted.qos.policies();
+            writers.iter().map(|writer| &writer.publication_topic_data).filter_map(move |writer| {
+                if writer.topic_name != name {
+                    return None;
+                }
+                mismatch(wanted, &writer.type_name, &writer.qos(), &requested)
+            })
+        });
+        let mut told: Vec<String> = told.collect();
+        told.sort();
+        told.dedup();
+        told
+    }
+}
+
+fn mismatch(
+    wanted: &Wanted,
+    type_name: &str,
+    offered: &QosPolicies,
+    requested: &QosPolicies,
+) -> Option<String> {
+    let topic = &wanted.topic;
+    if type_name != wanted.type_name {
+        return Some(format!(
+            "{topic} is published as {}, and read as {}; name a topic of that type",
+            type_in_ros(type_name),
+            type_in_ros(wanted.type_name)
+        ));
+    }
+    let failure = offered.compliance_failure_wrt(requested)?;
+    let mend = match wanted.qos {
+        Qos::Sensor(_) => "set sensor_qos to best-effort, which takes both",
+        Qos::Reliable => "publish it as reliable",
+        Qos::Latched | Qos::Latest => "publish it as reliable and transient local",
+    };
+    Some(format!("{topic} is published with a quality of service that is not heard ({failure:?}): {mend}"))
+}
+
+/// A writer of one topic.
+pub(crate) struct Outgoing<M: Message> {
+    topic: String,
+    writer: DataWriter<M>,
+}
+
+impl<M: Message> Outgoing<M> {
+    /// Publishes a message. One that DDS does not take is told in the log: the next one follows soon.
+    pub(crate) fn publish(&self, message: M) {
+        if let Err(error) = self.writer.write(message, None) {
+            tracing::warn!("{} was not published: {error}", self.topic);
+        }
+    }
+
+    /// Waits until all who read have what was published, or the time is over.
+    pub(crate) fn flush(&self, most: std::time::Duration) {
+        if !matches!(self.writer.wait_for_acknowledgments(most), Ok(true)) {
+            tracing::debug!("{} was not acknowledged by all", self.topic);
+        }
+    }
+}
+
+/// A message as it came.
+struct Raw(Vec<u8>);
+
+/// Leaves messages as they came.
+struct AsItIs;
+
+impl DeserializerAdapter<Raw> for AsItIs {
+    type Error = Infallible;
+    type Decoded = Raw;
+
+    fn supported_encodings() -> &'static [RepresentationIdentifier] {
+        &[RepresentationIdentifier::CDR_LE, RepresentationIdentifier::CDR_BE]
+    }
+
+    fn transform_decoded(decoded: Raw) -> Raw {
+        decoded
+    }
+}
+
+impl DefaultDecoder<Raw> for AsItIs {
+    type Decoder = Copying;
+    const DECODER: Copying = Copying;
+}
+
+#[derive(Clone)]
+struct Copying;
+
+impl Decode<'_, Raw> for Copying {
+    type Error = Infallible;
+
+    fn decode_bytes(self, data: &[u8], encoding: RepresentationIdentifier) -> Result<Raw, Infallible> {
+        let order = u8::from(encoding == RepresentationIdentifier::CDR_LE);
+        let mut whole = Vec::with_capacity(data.len() + 4);
+        whole.extend([0, order, 0, 0]);
+        whole.extend_from_slice(data);
+        Ok(Raw(whole))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const IMAGE: &str = "sensor_msgs::msg::dds_::Image_";
+
+    fn told(qos: Qos, type_name: &str, offered: Qos) -> Option<String> {
+        let wanted = Wanted { topic: "/image".to_owned(), type_name: IMAGE, qos };
+        mismatch(&wanted, type_name, &offered.policies(), &qos.policies())
+    }
+
+    #[test]
+    fn best_effort_hears_both_and_reliable_only_the_reliable() {
+        let best_effort = Qos::Sensor(SensorQos::BestEffort);
+        let reliable = Qos::Sensor(SensorQos::Reliable);
+        assert_eq!([told(best_effort, IMAGE, best_effort), told(best_effort, IMAGE, reliable)], [None, None]);
+        assert!(told(reliable, IMAGE, best_effort).unwrap().contains("best-effort"));
+        assert!(told(Qos::Latched, IMAGE, Qos::Reliable).unwrap().contains("transient local"));
+    }
+
+    #[test]
+    fn another_type_is_told_as_ros_writes_it() {
+        let qos = Qos::Sensor(SensorQos::BestEffort);
+        let told = told(qos, "sensor_msgs::msg::dds_::CompressedImage_", qos).unwrap();
+        assert!(told.contains("/image is published as sensor_msgs/CompressedImage"), "{told}");
+    }
+}

@@ -1,0 +1,228 @@
+//! The session with the server: frames out, and what the map says of them back.
+
+use std::collections::VecDeque;
+use std::num::NonZeroUsize;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::watch;
+use waypost_bags::Frame;
+use waypost_client::{
+    Client, Error, FrameContent, FrameInput, FrameOutcome, FrameSender, Outcomes, Reconnection,
+    SessionOptions, v1,
+};
+
+use crate::camera::odometry_message;
+use crate::messages::Pose;
+use crate::outbox::Outbox;
+use crate::settings::{Mode, Settings};
+use crate::state::{Declared, Placed, Shared};
+use crate::telling::Telling;
+
+/// A robot drives on without its server, whatever the time: it is the operator who gives up.
+const GIVE_UP_AFTER: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
+/// Time for the last answers when the bridge ends.
+const LAST_ANSWERS: Duration = Duration::from_secs(3);
+/// While localizing, frames that wait for answers are soon too old to matter.
+const LOCALIZING_WINDOW: NonZeroUsize = NonZeroUsize::MIN.saturating_add(1);
+
+/// How connections are mended.
+pub(crate) fn reconnection() -> Reconnection {
+    let longest_delay = Duration::from_secs(2);
+    Reconnection { give_up_after: GIVE_UP_AFTER, longest_delay, ..Reconnection::default() }
+}
+
+/// What the session works with.
+pub(crate) struct Streaming {
+    pub(crate) client: Client,
+    pub(crate) shared: Shared,
+    pub(crate) outbox: Arc<Outbox>,
+    pub(crate) ending: watch::Receiver<bool>,
+    pub(crate) telling: Telling,
+    /// Numbers and stamps of frames that have no answer yet.
+    pub(crate) unanswered: Arc<Mutex<VecDeque<(u64, i64)>>>,
+}
+
+impl Streaming {
+    /// Streams frames, from when the camera is known until the bridge ends.
+    ///
+    /// # Errors
+    /// What the server refuses for good, as a map that it does not have.
+    pub(crate) async fn run(
+        mut self,
+        settings: &Settings,
+        mut declared: watch::Receiver<Declared>,
+    ) -> Result<(), Error> {
+        let camera = tokio::select! {
+            camera = camera(&mut declared) => camera,
+            _ = self.ending.wait_for(|ends| *ends) => return Ok(()),
+        };
+        tracing::info!("opening the session at {}", settings.server);
+        let opening = self.client.open_session(options(settings, camera));
+        let session = tokio::select! {
+            session = opening => session?,
+            _ = self.ending.wait_for(|ends| *ends) => return Ok(()),
+        };
+        let opened = session.opened().clone();
+        tracing::info!("{} is open", opened.session);
+        self.shared.lock().session = Some(opened.session);
+        let (sender, mut outcomes) = session.split();
+        let sending = tokio::spawn(send(
+            sender,
+            opened.last_committed_sequence.unwrap_or(0),
+            self.outbox.clone(),
+            self.shared.clone(),
+            self.unanswered.clone(),
+            self.ending.clone(),
+        ));
+        let taken = self.take(&mut outcomes).await;
+        sending.abort();
+        taken
+    }
+
+    async fn take(&mut self, outcomes: &mut Outcomes) -> Result<(), Error> {
+        loop {
+            let outcome = tokio::select! {
+                outcome = outcomes.next() => outcome?,
+                _ = self.ending.wait_for(|ends| *ends) => break,
+            };
+            let Some(outcome) = outcome else { return Ok(()) };
+            self.outcome(outcome);
+        }
+        let unanswered = self.unanswered.clone();
+        let last = tokio::time::timeout(LAST_ANSWERS, async {
+            while let Some(outcome) = outcomes.next().await? {
+                self.outcome(outcome);
+            }
+            Ok(())
+        });
+        last.await.unwrap_or_else(|_elapsed| {
+            let count = unanswered.lock().unwrap_or_else(PoisonError::into_inner).len();
+            tracing::warn!(
+                "{count} frames had no answer when the bridge ended; they may be in the map all the same"
+            );
+            Ok(())
+        })
+    }
+
+    fn outcome(&mut self, outcome: FrameOutcome) {
+        let stamp_ns = self.answered(outcome.sequence());
+        match outcome {
+            FrameOutcome::Answer(answer) => self.answer(&answer, stamp_ns),
+            FrameOutcome::Refusal(refusal) => {
+                let message = refusal.status.map(|status| status.message).unwrap_or_default();
+                let mut state = self.shared.lock();
+                state.frames.refused += 1;
+                state.frames.last_heard = Some(Instant::now());
+                if state.frames.refusal.as_ref() != Some(&message) {
+                    tracing::warn!("frame {} was refused: {message}", refusal.sequence);
+                }
+                state.frames.refusal = Some(message);
+            }
+        }
+    }
+
+    /// Forgets frames up to this one, and says when it was taken.
+    fn answered(&self, sequence: u64) -> Option<i64> {
+        let mut unanswered = self.unanswered.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut found = None;
+        while let Some((number, stamp_ns)) =
+            unanswered.front().copied().filter(|(number, _)| *number <= sequence)
+        {
+            unanswered.pop_front();
+            if number == sequence {
+                found = Some(stamp_ns);
+            }
+        }
+        found
+    }
+
+    fn answer(&mut self, answer: &v1::FrameAnswer, stamp_ns: Option<i64>) {
+        let placed = answer.map_pose.as_ref().and_then(placed);
+        let mut state = self.shared.lock();
+        state.frames.answered += 1;
+        state.frames.last_heard = Some(Instant::now());
+        state.frames.closures += u64::from(answer.reason() == v1::Reason::LoopClosure);
+        let Some(placed) = placed else { return };
+        if state.placed.as_ref().is_some_and(|before| before.part != placed.part) {
+            tracing::info!(
+                "the robot is in part {} of the map now, which has a frame of its own",
+                placed.part
+            );
+        }
+        state.placed = Some(placed.clone());
+        drop(state);
+        if let Some(stamp_ns) = stamp_ns {
+            self.telling.placed(&placed, stamp_ns);
+        }
+    }
+}
+
+fn placed(v1::MapPose { part, robot, map_to_odom }: &v1::MapPose) -> Option<Placed> {
+    let robot = robot.as_ref().and_then(Pose::of)?;
+    let map_to_odom = map_to_odom.as_ref().and_then(Pose::of)?;
+    Some(Placed { part: *part, robot, map_to_odom, at: Instant::now() })
+}
+
+/// The camera, once it is declared.
+pub(crate) async fn camera(declared: &mut watch::Receiver<Declared>) -> Option<v1::Camera> {
+    loop {
+        if let Declared::As(camera) = &*declared.borrow_and_update() {
+            return camera.clone();
+        }
+        if declared.changed().await.is_err() {
+            // Nobody is left who would say; the bridge is ending.
+            std::future::pending::<()>().await;
+        }
+    }
+}
+
+fn options(settings: &Settings, camera: Option<v1::Camera>) -> SessionOptions {
+    let mut options = SessionOptions::new(&settings.map);
+    options.session_id.clone_from(&settings.session);
+    options.camera = camera;
+    options.reconnection = reconnection();
+    match settings.mode {
+        Mode::Map => options.mode = v1::SessionMode::Map,
+        Mode::Localize | Mode::Drive => {
+            options.mode = v1::SessionMode::Localize;
+            options.window_frames = LOCALIZING_WINDOW;
+            // A bridge that is started again begins anew; one that reconnects goes on.
+            options.run_id = format!("ros-{}-{}", std::process::id(), since_epoch_ms());
+        }
+    }
+    options
+}
+
+fn since_epoch_ms() -> u128 {
+    std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_millis())
+}
+
+/// Sends frames one after another, until the bridge ends.
+async fn send(
+    mut sender: FrameSender,
+    last_committed: u64,
+    outbox: Arc<Outbox>,
+    shared: Shared,
+    unanswered: Arc<Mutex<VecDeque<(u64, i64)>>>,
+    mut ending: watch::Receiver<bool>,
+) {
+    let mut sequence = last_committed;
+    loop {
+        let Frame { number: _, stamp_ns, image, pose } = tokio::select! {
+            frame = outbox.take() => frame,
+            _ = ending.wait_for(|ends| *ends) => return,
+        };
+        sequence += 1;
+        let frame = FrameInput {
+            odometry: pose.as_ref().map(odometry_message),
+            ..FrameInput::new(sequence, stamp_ns, FrameContent::Image(image))
+        };
+        unanswered.lock().unwrap_or_else(PoisonError::into_inner).push_back((sequence, stamp_ns));
+        // If the session is over, its outcomes say why.
+        if sender.send(frame).await.is_err() {
+            return;
+        }
+        shared.lock().frames.sent += 1;
+    }
+}

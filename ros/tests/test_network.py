@@ -1,0 +1,166 @@
+"""Robots on other machines, and connections that break."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import ros_types as ros
+from conftest import (
+    COMPRESSED,
+    DOMAINS,
+    IMAGES,
+    PATIENCE_S,
+    Diagnostics,
+    Server,
+    Stage,
+    binary,
+    drive,
+    environment,
+    met,
+    way,
+)
+from robot import LOSSLESS, SECOND_NS, until
+
+NEAR, FAR = "waypost-near", "waypost-far"
+FLAGS = ("--map", "hall", "--session", "drive", "--image-topic", COMPRESSED, "--camera-info-topic", "none")
+FLAGS += ("--sensor-qos", "reliable", "--most-hz", "0")
+
+
+def ip(*arguments: str) -> None:
+    ran = subprocess.run(["ip", *arguments], capture_output=True, text=True, check=False)
+    if ran.returncode != 0:
+        raise PermissionError(f"ip {' '.join(arguments)}: {ran.stderr.strip()}")
+
+
+@pytest.fixture
+def two_machines() -> Iterator[None]:
+    """Two network namespaces with a cable between them: nothing but the network joins who is in them."""
+    if shutil.which("ip") is None:
+        pytest.skip("there is no `ip` to make network namespaces with: install iproute2")
+    try:
+        for name in (NEAR, FAR):
+            ip("netns", "add", name)
+        ip("link", "add", "cable0", "netns", NEAR, "type", "veth", "peer", "name", "cable1", "netns", FAR)
+        for name, cable, address in ((NEAR, "cable0", "10.77.0.1/24"), (FAR, "cable1", "10.77.0.2/24")):
+            ip("-n", name, "address", "add", address, "dev", cable)
+            ip("-n", name, "link", "set", "lo", "up")
+            ip("-n", name, "link", "set", cable, "up")
+            ip("-n", name, "route", "add", "224.0.0.0/4", "dev", cable)
+    except PermissionError as refused:
+        pytest.skip(f"network namespaces may not be made here: {refused}")
+    else:
+        yield
+    finally:
+        for name in (NEAR, FAR):
+            with contextlib.suppress(PermissionError):
+                ip("netns", "delete", name)
+
+
+@pytest.mark.usefixtures("two_machines")
+def test_a_robot_on_another_machine_is_found_by_multicast(tmp_path: Path) -> None:
+    domain = str(next(DOMAINS))
+    # Nobody answers there: what is shown is that frames come to the bridge.
+    command = ["ip", "netns", "exec", NEAR, binary("waypost-ros"), "--domain", domain, *FLAGS]
+    command += ["--server", "http://127.0.0.1:1"]
+    log = tmp_path / "bridge.log"
+    with log.open("wb") as stderr:
+        bridge = subprocess.Popen(command, env=environment(), stderr=stderr)
+    try:
+        far = ["ip", "netns", "exec", FAR, sys.executable, Path(__file__).with_name("far_robot.py"), domain]
+        ran = subprocess.run(
+            far, env=environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False
+        )
+        assert ran.stdout == "10\n", f"{ran.stderr}\n{log.read_text()}"
+    finally:
+        bridge.terminate()
+        bridge.wait(PATIENCE_S)
+
+
+class Proxy:
+    """A way to a server that can be cut while the server lives on."""
+
+    def __init__(self, server: Server) -> None:
+        self._server = server
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self._ends: list[socket.socket] = []
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def cut(self) -> None:
+        """Breaks all connections; new ones are let through."""
+        while self._ends:
+            with contextlib.suppress(OSError):
+                self._ends.pop().shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self.cut()
+
+    def _accept(self) -> None:
+        host, _, port = self._server.address.rpartition(":")
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._listener.accept()
+                far = socket.create_connection((host, int(port)))
+                self._ends += [near, far]
+                for source, target in ((near, far), (far, near)):
+                    threading.Thread(target=self._copy, args=(source, target), daemon=True).start()
+
+    @staticmethod
+    def _copy(source: socket.socket, target: socket.socket) -> None:
+        with contextlib.suppress(OSError), source, target:
+            while chunk := source.recv(1 << 16):
+                target.sendall(chunk)
+            target.shutdown(socket.SHUT_RDWR)
+
+
+def test_no_frame_is_lost_or_twice_however_often_connections_break(stage: Stage) -> None:
+    proxy = Proxy(stage.server)
+    robot = stage.robot()
+    told = Diagnostics(robot)
+    stage.bridge(*FLAGS, server=f"http://{proxy.address}")
+    last = len(IMAGES)
+    for first in range(1, last + 1, 40):
+        # The robot's own programs begin anew.
+        robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
+        robot.advertise("odom", ros.Odometry, LOSSLESS)
+        met(robot, COMPRESSED, "odom")
+        upto = min(first + 39, last)
+        for second in range(first, upto + 1):
+            drive(robot, range(second, second + 1), pause_s=0.03)
+            if second % 3 == 0:
+                proxy.cut()
+        until(lambda upto=upto: told.count("images", "received") == upto, what="frames did not come")
+        robot.forget(COMPRESSED, "odom")
+    until(lambda: told.count("server", "frames answered") == last, 120.0, "frames are missing")
+    proxy.close()
+    records = stage.client.frames("maps/hall/sessions/drive")
+    assert [record.stamp_ns for record in records] == [second * SECOND_NS for second in range(1, last + 1)]
+    assert [record.odometry.pose.position_m.x for record in records] == [
+        way(second)[0] for second in range(1, last + 1)
+    ]
+    assert told.count("server", "frames dropped") == 0
+
+
+def test_frames_beyond_the_buffer_are_dropped_and_counted(stage: Stage) -> None:
+    proxy = Proxy(stage.server)
+    proxy.close()
+    robot = stage.robot()
+    told = Diagnostics(robot)
+    stage.bridge(*FLAGS, "--buffer-frames", "5", server=f"http://{proxy.address}")
+    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
+    robot.advertise("odom", ros.Odometry, LOSSLESS)
+    met(robot, COMPRESSED, "odom")
+    drive(robot, range(1, 13))
+    until(lambda: told.count("server", "frames dropped") == 7, what=f"{told()}")
+    assert told.count("server", "frames waiting") == 5
+    assert "no session is open yet" in told.message("server")
