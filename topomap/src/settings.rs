@@ -1,9 +1,11 @@
 //! How a map decides, and what its settings may be.
 
+use std::f64::consts::FRAC_PI_2;
+
 use fabmap::recognizer::{RecognizerError, RecognizerSettings};
 
 use crate::evidence::{Candidate, Verdict, VerificationError, VerificationSettings};
-use crate::metric::{OdometryNoise, PlaceSpacing};
+use crate::metric::{Odometry, OdometryNoise, PlaceSpacing};
 
 /// Frames that a session's prior looks back on, at most.
 pub const MAX_PAST_FRAMES: usize = 4;
@@ -67,6 +69,21 @@ impl MapperSettings {
     #[must_use]
     pub fn verdict(&self, candidate: &Candidate) -> Verdict {
         self.verification.verdict(candidate, self.closure_threshold, &self.place_spacing)
+    }
+
+    /// The same for a frame of a robot with wheels whose camera has such a focal length, in image
+    /// widths: an image that has moved further than a turn as wide as a place reaches would move it
+    /// is not of that place. Where structure measures the turn, that is judged and not the image.
+    #[must_use]
+    pub fn for_frame(&self, odometry: Option<&Odometry>, focal_length_widths: Option<f64>) -> Self {
+        let reach_rad = self.place_spacing.reach().angle_rad;
+        let (Some(_), Some(focal_length), true) = (odometry, focal_length_widths, reach_rad < FRAC_PI_2)
+        else {
+            return *self;
+        };
+        let bound = self.verification.max_translation_widths.min(focal_length * reach_rad.tan());
+        let verification = VerificationSettings { max_translation_widths: bound, ..self.verification };
+        Self { verification, ..*self }
     }
 
     /// Whether what is in metres and radians is in range.

@@ -146,11 +146,13 @@ fn side_by_side(
         }
         (VerificationMethod::None, _) | (_, [None, _] | [_, None]) => None,
     };
+    let focal_length_widths = seen[0].as_ref().and_then(SeenFeatures::focal_length_widths);
+    let settings = settings.for_frame(current.event.odometry.as_ref(), focal_length_widths);
     let ours = current.event.observation.clone();
     let theirs = earlier.event.observation.clone();
     Picture {
         heading: heading(&current.event, place),
-        verdict: verdict(&current.event, place, settings),
+        verdict: verdict(&current.event, place, &settings),
         summary: summary([&ours, &theirs], comparison.as_ref()),
         panels: [current.panel(seen[0].as_ref(), &theirs), earlier.panel(seen[1].as_ref(), &ours)],
         joined: comparison.as_ref().map(joined).unwrap_or_default(),

@@ -198,9 +198,8 @@ impl Replay {
         // As logged: the decision stands by what was found then.
         let candidate = event.candidates.iter().find(|candidate| Some(candidate.matched.place) == explained);
         let mut gates = gates.map(|gates| gate_views(&gates, candidate)).unwrap_or_default();
-        gates.extend(
-            candidate.map(|candidate| verdict_views(mapper.settings(), candidate)).unwrap_or_default(),
-        );
+        let settings = mapper.settings().for_frame(input.odometry.as_ref(), comparisons.focal_length_widths);
+        gates.extend(candidate.map(|candidate| verdict_views(&settings, candidate)).unwrap_or_default());
         Ok(FrameExplanation {
             picture: explained.map(|place| format!("/v1/{name}/picture?place_number={place}")),
             name,

@@ -36,22 +36,46 @@ impl Mapper {
         self.settings().verdict(candidate)
     }
 
-    /// The candidate that is the same place: of those that are accepted, with about the most
-    /// evidence of all, the one taken from nearest. One with far less evidence than another is left
-    /// out: words may be sure of a place that merely looks alike. Those do not count that structure
-    /// puts elsewhere: it has explained why they look alike.
+    /// The candidate that is the same place by `settings`, of places that the session has not just
+    /// been at.
     pub(super) fn verified<'a>(
         &self,
+        settings: &MapperSettings,
         session: &Session,
         candidates: &'a [Candidate],
     ) -> Option<&'a Candidate> {
-        let possible = candidates.iter().filter(|candidate| !self.is_elsewhere(candidate));
-        let strongest = possible.clone().map(Candidate::evidence).fold(0.0, f64::max);
-        let accepted = possible
+        let accepted = self
+            .accepted(settings, candidates)
+            .filter(|candidate| !session.is_near(candidate.matched.place, settings));
+        taken_nearest(accepted, self.strongest(candidates))
+    }
+
+    /// The same wherever the session is: with about the most evidence of all and accepted, the one
+    /// taken from nearest.
+    pub(super) fn verified_anywhere<'a>(&self, candidates: &'a [Candidate]) -> Option<&'a Candidate> {
+        taken_nearest(self.accepted(self.settings(), candidates), self.strongest(candidates))
+    }
+
+    fn accepted<'a>(
+        &self,
+        settings: &MapperSettings,
+        candidates: &'a [Candidate],
+    ) -> impl Iterator<Item = &'a Candidate> + Clone {
+        self.possible(candidates)
             .filter(|candidate| candidate.view.is_some())
-            .filter(|candidate| !session.is_near(candidate.matched.place, self.settings()))
-            .filter(|candidate| self.verdict(candidate).is_accepted());
-        taken_nearest(accepted, strongest)
+            .filter(move |candidate| settings.verdict(candidate).is_accepted())
+    }
+
+    /// The most evidence of all. One with far less than another is not verified: words may be sure
+    /// of a place that merely looks alike.
+    fn strongest(&self, candidates: &[Candidate]) -> f64 {
+        self.possible(candidates).map(Candidate::evidence).fold(0.0, f64::max)
+    }
+
+    /// Those that structure does not put elsewhere: for the others it has explained why they look
+    /// alike.
+    fn possible<'a>(&self, candidates: &'a [Candidate]) -> impl Iterator<Item = &'a Candidate> + Clone {
+        candidates.iter().filter(|candidate| !self.is_elsewhere(candidate))
     }
 
     /// Whether structure measured that the robot is not at the candidate's place.

@@ -76,7 +76,8 @@ impl Proposed<'_> {
     pub fn answer(self, comparisons: &Comparisons) -> Queried {
         let candidates = self.candidates(comparisons);
         let mapper = self.frame.mapper;
-        let verified = mapper.verified(&self.frame.session, &candidates);
+        let settings = self.settings(comparisons);
+        let verified = mapper.verified(&settings, &self.frame.session, &candidates);
         let candidate = verified.or_else(|| most_likely(&candidates)).map(|candidate| candidate.matched);
         let best = self.frame.recognition.posterior.best_place();
         let matched = candidate.or_else(|| best.and_then(|(place, _)| self.match_at(place)));
@@ -87,6 +88,11 @@ impl Proposed<'_> {
         };
         let accepted = verified.is_some() || matched.is_some_and(by_words);
         Queried { recognition: self.frame.recognition, candidates, matched, accepted }
+    }
+
+    fn settings(&self, comparisons: &Comparisons) -> MapperSettings {
+        let FrameInHand { mapper, input, .. } = &self.frame;
+        mapper.settings().for_frame(input.odometry.as_ref(), comparisons.focal_length_widths)
     }
 
     /// The compared places, with what speaks for them.
@@ -117,15 +123,17 @@ impl Proposed<'_> {
         if frame.shows_too_little() {
             return frame.too_few_words();
         }
+        if let Some(decision) = self.by_views_alone(candidates) {
+            return decision;
+        }
         let place_to_stay_at = frame.place_to_stay_at().filter(|_| self.may_have_stayed(comparisons));
         if let Some(place) = place_to_stay_at {
             return frame.same_place(place);
         }
-        if let Some(Candidate { matched, .. }) = frame.mapper.verified(&frame.session, candidates) {
-            let Match { place, posterior, .. } = *matched;
-            let place = Some(place);
-            let closure = Some(*matched);
-            return Decision { reason: Reason::LoopClosure, place, posterior, closure };
+        let settings = self.settings(comparisons);
+        let verified = frame.mapper.verified(&settings, &frame.session, candidates);
+        if let Some(Candidate { matched, .. }) = verified {
+            return closure_with(matched);
         }
         if let Some(stay) = frame.session.stay.as_ref().filter(|_| frame.is_at_its_stay()) {
             return frame.same_place(stay.place);
@@ -145,6 +153,19 @@ impl Proposed<'_> {
             return frame.new_place(Reason::GeometryRefused, closure);
         }
         Decision { reason: Reason::LoopClosure, place: Some(place), posterior: probability, closure }
+    }
+
+    /// Where no wheels say how far a place reaches: what geometry verified, be it where the session
+    /// is. Words are much the same all along a way, so they would keep a robot that comes back at
+    /// the first place that it knows again.
+    fn by_views_alone(&self, candidates: &[Candidate]) -> Option<Decision> {
+        let frame = &self.frame;
+        if frame.pose_of_robot().is_some() {
+            return None;
+        }
+        let Candidate { matched, .. } = frame.mapper.verified_anywhere(candidates)?;
+        let is_there = frame.was_just_at(matched.place);
+        Some(if is_there { frame.same_place(matched.place) } else { closure_with(matched) })
     }
 
     /// Whether what the session saw last of the place where it is may be the scene that it sees
@@ -190,6 +211,11 @@ impl Proposed<'_> {
         let at = compared.and_then(|best| best.at);
         Some(self.frame.located_by_closure(view, at, comparisons.focal_length_widths))
     }
+}
+
+fn closure_with(matched: &Match) -> Decision {
+    let Match { place, posterior, .. } = *matched;
+    Decision { reason: Reason::LoopClosure, place: Some(place), posterior, closure: Some(*matched) }
 }
 
 impl Comparisons {
