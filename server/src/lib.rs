@@ -85,6 +85,15 @@ impl Server {
         Ok(Self { service, tls: None, map_memory_bytes, strangers })
     }
 
+    /// A server without any model takes in the one that ships, as `shipped`. One that has models stays as it is.
+    ///
+    /// # Errors
+    /// If the database cannot be read or written.
+    pub async fn with_shipped_model(self) -> anyhow::Result<Self> {
+        self.service.models.take_in_shipped().await?;
+        Ok(self)
+    }
+
     /// Both listeners speak TLS.
     #[must_use]
     pub fn with_tls(self, tls: Tls) -> Self {

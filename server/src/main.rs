@@ -18,6 +18,9 @@ use waypost_server::{Role, Server, Tls};
 ///
 /// Every setting can be given as a flag, as a variable in the environment (--data-dir is WAYPOST_DATA_DIR) or
 /// in a TOML file (data_dir = "…"); what comes first in this list wins.
+///
+/// A server that starts without any model takes in the one that ships, called "shipped". One that has models is
+/// left as it is.
 #[derive(Parser)]
 #[command(name = "waypost-server", version)]
 struct Arguments {
@@ -146,6 +149,8 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
     }
 
     let mut server = Server::open(data_dir.clone())
+        .await?
+        .with_shipped_model()
         .await?
         .with_map_memory(map_memory_bytes)
         .with_strangers(strangers)

@@ -56,6 +56,7 @@ mod operations {
     mod config;
     mod connections;
     mod disk_full;
+    mod first_minute;
     mod held_up;
     mod kill;
     mod mistakes;

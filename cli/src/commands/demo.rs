@@ -1,5 +1,6 @@
 //! `waypost demo`: starts a server, and shows what it can do.
 
+mod folders;
 mod repeat;
 mod sequence;
 mod world;
@@ -8,20 +9,23 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use waypost_client::launch::{self, ServerProcess};
+use waypost_client::{Client, v1};
 
+use self::folders::{beside_program, make_data_dir};
+use super::model;
 use crate::failure::{EXIT_CODES, Failure};
 use crate::output::Output;
 
 /// Where a demo keeps its data; later demos that find a folder there take the next number.
 const DATA_DIR: &str = "demo-data";
 
-/// Stream the recorded sequence of the repository into a new server, and compare with the truth
+/// Stream the recorded sequence that ships into a new server, and compare with the truth
 ///
-/// Starts a server on free ports with a data folder of its own, imports DATA/model.waypost, streams
-/// DATA/sequence/images, and compares each loop closure with DATA/sequence/loops.csv
-/// (query_index,match_index; frames count from 0) and ignore.csv, whose pairs do not count. Then a
-/// simulated robot maps a route and drives it again, steered by the server; a picture of both
-/// drives is written to the data folder.
+/// Starts a server on free ports with a data folder of its own, streams DATA/sequence/images, and
+/// compares each loop closure with DATA/sequence/loops.csv (query_index,match_index; frames count
+/// from 0) and ignore.csv, whose pairs do not count. Then a simulated robot maps a route and drives
+/// it again, steered by the server; a picture of both drives is written to the data folder. Runs in
+/// any folder: DATA is looked for there, beside the program, and where packages put it.
 ///
 /// With --world, a simulated robot maps a building by camera and odometry instead; a picture of the
 /// truth, the odometry and the map is written to the data folder.
@@ -37,9 +41,10 @@ pub(crate) struct Arguments {
 /// Arguments of both demos.
 #[derive(clap::Args)]
 struct Demo {
-    /// Folder of the model and the sequence
-    #[arg(long, value_name = "DIR", default_value = "demo")]
-    data: PathBuf,
+    /// Folder of a sequence and a model (sequence/, model.waypost); if left out, the sequence that
+    /// ships, and the model that the server ships with
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
     /// New folder for the server's data; if left out, demo-data, or the first of demo-data-2,
     /// demo-data-3, … that is not there. No demo removes what another one left
     #[arg(long, value_name = "DIR")]
@@ -71,21 +76,35 @@ pub(crate) async fn run(arguments: Arguments, output: Output) -> Result<(), Fail
     }
 }
 
+/// What a demo leaves.
+struct Kept {
+    data_dir: PathBuf,
+    /// The server that it was made with.
+    server: PathBuf,
+}
+
 impl Demo {
-    fn model_file(&self) -> PathBuf {
-        self.data.join("model.waypost")
+    fn check_model(&self) -> Result<(), Failure> {
+        match self.data.as_deref().map(model_file) {
+            Some(file) if !file.is_file() => Err(Failure::Unfit(format!(
+                "there is no model {}; name the folder of a model and a sequence with --data, or leave that out",
+                file.display()
+            ))),
+            Some(_) | None => Ok(()),
+        }
     }
 
-    fn check_model(&self) -> Result<(), Failure> {
-        let file = self.model_file();
-        if file.is_file() {
-            return Ok(());
+    /// The model of the folder that was named, else the one that the server ships with.
+    async fn model(&self, client: &Client, output: Output) -> Result<v1::Model, Failure> {
+        if let Some(folder) = &self.data {
+            return model::import(client, &model_file(folder), "demo", output).await;
         }
-        Err(Failure::Unfit(format!(
-            "there is no model {}; call this in the folder of the repository, or name the folder of the model and the \
-             sequence with --data",
-            file.display()
-        )))
+        client.models().await?.pop().ok_or_else(|| {
+            Failure::Unfit(
+                "this server ships with no model; name the folder of one and of a sequence with --data"
+                    .to_owned(),
+            )
+        })
     }
 
     /// Starts a server in a new folder for `work` and stops it afterwards.
@@ -93,7 +112,7 @@ impl Demo {
         &self,
         output: Output,
         work: impl AsyncFnOnce(&ServerProcess, &Path) -> Result<T, Failure>,
-    ) -> Result<T, Failure> {
+    ) -> Result<(T, Kept), Failure> {
         let program = self.server_binary.clone().map_or_else(sibling_server, Ok)?;
         self.check_model()?;
         let data_dir = make_data_dir(self.keep_data.as_deref(), Path::new(DATA_DIR))?;
@@ -107,102 +126,37 @@ impl Demo {
             }
         };
         server.stop()?;
-        done
+        Ok((done?, Kept { data_dir, server: program }))
     }
 }
 
+fn model_file(folder: &Path) -> PathBuf {
+    folder.join("model.waypost")
+}
+
 fn sibling_server() -> Result<PathBuf, Failure> {
-    let this = std::env::current_exe().map_err(Failure::file("find", Path::new("the running program")))?;
-    let sibling = this.with_file_name("waypost-server");
+    let sibling = beside_program("waypost-server")?;
     if sibling.is_file() {
         Ok(sibling)
     } else {
         Err(Failure::Unfit(format!(
-            "there is no {}; build it with `cargo build --release`, or name one with --server-binary",
+            "there is no {}; install the server (the package waypost-server, or `cargo build --release`), or name one \
+             with --server-binary",
             sibling.display()
         )))
     }
 }
 
-/// How many folders of earlier demos are looked past.
-const MOST_KEPT: u32 = 1000;
-
-/// Makes the folder for data: the one that is `asked` for, or the first beside `usual` that is not there. What is
-/// there stays: people go on with the server of a demo, and make maps of their own in its folder.
-fn make_data_dir(asked: Option<&Path>, usual: &Path) -> Result<PathBuf, Failure> {
-    let folder = match asked {
-        Some(asked) if is_used(asked)? => {
-            return Err(Failure::Unfit(format!(
-                "{} is there already, and a demo removes nothing; name another folder with --keep-data, or leave that out",
-                asked.display()
-            )));
-        }
-        Some(asked) => asked.to_owned(),
-        None => unused(usual)?,
-    };
-    std::fs::create_dir_all(&folder).map_err(Failure::file("create", &folder))?;
-    Ok(folder)
-}
-
-fn unused(usual: &Path) -> Result<PathBuf, Failure> {
-    let name = usual.to_string_lossy();
-    let numbered = (2..=MOST_KEPT).map(|number| PathBuf::from(format!("{name}-{number}")));
-    for folder in std::iter::once(usual.to_owned()).chain(numbered) {
-        if !is_used(&folder)? {
-            return Ok(folder);
-        }
-    }
-    Err(Failure::Unfit(format!(
-        "{name} to {name}-{MOST_KEPT} are there already; remove those that you do not need, or name a folder with \
-         --keep-data"
-    )))
-}
-
-fn is_used(path: &Path) -> Result<bool, Failure> {
-    if !path.is_dir() {
-        return Ok(path.exists());
-    }
-    let mut entries = std::fs::read_dir(path).map_err(Failure::file("list", path))?;
-    Ok(entries.next().is_some())
-}
-
-/// Says how to look at a map that a demo left.
-fn tell_where_it_is(out: &mut dyn io::Write, data_dir: &Path, map: &str) -> io::Result<()> {
-    let data_dir = data_dir.display();
-    writeln!(out, "The map is kept in {data_dir}. To look at it: `make serve DATA_DIR={data_dir}`, then")?;
-    writeln!(out, "  http://127.0.0.1:7601/#/maps/{map}")?;
-    writeln!(out, "No demo removes {data_dir}: remove it when you do not need it any more.")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_an_earlier_demo_left_stays() {
-        let parent = tempfile::tempdir().unwrap();
-        let usual = parent.path().join("demo-data");
-        let first = make_data_dir(None, &usual).unwrap();
-        assert_eq!(first, usual);
-        // Somebody goes on with the server of the demo.
-        std::fs::write(first.join("mine"), b"x").unwrap();
-        let second = make_data_dir(None, &usual).unwrap();
-        assert_eq!(second, parent.path().join("demo-data-2"));
-        std::fs::write(second.join("waypost.sqlite"), b"x").unwrap();
-        assert_eq!(make_data_dir(None, &usual).unwrap(), parent.path().join("demo-data-3"));
-        let refused = make_data_dir(Some(&first), &usual).unwrap_err().to_string();
-        assert!(refused.contains("a demo removes nothing"), "{refused}");
-        assert!(first.join("mine").exists());
-    }
-
-    #[test]
-    fn a_file_is_no_folder_for_data() {
-        let parent = tempfile::tempdir().unwrap();
-        let file = parent.path().join("thesis");
-        std::fs::write(&file, b"x").unwrap();
-        assert!(matches!(make_data_dir(Some(&file), Path::new("demo-data")), Err(Failure::Unfit(_))));
-        let empty = parent.path().join("empty");
-        std::fs::create_dir(&empty).unwrap();
-        assert_eq!(make_data_dir(Some(&empty), Path::new("demo-data")).unwrap(), empty);
+impl Kept {
+    /// Says how to look at a map of the demo.
+    fn tell(&self, out: &mut dyn io::Write, map: &str) -> io::Result<()> {
+        let Self { data_dir, server } = self;
+        let (data_dir, server) = (data_dir.display(), server.display());
+        writeln!(
+            out,
+            "The map is kept in {data_dir}. To look at it: `{server} --data-dir {data_dir}`, then"
+        )?;
+        writeln!(out, "  http://127.0.0.1:7601/#/maps/{map}")?;
+        writeln!(out, "No demo removes {data_dir}: remove it when you do not need it any more.")
     }
 }

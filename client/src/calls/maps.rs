@@ -6,7 +6,7 @@ use crate::client::{Client, PAGE_SIZE, map_name};
 use crate::error::Error;
 
 impl Client {
-    /// Creates a map.
+    /// Creates a map; of the server's only model, if the request names none.
     ///
     /// # Errors
     /// [`Error::Status`] with ALREADY_EXISTS, NOT_FOUND (the model) or INVALID_ARGUMENT.

@@ -64,7 +64,7 @@ pub(super) async fn create_map(
 ) -> Result<Json<v1::Map>, HttpError> {
     let Json(CreateMap { map_id, model, settings }) = request.map_err(|rejection| {
         ServiceError::invalid(format_args!(
-            "{}; send {{\"map_id\": \"office\", \"model\": \"site\"}} as application/json",
+            "{}; send {{\"map_id\": \"office\"}} as application/json",
             rejection.body_text()
         ))
     })?;
@@ -121,6 +121,8 @@ pub(super) struct CreateMap {
     /// 1 to 63 of a-z, 0-9, - and _, beginning with a letter or digit.
     map_id: String,
     /// Hash of the model. An unambiguous beginning of at least 6 digits, or a display name that only one model has, will do.
+    /// If left out, the server's only model.
+    #[serde(default)]
     model: String,
     #[serde(default)]
     settings: Option<Settings>,

@@ -79,6 +79,7 @@ pub(crate) struct Maps {
 }
 
 impl Maps {
+    /// Makes an empty map; of the server's only model, if `model` is empty.
     pub(crate) async fn create(
         &self,
         map: &str,
@@ -87,7 +88,7 @@ impl Maps {
     ) -> Result<MapView, ServiceError> {
         check_id("map name", map)?;
         self.names.check_unreserved(map)?;
-        let model = self.models.find(model).await?;
+        let model = self.models.find_or_only(model).await?;
         let loaded = self.loaded.get(&model.hash).await?;
         check_recognizer(loaded, settings.mapper).await?;
         let json = map_settings::to_json(&settings)?;

@@ -24,6 +24,8 @@ use crate::pages::{Page, bad_page_token, page_size};
 pub(crate) use crate::storage::ModelRow;
 use crate::storage::{JobKind, Storage, StorageError};
 
+mod shipped;
+
 /// Largest model file that is taken in.
 pub(crate) const MAX_MODEL_BYTES: usize = 512 << 20;
 

@@ -12,7 +12,7 @@ use waypost_sim::worlds::NamedWorld;
 use crate::harness::{
     Built, CommandLine, Drive, Server, assert_status, building, camera_ahead, evo_rmse_m, exported, followed,
     frame, get, import_model, json_object, map_request, model_file, odometry, path, planar, refused,
-    run_to_its_end, session_options, state_hash, stream, workspace,
+    run_to_its_end, session_options, state_hash, stream,
 };
 
 /// Round a ring of corridors with wheels that are five percent and two degrees a metre off.
@@ -285,15 +285,9 @@ fn the_demo_drives_through_a_building() {
     let data = directory.path().join("data");
     let demo = |arguments: &[&str]| {
         let mut command = Built::command("waypost");
-        command.args([
-            "demo",
-            "--data",
-            path(&workspace().join("demo")),
-            "--keep-data",
-            path(&data),
-            "--json",
-        ]);
-        command.args(arguments);
+        // Not in the repository: what ships is found from anywhere.
+        command.current_dir(directory.path());
+        command.args(["demo", "--keep-data", path(&data), "--json"]).args(arguments);
         run_to_its_end(command)
     };
     let driven = demo(&["--world", "loop", "--route", "once", "--seed", "2"]);

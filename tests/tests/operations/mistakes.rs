@@ -54,7 +54,7 @@ fn names_and_verbs_that_are_wrong() {
     let out = beginner.files.path().join("out");
     let out = path(&out);
     for (mistake, arguments, code, fragment) in [
-        ("no model", &["map", "create", "new"][..], 2, "--model <MODEL>"),
+        ("no name", &["map", "create"][..], 2, "<NAME>"),
         ("unknown model", &["map", "create", "new", "--model", "nosuch"], 4, "there is no model"),
         ("a short hash", &["model", "show", "8f7ce"], 4, "at least 6"),
         ("unknown map", &["map", "show", "nosuch"], 4, "there is no map nosuch; list the maps"),

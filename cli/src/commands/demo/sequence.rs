@@ -7,10 +7,10 @@ use std::path::Path;
 use serde::Serialize;
 use waypost_client::{Client, SessionOptions, v1};
 
-use super::super::model;
 use super::super::stream::closure_line;
+use super::folders::shipped_sequence;
 use super::repeat::{self, Repeated};
-use super::{Demo, tell_where_it_is};
+use super::{Demo, Kept};
 use crate::failure::Failure;
 use crate::frame_row::FrameRow;
 use crate::images::images_of;
@@ -52,16 +52,17 @@ struct JudgedClosure {
 }
 
 pub(super) async fn run(demo: &Demo, output: Output) -> Result<(), Failure> {
-    let sequence = demo.data.join("sequence");
+    let named = demo.data.as_ref().map(|folder| folder.join("sequence"));
+    let sequence = named.map_or_else(shipped_sequence, Ok)?;
     let truth = truth_of(&sequence)?;
     let images = images_of(&sequence)?;
     let moments = even(images.len(), STAMP_RATE_HZ);
     let recording = Recording::Folder { images, moments };
     let replay = Replay { recording, pace_hz: None, contents: ContentMaker::Images };
-    let (driven, taught, data_dir) = demo
+    let ((driven, taught), kept) = demo
         .with_server(output, async |server, data_dir| {
             let client = Client::connect(&server.endpoint()).await?;
-            let model = model::import(&client, &demo.model_file(), "demo", output).await?;
+            let model = demo.model(&client, output).await?;
             output.line(format_args!(
                 "model {}: {}, {} words",
                 short(&model.name),
@@ -71,10 +72,10 @@ pub(super) async fn run(demo: &Demo, output: Output) -> Result<(), Failure> {
             let driven = drive(&client, &model.name, &replay, &truth, output).await?;
             let picture = data_dir.join("taught.svg");
             let taught = repeat::run(&client, &model.name, &picture, output).await?;
-            Ok((driven, taught, data_dir.to_owned()))
+            Ok((driven, taught))
         })
         .await?;
-    report(driven, taught, &truth, &data_dir, output)
+    report(driven, taught, &truth, &kept, output)
 }
 
 /// What came out of the stream.
@@ -145,7 +146,7 @@ fn report(
     driven: Driven,
     taught: Repeated,
     truth: &Truth,
-    data_dir: &Path,
+    kept: &Kept,
     output: Output,
 ) -> Result<(), Failure> {
     let Driven { rows, closures, map } = driven;
@@ -158,11 +159,11 @@ fn report(
         closures_wrong: of_verdict(Verdict::Wrong),
         closures_unlabelled: of_verdict(Verdict::Unlabelled),
         map,
-        data_dir: data_dir.to_string_lossy().into_owned(),
+        data_dir: kept.data_dir.to_string_lossy().into_owned(),
         closures,
         taught,
     };
-    output.result(&report, |out| write_report(&report, out))?;
+    output.result(&report, |out| write_report(&report, kept, out))?;
     if report.refused > 0 {
         return Err(Failure::FramesRefused { refused: report.refused, frames: report.frames });
     }
@@ -172,7 +173,7 @@ fn report(
     Ok(())
 }
 
-fn write_report(report: &Report, out: &mut dyn Write) -> io::Result<()> {
+fn write_report(report: &Report, kept: &Kept, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out)?;
     writeln!(out, "frames                      {:5}", report.frames)?;
     writeln!(out, "frames with a true loop     {:5}", report.frames_with_loop)?;
@@ -183,7 +184,7 @@ fn write_report(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "links in the map            {:5}", report.map.links)?;
     repeat::write(&report.taught, out)?;
     writeln!(out)?;
-    tell_where_it_is(out, Path::new(&report.data_dir), MAP)
+    kept.tell(out, MAP)
 }
 
 fn truth_of(sequence: &Path) -> Result<Truth, Failure> {

@@ -1,7 +1,6 @@
 //! A simulated robot maps a building by camera and wheels.
 
 use std::io::{self, Write};
-use std::path::Path;
 
 use serde::Serialize;
 use waypost_client::launch::ServerProcess;
@@ -11,8 +10,7 @@ use waypost_sim::drive::{Building, SPEED_M_S, WHEN_MOVED};
 use waypost_sim::pose::Pose;
 use waypost_sim::simulation::Recording;
 
-use super::super::model;
-use super::{Demo, tell_where_it_is};
+use super::{Demo, Kept};
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::simulated::mapping::{Mapped, SeenAgain, error_m, layers, map_along};
@@ -47,14 +45,10 @@ pub(super) async fn run(
     let (building, route_name) = building(world, route, seed)?;
     let recording =
         robot(&building, seed, 0, WHEN_MOVED)?.drive_along(&building.route, SPEED_M_S).map_err(unfit)?;
-    let model_file = demo.model_file();
-    let (mapped, data_dir) = demo
-        .with_server(output, async |server, data_dir| {
-            let mapped = map(server, &model_file, &building, &recording, output).await?;
-            Ok((mapped, data_dir.to_owned()))
-        })
+    let (mapped, kept) = demo
+        .with_server(output, async |server, _| map(server, demo, &building, &recording, output).await)
         .await?;
-    let picture = data_dir.join("building.svg");
+    let picture = kept.data_dir.join("building.svg");
     let svg = plan_svg(building.scene.plan(), &layers(&building, &recording, &mapped));
     std::fs::write(&picture, svg).map_err(Failure::file("write", &picture))?;
     let by_wheels: Vec<Pose> = recording.frames().map(|frame| frame.odometry.pose).collect();
@@ -71,23 +65,23 @@ pub(super) async fn run(
         picture: picture.to_string_lossy().into_owned(),
         closures: mapped.closures,
     };
-    output.result(&report, |out| write_report(&report, &data_dir, out))
+    output.result(&report, |out| write_report(&report, &kept, out))
 }
 
 async fn map(
     server: &ServerProcess,
-    model_file: &Path,
+    demo: &Demo,
     building: &Building,
     recording: &Recording,
     output: Output,
 ) -> Result<Mapped, Failure> {
     let client = Client::connect(&server.endpoint()).await?;
-    let model = model::import(&client, model_file, "demo", output).await?;
+    let model = demo.model(&client, output).await?;
     client.create_map(new_map(MAP, &model.name)).await?;
     map_along(&client, MAP, SESSION, building, recording, output).await
 }
 
-fn write_report(report: &Report, data: &Path, out: &mut dyn Write) -> io::Result<()> {
+fn write_report(report: &Report, kept: &Kept, out: &mut dyn Write) -> io::Result<()> {
     let Report { driven_m, frames, wheels_error_m, map_error_m, map, picture, closures, collisions, .. } =
         report;
     let farthest_m = closures.iter().map(|closure| closure.apart_m).fold(0.0, f64::max);
@@ -101,5 +95,5 @@ fn write_report(report: &Report, data: &Path, out: &mut dyn Write) -> io::Result
     writeln!(out, "error of the map                {map_error_m:8.2} m")?;
     writeln!(out)?;
     writeln!(out, "Truth, wheels and map are drawn in {picture}")?;
-    tell_where_it_is(out, data, MAP)
+    kept.tell(out, MAP)
 }

@@ -10,8 +10,9 @@ use crate::names::short_map;
 pub(crate) struct Creation {
     /// 1 to 63 of a-z, 0-9, - and _, beginning with a letter or digit
     name: String,
-    /// Hash of the model, its beginning, or a display name that only one model has
-    #[arg(long)]
+    /// Hash of the model, its beginning, or a display name that only one model has; if left out, the
+    /// server's only model: the one that ships, until another is trained or imported
+    #[arg(long, default_value = "", hide_default_value = true)]
     model: String,
     #[command(flatten)]
     settings: MapSettingsFlags,
@@ -43,6 +44,7 @@ mod tests {
 
     #[test]
     fn what_is_left_out_is_left_to_the_server() {
+        assert_eq!(request("office").model, "");
         let request = request("maps/office --model abcdef");
         assert_eq!((request.map_id.as_str(), request.model.as_str()), ("office", "abcdef"));
         assert_eq!(request.settings, Some(v1::MapSettings::default()));

@@ -75,7 +75,7 @@ pub(super) async fn creating(ground: &Ground) -> Cases {
         ("a null", map_request("a\0b", "shipped"), invalid, "use 1 to 63 of a-z"),
         ("overlong", map_request(&"x".repeat(100_000), "shipped"), invalid, "use 1 to 63 of a-z"),
         ("taken", map_request("drive", "shipped"), Code::AlreadyExists, "choose another name"),
-        ("no model", map_request("new", ""), invalid, "name a model: by its hash"),
+        ("no model of two", map_request("new", ""), invalid, "more than one model, so name one"),
         ("a model's collection alone", map_request("new", "models/"), invalid, "write models/"),
         ("a model below a model", map_request("new", "models/a/b"), invalid, "write models/"),
         ("a map as model", map_request("new", "maps/drive"), missing, "list the models"),

@@ -54,7 +54,7 @@ pub(super) fn bad_writes(method: &'static str, path: &str, nowhere: &str) -> Opt
     match (method, path) {
         ("post", "/v1/maps") => Some(vec![
             refused(bad, json_body("")),
-            refused(bad, json_body(r#"{"map_id": "new"}"#)),
+            refused(bad, json_body(r#"{"model": "shipped"}"#)),
             refused(bad, json_body(r#"{"map_id": "No Name", "model": "shipped"}"#)),
             refused(bad, json_body(r#"{"map_id": "new", "model": "shipped", "settings": {"keep": "all"}}"#)),
             refused(missing, json_body(r#"{"map_id": "new", "model": "nothing"}"#)),

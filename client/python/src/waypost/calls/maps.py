@@ -31,17 +31,19 @@ class MapCalls:
         found: map_pb2.Map = self._connection.call(self._connection.maps.GetMap, request)
         return found
 
-    def create_map(self, map_id: str, model: str, settings: map_pb2.MapSettings | None = None) -> map_pb2.Map:
+    def create_map(self, map_id: str, model: str = "", settings: map_pb2.MapSettings | None = None) -> map_pb2.Map:
         """Makes an empty map of a model.
 
         Args:
             map_id: 1 to 63 of a-z, 0-9, - and _, beginning with a letter or digit.
-            model: The model's hash, an unambiguous beginning of it, or its display name.
+            model: The model's hash, an unambiguous beginning of it, or its display name; if left out, the
+                server's only model: the one that ships, until another is trained or imported.
             settings: How the map decides; what is left out has its default.
 
         Raises:
             AlreadyExists: If there is a map of that name.
             NotFound: If there is no such model.
+            InvalidArgument: If no model is named and the server has more than one.
         """
         request = map_pb2.CreateMapRequest(map_id=map_id, model=model, settings=settings)
         made: map_pb2.Map = self._connection.call(self._connection.maps.CreateMap, request)
