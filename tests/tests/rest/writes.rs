@@ -50,7 +50,7 @@ async fn a_map_is_made_with_settings_and_deleted() {
     let cases = [
         ("twice", json!({ "map_id": "made", "model": "shipped" }), conflict, "choose another name"),
         ("no name", json!({ "model": "shipped" }), bad, "map_id"),
-        ("no model", json!({ "map_id": "new" }), bad, "application/json"),
+        ("a model of another kind", json!({ "map_id": "new", "model": 7 }), bad, "application/json"),
         ("a bad name", json!({ "map_id": "No Name", "model": "shipped" }), bad, "is no map name"),
         ("another field", json!({ "map_id": "new", "model": "shipped", "size": 1 }), bad, "size"),
         (
