@@ -31,7 +31,9 @@ class MapCalls:
         found: map_pb2.Map = self._connection.call(self._connection.maps.GetMap, request)
         return found
 
-    def create_map(self, map_id: str, model: str = "", settings: map_pb2.MapSettings | None = None) -> map_pb2.Map:
+    def create_map(
+        self, map_id: str, model: str = "", settings: map_pb2.MapSettings | None = None
+    ) -> map_pb2.Map:
         """Makes an empty map of a model.
 
         Args:
