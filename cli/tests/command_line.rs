@@ -68,9 +68,8 @@ fn the_address_may_come_from_the_environment() {
 
 #[test]
 fn wrong_usage_is_code_2() {
-    let commands: [&[&str]; 7] = [
+    let commands: [&[&str]; 6] = [
         &["map"],
-        &["map", "create", "office"],
         &["map", "create", "office", "--model", "m", "--dependence", "blind"],
         &["model", "train", "--images", "x", "--words", "1"],
         &["stream", "x", "--map", "office", "--rate", "0"],

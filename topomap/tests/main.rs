@@ -13,6 +13,7 @@ mod metric_logs;
 mod one_motion;
 mod rewriting;
 mod rounds;
+mod staying;
 mod transcript;
 mod trimming;
 mod verification;
