@@ -258,6 +258,7 @@ test("a label is written, found, shown as text whatever it says, and removed", a
 
 test("a server with nothing says how to begin; names of models are text", async () => {
     const empty = await serve(join(folder, "empty"));
+    await empty.call(null, "model", "rm", "shipped");
     const { page, close } = await open("", { url: empty.url });
     await page.getByText("There is no map yet.").waitFor();
     await accessible(page, "no maps");
@@ -367,6 +368,7 @@ test("a model goes out and in by its file, and one that a map uses stays", async
     await page.getByRole("button", { name: "Close" }).click();
 
     const bare = await serve(join(folder, "bare"));
+    await bare.call(null, "model", "rm", "shipped");
     const other = await open("#/operations", { url: bare.url });
     const models = other.page.getByRole("region", { name: "Models" });
     await models.getByText("There is no model yet").waitFor();
@@ -414,6 +416,7 @@ test("a job that runs can be cancelled, and how the server fares is drawn", asyn
 
 test("the first token is an admin's, is shown once, and is the page's own from then on", async () => {
     const fresh = await serve(join(folder, "fresh"));
+    await fresh.call(null, "model", "rm", "shipped");
     const { page, close } = await open("#/operations", { url: fresh.url });
     const tokens = page.getByRole("region", { name: "Tokens" });
     await tokens.getByText("There is none").waitFor();
