@@ -110,6 +110,10 @@ pub(crate) struct State {
     last_tf_ns: i64,
 }
 
+/// How long the robot's clock is taken to go on without a stamp. A simulation that is paused, or a robot that is
+/// silent, would be overtaken else, and look as if its clock had been set back when it goes on.
+const SILENT: Duration = Duration::from_millis(500);
+
 /// A clock that went back by more than this was set anew.
 const CLOCK_RESET_NS: i64 = 1_000_000_000;
 
@@ -119,11 +123,11 @@ impl State {
         self.clock = Some(Clock { stamp_ns, at: Instant::now() });
     }
 
-    /// Now, by the robot's clock; none before its first stamp.
+    /// Now, by the robot's clock, half a second after its latest stamp at most; none before its first.
     pub(crate) fn robot_now_ns(&self) -> Option<i64> {
         self.clock.map(|clock| {
-            let since_ns = i64::try_from(clock.at.elapsed().as_nanos()).unwrap_or(i64::MAX);
-            clock.stamp_ns.saturating_add(since_ns)
+            let since = clock.at.elapsed().min(SILENT);
+            clock.stamp_ns.saturating_add(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
         })
     }
 
@@ -164,5 +168,8 @@ mod tests {
         state.tick(1_000);
         std::thread::sleep(Duration::from_millis(2));
         assert!(state.robot_now_ns().unwrap() > 2_000_000);
+        // For a while: a simulation may have been paused.
+        state.clock = state.clock.map(|clock| Clock { at: clock.at - Duration::from_secs(9), ..clock });
+        assert_eq!(state.robot_now_ns(), Some(500_001_000));
     }
 }
