@@ -52,8 +52,12 @@ impl Mapper {
 
     /// The same wherever the session is: with about the most evidence of all and accepted, the one
     /// taken from nearest.
-    pub(super) fn verified_anywhere<'a>(&self, candidates: &'a [Candidate]) -> Option<&'a Candidate> {
-        taken_nearest(self.accepted(self.settings(), candidates), self.strongest(candidates))
+    pub(super) fn verified_anywhere<'a>(
+        &self,
+        settings: &MapperSettings,
+        candidates: &'a [Candidate],
+    ) -> Option<&'a Candidate> {
+        taken_nearest(self.accepted(settings, candidates), self.strongest(candidates))
     }
 
     fn accepted<'a>(

@@ -90,6 +90,7 @@ impl Proposed<'_> {
         Queried { recognition: self.frame.recognition, candidates, matched, accepted }
     }
 
+    /// What views have to show for this frame, by its wheels and its camera.
     fn settings(&self, comparisons: &Comparisons) -> MapperSettings {
         let FrameInHand { mapper, input, .. } = &self.frame;
         mapper.settings().for_frame(input.odometry.as_ref(), comparisons.focal_length_widths)
@@ -123,14 +124,14 @@ impl Proposed<'_> {
         if frame.shows_too_little() {
             return frame.too_few_words();
         }
-        if let Some(decision) = self.by_views_alone(candidates) {
+        let settings = self.settings(comparisons);
+        if let Some(decision) = self.by_views_alone(&settings, candidates) {
             return decision;
         }
         let place_to_stay_at = frame.place_to_stay_at().filter(|_| self.may_have_stayed(comparisons));
         if let Some(place) = place_to_stay_at {
             return frame.same_place(place);
         }
-        let settings = self.settings(comparisons);
         let verified = frame.mapper.verified(&settings, &frame.session, candidates);
         if let Some(Candidate { matched, .. }) = verified {
             return closure_with(matched);
@@ -158,12 +159,12 @@ impl Proposed<'_> {
     /// Where no wheels say how far a place reaches: what geometry verified, be it where the session
     /// is. Words are much the same all along a way, so they would keep a robot that comes back at
     /// the first place that it knows again.
-    fn by_views_alone(&self, candidates: &[Candidate]) -> Option<Decision> {
+    fn by_views_alone(&self, settings: &MapperSettings, candidates: &[Candidate]) -> Option<Decision> {
         let frame = &self.frame;
         if frame.pose_of_robot().is_some() {
             return None;
         }
-        let Candidate { matched, .. } = frame.mapper.verified_anywhere(candidates)?;
+        let Candidate { matched, .. } = frame.mapper.verified_anywhere(settings, candidates)?;
         let is_there = frame.was_just_at(matched.place);
         Some(if is_there { frame.same_place(matched.place) } else { closure_with(matched) })
     }
