@@ -22,10 +22,12 @@ test-python: build
 	scripts/setup-python $(PYTHON)
 	WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest client/python docker docs
 
-# The bridge between a server and a robot that another DDS plays.
+# The bridge between a server and a robot that another DDS plays. Once in thirteen runs Python itself crashed in the library
+# of that DDS: such an end, by a signal, says nothing of the bridge, and the tests run once more. A test that fails has failed.
+ROS_TESTS = WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest ros/tests
 test-ros: build
 	scripts/setup-python $(PYTHON)
-	WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest ros/tests
+	$(ROS_TESTS) || { ended=$$?; [ $$ended -ge 128 ] || exit $$ended; echo "ended by a signal: once more" >&2; $(ROS_TESTS); }
 
 # The page in a real browser, on a real server.
 test-inspector: build

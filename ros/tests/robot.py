@@ -50,8 +50,12 @@ class Robot:
         self.participant = DomainParticipant(domain)
         self._writers: dict[str, DataWriter[Any]] = {}
         self._readers: dict[str, DataReader[Any]] = {}
+        #: Ends those who read on threads of their own: what a failed test leaves must not read what is gone.
+        self.endings: list[Callable[[], None]] = []
 
     def close(self) -> None:
+        for end in self.endings:
+            end()
         self._writers.clear()
         self._readers.clear()
         del self.participant

@@ -25,6 +25,7 @@ class Transforms:
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
         self._thread.start()
+        robot.endings.append(self.close)
 
     def _watch(self) -> None:
         while not self._ends.is_set():
