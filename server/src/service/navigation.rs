@@ -2,6 +2,7 @@
 //! Robots that are led along a map, by its strategy: along places that wheels measured, or by looks alone.
 
 mod appearance;
+mod asked;
 mod registry;
 mod topo_metric;
 
@@ -525,7 +526,7 @@ impl NavigationStream {
             Guide::TopoMetric(guide) => guide.clone().go_to_in_time(&navigation, goal),
             Guide::Appearance(guide) => {
                 let guide = guide.clone();
-                let asked = guide.ask();
+                let asked = guide.ask_in_time();
                 guide.leave_reached_goal();
                 tokio::spawn(async move {
                     let named = goal.goal();

@@ -160,16 +160,18 @@ impl AppearanceGuide {
 
     /// The number of a goal that is about to be asked for.
     pub(super) fn ask(&self) -> u64 {
-        let mut state = self.state();
-        state.asked += 1;
-        state.asked
+        self.state().goals.ask()
+    }
+
+    /// The same where the robot hears of it in time.
+    pub(super) fn ask_in_time(&self) -> u64 {
+        self.state().goals.ask_in_time()
     }
 
     /// The robot stands from now on.
     pub(super) fn stop(&self) {
         let mut state = self.state();
-        state.asked += 1;
-        state.taken = state.asked;
+        state.goals.stop();
         (state.journey, state.goal_refusal, state.heading, state.told) = (None, None, None, None);
     }
 
@@ -183,7 +185,7 @@ impl AppearanceGuide {
 
     pub(super) fn refuse(&self, asked: u64, refusal: GoalRefusal) {
         let mut state = self.state();
-        if asked >= state.taken {
+        if state.goals.refuse(asked) {
             state.goal_refusal = Some(refusal.clone());
             drop(state);
             self.refusals.send_replace(Some(refusal));
@@ -209,8 +211,7 @@ impl AppearanceGuide {
         };
         let images = navigation.images_of(&row, &graph, &goal).await?;
         let mut state = self.state();
-        if asked > state.taken {
-            state.taken = asked;
+        if state.goals.take(asked) {
             state.journey = Some(Journey::new(asked, goal, graph, images));
             // Of the goal before: a caller that waits for the arrival must not take it for that at this one.
             (state.goal_refusal, state.heading, state.told) = (None, None, None);

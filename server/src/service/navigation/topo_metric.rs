@@ -11,8 +11,9 @@ use topomap::mapper::{FrameInput, Localizer};
 use topomap::metric::{Odometry, OdometryNoise};
 use waypost_navigation::metric::planning::{self, PlanError, Route};
 use waypost_navigation::metric::settings::{NavigationSettings, PlanningSettings};
-use waypost_navigation::metric::{Lookout, Navigator, Sight, Status, WheelReport};
+use waypost_navigation::metric::{Lookout, Navigator, Reason, Sight, Status, WheelReport};
 
+use super::asked::AskedGoals;
 use super::{
     BodyReport, Driving, FrameSeen, Goal, GoalRefusal, GoalRequest, Identity, Navigation, NavigationView,
     Told,
@@ -55,10 +56,7 @@ struct State {
     navigator: Navigator,
     last_report: Option<(i64, Odometry)>,
     told: Option<Told>,
-    /// Counts goals that were asked for or taken away.
-    asked: u64,
-    /// The one of them that the robot goes by; an earlier one is found too late.
-    taken: u64,
+    goals: AskedGoals,
     goal: Option<MeasuredGoal>,
     /// Where it was going until it was sent there, for as long as no way there is planned.
     goal_before: Option<MeasuredGoal>,
@@ -209,8 +207,7 @@ impl TopoMetricGuide {
                 navigator,
                 last_report: None,
                 told: None,
-                asked: 0,
-                taken: 0,
+                goals: AskedGoals::default(),
                 goal: None,
                 goal_before: None,
                 route: None,
@@ -262,13 +259,13 @@ impl TopoMetricGuide {
         navigation: &Navigation,
         goal: GoalRequest,
     ) -> Result<(), ServiceError> {
-        let asked = self.ask();
+        let asked = self.state().goals.ask();
         self.set_out(navigation, goal, asked).await
     }
 
     /// The same without waiting; refusals tell why it was refused.
     pub(super) fn go_to_in_time(self: Arc<Self>, navigation: &Navigation, goal: GoalRequest) {
-        let asked = self.ask();
+        let asked = self.state().goals.ask_in_time();
         self.leave_reached_goal();
         let navigation = navigation.clone();
         tokio::spawn(async move {
@@ -277,13 +274,6 @@ impl TopoMetricGuide {
                 self.refuse(asked, GoalRefusal { goal: named, error });
             }
         });
-    }
-
-    /// The number of a goal that is asked for.
-    fn ask(&self) -> u64 {
-        let mut state = self.state();
-        state.asked += 1;
-        state.asked
     }
 
     /// A caller that waits for the arrival at the next goal must not take that at the last one for it.
@@ -318,20 +308,19 @@ impl TopoMetricGuide {
     /// Unless a later goal was taken meanwhile.
     fn head_for(&self, goal: MeasuredGoal, asked: u64) {
         let mut state = self.state();
-        if asked <= state.taken {
+        if !state.goals.take(asked) {
             return;
         }
         let before =
             state.goal.filter(|_| state.told.is_none_or(|told| told.guidance.status != Status::Arrived));
         state.set_out(goal);
-        (state.taken, state.goal_before, state.goal_refusal) = (asked, before, None);
+        (state.goal_before, state.goal_refusal) = (before, None);
     }
 
     pub(super) fn stop(&self) {
         let mut state = self.state();
         state.navigator.cancel();
-        state.asked += 1;
-        state.taken = state.asked;
+        state.goals.stop();
         (state.goal, state.goal_before, state.route, state.goal_refusal) = (None, None, None, None);
         state.told = None;
     }
@@ -339,7 +328,7 @@ impl TopoMetricGuide {
     /// Unless a later goal was taken meanwhile.
     fn refuse(&self, asked: u64, refusal: GoalRefusal) {
         let mut state = self.state();
-        if asked >= state.taken {
+        if state.goals.refuse(asked) {
             state.goal_refusal = Some(refusal.clone());
             drop(state);
             self.refusals.send_replace(Some(refusal));
@@ -372,7 +361,7 @@ impl TopoMetricGuide {
                 // The map is opened anew: the next report asks again.
                 Err(ServiceError::Unavailable { .. }) => {}
                 Err(error) => {
-                    let asked = state.taken;
+                    let asked = state.goals.taken();
                     match state.goal_before.take() {
                         Some(before) => state.set_out(before),
                         None => {
@@ -438,7 +427,11 @@ impl TopoMetricGuide {
         self.check(&report)?;
         let told = {
             let mut state = self.state();
-            let guidance = state.navigator.drive(&report);
+            let mut guidance = state.navigator.drive(&report);
+            if guidance.status == Status::Idle && state.goals.is_looking_up() {
+                // It stands, but who waits for the end of its way must not take that for it.
+                (guidance.status, guidance.reason) = (Status::Following, Some(Reason::Planning));
+            }
             let told = Told { stamp_ns, guidance, appearance: None, waiting: None };
             state.told = Some(told);
             state.last_report = Some((report.stamp_ns, report.odometry));

@@ -7,6 +7,7 @@ use waypost_navigation::metric::settings::NavigationSettings;
 use waypost_navigation::metric::{Driver, Guidance, Status, VelocityCommand};
 
 use super::journey::Journey;
+use crate::service::navigation::asked::AskedGoals;
 use crate::service::navigation::{AppearanceView, GoalRefusal, Told};
 
 /// How long a robot is led by one panorama, by its wheels, in nanoseconds of its own clock.
@@ -14,10 +15,7 @@ const PANORAMA_HOLDS_NS: i64 = 1_000_000_000;
 
 #[derive(Debug, Default)]
 pub(super) struct State {
-    /// Counts goals that were asked for or taken away.
-    pub(super) asked: u64,
-    /// The one of them that the robot goes by; an earlier one is found too late.
-    pub(super) taken: u64,
+    pub(super) goals: AskedGoals,
     pub(super) journey: Option<Journey>,
     pub(super) goal_refusal: Option<GoalRefusal>,
     pub(super) heading: Option<Heading>,
@@ -45,6 +43,8 @@ pub(super) struct Heading {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Waiting {
     NoGoal,
+    /// Its goal is looked up.
+    Goal,
     Reflex,
     /// The last panorama is too old to lead it.
     Panorama,
@@ -77,6 +77,7 @@ impl State {
             view.heading_rad = view.heading_rad.map(|heading| wrapped(heading - (now - then)));
         }
         let status = match (&self.journey, heading) {
+            (None, _) if self.goals.is_looking_up() => Status::Searching,
             (None, _) => Status::Idle,
             (Some(_), None) => Status::Searching,
             (Some(_), Some(Heading { status: Status::Following | Status::Searching, .. }))
@@ -124,6 +125,7 @@ impl State {
         match status {
             Status::Idle => Some(Waiting::NoGoal),
             Status::Arrived => None,
+            Status::Searching if self.journey.is_none() => Some(Waiting::Goal),
             Status::Blocked if self.body() == Body::Held => Some(Waiting::Reflex),
             Status::Following | Status::Searching | Status::Lost | Status::Blocked if leading.is_none() => {
                 Some(Waiting::Panorama)
@@ -146,6 +148,7 @@ impl fmt::Display for Waiting {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::NoGoal => "it has no goal: it stands until it is given one",
+            Self::Goal => "it stands while its goal is looked up",
             Self::Reflex => {
                 "its own reflex drives, and commands are not obeyed: it goes on when the reports say that the reflex is over"
             }
@@ -189,5 +192,12 @@ mod tests {
         let told = state.tell(1, None, &HeadingSteering::default());
         assert_eq!((told.guidance.status, told.waiting), (Status::Idle, Some(Waiting::NoGoal)));
         assert!(told.detail().unwrap().contains("it has no goal"));
+        let asked = state.goals.ask_in_time();
+        let told = state.tell(2, None, &HeadingSteering::default());
+        assert_eq!((told.guidance.status, told.waiting), (Status::Searching, Some(Waiting::Goal)));
+        assert_eq!([told.guidance.command.forward_m_s, told.guidance.command.turn_rad_s], [0.0; 2]);
+        state.goals.refuse(asked);
+        let told = state.tell(3, None, &HeadingSteering::default());
+        assert_eq!(told.guidance.status, Status::Idle);
     }
 }
