@@ -192,7 +192,8 @@ async fn write_picture(
 fn list(merges: &[v1::Merge], output: Output) -> Result<(), Failure> {
     output.result(&json!({ "merges": merges }), |out| {
         let rows = merges.iter().map(|merge| {
-            let sources: Vec<&str> = merge.sources.iter().map(|source| short(&source.map)).collect();
+            let sources = merge.base.iter().chain(&merge.sources);
+            let sources: Vec<&str> = sources.map(|source| short(&source.map)).collect();
             [
                 merge.name.clone(),
                 merge.state().json_name().to_owned(),
@@ -211,6 +212,11 @@ fn show(merge: &v1::Merge, output: Output) -> Result<(), Failure> {
         if let Some(error) = &merge.error {
             writeln!(out, "  error                {}", error.message)?;
         }
+        if let Some(base) = &merge.base {
+            writeln!(out, "{}, {} places", base.map, base.places)?;
+            writeln!(out, "  {} is a copy of it, with the others on it", merge.target)?;
+            show_sessions(base, out)?;
+        }
         for source in &merge.sources {
             writeln!(out, "{}, {} places", source.map, source.places)?;
             match &source.outcome {
@@ -218,12 +224,18 @@ fn show(merge: &v1::Merge, output: Output) -> Result<(), Failure> {
                 Some(Outcome::NoOverlapReason(reason)) => writeln!(out, "  no overlap           {reason}")?,
                 None => writeln!(out, "  not searched yet")?,
             }
-            if !source.sessions.is_empty() {
-                writeln!(out, "  sessions             {}", source.sessions.join(", "))?;
-            }
+            show_sessions(source, out)?;
         }
         Ok(())
     })
+}
+
+/// By the names that they have in the target; none before the merge is committed.
+fn show_sessions(source: &v1::MergeSource, out: &mut dyn Write) -> io::Result<()> {
+    match source.sessions.join(", ").as_str() {
+        "" => Ok(()),
+        sessions => writeln!(out, "  sessions             {sessions}"),
+    }
 }
 
 fn show_overlap(overlap: &v1::MapOverlap, out: &mut dyn Write) -> io::Result<()> {

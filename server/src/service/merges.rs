@@ -138,7 +138,7 @@ impl Merges {
                 ),
             });
         }
-        let report = MergeReport::asked(&sources);
+        let report = MergeReport::asked(target.new_base(), &sources);
         let name = target.name().to_owned();
         let number = self.storage.insert_merge(&name, &report.to_json()?, now_ns()).await?;
         let merges = self.clone();
@@ -342,6 +342,11 @@ struct MergeTarget {
 impl MergeTarget {
     fn name(&self) -> &str {
         self.new.as_ref().map_or(&self.base.name, |new| new.name())
+    }
+
+    /// The source that a new target is to be a copy of.
+    fn new_base(&self) -> Option<&MapRow> {
+        self.new.is_some().then_some(&self.base)
     }
 }
 

@@ -16,7 +16,7 @@ pub(crate) fn merge(view: MergeView) -> v1::Merge {
     use v1::merge::State;
     let MergeView { number, target, job, state, report, error, created_ns } = view;
     // How a map was made is for its undoing.
-    let MergeReport { sources, made_events: _ } = report;
+    let MergeReport { base, sources, made_events: _ } = report;
     let state = match state {
         MergeState::Searching => State::Searching,
         MergeState::Proposed => State::Proposed,
@@ -30,6 +30,7 @@ pub(crate) fn merge(view: MergeView) -> v1::Merge {
         name: format!("merges/{number}"),
         state: state.into(),
         target: map_name(&target),
+        base: base.map(source),
         sources: sources.into_iter().map(source).collect(),
         job: format!("jobs/{job}"),
         error: error.as_ref().map(as_message),

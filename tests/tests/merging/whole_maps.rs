@@ -53,6 +53,11 @@ async fn two_maps_become_one_and_two_again() {
     let committed = done(&client, &client.commit_merge(&proposed.name).await.unwrap()).await;
     assert_eq!(committed.state(), State::Committed, "{committed:?}");
     assert_eq!(committed.sources[0].sessions, ["tuesday-robot"]);
+    let base = committed.base.as_ref().unwrap();
+    assert_eq!(
+        (base.map.as_str(), base.sessions.as_slice()),
+        ("maps/monday", ["robot".to_owned()].as_slice())
+    );
     let week = client.map("week", v1::MapView::Full).await.unwrap();
     assert_eq!((week.sessions, week.frames), (2, rounds.0.frames.len() as u64));
     let fewer = found_overlap.fused_places;

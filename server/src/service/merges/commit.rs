@@ -6,6 +6,7 @@ use std::ops::ControlFlow;
 use fabmap::PlaceId;
 use tokio::runtime::Handle;
 use tokio::sync::OwnedSemaphorePermit;
+use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 use topomap::mapper::Mapper;
 use topomap::merging::join;
@@ -46,6 +47,15 @@ struct Base {
     mapper: Mapper,
     log: Vec<MapEvent>,
     sessions: Vec<SessionRow>,
+}
+
+impl Base {
+    /// Names of the sessions that the log has, as far as it was read.
+    fn opened_sessions(&self) -> Vec<String> {
+        let opened: BTreeSet<SessionId> = self.log.iter().map(MapEvent::session).collect();
+        let opened = self.sessions.iter().filter(|session| opened.contains(&session.number));
+        opened.map(|session| session.name.clone()).collect()
+    }
 }
 
 impl Merges {
@@ -232,6 +242,9 @@ impl Reading {
     fn join(mut self, proposal: &Proposal) -> Result<(Vec<JoinedLog>, MergeReport), ServiceError> {
         let Proposal { target, joining, report } = proposal;
         let mut report = report.clone();
+        if let Some(base) = &mut report.base {
+            base.sessions = self.base.opened_sessions();
+        }
         let mapper = &mut self.base.mapper;
         let later_events = mapper.map().events() - target.events;
         let later_places = mapper.map().places().len() as u32 - target.places;

@@ -12,6 +12,10 @@ const MOST_TOLD: usize = 500;
 /// All that is known of a merge.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct MergeReport {
+    /// The first source, where the target is made as a copy of it; its outcome stays open. Older merges do not say.
+    #[serde(default)]
+    pub(crate) base: Option<MergedSource>,
+    /// The others, or all where the target was there before.
     pub(crate) sources: Vec<MergedSource>,
     /// Events of the log of the map that the merge has made; `None` if the map was there before.
     pub(crate) made_events: Option<u64>,
@@ -87,7 +91,8 @@ pub(super) enum Metres {
 }
 
 impl MergeReport {
-    pub(super) fn asked(sources: &[MapRow]) -> Self {
+    /// Of maps that nobody has looked at yet. `base` is the source that a new target is to be a copy of.
+    pub(super) fn asked(base: Option<&MapRow>, sources: &[MapRow]) -> Self {
         let source = |row: &MapRow| MergedSource {
             map: row.name.clone(),
             events: 0,
@@ -95,7 +100,7 @@ impl MergeReport {
             outcome: SourceOutcome::Open,
             sessions: Vec::new(),
         };
-        Self { sources: sources.iter().map(source).collect(), made_events: None }
+        Self { base: base.map(source), sources: sources.iter().map(source).collect(), made_events: None }
     }
 
     /// Whether every source overlaps.

@@ -102,10 +102,13 @@ impl Merges {
 impl Search {
     /// Sources that overlap with nothing are looked for again whenever another has brought new places. Blocks.
     fn look(self) -> Result<(Proposal, String), Stopped> {
-        let mut report = MergeReport::asked(&self.sources);
+        let mut report = MergeReport::asked(self.target.new_base(), &self.sources);
         let mut merged = self.read(self.target.base.clone(), 0)?;
         let events = merged.log.events.len() as u64;
         let places = merged.mapper.map().places().len() as u32;
+        if let Some(base) = &mut report.base {
+            (base.events, base.places) = (events, u64::from(places));
+        }
         let mut panels = vec![Panel::of(&format!("{} before", merged.row.name), &merged)];
         let mut left = Vec::new();
         for (index, row) in self.sources.iter().enumerate() {
