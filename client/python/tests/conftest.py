@@ -62,7 +62,7 @@ def decided(answer: waypost.Answer) -> dict[str, Any]:
     """An answer but for what is of the moment."""
     of_the_moment = {"last_committed_sequence", "timings", "resent"}
     decided = {name: value for name, value in vars(answer).items() if name not in of_the_moment}
-    return {**decided, "places": answer.places.tolist(), "probabilities": answer.probabilities.tolist()}
+    return {**decided, "places": answer.places.tolist(), "posteriors": answer.posteriors.tolist()}
 
 
 @dataclass

@@ -33,7 +33,7 @@ def test_decisions_are_those_that_the_rust_client_gets(client: waypost.Client, s
         assert (answer.sequence, answer.loop_closure.frame) == (match.frame.sequence, match.matched_frame)
         assert answer.loop_closure.frame.session == session.name == "maps/python/sessions/drive"
     assert len(closures) == client.map("python").loop_closures
-    check_probabilities(streamed)
+    check_posteriors(streamed)
 
 
 def test_stored_answers_are_the_same_and_a_session_goes_on(client: waypost.Client, hall: str) -> None:
@@ -92,12 +92,12 @@ def row_of(answer: waypost.Answer, map_id: str) -> dict[str, Any]:
     return row
 
 
-def check_probabilities(streamed: list[waypost.Answer]) -> None:
+def check_posteriors(streamed: list[waypost.Answer]) -> None:
     for answer in streamed:
         assert answer.places.dtype == np.uint32
-        assert answer.probabilities.dtype == np.float64
-        assert answer.places.shape == answer.probabilities.shape
+        assert answer.posteriors.dtype == np.float64
+        assert answer.places.shape == answer.posteriors.shape
         assert len(answer.places) <= 10
-        assert (np.diff(answer.probabilities) <= 0).all()
-        assert answer.probabilities.sum() + answer.new_place_posterior <= 1 + 1e-9
+        assert (np.diff(answer.posteriors) <= 0).all()
+        assert answer.posteriors.sum() + answer.new_place_posterior <= 1 + 1e-9
     assert max(len(answer.places) for answer in streamed) == 10

@@ -77,6 +77,30 @@ def test_a_server_that_stays_away_is_said_so(mortal: Server) -> None:
         assert client.map("hall").frames == 4
 
 
+def test_a_watch_goes_on_with_the_next_server(mortal: Server) -> None:
+    with waypost.connect(mortal.address) as client, client.watch("hall", 0) as all_frames:
+        with client.session("hall", "robot") as session:
+            answers(session, range(1, 4))
+            assert [next(all_frames).frame.frame.answer.sequence for _ in range(3)] == [1, 2, 3]
+            # Where the log ended is all that this one has to go on from.
+            with client.watch("hall", patience_s=30.0) as new_frames, futures.ThreadPoolExecutor(1) as waiting:
+                first = waiting.submit(next, new_frames)
+                with pytest.raises(futures.TimeoutError):
+                    first.result(timeout=0.5)
+                mortal.kill()
+                mortal.start()
+                answers(session, range(4, 6))
+                told = [first.result(timeout=30.0), next(new_frames)]
+                assert [event.frame.frame.answer.sequence for event in told] == [4, 5]
+        assert [next(all_frames).frame.frame.answer.sequence for _ in range(2)] == [4, 5]
+        with client.watch("hall", patience_s=0.3) as hasty:
+            waiting_for = threading.Timer(0.5, mortal.kill)
+            waiting_for.start()
+            with pytest.raises(waypost.ServerUnreachable):
+                next(hasty)
+            waiting_for.join()
+
+
 def without_names(streamed: list[waypost.Answer]) -> list[dict[str, Any]]:
     """Decisions with matched frames by their numbers alone: the maps differ in name."""
     plain = []

@@ -170,8 +170,8 @@ def test_what_are_no_words_is_refused(words: list[object], counts: list[int] | N
 @pytest.mark.parametrize(
     ("ours", "contract", "ours_alone"),
     [
-        (answers.Answer, session_pb2.FrameAnswer, {"probabilities"}),
-        (answers.QueryAnswer, recognition_pb2.QueryResponse, {"probabilities"}),
+        (answers.Answer, session_pb2.FrameAnswer, {"posteriors"}),
+        (answers.QueryAnswer, recognition_pb2.QueryResponse, {"posteriors"}),
         (answers.Match, recognition_pb2.Match, set()),
         (answers.Geometry, recognition_pb2.Geometry, set()),
         (answers.Placement, recognition_pb2.Placement, set()),

@@ -67,7 +67,7 @@ impl Backoff {
 
     /// The delay before the next attempt; none if it is time to give up. The last attempt falls on
     /// the moment of giving up.
-    fn next_delay(&mut self, now: Instant) -> Option<Duration> {
+    pub(crate) fn next_delay(&mut self, now: Instant) -> Option<Duration> {
         let waited = now - *self.trouble_since.get_or_insert(now);
         let left = self.settings.give_up_after.checked_sub(waited).filter(|left| !left.is_zero())?;
         let delay = self.delay.min(self.settings.longest_delay);

@@ -66,7 +66,7 @@ impl LinkEnd {
     }
 
     /// The stream ended with a status.
-    fn of(status: &Status) -> Self {
+    pub(crate) fn of(status: &Status) -> Self {
         if let Some(reason) = broken_connection(status) {
             return LinkEnd::Broken(reason);
         }

@@ -44,9 +44,10 @@ impl Parameters for From {
 
 /// What happens in a map, while it happens, as server-sent events.
 ///
-/// Each event is a line `event: frame` or `event: navigation` and the JSON of a `MapEvent` as `data`. Frames have their
-/// position in the log as `id`: a browser that connects again goes on behind the last one it had. `event: error` is the
-/// last, with the error as `data`, when the map is deleted, sessions are removed from it, or the server stops.
+/// Each event is a line `event: started`, which is the first, `event: frame` or `event: navigation`, and the JSON of a
+/// `MapEvent` as `data`. Frames have their position in the log as `id`, and the start the position before the next: a
+/// browser that connects again goes on behind the last one it had. `event: error` is the last, with the error as `data`,
+/// when the map is deleted, sessions are removed from it, or the server stops.
 #[utoipa::path(get, path = "/v1/maps/{map}/events", tag = "maps", operation_id = "watch_map",
     params(MapPath, From,
         ("Last-Event-ID" = Option<u64>, Header, description = "`id` of the last event that the caller has had.")),
@@ -81,6 +82,7 @@ fn sent(event: Result<MapEventView, ServiceError>) -> Event {
         Ok(view) => {
             let event = message(view);
             let (name, id) = match &event.event {
+                Some(map_event::Event::Started(started)) => ("started", started.next_position.checked_sub(1)),
                 Some(map_event::Event::Frame(frame)) => ("frame", Some(frame.position)),
                 Some(map_event::Event::Navigation(_)) | None => ("navigation", None),
             };

@@ -40,6 +40,8 @@ const TOLD_AGAIN: Duration = Duration::from_secs(1);
 /// Something that happened in a map.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum MapEventView {
+    /// The watch goes on from here; always the first.
+    Started { next_position: u64 },
     /// A frame was decided; `position` is its own in the log.
     Frame { position: u64, frame: Box<FrameView> },
     /// A robot that is led, without its route.
@@ -91,7 +93,7 @@ impl Events {
             words,
             next,
             commits,
-            ready: VecDeque::new(),
+            ready: VecDeque::from([MapEventView::Started { next_position: next }]),
             told: BTreeMap::new(),
             looked: None,
             _room: room,

@@ -9,6 +9,7 @@ use crate::service::events::MapEventView;
 
 pub(crate) fn map_event(view: MapEventView) -> v1::MapEvent {
     let event = match view {
+        MapEventView::Started { next_position } => Event::Started(v1::WatchStarted { next_position }),
         MapEventView::Frame { position, frame } => {
             Event::Frame(v1::DecidedFrame { position, frame: Some(listed_frame(*frame)) })
         }

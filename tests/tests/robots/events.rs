@@ -1,9 +1,16 @@
 //! What happens in a map is told to those who watch it.
 
-use waypost_client::v1::map_event::Event;
-use waypost_client::{Client, Code, FrameInput, MapEvents, NavigationOptions, v1};
+use std::time::Duration;
 
-use crate::harness::{Server, answers, assert_status, followed, frame, get, http, in_time, refused};
+use waypost_client::v1::map_event::Event;
+use waypost_client::{
+    Client, ClientOptions, Code, Error, FrameInput, MapEvents, NavigationOptions, Reconnection, v1,
+};
+
+use crate::harness::{
+    Proxy, Server, answers, assert_status, by_words_request, followed, frame, get, http, import_model,
+    in_time, refused,
+};
 
 /// A frame of a robot that drives half a metre between two.
 fn driven(sequence: u64) -> FrameInput {
@@ -16,13 +23,13 @@ fn driven(sequence: u64) -> FrameInput {
 }
 
 async fn next(events: &mut MapEvents) -> Event {
-    in_time(events.next()).await.unwrap().unwrap().event.unwrap()
+    in_time(events.next()).await.unwrap().event.unwrap()
 }
 
 async fn next_frame(events: &mut MapEvents) -> v1::DecidedFrame {
     match next(events).await {
         Event::Frame(frame) => frame,
-        Event::Navigation(navigation) => panic!("{navigation:?}"),
+        other => panic!("{other:?}"),
     }
 }
 
@@ -97,15 +104,50 @@ async fn who_does_not_read_misses_nothing_and_holds_up_nobody() {
     assert_eq!(numbers(&told), (1..=FRAMES).collect::<Vec<_>>());
     // Without odometry nobody knows where.
     assert!(told.iter().all(|told| told.frame.as_ref().unwrap().answer.as_ref().unwrap().map_pose.is_none()));
-    let stopping = tokio::spawn(async move { end(&mut slow).await });
     server.stop().await;
-    assert_eq!(in_time(stopping).await.unwrap().0, Code::Unavailable);
+}
+
+/// Neither a broken connection nor a server that starts again loses a frame for whoever watches, or tells one twice.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_watch_goes_on_over_another_connection() {
+    let directory = tempfile::tempdir().unwrap();
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let model = import_model(&client).await;
+    client.create_map(by_words_request("drive", &model.name)).await.unwrap();
+    let proxy = Proxy::start().await;
+    proxy.forward_to(Some(server.grpc()));
+    let watching = Client::connect(&ClientOptions::new(proxy.endpoint())).await.unwrap();
+    // Nothing was decided yet: where the log ended is all that it has to go on from.
+    let mut new = watching.watch_map("drive", None).await.unwrap();
+    let mut all = watching.watch_map("drive", Some(0)).await.unwrap();
+    let started = tokio::time::timeout(Duration::from_millis(500), new.next()).await;
+    assert!(started.is_err(), "{started:?}");
+    proxy.cut();
+    answers(&client, "drive", "robot", (1..=3).map(frame)).await;
+    for watch in [&mut new, &mut all] {
+        assert_eq!(numbers(&frames(watch, 3).await), [1, 2, 3]);
+    }
+    proxy.forward_to(None);
+    server.stop().await;
+    let server = Server::start_on(directory.path()).await;
+    answers(&server.client().await, "drive", "robot", (4..=5).map(frame)).await;
+    proxy.forward_to(Some(server.grpc()));
+    for watch in [&mut new, &mut all] {
+        assert_eq!(numbers(&frames(watch, 2).await), [4, 5]);
+    }
+    // Not for ever.
+    let short = Reconnection { give_up_after: Duration::from_millis(300), ..Reconnection::default() };
+    let mut new = new.with_reconnection(short);
+    proxy.forward_to(None);
+    server.stop().await;
+    assert!(matches!(in_time(new.next()).await, Err(Error::Connection { .. })));
 }
 
 async fn next_navigation(events: &mut MapEvents) -> v1::Navigation {
     match next(events).await {
         Event::Navigation(navigation) => navigation,
-        Event::Frame(frame) => panic!("{frame:?}"),
+        other => panic!("{other:?}"),
     }
 }
 
@@ -156,16 +198,18 @@ async fn browsers_get_server_sent_events_and_go_on_where_they_were() {
     answers(&client, "drive", "robot", (1..=3).map(driven)).await;
     let url = server.url("/v1/maps/drive/events");
     let text = sent(http().get(format!("{url}?from_position=0")), "\"note\":\"3.jpg\"").await;
+    assert!(text.starts_with("event: started\n"), "{text}");
     let ids: Vec<u64> = text.lines().filter_map(|line| line.strip_prefix("id: ")?.parse().ok()).collect();
+    // There is no position before the first: the start has none.
     assert_eq!(ids.len(), 3, "{text}");
     assert_eq!(text.matches("event: frame").count(), 3, "{text}");
-    let data = text.lines().find_map(|line| line.strip_prefix("data: ")).unwrap();
+    let data = text.lines().filter_map(|line| line.strip_prefix("data: ")).nth(1).unwrap();
     let data: serde_json::Value = serde_json::from_str(data).unwrap();
     assert_eq!(data["frame"]["frame"]["name"], "maps/drive/sessions/robot/frames/1");
     assert_eq!((&data["frame"]["position"], &data["navigation"]), (&ids[0].into(), &serde_json::Value::Null));
 
     let again = http().get(&url).header("last-event-id", ids[1].to_string());
-    let text = sent(again, "\n\n").await;
+    let text = sent(again, "event: frame").await;
     assert!(text.contains("\"note\":\"3.jpg\"") && !text.contains("2.jpg"), "{text}");
     let deleted = sent(http().get(&url), "event: error");
     let (text, ()) = tokio::join!(deleted, async {

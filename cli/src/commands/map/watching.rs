@@ -31,7 +31,6 @@ pub(super) async fn watch(client: &Client, watching: Watching, output: Output) -
                 return interrupt.map_err(Failure::Runtime);
             }
         };
-        let Some(event) = event else { return Ok(()) };
         output.result(&event, |out| write(&event, out))?;
     }
 }
@@ -42,7 +41,7 @@ fn write(event: &v1::MapEvent, out: &mut dyn Write) -> io::Result<()> {
             writeln!(out, "{position:6}  {}", frame_words(frame))
         }
         Some(Event::Navigation(navigation)) => writeln!(out, "        {}", navigation_words(navigation)),
-        Some(Event::Frame(_)) | None => Ok(()),
+        Some(Event::Frame(_) | Event::Started(_)) | None => Ok(()),
     }
 }
 

@@ -144,10 +144,10 @@ class AsyncClient:
             progress.close()
 
     async def watch(
-        self, map_id: str, from_position: int | None = None
+        self, map_id: str, from_position: int | None = None, *, patience_s: float = 60.0
     ) -> AsyncGenerator[event_pb2.MapEvent, None]:
         """What happens in a map, as `Client.watch` has it."""
-        events = self.client.watch(map_id, from_position)
+        events = self.client.watch(map_id, from_position, patience_s=patience_s)
         try:
             while (event := await self._in_thread(functools.partial(next, events, None))) is not None:
                 yield event

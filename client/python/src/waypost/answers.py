@@ -153,8 +153,8 @@ class Answer:
     new_place_posterior: float
     #: The most probable places, most probable first; at most 10.
     places: npt.NDArray[np.uint32]
-    #: Their posterior probabilities.
-    probabilities: npt.NDArray[np.float64]
+    #: Their posteriors.
+    posteriors: npt.NDArray[np.float64]
     #: For LOOP_CLOSURE, BELOW_THRESHOLD and GEOMETRY_REFUSED: the place and frame that matched.
     match: Match | None
     #: The best candidate for a loop closure, whatever was decided: among the places known from before the
@@ -199,8 +199,8 @@ class QueryAnswer:
 
     #: The most probable places, most probable first; at most 10.
     places: npt.NDArray[np.uint32]
-    #: Their posterior probabilities.
-    probabilities: npt.NDArray[np.float64]
+    #: Their posteriors.
+    posteriors: npt.NDArray[np.float64]
     new_place_posterior: float
     #: Of the most probable place, the frame that matches best; None if the map is empty or too few words were
     #: seen.
@@ -235,7 +235,7 @@ def answer(message: session_pb2.FrameAnswer) -> Answer:
         posterior=message.posterior,
         new_place_posterior=message.new_place_posterior,
         places=np.array([place.place_number for place in message.places], dtype=np.uint32),
-        probabilities=np.array([place.posterior for place in message.places], dtype=np.float64),
+        posteriors=np.array([place.posterior for place in message.places], dtype=np.float64),
         match=_match(message.match) if message.HasField("match") else None,
         best_candidate=_match(message.best_candidate) if message.HasField("best_candidate") else None,
         words=message.words,
@@ -268,7 +268,7 @@ def query_answer(message: recognition_pb2.QueryResponse) -> QueryAnswer:
     """The answer to a query from the wire."""
     return QueryAnswer(
         places=np.array([place.place_number for place in message.places], dtype=np.uint32),
-        probabilities=np.array([place.posterior for place in message.places], dtype=np.float64),
+        posteriors=np.array([place.posterior for place in message.places], dtype=np.float64),
         new_place_posterior=message.new_place_posterior,
         match=_match(message.match) if message.HasField("match") else None,
         accepted=message.accepted,

@@ -41,7 +41,7 @@ async fn watched(client: &Client, map: &str, frames: usize) -> Result<Vec<v1::Ma
     let mut watch = client.watch_map(map, Some(0)).await?;
     let mut told = Vec::new();
     while told.len() < frames {
-        told.extend(in_time(watch.next()).await?);
+        told.push(in_time(watch.next()).await?);
     }
     Ok(told)
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from types import TracebackType
 from typing import Any
@@ -10,6 +11,7 @@ import grpc
 
 from waypost import errors
 from waypost.connection import Connection, resource
+from waypost.reconnection import PASSING, Patience
 from waypost.v1 import event_pb2
 
 
@@ -18,41 +20,61 @@ class EventCalls:
 
     _connection: Connection
 
-    def watch(self, map_id: str, from_position: int | None = None) -> MapEvents:
+    def watch(self, map_id: str, from_position: int | None = None, *, patience_s: float = 60.0) -> MapEvents:
         """What happens in a map: frames that were decided, and robots that navigate. Close it when done.
+
+        When the connection breaks, it goes on over another one: no frame is missed, and none told twice.
 
         Args:
             map_id: `{map}` or `maps/{map}`.
             from_position: Frames from this position of the map's log on come first, 0 for all. Left out, only
-                frames that are decided from now on. To go on after a broken connection: one more than the
-                last position.
+                frames that are decided from now on.
+            patience_s: How long it tries to reach the server again.
 
         Raises:
             NotFound: While iterating, if there is no such map, or once it is deleted.
             Aborted: While iterating, when sessions were removed from the map, which changes positions.
+            ServerUnreachable: While iterating, if the server was away for longer than `patience_s`.
         """
-        request = event_pb2.WatchRequest(map=resource("maps", map_id), from_position=from_position)
-        return MapEvents(self._connection.events.Watch(request), self._connection.address)
+        return MapEvents(self._connection, resource("maps", map_id), from_position, Patience(patience_s))
 
 
 class MapEvents(Iterator[event_pb2.MapEvent]):
     """What happens in a map, until it is closed."""
 
-    def __init__(self, call: Any, address: str) -> None:
-        self._call = call
-        self._address = address
+    def __init__(
+        self, connection: Connection, map_name: str, from_position: int | None, patience: Patience
+    ) -> None:
+        self._connection = connection
+        self._map = map_name
+        #: To go on from; None while the server has not said where the log ends.
+        self._next_position = from_position
+        self._patience = patience
+        self._has_begun = False
+        self._closed = threading.Event()
+        self._call = self._watch()
 
     def __next__(self) -> event_pb2.MapEvent:
-        try:
-            event: event_pb2.MapEvent = next(self._call)
-        except grpc.RpcError as error:
-            if self._call.cancelled():
-                raise StopIteration from None
-            raise errors.from_call(error, self._address) from None
-        return event
+        while True:
+            try:
+                event: event_pb2.MapEvent = next(self._call)
+            except StopIteration:
+                self._try_again(None)
+            except grpc.RpcError as error:
+                self._try_again(error)
+            else:
+                self._has_begun = True
+                self._patience.progress()
+                if event.WhichOneof("event") == "started":
+                    self._next_position = event.started.next_position
+                    continue
+                if event.WhichOneof("event") == "frame":
+                    self._next_position = event.frame.position + 1
+                return event
 
     def close(self) -> None:
         """Stops watching: who iterates in another thread comes to the end."""
+        self._closed.set()
         self._call.cancel()
 
     def __enter__(self) -> MapEvents:
@@ -65,3 +87,22 @@ class MapEvents(Iterator[event_pb2.MapEvent]):
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+    def _watch(self) -> Any:
+        request = event_pb2.WatchRequest(map=self._map, from_position=self._next_position)
+        return self._connection.events.Watch(request)
+
+    def _try_again(self, error: grpc.RpcError | None) -> None:
+        """Watches over another connection, or raises what ended the one before."""
+        if self._closed.is_set():
+            raise StopIteration from None
+        # What was never open is refused at once, as every call.
+        passing = error is None or (self._has_begun and error.code() in PASSING)
+        delay_s = self._patience.next_delay_s() if passing else None
+        if delay_s is None:
+            if error is None:
+                raise errors.ServerUnreachable(f"{self._connection.address} ends every watch") from None
+            raise errors.from_call(error, self._connection.address) from None
+        if self._closed.wait(delay_s):
+            raise StopIteration from None
+        self._call = self._watch()
