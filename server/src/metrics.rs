@@ -24,6 +24,7 @@ const FRAME_SECONDS: &str = "waypost_frame_duration_seconds";
 const TURNED_UNLIKE_ODOMETRY: &str = "waypost_frames_turned_unlike_odometry_total";
 const COMMIT_FRAMES: &str = "waypost_commit_frames";
 const OPEN_MAPS: &str = "waypost_open_maps";
+const QUEUE_LENGTH: &str = "waypost_queue_length";
 const JOBS_RUNNING: &str = "waypost_jobs_running";
 const DATABASE_BYTES: &str = "waypost_database_bytes";
 const DISK_FREE_BYTES: &str = "waypost_disk_free_bytes";
@@ -95,7 +96,19 @@ pub(crate) struct Levels {
     pub(crate) disk_free_bytes: Option<u64>,
     /// Robots that are led, by their status.
     pub(crate) robots_led: Vec<(&'static str, usize)>,
+    pub(crate) queues: QueueLengths,
     pub(crate) process: ProcessLevels,
+}
+
+/// What waits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct QueueLengths {
+    /// Images that wait for a core, or are on one.
+    pub(crate) images: usize,
+    /// Robots that were refused for want of room, and have a time at which to come again.
+    pub(crate) robots_in_line: usize,
+    /// Requests that wait for the writers of the open maps.
+    pub(crate) maps: usize,
 }
 
 /// What the process takes; `None` where the system does not tell.
@@ -193,7 +206,9 @@ impl Metrics {
 
     /// All metrics in Prometheus' text format.
     pub(crate) fn render(&self, levels: Levels) -> String {
-        let Levels { open_maps, jobs_running, database_bytes, disk_free_bytes, robots_led, process } = levels;
+        let Levels { open_maps, jobs_running, database_bytes, disk_free_bytes, robots_led, queues, process } =
+            levels;
+        let QueueLengths { images, robots_in_line, maps } = queues;
         let ProcessLevels { resident_bytes, cpu_seconds } = process;
         let bytes = |bytes: Option<u64>| bytes.map_or(f64::NAN, |bytes| bytes as f64);
         self.local(|| {
@@ -202,6 +217,9 @@ impl Metrics {
             gauge!(CPU_SECONDS).set(cpu_seconds.unwrap_or(f64::NAN));
             for (status, robots) in robots_led {
                 gauge!(ROBOTS_LED, "status" => status).set(robots as f64);
+            }
+            for (queue, length) in [("images", images), ("robots_in_line", robots_in_line), ("maps", maps)] {
+                gauge!(QUEUE_LENGTH, "queue" => queue).set(length as f64);
             }
             gauge!(OPEN_MAPS).set(open_maps as f64);
             gauge!(JOBS_RUNNING).set(jobs_running as f64);
@@ -267,6 +285,11 @@ fn describe() {
     );
     describe_histogram!(COMMIT_FRAMES, "Frames that shared one commit.");
     describe_gauge!(OPEN_MAPS, "Maps in memory.");
+    describe_gauge!(
+        QUEUE_LENGTH,
+        "What waits: images for a core or on one, robots that were told when to come again, and requests for the \
+         writers of maps."
+    );
     describe_gauge!(JOBS_RUNNING, "Jobs that are running or wait for their turn.");
     describe_gauge!(DATABASE_BYTES, Unit::Bytes, "Size of the database, without its write-ahead log.");
     describe_gauge!(DISK_FREE_BYTES, Unit::Bytes, "What is left of the disk that the database is on.");
@@ -287,6 +310,7 @@ mod tests {
             database_bytes: Some(4096),
             disk_free_bytes: Some(8192),
             robots_led: vec![("lost", 3)],
+            queues: QueueLengths { images: 17, robots_in_line: 4, maps: 2 },
             process: ProcessLevels { resident_bytes: Some(512), cpu_seconds: Some(1.5) },
         }
     }

@@ -48,7 +48,8 @@ use self::snapshots::Snapshots;
 use self::tokens::Tokens;
 use self::trajectories::Trajectories;
 use crate::error::ServiceError;
-use crate::metrics::{Levels, Metrics};
+use crate::ingest::extraction::Extraction;
+use crate::metrics::{Levels, Metrics, QueueLengths};
 use crate::open_map::OpenMaps;
 use crate::storage::Storage;
 
@@ -75,6 +76,7 @@ pub(crate) struct Service {
     pub(crate) trajectories: Trajectories,
     storage: Storage,
     open_maps: OpenMaps,
+    extraction: Extraction,
     deleted_maps: DeletedMaps,
     metrics: Metrics,
     stopping: CancellationToken,
@@ -97,7 +99,7 @@ impl Service {
         Self {
             merges: Merges::new(rewriting.clone(), names, deleted_maps.clone(), stopping.clone()),
             pictures: Pictures { storage: storage.clone(), frames: frames.clone() },
-            queries: Queries::new(frames.clone(), extraction),
+            queries: Queries::new(frames.clone(), extraction.clone()),
             events: Events::new(frames.clone(), navigation.clone(), stopping.clone()),
             measurements: Measurements { frames: frames.clone() },
             trajectories: Trajectories { frames: frames.clone() },
@@ -115,6 +117,7 @@ impl Service {
             tokens,
             storage,
             open_maps,
+            extraction,
             deleted_maps,
             metrics,
             stopping,
@@ -171,6 +174,12 @@ impl Service {
         let database_bytes = self.storage.size_bytes().await.ok();
         let disk_free_bytes = self.storage.free_bytes();
         let robots_led = self.navigation.counts();
+        let extraction = self.extraction.backlog();
+        let queues = QueueLengths {
+            images: extraction.on_hand,
+            robots_in_line: extraction.in_line,
+            maps: self.open_maps.waiting_requests(),
+        };
         let process = crate::memory::process_levels();
         self.metrics.render(Levels {
             open_maps,
@@ -178,6 +187,7 @@ impl Service {
             database_bytes,
             disk_free_bytes,
             robots_led,
+            queues,
             process,
         })
     }

@@ -51,12 +51,27 @@ pub(super) struct Admitted {
     queue: Arc<Mutex<Queue>>,
 }
 
+/// What waits for cores.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Backlog {
+    /// Images that wait or are worked on.
+    pub(crate) on_hand: usize,
+    /// Streams that were refused and have a turn to come.
+    pub(crate) in_line: usize,
+}
+
 impl Admission {
     pub(super) fn new(cores: usize) -> Self {
         let last_done = None;
         let interval = Duration::ZERO;
         let in_line = VecDeque::new();
         Self { queue: Arc::new(Mutex::new(Queue { cores, on_hand: 0, last_done, interval, in_line })) }
+    }
+
+    pub(super) fn backlog(&self, now: Instant) -> Backlog {
+        let mut queue = lock(&self.queue);
+        queue.in_line.retain(|turn| now < turn.due + GRACE);
+        Backlog { on_hand: queue.on_hand, in_line: queue.in_line.len() }
     }
 
     /// Takes an image, or says when to come again. `stream` is whose turn it may be; a sender without one is
@@ -145,6 +160,7 @@ mod tests {
         let waits: Vec<Duration> =
             (1..=3).map(|stream| admission.admit(Some(stream), now).unwrap_err()).collect();
         assert!(waits.is_sorted() && waits[2] - waits[0] == 2 * IMAGE, "{waits:?}");
+        assert_eq!(admission.backlog(now), Backlog { on_hand: CAPACITY, in_line: 3 });
         // One that asks early hears the same time.
         assert_eq!(admission.admit(Some(2), now + IMAGE).unwrap_err(), waits[1] - IMAGE);
 
@@ -176,7 +192,7 @@ mod tests {
         assert!(admission.admit(Some(99), last_turn).is_err());
         let over = last_turn + GRACE;
         on_hand.push(admission.admit(Some(99), over).unwrap());
-        assert!(lock(&admission.queue).in_line.is_empty());
+        assert_eq!(admission.backlog(over).in_line, 0);
     }
 
     #[test]

@@ -14,7 +14,7 @@ use waypost_vision::image::{self, GreyImage, ImageError};
 use waypost_vision::look_alikes::TrainingImage;
 use waypost_vision::panorama;
 
-use super::admission::Admission;
+use super::admission::{Admission, Backlog};
 use super::model::LoadedModel;
 use super::panoramic::PanoramicOptics;
 use crate::error::ServiceError;
@@ -43,6 +43,11 @@ pub(crate) struct Observed {
 impl Extraction {
     pub(crate) fn new(cores: usize) -> Self {
         Self { cores: Arc::new(Semaphore::new(cores)), admission: Admission::new(cores) }
+    }
+
+    /// What waits just now.
+    pub(crate) fn backlog(&self) -> Backlog {
+        self.admission.backlog(Instant::now())
     }
 
     /// Decodes a robot's image and turns it into words, and into what is to be kept of it; `optics` are those of a

@@ -100,6 +100,11 @@ impl MapHandle {
         self.edition
     }
 
+    /// Requests that wait for the writer.
+    pub(super) fn waiting_requests(&self) -> usize {
+        self.requests.max_capacity() - self.requests.capacity()
+    }
+
     /// Completes when the writer has ended.
     pub(crate) async fn gone(&self) {
         self.requests.closed().await;

@@ -108,6 +108,11 @@ impl OpenMaps {
         slots.values().filter(open).count()
     }
 
+    /// Requests that wait for the writers of the maps in memory.
+    pub(crate) fn waiting_requests(&self) -> usize {
+        self.usages().iter().map(|(_, handle)| handle.waiting_requests()).sum()
+    }
+
     fn slot(&self, map: &str) -> Arc<AsyncMutex<Slot>> {
         self.slots().entry(map.to_owned()).or_default().clone()
     }
