@@ -90,7 +90,7 @@ def blocks(page: Path) -> list[Block]:
 
 @pytest.fixture(scope="session")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the pages take for granted: `drive` and `drive.mcap`, `photos`, `panoramas` and `demo`.
+    """What the pages take for granted: `drive`, `drive.mcap` and `drive.mp4`, `photos`, `panoramas` and `demo`.
 
     `drive` is a simulated robot's: images, odometry and the camera's calibration. `photos` and `panoramas`
     are images of the demo, which come back to where they began.
@@ -109,7 +109,14 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     finally:
         server.terminate()
     shutil.rmtree(folder / "data")
+    film(folder / "drive" / "images", folder / "drive.mp4")
     return folder
+
+
+def film(images: Path, video: Path) -> None:
+    """The first images as a video."""
+    ffmpeg = ["ffmpeg", "-nostdin", "-loglevel", "error", "-framerate", "4", "-i", images / "%06d.jpg"]
+    subprocess.run([*ffmpeg, "-frames:v", "20", "-c:v", "mpeg4", "-q:v", "2", video], check=True)
 
 
 def record(server: Server, drive: Path) -> None:

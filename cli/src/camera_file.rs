@@ -10,15 +10,26 @@ pub(crate) const FORMATS: &str = "\
 A --camera is one of
   a YAML file of ROS    camera_info as camera_calibration writes it, or as `ros2 topic echo` shows it
   a YAML file of Kalibr camchain (cam0 is taken), or EuRoC's sensor.yaml
+  KITTI's calib.txt     of rectified images, where all its cameras see alike
   numbers               fx,fy,cx,cy in pixels, then the distortion k1,k2,p1,p2[,k3], if there is any
   fisheye: numbers      fisheye:fx,fy,cx,cy[,k1,k2,k3,k4], equidistant
 It is taken to be in the middle of the robot, looking ahead.";
+
+/// Begin of the lines of KITTI's calib.txt that are projections of cameras; some files leave it out.
+const KITTI_CAMERAS: [&str; 8] =
+    ["P0:", "P1:", "P2:", "P3:", "P_rect_00:", "P_rect_01:", "P_rect_02:", "P_rect_03:"];
 
 /// Why no camera was read.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum CameraFileError {
     #[error("cannot read {}: {source}; name a YAML file, or write fx,fy,cx,cy", path.display())]
     Unreadable { path: PathBuf, source: std::io::Error },
+    #[error(
+        "{}: its cameras see differently, and it does not say which took these images; give fx,fy,cx,cy of that one: {}",
+        path.display(),
+        cameras.join(" or ")
+    )]
+    SeveralCameras { path: PathBuf, cameras: Vec<String> },
     #[error("{} is no YAML: {source}", path.display())]
     NoYaml { path: PathBuf, source: serde_norway::Error },
     #[error(
@@ -53,7 +64,7 @@ pub(crate) fn described_camera(argument: &str, size_px: (u32, u32)) -> Result<Ca
     if argument.contains(',') && first.trim().parse::<f64>().is_ok() {
         return by_numbers(argument, size_px, Lens::Pinhole, &[0, 4, 5]);
     }
-    let camera = read(Path::new(argument))?;
+    let camera = read(Path::new(argument), size_px)?;
     let ((width, height), (image_width, image_height)) = (camera.size_px, size_px);
     // Images may have been made smaller, but not cut off.
     let [across, down] =
@@ -91,9 +102,13 @@ fn by_numbers(
     Ok(Camera { lens: lens(intrinsics), size_px, base_to_camera: None })
 }
 
-fn read(path: &Path) -> Result<Camera, CameraFileError> {
+/// `size_px` is that of the images, where a file does not say it.
+fn read(path: &Path, size_px: (u32, u32)) -> Result<Camera, CameraFileError> {
     let text = std::fs::read_to_string(path);
     let text = text.map_err(|source| CameraFileError::Unreadable { path: path.to_owned(), source })?;
+    if let Some(camera) = of_kitti(path, &text, size_px)? {
+        return Ok(camera);
+    }
     let no_yaml = |source| CameraFileError::NoYaml { path: path.to_owned(), source };
     // OpenCV writes a first line that YAML does not have, and `ros2 topic echo` more than one document.
     let yaml = text.strip_prefix("%YAML:1.0").unwrap_or(&text);
@@ -103,6 +118,42 @@ fn read(path: &Path) -> Result<Camera, CameraFileError> {
     let document: Value = serde::Deserialize::deserialize(document).map_err(no_yaml)?;
     let info = Sheet { path, yaml: &document }.camera_info()?.ok_or_else(unknown)?;
     info.declared().map_err(|source| CameraFileError::Undeclared { path: path.to_owned(), source })
+}
+
+/// The camera of KITTI's calib.txt, whose lines are 3 x 4 projections of rectified cameras, row by row; `None` if it is
+/// none.
+fn of_kitti(path: &Path, text: &str, size_px: (u32, u32)) -> Result<Option<Camera>, CameraFileError> {
+    let mut cameras: Vec<[f64; 4]> = Vec::new();
+    for line in text.lines() {
+        let key = KITTI_CAMERAS.into_iter().find(|key| line.starts_with(key));
+        let numbers = line[key.map_or(0, str::len)..].split_whitespace();
+        let numbers: Vec<f64> = numbers.map_while(|number| number.parse().ok()).collect();
+        match (key, &numbers[..]) {
+            (_, &[fx, 0.0, cx, _, 0.0, fy, cy, _, 0.0, 0.0, 1.0, _]) => {
+                let camera = [fx, fy, cx, cy];
+                if !cameras.contains(&camera) {
+                    cameras.push(camera);
+                }
+            }
+            (Some(key), numbers) => {
+                let (path, found) = (path.to_owned(), numbers.len());
+                return Err(CameraFileError::Numbers { path, key, found, expected: "12, of a projection," });
+            }
+            (None, _) => {}
+        }
+    }
+    match cameras[..] {
+        [] => Ok(None),
+        [[fx_px, fy_px, cx_px, cy_px]] if fx_px > 0.0 && fy_px > 0.0 => {
+            let lens = Lens::Pinhole(Intrinsics { fx_px, fy_px, cx_px, cy_px, distortion: Vec::new() });
+            Ok(Some(Camera { lens, size_px, base_to_camera: None }))
+        }
+        [_] => Err(CameraFileError::Undeclared { path: path.to_owned(), source: Undeclared::Uncalibrated }),
+        _ => {
+            let told = cameras.iter().map(|camera| camera.map(|number| number.to_string()).join(","));
+            Err(CameraFileError::SeveralCameras { path: path.to_owned(), cameras: told.collect() })
+        }
+    }
 }
 
 /// A file, as far as it is read.
@@ -248,6 +299,28 @@ mod tests {
                      camera_model: pinhole\nintrinsics: [458.654, 457.296, 367.215, 248.375] #fu\n\
                      distortion_model: radial-tangential\ndistortion_coefficients: [-0.28, 0.07, 0.0002, 0.00002]\n";
         assert_eq!(pinhole(of_file(euroc, (752, 480)).unwrap()).distortion.len(), 4);
+    }
+
+    #[test]
+    fn calibrations_of_kitti_are_read() {
+        let p0 = "P0: 718.856 0 607.1928 0 0 718.856 185.2157 0 0 0 1 0\n";
+        let p1 = "P1: 718.856 0 607.1928 -386.1448 0 718.856 185.2157 0 0 0 1 0\n";
+        let tr = "Tr: 0 -1 0 0.1 0 0 -1 0 1 0 0 0\n";
+        let size = (1241, 376);
+        for text in [format!("{p0}{p1}{tr}"), format!("{}{}", &p0[4..], &p1[4..])] {
+            let camera = of_file(&text, size).unwrap();
+            assert_eq!(camera.size_px, size);
+            let lens = pinhole(camera);
+            let numbers = [lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px];
+            assert_eq!(numbers, [718.856, 718.856, 607.1928, 185.2157]);
+        }
+        let other = p1.replace("718.856", "700").replace("P1:", "P_rect_01:");
+        let error = of_file(&format!("{p0}{other}"), size).unwrap_err().to_string();
+        assert!(error.contains("718.856,718.856,607.1928,185.2157 or 700,700,"), "{error}");
+        let error = of_file("P0: 718.856 0 x\n", size).unwrap_err().to_string();
+        assert!(error.contains("P0: has 2 numbers in place of 12"), "{error}");
+        let error = of_file(&p0.replace("718.856", "0"), size).unwrap_err().to_string();
+        assert!(error.contains("not calibrated"), "{error}");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use waypost_client::launch::LaunchError;
 use waypost_client::{Code, Error};
 
 use crate::camera_file::CameraFileError;
-use crate::images::ListingError;
+use crate::images::{ListingError, VideoError};
 use crate::odometry::OdometryError;
 use crate::truth::TruthError;
 
@@ -30,6 +30,8 @@ pub(crate) enum Failure {
     Client(#[from] Error),
     #[error(transparent)]
     Images(#[from] ListingError),
+    #[error(transparent)]
+    Video(#[from] VideoError),
     #[error(transparent)]
     Bag(#[from] BagError),
     #[error(transparent)]
@@ -101,6 +103,7 @@ impl Failure {
             Failure::GoalRefused(_) => 4,
             Failure::FramesRefused { .. } => 5,
             Failure::Images(_)
+            | Failure::Video(_)
             | Failure::Bag(_)
             | Failure::Camera(_)
             | Failure::Topics { .. }

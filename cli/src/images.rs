@@ -1,12 +1,14 @@
 //! Images of a folder, in the order of their names: frame2 before frame10.
 
 mod dataset;
+mod video;
 
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
 pub(crate) use self::dataset::LAYOUTS;
 use self::dataset::{DatasetError, images_of_dataset};
+pub(crate) use self::video::{DEFAULT_RATE_HZ, Video, VideoError, images_of_video, is_video};
 use crate::file_stamps::stamps_of;
 
 /// One image file.

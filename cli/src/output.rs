@@ -60,6 +60,10 @@ pub(crate) fn fields(out: &mut dyn Write, message: &impl Serialize, absent: &str
             Value::Number(angle) if unit == DEGREES => {
                 format!("{:.1}{unit}", angle.as_f64().unwrap_or(f64::NAN).to_degrees())
             }
+            // A mean: nobody wants parts of a byte.
+            Value::Number(bytes) if name.starts_with("bytes_per_") => {
+                format!("{:.0}{unit}", bytes.as_f64().unwrap_or(f64::NAN))
+            }
             other => format!("{other}{unit}"),
         };
         writeln!(out, "  {:<20} {value}", name.replace('_', " "))?;
@@ -99,12 +103,12 @@ mod tests {
     #[test]
     fn fields_have_their_names_and_units() {
         let mut out = Vec::new();
-        let message =
-            serde_json::json!({ "spacing_rad": 0.5, "log_bytes": 7, "keep": "words", "rate": null });
+        let message = serde_json::json!({ "spacing_rad": 0.5, "log_bytes": 7, "bytes_per_frame": 8.51, "keep": "words", "rate": null });
         fields(&mut out, &message, "the model's").unwrap();
         let lines = [
             "  spacing              28.6 degrees",
             "  log                  7 bytes",
+            "  bytes per frame      9",
             "  keep                 words",
             "  rate                 the model's",
         ];

@@ -11,6 +11,17 @@ const DOUBTFUL_TURN_RAD_S: f64 = std::f64::consts::TAU;
 /// Turns as fast as that before anything is said: one alone may be a jump.
 const DOUBTFUL_TURNS: usize = 3;
 
+/// Headings that spread less are no degrees, or of a robot that hardly turned: three turns, if they are radians.
+const LEAST_SPAN_OF_DEGREES: f64 = 20.0;
+
+/// Steps that are too few to compare headings with.
+const LEAST_STEPS: usize = 20;
+
+/// Sines of how far robots drive beside their headings: of half the steps less, and more than that of headings that say
+/// nothing.
+const ALONG: f64 = 0.2;
+const ACROSS: f64 = 0.4;
+
 /// What seems to be in other units, a sentence each.
 pub(crate) fn doubts(poses: &[StampedPose]) -> Vec<String> {
     [centimetres(poses), degrees(poses)].into_iter().flatten().collect()
@@ -44,7 +55,40 @@ fn centimetres(poses: &[StampedPose]) -> Option<String> {
     })
 }
 
+/// Degrees, by how fast the robot would turn, or by where it drives.
 fn degrees(poses: &[StampedPose]) -> Option<String> {
+    turns_too_fast(poses).or_else(|| drives_by_degrees(poses))
+}
+
+/// A robot drives to where it looks, or back from there. Headings over some turns that fit that in degrees, and do
+/// not in radians, are degrees.
+fn drives_by_degrees(poses: &[StampedPose]) -> Option<String> {
+    let yaws = || poses.iter().filter_map(|pose| pose.yaw_rad);
+    let span = yaws().fold(f64::NEG_INFINITY, f64::max) - yaws().fold(f64::INFINITY, f64::min);
+    // Radians that are wrapped do not reach that far.
+    if span <= LEAST_SPAN_OF_DEGREES {
+        return None;
+    }
+    let off_rad = |as_radians: f64| {
+        let off = poses.windows(2).filter_map(|pair| {
+            let ([x_m, y_m, _], [next_x_m, next_y_m, _]) = (pair[0].pose.position_m, pair[1].pose.position_m);
+            let (way_x_m, way_y_m) = (next_x_m - x_m, next_y_m - y_m);
+            let off_rad = way_y_m.atan2(way_x_m) - pair[0].yaw_rad? * as_radians;
+            (way_x_m.hypot(way_y_m) > 0.0).then(|| off_rad.sin().abs())
+        });
+        let mut off: Vec<f64> = off.collect();
+        off.sort_by(f64::total_cmp);
+        off.get(off.len() / 2).filter(|_| off.len() >= LEAST_STEPS).copied()
+    };
+    let (in_radians, in_degrees) = (off_rad(1.0)?, off_rad(1.0_f64.to_radians())?);
+    (in_degrees < ALONG && in_radians > ACROSS).then(|| {
+        "taken as degrees, headings of the odometry point to where the robot drives, and taken as radians they do not: \
+         is yaw_rad in degrees?"
+            .to_owned()
+    })
+}
+
+fn turns_too_fast(poses: &[StampedPose]) -> Option<String> {
     // Radians that go on over a whole turn do not jump back, those that jump back stay within one.
     let is_wide = poses.iter().filter_map(|pose| pose.yaw_rad).any(|yaw| yaw.abs() > std::f64::consts::TAU);
     let fast = steps(poses).filter_map(|(one, other, seconds)| {
@@ -95,5 +139,26 @@ mod tests {
         let in_centimetres = doubts(&curve(100.0, 1.0));
         assert!(in_centimetres.len() == 1 && in_centimetres[0].contains("180 km/h"), "{in_centimetres:?}");
         assert_eq!(doubts(&curve(1000.0, 57.3)).len(), 2);
+    }
+
+    /// A circle that takes so many seconds, a pose a second, with headings times `radians`.
+    fn circle(seconds: f64, radians: f64) -> Vec<StampedPose> {
+        let row = |second: i64| {
+            let heading = second as f64 * std::f64::consts::TAU / seconds;
+            let (sine, cosine) = heading.sin_cos();
+            format!("{},{sine},{},{}", (second + 1) * 1_000_000_000, -cosine, heading * radians)
+        };
+        let rows: Vec<String> = (0..120).map(row).collect();
+        parse(&format!("stamp_ns,x_m,y_m,yaw_rad\n{}\n", rows.join("\n"))).unwrap()
+    }
+
+    #[test]
+    fn degrees_of_a_robot_that_turns_slowly_are_noticed() {
+        // 5 degrees a second: in radians that would be no doubtful rate.
+        let doubted = doubts(&circle(72.0, 57.2958));
+        assert!(doubted.len() == 1 && doubted[0].contains("point to where the robot drives"), "{doubted:?}");
+        for seconds in [8.0, 30.0, 72.0, 500.0] {
+            assert_eq!(doubts(&circle(seconds, 1.0)), Vec::<String>::new(), "{seconds}");
+        }
     }
 }

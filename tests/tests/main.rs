@@ -47,6 +47,7 @@ mod navigation {
     mod clocks;
     mod goals;
     mod metric;
+    mod simulated;
 }
 
 /// What an operator relies on: settings, limits, access, crashes, full disks.
@@ -67,6 +68,7 @@ mod operations {
     mod startup;
     mod tls;
     mod tokens;
+    mod videos;
 }
 
 /// REST beside gRPC, and bad values in every field of either.

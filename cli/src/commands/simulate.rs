@@ -11,6 +11,7 @@ use waypost_sim::drawing::{Layer, Marks, plan_svg};
 use waypost_sim::drive::{Building, SPEED_M_S, TWICE_A_SECOND, WHEN_MOVED};
 use waypost_sim::pose::Pose;
 
+use super::navigate::status_name;
 use crate::failure::{EXIT_CODES, Failure};
 use crate::files::Replacing;
 use crate::names::short_map;
@@ -222,7 +223,7 @@ async fn tell_states(
         let state = (told.status(), told.detail.clone());
         if before.as_ref() != Some(&state) {
             let why = state.1.as_deref().map_or_else(String::new, |why| format!(": {why}"));
-            if let Err(failure) = output.line(format_args!("{}{why}", state.0.json_name())) {
+            if let Err(failure) = output.line(format_args!("{}{why}", status_name(state.0))) {
                 return failure;
             }
             before = Some(state);

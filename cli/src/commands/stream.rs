@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use waypost_client::{Client, ClientOptions, SessionOptions, v1};
 
-use self::opening::{check_same_images, declared_camera, recording};
+use self::opening::{Opened, Reading, check_same_images, declared_camera, recording};
 use self::summary::conclude;
 pub(crate) use self::telling::closure_line;
 use self::telling::{short_sequence_hint, tell};
@@ -25,13 +25,14 @@ use crate::replay::Replay;
 use crate::robot_words::{ContentMaker, Words};
 use crate::{camera_file, images, odometry};
 
-/// Stream a folder of images, or a robot's bag, into a map and print the loop closures
+/// Stream a folder of images, a video, or a robot's bag into a map and print the loop closures
 ///
 /// Streams DIR/images, or DIR, by file names, numbers in them by their value (frame2 before
 /// frame10): frame 1 is the first image. Each frame keeps the file's name as its note. Folders of
 /// TUM RGB-D, EuRoC and KITTI odometry are streamed by their tables. A bag is an MCAP file, a database of rosbag2 (.db3) or its
 /// folder, or a ROS 1 bag; it brings stamps, odometry and camera, and `waypost inspect` shows what
-/// is in it. With the --session of an earlier run it continues where
+/// is in it. Of a video (.mp4, .mkv and others), ffmpeg takes --video-rate images a second; their
+/// stamps count from the video's begin. With the --session of an earlier run it continues where
 /// that run stopped; with --csv or --json it also fetches the answers of the earlier frames, so
 /// that the rows are complete. With --localize every run starts from the beginning.
 #[derive(clap::Args)]
@@ -43,7 +44,7 @@ use crate::{camera_file, images, odometry};
     )
 )]
 pub(crate) struct Arguments {
-    /// Folder of JPEG or PNG images, or a bag
+    /// Folder of JPEG or PNG images, a video, or a bag
     dir: PathBuf,
     /// Map to stream into
     #[arg(long)]
@@ -58,6 +59,9 @@ pub(crate) struct Arguments {
     /// odometry get stamps at this rate, or else at 1 Hz
     #[arg(long, value_name = "HZ", value_parser = rate_hz)]
     rate: Option<f64>,
+    /// Images a second that are taken of a video [default: 2]
+    #[arg(long, value_name = "HZ", value_parser = rate_hz)]
+    video_rate: Option<f64>,
     #[command(flatten)]
     topics: Topics,
     #[command(flatten)]
@@ -98,10 +102,25 @@ struct Seeing {
 }
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
-    let Arguments { dir, map, session, odometry, rate, topics, words, seeing, localize, csv, force, yes } =
-        arguments;
+    let Arguments {
+        dir,
+        map,
+        session,
+        odometry,
+        rate,
+        video_rate,
+        topics,
+        words,
+        seeing,
+        localize,
+        csv,
+        force,
+        yes,
+    } = arguments;
     Replacing::of(force).check_wanted(csv.as_deref())?;
-    let recording = recording(&dir, odometry.as_deref(), rate, topics, Asking::unless(yes), output).await?;
+    let reading = Reading { odometry: odometry.as_deref(), rate_hz: rate, video_rate_hz: video_rate, topics };
+    // The folder of a video's images stays until all is sent.
+    let Opened { recording, folder: _folder } = recording(&dir, reading, Asking::unless(yes), output).await?;
     let camera = declared_camera(seeing, &recording)?;
     let client = Client::connect(server).await?;
     let contents = ContentMaker::new(&client, &map, words.words).await?;

@@ -63,7 +63,7 @@ pub(super) fn loop_closures(closures: &[v1::LoopClosure], output: Output) -> Res
                 probability.map_or("not verified".to_owned(), |probability| format!("{probability:.4}")),
             ]
         });
-        table(out, ["FRAME", "MATCHED FRAME", "PLACE", "BY WORDS", "WITH GEOMETRY"], rows)
+        table(out, ["FRAME", "MATCHED FRAME", "PLACE", "POSTERIOR", "PROBABILITY"], rows)
     })
 }
 

@@ -1,9 +1,10 @@
-//! What is streamed: a folder's images or a bag, and the camera that took them.
+//! What is streamed: a folder's images, a video or a bag, and the camera that took them.
 
 use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 
+use tempfile::TempDir;
 use waypost_bags::Bag;
 use waypost_client::{Client, v1};
 
@@ -12,26 +13,52 @@ use crate::camera_file::described_camera;
 use crate::drive::{Drive, Topics, camera_message};
 use crate::failure::Failure;
 use crate::files::Asking;
-use crate::images::{ImageFile, images_of};
+use crate::images::{
+    DEFAULT_RATE_HZ as VIDEO_RATE_HZ, ImageFile, Video, images_of, images_of_video, is_video,
+};
 use crate::moments::{Moments, moments};
 use crate::odometry::{self, StampedPose};
 use crate::output::Output;
 use crate::panorama::{camera_of, mirror_camera, size_px};
+use crate::progress;
 use crate::replay::{Recording, Replay, note};
 use crate::units::doubts;
 
 /// Rate of generated stamps.
 const DEFAULT_RATE_HZ: f64 = 1.0;
 
-/// The images of a folder, or of a bag.
+/// What is streamed.
+pub(super) struct Opened {
+    pub(super) recording: Recording,
+    /// Of a video's images, which are gone with it.
+    pub(super) folder: Option<TempDir>,
+}
+
+/// What to read beside the images, and how.
+pub(super) struct Reading<'a> {
+    pub(super) odometry: Option<&'a Path>,
+    /// Images a second, of those without stamps.
+    pub(super) rate_hz: Option<f64>,
+    /// Images a second that are taken of a video.
+    pub(super) video_rate_hz: Option<f64>,
+    pub(super) topics: Topics,
+}
+
+/// The images of a folder, of a video, or of a bag.
 pub(super) async fn recording(
     path: &Path,
-    odometry: Option<&Path>,
-    rate: Option<f64>,
-    topics: Topics,
+    reading: Reading<'_>,
     asking: Asking,
     output: Output,
-) -> Result<Recording, Failure> {
+) -> Result<Opened, Failure> {
+    let Reading { odometry, rate_hz, video_rate_hz, topics } = reading;
+    let is_video = is_video(path);
+    if video_rate_hz.is_some() && !is_video {
+        return Err(Failure::Unfit(format!(
+            "--video-rate is for videos, and {} is none; leave it out",
+            path.display()
+        )));
+    }
     // A folder of images stays one, whatever else lies in it.
     if Bag::is_bag(path) && (!path.is_dir() || images_of(path).is_err()) {
         if odometry.is_some() {
@@ -42,7 +69,7 @@ pub(super) async fn recording(
         }
         let drive = Drive::open(path, topics, output).await?;
         drive.tell();
-        return Ok(Recording::Bag(Arc::new(drive)));
+        return Ok(Opened { recording: Recording::Bag(Arc::new(drive)), folder: None });
     }
     if let Some(flag) = topics.first_flag() {
         return Err(Failure::Unfit(format!(
@@ -50,18 +77,26 @@ pub(super) async fn recording(
             path.display()
         )));
     }
-    let images = images_of(path)?;
+    let (images, folder) = if is_video {
+        let rate_hz = video_rate_hz.unwrap_or(VIDEO_RATE_HZ);
+        let bar = progress::spinner(output, "reading the video");
+        let Video { images, folder } = images_of_video(path, rate_hz).await?;
+        bar.finish_and_clear();
+        (images, Some(folder))
+    } else {
+        (images_of(path)?, None)
+    };
     let poses = odometry.map(poses_of).transpose()?;
     if let Some(poses) = &poses {
         check_units(poses, asking)?;
     }
     let with_file = odometry.zip(poses.as_deref());
-    let Moments { moments, told } = moments(&images, with_file, rate.unwrap_or(DEFAULT_RATE_HZ))?;
+    let Moments { moments, told } = moments(&images, with_file, rate_hz.unwrap_or(DEFAULT_RATE_HZ))?;
     for line in told {
         // If stderr is closed, the message is lost.
         let _ = writeln!(std::io::stderr(), "{line}");
     }
-    Ok(Recording::Folder { images, moments })
+    Ok(Opened { recording: Recording::Folder { images, moments }, folder })
 }
 
 fn poses_of(path: &Path) -> Result<Vec<StampedPose>, Failure> {

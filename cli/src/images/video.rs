@@ -1,0 +1,95 @@
+//! Videos, whose images an ffmpeg process writes into a folder that lasts as long as the command.
+
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+
+use tempfile::TempDir;
+use tokio::process::Command;
+
+use super::ImageFile;
+
+/// Images a second that are taken of a video, unless told otherwise: a robot that walks sees each place a few times.
+pub(crate) const DEFAULT_RATE_HZ: f64 = 2.0;
+
+/// How files of videos end.
+const ENDINGS: [&str; 9] = ["mp4", "m4v", "mov", "mkv", "webm", "avi", "mpg", "mpeg", "ts"];
+
+/// The images of a video.
+pub(crate) struct Video {
+    /// With stamps that count from its begin, and called by them.
+    pub(crate) images: Vec<ImageFile>,
+    /// Where they are, until this is dropped.
+    pub(crate) folder: TempDir,
+}
+
+/// Why a video has no usable images.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum VideoError {
+    #[error(
+        "{} is a video, and there is no ffmpeg on this machine to read it; install it (`apt-get install ffmpeg`), or give a \
+         folder of the video's images",
+        .0.display()
+    )]
+    NoFfmpeg(PathBuf),
+    #[error("{}: ffmpeg cannot read it: {why}", path.display())]
+    Unread { path: PathBuf, why: String },
+    #[error("{} has no images; is it a recording of sound?", .0.display())]
+    NoImages(PathBuf),
+    #[error("cannot keep the images of {}: {source}; set TMPDIR to a folder with room", path.display())]
+    NoRoom { path: PathBuf, source: std::io::Error },
+}
+
+/// Whether a file is a video, by its name.
+pub(crate) fn is_video(path: &Path) -> bool {
+    let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    path.is_file() && ENDINGS.contains(&ending.as_str())
+}
+
+/// Takes so many images a second of a video.
+pub(crate) async fn images_of_video(path: &Path, rate_hz: f64) -> Result<Video, VideoError> {
+    let no_room = |source| VideoError::NoRoom { path: path.to_owned(), source };
+    let folder = TempDir::new().map_err(no_room)?;
+    let mut ffmpeg = Command::new("ffmpeg");
+    ffmpeg.args(["-nostdin", "-loglevel", "error", "-i"]).arg(path);
+    // The one shown at each moment; as JPEG of the best quality that stays small.
+    ffmpeg.args(["-map", "0:v:0", "-vf", &format!("fps={rate_hz}"), "-q:v", "2", "-f", "image2"]);
+    ffmpeg.arg(folder.path().join("%d.jpg")).stdin(Stdio::null()).kill_on_drop(true);
+    let ended = ffmpeg.output().await.map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => VideoError::NoFfmpeg(path.to_owned()),
+        _ => VideoError::Unread { path: path.to_owned(), why: error.to_string() },
+    })?;
+    if !ended.status.success() {
+        let said = String::from_utf8_lossy(&ended.stderr);
+        let why = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it says nothing").to_owned();
+        return Err(VideoError::Unread { path: path.to_owned(), why });
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    // Numbered from 1, without gaps.
+    let files = (1..).map(|number: u64| (number, folder.path().join(format!("{number}.jpg"))));
+    let images: Vec<ImageFile> = files
+        .take_while(|(_, file)| file.is_file())
+        .map(|(number, file)| {
+            let seconds = (number - 1) as f64 / rate_hz;
+            // No stamp may be 0.
+            let stamp_ns = ((seconds * 1e9).round() as i64).max(1);
+            ImageFile { name: format!("{name} {seconds:.3} s"), path: file, stamp_ns: Some(stamp_ns) }
+        })
+        .collect();
+    if images.is_empty() { Err(VideoError::NoImages(path.to_owned())) } else { Ok(Video { images, folder }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_video_is_known_by_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, expected) in [("drive.MP4", true), ("drive.mkv", true), ("drive.mcap", false)] {
+            let file = folder.path().join(name);
+            std::fs::write(&file, "x").unwrap();
+            assert_eq!(is_video(&file), expected, "{name}");
+        }
+        assert!(!is_video(&folder.path().join("nowhere.mp4")));
+    }
+}
