@@ -118,6 +118,32 @@ async fn a_robot_maps_a_building_and_the_map_undoes_what_its_wheels_drift() {
     server.stop().await;
 }
 
+/// Places that frames without odometry make lie in no part with others; wheels go on from the last frame that had some.
+#[tokio::test(flavor = "multi_thread")]
+async fn odometry_may_be_missing_for_a_while() {
+    const BLIND: std::ops::Range<u64> = 20..28;
+    let drive = drive_round(3, "once");
+    let blind = |input: FrameInput| {
+        if BLIND.contains(&input.sequence) { FrameInput { odometry: None, ..input } } else { input }
+    };
+    let inputs: Vec<FrameInput> = drive.inputs().take(60).map(blind).collect();
+    let server = Server::start().await;
+    let client = server.client().await;
+    let model = import_model(&client).await;
+    client.create_map(map_request("drive", &model.name)).await.unwrap();
+    let options = SessionOptions { camera: Some(camera()), ..session_options("drive", "robot") };
+    stream(client.open_session(options).await.unwrap(), inputs).await;
+    let places = client.places("drive").await.unwrap();
+    let made_by = |place: &v1::Place| place.frames.first().map_or(0, |frame| frame.sequence);
+    for place in &places {
+        let part = place.pose.as_ref().map(|pose| pose.part);
+        assert_eq!(part == Some(0), !BLIND.contains(&made_by(place)), "{place:?}");
+    }
+    assert!(places.iter().any(|place| BLIND.contains(&made_by(place))));
+    assert!(places.iter().any(|place| made_by(place) > BLIND.end));
+    server.stop().await;
+}
+
 /// A robot without odometry in a map that has it: places that it makes lie nowhere, those of others stay where they are.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_session_without_odometry_leaves_the_metres_of_others_alone() {

@@ -12,6 +12,17 @@ fn drive() -> Drive {
     Drive::new(building(NamedWorld::Gallery, 12, "rooms"), wheels, 12)
 }
 
+/// The drive with positions that are so many times as long.
+fn scaled(drive: &Drive, scale: f64) -> Vec<FrameInput> {
+    let scaled = drive.inputs().map(|mut frame| {
+        let pose = frame.odometry.as_mut().and_then(|odometry| odometry.pose.as_mut()).unwrap();
+        let position = pose.position_m.as_mut().unwrap();
+        (position.x, position.y) = (scale * position.x, scale * position.y);
+        frame
+    });
+    scaled.collect()
+}
+
 /// Streams a session of the drive, and asks at every tenth frame how its odometry agrees.
 async fn agreements(
     client: &Client,
@@ -64,17 +75,25 @@ async fn what_was_declared_well_is_found_well_and_another_scale_later_is_seen() 
     );
 
     // The same way by wheels that take 1.3 m for one.
-    let scaled = drive.inputs().map(|mut frame| {
-        let pose = frame.odometry.as_mut().and_then(|odometry| odometry.pose.as_mut()).unwrap();
-        let position = pose.position_m.as_mut().unwrap();
-        (position.x, position.y) = (1.3 * position.x, 1.3 * position.y);
-        frame
-    });
-    let second = agreements(&client, "second", drive.camera(), scaled.collect()).await;
+    let second = agreements(&client, "second", drive.camera(), scaled(&drive, 1.3)).await;
     let found = findings(&second);
     assert!(found.iter().any(|finding| finding.contains("check the odometry's scale")), "{second:?}");
     let ways: Vec<f64> = second.iter().flat_map(|found| found.ways).map(|ways| ways.ratio).collect();
     assert!(ways.iter().all(|ratio| (ratio * 1.3 - 1.0).abs() < 0.1), "{ways:?}");
+    server.stop().await;
+}
+
+/// A robot so slow that its centimetres would be no doubtful speed: images say that they are no metres.
+#[tokio::test(flavor = "multi_thread")]
+async fn centimetres_are_named() {
+    let drive = drive();
+    let (server, client) = map_server().await;
+    for (session, scale, named) in [("metres", 1.0, false), ("centimetres", 100.0, true)] {
+        let frames = scaled(&drive, scale).into_iter().take(40).collect();
+        let found = agreements(&client, session, drive.camera(), frames).await;
+        let is_named = findings(&found).iter().any(|finding| finding.contains("in centimetres"));
+        assert_eq!(is_named, named, "{session}: {found:?}");
+    }
     server.stop().await;
 }
 

@@ -48,8 +48,12 @@ async fn a_trained_model_is_good_for_a_map_here_and_elsewhere() {
     assert_eq!((length, model.size_bytes), (file.len() as u64, file.len() as u64));
     let elsewhere = Server::start().await;
     let there = elsewhere.client().await;
-    let imported = there.import_model("office", io::Cursor::new(file.clone())).await.unwrap();
-    assert_eq!((&imported.name, &imported.words_hash), (&model.name, &model.words_hash));
+    // The first name that it is given stays.
+    for (given, kept) in [("", ""), ("office", "office"), ("other", "office"), ("", "office")] {
+        let imported = there.import_model(given, io::Cursor::new(file.clone())).await.unwrap();
+        assert_eq!((&imported.name, &imported.words_hash), (&model.name, &model.words_hash));
+        assert_eq!(imported.display_name, kept, "{given:?}");
+    }
     let mut again = Vec::new();
     there.export_model(&model.name[..20], &mut again).await.unwrap();
     assert!(again == file, "the exported files differ");

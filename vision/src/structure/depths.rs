@@ -1,7 +1,7 @@
 //! How far the features of a frame are.
 
 use nalgebra::{Matrix2x5, Vector2, Vector3};
-use topomap::metric::RelativePose;
+use topomap::metric::{RelativePose, median};
 
 use super::motion::{Pair, Refined, refined};
 use super::nodding::Motion;
@@ -9,7 +9,7 @@ use super::robot_camera::{RobotCamera, Sighted};
 use super::turning::images_per_wheels;
 use crate::depth::{InverseDepth, Structure};
 use crate::feature_record::FeatureRecord;
-use crate::matching::matches as feature_matches;
+use crate::matching::{Match as FeatureMatch, matches as feature_matches};
 
 /// Beyond so many squared standard deviations of two degrees of freedom, one in a hundred, two
 /// sights are not of one feature.
@@ -23,6 +23,19 @@ const LEAST_BASE_M: f64 = 0.05;
 
 /// Steps in which a depth is found.
 const STEPS: usize = 4;
+
+/// Half of what a robot or a car sees is nearer than this, in metres.
+const FURTHEST_M: f64 = 150.0;
+
+/// Ways that say how far things are without any doubt about wheels, in metres, and turns in radians that leave them
+/// straight; and the features that it takes.
+const LONG_M: f64 = 5.0;
+const STRAIGHT_RAD: f64 = 0.05;
+const LEAST_FEATURES: usize = 20;
+
+/// Mean distance of features from the middle of the image, in its widths: as far as they are out there, they move by that
+/// share of the way over their distance.
+const OUT_WIDTHS: f64 = 0.25;
 
 /// Depths beyond and before this are none, in 1/m.
 const PER_M: std::ops::RangeInclusive<f64> = 0.005..=5.0;
@@ -61,6 +74,19 @@ pub(super) struct Tracked {
     pub(super) structure: Structure,
     /// Of how many times as far as the wheels the images turned; `None` if they do not say.
     pub(super) images_per_wheels: Option<f64>,
+    /// How much the image changed over the way.
+    pub(super) change: Change,
+}
+
+/// How much of an image changed, beside what the wheels say of the way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Change {
+    /// The way was short or bent, or too little is seen from both its ends.
+    Unknown,
+    /// As much as it does over such a way.
+    Enough,
+    /// So little that half of what is seen would be further away than [`FURTHEST_M`].
+    HardlyAny,
 }
 
 /// What the way from an earlier frame says of the depths of a later one's features, and what
@@ -104,7 +130,28 @@ pub(super) fn tracked(
     Tracked {
         structure: Structure::new(depths),
         images_per_wheels: images_per_wheels(camera, &sights, wheels),
+        change: change((earlier, later), &matches, wheels),
     }
+}
+
+/// By how far features moved in the image, whatever they may be in the room.
+fn change(
+    (earlier, later): (&FeatureRecord, &FeatureRecord),
+    matches: &[FeatureMatch],
+    wheels: &RelativePose,
+) -> Change {
+    let way = wheels.pose();
+    let way_m = way.x_m().hypot(way.y_m());
+    if way_m < LONG_M || way.heading_rad().abs() > STRAIGHT_RAD || matches.len() < LEAST_FEATURES {
+        return Change::Unknown;
+    }
+    let moved_px = |found: &FeatureMatch| {
+        let (before, now) = (&earlier.keypoints()[found.earlier], &later.keypoints()[found.current]);
+        f64::from(now.x_px - before.x_px).hypot(f64::from(now.y_px - before.y_px))
+    };
+    let mut moved_px: Vec<f64> = matches.iter().map(moved_px).collect();
+    let moved_widths = median(&mut moved_px).unwrap_or(0.0) / f64::from(later.image_size_px().0);
+    if moved_widths < OUT_WIDTHS * way_m / FURTHEST_M { Change::HardlyAny } else { Change::Enough }
 }
 
 /// Two views of one camera, by how it moved in between.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use posegraph::Pose;
 use topomap::metric::{Agreement, Odometry, OdometryNoise, RelativePose};
 
-use super::depths::{Tracked, tracked};
+use super::depths::{Change, Tracked, tracked};
 use super::robot_camera::RobotCamera;
 use crate::feature_record::FeatureRecord;
 
@@ -21,6 +21,8 @@ pub struct Tracker {
     frames: VecDeque<TrackedFrame>,
     /// How many times as far as the wheels the images turned at the latest turns, oldest first.
     turns: VecDeque<f64>,
+    /// How much images changed over the latest long ways, oldest first.
+    changes: VecDeque<Change>,
 }
 
 /// A frame that later ones are held against.
@@ -31,6 +33,9 @@ pub struct TrackedFrame {
     /// Where the wheels put the robot then.
     pub odometry: Odometry,
 }
+
+/// Long ways that are too few to say that wheels are of another unit.
+const LEAST_CHANGES: usize = 5;
 
 /// Way and turn that a frame must be away to be held against, in metres and radians.
 const APART_M: f64 = 0.25;
@@ -49,7 +54,7 @@ impl Tracker {
     /// Goes on after these frames, the last [`Tracker::MAX_FRAMES`] of a robot, oldest first.
     #[must_use]
     pub fn resumed(noise: OdometryNoise, frames: Vec<TrackedFrame>) -> Self {
-        Self { noise, frames: frames.into(), turns: VecDeque::new() }
+        Self { noise, frames: frames.into(), turns: VecDeque::new(), changes: VecDeque::new() }
     }
 
     /// A frame's features with their depths, by a camera; `odometry` is where the wheels put the
@@ -63,13 +68,17 @@ impl Tracker {
         let (Some(camera), Some(odometry)) = (camera, odometry) else {
             self.frames.clear();
             self.turns.clear();
+            self.changes.clear();
             return features;
         };
         let features = match self.held_against(odometry) {
             Some((earlier, motion)) => {
-                let Tracked { structure, images_per_wheels } =
+                let Tracked { structure, images_per_wheels, change } =
                     tracked(camera, &earlier.features, &features, &motion);
                 self.turns.extend(images_per_wheels);
+                if change != Change::Unknown {
+                    self.changes.push_back(change);
+                }
                 Arc::new(FeatureRecord::clone(&features).with_structure(structure))
             }
             None => features,
@@ -81,6 +90,9 @@ impl Tracker {
         if self.turns.len() > Self::MAX_FRAMES {
             self.turns.pop_front();
         }
+        if self.changes.len() > Self::MAX_FRAMES {
+            self.changes.pop_front();
+        }
         features
     }
 
@@ -89,6 +101,14 @@ impl Tracker {
     #[must_use]
     pub fn turning(&self) -> Option<Agreement> {
         Agreement::of(self.turns.iter().copied())
+    }
+
+    /// Whether images hardly changed over most of the latest long ways, as if half of what is seen were 150 m away and
+    /// more. Positions in centimetres or millimetres look so.
+    #[must_use]
+    pub fn hardly_moves(&self) -> bool {
+        let hardly = self.changes.iter().filter(|change| **change == Change::HardlyAny).count();
+        self.changes.len() >= LEAST_CHANGES && 2 * hardly > self.changes.len()
     }
 
     /// The latest frame that the robot has moved away from, or else the oldest, and the way since.

@@ -13,6 +13,9 @@ pub(super) const MOST_FRAMES: usize = Tracker::MAX_FRAMES + 1;
 /// Ways shorter than this, in metres, say little of a scale: their ends are measured to centimetres.
 const LEAST_WAY_M: f64 = 1.0;
 
+const HARDLY_MOVES: &str = "over ways of metres by its odometry images hardly change, as if most of what it sees were more \
+                            than 150 m away: are its positions in centimetres or millimetres, and not in metres?";
+
 /// A frame that was seen to be near an earlier one.
 pub(super) struct SeenAgain {
     /// Session of the earlier frame, and its odometry.
@@ -44,19 +47,21 @@ impl OdometryAgreement {
         seen: &[Option<SeenFeatures>],
         seen_again: &[SeenAgain],
     ) -> Option<Self> {
-        let turns = turns(noise, frames, seen);
+        let tracker = tracked(noise, frames, seen);
+        let turns = tracker.turning();
         let ways = Agreement::of(ways(noise, seen_again));
         let camera = seen.last().and_then(Option::as_ref).and_then(SeenFeatures::field_of_view_rad);
         let findings = [
             turns.as_ref().and_then(|turns| turns_finding(turns, camera)),
             ways.as_ref().and_then(ways_finding),
+            tracker.hardly_moves().then(|| HARDLY_MOVES.to_owned()),
         ];
         let finding = findings.into_iter().flatten().collect::<Vec<_>>().join("; ");
-        (turns.is_some() || ways.is_some()).then_some(Self { turns, ways, finding })
+        (turns.is_some() || ways.is_some() || !finding.is_empty()).then_some(Self { turns, ways, finding })
     }
 }
 
-fn turns(noise: OdometryNoise, frames: &[FrameEvent], seen: &[Option<SeenFeatures>]) -> Option<Agreement> {
+fn tracked(noise: OdometryNoise, frames: &[FrameEvent], seen: &[Option<SeenFeatures>]) -> Tracker {
     let mut tracker = Tracker::new(noise);
     for (frame, seen) in frames.iter().zip(seen) {
         // Of a frame that showed nothing no features are kept, and a robot's own tracker passes over it.
@@ -64,7 +69,7 @@ fn turns(noise: OdometryNoise, frames: &[FrameEvent], seen: &[Option<SeenFeature
         let camera: Option<&RobotCamera> = seen.camera.as_ref();
         tracker.track(seen.features.clone(), camera, frame.odometry.as_ref());
     }
-    tracker.turning()
+    tracker
 }
 
 /// From each frame to the next one that is far enough: how many times as long the way was by the odometry of
