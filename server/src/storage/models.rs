@@ -17,7 +17,7 @@ pub(crate) struct ModelRow {
 }
 
 impl Storage {
-    /// Stores a model file; one that is there already stays as it is.
+    /// Stores a model file; of one that is there already, at most the name changes.
     pub(crate) async fn put_model(&self, row: &ModelRow, file: &[u8]) -> Result<(), StorageError> {
         self.write(async |transaction| {
             insert_model(transaction, row, file).await?;
@@ -108,7 +108,7 @@ impl Storage {
     }
 }
 
-/// Whether it was not there yet.
+/// Whether it was not there yet. One that is there and has no name takes that of `row`; all else of it stays.
 pub(super) async fn insert_model(
     transaction: &mut Transaction<'_, Sqlite>,
     row: &ModelRow,
@@ -130,5 +130,13 @@ pub(super) async fn insert_model(
     .bind(file)
     .execute(&mut **transaction)
     .await?;
-    Ok(done.rows_affected() > 0)
+    if done.rows_affected() > 0 {
+        return Ok(true);
+    }
+    sqlx::query("UPDATE models SET display_name = ? WHERE hash = ? AND display_name = ''")
+        .bind(display_name)
+        .bind(hash)
+        .execute(&mut **transaction)
+        .await?;
+    Ok(false)
 }
