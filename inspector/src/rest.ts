@@ -12,6 +12,7 @@ export type Navigation = Schemas["Navigation"];
 export type AppearanceGraph = Schemas["AppearanceGraph"];
 export type Caller = Schemas["Caller"];
 export type Job = Schemas["Job"];
+export type Merge = Schemas["Merge"];
 export type Model = Schemas["Model"];
 export type Token = Schemas["Token"];
 

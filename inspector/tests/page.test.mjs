@@ -2,4 +2,5 @@
 // the demo, and after the last its server asks for tokens.
 import "./maps.mjs";
 import "./operations.mjs";
+import "./merging.mjs";
 import "./tokens.mjs";

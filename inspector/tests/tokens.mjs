@@ -43,6 +43,9 @@ test("the first token is an admin's, is shown once, and is the page's own from t
     await other.page.getByRole("link", { name: "Maps" }).click();
     await other.page.getByText("There is no map yet.").waitFor();
     assert.equal(await other.page.getByRole("button", { name: /New map|Import/ }).count(), 0);
+    await other.page.getByRole("link", { name: "Merges" }).click();
+    await other.page.getByText("No maps were merged yet.").waitFor();
+    assert.equal(await other.page.getByRole("region", { name: "Merge maps" }).count(), 0);
 
     await tokens.getByRole("button", { name: "Delete the token reader" }).click();
     await page.getByRole("dialog").getByRole("textbox").fill("reader");
