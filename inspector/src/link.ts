@@ -26,11 +26,13 @@ export interface Link {
     view: [number, number, number] | null;
     /** Which picture fills the page. */
     large: boolean;
+    /** Whether the cursor goes with the newest frame. */
+    follow: boolean;
 }
 
 export const START: Link = {
     page: "maps", map: "", merge: null, sources: [], target: "", session: null, frame: null, place: null, colour: null,
-    shape: null, corrected: 1, view: null, large: false,
+    shape: null, corrected: 1, view: null, large: false, follow: false,
 };
 
 const COLOURS = ["session", "time", "space"] as const;
@@ -82,6 +84,7 @@ export function read(hash: string): Link {
         corrected: corrected >= 0 && corrected <= 1 ? corrected : 1,
         view: viewOf(given),
         large: given.get("large") === "1",
+        follow: given.get("follow") === "1",
     };
 }
 
@@ -104,6 +107,7 @@ export function hash(link: Link): string {
     if (link.corrected !== 1) given.set("corrected", String(link.corrected));
     if (link.view) given.set("view", written(link.view));
     if (link.large) given.set("large", "1");
+    if (link.follow) given.set("follow", "1");
     return `#/maps/${encodeURIComponent(link.map)}${asked(given)}`;
 }
 

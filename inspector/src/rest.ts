@@ -61,6 +61,11 @@ async function ask(path: string, init: RequestInit = {}): Promise<Response> {
     throw new Refusal(answer.status, code, message);
 }
 
+/** An answer that is read while it comes. */
+export function open(path: string, headers: HeadersInit, signal: AbortSignal): Promise<Response> {
+    return ask(path, { headers, signal });
+}
+
 export async function get<T>(path: string, signal?: AbortSignal): Promise<T> {
     return (await ask(path, signal ? { signal } : {})).json();
 }

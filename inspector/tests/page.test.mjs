@@ -3,4 +3,5 @@
 import "./maps.mjs";
 import "./operations.mjs";
 import "./merging.mjs";
+import "./live.mjs";
 import "./tokens.mjs";

@@ -75,6 +75,7 @@ test("a server with tokens asks for one, and shows what its holder may see", asy
     await cursor(page).filter({ hasText: `frame ${closing}: loop closure` }).waitFor();
     await until("a picture by token", () => page.locator(".pair img").evaluate((image) => image.naturalWidth > 300));
     assert.ok(!page.url().includes(robot), "the secret is in the link");
+    await page.getByTestId("live").filter({ hasText: "live" }).waitFor();
     await page.reload();
     await cursor(page).filter({ hasText: `frame ${closing}` }).waitFor();
     await server.call(admin, "token", "rm", "reader");
