@@ -1,4 +1,4 @@
-// A map while a robot streams into it.
+// A map while a robot streams into it, and sessions that leave it.
 import assert from "node:assert/strict";
 import { copyFileSync, mkdirSync, readdirSync } from "node:fs";
 import { join } from "node:path";
@@ -94,4 +94,35 @@ test("without events robots are asked for as before, and the page says so", asyn
     await live(page, "asked for again and again");
     await until("robots that are asked for", async () => asked.length > 3);
     await close();
+});
+
+test("a session is deleted by who types its name, and the server's refusal is shown", async () => {
+    const { page, close } = await open("#/maps/live?session=first");
+    const before = await rest("maps/live/sessions/first");
+    const time = page.getByRole("region", { name: "Time" });
+    await time.getByRole("button", { name: "Delete the session" }).click();
+    const leaving = page.getByRole("dialog", { name: "Delete the session first?" });
+    assert.match(await leaving.textContent(), new RegExp(`${before.frames} frames`));
+    await accessible(page, "a session to be deleted");
+    const remove = leaving.getByRole("button", { name: "Delete the session" });
+    await leaving.getByRole("textbox").fill("firs");
+    assert.ok(await remove.isDisabled());
+
+    // Whoever was slower hears that it is gone.
+    const late = await open("#/maps");
+    await late.page.route("**/v1/maps/live/events", (route) => route.abort());
+    await late.page.goto(`${server.url}/#/maps/live?session=first`);
+    await late.page.getByRole("button", { name: "Delete the session" }).click();
+    await late.page.getByRole("dialog").getByRole("textbox").fill("first");
+
+    await leaving.getByRole("textbox").fill("first");
+    await remove.click();
+    await page.getByText("This map has no places yet").waitFor();
+    assert.deepEqual((await rest("maps/live/sessions")).sessions, []);
+    assert.ok(!page.url().includes("session="), page.url());
+    await late.page.getByRole("dialog").getByRole("button", { name: "Delete the session" }).click();
+    await late.page.getByRole("dialog").getByText("has no session first").waitFor();
+    await late.close();
+    await close();
+    await server.call(null, "map", "rm", "live", "--yes");
 });

@@ -76,6 +76,7 @@ test("a server with tokens asks for one, and shows what its holder may see", asy
     await until("a picture by token", () => page.locator(".pair img").evaluate((image) => image.naturalWidth > 300));
     assert.ok(!page.url().includes(robot), "the secret is in the link");
     await page.getByTestId("live").filter({ hasText: "live" }).waitFor();
+    assert.equal(await page.getByRole("button", { name: "Delete the session" }).count(), 0);
     await page.reload();
     await cursor(page).filter({ hasText: `frame ${closing}` }).waitFor();
     await server.call(admin, "token", "rm", "reader");
@@ -83,6 +84,7 @@ test("a server with tokens asks for one, and shows what its holder may see", asy
     await page.getByLabel("Token").fill(admin);
     await page.getByRole("button", { name: "Log in" }).click();
     await cursor(page).filter({ hasText: `frame ${closing}` }).waitFor();
+    await page.getByRole("button", { name: "Delete the session" }).waitFor();
     await page.getByRole("link", { name: "Maps" }).click();
     const coming = page.waitForEvent("download");
     await page.getByRole("button", { name: "Export the map demo" }).click();

@@ -92,6 +92,10 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
                         sessions={sessions} session={session} steps={steps} whole={whole} error={error} cursor={cursor}
                         threshold={map.settings?.closure_threshold ?? null} onCursor={onCursor}
                         onSession={(name) => go({ session: short(name), frame: null, place: null, follow: false })}
+                        onDeleted={() => {
+                            go({ session: null, frame: null, place: null });
+                            onAgain();
+                        }}
                     />
                 )}
             </div>

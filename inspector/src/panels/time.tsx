@@ -4,6 +4,7 @@ import uPlot from "uplot";
 import { ink } from "../drawing/colours";
 import { at, short, type Session } from "../rest";
 import { Picture, plural, Refused, useDark, useSize } from "../parts";
+import { DeleteSession } from "./deleting";
 import { REASONS, type Step } from "./steps";
 
 interface TimeProps {
@@ -16,10 +17,11 @@ interface TimeProps {
     threshold: number | null;
     onSession: (name: string) => void;
     onCursor: (index: number) => void;
+    onDeleted: () => void;
 }
 
 export function Time(props: TimeProps) {
-    const { sessions, session, steps, whole, error, cursor, threshold, onSession, onCursor } = props;
+    const { sessions, session, steps, whole, error, cursor, threshold, onSession, onCursor, onDeleted } = props;
     const step = steps[cursor];
     return (
         <section class="panel time" aria-label="Time">
@@ -38,6 +40,7 @@ export function Time(props: TimeProps) {
                 </span>
                 <output data-testid="cursor">{step ? `frame ${step.sequence}: ${REASONS[step.reason] ?? step.reason}` : "no frame"}</output>
                 <span class="quiet">{plural(steps.length, "frame")}{whole ? "" : ", more are coming"} · keys ← →</span>
+                <DeleteSession key={session.name} session={session} onDeleted={onDeleted} />
             </header>
             {error && <Refused error={error} />}
             {steps.length > 0 && <>
