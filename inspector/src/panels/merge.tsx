@@ -153,7 +153,7 @@ function Source({ source, searching }: { source: Schemas["MergeSource"]; searchi
         <section class="panel" aria-label={`Evidence for ${short(map)}`}>
             <header><h2>{short(map)}</h2>{!searching && <span class="quiet">{plural(places, "place")}</span>}</header>
             {overlap ? <Evidence overlap={overlap} /> : no_overlap_reason ? <p>No overlap: {no_overlap_reason}</p> : <p class="quiet">{searching ? "It is being looked for." : "It was not looked for to the end."}</p>}
-            {sessions.length > 0 && <p class="quiet small">In the target its sessions are {sessions.map(short).join(", ")}.</p>}
+            {sessions.length > 0 && <p class="quiet small">Its {sessions.length === 1 ? "session" : "sessions"} in the target: {sessions.map(short).join(", ")}</p>}
         </section>
     );
 }
