@@ -33,11 +33,13 @@ async function beginning(events) {
 test("a map grows on the page while a robot streams, and the cursor goes with it", async () => {
     const { model } = await rest("maps/demo");
     await server.call(null, "map", "create", "live", "--model", model.slice(7));
-    const { page, close } = await open("#/maps/live");
+    const { page, close } = await open("#/maps");
     const asked = [];
     const ended = [];
     page.on("request", (request) => asked.push(request.url()));
     page.on("requestfailed", (request) => ended.push(request.url()));
+    const began = Date.now();
+    await page.goto(`${server.url}/#/maps/live`);
     await live(page, "live");
     await page.getByText("This map has no places yet").waitFor();
     await page.getByLabel("follow").check();
@@ -55,7 +57,8 @@ test("a map grows on the page while a robot streams, and the cursor goes with it
     await accessible(page, "a map that grows");
     // By events alone: robots are only asked for to learn which have gone.
     assert.equal(asked.filter((url) => url.endsWith("/events")).length, 1);
-    assert.ok(asked.filter((url) => url.includes("/navigations")).length <= 2, "it asks all the time");
+    const most = 2 + Math.ceil((Date.now() - began) / 15_000);
+    assert.ok(asked.filter((url) => url.includes("/navigations")).length <= most, "it asks all the time");
 
     await page.keyboard.press("Home");
     await cursor(page).filter({ hasText: "frame 1:" }).waitFor();
