@@ -6,8 +6,13 @@ export type Shape = "ring" | "strip";
 
 /** All that decides what the page shows. */
 export interface Link {
-    page: "maps" | "map" | "operations";
+    page: "maps" | "map" | "merges" | "operations";
     map: string;
+    /** The number of a merge; without it, all of them. */
+    merge: number | null;
+    /** Maps that are to be merged, and the one that they go into. */
+    sources: string[];
+    target: string;
     /** The cursor of time: a frame of a session. */
     session: string | null;
     frame: number | null;
@@ -21,11 +26,13 @@ export interface Link {
     view: [number, number, number] | null;
     /** Which picture fills the page. */
     large: boolean;
+    /** Whether the cursor goes with the newest frame. */
+    follow: boolean;
 }
 
 export const START: Link = {
-    page: "maps", map: "", session: null, frame: null, place: null, colour: null, shape: null, corrected: 1, view: null,
-    large: false,
+    page: "maps", map: "", merge: null, sources: [], target: "", session: null, frame: null, place: null, colour: null,
+    shape: null, corrected: 1, view: null, large: false, follow: false,
 };
 
 const COLOURS = ["session", "time", "space"] as const;
@@ -47,17 +54,26 @@ function decoded(part: string): string {
     }
 }
 
+function viewOf(given: URLSearchParams): Link["view"] {
+    const view = (given.get("view") ?? "").split(",").map(Number);
+    const [x, y, scale] = view;
+    return view.length === 3 && view.every(Number.isFinite) && scale! > 0 ? [x!, y!, scale!] : null;
+}
+
 /** Reads a hash; what it does not understand is as if it were not there. */
 export function read(hash: string): Link {
     const [path = "", query = ""] = hash.replace(/^#\/?/, "").split("?", 2);
     const [page, map = ""] = path.split("/");
     if (page === "operations") return { ...START, page };
-    if (page !== "maps" || !map) return START;
     const given = new URLSearchParams(query);
+    if (page === "merges") {
+        const sources = (given.get("maps") ?? "").split(",").filter(Boolean);
+        return { ...START, page, merge: whole(map), sources, target: given.get("into") ?? "", view: viewOf(given) };
+    }
+    if (page !== "maps" || !map) return START;
     const corrected = Number(given.get("corrected") ?? "1");
-    const view = (given.get("view") ?? "").split(",").map(Number);
-    const [x, y, scale] = view;
     return {
+        ...START,
         page: "map",
         map: decoded(map),
         session: given.get("session"),
@@ -66,8 +82,9 @@ export function read(hash: string): Link {
         colour: one(COLOURS, given.get("colour")),
         shape: one(SHAPES, given.get("shape")),
         corrected: corrected >= 0 && corrected <= 1 ? corrected : 1,
-        view: view.length === 3 && view.every(Number.isFinite) && scale! > 0 ? [x!, y!, scale!] : null,
+        view: viewOf(given),
         large: given.get("large") === "1",
+        follow: given.get("follow") === "1",
     };
 }
 
@@ -76,16 +93,31 @@ export function hash(link: Link): string {
     if (link.page === "operations") return "#/operations";
     if (link.page === "maps") return "#/maps";
     const given = new URLSearchParams();
+    if (link.page === "merges") {
+        if (link.merge === null && link.sources.length) given.set("maps", link.sources.join(","));
+        if (link.merge === null && link.target) given.set("into", link.target);
+        if (link.merge !== null && link.view) given.set("view", written(link.view));
+        return `#/merges${link.merge === null ? "" : `/${link.merge}`}${asked(given)}`;
+    }
     if (link.session !== null) given.set("session", link.session);
     if (link.frame !== null) given.set("frame", String(link.frame));
     if (link.place !== null) given.set("place", String(link.place));
     if (link.colour) given.set("colour", link.colour);
     if (link.shape) given.set("shape", link.shape);
     if (link.corrected !== 1) given.set("corrected", String(link.corrected));
-    if (link.view) given.set("view", link.view.map((value) => Number(value.toPrecision(6))).join(","));
+    if (link.view) given.set("view", written(link.view));
     if (link.large) given.set("large", "1");
+    if (link.follow) given.set("follow", "1");
+    return `#/maps/${encodeURIComponent(link.map)}${asked(given)}`;
+}
+
+function written(view: NonNullable<Link["view"]>): string {
+    return view.map((value) => Number(value.toPrecision(6))).join(",");
+}
+
+function asked(given: URLSearchParams): string {
     const query = given.toString();
-    return `#/maps/${encodeURIComponent(link.map)}${query ? `?${query}` : ""}`;
+    return query && `?${query}`;
 }
 
 export type Go = (change: Partial<Link>) => void;
@@ -103,7 +135,7 @@ export function useLink(): [Link, Go] {
             const next = { ...link, ...change };
             const written = hash(next);
             if (written !== location.hash) {
-                const step = next.page !== link.page || next.map !== link.map;
+                const step = next.page !== link.page || next.map !== link.map || next.merge !== link.merge;
                 history[step ? "pushState" : "replaceState"](null, "", written);
             }
             return next;

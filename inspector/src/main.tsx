@@ -9,6 +9,8 @@ import { get, short, token, whenTokenWanted, type Caller } from "./rest";
 import { useSampling } from "./panels/metrics";
 import { MapPage } from "./panels/map";
 import { Maps } from "./panels/maps";
+import { MergePage } from "./panels/merge";
+import { Merges } from "./panels/merges";
 import { Operations } from "./panels/operations";
 
 function Inspector() {
@@ -49,6 +51,7 @@ function Inspector() {
             <a class="brand" href={hash(START)}><img src="/inspector/icon.svg" alt="" width={24} height={24} /> Waypost</a>
             <nav aria-label="Pages">
                 <a href={hash(START)} aria-current={current("maps")}>Maps</a>
+                <a href={hash({ ...START, page: "merges" })} aria-current={current("merges")}>Merges</a>
                 <a href={hash({ ...START, page: "operations" })} aria-current={current("operations")}>Operations</a>
                 <a href="/docs/">API</a>
             </nav>
@@ -73,6 +76,8 @@ function Page({ link, go, onTokens }: PageProps) {
             return <Maps />;
         case "map":
             return <MapPage key={link.map} link={link} go={go} />;
+        case "merges":
+            return link.merge === null ? <Merges link={link} go={go} /> : <MergePage key={link.merge} number={link.merge} link={link} go={go} />;
         case "operations":
             return <Operations onTokens={onTokens} />;
     }

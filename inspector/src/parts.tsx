@@ -29,6 +29,41 @@ export function useAsked<T>(ask: (signal: AbortSignal) => Promise<T>, about: rea
     return asked;
 }
 
+export interface Polled<T> {
+    value: T | null;
+    error: Error | null;
+    again: () => void;
+}
+
+/** Asks again and again while the page is looked at, after a pause that the last answer decides; `null` is for good. */
+export function usePolled<T>(ask: (signal: AbortSignal) => Promise<T>, pauseMs: (value: T | null) => number | null, about: readonly unknown[] = []): Polled<T> {
+    const [known, setKnown] = useState<Omit<Polled<T>, "again">>({ value: null, error: null });
+    const [times, setTimes] = useState(0);
+    useEffect(() => {
+        const gone = new AbortController();
+        let timer = 0;
+        let value: T | null = null;
+        const poll = async () => {
+            try {
+                if (document.visibilityState === "visible") {
+                    value = await ask(gone.signal);
+                    if (!gone.signal.aborted) setKnown({ value, error: null });
+                }
+            } catch (error) {
+                if (!gone.signal.aborted) setKnown((now) => ({ ...now, error: error as Error }));
+            }
+            const pause = pauseMs(value);
+            if (!gone.signal.aborted && pause !== null) timer = window.setTimeout(poll, pause);
+        };
+        void poll();
+        return () => {
+            gone.abort();
+            clearTimeout(timer);
+        };
+    }, [times, ...about]);
+    return { ...known, again: () => setTimes((times) => times + 1) };
+}
+
 interface ShownProps<T> {
     asked: Asked<T>;
     what: string;
@@ -110,41 +145,54 @@ export function Dialog({ title, onClose, children }: DialogProps) {
     );
 }
 
-interface DeletionProps {
-    /** What it is, as in "the map". */
-    what: string;
-    /** What has to be typed. */
-    name: string;
-    /** What is lost. */
+interface QuestionProps {
+    title: string;
+    /** What follows from it. */
     loss: string;
-    act: () => Promise<unknown>;
+    /** What has to be typed where it cannot be taken back; nothing else needs a name. */
+    name?: string;
+    verb: string;
+    doing: string;
+    act: (tell: (doing: string) => void) => Promise<unknown>;
     onDone: () => void;
     onClose: () => void;
 }
 
-/** Deletes what a person has named: nobody does so by a slip of the hand. */
-export function Deletion({ what, name, loss, act, onDone, onClose }: DeletionProps) {
+/** Asks before something is done. What cannot be taken back is done by who types its name: not by a slip of the hand. */
+export function Question({ title, loss, name, verb, doing, act, onDone, onClose }: QuestionProps) {
     const [typed, setTyped] = useState("");
     const { told, busy, attempt } = useAttempt();
-    const remove = async () => {
-        if (await attempt("Deleting", async () => {
-            await act();
-            return "deleted";
+    const go = async () => {
+        if (await attempt(doing, async (tell) => {
+            await act(tell);
+            return "done";
         })) onDone();
     };
     return (
-        <Dialog title={`Delete ${what} ${name}?`} onClose={onClose}>
+        <Dialog title={title} onClose={onClose}>
             <form onSubmit={(event) => {
                 event.preventDefault();
-                void remove();
+                void go();
             }}>
                 <p>{loss}</p>
-                <label><span>Type <strong>{name}</strong> to delete it</span> <input value={typed} autoComplete="off" autoFocus spellcheck={false} onInput={(event) => setTyped(event.currentTarget.value)} /></label>
-                <p class="actions"><button type="submit" class="stop" disabled={busy || typed !== name}>Delete {what}</button></p>
+                {name !== undefined && <label><span>Type <strong>{name}</strong> to go on</span> <input value={typed} autoComplete="off" autoFocus spellcheck={false} onInput={(event) => setTyped(event.currentTarget.value)} /></label>}
+                <p class="actions"><button type="submit" class={name === undefined ? "main" : "stop"} disabled={busy || typed !== (name ?? "")}>{verb}</button></p>
                 <Outcome told={told} />
             </form>
         </Dialog>
     );
+}
+
+type DeletionProps = Pick<QuestionProps, "loss" | "act" | "onDone" | "onClose"> & {
+    /** What it is, as in "the map". */
+    what: string;
+    /** What has to be typed. */
+    name: string;
+};
+
+/** Deletes what a person has named. */
+export function Deletion({ what, name, ...rest }: DeletionProps) {
+    return <Question title={`Delete ${what} ${name}?`} name={name} verb={`Delete ${what}`} doing="Deleting" {...rest} />;
 }
 
 export function Refused({ error }: { error: Error }) {

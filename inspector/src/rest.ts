@@ -12,6 +12,7 @@ export type Navigation = Schemas["Navigation"];
 export type AppearanceGraph = Schemas["AppearanceGraph"];
 export type Caller = Schemas["Caller"];
 export type Job = Schemas["Job"];
+export type Merge = Schemas["Merge"];
 export type Model = Schemas["Model"];
 export type Token = Schemas["Token"];
 
@@ -58,6 +59,11 @@ async function ask(path: string, init: RequestInit = {}): Promise<Response> {
         message: `The server answered ${answer.status}.`,
     };
     throw new Refusal(answer.status, code, message);
+}
+
+/** An answer that is read while it comes. */
+export function open(path: string, headers: HeadersInit, signal: AbortSignal): Promise<Response> {
+    return ask(path, { headers, signal });
 }
 
 export async function get<T>(path: string, signal?: AbortSignal): Promise<T> {

@@ -3,12 +3,14 @@ import { execFile, spawn } from "node:child_process";
 import { mkdtempSync, rmSync } from "node:fs";
 import { readFile } from "node:fs/promises";
 import { tmpdir } from "node:os";
-import { join } from "node:path";
+import { basename, join } from "node:path";
 import { fileURLToPath } from "node:url";
 import { promisify } from "node:util";
 
 export const REPOSITORY = fileURLToPath(new URL("../..", import.meta.url));
 const BINARIES = process.env.WAYPOST_BINARIES ?? join(REPOSITORY, "target/release");
+/** A folder of files that are shown in place of those in the server's binary, as server/inspector before it is built anew. */
+const ASSETS = process.env.INSPECTOR_ASSETS;
 const run = promisify(execFile);
 
 export const folder = mkdtempSync(join(tmpdir(), "waypost-inspector-"));
@@ -21,6 +23,19 @@ export async function clean() {
         child.kill("SIGTERM");
     })));
     rmSync(folder, { recursive: true, force: true });
+}
+
+/** Gives a browser the files of INSPECTOR_ASSETS, under the headers of the server's own. */
+export async function bring(context) {
+    if (!ASSETS) return;
+    const known = new Map();
+    await context.route(/^[^/]+\/\/[^/]+\/(#.*)?$|\/inspector\/[a-z]+\.[a-z]+$/, async (route) => {
+        const url = route.request().url().replace(/#.*/, "");
+        if (!known.has(url)) known.set(url, Object.fromEntries((await fetch(url)).headers));
+        const body = await readFile(join(ASSETS, basename(new URL(url).pathname) || "index.html"));
+        const { "content-length": _, ...headers } = known.get(url);
+        await route.fulfill({ headers, body });
+    });
 }
 
 /** Until `look` finds something; servers on busy machines take their time. */

@@ -27,7 +27,7 @@ export const MOST_DRIVES = 40;
 export async function load(name: string, signal: AbortSignal): Promise<MapData> {
     const base = at(`maps/${name}`);
     const [map, places, sessions, closures, labels] = await Promise.all([
-        get<WayMap>(`${base}?view=full`, signal),
+        get<WayMap>(base, signal),
         all<"places", Place>(`${base}/places`, "places", signal),
         all<"sessions", Session>(`${base}/sessions`, "sessions", signal),
         all<"loop_closures", LoopClosure>(`${base}/loop-closures`, "loop_closures", signal),

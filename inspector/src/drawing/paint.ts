@@ -122,8 +122,7 @@ function closures({ context, screen, ink }: Pen, scene: Scene, { x, y }: Points,
     levels.forEach(({ from, width, dash, alpha }, level) => {
         const below = levels[level + 1]?.from ?? Infinity;
         context.beginPath();
-        for (const { closure, to, corrected, odometry } of scene.closures) {
-            const probability = closure.probability ?? closure.posterior;
+        for (const { probability, to, corrected, odometry } of scene.closures) {
             if (probability < from || probability >= below) continue;
             const mixed = (axis: 0 | 1) => odometry[axis] + (corrected[axis] - odometry[axis]) * share;
             context.moveTo(screen.x(mixed(0)), screen.y(mixed(1)));

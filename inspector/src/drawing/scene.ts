@@ -15,7 +15,7 @@ export interface Track {
 }
 
 export interface Closure {
-    closure: LoopClosure;
+    probability: number;
     to: number;
     corrected: [number, number];
     odometry: [number, number];
@@ -103,6 +103,11 @@ function looks({ graph }: MapData, numbers: number[]): Points {
     return points;
 }
 
+/** How sure a closure is: by all evidence where geometry was asked, else by words. */
+export function sure({ probability, posterior }: LoopClosure): number {
+    return probability ?? posterior;
+}
+
 /** Closures from the place where the robot was a frame before. */
 function closuresBetween(data: MapData, indexOf: Map<number, number>, { x, y }: Points): Closure[] {
     const visits = visitsOf(data);
@@ -112,7 +117,7 @@ function closuresBetween(data: MapData, indexOf: Map<number, number>, { x, y }: 
         const before = lastBefore(visits.get(closure.frame.session) ?? [], closure.frame.sequence);
         const from = before === null ? to : (indexOf.get(before) ?? to);
         const point: [number, number] = [x[from]!, y[from]!];
-        return [{ closure, to, corrected: point, odometry: point }];
+        return [{ probability: sure(closure), to, corrected: point, odometry: point }];
     });
 }
 
@@ -178,7 +183,7 @@ function metric(data: MapData, shown: MapData["places"], indexOf: Map<number, nu
         const by = rowOf(wheels.get(frame.session) ?? [], stamp_s) ?? at;
         const here: [number, number] = [corrected.x[to]!, corrected.y[to]!];
         return [{
-            closure, to,
+            probability: sure(closure), to,
             corrected: at ? [at.x + aside, at.y] : here,
             odometry: by ? [by.x + aside, by.y] : here,
         }];

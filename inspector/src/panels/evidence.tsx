@@ -2,6 +2,7 @@
 import { useState } from "preact/hooks";
 import { residuals } from "../drawing/residuals";
 import type { MapData } from "../drawing/data";
+import { sure } from "../drawing/scene";
 import { at, short, text } from "../rest";
 import { plural, share, Shown, useAsked } from "../parts";
 import { PlaceLink } from "./pair";
@@ -34,7 +35,6 @@ export function Evidence({ data, metric, onPlace, onFrame }: EvidenceProps) {
 }
 
 function Closures({ data, onFrame, onPlace }: Pick<EvidenceProps, "data" | "onFrame" | "onPlace">) {
-    const sure = (closure: MapData["closures"][number]) => closure.probability ?? closure.posterior;
     const sorted = [...data.closures].sort((a, b) => sure(a) - sure(b));
     return (
         <div class="wide tall" tabIndex={0} role="group" aria-label="Table of loop closures"><table>

@@ -10,8 +10,10 @@ import { MapCanvas } from "./canvas";
 import { Evidence } from "./evidence";
 import { Pair } from "./pair";
 import { Place } from "./place";
-import { Robots, useRobots } from "./robots";
-import { Time, useSteps, type Step } from "./time";
+import { useFresh, useLive, type Live } from "./live";
+import { Robots } from "./robots";
+import { useSteps, type Step } from "./steps";
+import { Time } from "./time";
 
 interface MapPageProps {
     link: Link;
@@ -31,16 +33,27 @@ export function MapPage({ link, go }: MapPageProps) {
 }
 
 function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; onAgain: () => void }) {
-    const [labels, setLabels] = useState(given.labels);
-    const data = useMemo(() => ({ ...given, labels }), [given, labels]);
+    const { data, refresh, renew, setLabels } = useFresh(given);
+    const [lists, setLists] = useState(0);
     const { map, sessions } = data;
     const session = sessions.find(({ name }) => short(name) === link.session) ?? sessions[0] ?? null;
-    const { steps, whole, error } = useSteps(session?.name ?? null);
+    const { steps, whole, error, hear } = useSteps(session?.name ?? null, lists);
     const cursor = cursorOf(steps, link.frame);
     const coming = !whole && link.frame !== null && link.frame > (steps.at(-1)?.sequence ?? -1);
     const step = coming ? null : (steps[cursor] ?? null);
     const place = link.place ?? step?.place ?? null;
-    const { robots, error: unheard } = useRobots(map.name);
+    const heard = useLive(map.name, {
+        renew: () => void renew().then((another) => another && setLists((lists) => lists + 1)),
+        frames: (frames) => {
+            hear(frames);
+            refresh();
+        },
+    });
+    const newest = link.follow ? heard.streaming.at(-1) : undefined;
+    const known = newest && sessions.some(({ name }) => name === newest.session);
+    useEffect(() => {
+        if (newest && known) go({ session: short(newest.session), frame: Number(short(newest.frame.name)), place: null });
+    }, [newest?.frame.name, known]);
     const scene = useMemo(() => sceneOf(data, link.shape), [data, link.shape]);
 
     // Keys may come faster than the page is drawn: each goes on from the one before.
@@ -52,13 +65,13 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
         const nearest = Math.min(Math.max(index, 0), steps.length - 1);
         const to = steps[nearest];
         if (to) latest.current = nearest;
-        if (to) go({ frame: to.sequence, place: null, session: session ? short(session.name) : null });
+        if (to) go({ frame: to.sequence, place: null, follow: false, session: session ? short(session.name) : null });
     };
-    const onFrame = (session: string, frame: number) => go({ session: short(session), frame, place: null });
+    const onFrame = (session: string, frame: number) => go({ session: short(session), frame, place: null, follow: false });
     const onPlace = (number: number) => {
         const frames = data.places.find(({ name }) => short(name) === String(number))?.frames ?? [];
         const first = frames.find((frame) => frame.session === session?.name) ?? frames[0];
-        go({ place: number, ...(first && { session: short(first.session), frame: first.sequence }) });
+        go({ place: number, follow: false, ...(first && { session: short(first.session), frame: first.sequence }) });
     };
     useKeys((by) => onCursor(latest.current + by), (to) => onCursor(to === "first" ? 0 : steps.length - 1));
     return <>
@@ -68,23 +81,28 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
                 {plural(map.places, "place")} · {plural(map.links, "link")} · {plural(map.loop_closures, "loop closure")} · {plural(map.frames, "frame")}
             </p>
             <GoTo data={data} onPlace={onPlace} />
+            <label class="choice" title="The cursor goes with the newest frame"><input type="checkbox" checked={link.follow} onChange={(event) => go({ follow: event.currentTarget.checked })} /> <span>follow</span></label>
             <button type="button" onClick={onAgain}>Load anew</button>
         </div>
         <div class="columns">
             <div class="broad">
-                <Drawing data={data} scene={scene} link={link} go={go} place={place} robots={robots} onPlace={onPlace} />
+                <Drawing data={data} scene={scene} link={link} go={go} place={place} heard={heard} onPlace={onPlace} />
                 {session && (
                     <Time
                         sessions={sessions} session={session} steps={steps} whole={whole} error={error} cursor={cursor}
                         threshold={map.settings?.closure_threshold ?? null} onCursor={onCursor}
-                        onSession={(name) => go({ session: short(name), frame: null, place: null })}
+                        onSession={(name) => go({ session: short(name), frame: null, place: null, follow: false })}
+                        onDeleted={() => {
+                            go({ session: null, frame: null, place: null });
+                            onAgain();
+                        }}
                     />
                 )}
             </div>
             <div class="narrow">
-                {session && step && <Pair session={session.name} step={step} large={link.large} onLarge={(large) => go({ large })} onPlace={onPlace} />}
+                {session && step && <Pair session={session.name} step={step} large={link.large} follow={link.follow} onLarge={(large) => go({ large })} onPlace={onPlace} />}
                 {place !== null && <Place data={data} number={place} onPlace={onPlace} onFrame={onFrame} onLabels={setLabels} />}
-                <Robots robots={robots} error={unheard} place={place} onPlace={onPlace} />
+                <Robots heard={heard} place={place} onPlace={onPlace} onFrame={onFrame} />
                 <Evidence data={data} metric={scene.kind === "metric"} onPlace={onPlace} onFrame={onFrame} />
             </div>
         </div>
@@ -102,7 +120,7 @@ function cursorOf(steps: Step[], frame: number | null): number {
 function useKeys(by: (frames: number) => void, to: (end: "first" | "last") => void) {
     useEffect(() => {
         const pressed = (event: KeyboardEvent) => {
-            const wanted = event.target instanceof Element && event.target.closest("input, select, textarea, dialog, .wide");
+            const wanted = event.target instanceof Element && event.target.closest("input:not([type=checkbox]), select, textarea, dialog, .wide");
             if (wanted || event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
             const far = event.shiftKey ? 10 : 1;
             if (event.key === "ArrowLeft") by(-far);
@@ -142,18 +160,21 @@ interface DrawingProps extends MapPageProps {
     data: MapData;
     scene: Scene;
     place: number | null;
-    robots: ReturnType<typeof useRobots>["robots"];
+    heard: Live;
     onPlace: (place: number) => void;
 }
 
-function Drawing({ data, scene, link, go, place, robots, onPlace }: DrawingProps) {
+function Drawing({ data, scene, link, go, place, heard, onPlace }: DrawingProps) {
     const kind = kindOf(data);
     const colour: Colour = link.colour ?? (kind === "appearance" ? "space" : data.sessions.length > 1 ? "session" : "time");
     const [corrected, setCorrected] = useState(link.corrected);
     useEffect(() => setCorrected(link.corrected), [link.corrected]);
     const marked = place === null ? null : (scene.indexOf.get(place) ?? null);
-    const where = robots.flatMap((robot): [number, number][] => {
-        const number = robot.guidance?.localization?.place_number ?? robot.guidance?.appearance?.subgoal_place_number;
+    const seen = [
+        ...heard.robots.map(({ guidance }) => guidance?.localization?.place_number ?? guidance?.appearance?.subgoal_place_number),
+        ...heard.streaming.map(({ frame }) => frame.answer?.place_number),
+    ];
+    const where = seen.flatMap((number): [number, number][] => {
         const at = typeof number === "number" ? scene.indexOf.get(number) : undefined;
         return at === undefined ? [] : [[scene.corrected.x[at]!, scene.corrected.y[at]!]];
     });

@@ -1,7 +1,7 @@
 // What the server works with and on: how it fares, its jobs, models and tokens.
-import { useEffect, useState } from "preact/hooks";
+import { useState } from "preact/hooks";
 import { all, at, change, download, send, short, type Job, type Model } from "../rest";
-import { bytes, count, Deletion, moment, Outcome, Refused, Shown, useAsked, useAttempt, useMayAll } from "../parts";
+import { bytes, count, Deletion, moment, Outcome, Refused, Shown, useAsked, useAttempt, useMayAll, usePolled } from "../parts";
 import { Metrics } from "./metrics";
 import { Tokens } from "./tokens";
 
@@ -22,34 +22,8 @@ export function Operations({ onTokens }: { onTokens: () => void }) {
 const JOBS_EVERY_MS = 2000;
 const MOST_JOBS = 200;
 
-function useJobs(): { jobs: Job[] | null; error: Error | null; again: () => void } {
-    const [known, setKnown] = useState<{ jobs: Job[] | null; error: Error | null }>({ jobs: null, error: null });
-    const [times, setTimes] = useState(0);
-    useEffect(() => {
-        const gone = new AbortController();
-        let timer = 0;
-        const ask = async () => {
-            try {
-                if (document.visibilityState === "visible") {
-                    const jobs = await all<"jobs", Job>("/v1/jobs", "jobs", gone.signal, MOST_JOBS);
-                    if (!gone.signal.aborted) setKnown({ jobs, error: null });
-                }
-            } catch (error) {
-                if (!gone.signal.aborted) setKnown((now) => ({ ...now, error: error as Error }));
-            }
-            if (!gone.signal.aborted) timer = window.setTimeout(ask, JOBS_EVERY_MS);
-        };
-        void ask();
-        return () => {
-            gone.abort();
-            clearTimeout(timer);
-        };
-    }, [times]);
-    return { ...known, again: () => setTimes((times) => times + 1) };
-}
-
 function Jobs() {
-    const { jobs, error, again } = useJobs();
+    const { value: jobs, error, again } = usePolled((signal) => all<"jobs", Job>("/v1/jobs", "jobs", signal, MOST_JOBS), () => JOBS_EVERY_MS);
     return (
         <section class="panel" aria-label="Jobs">
             <header><h2>Jobs</h2></header>

@@ -2,23 +2,26 @@
 import { useEffect, useRef } from "preact/hooks";
 import { at, get, type Explanation, type FrameRecord, type Schemas } from "../rest";
 import { pause, Picture, share, Shown, useAsked } from "../parts";
-import { REASONS, type Step } from "./time";
+import { REASONS, type Step } from "./steps";
 
 /** An explanation is a replay, so it is asked for where the cursor rests. */
 const REST_MS = 120;
+/** A cursor that goes with a robot rests only where the robot does. */
+const FOLLOWING_REST_MS = 800;
 
 interface PairProps {
     session: string;
     step: Step;
     large: boolean;
+    follow: boolean;
     onLarge: (large: boolean) => void;
     onPlace: (place: number) => void;
 }
 
-export function Pair({ session, step, large, onLarge, onPlace }: PairProps) {
+export function Pair({ session, step, large, follow, onLarge, onPlace }: PairProps) {
     const frame = `${at(session)}/frames/${step.sequence}`;
     const asked = useAsked(async (signal) => {
-        await pause(REST_MS, signal);
+        await pause(follow ? FOLLOWING_REST_MS : REST_MS, signal);
         return Promise.all([get<Explanation>(`${frame}/explanation`, signal), get<FrameRecord>(frame, signal)]);
     }, [frame]);
     return (

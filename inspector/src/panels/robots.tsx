@@ -1,53 +1,42 @@
 // Robots that are led along the map: where they are, where they go, and what takes their goal away.
-import { useEffect, useState } from "preact/hooks";
-import { all, at, change, short, type Navigation } from "../rest";
+import { useState } from "preact/hooks";
+import { at, change, short, type Navigation } from "../rest";
 import { Refused, share } from "../parts";
+import type { Live, Streaming } from "./live";
 import { PlaceLink } from "./pair";
-
-/** Robots move: how often they are asked for, while the page is looked at. */
-const EVERY_MS = 1500;
-
-export function useRobots(map: string): { robots: Navigation[]; error: Error | null } {
-    const [known, setKnown] = useState<{ robots: Navigation[]; error: Error | null }>({ robots: [], error: null });
-    useEffect(() => {
-        const gone = new AbortController();
-        let timer = 0;
-        const ask = async () => {
-            try {
-                if (document.visibilityState === "visible") {
-                    const path = `${at(map)}/navigations`;
-                    const robots = await all<"navigations", Navigation>(path, "navigations", gone.signal);
-                    if (!gone.signal.aborted) setKnown({ robots, error: null });
-                }
-            } catch (error) {
-                if (!gone.signal.aborted) setKnown((now) => ({ ...now, error: error as Error }));
-            }
-            if (!gone.signal.aborted) timer = window.setTimeout(ask, EVERY_MS);
-        };
-        void ask();
-        return () => {
-            gone.abort();
-            clearTimeout(timer);
-        };
-    }, [map]);
-    return known;
-}
+import { REASONS } from "./steps";
 
 interface RobotsProps {
-    robots: Navigation[];
-    error: Error | null;
+    heard: Live;
     place: number | null;
     onPlace: (place: number) => void;
+    onFrame: (session: string, sequence: number) => void;
 }
 
-export function Robots({ robots, error, place, onPlace }: RobotsProps) {
+export function Robots({ heard: { robots, streaming, live, error }, place, onPlace, onFrame }: RobotsProps) {
     return (
         <section class="panel robots" aria-label="Robots">
-            <header><h2>Robots</h2></header>
+            <header><h2>Robots</h2><span class="quiet" data-testid="live">{live ? "live" : "asked for again and again"}</span></header>
             {error && <Refused error={error} />}
-            {robots.length === 0 && !error && <p class="quiet">No robot is led along this map now.</p>}
+            {robots.length + streaming.length === 0 && !error && <p class="quiet">No robot is led along this map or streams into it now.</p>}
             {robots.map((robot) => <Robot key={robot.name} robot={robot} place={place} onPlace={onPlace} />)}
+            {streaming.map((one) => <Stream key={one.session} streaming={one} onPlace={onPlace} onFrame={onFrame} />)}
         </section>
+    );
+}
+
+/** A robot that lets the map grow, or did a moment ago. */
+function Stream({ streaming: { session, frame }, onPlace, onFrame }: { streaming: Streaming } & Pick<RobotsProps, "onPlace" | "onFrame">) {
+    const { answer } = frame;
+    const sequence = Number(short(frame.name));
+    return (
+        <article class="robot">
+            <h3>{short(session)} <span class={`reason ${answer?.reason ?? ""}`}>{REASONS[answer?.reason ?? ""] ?? "streams"}</span></h3>
+            <dl class="facts">
+                <div><dt>streams</dt><dd><button type="button" class="link" onClick={() => onFrame(session, sequence)}>frame {sequence}</button></dd></div>
+                <div><dt>is at</dt><dd>{typeof answer?.place_number === "number" ? <PlaceLink number={answer.place_number} onPlace={onPlace} /> : "unknown"}</dd></div>
+            </dl>
+        </article>
     );
 }
 

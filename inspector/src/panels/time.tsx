@@ -1,65 +1,11 @@
 // A session along its frames: probabilities as lines, the posterior as a heat map, thumbnails around the cursor.
-import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { useEffect, useMemo, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import { ink } from "../drawing/colours";
-import { at, pages, short, type FrameRecord, type Session } from "../rest";
+import { at, short, type Session } from "../rest";
 import { Picture, plural, Refused, useDark, useSize } from "../parts";
-
-/** What the strip needs of a frame: sessions are long. */
-export interface Step {
-    sequence: number;
-    /** What its robot calls it, as by the name of its file; empty if nothing. */
-    note: string;
-    stamp_ns: number;
-    reason: string;
-    place: number | null;
-    posterior: number;
-    newPlace: number;
-    probability: number | null;
-    likely: [place: number, posterior: number][];
-}
-
-function stepOf({ name, note, stamp_ns, answer }: FrameRecord): Step {
-    return {
-        sequence: Number(short(name)),
-        note,
-        stamp_ns,
-        reason: answer?.reason ?? "unknown",
-        place: answer?.place_number ?? null,
-        posterior: answer?.posterior ?? 0,
-        newPlace: answer?.new_place_posterior ?? 0,
-        probability: answer?.match?.geometry?.probability ?? null,
-        likely: answer?.places.map(({ place_number, posterior }) => [place_number, posterior]) ?? [],
-    };
-}
-
-/** The frames of a session, growing page by page as they come. */
-export function useSteps(session: string | null): { steps: Step[]; whole: boolean; error: Error | null } {
-    const [known, setKnown] = useState<{ steps: Step[]; whole: boolean; error: Error | null }>(
-        { steps: [], whole: false, error: null },
-    );
-    useEffect(() => {
-        const gone = new AbortController();
-        setKnown({ steps: [], whole: session === null, error: null });
-        if (session === null) return;
-        const read = async () => {
-            let steps: Step[] = [];
-            for await (const page of pages<"frames", FrameRecord>(`${at(session)}/frames`, "frames", gone.signal)) {
-                steps = steps.concat(page.map(stepOf));
-                if (!gone.signal.aborted) setKnown({ steps, whole: false, error: null });
-            }
-            if (!gone.signal.aborted) setKnown({ steps, whole: true, error: null });
-        };
-        read().catch((error: Error) => gone.signal.aborted || setKnown((now) => ({ ...now, error })));
-        return () => gone.abort();
-    }, [session]);
-    return known;
-}
-
-export const REASONS: Record<string, string> = {
-    new_place: "new place", same_place: "same place", loop_closure: "loop closure",
-    below_threshold: "below the threshold", too_few_words: "too few words", geometry_refused: "geometry refused",
-};
+import { DeleteSession } from "./deleting";
+import { REASONS, type Step } from "./steps";
 
 interface TimeProps {
     sessions: Session[];
@@ -71,10 +17,11 @@ interface TimeProps {
     threshold: number | null;
     onSession: (name: string) => void;
     onCursor: (index: number) => void;
+    onDeleted: () => void;
 }
 
 export function Time(props: TimeProps) {
-    const { sessions, session, steps, whole, error, cursor, threshold, onSession, onCursor } = props;
+    const { sessions, session, steps, whole, error, cursor, threshold, onSession, onCursor, onDeleted } = props;
     const step = steps[cursor];
     return (
         <section class="panel time" aria-label="Time">
@@ -93,6 +40,7 @@ export function Time(props: TimeProps) {
                 </span>
                 <output data-testid="cursor">{step ? `frame ${step.sequence}: ${REASONS[step.reason] ?? step.reason}` : "no frame"}</output>
                 <span class="quiet">{plural(steps.length, "frame")}{whole ? "" : ", more are coming"} · keys ← →</span>
+                <DeleteSession key={session.name} session={session} onDeleted={onDeleted} />
             </header>
             {error && <Refused error={error} />}
             {steps.length > 0 && <>

@@ -1,0 +1,176 @@
+// A map while robots are in it: frames as they are decided, robots as they move, the drawing as it grows.
+import { useEffect, useRef, useState } from "preact/hooks";
+import { load, type MapData } from "../drawing/data";
+import { follow } from "../events";
+import { all, at, get, short, type FrameRecord, type Navigation, type WayMap } from "../rest";
+
+/** Without events robots are asked for so often; with them only to learn which have gone. */
+const POLL_MS = 1500;
+const GONE_MS = 15_000;
+
+/** The newest frame of a session that a robot streams into. */
+export interface Streaming {
+    session: string;
+    frame: FrameRecord;
+    heard_ms: number;
+}
+
+/** A robot that streams sends frames every few seconds. */
+const STREAMS_MS = 10_000;
+const MOST_STREAMING = 64;
+/** Frames may come faster than the page is drawn. */
+const DRAW_MS = 250;
+
+export interface Live {
+    robots: Navigation[];
+    /** The one that was heard last comes last. */
+    streaming: Streaming[];
+    live: boolean;
+    error: Error | null;
+}
+
+interface Hearing {
+    /** Frames that were decided, oldest first. */
+    frames: (frames: FrameRecord[]) => void;
+    /** What was asked for may be out of date. */
+    renew: () => void;
+}
+
+/** What happens in a map for as long as this is shown. Holds the newest frame of a session, and those not drawn yet. */
+export function useLive(map: string, hearing: Hearing): Live {
+    const [{ live, error }, setLive] = useState<{ live: boolean; error: Error | null }>({ live: false, error: null });
+    const [streaming, setStreaming] = useState<Streaming[]>([]);
+    const { robots, error: unheard, hear } = useRobots(map, live);
+    const to = useRef({ ...hearing, hear });
+    to.current = { ...hearing, hear };
+    useEffect(() => {
+        const gone = new AbortController();
+        let waiting: FrameRecord[] = [];
+        let timer = 0;
+        const draw = () => {
+            timer = 0;
+            const frames = waiting;
+            waiting = [];
+            to.current.frames(frames);
+            setStreaming((known) => newest(known, frames));
+        };
+        const fade = window.setInterval(() => setStreaming((known) => known.length ? newest(known, []) : known), STREAMS_MS / 4);
+        void follow(map, {
+            renew: () => to.current.renew(),
+            live: (live, error) => setLive({ live, error }),
+            hear: ({ frame, navigation }) => {
+                if (navigation) to.current.hear(navigation);
+                if (frame?.frame) waiting.push(frame.frame);
+                if (waiting.length && !timer) timer = window.setTimeout(draw, DRAW_MS);
+            },
+        }, gone.signal);
+        return () => {
+            gone.abort();
+            clearTimeout(timer);
+            clearInterval(fade);
+        };
+    }, [map]);
+    return { robots, streaming, live, error: unheard ?? (live ? null : error) };
+}
+
+function newest(known: Streaming[], frames: FrameRecord[]): Streaming[] {
+    const now = performance.now();
+    const by = new Map(known.filter(({ heard_ms }) => now - heard_ms < STREAMS_MS).map((one) => [one.session, one]));
+    for (const frame of frames) {
+        const session = sessionOf(frame);
+        by.delete(session);
+        by.set(session, { session, frame, heard_ms: now });
+    }
+    return [...by.values()].slice(-MOST_STREAMING);
+}
+
+/** The session of a frame, as maps/{map}/sessions/{session}. */
+export function sessionOf({ name }: FrameRecord): string {
+    return name.split("/").slice(0, 4).join("/");
+}
+
+function useRobots(map: string, live: boolean) {
+    const [known, setKnown] = useState<{ robots: Navigation[]; error: Error | null }>({ robots: [], error: null });
+    useEffect(() => {
+        const gone = new AbortController();
+        let timer = 0;
+        const ask = async () => {
+            try {
+                if (document.visibilityState === "visible") {
+                    const path = `${at(map)}/navigations`;
+                    const robots = await all<"navigations", Navigation>(path, "navigations", gone.signal);
+                    if (!gone.signal.aborted) setKnown({ robots, error: null });
+                }
+            } catch (error) {
+                if (!gone.signal.aborted) setKnown((now) => ({ ...now, error: error as Error }));
+            }
+            if (!gone.signal.aborted) timer = window.setTimeout(ask, live ? GONE_MS : POLL_MS);
+        };
+        void ask();
+        return () => {
+            gone.abort();
+            clearTimeout(timer);
+        };
+    }, [map, live]);
+    const hear = (robot: Navigation) => setKnown(({ robots }) => {
+        const others = robots.filter(({ name }) => name !== robot.name);
+        return { robots: [...others, robot].sort((a, b) => a.name < b.name ? -1 : 1), error: null };
+    });
+    return { ...known, hear };
+}
+
+/** A map is asked for anew no sooner than this after it grew, and never for more than a sixth of the time. */
+const REFRESH_MS = 2000;
+const REST_TIMES = 5;
+
+/** What changes whenever a map does, but for its labels. */
+const edition = ({ create_time_ns, places, links, sessions, frames, loop_closures }: WayMap) =>
+    JSON.stringify([create_time_ns, places, links, sessions, frames, loop_closures]);
+
+/** A map's data, and what has them asked for anew behind what is shown. */
+export function useFresh(given: MapData) {
+    const [data, setData] = useState(given);
+    const latest = useRef(data);
+    latest.current = data;
+    const state = useRef({ busy: false, wanted: false, rest_ms: 0, edits: 0, timer: 0, gone: new AbortController() });
+    const refresh = () => {
+        const now = state.current;
+        now.wanted = true;
+        if (now.busy) return;
+        now.busy = true;
+        now.timer = window.setTimeout(async () => {
+            now.wanted = false;
+            const [began, edits] = [performance.now(), now.edits];
+            try {
+                const next = await load(short(given.map.name), now.gone.signal);
+                // A label that was written meanwhile is newer than what was read.
+                setData((before) => now.edits === edits ? next : { ...next, labels: before.labels });
+            } catch {
+                // What is shown stays; the next frame asks again.
+            }
+            now.rest_ms = Math.max(REFRESH_MS, REST_TIMES * (performance.now() - began));
+            now.busy = false;
+            if (now.wanted && !now.gone.signal.aborted) refresh();
+        }, now.rest_ms);
+    };
+    /** Whether the map is another by now; if so, it is asked for anew. */
+    const renew = async () => {
+        const { gone } = state.current;
+        const now = await get<WayMap>(at(given.map.name), gone.signal).catch(() => null);
+        const another = now !== null && !gone.signal.aborted && edition(now) !== edition(latest.current.map);
+        if (another) refresh();
+        return another;
+    };
+    useEffect(() => {
+        const now = state.current;
+        return () => {
+            now.gone.abort();
+            clearTimeout(now.timer);
+        };
+    }, []);
+    const setLabels = (labels: MapData["labels"]) => {
+        state.current.edits++;
+        setData((before) => ({ ...before, labels }));
+    };
+    return { data, refresh, renew, setLabels };
+}

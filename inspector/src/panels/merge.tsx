@@ -1,0 +1,206 @@
+// One merge: how far it is, what was found, the maps on each other, and what a person decides.
+import { useState } from "preact/hooks";
+import { hash, START, type Go, type Link } from "../link";
+import { pose } from "../drawing/geometry";
+import { partsOf } from "../drawing/overlay";
+import { at, change, get, Refusal, short, type Job, type Merge, type Schemas } from "../rest";
+import { moment, Outcome, Picture, plural, Question, Refused, share, useAttempt, useMayAll, usePolled } from "../parts";
+import { State } from "./merges";
+import { Overlay } from "./overlay";
+
+/** How often a merge is asked for while a job works on it, and how often while none does: others decide, too. */
+const BUSY_EVERY_MS = 700;
+const EVERY_MS = 10_000;
+
+interface Known {
+    merge: Merge;
+    job: Job | null;
+}
+
+async function known(number: number, signal: AbortSignal): Promise<Known> {
+    const merge = await get<Merge>(at(`merges/${number}`), signal);
+    const job = await get<Job>(at(merge.job), signal).catch((error: Error) => {
+        // Jobs are forgotten after a month.
+        if (error instanceof Refusal && error.code === "not_found") return null;
+        throw error;
+    });
+    return { merge, job };
+}
+
+interface MergePageProps {
+    number: number;
+    link: Link;
+    go: Go;
+}
+
+export function MergePage({ number, link, go }: MergePageProps) {
+    const { value, error, again } = usePolled((signal) => known(number, signal), (value) => value?.job?.state === "running" ? BUSY_EVERY_MS : EVERY_MS);
+    return (
+        <main class="merge" id="content">
+            {error && <Refused error={error} />}
+            {value ? <Loaded {...value} link={link} go={go} onDecided={again} /> : !error && <p class="quiet" role="status">Loading the merge…</p>}
+        </main>
+    );
+}
+
+interface LoadedProps extends Known {
+    link: Link;
+    go: Go;
+    onDecided: () => void;
+}
+
+function Loaded({ merge, job, link, go, onDecided }: LoadedProps) {
+    const { state, sources, target } = merge;
+    const drawn = state !== "searching" && sources.some((source) => source.overlap || source.no_overlap_reason);
+    const laid = state === "proposed" && sources.some((source) => source.overlap?.transformation);
+    return <>
+        <div class="title">
+            <h1>Merge {short(merge.name)}</h1><State state={state} />
+            <p class="quiet">{partsOf(merge).map(short).join(", ")} into {short(target)} · {moment(merge.create_time_ns)}</p>
+            <p class="actions"><Decisions merge={merge} job={job} onDecided={onDecided} /></p>
+        </div>
+        <Progress merge={merge} job={job} onCancelled={onDecided} />
+        <div class="columns">
+            <div class="broad">
+                {laid && <Overlay merge={merge} link={link} go={go} />}
+                {drawn && <Before merge={merge} />}
+            </div>
+            <div class="narrow">{sources.map((source) => <Source key={source.map} source={source} searching={state === "searching"} />)}</div>
+        </div>
+    </>;
+}
+
+/** What the job that works on it does, and the reason if it could not. */
+function Progress({ merge, job, onCancelled }: Known & { merge: Merge; onCancelled: () => void }) {
+    const may = useMayAll();
+    const { told, busy, attempt } = useAttempt();
+    const cancel = async () => {
+        await attempt("Cancelling", async () => {
+            await change("POST", `${at(merge.job)}/cancel`);
+            return "it is asked to end";
+        });
+        onCancelled();
+    };
+    const why = merge.error ?? job?.error ?? null;
+    return <>
+        {why && <p class="refused spaced" role="alert">{why.message}</p>}
+        {job?.state === "running" && (
+            <p class="actions spaced">
+                <progress aria-label="progress" value={job.fraction} max={1} /> <span class="quiet">{job.stage || "waiting"}</span>
+                {may && <button type="button" disabled={busy} onClick={() => void cancel()}>Cancel</button>}
+            </p>
+        )}
+        {told.state !== "idle" && <Outcome told={told} />}
+    </>;
+}
+
+function Decisions({ merge, job, onDecided }: Known & { merge: Merge; onDecided: () => void }) {
+    const may = useMayAll();
+    const [asking, setAsking] = useState<Schemas["Decided"] | null>(null);
+    const target = short(merge.target);
+    const close = () => setAsking(null);
+    const decide = (decision: Schemas["Decided"]) => {
+        const asked: Schemas["Decision"] = { decision };
+        return change<Merge>("PUT", `${at(merge.name)}/decision`, asked);
+    };
+    const common = { onClose: close, onDone: () => {
+        close();
+        onDecided();
+    } };
+    const working = job?.state === "running";
+    return <>
+        {merge.state === "committed" && <a href={hash({ ...START, page: "map", map: target })}>Open the map {target}</a>}
+        {may && merge.state === "proposed" && <>
+            <button type="button" class="main" disabled={working} onClick={() => setAsking("commit")}>Commit</button>
+            <button type="button" disabled={working} onClick={() => setAsking("discard")}>Discard</button>
+        </>}
+        {may && merge.state === "committed" && <button type="button" disabled={working} onClick={() => setAsking("undo")}>Undo</button>}
+        {asking === "commit" && (
+            <Question
+                title={`Merge into ${target}?`} verb="Commit the merge" doing="Asking for it" act={() => decide("commit")} {...common}
+                loss={`The map ${target} gets what the others bring. They stay as they are, and the merge can be undone until ${target} is compacted.`}
+            />
+        )}
+        {asking === "discard" && (
+            <Question
+                title="Discard what was found?" verb="Discard it" doing="Discarding" act={() => decide("discard")} {...common}
+                loss="The maps stay as they are. To merge them, the overlap has to be looked for anew."
+            />
+        )}
+        {asking === "undo" && (
+            <Question
+                title={`Undo merge ${short(merge.name)}?`} name={target} verb="Undo the merge" doing="Asking for it" act={() => decide("undo")} {...common}
+                loss={`What the merge has brought is taken out of the map ${target}; a map that it has made goes as a whole. Places may then have other numbers.`}
+            />
+        )}
+    </>;
+}
+
+function Before({ merge }: { merge: Merge }) {
+    return (
+        <section class="panel" aria-label="Before and after">
+            <header><h2>Before and after</h2><span class="quiet small">as the search left them; of each map its largest part</span></header>
+            <Picture path={`${at(merge.name)}/picture`} alt={`The maps before and after merge ${short(merge.name)}: ways, links within a session and links between sessions`} class="sheet" />
+        </section>
+    );
+}
+
+type MapOverlap = Schemas["MapOverlap"];
+
+function Source({ source, searching }: { source: Schemas["MergeSource"]; searching: boolean }) {
+    const { map, places, overlap, no_overlap_reason, sessions } = source;
+    return (
+        <section class="panel" aria-label={`Evidence for ${short(map)}`}>
+            <header><h2>{short(map)}</h2>{!searching && <span class="quiet">{plural(places, "place")}</span>}</header>
+            {overlap ? <Evidence overlap={overlap} /> : no_overlap_reason ? <p>No overlap: {no_overlap_reason}</p> : <p class="quiet">{searching ? "It is being looked for." : "It was not looked for to the end."}</p>}
+            {sessions.length > 0 && <p class="quiet small">Its {sessions.length === 1 ? "session" : "sessions"} in the target: {sessions.map(short).join(", ")}</p>}
+        </section>
+    );
+}
+
+function Evidence({ overlap }: { overlap: MapOverlap }) {
+    const where = pose(overlap.transformation);
+    return <>
+        <dl class="facts">
+            <div><dt>matches that agree</dt><dd>{overlap.agreeing_matches}</dd></div>
+            <div><dt>all other matches</dt><dd>{overlap.rejected_matches}</dd></div>
+            <div><dt>next best way</dt><dd>{plural(overlap.rival_matches, "match", "matches")}</dd></div>
+            <div><dt>fused places</dt><dd>{overlap.fused_places}</dd></div>
+            <div><dt>where both were</dt><dd>{overlap.confirmed_places} of {plural(overlap.overlapping_places, "place")} match</dd></div>
+            <div><dt>cost of all links</dt><dd>{overlap.cost_before.toFixed(1)} apart, {overlap.cost_after.toFixed(1)} together</dd></div>
+            <div><dt>lies at</dt><dd>{where ? `${where.x.toFixed(2)}, ${where.y.toFixed(2)} m, turned by ${((where.heading * 180) / Math.PI).toFixed(1)}°` : "not known: one of the maps has no metres"}</dd></div>
+        </dl>
+        <Matches matches={overlap.strongest_matches} />
+    </>;
+}
+
+const MOST_MATCHES = 12;
+
+function Matches({ matches }: { matches: MapOverlap["strongest_matches"] }) {
+    if (matches.length === 0) return null;
+    return <>
+        <h3>The strongest matches</h3>
+        <div class="wide tall" tabIndex={0} role="group" aria-label="Table of matches"><table>
+            <thead><tr><th scope="col">place</th><th scope="col">place of the target</th><th scope="col">evidence</th></tr></thead>
+            <tbody>
+                {matches.slice(0, MOST_MATCHES).map((match) => (
+                    <tr key={`${match.source_place_number} ${match.target_place_number}`}>
+                        <td><Seen frame={match.source_frame} place={match.source_place_number} /></td>
+                        <td><Seen frame={match.target_frame} place={match.target_place_number} /></td>
+                        <td>{match.evidence_inliers === null ? "by words" : plural(Math.round(match.evidence_inliers), "inlier")}<br /><span class="quiet small">words {share(match.posterior)}</span></td>
+                    </tr>
+                ))}
+            </tbody>
+        </table></div>
+    </>;
+}
+
+/** A frame of a match, as maps/{map}/sessions/{session}/frames/{sequence}. */
+function Seen({ frame, place }: { frame: string; place: number }) {
+    const [, map = "", , session = "", , sequence = ""] = frame.split("/");
+    return (
+        <a class="seen" href={hash({ ...START, page: "map", map, session, frame: Number(sequence) })} title={`${map}, ${session}, frame ${sequence}`}>
+            <Picture path={`${at(frame)}/image?size=thumbnail`} alt="" /><span>place {place}</span>
+        </a>
+    );
+}

@@ -1,0 +1,45 @@
+// The maps of a proposed merge, drawn on each other where they have metres.
+import { useMemo, useState } from "preact/hooks";
+import { colourNumber, overlaid, type Overlaid } from "../drawing/overlay";
+import { hash, START, type Go, type Link } from "../link";
+import { short, type Merge } from "../rest";
+import { plural, Shown, useAsked } from "../parts";
+import { MapCanvas } from "./canvas";
+
+interface OverlayProps {
+    merge: Merge;
+    link: Link;
+    go: Go;
+}
+
+export function Overlay({ merge, link, go }: OverlayProps) {
+    const asked = useAsked((signal) => overlaid(merge, signal), [merge.name]);
+    return (
+        <section class="panel drawing" aria-label="The maps on each other">
+            <header><h2>On each other</h2><span class="quiet">in metres, as the merge would lay them</span></header>
+            <Shown asked={asked} what="the maps">{(found) => <Drawn found={found} link={link} go={go} />}</Shown>
+        </section>
+    );
+}
+
+function Drawn({ found, link, go }: { found: Overlaid } & Omit<OverlayProps, "merge">) {
+    const { scene, layerOf, maps, absent, cut } = found;
+    const [picked, setPicked] = useState<number | null>(null);
+    const look = useMemo(() => ({ colour: "session" as const, corrected: 1, place: picked, robots: [] }), [picked]);
+    const view = useMemo(() => link.view && { x: link.view[0], y: link.view[1], scale: link.view[2] }, [link.view]);
+    const map = picked === null ? null : short(maps[layerOf[picked]!]!);
+    return <>
+        <MapCanvas
+            scene={scene} look={look} view={view}
+            describe={`Drawing of ${plural(maps.length, "map")} on each other with ${plural(scene.numbers.length, "place")}. Plus and minus zoom, 0 shows all, shift and arrows move it.`}
+            onView={(view) => go({ view: view && [view.x, view.y, view.scale] })} onPick={setPicked}
+        />
+        <p class="legend">
+            {maps.map((map, at) => <span key={map} class={`key map-${colourNumber(at)}`}>{short(map)}</span>)}
+            <span class="key closure">match</span>
+            {map !== null && <a href={hash({ ...START, page: "map", map, place: scene.numbers[picked!]! })}>place {scene.numbers[picked!]} of {map}</a>}
+            {absent.length > 0 && <span>not drawn, for want of metres or on another part: {absent.map(short).join(", ")}</span>}
+            {cut && <span>the first places of large maps</span>}
+        </p>
+    </>;
+}

@@ -1,0 +1,91 @@
+// The frames of a session: as they were, page by page, and as they come.
+import { useEffect, useRef, useState } from "preact/hooks";
+import { at, pages, short, type FrameRecord } from "../rest";
+import { sessionOf } from "./live";
+
+/** What the strip needs of a frame: sessions are long. */
+export interface Step {
+    sequence: number;
+    /** What its robot calls it, as by the name of its file; empty if nothing. */
+    note: string;
+    stamp_ns: number;
+    reason: string;
+    place: number | null;
+    posterior: number;
+    newPlace: number;
+    probability: number | null;
+    likely: [place: number, posterior: number][];
+}
+
+function stepOf({ name, note, stamp_ns, answer }: FrameRecord): Step {
+    return {
+        sequence: Number(short(name)),
+        note,
+        stamp_ns,
+        reason: answer?.reason ?? "unknown",
+        place: answer?.place_number ?? null,
+        posterior: answer?.posterior ?? 0,
+        newPlace: answer?.new_place_posterior ?? 0,
+        probability: answer?.match?.geometry?.probability ?? null,
+        likely: answer?.places.map(({ place_number, posterior }) => [place_number, posterior]) ?? [],
+    };
+}
+
+export const REASONS: Record<string, string> = {
+    new_place: "new place", same_place: "same place", loop_closure: "loop closure",
+    below_threshold: "below the threshold", too_few_words: "too few words", geometry_refused: "geometry refused",
+};
+
+export interface Steps {
+    steps: Step[];
+    whole: boolean;
+    error: Error | null;
+}
+
+const NONE: Steps = { steps: [], whole: false, error: null };
+
+/** Most frames that are kept of those that come while the page is open for days: the oldest make room. */
+const MOST_STEPS = 100_000;
+
+/** The frames of a session, and what adds those that were decided since. They are listed anew with other `times`. */
+export function useSteps(session: string | null, times: number): Steps & { hear: (frames: FrameRecord[]) => void } {
+    const [known, setKnown] = useState<Steps & { of: string | null }>({ of: session, ...NONE });
+    const listed = useRef<string | null>(null);
+    const coming = useRef<Step[]>([]);
+    useEffect(() => {
+        const gone = new AbortController();
+        // What is listed anew stays until the new list is there.
+        const anew = listed.current === session && session !== null;
+        listed.current = session;
+        coming.current = [];
+        if (!anew) setKnown({ of: session, ...NONE, whole: session === null });
+        if (session === null) return;
+        const read = async () => {
+            let steps: Step[] = [];
+            for await (const page of pages<"frames", FrameRecord>(`${at(session)}/frames`, "frames", gone.signal)) {
+                steps = steps.concat(page.map(stepOf));
+                if (!gone.signal.aborted && !anew) setKnown({ of: session, steps, whole: false, error: null });
+            }
+            if (!gone.signal.aborted) setKnown({ of: session, steps: grown(steps, coming.current), whole: true, error: null });
+        };
+        read().catch((error: Error) => gone.signal.aborted || setKnown((now) => ({ ...now, error })));
+        return () => gone.abort();
+    }, [session, times]);
+    const hear = (frames: FrameRecord[]) => {
+        const own = frames.filter((frame) => sessionOf(frame) === session).map(stepOf);
+        if (own.length === 0) return;
+        coming.current = grown(coming.current, own);
+        setKnown((now) => now.whole ? { ...now, steps: grown(now.steps, own) } : now);
+    };
+    // Frames of the session before are none of this one's.
+    return { ...(known.of === session ? known : NONE), hear };
+}
+
+/** With what is newer at the end. */
+function grown(steps: Step[], newer: Step[]): Step[] {
+    const last = steps.at(-1)?.sequence ?? -1;
+    const added = newer.filter(({ sequence }) => sequence > last);
+    if (added.length === 0) return steps;
+    const most = Math.max(MOST_STEPS, steps.length);
+    return steps.concat(added).slice(-most);
+}

@@ -1,0 +1,193 @@
+// Maps, drawn and stepped through: what the demo made, against what REST says.
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { accessible, closingFrame, colours, cursor, driven, HOSTILE, open, PATIENCE_MS, PHONE, rest, server, serveDriven } from "./browser.mjs";
+import { until } from "./server.mjs";
+
+test("a robot that is led is shown while it drives", async () => {
+    await until("the taught map", async () => (await fetch(`${driven.url}/v1/maps/taught`)).ok);
+    const { page, close } = await open("#/maps/taught", { url: driven.url });
+    const robots = page.getByRole("region", { name: "Robots" });
+    await robots.getByRole("heading", { name: /^robot / }).waitFor({ timeout: 2 * PATIENCE_MS });
+    const there = await robots.textContent();
+    assert.match(there, /is at/);
+    assert.match(there, /goes to/);
+    await robots.getByRole("button", { name: "Cancel its goal: stop" }).waitFor();
+    await close();
+    await serveDriven();
+});
+
+test("the list shows what REST says of each map, and draws it", async () => {
+    const { page, close } = await open("");
+    const { maps } = await rest("maps");
+    assert.deepEqual(maps.map(({ name }) => name), ["maps/demo", "maps/taught"]);
+    for (const map of maps) {
+        const card = page.getByRole("listitem").filter({ has: page.getByRole("heading", { name: map.name.slice(5), exact: true }) });
+        const words = await card.textContent();
+        for (const shown of [`${map.places} places`, `${map.frames} frames`, `${map.loop_closures} loop closure`, `${map.links} links`, "1 session"]) {
+            assert.ok(words.includes(shown), `${words} has no ${shown}`);
+        }
+        await card.getByText(/ MB/).waitFor();
+        const canvas = card.locator("canvas");
+        await canvas.waitFor();
+        await until("the thumbnail", async () => (await colours(canvas)) > 8);
+    }
+    await accessible(page, "the list");
+    await page.getByRole("link", { name: "demo", exact: true }).click();
+    await page.getByRole("heading", { level: 1, name: "demo" }).waitFor();
+    assert.match(page.url(), /#\/maps\/demo/);
+    await page.goBack();
+    await page.getByRole("heading", { level: 1, name: "Maps" }).waitFor();
+    await close();
+});
+
+test("a map without metres is a ring whose frames are stepped by keyboard", async () => {
+    const closing = await closingFrame();
+    const { page, close } = await open(`#/maps/demo?session=session-0&frame=${closing}`);
+    assert.match(await page.getByTestId("kind").textContent(), /without metres/);
+    await cursor(page).filter({ hasText: `frame ${closing}: loop closure` }).waitFor();
+    const canvas = page.locator(".canvas canvas");
+    const { places } = await rest("maps/demo");
+    await until("the drawing", async () => (await canvas.getAttribute("data-drawn")) === String(places));
+    assert.ok((await colours(canvas)) > 8);
+
+    const { frames } = await rest("maps/demo/sessions/session-0/frames?page_size=200");
+    const reason = (sequence) => frames[sequence - 1].answer.reason.replaceAll("_", " ");
+    await page.keyboard.press("ArrowRight");
+    await cursor(page).filter({ hasText: `frame ${closing + 1}: ${reason(closing + 1)}` }).waitFor();
+    assert.ok(page.url().includes(`frame=${closing + 1}`), page.url());
+    await page.keyboard.press("ArrowLeft");
+    await page.keyboard.press("ArrowLeft");
+    await cursor(page).filter({ hasText: `frame ${closing - 1}: ${reason(closing - 1)}` }).waitFor();
+    await page.keyboard.press("End");
+    await cursor(page).filter({ hasText: `frame 152: ${reason(152)}` }).waitFor();
+    assert.ok(await page.getByRole("button", { name: "Next frame" }).isDisabled());
+    await page.keyboard.press("Home");
+    await cursor(page).filter({ hasText: "frame 1: new place" }).waitFor();
+    // Faster than the page is drawn.
+    await page.evaluate(() => [1, 2, 3].forEach(() => dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight", cancelable: true }))));
+    await cursor(page).filter({ hasText: "frame 4:" }).waitFor();
+    await page.keyboard.press("Home");
+    await cursor(page).filter({ hasText: "frame 1: new place" }).waitFor();
+
+    const strip = page.getByRole("group", { name: "Frames around the cursor" });
+    await strip.getByRole("button", { name: "Frame 4:" }).click();
+    await cursor(page).filter({ hasText: "frame 4:" }).waitFor();
+    await until("thumbnails", () => strip.locator("img").first().evaluate((image) => image.complete && image.naturalWidth > 0));
+    const likely = frames[3].answer;
+    const described = await page.locator(".plot").getAttribute("aria-label");
+    assert.ok(described.includes(`new ${likely.new_place_posterior.toFixed(3)}`), described);
+    assert.ok(described.includes(`place ${likely.posterior.toFixed(3)}`), described);
+    assert.ok(described.includes("threshold 0.99"), described);
+    assert.ok((await colours(page.locator(".heat canvas"))) > 8);
+    await close();
+});
+
+test("a pair shows the gates and numbers of REST, and both images", async () => {
+    const closing = await closingFrame();
+    const { page, close } = await open(`#/maps/demo?frame=${closing}`);
+    const pair = page.getByRole("region", { name: "The pair" });
+    const explained = await rest(`maps/demo/sessions/session-0/frames/${closing}/explanation`);
+    await pair.getByRole("heading", { name: "Gates" }).waitFor();
+    const { note, answer } = await rest(`maps/demo/sessions/session-0/frames/${closing}`);
+    assert.match(note, /^\d{6}\.jpg$/);
+    assert.equal(await pair.getByTestId("note").textContent(), note);
+    const gates = await pair.locator(".gates li").allTextContents();
+    assert.equal(gates.length, explained.gates.length);
+    explained.gates.forEach(({ description, passed }, at) => {
+        assert.ok(gates[at].includes(description), gates[at]);
+        assert.ok(gates[at].includes(passed ? "✓ passed" : "✕ not passed"), gates[at]);
+    });
+    const { inliers, matches, probability } = answer.match.geometry;
+    const facts = await pair.textContent();
+    // What is all but certain is not rounded to certainty.
+    const shown = probability > 0.9995 ? "> 0.999" : probability.toFixed(3);
+    assert.ok(facts.includes(`${inliers} of ${matches}`) && facts.includes(shown), facts);
+    const picture = pair.locator("img");
+    await until("the picture", () => picture.evaluate((image) => image.naturalWidth > 300));
+    await pair.getByRole("button", { name: /^Enlarge/ }).click();
+    await page.getByRole("dialog").locator("img").waitFor();
+    assert.match(page.url(), /large=1/);
+    await page.keyboard.press("Escape");
+    await until("the pair alone", async () => !page.url().includes("large"));
+
+    const closures = page.getByRole("region", { name: "Loop closures" });
+    const { loop_closures } = await rest("maps/demo/loop-closures?page_size=100");
+    assert.equal(await closures.locator("tbody tr").count(), loop_closures.length);
+    const least = loop_closures.reduce((a, b) => (b.probability < a.probability ? b : a));
+    await closures.locator("tbody tr").first().getByRole("button").first().click();
+    await cursor(page).filter({ hasText: `frame ${least.frame.sequence}: loop closure` }).waitFor();
+    await accessible(page, "a map without metres");
+    await close();
+});
+
+test("a metric map has metres, and a place is picked by hand and by number", async () => {
+    const { page, close } = await open("#/maps/taught", { colorScheme: "dark" });
+    assert.equal(await page.getByTestId("kind").textContent(), "in metres");
+    const canvas = page.locator(".canvas canvas");
+    await until("the drawing", async () => (await canvas.getAttribute("data-drawn")) === "84");
+    await page.getByLabel("Go to place").fill("7");
+    await page.getByRole("button", { name: "Go", exact: true }).click();
+    const place = page.getByRole("region", { name: "The place" });
+    await place.getByRole("heading", { name: "Place 7" }).waitFor();
+    const known = await rest("maps/taught/places/7");
+    const { x, y } = known.pose.pose.position_m;
+    await place.getByText(`${x.toFixed(2)}, ${y.toFixed(2)} m`).waitFor();
+    assert.deepEqual(await place.locator(".links button").allTextContents(), known.linked_place_numbers.map((number) => `place ${number}`));
+    await cursor(page).filter({ hasText: `frame ${known.frames[0].sequence}:` }).waitFor();
+
+    // The place lies in the middle of this link's picture, so that is where the hand picks it.
+    await page.goto(`${server.url}/#/maps/taught?view=${x},${y},200`);
+    const box = await canvas.boundingBox();
+    await until("the place under the hand", async () => {
+        await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
+        return /place=7/.test(page.url());
+    });
+    await page.getByRole("button", { name: "Zoom out" }).click();
+    await until("the link of what is seen", async () => /view=/.test(page.url()) && !page.url().endsWith(",200"));
+    await page.getByRole("button", { name: "Show the whole map" }).click();
+    await until("the whole map", async () => !page.url().includes("view="));
+    await page.getByLabel("From odometry alone to corrected").press("Home");
+    await until("the wheels alone", async () => /corrected=0/.test(page.url()));
+    await page.getByText("by wheels alone").waitFor();
+    // By keyboard: panels above it that are still loading move it from under the mouse.
+    await page.getByText("Links by what is left over").press("Enter");
+    await page.getByRole("group", { name: "Table of links" }).locator("tbody tr").first().waitFor();
+    await accessible(page, "a metric map, dark");
+    await close();
+});
+
+test("a label is written, found, shown as text whatever it says, and removed", async () => {
+    const { page, close } = await open("#/maps/demo?place=5");
+    const place = page.getByRole("region", { name: "The place" });
+    await place.getByLabel("Label").fill(HOSTILE);
+    await place.getByRole("button", { name: "Save" }).click();
+    const labels = async () => (await rest("maps/demo/labels")).labels;
+    await Promise.race([place.getByText("saved").waitFor(), place.locator(".refused").waitFor()]);
+    assert.deepEqual(await labels(), [{ place: "maps/demo/places/5", label: HOSTILE }]);
+    await page.reload();
+    await until("the label", async () => (await place.getByLabel("Label").inputValue()) === HOSTILE);
+    await page.getByLabel("Go to place").fill(HOSTILE);
+    await page.getByRole("button", { name: "Go", exact: true }).click();
+    await place.getByRole("heading", { name: "Place 5" }).waitFor();
+    await place.getByRole("button", { name: "Remove" }).click();
+    await place.getByText("removed").waitFor();
+    assert.deepEqual(await labels(), []);
+    await page.goto(`${server.url}/#/maps/${encodeURIComponent(HOSTILE)}?frame=1`);
+    await page.getByRole("alert").waitFor();
+    assert.equal(await page.locator("#page img[src='x'], #page script").count(), 0);
+    assert.ok(!(await page.title()).startsWith("owned"));
+    await close();
+});
+
+test("on a phone nothing is wider than the screen", async () => {
+    for (const hash of ["#/maps", "#/maps/taught?frame=20", "#/maps/demo?frame=109", "#/operations"]) {
+        const { page, close } = await open(hash, { viewport: PHONE });
+        await page.locator("main h1, main .panel").first().waitFor();
+        if (hash.includes("frame")) await page.getByRole("heading", { name: "Gates" }).waitFor();
+        const wide = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
+        assert.ok(wide <= 0, `${hash} is ${wide} px wider than the screen`);
+        if (hash.includes("taught")) await accessible(page, "a map on a phone");
+        await close();
+    }
+});

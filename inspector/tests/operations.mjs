@@ -1,0 +1,152 @@
+// What the server works with: maps, models and jobs that come and go.
+import assert from "node:assert/strict";
+import { join } from "node:path";
+import { test } from "node:test";
+import { accessible, colours, HOSTILE, open, rest, server } from "./browser.mjs";
+import { folder, serve, until } from "./server.mjs";
+
+test("a server with nothing says how to begin; names of models are text", async () => {
+    const empty = await serve(join(folder, "empty"));
+    await empty.call(null, "model", "rm", "shipped");
+    const { page, close } = await open("", { url: empty.url });
+    await page.getByText("There is no map yet.").waitFor();
+    await accessible(page, "no maps");
+    await empty.call(null, "model", "import", "--name", HOSTILE, "demo/model.waypost");
+    await page.getByRole("link", { name: "Operations" }).click();
+    const { models } = await rest("models", { url: empty.url });
+    assert.equal(models[0].display_name, HOSTILE);
+    await page.getByRole("cell", { name: HOSTILE, exact: true }).waitFor();
+    await page.getByText("No job has run").waitFor();
+    await empty.call(null, "map", "create", "bare", "--model", models[0].name.slice(7));
+    await page.goto(`${empty.url}/#/maps/bare`);
+    await page.getByText("This map has no places yet").waitFor();
+    await accessible(page, "a map without places");
+    await close();
+});
+
+test("jobs and models are those of REST", async () => {
+    const file = join(folder, "demo.waypost-map");
+    await server.call(null, "map", "export", "demo", file);
+    await server.call(null, "map", "import", file, "--name", "copy");
+    const { page, close } = await open("#/operations");
+    const { jobs } = await rest("jobs");
+    const row = page.getByRole("region", { name: "Jobs" }).locator("tbody tr").first();
+    const words = await row.textContent();
+    assert.ok(words.includes("import map") && words.includes(jobs[0].state), words);
+    await accessible(page, "operations");
+    await close();
+});
+
+test("a map is made, exported, imported under another name, and deleted by who types its name", async () => {
+    const { page, close } = await open("");
+    await page.getByRole("button", { name: "New map" }).click();
+    const making = page.getByRole("dialog", { name: "New map" });
+    await making.getByLabel("Name").fill("No Name");
+    await making.getByLabel("Keep of each frame").selectOption("images");
+    await making.getByRole("button", { name: "Make the map" }).click();
+    await making.getByText("is no map name").waitFor();
+    await accessible(page, "a new map");
+    await making.getByLabel("Name").fill("office");
+    await making.getByRole("button", { name: "Make the map" }).click();
+    await page.getByRole("heading", { name: "office", exact: true }).waitFor();
+    assert.equal((await rest("maps/office")).settings.keep, "images");
+
+    const coming = page.waitForEvent("download");
+    await page.getByRole("button", { name: "Export the map taught" }).click();
+    const file = join(folder, "Taught Again.waypost-map");
+    await (await coming).saveAs(file);
+    await page.getByRole("button", { name: "Import a map" }).click();
+    const importing = page.getByRole("dialog", { name: "Import a map" });
+    await importing.getByLabel("Snapshot").setInputFiles(file);
+    assert.equal(await importing.getByLabel("Name").inputValue(), "taught-again");
+    await importing.getByLabel("Name").fill("taught");
+    await importing.getByRole("button", { name: "Import it" }).click();
+    await importing.getByText("choose another name").waitFor();
+    await importing.getByLabel("Name").fill("taught-again");
+    await importing.getByRole("button", { name: "Import it" }).click();
+    await page.getByRole("heading", { name: "taught-again", exact: true }).waitFor();
+    const [there, again] = await Promise.all(["taught", "taught-again"].map((map) => rest(`maps/${map}?view=full`)));
+    assert.equal(again.state_hash, there.state_hash);
+
+    await page.getByRole("button", { name: "Delete the map taught-again" }).click();
+    const leaving = page.getByRole("dialog", { name: "Delete the map taught-again?" });
+    assert.match(await leaving.textContent(), new RegExp(`${there.places} places`));
+    await accessible(page, "a map to be deleted");
+    const remove = leaving.getByRole("button", { name: "Delete the map" });
+    assert.ok(await remove.isDisabled());
+    await leaving.getByRole("textbox").fill("taught");
+    assert.ok(await remove.isDisabled());
+    await page.keyboard.press("Escape");
+    await leaving.waitFor({ state: "detached" });
+    for (const map of ["taught-again", "office"]) {
+        await page.getByRole("button", { name: `Delete the map ${map}`, exact: true }).click();
+        await page.getByRole("dialog").getByRole("textbox").fill(map);
+        await page.getByRole("dialog").getByRole("button", { name: "Delete the map" }).click();
+        await page.getByRole("heading", { name: map, exact: true }).waitFor({ state: "detached" });
+    }
+    const { maps } = await rest("maps");
+    assert.deepEqual(maps.filter(({ name }) => /office|again/.test(name)), []);
+    await close();
+});
+
+test("a model goes out and in by its file, and one that a map uses stays", async () => {
+    const { page, close } = await open("#/operations");
+    const panel = page.getByRole("region", { name: "Models" });
+    const [{ name, display_name }] = (await rest("models")).models;
+    const called = display_name || name.slice(7, 19);
+    const coming = page.waitForEvent("download");
+    await panel.getByRole("button", { name: `Export the model ${called}` }).click();
+    const file = join(folder, "out.waypost");
+    await (await coming).saveAs(file);
+    await panel.getByRole("button", { name: `Delete the model ${called}` }).click();
+    await page.getByRole("dialog").getByRole("textbox").fill(called);
+    await page.getByRole("dialog").getByRole("button", { name: "Delete the model" }).click();
+    await page.getByRole("dialog").getByText("delete the map first").waitFor();
+    await page.getByRole("button", { name: "Close" }).click();
+
+    const bare = await serve(join(folder, "bare"));
+    await bare.call(null, "model", "rm", "shipped");
+    const other = await open("#/operations", { url: bare.url });
+    const models = other.page.getByRole("region", { name: "Models" });
+    await models.getByText("There is no model yet").waitFor();
+    await models.getByLabel("Model file").setInputFiles(join(folder, "demo.waypost-map"));
+    await models.getByRole("button", { name: "Import a model" }).click();
+    await models.getByRole("alert").waitFor();
+    await models.getByLabel("Model file").setInputFiles(file);
+    await models.getByLabel("Name").fill("site");
+    await models.getByRole("button", { name: "Import a model" }).click();
+    await models.getByRole("cell", { name: "site", exact: true }).waitFor();
+    assert.equal((await rest("models", { url: bare.url })).models[0].name, name);
+    await models.getByRole("button", { name: "Delete the model site" }).click();
+    await other.page.getByRole("dialog").getByRole("textbox").fill("site");
+    await other.page.getByRole("dialog").getByRole("button", { name: "Delete the model" }).click();
+    await models.getByText("There is no model yet").waitFor();
+    await other.close();
+    await close();
+});
+
+test("a job that runs can be cancelled, and how the server fares is drawn", async () => {
+    const { page, close } = await open("#/operations");
+    // A job that goes on for as long as it is looked at: how long real ones take is the machine's affair.
+    const job = { name: "jobs/77", kind: "train_model", state: "running", stage: "learning words", fraction: 0.25, error: null, result: null, create_time_ns: 1e18, end_time_ns: null };
+    await page.route("**/v1/jobs?*", (route) => route.fulfill({ json: { jobs: [job], next_page_token: "" } }));
+    const asked = [];
+    await page.route("**/v1/jobs/77/cancel", (route) => {
+        asked.push(route.request().method());
+        Object.assign(job, { state: "cancelled" });
+        return route.fulfill({ json: job });
+    });
+    const jobs = page.getByRole("region", { name: "Jobs" });
+    await jobs.getByRole("button", { name: "Cancel job 77" }).click();
+    await jobs.getByRole("cell", { name: "cancelled", exact: true }).waitFor();
+    assert.deepEqual(asked, ["POST"]);
+    await jobs.getByRole("button", { name: "Cancel job 77" }).waitFor({ state: "detached" });
+
+    const metrics = page.getByRole("region", { name: "Metrics" });
+    await metrics.getByRole("img", { name: /^Requests: REST (0\.\d*[1-9]|[1-9])/ }).waitFor();
+    await metrics.getByRole("img", { name: /^Database: size [1-9]/ }).waitFor();
+    const requests = metrics.getByRole("img", { name: /^Requests/ }).locator("canvas");
+    await until("its line", async () => (await colours(requests)) > 3);
+    await accessible(page, "metrics");
+    await close();
+});
