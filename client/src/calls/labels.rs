@@ -22,7 +22,7 @@ impl Client {
         .await
     }
 
-    /// Labels a place (`maps/{map}/places/{number}`) or all places of its space. Returns all labels
+    /// Labels a place (`maps/{map}/places/{number}`) or all places of its room. Returns all labels
     /// that it set.
     ///
     /// # Errors

@@ -5,6 +5,7 @@ pub(crate) mod eye;
 mod headings;
 mod index;
 mod picture;
+mod rooms;
 mod trials;
 
 use std::path::PathBuf;
@@ -19,6 +20,7 @@ use self::candidates::LookAlikeFigures;
 use self::eye::{Acuity, Eye};
 use self::headings::HeadingFigures;
 use self::index::{IndexFigures, IndexOptions};
+use self::rooms::RoomFigures;
 use self::trials::{Drive, DrivenMap};
 
 /// Buildings that headings are measured in.
@@ -57,6 +59,8 @@ enum Part {
     Index,
     /// Links in a building whose offices look alike.
     LookAlikes,
+    /// Labels that are put on whole rooms.
+    Rooms,
 }
 
 /// What came out.
@@ -84,6 +88,8 @@ pub(crate) struct AppearanceReport {
     pub index: Option<IndexFigures>,
     /// Of the building whose offices look alike.
     pub look_alikes: Option<LookAlikeFigures>,
+    /// Of labels that are put on whole rooms.
+    pub rooms: Option<RoomFigures>,
     /// Drive by drive.
     pub drives: Vec<Drive>,
 }
@@ -100,7 +106,11 @@ pub(crate) fn run(options: &AppearanceOptions) -> Result<AppearanceReport> {
     let index = is_asked(Part::Index).then(|| index::measure(&options.index, options.seed)).transpose()?;
     let look_alikes =
         is_asked(Part::LookAlikes).then(|| candidates::look_alikes(&coarse, options.seed)).transpose()?;
+    let rooms = is_asked(Part::Rooms)
+        .then(|| rooms::measure(&coarse, &seeds(options, options.trials)))
+        .transpose()?;
     Ok(AppearanceReport {
+        rooms,
         links_lost_fraction: index.as_ref().map(|index| index.links_lost_fraction),
         pair_check_ratio: index.as_ref().map(|index| index.pair_check_ratio),
         index,

@@ -22,7 +22,7 @@ pub(crate) enum LabelScope {
     /// On that one alone.
     #[default]
     Place,
-    /// On all of the space that it is in now.
+    /// On all of the room that it is in, as the map shows it now.
     Space,
 }
 
@@ -52,7 +52,7 @@ impl Labels {
         Ok(Page { items, next })
     }
 
-    /// Puts a label on `maps/{map}/places/{number}`, or on all places of its space; which ones.
+    /// Puts a label on `maps/{map}/places/{number}`, or on all places of its room; which ones.
     pub(crate) async fn set(
         &self,
         place: &str,
@@ -66,7 +66,7 @@ impl Labels {
         let row = self.maps.open_maps.row(map).await?;
         let places = match scope {
             LabelScope::Place => vec![PlaceId::new(number)],
-            LabelScope::Space => self.space_of(&row, PlaceId::new(number)).await?,
+            LabelScope::Space => self.room_of(&row, PlaceId::new(number)).await?,
         };
         self.storage.put_labels(row.id, &places, label).await.map_err(|error| match error {
             StorageError::InUse => {
@@ -108,21 +108,19 @@ impl Labels {
         }))
     }
 
-    async fn space_of(&self, row: &MapRow, place: PlaceId) -> Result<Vec<PlaceId>, ServiceError> {
+    async fn room_of(&self, row: &MapRow, place: PlaceId) -> Result<Vec<PlaceId>, ServiceError> {
         let graph = self.graphs.of(row).await?;
         let Some(image) = graph.image_of(place) else {
             return Err(ServiceError::precondition(format_args!(
-                "the place {place} of the map {} was not made by a panorama, so it is in no space; label it alone",
+                "the place {place} of the map {} was not made by a panorama, so it is in no room; label it alone",
                 row.name
             )));
         };
-        let spaces = tokio::task::spawn_blocking(move || {
-            let spaces = graph.spaces();
-            let here = spaces[image as usize];
-            let of_it = graph.places().iter().zip(spaces).filter(|(_, space)| **space == here);
-            of_it.map(|(place, _)| *place).collect()
+        let room = tokio::task::spawn_blocking(move || {
+            let room = graph.appearance().room_around(image, graph.spaces());
+            room.into_iter().filter_map(|image| graph.place_of(image)).collect()
         });
-        spaces.await.map_err(ServiceError::internal)
+        room.await.map_err(ServiceError::internal)
     }
 }
 

@@ -17,7 +17,7 @@ pub(crate) struct Labelling {
     /// The label
     #[arg(required_unless_present = "remove", conflicts_with = "remove")]
     label: Option<String>,
-    /// Label all places of its space, such as a room; the map must be navigated by appearance
+    /// Label all places of its room; the map must be navigated by appearance
     #[arg(long, conflicts_with = "remove")]
     space: bool,
     /// Remove the label

@@ -1,6 +1,8 @@
 //! Rooms: where the graph hangs together by little.
 
-use super::AppearanceGraph;
+use std::collections::BTreeSet;
+
+use super::{AppearanceGraph, ImageId};
 
 /// Steps after which the vector that parts a graph is taken as it is.
 const MAX_STEPS: usize = 3000;
@@ -35,6 +37,28 @@ pub(super) fn convex_spaces(graph: &AppearanceGraph, max_cut: f64) -> Vec<u32> {
         images.iter().for_each(|&image| of_image[image] = space);
     }
     of_image
+}
+
+pub(super) fn room_around(
+    graph: &AppearanceGraph,
+    image: ImageId,
+    spaces: &[u32],
+    min_share: f64,
+) -> Vec<ImageId> {
+    let Some(&space) = spaces.get(image as usize) else { return Vec::new() };
+    // Of the space, what is matched from an image, itself included.
+    let seen_from = |image: ImageId| {
+        let links = graph.neighbours(image).iter().map(|link| link.to);
+        let within = links.filter(|&to| spaces.get(to as usize) == Some(&space));
+        within.chain([image]).collect::<BTreeSet<ImageId>>()
+    };
+    let here = seen_from(image);
+    let is_inside = |&other: &ImageId| {
+        other == image
+            || (spaces[other as usize] == space
+                && here.intersection(&seen_from(other)).count() as f64 >= min_share * here.len() as f64)
+    };
+    (0..spaces.len() as ImageId).filter(is_inside).collect()
 }
 
 impl Part {

@@ -77,6 +77,14 @@ fn rooms_are_found_and_corridors_are_not_cut_from_them_at_random() {
     let spaces = graph(31, &links).convex_spaces();
     let expected: Vec<u32> = (0..31).map(|image| image / 10).collect();
     assert_eq!(spaces, expected);
+    // What is seen of a room from beyond its door is little.
+    assert_eq!(graph(31, &links).room_around(3, &spaces), (0..10).collect::<Vec<_>>());
+    let with_a_hall = [&links[..], &[(3, 30, 0.2), (4, 30, 0.2), (5, 30, 0.2)]].concat();
+    let hall = graph(31, &with_a_hall);
+    let spaces_with_a_hall = hall.convex_spaces();
+    assert_eq!(spaces_with_a_hall[30], spaces_with_a_hall[3], "too little to cut it off");
+    assert_eq!(hall.room_around(3, &spaces_with_a_hall), (0..10).collect::<Vec<_>>());
+    assert_eq!(hall.room_around(31, &spaces_with_a_hall), []);
     // One room alone stays whole.
     let room: Vec<_> = links.into_iter().filter(|&(a, b, _)| a < 10 && b < 10).collect();
     assert_eq!(graph(10, &room).convex_spaces(), [0; 10]);
