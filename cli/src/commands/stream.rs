@@ -173,7 +173,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
             short_sequence_hint(&client, &map, &rows).await?
         }
     };
-    conclude(opened, rows, sent, hint, output)
+    conclude(opened, rows, sent, (mode, hint), output)
 }
 
 /// Returns the number of frames to stream.

@@ -56,13 +56,18 @@ impl Reasons {
     }
 
     /// A line for each reason; they add up to the frames that were answered.
-    fn write(self, out: &mut dyn Write) -> io::Result<()> {
+    fn write(self, mode: v1::SessionMode, out: &mut dyn Write) -> io::Result<()> {
         let Reasons { new_place, same_place, loop_closure, below_threshold, geometry_refused, too_few_words } =
             self;
+        // Nothing is closed where nothing is added.
+        let recognised = match mode {
+            v1::SessionMode::Localize => "another place, recognised",
+            v1::SessionMode::Map | v1::SessionMode::Unspecified => "loop closures",
+        };
         for (what, frames) in [
             ("somewhere new", new_place),
             ("same place", same_place),
-            ("loop closures", loop_closure),
+            (recognised, loop_closure),
             ("known place, not sure enough", below_threshold),
             ("known place, refused by geometry", geometry_refused),
             ("too few words", too_few_words),
@@ -78,7 +83,7 @@ pub(super) fn conclude(
     opened: v1::SessionOpened,
     frames: Vec<FrameRow>,
     sent: Sent,
-    hint: Option<String>,
+    (mode, hint): (v1::SessionMode, Option<String>),
     output: Output,
 ) -> Result<(), Failure> {
     let v1::SessionOpened { session, last_committed_sequence, model, words_hash: _ } = opened;
@@ -104,7 +109,7 @@ pub(super) fn conclude(
         ms_p50: median(frames.iter().filter_map(|row| row.total_ms).collect()),
         frames,
     };
-    output.result(&summary, |out| write(&summary, out))?;
+    output.result(&summary, |out| write(&summary, mode, out))?;
     if let (Some(hint), Output::Text) = (hint, output) {
         // If stderr is closed, the hint is lost.
         let _ = writeln!(io::stderr(), "{hint}");
@@ -115,11 +120,13 @@ pub(super) fn conclude(
     }
 }
 
-fn write(summary: &Summary, out: &mut dyn Write) -> io::Result<()> {
+fn write(summary: &Summary, mode: v1::SessionMode, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "{:<35}{:6}", "frames", summary.frame_count)?;
-    summary.reasons.write(out)?;
+    summary.reasons.write(mode, out)?;
     writeln!(out, "  {:<33}{:6}", "refused", summary.refused)?;
-    writeln!(out, "{:<35}{:6}", "new places", summary.places_created)?;
+    if mode != v1::SessionMode::Localize {
+        writeln!(out, "{:<35}{:6}", "new places", summary.places_created)?;
+    }
     if let Some(bytes) = summary.bytes_per_frame {
         writeln!(out, "{:<35}{bytes:6.0} (mean, sent)", "bytes a frame")?;
     }
@@ -153,7 +160,7 @@ mod tests {
         let frames: Vec<FrameRow> =
             reasons.iter().map(|reason| FrameRow { reason: Some(reason), ..FrameRow::default() }).collect();
         let mut text = Vec::new();
-        Reasons::of(&frames).write(&mut text).unwrap();
+        Reasons::of(&frames).write(v1::SessionMode::Map, &mut text).unwrap();
         let text = String::from_utf8(text).unwrap();
         let numbers = text.lines().map(|line| line.rsplit(' ').next().unwrap().parse::<usize>().unwrap());
         assert_eq!(numbers.collect::<Vec<_>>(), [1, 2, 1, 1, 1, 1], "{text}");
