@@ -92,6 +92,12 @@ pub(crate) fn table<const COLUMNS: usize>(
     Ok(())
 }
 
+/// A number with so many decimals, without a minus before a zero.
+pub(crate) fn rounded(value: f64, decimals: u8) -> String {
+    let steps = 10_f64.powi(decimals.into());
+    format!("{:.*}", usize::from(decimals), (value * steps).round() / steps + 0.0)
+}
+
 pub(crate) fn mebibytes(size_bytes: u64) -> String {
     format!("{:.1} MiB", size_bytes as f64 / f64::from(1 << 20))
 }
@@ -117,6 +123,11 @@ mod tests {
         let mut expected = lines.to_vec();
         expected.sort_unstable();
         assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn zeros_have_no_minus() {
+        assert_eq!([rounded(-0.004, 2), rounded(-0.006, 2), rounded(7.25, 1)], ["0.00", "-0.01", "7.3"]);
     }
 
     #[test]

@@ -283,6 +283,12 @@ export function bytes(value: number): string {
     return `${unit && value < 10 ? value.toFixed(1) : Math.round(value)} ${units[unit]}`;
 }
 
+/** So many decimals, without a minus before a zero. */
+export function fixed(value: number, digits: number): string {
+    const steps = 10 ** digits;
+    return (Math.round(value * steps) / steps + 0).toFixed(digits);
+}
+
 export function share(value: number): string {
     if (value > 0 && value < 0.0005) return "< 0.001";
     if (value < 1 && value > 0.9995) return "> 0.999";

@@ -12,7 +12,7 @@ use super::job;
 use crate::failure::Failure;
 use crate::files::Replacing;
 use crate::names::{numbered, short_map as short};
-use crate::output::{Output, table};
+use crate::output::{Output, rounded, table};
 
 #[derive(Subcommand)]
 pub(crate) enum Command {
@@ -257,12 +257,9 @@ fn show_overlap(overlap: &v1::MapOverlap, out: &mut dyn Write) -> io::Result<()>
         Some(v1::Pose { position_m, orientation }) => {
             let position = position_m.unwrap_or_default();
             let orientation = orientation.unwrap_or_default();
-            let degrees = (2.0 * orientation.z.atan2(orientation.w)).to_degrees();
-            writeln!(
-                out,
-                "  lies at              x {:.2} m, y {:.2} m, turned by {degrees:.1} degrees",
-                position.x, position.y
-            )?;
+            let degrees = rounded((2.0 * orientation.z.atan2(orientation.w)).to_degrees(), 1);
+            let [x_m, y_m] = [position.x, position.y].map(|metres| rounded(metres, 2));
+            writeln!(out, "  lies at              x {x_m} m, y {y_m} m, turned by {degrees} degrees")?;
         }
         None => writeln!(out, "  lies at              not known: one of the maps has no odometry")?,
     }

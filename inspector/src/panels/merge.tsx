@@ -4,7 +4,7 @@ import { hash, START, type Go, type Link } from "../link";
 import { pose } from "../drawing/geometry";
 import { partsOf } from "../drawing/overlay";
 import { at, change, get, Refusal, short, type Job, type Merge, type Schemas } from "../rest";
-import { moment, Outcome, Picture, plural, Question, Refused, share, useAttempt, useMayAll, usePolled } from "../parts";
+import { fixed, moment, Outcome, Picture, plural, Question, Refused, share, useAttempt, useMayAll, usePolled } from "../parts";
 import { State } from "./merges";
 import { Overlay } from "./overlay";
 
@@ -168,7 +168,7 @@ function Evidence({ overlap }: { overlap: MapOverlap }) {
             <div><dt>fused places</dt><dd>{overlap.fused_places}</dd></div>
             <div><dt>where both were</dt><dd>{overlap.confirmed_places} of {plural(overlap.overlapping_places, "place")} match</dd></div>
             <div><dt>cost of all links</dt><dd>{overlap.cost_before.toFixed(1)} apart, {overlap.cost_after.toFixed(1)} together</dd></div>
-            <div><dt>lies at</dt><dd>{where ? `${where.x.toFixed(2)}, ${where.y.toFixed(2)} m, turned by ${((where.heading * 180) / Math.PI).toFixed(1)}°` : "not known: one of the maps has no metres"}</dd></div>
+            <div><dt>lies at</dt><dd>{where ? `${fixed(where.x, 2)}, ${fixed(where.y, 2)} m, turned by ${fixed((where.heading * 180) / Math.PI, 1)}°` : "not known: one of the maps has no metres"}</dd></div>
         </dl>
         <Matches matches={overlap.strongest_matches} />
     </>;

@@ -3,7 +3,7 @@ import { useEffect, useState } from "preact/hooks";
 import type { MapData } from "../drawing/data";
 import { pose } from "../drawing/geometry";
 import { at, change, get, short, type Place as PlaceRecord, type Schemas } from "../rest";
-import { moment, Picture, plural, Refused, Shown, useAsked } from "../parts";
+import { fixed, moment, Picture, plural, Refused, Shown, useAsked } from "../parts";
 import { PlaceLink } from "./pair";
 
 const MOST_FRAMES = 24;
@@ -49,8 +49,8 @@ function About({ place, onPlace, onFrame }: AboutProps) {
         {place.frames.length > MOST_FRAMES && <p class="quiet small">The first {MOST_FRAMES} of {plural(place.frames.length, "frame")}.</p>}
         <dl class="facts">
             <div><dt>learnt from</dt><dd>{plural(place.looks, "look")}, {plural(place.words, "word")}</dd></div>
-            {where && <div><dt>x, y</dt><dd>{where.x.toFixed(2)}, {where.y.toFixed(2)} m</dd></div>}
-            {where && <div><dt>heading</dt><dd>{((where.heading * 180) / Math.PI).toFixed(0)}°</dd></div>}
+            {where && <div><dt>x, y</dt><dd>{fixed(where.x, 2)}, {fixed(where.y, 2)} m</dd></div>}
+            {where && <div><dt>heading</dt><dd>{fixed((where.heading * 180) / Math.PI, 0)}°</dd></div>}
             <div>
                 <dt>links</dt>
                 <dd class="links">{place.linked_place_numbers.length === 0 ? "none" : place.linked_place_numbers.map((linked) => <PlaceLink key={linked} number={linked} onPlace={onPlace} />)}</dd>

@@ -5,7 +5,7 @@ use waypost_client::v1;
 
 use crate::failure::Failure;
 use crate::names::{short, short_map};
-use crate::output::{Output, fields, table};
+use crate::output::{Output, fields, rounded, table};
 
 pub(super) fn list(maps: &[v1::Map], output: Output) -> Result<(), Failure> {
     output.result(&json!({ "maps": maps }), |out| {
@@ -107,5 +107,6 @@ fn pose_words(place: &v1::PlacePose) -> Option<String> {
     let orientation = (*orientation)?;
     let heading_deg = (2.0 * orientation.z.atan2(orientation.w)).to_degrees();
     let of_part = if *part == 0 { String::new() } else { format!(" from place {part}") };
-    Some(format!("{:.2} {:.2} m {heading_deg:.0}°{of_part}", position.x, position.y))
+    let [x_m, y_m] = [position.x, position.y].map(|metres| rounded(metres, 2));
+    Some(format!("{x_m} {y_m} m {}°{of_part}", rounded(heading_deg, 0)))
 }
