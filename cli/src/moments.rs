@@ -104,8 +104,8 @@ fn joined(stamps: &[i64], path: &Path, rows: &[StampedPose]) -> Result<Moments, 
 pub(crate) fn without_odometry(without: u64, all: u64) -> String {
     let gap_s = MOST_GAP_NS / 1_000_000_000;
     format!(
-        "{without} of {all} frames are sent without odometry: none was recorded within {gap_s} s around them; places that \
-         they make have no position beside others"
+        "{without} of {all} frames are sent without odometry: none was recorded within {gap_s} s around them; places that they \
+         make are not measured, and the map may be in parts until a loop closes"
     )
 }
 

@@ -7,6 +7,7 @@ mod listing;
 mod trimming;
 mod watching;
 
+use std::io::Write;
 use std::path::PathBuf;
 
 use clap::Subcommand;
@@ -121,7 +122,14 @@ pub(crate) enum Command {
 pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output) -> Result<(), Failure> {
     let client = Client::connect(server).await?;
     match command {
-        Command::Create(creation) => listing::show(&client.create_map(creation.request()).await?, output),
+        Command::Create(creation) => {
+            let map = client.create_map(creation.request()).await?;
+            if let Some(hint) = creation::hint(&client, &map).await? {
+                // If stderr is closed, the hint is lost.
+                let _ = writeln!(std::io::stderr(), "{hint}");
+            }
+            listing::show(&map, output)
+        }
         Command::Ls => listing::list(&client.maps().await?, output),
         Command::Show { name } => listing::show(&client.map(&name, v1::MapView::Full).await?, output),
         Command::Rebind { name, model } => listing::show(&client.rebind_map(&name, &model).await?, output),

@@ -12,8 +12,9 @@ use crate::client::{Client, MAX_REQUEST_BYTES, PAGE_SIZE};
 use crate::error::Error;
 
 impl Client {
-    /// Uploads JPEG or PNG images and trains a model from them. Returns the job that does so; see
-    /// [`watch_job`](Self::watch_job). To stop the upload, let `images` yield an error: a call that
+    /// Uploads JPEG or PNG images, in the order in which they were taken, and trains a model from
+    /// them: what is learnt of revisits and look-alikes comes from neighbours in a drive. Returns
+    /// the job that does so; see [`watch_job`](Self::watch_job). To stop the upload, let `images` yield an error: a call that
     /// is only dropped may look complete to the server.
     ///
     /// # Errors

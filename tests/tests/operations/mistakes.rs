@@ -99,6 +99,23 @@ fn names_and_verbs_that_are_wrong() {
 }
 
 #[test]
+fn an_orb_model_for_panoramas_is_doubted() {
+    let waypost = CommandLine::new();
+    let images = folder(12);
+    let train = ["model", "train", "--images", path(images.path()), "--words", "50", "--name"];
+    for (name, extractor, is_doubted) in
+        [("orb", "orb features=200 width=320", true), ("sift", "rootsift features=200 width=320", false)]
+    {
+        waypost.text(&[&train[..], &[name, "--extractor", extractor]].concat());
+        let create = ["map", "create", name, "--model", name];
+        let by_looks = waypost.run(&[&create[..], &["--navigation-strategy", "appearance"]].concat());
+        assert!(by_looks.status.success(), "{by_looks:?}");
+        let said = String::from_utf8(by_looks.stderr).unwrap();
+        assert_eq!(said.contains("falls into pieces"), is_doubted, "{name}: {said}");
+    }
+}
+
+#[test]
 fn addresses_that_are_wrong() {
     let waypost = CommandLine::new();
     let (grpc, http) = (waypost.endpoint(), waypost.http());

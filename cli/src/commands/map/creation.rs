@@ -1,8 +1,9 @@
 //! `waypost map create`: a map with its settings.
 
-use waypost_client::v1;
+use waypost_client::{Client, v1};
 use waypost_proto::flags::MapSettingsFlags;
 
+use crate::failure::Failure;
 use crate::names::short_map;
 
 /// A setting that is left out has its default; `waypost map show` shows all
@@ -24,6 +25,20 @@ impl Creation {
         let map_id = short_map(&name).to_owned();
         v1::CreateMapRequest { map_id, model, settings: Some(settings.into()) }
     }
+}
+
+/// What may be amiss with a map that was just made.
+pub(super) async fn hint(client: &Client, map: &v1::Map) -> Result<Option<String>, Failure> {
+    let settings = map.settings.unwrap_or_default();
+    if settings.navigation_strategy() != v1::map_settings::NavigationStrategy::Appearance {
+        return Ok(None);
+    }
+    let model = client.model(&map.model).await?;
+    Ok(model.extractor.starts_with("orb").then(|| {
+        "its model describes images by ORB, by which panoramas that see the same are often not linked: the graph falls into \
+         pieces, and no way leads from one to another. A model of rootsift joins more"
+            .to_owned()
+    }))
 }
 
 #[cfg(test)]
