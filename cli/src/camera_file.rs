@@ -33,7 +33,7 @@ pub(crate) enum CameraFileError {
     #[error("{} is no YAML: {source}", path.display())]
     NoYaml { path: PathBuf, source: serde_norway::Error },
     #[error(
-        "{} describes no camera: it has neither camera_matrix (ROS), nor k, width and height (a message of ROS), nor \
+        "{} describes no camera: it has neither camera_matrix (ROS), nor P0 (KITTI), nor k, width and height (a message of ROS), nor \
          intrinsics and resolution (Kalibr, EuRoC)",
         .0.display()
     )]
@@ -48,6 +48,11 @@ pub(crate) enum CameraFileError {
         "`{0}` are no numbers of a camera; write fx,fy,cx,cy, then k1,k2,p1,p2[,k3] if there is distortion"
     )]
     Arguments(String),
+    #[error(
+        "the middle of the camera's image, ({cx_px}, {cy_px}) pixels, is far from that of the first image, which has {image_width} x \
+         {image_height}; give the calibration of these images"
+    )]
+    Middle { cx_px: f64, cy_px: f64, image_width: u32, image_height: u32 },
     #[error(
         "the camera is for images of {width} x {height} pixels, but the first has {image_width} x {image_height}; \
          give the calibration of these images"
@@ -92,6 +97,7 @@ fn by_numbers(
     if !distortions.contains(&distortion.len()) || *fx_px <= 0.0 || *fy_px <= 0.0 {
         return Err(wrong());
     }
+    check_middle([*cx_px, *cy_px], size_px)?;
     let intrinsics = Intrinsics {
         fx_px: *fx_px,
         fy_px: *fy_px,
@@ -100,6 +106,22 @@ fn by_numbers(
         distortion: distortion.to_vec(),
     };
     Ok(Camera { lens: lens(intrinsics), size_px, base_to_camera: None })
+}
+
+/// Numbers do not say of which images they are; those of others show by their middle, which is within a quarter of the
+/// image of its own.
+fn check_middle(
+    [cx_px, cy_px]: [f64; 2],
+    (image_width, image_height): (u32, u32),
+) -> Result<(), CameraFileError> {
+    let is_off = |center_px: f64, size_px: u32| {
+        let size_px = f64::from(size_px);
+        (center_px - size_px / 2.0).abs() > size_px / 4.0
+    };
+    if is_off(cx_px, image_width) || is_off(cy_px, image_height) {
+        return Err(CameraFileError::Middle { cx_px, cy_px, image_width, image_height });
+    }
+    Ok(())
 }
 
 /// `size_px` is that of the images, where a file does not say it.
@@ -137,7 +159,7 @@ fn of_kitti(path: &Path, text: &str, size_px: (u32, u32)) -> Result<Option<Camer
             }
             (Some(key), numbers) => {
                 let (path, found) = (path.to_owned(), numbers.len());
-                return Err(CameraFileError::Numbers { path, key, found, expected: "12, of a projection," });
+                return Err(CameraFileError::Numbers { path, key, found, expected: "12" });
             }
             (None, _) => {}
         }
@@ -145,6 +167,7 @@ fn of_kitti(path: &Path, text: &str, size_px: (u32, u32)) -> Result<Option<Camer
     match cameras[..] {
         [] => Ok(None),
         [[fx_px, fy_px, cx_px, cy_px]] if fx_px > 0.0 && fy_px > 0.0 => {
+            check_middle([cx_px, cy_px], size_px)?;
             let lens = Lens::Pinhole(Intrinsics { fx_px, fy_px, cx_px, cy_px, distortion: Vec::new() });
             Ok(Some(Camera { lens, size_px, base_to_camera: None }))
         }
@@ -317,6 +340,8 @@ mod tests {
         let other = p1.replace("718.856", "700").replace("P1:", "P_rect_01:");
         let error = of_file(&format!("{p0}{other}"), size).unwrap_err().to_string();
         assert!(error.contains("718.856,718.856,607.1928,185.2157 or 700,700,"), "{error}");
+        let of_others = of_file(p0, (640, 360)).unwrap_err().to_string();
+        assert!(of_others.contains("(607.1928, 185.2157) pixels, is far from"), "{of_others}");
         let error = of_file("P0: 718.856 0 x\n", size).unwrap_err().to_string();
         assert!(error.contains("P0: has 2 numbers in place of 12"), "{error}");
         let error = of_file(&p0.replace("718.856", "0"), size).unwrap_err().to_string();

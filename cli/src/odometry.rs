@@ -3,7 +3,7 @@
 use waypost_bags::Pose;
 use waypost_client::v1::{self, Odometry, Quaternion, Vector3};
 
-use crate::file_stamps::nanoseconds;
+use crate::file_stamps::nanoseconds_with_exponent;
 
 /// Describes the formats in `--help`.
 pub(crate) const FORMATS: &str = "\
@@ -115,7 +115,8 @@ fn csv_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
 
 fn tum_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
     let [stamp_s, position_and_rotation @ ..] = fields(line, row.split_whitespace(), &TUM_COLUMNS)?;
-    let stamp_ns = nanoseconds(stamp_s).ok_or_else(|| not_a_number(line, TUM_COLUMNS[0], stamp_s))?;
+    let stamp_ns = nanoseconds_with_exponent(stamp_s);
+    let stamp_ns = stamp_ns.ok_or_else(|| not_a_number(line, TUM_COLUMNS[0], stamp_s))?;
     let [_, columns @ ..] = TUM_COLUMNS;
     let [x, y, z, qx, qy, qz, qw] = numbers(line, position_and_rotation, columns)?;
     let length = [qx, qy, qz, qw].map(|part| part * part).iter().sum::<f64>().sqrt();

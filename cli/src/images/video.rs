@@ -20,6 +20,8 @@ pub(crate) struct Video {
     pub(crate) images: Vec<ImageFile>,
     /// Where they are, until this is dropped.
     pub(crate) folder: TempDir,
+    /// What is wrong with the video, for people; the images are what could be read.
+    pub(crate) trouble: Option<String>,
 }
 
 /// Why a video has no usable images.
@@ -33,20 +35,26 @@ pub(crate) enum VideoError {
     NoFfmpeg(PathBuf),
     #[error("{}: ffmpeg cannot read it: {why}", path.display())]
     Unread { path: PathBuf, why: String },
-    #[error("{} has no images; is it a recording of sound?", .0.display())]
+    #[error("{} shows nothing; is it a recording of sound?", .0.display())]
     NoImages(PathBuf),
+    #[error("there is no video {}; check the path", .0.display())]
+    Missing(PathBuf),
     #[error("cannot keep the images of {}: {source}; set TMPDIR to a folder with room", path.display())]
     NoRoom { path: PathBuf, source: std::io::Error },
 }
 
-/// Whether a file is a video, by its name.
+/// Whether something is a video, by its name.
 pub(crate) fn is_video(path: &Path) -> bool {
     let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    path.is_file() && ENDINGS.contains(&ending.as_str())
+    !path.is_dir() && ENDINGS.contains(&ending.as_str())
 }
 
-/// Takes so many images a second of a video.
+/// Takes so many images a second of a video, or all if it has fewer.
 pub(crate) async fn images_of_video(path: &Path, rate_hz: f64) -> Result<Video, VideoError> {
+    if !path.exists() {
+        return Err(VideoError::Missing(path.to_owned()));
+    }
+    let rate_hz = own_rate_hz(path).await.map_or(rate_hz, |own_hz| rate_hz.min(own_hz));
     let no_room = |source| VideoError::NoRoom { path: path.to_owned(), source };
     let folder = TempDir::new().map_err(no_room)?;
     let mut ffmpeg = Command::new("ffmpeg");
@@ -58,11 +66,14 @@ pub(crate) async fn images_of_video(path: &Path, rate_hz: f64) -> Result<Video, 
         std::io::ErrorKind::NotFound => VideoError::NoFfmpeg(path.to_owned()),
         _ => VideoError::Unread { path: path.to_owned(), why: error.to_string() },
     })?;
+    let said = String::from_utf8_lossy(&ended.stderr);
+    let why = said.lines().map(str::trim).find(|line| !line.is_empty());
     if !ended.status.success() {
-        let said = String::from_utf8_lossy(&ended.stderr);
-        let why = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it says nothing").to_owned();
+        let why = why.unwrap_or("it does not say why").to_owned();
         return Err(VideoError::Unread { path: path.to_owned(), why });
     }
+    let trouble =
+        why.map(|why| format!("{}: ffmpeg read it, as far as it goes, and says: {why}", path.display()));
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     // Numbered from 1, without gaps.
     let files = (1..).map(|number: u64| (number, folder.path().join(format!("{number}.jpg"))));
@@ -75,7 +86,21 @@ pub(crate) async fn images_of_video(path: &Path, rate_hz: f64) -> Result<Video, 
             ImageFile { name: format!("{name} {seconds:.3} s"), path: file, stamp_ns: Some(stamp_ns) }
         })
         .collect();
-    if images.is_empty() { Err(VideoError::NoImages(path.to_owned())) } else { Ok(Video { images, folder }) }
+    if images.is_empty() {
+        return Err(VideoError::NoImages(path.to_owned()));
+    }
+    Ok(Video { images, folder, trouble })
+}
+
+/// Images a second that a video has, if ffmpeg's own tool is there and knows: more than that would be copies.
+async fn own_rate_hz(path: &Path) -> Option<f64> {
+    let mut ffprobe = Command::new("ffprobe");
+    ffprobe.args(["-v", "error", "-select_streams", "v:0", "-show_entries", "stream=avg_frame_rate"]);
+    ffprobe.args(["-of", "default=noprint_wrappers=1:nokey=1"]).arg(path).stdin(Stdio::null());
+    let told = ffprobe.kill_on_drop(true).output().await.ok()?.stdout;
+    let (images, seconds) = std::str::from_utf8(&told).ok()?.trim().split_once('/')?;
+    let rate_hz = images.parse::<f64>().ok()? / seconds.parse::<f64>().ok()?;
+    (rate_hz.is_finite() && rate_hz > 0.0).then_some(rate_hz)
 }
 
 #[cfg(test)]
@@ -90,6 +115,6 @@ mod tests {
             std::fs::write(&file, "x").unwrap();
             assert_eq!(is_video(&file), expected, "{name}");
         }
-        assert!(!is_video(&folder.path().join("nowhere.mp4")));
+        assert!(!is_video(folder.path()));
     }
 }

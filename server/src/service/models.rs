@@ -276,6 +276,11 @@ impl Models {
     /// Gives a model another display name.
     pub(crate) async fn rename(&self, reference: &str, display_name: &str) -> Result<ModelRow, ServiceError> {
         let display_name = check_display_name(display_name)?;
+        if display_name.is_empty() {
+            return Err(ServiceError::invalid(
+                "a model without a display name can be named by its hash alone; give one",
+            ));
+        }
         let model = self.find(reference).await?;
         self.storage.rename_model(&model.hash, &display_name).await?;
         self.find(&model_name(&model.hash)).await

@@ -80,8 +80,12 @@ pub(super) async fn recording(
     let (images, folder) = if is_video {
         let rate_hz = video_rate_hz.unwrap_or(VIDEO_RATE_HZ);
         let bar = progress::spinner(output, "reading the video");
-        let Video { images, folder } = images_of_video(path, rate_hz).await?;
+        let Video { images, folder, trouble } = images_of_video(path, rate_hz).await?;
         bar.finish_and_clear();
+        if let Some(trouble) = trouble {
+            // If stderr is closed, the message is lost.
+            let _ = writeln!(std::io::stderr(), "{trouble}");
+        }
         (images, Some(folder))
     } else {
         (images_of(path)?, None)
