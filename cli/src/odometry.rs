@@ -160,6 +160,7 @@ fn not_a_number(line: usize, column: &'static str, text: &str) -> OdometryError 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::file_stamps::nanoseconds;
 
     fn pose(row: &StampedPose) -> (Vector3, Quaternion) {
         let pose = pose_message(&row.pose);
@@ -206,13 +207,21 @@ mod tests {
         assert_eq!(csv("1,0,0,0\n2,0,0,0\n2,0,0,0\n"), OdometryError::NotRising { line: 4 });
         let skewed = parse("1 0 0 0 0 0 0 2").unwrap_err();
         assert_eq!(skewed, OdometryError::NotARotation { line: 1, length: 2.0 });
-        assert!(matches!(parse("1e9 0 0 0 0 0 0 1").unwrap_err(), OdometryError::Number { line: 1, .. }));
+        assert!(matches!(parse("1e9s 0 0 0 0 0 0 1").unwrap_err(), OdometryError::Number { line: 1, .. }));
     }
 
     #[test]
     fn messages_say_how_to_mend_it() {
         let missing = parse("stamp_ns,x_m,y_m,yaw_rad\n1,2\n").unwrap_err().to_string();
         assert_eq!(missing, "line 2: 2 columns in place of 4; write `stamp_ns x_m y_m yaw_rad`");
+    }
+
+    /// As numpy writes them.
+    #[test]
+    fn numbers_may_have_exponents() {
+        let row = "1.5000000000e+00 -2.5e-01 0.0e+00 0.0e+00 0.0e+00 0.0e+00 0.0e+00 1.0e+00";
+        let read = parse(row).unwrap();
+        assert_eq!((read[0].stamp_ns, read[0].pose.position_m[0]), (1_500_000_000, -0.25));
     }
 
     #[test]

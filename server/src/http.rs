@@ -41,6 +41,8 @@ use hyper_util::rt::{TokioExecutor, TokioTimer};
 use hyper_util::server::conn::auto;
 use serde::Serialize;
 use tokio::net::TcpListener;
+use tower_http::compression::CompressionLayer;
+use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Predicate};
 use utoipa::ToSchema;
 use utoipa_axum::router::{OpenApiRouter, UtoipaMethodRouterExt};
 use utoipa_axum::routes;
@@ -111,6 +113,11 @@ fn limit(connections: &mut auto::Builder<TokioExecutor>) {
         .max_header_list_size(MAX_HEADER_BYTES);
 }
 
+/// Text, for those who ask for it compressed. Snapshots and models are of numbers and as long as they are large.
+fn worth_compressing() -> impl Predicate {
+    DefaultPredicate::new().and(NotForContentType::const_new("application/octet-stream"))
+}
+
 fn router(service: Arc<Service>) -> anyhow::Result<Router> {
     let (api, description) = api().split_for_parts();
     Ok(api
@@ -125,6 +132,7 @@ fn router(service: Arc<Service>) -> anyhow::Result<Router> {
         .layer(from_fn_with_state(service.clone(), access::guard))
         .layer(from_fn_with_state(service.clone(), requests::watch))
         .with_state(service)
+        .layer(CompressionLayer::new().compress_when(worth_compressing()))
         .layer(map_response(pages::harmless)))
 }
 

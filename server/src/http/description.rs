@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::body::Bytes;
-use axum::http::header::{CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE};
+use axum::http::header::{CONTENT_SECURITY_POLICY, CONTENT_TYPE};
 use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Redirect, Response};
 use axum::routing::get;
@@ -49,6 +49,7 @@ const PAGE_POLICY: HeaderValue = HeaderValue::from_static(
             beside, and say how to mend it.\n\
             - **Pages of other sites** may change nothing in a browser, unless they send a token as a bearer's."
     ),
+    servers((url = "/", description = "The server that this was read from.")),
     components(schemas(ErrorBody)),
     tags(
         (name = "maps", description = "Maps, their places, and the loops they closed."),
@@ -91,14 +92,11 @@ async fn page(file: String) -> Result<Response, HttpError> {
         .try_it_out_enabled(true)
         .default_models_expand_depth(0);
     let file = utoipa_swagger_ui::serve(&file, Arc::new(config)).map_err(ServiceError::internal)?;
-    let SwaggerFile { bytes, content_type, gzpipped, .. } = file.ok_or_else(nothing_here)?;
+    let SwaggerFile { bytes, content_type, .. } = file.ok_or_else(nothing_here)?;
     let mut response = bytes.into_response();
     let headers = response.headers_mut();
     headers.insert(CONTENT_TYPE, HeaderValue::try_from(content_type).map_err(ServiceError::internal)?);
     headers.insert(CONTENT_SECURITY_POLICY, PAGE_POLICY);
-    if gzpipped {
-        headers.insert(CONTENT_ENCODING, HeaderValue::from_static("gzip"));
-    }
     Ok(response)
 }
 

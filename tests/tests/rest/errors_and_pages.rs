@@ -9,7 +9,7 @@ use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
 use tonic_reflection::pb::v1::server_reflection_request::MessageRequest;
 use tonic_reflection::pb::v1::server_reflection_response::MessageResponse;
 
-use crate::harness::{Answer, Server, Surveyed, channel, found, get, http, images, in_time};
+use crate::harness::{Answer, Server, Surveyed, answers, channel, found, frame, get, http, images, in_time};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn rest_tells_what_is_wrong() {
@@ -209,14 +209,40 @@ async fn pages_for_people_load_nothing_from_elsewhere() {
         assert_eq!(page.header("x-content-type-options"), "nosniff", "{path}");
     }
     assert!(!start.text().contains("http"), "{}", start.text());
-    // Swagger UI is sent as it was compressed when the server was built.
-    assert_eq!(docs.header("content-encoding"), "gzip");
     for file in ["swagger-ui.css", "swagger-ui-bundle.js", "swagger-initializer.js"] {
         assert_eq!(get(&server, &format!("/docs/{file}")).await.status, StatusCode::OK, "{file}");
     }
     let initializer = get(&server, "/docs/swagger-initializer.js").await;
     assert!(initializer.text().contains("\"/v1/openapi.json\""), "{}", initializer.text());
     assert!(!initializer.text().contains("http"), "{}", initializer.text());
+    server.stop().await;
+}
+
+/// Text is compressed for those who ask for that, and for nobody else.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_text_is_compressed_on_request() {
+    let (server, client) = Server::with_map().await;
+    answers(&client, "drive", "robot", (1..=20).map(frame)).await;
+    for (path, is_text) in [
+        ("/v1/maps/drive/places", true),
+        ("/docs/swagger-ui-bundle.js", true),
+        ("/", true),
+        ("/v1/maps/drive/sessions/robot/frames/1/image", false),
+        ("/v1/maps/drive/export", false),
+    ] {
+        let asked = |encoding: &'static str| {
+            let request = http().get(server.url(path)).header("accept-encoding", encoding);
+            async { Answer::to(request).await }
+        };
+        let [plain, packed] = [asked("identity").await, asked("gzip").await];
+        assert_eq!((plain.status, packed.status), (StatusCode::OK, StatusCode::OK), "{path}");
+        assert!(!plain.headers.contains_key("content-encoding"), "{path}: {:?}", plain.headers);
+        assert_eq!(packed.headers.contains_key("content-encoding"), is_text, "{path}: {:?}", packed.headers);
+        if is_text {
+            assert_eq!((packed.header("content-encoding"), &packed.body[..2]), ("gzip", &[0x1f, 0x8b][..]));
+            assert!(packed.body.len() < plain.body.len(), "{path}");
+        }
+    }
     server.stop().await;
 }
 
