@@ -83,7 +83,8 @@ def test_a_watch_goes_on_with_the_next_server(mortal: Server) -> None:
             answers(session, range(1, 4))
             assert [next(all_frames).frame.frame.answer.sequence for _ in range(3)] == [1, 2, 3]
             # Where the log ended is all that this one has to go on from.
-            with client.watch("hall", patience_s=30.0) as new_frames, futures.ThreadPoolExecutor(1) as waiting:
+            new_frames = client.watch("hall", patience_s=30.0)
+            with new_frames, futures.ThreadPoolExecutor(1) as waiting:
                 first = waiting.submit(next, new_frames)
                 with pytest.raises(futures.TimeoutError):
                     first.result(timeout=0.5)

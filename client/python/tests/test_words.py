@@ -143,12 +143,12 @@ def test_a_query_says_where_an_image_was_taken(client: waypost.Client, mapped: M
     assert found.place_explanation.place_number == found.match.place_number
     assert 0 < len(found.place_explanation.words_for) <= 5
     assert found.places.dtype == np.uint32
-    assert found.probabilities.sum() + found.new_place_posterior <= 1 + 1e-9
+    assert found.posteriors.sum() + found.new_place_posterior <= 1 + 1e-9
 
     by_words = client.query(mapped.map_id, mapped.histograms[7], words_hash=mapped.words_hash)
     assert by_words.place_explanation is None
     np.testing.assert_array_equal(by_words.places, found.places)
-    np.testing.assert_array_equal(by_words.probabilities, found.probabilities)
+    np.testing.assert_array_equal(by_words.posteriors, found.posteriors)
     assert (by_words.match, by_words.words) == (found.match, found.words)
 
     pixels = np.asarray(Image.open(io.BytesIO(image)))

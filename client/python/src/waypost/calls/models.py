@@ -26,9 +26,9 @@ class ModelCalls:
         """Uploads images and trains a model from them; gives the job that does so, whose result is the model.
 
         Args:
-            images: JPEG or PNG, as bytes or as files, in the order in which they were taken: what is learnt of
-                revisits and look-alikes comes from neighbours in a drive. They are never all in memory. What it
-                raises is raised here, and no model is trained.
+            images: JPEG or PNG, as bytes or as files, in the order in which they were taken: what is learnt
+                of revisits and look-alikes comes from neighbours in a drive. They are never all in memory.
+                What it raises is raised here, and no model is trained.
             words: Words of the vocabulary, at least 2.
             display_name: A name for people.
             extractor: As in `rootsift features=500 width=640`; the server's default if left out.
