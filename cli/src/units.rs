@@ -17,8 +17,7 @@ const LEAST_SPAN_OF_DEGREES: f64 = 20.0;
 /// Steps that are too few to compare headings with.
 const LEAST_STEPS: usize = 20;
 
-/// Sines of how far robots drive beside their headings: of half the steps less, and more than that of headings that say
-/// nothing.
+/// Median sines of the angle between heading and way: below the first they agree, above the second they do not.
 const ALONG: f64 = 0.2;
 const ACROSS: f64 = 0.4;
 

@@ -1,5 +1,6 @@
 //! Videos, whose images an ffmpeg process writes into a folder that lasts as long as the command.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
@@ -58,7 +59,7 @@ pub(crate) async fn images_of_video(path: &Path, rate_hz: f64) -> Result<Video, 
     let no_room = |source| VideoError::NoRoom { path: path.to_owned(), source };
     let folder = TempDir::new().map_err(no_room)?;
     let mut ffmpeg = Command::new("ffmpeg");
-    ffmpeg.args(["-nostdin", "-loglevel", "error", "-i"]).arg(path);
+    ffmpeg.args(["-nostdin", "-loglevel", "error", "-i"]).arg(input(path));
     // The one shown at each moment; as JPEG of the best quality that stays small.
     ffmpeg.args(["-map", "0:v:0", "-vf", &format!("fps={rate_hz}"), "-q:v", "2", "-f", "image2"]);
     ffmpeg.arg(folder.path().join("%d.jpg")).stdin(Stdio::null()).kill_on_drop(true);
@@ -92,11 +93,18 @@ pub(crate) async fn images_of_video(path: &Path, rate_hz: f64) -> Result<Video, 
     Ok(Video { images, folder, trouble })
 }
 
+/// A file as ffmpeg takes it, which would read what is before a colon in a name as a protocol.
+fn input(path: &Path) -> OsString {
+    let mut input = OsString::from("file:");
+    input.push(path);
+    input
+}
+
 /// Images a second that a video has, if ffmpeg's own tool is there and knows: more than that would be copies.
 async fn own_rate_hz(path: &Path) -> Option<f64> {
     let mut ffprobe = Command::new("ffprobe");
     ffprobe.args(["-v", "error", "-select_streams", "v:0", "-show_entries", "stream=avg_frame_rate"]);
-    ffprobe.args(["-of", "default=noprint_wrappers=1:nokey=1"]).arg(path).stdin(Stdio::null());
+    ffprobe.args(["-of", "default=noprint_wrappers=1:nokey=1"]).arg(input(path)).stdin(Stdio::null());
     let told = ffprobe.kill_on_drop(true).output().await.ok()?.stdout;
     let (images, seconds) = std::str::from_utf8(&told).ok()?.trim().split_once('/')?;
     let rate_hz = images.parse::<f64>().ok()? / seconds.parse::<f64>().ok()?;

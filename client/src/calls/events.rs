@@ -24,7 +24,7 @@ impl Client {
             open: None,
             backoff: Backoff::new(Reconnection::default()),
         };
-        events.open = Some(events.connect().await?);
+        events.open = Some(self.taken(self.events_client().watch(events.request()).await)?);
         Ok(events)
     }
 }
@@ -57,53 +57,42 @@ impl MapEvents {
     /// it, DATA_LOSS where a frame is damaged on its disk: those behind it are told from the next position on.
     pub async fn next(&mut self) -> Result<v1::MapEvent, Error> {
         loop {
-            let end = match &mut self.open {
-                Some(events) => match events.message().await {
-                    Ok(Some(event)) => {
-                        self.backoff.progress();
-                        match &event.event {
-                            Some(Event::Started(started)) => {
-                                self.next_position = Some(started.next_position);
-                                continue;
-                            }
-                            Some(Event::Frame(frame)) => self.next_position = Some(frame.position + 1),
-                            Some(Event::Navigation(_)) | None => {}
-                        }
-                        return Ok(event);
-                    }
-                    Ok(None) => LinkEnd::closed(),
-                    Err(status) => LinkEnd::of(&status),
-                },
-                None => match self.connect().await {
-                    Ok(events) => {
-                        self.open = Some(events);
-                        continue;
-                    }
-                    Err(Error::Connection { reason, .. }) => LinkEnd::Broken(reason),
-                    Err(Error::Status { code: tonic::Code::Unavailable, message }) => {
-                        LinkEnd::Broken(message)
-                    }
-                    Err(error) => LinkEnd::Final(error),
-                },
+            let reason = match self.next_over_a_connection().await {
+                Ok(event) => return Ok(event),
+                Err(LinkEnd::Final(error)) => return Err(error),
+                Err(LinkEnd::Broken(reason)) => reason,
             };
             self.open = None;
-            match end {
-                LinkEnd::Final(error) => return Err(error),
-                LinkEnd::Broken(reason) => match self.backoff.next_delay(Instant::now()) {
-                    Some(delay) => sleep(delay).await,
-                    None => {
-                        return Err(Error::Connection {
-                            endpoint: self.client.endpoint().to_owned(),
-                            reason,
-                        });
-                    }
-                },
+            let Some(delay) = self.backoff.next_delay(Instant::now()) else {
+                return Err(Error::Connection { endpoint: self.client.endpoint().to_owned(), reason });
+            };
+            sleep(delay).await;
+        }
+    }
+
+    /// The next event over the connection that is open, or over a new one.
+    async fn next_over_a_connection(&mut self) -> Result<v1::MapEvent, LinkEnd> {
+        loop {
+            let Some(events) = &mut self.open else {
+                let opened = self.client.events_client().watch(self.request()).await;
+                self.open = Some(opened.map_err(|status| LinkEnd::of(&status))?.into_inner());
+                continue;
+            };
+            let event = events.message().await.map_err(|status| LinkEnd::of(&status))?;
+            let event = event.ok_or_else(LinkEnd::closed)?;
+            self.backoff.progress();
+            match &event.event {
+                Some(Event::Started(started)) => self.next_position = Some(started.next_position),
+                Some(Event::Frame(frame)) => {
+                    self.next_position = Some(frame.position + 1);
+                    return Ok(event);
+                }
+                Some(Event::Navigation(_)) | None => return Ok(event),
             }
         }
     }
 
-    async fn connect(&self) -> Result<Streaming<v1::MapEvent>, Error> {
-        let request = v1::WatchRequest { map: self.map.clone(), from_position: self.next_position };
-        self.client.taken(self.client.events_client().watch(request).await)
+    fn request(&self) -> v1::WatchRequest {
+        v1::WatchRequest { map: self.map.clone(), from_position: self.next_position }
     }
 }
