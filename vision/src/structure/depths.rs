@@ -24,17 +24,20 @@ const LEAST_BASE_M: f64 = 0.05;
 /// Steps in which a depth is found.
 const STEPS: usize = 4;
 
-/// Half of what a robot or a car sees is nearer than this, in metres.
+/// Depth in metres that half of what a robot or a car sees does not reach.
 const FURTHEST_M: f64 = 150.0;
 
-/// Ways that say how far things are without any doubt about wheels, in metres, and turns in radians that leave them
-/// straight; and the features that it takes.
+/// A way from which on images have to change, in metres, whatever the wheels are worth.
 const LONG_M: f64 = 5.0;
+
+/// A turn up to which a way is straight, in radians.
 const STRAIGHT_RAD: f64 = 0.05;
+
+/// Features whose median says how far an image moved.
 const LEAST_FEATURES: usize = 20;
 
-/// Mean distance of features from the middle of the image, in its widths: as far as they are out there, they move by that
-/// share of the way over their distance.
+/// Mean distance of features from the middle of the image, in its widths. Over a straight way b a feature of depth Z
+/// moves by b/Z of its distance from the middle.
 const OUT_WIDTHS: f64 = 0.25;
 
 /// Depths beyond and before this are none, in 1/m.
@@ -134,7 +137,7 @@ pub(super) fn tracked(
     }
 }
 
-/// By how far features moved in the image, whatever they may be in the room.
+/// By how far features moved in the image, which needs no depths.
 fn change(
     (earlier, later): (&FeatureRecord, &FeatureRecord),
     matches: &[FeatureMatch],

@@ -17,6 +17,15 @@ const LEAST_IMAGES: usize = 4;
 pub(crate) struct RoomFigures {
     /// Labels that were put.
     pub labels: usize,
+    /// As labels are put.
+    pub around: SpillFigures,
+    /// On whole convex spaces.
+    pub spaces: SpillFigures,
+}
+
+/// Which images bear labels that were put by one rule.
+#[derive(Serialize)]
+pub(crate) struct SpillFigures {
     /// Images that bear a label of another room, mean over the labels.
     pub spilled_mean: f64,
     /// The most that any label spilled.
@@ -25,39 +34,33 @@ pub(crate) struct RoomFigures {
     pub clean: usize,
     /// Share of the room's images that bear its label, mean over the labels.
     pub covered_mean: f64,
-    /// The same figures of whole convex spaces.
-    pub spaces_spilled_mean: f64,
-    pub spaces_spilled_max: usize,
-    pub spaces_covered_mean: f64,
 }
 
-/// One label.
-struct Labelled {
+/// One label by one rule.
+struct Put {
     spilled: usize,
     covered: f64,
-    space_spilled: usize,
-    space_covered: f64,
 }
 
 /// Puts labels in buildings of these seeds.
 pub(crate) fn measure(eye: &Eye, seeds: &[u64]) -> Result<RoomFigures> {
-    let buildings: Result<Vec<Vec<Labelled>>> = seeds.par_iter().map(|&seed| labels(eye, seed)).collect();
-    let labels: Vec<Labelled> = buildings?.into_iter().flatten().collect();
-    let mean =
-        |value: &dyn Fn(&Labelled) -> f64| labels.iter().map(value).sum::<f64>() / labels.len().max(1) as f64;
-    Ok(RoomFigures {
-        labels: labels.len(),
-        spilled_mean: mean(&|label| label.spilled as f64),
-        spilled_max: labels.iter().map(|label| label.spilled).max().unwrap_or(0),
-        clean: labels.iter().filter(|label| label.spilled == 0).count(),
-        covered_mean: mean(&|label| label.covered),
-        spaces_spilled_mean: mean(&|label| label.space_spilled as f64),
-        spaces_spilled_max: labels.iter().map(|label| label.space_spilled).max().unwrap_or(0),
-        spaces_covered_mean: mean(&|label| label.space_covered),
-    })
+    let buildings: Result<Vec<Vec<[Put; 2]>>> = seeds.par_iter().map(|&seed| labels(eye, seed)).collect();
+    let labels: Vec<[Put; 2]> = buildings?.into_iter().flatten().collect();
+    let figures = |rule: usize| {
+        let put = || labels.iter().map(move |by_rule| &by_rule[rule]);
+        let count = labels.len().max(1) as f64;
+        SpillFigures {
+            spilled_mean: put().map(|label| label.spilled as f64).sum::<f64>() / count,
+            spilled_max: put().map(|label| label.spilled).max().unwrap_or(0),
+            clean: put().filter(|label| label.spilled == 0).count(),
+            covered_mean: put().map(|label| label.covered).sum::<f64>() / count,
+        }
+    };
+    Ok(RoomFigures { labels: labels.len(), around: figures(0), spaces: figures(1) })
 }
 
-fn labels(eye: &Eye, seed: u64) -> Result<Vec<Labelled>> {
+/// By image of a room: around it, and on its space.
+fn labels(eye: &Eye, seed: u64) -> Result<Vec<[Put; 2]>> {
     let map = TaughtMap::new(eye, NamedWorld::BooijOffice.plan(seed), SPACING_M, seed)?;
     let plan = map.scene.plan();
     let rooms: Vec<&str> = map
@@ -73,13 +76,10 @@ fn labels(eye: &Eye, seed: u64) -> Result<Vec<Labelled>> {
         let around = map.graph.room_around(image as ImageId, &spaces);
         let space: Vec<ImageId> =
             (0..).zip(&spaces).filter(|(_, space)| **space == spaces[image]).map(|(one, _)| one).collect();
-        let all = size(room) as f64;
-        Labelled {
-            spilled: around.len() - inside(&around),
-            covered: inside(&around) as f64 / all,
-            space_spilled: space.len() - inside(&space),
-            space_covered: inside(&space) as f64 / all,
-        }
+        [around, space].map(|images| {
+            let inside = inside(&images);
+            Put { spilled: images.len() - inside, covered: inside as f64 / size(room) as f64 }
+        })
     };
     // A hall is no room: people name what has a door.
     let is_named = |image: &usize| {

@@ -13,6 +13,7 @@ pub(super) const MOST_FRAMES: usize = Tracker::MAX_FRAMES + 1;
 /// Ways shorter than this, in metres, say little of a scale: their ends are measured to centimetres.
 const LEAST_WAY_M: f64 = 1.0;
 
+/// What is said of images that hardly change.
 const HARDLY_MOVES: &str = "over ways of metres by its odometry images hardly change, as if most of what it sees were more \
                             than 150 m away: are its positions in centimetres or millimetres, and not in metres?";
 
