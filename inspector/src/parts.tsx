@@ -11,6 +11,11 @@ export function useMayAll(): boolean {
     return useContext(Who)?.role === "admin";
 }
 
+/** Whether the person may do one of the things that a token may be good for. */
+export function useMay(ability: Caller["abilities"][number]): boolean {
+    return useContext(Who)?.abilities.includes(ability) ?? false;
+}
+
 /** What is being asked for: nothing yet but what came before, an answer, or why there is none. */
 export type Asked<T> = { state: "asking"; before?: T } | { state: "there"; value: T } | { state: "refused"; error: Error };
 

@@ -30,7 +30,10 @@ test("the first token is an admin's, is shown once, and is the page's own from t
     const robot = await shown.locator("code").textContent();
     assert.ok(!(await tokens.textContent()).includes(admin), "a secret is shown again");
     const who = await rest("whoami", { url: fresh.url, token: robot });
-    assert.deepEqual(who, { token: "tokens/reader", role: "robot", asks_for_token: true });
+    assert.deepEqual(who, {
+        token: "tokens/reader", role: "robot", asks_for_token: true,
+        abilities: ["read", "localize", "stream", "navigate"], maps: [], expire_time_ns: null,
+    });
 
     // A robot's token: nothing is offered that it may not do.
     const other = await open("#/operations", { url: fresh.url });

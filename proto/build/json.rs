@@ -134,8 +134,9 @@ fn field_line(message: &DescriptorProto, field: &FieldDescriptorProto) -> String
         let path = format!("crate::v1::{module}::{}::{}", pascal(oneof.name()), pascal(name));
         format!("match &self.{} {{ Some({path}(value)) => Some(value), _ => None }}", oneof.name())
     } else if field.r#type() == Type::Enum {
-        assert!(field.label() != Label::Repeated && !field.proto3_optional(), "{name}: not expected");
-        format!("crate::json::shown(self.{rust_name}, {}::json_name)", enum_path(field.type_name()))
+        assert!(!field.proto3_optional(), "{name}: not expected");
+        let shown = if field.label() == Label::Repeated { "shown_each(&" } else { "shown(" };
+        format!("crate::json::{shown}self.{rust_name}, {}::json_name)", enum_path(field.type_name()))
     } else {
         format!("self.{rust_name}")
     };

@@ -10,6 +10,11 @@ fn shown<E: TryFrom<i32>>(value: i32, name: fn(E) -> &'static str) -> Option<&'s
     if value == 0 { None } else { E::try_from(value).ok().map(name) }
 }
 
+/// The names of an enum's values, without those of a later contract.
+fn shown_each<E: TryFrom<i32>>(values: &[i32], name: fn(E) -> &'static str) -> Vec<&'static str> {
+    values.iter().filter_map(|value| shown(*value, name)).collect()
+}
+
 /// The number of the enum's value that has this name; 0 if none is given.
 fn named<V: Into<i32>, E: Error>(
     name: Option<String>,

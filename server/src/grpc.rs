@@ -9,6 +9,7 @@ mod maps;
 mod merges;
 mod models;
 mod navigation;
+mod reach;
 mod recognition;
 mod requests;
 mod sessions;

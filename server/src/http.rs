@@ -182,6 +182,7 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(jobs::cancel_job))
         .routes(routes!(tokens::list_tokens, tokens::create_token))
         .routes(routes!(tokens::delete_token))
+        .routes(routes!(tokens::rotate_token))
         .routes(routes!(tokens::get_caller))
 }
 

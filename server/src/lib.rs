@@ -32,7 +32,7 @@ use tokio::net::TcpListener;
 
 pub use crate::net::standing::Strangers;
 pub use crate::net::tls::{Tls, TlsError, TlsFiles};
-pub use crate::role::Role;
+pub use crate::role::{Ability, Role};
 
 use crate::config::Config;
 use crate::metrics::Metrics;
@@ -282,7 +282,7 @@ mod tests {
     #[tokio::test]
     async fn with_a_token_any_address_will_do_and_the_last_one_stays() {
         let directory = tempfile::tempdir().unwrap();
-        offline::create_token(directory.path(), "operator", Role::Admin).await.unwrap();
+        offline::create_token(directory.path(), "operator", Role::Admin, Default::default()).await.unwrap();
         let server = Server::open(directory.path().to_owned()).await.unwrap();
         assert_eq!(server.check_exposure(addresses("0.0.0.0:1", "127.0.0.1:2")), Ok(()));
         assert!(server.service.tokens.delete("tokens/operator").await.is_err());

@@ -11,7 +11,7 @@ use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 use waypost_server::config::{Config, Flags, LogFormat, unknown_variables};
-use waypost_server::offline::{self, Finding, ListedToken};
+use waypost_server::offline::{self, Finding, ListedToken, TokenLimits};
 use waypost_server::{Role, Server, Tls};
 
 /// Tells robots where they have been before
@@ -71,6 +71,8 @@ enum TokenCommand {
         /// What its holder may do
         #[arg(long)]
         role: Role,
+        #[command(flatten)]
+        limits: TokenLimits,
     },
     /// List tokens by name
     #[command(visible_alias = "list")]
@@ -246,14 +248,15 @@ fn report(findings: &[Finding]) -> anyhow::Result<ExitCode> {
 async fn look_after_tokens(command: TokenCommand, data_dir: &Path) -> anyhow::Result<ExitCode> {
     let mut stdout = std::io::stdout().lock();
     match command {
-        TokenCommand::Create { name, role } => {
-            let secret = offline::create_token(data_dir, &name, role).await?;
+        TokenCommand::Create { name, role, limits } => {
+            let secret = offline::create_token(data_dir, &name, role, limits).await?;
             eprintln!("this is the secret of {name}; it is not kept here, so note it now:");
             writeln!(stdout, "{secret}")?;
         }
         TokenCommand::Ls => {
-            for ListedToken { name, role } in offline::list_tokens(data_dir).await? {
-                writeln!(stdout, "{name}  {}", role.name())?;
+            for ListedToken { name, role, limits } in offline::list_tokens(data_dir).await? {
+                let row = format!("{name}  {}  {limits}", role.name());
+                writeln!(stdout, "{}", row.trim_end())?;
             }
         }
         TokenCommand::Rm { name } => offline::delete_token(data_dir, &name).await?,

@@ -32,6 +32,11 @@ pub(crate) fn map_in(name: &str) -> Result<&str, ServiceError> {
     check_id("map name", id_in("maps", name)?)
 }
 
+/// The map that a resource is, or is of, as in `maps/{map}/places/7`; `None` if it is of none.
+pub(crate) fn map_of(name: &str) -> Option<&str> {
+    name.strip_prefix("maps/").map(|rest| rest.split_once('/').map_or(rest, |(map, _)| map))
+}
+
 pub(crate) fn map_name(map: &str) -> String {
     format!("maps/{map}")
 }
@@ -118,6 +123,17 @@ mod tests {
         assert_eq!(map_in("maps/office"), Ok("office"));
         for bad in ["office", "maps/", "maps", "map/office", "maps/a/sessions/b", ""] {
             assert!(map_in(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn the_map_of_a_resource_is_the_one_that_it_is_found_by() {
+        for name in ["maps/a", "maps/a/sessions/b", "maps/a/sessions/b/frames/7", "maps/a/navigations/b"] {
+            assert_eq!(map_of(name), Some("a"), "{name}");
+        }
+        assert_eq!(map_of("maps/a/places/1"), place_in("maps/a/places/1").ok().map(|(map, _)| map));
+        for other in ["", "a", "maps", "models/maps/a", "/maps/a"] {
+            assert_eq!(map_of(other), None, "{other}");
         }
     }
 

@@ -4,9 +4,11 @@ use std::path::Path;
 
 use tokio::net::TcpListener;
 
+use crate::clock::in_words;
 use crate::config::Config;
 use crate::net::tls::Tls;
-use crate::role::Role;
+use crate::role::{Ability, Reach, Role};
+use crate::service::tokens::{NewToken, TokenRow};
 use crate::storage::{DeepInspection, Inspection, back_up, inspect, inspect_all, restore};
 use crate::{Exposed, exposed, open};
 
@@ -17,15 +19,53 @@ pub struct ListedToken {
     pub name: String,
     /// What its holder may do.
     pub role: Role,
+    /// How it is limited, in words; empty if it is not.
+    pub limits: String,
+}
+
+/// How a token is limited; not at all by default.
+#[derive(Clone, Debug, Default, PartialEq, clap::Args)]
+pub struct TokenLimits {
+    /// What it may do, where that is less than its role may; names with commas between them
+    #[arg(long = "may", value_name = "ABILITY", value_delimiter = ',', value_enum)]
+    pub abilities: Vec<Ability>,
+    /// A map that it reaches, or the beginning of names and an asterisk, as in floor2-*; may be given several times
+    #[arg(long = "map", value_name = "MAP")]
+    pub maps: Vec<String>,
+    /// After how long it expires, as in 90s, 12h or 30d
+    #[arg(long = "expires-in", value_name = "TIME", value_parser = seconds)]
+    pub lifetime_s: Option<u32>,
+}
+
+/// A length of time in seconds, of a number and a unit as in `90s`, `45m`, `12h` or `30d`.
+fn seconds(text: &str) -> Result<u32, String> {
+    let wrong = || format!("{text:?} is no time; write a number and s, m, h or d, as in 12h or 30d");
+    let unit = text.chars().last().ok_or_else(wrong)?;
+    let in_seconds = match unit {
+        's' => 1,
+        'm' => 60,
+        'h' => 60 * 60,
+        'd' => 24 * 60 * 60,
+        _ => return Err(wrong()),
+    };
+    let number: u32 = text[..text.len() - unit.len_utf8()].parse().map_err(|_| wrong())?;
+    number.checked_mul(in_seconds).ok_or_else(|| format!("{text} is more than 136 years; say less"))
 }
 
 /// Makes a token in `data_dir`; gives its secret, which is kept nowhere.
 ///
 /// # Errors
 /// If the directory cannot be used, or the token cannot be; the message says how to mend it.
-pub async fn create_token(data_dir: &Path, name: &str, role: Role) -> anyhow::Result<String> {
+pub async fn create_token(
+    data_dir: &Path,
+    name: &str,
+    role: Role,
+    limits: TokenLimits,
+) -> anyhow::Result<String> {
     let service = open(data_dir).await?;
-    let created = service.tokens.create(name, role).await;
+    let TokenLimits { abilities, maps, lifetime_s } = limits;
+    let new = NewToken { name: name.to_owned(), role, abilities, maps, lifetime_s };
+    let created = service.tokens.create(new).await;
     service.stop().await;
     Ok(created?.1)
 }
@@ -38,7 +78,19 @@ pub async fn list_tokens(data_dir: &Path) -> anyhow::Result<Vec<ListedToken>> {
     let service = open(data_dir).await?;
     let listed = service.tokens.all();
     service.stop().await;
-    Ok(listed.into_iter().map(|token| ListedToken { name: token.name, role: token.role }).collect())
+    Ok(listed.into_iter().map(listed_token).collect())
+}
+
+fn listed_token(token: TokenRow) -> ListedToken {
+    let TokenRow { name, role, abilities, reach, expires_ns, .. } = token;
+    let may = (abilities != role.abilities()).then(|| format!("may {abilities}"));
+    let maps = (reach != Reach::Everywhere).then(|| reach.to_string());
+    let until = expires_ns.map(|at| format!("until {}", in_words(at)));
+    ListedToken {
+        name,
+        role,
+        limits: [may, maps, until].into_iter().flatten().collect::<Vec<_>>().join("; "),
+    }
 }
 
 /// Deletes a token in `data_dir`.
@@ -182,4 +234,19 @@ async fn check_addresses(config: &Config) -> Result<String, String> {
         }
     }
     Ok(format!("{} and {} are free", config.grpc_address, config.http_address))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_a_number_and_a_unit() {
+        for (text, expected) in [("1s", 1), ("90s", 90), ("45m", 2700), ("12h", 43_200), ("30d", 2_592_000)] {
+            assert_eq!(seconds(text), Ok(expected), "{text}");
+        }
+        for bad in ["", "30", "d", "1.5h", "-1d", "1 d", "30 days", "1w", "5ä", "4294967296s", "50000d"] {
+            assert!(seconds(bad).is_err(), "{bad}");
+        }
+    }
 }

@@ -30,6 +30,33 @@ pub(crate) fn numbered_page<T: TryFrom<u64>>(token: &str) -> Result<Option<T>, S
     page.map(Some).ok_or_else(bad_page_token)
 }
 
+/// As many rows as a page of `size` has and one more, if there are so many that are wanted: `read` gives so many rows after
+/// a key, wanted or not.
+pub(crate) async fn rows_of_page<Row, Key, E, Reading>(
+    size: u32,
+    mut after: Key,
+    read: impl Fn(Key) -> Reading,
+    key: impl Fn(&Row) -> Key,
+    is_wanted: impl Fn(&Row) -> bool,
+) -> Result<Vec<Row>, E>
+where
+    Reading: Future<Output = Result<Vec<Row>, E>>,
+{
+    let mut wanted = Vec::new();
+    loop {
+        let rows = read(after).await?;
+        let is_last = rows.len() <= size as usize;
+        match rows.last() {
+            Some(last) => after = key(last),
+            None => return Ok(wanted),
+        }
+        wanted.extend(rows.into_iter().filter(&is_wanted));
+        if is_last || wanted.len() > size as usize {
+            return Ok(wanted);
+        }
+    }
+}
+
 /// The token of a page that begins after a name: bytes in hex, so that nobody takes a name for one.
 pub(crate) fn page_after(name: &str) -> String {
     name.bytes().fold(AFTER.to_owned(), |token, byte| format!("{token}{byte:02x}"))
@@ -79,6 +106,18 @@ mod tests {
         for bad in ["junk", "after-", "after-6", "after-zz", "after-6A", "after-+1", "7"] {
             assert!(named_page(bad).is_err(), "{bad}");
         }
+    }
+
+    #[tokio::test]
+    async fn a_page_is_full_though_few_rows_are_wanted() {
+        let read =
+            |after: u32| async move { Ok::<_, ServiceError>((after + 1..=20).take(4).collect::<Vec<u32>>()) };
+        let page =
+            async |every: u32| rows_of_page(3, 0, read, |row| *row, |row| row % every == 0).await.unwrap();
+        assert_eq!(page(1).await, [1, 2, 3, 4]);
+        assert_eq!(page(4).await, [4, 8, 12, 16]);
+        assert_eq!(page(7).await, [7, 14]);
+        assert_eq!(page(21).await, [0; 0]);
     }
 
     #[test]

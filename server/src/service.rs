@@ -125,10 +125,11 @@ impl Service {
     }
 
     /// Begins what goes on in the background until the server stops: deleted maps lose their rows, and maps that nobody
-    /// uses are closed while open ones take more than `map_memory_bytes`.
+    /// uses are closed while open ones take more than `map_memory_bytes`, and what was begun with tokens that expire ends.
     pub(crate) fn start_upkeep(&self, map_memory_bytes: u64) {
         self.jobs.track(self.deleted_maps.clone().keep_deleting());
         self.jobs.track(self.open_maps.clone().keep_within(map_memory_bytes));
+        self.jobs.track(self.tokens.clone().keep_ending(self.stopping.clone()));
     }
 
     /// Cancelled when the server begins to stop: streams end then.

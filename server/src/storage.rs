@@ -45,7 +45,7 @@ pub(crate) use notes::NoteRow;
 pub(crate) use removal::Removal;
 pub(crate) use retelling::RetoldLog;
 pub(crate) use snapshots::{FormerModelRow, ImportedMap, MapView, MediaRow, StoredSession};
-pub(crate) use tokens::{SecretHash, TokenRow};
+pub(crate) use tokens::{FormerSecret, SecretHash, TokenRow};
 
 use damage::Damages;
 use lock::DirectoryLock;

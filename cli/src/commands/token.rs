@@ -1,6 +1,9 @@
 //! `waypost token`: access to the server.
 
-use clap::Subcommand;
+use std::io::{self, Write};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use clap::{Args, Subcommand};
 use serde_json::json;
 use waypost_client::{Client, ClientOptions, v1};
 
@@ -16,6 +19,19 @@ pub(crate) enum Command {
         /// What the token permits
         #[arg(long, value_enum)]
         role: v1::token::Role,
+        #[command(flatten)]
+        limits: Limits,
+    },
+    /// Give a token a new secret and print it; the one before stays good for a while
+    Rotate {
+        /// Name of the token
+        name: String,
+        /// How long the secret before stays good, at most 7d; 0s ends it at once [default: 1h]
+        #[arg(long, value_name = "TIME", value_parser = seconds)]
+        overlap: Option<u32>,
+        /// After how long from now the token expires; when it would have, if left out
+        #[arg(long, value_name = "TIME", value_parser = seconds)]
+        expires_in: Option<u32>,
     },
     /// List tokens by name
     #[command(visible_alias = "list")]
@@ -28,30 +44,136 @@ pub(crate) enum Command {
     },
 }
 
+/// How a token is limited.
+#[derive(Args)]
+pub(crate) struct Limits {
+    /// What a robot's token may do, where that is less than all; names with commas between them
+    #[arg(long, value_name = "ABILITY", value_delimiter = ',', value_enum)]
+    may: Vec<v1::token::Ability>,
+    /// A map that it reaches, or the beginning of names and an asterisk, as in 'floor2-*'; may be given several times
+    #[arg(long = "map", value_name = "MAP")]
+    maps: Vec<String>,
+    /// After how long it expires, as in 90s, 12h or 30d
+    #[arg(long, value_name = "TIME", value_parser = seconds)]
+    expires_in: Option<u32>,
+}
+
 pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output) -> Result<(), Failure> {
     let client = Client::connect(server).await?;
     match command {
-        Command::Create { name, role } => {
-            let (token, secret) = client.create_token(&name, role).await?;
+        Command::Create { name, role, limits } => {
+            let Limits { may, maps, expires_in } = limits;
+            let request = v1::CreateTokenRequest {
+                token_id: name,
+                role: role.into(),
+                abilities: may.into_iter().map(Into::into).collect(),
+                maps: maps.iter().map(|map| map_id(map)).collect(),
+                lifetime_s: expires_in,
+            };
+            let (token, secret) = client.create_limited_token(request).await?;
+            output.result(&json!({ "token": token, "secret": secret }), |out| tell(out, &token, &secret))
+        }
+        Command::Rotate { name, overlap, expires_in } => {
+            let request = v1::RotateTokenRequest { name, overlap_s: overlap, lifetime_s: expires_in };
+            let (token, secret) = client.rotate_token(request).await?;
             output.result(&json!({ "token": token, "secret": secret }), |out| {
-                writeln!(out, "{} {}", token.name, token.role().json_name())?;
-                writeln!(out, "  secret  {secret}")?;
-                writeln!(out, "  the server does not keep it: note it now, for --token or WAYPOST_TOKEN")
+                tell(out, &token, &secret)?;
+                let left = token.overlap_end_time_ns.map_or(Duration::ZERO, time_left);
+                writeln!(out, "  the secret before is good for another {}", in_words(left))
             })
         }
         Command::Ls => {
             let tokens = client.tokens().await?;
             output.result(&json!({ "tokens": tokens }), |out| {
-                let rows = tokens.iter().map(|token| {
-                    let name = token.name.strip_prefix("tokens/").unwrap_or(&token.name);
-                    [name.to_owned(), token.role().json_name().to_owned()]
-                });
-                table(out, ["TOKEN", "ROLE"], rows)
+                table(out, ["TOKEN", "ROLE", "MAY", "MAPS", "EXPIRES"], tokens.iter().map(row))
             })
         }
         Command::Rm { name } => {
             client.delete_token(&name).await?;
             output.result(&json!({ "deleted": name }), |out| writeln!(out, "deleted {name}"))
         }
+    }
+}
+
+fn tell(out: &mut dyn Write, token: &v1::Token, secret: &str) -> io::Result<()> {
+    writeln!(out, "{} {}", token.name, token.role().json_name())?;
+    writeln!(out, "  secret  {secret}")?;
+    writeln!(out, "  the server does not keep it: note it now, for --token or WAYPOST_TOKEN")
+}
+
+fn row(token: &v1::Token) -> [String; 5] {
+    let name = token.name.strip_prefix("tokens/").unwrap_or(&token.name);
+    let may: Vec<&str> = token.abilities().map(v1::token::Ability::json_name).collect();
+    let maps = if token.maps.is_empty() { "all".to_owned() } else { token.maps.join(",") };
+    let expires = match token.expire_time_ns.map(time_left) {
+        None => "never".to_owned(),
+        Some(Duration::ZERO) => "expired".to_owned(),
+        Some(left) => format!("in {}", in_words(left)),
+    };
+    [name.to_owned(), token.role().json_name().to_owned(), may.join(","), maps, expires]
+}
+
+/// Maps are named as `hall` here and as `maps/hall` in lists.
+fn map_id(name: &str) -> String {
+    name.strip_prefix("maps/").unwrap_or(name).to_owned()
+}
+
+/// How long it is from now to a time; nothing if that has passed.
+fn time_left(time_ns: i64) -> Duration {
+    let until = Duration::from_nanos(u64::try_from(time_ns).unwrap_or_default());
+    until.saturating_sub(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default())
+}
+
+const MINUTE_S: u32 = 60;
+const HOUR_S: u32 = 60 * MINUTE_S;
+const DAY_S: u32 = 24 * HOUR_S;
+
+/// A length of time in seconds, of a number and a unit as in `90s`, `45m`, `12h` or `30d`.
+fn seconds(text: &str) -> Result<u32, String> {
+    let wrong = || format!("{text:?} is no time; write a number and s, m, h or d, as in 12h or 30d");
+    let unit = text.chars().last().ok_or_else(wrong)?;
+    let in_seconds = match unit {
+        's' => 1,
+        'm' => MINUTE_S,
+        'h' => HOUR_S,
+        'd' => DAY_S,
+        _ => return Err(wrong()),
+    };
+    let number: u32 = text[..text.len() - unit.len_utf8()].parse().map_err(|_| wrong())?;
+    number.checked_mul(in_seconds).ok_or_else(|| format!("{text} is more than 136 years; say less"))
+}
+
+/// A length of time in its largest unit, rounded: `30 d` for anything nearer to that than to 29 or 31.
+fn in_words(time: Duration) -> String {
+    let seconds = time.as_secs_f64();
+    let (unit_s, unit) = match seconds {
+        seconds if seconds < 2.0 * f64::from(MINUTE_S) => (1, "s"),
+        seconds if seconds < 2.0 * f64::from(HOUR_S) => (MINUTE_S, "min"),
+        seconds if seconds < 2.0 * f64::from(DAY_S) => (HOUR_S, "h"),
+        _ => (DAY_S, "d"),
+    };
+    format!("{:.0} {unit}", seconds / f64::from(unit_s))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_a_number_and_a_unit() {
+        for (text, expected) in [("1s", 1), ("90s", 90), ("45m", 2700), ("12h", 43_200), ("30d", 2_592_000)] {
+            assert_eq!(seconds(text), Ok(expected), "{text}");
+        }
+        for bad in ["", "30", "d", "1.5h", "-1d", "1 d", "30 days", "1w", "5ä", "4294967296s", "50000d"] {
+            assert!(seconds(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn what_is_left_is_told_in_one_unit() {
+        for (seconds, told) in [(0.2, "0 s"), (119.0, "119 s"), (3599.6, "60 min"), (172_799.0, "48 h")] {
+            assert_eq!(in_words(Duration::from_secs_f64(seconds)), told);
+        }
+        assert_eq!(in_words(Duration::from_secs_f64(2_591_999.5)), "30 d");
     }
 }

@@ -16,7 +16,23 @@ impl Client {
         token_id: &str,
         role: v1::token::Role,
     ) -> Result<(v1::Token, String), Error> {
-        let request = v1::CreateTokenRequest { token_id: token_id.to_owned(), role: role.into() };
+        let request = v1::CreateTokenRequest {
+            token_id: token_id.to_owned(),
+            role: role.into(),
+            ..v1::CreateTokenRequest::default()
+        };
+        self.create_limited_token(request).await
+    }
+
+    /// Creates a token that may be limited: to abilities, to maps, to a time. Returns it with its secret, which the server
+    /// does not keep.
+    ///
+    /// # Errors
+    /// As [`Client::create_token`].
+    pub async fn create_limited_token(
+        &self,
+        request: v1::CreateTokenRequest,
+    ) -> Result<(v1::Token, String), Error> {
         let v1::CreateTokenResponse { token, secret } =
             self.taken(self.tokens_client().create_token(request).await)?;
         Ok((token.ok_or(Error::Protocol("a new token came without its name"))?, secret))
@@ -35,14 +51,25 @@ impl Client {
         .await
     }
 
+    /// Gives a token a new secret, and returns both. The secret before stays good for the request's overlap.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND or INVALID_ARGUMENT; with FAILED_PRECONDITION if the token has expired and no
+    /// lifetime is given, or if the server could not be administered once it expires.
+    pub async fn rotate_token(&self, request: v1::RotateTokenRequest) -> Result<(v1::Token, String), Error> {
+        let request = v1::RotateTokenRequest { name: full_name(&request.name), ..request };
+        let v1::RotateTokenResponse { token, secret } =
+            self.taken(self.tokens_client().rotate_token(request).await)?;
+        Ok((token.ok_or(Error::Protocol("a rotated token came without its name"))?, secret))
+    }
+
     /// Deletes a token, by `name` or `tokens/name`.
     ///
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND; with FAILED_PRECONDITION if the server could not be
     /// administered without it.
     pub async fn delete_token(&self, name: &str) -> Result<(), Error> {
-        let name = if name.starts_with("tokens/") { name.to_owned() } else { format!("tokens/{name}") };
-        let request = v1::DeleteTokenRequest { name };
+        let request = v1::DeleteTokenRequest { name: full_name(name) };
         let v1::DeleteTokenResponse {} = self.taken(self.tokens_client().delete_token(request).await)?;
         Ok(())
     }
@@ -54,4 +81,8 @@ impl Client {
     pub async fn caller(&self) -> Result<v1::Caller, Error> {
         self.taken(self.tokens_client().get_caller(v1::GetCallerRequest {}).await)
     }
+}
+
+fn full_name(name: &str) -> String {
+    if name.starts_with("tokens/") { name.to_owned() } else { format!("tokens/{name}") }
 }

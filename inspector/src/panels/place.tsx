@@ -3,7 +3,7 @@ import { useEffect, useState } from "preact/hooks";
 import type { MapData } from "../drawing/data";
 import { pose } from "../drawing/geometry";
 import { at, change, get, short, type Place as PlaceRecord, type Schemas } from "../rest";
-import { fixed, moment, Picture, plural, Refused, Shown, useAsked } from "../parts";
+import { fixed, moment, Picture, plural, Refused, Shown, useAsked, useMay } from "../parts";
 import { PlaceLink } from "./pair";
 
 const MOST_FRAMES = 24;
@@ -19,13 +19,14 @@ interface PlaceProps {
 export function Place({ data, number, onPlace, onFrame, onLabels }: PlaceProps) {
     const name = `${data.map.name}/places/${number}`;
     const asked = useAsked((signal) => get<PlaceRecord>(at(name), signal), [name]);
+    const mayLabel = useMay("navigate");
     return (
         <section class="panel place" aria-label="The place">
             <header><h2>Place {number}</h2></header>
             <Shown asked={asked} what="the place">
                 {(place) => <About place={place} onPlace={onPlace} onFrame={onFrame} />}
             </Shown>
-            <Label key={name} data={data} number={number} onLabels={onLabels} />
+            {mayLabel && <Label key={name} data={data} number={number} onLabels={onLabels} />}
         </section>
     );
 }

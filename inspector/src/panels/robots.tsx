@@ -1,7 +1,7 @@
 // Robots that are led along the map: where they are, where they go, and what takes their goal away.
 import { useState } from "preact/hooks";
 import { at, change, short, type Navigation } from "../rest";
-import { Refused, share } from "../parts";
+import { Refused, share, useMay } from "../parts";
 import type { Live, Streaming } from "./live";
 import { PlaceLink } from "./pair";
 import { REASONS } from "./steps";
@@ -42,6 +42,7 @@ function Stream({ streaming: { session, frame }, onPlace, onFrame }: { streaming
 
 function Robot({ robot, place, onPlace }: { robot: Navigation } & Pick<RobotsProps, "place" | "onPlace">) {
     const [refused, setRefused] = useState<Error | null>(null);
+    const maySend = useMay("navigate");
     const { guidance, goal, connected } = robot;
     const number = guidance?.localization?.place_number ?? null;
     const send = (method: "PUT" | "DELETE", body?: unknown) => {
@@ -59,10 +60,10 @@ function Robot({ robot, place, onPlace }: { robot: Navigation } & Pick<RobotsPro
                 {typeof guidance?.remaining_m === "number" && <div><dt>still to go</dt><dd>{guidance.remaining_m.toFixed(1)} m</dd></div>}
             </dl>
             {robot.goal_refusal?.status && <p class="refused">{robot.goal_refusal.status.message}</p>}
-            <p class="actions">
+            {maySend && <p class="actions">
                 <button type="button" class="stop" disabled={!goal} onClick={() => send("DELETE")}>Cancel its goal: stop</button>
                 {place !== null && <button type="button" onClick={() => send("PUT", { place_number: place })}>Send to place {place}</button>}
-            </p>
+            </p>}
             {refused && <Refused error={refused} />}
         </article>
     );

@@ -78,7 +78,7 @@ function Making({ first, onMade }: { first: boolean; onMade: () => void }) {
         }}>
             <label>Name of a new token <input value={name} required autoComplete="off" spellcheck={false} placeholder={first ? "operator" : "robot-7"} onInput={(event) => setName(event.currentTarget.value)} /></label>
             <label>Role <select value={role} onChange={(event) => setRole(event.currentTarget.value as Token["role"])}>
-                <option value="robot" disabled={first}>robot: stream, query, read</option><option value="admin">admin: everything</option>
+                <option value="reader" disabled={first}>reader: read</option><option value="robot" disabled={first}>robot: stream, query, read</option><option value="admin">admin: everything</option>
             </select></label>
             <button type="submit" disabled={busy || !name}>Make a token</button>
         </form>

@@ -9,7 +9,7 @@ use futures::FutureExt;
 use futures::future::BoxFuture;
 use http::{HeaderMap, Request, Response, header};
 use http_body::{Body as HttpBody, Frame, SizeHint};
-use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
+use tokio_util::sync::WaitForCancellationFutureOwned;
 use tonic::Status;
 use tonic::body::Body;
 use tower::{Layer, Service as TowerService};
@@ -18,75 +18,76 @@ use crate::error::ServiceError;
 use crate::net::messages::Metered;
 use crate::net::standing::Standing;
 use crate::service::Service;
-use crate::service::tokens::{Access, Admitted, no_longer_admitted};
+use crate::service::tokens::{Access, Admitted, Ending};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 63] = [
-    ("/waypost.v1.SessionService/Stream", Access::Robot),
-    ("/waypost.v1.RecognitionService/Query", Access::Robot),
-    ("/waypost.v1.SessionService/ListSessions", Access::Robot),
-    ("/waypost.v1.SessionService/GetSession", Access::Robot),
-    ("/waypost.v1.SessionService/ListFrames", Access::Robot),
-    ("/waypost.v1.SessionService/GetFrame", Access::Robot),
-    ("/waypost.v1.SessionService/GetFrameImage", Access::Robot),
-    ("/waypost.v1.SessionService/ExplainFrame", Access::Robot),
-    ("/waypost.v1.SessionService/GetFramePicture", Access::Robot),
-    ("/waypost.v1.SessionService/AddRelativePose", Access::Robot),
-    ("/waypost.v1.NavigationService/Navigate", Access::Robot),
-    ("/waypost.v1.NavigationService/SetGoal", Access::Robot),
-    ("/waypost.v1.NavigationService/CancelGoal", Access::Robot),
-    ("/waypost.v1.NavigationService/GetNavigation", Access::Robot),
-    ("/waypost.v1.NavigationService/ListNavigations", Access::Robot),
-    ("/waypost.v1.NavigationService/PlanRoute", Access::Robot),
-    ("/waypost.v1.LabelService/ListLabels", Access::Robot),
+const METHODS: [(&str, Access); 64] = [
+    ("/waypost.v1.SessionService/Stream", Access::OPEN_SESSION),
+    ("/waypost.v1.RecognitionService/Query", Access::LOCALIZE),
+    ("/waypost.v1.SessionService/ListSessions", Access::READ),
+    ("/waypost.v1.SessionService/GetSession", Access::READ),
+    ("/waypost.v1.SessionService/ListFrames", Access::READ),
+    ("/waypost.v1.SessionService/GetFrame", Access::READ),
+    ("/waypost.v1.SessionService/GetFrameImage", Access::READ),
+    ("/waypost.v1.SessionService/ExplainFrame", Access::READ),
+    ("/waypost.v1.SessionService/GetFramePicture", Access::READ),
+    ("/waypost.v1.SessionService/AddRelativePose", Access::STREAM),
+    ("/waypost.v1.NavigationService/Navigate", Access::NAVIGATE),
+    ("/waypost.v1.NavigationService/SetGoal", Access::NAVIGATE),
+    ("/waypost.v1.NavigationService/CancelGoal", Access::NAVIGATE),
+    ("/waypost.v1.NavigationService/GetNavigation", Access::READ),
+    ("/waypost.v1.NavigationService/ListNavigations", Access::READ),
+    ("/waypost.v1.NavigationService/PlanRoute", Access::READ),
+    ("/waypost.v1.LabelService/ListLabels", Access::READ),
     // As goals: a token that may send a robot somewhere may name that place.
-    ("/waypost.v1.LabelService/SetLabel", Access::Robot),
-    ("/waypost.v1.LabelService/DeleteLabel", Access::Robot),
-    ("/waypost.v1.AppearanceService/GetAppearanceGraph", Access::Robot),
-    ("/waypost.v1.EventService/Watch", Access::Robot),
-    ("/waypost.v1.MapService/ListMaps", Access::Robot),
-    ("/waypost.v1.MapService/GetMap", Access::Robot),
-    ("/waypost.v1.MapService/ListPlaces", Access::Robot),
-    ("/waypost.v1.MapService/GetPlace", Access::Robot),
-    ("/waypost.v1.MapService/ListWordPlaces", Access::Robot),
-    ("/waypost.v1.MapService/ListLoopClosures", Access::Robot),
-    ("/waypost.v1.MapService/ExportPoses", Access::Robot),
-    ("/waypost.v1.MapService/CreateMap", Access::Admin),
-    ("/waypost.v1.MapService/DeleteMap", Access::Admin),
-    ("/waypost.v1.MapService/RebindMap", Access::Admin),
-    ("/waypost.v1.MapService/ExportMap", Access::Admin),
-    ("/waypost.v1.MapService/ImportMap", Access::Admin),
-    ("/waypost.v1.SessionService/DeleteSession", Access::Admin),
-    ("/waypost.v1.MapService/RebuildMap", Access::Admin),
-    ("/waypost.v1.MapService/TrimMap", Access::Admin),
-    ("/waypost.v1.MapService/CompactMap", Access::Admin),
-    ("/waypost.v1.MergeService/GetMerge", Access::Robot),
-    ("/waypost.v1.MergeService/ListMerges", Access::Robot),
-    ("/waypost.v1.MergeService/GetMergePicture", Access::Robot),
-    ("/waypost.v1.MergeService/MergeMaps", Access::Admin),
-    ("/waypost.v1.MergeService/CommitMerge", Access::Admin),
-    ("/waypost.v1.MergeService/DiscardMerge", Access::Admin),
-    ("/waypost.v1.MergeService/UndoMerge", Access::Admin),
-    ("/waypost.v1.ModelService/ListModels", Access::Robot),
-    ("/waypost.v1.ModelService/GetModel", Access::Robot),
-    ("/waypost.v1.ModelService/ExportModel", Access::Robot),
-    ("/waypost.v1.ModelService/TrainModel", Access::Admin),
-    ("/waypost.v1.ModelService/ImportModel", Access::Admin),
-    ("/waypost.v1.ModelService/RenameModel", Access::Admin),
-    ("/waypost.v1.ModelService/DeleteModel", Access::Admin),
-    ("/waypost.v1.JobService/ListJobs", Access::Robot),
-    ("/waypost.v1.JobService/GetJob", Access::Robot),
-    ("/waypost.v1.JobService/WatchJob", Access::Robot),
-    ("/waypost.v1.JobService/CancelJob", Access::Admin),
-    ("/waypost.v1.TokenService/CreateToken", Access::Admin),
-    ("/waypost.v1.TokenService/ListTokens", Access::Admin),
-    ("/waypost.v1.TokenService/DeleteToken", Access::Admin),
-    ("/waypost.v1.TokenService/GetCaller", Access::Robot),
+    ("/waypost.v1.LabelService/SetLabel", Access::NAVIGATE),
+    ("/waypost.v1.LabelService/DeleteLabel", Access::NAVIGATE),
+    ("/waypost.v1.AppearanceService/GetAppearanceGraph", Access::READ),
+    ("/waypost.v1.EventService/Watch", Access::READ),
+    ("/waypost.v1.MapService/ListMaps", Access::READ),
+    ("/waypost.v1.MapService/GetMap", Access::READ),
+    ("/waypost.v1.MapService/ListPlaces", Access::READ),
+    ("/waypost.v1.MapService/GetPlace", Access::READ),
+    ("/waypost.v1.MapService/ListWordPlaces", Access::READ),
+    ("/waypost.v1.MapService/ListLoopClosures", Access::READ),
+    ("/waypost.v1.MapService/ExportPoses", Access::READ),
+    ("/waypost.v1.MapService/CreateMap", Access::ADMIN),
+    ("/waypost.v1.MapService/DeleteMap", Access::ADMIN),
+    ("/waypost.v1.MapService/RebindMap", Access::ADMIN),
+    ("/waypost.v1.MapService/ExportMap", Access::ADMIN),
+    ("/waypost.v1.MapService/ImportMap", Access::ADMIN),
+    ("/waypost.v1.SessionService/DeleteSession", Access::ADMIN),
+    ("/waypost.v1.MapService/RebuildMap", Access::ADMIN),
+    ("/waypost.v1.MapService/TrimMap", Access::ADMIN),
+    ("/waypost.v1.MapService/CompactMap", Access::ADMIN),
+    ("/waypost.v1.MergeService/GetMerge", Access::READ),
+    ("/waypost.v1.MergeService/ListMerges", Access::READ),
+    ("/waypost.v1.MergeService/GetMergePicture", Access::READ),
+    ("/waypost.v1.MergeService/MergeMaps", Access::ADMIN),
+    ("/waypost.v1.MergeService/CommitMerge", Access::ADMIN),
+    ("/waypost.v1.MergeService/DiscardMerge", Access::ADMIN),
+    ("/waypost.v1.MergeService/UndoMerge", Access::ADMIN),
+    ("/waypost.v1.ModelService/ListModels", Access::READ),
+    ("/waypost.v1.ModelService/GetModel", Access::READ),
+    ("/waypost.v1.ModelService/ExportModel", Access::READ),
+    ("/waypost.v1.ModelService/TrainModel", Access::Server),
+    ("/waypost.v1.ModelService/ImportModel", Access::Server),
+    ("/waypost.v1.ModelService/RenameModel", Access::Server),
+    ("/waypost.v1.ModelService/DeleteModel", Access::Server),
+    ("/waypost.v1.JobService/ListJobs", Access::READ),
+    ("/waypost.v1.JobService/GetJob", Access::READ),
+    ("/waypost.v1.JobService/WatchJob", Access::READ),
+    ("/waypost.v1.JobService/CancelJob", Access::ADMIN),
+    ("/waypost.v1.TokenService/CreateToken", Access::Server),
+    ("/waypost.v1.TokenService/RotateToken", Access::Server),
+    ("/waypost.v1.TokenService/ListTokens", Access::Server),
+    ("/waypost.v1.TokenService/DeleteToken", Access::Server),
+    ("/waypost.v1.TokenService/GetCaller", Access::Token),
     // Whatever watches over servers holds no token.
     ("/grpc.health.v1.Health/Check", Access::Open),
     ("/grpc.health.v1.Health/Watch", Access::Open),
-    ("/grpc.reflection.v1.ServerReflection/ServerReflectionInfo", Access::Robot),
-    ("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", Access::Robot),
+    ("/grpc.reflection.v1.ServerReflection/ServerReflectionInfo", Access::Token),
+    ("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", Access::Token),
 ];
 
 /// Its calls change who may call, and are not ended by what they change themselves.
@@ -97,7 +98,7 @@ pub(super) fn known_method(path: &str) -> Option<(&'static str, Access)> {
     METHODS.into_iter().find(|(known, _)| *known == path)
 }
 
-/// Lets in who may come in, and ends what they do when their token is deleted.
+/// Lets in who may come in, and ends what they do when their token is deleted or expires.
 #[derive(Clone, Debug)]
 pub(super) struct AccessLayer {
     pub(super) service: Arc<Service>,
@@ -132,22 +133,23 @@ where
         self.inner.poll_ready(context)
     }
 
-    fn call(&mut self, request: Request<Body>) -> Self::Future {
+    fn call(&mut self, mut request: Request<Body>) -> Self::Future {
         // What is in no table may be added to a service one day; until then it is for admins.
-        let access = known_method(request.uri().path()).map_or(Access::Admin, |(_, access)| access);
-        let Admitted { deleted, room } = match self.admit(&request, access) {
+        let access = known_method(request.uri().path()).map_or(Access::Server, |(_, access)| access);
+        let Admitted { caller, ending, room } = match self.admit(&request, access) {
             Ok(admitted) => admitted,
             Err(error) => return std::future::ready(Ok(Status::from(error).into_http())).boxed(),
         };
         // It must hear that it made the first token, or deleted its own.
         let of_tokens = request.uri().path().starts_with(TOKEN_SERVICE);
-        let deleted = if of_tokens { CancellationToken::new() } else { deleted };
+        let ending = if of_tokens { Ending::default() } else { ending };
+        request.extensions_mut().insert(caller);
         let answering = self.inner.call(request.map(|body| Body::new(Metered::new(body, room))));
         async move {
             tokio::select! {
                 biased;
-                response = answering => Ok(response?.map(|body| Body::new(UntilDeleted::new(body, deleted)))),
-                () = deleted.cancelled() => Ok(Status::from(no_longer_admitted()).into_http()),
+                response = answering => Ok(response?.map(|body| Body::new(UntilOver::new(body, ending)))),
+                () = ending.over().cancelled() => Ok(Status::from(ending.why()).into_http()),
             }
         }
         .boxed()
@@ -161,7 +163,9 @@ impl<S> Guarded<S> {
         let secret = bearer(request.headers());
         let admitted = self.service.tokens.admit(standing.map(Standing::peer), secret, access)?;
         match (access, standing) {
-            (Access::Robot | Access::Admin, Some(standing)) => standing.admit(&admitted.deleted)?,
+            (Access::Token | Access::May(_) | Access::Server, Some(standing)) => {
+                standing.admit(admitted.ending.over())?;
+            }
             (Access::Open, _) | (_, None) => {}
         }
         Ok(admitted)
@@ -174,20 +178,22 @@ pub(super) fn bearer(headers: &HeaderMap) -> Option<&str> {
     scheme.eq_ignore_ascii_case("bearer").then(|| secret.trim())
 }
 
-/// An answer that breaks off with UNAUTHENTICATED when its token is deleted.
-struct UntilDeleted {
+/// An answer that breaks off with UNAUTHENTICATED when its token is deleted or expires.
+struct UntilOver {
     body: Body,
-    deleted: Pin<Box<WaitForCancellationFutureOwned>>,
+    ending: Ending,
+    over: Pin<Box<WaitForCancellationFutureOwned>>,
     broken_off: bool,
 }
 
-impl UntilDeleted {
-    fn new(body: Body, deleted: CancellationToken) -> Self {
-        Self { body, deleted: Box::pin(deleted.cancelled_owned()), broken_off: false }
+impl UntilOver {
+    fn new(body: Body, ending: Ending) -> Self {
+        let over = Box::pin(ending.over().clone().cancelled_owned());
+        Self { body, ending, over, broken_off: false }
     }
 }
 
-impl HttpBody for UntilDeleted {
+impl HttpBody for UntilOver {
     type Data = Bytes;
     type Error = Status;
 
@@ -198,12 +204,12 @@ impl HttpBody for UntilDeleted {
         if self.broken_off {
             return Poll::Ready(None);
         }
-        if self.deleted.poll_unpin(context).is_pending() {
+        if self.over.poll_unpin(context).is_pending() {
             return Pin::new(&mut self.body).poll_frame(context);
         }
         self.broken_off = true;
         let mut trailers = HeaderMap::new();
-        let ended = Status::from(no_longer_admitted()).add_header(&mut trailers);
+        let ended = Status::from(self.ending.why()).add_header(&mut trailers);
         Poll::Ready(Some(ended.map(|()| Frame::trailers(trailers))))
     }
 

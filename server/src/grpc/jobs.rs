@@ -6,6 +6,7 @@ use waypost_proto::v1;
 use waypost_proto::v1::job_service_server::JobService;
 
 use super::Adapter;
+use super::reach::with_caller;
 use crate::error::ServiceError;
 use crate::pages::Page;
 use crate::service::jobs::JobState;
@@ -17,15 +18,15 @@ impl JobService for Adapter {
         &self,
         request: Request<v1::ListJobsRequest>,
     ) -> Result<Response<v1::ListJobsResponse>, Status> {
-        let v1::ListJobsRequest { page_size, page_token } = request.into_inner();
-        let Page { items, next } = self.service.jobs.list(page_size, &page_token).await?;
+        let (caller, v1::ListJobsRequest { page_size, page_token }) = with_caller(request)?;
+        let Page { items, next } = self.service.jobs.list(&caller, page_size, &page_token).await?;
         let jobs = items.into_iter().map(job).collect();
         Ok(Response::new(v1::ListJobsResponse { jobs, next_page_token: next }))
     }
 
     async fn get_job(&self, request: Request<v1::GetJobRequest>) -> Result<Response<v1::Job>, Status> {
-        let v1::GetJobRequest { name } = request.into_inner();
-        Ok(Response::new(job(self.service.jobs.get(&name).await?)))
+        let (caller, v1::GetJobRequest { name }) = with_caller(request)?;
+        Ok(Response::new(job(self.service.jobs.get(&caller, &name).await?)))
     }
 
     type WatchJobStream = BoxStream<'static, Result<v1::Job, Status>>;
@@ -34,8 +35,8 @@ impl JobService for Adapter {
         &self,
         request: Request<v1::WatchJobRequest>,
     ) -> Result<Response<Self::WatchJobStream>, Status> {
-        let v1::WatchJobRequest { name } = request.into_inner();
-        let statuses = WatchStream::new(self.service.jobs.watch(&name).await?);
+        let (caller, v1::WatchJobRequest { name }) = with_caller(request)?;
+        let statuses = WatchStream::new(self.service.jobs.watch(&caller, &name).await?);
         let stopping = self.service.stopping().clone();
         let stopped = stopping.clone();
         let stopped =
@@ -50,7 +51,7 @@ impl JobService for Adapter {
     }
 
     async fn cancel_job(&self, request: Request<v1::CancelJobRequest>) -> Result<Response<v1::Job>, Status> {
-        let v1::CancelJobRequest { name } = request.into_inner();
-        Ok(Response::new(job(self.service.jobs.cancel(&name).await?)))
+        let (caller, v1::CancelJobRequest { name }) = with_caller(request)?;
+        Ok(Response::new(job(self.service.jobs.cancel(&caller, &name).await?)))
     }
 }

@@ -5,6 +5,7 @@ use waypost_proto::v1::export_poses_request::{Body, Format, Frame};
 use waypost_proto::v1::map_service_server::MapService;
 
 use super::Adapter;
+use super::reach::{with_caller, within};
 use crate::error::ServiceError;
 use crate::names::{map_in, place_in};
 use crate::pages::Page;
@@ -23,23 +24,23 @@ const CHUNK_BYTES: usize = 1 << 20;
 #[tonic::async_trait]
 impl MapService for Adapter {
     async fn create_map(&self, request: Request<v1::CreateMapRequest>) -> Result<Response<v1::Map>, Status> {
-        let v1::CreateMapRequest { map_id, model, settings } = request.into_inner();
+        let (caller, v1::CreateMapRequest { map_id, model, settings }) = with_caller(request)?;
         let settings = requested_settings(settings.unwrap_or_default())?;
-        Ok(Response::new(map(self.service.maps.create(&map_id, &model, settings).await?)))
+        Ok(Response::new(map(self.service.maps.create(&caller, &map_id, &model, settings).await?)))
     }
 
     async fn list_maps(
         &self,
         request: Request<v1::ListMapsRequest>,
     ) -> Result<Response<v1::ListMapsResponse>, Status> {
-        let v1::ListMapsRequest { page_size, page_token } = request.into_inner();
-        let Page { items, next } = self.service.maps.list(page_size, &page_token).await?;
+        let (caller, v1::ListMapsRequest { page_size, page_token }) = with_caller(request)?;
+        let Page { items, next } = self.service.maps.list(&caller, page_size, &page_token).await?;
         let maps = items.into_iter().map(map).collect();
         Ok(Response::new(v1::ListMapsResponse { maps, next_page_token: next }))
     }
 
     async fn get_map(&self, request: Request<v1::GetMapRequest>) -> Result<Response<v1::Map>, Status> {
-        let v1::GetMapRequest { name, view } = request.into_inner();
+        let v1::GetMapRequest { name, view } = within(request)?;
         let detail = match known("view", view)? {
             v1::MapView::Unspecified | v1::MapView::Basic => Detail::Basic,
             v1::MapView::Full => Detail::Full,
@@ -51,7 +52,7 @@ impl MapService for Adapter {
         &self,
         request: Request<v1::DeleteMapRequest>,
     ) -> Result<Response<v1::DeleteMapResponse>, Status> {
-        let v1::DeleteMapRequest { name } = request.into_inner();
+        let v1::DeleteMapRequest { name } = within(request)?;
         self.service.maps.delete(&name).await?;
         Ok(Response::new(v1::DeleteMapResponse {}))
     }
@@ -60,7 +61,7 @@ impl MapService for Adapter {
         &self,
         request: Request<v1::ListPlacesRequest>,
     ) -> Result<Response<v1::ListPlacesResponse>, Status> {
-        let v1::ListPlacesRequest { map, page_size, page_token } = request.into_inner();
+        let v1::ListPlacesRequest { map, page_size, page_token } = within(request)?;
         let Page { items, next } = self.service.maps.places(&map, page_size, &page_token).await?;
         let map = map_in(&map)?;
         let places = items.into_iter().map(|view| listed_place(map, view)).collect();
@@ -71,14 +72,14 @@ impl MapService for Adapter {
         &self,
         request: Request<v1::ListLoopClosuresRequest>,
     ) -> Result<Response<v1::ListLoopClosuresResponse>, Status> {
-        let v1::ListLoopClosuresRequest { map, page_size, page_token } = request.into_inner();
+        let v1::ListLoopClosuresRequest { map, page_size, page_token } = within(request)?;
         let Page { items, next } = self.service.maps.loop_closures(&map, page_size, &page_token).await?;
         let loop_closures = items.into_iter().map(loop_closure).collect();
         Ok(Response::new(v1::ListLoopClosuresResponse { loop_closures, next_page_token: next }))
     }
 
     async fn get_place(&self, request: Request<v1::GetPlaceRequest>) -> Result<Response<v1::Place>, Status> {
-        let v1::GetPlaceRequest { name } = request.into_inner();
+        let v1::GetPlaceRequest { name } = within(request)?;
         let view = self.service.maps.place(&name).await?;
         let (map, _) = place_in(&name)?;
         Ok(Response::new(place(map, view)))
@@ -88,7 +89,7 @@ impl MapService for Adapter {
         &self,
         request: Request<v1::ListWordPlacesRequest>,
     ) -> Result<Response<v1::ListWordPlacesResponse>, Status> {
-        let v1::ListWordPlacesRequest { map, word, page_size, page_token } = request.into_inner();
+        let v1::ListWordPlacesRequest { map, word, page_size, page_token } = within(request)?;
         let Page { items, next } =
             self.service.maps.word_places(&map, word.into(), page_size, &page_token).await?;
         let places = items.into_iter().map(word_place).collect();
@@ -96,7 +97,7 @@ impl MapService for Adapter {
     }
 
     async fn rebind_map(&self, request: Request<v1::RebindMapRequest>) -> Result<Response<v1::Map>, Status> {
-        let v1::RebindMapRequest { name, model } = request.into_inner();
+        let v1::RebindMapRequest { name, model } = within(request)?;
         Ok(Response::new(map(self.service.maps.rebind(&name, &model).await?)))
     }
 
@@ -106,7 +107,7 @@ impl MapService for Adapter {
         &self,
         request: Request<v1::ExportPosesRequest>,
     ) -> Result<Response<Self::ExportPosesStream>, Status> {
-        let v1::ExportPosesRequest { name, format, frame, body } = request.into_inner();
+        let v1::ExportPosesRequest { name, format, frame, body } = within(request)?;
         let frame = match known("frame", frame)? {
             Frame::Unspecified | Frame::Map => TrajectoryFrame::Map,
             Frame::Odom => TrajectoryFrame::Odom,
@@ -143,7 +144,7 @@ impl MapService for Adapter {
         &self,
         request: Request<v1::ExportMapRequest>,
     ) -> Result<Response<Self::ExportMapStream>, Status> {
-        let v1::ExportMapRequest { name } = request.into_inner();
+        let v1::ExportMapRequest { name } = within(request)?;
         let chunks = self.service.snapshots.export(&name).await?;
         let message = |chunk: Result<Vec<u8>, ServiceError>| Ok(v1::ExportMapResponse { chunk: chunk? });
         Ok(Response::new(chunks.map(message).boxed()))
@@ -153,10 +154,11 @@ impl MapService for Adapter {
         &self,
         request: Request<Streaming<v1::ImportMapRequest>>,
     ) -> Result<Response<v1::Job>, Status> {
-        let mut requests = request.into_inner();
+        let (caller, mut requests) = with_caller(request)?;
         let first = self.next(&mut requests).await?.unwrap_or_default();
         let v1::ImportMapRequest { map_id, chunk } = first;
-        let mut upload = self.service.snapshots.begin_import(&map_id.unwrap_or_default()).await?;
+        let map = map_id.unwrap_or_default();
+        let mut upload = self.service.snapshots.begin_import(&caller, &map).await?;
         self.service.snapshots.add_bytes(&mut upload, chunk).await?;
         while let Some(v1::ImportMapRequest { map_id: _, chunk }) = self.next(&mut requests).await? {
             self.service.snapshots.add_bytes(&mut upload, chunk).await?;
@@ -169,7 +171,7 @@ impl MapService for Adapter {
         request: Request<v1::TrimMapRequest>,
     ) -> Result<Response<v1::TrimMapResponse>, Status> {
         use v1::trim_map_request::Mode;
-        let v1::TrimMapRequest { name, max_places, mode } = request.into_inner();
+        let v1::TrimMapRequest { name, max_places, mode } = within(request)?;
         let trimming = match known::<Mode>("mode", mode)? {
             Mode::Unspecified | Mode::Preview => Trimming::Preview,
             Mode::Apply => Trimming::Apply,
@@ -184,7 +186,7 @@ impl MapService for Adapter {
         &self,
         request: Request<v1::CompactMapRequest>,
     ) -> Result<Response<v1::Job>, Status> {
-        let v1::CompactMapRequest { name } = request.into_inner();
+        let v1::CompactMapRequest { name } = within(request)?;
         Ok(Response::new(job(self.service.rewriting.compact(&name).await?)))
     }
 
@@ -192,7 +194,7 @@ impl MapService for Adapter {
         &self,
         request: Request<v1::RebuildMapRequest>,
     ) -> Result<Response<v1::Job>, Status> {
-        let v1::RebuildMapRequest { name, model, map_id } = request.into_inner();
-        Ok(Response::new(job(self.service.rebuilding.start(&name, &model, &map_id).await?)))
+        let (caller, v1::RebuildMapRequest { name, model, map_id }) = with_caller(request)?;
+        Ok(Response::new(job(self.service.rebuilding.start(&caller, &name, &model, &map_id).await?)))
     }
 }

@@ -8,6 +8,7 @@ use waypost_proto::v1::navigation_service_server::NavigationService;
 use waypost_proto::v1::{navigate_request, navigate_response};
 
 use super::Adapter;
+use super::reach::{with_caller, within};
 use crate::error::ServiceError;
 use crate::names::model_name;
 use crate::pages::Page;
@@ -38,11 +39,12 @@ impl NavigationService for Adapter {
         &self,
         request: Request<Streaming<v1::NavigateRequest>>,
     ) -> Result<Response<Self::NavigateStream>, Status> {
-        let mut requests = request.into_inner();
+        let (caller, mut requests) = with_caller(request)?;
         let first = self.first(&mut requests).await?.and_then(|first| first.content);
         let Some(navigate_request::Content::Open(open)) = first else {
             return Err(Status::invalid_argument("the first message of a stream must open a navigation"));
         };
+        caller.check_resource(&open.map)?;
         let stream = self.service.navigation.open(opening(open)?).await?;
         let (responses, receiver) = mpsc::channel(ANSWERS_AHEAD);
         tokio::spawn(lead(stream, requests, responses));
@@ -53,7 +55,7 @@ impl NavigationService for Adapter {
         &self,
         request: Request<v1::SetGoalRequest>,
     ) -> Result<Response<v1::SetGoalResponse>, Status> {
-        let v1::SetGoalRequest { name, goal } = request.into_inner();
+        let v1::SetGoalRequest { name, goal } = within(request)?;
         let view = self.service.navigation.set_goal(&name, goal_request(goal)?).await?;
         Ok(Response::new(v1::SetGoalResponse { navigation: Some(navigation(view)) }))
     }
@@ -62,7 +64,7 @@ impl NavigationService for Adapter {
         &self,
         request: Request<v1::CancelGoalRequest>,
     ) -> Result<Response<v1::CancelGoalResponse>, Status> {
-        let v1::CancelGoalRequest { name } = request.into_inner();
+        let v1::CancelGoalRequest { name } = within(request)?;
         let view = self.service.navigation.cancel_goal(&name).await?;
         Ok(Response::new(v1::CancelGoalResponse { navigation: Some(navigation(view)) }))
     }
@@ -71,7 +73,7 @@ impl NavigationService for Adapter {
         &self,
         request: Request<v1::GetNavigationRequest>,
     ) -> Result<Response<v1::Navigation>, Status> {
-        let v1::GetNavigationRequest { name } = request.into_inner();
+        let v1::GetNavigationRequest { name } = within(request)?;
         Ok(Response::new(navigation(self.service.navigation.get(&name).await?)))
     }
 
@@ -79,7 +81,7 @@ impl NavigationService for Adapter {
         &self,
         request: Request<v1::ListNavigationsRequest>,
     ) -> Result<Response<v1::ListNavigationsResponse>, Status> {
-        let v1::ListNavigationsRequest { map, page_size, page_token } = request.into_inner();
+        let v1::ListNavigationsRequest { map, page_size, page_token } = within(request)?;
         let Page { items, next } = self.service.navigation.list(&map, page_size, &page_token).await?;
         let navigations = items.into_iter().map(navigation).collect();
         Ok(Response::new(v1::ListNavigationsResponse { navigations, next_page_token: next }))
@@ -89,7 +91,7 @@ impl NavigationService for Adapter {
         &self,
         request: Request<v1::PlanRouteRequest>,
     ) -> Result<Response<v1::PlanRouteResponse>, Status> {
-        let v1::PlanRouteRequest { map, from_place_number, goal, reverse_travel } = request.into_inner();
+        let v1::PlanRouteRequest { map, from_place_number, goal, reverse_travel } = within(request)?;
         let reverse = reverse(reverse_travel)?;
         let GoalRequest::Goal(goal) = goal_request(goal)? else {
             let message =

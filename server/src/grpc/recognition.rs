@@ -5,6 +5,7 @@ use waypost_proto::v1::query_request;
 use waypost_proto::v1::recognition_service_server::RecognitionService;
 
 use super::Adapter;
+use super::reach::within;
 use crate::ingest::content::Content;
 use crate::wire::recognition::query_response;
 use crate::wire::sessions::{histogram, word_list};
@@ -12,7 +13,7 @@ use crate::wire::sessions::{histogram, word_list};
 #[tonic::async_trait]
 impl RecognitionService for Adapter {
     async fn query(&self, request: Request<v1::QueryRequest>) -> Result<Response<v1::QueryResponse>, Status> {
-        let v1::QueryRequest { map, content, words_hash, explained_words } = request.into_inner();
+        let v1::QueryRequest { map, content, words_hash, explained_words } = within(request)?;
         let content = match content {
             Some(query_request::Content::Image(image)) => Content::Image(Bytes::from(image)),
             Some(query_request::Content::Histogram(words)) => histogram(words),

@@ -1,13 +1,12 @@
 use fabmap::PlaceId;
 use futures::stream::{self, BoxStream, StreamExt};
-use tonic::metadata::MetadataMap;
 use tonic::{Request, Response, Status, Streaming};
 use waypost_proto::v1;
 use waypost_proto::v1::session_service_server::SessionService;
 use waypost_proto::v1::{stream_request, stream_response};
 
 use super::Adapter;
-use super::access::bearer;
+use super::reach::{with_caller, within};
 use crate::error::ServiceError;
 use crate::names::model_name;
 use crate::open_map::{Opener, SessionMode};
@@ -15,7 +14,7 @@ use crate::pages::Page;
 use crate::service::frames::{FrameImage, ImageSize};
 use crate::service::pictures::FramePicture;
 use crate::service::sessions::{FrameOutcome, Robot, SessionStream};
-use crate::service::tokens::Caller;
+use crate::service::tokens::{Access, Caller};
 use crate::wire::geometry::{camera, map_pose_message, measured};
 use crate::wire::jobs::job;
 use crate::wire::known;
@@ -31,13 +30,12 @@ impl SessionService for Adapter {
         &self,
         request: Request<Streaming<v1::StreamRequest>>,
     ) -> Result<Response<Self::StreamStream>, Status> {
-        let (metadata, _, mut requests) = request.into_parts();
-        let opener = self.opener(metadata)?;
+        let (caller, mut requests) = with_caller(request)?;
         let first = self.first(&mut requests).await?.and_then(|first| first.content);
         let Some(stream_request::Content::Open(open)) = first else {
             return Err(Status::invalid_argument("the first message of a stream must open a session"));
         };
-        let session = self.open(open, opener).await?;
+        let session = self.open(open, &caller).await?;
         let opened = stream::iter([Ok(opened(&session))]);
         let frames = requests.map(|request| match request?.content {
             Some(stream_request::Content::Frame(message)) => Ok(frame(message)),
@@ -53,7 +51,7 @@ impl SessionService for Adapter {
         &self,
         request: Request<v1::ListSessionsRequest>,
     ) -> Result<Response<v1::ListSessionsResponse>, Status> {
-        let v1::ListSessionsRequest { map, page_size, page_token } = request.into_inner();
+        let v1::ListSessionsRequest { map, page_size, page_token } = within(request)?;
         let Page { items, next } = self.service.frames.sessions(&map, page_size, &page_token).await?;
         let sessions = items.into_iter().map(session).collect();
         Ok(Response::new(v1::ListSessionsResponse { sessions, next_page_token: next }))
@@ -63,7 +61,7 @@ impl SessionService for Adapter {
         &self,
         request: Request<v1::GetSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
-        let v1::GetSessionRequest { name } = request.into_inner();
+        let v1::GetSessionRequest { name } = within(request)?;
         Ok(Response::new(session(self.service.frames.session(&name).await?)))
     }
 
@@ -71,7 +69,7 @@ impl SessionService for Adapter {
         &self,
         request: Request<v1::ListFramesRequest>,
     ) -> Result<Response<v1::ListFramesResponse>, Status> {
-        let v1::ListFramesRequest { session, page_size, page_token, note } = request.into_inner();
+        let v1::ListFramesRequest { session, page_size, page_token, note } = within(request)?;
         let Page { items, next } = self.service.frames.list(&session, &note, page_size, &page_token).await?;
         let frames = items.into_iter().map(listed_frame).collect();
         Ok(Response::new(v1::ListFramesResponse { frames, next_page_token: next }))
@@ -81,7 +79,7 @@ impl SessionService for Adapter {
         &self,
         request: Request<v1::GetFrameRequest>,
     ) -> Result<Response<v1::FrameRecord>, Status> {
-        let v1::GetFrameRequest { name } = request.into_inner();
+        let v1::GetFrameRequest { name } = within(request)?;
         Ok(Response::new(frame_record(self.service.frames.get(&name).await?)))
     }
 
@@ -90,7 +88,7 @@ impl SessionService for Adapter {
         request: Request<v1::GetFrameImageRequest>,
     ) -> Result<Response<v1::GetFrameImageResponse>, Status> {
         use v1::get_frame_image_request::Size;
-        let v1::GetFrameImageRequest { name, size } = request.into_inner();
+        let v1::GetFrameImageRequest { name, size } = within(request)?;
         let size = match known("size", size)? {
             Size::Unspecified | Size::Largest => ImageSize::Best,
             Size::Original => ImageSize::Original,
@@ -104,7 +102,7 @@ impl SessionService for Adapter {
         &self,
         request: Request<v1::ExplainFrameRequest>,
     ) -> Result<Response<v1::FrameExplanation>, Status> {
-        let v1::ExplainFrameRequest { name, place_number, max_words } = request.into_inner();
+        let v1::ExplainFrameRequest { name, place_number, max_words } = within(request)?;
         let explanation =
             self.service.queries.explain(&name, place_number.map(PlaceId::new), max_words).await?;
         Ok(Response::new(self::explanation(explanation)))
@@ -114,7 +112,7 @@ impl SessionService for Adapter {
         &self,
         request: Request<v1::GetFramePictureRequest>,
     ) -> Result<Response<v1::GetFramePictureResponse>, Status> {
-        let v1::GetFramePictureRequest { name, place_number } = request.into_inner();
+        let v1::GetFramePictureRequest { name, place_number } = within(request)?;
         let FramePicture { content_type, picture } =
             self.service.pictures.frame(&name, place_number.map(PlaceId::new)).await?;
         Ok(Response::new(v1::GetFramePictureResponse { content_type: content_type.to_owned(), picture }))
@@ -124,7 +122,7 @@ impl SessionService for Adapter {
         &self,
         request: Request<v1::AddRelativePoseRequest>,
     ) -> Result<Response<v1::AddRelativePoseResponse>, Status> {
-        let v1::AddRelativePoseRequest { frame, earlier_frame, pose, covariance } = request.into_inner();
+        let v1::AddRelativePoseRequest { frame, earlier_frame, pose, covariance } = within(request)?;
         let measured = measured(pose, covariance)?;
         let map_pose = self.service.measurements.add(&frame, &earlier_frame, measured).await?;
         let map_pose = map_pose.as_ref().map(map_pose_message);
@@ -135,20 +133,15 @@ impl SessionService for Adapter {
         &self,
         request: Request<v1::DeleteSessionRequest>,
     ) -> Result<Response<v1::Job>, Status> {
-        let v1::DeleteSessionRequest { name } = request.into_inner();
+        let v1::DeleteSessionRequest { name } = within(request)?;
         Ok(Response::new(job(self.service.rewriting.delete_session(&name).await?)))
     }
 }
 
 impl Adapter {
-    fn opener(&self, metadata: MetadataMap) -> Result<Opener, ServiceError> {
-        let headers = metadata.into_headers();
-        let Caller { token, role } = self.service.tokens.caller(bearer(&headers))?;
-        Ok(Opener { token, role })
-    }
-
-    async fn open(&self, message: v1::OpenSession, opener: Opener) -> Result<SessionStream, ServiceError> {
+    async fn open(&self, message: v1::OpenSession, caller: &Caller) -> Result<SessionStream, ServiceError> {
         let v1::OpenSession { map, session_id, mode, camera: declared, words_hash, run_id } = message;
+        caller.check_resource(&map)?;
         let mode = match known("mode", mode)? {
             v1::SessionMode::Map => SessionMode::Map,
             v1::SessionMode::Localize => SessionMode::Localize,
@@ -159,7 +152,12 @@ impl Adapter {
                 ));
             }
         };
+        caller.check(match mode {
+            SessionMode::Map => Access::STREAM,
+            SessionMode::Localize => Access::LOCALIZE,
+        })?;
         let camera = declared.map(camera).transpose()?;
+        let opener = Opener { token: caller.token.clone(), role: caller.role };
         let robot = Robot { words_hash: &words_hash, run: &run_id, opener };
         self.service.sessions.open(&map, &session_id, mode, camera, robot).await
     }

@@ -3,11 +3,9 @@ use waypost_proto::v1;
 use waypost_proto::v1::token_service_server::TokenService;
 
 use super::Adapter;
-use super::access::bearer;
-use crate::error::ServiceError;
+use super::reach::with_caller;
 use crate::pages::Page;
-use crate::role::Role;
-use crate::wire::tokens::{caller, token};
+use crate::wire::tokens::{caller, new_token, rotation, token};
 
 #[tonic::async_trait]
 impl TokenService for Adapter {
@@ -15,11 +13,18 @@ impl TokenService for Adapter {
         &self,
         request: Request<v1::CreateTokenRequest>,
     ) -> Result<Response<v1::CreateTokenResponse>, Status> {
-        let message = request.into_inner();
-        let role = role(message.role)?;
-        let v1::CreateTokenRequest { token_id, role: _ } = message;
-        let (created, secret) = self.service.tokens.create(&token_id, role).await?;
+        let new = new_token(request.into_inner())?;
+        let (created, secret) = self.service.tokens.create(new).await?;
         Ok(Response::new(v1::CreateTokenResponse { token: Some(token(created)), secret }))
+    }
+
+    async fn rotate_token(
+        &self,
+        request: Request<v1::RotateTokenRequest>,
+    ) -> Result<Response<v1::RotateTokenResponse>, Status> {
+        let (name, rotation) = rotation(request.into_inner());
+        let (rotated, secret) = self.service.tokens.rotate(&name, rotation).await?;
+        Ok(Response::new(v1::RotateTokenResponse { token: Some(token(rotated)), secret }))
     }
 
     async fn list_tokens(
@@ -45,21 +50,7 @@ impl TokenService for Adapter {
         &self,
         request: Request<v1::GetCallerRequest>,
     ) -> Result<Response<v1::Caller>, Status> {
-        let (metadata, _, v1::GetCallerRequest {}) = request.into_parts();
-        let headers = metadata.into_headers();
-        Ok(Response::new(caller(self.service.tokens.caller(bearer(&headers))?)))
-    }
-}
-
-fn role(code: i32) -> Result<Role, ServiceError> {
-    match v1::token::Role::try_from(code) {
-        Ok(v1::token::Role::Robot) => Ok(Role::Robot),
-        Ok(v1::token::Role::Admin) => Ok(Role::Admin),
-        Ok(v1::token::Role::Unspecified) => {
-            Err(ServiceError::invalid("say which role the token has: ROLE_ROBOT or ROLE_ADMIN"))
-        }
-        Err(_) => {
-            Err(ServiceError::invalid(format_args!("{code} is no role; write ROLE_ROBOT or ROLE_ADMIN")))
-        }
+        let (asks, v1::GetCallerRequest {}) = with_caller(request)?;
+        Ok(Response::new(caller(&asks)))
     }
 }

@@ -3,8 +3,9 @@
 use std::net::IpAddr;
 use std::sync::Arc;
 
+use axum::RequestExt;
 use axum::body::Body;
-use axum::extract::{ConnectInfo, MatchedPath, Request, State};
+use axum::extract::{ConnectInfo, MatchedPath, RawPathParams, Request, State};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
@@ -13,7 +14,6 @@ use futures::stream::{self, StreamExt};
 use http::uri::Authority;
 use http::{HeaderMap, HeaderName, HeaderValue, Method, header};
 use http_body::Body as _;
-use tokio_util::sync::CancellationToken;
 
 use super::HttpError;
 use super::inspector;
@@ -22,7 +22,7 @@ use crate::net::connections::Came;
 use crate::net::messages::{MAX_MESSAGE_BYTES, Room};
 use crate::net::standing::Standing;
 use crate::service::Service;
-use crate::service::tokens::{Access, Admitted, no_longer_admitted};
+use crate::service::tokens::{Access, Admitted, Ending};
 
 /// How the page that asks is related to this server, as newer browsers say.
 const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
@@ -30,21 +30,21 @@ const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 /// What tells whether the server lives is asked by machines that hold no token.
 const OPEN: [&str; 2] = ["/healthz", "/readyz"];
 
-/// What a robot may change: where robots go, and what places are called. A query changes nothing. All else that is changed is
-/// for administrators.
-const ROBOTS_CHANGE: [&str; 3] = [
-    "/v1/maps/{map}/query",
-    "/v1/maps/{map}/navigations/{navigation}/goal",
-    "/v1/maps/{map}/places/{place}/label",
+/// What asks for something else than reads do by GET, and changes for administrators do by other methods.
+const ROUTES: [(&str, Access); 5] = [
+    ("/v1/maps/{map}/query", Access::LOCALIZE),
+    ("/v1/maps/{map}/navigations/{navigation}/goal", Access::NAVIGATE),
+    ("/v1/maps/{map}/places/{place}/label", Access::NAVIGATE),
+    ("/v1/maps/{map}/export", Access::ADMIN),
+    ("/v1/whoami", Access::Token),
 ];
 
-/// What administrators alone may read.
-const ADMINS_READ: [&str; 2] = ["/v1/maps/{map}/export", TOKENS];
-
+/// What is about the whole server: tokens, and all that changes models.
 const TOKENS: &str = "/v1/tokens";
+const MODELS: &str = "/v1/models";
 
 /// Serves those who may ask for it, as over gRPC.
-pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request, next: Next) -> Response {
+pub(super) async fn guard(State(service): State<Arc<Service>>, mut request: Request, next: Next) -> Response {
     let route = request.extensions().get::<MatchedPath>().map(|route| route.as_str().to_owned());
     let access = access(request.method(), request.uri().path(), route.as_deref());
     if access != Access::Open && service.tokens.serve_this_machine() && !addresses_this_machine(&request) {
@@ -65,21 +65,26 @@ pub(super) async fn guard(State(service): State<Arc<Service>>, request: Request,
     let secret = secret(request.headers());
     let standing = standing(&request);
     let peer = standing.as_ref().map(Standing::peer);
+    let map = map_in_path(&mut request).await;
     let admitted = service.tokens.admit(peer, secret.as_deref(), access).and_then(|admitted| {
         match (access, standing) {
-            (Access::Robot | Access::Admin, Some(standing)) => standing.admit(&admitted.deleted)?,
+            (Access::Token | Access::May(_) | Access::Server, Some(standing)) => {
+                standing.admit(admitted.ending.over())?;
+            }
             (Access::Open, _) | (_, None) => {}
         }
+        map.map_or(Ok(()), |map| admitted.caller.check_map(&map))?;
+        request.extensions_mut().insert(admitted.caller.clone());
         Ok(admitted)
     });
     // It must hear that it made the first token, or deleted its own.
     let of_tokens = route.is_some_and(|route| route.starts_with(TOKENS));
     match admitted {
-        Ok(Admitted { deleted: _, room }) if of_tokens => with_room(&room, request, next).await,
-        Ok(Admitted { deleted, room }) => tokio::select! {
+        Ok(Admitted { caller: _, ending: _, room }) if of_tokens => with_room(&room, request, next).await,
+        Ok(Admitted { caller: _, ending, room }) => tokio::select! {
             biased;
-            response = with_room(&room, request, next) => response.map(|body| until_deleted(body, deleted)),
-            () = deleted.cancelled() => refusal(no_longer_admitted()),
+            response = with_room(&room, request, next) => response.map(|body| until_over(body, ending.clone())),
+            () = ending.over().cancelled() => refusal(ending.why()),
         },
         Err(error) => refusal(error),
     }
@@ -105,9 +110,21 @@ fn access(method: &Method, path: &str, route: Option<&str>) -> Access {
     if OPEN.contains(&path) || (method.is_safe() && inspector::holds(path)) {
         return Access::Open;
     }
-    let among = |routes: &[&str]| route.is_some_and(|route| routes.contains(&route));
-    let for_admins = if method.is_safe() { among(&ADMINS_READ) } else { !among(&ROBOTS_CHANGE) };
-    if for_admins { Access::Admin } else { Access::Robot }
+    // That there is nothing is told to everyone who holds a token.
+    let Some(route) = route else { return if method.is_safe() { Access::Token } else { Access::Server } };
+    if let Some((_, access)) = ROUTES.into_iter().find(|(known, _)| *known == route) {
+        return access;
+    }
+    if route.starts_with(TOKENS) || (route.starts_with(MODELS) && !method.is_safe()) {
+        return Access::Server;
+    }
+    if method.is_safe() { Access::READ } else { Access::ADMIN }
+}
+
+/// The map that a path names, as its route reads it.
+async fn map_in_path(request: &mut Request) -> Option<String> {
+    let parts = request.extract_parts::<RawPathParams>().await.ok()?;
+    parts.iter().find(|(name, _)| *name == "map").map(|(_, map)| map.to_owned())
 }
 
 /// Whether a browser sends this for a page that is not this server's own. It adds by itself what it remembers of a password,
@@ -127,19 +144,20 @@ fn comes_from_another_site(headers: &HeaderMap) -> bool {
     }
 }
 
-/// `body`, which fails when its token is deleted, so that a part is not taken for the whole.
-fn until_deleted(body: Body, deleted: CancellationToken) -> Body {
+/// `body`, which fails when its token is deleted or expires, so that a part is not taken for the whole.
+fn until_over(body: Body, ending: Ending) -> Body {
     // One that is there already is as good as sent, and keeps its length.
     if body.size_hint().exact().is_some() {
         return body;
     }
-    let sending = Some((body.into_data_stream(), Box::pin(deleted.cancelled_owned())));
+    let over = Box::pin(ending.over().clone().cancelled_owned());
+    let sending = Some((body.into_data_stream(), over, ending));
     Body::from_stream(stream::unfold(sending, |sending| async {
-        let (mut body, mut deleted) = sending?;
+        let (mut body, mut over, ending) = sending?;
         tokio::select! {
             biased;
-            () = &mut deleted => Some((Err(axum::Error::new(no_longer_admitted())), None)),
-            piece = body.next() => piece.map(|piece| (piece, Some((body, deleted)))),
+            () = &mut over => Some((Err(axum::Error::new(ending.why())), None)),
+            piece = body.next() => piece.map(|piece| (piece, Some((body, over, ending)))),
         }
     }))
 }
@@ -203,7 +221,7 @@ mod tests {
     use super::*;
     use crate::metrics::Metrics;
     use crate::role::Role;
-    use crate::service::tokens::Tokens;
+    use crate::service::tokens::{NewToken, Tokens};
     use crate::storage::Storage;
 
     /// A table whose end is never reached.
@@ -221,8 +239,8 @@ mod tests {
         let storage = Storage::open(directory.path()).await.unwrap();
         let tokens = Tokens::load(&storage).await.unwrap();
         let service = Arc::new(Service::new(storage, tokens, Metrics::new().unwrap()));
-        service.tokens.create("operator", Role::Admin).await.unwrap();
-        let (_, secret) = service.tokens.create("reader", Role::Robot).await.unwrap();
+        service.tokens.create(NewToken::of("operator", Role::Admin)).await.unwrap();
+        let (_, secret) = service.tokens.create(NewToken::of("reader", Role::Reader)).await.unwrap();
         let guarded = || {
             let routes = Router::new().route("/table", get(endless)).route("/whole", get(async || "whole"));
             routes.layer(from_fn_with_state(service.clone(), guard))

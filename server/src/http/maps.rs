@@ -1,9 +1,9 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use axum::Json;
 use axum::extract::State;
 use axum::extract::rejection::JsonRejection;
+use axum::{Extension, Json};
 use serde::Deserialize;
 use utoipa::openapi::{RefOr, Schema};
 use utoipa::{IntoParams, PartialSchema, ToSchema};
@@ -17,6 +17,7 @@ use crate::names::map_name;
 use crate::pages::Page;
 use crate::service::Service;
 use crate::service::maps::Detail;
+use crate::service::tokens::Caller;
 use crate::wire::maps::{loop_closure, map as message};
 use crate::wire::settings::requested_settings;
 
@@ -46,9 +47,10 @@ impl Parameters for Viewing {
     responses((status = 200, description = "A page of maps.", body = v1::ListMapsResponse), Refusals))]
 pub(super) async fn list_maps(
     State(service): State<Arc<Service>>,
+    Extension(caller): Extension<Arc<Caller>>,
     InQuery(Paging { page_size, page_token }): InQuery<Paging>,
 ) -> Result<Json<v1::ListMapsResponse>, HttpError> {
-    let Page { items, next } = service.maps.list(page_size, &page_token).await?;
+    let Page { items, next } = service.maps.list(&caller, page_size, &page_token).await?;
     let maps = items.into_iter().map(message).collect();
     Ok(Json(v1::ListMapsResponse { maps, next_page_token: next }))
 }
@@ -59,6 +61,7 @@ pub(super) async fn list_maps(
     responses((status = 200, description = "The map.", body = v1::Map), Refusals))]
 pub(super) async fn create_map(
     State(service): State<Arc<Service>>,
+    Extension(caller): Extension<Arc<Caller>>,
     InQuery(Nothing {}): InQuery<Nothing>,
     request: Result<Json<CreateMap>, JsonRejection>,
 ) -> Result<Json<v1::Map>, HttpError> {
@@ -70,7 +73,7 @@ pub(super) async fn create_map(
     })?;
     let Settings(settings) = settings.unwrap_or_default();
     let settings = requested_settings(settings)?;
-    Ok(Json(message(service.maps.create(&map_id, &model, settings).await?)))
+    Ok(Json(message(service.maps.create(&caller, &map_id, &model, settings).await?)))
 }
 
 /// A map with all its settings.

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use axum::Json;
 use axum::extract::State;
 use axum::extract::rejection::JsonRejection;
 use axum::http::HeaderMap;
 use axum::response::Response;
+use axum::{Extension, Json};
 use serde::Deserialize;
 use utoipa::ToSchema;
 use waypost_proto::v1;
@@ -19,6 +19,7 @@ use crate::error::ServiceError;
 use crate::pages::Page;
 use crate::service::Service;
 use crate::service::merges::{CommitPolicy, MergeRequest};
+use crate::service::tokens::Caller;
 use crate::wire::merges::merge as message;
 
 /// All merges, newest first.
@@ -26,9 +27,10 @@ use crate::wire::merges::merge as message;
     responses((status = 200, description = "A page of merges.", body = v1::ListMergesResponse), Refusals))]
 pub(super) async fn list_merges(
     State(service): State<Arc<Service>>,
+    Extension(caller): Extension<Arc<Caller>>,
     InQuery(Paging { page_size, page_token }): InQuery<Paging>,
 ) -> Result<Json<v1::ListMergesResponse>, HttpError> {
-    let Page { items, next } = service.merges.list(page_size, &page_token).await?;
+    let Page { items, next } = service.merges.list(&caller, page_size, &page_token).await?;
     let merges = items.into_iter().map(message).collect();
     Ok(Json(v1::ListMergesResponse { merges, next_page_token: next }))
 }
@@ -39,6 +41,7 @@ pub(super) async fn list_merges(
     responses((status = 200, description = "The merge.", body = v1::Merge), Refusals))]
 pub(super) async fn merge_maps(
     State(service): State<Arc<Service>>,
+    Extension(caller): Extension<Arc<Caller>>,
     InQuery(Nothing {}): InQuery<Nothing>,
     request: Result<Json<MergeMaps>, JsonRejection>,
 ) -> Result<Json<v1::Merge>, HttpError> {
@@ -50,7 +53,7 @@ pub(super) async fn merge_maps(
     })?;
     let commit_policy = if auto_commit { CommitPolicy::Automatic } else { CommitPolicy::OnRequest };
     let request = MergeRequest { sources, target, commit_policy, min_support };
-    Ok(Json(message(service.merges.begin(request).await?)))
+    Ok(Json(message(service.merges.begin(&caller, request).await?)))
 }
 
 /// A merge as it stands.
@@ -58,10 +61,11 @@ pub(super) async fn merge_maps(
     responses((status = 200, description = "The merge.", body = v1::Merge), Refusals))]
 pub(super) async fn get_merge(
     State(service): State<Arc<Service>>,
+    Extension(caller): Extension<Arc<Caller>>,
     InPath(MergePath { merge }): InPath<MergePath>,
     InQuery(Nothing {}): InQuery<Nothing>,
 ) -> Result<Json<v1::Merge>, HttpError> {
-    Ok(Json(message(service.merges.get(&format!("merges/{merge}")).await?)))
+    Ok(Json(message(service.merges.get(&caller, &format!("merges/{merge}")).await?)))
 }
 
 /// The maps before and after: trajectories blue, links within a session red, between sessions green.
@@ -74,11 +78,12 @@ pub(super) async fn get_merge(
         Refusals))]
 pub(super) async fn get_merge_picture(
     State(service): State<Arc<Service>>,
+    Extension(caller): Extension<Arc<Caller>>,
     InPath(MergePath { merge }): InPath<MergePath>,
     InQuery(Nothing {}): InQuery<Nothing>,
     headers: HeaderMap,
 ) -> Result<Response, HttpError> {
-    let picture = service.merges.picture(&format!("merges/{merge}")).await?;
+    let picture = service.merges.picture(&caller, &format!("merges/{merge}")).await?;
     unless_known(&headers, "image/svg+xml", picture.into_bytes()).await
 }
 
@@ -88,6 +93,7 @@ pub(super) async fn get_merge_picture(
     responses((status = 200, description = "The merge.", body = v1::Merge), Refusals))]
 pub(super) async fn decide_merge(
     State(service): State<Arc<Service>>,
+    Extension(caller): Extension<Arc<Caller>>,
     InPath(MergePath { merge }): InPath<MergePath>,
     InQuery(Nothing {}): InQuery<Nothing>,
     decision: Result<Json<Decision>, JsonRejection>,
@@ -100,9 +106,9 @@ pub(super) async fn decide_merge(
     })?;
     let name = format!("merges/{merge}");
     let view = match decision {
-        Decided::Commit => service.merges.commit(&name).await?,
-        Decided::Discard => service.merges.discard(&name).await?,
-        Decided::Undo => service.merges.undo(&name).await?,
+        Decided::Commit => service.merges.commit(&caller, &name).await?,
+        Decided::Discard => service.merges.discard(&caller, &name).await?,
+        Decided::Undo => service.merges.undo(&caller, &name).await?,
     };
     Ok(Json(message(view)))
 }

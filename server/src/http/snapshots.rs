@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
+use axum::{Extension, Json};
 use waypost_proto::v1;
 
 use super::HttpError;
@@ -15,6 +15,7 @@ use super::parameters::{InPath, InQuery, MapPath, Nothing};
 use super::uploads::{BinaryFile, Upload};
 use crate::names::map_name;
 use crate::service::Service;
+use crate::service::tokens::Caller;
 use crate::wire::jobs::job;
 
 /// A snapshot of a map as it is now, with its model; robots go on meanwhile. For administrators.
@@ -38,12 +39,13 @@ pub(super) async fn export_map(
     responses((status = 200, description = "The job that does so.", body = v1::Job), Refusals))]
 pub(super) async fn import_map(
     State(service): State<Arc<Service>>,
+    Extension(caller): Extension<Arc<Caller>>,
     InPath(MapPath { map }): InPath<MapPath>,
     InQuery(Nothing {}): InQuery<Nothing>,
     body: Body,
 ) -> Result<Json<v1::Job>, HttpError> {
     let mut file = Upload::of(&service, body);
-    let mut upload = service.snapshots.begin_import(&map).await?;
+    let mut upload = service.snapshots.begin_import(&caller, &map).await?;
     while let Some(piece) = file.next().await? {
         service.snapshots.add_bytes(&mut upload, piece).await?;
     }

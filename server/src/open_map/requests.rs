@@ -164,9 +164,9 @@ impl Opener {
     /// Refuses a session that another token opened.
     pub(super) fn check(&self, session: &str, owner: Option<&str>) -> Result<(), ServiceError> {
         match (self.role, owner) {
-            (Role::Admin, _) | (Role::Robot, None) => Ok(()),
-            (Role::Robot, Some(owner)) if self.token.as_deref() == Some(owner) => Ok(()),
-            (Role::Robot, Some(owner)) => Err(ServiceError::PermissionDenied {
+            (Role::Admin, _) | (Role::Robot | Role::Reader, None) => Ok(()),
+            (Role::Robot | Role::Reader, Some(owner)) if self.token.as_deref() == Some(owner) => Ok(()),
+            (Role::Robot | Role::Reader, Some(owner)) => Err(ServiceError::PermissionDenied {
                 message: format!(
                     "the session {session} is of the token {owner}, which opened it; choose another name for yours, or \
                      ask who runs the server for a token of that name if it is the same robot"

@@ -12,10 +12,12 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
 use super::deleted_maps::DeletedMaps;
+use super::tokens::Caller;
 use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::names::id_in;
-use crate::pages::{Page, bad_page_token, page_size};
+use crate::pages::{Page, bad_page_token, page_size, rows_of_page};
+use crate::role::Reach;
 pub(crate) use crate::storage::JobKind;
 use crate::storage::{JobEnd, JobRow, Storage, StoredError, StoredJobState};
 
@@ -31,6 +33,8 @@ pub(crate) struct JobStatus {
     pub(crate) fraction: f64,
     pub(crate) created_ns: i64,
     pub(crate) ended_ns: Option<i64>,
+    /// The names of the maps that it reads or writes; `None` if that is not known, as of jobs of earlier servers.
+    pub(crate) maps: Option<Vec<String>>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -129,34 +133,51 @@ impl Jobs {
         }
     }
 
-    pub(crate) async fn get(&self, name: &str) -> Result<JobStatus, ServiceError> {
-        Ok(self.watch(name).await?.borrow().clone())
+    pub(crate) async fn get(&self, caller: &Caller, name: &str) -> Result<JobStatus, ServiceError> {
+        Ok(self.watch(caller, name).await?.borrow().clone())
     }
 
     /// The job now and whenever it has moved on; the last one is the end.
-    pub(crate) async fn watch(&self, name: &str) -> Result<watch::Receiver<JobStatus>, ServiceError> {
+    pub(crate) async fn watch(
+        &self,
+        caller: &Caller,
+        name: &str,
+    ) -> Result<watch::Receiver<JobStatus>, ServiceError> {
         let number = job_number(name)?;
-        if let Some(job) = self.running(number) {
-            return Ok(job.status);
-        }
-        // In the database before it is gone from memory, so this finds whatever ended just now.
-        let row = self.storage.job(number).await?.ok_or_else(|| no_such_job(name))?;
-        Ok(watch::channel(status_of(row)).1)
+        let status = match self.running(number) {
+            Some(job) => job.status,
+            None => {
+                // In the database before it is gone from memory, so this finds whatever ended just now.
+                let row = self.storage.job(number).await?.ok_or_else(|| no_such_job(name))?;
+                watch::channel(status_of(row)).1
+            }
+        };
+        let is_reached = status.borrow().is_reached_by(caller);
+        if is_reached { Ok(status) } else { Err(caller.reaches_not(name)) }
     }
 
     /// Asks a job to stop; one that has ended stays as it is.
-    pub(crate) async fn cancel(&self, name: &str) -> Result<JobStatus, ServiceError> {
+    pub(crate) async fn cancel(&self, caller: &Caller, name: &str) -> Result<JobStatus, ServiceError> {
+        self.get(caller, name).await?;
         if let Some(job) = self.running(job_number(name)?) {
             job.cancel.cancel();
         }
-        self.get(name).await
+        self.get(caller, name).await
     }
 
-    /// All jobs, newest first.
-    pub(crate) async fn list(&self, size: u32, token: &str) -> Result<Page<JobStatus>, ServiceError> {
+    /// All jobs about maps that the caller reaches, newest first.
+    pub(crate) async fn list(
+        &self,
+        caller: &Caller,
+        size: u32,
+        token: &str,
+    ) -> Result<Page<JobStatus>, ServiceError> {
         let size = page_size(size)?;
         let before = if token.is_empty() { None } else { Some(token.parse().map_err(|_| bad_page_token())?) };
-        let mut rows = self.storage.jobs(before, size + 1).await?;
+        let read = |before| self.storage.jobs(before, size + 1);
+        let number = |row: &JobRow| Some(row.number);
+        let reached = |row: &JobRow| status_of(row.clone()).is_reached_by(caller);
+        let mut rows = rows_of_page(size, before, read, number, reached).await?;
         let more = rows.len() > size as usize;
         rows.truncate(size as usize);
         let next = rows.last().filter(|_| more).map_or_else(String::new, |row| row.number.to_string());
@@ -170,10 +191,11 @@ impl Jobs {
         Ok(Page { items, next })
     }
 
-    /// Starts a job and leaves it to itself. `work` reports to what it is given.
+    /// Starts a job about some maps, by name, and leaves it to itself. `work` reports to what it is given.
     pub(super) async fn start<Work>(
         &self,
         kind: JobKind,
+        maps: &[&str],
         work: impl FnOnce(JobReporter) -> Work,
     ) -> Result<JobStatus, ServiceError>
     where
@@ -181,7 +203,7 @@ impl Jobs {
     {
         let stage = "waiting to start";
         let created_ns = now_ns();
-        let number = self.storage.insert_job(kind, stage, created_ns).await?;
+        let number = self.storage.insert_job(kind, &maps.join(","), stage, created_ns).await?;
         let status = JobStatus {
             number,
             kind,
@@ -190,6 +212,7 @@ impl Jobs {
             fraction: 0.0,
             created_ns,
             ended_ns: None,
+            maps: Some(maps.iter().map(|&map| map.to_owned()).collect()),
         };
         let reporter = self.begin(&status);
         // Looked at after the job can be found: a stop that missed it is noticed here.
@@ -274,7 +297,7 @@ impl Jobs {
 }
 
 fn status_of(row: JobRow) -> JobStatus {
-    let JobRow { number, kind, state, stage, result, error, created_ns, ended_ns } = row;
+    let JobRow { number, kind, state, stage, result, error, created_ns, ended_ns, maps } = row;
     let (state, fraction) = match state {
         // Not in memory yet: it has only just begun.
         StoredJobState::Running => (JobState::Running, 0.0),
@@ -284,7 +307,17 @@ fn status_of(row: JobRow) -> JobStatus {
         }
         StoredJobState::Succeeded => (JobState::Succeeded(result.unwrap_or_default()), 1.0),
     };
-    JobStatus { number, kind, state, stage, fraction, created_ns, ended_ns }
+    let maps = maps.map(|maps| maps.split(',').filter(|map| !map.is_empty()).map(str::to_owned).collect());
+    JobStatus { number, kind, state, stage, fraction, created_ns, ended_ns, maps }
+}
+
+impl JobStatus {
+    fn is_reached_by(&self, caller: &Caller) -> bool {
+        match &self.maps {
+            Some(maps) => caller.reaches(maps.iter().map(String::as_str)),
+            None => caller.reach == Reach::Everywhere,
+        }
+    }
 }
 
 impl Jobs {

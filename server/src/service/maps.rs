@@ -11,6 +11,7 @@ use topomap::settings::MapperSettings;
 use super::deleted_maps::DeletedMaps;
 use super::map_names::{MapNames, map_exists};
 use super::models::Models;
+use super::tokens::Caller;
 use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::ingest::model::{LoadedModel, LoadedModels};
@@ -18,7 +19,7 @@ use crate::map_settings::{self, MapSettings};
 use crate::names::{check_id, map_in, place_in};
 use crate::open_map::answers::{FrameReference, PlacePose, PlaceSummary, WordPlace, reference};
 use crate::open_map::{OpenMaps, no_such_map};
-use crate::pages::{Page, named_page, numbered_page, page_after, page_size};
+use crate::pages::{Page, named_page, numbered_page, page_after, page_size, rows_of_page};
 use crate::storage::{ClosureRow, MapId, MapRow, Storage, StorageError};
 pub(crate) use crate::storage::{MapBytes, MapCounts};
 
@@ -82,11 +83,12 @@ impl Maps {
     /// Makes an empty map; of the server's only model, if `model` is empty.
     pub(crate) async fn create(
         &self,
+        caller: &Caller,
         map: &str,
         model: &str,
         settings: MapSettings,
     ) -> Result<MapView, ServiceError> {
-        check_id("map name", map)?;
+        caller.check_map(check_id("map name", map)?)?;
         self.names.check_unreserved(map)?;
         let model = self.models.find_or_only(model).await?;
         let loaded = self.loaded.get(&model.hash).await?;
@@ -106,10 +108,18 @@ impl Maps {
         self.view(row, detail).await
     }
 
-    pub(crate) async fn list(&self, size: u32, token: &str) -> Result<Page<MapView>, ServiceError> {
+    /// Those that the caller reaches, by name.
+    pub(crate) async fn list(
+        &self,
+        caller: &Caller,
+        size: u32,
+        token: &str,
+    ) -> Result<Page<MapView>, ServiceError> {
         let size = page_size(size)?;
-        let after = named_page(token)?;
-        let mut rows = self.storage.maps(&after, size + 1).await?;
+        let read = |after: String| async move { self.storage.maps(&after, size + 1).await };
+        let name = |row: &MapRow| row.name.clone();
+        let reached = |row: &MapRow| caller.reach.has(&row.name);
+        let mut rows = rows_of_page(size, named_page(token)?, read, name, reached).await?;
         let more = rows.len() > size as usize;
         rows.truncate(size as usize);
         let next = rows.last().filter(|_| more).map_or_else(String::new, |row| page_after(&row.name));

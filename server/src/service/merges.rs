@@ -5,9 +5,12 @@ mod picture;
 mod report;
 mod search;
 mod undo;
+mod view;
 
 use self::report::forgotten;
+use self::view::{merge_in, no_such_merge, undecidable, view};
 pub(crate) use report::{MapOverlap, MatchedPlaces, MergeReport, MergedSource, SourceOutcome};
+pub(crate) use view::MergeView;
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -19,35 +22,21 @@ use super::deleted_maps::DeletedMaps;
 use super::jobs::{JobOutcome, JobReporter, Jobs};
 use super::map_names::{MapNames, Reservation};
 use super::rewriting::Rewriting;
+use super::tokens::Caller;
 use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::ingest::model::LoadedModels;
-use crate::names::{check_id, id_in, map_in};
+use crate::names::{check_id, map_in};
 use crate::open_map::OpenMaps;
-use crate::pages::{Page, bad_page_token, numbered_page, page_size};
+use crate::pages::{Page, bad_page_token, numbered_page, page_size, rows_of_page};
 pub(crate) use crate::storage::MergeState;
-use crate::storage::{JobKind, MapId, MapRow, MergeRow, Storage};
+use crate::storage::{JobKind, MapId, MapRow, Storage};
 
 /// Most maps that go into another at a time.
 const MAX_SOURCES: usize = 16;
 
 /// Proposals that may wait for a decision at a time.
 const MAX_PROPOSALS: usize = 32;
-
-/// A merge as it stands.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct MergeView {
-    pub(crate) number: u64,
-    /// The name of the map that the sources go into.
-    pub(crate) target: String,
-    /// What works on it, or did last.
-    pub(crate) job: u64,
-    pub(crate) state: MergeState,
-    pub(crate) report: MergeReport,
-    /// Why it failed.
-    pub(crate) error: Option<ServiceError>,
-    pub(crate) created_ns: i64,
-}
 
 /// When a merge whose overlap was found is committed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -127,8 +116,15 @@ impl Merges {
     }
 
     /// Begins to look for maps on each other.
-    pub(crate) async fn begin(&self, request: MergeRequest) -> Result<MergeView, ServiceError> {
+    pub(crate) async fn begin(
+        &self,
+        caller: &Caller,
+        request: MergeRequest,
+    ) -> Result<MergeView, ServiceError> {
         let MergeRequest { sources, target, commit_policy, min_support } = request;
+        for map in sources.iter().chain([&target]) {
+            caller.check_resource(map)?;
+        }
         let settings = merge_settings(min_support)?;
         let (target, sources) = self.to_merge(&sources, &target).await?;
         if self.proposals().len() >= MAX_PROPOSALS {
@@ -147,7 +143,8 @@ impl Merges {
             merges.note_failure(number, &outcome).await;
             outcome
         };
-        let job = match self.jobs.start(JobKind::MergeMaps, work).await {
+        let maps: Vec<&str> = report.maps().chain([name.as_str()]).collect();
+        let job = match self.jobs.start(JobKind::MergeMaps, &maps, work).await {
             Ok(job) => job,
             Err(error) => {
                 self.note_failure(number, &JobOutcome::Failed(error.clone())).await;
@@ -159,25 +156,37 @@ impl Merges {
     }
 
     /// A merge by `merges/{number}`.
-    pub(crate) async fn get(&self, name: &str) -> Result<MergeView, ServiceError> {
-        self.merge_of_number(merge_in(name)?).await
+    pub(crate) async fn get(&self, caller: &Caller, name: &str) -> Result<MergeView, ServiceError> {
+        let view = self.merge_of_number(merge_in(name)?).await?;
+        caller.check_reaches(name, view.maps())?;
+        Ok(view)
     }
 
-    /// All merges, newest first.
-    pub(crate) async fn list(&self, size: u32, token: &str) -> Result<Page<MergeView>, ServiceError> {
+    /// All merges of maps that the caller reaches, newest first.
+    pub(crate) async fn list(
+        &self,
+        caller: &Caller,
+        size: u32,
+        token: &str,
+    ) -> Result<Page<MergeView>, ServiceError> {
         let size = page_size(size)?;
         let before = numbered_page(token).map_err(|_| bad_page_token())?;
-        let mut rows = self.storage.merges(before, size + 1).await?;
-        let more = rows.len() > size as usize;
-        rows.truncate(size as usize);
-        let next = rows.last().filter(|_| more).map_or_else(String::new, |row| row.number.to_string());
-        let items = rows.into_iter().map(view).collect::<Result<_, _>>()?;
+        let read = |before| async move {
+            let rows = self.storage.merges(before, size + 1).await?;
+            rows.into_iter().map(view).collect::<Result<Vec<_>, ServiceError>>()
+        };
+        let number = |view: &MergeView| Some(view.number);
+        let reached = |view: &MergeView| caller.reaches(view.maps());
+        let mut items = rows_of_page(size, before, read, number, reached).await?;
+        let more = items.len() > size as usize;
+        items.truncate(size as usize);
+        let next = items.last().filter(|_| more).map_or_else(String::new, |view| view.number.to_string());
         Ok(Page { items, next })
     }
 
     /// The maps before and after, as SVG.
-    pub(crate) async fn picture(&self, name: &str) -> Result<String, ServiceError> {
-        let view = self.get(name).await?;
+    pub(crate) async fn picture(&self, caller: &Caller, name: &str) -> Result<String, ServiceError> {
+        let view = self.get(caller, name).await?;
         self.storage.merge_picture(view.number).await?.ok_or_else(|| {
             ServiceError::precondition(format_args!(
                 "{name} has no picture: the maps were not looked at to the end"
@@ -186,8 +195,8 @@ impl Merges {
     }
 
     /// Makes the maps one, as was proposed.
-    pub(crate) async fn commit(&self, name: &str) -> Result<MergeView, ServiceError> {
-        let view = self.get(name).await?;
+    pub(crate) async fn commit(&self, caller: &Caller, name: &str) -> Result<MergeView, ServiceError> {
+        let view = self.get(caller, name).await?;
         let number = view.number;
         // Taken out: it is committed once.
         let proposal = self.proposals().remove(&number).ok_or_else(|| undecidable(&view, "committed"))?;
@@ -207,7 +216,7 @@ impl Merges {
             }
             outcome
         };
-        let job = match self.jobs.start(JobKind::MergeMaps, work).await {
+        let job = match self.jobs.start(JobKind::MergeMaps, &view.maps(), work).await {
             Ok(job) => job,
             Err(error) => {
                 self.proposals().insert(number, kept);
@@ -219,8 +228,8 @@ impl Merges {
     }
 
     /// Leaves the maps as they are.
-    pub(crate) async fn discard(&self, name: &str) -> Result<MergeView, ServiceError> {
-        let view = self.get(name).await?;
+    pub(crate) async fn discard(&self, caller: &Caller, name: &str) -> Result<MergeView, ServiceError> {
+        let view = self.get(caller, name).await?;
         let proposed = self.proposals().contains_key(&view.number);
         if !proposed || !self.storage.discard_merge(view.number).await? {
             return Err(undecidable(&view, "discarded"));
@@ -364,37 +373,4 @@ fn merge_settings(min_support: Option<u32>) -> Result<MergeSettings, ServiceErro
     }
     settings.check().map_err(ServiceError::invalid)?;
     Ok(settings)
-}
-
-fn view(row: MergeRow) -> Result<MergeView, ServiceError> {
-    let MergeRow { number, target, map: _, job, state, report, error, created_ns } = row;
-    let report = MergeReport::from_json(&report)?;
-    let error = error.map(ServiceError::from);
-    Ok(MergeView { number, target, job, state, report, error, created_ns })
-}
-
-fn merge_in(name: &str) -> Result<u64, ServiceError> {
-    id_in("merges", name)?.parse().map_err(|_| no_such_merge(name))
-}
-
-fn no_such_merge(name: &str) -> ServiceError {
-    ServiceError::not_found(format_args!("there is no merge {name}; list the merges to see what there is"))
-}
-
-fn undecidable(merge: &MergeView, what: &str) -> ServiceError {
-    let MergeView { number, state, .. } = merge;
-    ServiceError::precondition(match state {
-        MergeState::Searching => {
-            format!("merges/{number} is still being looked for; wait for jobs/{}", merge.job)
-        }
-        MergeState::Proposed => format!("merges/{number} is being committed by jobs/{}", merge.job),
-        MergeState::NoOverlap
-        | MergeState::Committed
-        | MergeState::Discarded
-        | MergeState::Undone
-        | MergeState::Failed => format!(
-            "merges/{number} is {} and cannot be {what}; ask for a new one if you want the maps merged",
-            state.name()
-        ),
-    })
 }

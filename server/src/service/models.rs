@@ -148,7 +148,7 @@ impl Models {
         }
         let models = self.clone();
         let work = |reporter: JobReporter| async move { models.train(upload, &reporter).await };
-        self.jobs.start(JobKind::TrainModel, work).await
+        self.jobs.start(JobKind::TrainModel, &[], work).await
     }
 
     async fn train(&self, upload: TrainingUpload, reporter: &JobReporter) -> JobOutcome {

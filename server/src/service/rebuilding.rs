@@ -14,6 +14,7 @@ use super::jobs::{JobOutcome, JobReporter, JobStatus, Jobs, Stopped};
 use super::map_names::map_exists;
 use super::maps::{Maps, check_recognizer};
 use super::sessions::{self, Frame, FrameOutcome, Robot, SessionStream, Sessions, Windows};
+use super::tokens::Caller;
 use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::ingest::content::{Content, Described};
@@ -48,9 +49,17 @@ pub(crate) struct Rebuilding {
 
 impl Rebuilding {
     /// Begins to rebuild a map with another model. If that was begun before and cut off, it goes on where it was.
-    pub(crate) async fn start(&self, name: &str, model: &str, into: &str) -> Result<JobStatus, ServiceError> {
-        let source = self.maps.open_maps.row(map_in(name)?).await?;
-        let into = check_id("map name", into)?.to_owned();
+    pub(crate) async fn start(
+        &self,
+        caller: &Caller,
+        name: &str,
+        model: &str,
+        into: &str,
+    ) -> Result<JobStatus, ServiceError> {
+        let (from, into) = (map_in(name)?, check_id("map name", into)?.to_owned());
+        caller.check_map(from)?;
+        caller.check_map(&into)?;
+        let source = self.maps.open_maps.row(from).await?;
         let model = self.maps.models.find(model).await?;
         let loaded = self.maps.loaded.get(&model.hash).await?;
         let before = self.maps.loaded.get(&source.model).await?;
@@ -72,10 +81,11 @@ impl Rebuilding {
             Some(_) => return Err(map_exists(&into)),
         }
         let sessions = self.maps.storage.stored_sessions(source.id).await?;
+        let made = into.clone();
         let rebuild = Rebuild { words: before.model.vocabulary().len(), source, sessions, into };
         let rebuilding = self.clone();
         let work = |reporter: JobReporter| async move { rebuilding.rebuild(rebuild, &reporter).await };
-        self.jobs.start(JobKind::RebuildMap, work).await
+        self.jobs.start(JobKind::RebuildMap, &[from, &made], work).await
     }
 
     async fn rebuild(&self, rebuild: Rebuild, reporter: &JobReporter) -> JobOutcome {

@@ -30,6 +30,7 @@ impl Rewriting {
     pub(crate) async fn compact(&self, name: &str) -> Result<JobStatus, ServiceError> {
         let map = self.open_maps.row(map_in(name)?).await?;
         let rewriting = self.clone();
+        let of = map.name.clone();
         let work = |reporter: JobReporter| async move {
             let Some(_turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
             // The last moment to stop.
@@ -52,7 +53,7 @@ impl Rewriting {
                 Err(error) => JobOutcome::Failed(error.into()),
             }
         };
-        self.jobs.start(JobKind::CompactMap, work).await
+        self.jobs.start(JobKind::CompactMap, &[&of], work).await
     }
 
     /// Places may have other numbers afterwards: a robot must not end up at another place than it was sent to.

@@ -17,6 +17,8 @@ pub(crate) struct JobRow {
     pub(crate) error: Option<StoredError>,
     pub(crate) created_ns: i64,
     pub(crate) ended_ns: Option<i64>,
+    /// The maps that it reads or writes, with commas between them; `None` if that is not known.
+    pub(crate) maps: Option<String>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::Type)]
@@ -71,24 +73,27 @@ impl From<ErrorColumns> for Option<StoredError> {
     }
 }
 
-const COLUMNS: &str = "number, kind, state, stage, result, error, error_code, created_ns, ended_ns";
+const COLUMNS: &str = "number, kind, state, stage, result, error, error_code, created_ns, ended_ns, maps";
 
 impl Storage {
-    /// Adds a job that runs; gives its number.
+    /// Adds a job that runs, about `maps` with commas between them; gives its number.
     pub(crate) async fn insert_job(
         &self,
         kind: JobKind,
+        maps: &str,
         stage: &str,
         created_ns: i64,
     ) -> Result<u64, StorageError> {
         self.write(async |transaction| {
-            let done =
-                sqlx::query("INSERT INTO jobs (kind, state, stage, created_ns) VALUES (?, 'running', ?, ?)")
-                    .bind(kind)
-                    .bind(stage)
-                    .bind(created_ns)
-                    .execute(&mut **transaction)
-                    .await?;
+            let done = sqlx::query(
+                "INSERT INTO jobs (kind, maps, state, stage, created_ns) VALUES (?, ?, 'running', ?, ?)",
+            )
+            .bind(kind)
+            .bind(maps)
+            .bind(stage)
+            .bind(created_ns)
+            .execute(&mut **transaction)
+            .await?;
             from_sql(done.last_insert_rowid())
         })
         .await

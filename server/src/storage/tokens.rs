@@ -1,5 +1,5 @@
 use super::{Storage, StorageError};
-use crate::role::Role;
+use crate::role::{Abilities, Reach, Role};
 
 /// SHA-256 of a token's secret.
 pub(crate) type SecretHash = [u8; 32];
@@ -9,30 +9,91 @@ pub(crate) type SecretHash = [u8; 32];
 pub(crate) struct TokenRow {
     pub(crate) name: String,
     pub(crate) role: Role,
+    /// All that its role may do, or less.
+    pub(crate) abilities: Abilities,
+    pub(crate) reach: Reach,
     pub(crate) secret_sha256: SecretHash,
     pub(crate) created_ns: i64,
+    /// `None` if it does not expire.
+    pub(crate) expires_ns: Option<i64>,
+    /// The secret before the last rotation.
+    pub(crate) former: Option<FormerSecret>,
+}
+
+/// A secret that was replaced.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct FormerSecret {
+    pub(crate) sha256: SecretHash,
+    /// Until when it is good.
+    pub(crate) until_ns: i64,
+}
+
+/// A token as the table has it.
+#[derive(sqlx::FromRow)]
+struct Columns {
+    name: String,
+    role: String,
+    secret_sha256: Vec<u8>,
+    created_ns: i64,
+    abilities: Option<String>,
+    maps: Option<String>,
+    expires_ns: Option<i64>,
+    former_secret_sha256: Option<Vec<u8>>,
+    former_until_ns: Option<i64>,
 }
 
 impl Storage {
     /// All tokens, by name.
     pub(crate) async fn tokens(&self) -> Result<Vec<TokenRow>, StorageError> {
-        let rows = sqlx::query_as("SELECT name, role, secret_sha256, created_ns FROM tokens ORDER BY name")
-            .fetch_all(&self.readers)
-            .await?;
+        let rows: Vec<Columns> = sqlx::query_as(
+            "SELECT name, role, secret_sha256, created_ns, abilities, maps, expires_ns, former_secret_sha256, \
+             former_until_ns FROM tokens ORDER BY name",
+        )
+        .fetch_all(&self.readers)
+        .await?;
         rows.into_iter().map(token).collect()
     }
 
     /// [`StorageError::Exists`] if there is one of that name.
     pub(crate) async fn put_token(&self, token: &TokenRow) -> Result<(), StorageError> {
-        let TokenRow { name, role, secret_sha256, created_ns } = token;
+        let TokenRow { name, role, abilities, reach, secret_sha256, created_ns, expires_ns, former } = token;
+        let limited = (*abilities != role.abilities()).then(|| abilities.to_text());
         self.write(async |transaction| {
-            sqlx::query("INSERT INTO tokens (name, role, secret_sha256, created_ns) VALUES (?, ?, ?, ?)")
-                .bind(name)
-                .bind(role.name())
-                .bind(secret_sha256.as_slice())
-                .bind(created_ns)
-                .execute(&mut **transaction)
-                .await?;
+            sqlx::query(
+                "INSERT INTO tokens (name, role, secret_sha256, created_ns, abilities, maps, expires_ns, \
+                 former_secret_sha256, former_until_ns) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            )
+            .bind(name)
+            .bind(role.name())
+            .bind(secret_sha256.as_slice())
+            .bind(created_ns)
+            .bind(&limited)
+            .bind(reach.to_text())
+            .bind(expires_ns)
+            .bind(former.as_ref().map(|former| former.sha256.as_slice()))
+            .bind(former.as_ref().map(|former| former.until_ns))
+            .execute(&mut **transaction)
+            .await?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// Notes a token's new secret, with the one before, and when the token expires.
+    pub(crate) async fn rotate_token(&self, token: &TokenRow) -> Result<(), StorageError> {
+        let TokenRow { name, secret_sha256, expires_ns, former, .. } = token;
+        self.write(async |transaction| {
+            sqlx::query(
+                "UPDATE tokens SET secret_sha256 = ?, expires_ns = ?, former_secret_sha256 = ?, former_until_ns = ? \
+                 WHERE name = ?",
+            )
+            .bind(secret_sha256.as_slice())
+            .bind(expires_ns)
+            .bind(former.as_ref().map(|former| former.sha256.as_slice()))
+            .bind(former.as_ref().map(|former| former.until_ns))
+            .bind(name)
+            .execute(&mut **transaction)
+            .await?;
             Ok(())
         })
         .await
@@ -47,9 +108,31 @@ impl Storage {
     }
 }
 
-fn token((name, role, hash, created_ns): (String, String, Vec<u8>, i64)) -> Result<TokenRow, StorageError> {
-    let damaged = |what: &str| StorageError::Damaged(format!("the {what} of a token"));
+fn token(columns: Columns) -> Result<TokenRow, StorageError> {
+    let Columns {
+        name,
+        role,
+        secret_sha256,
+        created_ns,
+        abilities,
+        maps,
+        expires_ns,
+        former_secret_sha256,
+        former_until_ns,
+    } = columns;
+    let damaged = |what: &str| StorageError::Damaged(format!("the {what} of the token {name}"));
+    let hash = |bytes: Vec<u8>| SecretHash::try_from(bytes).map_err(|_| damaged("hash"));
     let role = Role::of_name(&role).ok_or_else(|| damaged("role"))?;
-    let secret_sha256 = hash.try_into().map_err(|_| damaged("hash"))?;
-    Ok(TokenRow { name, role, secret_sha256, created_ns })
+    let abilities = match abilities {
+        Some(text) => Abilities::of_text(&text).ok_or_else(|| damaged("abilities"))?,
+        None => role.abilities(),
+    };
+    let former = match (former_secret_sha256, former_until_ns) {
+        (Some(bytes), Some(until_ns)) => Some(FormerSecret { sha256: hash(bytes)?, until_ns }),
+        (None, None) => None,
+        (Some(_), None) | (None, Some(_)) => return Err(damaged("secret before")),
+    };
+    let secret_sha256 = hash(secret_sha256)?;
+    let reach = Reach::of_text(maps.as_deref());
+    Ok(TokenRow { name, role, abilities, reach, secret_sha256, created_ns, expires_ns, former })
 }

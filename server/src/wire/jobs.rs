@@ -8,7 +8,7 @@ use crate::service::jobs::{JobState, JobStatus};
 
 pub(crate) fn job(status: JobStatus) -> v1::Job {
     use v1::job::{Kind, State};
-    let JobStatus { number, kind, state, stage, fraction, created_ns, ended_ns } = status;
+    let JobStatus { number, kind, state, stage, fraction, created_ns, ended_ns, maps: _ } = status;
     let (state, error, result) = match state {
         JobState::Running => (State::Running, None, None),
         JobState::Succeeded(result) => (State::Succeeded, None, Some(result)),

@@ -85,7 +85,9 @@ async fn hold(port: SocketAddr) {
 
 /// An admin's token in a directory.
 async fn admin(directory: &Path) -> String {
-    waypost_server::offline::create_token(directory, "operator", Role::Admin).await.unwrap()
+    waypost_server::offline::create_token(directory, "operator", Role::Admin, Default::default())
+        .await
+        .unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -11,6 +11,9 @@ use crate::harness::{
 };
 
 mod callable;
+mod limits;
+mod older;
+mod passing;
 
 /// A server with an admin's token and a robot's, and a map `drive` in it.
 struct Guarded {
@@ -335,7 +338,15 @@ async fn tokens_are_looked_after_from_both_command_lines() {
     let (code, _, stderr) = online(&["token", "ls"], robot);
     assert!(code == 4 && stderr.contains("takes the token of an admin"), "{stderr}");
     let (code, listed, _) = online(&["token", "ls", "--token", admin], robot);
-    assert_eq!((code, listed.as_str()), (0, "TOKEN     ROLE\noperator  admin\nrobot     robot\n"));
+    assert_eq!(
+        (code, listed.as_str()),
+        (
+            0,
+            "TOKEN     ROLE   MAY                                  MAPS  EXPIRES\n\
+             operator  admin  read,localize,stream,navigate,admin  all   never\n\
+             robot     robot  read,localize,stream,navigate        all   never\n"
+        )
+    );
     let (code, _, stderr) = online(&["token", "rm", "operator"], admin);
     assert!(code == 4 && stderr.contains("create another admin token first"), "{stderr}");
     assert_eq!(online(&["token", "rm", "robot"], admin).0, 0);

@@ -441,7 +441,18 @@ async fn tokens_are_the_same() {
     let tokens = TokenServiceClient::new(channel(&both.server.endpoint()).await);
     let nobody = tokens.clone().get_caller(v1::GetCallerRequest {}).await;
     let told = both.agree("/v1/whoami", "waypost.v1.Caller", nobody).await;
-    assert_eq!(told, json!({ "token": "", "role": "admin", "asks_for_token": false }));
+    let everything = json!(["read", "localize", "stream", "navigate", "admin"]);
+    let unlimited = |token: &str, asks: bool| {
+        json!({
+            "token": token,
+            "role": "admin",
+            "asks_for_token": asks,
+            "abilities": everything,
+            "maps": [],
+            "expire_time_ns": null
+        })
+    };
+    assert_eq!(told, unlimited("", false));
     let client = both.server.client().await;
     let (_, admin) = client.create_token("operator", v1::token::Role::Admin).await.unwrap();
     let bearer = format!("Bearer {admin}");
@@ -450,12 +461,21 @@ async fn tokens_are_the_same() {
         request.metadata_mut().insert("authorization", bearer.parse().unwrap());
         request
     }
-    let robot = shown(&bearer, v1::CreateTokenRequest { token_id: "robot".to_owned(), role: 1 });
+    let robot = shown(
+        &bearer,
+        v1::CreateTokenRequest {
+            token_id: "robot".to_owned(),
+            role: v1::token::Role::Robot.into(),
+            maps: vec!["floor2-*".to_owned()],
+            lifetime_s: Some(3600),
+            ..v1::CreateTokenRequest::default()
+        },
+    );
     tokens.clone().create_token(robot).await.unwrap();
     let ask = async |path: &str| Answer::to(http().get(both.server.url(path)).bearer_auth(&admin)).await;
     let caller = tokens.clone().get_caller(shown(&bearer, v1::GetCallerRequest {})).await;
     let told = same("/v1/whoami", &ask("/v1/whoami").await, "waypost.v1.Caller", caller);
-    assert_eq!(told, json!({ "token": "tokens/operator", "role": "admin", "asks_for_token": true }));
+    assert_eq!(told, unlimited("tokens/operator", true));
     for (size, token) in [(0, ""), (1, ""), (1, "x"), (1001, "")] {
         let request = v1::ListTokensRequest { page_size: size, page_token: token.to_owned() };
         let listed = tokens.clone().list_tokens(shown(&bearer, request)).await;

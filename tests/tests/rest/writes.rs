@@ -176,7 +176,10 @@ async fn tokens_are_made_listed_and_deleted_and_told_who_they_are() {
         http().request(method, server.url(path)).bearer_auth(secret)
     };
     let who = done(ask(Method::GET, "/v1/whoami", robot)).await;
-    assert_eq!(who, json!({ "token": "tokens/robot", "role": "robot", "asks_for_token": true }));
+    let may = json!(["read", "localize", "stream", "navigate"]);
+    let robots = json!({ "token": "tokens/robot", "role": "robot", "asks_for_token": true, "abilities": may, "maps": [],
+                         "expire_time_ns": null });
+    assert_eq!(who, robots);
     let listed = Answer::to(ask(Method::GET, "/v1/tokens", admin)).await;
     let names: Vec<Value> =
         listed.json()["tokens"].as_array().unwrap().iter().map(|token| token["name"].clone()).collect();

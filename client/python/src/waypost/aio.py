@@ -130,6 +130,7 @@ class AsyncClient:
     add_relative_pose = _awaited(Client.add_relative_pose)
     # Tokens.
     create_token = _awaited(Client.create_token)
+    rotate_token = _awaited(Client.rotate_token)
     tokens = _awaited(Client.tokens)
     delete_token = _awaited(Client.delete_token)
     caller = _awaited(Client.caller)

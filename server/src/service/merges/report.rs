@@ -103,6 +103,11 @@ impl MergeReport {
         Self { base: base.map(source), sources: sources.iter().map(source).collect(), made_events: None }
     }
 
+    /// The names of the maps that go into the target.
+    pub(super) fn maps(&self) -> impl Iterator<Item = &str> {
+        self.base.iter().chain(&self.sources).map(|source| source.map.as_str())
+    }
+
     /// Whether every source overlaps.
     pub(super) fn all_overlap(&self) -> bool {
         self.sources.iter().all(|source| matches!(source.outcome, SourceOutcome::Overlaps(_)))

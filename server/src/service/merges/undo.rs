@@ -6,12 +6,13 @@ use super::{MergeView, Merges, undecidable};
 use crate::error::ServiceError;
 use crate::service::jobs::{JobOutcome, JobReporter};
 use crate::service::rewriting::changed;
+use crate::service::tokens::Caller;
 use crate::storage::{JobKind, MapRow, MergeOutcome, MergeState};
 
 impl Merges {
     /// Takes what a merge brought out of its target again.
-    pub(crate) async fn undo(&self, name: &str) -> Result<MergeView, ServiceError> {
-        let view = self.get(name).await?;
+    pub(crate) async fn undo(&self, caller: &Caller, name: &str) -> Result<MergeView, ServiceError> {
+        let view = self.get(caller, name).await?;
         let number = view.number;
         if view.state != MergeState::Committed {
             return Err(undecidable(&view, "undone"));
@@ -31,14 +32,14 @@ impl Merges {
         self.rewriting.check_nobody_is_led(&map)?;
         let outcome = MergeOutcome { number, state: MergeState::Undone, report: view.report.to_json()? };
         if let Some(made_events) = view.report.made_events {
-            return self.undo_made(map, made_events, outcome).await;
+            return self.undo_made(view, map, made_events, outcome).await;
         }
         let sessions = self.storage.sessions_of_merge(map.id, number).await?;
         let rewriting = self.rewriting.clone();
         let work = |reporter: JobReporter| async move {
             rewriting.take_out(map, sessions, Some(outcome), &reporter).await
         };
-        let job = self.jobs.start(JobKind::RemoveSessions, work).await?;
+        let job = self.jobs.start(JobKind::RemoveSessions, &view.maps(), work).await?;
         self.storage.set_merge_job(number, job.number).await?;
         self.merge_of_number(number).await
     }
@@ -46,6 +47,7 @@ impl Merges {
     /// A map that a merge has made goes as a whole, as long as nothing has come to it since.
     async fn undo_made(
         &self,
+        view: MergeView,
         map: MapRow,
         made_events: u64,
         outcome: MergeOutcome,
@@ -78,7 +80,7 @@ impl Merges {
                 Err(error) => JobOutcome::Failed(error),
             }
         };
-        let job = self.jobs.start(JobKind::RemoveSessions, work).await?;
+        let job = self.jobs.start(JobKind::RemoveSessions, &view.maps(), work).await?;
         self.storage.set_merge_job(number, job.number).await?;
         self.merge_of_number(number).await
     }

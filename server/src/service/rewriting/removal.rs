@@ -26,7 +26,7 @@ impl Rewriting {
         let work = |reporter: JobReporter| async move {
             rewriting.take_out(row, vec![number], None, &reporter).await
         };
-        self.jobs.start(JobKind::RemoveSessions, work).await
+        self.jobs.start(JobKind::RemoveSessions, &[map], work).await
     }
 
     /// Takes sessions out of a map, as a job that is undoing a merge if `undone` says so.

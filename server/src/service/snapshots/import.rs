@@ -15,8 +15,10 @@ use super::check::{NotTaken, check, map_of, reader};
 use super::format::{Record, SnapshotReader};
 use crate::error::ServiceError;
 use crate::names::{check_id, map_name};
+use crate::role::Reach;
 use crate::service::jobs::{JobOutcome, JobReporter, JobStatus};
 use crate::service::map_names::{Reservation, map_exists};
+use crate::service::tokens::Caller;
 use crate::storage::{ImportedMap, JobKind, LabelRow, MapId, MediaRow, NoteRow, Storage, StorageError};
 
 /// Largest snapshot that is taken in.
@@ -57,10 +59,19 @@ struct Import {
 impl Snapshots {
     /// Begins to take in a snapshot: then its bytes, then [`Snapshots::start_import`]. An empty name
     /// leaves the one in the file.
-    pub(crate) async fn begin_import(&self, map: &str) -> Result<MapUpload, ServiceError> {
+    pub(crate) async fn begin_import(&self, caller: &Caller, map: &str) -> Result<MapUpload, ServiceError> {
         let reservation = match map {
+            "" if caller.reach != Reach::Everywhere => {
+                return Err(ServiceError::invalid(format_args!(
+                    "your token is for {} alone, and the name in the file may be another: name the map that it is to be",
+                    caller.reach
+                )));
+            }
             "" => None,
-            map => Some(self.names.reserve(check_id("map name", map)?).await?),
+            map => {
+                caller.check_map(check_id("map name", map)?)?;
+                Some(self.names.reserve(map).await?)
+            }
         };
         let room = self.uploads.clone().try_acquire_owned();
         let room = room.map_err(|_| ServiceError::ResourceExhausted {
@@ -113,10 +124,11 @@ impl Snapshots {
             Some(reservation) => reservation,
             None => self.names.reserve(check_id("map name", &map.name)?).await?,
         };
+        let name = reservation.name().to_owned();
         let import = Import { reservation, spool, bytes, _room: room };
         let snapshots = self.clone();
         let work = |reporter: JobReporter| async move { snapshots.import(import, &reporter).await };
-        self.jobs.start(JobKind::ImportMap, work).await
+        self.jobs.start(JobKind::ImportMap, &[&name], work).await
     }
 
     async fn import(&self, import: Import, reporter: &JobReporter) -> JobOutcome {

@@ -2,17 +2,19 @@
 
 use futures::stream;
 use prost::Message;
+use prost::bytes::BufMut;
 use prost_types::FileDescriptorSet;
 use reqwest::Method;
+use tonic::codec::{BufferSettings, Codec, EncodeBuf, Encoder};
 use tonic::metadata::AsciiMetadataValue;
 use tonic::transport::Channel;
 use tonic::{Request, Status};
-use tonic_prost::ProstCodec;
+use tonic_prost::ProstDecoder;
 
 use crate::harness::{in_time, workspace};
 
 /// Methods that a robot may not call.
-pub(super) const FOR_ADMINS: [&str; 21] = [
+pub(super) const FOR_ADMINS: [&str; 22] = [
     "/waypost.v1.MapService/CreateMap",
     "/waypost.v1.MapService/DeleteMap",
     "/waypost.v1.MapService/RebindMap",
@@ -32,12 +34,13 @@ pub(super) const FOR_ADMINS: [&str; 21] = [
     "/waypost.v1.ModelService/DeleteModel",
     "/waypost.v1.JobService/CancelJob",
     "/waypost.v1.TokenService/CreateToken",
+    "/waypost.v1.TokenService/RotateToken",
     "/waypost.v1.TokenService/ListTokens",
     "/waypost.v1.TokenService/DeleteToken",
 ];
 
 /// Routes over HTTP that a robot may not ask for.
-pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 14] = [
+pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 15] = [
     (Method::POST, "/v1/maps"),
     (Method::DELETE, "/v1/maps/{map}"),
     (Method::GET, "/v1/maps/{map}/export"),
@@ -52,6 +55,7 @@ pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 14] = [
     (Method::GET, "/v1/tokens"),
     (Method::POST, "/v1/tokens"),
     (Method::DELETE, "/v1/tokens/{token}"),
+    (Method::POST, "/v1/tokens/{token}/rotate"),
 ];
 
 /// Routes over HTTP that are open to all.
@@ -110,14 +114,51 @@ pub(super) fn methods() -> Vec<String> {
 
 /// Calls a method by its path, with one empty message.
 pub(super) async fn call(channel: &Channel, path: &str, authorization: Option<&str>) -> Result<(), Status> {
+    call_with(channel, path, authorization, Vec::new()).await
+}
+
+/// The same with a message as it is encoded.
+pub(super) async fn call_with(
+    channel: &Channel,
+    path: &str,
+    authorization: Option<&str>,
+    message: Vec<u8>,
+) -> Result<(), Status> {
     let mut grpc = tonic::client::Grpc::new(channel.clone());
     grpc.ready().await.unwrap();
-    let mut request = Request::new(stream::iter([()]));
+    let mut request = Request::new(stream::iter([message]));
     if let Some(authorization) = authorization {
         let value: AsciiMetadataValue = authorization.parse().unwrap();
         request.metadata_mut().insert("authorization", value);
     }
-    let codec = ProstCodec::<(), ()>::default();
-    let mut answers = in_time(grpc.streaming(request, path.parse().unwrap(), codec)).await?.into_inner();
+    let mut answers = in_time(grpc.streaming(request, path.parse().unwrap(), Encoded)).await?.into_inner();
     in_time(answers.message()).await.map(drop)
+}
+
+/// Sends messages that are encoded already, and reads nothing of the answers.
+struct Encoded;
+
+impl Codec for Encoded {
+    type Encode = Vec<u8>;
+    type Decode = ();
+    type Encoder = Self;
+    type Decoder = ProstDecoder<()>;
+
+    fn encoder(&mut self) -> Self {
+        Self
+    }
+
+    fn decoder(&mut self) -> Self::Decoder {
+        ProstDecoder::new(BufferSettings::default())
+    }
+}
+
+impl Encoder for Encoded {
+    type Item = Vec<u8>;
+    type Error = Status;
+
+    fn encode(&mut self, message: Vec<u8>, into: &mut EncodeBuf<'_>) -> Result<(), Status> {
+        into.put_slice(&message);
+        Ok(())
+    }
 }

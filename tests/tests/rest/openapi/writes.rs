@@ -43,6 +43,8 @@ pub(super) fn good_writes(surveyed: &Surveyed, snapshot: Vec<u8>) -> Vec<Call> {
         Call::get("/v1/tokens", "/v1/tokens"),
         Call::write("post", "/v1/tokens", "/v1/tokens", json_body(token)),
         Call::write("delete", "/v1/tokens/{token}", "/v1/tokens/made", None),
+        // Its secret, which all this is asked with, stays good for an hour.
+        Call::write("post", "/v1/tokens/{token}/rotate", "/v1/tokens/operator/rotate", json_body("{}")),
         Call::get("/v1/whoami", "/v1/whoami"),
     ]
 }
@@ -68,6 +70,13 @@ pub(super) fn bad_writes(method: &'static str, path: &str, nowhere: &str) -> Opt
             refused(bad, json_body(r#"{"name": "site"}"#)),
             refused(bad, json_body(r#"{"display_name": "a/b"}"#)),
             refused(missing, json_body(r#"{"display_name": "site"}"#)),
+        ]),
+        ("post", "/v1/tokens/{token}/rotate") => Some(vec![
+            refused(bad, json_body("")),
+            refused(bad, json_body(r#"{"overlap_s": -1}"#)),
+            refused(bad, json_body(r#"{"overlap_s": 604801}"#)),
+            refused(bad, json_body(r#"{"lifetime_s": 0}"#)),
+            refused(missing, json_body("{}")),
         ]),
         ("post", "/v1/tokens") => Some(vec![
             refused(bad, json_body("")),

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from waypost.connection import Connection, resource
 from waypost.v1 import token_pb2
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 
 class TokenCalls:
@@ -11,20 +16,53 @@ class TokenCalls:
 
     _connection: Connection
 
-    def create_token(self, token_id: str, role: token_pb2.Token.Role) -> tuple[token_pb2.Token, str]:
+    def create_token(
+        self,
+        token_id: str,
+        role: token_pb2.Token.Role,
+        *,
+        abilities: Iterable[token_pb2.Token.Ability] = (),
+        maps: Iterable[str] = (),
+        lifetime_s: int | None = None,
+    ) -> tuple[token_pb2.Token, str]:
         """Makes a token; gives it with its secret, which the server does not keep.
 
         Args:
             token_id: 1 to 63 of a-z, 0-9, - and _, beginning with a letter or digit.
-            role: `token_pb2.Token.ROLE_ROBOT` or `ROLE_ADMIN`.
+            role: `token_pb2.Token.ROLE_READER`, `ROLE_ROBOT` or `ROLE_ADMIN`.
+            abilities: What a robot's may do, where that is less than all, as in `ABILITY_LOCALIZE`.
+            maps: The maps that it reaches: names, or the beginning of names and an asterisk. All if left out.
+            lifetime_s: After how many seconds it expires; never if left out.
 
         Raises:
             AlreadyExists: If there is one of that name.
-            FailedPrecondition: If the first token is not an admin's.
+            FailedPrecondition: If the first token is not an admin's, or is limited.
         """
-        request = token_pb2.CreateTokenRequest(token_id=token_id, role=role)
+        request = token_pb2.CreateTokenRequest(
+            token_id=token_id, role=role, abilities=abilities, maps=maps, lifetime_s=lifetime_s
+        )
         made = self._connection.call(self._connection.tokens.CreateToken, request)
         return made.token, made.secret
+
+    def rotate_token(
+        self, name: str, *, overlap_s: int | None = None, lifetime_s: int | None = None
+    ) -> tuple[token_pb2.Token, str]:
+        """Gives a token a new secret; gives it with that.
+
+        Args:
+            name: Name of the token.
+            overlap_s: For how many seconds the secret before stays good, at most a week; an hour if left out.
+            lifetime_s: After how many seconds from now it expires; when it would have, if left out.
+
+        Raises:
+            NotFound: If there is no such token.
+            FailedPrecondition: If it has expired and no lifetime is given.
+        """
+        request = token_pb2.RotateTokenRequest(
+            name=resource("tokens", name), overlap_s=overlap_s, lifetime_s=lifetime_s
+        )
+        rotated = self._connection.call(self._connection.tokens.RotateToken, request)
+        return rotated.token, rotated.secret
 
     def tokens(self) -> list[token_pb2.Token]:
         """All tokens, by name."""

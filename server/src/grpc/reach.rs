@@ -1,0 +1,82 @@
+//! Which maps a call names, checked before it is served.
+
+use std::sync::Arc;
+
+use http::Extensions;
+use tonic::Request;
+use waypost_proto::v1;
+
+use crate::error::ServiceError;
+use crate::service::tokens::Caller;
+
+/// A request that names maps, or what is in them.
+pub(super) trait NamesMaps {
+    /// Names of resources, as in `maps/{map}/sessions/{session}`.
+    fn resources(&self) -> Vec<&str>;
+}
+
+macro_rules! names_maps {
+    ($($request:ident: $($field:ident),+;)+) => {$(
+        impl NamesMaps for v1::$request {
+            fn resources(&self) -> Vec<&str> {
+                vec![$(&self.$field),+]
+            }
+        }
+    )+};
+}
+
+names_maps! {
+    AddRelativePoseRequest: frame, earlier_frame;
+    CancelGoalRequest: name;
+    CompactMapRequest: name;
+    DeleteLabelRequest: place;
+    DeleteMapRequest: name;
+    DeleteSessionRequest: name;
+    ExplainFrameRequest: name;
+    ExportMapRequest: name;
+    ExportPosesRequest: name;
+    GetAppearanceGraphRequest: map;
+    GetFrameImageRequest: name;
+    GetFramePictureRequest: name;
+    GetFrameRequest: name;
+    GetMapRequest: name;
+    GetNavigationRequest: name;
+    GetPlaceRequest: name;
+    GetSessionRequest: name;
+    ListFramesRequest: session;
+    ListLabelsRequest: map;
+    ListLoopClosuresRequest: map;
+    ListNavigationsRequest: map;
+    ListPlacesRequest: map;
+    ListSessionsRequest: map;
+    ListWordPlacesRequest: map;
+    PlanRouteRequest: map;
+    QueryRequest: map;
+    RebindMapRequest: name;
+    SetGoalRequest: name;
+    SetLabelRequest: place;
+    TrimMapRequest: name;
+    WatchRequest: map;
+}
+
+/// What a request says, if who sends it reaches all maps that it names.
+pub(super) fn within<T: NamesMaps>(request: Request<T>) -> Result<T, ServiceError> {
+    let (_, extensions, message) = request.into_parts();
+    let caller = caller(&extensions)?;
+    for name in message.resources() {
+        caller.check_resource(name)?;
+    }
+    Ok(message)
+}
+
+/// What a request says, and who sends it, of whom the service asks which maps they reach.
+pub(super) fn with_caller<T>(request: Request<T>) -> Result<(Arc<Caller>, T), ServiceError> {
+    let (_, extensions, message) = request.into_parts();
+    Ok((caller(&extensions)?, message))
+}
+
+/// Who was let in with a request.
+fn caller(extensions: &Extensions) -> Result<Arc<Caller>, ServiceError> {
+    let caller = extensions.get::<Arc<Caller>>().cloned();
+    caller.ok_or_else(|| ServiceError::internal("a call came past the guard"))
+}
