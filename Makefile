@@ -6,17 +6,20 @@ DATA_DIR ?= waypost-data
 TARGET := $(or $(CARGO_TARGET_DIR),target)/release
 # Where the Python client is tested in, with every version pinned.
 PYTHON := $(abspath $(or $(CARGO_TARGET_DIR),target)/python)
+# Where the C++ client is built.
+CPP := $(abspath $(or $(CARGO_TARGET_DIR),target)/cpp)
 
-.PHONY: demo test test-python test-ros test-inspector inspector serve build setup check deny bench
+.PHONY: demo test test-python test-cpp test-ros test-inspector inspector serve build setup check deny bench
 
 # Drive a real recorded sequence through a real server, and compare the loop closures with the truth.
 demo: build
 	$(TARGET)/waypost demo
 
-# All unit, property and end-to-end tests, and then those of the Python client, of docker/, of docs/, of ros/ and of the page.
+# All unit, property and end-to-end tests, and then those of the Python client, of docker/, of docs/, of ros/, of the page and of
+# the C++ client.
 test: setup
 	$(CARGO) test --release --locked --workspace --no-fail-fast
-	$(MAKE) --no-print-directory test-python test-ros test-inspector
+	$(MAKE) --no-print-directory test-python test-ros test-inspector test-cpp
 
 test-python: build
 	scripts/setup-python $(PYTHON)
@@ -33,6 +36,13 @@ test-ros: build
 test-inspector: build
 	scripts/setup-inspector
 	cd inspector && WAYPOST_BINARIES=$(abspath $(TARGET)) npm run --silent test
+
+# The C++ client on real servers. Speed is not what its tests are about: it is compiled in a minute.
+test-cpp: build
+	scripts/setup-cpp
+	cmake -S client/cpp -B $(CPP) -DCMAKE_CXX_FLAGS=-O1 >/dev/null
+	cmake --build $(CPP) --parallel 2 -- --no-print-directory --silent
+	cd $(CPP) && WAYPOST_BINARIES=$(abspath $(TARGET)) ctest --parallel 2 --output-on-failure
 
 # Build the page anew into server/inspector, which the server embeds.
 inspector:
