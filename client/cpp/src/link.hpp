@@ -23,8 +23,8 @@ struct Monitor {
 };
 
 // An open stream, driven by gRPC's own threads. All methods are called with the monitor's lock held. gRPC never calls
-// back from within them, so that the lock is never taken twice. Whoever has it cancels it before dropping it. No thread of
-// gRPC may drop it: with the last of a channel, that thread would wait for its own end.
+// back from within them, so that the lock is never taken twice. Whoever has it cancels it before dropping it. No thread
+// of gRPC may drop it: with the last of a channel, that thread would wait for its own end.
 template <class Request, class Response>
 class Link final : public grpc::ClientBidiReactor<Request, Response> {
  public:

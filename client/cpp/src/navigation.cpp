@@ -22,7 +22,11 @@ std::string new_run_id() {
 
 }  // namespace
 
-bool Command::is_stop() const noexcept { return !(forward_m_s < 0 || forward_m_s > 0 || turn_rad_s < 0 || turn_rad_s > 0); }
+bool Command::is_stop() const noexcept {
+  const bool drives = forward_m_s < 0 || forward_m_s > 0;
+  const bool turns = turn_rad_s < 0 || turn_rad_s > 0;
+  return !drives && !turns;
+}
 
 NavigationExchange::NavigationExchange(std::shared_ptr<const Connection> connection, NavigationOptions options)
     : connection_(std::move(connection)),

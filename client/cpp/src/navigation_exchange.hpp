@@ -18,7 +18,8 @@
 
 namespace waypost {
 
-// This side of a navigation. Its worker, a thread of its own, talks to the server. The monitor guards all but constants.
+// This side of a navigation. Its worker, a thread of its own, talks to the server. The monitor guards all but
+// constants.
 class NavigationExchange {
  public:
   // Returns once the navigation is open; throws why it is not.

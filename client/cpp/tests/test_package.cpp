@@ -1,9 +1,11 @@
 // What users copy: the README's blocks, the examples, and the package once it is installed.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <fstream>
 #include <iterator>
 #include <regex>
+#include <sstream>
 
 #include "robot.hpp"
 #include "support.hpp"
@@ -27,6 +29,21 @@ bool has_block(const std::string& page, const std::string& language, const std::
   return page.find("```" + language + "\n" + code + "```\n") != std::string::npos;
 }
 
+// The lines of all blocks of a language, without their indentation.
+std::vector<std::string> blocks(const std::string& page, const std::string& language) {
+  std::vector<std::string> lines;
+  std::istringstream in(page);
+  bool inside = false;
+  for (std::string line; std::getline(in, line);) {
+    if (line.rfind("```", 0) == 0) {
+      inside = line == "```" + language;
+    } else if (const std::size_t begin = line.find_first_not_of(' '); inside && begin != std::string::npos) {
+      lines.push_back(line.substr(begin));
+    }
+  }
+  return lines;
+}
+
 std::size_t lines_of(const fs::path& file) {
   const std::string text = read(file);
   return static_cast<std::size_t>(std::count(text.begin(), text.end(), '\n'));
@@ -39,6 +56,16 @@ TEST(Package, TheReadmeShowsWhatIsBuilt) {
   EXPECT_TRUE(has_block(page, "cmake", read(package / "tests/consumer/CMakeLists.txt"))) << "another CMakeLists.txt";
   EXPECT_LE(lines_of(package / "examples/map_folder.cpp"), 60U);
   EXPECT_LE(lines_of(package / "examples/navigate.cpp"), 60U);
+}
+
+TEST(Package, TheGuideShowsLinesOfTheExamples) {
+  const std::string page = read(WAYPOST_REPOSITORY "/docs/guide/src/cpp.md");
+  const std::string examples = read(package / "examples/map_folder.cpp") + read(package / "examples/navigate.cpp");
+  const std::vector<std::string> shown = blocks(page, "cpp");
+  EXPECT_GE(shown.size(), 5U);
+  for (const std::string& line : shown) EXPECT_NE(examples.find(" " + line + "\n"), std::string::npos) << line;
+  const std::string project = read(package / "tests/consumer/CMakeLists.txt");
+  for (const std::string& line : blocks(page, "cmake")) EXPECT_NE(project.find(line + "\n"), std::string::npos) << line;
 }
 
 TEST(Package, TheVersionIsThatOfTheServer) {

@@ -30,7 +30,11 @@ class Peer final : public v1::SessionService::Service {
     server_ = builder.BuildAndStart();
     address_ = "127.0.0.1:" + std::to_string(port);
   }
-  ~Peer() override { server_->Shutdown(std::chrono::system_clock::now()); }
+  ~Peer() override {
+    server_->Shutdown(std::chrono::system_clock::now());
+    // Whatever its last script wrote is seen here.
+    const std::lock_guard lock(mutex_);
+  }
 
   const std::string& address() const { return address_; }
   std::vector<std::vector<std::uint64_t>> sent() {

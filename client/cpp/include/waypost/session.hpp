@@ -96,7 +96,8 @@ class Session {
 
   // Sends a frame without waiting for its answer; waits only while the window is full.
   void post(Frame frame);
-  // As `post`, but never waits: false if the window is full, and the frame is left as it was. For callbacks of a camera.
+  // As `post`, but never waits: false if the window is full, and the frame is left as it was. For callbacks of a
+  // camera.
   bool try_post(Frame&& frame);
   // The outcome of the next frame that was posted; none once the session is finished and every frame had its own.
   std::optional<FrameOutcome> receive();
