@@ -153,7 +153,14 @@ void Server::kill() {
   process_ = 0;
 }
 
-void Server::freeze() { ::kill(process_, SIGSTOP); }
+void Server::freeze() {
+  ::kill(process_, SIGSTOP);
+  // Its threads stop one after the other: until the last one has, a quick call would still be answered.
+  int status = 0;
+  if (::waitpid(process_, &status, WUNTRACED) != process_ || !WIFSTOPPED(status)) {
+    throw std::runtime_error("the server did not stop");
+  }
+}
 void Server::thaw() { ::kill(process_, SIGCONT); }
 
 const std::vector<fs::path>& images() {

@@ -52,12 +52,13 @@ TEST(Connecting, AFrozenServerIsNotWaitedForLongerThanAsked) {
   const TemporaryFolder folder;
   Server server(folder / "data");
   ClientOptions options(server.address());
-  options.call_timeout = 300ms;
+  // Long enough to connect on a busy machine.
+  options.call_timeout = 2s;
   const Client client = Client::connect(options);
   server.freeze();
   const auto begin = std::chrono::steady_clock::now();
   thrown<ServerUnreachable>([&] { client.maps(); });
-  EXPECT_LT(std::chrono::steady_clock::now() - begin, 3s);
+  EXPECT_LT(std::chrono::steady_clock::now() - begin, 20s);
   server.thaw();
 }
 
