@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use tokio::net::TcpListener;
+use waypost_proto::flags::seconds;
 
 use crate::clock::in_words;
 use crate::config::Config;
@@ -35,21 +36,6 @@ pub struct TokenLimits {
     /// After how long it expires, as in 90s, 12h or 30d
     #[arg(long = "expires-in", value_name = "TIME", value_parser = seconds)]
     pub lifetime_s: Option<u32>,
-}
-
-/// A length of time in seconds, of a number and a unit as in `90s`, `45m`, `12h` or `30d`.
-fn seconds(text: &str) -> Result<u32, String> {
-    let wrong = || format!("{text:?} is no time; write a number and s, m, h or d, as in 12h or 30d");
-    let unit = text.chars().last().ok_or_else(wrong)?;
-    let in_seconds = match unit {
-        's' => 1,
-        'm' => 60,
-        'h' => 60 * 60,
-        'd' => 24 * 60 * 60,
-        _ => return Err(wrong()),
-    };
-    let number: u32 = text[..text.len() - unit.len_utf8()].parse().map_err(|_| wrong())?;
-    number.checked_mul(in_seconds).ok_or_else(|| format!("{text} is more than 136 years; say less"))
 }
 
 /// Makes a token in `data_dir`; gives its secret, which is kept nowhere.
@@ -234,19 +220,4 @@ async fn check_addresses(config: &Config) -> Result<String, String> {
         }
     }
     Ok(format!("{} and {} are free", config.grpc_address, config.http_address))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn times_are_a_number_and_a_unit() {
-        for (text, expected) in [("1s", 1), ("90s", 90), ("45m", 2700), ("12h", 43_200), ("30d", 2_592_000)] {
-            assert_eq!(seconds(text), Ok(expected), "{text}");
-        }
-        for bad in ["", "30", "d", "1.5h", "-1d", "1 d", "30 days", "1w", "5ä", "4294967296s", "50000d"] {
-            assert!(seconds(bad).is_err(), "{bad}");
-        }
-    }
 }

@@ -6,6 +6,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use clap::{Args, Subcommand};
 use serde_json::json;
 use waypost_client::{Client, ClientOptions, v1};
+use waypost_proto::flags::seconds;
 
 use crate::failure::Failure;
 use crate::output::{Output, table};
@@ -128,21 +129,6 @@ const MINUTE_S: u32 = 60;
 const HOUR_S: u32 = 60 * MINUTE_S;
 const DAY_S: u32 = 24 * HOUR_S;
 
-/// A length of time in seconds, of a number and a unit as in `90s`, `45m`, `12h` or `30d`.
-fn seconds(text: &str) -> Result<u32, String> {
-    let wrong = || format!("{text:?} is no time; write a number and s, m, h or d, as in 12h or 30d");
-    let unit = text.chars().last().ok_or_else(wrong)?;
-    let in_seconds = match unit {
-        's' => 1,
-        'm' => MINUTE_S,
-        'h' => HOUR_S,
-        'd' => DAY_S,
-        _ => return Err(wrong()),
-    };
-    let number: u32 = text[..text.len() - unit.len_utf8()].parse().map_err(|_| wrong())?;
-    number.checked_mul(in_seconds).ok_or_else(|| format!("{text} is more than 136 years; say less"))
-}
-
 /// A length of time in its largest unit, rounded: `30 d` for anything nearer to that than to 29 or 31.
 fn in_words(time: Duration) -> String {
     let seconds = time.as_secs_f64();
@@ -158,16 +144,6 @@ fn in_words(time: Duration) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn times_are_a_number_and_a_unit() {
-        for (text, expected) in [("1s", 1), ("90s", 90), ("45m", 2700), ("12h", 43_200), ("30d", 2_592_000)] {
-            assert_eq!(seconds(text), Ok(expected), "{text}");
-        }
-        for bad in ["", "30", "d", "1.5h", "-1d", "1 d", "30 days", "1w", "5ä", "4294967296s", "50000d"] {
-            assert!(seconds(bad).is_err(), "{bad}");
-        }
-    }
 
     #[test]
     fn what_is_left_is_told_in_one_unit() {

@@ -38,7 +38,7 @@ async fn a_token_expires_and_ends_its_streams() {
     let (code, message) = refused(Err::<(), _>(ended.await));
     assert_status("watch", (code, &message), Code::Unauthenticated, "expired at");
     let (code, message) = refused(guest.maps().await);
-    let says = "UTC; ask who runs the server to make another, or to renew this one";
+    let says = "Z; ask who runs the server to make another, or to renew this one";
     assert_status("later", (code, &message), Code::Unauthenticated, says);
 
     let rotation = v1::RotateTokenRequest { name: "guest".to_owned(), ..Default::default() };
@@ -109,7 +109,7 @@ async fn limits_and_rotation_are_on_both_command_lines() {
     for (wrong, says) in [
         (&["--role", "reader", "--may", "stream"][..], "a reader may read, and not stream"),
         (&["--role", "robot", "--map", "*"], "leave them out for all maps"),
-        (&["--role", "robot", "--expires-in", "30"], "write a number and s, m, h or d"),
+        (&["--role", "robot", "--expires-in", "30"], "write a whole number and its unit"),
     ] {
         let (code, _, stderr) = offline(&[&["create", "wrong"], wrong].concat());
         assert!(code != 0 && stderr.contains(says), "{wrong:?}: {stderr}");
