@@ -25,35 +25,36 @@ impl Asking {
         if yes { Self::Never } else { Self::OnATerminal }
     }
 
-    /// Scripts are not asked: nobody would answer.
+    /// Asks before something is lost for good. Where nobody can answer, that is a no.
     ///
     /// # Errors
-    /// [`Failure`] if somebody says no.
-    pub(crate) fn confirm(self, question: &str) -> Result<(), Failure> {
-        if self == Self::Never || !io::stdin().is_terminal() || !io::stderr().is_terminal() {
-            return Ok(());
-        }
-        // If stderr is closed, nobody sees the question, and silence is no yes.
-        let _ = write!(io::stderr(), "{question} [y/N] ");
-        let mut answer = String::new();
-        io::stdin().read_line(&mut answer).map_err(Failure::file("read", Path::new("the answer")))?;
-        agreed(&answer)
+    /// [`Failure`] if somebody says no, or nobody anything.
+    pub(crate) fn confirm_loss(self, question: &str) -> Result<(), Failure> {
+        self.confirm(question, || format!("{question}\nnothing was done; give --yes if that is meant"))
     }
-}
 
-impl Asking {
     /// Asks about something that seems wrong. Where nobody can answer, that is a no.
     ///
     /// # Errors
     /// [`Failure`] if somebody says no, or nobody anything.
     pub(crate) fn confirm_doubt(self, doubt: &str) -> Result<(), Failure> {
+        let unanswered = || format!("{doubt}\nnothing was sent; mend the file, or give --yes if it is right");
+        self.confirm(&format!("{doubt}\nstream it as it is?"), unanswered)
+    }
+
+    fn confirm(self, question: &str, unanswered: impl FnOnce() -> String) -> Result<(), Failure> {
         let is_asked = io::stdin().is_terminal() && io::stderr().is_terminal();
         match self {
             Self::Never => Ok(()),
-            Self::OnATerminal if is_asked => self.confirm(&format!("{doubt}\nstream it as it is?")),
-            Self::OnATerminal => Err(Failure::Unfit(format!(
-                "{doubt}\nnothing was sent; mend the file, or give --yes if it is right"
-            ))),
+            Self::OnATerminal if !is_asked => Err(Failure::Unfit(unanswered())),
+            Self::OnATerminal => {
+                // If stderr is closed, nobody sees the question, and silence is no yes.
+                let _ = write!(io::stderr(), "{question} [y/N] ");
+                let mut answer = String::new();
+                let read = io::stdin().read_line(&mut answer);
+                read.map_err(Failure::file("read", Path::new("the answer")))?;
+                agreed(&answer)
+            }
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Odometry in other units than it should have: nothing that a robot does looks like that.
+//! Odometry in other units or axes than it should have: nothing that a robot does looks like that.
 
 use crate::odometry::StampedPose;
 
@@ -21,9 +21,32 @@ const LEAST_STEPS: usize = 20;
 const ALONG: f64 = 0.2;
 const ACROSS: f64 = 0.4;
 
-/// What seems to be in other units, a sentence each.
+/// A robot that rises or falls for a larger share of its way drives up walls: steps go up by less than 45 degrees.
+const DOUBTFUL_RISE: f64 = 0.5;
+
+/// Ways that are too short to tell how they rise.
+const LEAST_WAY_M: f64 = 2.0;
+
+/// What seems to be in other units or axes, a sentence each.
 pub(crate) fn doubts(poses: &[StampedPose]) -> Vec<String> {
-    [centimetres(poses), degrees(poses)].into_iter().flatten().collect()
+    [centimetres(poses), degrees(poses), optical_axes(poses)].into_iter().flatten().collect()
+}
+
+/// Axes of a camera, where z is ahead and not up.
+fn optical_axes(poses: &[StampedPose]) -> Option<String> {
+    let (mut way_m, mut risen_m) = (0.0, 0.0);
+    for pair in poses.windows(2) {
+        let [x_m, y_m, z_m] =
+            [0, 1, 2].map(|axis| pair[1].pose.position_m[axis] - pair[0].pose.position_m[axis]);
+        way_m += x_m.hypot(y_m).hypot(z_m);
+        risen_m += z_m.abs();
+    }
+    (way_m > LEAST_WAY_M && risen_m > DOUBTFUL_RISE * way_m).then(|| {
+        format!(
+            "by its odometry the robot rises and falls for {risen_m:.1} m of a way of {way_m:.1} m: are its axes those of a \
+             camera, with z ahead, and not x forward, y left, z up?"
+        )
+    })
 }
 
 /// Seconds between a pose and the next.
@@ -138,6 +161,30 @@ mod tests {
         let in_centimetres = doubts(&curve(100.0, 1.0));
         assert!(in_centimetres.len() == 1 && in_centimetres[0].contains("180 km/h"), "{in_centimetres:?}");
         assert_eq!(doubts(&curve(1000.0, 57.3)).len(), 2);
+    }
+
+    /// A round of 30 m by axes that are given from ahead and to the left.
+    fn round(axes: impl Fn(f64, f64) -> [f64; 3]) -> Vec<StampedPose> {
+        let row = |step: i64| {
+            let (sine, cosine) = (step as f64 * 0.1).sin_cos();
+            let [x_m, y_m, z_m] = axes(5.0 * sine, 5.0 * (1.0 - cosine));
+            format!("{} {x_m} {y_m} {z_m} 0 0 0 1", step + 1)
+        };
+        parse(&(0..63).map(row).collect::<Vec<_>>().join("\n")).unwrap()
+    }
+
+    #[test]
+    fn axes_of_a_camera_are_noticed() {
+        let optical = doubts(&round(|ahead_m, left_m| [-left_m, 0.0, ahead_m]));
+        assert!(optical.len() == 1 && optical[0].contains("with z ahead"), "{optical:?}");
+        // Level, up a hill and down again, and on a bumpy way.
+        for poses in [
+            round(|ahead_m, left_m| [ahead_m, left_m, 0.0]),
+            round(|ahead_m, left_m| [ahead_m, left_m, 0.4 * ahead_m]),
+            round(|ahead_m, left_m| [ahead_m, left_m, 0.1 * (40.0 * ahead_m).sin()]),
+        ] {
+            assert_eq!(doubts(&poses), Vec::<String>::new());
+        }
     }
 
     /// A circle that takes so many seconds, a pose a second, with headings times `radians`.

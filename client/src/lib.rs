@@ -1,6 +1,6 @@
 #![doc = include_str!("../README.md")]
 
-pub use calls::events::MapEvents;
+pub use calls::events::{MapEvents, Watched};
 pub use calls::jobs::JobProgress;
 pub use client::Client;
 pub use error::Error;

@@ -7,7 +7,7 @@ import { folder, serve, until } from "./server.mjs";
 
 test("a server with nothing says how to begin; names of models are text", async () => {
     const empty = await serve(join(folder, "empty"));
-    await empty.call(null, "model", "rm", "shipped");
+    await empty.call(null, "model", "rm", "shipped", "--yes");
     const { page, close } = await open("", { url: empty.url });
     await page.getByText("There is no map yet.").waitFor();
     await accessible(page, "no maps");
@@ -105,7 +105,7 @@ test("a model goes out and in by its file, and one that a map uses stays", async
     await page.getByRole("button", { name: "Close" }).click();
 
     const bare = await serve(join(folder, "bare"));
-    await bare.call(null, "model", "rm", "shipped");
+    await bare.call(null, "model", "rm", "shipped", "--yes");
     const other = await open("#/operations", { url: bare.url });
     const models = other.page.getByRole("region", { name: "Models" });
     await models.getByText("There is no model yet").waitFor();

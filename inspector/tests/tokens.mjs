@@ -7,7 +7,7 @@ import { folder, serve, until } from "./server.mjs";
 
 test("the first token is an admin's, is shown once, and is the page's own from then on", async () => {
     const fresh = await serve(join(folder, "fresh"));
-    await fresh.call(null, "model", "rm", "shipped");
+    await fresh.call(null, "model", "rm", "shipped", "--yes");
     const { page, close } = await open("#/operations", { url: fresh.url });
     const tokens = page.getByRole("region", { name: "Tokens" });
     await tokens.getByText("There is none").waitFor();

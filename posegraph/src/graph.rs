@@ -1,6 +1,6 @@
 //! Poses joined by edges that measure how they lie to each other.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use nalgebra::{Isometry3, SMatrix};
 
@@ -221,6 +221,22 @@ impl<P: Pose<D>, const D: usize> PoseGraph<P, D> {
     #[must_use]
     pub fn cost(&self, at: &[P]) -> f64 {
         self.edges.iter().map(|edge| edge.cost(at)).sum()
+    }
+
+    /// The poses that an edge or a fixing says something of, by their numbers in ascending order, and
+    /// the graph of these alone, where they have the numbers from 0 on.
+    #[must_use]
+    pub fn known_part(&self) -> (Vec<usize>, Self) {
+        let ends = self.edges.iter().flat_map(|edge| [edge.from, edge.to]);
+        let known: Vec<usize> =
+            ends.chain(self.fixed.keys().copied()).collect::<BTreeSet<_>>().into_iter().collect();
+        let renumbered: BTreeMap<usize, usize> = known.iter().copied().zip(0..).collect();
+        let edges = self.edges.iter();
+        let edges =
+            edges.map(|edge| Edge { from: renumbered[&edge.from], to: renumbered[&edge.to], ..*edge });
+        let fixed = self.fixed.iter().map(|(pose, at)| (renumbered[pose], *at));
+        let part = Self { poses: known.len(), edges: edges.collect(), fixed: fixed.collect() };
+        (known, part)
     }
 
     /// The poses that do not move: what is fixed, and the lowest of each part where nothing is.

@@ -12,6 +12,7 @@ use figment::{Figment, Metadata, Source};
 use serde::{Deserialize, Serialize};
 use tracing_subscriber::EnvFilter;
 
+use crate::net::origin::Origin;
 use crate::net::standing::Strangers;
 use crate::net::tls::TlsFiles;
 
@@ -23,7 +24,7 @@ use layers::{CommandLine, Environment};
 const PREFIX: &str = "WAYPOST_";
 
 /// Every setting, with how it is written.
-const KEYS: [(&str, &str); 15] = [
+const KEYS: [(&str, &str); 16] = [
     ("data_dir", "a directory, as in \"waypost-data\""),
     ("grpc_address", "an address and a port, as in \"127.0.0.1:7600\""),
     ("http_address", "an address and a port, as in \"127.0.0.1:7601\""),
@@ -36,6 +37,7 @@ const KEYS: [(&str, &str); 15] = [
     ("stranger_connections_per_address", "a whole number from 1 on, as in 64"),
     ("stranger_time_s", "a whole number of seconds from 1 on, as in 30"),
     ("wrong_tokens_per_minute", "a whole number, as in 1000"),
+    ("cors_origins", "origins of pages, as in \"https://fleet.example\" or \"http://127.0.0.1:8080\""),
     ("tls_certificate", "a file, as in \"/etc/waypost/server.crt\""),
     ("tls_key", "a file, as in \"/etc/waypost/server.key\""),
     ("tls_client_ca", "a file, as in \"/etc/waypost/clients.crt\""),
@@ -73,6 +75,8 @@ pub struct Config {
     pub stranger_time_s: NonZeroU32,
     /// Wrong tokens that are taken from one address in a minute.
     pub wrong_tokens_per_minute: u32,
+    /// Pages of these origins may ask over HTTP from a browser; none by default.
+    pub cors_origins: Vec<Origin>,
     /// The server's certificate and those above it, PEM.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tls_certificate: Option<PathBuf>,
@@ -99,6 +103,7 @@ impl Default for Config {
             stranger_connections_per_address: nonzero(64),
             stranger_time_s: nonzero(30),
             wrong_tokens_per_minute: 1000,
+            cors_origins: Vec::new(),
             tls_certificate: None,
             tls_key: None,
             tls_client_ca: None,
@@ -172,6 +177,10 @@ pub struct Flags {
     #[arg(long, value_name = "NUMBER")]
     #[serde(skip_serializing_if = "Option::is_none")]
     wrong_tokens_per_minute: Option<u32>,
+    /// Pages of these origins may ask over HTTP from a browser, as in https://fleet.example; several with commas
+    #[arg(long, value_name = "ORIGINS", value_delimiter = ',')]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cors_origins: Option<Vec<Origin>>,
     /// The server's certificate and those above it (PEM); both listeners then speak TLS
     #[arg(long, value_name = "FILE")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -349,7 +358,8 @@ fn check_file(path: &Path) -> Result<(), ConfigError> {
 }
 
 fn unusable(error: &figment::Error) -> ConfigError {
-    let key = error.path.join(".");
+    // What follows is where in a list it is wrong, which the reason shows.
+    let key = error.path.first().cloned().unwrap_or_default();
     ConfigError::Value {
         origin: origin(error.metadata.as_ref(), &key),
         reason: error.kind.to_string(),

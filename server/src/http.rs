@@ -2,6 +2,7 @@
 
 mod access;
 mod appearance;
+mod cross_origin;
 mod description;
 mod events;
 mod explanations;
@@ -49,6 +50,7 @@ use utoipa_axum::routes;
 
 use crate::error::ServiceError;
 use crate::net::connections::{Came, Connections, Limits, Port};
+use crate::net::origin::Origin;
 use crate::net::standing::Strangers;
 use crate::net::tls::Tls;
 use crate::service::Service;
@@ -76,9 +78,10 @@ pub(crate) async fn serve(
     listener: TcpListener,
     tls: Option<&Tls>,
     strangers: Strangers,
+    cors_origins: Vec<Origin>,
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> anyhow::Result<()> {
-    let routes = router(service)?;
+    let routes = router(service, cors_origins)?;
     let routes = match tls {
         Some(_) => routes.layer(map_response(pages::encrypted_alone)),
         None => routes,
@@ -118,9 +121,11 @@ fn worth_compressing() -> impl Predicate {
     DefaultPredicate::new().and(NotForContentType::const_new("application/octet-stream"))
 }
 
-fn router(service: Arc<Service>) -> anyhow::Result<Router> {
+fn router(service: Arc<Service>, cors_origins: Vec<Origin>) -> anyhow::Result<Router> {
+    let cross_origin = cross_origin::layer(&cors_origins);
+    let asked = access::Asked { service: service.clone(), origins: cors_origins.into() };
     let (api, description) = api().split_for_parts();
-    Ok(api
+    let routes = api
         .merge(description::routes(&description)?)
         .merge(inspector::routes())
         .route("/healthz", get(alive))
@@ -129,11 +134,16 @@ fn router(service: Arc<Service>) -> anyhow::Result<Router> {
         .fallback(nowhere)
         .method_not_allowed_fallback(wrong_method)
         .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
-        .layer(from_fn_with_state(service.clone(), access::guard))
+        .layer(from_fn_with_state(asked, access::guard))
         .layer(from_fn_with_state(service.clone(), requests::watch))
         .with_state(service)
         .layer(CompressionLayer::new().compress_when(worth_compressing()))
-        .layer(map_response(pages::harmless)))
+        .layer(map_response(pages::harmless));
+    // Outside of the guard: a browser asks whether it may ask before it sends a token.
+    Ok(match cross_origin {
+        Some(layer) => routes.layer(layer),
+        None => routes,
+    })
 }
 
 /// The routes and their description at once, so that neither knows what the other does not.

@@ -30,6 +30,7 @@ use std::time::Duration;
 
 use tokio::net::TcpListener;
 
+pub use crate::net::origin::{NoOrigin, Origin};
 pub use crate::net::standing::Strangers;
 pub use crate::net::tls::{Tls, TlsError, TlsFiles};
 pub use crate::role::{Ability, Role};
@@ -56,6 +57,7 @@ pub struct Server {
     tls: Option<Tls>,
     map_memory_bytes: u64,
     strangers: Strangers,
+    cors_origins: Vec<Origin>,
 }
 
 /// A server without any token was to listen where others can reach it.
@@ -82,7 +84,7 @@ impl Server {
         let defaults = Config::default();
         let map_memory_bytes = defaults.map_memory_bytes();
         let strangers = defaults.strangers();
-        Ok(Self { service, tls: None, map_memory_bytes, strangers })
+        Ok(Self { service, tls: None, map_memory_bytes, strangers, cors_origins: defaults.cors_origins })
     }
 
     /// A server without any model takes in the one that ships, as `shipped`. One that has models stays as it is.
@@ -110,6 +112,12 @@ impl Server {
     #[must_use]
     pub fn with_strangers(self, strangers: Strangers) -> Self {
         Self { strangers, ..self }
+    }
+
+    /// Pages of these origins may ask over HTTP from a browser.
+    #[must_use]
+    pub fn with_cors_origins(self, origins: Vec<Origin>) -> Self {
+        Self { cors_origins: origins, ..self }
     }
 
     /// How many wrong tokens are taken from one address in a minute.
@@ -164,7 +172,7 @@ impl Server {
                  the network to yourself"
             );
         }
-        let Self { service, tls, map_memory_bytes, strangers } = self;
+        let Self { service, tls, map_memory_bytes, strangers, cors_origins } = self;
         service.start_upkeep(map_memory_bytes);
         let stopping = service.stopping().clone();
         let signal = stopping.clone();
@@ -200,6 +208,7 @@ impl Server {
                     http,
                     tls.as_ref(),
                     strangers,
+                    cors_origins,
                     stopping.clone().cancelled_owned()
                 ),
             )

@@ -141,6 +141,7 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
         stranger_connections_per_address: _,
         stranger_time_s: _,
         wrong_tokens_per_minute,
+        cors_origins,
         tls_certificate: _,
         tls_key: _,
         tls_client_ca: _,
@@ -156,7 +157,8 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
         .await?
         .with_map_memory(map_memory_bytes)
         .with_strangers(strangers)
-        .with_wrong_tokens_per_minute(wrong_tokens_per_minute);
+        .with_wrong_tokens_per_minute(wrong_tokens_per_minute)
+        .with_cors_origins(cors_origins);
     let encrypted = tls.is_some();
     if let Some(tls) = tls {
         server = server.with_tls(tls);

@@ -2,6 +2,7 @@
 
 pub(crate) mod connections;
 pub(crate) mod messages;
+pub(crate) mod origin;
 pub(crate) mod request_id;
 pub(crate) mod standing;
 pub(crate) mod tls;

@@ -74,6 +74,7 @@ mod operations {
 /// REST beside gRPC, and bad values in every field of either.
 mod rest {
     mod bad_table;
+    mod cross_origin;
     mod errors_and_pages;
     mod exports;
     mod openapi;

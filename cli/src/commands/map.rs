@@ -95,7 +95,7 @@ pub(crate) enum Command {
     Compact {
         /// Name of the map
         name: String,
-        /// Do not ask, on a terminal either
+        /// Do not ask: needed where nobody can answer, as in a script
         #[arg(long)]
         yes: bool,
     },
@@ -113,7 +113,7 @@ pub(crate) enum Command {
     Rm {
         /// Name of the map
         name: String,
-        /// Do not ask, on a terminal either
+        /// Do not ask: needed where nobody can answer, as in a script
         #[arg(long)]
         yes: bool,
     },
@@ -152,7 +152,7 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
             listing::show(&client.map(&job::result(job)?, v1::MapView::Basic).await?, output)
         }
         Command::Compact { name, yes } => {
-            Asking::unless(yes).confirm(&format!(
+            Asking::unless(yes).confirm_loss(&format!(
                 "wipe from the disk what was removed from {name}, so that no merge can be undone?"
             ))?;
             let job = client.compact_map(&name).await?;
@@ -163,7 +163,7 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         Command::Watch(watching) => watching::watch(&client, watching, output).await,
         Command::Diff { first, second } => merge::diff(&client, [&first, &second], output).await,
         Command::Rm { name, yes } => {
-            Asking::unless(yes).confirm(&format!("delete the map {name} with all its sessions?"))?;
+            Asking::unless(yes).confirm_loss(&format!("delete the map {name} with all its sessions?"))?;
             client.delete_map(&name).await?;
             output.result(&json!({ "deleted": name }), |out| writeln!(out, "deleted {name}"))
         }

@@ -199,11 +199,23 @@ fn list(merges: &[v1::Merge], output: Output) -> Result<(), Failure> {
                 merge.state().json_name().to_owned(),
                 sources.join(", "),
                 short(&merge.target).to_owned(),
-                merge.error.as_ref().map_or_else(String::new, |error| error.message.clone()),
+                why(merge),
             ]
         });
-        table(out, ["MERGE", "STATE", "MAPS", "INTO", "ERROR"], rows)
+        table(out, ["MERGE", "STATE", "MAPS", "INTO", "WHY"], rows)
     })
+}
+
+/// Why the maps did not become one: what failed, or why none of them overlaps.
+fn why(merge: &v1::Merge) -> String {
+    if let Some(error) = &merge.error {
+        return error.message.clone();
+    }
+    let reason = |source: &v1::MergeSource| match &source.outcome {
+        Some(Outcome::NoOverlapReason(reason)) => Some(format!("{}: {reason}", short(&source.map))),
+        Some(Outcome::Overlap(_)) | None => None,
+    };
+    merge.sources.iter().filter_map(reason).collect::<Vec<_>>().join("; ")
 }
 
 fn show(merge: &v1::Merge, output: Output) -> Result<(), Failure> {

@@ -13,7 +13,7 @@ use waypost_client::{Client, ClientOptions, v1};
 
 use super::job;
 use crate::failure::Failure;
-use crate::files::Replacing;
+use crate::files::{Asking, Replacing};
 use crate::images::{ImageFile, images_of};
 use crate::names::short;
 use crate::output::{Output, mebibytes, table};
@@ -65,6 +65,9 @@ pub(crate) enum Command {
     Rm {
         #[arg(help = MODEL_HELP)]
         name: String,
+        /// Do not ask: needed where nobody can answer, as in a script
+        #[arg(long)]
+        yes: bool,
     },
 }
 
@@ -117,8 +120,16 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         Command::Rename { name, display_name } => {
             show(&Client::connect(server).await?.rename_model(&name, &display_name).await?, output)
         }
-        Command::Rm { name } => {
-            Client::connect(server).await?.delete_model(&name).await?;
+        Command::Rm { name, yes } => {
+            let client = Client::connect(server).await?;
+            let model = client.model(&name).await?;
+            let called = match model.display_name.as_str() {
+                "" => short(&model.name),
+                name => name,
+            };
+            Asking::unless(yes)
+                .confirm_loss(&format!("delete the model {called}? `waypost model export` keeps a copy"))?;
+            client.delete_model(&model.name).await?;
             output.result(&json!({ "deleted": name }), |out| writeln!(out, "deleted {name}"))
         }
     }

@@ -32,7 +32,7 @@ pub(crate) enum Command {
         map: String,
         /// Name of the session
         session: String,
-        /// Do not ask, on a terminal either
+        /// Do not ask: needed where nobody can answer, as in a script
         #[arg(long)]
         yes: bool,
     },
@@ -48,7 +48,7 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         }
         Command::Rm { map, session, yes } => {
             Asking::unless(yes)
-                .confirm(&format!("delete {session} from the map {map}? it cannot be undone"))?;
+                .confirm_loss(&format!("delete {session} from the map {map}? it cannot be undone"))?;
             let map = map.strip_prefix("maps/").unwrap_or(&map);
             let name = format!("maps/{map}/sessions/{session}");
             let job = client.delete_session(&name).await?;

@@ -218,6 +218,7 @@ async fn tell_states(
     output: Output,
 ) -> Failure {
     let mut before = None;
+    let mut was_lost = false;
     loop {
         let told = guidance.borrow_and_update().clone().unwrap_or_default();
         let state = (told.status(), told.detail.clone());
@@ -225,6 +226,14 @@ async fn tell_states(
             let why = state.1.as_deref().map_or_else(String::new, |why| format!(": {why}"));
             if let Err(failure) = output.line(format_args!("{}{why}", status_name(state.0))) {
                 return failure;
+            }
+            if state.0 == v1::NavigationStatus::Lost && !was_lost {
+                was_lost = true;
+                // If stderr is closed, the hint is lost.
+                let _ = writeln!(
+                    io::stderr(),
+                    "if it stays lost: was the map made with another --world, --route or --seed?"
+                );
             }
             before = Some(state);
         }

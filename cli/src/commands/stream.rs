@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use waypost_client::{Client, ClientOptions, SessionOptions, v1};
 
-use self::opening::{Opened, Reading, check_same_images, declared_camera, recording};
+use self::opening::{Opened, Reading, check_resumed, declared_camera, recording};
 use self::summary::conclude;
 pub(crate) use self::telling::closure_line;
 use self::telling::{short_sequence_hint, tell};
@@ -77,7 +77,7 @@ pub(crate) struct Arguments {
     /// Replace a file that is there
     #[arg(long, requires = "csv")]
     force: bool,
-    /// Do not ask about odometry that seems to be in other units
+    /// Do not ask about odometry that seems to be wrong or missing
     #[arg(long)]
     yes: bool,
 }
@@ -138,7 +138,8 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let after_sequence = if wants_all_rows { 0 } else { committed.unwrap_or(0) };
     let to_stream = unstreamed(&replay, committed, after_sequence, &opened.session)?;
     if let (Some(committed), v1::SessionMode::Map) = (committed, mode) {
-        check_same_images(&client, (&map, &opened.session), &replay, committed).await?;
+        let asking = Asking::unless(yes);
+        check_resumed(&client, (&map, &opened.session), &replay, committed, asking).await?;
     }
     match committed {
         Some(sequence) => output.line(format_args!("{} resumed after frame {sequence}", opened.session))?,

@@ -34,7 +34,10 @@ pub(crate) enum VideoError {
         .0.display()
     )]
     NoFfmpeg(PathBuf),
-    #[error("{}: ffmpeg cannot read it: {why}", path.display())]
+    #[error(
+        "{}: ffmpeg cannot read it: {why}; is it a whole video? one whose recording was cut off may have no end to open it by",
+        path.display()
+    )]
     Unread { path: PathBuf, why: String },
     #[error("{} shows nothing; is it a recording of sound?", .0.display())]
     NoImages(PathBuf),
@@ -68,7 +71,10 @@ pub(crate) async fn images_of_video(path: &Path, rate_hz: f64) -> Result<Video, 
         _ => VideoError::Unread { path: path.to_owned(), why: error.to_string() },
     })?;
     let said = String::from_utf8_lossy(&ended.stderr);
-    let why = said.lines().map(str::trim).find(|line| !line.is_empty());
+    let why = said.lines().map(without_part_of_ffmpeg).find(|line| !line.is_empty());
+    if why.is_some_and(|why| why.contains("matches no streams")) {
+        return Err(VideoError::NoImages(path.to_owned()));
+    }
     if !ended.status.success() {
         let why = why.unwrap_or("it does not say why").to_owned();
         return Err(VideoError::Unread { path: path.to_owned(), why });
@@ -93,6 +99,13 @@ pub(crate) async fn images_of_video(path: &Path, rate_hz: f64) -> Result<Video, 
     Ok(Video { images, folder, trouble })
 }
 
+/// What ffmpeg says, without which of its parts says it: `[mov @ 0x5f] moov atom not found`.
+fn without_part_of_ffmpeg(line: &str) -> &str {
+    let line = line.trim();
+    let rest = line.strip_prefix('[').and_then(|line| line.split_once("] "));
+    rest.map_or(line, |(_, said)| said.trim())
+}
+
 /// A file as ffmpeg takes it, which would read what is before a colon in a name as a protocol.
 fn input(path: &Path) -> OsString {
     let mut input = OsString::from("file:");
@@ -114,6 +127,17 @@ async fn own_rate_hz(path: &Path) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn ffmpeg_is_quoted_without_its_parts() {
+        for (line, said) in [
+            ("[mov,mp4 @ 0x5f] moov atom not found", "moov atom not found"),
+            (" drive.mp4: Invalid data ", "drive.mp4: Invalid data"),
+            ("[it ends here", "[it ends here"),
+        ] {
+            assert_eq!(without_part_of_ffmpeg(line), said);
+        }
+    }
 
     #[test]
     fn a_video_is_known_by_its_name() {

@@ -1,5 +1,7 @@
 //! What happens in maps, while it happens.
 
+use std::time::Duration;
+
 use tokio::time::{Instant, sleep};
 use tonic::Streaming;
 use waypost_proto::v1;
@@ -21,7 +23,9 @@ impl Client {
             client: self.clone(),
             map: map_name(map),
             next_position: from_position,
+            log: String::new(),
             open: None,
+            pause: None,
             backoff: Backoff::new(Reconnection::default()),
         };
         events.open = Some(self.taken(self.events_client().watch(events.request()).await)?);
@@ -37,9 +41,27 @@ pub struct MapEvents {
     map: String,
     /// To go on from; `None` while nobody has said where the log ends.
     next_position: Option<u64>,
+    /// The log that positions are of; empty while nobody has named it.
+    log: String,
     /// `None` while it is broken.
     open: Option<Streaming<v1::MapEvent>>,
+    /// Before the next attempt to open it; `None` where none has failed.
+    pause: Option<Duration>,
     backoff: Backoff,
+}
+
+/// What a watch comes to.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Watched {
+    /// Something happened in the map.
+    Event(Box<v1::MapEvent>),
+    /// The connection broke; the watch tries to go on over another one.
+    Disconnected {
+        /// Why it broke.
+        reason: String,
+    },
+    /// It goes on, and has missed nothing.
+    Reconnected,
 }
 
 impl MapEvents {
@@ -57,8 +79,24 @@ impl MapEvents {
     /// it, DATA_LOSS where a frame is damaged on its disk: those behind it are told from the next position on.
     pub async fn next(&mut self) -> Result<v1::MapEvent, Error> {
         loop {
+            match self.next_or_break().await? {
+                Watched::Event(event) => return Ok(*event),
+                Watched::Disconnected { reason: _ } | Watched::Reconnected => {}
+            }
+        }
+    }
+
+    /// Waits for the next event, or tells that the connection broke, and that there is another one.
+    ///
+    /// # Errors
+    /// As [`next`](Self::next).
+    pub async fn next_or_break(&mut self) -> Result<Watched, Error> {
+        loop {
+            if let Some(pause) = self.pause {
+                sleep(pause).await;
+            }
             let reason = match self.next_over_a_connection().await {
-                Ok(event) => return Ok(event),
+                Ok(watched) => return Ok(watched),
                 Err(LinkEnd::Final(error)) => return Err(error),
                 Err(LinkEnd::Broken(reason)) => reason,
             };
@@ -66,12 +104,15 @@ impl MapEvents {
             let Some(delay) = self.backoff.next_delay(Instant::now()) else {
                 return Err(Error::Connection { endpoint: self.client.endpoint().to_owned(), reason });
             };
-            sleep(delay).await;
+            // Of further attempts that fail nothing is told.
+            if self.pause.replace(delay).is_none() {
+                return Ok(Watched::Disconnected { reason });
+            }
         }
     }
 
     /// The next event over the connection that is open, or over a new one.
-    async fn next_over_a_connection(&mut self) -> Result<v1::MapEvent, LinkEnd> {
+    async fn next_over_a_connection(&mut self) -> Result<Watched, LinkEnd> {
         loop {
             let Some(events) = &mut self.open else {
                 let opened = self.client.events_client().watch(self.request()).await;
@@ -82,17 +123,23 @@ impl MapEvents {
             let event = event.ok_or_else(LinkEnd::closed)?;
             self.backoff.progress();
             match &event.event {
-                Some(Event::Started(started)) => self.next_position = Some(started.next_position),
+                Some(Event::Started(started)) => {
+                    self.next_position = Some(started.next_position);
+                    self.log.clone_from(&started.log);
+                    if self.pause.take().is_some() {
+                        return Ok(Watched::Reconnected);
+                    }
+                }
                 Some(Event::Frame(frame)) => {
                     self.next_position = Some(frame.position + 1);
-                    return Ok(event);
+                    return Ok(Watched::Event(Box::new(event)));
                 }
-                Some(Event::Navigation(_)) | None => return Ok(event),
+                Some(Event::Navigation(_)) | None => return Ok(Watched::Event(Box::new(event))),
             }
         }
     }
 
     fn request(&self) -> v1::WatchRequest {
-        v1::WatchRequest { map: self.map.clone(), from_position: self.next_position }
+        v1::WatchRequest { map: self.map.clone(), from_position: self.next_position, log: self.log.clone() }
     }
 }

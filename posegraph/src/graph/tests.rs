@@ -36,6 +36,21 @@ fn ends_must_exist() {
 }
 
 #[test]
+fn what_nothing_is_known_of_is_left_out() {
+    let mut graph = PlanarGraph::new(7);
+    for (from, to) in [(5, 1), (5, 4)] {
+        graph.add_edge(edge(from, to, Matrix3::identity()).unwrap()).unwrap();
+    }
+    let at = PlanarPose::new(1.0, 2.0, 0.5);
+    graph.fix(3, at).unwrap();
+    let (known, part) = graph.known_part();
+    assert_eq!(known, [1, 3, 4, 5]);
+    let ends: Vec<(usize, usize)> = part.edges().iter().map(|edge| (edge.from, edge.to)).collect();
+    assert_eq!((part.poses(), ends, part.fixed()), (4, vec![(3, 0), (3, 2)], &BTreeMap::from([(1, at)])));
+    assert_eq!(PlanarGraph::new(3).known_part(), (Vec::new(), PlanarGraph::new(0)));
+}
+
+#[test]
 fn every_part_is_held_somewhere() {
     let mut graph = PlanarGraph::new(6);
     for (from, to) in [(1, 0), (3, 2), (4, 3)] {

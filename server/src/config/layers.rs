@@ -42,6 +42,9 @@ impl Environment {
             let value = match (key.as_str(), value) {
                 ("allow_anonymous", "true" | "1") => Value::from(true),
                 ("allow_anonymous", "false" | "0") => Value::from(false),
+                ("cors_origins", list) => {
+                    Value::from(list.split(',').map(str::trim).map(Value::from).collect::<Vec<_>>())
+                }
                 (key, number) if NUMBERS.contains(&key) => {
                     number.parse::<u64>().map_or_else(|_| Value::from(number), Value::from)
                 }

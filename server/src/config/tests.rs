@@ -64,6 +64,7 @@ fn nothing_said_means_the_defaults() {
 fn every_key_is_known_and_every_setting_has_one() {
     let all = Config {
         ready_file: Some("ready".into()),
+        cors_origins: vec!["https://a.example".parse().unwrap(), "http://127.0.0.1:8080".parse().unwrap()],
         tls_certificate: Some("crt".into()),
         tls_key: Some("key".into()),
         tls_client_ca: Some("ca".into()),
@@ -77,7 +78,9 @@ fn every_key_is_known_and_every_setting_has_one() {
     let environment: Vec<(OsString, OsString)> = table
         .iter()
         .map(|(key, value)| {
-            let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+            let text = |value: &toml::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+            let list = value.as_array().map(|list| list.iter().map(text).collect::<Vec<_>>().join(","));
+            let value = list.unwrap_or_else(|| text(value));
             (format!("WAYPOST_{}", key.to_uppercase()).into(), value.into())
         })
         .collect();
@@ -126,6 +129,11 @@ fn what_is_wrong_is_named_with_its_source_and_its_form() {
         ),
         (environment("WAYPOST_ALLOW_ANONYMOUS", "perhaps"), "write true or false"),
         (environment("WAYPOST_MAP_MEMORY_MIB", "-1"), "write a whole number of mebibytes"),
+        (
+            environment("WAYPOST_CORS_ORIGINS", "https://a.example,*"),
+            "cors_origins (from the environment, WAYPOST_CORS_ORIGINS) cannot be used: `*` is no origin",
+        ),
+        (refused(&[], "cors_origins = [\"https://a.example/\"]", &[]), "write origins of pages, as in"),
         (environment("WAYPOST_LOG_FORMAT", "xml"), "write \"text\" or \"json\""),
         (environment("WAYPOST_LOG", "a=b=c"), "log (from the environment, WAYPOST_LOG) cannot be used"),
         (

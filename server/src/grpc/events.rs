@@ -13,8 +13,8 @@ impl EventService for Adapter {
     type WatchStream = BoxStream<'static, Result<v1::MapEvent, Status>>;
 
     async fn watch(&self, request: Request<v1::WatchRequest>) -> Result<Response<Self::WatchStream>, Status> {
-        let v1::WatchRequest { map, from_position } = within(request)?;
-        let events = self.service.events.watch(&map, from_position).await?;
+        let v1::WatchRequest { map, from_position, log } = within(request)?;
+        let events = self.service.events.watch(&map, from_position, &log).await?;
         Ok(Response::new(events.map(|event| Ok(map_event(event?))).boxed()))
     }
 }

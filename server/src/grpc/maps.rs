@@ -53,7 +53,7 @@ impl MapService for Adapter {
         request: Request<v1::DeleteMapRequest>,
     ) -> Result<Response<v1::DeleteMapResponse>, Status> {
         let v1::DeleteMapRequest { name } = within(request)?;
-        self.service.maps.delete(&name).await?;
+        self.service.rewriting.delete_map(&name).await?;
         Ok(Response::new(v1::DeleteMapResponse {}))
     }
 

@@ -16,10 +16,12 @@ use http::{HeaderMap, HeaderName, HeaderValue, Method, header};
 use http_body::Body as _;
 
 use super::HttpError;
+use super::cross_origin;
 use super::inspector;
 use crate::error::ServiceError;
 use crate::net::connections::Came;
 use crate::net::messages::{MAX_MESSAGE_BYTES, Room};
+use crate::net::origin::Origin;
 use crate::net::standing::Standing;
 use crate::service::Service;
 use crate::service::tokens::{Access, Admitted, Ending};
@@ -43,8 +45,16 @@ const ROUTES: [(&str, Access); 5] = [
 const TOKENS: &str = "/v1/tokens";
 const MODELS: &str = "/v1/models";
 
+/// What is asked, and by which pages of other origins.
+#[derive(Clone)]
+pub(super) struct Asked {
+    pub(super) service: Arc<Service>,
+    pub(super) origins: Arc<[Origin]>,
+}
+
 /// Serves those who may ask for it, as over gRPC.
-pub(super) async fn guard(State(service): State<Arc<Service>>, mut request: Request, next: Next) -> Response {
+pub(super) async fn guard(State(asked): State<Asked>, mut request: Request, next: Next) -> Response {
+    let Asked { service, origins } = asked;
     let route = request.extensions().get::<MatchedPath>().map(|route| route.as_str().to_owned());
     let access = access(request.method(), request.uri().path(), route.as_deref());
     if access != Access::Open && service.tokens.serve_this_machine() && !addresses_this_machine(&request) {
@@ -55,10 +65,13 @@ pub(super) async fn guard(State(service): State<Arc<Service>>, mut request: Requ
                 .to_owned(),
         });
     }
-    if !request.method().is_safe() && comes_from_another_site(request.headers()) {
+    let foreign =
+        comes_from_another_site(request.headers()) && !cross_origin::is_trusted(request.headers(), &origins);
+    if !request.method().is_safe() && foreign {
         return refusal(ServiceError::PermissionDenied {
             message: "a page of another site asked for this in a browser, and such a page may change nothing here; \
-                      ask from this server's own page, or send a token as `authorization: Bearer SECRET`"
+                      ask from this server's own page, send a token as `authorization: Bearer SECRET`, or name the \
+                      page's origin in the setting cors_origins"
                 .to_owned(),
         });
     }
@@ -243,7 +256,8 @@ mod tests {
         let (_, secret) = service.tokens.create(NewToken::of("reader", Role::Reader)).await.unwrap();
         let guarded = || {
             let routes = Router::new().route("/table", get(endless)).route("/whole", get(async || "whole"));
-            routes.layer(from_fn_with_state(service.clone(), guard))
+            let asked = Asked { service: service.clone(), origins: Arc::from([]) };
+            routes.layer(from_fn_with_state(asked, guard))
         };
         let ask = async |path: &str| {
             let bearer = format!("Bearer {secret}");

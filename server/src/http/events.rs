@@ -45,12 +45,12 @@ impl Parameters for From {
 /// What happens in a map, while it happens, as server-sent events.
 ///
 /// Each event is a line `event: started`, which is the first, `event: frame` or `event: navigation`, and the JSON of a
-/// `MapEvent` as `data`. Frames have their position in the log as `id`, and the start the position before the next: a
-/// browser that connects again goes on behind the last one it had. `event: error` is the last, with the error as `data`,
-/// when the map is deleted, sessions are removed from it, or the server stops.
+/// `MapEvent` as `data`. The start and each frame have an `id`: a browser that connects again goes on behind the last one
+/// it had. It is refused with 409 if sessions were removed from the map meanwhile, or it was made anew. `event: error` is
+/// the last, with the error as `data`, when the map is deleted, sessions are removed from it, or the server stops.
 #[utoipa::path(get, path = "/v1/maps/{map}/events", tag = "maps", operation_id = "watch_map",
     params(MapPath, From,
-        ("Last-Event-ID" = Option<u64>, Header, description = "`id` of the last event that the caller has had.")),
+        ("Last-Event-ID" = Option<String>, Header, description = "`id` of the last event that the caller has had.")),
     responses((status = 200, description = "The events, for as long as the caller listens.", body = v1::MapEvent,
         content_type = "text/event-stream"), Refusals))]
 pub(super) async fn watch_map(
@@ -59,36 +59,52 @@ pub(super) async fn watch_map(
     InQuery(From { from_position }): InQuery<From>,
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, HttpError> {
-    let from = match headers.get(LAST_EVENT_ID) {
-        Some(last) => Some(behind(last.as_bytes())?),
-        None => from_position,
+    let (from, log) = match headers.get(LAST_EVENT_ID) {
+        Some(last) => {
+            let (log, position) = behind(last.as_bytes())?;
+            (Some(position), log)
+        }
+        None => (from_position, String::new()),
     };
-    let events = service.events.watch(&map_name(&map), from).await?;
-    Ok(Sse::new(events.map(|event| Ok(sent(event)))).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
+    let events = service.events.watch(&map_name(&map), from, &log).await?;
+    // The first event names the log.
+    let events = events.scan(String::new(), |log, event| {
+        if let Ok(MapEventView::Started { next_position: _, log: named }) = &event {
+            log.clone_from(named);
+        }
+        std::future::ready(Some(Ok(sent(event, log))))
+    });
+    Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
 }
 
-/// The position behind the last event.
-fn behind(last: &[u8]) -> Result<u64, ServiceError> {
-    let position = std::str::from_utf8(last).ok().and_then(|text| text.parse::<u64>().ok());
-    position.and_then(|position| position.checked_add(1)).ok_or_else(|| {
+/// What a caller that connects again gives back: the log, and the position in it to go on from.
+fn id(log: &str, next_position: u64) -> String {
+    format!("{log}-{next_position}")
+}
+
+/// The log and the position behind the last event.
+fn behind(last: &[u8]) -> Result<(String, u64), ServiceError> {
+    let parts = std::str::from_utf8(last).ok().and_then(|text| text.rsplit_once('-'));
+    let read = parts.and_then(|(log, position)| Some((log.to_owned(), position.parse().ok()?)));
+    read.filter(|(log, _)| !log.is_empty()).ok_or_else(|| {
         ServiceError::invalid(
             "the Last-Event-ID is not one that this server gave; leave it out, or say from_position",
         )
     })
 }
 
-fn sent(event: Result<MapEventView, ServiceError>) -> Event {
+fn sent(event: Result<MapEventView, ServiceError>, log: &str) -> Event {
     let event = match event {
         Ok(view) => {
             let event = message(view);
-            let (name, id) = match &event.event {
-                Some(map_event::Event::Started(started)) => ("started", started.next_position.checked_sub(1)),
-                Some(map_event::Event::Frame(frame)) => ("frame", Some(frame.position)),
+            let (name, next_position) = match &event.event {
+                Some(map_event::Event::Started(started)) => ("started", Some(started.next_position)),
+                Some(map_event::Event::Frame(frame)) => ("frame", Some(frame.position + 1)),
                 Some(map_event::Event::Navigation(_)) | None => ("navigation", None),
             };
             let sent = Event::default().event(name).json_data(&event);
-            sent.map(|sent| match id {
-                Some(id) => sent.id(id.to_string()),
+            sent.map(|sent| match next_position {
+                Some(next_position) => sent.id(id(log, next_position)),
                 None => sent,
             })
         }

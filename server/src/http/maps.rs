@@ -99,7 +99,7 @@ pub(super) async fn delete_map(
     InPath(MapPath { map }): InPath<MapPath>,
     InQuery(Nothing {}): InQuery<Nothing>,
 ) -> Result<Json<v1::DeleteMapResponse>, HttpError> {
-    service.maps.delete(&map_name(&map)).await?;
+    service.rewriting.delete_map(&map_name(&map)).await?;
     Ok(Json(v1::DeleteMapResponse {}))
 }
 

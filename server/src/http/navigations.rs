@@ -71,7 +71,7 @@ pub(super) async fn set_goal(
 fn wanted(headers: &HeaderMap, body: Result<Bytes, BytesRejection>) -> Result<GoalRequest, ServiceError> {
     let unfit = |why: &dyn Display| {
         ServiceError::invalid(format_args!(
-            "{why}; send {{\"place_number\": NUMBER}}, {{\"position\": {{\"part\": 0, \"x_m\": X, \"y_m\": Y}}}} or \
+            "{why}; send {{\"place_number\": NUMBER}}, {{\"position\": {{\"x_m\": X, \"y_m\": Y}}}} or \
              {{\"label\": \"kitchen\"}} as application/json, or a panorama as image/jpeg or image/png"
         ))
     };
@@ -166,7 +166,8 @@ pub(super) struct GoalBody {
 #[serde(deny_unknown_fields)]
 #[schema(as = PositionRequest)]
 struct PositionBody {
-    /// The part of the map whose frame it is in: usually 0.
+    /// The part of the map whose frame it is in: usually 0, which it is if left out.
+    #[serde(default)]
     part: u32,
     x_m: f64,
     y_m: f64,

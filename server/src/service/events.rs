@@ -41,7 +41,7 @@ const TOLD_AGAIN: Duration = Duration::from_secs(1);
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum MapEventView {
     /// The watch goes on from here; always the first.
-    Started { next_position: u64 },
+    Started { next_position: u64, log: String },
     /// A frame was decided; `position` is its own in the log.
     Frame { position: u64, frame: Box<FrameView> },
     /// A robot that is led, without its route.
@@ -62,11 +62,13 @@ impl Events {
         Self { frames, navigation, room: Arc::new(Semaphore::new(MOST_WATCHES)), stopping }
     }
 
-    /// What happens in a map from log position `from` on, or from now on. Ends with an error.
+    /// What happens in a map from log position `from` on, or from now on. Refused if the map has another log than `log`,
+    /// unless that is empty. Ends with an error.
     pub(crate) async fn watch(
         &self,
         name: &str,
         from: Option<u64>,
+        log: &str,
     ) -> Result<BoxStream<'static, Result<MapEventView, ServiceError>>, ServiceError> {
         let map = map_in(name)?;
         let room = self.room.clone().try_acquire_owned().map_err(|_| ServiceError::Unavailable {
@@ -76,6 +78,9 @@ impl Events {
             retry_after: Some(RETRY),
         })?;
         let row = self.frames.open_maps.row(map).await?;
+        if !log.is_empty() && log != log_of(&row) {
+            return Err(other_log(map));
+        }
         let words = self.frames.vocabulary_len(&row).await?;
         // Before the end of the log is read, so that nothing comes between.
         let commits = self.frames.storage.commits_of(row.id);
@@ -87,13 +92,14 @@ impl Events {
                  map, or sessions were removed from it; watch from 0, or from now on"
             )));
         }
+        let started = MapEventView::Started { next_position: next, log: log_of(&row) };
         let watch = Watch {
             events: self.clone(),
             row,
             words,
             next,
             commits,
-            ready: VecDeque::from([MapEventView::Started { next_position: next }]),
+            ready: VecDeque::from([started]),
             told: BTreeMap::new(),
             looked: None,
             _room: room,
@@ -106,6 +112,21 @@ impl Events {
             })
         };
         Ok(stream::unfold(Some(watch), next).boxed())
+    }
+}
+
+/// Names the log of a map as it is now: when the map was made tells it from any other of its name, and each removal of
+/// sessions begins another edition.
+fn log_of(row: &MapRow) -> String {
+    format!("{:x}.{:x}", row.created_ns, row.edition)
+}
+
+fn other_log(map: &str) -> ServiceError {
+    ServiceError::Aborted {
+        message: format!(
+            "sessions were removed from the map {map}, or it was made anew, so that positions in its log mean something \
+             else; watch it again"
+        ),
     }
 }
 
@@ -184,13 +205,7 @@ impl Watch {
         if now.edition() == self.row.edition() {
             return Ok(());
         }
-        Err(ServiceError::Aborted {
-            message: format!(
-                "sessions were removed from the map {}, or it was made anew, so that positions in its log mean something \
-                 else; watch it again",
-                self.row.name
-            ),
-        })
+        Err(other_log(&self.row.name))
     }
 
     async fn read_frames(&mut self) -> Result<(), ServiceError> {

@@ -1,4 +1,4 @@
-//! Maps: create, list, get, delete; their places and loop closures.
+//! Maps: create, list, get; their places and loop closures.
 
 use std::sync::Arc;
 
@@ -8,7 +8,6 @@ use tokio::runtime::Handle;
 use topomap::mapper::Mapper;
 use topomap::settings::MapperSettings;
 
-use super::deleted_maps::DeletedMaps;
 use super::map_names::{MapNames, map_exists};
 use super::models::Models;
 use super::tokens::Caller;
@@ -18,7 +17,7 @@ use crate::ingest::model::{LoadedModel, LoadedModels};
 use crate::map_settings::{self, MapSettings};
 use crate::names::{check_id, map_in, place_in};
 use crate::open_map::answers::{FrameReference, PlacePose, PlaceSummary, WordPlace, reference};
-use crate::open_map::{OpenMaps, no_such_map};
+use crate::open_map::OpenMaps;
 use crate::pages::{Page, named_page, numbered_page, page_after, page_size, rows_of_page};
 use crate::storage::{ClosureRow, MapId, MapRow, Storage, StorageError};
 pub(crate) use crate::storage::{MapBytes, MapCounts};
@@ -68,7 +67,7 @@ pub(crate) struct LoopClosureView {
     pub(crate) probability: Option<f64>,
 }
 
-/// Maps: made, listed, read, deleted. Cheap to clone.
+/// Maps: made, listed, read. Cheap to clone.
 #[derive(Clone, Debug)]
 pub(crate) struct Maps {
     pub(super) storage: Storage,
@@ -76,7 +75,6 @@ pub(crate) struct Maps {
     pub(super) loaded: LoadedModels,
     pub(super) open_maps: OpenMaps,
     pub(super) names: MapNames,
-    pub(super) deleted_maps: DeletedMaps,
 }
 
 impl Maps {
@@ -128,23 +126,6 @@ impl Maps {
             items.push(self.view(row, Detail::Basic).await?);
         }
         Ok(Page { items, next })
-    }
-
-    /// Deletes a map with all it holds. Streams into it end.
-    pub(crate) async fn delete(&self, name: &str) -> Result<(), ServiceError> {
-        let map = map_in(name)?;
-        self.open_maps.row(map).await?;
-        let storage = self.storage.clone();
-        let deleted_maps = self.deleted_maps.clone();
-        let name = map.to_owned();
-        let retire = move |runtime: &Handle| {
-            // Its name is free at once; its rows are deleted in the background.
-            let retired = runtime.block_on(storage.retire_map(&name));
-            deleted_maps.wanted();
-            Ok(retired?)
-        };
-        let deleted = self.open_maps.with_closed(map, retire).await?;
-        if deleted { Ok(()) } else { Err(no_such_map(map)) }
     }
 
     pub(crate) async fn places(

@@ -1,10 +1,13 @@
-//! Maps whose logs are written again: without some sessions, without some places, without what was removed before.
+//! Maps whose logs are written again: without some sessions, without some places, without what was removed before. And maps
+//! that go altogether.
 
+mod deletion;
 mod removal;
 mod trimming;
 
 use std::sync::Arc;
 
+use super::deleted_maps::DeletedMaps;
 use super::jobs::{JobOutcome, JobReporter, JobStatus, Jobs, Stopped};
 use super::navigation::Registry;
 use crate::error::ServiceError;
@@ -23,6 +26,7 @@ pub(crate) struct Rewriting {
     pub(super) open_maps: OpenMaps,
     pub(super) jobs: Jobs,
     pub(super) led: Arc<Registry>,
+    pub(super) deleted_maps: DeletedMaps,
 }
 
 impl Rewriting {

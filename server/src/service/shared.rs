@@ -70,8 +70,8 @@ impl Shared {
     }
 
     pub(super) fn maps(&self, models: &Models) -> Maps {
-        let Self { storage, loaded, open_maps, names, deleted_maps, .. } = self.clone();
-        Maps { storage, models: models.clone(), loaded, open_maps, names, deleted_maps }
+        let Self { storage, loaded, open_maps, names, .. } = self.clone();
+        Maps { storage, models: models.clone(), loaded, open_maps, names }
     }
 
     pub(super) fn appearance(&self) -> AppearanceGraphs {
@@ -91,8 +91,8 @@ impl Shared {
     }
 
     pub(super) fn rewriting(&self) -> Rewriting {
-        let Self { storage, loaded: models, open_maps, jobs, led, .. } = self.clone();
-        Rewriting { storage, models, open_maps, jobs, led }
+        let Self { storage, loaded: models, open_maps, jobs, led, deleted_maps, .. } = self.clone();
+        Rewriting { storage, models, open_maps, jobs, led, deleted_maps }
     }
 
     pub(super) fn navigation(&self, graphs: &AppearanceGraphs, labels: &Labels) -> Navigation {

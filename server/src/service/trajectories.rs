@@ -98,7 +98,7 @@ impl Trajectories {
         })
     }
 
-    /// A map's pose graph as g2o: its places, and the ways between them that were measured.
+    /// A map's pose graph as g2o: the ways between its places that were measured, and the places at their ends.
     pub(crate) async fn pose_graph(&self, name: &str) -> Result<Vec<u8>, ServiceError> {
         let map = map_in(name)?;
         self.frames.open_maps.row(map).await?;
@@ -108,8 +108,10 @@ impl Trajectories {
                 "no way between places of {name} was measured; it takes frames with odometry"
             )));
         }
-        let ids = (0..poses.poses().len() as u64).collect();
-        let graph = NamedGraph::new(ids, poses.graph().clone(), Some(poses.poses().to_vec()));
+        // Places of sessions without odometry are nowhere; a reader would take them for the origin.
+        let (places, graph) = poses.graph().known_part();
+        let at = places.iter().map(|&place| poses.poses()[place]).collect();
+        let graph = NamedGraph::new(places.iter().map(|&place| place as u64).collect(), graph, Some(at));
         Ok(G2o::Planar(graph.map_err(ServiceError::internal)?).write())
     }
 }

@@ -9,7 +9,9 @@ use crate::service::events::MapEventView;
 
 pub(crate) fn map_event(view: MapEventView) -> v1::MapEvent {
     let event = match view {
-        MapEventView::Started { next_position } => Event::Started(v1::WatchStarted { next_position }),
+        MapEventView::Started { next_position, log } => {
+            Event::Started(v1::WatchStarted { next_position, log })
+        }
         MapEventView::Frame { position, frame } => {
             Event::Frame(v1::DecidedFrame { position, frame: Some(listed_frame(*frame)) })
         }

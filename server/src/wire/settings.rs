@@ -91,11 +91,31 @@ pub(crate) fn requested_settings(message: v1::MapSettings) -> Result<MapSettings
     set(&mut mapper.recognizer.filter.new_place_prior, new_place_prior);
     set(&mut mapper.closure_threshold, closure_threshold);
     set(&mut mapper.guard_frames, guard_frames);
-    set(&mut mapper.verification.method, VerificationMethod::read("verification", verification)?);
+    mapper.verification.method = verification_method(
+        settings.keep,
+        VerificationMethod::read("verification", verification)?,
+        mapper.verification.method,
+    )?;
     set(&mut mapper.place_spacing.distance_m, place_spacing_m);
     set(&mut mapper.place_spacing.angle_rad, place_spacing_rad);
     settings.check()?;
     Ok(settings)
+}
+
+/// How views are compared. Where words alone are kept, there is nothing to compare.
+fn verification_method(
+    keep: Keep,
+    asked: Option<VerificationMethod>,
+    usual: VerificationMethod,
+) -> Result<VerificationMethod, ServiceError> {
+    match (keep, asked) {
+        (Keep::Words, None) => Ok(VerificationMethod::None),
+        (Keep::Words, Some(method)) if method.verifies() => Err(ServiceError::invalid(
+            "the map keeps words alone, so there are no features by which a place could be verified: leave \
+             `verification` out, or let the map keep features or images",
+        )),
+        (Keep::Words | Keep::Features | Keep::Images, asked) => Ok(asked.unwrap_or(usual)),
+    }
 }
 
 /// The detector in place of the model's, if there is to be one.
@@ -177,7 +197,7 @@ mod tests {
             [
                 v1::MapSettings { dependence: value.min(2), ..defaults },
                 v1::MapSettings { new_place: value, ..defaults },
-                v1::MapSettings { keep: value.min(3), ..defaults },
+                v1::MapSettings { keep: value.clamp(2, 3), ..defaults },
                 v1::MapSettings { verification: value.min(3), ..defaults },
                 v1::MapSettings { navigation_strategy: value.min(2), ..defaults },
             ]
@@ -187,6 +207,24 @@ mod tests {
             let settings = requested_settings(message).unwrap();
             assert_eq!(settings_message(&settings), message);
             assert_eq!(settings == usual, message == defaults, "{message:?}");
+        }
+    }
+
+    #[test]
+    fn where_words_alone_are_kept_nothing_is_verified() {
+        let of = |verification: wire::Verification| v1::MapSettings {
+            keep: wire::Keep::Words.into(),
+            verification: verification.into(),
+            ..v1::MapSettings::default()
+        };
+        for asked in [wire::Verification::Unspecified, wire::Verification::None] {
+            let settings = requested_settings(of(asked)).unwrap();
+            assert_eq!(settings.mapper.verification.method, VerificationMethod::None, "{asked:?}");
+            assert_eq!(settings_message(&settings).verification(), wire::Verification::None);
+        }
+        for asked in [wire::Verification::Similarity, wire::Verification::Epipolar] {
+            let refused = requested_settings(of(asked)).unwrap_err().to_string();
+            assert!(refused.contains("keeps words alone"), "{asked:?}: {refused}");
         }
     }
 

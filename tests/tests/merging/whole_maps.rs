@@ -10,8 +10,8 @@ use waypost_client::v1::merge::State;
 use waypost_client::{Code, v1};
 
 use crate::harness::{
-    Server, ServerProcess, assert_status, evo_rmse_m, followed, get, import_model, map_request, planar,
-    refused, said, state_hash,
+    Server, ServerProcess, answers, assert_status, evo_rmse_m, followed, frame, frame_count, get,
+    import_model, map_request, planar, refused, said, state_hash,
 };
 
 use super::rounds::{OnceFound, Rounds, done, overlap, request};
@@ -213,4 +213,31 @@ async fn a_merge_into_a_map_is_there_whole_or_not_at_all_and_can_be_undone() {
     assert_status("compacted", (answer.0, &answer.1), Code::FailedPrecondition, "deleted or compacted since");
     assert_eq!(state_hash(&client, "monday").await, before);
     server.stop();
+}
+
+/// Maps without metres are drawn by their places in order.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_merge_without_metres_has_a_picture_too() {
+    let (server, client) = Server::with_map().await;
+    let model = client.map("drive", v1::MapView::Basic).await.unwrap().model;
+    client.create_map(map_request("again", &model)).await.unwrap();
+    // The second drive begins where the first one's second round does.
+    let half = frame_count() / 2;
+    answers(&client, "drive", "robot", (1..=half).map(frame)).await;
+    answers(&client, "again", "robot", (half..=frame_count()).map(frame)).await;
+    let proposed =
+        done(&client, &client.merge_maps(request(&["again"], "drive", OnceFound::Propose)).await.unwrap())
+            .await;
+    assert_eq!(proposed.state(), State::Proposed, "{proposed:?}");
+    let picture = String::from_utf8(client.merge_picture(&proposed.name).await.unwrap()).unwrap();
+    assert!(picture.contains("places in order, a row for each session"), "{picture:.600}");
+    assert!(!picture.contains(" m<"), "a scale without metres: {picture:.600}");
+    let [first, second] = [
+        client.map("drive", v1::MapView::Basic).await.unwrap().places,
+        client.map("again", v1::MapView::Basic).await.unwrap().places,
+    ];
+    let fused = overlap(&proposed).fused_places;
+    let drawn = picture.matches("<circle").count() as u64;
+    assert_eq!(drawn, first + second + (first + second - fused), "{first} and {second}, {fused} fused");
+    server.stop().await;
 }

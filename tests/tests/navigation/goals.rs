@@ -77,5 +77,17 @@ async fn a_goal_that_does_not_exist_takes_no_other_away() {
     assert_eq!(led, [name]);
     let view = client.navigation(name).await.unwrap();
     assert_eq!(view.goal, Some(to_place(goal)));
+
+    // Nor does the map go away under a robot that is led.
+    let (code, message) = refused(client.delete_map("taught").await);
+    assert_status("deleted map", (code, &message), Code::FailedPrecondition, "end its navigation first");
+    drop(navigation);
+    let gone = async {
+        while client.navigation(name).await.unwrap().connected {
+            tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+        }
+    };
+    in_time(gone).await;
+    client.delete_map("taught").await.unwrap();
     server.stop().await;
 }

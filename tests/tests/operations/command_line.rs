@@ -28,11 +28,11 @@ fn models_are_imported_listed_shown_exported_and_removed() {
     assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1, "something was left beside the copy");
 
     waypost.text(&["map", "create", "drive", "--model", "shipped"]);
-    let (code, stderr) = waypost.fails(&["model", "rm", "shipped"]);
+    let (code, stderr) = waypost.fails(&["model", "rm", "shipped", "--yes"]);
     assert_eq!(code, 4, "{stderr}");
     assert!(stderr.contains("delete the map first"), "{stderr}");
-    waypost.text(&["map", "rm", "drive"]);
-    waypost.text(&["model", "rm", "shipped"]);
+    waypost.text(&["map", "rm", "drive", "--yes"]);
+    waypost.text(&["model", "rm", "shipped", "--yes"]);
     assert_eq!(waypost.json(&["model", "ls"])["models"].as_array().unwrap().len(), 0);
 }
 
@@ -101,7 +101,7 @@ fn maps_are_made_listed_shown_and_removed() {
     let by_words = waypost.text(&["map", "create", "words", "--model", "shipped", "--keep", "words"]);
     assert!(by_words.contains("nothing is verified: words decide"), "{by_words}");
     waypost.text(&["map", "delete", "words", "--yes"]);
-    waypost.text(&["map", "rm", "drive"]);
+    waypost.text(&["map", "rm", "drive", "--yes"]);
     assert_eq!(waypost.json(&["map", "ls"])["maps"].as_array().unwrap().len(), 0);
 }
 

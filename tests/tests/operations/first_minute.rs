@@ -62,7 +62,7 @@ async fn a_map_needs_no_model_to_be_chosen() {
     for command in
         [["map", "rm", "hall"], ["map", "rm", "attic"], ["model", "rm", "shipped"], ["model", "rm", "site"]]
     {
-        waypost.text(&command);
+        waypost.text(&[&command[..], &["--yes"]].concat());
     }
     let (code, stderr) = waypost.fails(&["map", "create", "cellar"]);
     assert!(code == 4 && stderr.contains("no model; train or import one"), "{code}: {stderr}");

@@ -62,6 +62,12 @@ fn names_and_verbs_that_are_wrong() {
         ("a map that exists", &["map", "create", "hall", "--model", "shipped"], 4, "choose another name"),
         ("a verb with a typo", &["map", "lss"], 2, "similar subcommand"),
         ("another verb", &["map", "delete", "nosuch", "--yes"], 4, "there is no map nosuch"),
+        ("a map removed by a script", &["map", "rm", "hall"], 1, "nothing was done; give --yes"),
+        ("a session, too", &["session", "rm", "hall", "monday"], 1, "nothing was done; give --yes"),
+        ("and a model", &["model", "rm", "shipped"], 1, "`waypost model export` keeps a copy"),
+        ("a map compacted by a script", &["map", "compact", "hall"], 1, "no merge can be undone"),
+        ("places dropped by one", &["map", "trim", "hall", "--places", "2", "--apply"], 1, "give --yes"),
+        ("a yes to nothing", &["map", "trim", "hall", "--places", "2", "--yes"], 2, "--apply"),
         ("an unknown robot", &["navigate", "hall", "robot", "--to", "9999"], 4, "robot"),
         ("a frame that is not there", &["explain", "hall", "monday", "99"], 4, "list its frames"),
         (
@@ -93,7 +99,7 @@ fn names_and_verbs_that_are_wrong() {
     ] {
         beginner.says(mistake, arguments, code, fragment);
     }
-    // By the name of its file, a frame is found.
+    // By the name of its file, a frame is found; nothing was removed.
     let explained = beginner.waypost.text(&["explain", "hall", "monday", "000003.jpg"]);
     assert!(explained.starts_with("maps/hall/sessions/monday/frames/4: "), "{explained}");
 }
@@ -224,6 +230,12 @@ fn odometry_that_is_wrong() {
         "are positions in centimetres or millimetres",
     );
     stream(
+        "axes of a camera",
+        &(1..=6).map(|n| format!("{n} 0 0 {} 0 0 0 1", 0.5 * f64::from(n))).collect::<Vec<_>>().join("\n"),
+        1,
+        "are its axes those of a camera",
+    );
+    stream(
         "seconds for nanoseconds",
         &rows(&|n| format!("{n},{},0,0", 0.5 * n as f64)),
         1,
@@ -243,6 +255,12 @@ fn odometry_that_is_wrong() {
         path(&file),
         "--yes",
     ]);
+    // It goes on with it.
+    std::fs::write(beginner.images.path().join("000006.jpg"), &images()[6]).unwrap();
+    let without = ["stream", folder, "--map", "drive", "--session", "fast"];
+    beginner.says("odometry left out", &without, 1, "was --odometry left out?");
+    let said = beginner.waypost.text(&[&without[..], &["--yes"]].concat());
+    assert!(said.contains("resumed after frame 6"), "{said}");
 }
 
 #[test]

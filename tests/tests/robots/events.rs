@@ -4,12 +4,12 @@ use std::time::Duration;
 
 use waypost_client::v1::map_event::Event;
 use waypost_client::{
-    Client, ClientOptions, Code, Error, FrameInput, MapEvents, NavigationOptions, Reconnection, v1,
+    Client, ClientOptions, Code, Error, FrameInput, MapEvents, NavigationOptions, Reconnection, Watched, v1,
 };
 
 use crate::harness::{
-    Proxy, Server, answers, assert_status, by_words_request, followed, frame, get, http, import_model,
-    in_time, refused,
+    Answer, Proxy, Server, answers, assert_status, by_words_request, followed, frame, get, http,
+    import_model, in_time, refused,
 };
 
 /// A frame of a robot that drives half a metre between two.
@@ -144,6 +144,36 @@ async fn a_watch_goes_on_over_another_connection() {
     assert!(matches!(in_time(new.next()).await, Err(Error::Connection { .. })));
 }
 
+/// Whoever is away while sessions are removed hears of it, and is not told the wrong frames.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_watch_does_not_go_on_in_another_log() {
+    let (server, client) = Server::with_map_of_words().await;
+    answers(&client, "drive", "first", (1..=4).map(frame)).await;
+    let proxy = Proxy::start().await;
+    proxy.forward_to(Some(server.grpc()));
+    let watching = Client::connect(&ClientOptions::new(proxy.endpoint())).await.unwrap();
+    let mut events = watching.watch_map("drive", Some(0)).await.unwrap();
+    assert_eq!(numbers(&frames(&mut events, 4).await), [1, 2, 3, 4]);
+    proxy.forward_to(None);
+    proxy.cut();
+    let broken = in_time(events.next_or_break()).await.unwrap();
+    assert!(matches!(broken, Watched::Disconnected { .. }), "{broken:?}");
+    answers(&client, "drive", "second", (5..=9).map(frame)).await;
+    let job = client.delete_session("maps/drive/sessions/first").await.unwrap();
+    followed(&client, &job).await;
+    proxy.forward_to(Some(server.grpc()));
+    let (code, message) = end(&mut events).await;
+    assert_status("another log", (code, &message), Code::Aborted, "watch it again");
+
+    // One that is the same goes on, and says that it does.
+    let mut events = watching.watch_map("drive", Some(0)).await.unwrap();
+    assert_eq!(numbers(&frames(&mut events, 5).await), [5, 6, 7, 8, 9]);
+    proxy.cut();
+    assert!(matches!(in_time(events.next_or_break()).await, Ok(Watched::Disconnected { .. })));
+    assert_eq!(in_time(events.next_or_break()).await.unwrap(), Watched::Reconnected);
+    server.stop().await;
+}
+
 async fn next_navigation(events: &mut MapEvents) -> v1::Navigation {
     match next(events).await {
         Event::Navigation(navigation) => navigation,
@@ -199,18 +229,27 @@ async fn browsers_get_server_sent_events_and_go_on_where_they_were() {
     let url = server.url("/v1/maps/drive/events");
     let text = sent(http().get(format!("{url}?from_position=0")), "\"note\":\"3.jpg\"").await;
     assert!(text.starts_with("event: started\n"), "{text}");
-    let ids: Vec<u64> = text.lines().filter_map(|line| line.strip_prefix("id: ")?.parse().ok()).collect();
-    // There is no position before the first: the start has none.
-    assert_eq!(ids.len(), 3, "{text}");
+    let ids: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("id: ")).collect();
+    // Of the start, and of each frame.
+    assert_eq!(ids.len(), 4, "{text}");
     assert_eq!(text.matches("event: frame").count(), 3, "{text}");
     let data = text.lines().filter_map(|line| line.strip_prefix("data: ")).nth(1).unwrap();
     let data: serde_json::Value = serde_json::from_str(data).unwrap();
     assert_eq!(data["frame"]["frame"]["name"], "maps/drive/sessions/robot/frames/1");
-    assert_eq!((&data["frame"]["position"], &data["navigation"]), (&ids[0].into(), &serde_json::Value::Null));
+    assert_eq!(data["navigation"], serde_json::Value::Null);
+    let next_position = data["frame"]["position"].as_u64().unwrap() + 1;
+    assert!(ids[1].ends_with(&format!("-{next_position}")), "{text}");
 
-    let again = http().get(&url).header("last-event-id", ids[1].to_string());
-    let text = sent(again, "event: frame").await;
+    let behind = |id: &str| http().get(&url).header("last-event-id", id);
+    let text = sent(behind(ids[2]), "event: frame").await;
     assert!(text.contains("\"note\":\"3.jpg\"") && !text.contains("2.jpg"), "{text}");
+    // Once a session is removed, positions mean something else.
+    answers(&client, "drive", "other", (1..=2).map(driven)).await;
+    let job = client.delete_session("maps/drive/sessions/other").await.unwrap();
+    followed(&client, &job).await;
+    let stale = Answer::to(behind(ids[2])).await;
+    assert_eq!(stale.status, 409, "{}", stale.text());
+    assert!(stale.text().contains("watch it again"), "{}", stale.text());
     let deleted = sent(http().get(&url), "event: error");
     let (text, ()) = tokio::join!(deleted, async {
         tokio::time::sleep(std::time::Duration::from_millis(300)).await;
@@ -225,7 +264,8 @@ async fn browsers_get_server_sent_events_and_go_on_where_they_were() {
         assert_eq!(answer.status.as_u16(), status, "{path}");
         assert!(answer.text().contains(fragment), "{}", answer.text());
     }
-    let wrong = in_time(http().get(&url).header("last-event-id", "x").send()).await.unwrap();
-    assert_eq!(wrong.status(), 400);
+    for wrong in ["x", "7", "-7", "x-y"] {
+        assert_eq!(Answer::to(behind(wrong)).await.status, 400, "{wrong}");
+    }
     server.stop().await;
 }

@@ -151,13 +151,14 @@ pub enum Reason {
     SamePlace,
     /// Another place, above the threshold; with geometry, one that it verified.
     LoopClosure,
-    /// Another place was the most probable, but below the threshold: a place was created, because a
-    /// place too many can be fused later and a wrong one cannot be taken apart.
+    /// Another place was the most probable, but below the threshold, by words or by all that speaks
+    /// for it together: a place was created, because a place too many can be fused later and a wrong
+    /// one cannot be taken apart.
     BelowThreshold,
     /// Too few words to say anything: nothing was created or learnt.
     TooFewWords,
-    /// A known place was above the threshold, the one where the session is or another, but geometry
-    /// refused it, or there were no keypoints to look at: a place was created, as for
+    /// By words a known place was above the threshold, the one where the session is or another, but
+    /// its views show another scene, or one seen from elsewhere: a place was created, as for
     /// [`Reason::BelowThreshold`].
     GeometryRefused,
 }

@@ -5,7 +5,9 @@ use std::cmp::Ordering;
 use fabmap::appearance::PlaceId;
 
 use super::state::Mapper;
-use crate::evidence::{Candidate, Check, Placement, TwoView, Verdict, VerificationSettings, ViewMotion};
+use crate::evidence::{
+    Candidate, Check, Placement, Quantity, TwoView, Verdict, VerificationSettings, ViewMotion,
+};
 use crate::map::Session;
 use crate::settings::MapperSettings;
 
@@ -183,6 +185,20 @@ fn distance_widths(candidate: &Candidate) -> f64 {
 /// Whether the place was compared, and had nothing to be compared by.
 pub(super) fn is_without_keypoints(candidates: &[Candidate], place: PlaceId) -> bool {
     candidates.iter().any(|candidate| candidate.matched.place == place && candidate.view.is_none())
+}
+
+/// Whether views of the place show the current scene, and it is their probability alone that does not
+/// reach the threshold.
+pub(super) fn lacks_probability_alone(
+    settings: &MapperSettings,
+    candidates: &[Candidate],
+    place: PlaceId,
+) -> bool {
+    candidates.iter().filter(|candidate| candidate.matched.place == place).any(|candidate| {
+        let Verdict { checks } = settings.verdict(candidate);
+        let mut failed = checks.iter().filter(|check| !check.passed()).peekable();
+        failed.peek().is_some() && failed.all(|check| check.quantity == Quantity::Probability)
+    })
 }
 
 /// The candidate that a judge of loop closures would be shown: of those that geometry has evidence

@@ -4,7 +4,7 @@ use fabmap::appearance::PlaceId;
 use fabmap::recognizer::{Association, Recognition};
 
 use super::FrameError;
-use super::candidates::{is_without_keypoints, most_likely};
+use super::candidates::{is_without_keypoints, lacks_probability_alone, most_likely};
 use super::frame::{FrameInHand, FrameInput, Growth};
 use super::localizer::Queried;
 use super::poses::Located;
@@ -151,7 +151,9 @@ impl Proposed<'_> {
             return frame.new_place(Reason::BelowThreshold, closure);
         }
         if frame.mapper.verifies() && !is_without_keypoints(candidates, place) {
-            return frame.new_place(Reason::GeometryRefused, closure);
+            let is_improbable = lacks_probability_alone(&settings, candidates, place);
+            let reason = if is_improbable { Reason::BelowThreshold } else { Reason::GeometryRefused };
+            return frame.new_place(reason, closure);
         }
         Decision { reason: Reason::LoopClosure, place: Some(place), posterior: probability, closure }
     }

@@ -45,10 +45,9 @@ pub(super) fn show(map: &v1::Map, output: Output) -> Result<(), Failure> {
     })
 }
 
-/// Whether there is nothing by which the map could verify as it is set to.
+/// Whether there is nothing by which the map could verify.
 fn verifies_nothing(settings: &v1::MapSettings) -> bool {
-    use v1::map_settings::{Keep, Verification};
-    settings.keep() == Keep::Words && settings.verification() != Verification::None
+    settings.keep() == v1::map_settings::Keep::Words
 }
 
 pub(super) fn loop_closures(closures: &[v1::LoopClosure], output: Output) -> Result<(), Failure> {

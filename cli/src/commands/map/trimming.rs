@@ -6,6 +6,7 @@ use waypost_client::v1::trim_map_request::Mode;
 use waypost_client::{Client, v1};
 
 use crate::failure::Failure;
+use crate::files::Asking;
 use crate::names::short_map;
 use crate::output::{Output, table};
 
@@ -21,11 +22,19 @@ pub(crate) struct Trimming {
     /// cannot be undone
     #[arg(long)]
     apply: bool,
+    /// Do not ask: needed where nobody can answer, as in a script
+    #[arg(long, requires = "apply")]
+    yes: bool,
 }
 
 pub(super) async fn trim(client: &Client, trimming: Trimming, output: Output) -> Result<(), Failure> {
-    let Trimming { name, places, apply } = trimming;
+    let Trimming { name, places, apply, yes } = trimming;
     let mode = if apply { Mode::Apply } else { Mode::Preview };
+    if mode == Mode::Apply {
+        Asking::unless(yes).confirm_loss(&format!(
+            "drop places of {name} until it has {places}, other places getting other numbers? it cannot be undone"
+        ))?;
+    }
     let name = format!("maps/{}", short_map(&name));
     let request = v1::TrimMapRequest { name, max_places: places, mode: mode.into() };
     trimmed(&client.trim_map(request).await?, mode, output)

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use waypost_client::v1::map_event::Event;
-use waypost_client::{Client, v1};
+use waypost_client::{Client, Watched, v1};
 
 use crate::failure::Failure;
 use crate::output::Output;
@@ -25,13 +25,22 @@ pub(super) async fn watch(client: &Client, watching: Watching, output: Output) -
     let Watching { name, from } = watching;
     let mut events = client.watch_map(&name, from).await?;
     loop {
-        let event = tokio::select! {
-            event = events.next() => event?,
+        let watched = tokio::select! {
+            watched = events.next_or_break() => watched?,
             interrupt = tokio::signal::ctrl_c() => {
                 return interrupt.map_err(Failure::Runtime);
             }
         };
-        output.result(&event, |out| write(&event, out))?;
+        // If stderr is closed, what is said of the connection is lost.
+        match watched {
+            Watched::Event(event) => output.result(&event, |out| write(&event, out))?,
+            Watched::Disconnected { reason } => {
+                let _ = writeln!(io::stderr(), "no connection: {reason}; trying again");
+            }
+            Watched::Reconnected => {
+                let _ = writeln!(io::stderr(), "connected again; nothing was missed");
+            }
+        }
     }
 }
 

@@ -144,16 +144,18 @@ fn first_size_px(recording: &Recording) -> Result<(u32, u32), Failure> {
 }
 
 /// Refuses to go on in a session that was begun with other images: what is at its last frame here must be what was there.
+/// Doubts that it goes on without odometry if it had some.
 ///
 /// # Errors
-/// [`Failure::Unfit`] if the names differ, or what the images show.
-pub(super) async fn check_same_images(
+/// [`Failure::Unfit`] if the names differ, or what the images show, or somebody confirms the doubt.
+pub(super) async fn check_resumed(
     client: &Client,
     (map, session): (&str, &str),
     replay: &Replay,
     committed: u64,
+    asking: Asking,
 ) -> Result<(), Failure> {
-    let Recording::Folder { images, moments: _ } = &replay.recording else { return Ok(()) };
+    let Recording::Folder { images, moments } = &replay.recording else { return Ok(()) };
     let index = committed.checked_sub(1).and_then(|index| usize::try_from(index).ok());
     let Some(ImageFile { name, path, .. }) = index.and_then(|index| images.get(index)) else { return Ok(()) };
     let record = client.frame(&format!("{session}/frames/{committed}")).await?;
@@ -174,5 +176,15 @@ pub(super) async fn check_same_images(
         return Ok(());
     };
     let words = record.answer.as_ref().map_or(0, |answer| answer.words);
-    if seen.words == words { Ok(()) } else { Err(other("an image of other content")) }
+    if seen.words != words {
+        return Err(other("an image of other content"));
+    }
+    let is_over = index.is_none_or(|index| index + 1 >= images.len());
+    if !is_over && record.odometry.is_some() && moments.iter().all(|moment| moment.odometry.is_none()) {
+        return asking.confirm_doubt(&format!(
+            "{session} has odometry up to its frame {committed}, and here is none: was --odometry left out? without it no way \
+             to further places is measured, and the map falls into parts"
+        ));
+    }
+    Ok(())
 }

@@ -86,6 +86,11 @@ impl Registry {
         self.led().keys().any(|(of, _)| *of == map)
     }
 
+    /// Whether a robot that is led along a map is connected now.
+    pub(in crate::service) fn any_connected_on(&self, map: MapId) -> bool {
+        self.led().iter().any(|((of, _), led)| *of == map && led.is_open())
+    }
+
     pub(super) fn of_map(&self, map: MapId) -> Vec<Guide> {
         let led = self.led();
         led.iter().filter(|((of, _), _)| *of == map).map(|(_, led)| led.guide.clone()).collect()

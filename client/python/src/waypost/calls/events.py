@@ -49,6 +49,8 @@ class MapEvents(Iterator[event_pb2.MapEvent]):
         self._map = map_name
         #: To go on from; None while the server has not said where the log ends.
         self._next_position = from_position
+        #: The log that positions are of; empty while the server has not named it.
+        self._log = ""
         self._patience = patience
         self._has_begun = False
         self._closed = threading.Event()
@@ -67,6 +69,7 @@ class MapEvents(Iterator[event_pb2.MapEvent]):
                 self._patience.progress()
                 if event.WhichOneof("event") == "started":
                     self._next_position = event.started.next_position
+                    self._log = event.started.log
                     continue
                 if event.WhichOneof("event") == "frame":
                     self._next_position = event.frame.position + 1
@@ -89,7 +92,7 @@ class MapEvents(Iterator[event_pb2.MapEvent]):
         self.close()
 
     def _watch(self) -> Any:
-        request = event_pb2.WatchRequest(map=self._map, from_position=self._next_position)
+        request = event_pb2.WatchRequest(map=self._map, from_position=self._next_position, log=self._log)
         return self._connection.events.Watch(request)
 
     def _try_again(self, error: grpc.RpcError | None) -> None:
