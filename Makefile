@@ -9,7 +9,7 @@ PYTHON := $(abspath $(or $(CARGO_TARGET_DIR),target)/python)
 # Where the C++ client is built.
 CPP := $(abspath $(or $(CARGO_TARGET_DIR),target)/cpp)
 
-.PHONY: demo test test-python test-cpp test-ros test-inspector inspector serve build setup check deny bench
+.PHONY: demo test test-python test-cpp test-ros test-inspector test-image inspector docs serve build setup check deny bench
 
 # Drive a real recorded sequence through a real server, and compare the loop closures with the truth.
 demo: build
@@ -44,10 +44,19 @@ test-cpp: build
 	cmake --build $(CPP) --parallel 2 -- --no-print-directory --silent
 	cd $(CPP) && WAYPOST_BINARIES=$(abspath $(TARGET)) ctest --parallel 2 --output-on-failure
 
+# The container image, built and used, as root on Debian 12.
+test-image: build
+	scripts/setup image
+	scripts/test-image $(TARGET)
+
 # Build the page anew into server/inspector, which the server embeds.
 inspector:
 	scripts/setup-inspector
 	cd inspector && npm run --silent types && npm run --silent check && npm run --silent build
+
+# The guide's reference pages, from the sources, and the guide as a book in target/book.
+docs: build
+	scripts/build-docs $(TARGET)
 
 # Keep a server running: robots on port 7600, people on http://127.0.0.1:7601.
 serve: build

@@ -22,6 +22,9 @@ from conftest import Server, binary, environment  # noqa: E402
 
 Instruction = tuple[str, str]
 
+#: What makes the image.
+BUILD_IMAGE = (REPOSITORY / "scripts" / "build-image").read_text()
+
 
 def instructions() -> list[Instruction]:
     """Of the Dockerfile, with continued lines joined and comments gone."""
@@ -31,34 +34,12 @@ def instructions() -> list[Instruction]:
     return [(name, " ".join(arguments.split())) for name, arguments in split]
 
 
-def stages() -> list[list[Instruction]]:
-    """Each begins with its FROM."""
-    stages: list[list[Instruction]] = []
-    for name, arguments in instructions():
-        if name == "FROM":
-            stages.append([])
-        stages[-1].append((name, arguments))
-    return stages
+def arguments(of: str) -> list[str]:
+    return [arguments for name, arguments in instructions() if name == of]
 
 
-def arguments(of: str, stage: list[Instruction]) -> list[str]:
-    return [arguments for name, arguments in stage if name == of]
-
-
-def packages(stage: list[Instruction]) -> set[str]:
-    """What a stage installs."""
-    installed: set[str] = set()
-    for command in arguments("RUN", stage):
-        for step in command.split("&&"):
-            words = step.split()
-            if words[:2] == ["apt-get", "install"]:
-                assert "--no-install-recommends" in words
-                installed |= {word for word in words[2:] if not word.startswith("-")}
-    return installed
-
-
-def settings(stage: list[Instruction]) -> dict[str, str]:
-    pairs = (pair.split("=", 1) for line in arguments("ENV", stage) for pair in line.split())
+def settings() -> dict[str, str]:
+    pairs = (pair.split("=", 1) for line in arguments("ENV") for pair in line.split())
     return {name: value for name, value in pairs}  # noqa: C416
 
 
@@ -66,68 +47,44 @@ def compose() -> dict[str, Any]:
     return yaml.safe_load((DOCKER / "compose.yaml").read_text())
 
 
-def test_the_stages_build_on_what_the_repository_says() -> None:
-    builder, runtime = stages()
-    cargo = (REPOSITORY / "Cargo.toml").read_text()
-    rust = re.search(r'^rust-version = "(.+)"$', cargo, re.MULTILINE)
-    assert rust
-    assert arguments("FROM", builder) == [f"rust:{rust[1]}-bookworm AS builder"]
-    assert arguments("FROM", runtime) == ["debian:bookworm-slim"]
-    setup = re.search(r"^build_packages=\((.+)\)$", (REPOSITORY / "scripts/setup").read_text(), re.MULTILINE)
-    assert setup
-    assert packages(builder) == set(setup[1].split())
-    [build] = [run for run in arguments("RUN", builder) if "cargo build" in run]
-    assert "--release --locked" in build
-    # With all that the binaries can do, as `make build`.
-    assert "--no-default-features" not in build
-
-
-def test_the_runtime_has_the_libraries_that_the_binaries_ask_for() -> None:
-    """By the names of Debian's packages: libopencv_core.so.406 is in libopencv-core406."""
-    installed = packages(stages()[1])
-    needed: set[str] = set()
-    for name in ("waypost-server", "waypost"):
-        dynamic = subprocess.run(
-            ["readelf", "-d", binary(name)], stdout=subprocess.PIPE, text=True, check=True
-        )
-        needed |= set(re.findall(r"\(NEEDED\).*\[libopencv_(\w+\.so\.\d+)\]", dynamic.stdout))
-    assert {"libopencv-" + name.replace(".so.", "") for name in needed} <= installed
-    assert "libopencv-core406" in installed
-    for package in installed:
-        assert "-dev" not in package
+def test_the_image_is_made_of_what_build_image_brings() -> None:
+    assert arguments("FROM") == ["scratch"]
+    [added] = arguments("ADD")
+    assert f'>"$work/context/{added.split()[0]}"' in BUILD_IMAGE
+    # Nothing runs while it is built, and nothing comes from elsewhere.
+    assert {name for name, _ in instructions()}.isdisjoint({"RUN", "COPY"})
 
 
 def test_user_volume_ports_and_signal() -> None:
-    _, runtime = stages()
-    env = settings(runtime)
-    [volume] = arguments("VOLUME", runtime)
+    env = settings()
+    [volume] = arguments("VOLUME")
     assert volume == env["WAYPOST_DATA_DIR"] == "/var/lib/waypost"
-    [user] = arguments("USER", runtime)
+    [user] = arguments("USER")
     uid, gid = user.split(":")
-    [users] = [run for run in arguments("RUN", runtime) if "useradd" in run]
-    assert f"--gid {gid} waypost" in users
-    assert f"--uid {uid} --gid {gid}" in users
+    assert f"waypost:x:{uid}:{gid}:" in BUILD_IMAGE
+    assert f"waypost:x:{gid}:" in BUILD_IMAGE
+    assert f'chown {user} "$work/ours{volume}"' in BUILD_IMAGE
     assert int(uid) > 0
-    assert arguments("STOPSIGNAL", runtime) == ["SIGTERM"]
-    assert arguments("CMD", runtime) == ['["waypost-server"]']
+    assert arguments("STOPSIGNAL") == ["SIGTERM"]
+    assert arguments("CMD") == ['["waypost-server"]']
+    assert 'CMD ["health-check"]' in arguments("HEALTHCHECK")[0]
     # The server's own ports, and every address of the container.
     helped = subprocess.run(
         [binary("waypost-server"), "--help"], env=environment(), stdout=subprocess.PIPE, text=True, check=True
     )
     ports = re.findall(r"\[default: 127\.0\.0\.1:(\d+)\]", helped.stdout)
     assert len(ports) == 2
-    [exposed] = arguments("EXPOSE", runtime)
+    [exposed] = arguments("EXPOSE")
     assert exposed.split() == ports
     assert [env["WAYPOST_GRPC_ADDRESS"], env["WAYPOST_HTTP_ADDRESS"]] == [f"0.0.0.0:{port}" for port in ports]
 
 
-def test_compose_runs_what_the_dockerfile_makes() -> None:
-    _, runtime = stages()
+def test_compose_runs_the_image() -> None:
     service = compose()["services"]["waypost"]
-    assert service["build"] == {"context": "..", "dockerfile": "docker/Dockerfile"}
-    [exposed] = arguments("EXPOSE", runtime)
+    assert f"docker-archive:$work/image.tar:{service['image']}:latest" in BUILD_IMAGE
+    [exposed] = arguments("EXPOSE")
     assert service["ports"] == [f"127.0.0.1:{port}:{port}" for port in exposed.split()]
-    [volume] = arguments("VOLUME", runtime)
+    [volume] = arguments("VOLUME")
     assert service["volumes"] == [f"data:{volume}"]
     assert "data" in compose()["volumes"]
     assert service["restart"] == "unless-stopped"
@@ -137,18 +94,24 @@ def test_compose_runs_what_the_dockerfile_makes() -> None:
     assert yaml.safe_load(told)["services"]["waypost"]["environment"] == {"WAYPOST_ALLOW_ANONYMOUS": "true"}
 
 
-def test_what_is_copied_is_there_and_not_ignored() -> None:
-    copied = [line for stage in stages() for line in arguments("COPY", stage)]
-    assert "--chmod=0755 docker/health-check /usr/local/bin/health-check" in copied
-    ignored = (REPOSITORY / ".dockerignore").read_text().split("\n")
-    assert "!docker/health-check" in ignored
-    assert {".git", "target", "waypost-data", "demo-data"} <= set(ignored)
-    # Every member of the workspace has to be in the context.
-    members = re.search(r"^members = \[(.+)\]$", (REPOSITORY / "Cargo.toml").read_text(), re.MULTILINE)
-    assert members
-    for member in [*re.findall(r'"(.+?)"', members[1]), "migrations"]:
-        assert (REPOSITORY / member).is_dir()
-        assert member not in ignored
+def one_line() -> str:
+    """The command that starts a server, as `scripts/test-image` takes it."""
+    [line] = re.findall(r"^docker run --detach .+$", (DOCKER / "README.md").read_text(), re.MULTILINE)
+    return line
+
+
+def test_the_one_line_is_as_confined_as_compose() -> None:
+    service = compose()["services"]["waypost"]
+    assert service["read_only"]
+    assert " --read-only " in one_line()
+    assert service["cap_drop"] == ["ALL"]
+    assert " --cap-drop ALL " in one_line()
+    assert service["security_opt"] == ["no-new-privileges:true"]
+    assert " --security-opt no-new-privileges " in one_line()
+    assert re.findall(r"--publish (\S+)", one_line()) == service["ports"]
+    [volume] = arguments("VOLUME")
+    assert f" --volume waypost:{volume} " in one_line()
+    assert one_line() in (REPOSITORY / "README.md").read_text()
 
 
 @pytest.fixture

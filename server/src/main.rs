@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use serde::Serialize;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
@@ -13,6 +13,8 @@ use tracing_subscriber::EnvFilter;
 use waypost_server::config::{Config, Flags, LogFormat, unknown_variables};
 use waypost_server::offline::{self, Finding, ListedToken, TokenLimits};
 use waypost_server::{Role, Server, Tls};
+
+mod shell;
 
 /// Tells robots where they have been before
 ///
@@ -41,6 +43,15 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    #[command(flatten)]
+    Data(DataCommand),
+    #[command(flatten)]
+    Shell(shell::Command),
+}
+
+/// What is done with a data directory.
+#[derive(Subcommand)]
+enum DataCommand {
     /// Look after tokens while no server runs on the data directory; for a running one, see `waypost token`
     #[command(subcommand)]
     Token(TokenCommand),
@@ -98,29 +109,39 @@ async fn main() -> ExitCode {
 async fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
     let Arguments { flags, config, print_config, check, command } = arguments;
     let named = || std::env::var_os("WAYPOST_CONFIG").filter(|path| !path.is_empty()).map(PathBuf::from);
-    let config = Config::load(&flags, config.or_else(named).as_deref(), std::env::vars_os())?;
+    let load = || Config::load(&flags, config.or_else(named).as_deref(), std::env::vars_os());
     match command {
-        Some(Command::Token(command)) => look_after_tokens(command, &config.data_dir).await,
-        Some(Command::Check { deep: false }) => report(&offline::check(&config).await),
-        Some(Command::Check { deep: true }) => {
-            let mut findings = offline::check(&config).await;
+        Some(Command::Data(command)) => work_on_data(command, &load()?).await,
+        Some(Command::Shell(command)) => {
+            command.run(Arguments::command())?;
+            Ok(ExitCode::SUCCESS)
+        }
+        None if print_config => {
+            std::io::stdout().write_all(load()?.to_toml()?.as_bytes())?;
+            Ok(ExitCode::SUCCESS)
+        }
+        None if check => report(&offline::check(&load()?).await),
+        None => serve(load()?).await,
+    }
+}
+
+async fn work_on_data(command: DataCommand, config: &Config) -> anyhow::Result<ExitCode> {
+    match command {
+        DataCommand::Token(command) => look_after_tokens(command, &config.data_dir).await,
+        DataCommand::Check { deep: false } => report(&offline::check(config).await),
+        DataCommand::Check { deep: true } => {
+            let mut findings = offline::check(config).await;
             findings.extend(offline::check_all(&config.data_dir).await?);
             report(&findings)
         }
-        Some(Command::Backup { directory }) => {
+        DataCommand::Backup { directory } => {
             report(&offline::make_backup(&config.data_dir, &directory).await?)
         }
-        Some(Command::Restore { directory }) => {
+        DataCommand::Restore { directory } => {
             offline::restore_backup(&directory, &config.data_dir).await?;
             eprintln!("{} is restored; start a server on it", config.data_dir.display());
             Ok(ExitCode::SUCCESS)
         }
-        None if print_config => {
-            std::io::stdout().write_all(config.to_toml()?.as_bytes())?;
-            Ok(ExitCode::SUCCESS)
-        }
-        None if check => report(&offline::check(&config).await),
-        None => serve(config).await,
     }
 }
 

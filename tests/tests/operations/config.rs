@@ -153,3 +153,23 @@ fn a_check_tells_what_would_go_wrong() {
     assert_eq!(code, 1);
     says(&found, &["wrong  data directory", "is no database of Waypost", "restore"]);
 }
+
+#[test]
+fn shells_and_man_know_every_command_whatever_the_settings_are() {
+    let broken = [("WAYPOST_GRPC_ADDRESS", "nowhere")];
+    for shell in ["bash", "zsh", "fish"] {
+        let (code, script, stderr) = run(&["completions", shell], &broken);
+        assert_eq!((code, stderr.as_str()), (0, ""));
+        says(&script, &["restore", "grpc-address", "expires-in"]);
+    }
+    let directory = tempfile::tempdir().unwrap();
+    let pages = directory.path().join("man8");
+    let man = ["man", pages.to_str().unwrap()];
+    assert_eq!(run(&man, &broken), (0, String::new(), String::new()));
+    let page = |name: &str| std::fs::read_to_string(pages.join(name)).unwrap();
+    says(&page("waypost-server.8"), &["wrong\\-tokens\\-per\\-minute", "waypost\\-server\\-backup(8)"]);
+    says(&page("waypost-server-token-create.8"), &["\\-\\-may", "localize: Ask where"]);
+    let (code, _, stderr) = run(&man, &[]);
+    assert_eq!(code, 1);
+    says(&stderr, &["waypost-server.8", "not replaced"]);
+}
