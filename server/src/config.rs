@@ -177,7 +177,7 @@ pub struct Flags {
     #[arg(long, value_name = "NUMBER")]
     #[serde(skip_serializing_if = "Option::is_none")]
     wrong_tokens_per_minute: Option<u32>,
-    /// Pages of these origins may ask over HTTP from a browser, as in https://fleet.example; several with commas
+    /// Pages of these origins (scheme, host and port) may ask over HTTP from a browser; several with commas
     #[arg(long, value_name = "ORIGINS", value_delimiter = ',')]
     #[serde(skip_serializing_if = "Option::is_none")]
     cors_origins: Option<Vec<Origin>>,
