@@ -38,7 +38,7 @@ impl Asking {
     /// # Errors
     /// [`Failure`] if somebody says no, or nobody anything.
     pub(crate) fn confirm_doubt(self, doubt: &str) -> Result<(), Failure> {
-        let unanswered = || format!("{doubt}\nnothing was sent; mend the file, or give --yes if it is right");
+        let unanswered = || format!("{doubt}\nnothing was sent; mend that, or give --yes if it is right");
         self.confirm(&format!("{doubt}\nstream it as it is?"), unanswered)
     }
 

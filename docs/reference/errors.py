@@ -18,7 +18,7 @@ WHAT_TO_DO = {
     "FailedPrecondition": "Do first what the message asks for, or ask for something else.",
     "Aborted": (
         "Nothing, if you started another stream on purpose. Else look for a "
-        "second program with this session's name."
+        "second program with this session's name. A watch begins again from 0, or from now on."
     ),
     "ResourceExhausted": "Ask for less at a time, or make room: the message says of what.",
     "Unavailable": "Send the same again, after the time that comes with it. Clients do so by themselves.",

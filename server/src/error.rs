@@ -39,7 +39,7 @@ pub enum ServiceError {
         /// What is wrong and how to mend it.
         message: String,
     },
-    /// Another request took its place.
+    /// Another request took its place, or the log that it goes on in is no longer there.
     #[error("{message}")]
     Aborted {
         /// What is wrong and how to mend it.

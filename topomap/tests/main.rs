@@ -11,6 +11,7 @@ mod merging;
 mod metric;
 mod metric_logs;
 mod one_motion;
+mod one_threshold;
 mod rewriting;
 mod rounds;
 mod staying;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections.abc import Iterator
 from concurrent import futures
@@ -100,6 +101,23 @@ def test_a_watch_goes_on_with_the_next_server(mortal: Server) -> None:
             with pytest.raises(waypost.ServerUnreachable):
                 next(hasty)
             waiting_for.join()
+
+
+def test_a_watch_does_not_go_on_in_another_log(mortal: Server) -> None:
+    """Positions mean something else once a session is removed."""
+    with waypost.connect(mortal.address) as client:
+        for name in ("first", "second"):
+            with client.session("hall", name) as session:
+                answers(session, range(1, 4))
+        # The watch ends first, so that who waits for it does not wait for ever.
+        with futures.ThreadPoolExecutor(1) as waiting, client.watch("hall", 0, patience_s=30.0) as events:
+            assert [next(events).frame.frame.answer.sequence for _ in range(3)] == [1, 2, 3]
+            mortal.kill()
+            mortal.start()
+            client.wait_for_job(client.delete_session("maps/hall/sessions/first"))
+            rest = waiting.submit(lambda: list(itertools.islice(events, 10)))
+            with pytest.raises(waypost.Aborted, match="watch it again"):
+                rest.result(timeout=30.0)
 
 
 def without_names(streamed: list[waypost.Answer]) -> list[dict[str, Any]]:

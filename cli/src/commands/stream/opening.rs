@@ -147,7 +147,8 @@ fn first_size_px(recording: &Recording) -> Result<(u32, u32), Failure> {
 /// Doubts that it goes on without odometry if it had some.
 ///
 /// # Errors
-/// [`Failure::Unfit`] if the names differ, or what the images show, or somebody confirms the doubt.
+/// [`Failure::Unfit`] if the names differ, or what the images show, or if odometry was left out and nobody says that this is
+/// meant.
 pub(super) async fn check_resumed(
     client: &Client,
     (map, session): (&str, &str),
@@ -179,7 +180,7 @@ pub(super) async fn check_resumed(
     if seen.words != words {
         return Err(other("an image of other content"));
     }
-    let is_over = index.is_none_or(|index| index + 1 >= images.len());
+    let is_over = committed >= images.len() as u64;
     if !is_over && record.odometry.is_some() && moments.iter().all(|moment| moment.odometry.is_none()) {
         return asking.confirm_doubt(&format!(
             "{session} has odometry up to its frame {committed}, and here is none: was --odometry left out? without it no way \

@@ -149,7 +149,10 @@ impl Panel {
         };
         html! {
             g transform={ "translate(" (number(left)) " " (number(top)) ")" } {
-                text x="0" y="14" font-weight="bold" { (self.title) }
+                text x="0" y="14" {
+                    tspan font-weight="bold" { (self.title) }
+                    @if self.unit == Unit::Pixels { ": places in order, a row for each session" }
+                }
                 @if bounds.is_none() { text x="0" y="36" { "it has no places" } }
                 g transform={ "translate(0 " (LINE_PX + 6.0) ")" } fill="none" stroke-linecap="round" {
                     @for path in &self.trajectories {
@@ -195,8 +198,6 @@ pub(super) fn svg(panels: &[Panel]) -> String {
                 line x1=(number(width - GAP_PX - bar_m * px_per_m)) x2=(number(width - GAP_PX)) y1="24" y2="24"
                     stroke="black" stroke-width="2" {}
                 text x=(number(width - GAP_PX)) y="18" text-anchor="end" { (bar_m) " m" }
-            } @else {
-                text x=(number(width - GAP_PX)) y="18" text-anchor="end" { "places in order, a row for each session" }
             }
             @for (index, panel) in panels.iter().enumerate() {
                 (panel.draw(
