@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::planning::MapPosition;
 use super::settings::LocalizationSettings;
 use posegraph::{PlanarPose, Pose};
-use topomap::evidence::{Candidate, ClosureNoise, TwoView, VerificationSettings, ViewMotion};
+use topomap::evidence::{Candidate, ClosureNoise, Placement, TwoView, VerificationSettings, ViewMotion};
 use topomap::ids::FrameId;
 use topomap::log::Reason;
 use topomap::mapper::{Decided, FrameError, FrameInput, Localizer, Mapper, Recognized};
@@ -194,8 +194,27 @@ impl Seeing<'_> {
     }
 }
 
-/// Where the robot is in the frame of the earlier view, and how well that is known.
+/// Where the robot is in the frame of the earlier view, and how well that is known: by structure where that says it, or
+/// else by how the image has moved.
 fn measured(
+    candidate: &Candidate,
+    focal_length_widths: Option<f64>,
+    settings: &LocalizationSettings,
+) -> Option<(PlanarPose, Matrix3<f64>)> {
+    match candidate.view.as_ref().map(|view| view.placement) {
+        Some(Placement::At { pose, inliers: _ }) => {
+            // Places of the map are not known better than that themselves.
+            let deviations = [settings.map_m, settings.map_m, settings.map_rad];
+            let of_map = Matrix3::from_diagonal(&Vector3::from(deviations.map(|sigma| sigma * sigma)));
+            Some((*pose.pose(), pose.covariance() + of_map))
+        }
+        Some(Placement::Nowhere) => None,
+        Some(Placement::Unknown) | None => guessed(candidate, focal_length_widths, settings),
+    }
+}
+
+/// The same where nothing has a depth.
+fn guessed(
     candidate: &Candidate,
     focal_length_widths: Option<f64>,
     settings: &LocalizationSettings,
@@ -257,5 +276,27 @@ mod tests {
         assert!(unsure[(0, 0)] > sure[(0, 0)]);
         // However far the image has moved.
         assert!(measured(&shifted(0.0, 0.9), Some(focal_length_widths), &settings).is_some());
+    }
+
+    /// What structure has measured is not moved on by how much larger the view is: that is the way which it measured.
+    #[test]
+    fn what_structure_measured_is_taken_as_it_is() {
+        let settings = LocalizationSettings::default();
+        let at = PlanarPose::new(0.31, -0.04, 0.02);
+        let variances = Matrix3::from_diagonal(&Vector3::new(4e-4, 1e-4, 1e-6));
+        let placed = |placement| {
+            let candidate = shifted(0.1, 0.01);
+            let view = candidate.view.map(|view| TwoView { placement, ..view });
+            measured(&Candidate { view, ..candidate }, Some(0.8), &settings)
+        };
+        let solved = RelativePose::new(at, variances).unwrap();
+        let (pose, covariance) = placed(Placement::At { pose: solved, inliers: 40 }).unwrap();
+        assert_eq!(pose, at);
+        let position = settings.map_m * settings.map_m;
+        assert!((covariance[(0, 0)] - 4e-4 - position).abs() < 1e-12);
+        assert!((covariance[(2, 2)] - 1e-6 - settings.map_rad * settings.map_rad).abs() < 1e-12);
+        // Features of known depth that agree on no pose say that it is not there.
+        assert!(placed(Placement::Nowhere).is_none());
+        assert!(placed(Placement::Unknown).is_some());
     }
 }

@@ -18,8 +18,13 @@ pub struct NavigationSettings {
 /// How closures and wheels make one position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalizationSettings {
+    /// Standard deviation of a place's position against the places about it, in metres, above 0: what a closure
+    /// measures is not known better.
+    pub map_m: f64,
+    /// The same of its heading, in radians, above 0.
+    pub map_rad: f64,
     /// Standard deviation of a closure's position along the way that the robot looks, in metres,
-    /// above 0.
+    /// above 0. This and what follows is of closures that structure has not measured.
     pub closure_along_m: f64,
     /// How far away is what a camera sees, as a rule, in metres: a view that is larger by ln s was
     /// taken so many times further back. 0 takes the robot to be where the view was taken.
@@ -182,6 +187,8 @@ pub struct SupervisionSettings {
 impl Default for LocalizationSettings {
     fn default() -> Self {
         Self {
+            map_m: 0.05,
+            map_rad: 1_f64.to_radians(),
             closure_along_m: 0.15,
             depth_m: 4.0,
             along_m_per_ln_scale: 1.6,
@@ -302,6 +309,8 @@ type Range = (&'static str, f64, f64, f64);
 impl LocalizationSettings {
     fn ranges(&self) -> Vec<Range> {
         vec![
+            ("map_m", self.map_m, 1e-3, 10.0),
+            ("map_rad", self.map_rad, 1e-4, 1.0),
             ("closure_along_m", self.closure_along_m, 1e-3, 10.0),
             ("depth_m", self.depth_m, 0.0, 1000.0),
             ("along_m_per_ln_scale", self.along_m_per_ln_scale, 0.0, 100.0),
