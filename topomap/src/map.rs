@@ -30,6 +30,8 @@ pub struct Map {
     /// Per place: the places it is linked with, ascending.
     linked: Vec<Vec<PlaceId>>,
     sessions: BTreeMap<SessionId, Session>,
+    /// Per session what places learnt from it, in the order of its frames; derived from the places.
+    learnt: BTreeMap<SessionId, Vec<Look>>,
     /// Events folded in; the next event's position in the log.
     events: u64,
 }
@@ -50,6 +52,17 @@ pub struct PlaceFrame {
     pub session: SessionId,
     /// Its number among the frames of that session, from 0.
     pub number: u64,
+}
+
+/// That a place learnt from a frame of a session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Look {
+    /// The place.
+    pub(crate) place: PlaceId,
+    /// The frame.
+    pub(crate) frame: FrameId,
+    /// Its number among the frames of the session, from 0.
+    pub(crate) number: u64,
 }
 
 impl Map {
@@ -78,6 +91,12 @@ impl Map {
         let frames = &self.places.get(place.index())?.frames;
         let position = frames.binary_search_by_key(&frame, |learnt| learnt.frame).ok()?;
         Some(frames[position])
+    }
+
+    /// What places learnt from a session's frames after its frame `number`, in their order.
+    pub(crate) fn learnt_after(&self, session: SessionId, number: u64) -> &[Look] {
+        let looks = self.learnt.get(&session).map_or(&[][..], Vec::as_slice);
+        &looks[looks.partition_point(|look| look.number <= number)..]
     }
 
     /// A session, if it was opened.
@@ -114,8 +133,10 @@ impl Map {
     pub(crate) fn memory_bytes(&self) -> usize {
         let frames: usize = self.places.iter().map(|place| place.frames.capacity()).sum();
         let linked: usize = self.linked.iter().map(Vec::capacity).sum();
+        let looks: usize = self.learnt.values().map(Vec::capacity).sum();
         self.places.capacity() * (size_of::<Place>() + size_of::<Vec<PlaceId>>())
             + frames * size_of::<PlaceFrame>()
+            + looks * size_of::<Look>()
             + linked * size_of::<PlaceId>()
             + self.links.capacity() * size_of::<Link>()
     }
@@ -131,7 +152,10 @@ impl Map {
         events: u64,
     ) -> Result<Self, DecodeError> {
         let linked = vec![Vec::new(); places.len()];
-        let mut map = Self { places, links: Vec::with_capacity(links.len()), linked, sessions, events };
+        let learnt = looks_of(&places);
+        let links_len = links.len();
+        let mut map =
+            Self { places, links: Vec::with_capacity(links_len), linked, sessions, learnt, events };
         for link in links {
             let known = |place: PlaceId| (place.index()) < map.places.len();
             if !known(link.from) || !known(link.to) {
@@ -165,6 +189,8 @@ impl Map {
                 let learnt =
                     PlaceFrame { frame: event.frame, session: event.session, number: session.frames };
                 self.places[place.index()].frames.push(learnt);
+                let look = Look { place, frame: learnt.frame, number: learnt.number };
+                self.learnt.entry(event.session).or_default().push(look);
             }
         }
         session.follow(event, settings, sightings);
@@ -208,4 +234,16 @@ impl Map {
         hasher.update(self.encode_graph());
         ContentHash::from_bytes(hasher.finalize().into())
     }
+}
+
+/// [`Map::learnt`] of places that were read.
+fn looks_of(places: &[Place]) -> BTreeMap<SessionId, Vec<Look>> {
+    let mut learnt: BTreeMap<SessionId, Vec<Look>> = BTreeMap::new();
+    for (place, Place { frames }) in PlaceId::all().zip(places) {
+        for &PlaceFrame { frame, session, number } in frames {
+            learnt.entry(session).or_default().push(Look { place, frame, number });
+        }
+    }
+    learnt.values_mut().for_each(|looks| looks.sort_by_key(|look| look.number));
+    learnt
 }

@@ -23,6 +23,7 @@ mod odometry_prior;
 mod poses;
 mod proposing;
 mod recognizing;
+mod sight;
 mod state;
 mod support;
 

@@ -14,6 +14,7 @@ mod one_motion;
 mod one_threshold;
 mod rewriting;
 mod rounds;
+mod sight;
 mod staying;
 mod transcript;
 mod trimming;

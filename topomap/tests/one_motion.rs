@@ -12,14 +12,19 @@ use topomap::settings::{GuardMeasure, MapperSettings};
 
 use crate::rounds::{Camera, CameraModel, Robot};
 
-fn closures(settings: MapperSettings, step_m: f64) -> usize {
+/// Of a robot that drives 6 m straight on: the frames that show what is not within the guard, and those that close
+/// a loop.
+fn seen_again(settings: MapperSettings, step_m: f64) -> [usize; 2] {
     let mut robot = Robot::new(settings, [0.0; 2]);
-    let mut closures = 0;
+    let mut frames = [0; 2];
     for _ in 0..(6.0 / step_m) as usize {
-        closures += usize::from(robot.see().decision.reason == Reason::LoopClosure);
+        let FrameEvent { decision, candidates, .. } = robot.see();
+        let shows_any = candidates.iter().any(|candidate| candidate.own_evidence() > 0.0);
+        frames[0] += usize::from(shows_any);
+        frames[1] += usize::from(decision.reason == Reason::LoopClosure);
         robot.go(step_m, 0.0);
     }
-    closures
+    frames
 }
 
 #[test]
@@ -31,10 +36,10 @@ fn images_every_few_centimetres_close_no_loop_on_the_way() {
     let settings =
         MapperSettings { guard_frames: 4, place_spacing, verification, ..MapperSettings::default() };
     let by_frames = MapperSettings { guard_measure: GuardMeasure::Frames, ..settings };
-    assert!(closures(by_frames, 0.05) > 10, "four frames are 20 cm: the robot sees where it just was");
-    assert_eq!(closures(settings, 0.05), 0);
+    assert!(seen_again(by_frames, 0.05)[0] > 10, "four frames are 20 cm: the robot sees where it just was");
+    assert_eq!(seen_again(settings, 0.05), [0, 0]);
     // Where frames are as far apart as places, they are what is counted.
-    assert_eq!(closures(settings, 0.3), closures(by_frames, 0.3));
+    assert_eq!(seen_again(settings, 0.3), seen_again(by_frames, 0.3));
 }
 
 /// What the robot takes an earlier frame to show.

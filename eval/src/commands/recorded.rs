@@ -2,6 +2,7 @@
 //! the true poses say.
 
 mod distances;
+mod heard;
 mod recording;
 mod walks;
 
@@ -13,11 +14,13 @@ use serde::Serialize;
 use waypost_vision::features::{Feature, FeatureSettings};
 
 use self::distances::DistancesReport;
+use self::heard::HeardWheels;
 use self::walks::WalksReport;
 use crate::choices::features;
 use crate::error::refused;
 
-/// Map real recordings with odometry: folders with images/ and odometry_tum.txt, a session each, into one map. With
+/// Map real recordings with odometry: folders with images/ and odometry_tum.txt (or groundtruth_tum.txt, poses of the
+/// camera), a session each, into one map. With
 /// --calibration, measure how far pairs of frames are apart in place of that.
 #[derive(Args)]
 pub(crate) struct RecordedOptions {
@@ -27,6 +30,10 @@ pub(crate) struct RecordedOptions {
     /// The model file.
     #[arg(long, value_name = "FILE", required_unless_present = "calibration")]
     model: Option<PathBuf>,
+    /// Which frames of each recording are sent with odometry: all, none, first:N, from:N, without:A-B (A to B - 1), or
+    /// frozen-from:N, where wheels say from frame N on that the robot stands. Judged is by the odometry of all.
+    #[arg(long, value_name = "WHICH", default_value = "all", conflicts_with = "calibration")]
+    odometry: HeardWheels,
     /// A calibration as KITTI writes it, of a camera that looks ahead. Ten frames in a row are mapped with their true
     /// poses (groundtruth_tum.txt, in the camera's axes: x right, y down, z ahead) for odometry, and frames 2 to 8 m
     /// on are measured from the last of them.
@@ -57,7 +64,7 @@ pub(crate) fn run(options: &RecordedOptions) -> Result<RecordedReport> {
             let features = features.map_err(refused)?;
             distances::run(&options.folders, calibration, features).map(RecordedReport::Distances)
         }
-        (None, Some(model)) => walks::run(&options.folders, model).map(RecordedReport::Walks),
+        (None, Some(model)) => walks::run(&options.folders, model, options.odometry).map(RecordedReport::Walks),
         (None, None) => Err(refused("give --model, or --calibration")),
     }
 }

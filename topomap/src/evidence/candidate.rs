@@ -66,7 +66,8 @@ pub struct Candidate {
     /// Where in the place's frame the robot was at that frame, if it is known.
     pub seen_from: Option<RelativePose>,
     /// What the best look-alike of this kind of place is expected to come to over the same frames,
-    /// in inliers, above 0.
+    /// in inliers, above 0. Where the session took that frame itself, and has not lost sight of what
+    /// lies between, what that comes to, if it is more.
     pub look_alike_inliers: f64,
     /// ln [p / (1 - p)] of the probability that both frames show the same place, by all that is
     /// known, in nats; see [`ProbabilityWeights`]. Without a view, by words alone.

@@ -20,7 +20,7 @@ use posegraph::PlanarPose;
 impl Map {
     /// Links, sessions and the number of events: all but the places, as the state hash covers them.
     pub(super) fn encode_graph(&self) -> Vec<u8> {
-        let Self { places, links, linked: _, sessions, events } = self;
+        let Self { places, links, linked: _, learnt: _, sessions, events } = self;
         let verified = sessions.values().any(|session| !session.sightings.is_empty());
         let posed = sessions.values().any(Session::is_posed);
         let measured = sessions.values().any(Session::is_measured);

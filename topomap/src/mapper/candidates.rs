@@ -16,7 +16,7 @@ use crate::settings::MapperSettings;
 const AS_GOOD: f64 = 0.9;
 
 /// Views with less than this share of the strongest own evidence are not the nearest.
-const HALF_AS_GOOD: f64 = 0.5;
+pub(super) const HALF_AS_GOOD: f64 = 0.5;
 
 /// Largest |ln s| of a view that was taken beside the current one. On a walk with a frame a step,
 /// four in five of those a frame apart are within.

@@ -4,12 +4,12 @@ use fabmap::appearance::PlaceId;
 use fabmap::recognizer::{Association, Recognition};
 
 use super::FrameError;
-use super::candidates::{is_without_keypoints, lacks_probability_alone, most_likely};
+use super::candidates::{HALF_AS_GOOD, is_without_keypoints, lacks_probability_alone, most_likely};
 use super::frame::{FrameInHand, FrameInput, Growth};
 use super::localizer::Queried;
 use super::poses::Located;
 use super::proposing::{Comparisons, EarlierMatch, Proposed};
-use crate::evidence::{Candidate, Check, Match, TurnedView, over_frames, unknown_over_frames};
+use crate::evidence::{Candidate, Check, Match, TurnedView, TwoView, over_frames, unknown_over_frames};
 use crate::log::{Decision, FrameEvent, Link, LinkKind, Reason};
 use crate::settings::MapperSettings;
 
@@ -104,10 +104,20 @@ impl Proposed<'_> {
         let look_alikes = of_frame.map_or_else(unknown_over_frames, |inliers| over_frames(inliers, frames));
         let candidate = |&EarlierMatch { matched, at }: &EarlierMatch| {
             let view = comparisons.views.get(&matched.frame).copied();
-            let alone = Candidate::new(matched, view, at, look_alikes);
+            let in_sight = self.in_sight(matched.place, view.as_ref(), comparisons) * (1.0 + frames as f64);
+            let alone = Candidate::new(matched, view, at, look_alikes.max(in_sight));
             alone.judged(self.frame.support(&alone), &settings.weights)
         };
         self.compared.iter().map(candidate).collect()
+    }
+
+    /// What the frame shows, in inliers, of what lies between a candidate of its own session and now,
+    /// if it has that in sight still: half as much of it as of the candidate, or more. Each of the
+    /// last frames may have shown as much, as they speak for the candidate.
+    fn in_sight(&self, from: PlaceId, view: Option<&TwoView>, comparisons: &Comparisons) -> f64 {
+        let between = self.wanted.between.get(&from).and_then(|frame| comparisons.views.get(frame));
+        let [seen, between] = [view, between].map(|view| view.map_or(0.0, TwoView::evidence));
+        if between >= HALF_AS_GOOD * seen { between } else { 0.0 }
     }
 
     /// With geometry the candidate that it has most evidence for, or else the frame that matches

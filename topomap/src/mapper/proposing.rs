@@ -44,6 +44,8 @@ pub struct WantedViews {
     pub turned: Option<FrameId>,
     /// Of `compared`, the last frame of the place where the robot may have stayed.
     pub(super) stayed: Option<FrameId>,
+    /// Of `compared`, by place, what the session took between there and now.
+    pub(super) between: BTreeMap<PlaceId, FrameId>,
 }
 
 /// What the comparisons found.
@@ -130,8 +132,13 @@ impl FrameInHand<'_> {
     fn wanted_views(&self, compared: &[EarlierMatch]) -> WantedViews {
         let stayed = self.frame_to_have_stayed_at();
         let mut frames: Vec<FrameId> = compared.iter().map(|best| best.matched.frame).collect();
-        frames.extend(stayed.filter(|frame| !frames.contains(frame)));
-        WantedViews { compared: frames, turned: self.frame_to_have_turned_at(), stayed }
+        let between = self.frames_between(compared);
+        for frame in stayed.into_iter().chain(between.values().copied()) {
+            if !frames.contains(&frame) {
+                frames.push(frame);
+            }
+        }
+        WantedViews { compared: frames, turned: self.frame_to_have_turned_at(), stayed, between }
     }
 
     /// The place that is the most probable of all, where the session is or has just been and the

@@ -46,8 +46,8 @@ pub(crate) struct Mapped {
 pub(crate) struct SeenFrame<'a> {
     /// Nanoseconds since the start.
     pub stamp_ns: i64,
-    /// What the wheels said.
-    pub odometry: Odometry,
+    /// What the wheels said, if they did.
+    pub odometry: Option<Odometry>,
     /// What the robot saw.
     pub image: &'a GreyImage,
     /// By which camera; `None` if nothing is known of it.
@@ -65,7 +65,7 @@ pub(crate) fn map(
     mapping.open_session()?;
     for frame in frames {
         let DrivenFrame { stamp_ns, truth: _, odometry, image, camera } = frame;
-        let odometry = sent_odometry(odometry)?;
+        let odometry = Some(sent_odometry(odometry)?);
         mapping.add(&SeenFrame { stamp_ns: *stamp_ns, odometry, image, camera: Some(*camera) })?;
     }
     Ok(mapping.mapped)
@@ -117,7 +117,7 @@ impl<'a> Mapping<'a> {
         let mut watch = FrameWatch::start();
         let Observed { observation, features } =
             Observed::in_image(frame.image, self.model, self.extractor, &mut watch)?;
-        let features = self.tracker.track(Arc::new(features), frame.camera.as_ref(), Some(&frame.odometry));
+        let features = self.tracker.track(Arc::new(features), frame.camera.as_ref(), frame.odometry.as_ref());
         watch.tracked();
         let Mapped { mapper, log, robot, times, features: earlier, relax_ms } = &mut self.mapped;
         let views = CurrentView {
@@ -131,7 +131,7 @@ impl<'a> Mapping<'a> {
             session,
             sequence: index as u64,
             stamp_ns: frame.stamp_ns,
-            odometry: Some(frame.odometry.clone()),
+            odometry: frame.odometry.clone(),
             observation,
         };
         let Decided { event, .. } = in_memory::decide(mapper, &log.0, input, &views, &mut watch)?;

@@ -5,8 +5,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
 use fabmap::observation::WordId;
-use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion};
-use posegraph::trajectory::StampedPose;
+use nalgebra::Isometry3;
 use posegraph::{PlanarPose, Pose};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -18,7 +17,7 @@ use waypost_vision::features::{Extractor, FeatureSettings, Features};
 use waypost_vision::structure::{RobotCamera, Tracker};
 use waypost_vision::verification::{Pinhole, Verifier, View};
 
-use super::recording::Recording;
+use super::recording::{Recording, of_robot};
 use crate::commands::map::closures::CHI_SQUARED_95;
 use crate::error::fault;
 use crate::files;
@@ -118,14 +117,6 @@ fn seen(recording: &Recording, extractor: Extractor) -> Result<Vec<Arc<FeatureRe
     };
     let records = recording.images.par_iter();
     records.map(|path| record(path).with_context(|| path.display().to_string())).collect()
-}
-
-/// The pose of a robot whose x axis is where its camera looks, z up.
-fn of_robot(stamped: &StampedPose) -> Isometry3<f64> {
-    let optical_in_robot = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
-    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(optical_in_robot));
-    let turn = Isometry3::from_parts(nalgebra::Translation3::identity(), turn);
-    turn * stamped.pose * turn.inverse()
 }
 
 /// The last of some frames, with the depths that the way gave it.

@@ -4,13 +4,16 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use posegraph::trajectory::StampedPose;
 use posegraph::{PlanarPose, Pose};
 use serde::Serialize;
 use topomap::log::{FrameEvent, Reason};
+use topomap::mapper::FrameError;
 use topomap::metric::Odometry;
 use topomap::settings::MapperSettings;
 use waypost_vision::image;
 
+use super::heard::HeardWheels;
 use super::recording::Recording;
 use crate::commands::map::judgement::FALSE_M;
 use crate::commands::map::mapping::{Mapped, Mapping, SeenFrame};
@@ -21,8 +24,10 @@ use crate::{files, progress};
 pub(crate) struct WalksReport {
     /// Walks.
     pub walks: usize,
-    /// Their frames.
+    /// Their frames that were mapped.
     pub frames: usize,
+    /// Those that were refused.
+    pub refused: usize,
     /// Places of the map.
     pub places: usize,
     /// Walks that hang together with the first by closures, itself among them.
@@ -50,25 +55,36 @@ pub(crate) struct WalkClosure {
     pub apart_m: f64,
 }
 
-pub(super) fn run(folders: &[PathBuf], model: &Path) -> Result<WalksReport> {
+pub(super) fn run(folders: &[PathBuf], model: &Path, heard: HeardWheels) -> Result<WalksReport> {
     let (model, extractor) = files::read_model(model)?;
     let walks: Vec<Recording> =
-        folders.iter().map(|folder| Recording::open(folder, "odometry_tum.txt")).collect::<Result<_>>()?;
+        folders.iter().map(|folder| Recording::of_robot(folder)).collect::<Result<_>>()?;
     let frames: usize = walks.iter().map(|walk| walk.images.len()).sum();
     let bar = progress::bar("frames", frames);
     let mut mapping = Mapping::new(&model, extractor, MapperSettings::default())?;
-    for walk in &walks {
+    let mut taken = Vec::new();
+    for (walk, recording) in walks.iter().enumerate() {
         mapping.open_session()?;
-        for (path, stamped) in walk.images.iter().zip(&walk.poses) {
+        let odometry: Vec<Odometry> = recording.poses.iter().map(odometry_of).collect::<Result<_>>()?;
+        for (index, (path, stamped)) in recording.images.iter().zip(&recording.poses).enumerate() {
             let image = image::decode(&files::read(path)?).with_context(|| path.display().to_string())?;
-            let [i, j, k, w] = stamped.pose.rotation.coords.into();
-            let odometry = Odometry::new(stamped.pose.translation.vector.into(), [i, j, k, w], None)?;
-            mapping.add(&SeenFrame { stamp_ns: stamped.stamp_ns, odometry, image: &image, camera: None })?;
+            let odometry = heard.of_frame(index, &odometry);
+            let frame = SeenFrame { stamp_ns: stamped.stamp_ns, odometry, image: &image, camera: None };
+            match mapping.add(&frame) {
+                Ok(()) => taken.push(Taken::new(walk, index, stamped)),
+                Err(error) if error.is::<FrameError>() => {}
+                Err(error) => return Err(error),
+            }
             bar.inc(1);
         }
     }
     bar.finish_and_clear();
-    Ok(WalksReport::of(&walks, &mapping.mapped))
+    Ok(WalksReport::of(&walks, &taken, frames, &mapping.mapped))
+}
+
+fn odometry_of(stamped: &StampedPose) -> Result<Odometry> {
+    let [i, j, k, w] = stamped.pose.rotation.coords.into();
+    Ok(Odometry::new(stamped.pose.translation.vector.into(), [i, j, k, w], None)?)
 }
 
 /// A frame among all walks.
@@ -79,22 +95,18 @@ struct Taken {
     at: PlanarPose,
 }
 
+impl Taken {
+    fn new(walk: usize, index: usize, stamped: &StampedPose) -> Self {
+        let position = stamped.pose.translation.vector;
+        let heading_rad = stamped.pose.rotation.euler_angles().2;
+        Self { walk, index, at: PlanarPose::new(position.x, position.y, heading_rad) }
+    }
+}
+
 impl WalksReport {
-    fn of(walks: &[Recording], mapped: &Mapped) -> Self {
-        let taken: Vec<Taken> = walks
-            .iter()
-            .enumerate()
-            .flat_map(|(walk, recording)| {
-                let poses = recording.poses.iter().enumerate();
-                poses.map(move |(index, stamped)| {
-                    let position = stamped.pose.translation.vector;
-                    let heading_rad = stamped.pose.rotation.euler_angles().2;
-                    Taken { walk, index, at: PlanarPose::new(position.x, position.y, heading_rad) }
-                })
-            })
-            .collect();
+    fn of(walks: &[Recording], taken: &[Taken], sent: usize, mapped: &Mapped) -> Self {
         let pairs: Vec<(Taken, Taken)> =
-            mapped.log.frames().filter_map(|event| closed(event, mapped, &taken)).collect();
+            mapped.log.frames().filter_map(|event| closed(event, mapped, taken)).collect();
         let apart_m = |(later, earlier): &(Taken, Taken)| {
             let apart = earlier.at.inverse().compose(&later.at);
             apart.x_m().hypot(apart.y_m())
@@ -105,6 +117,7 @@ impl WalksReport {
         Self {
             walks: walks.len(),
             frames: taken.len(),
+            refused: sent - taken.len(),
             places: mapped.mapper.map().places().len(),
             joined_walks: joined(walks.len(), &pairs),
             closures: pairs.len(),
