@@ -108,7 +108,7 @@ fn by_numbers(
     Ok(Camera { lens: lens(intrinsics), size_px, base_to_camera: None })
 }
 
-/// Numbers do not say of which images they are; those of others show by their middle, which is within a quarter of the
+/// Numbers do not say of which images they are; those of others show by their middle, which is within an eighth of the
 /// image of its own.
 fn check_middle(
     [cx_px, cy_px]: [f64; 2],
@@ -116,7 +116,7 @@ fn check_middle(
 ) -> Result<(), CameraFileError> {
     let is_off = |center_px: f64, size_px: u32| {
         let size_px = f64::from(size_px);
-        (center_px - size_px / 2.0).abs() > size_px / 4.0
+        (center_px - size_px / 2.0).abs() > size_px / 8.0
     };
     if is_off(cx_px, image_width) || is_off(cy_px, image_height) {
         return Err(CameraFileError::Middle { cx_px, cy_px, image_width, image_height });

@@ -90,6 +90,14 @@ impl Failure {
             Failure::Client(Error::Connection { reason, .. }) if reason.contains("InvalidContentType") => {
                 "\nthat server speaks no TLS: name it with http://, or have it started with a certificate"
             }
+            Failure::Client(Error::Connection { reason, .. })
+                if reason.contains("frame with invalid size") =>
+            {
+                "\nthat server may speak TLS: name it with https://"
+            }
+            Failure::Client(Error::Connection { endpoint, .. }) if endpoint.starts_with("https://") => {
+                "\ncheck that it runs; if it asks for a certificate of yours, give --client-cert and --client-key"
+            }
             Failure::Client(Error::Connection { .. }) => {
                 "\nstart a server with `make serve`, or name another with --server or WAYPOST_SERVER"
             }

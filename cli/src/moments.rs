@@ -87,10 +87,21 @@ fn joined(stamps: &[i64], path: &Path, rows: &[StampedPose]) -> Result<Moments, 
         let ends = |first: Option<i64>, last: Option<i64>| {
             format!("from {} s to {} s", seconds(first.unwrap_or(0)), seconds(last.unwrap_or(0)))
         };
+        let (first, last) = (rows.first().map(|row| row.stamp_ns), rows.last().map(|row| row.stamp_ns));
+        let is_during = |stamp: &i64| {
+            first.is_some_and(|first| first <= *stamp) && last.is_some_and(|last| *stamp <= last)
+        };
+        if stamps.iter().any(is_during) {
+            let gap_s = MOST_GAP_NS / 1_000_000_000;
+            return Err(Failure::Unfit(format!(
+                "no image was taken between two poses of {name} that are at most {gap_s} s apart; give odometry at its own rate, \
+                 without gaps"
+            )));
+        }
         return Err(Failure::Unfit(format!(
             "no image was taken while {name} has poses: images are {}, poses {}; both have to be by one clock",
             ends(stamps.first().copied(), stamps.last().copied()),
-            ends(rows.first().map(|row| row.stamp_ns), rows.last().map(|row| row.stamp_ns)),
+            ends(first, last),
         )));
     }
     let mut told = vec![format!("{name}: {} poses, joined to {count} images by time", rows.len())];

@@ -61,7 +61,22 @@ pub(crate) fn size_px(first: &ImageFile) -> Result<(u32, u32), Failure> {
 }
 
 /// The camera of panoramas of a width and a height.
-pub(crate) fn camera_of(projection: Projection, (image_width_px, image_height_px): (u32, u32)) -> v1::Camera {
+///
+/// # Errors
+/// [`Failure`] if images are as high as photographs: a panorama covers 360 degrees, and even one that looks straight up
+/// and down is twice as wide as high.
+pub(crate) fn panorama_camera(projection: Projection, size_px: (u32, u32)) -> Result<v1::Camera, Failure> {
+    let (width_px, height_px) = size_px;
+    if width_px < height_px.saturating_mul(2) {
+        return Err(Failure::Unfit(format!(
+            "images of {width_px} x {height_px} pixels are no panoramas: one covers 360 degrees, and is at least twice as wide \
+             as high; leave out --panorama, or unroll them first"
+        )));
+    }
+    Ok(camera_of(projection, size_px))
+}
+
+fn camera_of(projection: Projection, (image_width_px, image_height_px): (u32, u32)) -> v1::Camera {
     // Half of the height, in widths of a circle of radius 1.
     let half = PI * f64::from(image_height_px) / f64::from(image_width_px.max(1));
     let (projection, vertical_rad) = match projection {

@@ -82,7 +82,7 @@ test("a server with tokens asks for one, and shows what its holder may see", asy
     assert.equal(await page.getByRole("button", { name: "Delete the session" }).count(), 0);
     await page.reload();
     await cursor(page).filter({ hasText: `frame ${closing}` }).waitFor();
-    await server.call(admin, "token", "rm", "reader");
+    await server.call(admin, "token", "rm", "reader", "--yes");
     await page.getByRole("heading", { name: "This server asks for a token" }).waitFor();
     await page.getByLabel("Token").fill(admin);
     await page.getByRole("button", { name: "Log in" }).click();

@@ -109,7 +109,8 @@ fn position(pose: &LivePose, map_frame: &str, part: u32) -> Result<Wish, NoGoal>
     }
     let ([x_m, y_m, _], [x, y, z, w]) = (pose.pose.position_m, pose.pose.orientation);
     let heading_rad = Some((2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z)));
-    let target = v1::goal::Target::Position(v1::PositionGoal { part, x_m, y_m, heading_rad });
+    let target =
+        v1::goal::Target::Position(v1::PositionGoal { part, x_m: Some(x_m), y_m: Some(y_m), heading_rad });
     Ok(Wish::Go(v1::Goal { target: Some(target) }))
 }
 
@@ -337,7 +338,7 @@ mod tests {
         else {
             panic!("no position");
         };
-        assert_eq!((position.part, position.x_m, position.y_m), (3, 1.0, 2.0));
+        assert_eq!((position.part, position.x_m, position.y_m), (3, Some(1.0), Some(2.0)));
         assert!((position.heading_rad.unwrap() - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
         let other = LivePose { frame_id: "odom".to_owned(), ..goal };
         let told = super::position(&other, "map", 0).unwrap_err().to_string();

@@ -154,8 +154,7 @@ impl Map {
         let linked = vec![Vec::new(); places.len()];
         let learnt = looks_of(&places);
         let links_len = links.len();
-        let mut map =
-            Self { places, links: Vec::with_capacity(links_len), linked, sessions, learnt, events };
+        let mut map = Self { places, links: Vec::with_capacity(links_len), linked, sessions, learnt, events };
         for link in links {
             let known = |place: PlaceId| (place.index()) < map.places.len();
             if !known(link.from) || !known(link.to) {

@@ -27,6 +27,7 @@ mod sight;
 mod state;
 mod support;
 
+pub use candidates::AS_GOOD;
 pub use deciding::Decided;
 pub use errors::{FoldError, FrameError, MeasureError, RestoreError};
 pub use frame::FrameInput;

@@ -226,7 +226,9 @@ fn show(merge: &v1::Merge, output: Output) -> Result<(), Failure> {
         }
         if let Some(base) = &merge.base {
             writeln!(out, "{}, {} places", base.map, base.places)?;
-            writeln!(out, "  {} is a copy of it, with the others on it", merge.target)?;
+            if merge.state() == v1::merge::State::Committed {
+                writeln!(out, "  {} is a copy of it, with the others on it", merge.target)?;
+            }
             show_sessions(base, out)?;
         }
         for source in &merge.sources {

@@ -193,6 +193,9 @@ async fn list(server: &ClientOptions, output: Output) -> Result<(), Failure> {
     })
 }
 
+/// Training images that are too few: see the guide's page on models.
+const FEW_SAMPLES: u32 = 100;
+
 fn show(model: &v1::Model, output: Output) -> Result<(), Failure> {
     output.result(model, |out| {
         writeln!(out, "{}", model.name)?;
@@ -201,7 +204,16 @@ fn show(model: &v1::Model, output: Output) -> Result<(), Failure> {
         writeln!(out, "  words       {}", model.words)?;
         writeln!(out, "  words hash  {}", model.words_hash)?;
         writeln!(out, "  samples     {}", model.samples)?;
-        writeln!(out, "  size        {}", mebibytes(model.size_bytes))
+        writeln!(out, "  size        {}", mebibytes(model.size_bytes))?;
+        if model.samples < FEW_SAMPLES {
+            writeln!(
+                out,
+                "  note        it was trained on {} images: that tells little about what is new, and nothing about look-alikes; \
+                 {FEW_SAMPLES} and more, in the order of a drive, tell both",
+                model.samples
+            )?;
+        }
+        Ok(())
     })
 }
 

@@ -8,7 +8,7 @@ use waypost_client::v1::{self, NavigationStatus};
 use waypost_client::{Client, ClientOptions};
 
 use crate::failure::{EXIT_CODES, Failure};
-use crate::output::{Output, table};
+use crate::output::{Output, rounded, table};
 use crate::progress;
 
 /// How often the live view polls the server.
@@ -61,7 +61,12 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         return show(&client.cancel_goal(&name).await?, output);
     }
     let image = to_image.map(|file| std::fs::read(&file).map_err(Failure::file("read", &file)));
-    let position = to_position.map(|[x_m, y_m]| v1::PositionGoal { part: 0, x_m, y_m, heading_rad: facing });
+    let position = to_position.map(|[x_m, y_m]| v1::PositionGoal {
+        part: 0,
+        x_m: Some(x_m),
+        y_m: Some(y_m),
+        heading_rad: facing,
+    });
     let target = to
         .map(v1::goal::Target::PlaceNumber)
         .or(position.map(v1::goal::Target::Position))
@@ -120,8 +125,12 @@ fn live(navigation: &v1::Navigation) -> String {
     if let Some(at) = guidance.and_then(|guidance| guidance.localization.as_ref()) {
         let position = at.pose.as_ref().and_then(|pose| pose.position_m).unwrap_or_default();
         line += &format!(
-            ", at ({:.2}, {:.2}) ± {:.2} m near place {}, recognised {:.1} m ago",
-            position.x, position.y, at.position_sigma_m, at.place_number, at.since_recognition_m
+            ", at ({}, {}) ± {:.2} m near place {}, recognised {:.1} m ago",
+            rounded(position.x, 2),
+            rounded(position.y, 2),
+            at.position_sigma_m,
+            at.place_number,
+            at.since_recognition_m
         );
     }
     if let Some(by_looks) = guidance.and_then(|guidance| guidance.appearance.as_ref()) {
@@ -163,7 +172,7 @@ fn live_by_looks(guidance: &v1::AppearanceGuidance) -> String {
 async fn list(client: &Client, map: &str, output: Output) -> Result<(), Failure> {
     let robots = client.navigations(map).await?;
     output.result(&serde_json::json!({ "navigations": robots }), |out| {
-        let metres = |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:.2}"));
+        let metres = |value: Option<f64>| value.map_or_else(String::new, |value| rounded(value, 2));
         let rows = robots.iter().map(|robot| {
             let guidance = robot.guidance.as_ref();
             let localization = guidance.and_then(|guidance| guidance.localization.as_ref());

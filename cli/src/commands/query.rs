@@ -57,7 +57,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
                         out,
                         "geometry: {inliers} of {matches} matches agree, evidence {evidence_inliers:.1} inliers, \
                          look-alikes show {look_alike_inliers:.1}; \
-                         the same place with {probability:.3}"
+                         probability {probability:.3}"
                     )?;
                 }
             }

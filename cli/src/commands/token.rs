@@ -9,6 +9,7 @@ use waypost_client::{Client, ClientOptions, v1};
 use waypost_proto::flags::seconds;
 
 use crate::failure::Failure;
+use crate::files::Asking;
 use crate::output::{Output, table};
 
 #[derive(Subcommand)]
@@ -42,6 +43,9 @@ pub(crate) enum Command {
     Rm {
         /// Name of the token
         name: String,
+        /// Do not ask: needed where nobody can answer, as in a script
+        #[arg(long)]
+        yes: bool,
     },
 }
 
@@ -89,7 +93,9 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
                 table(out, ["TOKEN", "ROLE", "MAY", "MAPS", "EXPIRES"], tokens.iter().map(row))
             })
         }
-        Command::Rm { name } => {
+        Command::Rm { name, yes } => {
+            Asking::unless(yes)
+                .confirm_loss(&format!("delete the token {name}? calls and streams that use it end"))?;
             client.delete_token(&name).await?;
             output.result(&json!({ "deleted": name }), |out| writeln!(out, "deleted {name}"))
         }

@@ -56,7 +56,15 @@ def test_a_stream_ends_with_its_token(guarded: tuple[Server, str, str]) -> None:
         operator.create_map("hall", "shipped")
         with waypost.connect(server.address, token=robot) as client, client.session("hall", "r") as session:
             answers(session, range(1, 3))
-            rm = [str(binary("waypost")), "token", "rm", "robot", "--server", f"http://{server.address}"]
+            rm = [
+                str(binary("waypost")),
+                "token",
+                "rm",
+                "robot",
+                "--yes",
+                "--server",
+                f"http://{server.address}",
+            ]
             subprocess.run([*rm, "--token", admin], env=environment(), check=True, capture_output=True)
             with pytest.raises(waypost.Unauthenticated):
                 list(session.stream([frame(3)]))

@@ -64,7 +64,9 @@ pub(crate) fn run(options: &RecordedOptions) -> Result<RecordedReport> {
             let features = features.map_err(refused)?;
             distances::run(&options.folders, calibration, features).map(RecordedReport::Distances)
         }
-        (None, Some(model)) => walks::run(&options.folders, model, options.odometry).map(RecordedReport::Walks),
+        (None, Some(model)) => {
+            walks::run(&options.folders, model, options.odometry).map(RecordedReport::Walks)
+        }
         (None, None) => Err(refused("give --model, or --calibration")),
     }
 }

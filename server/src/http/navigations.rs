@@ -181,7 +181,7 @@ impl GoalBody {
         use v1::goal::Target;
         let Self { place_number, position, label } = self;
         let position = position.map(|PositionBody { part, x_m, y_m, heading_rad }| {
-            Target::Position(v1::PositionGoal { part, x_m, y_m, heading_rad })
+            Target::Position(v1::PositionGoal { part, x_m: Some(x_m), y_m: Some(y_m), heading_rad })
         });
         let named = [place_number.map(Target::PlaceNumber), position, label.map(Target::Label)];
         let mut named = named.into_iter().flatten();

@@ -146,6 +146,7 @@ impl Models {
                 "{announced} images were announced and {came} came; send them all, or announce none"
             )));
         }
+        self.check_name_is_free(&upload.display_name, None).await?;
         let models = self.clone();
         let work = |reporter: JobReporter| async move { models.train(upload, &reporter).await };
         self.jobs.start(JobKind::TrainModel, &[], work).await
@@ -213,8 +214,27 @@ impl Models {
     }
 
     async fn store(&self, row: ModelRow, file: &[u8]) -> Result<ModelRow, ServiceError> {
+        self.check_name_is_free(&row.display_name, Some(&row.hash)).await?;
         self.storage.put_model(&row, file).await?;
         self.find(&row.hash).await
+    }
+
+    /// Refuses a display name that another model has: commands that name it would stand for either. `hash` is of the
+    /// model that is to have it, if there is one.
+    async fn check_name_is_free(&self, display_name: &str, hash: Option<&str>) -> Result<(), ServiceError> {
+        if display_name.is_empty() {
+            return Ok(());
+        }
+        let called = self.storage.models_by_display_name(display_name).await?;
+        match called.iter().find(|model| Some(model.hash.as_str()) != hash) {
+            None => Ok(()),
+            Some(other) => Err(ServiceError::AlreadyExists {
+                message: format!(
+                    "the model {} is called {display_name:?} already; choose another name, or rename that one first",
+                    other.hash
+                ),
+            }),
+        }
     }
 
     /// A model by `models/{hash}`, a beginning of its hash, or its display name.
@@ -243,7 +263,8 @@ impl Models {
                 let digits = format!(" (the beginning of a hash has at least {MIN_HASH_DIGITS} digits)");
                 let digits = if is_short { digits.as_str() } else { "" };
                 Err(ServiceError::not_found(format_args!(
-                    "there is no model {reference:?}{digits}; list the models to see what there is, or train or import one"
+                    "there is no model {reference:?}{digits}; list the models to see what there is (waypost model ls), or train or \
+                     import one"
                 )))
             }
         }
@@ -282,6 +303,7 @@ impl Models {
             ));
         }
         let model = self.find(reference).await?;
+        self.check_name_is_free(&display_name, Some(&model.hash)).await?;
         self.storage.rename_model(&model.hash, &display_name).await?;
         self.find(&model_name(&model.hash)).await
     }

@@ -16,7 +16,7 @@ use topomap::ids::FrameId;
 use topomap::log::{FrameEvent, MapEvent, Reason};
 use topomap::mapper::{Decided, EarlierFrame, FrameInput, Gate, Mapper};
 
-use self::gates::gate_views;
+use self::gates::{gate_views, outdone_view};
 pub(super) use self::gates::{probability, verdict_views};
 pub(crate) use self::odometry_agreement::OdometryAgreement;
 use self::odometry_agreement::SeenAgain;
@@ -199,7 +199,11 @@ impl Replay {
         let candidate = event.candidates.iter().find(|candidate| Some(candidate.matched.place) == explained);
         let mut gates = gates.map(|gates| gate_views(&gates, candidate)).unwrap_or_default();
         let settings = mapper.settings().for_frame(input.odometry.as_ref(), comparisons.focal_length_widths);
-        gates.extend(candidate.map(|candidate| verdict_views(&settings, candidate)).unwrap_or_default());
+        if let Some(candidate) = candidate {
+            gates.extend(verdict_views(&settings, candidate));
+            let stronger = mapper.outdone_by(candidate, &event.candidates);
+            gates.extend(stronger.map(|stronger| outdone_view(candidate, stronger)));
+        }
         Ok(FrameExplanation {
             picture: explained.map(|place| format!("/v1/{name}/picture?place_number={place}")),
             name,

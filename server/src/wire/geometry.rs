@@ -48,16 +48,12 @@ pub(crate) fn planar_pose(pose: &PlanarPose) -> v1::Pose {
 }
 
 fn pose_message(pose: &Isometry3<f64>) -> v1::Pose {
-    let (position, orientation) = (pose.translation, pose.rotation);
-    v1::Pose {
-        position_m: Some(v1::Vector3 { x: position.x, y: position.y, z: position.z }),
-        orientation: Some(v1::Quaternion {
-            x: orientation.i,
-            y: orientation.j,
-            z: orientation.k,
-            w: orientation.w,
-        }),
-    }
+    // No zero has a minus.
+    let [x, y, z] = [pose.translation.x, pose.translation.y, pose.translation.z].map(|metres| metres + 0.0);
+    let position_m = Some(v1::Vector3 { x, y, z });
+    let rotation = pose.rotation;
+    let [x, y, z, w] = [rotation.i, rotation.j, rotation.k, rotation.w].map(|number| number + 0.0);
+    v1::Pose { position_m, orientation: Some(v1::Quaternion { x, y, z, w }) }
 }
 
 pub(crate) fn odometry(message: v1::Odometry) -> Result<Odometry, ServiceError> {

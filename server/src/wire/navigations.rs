@@ -121,6 +121,7 @@ fn goal_message(goal: Goal) -> v1::Goal {
     let target = match goal {
         Goal::Place(place) => goal::Target::PlaceNumber(place.number()),
         Goal::Position { part, position_m: [x_m, y_m], heading_rad } => {
+            let [x_m, y_m] = [Some(x_m), Some(y_m)];
             goal::Target::Position(v1::PositionGoal { part: part.number(), x_m, y_m, heading_rad })
         }
         Goal::Label(label) => goal::Target::Label(label),
@@ -169,25 +170,29 @@ pub(crate) fn reverse(message: i32) -> Result<ReverseTravel, ServiceError> {
 pub(crate) fn goal_request(message: Option<v1::Goal>) -> Result<GoalRequest, ServiceError> {
     match message.and_then(|message| message.target) {
         Some(goal::Target::PlaceNumber(place)) => Ok(GoalRequest::Goal(Goal::Place(PlaceId::new(place)))),
-        Some(goal::Target::Position(v1::PositionGoal { part, x_m, y_m, heading_rad }))
-            if (x_m + y_m + heading_rad.unwrap_or(0.0)).is_finite() =>
-        {
-            Ok(GoalRequest::Goal(Goal::Position {
-                part: PlaceId::new(part),
-                position_m: [x_m, y_m],
-                heading_rad,
-            }))
-        }
+        Some(goal::Target::Position(position)) => position_goal(&position).map(GoalRequest::Goal),
         Some(goal::Target::Label(label)) => Ok(GoalRequest::Goal(Goal::Label(label))),
         Some(goal::Target::Image(image)) if !image.is_empty() => Ok(GoalRequest::Image(Bytes::from(image))),
         Some(goal::Target::Image(_)) => {
             Err(ServiceError::invalid("the goal has no image; send a JPEG or PNG that was taken there"))
         }
-        Some(goal::Target::Position(_)) => Err(ServiceError::invalid(
-            "the goal's position or heading is not finite; give metres and radians in the map's frame",
-        )),
         None => Err(ServiceError::invalid("the goal is empty; name a place, a position or a label")),
     }
+}
+
+fn position_goal(position: &v1::PositionGoal) -> Result<Goal, ServiceError> {
+    let v1::PositionGoal { part, x_m, y_m, heading_rad } = *position;
+    let (Some(x_m), Some(y_m)) = (x_m, y_m) else {
+        return Err(ServiceError::invalid(
+            "the goal's position lacks x_m or y_m; give both, in metres in the map's frame: a heading alone is no goal",
+        ));
+    };
+    if !(x_m + y_m + heading_rad.unwrap_or(0.0)).is_finite() {
+        return Err(ServiceError::invalid(
+            "the goal's position or heading is not finite; give metres and radians in the map's frame",
+        ));
+    }
+    Ok(Goal::Position { part: PlaceId::new(part), position_m: [x_m, y_m], heading_rad })
 }
 
 pub(crate) fn body_report(message: v1::WheelReport) -> Result<BodyReport, ServiceError> {

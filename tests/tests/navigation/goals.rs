@@ -26,7 +26,9 @@ async fn a_goal_that_does_not_exist_takes_no_other_away() {
     let mut navigation = client.navigate(options("robot", to_place(goal))).await.unwrap();
     let name = "maps/taught/navigations/robot";
     let url = server.url(&format!("/v1/{name}/goal"));
-    let position = |part, x_m| Target::Position(v1::PositionGoal { part, x_m, y_m: 0.0, heading_rad: None });
+    let position = |part, x_m| {
+        Target::Position(v1::PositionGoal { part, x_m: Some(x_m), y_m: Some(0.0), heading_rad: None })
+    };
     for (target, body, code, status, fragment) in [
         (
             Target::PlaceNumber(9999),
@@ -55,6 +57,13 @@ async fn a_goal_that_does_not_exist_takes_no_other_away() {
             Code::NotFound,
             StatusCode::NOT_FOUND,
             "attic",
+        ),
+        (
+            Target::Position(v1::PositionGoal { part: 0, x_m: None, y_m: None, heading_rad: Some(1.0) }),
+            json!({ "position": { "heading_rad": 1.0 } }),
+            Code::InvalidArgument,
+            StatusCode::BAD_REQUEST,
+            "x_m",
         ),
     ] {
         let case = format!("{body}");

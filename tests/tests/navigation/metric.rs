@@ -285,7 +285,7 @@ async fn what_cannot_be_led_is_refused_with_the_way_out() {
     }
 
     for (x_m, heading_rad) in [(f64::NAN, None), (0.0, Some(f64::INFINITY))] {
-        let position = v1::PositionGoal { part: 0, x_m, y_m: 0.0, heading_rad };
+        let position = v1::PositionGoal { part: 0, x_m: Some(x_m), y_m: Some(0.0), heading_rad };
         let goal = Some(v1::Goal { target: Some(v1::goal::Target::Position(position)) });
         let (said, message) = refused(client.navigate(NavigationOptions { goal, ..good() }).await);
         assert_status("a goal that is not finite", (said, &message), Code::InvalidArgument, "not finite");

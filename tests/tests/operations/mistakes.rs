@@ -65,6 +65,7 @@ fn names_and_verbs_that_are_wrong() {
         ("a map removed by a script", &["map", "rm", "hall"], 1, "nothing was done; give --yes"),
         ("a session, too", &["session", "rm", "hall", "monday"], 1, "nothing was done; give --yes"),
         ("and a model", &["model", "rm", "shipped"], 1, "`waypost model export` keeps a copy"),
+        ("and a token", &["token", "rm", "robot"], 1, "nothing was done; give --yes"),
         ("a map compacted by a script", &["map", "compact", "hall"], 1, "no merge can be undone"),
         ("places dropped by one", &["map", "trim", "hall", "--places", "2", "--apply"], 1, "give --yes"),
         ("a yes to nothing", &["map", "trim", "hall", "--places", "2", "--yes"], 2, "--apply"),
@@ -102,6 +103,52 @@ fn names_and_verbs_that_are_wrong() {
     // By the name of its file, a frame is found; nothing was removed.
     let explained = beginner.waypost.text(&["explain", "hall", "monday", "000003.jpg"]);
     assert!(explained.starts_with("maps/hall/sessions/monday/frames/4: "), "{explained}");
+}
+
+#[test]
+fn models_of_few_images_and_of_one_name_are_told() {
+    let waypost = CommandLine::new();
+    waypost.prepare();
+    let images = folder(4);
+    let train = |name: &str| {
+        ["model", "train", "--images", path(images.path()), "--words", "50", "--name", name]
+            .map(str::to_owned)
+    };
+    let run = |arguments: &[String]| waypost.run(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+    let few = run(&train("few"));
+    let said = String::from_utf8(few.stdout).unwrap();
+    assert!(few.status.success() && said.contains("it was trained on 4 images"), "{said}");
+    // A name stands for one model: one that two had would be no name in any command.
+    let taken = "is called \"shipped\" already; choose another name";
+    for arguments in
+        [train("shipped").to_vec(), ["model", "rename", "few", "shipped"].map(str::to_owned).to_vec()]
+    {
+        let output = run(&arguments);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(4) && said.contains(taken), "{arguments:?}: {said}");
+    }
+    waypost.text(&["model", "rename", "few", "few"]);
+    waypost.text(&["map", "create", "hall", "--model", "shipped"]);
+}
+
+#[test]
+fn images_of_several_sizes_are_told() {
+    let beginner = Beginner::new();
+    let small = image::load_from_memory(&images()[6]).unwrap().thumbnail(320, 180);
+    small.save(beginner.images.path().join("000006.jpg")).unwrap();
+    let output = beginner.waypost.run(&[
+        "stream",
+        path(beginner.images.path()),
+        "--map",
+        "hall",
+        "--session",
+        "sizes",
+    ]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        output.status.success() && said.contains("the images are of 2 sizes, 320 x 180 and 640 x 360"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -165,6 +212,12 @@ fn folders_and_images_that_are_wrong() {
     }
     let folder = path(beginner.images.path());
     beginner.says("photos for panoramas", &["stream", folder, "--map", "looks"], 4, "--panorama");
+    for projection in ["cylindrical", "equirectangular"] {
+        let arguments = ["stream", folder, "--map", "looks", "--panorama", projection];
+        beginner.says("photos called panoramas", &arguments, 1, "at least twice as wide as high");
+    }
+    let arguments = ["stream", folder, "--map", "hall", "--session", "new", "--camera", "500,500,320,240"];
+    beginner.says("the camera of other images", &arguments, 1, "give the calibration of these images");
     beginner.says(
         "more words than images give",
         &["model", "train", "--images", folder, "--words", "500000", "--name", "large"],
@@ -300,6 +353,9 @@ fn odometry_of_another_rate_is_joined_by_time_and_cameras_are_declared() {
     let other = beginner.file("clock.tum", "5 0 0 0 0 0 0 1\n6 0 0 0 0 0 0 1\n");
     let arguments = ["stream", path(&stamped), "--map", "drive", "--odometry", path(&other)];
     beginner.says("another clock", &arguments, 1, "both have to be by one clock");
+    let gap = beginner.file("gap.tum", "1699999999 0 0 0 0 0 0 1\n1700000005 1 0 0 0 0 0 1\n");
+    let arguments = ["stream", path(&stamped), "--map", "drive", "--odometry", path(&gap)];
+    beginner.says("a gap in odometry", &arguments, 1, "at most 1 s apart");
     let arguments = ["stream", path(&stamped), "--map", "drive", "--camera", "nowhere.yaml"];
     beginner.says("no calibration", &arguments, 1, "cannot read nowhere.yaml");
 }

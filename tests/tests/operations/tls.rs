@@ -204,8 +204,16 @@ fn the_command_lines_take_certificates_from_files() {
     assert_eq!(waypost(&right), (0, String::new()));
     let (code, stderr) = waypost(&right[2..]);
     assert!(code == 3 && stderr.contains("--ca or WAYPOST_CA"), "{stderr}");
-    let (code, _) = waypost(&right[..2]);
-    assert_eq!(code, 3);
+    let (code, stderr) = waypost(&right[..2]);
+    assert!(code == 3 && stderr.contains("--client-cert and --client-key"), "{stderr}");
+    let mut plain = Built::command("waypost");
+    plain.args(["map", "ls", "--server", &server.endpoint()]);
+    let output = run_to_its_end(plain);
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        output.status.code() == Some(3) && stderr.contains("may speak TLS: name it with https://"),
+        "{stderr}"
+    );
     let (code, stderr) = waypost(&right[..4]);
     assert!(code == 1 && stderr.contains("give both --client-cert and --client-key"), "{stderr}");
     server.stop();

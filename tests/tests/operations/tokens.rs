@@ -347,9 +347,9 @@ async fn tokens_are_looked_after_from_both_command_lines() {
              robot     robot  read,localize,stream,navigate        all   never\n"
         )
     );
-    let (code, _, stderr) = online(&["token", "rm", "operator"], admin);
+    let (code, _, stderr) = online(&["token", "rm", "operator", "--yes"], admin);
     assert!(code == 4 && stderr.contains("create another admin token first"), "{stderr}");
-    assert_eq!(online(&["token", "rm", "robot"], admin).0, 0);
+    assert_eq!(online(&["token", "rm", "robot", "--yes"], admin).0, 0);
     assert_eq!(online(&["map", "ls"], robot).0, 4);
     assert!(!server.log().contains(admin) && !server.log().contains(robot), "a secret is in the log");
     server.stop();

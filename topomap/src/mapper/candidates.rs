@@ -13,7 +13,7 @@ use crate::settings::MapperSettings;
 
 /// Candidates with this share of the strongest evidence are as good as it: the nearest of them is
 /// taken.
-const AS_GOOD: f64 = 0.9;
+pub const AS_GOOD: f64 = 0.9;
 
 /// Views with less than this share of the strongest own evidence are not the nearest.
 pub(super) const HALF_AS_GOOD: f64 = 0.5;
@@ -76,6 +76,17 @@ impl Mapper {
     /// of a place that merely looks alike.
     fn strongest(&self, candidates: &[Candidate]) -> f64 {
         self.possible(candidates).map(Candidate::evidence).fold(0.0, f64::max)
+    }
+
+    /// The one beside which a candidate is not believed, whatever its probability: it has far more evidence.
+    #[must_use]
+    pub fn outdone_by<'a>(
+        &self,
+        candidate: &Candidate,
+        candidates: &'a [Candidate],
+    ) -> Option<&'a Candidate> {
+        let most = self.possible(candidates).max_by(|a, b| a.evidence().total_cmp(&b.evidence()))?;
+        (candidate.evidence() < AS_GOOD * most.evidence()).then_some(most)
     }
 
     /// Those that structure does not put elsewhere: for the others it has explained why they look

@@ -149,6 +149,9 @@ impl Proposed<'_> {
         if let Some(stay) = frame.session.stay.as_ref().filter(|_| frame.is_at_its_stay()) {
             return frame.same_place(stay.place);
         }
+        if self.has_driven_on(&settings, candidates) {
+            return frame.new_place(Reason::NewPlace, None);
+        }
         let Association::Seen(place) = frame.association else {
             return frame.new_place(Reason::NewPlace, None);
         };
@@ -179,6 +182,14 @@ impl Proposed<'_> {
         let Candidate { matched, .. } = frame.mapper.verified_anywhere(settings, candidates)?;
         let is_there = frame.was_just_at(matched.place);
         Some(if is_there { frame.same_place(matched.place) } else { closure_with(matched) })
+    }
+
+    /// Whether what geometry holds for the same place is where the session has just been: it is beside that, as far as
+    /// its wheels say.
+    fn has_driven_on(&self, settings: &MapperSettings, candidates: &[Candidate]) -> bool {
+        let frame = &self.frame;
+        let there = frame.mapper.verified_anywhere(settings, candidates);
+        there.is_some_and(|candidate| frame.session.is_near(candidate.matched.place, settings))
     }
 
     /// Whether what the session saw last of the place where it is may be the scene that it sees

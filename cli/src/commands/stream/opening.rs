@@ -1,5 +1,6 @@
 //! What is streamed: a folder's images, a video or a bag, and the camera that took them.
 
+use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
@@ -19,7 +20,7 @@ use crate::images::{
 use crate::moments::{Moments, moments};
 use crate::odometry::{self, StampedPose};
 use crate::output::Output;
-use crate::panorama::{camera_of, mirror_camera, size_px};
+use crate::panorama::{mirror_camera, panorama_camera, size_px};
 use crate::progress;
 use crate::replay::{Recording, Replay, note};
 use crate::units::doubts;
@@ -95,12 +96,24 @@ pub(super) async fn recording(
         check_units(poses, asking)?;
     }
     let with_file = odometry.zip(poses.as_deref());
+    let of_sizes = several_sizes(&images);
     let Moments { moments, told } = moments(&images, with_file, rate_hz.unwrap_or(DEFAULT_RATE_HZ))?;
-    for line in told {
+    for line in told.into_iter().chain(of_sizes) {
         // If stderr is closed, the message is lost.
         let _ = writeln!(std::io::stderr(), "{line}");
     }
     Ok(Opened { recording: Recording::Folder { images, moments }, folder })
+}
+
+/// That images are of several sizes: of several cameras, perhaps, or some were cut. What cannot be read is refused later.
+fn several_sizes(images: &[ImageFile]) -> Option<String> {
+    let sizes: BTreeSet<(u32, u32)> = images.iter().filter_map(|image| size_px(image).ok()).collect();
+    let mut of = sizes.iter().map(|(width, height)| format!("{width} x {height}"));
+    let (first, second) = (of.next()?, of.next()?);
+    Some(format!(
+        "the images are of {} sizes, {first} and {second} pixels among them: views of one camera are recognised best",
+        sizes.len()
+    ))
 }
 
 fn poses_of(path: &Path) -> Result<Vec<StampedPose>, Failure> {
@@ -120,7 +133,7 @@ fn check_units(poses: &[StampedPose], asking: Asking) -> Result<(), Failure> {
 pub(super) fn declared_camera(seeing: Seeing, recording: &Recording) -> Result<Option<v1::Camera>, Failure> {
     let Seeing { panorama, mirror, camera } = seeing;
     if let Some(projection) = panorama {
-        return Ok(Some(camera_of(projection, first_size_px(recording)?)));
+        return panorama_camera(projection, first_size_px(recording)?).map(Some);
     }
     if let Some(file) = mirror {
         return Ok(Some(mirror_camera(&file, first_size_px(recording)?)?));

@@ -7,7 +7,7 @@ use waypost_client::{Client, v1};
 
 use crate::failure::Failure;
 use crate::frame_row::FrameRow;
-use crate::output::Output;
+use crate::output::{Output, rounded};
 use crate::replay::Replay;
 
 /// Sequences of so many guards or fewer that close no loop are told of the guard.
@@ -103,9 +103,9 @@ fn pose_words(row: &FrameRow) -> Option<String> {
         None | Some(0) => String::new(),
         Some(part) => format!(" from place {part}"),
     };
-    // No minus before a zero.
-    let heading_deg = heading_rad.to_degrees().round() + 0.0;
-    Some(format!("({x_m:.2}, {y_m:.2}) m, {heading_deg:.0}°{part}"))
+    let [x_m, y_m] = [x_m, y_m].map(|metres| rounded(metres, 2));
+    let heading_deg = rounded(heading_rad.to_degrees(), 0);
+    Some(format!("({x_m}, {y_m}) m, {heading_deg}°{part}"))
 }
 
 /// What may help where a short sequence closes no loop: the latest places are not looked for.

@@ -26,6 +26,7 @@ from waypost.answers import (
 )
 from waypost.calls import JobProgress, MapEvents
 from waypost.client import Client, connect, lazy
+from waypost.doubts import OdometryWarning
 from waypost.errors import (
     Aborted,
     AlreadyExists,
@@ -94,6 +95,7 @@ __all__ = [
     "NavigationEvent",
     "NavigationStatus",
     "NotFound",
+    "OdometryWarning",
     "Outcome",
     "PermissionDenied",
     "Placement",

@@ -103,6 +103,8 @@ _BY_CODE: dict[grpc.StatusCode, type[ServerError]] = {
 }
 #: What gRPC says of a server that speaks HTTP alone.
 _NOT_GRPC = ("Received http2 header with status", "Trying to connect an http1.x server")
+#: What it says where TLS and plain meet, or a certificate is missing.
+_OTHER_TLS = ("TSI_DATA_CORRUPTED", "Ssl handshake failed", "SSL_ERROR", "WRONG_VERSION_NUMBER")
 _CODES: dict[int, grpc.StatusCode] = {code.value[0]: code for code in grpc.StatusCode}
 
 
@@ -120,6 +122,11 @@ def from_call(error: grpc.RpcError, address: str) -> WaypostError:
         return ServerUnreachable(
             f"what answers at {address} does not speak gRPC; it may be the server's HTTP port, 7601 unless "
             "set otherwise: give the one for robots, 7600 unless set otherwise"
+        )
+    if any(said in message for said in _OTHER_TLS):
+        return ServerUnreachable(
+            f"no connection to {address} ({message}); that server may speak TLS where this is plain, or none where this is "
+            "TLS, or ask for a certificate of yours: check http or https, ca and client_certificate"
         )
     # A status that grpcio made up itself has not come with anything over the wire.
     if code == grpc.StatusCode.UNAVAILABLE and not metadata and not _begun(error):

@@ -9,6 +9,7 @@ from typing import Any, Union
 import numpy as np
 import numpy.typing as npt
 
+from waypost.photos import fitting_file, fitting_pixels
 from waypost.png import png
 from waypost.poses import Pose2, Pose3, odometry
 from waypost.v1 import recognition_pb2, session_pb2
@@ -84,7 +85,7 @@ class Frame:
     #: When the image was taken, by the robot's own steady clock: above 0, and rising.
     stamp_ns: int
     #: A JPEG or PNG as bytes, or pixels as uint8, height x width (grey) or height x width x 3 (RGB), which
-    #: are sent as PNG.
+    #: are sent as PNG. One of more than 16 million pixels is sent smaller, files if Pillow is installed.
     image: Image | None = None
     #: In place of the image; the session has to be opened with `words_hash`.
     words: WordHistogram | WordList | None = None
@@ -144,9 +145,9 @@ def put_content(
         if content.angle_rad is not None:
             words.angle_rad.extend(content.angle_rad.tolist())
     elif isinstance(content, np.ndarray):
-        message.image = png(content)
+        message.image = png(fitting_pixels(content))
     elif isinstance(content, (bytes, bytearray, memoryview)):
-        message.image = bytes(content)
+        message.image = fitting_file(bytes(content), MAX_IMAGE_BYTES)
     elif content is not None:
         raise ValueError(
             f"an image is a JPEG or PNG as bytes, or pixels as a numpy array, not {type(content).__name__}; "

@@ -62,7 +62,7 @@ class Sender:
             ValueError: If the number does not rise, or the frame cannot be sent: it was not taken.
             WaypostError: If the session is over, why; or if this was closed.
         """
-        message = frame.to_proto()
+        message = self._session.message(frame)
         with self._changed:
             self._changed.wait_for(self._has_room_or_ended, timeout_s)
             self.outcomes.reraise()

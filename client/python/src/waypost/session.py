@@ -16,6 +16,7 @@ from typing import Any, Callable
 
 from waypost import answers, errors
 from waypost.answers import Outcome
+from waypost.doubts import OdometryDoubts
 from waypost.frames import Frame
 from waypost.links import Ended, Event, Feeder, Given, Interrupt, Link, Said
 from waypost.reconnection import OPENING_TIMEOUT_S, PASSING, Patience
@@ -65,6 +66,7 @@ class Session:
         self._address = address
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._window = Window()
+        self._doubts = OdometryDoubts()
         self._patience = Patience(options.patience_s)
         self._opened: session_pb2.SessionOpened | None = None
         self._feeder: Feeder | None = None
@@ -94,6 +96,11 @@ class Session:
         acknowledged = self._window.last_acknowledged
         return max((s for s in (committed, acknowledged) if s is not None), default=None)
 
+    def message(self, frame: Frame) -> session_pb2.Frame:
+        """The frame as it is sent; warns of odometry that seems to be in other units (`OdometryWarning`)."""
+        self._doubts.look(frame)
+        return frame.to_proto()
+
     def stream(self, frames: Iterable[Frame]) -> Iterator[Outcome]:
         """Streams frames and yields what became of each, in their order, as it comes.
 
@@ -109,7 +116,7 @@ class Session:
             SessionLost: If the server stayed away, or asked to send a frame again, for too long.
             SessionRewound: If it came back with older data.
         """
-        yield from self._stream(frame.to_proto() for frame in frames)
+        yield from self._stream(self.message(frame) for frame in frames)
 
     def sender(
         self, on_outcome: Callable[[Outcome], None] | None = None, *, queue_frames: int = 32

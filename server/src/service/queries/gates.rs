@@ -1,7 +1,7 @@
 //! What a frame has to pass to close a loop, number by number and in sentences.
 
 use topomap::evidence::{Bound, Candidate, Check, Contributions, Quantity, Verdict};
-use topomap::mapper::{Gate, Gates};
+use topomap::mapper::{AS_GOOD, Gate, Gates};
 use topomap::settings::MapperSettings;
 
 use super::GateView;
@@ -70,6 +70,18 @@ pub(in crate::service) fn verdict_views(settings: &MapperSettings, candidate: &C
     };
     let Verdict { checks } = settings.verdict(candidate);
     checks.iter().map(view).collect()
+}
+
+/// That another place has far more evidence.
+pub(super) fn outdone_view(candidate: &Candidate, stronger: &Candidate) -> GateView {
+    let [value, required] = [candidate.evidence(), AS_GOOD * stronger.evidence()];
+    let description = format!(
+        "evidence {value:.0} inliers, at least {required:.0} asked for: place {} shows {:.0}, and where one shows far more, no \
+         other closes a loop",
+        stronger.matched.place,
+        stronger.evidence()
+    );
+    GateView { name: "strongest", gate: Gate { passed: false, value, required }, description }
 }
 
 /// What a candidate's probability is made of, and what would have been enough.

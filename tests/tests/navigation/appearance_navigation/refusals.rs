@@ -25,7 +25,7 @@ async fn what_cannot_be_led_by_looks_is_refused_with_the_way_out() {
     assert_status("a session", (code, &message), Code::FailedPrecondition, "takes panoramas");
     let good = || options(&panoramas, "robot");
     let label = |label: &str| to(v1::goal::Target::Label(label.to_owned()));
-    let nowhere = v1::PositionGoal { part: 0, x_m: 1.0, y_m: 1.0, heading_rad: None };
+    let nowhere = v1::PositionGoal { part: 0, x_m: Some(1.0), y_m: Some(1.0), heading_rad: None };
     let mirror = v1::HyperbolicMirror {
         center_x_px: 256.0,
         center_y_px: 256.0,
