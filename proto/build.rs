@@ -9,10 +9,11 @@ use std::path::PathBuf;
 
 use prost::Message;
 
-const FILES: [&str; 11] = [
+const FILES: [&str; 12] = [
     "waypost/v1/job.proto",
     "waypost/v1/model.proto",
     "waypost/v1/map.proto",
+    "waypost/v1/correction.proto",
     "waypost/v1/label.proto",
     "waypost/v1/recognition.proto",
     "waypost/v1/session.proto",

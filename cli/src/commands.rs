@@ -1,5 +1,6 @@
 //! One file per command.
 
+pub(crate) mod closure;
 pub(crate) mod demo;
 pub(crate) mod explain;
 pub(crate) mod inspect;

@@ -7,7 +7,8 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use commands::{
-    demo, explain, inspect, job, map, merge, model, navigate, query, session, shell, simulate, stream, token,
+    closure, demo, explain, inspect, job, map, merge, model, navigate, query, session, shell, simulate,
+    stream, token,
 };
 use failure::{EXIT_CODES, Failure};
 use output::Output;
@@ -15,6 +16,7 @@ use waypost_client::ClientOptions;
 
 mod camera_file;
 mod commands;
+mod corrections;
 mod drive;
 mod explanations;
 mod failure;
@@ -114,6 +116,9 @@ enum Command {
     /// Show, commit, discard and undo merges of maps; `waypost map merge` starts one
     #[command(subcommand, after_help = EXIT_CODES)]
     Merge(merge::Command),
+    /// Withdraw loop closures that are wrong, confirm those that the map missed, and undo both
+    #[command(subcommand, after_help = EXIT_CODES)]
+    Closure(closure::Command),
     /// List and delete the sessions of a map, and show the decisions about their frames
     #[command(subcommand, after_help = EXIT_CODES)]
     Session(session::Command),
@@ -166,6 +171,7 @@ async fn run(Arguments { globals, command }: Arguments) -> Result<(), Failure> {
         Command::Job(command) => job::run(command, &server, output).await,
         Command::Map(command) => map::run(command, &server, output).await,
         Command::Merge(command) => merge::run(command, &server, output).await,
+        Command::Closure(command) => closure::run(command, &server, output).await,
         Command::Session(command) => session::run(command, &server, output).await,
         Command::Query(arguments) => query::run(arguments, &server, output).await,
         Command::Explain(arguments) => explain::run(arguments, &server, output).await,

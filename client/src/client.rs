@@ -6,6 +6,7 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Response, Status};
 use waypost_proto::v1::appearance_service_client::AppearanceServiceClient;
+use waypost_proto::v1::correction_service_client::CorrectionServiceClient;
 use waypost_proto::v1::event_service_client::EventServiceClient;
 use waypost_proto::v1::job_service_client::JobServiceClient;
 use waypost_proto::v1::label_service_client::LabelServiceClient;
@@ -120,6 +121,7 @@ macro_rules! stubs {
 
 stubs! {
     appearance_client: AppearanceServiceClient,
+    corrections_client: CorrectionServiceClient,
     events_client: EventServiceClient,
     jobs_client: JobServiceClient,
     labels_client: LabelServiceClient,

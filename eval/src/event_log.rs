@@ -16,7 +16,7 @@ impl EventLog {
     /// The frames, in order.
     pub(crate) fn frames(&self) -> impl Iterator<Item = &FrameEvent> {
         self.0.iter().filter_map(|event| match event {
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => None,
             MapEvent::Frame(event) => Some(event.as_ref()),
         })
     }
@@ -25,7 +25,7 @@ impl EventLog {
     /// session took the first position.
     pub(crate) fn frame(&self, frame: FrameId) -> Option<&FrameEvent> {
         match self.0.get(usize::try_from(frame).ok()?)? {
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => None,
             MapEvent::Frame(event) => Some(event),
         }
     }

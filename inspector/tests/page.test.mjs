@@ -2,6 +2,7 @@
 // the demo, and after the last its server asks for tokens.
 import "./maps.mjs";
 import "./pictures.mjs";
+import "./correcting.mjs";
 import "./operations.mjs";
 import "./merging.mjs";
 import "./live.mjs";

@@ -59,10 +59,15 @@ test("the first token is an admin's, is shown once, and is the page's own from t
     await close();
 });
 
+const secretOf = (text) => text.match(/waypost_\w+/)[0];
+
+/** The secret of the demo's server, once it asks for one. */
+let admins;
+
 // Last, for from here on this server asks for tokens.
 test("a server with tokens asks for one, and shows what its holder may see", async () => {
-    const secretOf = (text) => text.match(/waypost_\w+/)[0];
     const admin = secretOf(await server.call(null, "token", "create", "operator", "--role", "admin"));
+    admins = admin;
     const robot = secretOf(await server.call(admin, "token", "create", "reader", "--role", "robot"));
     const closing = await closingFrame({ token: admin });
     const { page, close } = await open(`#/maps/demo?frame=${closing}`);
@@ -80,6 +85,7 @@ test("a server with tokens asks for one, and shows what its holder may see", asy
     assert.ok(!page.url().includes(robot), "the secret is in the link");
     await page.getByTestId("live").filter({ hasText: "live" }).waitFor();
     assert.equal(await page.getByRole("button", { name: "Delete the session" }).count(), 0);
+    assert.equal(await page.getByRole("button", { name: "Not the same place" }).count(), 0);
     await page.reload();
     await cursor(page).filter({ hasText: `frame ${closing}` }).waitFor();
     await server.call(admin, "token", "rm", "reader", "--yes");
@@ -88,6 +94,7 @@ test("a server with tokens asks for one, and shows what its holder may see", asy
     await page.getByRole("button", { name: "Log in" }).click();
     await cursor(page).filter({ hasText: `frame ${closing}` }).waitFor();
     await page.getByRole("button", { name: "Delete the session" }).waitFor();
+    await page.getByRole("button", { name: "Not the same place" }).waitFor();
     await page.getByRole("link", { name: "Maps" }).click();
     const coming = page.waitForEvent("download");
     await page.getByRole("button", { name: "Export the map demo" }).click();
@@ -96,4 +103,42 @@ test("a server with tokens asks for one, and shows what its holder may see", asy
     await page.getByRole("heading", { name: "This server asks for a token" }).waitFor();
     assert.equal(await page.evaluate(() => sessionStorage.length), 0);
     await close();
+});
+
+test("who may only read sees who withdrew a loop closure, and can neither do so nor undo it", async () => {
+    const admin = secretOf(await server.call(admins, "token", "create", "anna", "--role", "admin"));
+    const reader = secretOf(await server.call(admin, "token", "create", "onlooker", "--role", "reader"));
+    const closing = await closingFrame({ token: admin });
+    const before = await rest("maps/demo?view=full", { token: admin });
+    const loggedIn = async (secret) => {
+        const opened = await open(`#/maps/demo?session=session-0&frame=${closing}`);
+        await opened.page.getByLabel("Token").fill(secret);
+        await opened.page.getByRole("button", { name: "Log in" }).click();
+        await cursor(opened.page).filter({ hasText: `frame ${closing}: loop closure` }).waitFor();
+        return { ...opened, pair: opened.page.getByRole("region", { name: "The pair" }) };
+    };
+    const [annas, onlookers] = [await loggedIn(admin), await loggedIn(reader)];
+    await annas.pair.getByRole("button", { name: "Not the same place" }).click();
+    await annas.page.getByRole("dialog").getByRole("button", { name: "Withdraw it" }).click();
+    const undo = annas.pair.getByRole("button", { name: "Undo it" });
+    await undo.waitFor();
+
+    await onlookers.page.reload();
+    await onlookers.pair.getByTestId("correction").filter({ hasText: "withdrawn by anna" }).waitFor();
+    assert.equal(await onlookers.pair.getByRole("button", { name: /Undo it|same place/ }).count(), 0);
+    const [said] = (await rest("maps/demo/corrections", { token: reader })).corrections.filter(({ undone }) => undone === null);
+    const headers = { authorization: `Bearer ${reader}`, "content-type": "application/json" };
+    const withdraw = JSON.stringify({ withdraw: { frame: `${said.frame.session}/frames/${closing}` } });
+    for (const [path, body] of [[`${said.name}/undo`, undefined], ["maps/demo/corrections", withdraw]]) {
+        const refused = await fetch(`${server.url}/v1/${path}`, { method: "POST", headers, body });
+        assert.equal(refused.status, 403);
+        assert.match(await refused.text(), /onlooker is a reader's/);
+    }
+
+    await undo.click();
+    await annas.page.getByRole("dialog").getByRole("button", { name: "Undo it" }).click();
+    await annas.pair.getByRole("button", { name: "Not the same place" }).waitFor();
+    assert.equal((await rest("maps/demo?view=full", { token: reader })).state_hash, before.state_hash);
+    await annas.close();
+    await onlookers.close();
 });

@@ -2,6 +2,7 @@
 
 mod access;
 mod appearance;
+mod corrections;
 mod events;
 mod jobs;
 mod labels;
@@ -24,6 +25,7 @@ use tokio::net::TcpListener;
 use tonic::{Status, Streaming};
 use waypost_proto::FILE_DESCRIPTOR_SET;
 use waypost_proto::v1::appearance_service_server::AppearanceServiceServer;
+use waypost_proto::v1::correction_service_server::CorrectionServiceServer;
 use waypost_proto::v1::event_service_server::EventServiceServer;
 use waypost_proto::v1::job_service_server::JobServiceServer;
 use waypost_proto::v1::label_service_server::LabelServiceServer;
@@ -114,6 +116,7 @@ pub(crate) async fn serve(
         .add_service(limited!(ModelServiceServer::new(adapter())))
         .add_service(limited!(JobServiceServer::new(adapter())))
         .add_service(limited!(MapServiceServer::new(adapter())))
+        .add_service(limited!(CorrectionServiceServer::new(adapter())))
         .add_service(limited!(MergeServiceServer::new(adapter())))
         .add_service(limited!(SessionServiceServer::new(adapter())))
         .add_service(limited!(NavigationServiceServer::new(adapter())))

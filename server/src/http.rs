@@ -2,6 +2,7 @@
 
 mod access;
 mod appearance;
+mod corrections;
 mod cross_origin;
 mod description;
 mod events;
@@ -158,6 +159,8 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(places::get_place))
         .routes(routes!(places::list_word_places))
         .routes(routes!(maps::list_loop_closures))
+        .routes(routes!(corrections::list_corrections, corrections::correct_map))
+        .routes(routes!(corrections::undo_correction))
         .routes(routes!(queries::query).layer(DefaultBodyLimit::max(queries::MAX_BODY_BYTES)))
         .routes(routes!(sessions::list_sessions))
         .routes(routes!(sessions::get_session, sessions::delete_session))

@@ -82,6 +82,18 @@ pub(crate) fn place_in(name: &str) -> Result<(&str, u32), ServiceError> {
     Ok((map_in(map)?, place))
 }
 
+/// Map and number in `maps/{map}/corrections/{number}`.
+pub(crate) fn correction_in(name: &str) -> Result<(&str, u64), ServiceError> {
+    let malformed =
+        || ServiceError::invalid(format_args!("{name:?} is no name here; write maps/…/corrections/NUMBER"));
+    let (map, correction) = name.split_once("/corrections/").ok_or_else(malformed)?;
+    Ok((map_in(map)?, number(correction).ok_or_else(malformed)?))
+}
+
+pub(crate) fn correction_name(map: &str, correction: u64) -> String {
+    format!("maps/{map}/corrections/{correction}")
+}
+
 /// Map and navigation in `maps/{map}/navigations/{navigation}`.
 pub(crate) fn navigation_in(name: &str) -> Result<(&str, &str), ServiceError> {
     let (map, navigation) = name.split_once("/navigations/").ok_or_else(|| {
@@ -141,6 +153,10 @@ mod tests {
     fn frames_and_places_are_named_in_one_way() {
         assert_eq!(frame_in("maps/a/sessions/b/frames/7"), Ok(("a", "b", 7)));
         assert_eq!(place_in("maps/a/places/0"), Ok(("a", 0)));
+        assert_eq!(correction_in("maps/a/corrections/7"), Ok(("a", 7)));
+        for bad in ["maps/a/corrections/", "maps/a/corrections/+7", "corrections/7", "maps/A/corrections/7"] {
+            assert!(correction_in(bad).is_err(), "{bad}");
+        }
         for bad in [
             "maps/a/sessions/b/frames/",
             "maps/a/sessions/b/frames/+7",

@@ -4,6 +4,7 @@
 pub(crate) mod answers;
 pub(crate) mod appearance;
 mod checkpoints;
+mod correcting;
 mod handle;
 mod leading;
 mod localizers;
@@ -19,8 +20,8 @@ pub(crate) use self::handle::{MapHandle, WriterGone};
 pub(crate) use self::open_maps::{OpenMaps, no_such_map};
 pub(crate) use self::recent::Recent;
 pub(crate) use self::requests::{
-    FrameFailure, FrameRequest, FrameSource, FrameWork, LookRequest, Looked, MeasuredFrames, Opener,
-    PlanFrom, SessionMode, SessionOpening, StreamOpening,
+    CorrectionRequest, FrameFailure, FrameRequest, FrameSource, FrameWork, LookRequest, Looked,
+    MeasuredFrames, Opener, PlanFrom, SessionMode, SessionOpening, StreamOpening, Verdict,
 };
 pub(crate) use self::views::{FrameStore, SeenFeatures, compare, compared, stored_features, verifier};
 
@@ -171,6 +172,10 @@ impl MapWriter {
                     self.commit()?;
                     let _ = reply.send(self.measure(&frames)?);
                 }
+                MapRequest::Correct { request, reply } => {
+                    self.commit()?;
+                    let _ = reply.send(self.correct(&request)?);
+                }
                 MapRequest::Read(read) => reads.push(read),
                 MapRequest::Close => {
                     serving = Serving::Ended;
@@ -314,9 +319,9 @@ impl MapWriter {
         let stored = self.storage.event_of_sequence(self.map.id, session, sequence, words);
         let answer = match self.runtime.block_on(stored) {
             Ok(Some(MapEvent::Frame(event))) => self.answer(&event, None).map_err(|_| answer_unreadable()),
-            Ok(Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None) => {
-                Err(FrameFailure::Refused(self.never_sent(session, sequence)))
-            }
+            Ok(
+                Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_)) | None,
+            ) => Err(FrameFailure::Refused(self.never_sent(session, sequence))),
             Err(error @ (StorageError::Damaged(_) | StorageError::Rot(_))) => {
                 Err(FrameFailure::Refused(error.into()))
             }
@@ -439,7 +444,7 @@ impl MapWriter {
 fn has_odometry(event: &MapEvent) -> bool {
     match event {
         MapEvent::Frame(frame) => frame.odometry.is_some(),
-        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => false,
+        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => false,
     }
 }
 
@@ -473,7 +478,10 @@ impl MapWriter {
                 recent.borrow_mut().keep(frame, RecentFrame::of(&event, note));
                 Ok(Some(of_event(&event)))
             }
-            Ok(Some((MapEvent::SessionOpened { .. } | MapEvent::Measured(_), _)) | None)
+            Ok(
+                Some((MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_), _))
+                | None,
+            )
             | Err(StorageError::Damaged(_)) => {
                 tracing::error!(
                     map = map.name,

@@ -2,6 +2,8 @@
 //! adapters over this.
 
 pub(crate) mod appearance;
+pub(crate) mod correcting;
+pub(crate) mod corrections;
 mod deleted_maps;
 pub(crate) mod events;
 pub(crate) mod frames;
@@ -28,6 +30,7 @@ pub(crate) mod trajectories;
 use tokio_util::sync::CancellationToken;
 
 use self::appearance::AppearanceGraphs;
+use self::correcting::Correcting;
 use self::deleted_maps::DeletedMaps;
 use self::events::Events;
 use self::frames::Frames;
@@ -57,6 +60,7 @@ use crate::storage::Storage;
 #[derive(Debug)]
 pub(crate) struct Service {
     pub(crate) appearance: AppearanceGraphs,
+    pub(crate) correcting: Correcting,
     pub(crate) events: Events,
     pub(crate) frames: Frames,
     pub(crate) jobs: Jobs,
@@ -101,6 +105,7 @@ impl Service {
             pictures: Pictures { storage: storage.clone(), frames: frames.clone() },
             queries: Queries::new(frames.clone(), extraction.clone()),
             events: Events::new(frames.clone(), navigation.clone(), stopping.clone()),
+            correcting: Correcting { frames: frames.clone() },
             measurements: Measurements { frames: frames.clone() },
             trajectories: Trajectories { frames: frames.clone() },
             rebuilding: Rebuilding { maps: maps.clone(), sessions: sessions.clone(), jobs: jobs.clone() },

@@ -6,6 +6,7 @@ mod cameras;
 mod checkpoints;
 mod columns;
 mod commits;
+mod corrections;
 mod damage;
 mod deep_inspection;
 mod frames;

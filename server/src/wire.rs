@@ -1,6 +1,7 @@
 //! The service's values as messages of the contract, and back. gRPC sends the messages, REST their
 //! JSON. Every field is named, so that none is forgotten.
 
+pub(crate) mod corrections;
 pub(crate) mod events;
 pub(crate) mod geometry;
 pub(crate) mod jobs;
@@ -10,6 +11,7 @@ pub(crate) mod models;
 pub(crate) mod navigations;
 pub(crate) mod places;
 pub(crate) mod recognition;
+pub(crate) mod references;
 pub(crate) mod sessions;
 pub(crate) mod settings;
 pub(crate) mod status;

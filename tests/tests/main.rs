@@ -14,6 +14,7 @@ mod house {
 mod maps {
     mod bad_requests;
     mod checkpoints;
+    mod corrections;
     mod explain;
     mod jobs;
     mod mapping;

@@ -13,21 +13,24 @@ use fabmap::model::Model;
 
 use crate::ids::SessionId;
 use crate::log::{Link, MapEvent};
-use crate::map::{Map, Place, SESSION_VERSION, Session, encode_place};
+use crate::map::{Corrections, Map, Place, SESSION_VERSION, Session, encode_place};
 use crate::mapper::{Mapper, RestoreError};
 use crate::settings::MapperSettings;
 
 /// Links of one piece; only the last has fewer.
 pub const LINKS_PER_PIECE: usize = 512;
 
-const HEAD: Container = Container { magic: *b"WPHEAD\r\n", name: "Waypost checkpoint", version: 1 };
+const HEAD: Container = Container { magic: *b"WPHEAD\r\n", name: "Waypost checkpoint", version: 2 };
+
+/// The head of a map without corrections is still written so.
+const HEAD_BEFORE_CORRECTIONS: u32 = 1;
 const SESSION: Container =
     Container { magic: *b"WPSESS\r\n", name: "Waypost checkpoint's session", version: SESSION_VERSION };
 const LINKS: Container = Container { magic: *b"WPLINK\r\n", name: "Waypost checkpoint's links", version: 1 };
 const BLOCK: Container = Container { magic: *b"WPPLCS\r\n", name: "Waypost checkpoint's places", version: 1 };
 
 /// What a checkpoint consists of: pieces that do not add up to it are not a map.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Head {
     /// Events that are folded in.
     pub events: u64,
@@ -37,6 +40,8 @@ pub struct Head {
     pub links: u64,
     /// Number of sessions.
     pub sessions: u64,
+    /// What people corrected.
+    pub corrections: Corrections,
 }
 
 /// What of a map has changed since its last checkpoint.
@@ -98,6 +103,7 @@ impl Changes {
         self.sessions.insert(event.session());
         match event {
             MapEvent::Frame(frame) => self.places.extend(frame.decision.place.filter(|_| frame.learnt)),
+            MapEvent::Corrected(event) => self.places.extend(event.place()),
             MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => {}
         }
     }
@@ -154,15 +160,20 @@ impl Head {
             places: map.places().len() as u64,
             links: map.links().len() as u64,
             sessions: map.sessions().count() as u64,
+            corrections: map.corrections_state().clone(),
         }
     }
 
     /// The byte form.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
-        let Self { events, places, links, sessions } = *self;
+        let Self { events, places, links, sessions, corrections } = self;
         let mut writer = Writer::default();
-        [events, places, links, sessions].into_iter().for_each(|count| writer.u64(count));
+        [events, places, links, sessions].into_iter().for_each(|count| writer.u64(*count));
+        if corrections.is_empty() {
+            return Container { version: HEAD_BEFORE_CORRECTIONS, ..HEAD }.seal(&writer.into_bytes());
+        }
+        corrections.encode(&mut writer);
         HEAD.seal(&writer.into_bytes())
     }
 
@@ -171,12 +182,18 @@ impl Head {
     /// # Errors
     /// [`DecodeError`] if the bytes are no head.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, DecodeError> {
-        let mut reader = Reader::new(HEAD.open(bytes)?.1);
+        let (version, payload) = HEAD.open(bytes)?;
+        let mut reader = Reader::new(payload);
         let head = Self {
             events: reader.u64()?,
             places: reader.u64()?,
             links: reader.u64()?,
             sessions: reader.u64()?,
+            corrections: if version > HEAD_BEFORE_CORRECTIONS {
+                Corrections::decode(&mut reader)?
+            } else {
+                Corrections::default()
+            },
         };
         reader.end()?;
         Ok(head)
@@ -369,7 +386,7 @@ impl Restoration {
         if let Some(&(what, _, expected)) = came.iter().find(|(_, came, expected)| came > expected) {
             return Err(RestoreError::TooMany { what, expected });
         }
-        mapper.take_map(Map::from_parts(places, links, sessions, head.events)?);
+        mapper.take_map(Map::from_parts(places, links, sessions, head.corrections, head.events)?);
         Ok(mapper)
     }
 }

@@ -114,6 +114,6 @@ pub fn compared<'a>(
 pub fn earlier_frame(log: &[MapEvent], frame: FrameId) -> Option<EarlierFrame> {
     match log.get(usize::try_from(frame).ok()?)? {
         MapEvent::Frame(event) => Some(EarlierFrame { observation: event.observation.clone(), at: event.at }),
-        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => None,
     }
 }

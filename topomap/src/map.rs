@@ -1,10 +1,12 @@
 //! The map: what the log adds up to.
 
+mod corrections;
 mod encoding;
 mod milestones;
 mod place_poses;
 mod session;
 
+pub use corrections::Corrections;
 pub(crate) use encoding::SESSION_VERSION;
 pub use encoding::{decode_place, encode_place};
 pub use milestones::{Milestone, Milestones};
@@ -32,6 +34,7 @@ pub struct Map {
     sessions: BTreeMap<SessionId, Session>,
     /// Per session what places learnt from it, in the order of its frames; derived from the places.
     learnt: BTreeMap<SessionId, Vec<Look>>,
+    corrections: Corrections,
     /// Events folded in; the next event's position in the log.
     events: u64,
 }
@@ -72,8 +75,9 @@ impl Map {
         &self.places
     }
 
-    /// All links, in order of creation. Frames add at most one between two places; what robots
-    /// measured comes on top.
+    /// All links that ever were, in order of creation; [`Map::standing_links`] leaves out those that
+    /// are no more. Frames add at most one between two places; what robots measured, and what
+    /// people corrected, comes on top.
     #[must_use]
     pub fn links(&self) -> &[Link] {
         &self.links
@@ -144,24 +148,25 @@ impl Map {
     /// A map from all that it consists of; `events` is the length of its log.
     ///
     /// # Errors
-    /// [`DecodeError`] if a link leads to or from a place that is not there.
+    /// [`DecodeError`] if a link leads to or from a place that is not there, or a correction is of
+    /// what is not there.
     pub fn from_parts(
         places: Vec<Place>,
         links: Vec<Link>,
         sessions: BTreeMap<SessionId, Session>,
+        corrections: Corrections,
         events: u64,
     ) -> Result<Self, DecodeError> {
-        let linked = vec![Vec::new(); places.len()];
-        let learnt = looks_of(&places);
-        let links_len = links.len();
-        let mut map = Self { places, links: Vec::with_capacity(links_len), linked, sessions, learnt, events };
-        for link in links {
-            let known = |place: PlaceId| (place.index()) < map.places.len();
-            if !known(link.from) || !known(link.to) {
-                return Err(DecodeError::invalid("a link to a place that does not exist"));
-            }
-            map.add_link(link);
+        let known = |place: PlaceId| (place.index()) < places.len();
+        if links.iter().any(|link| !known(link.from) || !known(link.to)) {
+            return Err(DecodeError::invalid("a link to a place that does not exist"));
         }
+        if !corrections.fit(places.len(), links.len()) {
+            return Err(DecodeError::invalid("a correction of what does not exist"));
+        }
+        let learnt = looks_of(&places);
+        let mut map = Self { places, links, linked: Vec::new(), sessions, learnt, corrections, events };
+        map.link_places();
         Ok(map)
     }
 

@@ -11,6 +11,7 @@
 //! for logs in memory.
 
 mod candidates;
+mod correcting;
 mod deciding;
 mod errors;
 mod frame;
@@ -28,8 +29,9 @@ mod state;
 mod support;
 
 pub use candidates::AS_GOOD;
+pub use correcting::{Heard, Said, SamePlace, Visit};
 pub use deciding::Decided;
-pub use errors::{FoldError, FrameError, MeasureError, RestoreError};
+pub use errors::{CorrectError, FoldError, FrameError, MeasureError, RestoreError};
 pub use frame::FrameInput;
 pub use gates::{Gate, Gates};
 pub use localizer::{Localizer, Queried};

@@ -50,7 +50,7 @@ impl<'a> KnownMap<'a> {
     fn frame(&self, frame: FrameId) -> Option<&'a FrameEvent> {
         match self.log.get(usize::try_from(frame).ok()?)? {
             MapEvent::Frame(event) => Some(event),
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => None,
         }
     }
 }

@@ -18,7 +18,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use fabmap::appearance::PlaceId;
 
 use crate::ids::{FrameId, SessionId};
-use crate::log::MapEvent;
+use crate::log::{Correction, MapEvent, Undoing};
 use crate::settings::MapperSettings;
 use teller::{Left, Teller};
 
@@ -53,6 +53,8 @@ pub struct Dropped {
     pub places: u64,
     /// Links, of those that stayed in the log's events.
     pub links: u64,
+    /// What people said of frames that are gone, or at other places now.
+    pub corrections: u64,
     /// Loop closures of frames that stay, whose place only what was left out had seen before.
     pub closures: u64,
 }
@@ -101,7 +103,7 @@ pub fn without_sessions<'a>(
     log: impl IntoIterator<Item = &'a MapEvent>,
     removed: &BTreeSet<SessionId>,
 ) -> Result<Retold, RetellError> {
-    let (retold, opened) = told(settings, log, &Left { sessions: removed, places: &BTreeSet::new() })?;
+    let (retold, opened) = told(settings, log, (removed, &BTreeSet::new()))?;
     match removed.iter().find(|&&session| u64::from(session) >= opened) {
         Some(&session) => Err(RetellError::NoSession { session }),
         None => Ok(retold),
@@ -119,7 +121,7 @@ pub fn without_places<'a>(
     log: impl IntoIterator<Item = &'a MapEvent>,
     dropped: &BTreeSet<PlaceId>,
 ) -> Result<Retold, RetellError> {
-    let (retold, _) = told(settings, log, &Left { sessions: &BTreeSet::new(), places: dropped })?;
+    let (retold, _) = told(settings, log, (&BTreeSet::new(), dropped))?;
     match dropped.iter().find(|&&place| place.index() >= retold.places.len()) {
         Some(&place) => Err(RetellError::NoPlace { place }),
         None => Ok(retold),
@@ -130,9 +132,29 @@ pub fn without_places<'a>(
 fn told<'a>(
     settings: &MapperSettings,
     log: impl IntoIterator<Item = &'a MapEvent>,
-    left: &Left<'_>,
+    (sessions, places): (&BTreeSet<SessionId>, &BTreeSet<PlaceId>),
 ) -> Result<(Retold, u64), RetellError> {
-    let mut teller = Teller::new(settings, left);
+    let log: Vec<&MapEvent> = log.into_iter().collect();
+    let left = Left { sessions, places, withdrawn: &withdrawn(&log) };
+    let mut teller = Teller::new(settings, &left);
     log.into_iter().try_for_each(|event| teller.tell(event))?;
     Ok(teller.end())
+}
+
+/// Frames that are at no place because somebody said so.
+fn withdrawn(log: &[&MapEvent]) -> BTreeSet<FrameId> {
+    let mut standing: BTreeMap<u64, &[FrameId]> = BTreeMap::new();
+    for event in log {
+        let MapEvent::Corrected(event) = event else { continue };
+        match &event.correction {
+            Correction::Withdrawn(withdrawal) => {
+                standing.insert(event.position, &withdrawal.frames);
+            }
+            Correction::Undone(Undoing { correction, .. }) => {
+                standing.remove(correction);
+            }
+            Correction::Confirmed(_) => {}
+        }
+    }
+    standing.into_values().flatten().copied().collect()
 }

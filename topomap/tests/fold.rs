@@ -42,7 +42,7 @@ fn who_stands_makes_no_place_where_each_frame_does() {
     let log = drive_and_stand(settings);
     let decided = log.iter().rev().take(5).rev().filter_map(|event| match event {
         MapEvent::Frame(event) => Some((event.decision.reason, event.decision.place)),
-        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => None,
     });
     let (same, new) = (Reason::SamePlace, Reason::NewPlace);
     let expected = [(same, 0), (same, 0), (new, 2), (same, 2), (new, 3)]

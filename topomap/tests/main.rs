@@ -3,6 +3,7 @@
 
 mod building;
 mod closing;
+mod correcting;
 mod drives;
 mod fold;
 mod golden;

@@ -173,7 +173,7 @@ fn a_place_of_both_maps_has_learnt_from_both() {
         MapEvent::Frame(event) => {
             event.decision.reason == Reason::LoopClosure && event.verified_by().is_some()
         }
-        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => false,
+        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => false,
     });
     assert!(closures.count() >= plan.fused.len(), "every fused place has its match in the log");
     // No two links between the same places.

@@ -15,12 +15,12 @@ use topomap::metric::RelativePose;
 use topomap::rewriting::{Dropped, RetellError, Retold, without_places, without_sessions};
 use topomap::settings::MapperSettings;
 
-fn without(log: &[MapEvent], sessions: &[SessionId]) -> Retold {
+pub(crate) fn without(log: &[MapEvent], sessions: &[SessionId]) -> Retold {
     without_sessions(&MapperSettings::default(), log, &sessions.iter().copied().collect()).unwrap()
 }
 
 /// The map that a log makes, through its byte form.
-fn folded(log: &[MapEvent]) -> Mapper {
+pub(crate) fn folded(log: &[MapEvent]) -> Mapper {
     let mut mapper = Mapper::new(&model(), MapperSettings::default()).unwrap();
     for event in log {
         let stored = MapEvent::from_bytes(&event.to_bytes(), WORDS as usize).unwrap();
@@ -32,13 +32,13 @@ fn folded(log: &[MapEvent]) -> Mapper {
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Wheels {
+pub(crate) enum Wheels {
     Read,
     Unread,
 }
 
 /// Robots that take turns in one corridor and its side corridors, and measure now and then.
-fn take_turns(wheels: Wheels, sessions: SessionId, seed: u64) -> Robot {
+pub(crate) fn take_turns(wheels: Wheels, sessions: SessionId, seed: u64) -> Robot {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let bias =
         |random: &mut ChaCha8Rng| [random.random_range(-0.01..0.01), random.random_range(-0.003..0.003)];
@@ -75,7 +75,7 @@ fn take_turns(wheels: Wheels, sessions: SessionId, seed: u64) -> Robot {
 fn measure(robot: &mut Robot, random: &mut ChaCha8Rng) {
     let frames = |event: &MapEvent| match event {
         MapEvent::Frame(event) => Some(event.as_ref().clone()),
-        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => None,
     };
     let all: Vec<FrameEvent> = robot.log.iter().filter_map(frames).collect();
     let of_session: Vec<&FrameEvent> = all.iter().filter(|event| event.session == robot.session).collect();
@@ -89,10 +89,10 @@ fn measure(robot: &mut Robot, random: &mut ChaCha8Rng) {
     }
 }
 
-fn frames(log: &[MapEvent]) -> impl Iterator<Item = &FrameEvent> {
+pub(crate) fn frames(log: &[MapEvent]) -> impl Iterator<Item = &FrameEvent> {
     log.iter().filter_map(|event| match event {
         MapEvent::Frame(event) => Some(event.as_ref()),
-        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => None,
     })
 }
 
@@ -107,7 +107,7 @@ fn check_appearances(log: &[MapEvent], map: &Mapper) {
 }
 
 /// Beliefs are of places that there are, and sum to 1; matches are with frames of their places.
-fn check_names(log: &[MapEvent], map: &Mapper) {
+pub(crate) fn check_names(log: &[MapEvent], map: &Mapper) {
     let mut made = 0;
     for event in frames(log) {
         made += u32::from(event.decision.place == Some(PlaceId::new(made)));

@@ -94,7 +94,9 @@ impl Robot {
     pub(crate) fn event(&self, frame: FrameId) -> &FrameEvent {
         match &self.log[frame as usize] {
             MapEvent::Frame(event) => event,
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => panic!("{frame} is no frame"),
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => {
+                panic!("{frame} is no frame")
+            }
         }
     }
 
@@ -170,7 +172,10 @@ impl Robot {
         let pose = RelativePose::new(pose, Matrix3::identity() * (sigma * sigma)).unwrap();
         let before = self.log[..later as usize].iter().rev().find_map(|event| match event {
             MapEvent::Frame(event) if event.session == self.event(later).session => Some(event.as_ref()),
-            MapEvent::Frame(_) | MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+            MapEvent::Frame(_)
+            | MapEvent::SessionOpened { .. }
+            | MapEvent::Measured(_)
+            | MapEvent::Corrected(_) => None,
         });
         let (later, earlier) = (self.event(later), self.event(earlier));
         let event = self.mapper.measure(&Measurement { later, before, earlier, pose })?;

@@ -61,6 +61,7 @@ fn line(event: &MapEvent) -> String {
             let (frame, earlier) = (measured.frame, measured.earlier);
             format!("{} frame {frame} measured from {earlier}, event {hash}", measured.position)
         }
+        MapEvent::Corrected(corrected) => format!("{} corrected, event {hash}", corrected.position),
         MapEvent::Frame(frame) => {
             let FrameEvent { session, sequence, decision, learnt, link, at, .. } = frame.as_ref();
             let place = decision.place.map_or("-".to_owned(), |place| place.to_string());

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use waypost_client::{Client, ClientOptions, v1};
 
+use crate::corrections::told;
 use crate::explanations::show_place;
 use crate::failure::{EXIT_CODES, Failure};
 use crate::files::Replacing;
@@ -53,6 +54,9 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     }
     output.result(&explained, |out| {
         writeln!(out, "{}: {}", explained.name, explained.reason().json_name())?;
+        for correction in &explained.corrections {
+            writeln!(out, "  {}", told(correction))?;
+        }
         for gate in &explained.gates {
             writeln!(out, "  {} {}", if gate.passed { "+" } else { "-" }, gate.description)?;
         }

@@ -16,6 +16,7 @@ import waypost
 from waypost import aio
 from waypost.v1 import (
     appearance_pb2,
+    correction_pb2,
     event_pb2,
     job_pb2,
     label_pb2,
@@ -30,6 +31,7 @@ from waypost.v1 import (
 
 CONTRACT = [
     appearance_pb2,
+    correction_pb2,
     event_pb2,
     job_pb2,
     label_pb2,
@@ -111,6 +113,42 @@ def test_sessions_and_frames_are_read_back(
     job = client.delete_session(looped)
     assert client.wait_for_job(job).state == job_pb2.Job.STATE_SUCCEEDED
     assert client.sessions(hall) == []
+
+
+def test_loop_closures_are_withdrawn_and_that_is_undone(
+    client: waypost.Client, hall: str, looped: str
+) -> None:
+    before = client.map(hall, full=True)
+    closure = client.loop_closures(hall)[-1]
+    assert closure.correction is None
+    frame = f"{looped}/frames/{closure.frame.sequence}"
+    withdrawn = client.withdraw_loop_closure(frame)
+    assert withdrawn.verdict == map_pb2.Correction.VERDICT_WITHDRAWN
+    assert withdrawn.place_number == closure.place_number
+    assert client.corrections(hall) == [withdrawn]
+    assert [told.correction for told in client.loop_closures(hall) if told.correction] == [withdrawn]
+    assert list(client.frame(frame).corrections) == [withdrawn]
+    assert list(client.explain_frame(frame).corrections) == [withdrawn]
+    assert client.map(hall).withdrawn_loop_closures == 1
+    with pytest.raises(waypost.FailedPrecondition, match="undo that to have it back"):
+        client.withdraw_loop_closure(frame)
+    with pytest.raises(waypost.InvalidArgument, match="did not come in before"):
+        client.confirm_loop_closure(f"{looped}/frames/1", f"{looped}/frames/24")
+    undone = client.undo_correction(withdrawn.name)
+    assert undone.HasField("undone")
+    assert client.map(hall, full=True).state_hash == before.state_hash
+    with pytest.raises(waypost.NotFound):
+        client.undo_correction(withdrawn.name)
+
+
+def test_two_frames_are_said_to_be_of_one_place(client: waypost.Client, hall: str, looped: str) -> None:
+    before = client.map(hall, full=True)
+    confirmed = client.confirm_loop_closure(f"{looped}/frames/24", f"{looped}/frames/1")
+    assert confirmed.verdict == map_pb2.Correction.VERDICT_CONFIRMED
+    assert client.map(hall).links == before.links + 1
+    assert client.map(hall).confirmed_loop_closures == 1
+    client.undo_correction(confirmed.name)
+    assert client.map(hall, full=True).state_hash == before.state_hash
 
 
 def test_frames_keep_their_notes(client: waypost.Client, hall: str) -> None:

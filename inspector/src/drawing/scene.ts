@@ -113,7 +113,7 @@ function closuresBetween(data: MapData, indexOf: Map<number, number>, { x, y }: 
     const visits = visitsOf(data);
     return data.closures.flatMap((closure): Closure[] => {
         const to = indexOf.get(closure.place_number);
-        if (to === undefined || !closure.frame) return [];
+        if (to === undefined || !closure.frame || closure.correction) return [];
         const before = lastBefore(visits.get(closure.frame.session) ?? [], closure.frame.sequence);
         const from = before === null ? to : (indexOf.get(before) ?? to);
         const point: [number, number] = [x[from]!, y[from]!];
@@ -176,7 +176,7 @@ function metric(data: MapData, shown: MapData["places"], indexOf: Map<number, nu
     const closures = data.closures.flatMap((closure): Closure[] => {
         const to = indexOf.get(closure.place_number);
         const frame = closure.frame;
-        if (to === undefined || !frame) return [];
+        if (to === undefined || !frame || closure.correction) return [];
         const stamp_s = frame.stamp_ns / NS;
         const aside = shift(frame.session, stamp_s);
         const at = rowOf(data.drives.get(frame.session)?.corrected ?? [], stamp_s);

@@ -44,7 +44,7 @@ function Closures({ data, onFrame, onPlace }: Pick<EvidenceProps, "data" | "onFr
                     <tr key={`${closure.frame.session}/${closure.frame.sequence}`}>
                         <td><button type="button" class="link" onClick={() => onFrame(closure.frame!.session, closure.frame!.sequence)}>{short(closure.frame.session)} / {closure.frame.sequence}</button>{closure.frame.note && <span class="note"> {closure.frame.note}</span>}</td>
                         <td><PlaceLink number={closure.place_number} onPlace={onPlace} /></td>
-                        <td>{share(sure(closure))}</td>
+                        <td>{closure.correction ? <span class="reason withdrawn">withdrawn</span> : share(sure(closure))}</td>
                     </tr>
                 ))}
             </tbody>

@@ -124,8 +124,8 @@ const REFRESH_MS = 2000;
 const REST_TIMES = 5;
 
 /** What changes whenever a map does, but for its labels. */
-const edition = ({ create_time_ns, places, links, sessions, frames, loop_closures }: WayMap) =>
-    JSON.stringify([create_time_ns, places, links, sessions, frames, loop_closures]);
+const edition = ({ create_time_ns, places, links, sessions, frames, loop_closures, withdrawn_loop_closures }: WayMap) =>
+    JSON.stringify([create_time_ns, places, links, sessions, frames, loop_closures, withdrawn_loop_closures]);
 
 /** A map's data, and what has them asked for anew behind what is shown. */
 export function useFresh(given: MapData) {

@@ -78,7 +78,7 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
         <div class="title">
             <h1>{short(map.name)}</h1>
             <p class="quiet">
-                {plural(map.places, "place")} · {plural(map.links, "link")} · {plural(map.loop_closures, "loop closure")} · {plural(map.frames, "frame")}
+                {plural(map.places, "place")} · {plural(map.links, "link")} · {plural(map.loop_closures, "loop closure")}{map.withdrawn_loop_closures > 0 && `, ${map.withdrawn_loop_closures} withdrawn`} · {plural(map.frames, "frame")}
             </p>
             <GoTo data={data} onPlace={onPlace} />
             <label class="choice" title="The cursor goes with the newest frame"><input type="checkbox" checked={link.follow} onChange={(event) => go({ follow: event.currentTarget.checked })} /> <span>follow</span></label>
@@ -100,7 +100,7 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
                 )}
             </div>
             <div class="narrow">
-                {session && step && <Pair session={session.name} step={step} large={link.large} follow={link.follow} onLarge={(large) => go({ large })} onPlace={onPlace} />}
+                {session && step && <Pair session={session.name} step={step} large={link.large} follow={link.follow} onLarge={(large) => go({ large })} onPlace={onPlace} onCorrected={onAgain} />}
                 {place !== null && <Place data={data} number={place} onPlace={onPlace} onFrame={onFrame} onLabels={setLabels} />}
                 <Robots heard={heard} place={place} onPlace={onPlace} onFrame={onFrame} />
                 <Evidence data={data} metric={scene.kind === "metric"} onPlace={onPlace} onFrame={onFrame} />

@@ -2,6 +2,7 @@
 import { useEffect, useRef } from "preact/hooks";
 import { at, get, type Explanation, type FrameRecord, type Schemas } from "../rest";
 import { pause, Picture, share, Shown, useAsked } from "../parts";
+import { Correcting } from "./correcting";
 import { REASONS, type Step } from "./steps";
 
 /** An explanation is a replay, so it is asked for where the cursor rests. */
@@ -16,9 +17,10 @@ interface PairProps {
     follow: boolean;
     onLarge: (large: boolean) => void;
     onPlace: (place: number) => void;
+    onCorrected: () => void;
 }
 
-export function Pair({ session, step, large, follow, onLarge, onPlace }: PairProps) {
+export function Pair({ session, step, large, follow, onLarge, onPlace, onCorrected }: PairProps) {
     const frame = `${at(session)}/frames/${step.sequence}`;
     const asked = useAsked(async (signal) => {
         await pause(follow ? FOLLOWING_REST_MS : REST_MS, signal);
@@ -30,6 +32,7 @@ export function Pair({ session, step, large, follow, onLarge, onPlace }: PairPro
             <Shown asked={asked} what="why it was decided so">
                 {([explanation, record]) => <>
                     <Views explanation={explanation} frame={frame} sequence={step.sequence} large={large} onLarge={onLarge} />
+                    <Correcting record={record} onCorrected={onCorrected} />
                     <Facts record={record} explanation={explanation} onPlace={onPlace} />
                     {explanation.gates.length > 0 && <Gates gates={explanation.gates} />}
                     {explanation.place_explanation && <Words explained={explanation.place_explanation} />}

@@ -226,7 +226,7 @@ impl<'a> Graph<'a> {
     fn new(map: &Map, poses: &'a PlacePoses, settings: &'a PlanningSettings) -> Self {
         let contradicted: BTreeSet<usize> = poses.contradicted().collect();
         let mut ways = vec![Vec::new(); poses.poses().len()];
-        for (number, link) in map.links().iter().enumerate() {
+        for (number, link) in map.standing_links() {
             if contradicted.contains(&number) || poses.part(link.from) != poses.part(link.to) {
                 continue;
             }

@@ -23,23 +23,22 @@ pub struct LocalizationSettings {
     pub map_m: f64,
     /// The same of its heading, in radians, above 0.
     pub map_rad: f64,
-    /// Standard deviation of a closure's position along the way that the robot looks, in metres,
-    /// above 0. This and what follows is of closures that structure has not measured.
+    /// Of a closure that structure has not measured, as all up to its heading: standard deviation of its position
+    /// along the way that the robot looks, in metres, above 0.
     pub closure_along_m: f64,
     /// How far away is what a camera sees, as a rule, in metres: a view that is larger by ln s was
     /// taken so many times further back. 0 takes the robot to be where the view was taken.
     pub depth_m: f64,
     /// What that adds to the position's standard deviation for each |ln s|, in metres.
     pub along_m_per_ln_scale: f64,
-    /// Standard deviation of a closure's position across that, in metres, above 0. It is held to be
-    /// small, because what is really an offset shows as a heading that leads back.
+    /// Standard deviation of its position across that, in metres, above 0. It is held to be small, because what is
+    /// really an offset shows as a heading that leads back.
     pub closure_across_m: f64,
-    /// Standard deviation of a closure's heading, in radians, above 0.
+    /// Standard deviation of its heading, in radians, above 0.
     pub closure_heading_rad: f64,
-    /// Standard deviation of the turn that the wheels see, and those that made the map did not, in
-    /// rad/m; it is learnt on the way.
+    /// Standard deviation of the turn that the wheels see, and those that made the map did not, in rad/m; it is learnt.
     pub drift_sigma_rad_per_m: f64,
-    /// Standard deviation of the ratio of the wheels' metres to the map's; it is learnt on the way.
+    /// Standard deviation of the ratio of the wheels' metres to the map's; it is learnt.
     pub scale_sigma: f64,
     /// Standard deviation of the way, in m/√m.
     pub way_noise: f64,
@@ -49,11 +48,9 @@ pub struct LocalizationSettings {
     pub turn_noise: f64,
     /// Squared deviations, of three numbers, from which a closure contradicts what is believed.
     pub gate_chi_squared: f64,
-    /// Contradictions in a row, each in agreement with the one before, that make what is believed
-    /// wrong; at least 1.
+    /// Contradictions in a row, each in agreement with the one before, that make what is believed wrong; at least 1.
     pub contradictions: u32,
-    /// Least evidence of a closure, of its two views alone, in inliers: what the frames before say
-    /// is no closure.
+    /// Least evidence of a closure, of its two views alone, in inliers: what the frames before say is no closure.
     pub least_evidence: f64,
     /// Closures in agreement that a robot needs which does not know where it is; at least 1.
     pub confirmations: u32,
@@ -143,15 +140,13 @@ pub struct SupervisionSettings {
     pub searching_m: f64,
     /// Time without a closure from which it is searching, in nanoseconds.
     pub searching_ns: i64,
-    /// Deviation of its position at which it is lost, once it has driven on from the last closure,
-    /// in metres.
+    /// Deviation of its position at which it is lost, once it has driven on from the last closure, in metres.
     pub lost_sigma_m: f64,
     /// Way without a closure at which it is lost, in metres.
     pub lost_m: f64,
     /// Time without a closure at which it is lost, of that in which its wheels turned, in nanoseconds.
     pub lost_ns: i64,
-    /// Frames without a closure that it needs for that, those that show too little among them; at
-    /// least 1.
+    /// Frames without a closure that it needs for that, those that show too little among them; at least 1.
     pub lost_looks: u32,
     /// Frames without a closure at which it is lost that show something, and nothing known, where
     /// it should be known, as it drives on; at least 1.
@@ -170,15 +165,13 @@ pub struct SupervisionSettings {
     pub promising_evidence: f64,
     /// Turn after which it stands and waits, in radians.
     pub spin_rad: f64,
-    /// How far a lost robot drives back to where it last recognised something, at most, in metres:
-    /// that way was free.
+    /// How far a lost robot drives back to where it last recognised something, at most, in metres: that way was free.
     pub retreat_m: f64,
     /// How long it stands and looks before it turns, in nanoseconds.
     pub look_first_ns: i64,
     /// How long it may be told to move and not do it, in nanoseconds.
     pub blocked_ns: i64,
-    /// How long it then waits before it goes back and tries again, in nanoseconds; longer each time
-    /// at one spot.
+    /// How long it then waits before it goes back and tries again, in nanoseconds; longer each time at one spot.
     pub blocked_wait_ns: i64,
     /// How far it goes back the way that it came, in metres; 0 to try again from where it stands.
     pub back_off_m: f64,
@@ -283,8 +276,7 @@ pub struct NavigationSettingsError {
 }
 
 impl NavigationSettings {
-    /// # Errors
-    /// [`NavigationSettingsError`] with the first setting that is out of its range.
+    /// # Errors [`NavigationSettingsError`] with the first setting that is out of its range.
     pub fn check(&self) -> Result<(), NavigationSettingsError> {
         let Self { localization, planning, path, steering, supervision } = self;
         let ranges = localization

@@ -21,7 +21,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, Admitted, Ending};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 64] = [
+const METHODS: [(&str, Access); 68] = [
     ("/waypost.v1.SessionService/Stream", Access::OPEN_SESSION),
     ("/waypost.v1.RecognitionService/Query", Access::LOCALIZE),
     ("/waypost.v1.SessionService/ListSessions", Access::READ),
@@ -51,6 +51,10 @@ const METHODS: [(&str, Access); 64] = [
     ("/waypost.v1.MapService/ListWordPlaces", Access::READ),
     ("/waypost.v1.MapService/ListLoopClosures", Access::READ),
     ("/waypost.v1.MapService/ExportPoses", Access::READ),
+    ("/waypost.v1.CorrectionService/ListCorrections", Access::READ),
+    ("/waypost.v1.CorrectionService/WithdrawLoopClosure", Access::ADMIN),
+    ("/waypost.v1.CorrectionService/ConfirmLoopClosure", Access::ADMIN),
+    ("/waypost.v1.CorrectionService/UndoCorrection", Access::ADMIN),
     ("/waypost.v1.MapService/CreateMap", Access::ADMIN),
     ("/waypost.v1.MapService/DeleteMap", Access::ADMIN),
     ("/waypost.v1.MapService/RebindMap", Access::ADMIN),

@@ -29,6 +29,7 @@ names_maps! {
     AddRelativePoseRequest: frame, earlier_frame;
     CancelGoalRequest: name;
     CompactMapRequest: name;
+    ConfirmLoopClosureRequest: frame, matched_frame;
     DeleteLabelRequest: place;
     DeleteMapRequest: name;
     DeleteSessionRequest: name;
@@ -43,6 +44,7 @@ names_maps! {
     GetNavigationRequest: name;
     GetPlaceRequest: name;
     GetSessionRequest: name;
+    ListCorrectionsRequest: map;
     ListFramesRequest: session;
     ListLabelsRequest: map;
     ListLoopClosuresRequest: map;
@@ -56,17 +58,23 @@ names_maps! {
     SetGoalRequest: name;
     SetLabelRequest: place;
     TrimMapRequest: name;
+    UndoCorrectionRequest: name;
     WatchRequest: map;
+    WithdrawLoopClosureRequest: frame;
 }
 
 /// What a request says, if who sends it reaches all maps that it names.
 pub(super) fn within<T: NamesMaps>(request: Request<T>) -> Result<T, ServiceError> {
-    let (_, extensions, message) = request.into_parts();
-    let caller = caller(&extensions)?;
+    Ok(within_by(request)?.1)
+}
+
+/// The same, and who sends it.
+pub(super) fn within_by<T: NamesMaps>(request: Request<T>) -> Result<(Arc<Caller>, T), ServiceError> {
+    let (caller, message) = with_caller(request)?;
     for name in message.resources() {
         caller.check_resource(name)?;
     }
-    Ok(message)
+    Ok((caller, message))
 }
 
 /// What a request says, and who sends it, of whom the service asks which maps they reach.

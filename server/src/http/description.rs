@@ -56,6 +56,7 @@ const PAGE_POLICY: HeaderValue = HeaderValue::from_static(
         (name = "sessions", description = "Runs of robots: what they saw, and what they were told."),
         (name = "navigations", description = "Robots that are led along a map: where they are, and where they are to go."),
         (name = "models", description = "What is learnt before a robot drives."),
+        (name = "corrections", description = "What people say of loop closures, against what the map decided."),
         (name = "merges", description = "Maps that become one: looked for, proposed with their evidence, decided."),
         (name = "tokens", description = "Who may use the server. Where it has no token, it serves everyone on the \
             same machine."),

@@ -32,7 +32,7 @@ const PAGE_ROWS: u32 = 1000;
 #[utoipa::path(get, path = "/v1/maps/{map}/loop-closures.csv", tag = "exports", params(MapPath),
     responses((status = 200, description = "A header, then a line per loop closure.", body = String,
         content_type = "text/csv", example = json!("session,sequence,stamp_ns,matched_session,matched_sequence,\
-        matched_stamp_ns,place_number,posterior,probability,note,matched_note\n")), Refusals))]
+        matched_stamp_ns,place_number,posterior,probability,note,matched_note,withdrawn_ns,withdrawn_by\n")), Refusals))]
 pub(super) async fn export_loop_closures_csv(
     State(service): State<Arc<Service>>,
     InPath(MapPath { map }): InPath<MapPath>,
@@ -209,19 +209,25 @@ const LOOP_CLOSURE_COLUMNS: &[&str] = &[
     "probability",
     "note",
     "matched_note",
+    "withdrawn_ns",
+    "withdrawn_by",
 ];
 
 /// A line of the table of loop closures, in the order of [`LOOP_CLOSURE_COLUMNS`].
 #[derive(Debug, Serialize)]
-struct LoopClosureLine(String, u64, i64, String, u64, i64, u32, f64, Option<f64>, String, String);
+struct LoopClosureLine(Seen, Seen, u32, f64, Option<f64>, [String; 2], (Option<i64>, String));
+
+/// Session, sequence number and stamp.
+type Seen = (String, u64, i64);
 
 impl From<LoopClosureView> for LoopClosureLine {
     fn from(view: LoopClosureView) -> Self {
-        let LoopClosureView { frame, matched, place, posterior, probability } = view;
+        let LoopClosureView { frame, matched, place, posterior, probability, correction } = view;
         let FrameReference { session, sequence, stamp_ns, note } = frame;
         let FrameReference { session: at, sequence: number, stamp_ns: stamp, note: noted } = matched;
-        let place = place.number();
-        Self(session, sequence, stamp_ns, at, number, stamp, place, posterior, probability, note, noted)
+        let said = correction.map_or((None, String::new()), |said| (Some(said.said.said_ns), said.said.by));
+        let (frame, matched) = ((session, sequence, stamp_ns), (at, number, stamp));
+        Self(frame, matched, place.number(), posterior, probability, [note, noted], said)
     }
 }
 

@@ -118,6 +118,17 @@ pub(super) struct SessionPath {
 
 #[derive(Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Path)]
+pub(super) struct CorrectionPath {
+    /// Name of the map.
+    #[param(pattern = "^[a-z0-9][a-z0-9_-]{0,62}$", example = "demo")]
+    pub(super) map: String,
+    /// Number of the correction.
+    #[param(value_type = u64)]
+    pub(super) correction: String,
+}
+
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Path)]
 pub(super) struct NavigationPath {
     /// Name of the map.
     #[param(pattern = "^[a-z0-9][a-z0-9_-]{0,62}$", example = "demo")]

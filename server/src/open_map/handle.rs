@@ -7,6 +7,7 @@ use std::time::Instant;
 use fabmap::appearance::PlaceId;
 use fabmap::observation::{Observation, WordId};
 use tokio::sync::{mpsc, oneshot};
+use topomap::log::CorrectionEvent;
 use topomap::map::PlacePoses;
 use topomap::mapper::MapPose;
 use waypost_navigation::metric::planning::{Goal, PlanError, Route};
@@ -15,8 +16,8 @@ use waypost_navigation::metric::settings::PlanningSettings;
 use super::answers::{PlacePose, PlaceSummary, QueryAnswer, WordPlace};
 use super::appearance::GrowingGraph;
 use super::requests::{
-    FrameRequest, FrameSource, LookRequest, Looked, MapRequest, MeasuredFrames, OpenedSession, PlanFrom,
-    Read, SessionOpening,
+    CorrectionRequest, FrameRequest, FrameSource, LookRequest, Looked, MapRequest, MeasuredFrames,
+    OpenedSession, PlanFrom, Read, SessionOpening,
 };
 use crate::error::ServiceError;
 use crate::ingest::FeatureRecord;
@@ -144,6 +145,11 @@ impl MapHandle {
     /// Where the robot of the later frame's session is, with what was measured; durable by then.
     pub(crate) async fn measure(&self, frames: MeasuredFrames) -> Result<Option<MapPose>, ServiceError> {
         self.ask(|reply| MapRequest::Measure { frames: Box::new(frames), reply }).await?
+    }
+
+    /// What follows from what a person says of a loop closure; durable by then.
+    pub(crate) async fn correct(&self, request: CorrectionRequest) -> Result<CorrectionEvent, ServiceError> {
+        self.ask(|reply| MapRequest::Correct { request, reply }).await?
     }
 
     /// Where an observation was made; explained by up to `explained_words` for and against.

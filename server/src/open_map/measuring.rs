@@ -22,19 +22,9 @@ impl MapWriter {
         };
         if !self.mapper.has_measured(&event) {
             let position = event.position;
-            let session = event.session;
             let event = MapEvent::Measured(Box::new(event));
             let entry = LogEntry { position, event, media: Vec::new(), note: String::new() };
-            let entries = std::slice::from_ref(&entry);
-            if let Err(error) = self.runtime.block_on(self.storage.append(self.map.id, entries)) {
-                tracing::error!(map = self.map.name, %error, "what a robot measured could not be stored");
-                return Err(CommitFailed::default());
-            }
-            if let Err(error) = self.mapper.apply(&entry.event) {
-                tracing::error!(map = self.map.name, session, %error, "what a robot measured could not be applied");
-                return Err(CommitFailed::default());
-            }
-            self.checkpoints.changes().follow(&entry.event);
+            self.take_in(&entry)?;
         }
         let session = self.mapper.map().session(later.session);
         Ok(Ok(session.and_then(|session| self.mapper.map_pose(session))))

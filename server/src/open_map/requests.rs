@@ -8,10 +8,10 @@ use fabmap::appearance::PlaceId;
 use fabmap::observation::{Observation, WordId};
 use tokio::sync::{OwnedSemaphorePermit, oneshot};
 use tokio_util::sync::CancellationToken;
-use topomap::ids::SessionId;
-use topomap::log::FrameEvent;
+use topomap::ids::{FrameId, SessionId};
+use topomap::log::{CorrectionEvent, FrameEvent};
 use topomap::map::PlacePoses;
-use topomap::mapper::{FrameInput, MapPose};
+use topomap::mapper::{FrameInput, MapPose, Said};
 use topomap::metric::RelativePose;
 use waypost_navigation::metric::planning::{Goal, MapPosition, PlanError, Route};
 use waypost_navigation::metric::settings::{LocalizationSettings, PlanningSettings};
@@ -39,6 +39,11 @@ pub(crate) enum MapRequest {
     Measure {
         frames: Box<MeasuredFrames>,
         reply: oneshot::Sender<Result<Option<MapPose>, ServiceError>>,
+    },
+    /// What a person says of a loop closure.
+    Correct {
+        request: CorrectionRequest,
+        reply: oneshot::Sender<Result<CorrectionEvent, ServiceError>>,
     },
     /// Changes nothing, and is answered from what is on the disk.
     Read(Read),
@@ -127,6 +132,24 @@ pub(crate) struct Looked {
 pub(crate) enum PlanFrom {
     Place(PlaceId),
     Robot(MapPosition),
+}
+
+/// What a person says of a loop closure.
+#[derive(Debug)]
+pub(crate) struct CorrectionRequest {
+    pub(crate) verdict: Verdict,
+    pub(crate) said: Said,
+}
+
+/// What is said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Verdict {
+    /// The frame was not at the place that it closed a loop with.
+    Withdrawn { frame: FrameId },
+    /// Both frames were at one place.
+    Confirmed { frame: FrameId, matched: FrameId },
+    /// The correction at this position was wrong.
+    Undone { correction: u64 },
 }
 
 /// Two frames of the log, and how they lie to each other.

@@ -218,6 +218,7 @@ impl Watch {
         let views = frames.frame_views(&self.row, rows).await?;
         self.next = next;
         self.ready.extend(positions.into_iter().zip(views).zip(poses).map(|((position, view), map_pose)| {
+            let map_pose = map_pose.filter(|_| !view.is_withdrawn());
             let answer = FrameAnswer { map_pose, ..view.answer };
             MapEventView::Frame { position, frame: Box::new(FrameView { answer, ..view }) }
         }));

@@ -8,6 +8,7 @@ use topomap::ids::{FrameId, SessionId};
 use topomap::log::FrameEvent;
 use topomap::metric::Odometry;
 
+use super::corrections::{CorrectionKind, CorrectionView, Corrections};
 use crate::error::ServiceError;
 use crate::ingest::model::LoadedModels;
 use crate::names::{frame_in, frame_name, map_in, session_in, session_name};
@@ -39,6 +40,15 @@ pub(crate) struct FrameView {
     pub(crate) learnt: bool,
     pub(crate) observation: Observation,
     pub(crate) bytes: FrameBytes,
+    /// What people say of its place, as far as it stands.
+    pub(crate) corrections: Vec<CorrectionView>,
+}
+
+impl FrameView {
+    /// Whether it is at no place, whatever was decided.
+    pub(super) fn is_withdrawn(&self) -> bool {
+        self.corrections.iter().any(|correction| correction.kind == CorrectionKind::Withdrawn)
+    }
 }
 
 /// Which picture of a frame is wanted.
@@ -179,8 +189,14 @@ impl Frames {
         let matched = self.storage.frames_by_position(map.id, positions).await?;
         let sessions = self.storage.sessions(map.id).await?;
         let known = Known { map: &map.name, sessions: &sessions, matched: &matched };
-        let views: Result<Vec<_>, ServiceError> =
-            frames.into_iter().map(|row| frame_view(row, &known)).collect();
+        let of_frames = frames.iter().map(|row| row.event.frame).collect();
+        let corrections = Corrections::read(&self.storage, map.id).await?;
+        let mut corrected = corrections.of_frames(&self.storage, map, of_frames).await?;
+        let view = |row: FrameRow| {
+            let corrections = corrected.remove(&row.event.frame).unwrap_or_default();
+            frame_view(row, corrections, &known)
+        };
+        let views: Result<Vec<_>, ServiceError> = frames.into_iter().map(view).collect();
         if views.is_err() && self.open_maps.row(&map.name).await?.id != map.id {
             // It was deleted since the frames were read, and another made of its name.
             return Err(no_such_map(&map.name));
@@ -215,7 +231,11 @@ impl Known<'_> {
     }
 }
 
-fn frame_view(row: FrameRow, known: &Known<'_>) -> Result<FrameView, ServiceError> {
+fn frame_view(
+    row: FrameRow,
+    corrections: Vec<CorrectionView>,
+    known: &Known<'_>,
+) -> Result<FrameView, ServiceError> {
     let FrameRow { event, note, bytes } = row;
     let session = known.session(event.session)?;
     let matched = |found| known.matched(found, &event.candidates);
@@ -235,6 +255,7 @@ fn frame_view(row: FrameRow, known: &Known<'_>) -> Result<FrameView, ServiceErro
         learnt: event.learnt,
         observation: event.observation,
         bytes,
+        corrections,
     })
 }
 

@@ -8,6 +8,7 @@ use tokio::runtime::Handle;
 use topomap::mapper::Mapper;
 use topomap::settings::MapperSettings;
 
+use super::corrections::{CorrectionCounts, CorrectionView, Corrections};
 use super::map_names::{MapNames, map_exists};
 use super::models::Models;
 use super::tokens::Caller;
@@ -30,6 +31,7 @@ pub(crate) struct MapView {
     pub(crate) settings: MapSettings,
     pub(crate) created_ns: i64,
     pub(crate) counts: MapCounts,
+    pub(crate) corrections: CorrectionCounts,
     /// Hash of all that the log decided, if asked for.
     pub(crate) state_hash: Option<String>,
     /// What it takes on the disk, if asked for.
@@ -65,6 +67,8 @@ pub(crate) struct LoopClosureView {
     pub(crate) posterior: f64,
     /// By words and geometry together; `None` where nothing was verified.
     pub(crate) probability: Option<f64>,
+    /// Who withdrew it, if somebody did.
+    pub(crate) correction: Option<CorrectionView>,
 }
 
 /// Maps: made, listed, read. Cheap to clone.
@@ -249,12 +253,16 @@ impl Maps {
         let sessions = self.storage.sessions(row.id).await?;
         let next =
             closures.last().filter(|_| more).map_or_else(String::new, |closure| closure.position.to_string());
+        let frames = closures.iter().map(|closure| closure.position).collect();
+        let corrections = Corrections::read(&self.storage, row.id).await?;
+        let mut withdrawals = corrections.withdrawals(&self.storage, &row, frames).await?;
         let view = |closure: &ClosureRow| LoopClosureView {
             frame: reference(map, &sessions, &closure.frame),
             matched: reference(map, &sessions, &closure.matched),
             place: PlaceId::new(closure.place),
             posterior: closure.posterior,
             probability: closure.probability,
+            correction: withdrawals.remove(&closure.position),
         };
         Ok(Page { items: closures.iter().map(view).collect(), next })
     }
@@ -262,6 +270,7 @@ impl Maps {
     async fn view(&self, row: MapRow, detail: Detail) -> Result<MapView, ServiceError> {
         let settings = map_settings::from_json(&row.settings)?;
         let counts = self.storage.map_counts(row.id).await?;
+        let corrections = Corrections::read(&self.storage, row.id).await?.counts();
         let (state_hash, bytes) = match detail {
             Detail::Basic => (None, None),
             Detail::Full => {
@@ -270,7 +279,7 @@ impl Maps {
             }
         };
         let MapRow { id: _, name, model, settings: _, created_ns, edition: _ } = row;
-        Ok(MapView { map: name, model, settings, created_ns, counts, state_hash, bytes })
+        Ok(MapView { map: name, model, settings, created_ns, counts, corrections, state_hash, bytes })
     }
 }
 

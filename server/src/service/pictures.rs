@@ -12,6 +12,7 @@ use topomap::log::{FrameEvent, MapEvent};
 use topomap::settings::MapperSettings;
 
 use self::drawing::{Mark, Panel, Picture, StillImage};
+use super::corrections::{CorrectionView, Corrections};
 use super::frames::{Frames, LocatedFrame, content_type};
 use super::queries::{GateView, probability, verdict_views};
 use crate::error::{ArchiveError, ServiceError};
@@ -58,7 +59,10 @@ impl Pictures {
     ) -> Result<FramePicture, ServiceError> {
         let LocatedFrame { map, position } = self.frames.locate(name).await?;
         let current = self.shown_frame(&map, position).await?;
-        let (place, earlier) = self.counterpart(&map, &current, place).await?;
+        let corrections = Corrections::read(&self.storage, map.id).await?;
+        let of_frame = corrections.of_frames(&self.storage, &map, vec![position]).await?.remove(&position);
+        let said: Vec<String> = of_frame.iter().flatten().map(CorrectionView::told).collect();
+        let (place, earlier) = self.counterpart(&map, &current, place, &corrections).await?;
         let earlier = self.shown_frame(&map, earlier).await?;
         let settings = map_settings::from_json(&map.settings)?.mapper;
         let storage = self.storage.clone();
@@ -66,7 +70,9 @@ impl Pictures {
         let drawing = tokio::task::spawn_blocking(move || {
             let features = |frame: &ShownFrame| stored_features(&runtime, &storage, map.id, frame.position);
             let seen = [features(&current)?, features(&earlier)?];
-            Ok::<_, ArchiveError>(side_by_side([current, earlier], &seen, place, &settings).to_svg())
+            let mut picture = side_by_side([current, earlier], &seen, place, &settings);
+            said.iter().for_each(|said| picture.heading.push_str(&format!("; {said}")));
+            Ok::<_, ArchiveError>(picture.to_svg())
         });
         let svg = drawing.await.map_err(ServiceError::internal)??;
         Ok(FramePicture { content_type: "image/svg+xml", picture: svg.into_bytes() })
@@ -93,7 +99,9 @@ impl Pictures {
         let words = self.frames.vocabulary_len(map).await?;
         match self.storage.event_at(map.id, position, words).await? {
             Some(MapEvent::Frame(event)) => Ok(*event),
-            Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None => Err(deleted(map)),
+            Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_)) | None => {
+                Err(deleted(map))
+            }
         }
     }
 
@@ -103,6 +111,7 @@ impl Pictures {
         map: &MapRow,
         ShownFrame { name, event, .. }: &ShownFrame,
         place: Option<PlaceId>,
+        corrections: &Corrections,
     ) -> Result<(PlaceId, FrameId), ServiceError> {
         let decided = event.decision.closure.or(event.proposal);
         let compared = match place {
@@ -118,7 +127,8 @@ impl Pictures {
             )));
         };
         let mut most_alike: Option<(usize, FrameId)> = None;
-        for frame in self.storage.frames_of_place(map.id, place, event.frame, MAX_FRAMES_OF_PLACE).await? {
+        let frames = self.storage.frames_of_place(map.id, place, event.frame, MAX_FRAMES_OF_PLACE).await?;
+        for frame in frames.into_iter().filter(|&frame| !corrections.is_withdrawn(frame)) {
             let seen = self.frame_event(map, frame).await?.observation;
             let common = shared_words(&seen, &event.observation);
             if most_alike.is_none_or(|(most, _)| common > most) {

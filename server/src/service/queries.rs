@@ -20,6 +20,7 @@ use self::gates::{gate_views, outdone_view};
 pub(super) use self::gates::{probability, verdict_views};
 pub(crate) use self::odometry_agreement::OdometryAgreement;
 use self::odometry_agreement::SeenAgain;
+use super::corrections::{CorrectionView, Corrections};
 use super::frames::{Frames, LocatedFrame};
 use crate::error::{ArchiveError, ServiceError};
 use crate::ingest::content::{Content, Words};
@@ -51,6 +52,8 @@ pub(crate) struct FrameExplanation {
     pub(crate) picture: Option<String>,
     /// None if nothing can be said of it.
     pub(crate) odometry: Option<OdometryAgreement>,
+    /// What people have said of its place since, as far as it stands.
+    pub(crate) corrections: Vec<CorrectionView>,
 }
 
 /// A condition for a loop closure.
@@ -117,7 +120,12 @@ impl Queries {
             let _turn = turn;
             replay.explain(name, position, place, words)
         });
-        let explained = explaining.await.map_err(ServiceError::internal)?;
+        let mut explained = explaining.await.map_err(ServiceError::internal)?;
+        if let Ok(explanation) = &mut explained {
+            let corrections = Corrections::read(&self.storage, read.id).await?;
+            let mut of_frame = corrections.of_frames(&self.storage, &read, vec![position]).await?;
+            explanation.corrections = of_frame.remove(&position).unwrap_or_default();
+        }
         // Of a map that is deleted or rewritten meanwhile, some of what was read may be older than the rest.
         match self.storage.map_of_id(read.id).await? {
             Some(now) if now.edition == read.edition => explained,
@@ -212,6 +220,7 @@ impl Replay {
             place: explained.and_then(|place| mapper.explain(&input.observation, recognition, place, words)),
             reproduced: decided.event == event,
             odometry: self.odometry_agreement(&mapper, before, event)?,
+            corrections: Vec::new(),
         })
     }
 
@@ -246,7 +255,9 @@ impl Replay {
                 .odometry
                 .zip(event.odometry.clone())
                 .map(|(then, now)| SeenAgain { session: earlier.session, then, now, pose })),
-            Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None => Ok(None),
+            Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_)) | None => {
+                Ok(None)
+            }
         }
     }
 
@@ -259,7 +270,9 @@ impl Replay {
         let deleted = || no_such_map(&map.name);
         let event = match runtime.block_on(storage.event_at(map.id, position, words))? {
             Some(MapEvent::Frame(event)) => *event,
-            Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None => return Err(deleted()),
+            Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_)) | None => {
+                return Err(deleted());
+            }
         };
         let session = event.session;
         let mut before = VecDeque::new();
@@ -290,7 +303,9 @@ impl FrameStore for Replay {
             Ok(Some(MapEvent::Frame(event))) => {
                 Ok(Some(EarlierFrame { observation: event.observation, at: event.at }))
             }
-            Ok(Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_)) | None)
+            Ok(
+                Some(MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_)) | None,
+            )
             | Err(StorageError::Damaged(_)) => Ok(None),
             Err(error) => Err(ArchiveError::of(frame, error)),
         }

@@ -140,8 +140,8 @@ impl Rebuilding {
                         streams.insert(session, Arc::new(self.opened(rebuild, session).await?));
                     }
                     MapEvent::Frame(frame) => frames.push(*frame),
-                    // It was said of frames of another map: the robot's to say again.
-                    MapEvent::Measured(_) => {}
+                    // It was said of frames of another map: the robot's to say again, or the person's.
+                    MapEvent::Measured(_) | MapEvent::Corrected(_) => {}
                 }
             }
             self.send(rebuild, &streams, frames, &notes).await?;

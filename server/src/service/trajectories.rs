@@ -11,6 +11,7 @@ use topomap::ids::FrameId;
 use topomap::log::{FrameEvent, MeasuredEvent};
 use topomap::map::PlacePoses;
 
+use super::corrections::Corrections;
 use super::frames::{Frames, no_such_session};
 use crate::camera::Camera;
 use crate::error::ServiceError;
@@ -73,6 +74,12 @@ impl Trajectories {
         let measured = self.frames.storage.measured_of_session(row.id, summary.number, words).await?;
         let measured: HashMap<FrameId, MeasuredEvent> =
             measured.into_iter().map(|event| (event.frame, event)).collect();
+        // Of frames that are at no place only the odometry is known.
+        let corrections = Corrections::read(&self.frames.storage, row.id).await?;
+        let is_known = |row: &&FrameRow| match frame {
+            TrajectoryFrame::Odom => true,
+            TrajectoryFrame::Map => !corrections.is_withdrawn(row.event.frame),
+        };
         let mut stamped: Vec<Located> = Vec::new();
         let mut after = None;
         loop {
@@ -80,7 +87,7 @@ impl Trajectories {
                 self.frames.storage.frames_of_session(row.id, summary.number, after, "", PAGE, words).await?;
             after = frames.last().map(|frame| frame.event.sequence);
             let located = |row: &FrameRow| located(&row.event, measured.get(&row.event.frame), frame, &poses);
-            stamped.extend(frames.iter().filter_map(located));
+            stamped.extend(frames.iter().filter(is_known).filter_map(located));
             if frames.len() < PAGE as usize {
                 break;
             }
@@ -99,9 +106,10 @@ impl Trajectories {
     }
 
     /// A map's pose graph as g2o: the ways between its places that were measured, and the places at their ends.
+    /// Comments before them say what people corrected.
     pub(crate) async fn pose_graph(&self, name: &str) -> Result<Vec<u8>, ServiceError> {
         let map = map_in(name)?;
-        self.frames.open_maps.row(map).await?;
+        let row = self.frames.open_maps.row(map).await?;
         let poses = self.frames.open_maps.open(map).await?.poses().await?;
         if poses.graph().edges().is_empty() {
             return Err(ServiceError::precondition(format_args!(
@@ -112,7 +120,10 @@ impl Trajectories {
         let (places, graph) = poses.graph().known_part();
         let at = places.iter().map(|&place| poses.poses()[place]).collect();
         let graph = NamedGraph::new(places.iter().map(|&place| place as u64).collect(), graph, Some(at));
-        Ok(G2o::Planar(graph.map_err(ServiceError::internal)?).write())
+        let storage = &self.frames.storage;
+        let mut text = Corrections::read(storage, row.id).await?.told(storage, &row).await?.into_bytes();
+        text.extend(G2o::Planar(graph.map_err(ServiceError::internal)?).write());
+        Ok(text)
     }
 }
 

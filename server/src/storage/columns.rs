@@ -4,10 +4,15 @@ use fabmap::appearance::PlaceId;
 use sqlx::{Sqlite, Transaction};
 use topomap::evidence::Candidate;
 use topomap::ids::SessionId;
-use topomap::log::{Link, MapEvent, Reason};
+use topomap::log::{Confirmation, Correction, CorrectionEvent, Link, MapEvent, Reason, Undoing};
 
 use super::row_sums::checksum;
 use super::{MapId, StorageError, to_sql};
+
+/// What the column of reasons says of corrections.
+const WITHDRAWN: &str = "closure_withdrawn";
+const CONFIRMED: &str = "closure_confirmed";
+const UNDONE: &str = "correction_undone";
 
 /// The columns of an event.
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
@@ -31,6 +36,7 @@ impl EventColumns {
             MapEvent::SessionOpened { .. } => (None, None),
             MapEvent::Frame(frame) => (Some(frame), frame.link),
             MapEvent::Measured(measured) => (None, measured.link),
+            MapEvent::Corrected(corrected) => return Self::of_correction(corrected),
         };
         let decision = frame.map(|frame| &frame.decision);
         Self {
@@ -46,6 +52,27 @@ impl EventColumns {
             probability: frame.and_then(|frame| frame.verified_by()).map(Candidate::probability),
             link_from: link.map(|link| link.from.number()),
             link_to: link.map(|link| link.to.number()),
+        }
+    }
+
+    /// Their links are in their bytes alone: they take some out, too.
+    fn of_correction(event: &CorrectionEvent) -> Self {
+        let (reason, of) = match &event.correction {
+            Correction::Withdrawn(withdrawal) => (WITHDRAWN, withdrawal.frame),
+            Correction::Confirmed(Confirmation { frame, .. }) => (CONFIRMED, *frame),
+            Correction::Undone(Undoing { correction, .. }) => (UNDONE, *correction),
+        };
+        Self {
+            session: event.session,
+            sequence: None,
+            stamp_ns: None,
+            reason: Some(reason.to_owned()),
+            place: None,
+            posterior: None,
+            matched_frame: Some(to_sql(of)),
+            probability: None,
+            link_from: None,
+            link_to: None,
         }
     }
 

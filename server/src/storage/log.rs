@@ -235,13 +235,13 @@ impl Storage {
         .await;
         let measured = |event| match event {
             MapEvent::Measured(event) => Some(*event),
-            MapEvent::SessionOpened { .. } | MapEvent::Frame(_) => None,
+            MapEvent::SessionOpened { .. } | MapEvent::Frame(_) | MapEvent::Corrected(_) => None,
         };
         Ok(self.decoded(map, stored, vocabulary_len).await?.into_iter().filter_map(measured).collect())
     }
 
     /// Events that were read of a map's log.
-    async fn decoded(
+    pub(super) async fn decoded(
         &self,
         map: MapId,
         stored: Result<Vec<StoredEvent>, sqlx::Error>,
@@ -337,9 +337,9 @@ impl Storage {
     }
 }
 
-fn as_frame(event: MapEvent) -> Option<FrameEvent> {
+pub(super) fn as_frame(event: MapEvent) -> Option<FrameEvent> {
     match event {
         MapEvent::Frame(frame) => Some(*frame),
-        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => None,
     }
 }

@@ -48,7 +48,7 @@ impl RetoldLog {
         let same = both.take_while(|&(position, (before, now))| stays(position, before, now)).count();
         let opened = before.iter().filter_map(|event| match event {
             MapEvent::SessionOpened { session } => Some(*session),
-            MapEvent::Frame(_) | MapEvent::Measured(_) => None,
+            MapEvent::Frame(_) | MapEvent::Measured(_) | MapEvent::Corrected(_) => None,
         });
         let removed_sessions = opened.filter(|session| !sessions.contains_key(session)).collect();
         let kept = frames.range(same as u64..).map(|(before, now)| (*before, *now)).collect();

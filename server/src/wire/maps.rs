@@ -3,27 +3,32 @@
 use topomap::rewriting::{Dispensable, Distance, Why};
 use waypost_proto::v1;
 
+use super::corrections::correction;
+use super::references::frame_reference;
 use super::settings::settings_message;
 use crate::names::{map_name, model_name};
-use crate::open_map::answers::FrameReference;
+use crate::service::corrections::CorrectionCounts;
 use crate::service::maps::{LoopClosureView, MapView};
 use crate::service::maps::{MapBytes, MapCounts};
 
 pub(crate) fn map(view: MapView) -> v1::Map {
-    let MapView { map, model, settings, created_ns, counts, state_hash, bytes } = view;
+    let MapView { map, model, settings, created_ns, counts, corrections, state_hash, bytes } = view;
     let MapCounts { sessions, frames, loop_closures, places, links } = counts;
+    let CorrectionCounts { withdrawn, confirmed, links_added, links_taken_out } = corrections;
     v1::Map {
         name: map_name(&map),
         model: model_name(&model),
         settings: Some(settings_message(&settings)),
         create_time_ns: created_ns,
         places,
-        links,
+        links: (links + links_added).saturating_sub(links_taken_out),
         sessions,
         frames,
         loop_closures,
         state_hash,
         storage: bytes.map(|bytes| storage(bytes, frames)),
+        withdrawn_loop_closures: withdrawn,
+        confirmed_loop_closures: confirmed,
     }
 }
 
@@ -41,19 +46,15 @@ fn storage(bytes: MapBytes, frames: u64) -> v1::MapStorage {
 }
 
 pub(crate) fn loop_closure(view: LoopClosureView) -> v1::LoopClosure {
-    let LoopClosureView { frame, matched, place, posterior, probability } = view;
+    let LoopClosureView { frame, matched, place, posterior, probability, correction: said } = view;
     v1::LoopClosure {
         frame: Some(frame_reference(frame)),
         matched_frame: Some(frame_reference(matched)),
         place_number: place.number(),
         posterior,
         probability,
+        correction: said.map(correction),
     }
-}
-
-pub(crate) fn frame_reference(reference: FrameReference) -> v1::FrameReference {
-    let FrameReference { session, sequence, stamp_ns, note } = reference;
-    v1::FrameReference { session, sequence, stamp_ns, note }
 }
 
 pub(crate) fn dropped_place(dropped: Dispensable) -> v1::DroppedPlace {

@@ -4,7 +4,7 @@ use fabmap::PlaceId;
 use waypost_proto::v1;
 
 use super::geometry::planar_pose;
-use super::maps::frame_reference;
+use super::references::frame_reference;
 use crate::names::place_name;
 use crate::open_map::answers::{PlacePose, WordPlace};
 use crate::open_map::appearance::LinkView;

@@ -7,8 +7,9 @@ use topomap::mapper::Gate;
 use topomap::metric::Agreement;
 use waypost_proto::v1;
 
+use super::corrections::correction;
 use super::geometry::planar_pose;
-use super::maps::frame_reference;
+use super::references::frame_reference;
 use crate::open_map::answers::{GeometryView, MatchView, QueryAnswer};
 use crate::service::queries::{FrameExplanation, GateView, OdometryAgreement};
 
@@ -83,7 +84,8 @@ fn placement_message(placement: &Placement) -> Option<v1::Placement> {
 }
 
 pub(crate) fn explanation(explanation: FrameExplanation) -> v1::FrameExplanation {
-    let FrameExplanation { name, reason, gates, place, reproduced, picture, odometry } = explanation;
+    let FrameExplanation { name, reason, gates, place, reproduced, picture, odometry, corrections } =
+        explanation;
     v1::FrameExplanation {
         name,
         reason: reason_code(reason).into(),
@@ -92,6 +94,7 @@ pub(crate) fn explanation(explanation: FrameExplanation) -> v1::FrameExplanation
         reproduced,
         picture,
         odometry_agreement: odometry.map(odometry_agreement),
+        corrections: corrections.into_iter().map(correction).collect(),
     }
 }
 

@@ -7,6 +7,7 @@ use fabmap::PlaceId;
 use waypost_proto::v1;
 use waypost_proto::v1::frame::Content as FrameContent;
 
+use super::corrections::correction;
 use super::geometry::{camera_message, map_pose_message, odometry, odometry_message};
 use super::recognition::{found, reason_code};
 use crate::error::ServiceError;
@@ -45,7 +46,8 @@ pub(crate) fn session(view: SessionView) -> v1::Session {
 }
 
 pub(crate) fn frame_record(view: FrameView) -> v1::FrameRecord {
-    let FrameView { name, stamp_ns, note, answer: told, odometry, learnt, observation, bytes } = view;
+    let FrameView { name, stamp_ns, note, answer: told, odometry, learnt, observation, bytes, corrections } =
+        view;
     let FrameBytes { log, features, thumbnail, image } = bytes;
     let (words, counts) = observation.histogram();
     v1::FrameRecord {
@@ -62,6 +64,7 @@ pub(crate) fn frame_record(view: FrameView) -> v1::FrameRecord {
         }),
         histogram: Some(v1::WordHistogram { words, counts }),
         note,
+        corrections: corrections.into_iter().map(correction).collect(),
     }
 }
 

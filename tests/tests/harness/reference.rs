@@ -240,7 +240,7 @@ fn observe(model: &Model) -> Vec<(Observation, FeatureRecord)> {
 impl Log {
     fn frame(&self, frame: FrameId) -> Option<&FrameEvent> {
         match self.0.get(usize::try_from(frame).ok()?)? {
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => None,
             MapEvent::Frame(event) => Some(event),
         }
     }

@@ -79,6 +79,8 @@ pub(crate) struct Surveyed {
     pub(crate) merges: [String; 2],
     /// A hash of the words that the maps' model knows.
     pub(crate) words_hash: String,
+    /// A frame of `drive` that closed a loop, and the position after its log.
+    pub(crate) closed: (String, u64),
 }
 
 impl Surveyed {
@@ -106,7 +108,10 @@ impl Surveyed {
         let again = first_return();
         answers(&client, "drive", "second", (again..again + 10).map(frame)).await;
         let matches = client.loop_closures("drive").await.unwrap();
-        assert!(!matches.is_empty(), "no loop was closed");
+        let last = matches.last().and_then(|closure| closure.frame.clone()).expect("no loop was closed");
+        // Two sessions were opened.
+        let events = 2 + client.map("drive", v1::MapView::Basic).await.unwrap().frames;
+        let closed = (format!("{}/frames/{}", last.session, last.sequence), events);
         let job = trained(&client).await;
         let twin = server.directory().join("twin.waypost-map");
         let mut file = tokio::fs::File::create(&twin).await.unwrap();
@@ -114,7 +119,7 @@ impl Surveyed {
         let imported = client.import_map("twin", tokio::fs::File::open(&twin).await.unwrap()).await.unwrap();
         super::followed(&client, &imported).await;
         let merges = [proposed(&client, "twin").await, proposed(&client, "empty").await];
-        Self { server, job, merges, words_hash: model.words_hash }
+        Self { server, job, merges, words_hash: model.words_hash, closed }
     }
 }
 

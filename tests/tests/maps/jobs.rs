@@ -20,7 +20,7 @@ const TRAINING_IMAGES: usize = 40;
 /// A training of a moment.
 fn short() -> v1::TrainModelSettings {
     v1::TrainModelSettings {
-        display_name: "short".to_owned(),
+        display_name: String::new(),
         extractor: Some("orb features=200 width=320".to_owned()),
         words: 50,
         seed: 7,

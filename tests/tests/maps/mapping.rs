@@ -1,5 +1,6 @@
 //! A simulated robot maps a building over gRPC; what comes back, and what is exported, is judged against the truth.
 
+mod corrected;
 mod measured;
 
 use posegraph::g2o::G2o;

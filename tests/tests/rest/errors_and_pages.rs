@@ -320,6 +320,7 @@ async fn health_and_reflection_answer() {
     names.sort();
     let expected = [
         "AppearanceService",
+        "CorrectionService",
         "EventService",
         "JobService",
         "LabelService",

@@ -12,6 +12,7 @@ use tonic::transport::Channel;
 use tonic::{Code, Response, Status};
 use waypost_proto::v1;
 use waypost_proto::v1::appearance_service_client::AppearanceServiceClient;
+use waypost_proto::v1::correction_service_client::CorrectionServiceClient;
 use waypost_proto::v1::job_service_client::JobServiceClient;
 use waypost_proto::v1::label_service_client::LabelServiceClient;
 use waypost_proto::v1::map_service_client::MapServiceClient;
@@ -100,6 +101,7 @@ fn snake(camel: &str) -> String {
 struct Both {
     server: Server,
     maps: MapServiceClient<Channel>,
+    corrections: CorrectionServiceClient<Channel>,
     sessions: SessionServiceClient<Channel>,
     models: ModelServiceClient<Channel>,
     navigations: NavigationServiceClient<Channel>,
@@ -116,6 +118,7 @@ impl Both {
         Self {
             server,
             maps: MapServiceClient::new(channel.clone()),
+            corrections: CorrectionServiceClient::new(channel.clone()),
             sessions: SessionServiceClient::new(channel.clone()),
             models: ModelServiceClient::new(channel.clone()),
             navigations: NavigationServiceClient::new(channel.clone()),
@@ -217,6 +220,54 @@ async fn maps_and_places_are_the_same() {
         .await;
     assert!(matches.len() > 1, "{matches:?}");
     places_agree(&both).await;
+    both.server.stop().await;
+}
+
+/// The lists that a correction shows in are compared once there is one.
+#[tokio::test(flavor = "multi_thread")]
+async fn corrections_are_the_same() {
+    let Surveyed { server, closed: (frame, correction), .. } = Surveyed::start().await;
+    let both = Both::of(server).await;
+    let request = v1::WithdrawLoopClosureRequest { frame: frame.clone() };
+    let withdrawn = both.corrections.clone().withdraw_loop_closure(request).await.unwrap().into_inner();
+    assert_eq!(withdrawn.name, format!("maps/drive/corrections/{correction}"));
+    let message = ("waypost.v1.ListCorrectionsResponse", "corrections");
+    let listed = async || {
+        both.lists_agree("/v1/maps/drive/corrections", message, async |page_size, page_token| {
+            let map = "maps/drive".to_owned();
+            both.corrections
+                .clone()
+                .list_corrections(v1::ListCorrectionsRequest { map, page_size, page_token })
+                .await
+        })
+        .await
+    };
+    assert_eq!(listed().await.len(), 1);
+    let request = v1::GetFrameRequest { name: frame.clone() };
+    let over_grpc = both.sessions.clone().get_frame(request).await;
+    both.agree(&format!("/v1/{frame}"), "waypost.v1.FrameRecord", over_grpc).await;
+    let request = v1::ExplainFrameRequest { name: frame.clone(), ..v1::ExplainFrameRequest::default() };
+    let over_grpc = both.sessions.clone().explain_frame(request).await;
+    both.agree(&format!("/v1/{frame}/explanation"), "waypost.v1.FrameExplanation", over_grpc).await;
+    let request = v1::GetMapRequest { name: "maps/drive".to_owned(), view: v1::MapView::Full.into() };
+    let over_grpc = both.maps.clone().get_map(request).await;
+    both.agree("/v1/maps/drive?view=full", "waypost.v1.Map", over_grpc).await;
+    let message = ("waypost.v1.ListLoopClosuresResponse", "loop_closures");
+    let closures = both
+        .lists_agree("/v1/maps/drive/loop-closures", message, async |page_size, page_token| {
+            let map = "maps/drive".to_owned();
+            let request = v1::ListLoopClosuresRequest { map, page_size, page_token };
+            both.maps.clone().list_loop_closures(request).await
+        })
+        .await;
+    assert_eq!(closures.iter().filter(|closure| !closure["correction"].is_null()).count(), 1);
+
+    // Undone over HTTP, by the path that it has there.
+    let url = both.server.url(&format!("/v1/{}/undo", withdrawn.name));
+    let undone = Answer::to(http().post(url)).await.json();
+    assert_eq!(undone["name"], withdrawn.name.as_str());
+    assert!(undone["undone"]["create_time_ns"].as_i64() > Some(withdrawn.create_time_ns), "{undone}");
+    assert_eq!(listed().await, [undone]);
     both.server.stop().await;
 }
 

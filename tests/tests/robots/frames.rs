@@ -116,7 +116,9 @@ async fn a_frame_is_kept_as_its_robot_was_told() {
             storage,
             histogram,
             note: _,
+            corrections,
         } = whole;
+        assert_eq!(corrections, []);
         assert_eq!((named, stamp_ns), (name, SECOND_NS * sequence as i64));
         let told = v1::FrameAnswer {
             timings: None,

@@ -150,7 +150,9 @@ impl Office<'_> {
     fn event(&self, frame: FrameId) -> &FrameEvent {
         match &self.log[frame as usize] {
             MapEvent::Frame(event) => event,
-            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => panic!("{frame} is no frame"),
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => {
+                panic!("{frame} is no frame")
+            }
         }
     }
 }

@@ -4,6 +4,7 @@ use fabmap::PlaceId;
 use fabmap::codec::{DecodeError, Reader, Writer};
 use fabmap::observation::Observation;
 
+use super::correction::CorrectionEvent;
 use super::event::{Decision, FrameEvent, MapEvent, MeasuredEvent, Reason};
 use super::link::Link;
 use crate::bytes::{decode_belief, decode_flag, decode_option, encode_belief, encode_option, not_negative};
@@ -12,8 +13,10 @@ use crate::metric::{Odometry, RelativePose};
 
 /// Version of the byte form of [`MapEvent`]; 2 added the candidates, 3 where in its place the robot
 /// is, 4 what robots measured by themselves, 5 where structure puts the robot, 6 how probable
-/// candidates are beside look-alikes.
-const VERSION: u8 = 6;
+/// candidates are beside look-alikes, 7 what people correct. All but corrections are written as
+/// before those.
+const VERSION: u8 = 7;
+const VERSION_BEFORE_CORRECTIONS: u8 = 6;
 const VERSION_BEFORE_PROBABILITY: u8 = 5;
 const VERSION_BEFORE_PLACEMENT: u8 = 4;
 const VERSION_BEFORE_POSES: u8 = 2;
@@ -21,13 +24,19 @@ const VERSION_BEFORE_VERIFICATION: u8 = 1;
 const SESSION_OPENED: u8 = 0;
 const FRAME: u8 = 1;
 const MEASURED: u8 = 2;
+const CORRECTED: u8 = 3;
 
 impl MapEvent {
     /// The byte form that the log keeps.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut writer = Writer::default();
-        writer.u8(VERSION);
+        writer.u8(match self {
+            MapEvent::SessionOpened { .. } | MapEvent::Frame(_) | MapEvent::Measured(_) => {
+                VERSION_BEFORE_CORRECTIONS
+            }
+            MapEvent::Corrected(_) => VERSION,
+        });
         match self {
             MapEvent::SessionOpened { session } => {
                 writer.u8(SESSION_OPENED);
@@ -39,6 +48,10 @@ impl MapEvent {
             }
             MapEvent::Measured(event) => {
                 writer.u8(MEASURED);
+                event.encode(&mut writer);
+            }
+            MapEvent::Corrected(event) => {
+                writer.u8(CORRECTED);
                 event.encode(&mut writer);
             }
         }
@@ -60,6 +73,7 @@ impl MapEvent {
             SESSION_OPENED => MapEvent::SessionOpened { session: reader.u32()? },
             FRAME => MapEvent::Frame(Box::new(decode_frame(version, &mut reader, vocabulary_len)?)),
             MEASURED => MapEvent::Measured(Box::new(MeasuredEvent::decode(&mut reader)?)),
+            CORRECTED => MapEvent::Corrected(Box::new(CorrectionEvent::decode(&mut reader)?)),
             other => return Err(DecodeError::invalid(format_args!("event kind {other}"))),
         };
         reader.end()?;

@@ -4,6 +4,7 @@ use fabmap::appearance::PlaceId;
 use fabmap::observation::Observation;
 use fabmap::place_filter::{Belief, PlaceDistribution};
 
+use super::correction::CorrectionEvent;
 use super::link::Link;
 use crate::evidence::{Candidate, Match};
 use crate::ids::{FrameId, SessionId};
@@ -21,6 +22,8 @@ pub enum MapEvent {
     Frame(Box<FrameEvent>),
     /// A robot measured by itself how two frames lie to each other.
     Measured(Box<MeasuredEvent>),
+    /// A person said that a loop closure is none, or that two places are one.
+    Corrected(Box<CorrectionEvent>),
 }
 
 impl MapEvent {
@@ -31,6 +34,7 @@ impl MapEvent {
             MapEvent::SessionOpened { session } => *session,
             MapEvent::Frame(event) => event.session,
             MapEvent::Measured(event) => event.session,
+            MapEvent::Corrected(event) => event.session,
         }
     }
 }

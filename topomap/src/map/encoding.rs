@@ -20,7 +20,7 @@ use posegraph::PlanarPose;
 impl Map {
     /// Links, sessions and the number of events: all but the places, as the state hash covers them.
     pub(super) fn encode_graph(&self) -> Vec<u8> {
-        let Self { places, links, linked: _, learnt: _, sessions, events } = self;
+        let Self { places, links: _, linked: _, learnt: _, sessions, corrections, events } = self;
         let verified = sessions.values().any(|session| !session.sightings.is_empty());
         let posed = sessions.values().any(Session::is_posed);
         let measured = sessions.values().any(Session::is_measured);
@@ -32,15 +32,17 @@ impl Map {
             (false, false, false) => BEFORE_VERIFICATION,
         };
         let mut writer = Writer::default();
-        writer.u64(*events);
+        // Neither an undone correction nor its undoing has decided anything.
+        writer.u64(events.saturating_sub(2 * self.undone_corrections()));
         writer.varint(places.len() as u64);
-        writer.varint(links.len() as u64);
-        links.iter().for_each(|link| link.encode(&mut writer));
+        writer.varint(self.standing_links().count() as u64);
+        self.standing_links().for_each(|(_, link)| link.encode(&mut writer));
         writer.varint(sessions.len() as u64);
         for (id, session) in sessions {
             writer.u32(*id);
             session.encode(version, &mut writer);
         }
+        corrections.encode_standing(&mut writer);
         Container { version, ..GRAPH }.seal(&writer.into_bytes())
     }
 }

@@ -85,9 +85,19 @@ impl PlacePoses {
     /// Of a map with these links, relaxed. `makers` says of each place which session made it.
     #[must_use]
     pub fn new(makers: impl IntoIterator<Item = SessionId>, links: &[Link], noise: &OdometryNoise) -> Self {
+        Self::over(makers, links.iter().enumerate(), noise)
+    }
+
+    /// The same of links with the numbers that they have among all of the map's.
+    #[must_use]
+    pub fn over<'a>(
+        makers: impl IntoIterator<Item = SessionId>,
+        links: impl IntoIterator<Item = (usize, &'a Link)>,
+        noise: &OdometryNoise,
+    ) -> Self {
         let mut poses = Self::default();
         makers.into_iter().for_each(|session| poses.add_place(session));
-        for (number, link) in links.iter().enumerate() {
+        for (number, link) in links {
             poses.add_link(number, link, noise);
         }
         poses.relax(noise);
@@ -118,6 +128,11 @@ impl PlacePoses {
     #[must_use]
     pub fn maker(&self, place: PlaceId) -> Option<SessionId> {
         self.ways.makers.get(place.index()).copied()
+    }
+
+    /// The sessions that made the places, in the order of places.
+    pub(crate) fn makers(&self) -> &[SessionId] {
+        &self.ways.makers
     }
 
     /// The links that measured something, as they did.

@@ -9,7 +9,7 @@ use posegraph::{PlanarPose, Pose};
 use super::PlaceFrame;
 use super::milestones::Milestones;
 use crate::evidence::{Compared, LookAlikesSeen};
-use crate::log::FrameEvent;
+use crate::log::{FrameEvent, Resumed, Stood};
 use crate::metric::{Odometry, RelativePose};
 use crate::settings::{GuardMeasure, MAX_PAST_FRAMES, MapperSettings};
 
@@ -246,6 +246,24 @@ impl Session {
             stay.at = Some(at);
         }
         self.anchor = Some(Anchor { place, odometry: odometry.clone(), at });
+    }
+
+    /// Goes back to where the session was before it came to a place that it was not at. What it
+    /// believed since then rests on that, too.
+    pub(super) fn resume(&mut self, not_at: PlaceId, resumed: &Resumed, settings: &MapperSettings) {
+        let Resumed { stay, anchor } = resumed;
+        self.stay = stay.clone().map(|Stood { place, odometry, at }| {
+            let looks = self.looks_of_stay(place, settings);
+            Stay { place, looks, odometry, at }
+        });
+        let stay = self.stay.as_ref().map(|stay| stay.place);
+        self.left.retain(|left| Some(left.place) != stay && left.place != not_at);
+        self.anchor = anchor
+            .clone()
+            .and_then(|Stood { place, odometry, at }| Some(Anchor { place, odometry: odometry?, at: at? }));
+        self.belief = Belief::unknown();
+        self.past.clear();
+        self.sightings.retain(|sighting| sighting.place != not_at);
     }
 
     fn left_lately(&self, settings: &MapperSettings) -> impl Iterator<Item = &LeftPlace> {

@@ -4,7 +4,9 @@ use fabmap::appearance::PlaceId;
 use fabmap::codec::DecodeError;
 use fabmap::observation::WordId;
 
+use crate::evidence::{Bound, Check};
 use crate::ids::SessionId;
+use crate::log::Reason;
 use crate::settings::MapperError;
 
 /// Why a frame was not taken. Nothing has changed.
@@ -75,6 +77,12 @@ pub enum MeasureError {
     /// The frames are one, or the wrong way round.
     #[error("the earlier frame did not come in before the other; name the frame first that came in last")]
     NotEarlier,
+    /// A person took a frame's place back.
+    #[error("the loop closure of the {which} frame was withdrawn; measure from another frame")]
+    Withdrawn {
+        /// `earlier` or `later`.
+        which: &'static str,
+    },
     /// A frame is nowhere in metres.
     #[error(
         "the {which} frame has no place with odometry, so that the map knows no metres there; measure between frames \
@@ -102,6 +110,104 @@ pub enum MeasureError {
     },
 }
 
+/// Why what a person said was not taken. Nothing has changed.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum CorrectError {
+    /// There is nothing to take back.
+    #[error(
+        "the frame closed no loop ({reason:?}), so that there is nothing to withdraw; list the map's loop closures to see \
+         which did"
+    )]
+    NoClosure {
+        /// What was decided.
+        reason: Reason,
+    },
+    /// It was taken back before.
+    #[error(
+        "the loop closure of the frame was withdrawn by correction {correction}; undo that to have it back"
+    )]
+    Withdrawn {
+        /// Position of the correction.
+        correction: u64,
+    },
+    /// Another correction says that a frame of it is where it is.
+    #[error(
+        "correction {correction} says that a frame of this visit is at the same place as another one; undo that first"
+    )]
+    RestsOnIt {
+        /// Position of the correction.
+        correction: u64,
+    },
+    /// The frames are one, or the wrong way round.
+    #[error("the matched frame did not come in before the other; name the frame first that came in last")]
+    NotEarlier,
+    /// A frame is at no place.
+    #[error(
+        "the {which} frame is at no place: it showed too little, or its place was dropped; name another frame"
+    )]
+    NoPlace {
+        /// `earlier` or `later`.
+        which: &'static str,
+    },
+    /// The map has them at one place.
+    #[error("both frames are at place {place} already")]
+    SamePlace {
+        /// The place.
+        place: PlaceId,
+    },
+    /// It was said before.
+    #[error("correction {correction} says so already")]
+    Confirmed {
+        /// Position of the correction.
+        correction: u64,
+    },
+    /// The map has metres, and nothing to measure by.
+    #[error(
+        "the frames are at places with metres, and how they lie to each other cannot be measured: the map keeps no features \
+         of one of them; name two frames whose features it keeps"
+    )]
+    NoFeatures,
+    /// The two views do not look like one place.
+    #[error(
+        "the frames are at places with metres, and how they lie to each other cannot be measured: {}; name two frames \
+         that were taken nearer to each other",
+        told(failed)
+    )]
+    Refused {
+        /// What the views have to show and do not.
+        failed: Check,
+    },
+    /// The two views have something in common that does not say where the robot was.
+    #[error(
+        "the frames are at places with metres, and what they have in common does not say how they lie to each other; name \
+         two frames that were taken nearer to each other, and declare the camera of the sessions"
+    )]
+    Unmeasured,
+    /// There is no such correction.
+    #[error("the map has no correction {correction} that stands; list its corrections to see what there is")]
+    Unknown {
+        /// Position of the correction.
+        correction: u64,
+    },
+    /// Others came later.
+    #[error(
+        "correction {later} came after correction {correction} and is about the same session; undo that first"
+    )]
+    Later {
+        /// Position of the correction.
+        correction: u64,
+        /// And of the last one.
+        later: u64,
+    },
+}
+
+fn told(Check { quantity, value, bound }: &Check) -> String {
+    match bound {
+        Bound::AtLeast(least) => format!("{quantity} of {value:.2} where at least {least:.2} are needed"),
+        Bound::AtMost(most) => format!("{quantity} of {value:.2} where at most {most:.2} is allowed"),
+    }
+}
+
 /// An event that is not the next of a map's log: the log is damaged, or of another map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FoldError {
@@ -120,6 +226,14 @@ pub enum FoldError {
     Session {
         /// The session.
         session: SessionId,
+    },
+    /// It corrects what is not there.
+    #[error(
+        "event {position} of the log corrects what is not there; the log is damaged, restore it from a copy"
+    )]
+    Correction {
+        /// The event's position.
+        position: u64,
     },
     /// It names a place that does not exist.
     #[error("the log names place {place}, which does not exist; the log is damaged, restore it from a copy")]

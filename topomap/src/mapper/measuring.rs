@@ -34,6 +34,11 @@ impl Mapper {
         if earlier.frame >= later.frame {
             return Err(MeasureError::NotEarlier);
         }
+        for (which, frame) in [("earlier", earlier.frame), ("later", later.frame)] {
+            if self.map().withdrawal_of(frame).is_some() {
+                return Err(MeasureError::Withdrawn { which });
+            }
+        }
         let (Some(place), Some(seen_from)) = (earlier.decision.place, earlier.at) else {
             return Err(MeasureError::NoMetres { which: "earlier" });
         };

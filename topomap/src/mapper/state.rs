@@ -10,7 +10,7 @@ use fabmap::observation::Observation;
 use fabmap::recognizer::{Recognition, Recognizer};
 
 use super::FoldError;
-use crate::log::{FrameEvent, MapEvent, MeasuredEvent};
+use crate::log::{FrameEvent, Link, MapEvent, MeasuredEvent};
 use crate::map::{Map, Place, PlacePoses, Session};
 use crate::settings::{MapperError, MapperSettings};
 
@@ -25,10 +25,19 @@ pub struct Mapper {
     map: Map,
     /// Derived from the map's links.
     poses: PlacePoses,
+    links_followed: Followed,
     settings: MapperSettings,
     vocabulary_len: usize,
     /// Of the model; `None` if it does not know look-alikes.
     kinds: Option<Arc<Kinds>>,
+}
+
+/// Whether poses know of all links.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Followed {
+    Yes,
+    /// A correction has taken some out: they are to be made anew.
+    UpToCorrection,
 }
 
 impl Mapper {
@@ -53,6 +62,7 @@ impl Mapper {
             recognizer: Recognizer::new(model, settings.recognizer)?,
             map: Map::default(),
             poses: PlacePoses::default(),
+            links_followed: Followed::Yes,
             settings,
             vocabulary_len: model.vocabulary().len(),
             kinds: model.kinds().map(Arc::new),
@@ -88,26 +98,31 @@ impl Mapper {
                 if event.decision.place.is_some_and(|place| place.index() == self.map.places().len()) {
                     self.poses.add_place(event.session);
                 }
-                if let Some(link) = &event.link {
-                    self.poses.add_link(self.map.links().len(), link, &self.settings.odometry_noise);
-                }
+                self.follow_link(event.link.as_ref());
                 let number = self.map.session(event.session).map_or(0, |session| session.frames);
                 let sightings = self.sightings(number, &event.candidates, event.odometry.as_ref());
                 self.map.fold_frame(event, &self.settings, sightings);
             }
             MapEvent::Measured(event) => {
-                if let Some(link) = &event.link {
-                    self.poses.add_link(self.map.links().len(), link, &self.settings.odometry_noise);
-                }
+                self.follow_link(event.link.as_ref());
                 self.map.fold_measured(event);
+            }
+            MapEvent::Corrected(event) => {
+                self.map.fold_corrected(event, &self.settings);
+                self.links_followed = Followed::UpToCorrection;
             }
         }
         Ok(())
     }
 
     /// Makes the poses of places agree with all links as well as they can, if a loop was closed
-    /// since.
+    /// since, or a link taken out.
     pub fn relax(&mut self) {
+        if self.links_followed == Followed::UpToCorrection {
+            let makers = self.poses.makers().to_vec();
+            self.poses = PlacePoses::over(makers, self.map.standing_links(), &self.settings.odometry_noise);
+            self.links_followed = Followed::Yes;
+        }
         self.poses.relax(&self.settings.odometry_noise);
     }
 
@@ -178,8 +193,15 @@ impl Mapper {
     pub(crate) fn take_map(&mut self, map: Map) {
         let maker = |place: &Place| place.frames.first().map_or(0, |frame| frame.session);
         let makers = map.places().iter().map(maker);
-        self.poses = PlacePoses::new(makers, map.links(), &self.settings.odometry_noise);
+        self.poses = PlacePoses::over(makers, map.standing_links(), &self.settings.odometry_noise);
         self.map = map;
+    }
+
+    /// Takes a link into the poses that the map is about to get.
+    fn follow_link(&mut self, link: Option<&Link>) {
+        if let Some(link) = link.filter(|_| self.links_followed == Followed::Yes) {
+            self.poses.add_link(self.map.links().len(), link, &self.settings.odometry_noise);
+        }
     }
 
     fn check_next(&self, event: &MapEvent) -> Result<(), FoldError> {
@@ -212,6 +234,7 @@ impl Mapper {
                     Ok(())
                 }
             }
+            MapEvent::Corrected(event) => self.check_correction(event),
             MapEvent::Measured(event) => {
                 let MeasuredEvent { position, session, frame, earlier, place, link, goes_on_from, .. } =
                     event.as_ref();

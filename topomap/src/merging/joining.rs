@@ -1,5 +1,7 @@
 //! The source's log, rewritten as what happened on the target.
 
+mod corrected;
+
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use fabmap::appearance::PlaceId;
@@ -8,7 +10,9 @@ use fabmap::place_filter::Belief;
 use super::{FusedPlace, MergePlan, PlaceMatch};
 use crate::evidence::{Candidate, Match, ProbabilityWeights, VerificationSettings, unknown_over_frames};
 use crate::ids::{FrameId, SessionId};
-use crate::log::{Decision, FrameEvent, Link, LinkKind, MapEvent, MeasuredEvent, MovedPlace, Reason};
+use crate::log::{
+    Decision, FrameEvent, Link, LinkKind, MapEvent, MeasuredEvent, MovedPlace, Reason, Relinked,
+};
 use crate::map::PlacePoses;
 use crate::mapper::Mapper;
 use crate::metric::wheel_drift::without_drift;
@@ -63,13 +67,17 @@ struct Joining<'a> {
     next_place: PlaceId,
     /// Both ways.
     linked: BTreeSet<(PlaceId, PlaceId)>,
+    /// The links that events stand for, by their positions on the target.
+    links: BTreeMap<u64, Link>,
+    /// What withdrawals have relinked, by their positions on the target.
+    relinked: BTreeMap<u64, Vec<Relinked>>,
 }
 
 impl<'a> Joining<'a> {
     fn new(source: &'a Mapper, target: &Mapper, plan: &'a MergePlan) -> Self {
         let fused = plan.fused.iter().map(|fused| (fused.matched.source, fused)).collect();
         let linked =
-            target.map().links().iter().flat_map(|link| [(link.from, link.to), (link.to, link.from)]);
+            target.map().standing_links().flat_map(|(_, link)| [(link.from, link.to), (link.to, link.from)]);
         Self {
             of_source: source.poses(),
             fused,
@@ -81,6 +89,8 @@ impl<'a> Joining<'a> {
             next_session: target.map().next_session(),
             next_place: PlaceId::from_index(target.map().places().len()),
             linked: linked.collect(),
+            links: BTreeMap::new(),
+            relinked: BTreeMap::new(),
         }
     }
 
@@ -95,8 +105,17 @@ impl<'a> Joining<'a> {
                 self.sessions.insert(*session, here);
                 Some(MapEvent::SessionOpened { session: here })
             }
-            MapEvent::Frame(event) => Some(MapEvent::Frame(Box::new(self.frame(now, event)?))),
-            MapEvent::Measured(event) => Some(MapEvent::Measured(Box::new(self.measured(now, event)?))),
+            MapEvent::Frame(event) => {
+                let event = self.frame(now, event)?;
+                self.links.extend(event.link.map(|link| (now, link)));
+                Some(MapEvent::Frame(Box::new(event)))
+            }
+            MapEvent::Measured(event) => {
+                let event = self.measured(now, event)?;
+                self.links.extend(event.link.map(|link| (now, link)));
+                Some(MapEvent::Measured(Box::new(event)))
+            }
+            MapEvent::Corrected(event) => Some(MapEvent::Corrected(Box::new(self.corrected(now, event)?))),
         }
     }
 
@@ -203,6 +222,12 @@ impl<'a> Joining<'a> {
             return Some(None);
         }
         self.linked.insert((to.place, from.place));
+        let kind = self.kind(&link.kind, (from, to), session);
+        Some(Some(Link { from: from.place, to: to.place, kind }))
+    }
+
+    /// What a link measures between what its places have become.
+    fn kind(&self, kind: &LinkKind, (from, to): (&MovedPlace, &MovedPlace), session: SessionId) -> LinkKind {
         let drift_rad_per_m = self.of_source.drift_rad_per_m(session);
         let driven = |measured: &RelativePose| {
             let pose = without_drift(measured.pose(), drift_rad_per_m);
@@ -212,13 +237,12 @@ impl<'a> Joining<'a> {
                 Some(_) => LinkKind::Closed(from.way_to(to, &measured)),
             }
         };
-        let kind = match &link.kind {
+        match kind {
             LinkKind::Session => LinkKind::Session,
             LinkKind::Odometry(relative) => driven(&self.noise.from_above(relative)),
             LinkKind::Driven(measured) => driven(measured),
             LinkKind::Closed(measured) => LinkKind::Closed(from.way_to(to, measured)),
-        };
-        Some(Some(Link { from: from.place, to: to.place, kind }))
+        }
     }
 
     /// The same belief; what was believed of places that are one now adds up.

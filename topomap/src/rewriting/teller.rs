@@ -1,5 +1,7 @@
 //! One event after the other.
 
+mod corrected;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use fabmap::appearance::PlaceId;
@@ -12,11 +14,14 @@ use crate::ids::{FrameId, SessionId};
 use crate::log::{Decision, FrameEvent, Link, MapEvent, MeasuredEvent, MovedPlace, Reason};
 use crate::metric::RelativePose;
 use crate::settings::MapperSettings;
+use corrected::Withdrawn;
 
 /// What is left out.
 pub(super) struct Left<'a> {
     pub(super) sessions: &'a BTreeSet<SessionId>,
     pub(super) places: &'a BTreeSet<PlaceId>,
+    /// Frames that people say are not at the places where the log has them: none makes one.
+    pub(super) withdrawn: &'a BTreeSet<FrameId>,
 }
 
 pub(super) struct Teller<'a> {
@@ -34,6 +39,12 @@ pub(super) struct Teller<'a> {
     /// The frame that made each of the new places.
     makers: Vec<FrameId>,
     ways: Ways<'a>,
+    /// The last frame of each session, by positions in the old log.
+    last_frames: BTreeMap<SessionId, FrameId>,
+    /// By positions in the new log: the link that an event stands for, where that is another.
+    relinked: BTreeMap<u64, Option<Link>>,
+    /// By positions in the old log.
+    withdrawals: BTreeMap<u64, Withdrawn>,
     dropped: Dropped,
 }
 
@@ -73,6 +84,9 @@ impl<'a> Teller<'a> {
             places: Vec::new(),
             makers: Vec::new(),
             ways: Ways::new(settings),
+            last_frames: BTreeMap::new(),
+            relinked: BTreeMap::new(),
+            withdrawals: BTreeMap::new(),
             dropped: Dropped::default(),
         }
     }
@@ -82,6 +96,9 @@ impl<'a> Teller<'a> {
             MapEvent::SessionOpened { session } => self.opened(*session)?,
             MapEvent::Frame(event) => self.frame(event)?.map(|told| MapEvent::Frame(Box::new(told))),
             MapEvent::Measured(event) => self.measured(event)?.map(|told| MapEvent::Measured(Box::new(told))),
+            MapEvent::Corrected(event) => {
+                self.corrected(event)?.map(|told| MapEvent::Corrected(Box::new(told)))
+            }
         };
         match told {
             Some(event) => {
@@ -138,6 +155,7 @@ impl<'a> Teller<'a> {
 
     fn frame(&mut self, event: &FrameEvent) -> Result<Option<FrameEvent>, RetellError> {
         self.at_its_position(event.frame)?;
+        self.last_frames.insert(event.session, event.frame);
         let creates = event.decision.place.is_some_and(|place| place.index() == self.places.len());
         if creates {
             self.places.push(None);
@@ -196,6 +214,9 @@ impl<'a> Teller<'a> {
         }
         if let Some(rebased) = known {
             return Ok(Here::Known(rebased));
+        }
+        if self.left.withdrawn.contains(&event.frame) {
+            return Ok(Here::Dropped);
         }
         // The new place's frame is that of the robot here.
         let at = event.at.filter(|_| !creates).map(|at| at.back());

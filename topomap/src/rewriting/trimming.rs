@@ -88,7 +88,11 @@ pub fn over_budget<'a>(
     if budgeted.over == 0 {
         return budgeted;
     }
-    let mut visits = Visits::of(log, appearances.len());
+    let is_there = |event: &&MapEvent| match event {
+        MapEvent::Frame(frame) => mapper.map().withdrawal_of(frame.frame).is_none(),
+        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => false,
+    };
+    let mut visits = Visits::of(log.into_iter().filter(is_there), appearances.len());
     for (place, of, alike) in redundant(mapper, &appearances) {
         if budgeted.over > 0 && !visits.is_dropped(of) && visits.drop_if_dispensable(place) {
             budgeted.take(place, Why::Redundant { of, alike });

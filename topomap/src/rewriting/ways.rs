@@ -86,6 +86,12 @@ impl Run {
         self.past_dropped = false;
     }
 
+    /// The last frames were at no place: it is where it was before.
+    pub(super) fn resume(&mut self, stay: Option<Stood>, anchor: Option<Stood>) {
+        self.stay = stay;
+        self.anchor = anchor;
+    }
+
     /// The last frame was there.
     pub(super) fn go_on_from(&mut self, stood: Stood) {
         self.anchor = Some(stood.clone());
@@ -154,10 +160,24 @@ impl<'a> Ways<'a> {
 
     /// What a robot measured by itself, between the same places; such links come on top.
     pub(super) fn measured(&mut self, from: MovedPlace, to: MovedPlace, link: &Link) -> Option<Link> {
-        let link = self.rebased(&(from, to, *link), None);
-        let link = Some(link).filter(|link| link.from != link.to)?;
+        let link = self.between(from, to, link)?;
         self.linked.extend([(link.from, link.to), (link.to, link.from)]);
         Some(link)
+    }
+
+    /// A link of the old log between what its ends have become; none where those are one.
+    pub(super) fn between(&self, from: MovedPlace, to: MovedPlace, link: &Link) -> Option<Link> {
+        Some(self.rebased(&(from, to, *link), None)).filter(|link| link.from != link.to)
+    }
+
+    /// A correction takes a link of the new log out, and puts another one in.
+    pub(super) fn relink(&mut self, was: Option<&Link>, now: Option<&Link>) {
+        exchange(&mut self.linked, was, now);
+    }
+
+    /// The same of the old log.
+    pub(super) fn relink_old(&mut self, was: Option<&Link>, now: Option<&Link>) {
+        exchange(&mut self.linked_before, was, now);
     }
 
     /// Two places have one link.
@@ -210,6 +230,17 @@ impl<'a> Ways<'a> {
             LinkKind::Closed(measured) => as_sure(moved(measured), same_way, LinkKind::Closed),
         };
         Link { kind, ..ends }
+    }
+}
+
+/// Both ways.
+fn exchange(linked: &mut BTreeSet<(PlaceId, PlaceId)>, was: Option<&Link>, now: Option<&Link>) {
+    if let Some(Link { from, to, .. }) = was {
+        linked.remove(&(*from, *to));
+        linked.remove(&(*to, *from));
+    }
+    if let Some(Link { from, to, .. }) = now {
+        linked.extend([(*from, *to), (*to, *from)]);
     }
 }
 

@@ -3,6 +3,7 @@
 use serde_json::json;
 use waypost_client::v1;
 
+use crate::corrections::{frame_words, told};
 use crate::failure::Failure;
 use crate::names::{short, short_map};
 use crate::output::{Output, fields, rounded, table};
@@ -33,6 +34,12 @@ pub(super) fn show(map: &v1::Map, output: Output) -> Result<(), Failure> {
         writeln!(out, "  sessions             {}", map.sessions)?;
         writeln!(out, "  frames               {}", map.frames)?;
         writeln!(out, "  loop closures        {}", map.loop_closures)?;
+        if map.withdrawn_loop_closures > 0 {
+            writeln!(out, "    withdrawn          {}", map.withdrawn_loop_closures)?;
+        }
+        if map.confirmed_loop_closures > 0 {
+            writeln!(out, "  confirmed by people  {}", map.confirmed_loop_closures)?;
+        }
         fields(out, &map.settings, "the model's")?;
         if map.settings.as_ref().is_some_and(verifies_nothing) {
             writeln!(
@@ -52,17 +59,25 @@ fn verifies_nothing(settings: &v1::MapSettings) -> bool {
 
 pub(super) fn loop_closures(closures: &[v1::LoopClosure], output: Output) -> Result<(), Failure> {
     output.result(&json!({ "loop_closures": closures }), |out| {
+        // Few maps have any.
+        let said = closures.iter().any(|closure| closure.correction.is_some());
         let rows = closures.iter().map(|closure| {
-            let v1::LoopClosure { frame, matched_frame, place_number, posterior, probability } = closure;
+            let v1::LoopClosure { frame, matched_frame, place_number, posterior, probability, correction } =
+                closure;
             [
                 frame_words(frame.as_ref()),
                 frame_words(matched_frame.as_ref()),
                 place_number.to_string(),
                 format!("{posterior:.4}"),
                 probability.map_or("not verified".to_owned(), |probability| format!("{probability:.4}")),
+                correction.as_ref().map_or_else(String::new, told),
             ]
         });
-        table(out, ["FRAME", "MATCHED FRAME", "PLACE", "POSTERIOR", "PROBABILITY"], rows)
+        table(
+            out,
+            ["FRAME", "MATCHED FRAME", "PLACE", "POSTERIOR", "PROBABILITY", if said { "SAID" } else { "" }],
+            rows,
+        )
     })
 }
 
@@ -82,20 +97,6 @@ pub(super) fn places(places: &[v1::Place], output: Output) -> Result<(), Failure
         });
         table(out, ["PLACE", "LOOKS", "WORDS", "FRAMES", "LINKED WITH", "WHERE"], rows)
     })
-}
-
-fn frame_words(frame: Option<&v1::FrameReference>) -> String {
-    match frame {
-        Some(v1::FrameReference { session, sequence, stamp_ns: _, note }) => {
-            let session = session.rsplit('/').next().unwrap_or(session);
-            if note.is_empty() {
-                format!("{session}#{sequence}")
-            } else {
-                format!("{session}#{sequence} {note}")
-            }
-        }
-        None => "-".to_owned(),
-    }
 }
 
 /// Where a place is, seen from above.

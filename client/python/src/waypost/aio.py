@@ -87,6 +87,11 @@ class AsyncClient:
     export_map = _awaited(Client.export_map)
     import_map = _awaited(Client.import_map)
     export_poses = _awaited(Client.export_poses)
+    # Corrections.
+    withdraw_loop_closure = _awaited(Client.withdraw_loop_closure)
+    confirm_loop_closure = _awaited(Client.confirm_loop_closure)
+    undo_correction = _awaited(Client.undo_correction)
+    corrections = _awaited(Client.corrections)
     # Merges.
     merge_maps = _awaited(Client.merge_maps)
     merge = _awaited(Client.merge)

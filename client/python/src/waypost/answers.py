@@ -223,6 +223,8 @@ class LoopClosure:
     posterior: float
     #: That both frames show the same place, by words and geometry together; None where nothing was verified.
     probability: float | None = None
+    #: Who withdrew it, and when; None while it stands.
+    correction: map_pb2.Correction | None = None
 
 
 def answer(message: session_pb2.FrameAnswer) -> Answer:
@@ -285,6 +287,7 @@ def loop_closure(message: map_pb2.LoopClosure) -> LoopClosure:
         place_number=message.place_number,
         posterior=message.posterior,
         probability=message.probability if message.HasField("probability") else None,
+        correction=message.correction if message.HasField("correction") else None,
     )
 
 

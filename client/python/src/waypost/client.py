@@ -8,6 +8,7 @@ from typing import Callable
 import grpc
 
 from waypost.calls import (
+    CorrectionCalls,
     EventCalls,
     JobCalls,
     MapCalls,
@@ -86,6 +87,7 @@ def lazy(
 
 
 class Client(
+    CorrectionCalls,
     EventCalls,
     JobCalls,
     MapCalls,

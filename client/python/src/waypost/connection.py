@@ -16,6 +16,7 @@ import grpc
 from waypost import errors
 from waypost.v1 import (
     appearance_pb2_grpc,
+    correction_pb2_grpc,
     event_pb2_grpc,
     job_pb2_grpc,
     label_pb2_grpc,
@@ -128,6 +129,7 @@ class Connection:
         self.jobs = job_pb2_grpc.JobServiceStub(self.channel)
         self.labels = label_pb2_grpc.LabelServiceStub(self.channel)
         self.maps = map_pb2_grpc.MapServiceStub(self.channel)
+        self.corrections = correction_pb2_grpc.CorrectionServiceStub(self.channel)
         self.merges = merge_pb2_grpc.MergeServiceStub(self.channel)
         self.models = model_pb2_grpc.ModelServiceStub(self.channel)
         self.navigations = navigation_pb2_grpc.NavigationServiceStub(self.channel)

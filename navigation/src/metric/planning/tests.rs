@@ -21,7 +21,10 @@ fn map(poses: &[PlanarPose], driven: &[(u32, u32)], closed: &[(u32, u32)]) -> (M
         driven.iter().map(link(LinkKind::Driven)).chain(closed.iter().map(link(LinkKind::Closed))).collect();
     let place_poses = PlacePoses::new(poses.iter().map(|_| 0), &links, &OdometryNoise::default());
     let places = vec![Place::default(); poses.len()];
-    (Map::from_parts(places, links, std::collections::BTreeMap::new(), 0).unwrap(), place_poses)
+    (
+        Map::from_parts(places, links, std::collections::BTreeMap::new(), Default::default(), 0).unwrap(),
+        place_poses,
+    )
 }
 
 fn at(poses: &PlacePoses, place: PlaceId) -> MapPosition {

@@ -102,11 +102,13 @@ impl Panel {
         };
         let mut paths: BTreeMap<SessionId, Vec<[f64; 2]>> = BTreeMap::new();
         for event in map.log.events.iter().filter_map(frame) {
-            let placed = event.decision.place.and_then(of_place).zip(event.at);
+            let map = map.mapper.map();
+            let known = event.at.filter(|_| map.withdrawal_of(event.frame).is_none());
+            let placed = event.decision.place.and_then(of_place).zip(known);
             if let Some((place, of_robot)) = placed {
                 paths.entry(event.session).or_default().push(at(place.compose(of_robot.pose())));
             }
-            let Some(link) = event.link else { continue };
+            let Some(link) = map.link_of(event.frame, event.link) else { continue };
             let Some((from, to)) = of_place(link.from).zip(of_place(link.to)) else { continue };
             let makers = [link.from, link.to].map(|place| poses.maker(place));
             let links = if makers[0] == makers[1] { &mut panel.within } else { &mut panel.between };
@@ -247,6 +249,6 @@ fn number(value: f64) -> String {
 fn frame(event: &MapEvent) -> Option<&FrameEvent> {
     match event {
         MapEvent::Frame(event) => Some(event),
-        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) => None,
+        MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => None,
     }
 }

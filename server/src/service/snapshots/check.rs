@@ -9,7 +9,10 @@ use std::ops::ControlFlow;
 
 use fabmap::model::{ContentHash, Model};
 use topomap::evidence::Match;
-use topomap::log::{Decision, FrameEvent, MapEvent, MeasuredEvent, Reason};
+use topomap::log::{
+    Confirmation, Correction, CorrectionEvent, Decision, FrameEvent, MapEvent, MeasuredEvent, Reason,
+    Withdrawal,
+};
 use topomap::mapper::Mapper;
 
 use super::format::{MapRecord, Record, SnapshotError, SnapshotReader};
@@ -144,6 +147,7 @@ impl Log {
                     return Err(wrong(&"it measures between frames that are none"));
                 }
             }
+            MapEvent::Corrected(corrected) => self.check_correction(corrected).map_err(|why| wrong(&why))?,
             MapEvent::SessionOpened { .. } => {}
         }
         self.mapper.fold(&event).map_err(|error| wrong(&error))?;
@@ -162,7 +166,9 @@ impl Log {
             return Err("its sequence number does not rise");
         }
         let agrees = match reason {
-            Reason::NewPlace | Reason::BelowThreshold | Reason::GeometryRefused => created,
+            // What was at a place that is no more is somewhere new, at none.
+            Reason::NewPlace => created || place.is_none(),
+            Reason::BelowThreshold | Reason::GeometryRefused => created,
             Reason::SamePlace | Reason::LoopClosure => place.is_some() && !created,
             Reason::TooFewWords => place.is_none(),
         };
@@ -187,6 +193,22 @@ impl Log {
             return Err("it believes in a place that does not exist");
         }
         Ok(())
+    }
+
+    fn check_correction(&self, event: &CorrectionEvent) -> Result<(), &'static str> {
+        let are_frames = match &event.correction {
+            Correction::Withdrawn(withdrawal) => {
+                let Withdrawal { frame, earlier, frames, .. } = withdrawal.as_ref();
+                frames.is_sorted()
+                    && frames.contains(frame)
+                    && frames.iter().chain([earlier]).all(|&frame| self.is_frame(frame))
+            }
+            Correction::Confirmed(Confirmation { frame, earlier, link: _ }) => {
+                self.is_frame(*frame) && self.is_frame(*earlier)
+            }
+            Correction::Undone(_) => true,
+        };
+        if are_frames { Ok(()) } else { Err("it corrects frames that are none") }
     }
 
     fn is_frame(&self, position: u64) -> bool {

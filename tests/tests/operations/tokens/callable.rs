@@ -14,7 +14,7 @@ use tonic_prost::ProstDecoder;
 use crate::harness::{in_time, workspace};
 
 /// Methods that a robot may not call.
-pub(super) const FOR_ADMINS: [&str; 22] = [
+pub(super) const FOR_ADMINS: [&str; 25] = [
     "/waypost.v1.MapService/CreateMap",
     "/waypost.v1.MapService/DeleteMap",
     "/waypost.v1.MapService/RebindMap",
@@ -24,6 +24,9 @@ pub(super) const FOR_ADMINS: [&str; 22] = [
     "/waypost.v1.MapService/RebuildMap",
     "/waypost.v1.MapService/TrimMap",
     "/waypost.v1.MapService/CompactMap",
+    "/waypost.v1.CorrectionService/WithdrawLoopClosure",
+    "/waypost.v1.CorrectionService/ConfirmLoopClosure",
+    "/waypost.v1.CorrectionService/UndoCorrection",
     "/waypost.v1.MergeService/MergeMaps",
     "/waypost.v1.MergeService/CommitMerge",
     "/waypost.v1.MergeService/DiscardMerge",
@@ -40,12 +43,14 @@ pub(super) const FOR_ADMINS: [&str; 22] = [
 ];
 
 /// Routes over HTTP that a robot may not ask for.
-pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 15] = [
+pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 17] = [
     (Method::POST, "/v1/maps"),
     (Method::DELETE, "/v1/maps/{map}"),
     (Method::GET, "/v1/maps/{map}/export"),
     (Method::POST, "/v1/maps/{map}/import"),
     (Method::DELETE, "/v1/maps/{map}/sessions/{session}"),
+    (Method::POST, "/v1/maps/{map}/corrections"),
+    (Method::POST, "/v1/maps/{map}/corrections/{correction}/undo"),
     (Method::POST, "/v1/merges"),
     (Method::PUT, "/v1/merges/{merge}/decision"),
     (Method::POST, "/v1/models"),

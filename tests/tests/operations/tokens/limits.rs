@@ -14,7 +14,7 @@ use crate::harness::{
 };
 
 /// Every method that names a map in the first field of its request, and how.
-const NAMING_A_MAP: [(&str, &str); 37] = [
+const NAMING_A_MAP: [(&str, &str); 41] = [
     ("SessionService/ListSessions", "maps/MAP"),
     ("SessionService/GetSession", "maps/MAP/sessions/tour"),
     ("SessionService/ListFrames", "maps/MAP/sessions/tour"),
@@ -35,6 +35,10 @@ const NAMING_A_MAP: [(&str, &str); 37] = [
     ("LabelService/DeleteLabel", "maps/MAP/places/0"),
     ("AppearanceService/GetAppearanceGraph", "maps/MAP"),
     ("EventService/Watch", "maps/MAP"),
+    ("CorrectionService/ListCorrections", "maps/MAP"),
+    ("CorrectionService/WithdrawLoopClosure", "maps/MAP/sessions/tour/frames/1"),
+    ("CorrectionService/ConfirmLoopClosure", "maps/MAP/sessions/tour/frames/1"),
+    ("CorrectionService/UndoCorrection", "maps/MAP/corrections/1"),
     ("MergeService/MergeMaps", "maps/MAP"),
     ("MapService/CreateMap", "MAP"),
     ("MapService/GetMap", "maps/MAP"),

@@ -24,11 +24,18 @@ pub(super) fn good_writes(surveyed: &Surveyed, snapshot: Vec<u8>) -> Vec<Call> {
     let model = std::fs::read(model_file()).unwrap();
     let (map, job) = ("/v1/maps/{map}", format!("/v1/jobs/{}/cancel", surveyed.job));
     let (session, token) = ("/v1/maps/{map}/sessions/{session}", r#"{"token_id": "made", "role": "robot"}"#);
+    let (corrections, undo) = ("/v1/maps/{map}/corrections", "/v1/maps/{map}/corrections/{correction}/undo");
+    let (closed, correction) = &surveyed.closed;
+    let withdraw = format!(r#"{{"withdraw": {{"frame": "{closed}"}}}}"#);
+    let undone = format!("/v1/maps/drive/corrections/{correction}/undo");
     vec![
         Call::write("post", "/v1/maps", "/v1/maps", json_body(create)),
         Call::write("delete", map, "/v1/maps/made", None),
         Call::get("/v1/maps/{map}/export", "/v1/maps/empty/export"),
         Call::write("post", "/v1/maps/{map}/import", "/v1/maps/copied/import", file(snapshot)),
+        Call::get("/v1/maps/{map}/corrections", "/v1/maps/drive/corrections"),
+        Call::write("post", corrections, "/v1/maps/drive/corrections", json_body(&withdraw)),
+        Call::write("post", undo, &undone, None),
         Call::write("delete", session, "/v1/maps/twin/sessions/second", None),
         Call::write("post", "/v1/models", "/v1/models?display_name=again", file(model)),
         Call::write("delete", "/v1/models/{model}", "/v1/models/small", None),
@@ -71,6 +78,14 @@ pub(super) fn bad_writes(method: &'static str, path: &str, nowhere: &str) -> Opt
             refused(bad, json_body(r#"{"display_name": "a/b"}"#)),
             refused(missing, json_body(r#"{"display_name": "site"}"#)),
         ]),
+        ("post", "/v1/maps/{map}/corrections") => Some(vec![
+            refused(bad, json_body("")),
+            refused(bad, json_body(r#"{"withdraw": {}}"#)),
+            refused(bad, json_body(r#"{"withdraw": {"frame": "first"}}"#)),
+            refused(bad, json_body(r#"{"withdraw": {"frame": "maps/drive/sessions/first/frames/1"}}"#)),
+            refused(bad, json_body(r#"{"confirm": {"frame": "maps/nowhere/sessions/a/frames/1"}}"#)),
+            refused(missing, json_body(r#"{"withdraw": {"frame": "maps/nowhere/sessions/a/frames/1"}}"#)),
+        ]),
         ("post", "/v1/tokens/{token}/rotate") => Some(vec![
             refused(bad, json_body("")),
             refused(bad, json_body(r#"{"overlap_s": -1}"#)),
@@ -84,7 +99,7 @@ pub(super) fn bad_writes(method: &'static str, path: &str, nowhere: &str) -> Opt
             refused(bad, json_body(r#"{"token_id": "No Name", "role": "admin"}"#)),
             refused(StatusCode::CONFLICT, json_body(r#"{"token_id": "first", "role": "robot"}"#)),
         ]),
-        ("post", "/v1/jobs/{job}/cancel")
+        ("post", "/v1/jobs/{job}/cancel" | "/v1/maps/{map}/corrections/{correction}/undo")
         | (
             "delete",
             "/v1/maps/{map}"
