@@ -21,6 +21,10 @@ WHAT_TO_DO = {
         "second program with this session's name. A watch begins again from 0, or from now on."
     ),
     "ResourceExhausted": "Ask for less at a time, or make room: the message says of what.",
+    "QuotaUsedUp": (
+        "Send the same again, after the time that comes with it: clients do so by themselves with frames. "
+        "Delete what you do not need, or ask for more."
+    ),
     "Unavailable": "Send the same again, after the time that comes with it. Clients do so by themselves.",
     "Unauthenticated": "Give a token that this server knows: `--token`, or `WAYPOST_TOKEN`.",
     "PermissionDenied": "Ask an administrator for a token that allows it: the message names what is missing.",
@@ -28,9 +32,11 @@ WHAT_TO_DO = {
     "DataLoss": "`waypost-server check --deep` says what is damaged; restore a backup.",
     "Internal": "It is a bug: report it with the lines of the server's log that have the same `request_id`.",
 }
+#: Kinds that gRPC has no name of their own for.
+CALLED = {"QuotaUsedUp": "ResourceExhausted"}
 #: Files whose errors are enumerated with their messages.
 ENUMERATED = {
-    "Starting a server": ("server/src/config.rs", "ConfigError"),
+    "Starting a server": ("server/src/config/error.rs", "ConfigError"),
     "Clients": ("client/src/error.rs", "Error"),
 }
 
@@ -60,7 +66,9 @@ def arms(file: str, type_: str, result: str) -> Iterator[tuple[str, str]]:
     """Variants and results of a `match`."""
     variant = rf"{type_}::\w+(?: \{{ \.\. \}})?"
     source = (REPOSITORY / file).read_text()
-    for patterns, value in re.findall(rf"((?:{variant}\s*\|\s*)*{variant}) => {result},", source):
+    for patterns, value in re.findall(
+        rf"((?:{variant}\s*\|\s*)*{variant}) => (?:\{{\s*)?{result}(?:,|\s*\}})", source
+    ):
         for name in re.findall(rf"{type_}::(\w+)", patterns):
             yield name, value
 
@@ -99,9 +107,10 @@ def make() -> str:
     status, exit_code, raised = statuses(), exit_codes(), exceptions()
     rows = []
     for name, meaning in kinds():
-        grpc = snake(name).upper()
-        other = raised.get(grpc) != name
-        said = f"{code(grpc)}\nHTTP {status[name]}, exit code {exit_code[name]}" + (
+        called = CALLED.get(name, name)
+        grpc = snake(called).upper()
+        other = raised.get(grpc) != called
+        said = f"{code(grpc)}\nHTTP {status[name]}, exit code {exit_code[called]}" + (
             "\nPython: `ServerError`" if other else ""
         )
         rows.append((said, prose(meaning), WHAT_TO_DO[name]))

@@ -17,7 +17,7 @@ def forms() -> dict[str, str]:
     """Each setting of the server, and how it is written, from the list that its errors name."""
     listed = re.search(r"^const KEYS: [^=]+= \[\n(.*?)^\];", SOURCE.read_text(), re.MULTILINE | re.DOTALL)
     assert listed, f"{SOURCE} has no KEYS"
-    found = re.findall(r'\("(\w+)", "((?:[^"\\]|\\.)*)"\)', listed[1])
+    found = re.findall(r'\(\s*"(\w+)",\s*"((?:[^"\\]|\\.)*)",?\s*\)', listed[1])
     return {key: form.replace('\\"', '"') for key, form in found}
 
 

@@ -24,15 +24,21 @@ test("the first token is an admin's, is shown once, and is the page's own from t
     await page.getByRole("button", { name: "Log out" }).waitFor();
     await tokens.getByText("(this page’s)").waitFor();
     await accessible(page, "a secret");
+    await fresh.call(admin, "token", "create", "scout", "--role", "robot", "--map", "hall", "--max-sessions", "3", "--max-kept-mib", "2048");
+    await fresh.call(admin, "token", "limit", "scout", "--max-frames-per-second", "0.5", "--lift", "sessions");
     await tokens.getByLabel("Name of a new token").fill("reader");
     await tokens.getByRole("button", { name: "Make a token" }).click();
     await shown.getByText("The secret of reader.").waitFor();
     const robot = await shown.locator("code").textContent();
     assert.ok(!(await tokens.textContent()).includes(admin), "a secret is shown again");
+    const limited = tokens.getByRole("row").filter({ hasText: "scout" });
+    await limited.getByText("the maps hall; 0.5 frames a second; 0 of 2048 MiB kept").waitFor();
+    await tokens.getByRole("row").filter({ hasText: "operator" }).getByText("nothing").waitFor();
     const who = await rest("whoami", { url: fresh.url, token: robot });
     assert.deepEqual(who, {
         token: "tokens/reader", role: "robot", asks_for_token: true,
         abilities: ["read", "localize", "stream", "navigate"], maps: [], expire_time_ns: null,
+        quotas: { max_maps: null, max_sessions: null, max_frames_per_second: null, max_kept_mib: null },
     });
 
     // A robot's token: nothing is offered that it may not do.

@@ -10,7 +10,7 @@ use prost_types::{DescriptorProto, EnumDescriptorProto, FileDescriptorProto, Fil
 use crate::json::{PACKAGE, enum_path, pascal, snake, without_prefix};
 
 /// Messages that are given as flags, a flag a field.
-const MESSAGES: [&str; 1] = ["MapSettings"];
+const MESSAGES: [&str; 2] = ["MapSettings", "Quotas"];
 /// Flags that are given together or not at all.
 const TOGETHER: [[&str; 2]; 1] = [["true_positive_rate", "false_positive_rate"]];
 
@@ -106,7 +106,7 @@ fn write_message(code: &mut String, file: &FileDescriptorProto, message: &Descri
     let _ = write!(
         code,
         "/// `{name}` as flags of a command line.
-#[derive(Clone, Debug, Default, clap::Args)]
+#[derive(Clone, Debug, Default, PartialEq, clap::Args)]
 pub struct {name}Flags {{
 {fields}}}
 

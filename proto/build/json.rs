@@ -14,7 +14,7 @@ use prost_types::{
 pub(crate) const PACKAGE: &str = "waypost.v1";
 
 /// Messages that are read from JSON, too. What is left out or null has no value, and other fields are refused.
-const READ: [&str; 1] = ["MapSettings"];
+const READ: [&str; 2] = ["MapSettings", "Quotas"];
 
 /// The Rust code of all implementations.
 pub(crate) fn generate(set: &FileDescriptorSet) -> String {

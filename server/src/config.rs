@@ -15,16 +15,19 @@ use tracing_subscriber::EnvFilter;
 use crate::net::origin::Origin;
 use crate::net::standing::Strangers;
 use crate::net::tls::TlsFiles;
+use crate::quotas::ServerLimits;
 
+mod error;
 mod layers;
 
+pub use error::ConfigError;
 use layers::{CommandLine, Environment};
 
 /// Begins the names of variables in the environment.
 const PREFIX: &str = "WAYPOST_";
 
 /// Every setting, with how it is written.
-const KEYS: [(&str, &str); 16] = [
+const KEYS: [(&str, &str); 19] = [
     ("data_dir", "a directory, as in \"waypost-data\""),
     ("grpc_address", "an address and a port, as in \"127.0.0.1:7600\""),
     ("http_address", "an address and a port, as in \"127.0.0.1:7601\""),
@@ -37,6 +40,12 @@ const KEYS: [(&str, &str); 16] = [
     ("stranger_connections_per_address", "a whole number from 1 on, as in 64"),
     ("stranger_time_s", "a whole number of seconds from 1 on, as in 30"),
     ("wrong_tokens_per_minute", "a whole number, as in 1000"),
+    ("max_maps", "a whole number from 1 on, as in 100; leave it out for any number"),
+    ("max_sessions", "a whole number from 1 on, as in 10000; leave it out for any number"),
+    (
+        "max_kept_mib",
+        "a whole number of mebibytes from 1 on, as in 500000; leave it out for as many as the disk has",
+    ),
     ("cors_origins", "origins of pages, as in \"https://fleet.example\" or \"http://127.0.0.1:8080\""),
     ("tls_certificate", "a file, as in \"/etc/waypost/server.crt\""),
     ("tls_key", "a file, as in \"/etc/waypost/server.key\""),
@@ -75,6 +84,15 @@ pub struct Config {
     pub stranger_time_s: NonZeroU32,
     /// Wrong tokens that are taken from one address in a minute.
     pub wrong_tokens_per_minute: u32,
+    /// Maps that there may be.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_maps: Option<NonZeroU32>,
+    /// Sessions that maps may keep.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_sessions: Option<NonZeroU32>,
+    /// Mebibytes that sessions may keep.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_kept_mib: Option<NonZeroU32>,
     /// Pages of these origins may ask over HTTP from a browser; none by default.
     pub cors_origins: Vec<Origin>,
     /// The server's certificate and those above it, PEM.
@@ -103,6 +121,9 @@ impl Default for Config {
             stranger_connections_per_address: nonzero(64),
             stranger_time_s: nonzero(30),
             wrong_tokens_per_minute: 1000,
+            max_maps: None,
+            max_sessions: None,
+            max_kept_mib: None,
             cors_origins: Vec::new(),
             tls_certificate: None,
             tls_key: None,
@@ -177,6 +198,18 @@ pub struct Flags {
     #[arg(long, value_name = "NUMBER")]
     #[serde(skip_serializing_if = "Option::is_none")]
     wrong_tokens_per_minute: Option<u32>,
+    /// Maps that there may be; others are refused [default: any number]
+    #[arg(long, value_name = "NUMBER")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max_maps: Option<NonZeroU32>,
+    /// Sessions that maps may keep; others are refused [default: any number]
+    #[arg(long, value_name = "NUMBER")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max_sessions: Option<NonZeroU32>,
+    /// Mebibytes that sessions may keep in all maps; frames above it wait [default: what the disk has]
+    #[arg(long, value_name = "MIB")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max_kept_mib: Option<NonZeroU32>,
     /// Pages of these origins (scheme, host and port) may ask over HTTP from a browser; several with commas
     #[arg(long, value_name = "ORIGINS", value_delimiter = ',')]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -193,62 +226,6 @@ pub struct Flags {
     #[arg(long, value_name = "FILE")]
     #[serde(skip_serializing_if = "Option::is_none")]
     tls_client_ca: Option<PathBuf>,
-}
-
-/// What is wrong with the settings.
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// The file cannot be read.
-    #[error(
-        "cannot read the settings in {path}: {reason}; name another file with --config or WAYPOST_CONFIG"
-    )]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// Why not.
-        reason: String,
-    },
-    /// The file has a key that means nothing.
-    #[error("{path} has the unknown key `{key}`; known are {}", names())]
-    UnknownKey {
-        /// The file.
-        path: PathBuf,
-        /// The key.
-        key: String,
-    },
-    /// A value is of no use.
-    #[error("{key} ({origin}) cannot be used: {reason}; write {form}")]
-    Value {
-        /// The key.
-        key: String,
-        /// Where it was set.
-        origin: String,
-        /// What is wrong.
-        reason: String,
-        /// How to write it.
-        form: &'static str,
-    },
-    /// A setting lacks one that it needs.
-    #[error("{key} ({origin}) needs {missing}, which is not set; set both, or neither")]
-    Lacks {
-        /// The key.
-        key: &'static str,
-        /// Where it was set.
-        origin: String,
-        /// The other key.
-        missing: &'static str,
-    },
-    /// Robots and people were sent to one port.
-    #[error(
-        "http_address ({origin}) is {address}, and so is grpc_address; they are two listeners, so give them different \
-         ports, or port 0 for free ones"
-    )]
-    SameAddress {
-        /// Where http_address was set.
-        origin: String,
-        /// The address.
-        address: SocketAddr,
-    },
 }
 
 impl Config {
@@ -296,6 +273,13 @@ impl Config {
             connections_per_address: self.stranger_connections_per_address.get() as usize,
             time: Duration::from_secs(self.stranger_time_s.get().into()),
         }
+    }
+
+    /// How much may be there, whosever it is.
+    #[must_use]
+    pub fn limits(&self) -> ServerLimits {
+        let Self { max_maps, max_sessions, max_kept_mib, .. } = *self;
+        ServerLimits { max_maps, max_sessions, max_kept_mib }
     }
 
     /// Files of the certificates, if there are any.

@@ -6,6 +6,7 @@ use topomap::ids::FrameId;
 use topomap::mapper::FrameError;
 
 use crate::camera::CameraError;
+use crate::quotas::OverQuota;
 use crate::storage::{StorageError, StoredError};
 
 /// After which a database that is held up may be free again.
@@ -50,6 +51,14 @@ pub enum ServiceError {
     ResourceExhausted {
         /// What is wrong and how to mend it.
         message: String,
+    },
+    /// A quota is used up for now, or until somebody makes room; the same request may succeed then.
+    #[error("{message}")]
+    QuotaUsedUp {
+        /// Which quota, of whom, what there is of it, and what to do.
+        message: String,
+        /// How long to wait before.
+        retry_after: Duration,
     },
     /// The same request may succeed a little later.
     #[error("{message}")]
@@ -126,6 +135,30 @@ impl ServiceError {
         Self::DeadlineExceeded { message: message.to_string() }
     }
 
+    /// When to ask again, where that is known.
+    pub(crate) fn retry_after(&self) -> Option<Duration> {
+        match self {
+            Self::Unavailable { retry_after, .. } => *retry_after,
+            Self::QuotaUsedUp { retry_after, .. } => Some(*retry_after),
+            Self::InvalidArgument { .. }
+            | Self::NotFound { .. }
+            | Self::AlreadyExists { .. }
+            | Self::FailedPrecondition { .. }
+            | Self::Aborted { .. }
+            | Self::ResourceExhausted { .. }
+            | Self::Unauthenticated { .. }
+            | Self::PermissionDenied { .. }
+            | Self::DeadlineExceeded { .. }
+            | Self::DataLoss { .. }
+            | Self::Internal => None,
+        }
+    }
+
+    /// Whether it may succeed later as it is: a frame is to be sent again then, before those behind it.
+    pub(crate) fn is_for_now(&self) -> bool {
+        matches!(self, Self::Unavailable { .. } | Self::QuotaUsedUp { .. })
+    }
+
     /// Its kind in one word, as REST and the metrics call it.
     pub(crate) fn code_name(&self) -> &'static str {
         match self {
@@ -134,7 +167,7 @@ impl ServiceError {
             Self::AlreadyExists { .. } => "already_exists",
             Self::FailedPrecondition { .. } => "failed_precondition",
             Self::Aborted { .. } => "aborted",
-            Self::ResourceExhausted { .. } => "resource_exhausted",
+            Self::ResourceExhausted { .. } | Self::QuotaUsedUp { .. } => "resource_exhausted",
             Self::Unavailable { .. } => "unavailable",
             Self::Unauthenticated { .. } => "unauthenticated",
             Self::PermissionDenied { .. } => "permission_denied",
@@ -197,6 +230,7 @@ impl From<StorageError> for ServiceError {
             StorageError::HeldUp(_) => Self::held_up(error),
             StorageError::Rot(found) => Self::damaged(&found),
             StorageError::ReadOnly(_) => Self::precondition(error),
+            StorageError::OverQuota(over) => over.into(),
             StorageError::Exists
             | StorageError::InUse
             | StorageError::JobEnded
@@ -209,6 +243,15 @@ impl From<StorageError> for ServiceError {
             | StorageError::Broken { .. }
             | StorageError::Sqlite(_)
             | StorageError::Migration(_) => Self::internal(error),
+        }
+    }
+}
+
+impl From<OverQuota> for ServiceError {
+    fn from(OverQuota { quota: _, holder: _, message, retry_after }: OverQuota) -> Self {
+        match retry_after {
+            Some(retry_after) => Self::QuotaUsedUp { message, retry_after },
+            None => Self::FailedPrecondition { message },
         }
     }
 }

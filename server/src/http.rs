@@ -194,7 +194,7 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(jobs::get_job))
         .routes(routes!(jobs::cancel_job))
         .routes(routes!(tokens::list_tokens, tokens::create_token))
-        .routes(routes!(tokens::delete_token))
+        .routes(routes!(tokens::update_token, tokens::delete_token))
         .routes(routes!(tokens::rotate_token))
         .routes(routes!(tokens::get_caller))
 }
@@ -298,7 +298,9 @@ impl HttpError {
             ServiceError::AlreadyExists { .. }
             | ServiceError::FailedPrecondition { .. }
             | ServiceError::Aborted { .. } => StatusCode::CONFLICT,
-            ServiceError::ResourceExhausted { .. } => StatusCode::TOO_MANY_REQUESTS,
+            ServiceError::ResourceExhausted { .. } | ServiceError::QuotaUsedUp { .. } => {
+                StatusCode::TOO_MANY_REQUESTS
+            }
             ServiceError::Unavailable { .. } => StatusCode::SERVICE_UNAVAILABLE,
             ServiceError::Unauthenticated { .. } => StatusCode::UNAUTHORIZED,
             ServiceError::PermissionDenied { .. } => StatusCode::FORBIDDEN,
@@ -316,7 +318,7 @@ impl HttpError {
 impl IntoResponse for HttpError {
     fn into_response(self) -> Response {
         let mut response = error_response(self.status(), self.0.code_name(), self.0.to_string());
-        if let ServiceError::Unavailable { retry_after: Some(retry_after), .. } = self.0 {
+        if let Some(retry_after) = self.0.retry_after() {
             let seconds = HeaderValue::from(retry_after.as_secs_f64().ceil() as u64);
             response.headers_mut().insert(RETRY_AFTER, seconds);
         }

@@ -17,6 +17,7 @@ mod net;
 pub mod offline;
 mod open_map;
 mod pages;
+mod quotas;
 mod role;
 mod service;
 mod storage;
@@ -33,6 +34,7 @@ use tokio::net::TcpListener;
 pub use crate::net::origin::{NoOrigin, Origin};
 pub use crate::net::standing::Strangers;
 pub use crate::net::tls::{Tls, TlsError, TlsFiles};
+pub use crate::quotas::ServerLimits;
 pub use crate::role::{Ability, Role};
 
 use crate::config::Config;
@@ -124,6 +126,13 @@ impl Server {
     #[must_use]
     pub fn with_wrong_tokens_per_minute(self, wrong_tokens: u32) -> Self {
         self.service.tokens.set_guesses_per_minute(wrong_tokens);
+        self
+    }
+
+    /// How much may be there, whosever it is.
+    #[must_use]
+    pub fn with_limits(self, limits: ServerLimits) -> Self {
+        self.service.set_limits(limits);
         self
     }
 

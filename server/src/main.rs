@@ -149,6 +149,7 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
     let tls = config.tls_files().as_ref().map(Tls::load).transpose()?;
     let map_memory_bytes = config.map_memory_bytes();
     let strangers = config.strangers();
+    let limits = config.limits();
     let Config {
         data_dir,
         grpc_address,
@@ -162,6 +163,9 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
         stranger_connections_per_address: _,
         stranger_time_s: _,
         wrong_tokens_per_minute,
+        max_maps: _,
+        max_sessions: _,
+        max_kept_mib: _,
         cors_origins,
         tls_certificate: _,
         tls_key: _,
@@ -179,6 +183,7 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
         .with_map_memory(map_memory_bytes)
         .with_strangers(strangers)
         .with_wrong_tokens_per_minute(wrong_tokens_per_minute)
+        .with_limits(limits)
         .with_cors_origins(cors_origins);
     let encrypted = tls.is_some();
     if let Some(tls) = tls {

@@ -14,6 +14,8 @@ use metrics::{
 use metrics_exporter_prometheus::{BuildError, Matcher, PrometheusBuilder, PrometheusRecorder};
 use topomap::metric::AgreementVerdict;
 
+use crate::quotas::{Refusals, Used};
+
 const GRPC_REQUESTS: &str = "waypost_grpc_requests_total";
 const GRPC_SECONDS: &str = "waypost_grpc_request_duration_seconds";
 const HTTP_REQUESTS: &str = "waypost_http_requests_total";
@@ -28,6 +30,10 @@ const QUEUE_LENGTH: &str = "waypost_queue_length";
 const JOBS_RUNNING: &str = "waypost_jobs_running";
 const DATABASE_BYTES: &str = "waypost_database_bytes";
 const DISK_FREE_BYTES: &str = "waypost_disk_free_bytes";
+const MAPS: &str = "waypost_maps";
+const SESSIONS: &str = "waypost_sessions";
+const KEPT_BYTES: &str = "waypost_kept_bytes";
+const QUOTA_REFUSALS: &str = "waypost_quota_refusals_total";
 const ROBOTS_LED: &str = "waypost_robots_led";
 const MEMORY_BYTES: &str = "waypost_process_resident_memory_bytes";
 const CPU_SECONDS: &str = "waypost_process_cpu_seconds";
@@ -97,6 +103,9 @@ pub(crate) struct Levels {
     /// Robots that are led, by their status.
     pub(crate) robots_led: Vec<(&'static str, usize)>,
     pub(crate) queues: QueueLengths,
+    /// What there is of what quotas may limit, whosever it is.
+    pub(crate) used: Used,
+    pub(crate) refusals: Refusals,
     pub(crate) process: ProcessLevels,
 }
 
@@ -206,8 +215,18 @@ impl Metrics {
 
     /// All metrics in Prometheus' text format.
     pub(crate) fn render(&self, levels: Levels) -> String {
-        let Levels { open_maps, jobs_running, database_bytes, disk_free_bytes, robots_led, queues, process } =
-            levels;
+        let Levels {
+            open_maps,
+            jobs_running,
+            database_bytes,
+            disk_free_bytes,
+            robots_led,
+            queues,
+            used,
+            refusals,
+            process,
+        } = levels;
+        let Used { maps: maps_made, sessions, kept_bytes } = used;
         let QueueLengths { images, robots_in_line, maps } = queues;
         let ProcessLevels { resident_bytes, cpu_seconds } = process;
         let bytes = |bytes: Option<u64>| bytes.map_or(f64::NAN, |bytes| bytes as f64);
@@ -220,6 +239,13 @@ impl Metrics {
             }
             for (queue, length) in [("images", images), ("robots_in_line", robots_in_line), ("maps", maps)] {
                 gauge!(QUEUE_LENGTH, "queue" => queue).set(length as f64);
+            }
+            gauge!(MAPS).set(maps_made as f64);
+            gauge!(SESSIONS).set(sessions as f64);
+            gauge!(KEPT_BYTES).set(kept_bytes as f64);
+            for ((quota, holder), times) in refusals {
+                let (quota, holder) = (quota.setting(), holder.name());
+                counter!(QUOTA_REFUSALS, "quota" => quota, "of" => holder).absolute(times);
             }
             gauge!(OPEN_MAPS).set(open_maps as f64);
             gauge!(JOBS_RUNNING).set(jobs_running as f64);
@@ -293,6 +319,18 @@ fn describe() {
     describe_gauge!(JOBS_RUNNING, "Jobs that are running or wait for their turn.");
     describe_gauge!(DATABASE_BYTES, Unit::Bytes, "Size of the database, without its write-ahead log.");
     describe_gauge!(DISK_FREE_BYTES, Unit::Bytes, "What is left of the disk that the database is on.");
+    describe_gauge!(MAPS, "Maps that are there.");
+    describe_gauge!(SESSIONS, "Sessions that maps keep.");
+    describe_gauge!(
+        KEPT_BYTES,
+        Unit::Bytes,
+        "What sessions keep: events of the log, features, thumbnails and images."
+    );
+    describe_counter!(
+        QUOTA_REFUSALS,
+        "What quotas have refused, by quota and whether it is a token's or the server's; a frame that waits counts \
+         each time."
+    );
     describe_gauge!(ROBOTS_LED, "Robots that navigate, by their status.");
     describe_gauge!(MEMORY_BYTES, Unit::Bytes, "Memory of the process.");
     describe_gauge!(CPU_SECONDS, Unit::Seconds, "Processor time that the process has taken.");
@@ -300,65 +338,4 @@ fn describe() {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn levels() -> Levels {
-        Levels {
-            open_maps: 2,
-            jobs_running: 1,
-            database_bytes: Some(4096),
-            disk_free_bytes: Some(8192),
-            robots_led: vec![("lost", 3)],
-            queues: QueueLengths { images: 17, robots_in_line: 4, maps: 2 },
-            process: ProcessLevels { resident_bytes: Some(512), cpu_seconds: Some(1.5) },
-        }
-    }
-
-    #[test]
-    fn two_servers_count_apart() {
-        let (first, second) = (Metrics::new().unwrap(), Metrics::new().unwrap());
-        first.frame("invalid_argument", None);
-        let counted = "waypost_frames_total{outcome=\"invalid_argument\"} 1";
-        assert!(first.render(levels()).lines().any(|line| line == counted), "{}", first.render(levels()));
-        assert!(!second.render(levels()).contains("waypost_frames_total{"));
-    }
-
-    #[test]
-    fn streams_are_counted_while_they_are_open() {
-        let metrics = Metrics::new().unwrap();
-        let stream = metrics.open_stream();
-        assert!(metrics.render(levels()).contains("waypost_open_streams 1"));
-        drop(stream);
-        assert!(metrics.render(levels()).contains("waypost_open_streams 0"));
-    }
-
-    #[test]
-    fn times_are_in_buckets_of_seconds_and_levels_as_they_are() {
-        let metrics = Metrics::new().unwrap();
-        metrics.grpc_request("/a/B", "ok", Duration::from_millis(20));
-        metrics.http_request("GET", "/v1/maps/{map}", 200, Duration::from_millis(2));
-        metrics.http_request("BREW", "/v1/maps/{map}", 405, Duration::from_millis(2));
-        metrics.committed(3);
-        metrics.sum_up();
-        let text = metrics.render(levels());
-        for line in [
-            "waypost_grpc_requests_total{method=\"/a/B\",code=\"ok\"} 1",
-            "waypost_grpc_request_duration_seconds_bucket{method=\"/a/B\",le=\"0.01\"} 0",
-            "waypost_grpc_request_duration_seconds_bucket{method=\"/a/B\",le=\"0.025\"} 1",
-            "waypost_http_requests_total{method=\"GET\",route=\"/v1/maps/{map}\",code=\"200\"} 1",
-            "waypost_http_requests_total{method=\"other\",route=\"/v1/maps/{map}\",code=\"405\"} 1",
-            "waypost_commit_frames_bucket{le=\"2\"} 0",
-            "waypost_commit_frames_bucket{le=\"4\"} 1",
-            "waypost_open_maps 2",
-            "waypost_jobs_running 1",
-            "waypost_database_bytes 4096",
-            "waypost_disk_free_bytes 8192",
-            "waypost_robots_led{status=\"lost\"} 3",
-            "waypost_process_resident_memory_bytes 512",
-            "waypost_process_cpu_seconds 1.5",
-        ] {
-            assert!(text.lines().any(|there| there == line), "no {line} in\n{text}");
-        }
-    }
-}
+mod tests;

@@ -37,6 +37,10 @@ pub(crate) fn map_of(name: &str) -> Option<&str> {
     name.strip_prefix("maps/").map(|rest| rest.split_once('/').map_or(rest, |(map, _)| map))
 }
 
+pub(crate) fn token_name(token: &str) -> String {
+    format!("tokens/{token}")
+}
+
 pub(crate) fn map_name(map: &str) -> String {
     format!("maps/{map}")
 }

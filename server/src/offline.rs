@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use tokio::net::TcpListener;
-use waypost_proto::flags::seconds;
+use waypost_proto::flags::{QuotasFlags, seconds};
 
 use crate::clock::in_words;
 use crate::config::Config;
@@ -11,6 +11,7 @@ use crate::net::tls::Tls;
 use crate::role::{Ability, Reach, Role};
 use crate::service::tokens::{NewToken, TokenRow};
 use crate::storage::{DeepInspection, Inspection, back_up, inspect, inspect_all, restore};
+use crate::wire::tokens::requested_limits;
 use crate::{Exposed, exposed, open};
 
 /// A token as it is listed.
@@ -36,6 +37,9 @@ pub struct TokenLimits {
     /// After how long it expires, as in 90s, 12h or 30d
     #[arg(long = "expires-in", value_name = "TIME", value_parser = seconds)]
     pub lifetime_s: Option<u32>,
+    /// How much its holder may have and send.
+    #[command(flatten)]
+    pub quotas: QuotasFlags,
 }
 
 /// Makes a token in `data_dir`; gives its secret, which is kept nowhere.
@@ -49,8 +53,9 @@ pub async fn create_token(
     limits: TokenLimits,
 ) -> anyhow::Result<String> {
     let service = open(data_dir).await?;
-    let TokenLimits { abilities, maps, lifetime_s } = limits;
-    let new = NewToken { name: name.to_owned(), role, abilities, maps, lifetime_s };
+    let TokenLimits { abilities, maps, lifetime_s, quotas } = limits;
+    let limits = requested_limits(quotas.into());
+    let new = NewToken { name: name.to_owned(), role, abilities, maps, lifetime_s, limits };
     let created = service.tokens.create(new).await;
     service.stop().await;
     Ok(created?.1)
@@ -68,14 +73,14 @@ pub async fn list_tokens(data_dir: &Path) -> anyhow::Result<Vec<ListedToken>> {
 }
 
 fn listed_token(token: TokenRow) -> ListedToken {
-    let TokenRow { name, role, abilities, reach, expires_ns, .. } = token;
+    let TokenRow { name, role, abilities, reach, expires_ns, limits, .. } = token;
     let may = (abilities != role.abilities()).then(|| format!("may {abilities}"));
     let maps = (reach != Reach::Everywhere).then(|| reach.to_string());
     let until = expires_ns.map(|at| format!("until {}", in_words(at)));
     ListedToken {
         name,
         role,
-        limits: [may, maps, until].into_iter().flatten().collect::<Vec<_>>().join("; "),
+        limits: [may, maps, until, limits.in_words()].into_iter().flatten().collect::<Vec<_>>().join("; "),
     }
 }
 

@@ -53,6 +53,7 @@ use crate::ingest::intrinsics::Intrinsics;
 use crate::ingest::model::LoadedModel;
 use crate::ingest::panoramic::PanoramicOptics;
 use crate::metrics::{FrameTimings, Metrics};
+use crate::quotas::Reserved;
 use crate::storage::{LogEntry, MapRow, Medium, MediumKind, SessionRow, Storage, StorageError};
 
 /// Most frames that share one commit.
@@ -103,6 +104,8 @@ struct Pending {
     /// Where the robot is, as the map was after its frame.
     map_pose: Option<MapPose>,
     since: Instant,
+    /// Held until what the frame keeps is counted.
+    room: Option<Box<Reserved>>,
 }
 
 /// Whether a writer goes on.
@@ -207,7 +210,7 @@ impl MapWriter {
         if last.is_some_and(|last| work.sequence() <= last) {
             return self.answer_resend(session, work.sequence(), reply);
         }
-        let FrameWork::Fresh { input, features, media, note, mut timings } = work else {
+        let FrameWork::Fresh { input, features, media, note, mut timings, room } = work else {
             let _ = reply.send(Err(not_stored()));
             return Ok(());
         };
@@ -222,7 +225,7 @@ impl MapWriter {
                 let entry = LogEntry { note, ..entry };
                 let session = self.mapper.map().session(session).filter(|_| has_odometry(&entry.event));
                 let map_pose = session.and_then(|session| self.mapper.map_pose(session));
-                self.pending.push(Pending { entry, reply, timings, map_pose, since });
+                self.pending.push(Pending { entry, reply, timings, map_pose, since, room });
             }
             Err(error) => {
                 // Frames behind it in the queue must not be committed before it comes again.
@@ -277,8 +280,8 @@ impl MapWriter {
         let pending = std::mem::take(&mut self.pending);
         let (entries, waiting): (Vec<LogEntry>, Vec<_>) = pending
             .into_iter()
-            .map(|Pending { entry, reply, timings, map_pose, since }| {
-                (entry, (reply, timings, map_pose, since))
+            .map(|Pending { entry, reply, timings, map_pose, since, room }| {
+                (entry, (reply, timings, map_pose, since, room))
             })
             .unzip();
         if let Err(error) = self.runtime.block_on(self.storage.append(self.map.id, &entries)) {
@@ -294,7 +297,7 @@ impl MapWriter {
         }
         self.metrics.committed(entries.len());
         tracing::debug!(map = self.map.name, frames_committed = entries.len(), "committed");
-        for (entry, (reply, mut timings, map_pose, since)) in entries.into_iter().zip(waiting) {
+        for (entry, (reply, mut timings, map_pose, since, _room)) in entries.into_iter().zip(waiting) {
             timings.total = since.elapsed();
             timings.commit = timings.total.saturating_sub(timings.work());
             if let MapEvent::Frame(event) = entry.event {
@@ -393,7 +396,8 @@ impl MapWriter {
             opener.check(&name, session.owner.as_deref())?;
             let number = session.number;
             let last_committed = self.mapper.map().session(number).and_then(|session| session.last_sequence);
-            return Ok(OpenedSession { source: FrameSource::Session(number), name, last_committed });
+            let owner = session.owner.clone();
+            return Ok(OpenedSession { source: FrameSource::Session(number), name, owner, last_committed });
         }
         self.storage.check_sound(self.map.id)?;
         if !self.localizers.free(&name) {
@@ -402,7 +406,7 @@ impl MapWriter {
             )));
         }
         let (number, owner) = (self.mapper.map().next_session(), opener.token.clone());
-        let session = SessionRow { number, name: name.clone(), owner };
+        let session = SessionRow { number, name: name.clone(), owner: owner.clone() };
         let position = self.mapper.map().events();
         let opened = self.storage.open_session(self.map.id, position, &session, camera, now_ns());
         self.runtime.block_on(opened)?;
@@ -413,7 +417,7 @@ impl MapWriter {
         self.sessions.push(session);
         self.intrinsics.extend(camera.and_then(Intrinsics::of_camera).map(|known| (number, known)));
         self.around.extend(camera.and_then(PanoramicOptics::of_camera).map(|known| (number, known)));
-        Ok(OpenedSession { source: FrameSource::Session(number), name, last_committed: None })
+        Ok(OpenedSession { source: FrameSource::Session(number), name, owner, last_committed: None })
     }
 
     fn unused_session_name(&self) -> String {

@@ -54,6 +54,7 @@ use crate::error::ServiceError;
 use crate::ingest::extraction::Extraction;
 use crate::metrics::{Levels, Metrics, QueueLengths};
 use crate::open_map::OpenMaps;
+use crate::quotas::ServerLimits;
 use crate::storage::Storage;
 
 /// All that the server can do, by subject. Shared by every adapter.
@@ -137,6 +138,11 @@ impl Service {
         self.jobs.track(self.tokens.clone().keep_ending(self.stopping.clone()));
     }
 
+    /// How much may be there from now on, whosever it is.
+    pub(crate) fn set_limits(&self, limits: ServerLimits) {
+        self.storage.quotas().set_server(limits);
+    }
+
     /// Cancelled when the server begins to stop: streams end then.
     pub(crate) fn stopping(&self) -> &CancellationToken {
         &self.stopping
@@ -186,6 +192,7 @@ impl Service {
             robots_in_line: extraction.in_line,
             maps: self.open_maps.waiting_requests(),
         };
+        let (used, refusals) = self.storage.quotas().in_all();
         let process = crate::memory::process_levels();
         self.metrics.render(Levels {
             open_maps,
@@ -194,6 +201,8 @@ impl Service {
             disk_free_bytes,
             robots_led,
             queues,
+            used,
+            refusals,
             process,
         })
     }

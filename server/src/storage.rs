@@ -12,6 +12,7 @@ mod deep_inspection;
 mod frames;
 mod inspection;
 mod jobs;
+mod kept;
 mod labels;
 mod lock;
 mod log;
@@ -39,7 +40,7 @@ pub(crate) use jobs::{JobEnd, JobKind, JobRow, StoredError, StoredJobState};
 pub(crate) use labels::LabelRow;
 pub(crate) use log::{ClosureRow, LogEntry, StoredFrame};
 pub(crate) use maps::{MapCounts, MapEdition, MapId, MapRow, SessionRow};
-pub(crate) use media::{MapBytes, Medium, MediumKind, StoredFeatures};
+pub(crate) use media::{MapBytes, Medium, MediumKind, StoredFeatures, kept_bytes};
 pub(crate) use merges::{JoinedLog, JoinedSession, MergeOutcome, MergeRow, MergeState};
 pub(crate) use models::ModelRow;
 pub(crate) use notes::NoteRow;
@@ -59,7 +60,9 @@ use std::time::Duration;
 use sqlx::migrate::MigrateError;
 use sqlx::pool::PoolConnection;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{AssertSqlSafe, Connection, Sqlite, SqlitePool, Transaction};
+use sqlx::{AssertSqlSafe, Connection, Sqlite, SqliteConnection, SqlitePool, Transaction};
+
+use crate::quotas::{OverQuota, Quotas};
 
 /// The database of one data directory. Cheap to clone.
 ///
@@ -80,6 +83,7 @@ pub(crate) struct Storage {
     damages: Arc<Damages>,
     /// Whoever watches maps.
     commits: Arc<commits::Commits>,
+    quotas: Quotas,
 }
 
 /// What went wrong with the database.
@@ -122,6 +126,8 @@ pub(crate) enum StorageError {
          bring the map back from a snapshot or a backup"
     )]
     ReadOnly(String),
+    #[error("{0}")]
+    OverQuota(#[from] OverQuota),
     #[error("the database failed: {0}")]
     Sqlite(sqlx::Error),
     #[error(
@@ -172,10 +178,13 @@ impl Storage {
             compacting: Arc::default(),
             damages: Arc::default(),
             commits: Arc::default(),
+            quotas: Quotas::default(),
         };
         storage.rewrite_camera_messages().await?;
         storage.sum_old_rows().await?;
         storage.load_damages().await?;
+        storage.count_old_sessions().await?;
+        storage.count_used().await?;
         Ok(storage)
     }
 
@@ -192,6 +201,15 @@ impl Storage {
         &self,
         work: impl AsyncFnOnce(&mut Transaction<'_, Sqlite>) -> Result<T, StorageError>,
     ) -> Result<T, StorageError> {
+        self.write_and(work, async |_, _| {}).await
+    }
+
+    /// The same, and something after it that no other transaction comes before.
+    async fn write_and<T>(
+        &self,
+        work: impl AsyncFnOnce(&mut Transaction<'_, Sqlite>) -> Result<T, StorageError>,
+        after: impl AsyncFnOnce(&mut SqliteConnection, &T),
+    ) -> Result<T, StorageError> {
         let mut connection = self.writing_connection().await?;
         let written = async {
             let mut transaction = connection.begin().await?;
@@ -200,6 +218,9 @@ impl Storage {
             Ok(value)
         }
         .await;
+        if let Ok(value) = &written {
+            after(&mut connection, value).await;
+        }
         if written.is_err() {
             connection.close_on_drop();
         }

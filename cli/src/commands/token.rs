@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use clap::{Args, Subcommand};
 use serde_json::json;
 use waypost_client::{Client, ClientOptions, v1};
-use waypost_proto::flags::seconds;
+use waypost_proto::flags::{QuotasFlags, seconds};
 
 use crate::failure::Failure;
 use crate::files::Asking;
@@ -35,6 +35,17 @@ pub(crate) enum Command {
         #[arg(long, value_name = "TIME", value_parser = seconds)]
         expires_in: Option<u32>,
     },
+    /// Change how much the holder of a token may have and send; its secret stays, and open streams go on
+    #[command(visible_alias = "update")]
+    Limit {
+        /// Name of the token
+        name: String,
+        #[command(flatten)]
+        quotas: QuotasFlags,
+        /// Quotas that are lifted; names with commas between them
+        #[arg(long, value_name = "QUOTA", value_delimiter = ',', value_enum)]
+        lift: Vec<v1::quotas::Kind>,
+    },
     /// List tokens by name
     #[command(visible_alias = "list")]
     Ls,
@@ -61,19 +72,22 @@ pub(crate) struct Limits {
     /// After how long it expires, as in 90s, 12h or 30d
     #[arg(long, value_name = "TIME", value_parser = seconds)]
     expires_in: Option<u32>,
+    #[command(flatten)]
+    quotas: QuotasFlags,
 }
 
 pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output) -> Result<(), Failure> {
     let client = Client::connect(server).await?;
     match command {
         Command::Create { name, role, limits } => {
-            let Limits { may, maps, expires_in } = limits;
+            let Limits { may, maps, expires_in, quotas } = limits;
             let request = v1::CreateTokenRequest {
                 token_id: name,
                 role: role.into(),
                 abilities: may.into_iter().map(Into::into).collect(),
                 maps: maps.iter().map(|map| map_id(map)).collect(),
                 lifetime_s: expires_in,
+                quotas: Some(quotas.into()),
             };
             let (token, secret) = client.create_limited_token(request).await?;
             output.result(&json!({ "token": token, "secret": secret }), |out| tell(out, &token, &secret))
@@ -87,10 +101,19 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
                 writeln!(out, "  the secret before is good for another {}", in_words(left))
             })
         }
+        Command::Limit { name, quotas, lift } => {
+            let lifted = lift.into_iter().map(Into::into).collect();
+            let request = v1::UpdateTokenRequest { name, quotas: Some(quotas.into()), lifted };
+            let token = client.update_token(request).await?;
+            output.result(&json!({ "token": token }), |out| {
+                writeln!(out, "{} {}", token.name, token.role().json_name())?;
+                writeln!(out, "  quotas  {}", quotas_in_words(&token))
+            })
+        }
         Command::Ls => {
             let tokens = client.tokens().await?;
             output.result(&json!({ "tokens": tokens }), |out| {
-                table(out, ["TOKEN", "ROLE", "MAY", "MAPS", "EXPIRES"], tokens.iter().map(row))
+                table(out, ["TOKEN", "ROLE", "MAY", "MAPS", "EXPIRES", "QUOTAS"], tokens.iter().map(row))
             })
         }
         Command::Rm { name, yes } => {
@@ -108,7 +131,7 @@ fn tell(out: &mut dyn Write, token: &v1::Token, secret: &str) -> io::Result<()> 
     writeln!(out, "  the server does not keep it: note it now, for --token or WAYPOST_TOKEN")
 }
 
-fn row(token: &v1::Token) -> [String; 5] {
+fn row(token: &v1::Token) -> [String; 6] {
     let name = token.name.strip_prefix("tokens/").unwrap_or(&token.name);
     let may: Vec<&str> = token.abilities().map(v1::token::Ability::json_name).collect();
     let maps = if token.maps.is_empty() { "all".to_owned() } else { token.maps.join(",") };
@@ -117,8 +140,26 @@ fn row(token: &v1::Token) -> [String; 5] {
         Some(Duration::ZERO) => "expired".to_owned(),
         Some(left) => format!("in {}", in_words(left)),
     };
-    [name.to_owned(), token.role().json_name().to_owned(), may.join(","), maps, expires]
+    let quotas = quotas_in_words(token);
+    [name.to_owned(), token.role().json_name().to_owned(), may.join(","), maps, expires, quotas]
 }
+
+/// What a token is limited to, and how much of that there is.
+fn quotas_in_words(token: &v1::Token) -> String {
+    let v1::Quotas { max_maps, max_sessions, max_frames_per_second, max_kept_mib } =
+        token.quotas.unwrap_or_default();
+    let v1::QuotaUse { maps, sessions, kept_bytes } = token.used.unwrap_or_default();
+    let words = [
+        max_maps.map(|most| format!("maps {maps}/{most}")),
+        max_sessions.map(|most| format!("sessions {sessions}/{most}")),
+        max_frames_per_second.map(|most| format!("frames {most}/s")),
+        max_kept_mib.map(|most| format!("kept {:.0}/{most} MiB", kept_bytes as f64 / MIB)),
+    ];
+    let words: Vec<String> = words.into_iter().flatten().collect();
+    if words.is_empty() { "none".to_owned() } else { words.join(", ") }
+}
+
+const MIB: f64 = (1_u32 << 20) as f64;
 
 /// Maps are named as `hall` here and as `maps/hall` in lists.
 fn map_id(name: &str) -> String {
@@ -157,5 +198,19 @@ mod tests {
             assert_eq!(in_words(Duration::from_secs_f64(seconds)), told);
         }
         assert_eq!(in_words(Duration::from_secs_f64(2_591_999.5)), "30 d");
+    }
+
+    #[test]
+    fn quotas_are_told_with_what_there_is() {
+        let quotas = v1::Quotas {
+            max_sessions: Some(3),
+            max_frames_per_second: Some(0.5),
+            max_kept_mib: Some(2048),
+            ..v1::Quotas::default()
+        };
+        let used = v1::QuotaUse { maps: 7, sessions: 2, kept_bytes: 12 << 20 };
+        let token = v1::Token { quotas: Some(quotas), used: Some(used), ..v1::Token::default() };
+        assert_eq!(quotas_in_words(&token), "sessions 2/3, frames 0.5/s, kept 12/2048 MiB");
+        assert_eq!(quotas_in_words(&v1::Token::default()), "none");
     }
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import trustme
 from conftest import MODEL, Server, answers, binary, environment, frame
 
 import waypost
+from waypost.v1 import token_pb2
 
 
 def create_token(data_dir: Path, name: str, role: str) -> str:
@@ -69,6 +71,39 @@ def test_a_stream_ends_with_its_token(guarded: tuple[Server, str, str]) -> None:
             with pytest.raises(waypost.Unauthenticated):
                 list(session.stream([frame(3)]))
         assert operator.map("hall").frames == 2
+
+
+def test_a_robot_waits_for_its_quotas_and_loses_nothing(guarded: tuple[Server, str, str]) -> None:
+    server, admin, _ = guarded
+    with waypost.connect(server.address, token=admin) as operator:
+        operator.import_model(MODEL, "shipped")
+        operator.create_map("hall", "shipped")
+        quotas = token_pb2.Quotas(max_sessions=1, max_frames_per_second=4, max_kept_mib=1)
+        token, secret = operator.create_token("robot-7", token_pb2.Token.ROLE_ROBOT, quotas=quotas)
+        assert token.quotas == quotas
+        with waypost.connect(server.address, token=secret) as client, client.session("hall", "r") as session:
+            assert client.caller().quotas == quotas
+            with pytest.raises(waypost.FailedPrecondition, match="has 1 of the 1 sessions"):
+                client.session("hall", "other")
+            began = time.monotonic()
+            assert [answer.sequence for answer in answers(session, range(1, 9))] == [*range(1, 9)]
+            assert time.monotonic() - began > 0.8, "only those of one second may come at once"
+            operator.update_token("robot-7", lifted=[token_pb2.Quotas.KIND_FRAMES_PER_SECOND])
+            sender = session.sender()
+            for number in range(9, 25):
+                sender.send(frame(number))
+            sender.finish()
+            taken = 8
+            while (outcome := sender.next_outcome(timeout_s=2.0)) is not None:
+                taken = outcome.sequence
+            assert taken < 24, "a mebibyte is full by then"
+            [_, _, limited] = operator.tokens()
+            assert limited.used.sessions == 1
+            assert limited.used.kept_bytes == operator.session_record(session.name).kept_bytes <= 1 << 20
+            raised = operator.update_token("robot-7", quotas=token_pb2.Quotas(max_kept_mib=100))
+            assert (raised.quotas.max_sessions, raised.quotas.max_kept_mib) == (1, 100)
+            assert [outcome.sequence for outcome in sender] == [*range(taken + 1, 25)]
+        assert operator.map("hall").frames == 24
 
 
 def test_a_server_is_known_by_its_authority(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ impl Client {
         self.create_limited_token(request).await
     }
 
-    /// Creates a token that may be limited: to abilities, to maps, to a time. Returns it with its secret, which the server
+    /// Creates a token that may be limited: to abilities, to maps, to a time, by quotas. Returns it with its secret, which the server
     /// does not keep.
     ///
     /// # Errors
@@ -61,6 +61,16 @@ impl Client {
         let v1::RotateTokenResponse { token, secret } =
             self.taken(self.tokens_client().rotate_token(request).await)?;
         Ok((token.ok_or(Error::Protocol("a rotated token came without its name"))?, secret))
+    }
+
+    /// Changes the quotas of a token, which keeps its secret: those that the request sets or lifts, also for streams that
+    /// are open.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND, or INVALID_ARGUMENT for a quota that is none for the token's role.
+    pub async fn update_token(&self, request: v1::UpdateTokenRequest) -> Result<v1::Token, Error> {
+        let request = v1::UpdateTokenRequest { name: full_name(&request.name), ..request };
+        self.taken(self.tokens_client().update_token(request).await)
     }
 
     /// Deletes a token, by `name` or `tokens/name`.

@@ -40,18 +40,35 @@ export function Tokens({ onTokens }: { onTokens: () => void }) {
 function List({ tokens, own, onDelete }: { tokens: Token[]; own: string | undefined; onDelete: (token: Token) => void }) {
     return (
         <div class="wide" tabIndex={0} role="group" aria-label="Table of tokens"><table>
-            <thead><tr><th scope="col">token</th><th scope="col">role</th><th scope="col">since</th><th scope="col"><span class="unseen">what to do</span></th></tr></thead>
+            <thead><tr><th scope="col">token</th><th scope="col">role</th><th scope="col">since</th><th scope="col">limited to</th><th scope="col"><span class="unseen">what to do</span></th></tr></thead>
             <tbody>
                 {tokens.map((token) => (
                     <tr key={token.name}>
                         <th scope="row">{short(token.name)}{token.name === own && <span class="quiet"> (this page’s)</span>}</th>
                         <td><span class={`reason ${token.role}`}>{token.role}</span></td><td>{moment(token.create_time_ns)}</td>
+                        <td>{limits(token).join("; ") || <span class="quiet">nothing</span>}</td>
                         <td class="do"><button type="button" aria-label={`Delete the token ${short(token.name)}`} onClick={() => onDelete(token)}>Delete</button></td>
                     </tr>
                 ))}
             </tbody>
         </table></div>
     );
+}
+
+const MIB = 1024 * 1024;
+
+/** What a token is limited to, and how much of that there is. */
+function limits({ role, abilities, maps, quotas, used, expire_time_ns }: Token): string[] {
+    const most = (max: number | null | undefined, has: number | undefined, what: string) => max == null ? [] : [`${has ?? 0} of ${max} ${what}`];
+    return [
+        ...(maps.length > 0 ? [`the maps ${maps.join(", ")}`] : []),
+        ...(role === "robot" && abilities.length < 4 ? [`may ${abilities.join(", ")}`] : []),
+        ...most(quotas?.max_maps, used?.maps, "maps"),
+        ...most(quotas?.max_sessions, used?.sessions, "sessions"),
+        ...(quotas?.max_frames_per_second == null ? [] : [`${quotas.max_frames_per_second} frames a second`]),
+        ...most(quotas?.max_kept_mib, Math.round((used?.kept_bytes ?? 0) / MIB), "MiB kept"),
+        ...(expire_time_ns == null ? [] : [`until ${moment(expire_time_ns)}`]),
+    ];
 }
 
 function Making({ first, onMade }: { first: boolean; onMade: () => void }) {

@@ -9,12 +9,15 @@ use figment::{Metadata, Profile, Provider};
 use super::{ConfigError, Flags, KEYS, PREFIX, form};
 
 /// Settings that are whole numbers.
-const NUMBERS: [&str; 5] = [
+const NUMBERS: [&str; 8] = [
     "map_memory_mib",
     "stranger_connections",
     "stranger_connections_per_address",
     "stranger_time_s",
     "wrong_tokens_per_minute",
+    "max_maps",
+    "max_sessions",
+    "max_kept_mib",
 ];
 
 /// `WAYPOST_…`. Values are taken as they are: a directory may be called 7.

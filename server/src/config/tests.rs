@@ -64,6 +64,9 @@ fn nothing_said_means_the_defaults() {
 fn every_key_is_known_and_every_setting_has_one() {
     let all = Config {
         ready_file: Some("ready".into()),
+        max_maps: NonZeroU32::new(100),
+        max_sessions: NonZeroU32::new(10_000),
+        max_kept_mib: NonZeroU32::new(500_000),
         cors_origins: vec!["https://a.example".parse().unwrap(), "http://127.0.0.1:8080".parse().unwrap()],
         tls_certificate: Some("crt".into()),
         tls_key: Some("key".into()),

@@ -21,7 +21,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, Admitted, Ending};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 68] = [
+const METHODS: [(&str, Access); 69] = [
     ("/waypost.v1.SessionService/Stream", Access::OPEN_SESSION),
     ("/waypost.v1.RecognitionService/Query", Access::LOCALIZE),
     ("/waypost.v1.SessionService/ListSessions", Access::READ),
@@ -84,6 +84,7 @@ const METHODS: [(&str, Access); 68] = [
     ("/waypost.v1.JobService/CancelJob", Access::ADMIN),
     ("/waypost.v1.TokenService/CreateToken", Access::Server),
     ("/waypost.v1.TokenService/RotateToken", Access::Server),
+    ("/waypost.v1.TokenService/UpdateToken", Access::Server),
     ("/waypost.v1.TokenService/ListTokens", Access::Server),
     ("/waypost.v1.TokenService/DeleteToken", Access::Server),
     ("/waypost.v1.TokenService/GetCaller", Access::Token),

@@ -45,7 +45,7 @@ impl NavigationService for Adapter {
             return Err(Status::invalid_argument("the first message of a stream must open a navigation"));
         };
         caller.check_resource(&open.map)?;
-        let stream = self.service.navigation.open(opening(open)?).await?;
+        let stream = self.service.navigation.open(&caller, opening(open)?).await?;
         let (responses, receiver) = mpsc::channel(ANSWERS_AHEAD);
         tokio::spawn(lead(stream, requests, responses));
         Ok(Response::new(ReceiverStream::new(receiver).boxed()))

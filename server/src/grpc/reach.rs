@@ -53,7 +53,6 @@ names_maps! {
     ListSessionsRequest: map;
     ListWordPlacesRequest: map;
     PlanRouteRequest: map;
-    QueryRequest: map;
     RebindMapRequest: name;
     SetGoalRequest: name;
     SetLabelRequest: place;

@@ -9,22 +9,11 @@ impl From<ServiceError> for Status {
     fn from(error: ServiceError) -> Self {
         let code = code(&error);
         let message = fitting(error.to_string());
-        match error {
-            ServiceError::Unavailable { retry_after: Some(retry_after), .. } => {
+        match error.retry_after() {
+            Some(retry_after) => {
                 Status::with_error_details(code, message, ErrorDetails::with_retry_info(Some(retry_after)))
             }
-            ServiceError::InvalidArgument { .. }
-            | ServiceError::NotFound { .. }
-            | ServiceError::AlreadyExists { .. }
-            | ServiceError::FailedPrecondition { .. }
-            | ServiceError::Aborted { .. }
-            | ServiceError::ResourceExhausted { .. }
-            | ServiceError::Unavailable { retry_after: None, .. }
-            | ServiceError::Unauthenticated { .. }
-            | ServiceError::PermissionDenied { .. }
-            | ServiceError::DeadlineExceeded { .. }
-            | ServiceError::DataLoss { .. }
-            | ServiceError::Internal => Status::new(code, message),
+            None => Status::new(code, message),
         }
     }
 }
@@ -50,7 +39,7 @@ fn code(error: &ServiceError) -> Code {
         ServiceError::AlreadyExists { .. } => Code::AlreadyExists,
         ServiceError::FailedPrecondition { .. } => Code::FailedPrecondition,
         ServiceError::Aborted { .. } => Code::Aborted,
-        ServiceError::ResourceExhausted { .. } => Code::ResourceExhausted,
+        ServiceError::ResourceExhausted { .. } | ServiceError::QuotaUsedUp { .. } => Code::ResourceExhausted,
         ServiceError::Unavailable { .. } => Code::Unavailable,
         ServiceError::Unauthenticated { .. } => Code::Unauthenticated,
         ServiceError::PermissionDenied { .. } => Code::PermissionDenied,

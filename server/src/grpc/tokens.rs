@@ -5,7 +5,8 @@ use waypost_proto::v1::token_service_server::TokenService;
 use super::Adapter;
 use super::reach::with_caller;
 use crate::pages::Page;
-use crate::wire::tokens::{caller, new_token, rotation, token};
+use crate::service::tokens::TokenRow;
+use crate::wire::tokens::{caller, limit_change, new_token, rotation, token};
 
 #[tonic::async_trait]
 impl TokenService for Adapter {
@@ -15,7 +16,8 @@ impl TokenService for Adapter {
     ) -> Result<Response<v1::CreateTokenResponse>, Status> {
         let new = new_token(request.into_inner())?;
         let (created, secret) = self.service.tokens.create(new).await?;
-        Ok(Response::new(v1::CreateTokenResponse { token: Some(token(created)), secret }))
+        let token = Some(self.token(created));
+        Ok(Response::new(v1::CreateTokenResponse { token, secret }))
     }
 
     async fn rotate_token(
@@ -24,7 +26,17 @@ impl TokenService for Adapter {
     ) -> Result<Response<v1::RotateTokenResponse>, Status> {
         let (name, rotation) = rotation(request.into_inner());
         let (rotated, secret) = self.service.tokens.rotate(&name, rotation).await?;
-        Ok(Response::new(v1::RotateTokenResponse { token: Some(token(rotated)), secret }))
+        let token = Some(self.token(rotated));
+        Ok(Response::new(v1::RotateTokenResponse { token, secret }))
+    }
+
+    async fn update_token(
+        &self,
+        request: Request<v1::UpdateTokenRequest>,
+    ) -> Result<Response<v1::Token>, Status> {
+        let (name, change) = limit_change(request.into_inner())?;
+        let limited = self.service.tokens.limit(&name, change).await?;
+        Ok(Response::new(self.token(limited)))
     }
 
     async fn list_tokens(
@@ -33,7 +45,7 @@ impl TokenService for Adapter {
     ) -> Result<Response<v1::ListTokensResponse>, Status> {
         let v1::ListTokensRequest { page_size, page_token } = request.into_inner();
         let Page { items, next } = self.service.tokens.list(page_size, &page_token)?;
-        let tokens = items.into_iter().map(token).collect();
+        let tokens = items.into_iter().map(|row| self.token(row)).collect();
         Ok(Response::new(v1::ListTokensResponse { tokens, next_page_token: next }))
     }
 
@@ -52,5 +64,13 @@ impl TokenService for Adapter {
     ) -> Result<Response<v1::Caller>, Status> {
         let (asks, v1::GetCallerRequest {}) = with_caller(request)?;
         Ok(Response::new(caller(&asks)))
+    }
+}
+
+impl Adapter {
+    /// A token with what there is that counts for it.
+    fn token(&self, row: TokenRow) -> v1::Token {
+        let used = self.service.tokens.used_by(&row.name);
+        token(row, used)
     }
 }

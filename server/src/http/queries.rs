@@ -1,12 +1,12 @@
 use std::sync::Arc;
 
-use axum::Json;
 use axum::body::Bytes;
 use axum::extract::State;
 use axum::extract::rejection::BytesRejection;
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
+use axum::{Extension, Json};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 use waypost_proto::v1;
@@ -19,6 +19,7 @@ use crate::error::ServiceError;
 use crate::ingest::content::{self, Content};
 use crate::names::map_name;
 use crate::service::Service;
+use crate::service::tokens::Caller;
 use crate::wire::recognition::query_response;
 
 /// Largest body taken in, as over gRPC: an image that is too large is refused with a reason.
@@ -48,11 +49,13 @@ pub(super) async fn query(
     State(service): State<Arc<Service>>,
     InPath(MapPath { map }): InPath<MapPath>,
     InQuery(Asked { explained_words }): InQuery<Asked>,
+    Extension(caller): Extension<Arc<Caller>>,
     headers: HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<Json<v1::QueryResponse>, QueryError> {
     let (content, words_hash) = shown(&headers, body).await?;
-    let answer = service.queries.query(&map_name(&map), content, &words_hash, explained_words).await?;
+    let answer =
+        service.queries.query(&caller, &map_name(&map), content, &words_hash, explained_words).await?;
     Ok(Json(query_response(answer)))
 }
 

@@ -1,12 +1,14 @@
 //! Who may use the server, and who asks.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use axum::extract::State;
 use axum::extract::rejection::JsonRejection;
 use axum::{Extension, Json};
 use serde::Deserialize;
-use utoipa::ToSchema;
+use utoipa::openapi::{RefOr, Schema};
+use utoipa::{PartialSchema, ToSchema};
 use waypost_proto::v1;
 
 use super::HttpError;
@@ -14,10 +16,11 @@ use super::description::Refusals;
 use super::parameters::{InPath, InQuery, Nothing, Paging, TokenPath};
 use crate::error::ServiceError;
 use crate::pages::Page;
+use crate::quotas;
 use crate::role;
 use crate::service::Service;
-use crate::service::tokens::{Caller, NewToken, Rotation};
-use crate::wire::tokens::{caller, token as message};
+use crate::service::tokens::{Caller, LimitChange, NewToken, Rotation, TokenRow};
+use crate::wire::tokens::{caller, requested_limits, token as message};
 
 /// All tokens, by name, without their secrets. For administrators.
 #[utoipa::path(get, path = "/v1/tokens", tag = "tokens", params(Paging),
@@ -27,7 +30,7 @@ pub(super) async fn list_tokens(
     InQuery(Paging { page_size, page_token }): InQuery<Paging>,
 ) -> Result<Json<v1::ListTokensResponse>, HttpError> {
     let Page { items, next } = service.tokens.list(page_size, &page_token)?;
-    let tokens = items.into_iter().map(message).collect();
+    let tokens = items.into_iter().map(|row| shown(&service, row)).collect();
     Ok(Json(v1::ListTokensResponse { tokens, next_page_token: next }))
 }
 
@@ -48,7 +51,7 @@ pub(super) async fn create_token(
         ))
     })?;
     let (created, secret) = service.tokens.create(new.into()).await?;
-    Ok(Json(v1::CreateTokenResponse { token: Some(message(created)), secret }))
+    Ok(Json(v1::CreateTokenResponse { token: Some(shown(&service, created)), secret }))
 }
 
 /// Gives a token a new secret, which is only in the answer; the one before stays good for a while. For administrators.
@@ -69,7 +72,35 @@ pub(super) async fn rotate_token(
     })?;
     let rotation = Rotation { overlap_s, lifetime_s };
     let (rotated, secret) = service.tokens.rotate(&format!("tokens/{token}"), rotation).await?;
-    Ok(Json(v1::RotateTokenResponse { token: Some(message(rotated)), secret }))
+    Ok(Json(v1::RotateTokenResponse { token: Some(shown(&service, rotated)), secret }))
+}
+
+/// Changes the quotas of a token, which keeps its secret. It holds for streams that are open, too. For administrators.
+#[utoipa::path(patch, path = "/v1/tokens/{token}", tag = "tokens", params(TokenPath),
+    request_body(content = UpdateToken, description = "Quotas as they are to be; those that are left out stay."),
+    responses((status = 200, description = "The token.", body = v1::Token), Refusals))]
+pub(super) async fn update_token(
+    State(service): State<Arc<Service>>,
+    InPath(TokenPath { token }): InPath<TokenPath>,
+    InQuery(Nothing {}): InQuery<Nothing>,
+    request: Result<Json<UpdateToken>, JsonRejection>,
+) -> Result<Json<v1::Token>, HttpError> {
+    let Json(UpdateToken { quotas, lifted }) = request.map_err(|rejection| {
+        ServiceError::invalid(format_args!(
+            "{}; send {{\"quotas\": {{\"max_sessions\": 3}}}}, or {{\"lifted\": [\"sessions\"]}}, as application/json",
+            rejection.body_text()
+        ))
+    })?;
+    let limits = requested_limits(quotas.unwrap_or_default().0);
+    let lifted = lifted.into_iter().map(Quota::named).collect();
+    let limited = service.tokens.limit(&format!("tokens/{token}"), LimitChange { limits, lifted }).await?;
+    Ok(Json(shown(&service, limited)))
+}
+
+/// A token with what there is that counts for it.
+fn shown(service: &Service, row: TokenRow) -> v1::Token {
+    let used = service.tokens.used_by(&row.name);
+    message(row, used)
 }
 
 /// Deletes a token: it is refused from then on, and what was begun with it ends. For administrators.
@@ -97,7 +128,7 @@ pub(super) async fn get_caller(
 /// A token that is to be made.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-#[schema(example = json!({"token_id": "robot-7", "role": "robot", "maps": ["hall", "floor2-*"]}))]
+#[schema(example = json!({"token_id": "robot-7", "role": "robot", "maps": ["hall", "floor2-*"], "quotas": {"max_sessions": 3}}))]
 pub(super) struct CreateToken {
     /// 1 to 63 of a-z, 0-9, - and _, beginning with a letter or digit.
     token_id: String,
@@ -113,11 +144,14 @@ pub(super) struct CreateToken {
     #[serde(default)]
     #[schema(minimum = 1)]
     lifetime_s: Option<u32>,
+    /// How much its holder may have and send; what is left out is not limited.
+    #[serde(default)]
+    quotas: Option<Quotas>,
 }
 
 impl From<CreateToken> for NewToken {
     fn from(request: CreateToken) -> Self {
-        let CreateToken { token_id, role, abilities, maps, lifetime_s } = request;
+        let CreateToken { token_id, role, abilities, maps, lifetime_s, quotas } = request;
         let role = match role {
             Role::Reader => role::Role::Reader,
             Role::Robot => role::Role::Robot,
@@ -131,7 +165,8 @@ impl From<CreateToken> for NewToken {
             Ability::Admin => role::Ability::Admin,
         };
         let abilities = abilities.into_iter().map(ability).collect();
-        Self { name: token_id, role, abilities, maps, lifetime_s }
+        let limits = requested_limits(quotas.unwrap_or_default().0);
+        Self { name: token_id, role, abilities, maps, lifetime_s, limits }
     }
 }
 
@@ -170,4 +205,61 @@ pub(super) struct RotateToken {
     #[serde(default)]
     #[schema(minimum = 1)]
     lifetime_s: Option<u32>,
+}
+
+/// A change of a token's quotas.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"quotas": {"max_sessions": 5}, "lifted": ["kept"]}))]
+pub(super) struct UpdateToken {
+    /// Quotas as they are to be; those that are left out stay as they are.
+    #[serde(default)]
+    quotas: Option<Quotas>,
+    /// Quotas that are lifted.
+    #[serde(default)]
+    lifted: Vec<Quota>,
+}
+
+/// How much the holder of a token may have and send.
+#[derive(Debug, Default, Deserialize)]
+struct Quotas(v1::Quotas);
+
+impl PartialSchema for Quotas {
+    /// The contract's, of which nothing needs to be there.
+    fn schema() -> RefOr<Schema> {
+        match v1::Quotas::schema() {
+            RefOr::T(Schema::Object(mut quotas)) => {
+                quotas.required.clear();
+                quotas.into()
+            }
+            other => other,
+        }
+    }
+}
+
+impl ToSchema for Quotas {
+    fn name() -> Cow<'static, str> {
+        "QuotasRequest".into()
+    }
+}
+
+/// One of the quotas of a token.
+#[derive(Clone, Copy, Debug, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+enum Quota {
+    Maps,
+    Sessions,
+    FramesPerSecond,
+    Kept,
+}
+
+impl Quota {
+    fn named(self) -> quotas::Quota {
+        match self {
+            Quota::Maps => quotas::Quota::Maps,
+            Quota::Sessions => quotas::Quota::Sessions,
+            Quota::FramesPerSecond => quotas::Quota::FramesPerSecond,
+            Quota::Kept => quotas::Quota::Kept,
+        }
+    }
 }

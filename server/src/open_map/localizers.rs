@@ -157,7 +157,7 @@ impl MapWriter {
                 (self.localizers.add(localizing)?, None)
             }
         };
-        Ok(OpenedSession { source: FrameSource::Localizer(id), name, last_committed })
+        Ok(OpenedSession { source: FrameSource::Localizer(id), name, owner: None, last_committed })
     }
 
     /// Says where a robot is, and remembers it for the robot's next frame alone.
@@ -186,7 +186,7 @@ impl MapWriter {
         if localizing.localizer.last_sequence().is_some_and(|last| sequence <= last) {
             return localizing.stored(sequence);
         }
-        let FrameWork::Fresh { input, features, media: _, note: _, mut timings } = work else {
+        let FrameWork::Fresh { input, features, media: _, note: _, mut timings, room: _ } = work else {
             return Err(not_stored());
         };
         let answer =

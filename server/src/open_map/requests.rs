@@ -22,6 +22,7 @@ use crate::camera::Camera;
 use crate::error::ServiceError;
 use crate::ingest::intrinsics::Intrinsics;
 use crate::metrics::FrameTimings;
+use crate::quotas::Reserved;
 use crate::role::Role;
 use crate::storage::Medium;
 
@@ -255,6 +256,8 @@ pub(crate) enum FrameWork {
         media: Vec<Medium>,
         note: String,
         timings: FrameTimings,
+        /// For what it keeps, if it keeps anything, until that is on the disk.
+        room: Option<Box<Reserved>>,
     },
 }
 
@@ -280,5 +283,7 @@ pub(crate) enum FrameFailure {
 pub(crate) struct OpenedSession {
     pub(crate) source: FrameSource,
     pub(crate) name: String,
+    /// Name of the token that it is of.
+    pub(crate) owner: Option<String>,
     pub(crate) last_committed: Option<u64>,
 }

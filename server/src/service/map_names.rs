@@ -23,6 +23,8 @@ struct ReservedNames {
 #[derive(Debug)]
 pub(super) struct Reservation {
     name: String,
+    /// The token that the map is to count for.
+    owner: Option<String>,
     among: Arc<ReservedNames>,
 }
 
@@ -36,12 +38,15 @@ impl MapNames {
         if self.reserved.lock().contains(map) { Err(reserved(map)) } else { Ok(()) }
     }
 
-    /// Keeps a name for a map that is being imported, or made of others.
-    pub(super) async fn reserve(&self, map: &str) -> Result<Reservation, ServiceError> {
+    /// Keeps a name for a map that is being imported, or made of others, and counts for the quota of `owner`.
+    pub(super) async fn reserve(&self, map: &str, owner: Option<&str>) -> Result<Reservation, ServiceError> {
+        // Looked at again when the map is made; by then it has cost some work.
+        self.storage.quotas().check_map(owner)?;
         if !self.reserved.lock().insert(map.to_owned()) {
             return Err(reserved(map));
         }
-        let reservation = Reservation { name: map.to_owned(), among: self.reserved.clone() };
+        let owner = owner.map(str::to_owned);
+        let reservation = Reservation { name: map.to_owned(), owner, among: self.reserved.clone() };
         match self.storage.map(map).await? {
             None => Ok(reservation),
             Some(_) => Err(map_exists(map)),
@@ -52,6 +57,11 @@ impl MapNames {
 impl Reservation {
     pub(super) fn name(&self) -> &str {
         &self.name
+    }
+
+    /// The token that the map is to count for.
+    pub(super) fn owner(&self) -> Option<&str> {
+        self.owner.as_deref()
     }
 }
 

@@ -96,7 +96,8 @@ impl Maps {
         let loaded = self.loaded.get(&model.hash).await?;
         check_recognizer(loaded, settings.mapper).await?;
         let json = map_settings::to_json(&settings)?;
-        let created = self.storage.create_map(map, &model.hash, &json, now_ns()).await;
+        let created =
+            self.storage.create_map(map, &model.hash, &json, now_ns(), caller.token.as_deref()).await;
         let row = created.map_err(|error| match error {
             StorageError::Exists => map_exists(map),
             StorageError::InUse => ServiceError::not_found("the model was deleted just now; name another"),

@@ -126,7 +126,7 @@ impl Merges {
             caller.check_resource(map)?;
         }
         let settings = merge_settings(min_support)?;
-        let (target, sources) = self.to_merge(&sources, &target).await?;
+        let (target, sources) = self.to_merge(&sources, &target, caller.token.as_deref()).await?;
         if self.proposals().len() >= MAX_PROPOSALS {
             return Err(ServiceError::ResourceExhausted {
                 message: format!(
@@ -253,6 +253,7 @@ impl Merges {
         &self,
         sources: &[String],
         target: &str,
+        owner: Option<&str>,
     ) -> Result<(MergeTarget, Vec<MapRow>), ServiceError> {
         let target = check_id("map name", map_in(target)?)?;
         let mut names = BTreeSet::new();
@@ -280,7 +281,7 @@ impl Merges {
                 )));
             }
             None => {
-                let new = self.names.reserve(target).await?;
+                let new = self.names.reserve(target, owner).await?;
                 MergeTarget { base: rows.remove(0), new: Some(Arc::new(new)) }
             }
         };

@@ -7,6 +7,7 @@ mod registry;
 mod topo_metric;
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use bytes::Bytes;
 use fabmap::appearance::PlaceId;
@@ -25,6 +26,7 @@ use super::appearance::AppearanceGraphs;
 use super::labels::Labels;
 use super::sessions::Frame;
 use super::streams::Streams;
+use super::tokens::Caller;
 use crate::camera::Camera;
 use crate::error::ServiceError;
 use crate::ingest::content::Words;
@@ -34,6 +36,7 @@ use crate::map_settings::{self, NavigationStrategy};
 use crate::names::{check_id, map_in, navigation_in, navigation_name};
 use crate::open_map::{OpenMaps, PlanFrom};
 use crate::pages::{Page, named_page, page_after, page_size};
+use crate::quotas::Quotas;
 use crate::storage::MapId;
 
 /// What a way costs that is driven the other way round, in times its length.
@@ -207,6 +210,8 @@ pub(crate) struct NavigationStream {
     guide: Guide,
     words: Words,
     stream: u64,
+    /// Name of the token that it came with, if there was one: its frames count for that.
+    token: Option<String>,
     resumed: bool,
     taken_over: CancellationToken,
     _room: Arc<OwnedSemaphorePermit>,
@@ -222,12 +227,17 @@ pub(crate) struct Navigation {
     pub(super) labels: Labels,
     pub(super) streams: Streams,
     pub(super) led: Arc<Registry>,
+    pub(super) quotas: Quotas,
     pub(super) stopping: CancellationToken,
 }
 
 impl Navigation {
     /// Begins to lead a robot, or goes on where its last stream broke off.
-    pub(crate) async fn open(&self, opening: NavigationOpening) -> Result<NavigationStream, ServiceError> {
+    pub(crate) async fn open(
+        &self,
+        caller: &Caller,
+        opening: NavigationOpening,
+    ) -> Result<NavigationStream, ServiceError> {
         let NavigationOpening { map, navigation, run, camera, words_hash, goal, driving } = opening;
         // Ranges are checked whatever the strategy is.
         driving.settings()?;
@@ -276,6 +286,7 @@ impl Navigation {
             guide: opened.guide,
             words,
             stream,
+            token: caller.token.clone(),
             resumed: opened.resumed,
             taken_over,
             _room: room,
@@ -547,13 +558,19 @@ impl NavigationStream {
         frame.check()?;
         let words = self.words;
         let stream = self.stream;
-        match &self.guide {
+        let quotas = &self.navigation.quotas;
+        let turn = quotas.frame(self.token.as_deref(), Some(stream), Instant::now())?;
+        let looked = match &self.guide {
             Guide::TopoMetric(guide) => {
-                let seen = guide.look(&self.navigation, frame, words, stream).await?;
-                Ok(Looked { seen, told: None })
+                let seen = guide.look(&self.navigation, frame, words, stream).await;
+                seen.map(|seen| Looked { seen, told: None })
             }
             Guide::Appearance(guide) => guide.look(&self.navigation, frame, words, stream).await,
+        };
+        if !matches!(looked, Err(ServiceError::Unavailable { .. })) {
+            turn.spend();
         }
+        looked
     }
 
     /// Why the stream is over, when it is.

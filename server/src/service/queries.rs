@@ -5,6 +5,7 @@ mod odometry_agreement;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Instant;
 
 use fabmap::appearance::PlaceId;
 use fabmap::explanation::Explanation;
@@ -22,6 +23,7 @@ pub(crate) use self::odometry_agreement::OdometryAgreement;
 use self::odometry_agreement::SeenAgain;
 use super::corrections::{CorrectionView, Corrections};
 use super::frames::{Frames, LocatedFrame};
+use super::tokens::Caller;
 use crate::error::{ArchiveError, ServiceError};
 use crate::ingest::content::{Content, Words};
 use crate::ingest::extraction::Extraction;
@@ -85,6 +87,7 @@ impl Queries {
     /// Where one image, or bag of words, was taken. Nothing is remembered of it.
     pub(crate) async fn query(
         &self,
+        caller: &Caller,
         map: &str,
         content: Content,
         words_hash: &str,
@@ -95,7 +98,12 @@ impl Queries {
         let row = self.open_maps.row(map).await?;
         let model = self.models.get(&row.model).await?;
         let words = Words::declared(words_hash, &model)?;
-        let observed = self.extraction.observe(model, content, words, Keep::Words, None, None).await?;
+        let turn = self.storage.quotas().frame(caller.token.as_deref(), None, Instant::now())?;
+        let observed = self.extraction.observe(model, content, words, Keep::Words, None, None).await;
+        if !matches!(observed, Err(ServiceError::Unavailable { .. })) {
+            turn.spend();
+        }
+        let observed = observed?;
         self.open_maps.open_of(&row).await?.query(observed.observation, observed.features, explained).await
     }
 

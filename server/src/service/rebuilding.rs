@@ -69,8 +69,9 @@ impl Rebuilding {
         match self.maps.storage.map(&into).await? {
             None => {
                 self.maps.names.check_unreserved(&into)?;
-                let created =
-                    self.maps.storage.create_map(&into, &model.hash, &source.settings, now_ns()).await;
+                let owner = caller.token.as_deref();
+                let storage = &self.maps.storage;
+                let created = storage.create_map(&into, &model.hash, &source.settings, now_ns(), owner).await;
                 created.map_err(|error| match error {
                     StorageError::Exists => map_exists(&into),
                     error => error.into(),

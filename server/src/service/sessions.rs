@@ -3,25 +3,26 @@
 mod frame;
 mod order;
 mod pipeline;
+mod preparing;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use tokio::sync::{OwnedSemaphorePermit, oneshot};
 use tokio_util::sync::CancellationToken;
-use topomap::mapper::{FrameInput, Localizer};
 
 pub(super) use self::frame::check_note;
 pub(crate) use self::frame::{Frame, Robot};
 use self::order::Order;
 pub(super) use self::pipeline::run;
 pub(crate) use self::pipeline::{ReceivedFrame, RefusedFrame, Windows};
+use self::preparing::PreparedFrame;
 use super::appearance::AppearanceGraphs;
 use super::streams::Streams;
 use crate::camera::Camera;
 use crate::error::ServiceError;
-use crate::ingest::content::{Content, Words};
-use crate::ingest::extraction::{Extraction, Observed};
+use crate::ingest::content::Words;
+use crate::ingest::extraction::Extraction;
 use crate::ingest::intrinsics::Intrinsics;
 use crate::ingest::model::{LoadedModel, LoadedModels};
 use crate::ingest::panoramic::PanoramicOptics;
@@ -31,8 +32,7 @@ use crate::names::{check_id, map_in, session_name};
 pub(crate) use crate::open_map::SessionMode;
 use crate::open_map::answers::FrameAnswer;
 use crate::open_map::{
-    FrameFailure, FrameRequest, FrameSource, FrameWork, MapHandle, OpenMaps, SessionOpening, StreamOpening,
-    WriterGone,
+    FrameFailure, FrameRequest, FrameSource, MapHandle, OpenMaps, SessionOpening, StreamOpening, WriterGone,
 };
 use crate::storage::{MapEdition, Storage, reason_name};
 
@@ -55,19 +55,16 @@ pub(crate) struct SessionStream {
     source: FrameSource,
     session_name: String,
     stream: u64,
+    /// Name of the token that it came with, if there was one: its frames count for that.
+    token: Option<String>,
+    /// Name of the token that the session is of: what is kept counts for that.
+    owner: Option<String>,
     last_committed: Option<u64>,
     order: Mutex<Order>,
     /// Cancelled when a later stream takes the session over.
     taken_over: CancellationToken,
     /// Room for this stream.
     _room: Arc<OwnedSemaphorePermit>,
-}
-
-/// A frame in words, on its way to the map's writer.
-struct PreparedFrame {
-    sequence: u64,
-    work: Result<FrameWork, ServiceError>,
-    since: Instant,
 }
 
 /// What became of a frame.
@@ -146,6 +143,7 @@ impl Sessions {
         }
         let open = self.open_maps.open_of(&row).await?;
         let taken_over = CancellationToken::new();
+        let token = opener.token.clone();
         let opened_by = StreamOpening {
             opener,
             run,
@@ -170,6 +168,8 @@ impl Sessions {
             intrinsics,
             source: session.source,
             stream,
+            token,
+            owner: session.owner,
             last_committed,
             _room: room,
         })
@@ -197,59 +197,13 @@ impl SessionStream {
         self.last_committed
     }
 
-    /// Turns a frame into words. Frames may be prepared side by side.
-    async fn prepare(&self, frame: ReceivedFrame) -> PreparedFrame {
-        let since = Instant::now();
-        match frame {
-            Ok(frame) => {
-                let sequence = frame.sequence;
-                PreparedFrame { sequence, work: self.work(frame).await, since }
-            }
-            Err(RefusedFrame { sequence, error }) => PreparedFrame { sequence, work: Err(error), since },
-        }
-    }
-
-    async fn work(&self, frame: Frame) -> Result<FrameWork, ServiceError> {
-        frame.check()?;
-        let Frame { sequence, stamp_ns, content, odometry, note } = frame;
-        if self.last_committed.is_some_and(|last| sequence <= last) {
-            return Ok(FrameWork::Resend { sequence });
-        }
-        // Not worth looking at: it would be refused after the work.
-        {
-            let mut order = self.order();
-            if let Some(resend_from) = order.comes_before_its_turn(sequence) {
-                return Err(order.send_first(resend_from));
-            }
-        }
-        let model = self.model.clone();
-        let stream = Some(self.stream);
-        let words = self.words;
-        let keep = self.keep;
-        let optics = self.optics;
-        // What was described before was taken by whatever camera there was.
-        let checked_by = self.intrinsics.filter(|_| !matches!(content, Content::Described(_)));
-        let observed = self.sessions.extraction.observe(model, content, words, keep, optics, stream).await?;
-        let Observed { observation, features, media, extract, quantize } = observed;
-        if let (Some(camera), Some(features)) = (checked_by, &features) {
-            camera.check(features.image_size_px())?;
-        }
-        let session = match self.source {
-            FrameSource::Session(session) => session,
-            FrameSource::Localizer(_) => Localizer::SESSION,
-        };
-        let input = FrameInput { session, sequence, stamp_ns, odometry, observation };
-        let timings = FrameTimings { extract, quantize, ..FrameTimings::default() };
-        Ok(FrameWork::Fresh { input: Box::new(input), features, media, note, timings })
-    }
-
     /// Hands a prepared frame to the map's writer, in the order of calls; what comes back waits for
     /// the outcome.
     async fn submit(&self, prepared: PreparedFrame) -> PendingOutcome {
         let PreparedFrame { sequence, work, since } = prepared;
         let work = match work {
             Ok(work) => work,
-            Err(error @ ServiceError::Unavailable { .. }) => {
+            Err(error) if error.is_for_now() => {
                 let generation = self.order().generation;
                 return PendingOutcome::Known(self.refused_for_now(sequence, generation, error));
             }
@@ -284,7 +238,7 @@ impl SessionStream {
                 }
                 FrameOutcome::Answered(Box::new(answer))
             }
-            Ok(Err(FrameFailure::Refused(error @ ServiceError::Unavailable { .. }))) => {
+            Ok(Err(FrameFailure::Refused(error))) if error.is_for_now() => {
                 self.refused_for_now(sequence, generation, error)
             }
             Ok(Err(FrameFailure::Refused(error))) => self.refused_for_good(sequence, error),

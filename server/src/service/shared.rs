@@ -96,10 +96,12 @@ impl Shared {
     }
 
     pub(super) fn navigation(&self, graphs: &AppearanceGraphs, labels: &Labels) -> Navigation {
-        let Self { loaded: models, open_maps, extraction, streams, led, stopping, .. } = self.clone();
+        let Self { storage, loaded: models, open_maps, extraction, streams, led, stopping, .. } =
+            self.clone();
         let graphs = graphs.clone();
         let labels = labels.clone();
-        Navigation { models, open_maps, extraction, graphs, labels, streams, led, stopping }
+        let quotas = storage.quotas().clone();
+        Navigation { models, open_maps, extraction, graphs, labels, streams, led, quotas, stopping }
     }
 
     pub(super) fn snapshots(&self) -> Snapshots {

@@ -12,6 +12,7 @@ use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::net::messages::Room;
 use crate::pages::{Page, named_page, page_after, page_size};
+use crate::quotas::Used;
 pub(crate) use crate::storage::TokenRow;
 use crate::storage::{SecretHash, Storage, StorageError};
 
@@ -20,11 +21,13 @@ mod changing;
 mod ending;
 mod guesses;
 mod known;
+mod limiting;
 
 pub(crate) use caller::{Access, Caller};
 pub(crate) use changing::{NewToken, Rotation};
 pub(crate) use ending::Ending;
 use known::Known;
+pub(crate) use limiting::LimitChange;
 
 /// How often the clock is looked at for tokens that expire: it may have been set.
 const LOOK: Duration = Duration::from_secs(1);
@@ -62,7 +65,7 @@ pub(crate) struct Admitted {
 
 impl Tokens {
     pub(crate) async fn load(storage: &Storage) -> Result<Self, StorageError> {
-        let mut known = Known::new();
+        let mut known = Known::new(storage.quotas().clone());
         storage.tokens().await?.into_iter().for_each(|token| known.put(token));
         Ok(Self { storage: storage.clone(), known: Arc::new(Mutex::new(known)), changing: Arc::default() })
     }
@@ -94,6 +97,11 @@ impl Tokens {
     /// How many wrong secrets are taken from one address in a minute.
     pub(crate) fn set_guesses_per_minute(&self, guesses: u32) {
         self.lock().guesses.per_minute = guesses;
+    }
+
+    /// What there is that counts for a token's quotas.
+    pub(crate) fn used_by(&self, token: &str) -> Used {
+        self.storage.quotas().used_by(token)
     }
 
     /// Lets a call from `peer` in, or says why not.

@@ -93,12 +93,13 @@ impl EventColumns {
     }
 }
 
+/// Stores an event; how many bytes it takes.
 pub(super) async fn insert_event(
     transaction: &mut Transaction<'_, Sqlite>,
     map: MapId,
     position: i64,
     event: &MapEvent,
-) -> Result<(), StorageError> {
+) -> Result<u64, StorageError> {
     let EventColumns {
         session,
         sequence,
@@ -112,6 +113,7 @@ pub(super) async fn insert_event(
         link_to,
     } = EventColumns::of(event);
     let bytes = event.to_bytes();
+    let length = bytes.len() as u64;
     // The chain goes on as in `row_sums::chained`.
     sqlx::query(
         "INSERT INTO log (map_id, position, checksum, chain, session, sequence, stamp_ns, reason, place, posterior, \
@@ -135,7 +137,7 @@ pub(super) async fn insert_event(
     .bind(bytes)
     .execute(&mut **transaction)
     .await?;
-    Ok(())
+    Ok(length)
 }
 
 /// A reason as the log, the metrics and people have it.

@@ -10,6 +10,7 @@ use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 
 use super::columns::EventColumns;
+use super::kept::wrongly_noted;
 use super::opening::{FileKind, file_kind};
 use super::row_sums::{CHAIN_START, StoredEvent};
 use super::{DirectoryLock, FILE_NAME, MapId, MediumKind, StorageError, or_no_database, page_sums};
@@ -75,6 +76,13 @@ pub(crate) async fn inspect_all(directory: &Path) -> Result<Option<DeepInspectio
     Ok(Some(found))
 }
 
+/// Whether a map is as it was written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Soundness {
+    Sound,
+    Damaged,
+}
+
 struct Reading {
     database: SqliteConnection,
     found: DeepInspection,
@@ -90,10 +98,35 @@ impl Reading {
              WHERE state = 'live' ORDER BY maps.name",
         );
         let maps: Result<Vec<InspectedMap>, _> = maps.fetch_all(&mut self.database).await;
+        let counted = self.sessions_are_counted().await;
         for map in self.read("the maps", maps).unwrap_or_default() {
             self.found.maps += 1;
-            self.map(&map).await;
+            let sound = self.map(&map).await == Soundness::Sound;
+            if sound && counted {
+                self.kept(&map).await;
+            }
         }
+    }
+
+    /// Whether it is noted what sessions keep: not yet where an earlier server was the last.
+    async fn sessions_are_counted(&mut self) -> bool {
+        let column = sqlx::query("SELECT 1 FROM pragma_table_info('sessions') WHERE name = 'kept_bytes'");
+        let column = column.fetch_optional(&mut self.database).await;
+        let to_do = sqlx::query("SELECT 1 FROM upkeep WHERE task = 'kept_bytes'");
+        matches!(column, Ok(Some(_))) && matches!(to_do.fetch_optional(&mut self.database).await, Ok(None))
+    }
+
+    /// What sessions keep is what is noted of them.
+    async fn kept(&mut self, map: &InspectedMap) {
+        let InspectedMap { id, name, words: _ } = map;
+        let wrong = sqlx::query_as(sqlx::AssertSqlSafe(wrongly_noted())).bind(id);
+        let wrong: Result<Vec<(String, i64, i64)>, _> = wrong.fetch_all(&mut self.database).await;
+        let wrong = self.read(&format!("map {name}: what its sessions keep"), wrong).unwrap_or_default();
+        self.found.problems.extend(wrong.into_iter().take(MOST_TOLD).map(|(session, noted, counted)| {
+            format!(
+                "map {name}, session {session}: it keeps {counted} bytes, and {noted} are noted for quotas"
+            )
+        }));
     }
 
     /// What was read, or else the problem.
@@ -147,7 +180,7 @@ impl Reading {
         self.found.problems.extend(known.into_iter().map(|found| format!("a server found, {found}")));
     }
 
-    async fn map(&mut self, map: &InspectedMap) {
+    async fn map(&mut self, map: &InspectedMap) -> Soundness {
         let InspectedMap { id, name, words } = map;
         let sessions = sqlx::query_as("SELECT number, name FROM sessions WHERE map_id = ?").bind(id);
         let sessions: Result<Vec<(SessionId, String)>, _> = sessions.fetch_all(&mut self.database).await;
@@ -177,6 +210,7 @@ impl Reading {
         if let Some(more) = problems.0.len().checked_sub(MOST_TOLD).filter(|more| *more > 0) {
             self.found.problems.push(format!("map {name}: {more} more of the kind"));
         }
+        if problems.0.is_empty() { Soundness::Sound } else { Soundness::Damaged }
     }
 
     /// The event at a position, if it is as it was written.

@@ -19,6 +19,9 @@ pub(crate) struct SessionSummary {
     pub(crate) last_sequence: Option<u64>,
     pub(crate) first_stamp_ns: Option<i64>,
     pub(crate) last_stamp_ns: Option<i64>,
+    /// Name of the token that opened it, if one did.
+    pub(crate) owner: Option<String>,
+    pub(crate) kept_bytes: u64,
 }
 
 /// A frame with the sizes of what is kept of it.
@@ -50,7 +53,7 @@ struct FrameColumns {
 }
 
 /// Stamps rise with sequence numbers, so the least and greatest of both are of the same frames.
-const SESSION_COLUMNS: &str = "number, name, camera, opened_ns, \
+const SESSION_COLUMNS: &str = "number, name, camera, opened_ns, owner, kept_bytes, \
      (SELECT count(*) FROM log WHERE map_id = s.map_id AND session = s.number AND sequence IS NOT NULL) AS frames, \
      (SELECT count(*) FROM log WHERE map_id = s.map_id AND session = s.number AND reason = 'loop_closure') AS loop_closures, \
      (SELECT min(sequence) FROM log WHERE map_id = s.map_id AND session = s.number AND sequence IS NOT NULL) AS first_sequence, \

@@ -5,6 +5,7 @@ use topomap::log::MapEvent;
 use super::columns::insert_event;
 use super::{Storage, StorageError, to_sql};
 use crate::camera::Camera;
+use crate::quotas::Used;
 
 /// Number of a map in the database; never used twice.
 pub(crate) type MapId = i64;
@@ -54,24 +55,35 @@ impl MapRow {
 }
 
 impl Storage {
+    /// Makes a map that counts for the quota of `owner`, a token.
     pub(crate) async fn create_map(
         &self,
         name: &str,
         model: &str,
         settings: &str,
         created_ns: i64,
+        owner: Option<&str>,
     ) -> Result<MapRow, StorageError> {
-        let done = sqlx::query("INSERT INTO maps (name, model, settings, created_ns) VALUES (?, ?, ?, ?)")
-            .bind(name)
-            .bind(model)
-            .bind(settings)
-            .bind(created_ns)
-            .execute(&self.writer)
-            .await?;
+        self.quotas.check_map(owner)?;
+        let created = self.write_counted(async |transaction| {
+            // Once more: another may have been made meanwhile.
+            self.quotas.check_map(owner)?;
+            let insert = "INSERT INTO maps (name, model, settings, created_ns, owner) VALUES (?, ?, ?, ?, ?)";
+            let done = sqlx::query(insert)
+                .bind(name)
+                .bind(model)
+                .bind(settings)
+                .bind(created_ns)
+                .bind(owner)
+                .execute(&mut **transaction)
+                .await?;
+            Ok(done.last_insert_rowid())
+        });
+        let id = created.await?;
         let name = name.to_owned();
         let model = model.to_owned();
         let settings = settings.to_owned();
-        Ok(MapRow { id: done.last_insert_rowid(), name, model, settings, created_ns, edition: 0 })
+        Ok(MapRow { id, name, model, settings, created_ns, edition: 0 })
     }
 
     pub(crate) async fn map(&self, name: &str) -> Result<Option<MapRow>, StorageError> {
@@ -186,22 +198,32 @@ impl Storage {
         opened_ns: i64,
     ) -> Result<(), StorageError> {
         self.check_sound(map)?;
-        self.write(async |transaction| {
+        let owner = session.owner.as_deref();
+        self.quotas.check_session(owner)?;
+        let open = async |transaction: &mut Transaction<'_, Sqlite>| {
+            // Once more: another may have been opened meanwhile.
+            self.quotas.check_session(owner)?;
+            let event = MapEvent::SessionOpened { session: session.number };
+            let kept_bytes = insert_event(transaction, map, to_sql(position), &event).await?;
             sqlx::query(
-                "INSERT INTO sessions (map_id, number, name, camera, opened_ns, owner) VALUES (?, ?, ?, ?, ?, ?)",
+                "INSERT INTO sessions (map_id, number, name, camera, opened_ns, owner, kept_bytes) \
+                 VALUES (?, ?, ?, ?, ?, ?, ?)",
             )
             .bind(map)
             .bind(session.number)
             .bind(&session.name)
             .bind(camera)
             .bind(opened_ns)
-            .bind(&session.owner)
+            .bind(owner)
+            .bind(to_sql(kept_bytes))
             .execute(&mut **transaction)
             .await?;
-            let event = MapEvent::SessionOpened { session: session.number };
-            insert_event(transaction, map, to_sql(position), &event).await
-        })
-        .await
+            Ok(kept_bytes)
+        };
+        let opened = self.write_and(open, async |_, kept_bytes| {
+            self.quotas.add(owner, Used { maps: 0, sessions: 1, kept_bytes: *kept_bytes });
+        });
+        opened.await.map(drop)
     }
 }
 

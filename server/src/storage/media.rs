@@ -105,6 +105,11 @@ impl Storage {
     }
 }
 
+/// What is kept by these.
+pub(crate) fn kept_bytes(media: &[Medium]) -> u64 {
+    media.iter().map(|medium| medium.content.len() as u64).sum()
+}
+
 pub(super) async fn insert_media(
     transaction: &mut Transaction<'_, Sqlite>,
     map: MapId,

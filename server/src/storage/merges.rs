@@ -10,6 +10,7 @@ use topomap::log::MapEvent;
 
 use super::columns::insert_event;
 use super::jobs::{ErrorColumns, end_job};
+use super::kept::{count_sessions, kept_by_maps};
 use super::maps::check_edition;
 use super::notes::copy_notes;
 use super::{
@@ -247,7 +248,10 @@ impl Storage {
         end: &JobEnd,
     ) -> Result<(), StorageError> {
         self.check_sound(target)?;
-        self.write(async |transaction| {
+        self.write_counted(async |transaction| {
+            let sources: Vec<MapId> = joined.iter().map(|log| log.source.map).collect();
+            let (sessions, bytes) = kept_by_maps(transaction, &sources).await?;
+            self.quotas.check_copies(sessions, bytes)?;
             for log in joined {
                 check_edition(transaction, log.source).await?;
                 insert_sessions_and_labels(transaction, target, log, outcome.number).await?;
@@ -257,27 +261,34 @@ impl Storage {
                 let events = log.events.len() as u64;
                 copy_media(transaction, log.source.map, target, 0..events, log.from).await?;
             }
+            count_sessions(transaction, target).await?;
             commit(transaction, target, outcome, end).await
         })
         .await
     }
 
     /// Begins a map that is to hold several: one that nobody sees yet, with the base's sessions.
-    /// [`StorageError::Exists`] if the name is taken.
+    /// [`StorageError::Exists`] if the name is taken. It counts for the quota of `owner`, a token.
     pub(crate) async fn begin_merged_map(
         &self,
         name: &str,
         base: &MapRow,
+        made_of: &[MapId],
+        owner: Option<&str>,
         created_ns: i64,
     ) -> Result<MapId, StorageError> {
-        self.write(async |transaction| {
+        self.write_counted(async |transaction| {
+            self.quotas.check_map(owner)?;
+            let (sessions, bytes) = kept_by_maps(transaction, made_of).await?;
+            self.quotas.check_copies(sessions, bytes)?;
             let done = sqlx::query(
-                "INSERT INTO maps (name, model, settings, created_ns, state) VALUES (?, ?, ?, ?, 'importing')",
+                "INSERT INTO maps (name, model, settings, created_ns, state, owner) VALUES (?, ?, ?, ?, 'importing', ?)",
             )
             .bind(name)
             .bind(&base.model)
             .bind(&base.settings)
             .bind(created_ns)
+            .bind(owner)
             .execute(&mut **transaction)
             .await?;
             let map = done.last_insert_rowid();
@@ -368,10 +379,11 @@ impl Storage {
         outcome: &MergeOutcome,
         end: &JobEnd,
     ) -> Result<(), StorageError> {
-        self.write(async |transaction| {
+        self.write_counted(async |transaction| {
             for &edition in made_of {
                 check_edition(transaction, edition).await?;
             }
+            count_sessions(transaction, map).await?;
             sqlx::query("UPDATE maps SET state = 'live' WHERE id = ? AND state = 'importing'")
                 .bind(map)
                 .execute(&mut **transaction)
@@ -388,7 +400,7 @@ impl Storage {
         outcome: &MergeOutcome,
         end: &JobEnd,
     ) -> Result<(), StorageError> {
-        self.write(async |transaction| {
+        self.write_counted(async |transaction| {
             sqlx::query(
                 "UPDATE maps SET name = '~' || id, state = 'deleting' WHERE id = ? AND state = 'live'",
             )

@@ -29,7 +29,7 @@ pub(crate) enum Removal {
 impl Storage {
     /// Takes a map out of sight: its name is free, and its rows may be deleted. Whether there was one.
     pub(crate) async fn retire_map(&self, name: &str) -> Result<bool, StorageError> {
-        self.write(async |transaction| {
+        self.write_counted(async |transaction| {
             // Nobody can choose a name with a tilde.
             let done = sqlx::query(
                 "UPDATE maps SET name = '~' || id, state = 'deleting' WHERE name = ? AND state = 'live'",
@@ -44,7 +44,7 @@ impl Storage {
 
     /// Gives up a map that was being imported.
     pub(crate) async fn retire_import(&self, map: MapId) -> Result<(), StorageError> {
-        self.write(async |transaction| {
+        self.write_counted(async |transaction| {
             sqlx::query(
                 "UPDATE maps SET name = '~' || id, state = 'deleting' WHERE id = ? AND state = 'importing'",
             )
@@ -58,7 +58,7 @@ impl Storage {
 
     /// Gives up all maps that were being imported: for the start of a server, when none is.
     pub(crate) async fn retire_imports(&self) -> Result<(), StorageError> {
-        self.write(async |transaction| {
+        self.write_counted(async |transaction| {
             sqlx::query("UPDATE maps SET name = '~' || id, state = 'deleting' WHERE state = 'importing'")
                 .execute(&mut **transaction)
                 .await?;

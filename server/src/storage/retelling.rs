@@ -13,6 +13,7 @@ use super::appearance::forget_links;
 use super::checkpoints::CHECKPOINT_PIECES;
 use super::columns::insert_event;
 use super::jobs::end_job;
+use super::kept::count_sessions;
 use super::merges::set_outcome;
 use super::{
     FormerModelRow, JobEnd, LabelRow, MapEdition, MapId, MergeOutcome, MergeState, Storage, StorageError,
@@ -76,13 +77,14 @@ impl Storage {
     ) -> Result<(), StorageError> {
         let map = log.map.map;
         self.check_sound(map)?;
-        self.write(async |transaction| {
+        self.write_counted(async |transaction| {
             raise_edition(transaction, log.map).await?;
             move_kept(transaction, log).await?;
             move_former_models(transaction, log).await?;
             move_labels(transaction, log).await?;
             replace_events(transaction, log).await?;
             move_sessions(transaction, log).await?;
+            count_sessions(transaction, map).await?;
             delete_checkpoint(transaction, map).await?;
             forget_links(transaction, map).await?;
             if let Some(undone) = undone {

@@ -1,5 +1,7 @@
 //! Maps read out as they stand, and brought in piece by piece.
 
+use std::collections::BTreeMap;
+
 use fabmap::appearance::PlaceId;
 use sqlx::{Sqlite, Transaction};
 use topomap::ids::SessionId;
@@ -64,6 +66,8 @@ pub(crate) struct ImportedMap {
     pub(crate) created_ns: i64,
     pub(crate) former_models: Vec<FormerModelRow>,
     pub(crate) sessions: Vec<StoredSession>,
+    /// What each of them keeps.
+    pub(crate) kept: BTreeMap<SessionId, u64>,
 }
 
 /// One consistent view of a map, whatever is written meanwhile. Holds one of a few connections.
@@ -94,9 +98,18 @@ impl Storage {
 
     /// Begins an import: a map that nobody sees yet, with its sessions, and its model unless that is
     /// there. [`StorageError::Exists`] if the name is taken. Says in the job's row which model it brought.
-    pub(crate) async fn begin_import(&self, map: &ImportedMap, job: u64) -> Result<MapId, StorageError> {
-        let ImportedMap { name, model, model_file, settings, created_ns, former_models, sessions } = map;
-        self.write(async |transaction| {
+    /// The map counts for the quota of `owner`, a token.
+    pub(crate) async fn begin_import(
+        &self,
+        map: &ImportedMap,
+        owner: Option<&str>,
+        job: u64,
+    ) -> Result<MapId, StorageError> {
+        let ImportedMap { name, model, model_file, settings, created_ns, former_models, sessions, kept } =
+            map;
+        self.write_counted(async |transaction| {
+            self.quotas.check_map(owner)?;
+            self.quotas.check_copies(sessions.len() as u64, kept.values().sum())?;
             if super::models::insert_model(transaction, model, model_file).await? {
                 sqlx::query("UPDATE jobs SET result = 'models/' || ? WHERE number = ?")
                     .bind(&model.hash)
@@ -105,12 +118,13 @@ impl Storage {
                     .await?;
             }
             let done = sqlx::query(
-                "INSERT INTO maps (name, model, settings, created_ns, state) VALUES (?, ?, ?, ?, 'importing')",
+                "INSERT INTO maps (name, model, settings, created_ns, state, owner) VALUES (?, ?, ?, ?, 'importing', ?)",
             )
             .bind(name)
             .bind(&model.hash)
             .bind(settings)
             .bind(created_ns)
+            .bind(owner)
             .execute(&mut **transaction)
             .await?;
             let map = done.last_insert_rowid();
@@ -124,13 +138,14 @@ impl Storage {
             }
             for StoredSession { number, name, camera, opened_ns } in sessions {
                 sqlx::query(
-                    "INSERT INTO sessions (map_id, number, name, camera, opened_ns) VALUES (?, ?, ?, ?, ?)",
+                    "INSERT INTO sessions (map_id, number, name, camera, opened_ns, kept_bytes) VALUES (?, ?, ?, ?, ?, ?)",
                 )
                 .bind(map)
                 .bind(number)
                 .bind(name)
                 .bind(camera)
                 .bind(opened_ns)
+                .bind(to_sql(kept.get(number).copied().unwrap_or_default()))
                 .execute(&mut **transaction)
                 .await?;
             }

@@ -1,4 +1,5 @@
 use super::{Storage, StorageError};
+use crate::quotas::Limits;
 use crate::role::{Abilities, Reach, Role};
 
 /// SHA-256 of a token's secret.
@@ -18,6 +19,7 @@ pub(crate) struct TokenRow {
     pub(crate) expires_ns: Option<i64>,
     /// The secret before the last rotation.
     pub(crate) former: Option<FormerSecret>,
+    pub(crate) limits: Limits,
 }
 
 /// A secret that was replaced.
@@ -40,6 +42,10 @@ struct Columns {
     expires_ns: Option<i64>,
     former_secret_sha256: Option<Vec<u8>>,
     former_until_ns: Option<i64>,
+    max_maps: Option<u32>,
+    max_sessions: Option<u32>,
+    max_frames_per_second: Option<f64>,
+    max_kept_mib: Option<u32>,
 }
 
 impl Storage {
@@ -47,7 +53,7 @@ impl Storage {
     pub(crate) async fn tokens(&self) -> Result<Vec<TokenRow>, StorageError> {
         let rows: Vec<Columns> = sqlx::query_as(
             "SELECT name, role, secret_sha256, created_ns, abilities, maps, expires_ns, former_secret_sha256, \
-             former_until_ns FROM tokens ORDER BY name",
+             former_until_ns, max_maps, max_sessions, max_frames_per_second, max_kept_mib FROM tokens ORDER BY name",
         )
         .fetch_all(&self.readers)
         .await?;
@@ -56,12 +62,15 @@ impl Storage {
 
     /// [`StorageError::Exists`] if there is one of that name.
     pub(crate) async fn put_token(&self, token: &TokenRow) -> Result<(), StorageError> {
-        let TokenRow { name, role, abilities, reach, secret_sha256, created_ns, expires_ns, former } = token;
+        let TokenRow { name, role, abilities, reach, secret_sha256, created_ns, expires_ns, former, limits } =
+            token;
+        let Limits { maps, sessions, frames_per_second, kept_mib } = limits;
         let limited = (*abilities != role.abilities()).then(|| abilities.to_text());
         self.write(async |transaction| {
             sqlx::query(
                 "INSERT INTO tokens (name, role, secret_sha256, created_ns, abilities, maps, expires_ns, \
-                 former_secret_sha256, former_until_ns) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                 former_secret_sha256, former_until_ns, max_maps, max_sessions, max_frames_per_second, max_kept_mib) \
+                 VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             )
             .bind(name)
             .bind(role.name())
@@ -72,6 +81,10 @@ impl Storage {
             .bind(expires_ns)
             .bind(former.as_ref().map(|former| former.sha256.as_slice()))
             .bind(former.as_ref().map(|former| former.until_ns))
+            .bind(maps)
+            .bind(sessions)
+            .bind(frames_per_second)
+            .bind(kept_mib)
             .execute(&mut **transaction)
             .await?;
             Ok(())
@@ -91,6 +104,27 @@ impl Storage {
             .bind(expires_ns)
             .bind(former.as_ref().map(|former| former.sha256.as_slice()))
             .bind(former.as_ref().map(|former| former.until_ns))
+            .bind(name)
+            .execute(&mut **transaction)
+            .await?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// Notes a token's quotas.
+    pub(crate) async fn limit_token(&self, token: &TokenRow) -> Result<(), StorageError> {
+        let TokenRow { name, limits, .. } = token;
+        let Limits { maps, sessions, frames_per_second, kept_mib } = limits;
+        self.write(async |transaction| {
+            sqlx::query(
+                "UPDATE tokens SET max_maps = ?, max_sessions = ?, max_frames_per_second = ?, max_kept_mib = ? \
+                 WHERE name = ?",
+            )
+            .bind(maps)
+            .bind(sessions)
+            .bind(frames_per_second)
+            .bind(kept_mib)
             .bind(name)
             .execute(&mut **transaction)
             .await?;
@@ -119,6 +153,10 @@ fn token(columns: Columns) -> Result<TokenRow, StorageError> {
         expires_ns,
         former_secret_sha256,
         former_until_ns,
+        max_maps,
+        max_sessions,
+        max_frames_per_second,
+        max_kept_mib,
     } = columns;
     let damaged = |what: &str| StorageError::Damaged(format!("the {what} of the token {name}"));
     let hash = |bytes: Vec<u8>| SecretHash::try_from(bytes).map_err(|_| damaged("hash"));
@@ -134,5 +172,11 @@ fn token(columns: Columns) -> Result<TokenRow, StorageError> {
     };
     let secret_sha256 = hash(secret_sha256)?;
     let reach = Reach::of_text(maps.as_deref());
-    Ok(TokenRow { name, role, abilities, reach, secret_sha256, created_ns, expires_ns, former })
+    let limits = Limits {
+        maps: max_maps,
+        sessions: max_sessions,
+        frames_per_second: max_frames_per_second,
+        kept_mib: max_kept_mib,
+    };
+    Ok(TokenRow { name, role, abilities, reach, secret_sha256, created_ns, expires_ns, former, limits })
 }

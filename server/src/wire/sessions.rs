@@ -13,6 +13,7 @@ use super::recognition::{found, reason_code};
 use crate::error::ServiceError;
 use crate::ingest::content::{Content, WordList};
 use crate::metrics::FrameTimings;
+use crate::names::token_name;
 use crate::open_map::answers::FrameAnswer;
 use crate::service::frames::SessionSummary;
 use crate::service::frames::{FrameBytes, FrameView, SessionView};
@@ -31,6 +32,8 @@ pub(crate) fn session(view: SessionView) -> v1::Session {
         last_sequence,
         first_stamp_ns,
         last_stamp_ns,
+        owner,
+        kept_bytes,
     } = summary;
     v1::Session {
         name,
@@ -42,6 +45,8 @@ pub(crate) fn session(view: SessionView) -> v1::Session {
         last_sequence,
         first_stamp_ns,
         last_stamp_ns,
+        owner: owner.map(|owner| token_name(&owner)).unwrap_or_default(),
+        kept_bytes,
     }
 }
 

@@ -2,6 +2,7 @@
 
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
+use tonic::metadata::MetadataMap;
 use tonic::transport::Channel;
 use tonic::{Status, Streaming};
 use waypost_client::{Client, FrameContent, FrameInput, FrameOutcome, Session, SessionOptions};
@@ -126,10 +127,23 @@ impl RawStream {
 
     /// Begins a stream over a connection that is there.
     pub(crate) async fn begin_over(channel: Channel, first: Request) -> Result<Self, Status> {
+        Self::begin_with(channel, first, MetadataMap::new()).await
+    }
+
+    /// Begins a stream that shows a token's secret.
+    pub(crate) async fn begin_as(endpoint: &str, secret: &str, first: Request) -> Result<Self, Status> {
+        let mut metadata = MetadataMap::new();
+        metadata.insert("authorization", format!("Bearer {secret}").parse().unwrap());
+        Self::begin_with(channel(endpoint).await, first, metadata).await
+    }
+
+    async fn begin_with(channel: Channel, first: Request, metadata: MetadataMap) -> Result<Self, Status> {
         let (requests, receiver) = mpsc::channel(256);
         requests.send(v1::StreamRequest { content: Some(first) }).await.unwrap();
         let mut service = SessionServiceClient::new(channel);
-        let responses = in_time(service.stream(ReceiverStream::new(receiver))).await?.into_inner();
+        let mut request = tonic::Request::new(ReceiverStream::new(receiver));
+        *request.metadata_mut() = metadata;
+        let responses = in_time(service.stream(request)).await?.into_inner();
         Ok(Self { requests, responses })
     }
 

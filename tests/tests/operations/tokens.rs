@@ -11,9 +11,12 @@ use crate::harness::{
 };
 
 mod callable;
+mod doors;
 mod limits;
 mod older;
 mod passing;
+mod quotas;
+mod waiting;
 
 /// A server with an admin's token and a robot's, and a map `drive` in it.
 struct Guarded {
@@ -342,9 +345,9 @@ async fn tokens_are_looked_after_from_both_command_lines() {
         (code, listed.as_str()),
         (
             0,
-            "TOKEN     ROLE   MAY                                  MAPS  EXPIRES\n\
-             operator  admin  read,localize,stream,navigate,admin  all   never\n\
-             robot     robot  read,localize,stream,navigate        all   never\n"
+            "TOKEN     ROLE   MAY                                  MAPS  EXPIRES  QUOTAS\n\
+             operator  admin  read,localize,stream,navigate,admin  all   never    none\n\
+             robot     robot  read,localize,stream,navigate        all   never    none\n"
         )
     );
     let (code, _, stderr) = online(&["token", "rm", "operator", "--yes"], admin);

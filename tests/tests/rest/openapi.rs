@@ -52,7 +52,8 @@ impl Description {
         let mut operations = Vec::new();
         for (path, methods) in self.document["paths"].as_object().unwrap() {
             for method in methods.as_object().unwrap().keys() {
-                let known = ["get", "post", "put", "delete"].into_iter().find(|known| known == method);
+                let known =
+                    ["get", "post", "put", "patch", "delete"].into_iter().find(|known| known == method);
                 operations.push((known.expect("a method that this test can call"), path.as_str()));
             }
         }

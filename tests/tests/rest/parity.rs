@@ -500,7 +500,10 @@ async fn tokens_are_the_same() {
             "asks_for_token": asks,
             "abilities": everything,
             "maps": [],
-            "expire_time_ns": null
+            "expire_time_ns": null,
+            "quotas": {
+                "max_maps": null, "max_sessions": null, "max_frames_per_second": null, "max_kept_mib": null
+            }
         })
     };
     assert_eq!(told, unlimited("", false));
@@ -519,6 +522,11 @@ async fn tokens_are_the_same() {
             role: v1::token::Role::Robot.into(),
             maps: vec!["floor2-*".to_owned()],
             lifetime_s: Some(3600),
+            quotas: Some(v1::Quotas {
+                max_sessions: Some(3),
+                max_frames_per_second: Some(0.5),
+                ..v1::Quotas::default()
+            }),
             ..v1::CreateTokenRequest::default()
         },
     );

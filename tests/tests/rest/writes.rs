@@ -177,8 +177,9 @@ async fn tokens_are_made_listed_and_deleted_and_told_who_they_are() {
     };
     let who = done(ask(Method::GET, "/v1/whoami", robot)).await;
     let may = json!(["read", "localize", "stream", "navigate"]);
+    let unlimited = json!({ "max_maps": null, "max_sessions": null, "max_frames_per_second": null, "max_kept_mib": null });
     let robots = json!({ "token": "tokens/robot", "role": "robot", "asks_for_token": true, "abilities": may, "maps": [],
-                         "expire_time_ns": null });
+                         "expire_time_ns": null, "quotas": unlimited });
     assert_eq!(who, robots);
     let listed = Answer::to(ask(Method::GET, "/v1/tokens", admin)).await;
     let names: Vec<Value> =

@@ -136,6 +136,7 @@ class AsyncClient:
     # Tokens.
     create_token = _awaited(Client.create_token)
     rotate_token = _awaited(Client.rotate_token)
+    update_token = _awaited(Client.update_token)
     tokens = _awaited(Client.tokens)
     delete_token = _awaited(Client.delete_token)
     caller = _awaited(Client.caller)

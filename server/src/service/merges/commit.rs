@@ -122,11 +122,14 @@ impl Merges {
         let of_sources: u64 = joined.iter().map(|log| log.events.len() as u64).sum();
         report.made_events = Some(base_events + of_sources);
         let report = report.to_json()?;
-        let map =
-            self.storage.begin_merged_map(&name, base, now_ns()).await.map_err(|error| match error {
-                StorageError::Exists => map_exists(&name),
-                error => error.into(),
-            })?;
+        let made_of: Vec<MapId> =
+            std::iter::once(base.id).chain(joined.iter().map(|log| log.source.map)).collect();
+        let owner = new.as_ref().and_then(|new| new.owner());
+        let begun = self.storage.begin_merged_map(&name, base, &made_of, owner, now_ns()).await;
+        let map = begun.map_err(|error| match error {
+            StorageError::Exists => map_exists(&name),
+            error => error.into(),
+        })?;
         let end = reporter.succeeded(map_name(&name));
         let stored = async {
             self.store(base.id, map, *base_events, &joined, number, reporter).await?;

@@ -70,8 +70,8 @@ impl Order {
         if generation != self.generation {
             return;
         }
-        if let ServiceError::Unavailable { retry_after: Some(retry_after), .. } = error {
-            self.resend_at = self.resend_at.max(Some(Instant::now() + *retry_after));
+        if let Some(retry_after) = error.retry_after() {
+            self.resend_at = self.resend_at.max(Some(Instant::now() + retry_after));
         }
         self.refused = Some(self.refused.map_or(sequence, |before| before.min(sequence)));
         self.coming_again = false;

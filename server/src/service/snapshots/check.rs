@@ -1,7 +1,7 @@
 //! Proves that a file is a whole snapshot, and its log one of its model and settings, before anything
 //! is stored.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::fs::File;
 use std::io::{BufReader, Seek};
@@ -9,6 +9,7 @@ use std::ops::ControlFlow;
 
 use fabmap::model::{ContentHash, Model};
 use topomap::evidence::Match;
+use topomap::ids::SessionId;
 use topomap::log::{
     Confirmation, Correction, CorrectionEvent, Decision, FrameEvent, MapEvent, MeasuredEvent, Reason,
     Withdrawal,
@@ -88,6 +89,7 @@ pub(super) fn check(file: &File, name: &str, progress: Progress<'_>) -> Result<I
     }
     log.check_former_models(&former_models)?;
     log.check_sessions(&sessions)?;
+    let kept = log.kept;
     let name = name.to_owned();
     Ok(ImportedMap {
         name,
@@ -97,6 +99,7 @@ pub(super) fn check(file: &File, name: &str, progress: Progress<'_>) -> Result<I
         created_ns,
         former_models,
         sessions,
+        kept,
     })
 }
 
@@ -121,8 +124,10 @@ fn go_on(answer: ControlFlow<()>) -> Result<(), NotTaken> {
 struct Log {
     mapper: Mapper,
     words: usize,
-    /// Per position: whether it is a frame.
-    frames: Vec<bool>,
+    /// Per position: the session of the frame that it is, if it is one.
+    frames: Vec<Option<SessionId>>,
+    /// What each session is to keep, in bytes.
+    kept: BTreeMap<SessionId, u64>,
 }
 
 impl Log {
@@ -132,7 +137,7 @@ impl Log {
         })?;
         let mapper = Mapper::new(model, settings.mapper)
             .map_err(|error| refused(format_args!("its settings: {error}")))?;
-        Ok(Self { mapper, words: model.vocabulary().len(), frames: Vec::new() })
+        Ok(Self { mapper, words: model.vocabulary().len(), frames: Vec::new(), kept: BTreeMap::new() })
     }
 
     fn take(&mut self, position: u64, event: &[u8]) -> Result<(), NotTaken> {
@@ -142,8 +147,7 @@ impl Log {
             MapEvent::Frame(frame) => self.check_frame(frame).map_err(|why| wrong(&why))?,
             MapEvent::Measured(measured) => {
                 let MeasuredEvent { frame, earlier, .. } = measured.as_ref();
-                let is_frame = |position: &u64| self.frames.get(*position as usize) == Some(&true);
-                if ![frame, earlier].into_iter().all(is_frame) {
+                if ![frame, earlier].into_iter().all(|position| self.is_frame(*position)) {
                     return Err(wrong(&"it measures between frames that are none"));
                 }
             }
@@ -151,7 +155,12 @@ impl Log {
             MapEvent::SessionOpened { .. } => {}
         }
         self.mapper.fold(&event).map_err(|error| wrong(&error))?;
-        self.frames.push(matches!(event, MapEvent::Frame(_)));
+        self.frames.push(match &event {
+            MapEvent::Frame(frame) => Some(frame.session),
+            MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => None,
+        });
+        // As it will be stored, whatever version the file has.
+        *self.kept.entry(event.session()).or_default() += event.to_bytes().len() as u64;
         Ok(())
     }
 
@@ -176,8 +185,7 @@ impl Log {
             return Err("its place is not one of its reason");
         }
         let matched = |found: &Match| {
-            let frame = usize::try_from(found.frame).ok().and_then(|frame| self.frames.get(frame));
-            u64::from(found.place) < places && frame == Some(&true) && !found.log_odds.is_nan()
+            u64::from(found.place) < places && self.is_frame(found.frame) && !found.log_odds.is_nan()
         };
         if !closure.iter().chain(proposal).all(matched) {
             return Err("it matches a frame that was not there");
@@ -212,7 +220,12 @@ impl Log {
     }
 
     fn is_frame(&self, position: u64) -> bool {
-        usize::try_from(position).ok().and_then(|position| self.frames.get(position)) == Some(&true)
+        self.session_of(position).is_some()
+    }
+
+    /// The session of a frame.
+    fn session_of(&self, position: u64) -> Option<SessionId> {
+        usize::try_from(position).ok().and_then(|position| self.frames.get(position).copied().flatten())
     }
 
     fn check_note(&self, row: &NoteRow) -> Result<(), NotTaken> {
@@ -223,8 +236,9 @@ impl Log {
         Ok(check_note(note)?)
     }
 
-    fn check_medium(&self, medium: &MediaRow) -> Result<(), NotTaken> {
-        if self.is_frame(medium.position) {
+    fn check_medium(&mut self, medium: &MediaRow) -> Result<(), NotTaken> {
+        if let Some(session) = self.session_of(medium.position) {
+            *self.kept.entry(session).or_default() += medium.content.len() as u64;
             return Ok(());
         }
         Err(refused(format_args!("it holds an image of frame {}, which does not exist", medium.position)))

@@ -42,6 +42,8 @@ const PIECE_ROWS: usize = 500;
 pub(crate) struct MapUpload {
     /// The name asked for, if any.
     reservation: Option<Reservation>,
+    /// The token that the map is to count for.
+    owner: Option<String>,
     /// It has no name in the file system, so it goes with its holder, however that ends.
     spool: Arc<File>,
     bytes: u64,
@@ -70,7 +72,7 @@ impl Snapshots {
             "" => None,
             map => {
                 caller.check_map(check_id("map name", map)?)?;
-                Some(self.names.reserve(map).await?)
+                Some(self.names.reserve(map, caller.token.as_deref()).await?)
             }
         };
         let room = self.uploads.clone().try_acquire_owned();
@@ -83,7 +85,7 @@ impl Snapshots {
             tempfile::tempfile_in(directory).map_err(disk_error)
         });
         let spool = Arc::new(spool.await.map_err(ServiceError::internal)??);
-        Ok(MapUpload { reservation, spool, bytes: 0, room })
+        Ok(MapUpload { reservation, owner: caller.token.clone(), spool, bytes: 0, room })
     }
 
     /// Takes the next bytes of a snapshot.
@@ -111,7 +113,7 @@ impl Snapshots {
 
     /// Checks a snapshot that has come in, and stores it, as a job.
     pub(crate) async fn start_import(&self, upload: MapUpload) -> Result<JobStatus, ServiceError> {
-        let MapUpload { reservation, spool, bytes, room } = upload;
+        let MapUpload { reservation, owner, spool, bytes, room } = upload;
         // What is no snapshot at all is refused at once.
         let peeked = spool.clone();
         let map =
@@ -122,7 +124,7 @@ impl Snapshots {
         })?;
         let reservation = match reservation {
             Some(reservation) => reservation,
-            None => self.names.reserve(check_id("map name", &map.name)?).await?,
+            None => self.names.reserve(check_id("map name", &map.name)?, owner.as_deref()).await?,
         };
         let name = reservation.name().to_owned();
         let import = Import { reservation, spool, bytes, _room: room };
@@ -138,7 +140,8 @@ impl Snapshots {
             Err(NotTaken::Cancelled) => return JobOutcome::Cancelled,
             Err(NotTaken::Refused(error)) => return JobOutcome::Failed(error),
         };
-        let map = match self.storage.begin_import(&checked, reporter.number()).await {
+        let owner = import.reservation.owner();
+        let map = match self.storage.begin_import(&checked, owner, reporter.number()).await {
             Ok(map) => map,
             Err(StorageError::Exists) => return JobOutcome::Failed(map_exists(&checked.name)),
             Err(error) => return JobOutcome::Failed(error.into()),

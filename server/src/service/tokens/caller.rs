@@ -2,6 +2,7 @@
 
 use crate::error::ServiceError;
 use crate::names::{check_id, map_of};
+use crate::quotas::Limits;
 use crate::role::{Abilities, Ability, Reach, Role};
 use crate::storage::TokenRow;
 
@@ -29,7 +30,7 @@ impl Access {
 }
 
 /// Who asks, and what they may do.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Caller {
     /// Name of the token that was shown; `None` where the server has none.
     pub(crate) token: Option<String>,
@@ -38,19 +39,27 @@ pub(crate) struct Caller {
     pub(crate) reach: Reach,
     /// When the token expires, or the secret that was shown, if that comes first.
     pub(crate) expires_ns: Option<i64>,
+    pub(crate) limits: Limits,
 }
 
 impl Caller {
     /// Whoever is served without a token.
     pub(crate) fn anybody() -> Self {
         let role = Role::Admin;
-        Self { token: None, role, abilities: role.abilities(), reach: Reach::Everywhere, expires_ns: None }
+        Self {
+            token: None,
+            role,
+            abilities: role.abilities(),
+            reach: Reach::Everywhere,
+            expires_ns: None,
+            limits: Limits::default(),
+        }
     }
 
     /// Who shows a token's secret that is good until `expires_ns`.
     pub(super) fn of(token: &TokenRow, expires_ns: Option<i64>) -> Self {
-        let TokenRow { name, role, abilities, reach, .. } = token.clone();
-        Self { token: Some(name), role, abilities, reach, expires_ns }
+        let TokenRow { name, role, abilities, reach, limits, .. } = token.clone();
+        Self { token: Some(name), role, abilities, reach, expires_ns, limits }
     }
 
     /// Refuses what the caller may not do on any map.

@@ -2,10 +2,12 @@
 
 use std::fmt::Write as _;
 
+use super::limiting::check_limits;
 use super::{Tokens, hash};
 use crate::clock::{after_ns, in_words, now_ns};
 use crate::error::ServiceError;
 use crate::names::{check_id, id_in};
+use crate::quotas::Limits;
 use crate::role::{Abilities, Ability, Reach, Role};
 use crate::storage::{FormerSecret, StorageError, TokenRow};
 
@@ -32,13 +34,22 @@ pub(crate) struct NewToken {
     pub(crate) maps: Vec<String>,
     /// After how many seconds it expires, if it does.
     pub(crate) lifetime_s: Option<u32>,
+    pub(crate) limits: Limits,
 }
 
 #[cfg(test)]
 impl NewToken {
     /// Without a limit.
     pub(crate) fn of(name: &str, role: Role) -> Self {
-        Self { name: name.to_owned(), role, abilities: Vec::new(), maps: Vec::new(), lifetime_s: None }
+        let limits = Limits::default();
+        Self {
+            name: name.to_owned(),
+            role,
+            abilities: Vec::new(),
+            maps: Vec::new(),
+            lifetime_s: None,
+            limits,
+        }
     }
 }
 
@@ -94,6 +105,7 @@ impl Tokens {
             abilities = %token.abilities,
             maps = %token.reach,
             expires = token.expires_ns.map(in_words),
+            limits = ?token.limits,
             "token created"
         );
         Ok((token, secret))
@@ -145,8 +157,9 @@ impl Tokens {
 }
 
 fn row_of(new: NewToken, secret: &str, now_ns: i64) -> Result<TokenRow, ServiceError> {
-    let NewToken { name, role, abilities, maps, lifetime_s } = new;
+    let NewToken { name, role, abilities, maps, lifetime_s, limits } = new;
     lifetime_s.map_or(Ok(()), check_lifetime)?;
+    check_limits(role, &limits)?;
     Ok(TokenRow {
         name: check_id("token name", &name)?.to_owned(),
         role,
@@ -156,6 +169,7 @@ fn row_of(new: NewToken, secret: &str, now_ns: i64) -> Result<TokenRow, ServiceE
         created_ns: now_ns,
         expires_ns: lifetime_s.map(|seconds| after_ns(now_ns, seconds)),
         former: None,
+        limits,
     })
 }
 

@@ -10,6 +10,7 @@ use super::{Admitted, Anonymous};
 use crate::clock::{in_words, now_ns};
 use crate::error::ServiceError;
 use crate::net::messages::Room;
+use crate::quotas::{Limits, Quotas};
 use crate::role::{Reach, Role};
 use crate::storage::{FormerSecret, SecretHash, TokenRow};
 
@@ -24,6 +25,7 @@ pub(super) struct Known {
     /// For all messages that come in.
     room: Room,
     pub(super) guesses: Guesses,
+    quotas: Quotas,
 }
 
 /// A secret of a token.
@@ -87,7 +89,7 @@ impl Secret {
 }
 
 impl Known {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(quotas: Quotas) -> Self {
         Self {
             tokens: BTreeMap::new(),
             secrets: HashMap::new(),
@@ -95,6 +97,7 @@ impl Known {
             anonymous: Anonymous::default(),
             room: Room::whole(),
             guesses: Guesses::default(),
+            quotas,
         }
     }
 
@@ -127,6 +130,7 @@ impl Known {
     /// A new token, or one as it has become. What was begun with a secret that it has no more ends.
     pub(super) fn put(&mut self, token: TokenRow) {
         self.without_token.end(now_asked());
+        self.quotas.set_token(&token.name, &token.limits);
         let mut before: HashMap<SecretHash, Secret> =
             self.secrets.extract_if(|_, secret| secret.token == token.name).collect();
         let room = before.values().next().map_or_else(|| self.room.for_token(), |secret| secret.room.clone());
@@ -145,6 +149,7 @@ impl Known {
 
     pub(super) fn remove(&mut self, name: &str) {
         self.tokens.remove(name);
+        self.quotas.set_token(name, &Limits::default());
         for (_, secret) in self.secrets.extract_if(|_, secret| secret.token == name) {
             secret.ending.end(deleted(name));
         }

@@ -14,7 +14,7 @@ use tonic_prost::ProstDecoder;
 use crate::harness::{in_time, workspace};
 
 /// Methods that a robot may not call.
-pub(super) const FOR_ADMINS: [&str; 25] = [
+pub(super) const FOR_ADMINS: [&str; 26] = [
     "/waypost.v1.MapService/CreateMap",
     "/waypost.v1.MapService/DeleteMap",
     "/waypost.v1.MapService/RebindMap",
@@ -38,12 +38,13 @@ pub(super) const FOR_ADMINS: [&str; 25] = [
     "/waypost.v1.JobService/CancelJob",
     "/waypost.v1.TokenService/CreateToken",
     "/waypost.v1.TokenService/RotateToken",
+    "/waypost.v1.TokenService/UpdateToken",
     "/waypost.v1.TokenService/ListTokens",
     "/waypost.v1.TokenService/DeleteToken",
 ];
 
 /// Routes over HTTP that a robot may not ask for.
-pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 17] = [
+pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 18] = [
     (Method::POST, "/v1/maps"),
     (Method::DELETE, "/v1/maps/{map}"),
     (Method::GET, "/v1/maps/{map}/export"),
@@ -60,6 +61,7 @@ pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 17] = [
     (Method::GET, "/v1/tokens"),
     (Method::POST, "/v1/tokens"),
     (Method::DELETE, "/v1/tokens/{token}"),
+    (Method::PATCH, "/v1/tokens/{token}"),
     (Method::POST, "/v1/tokens/{token}/rotate"),
 ];
 

@@ -59,13 +59,14 @@ const NAMING_A_MAP: [(&str, &str); 41] = [
 ];
 
 /// Methods about the whole server.
-const SERVER: [&str; 8] = [
+const SERVER: [&str; 9] = [
     "ModelService/TrainModel",
     "ModelService/ImportModel",
     "ModelService/RenameModel",
     "ModelService/DeleteModel",
     "TokenService/CreateToken",
     "TokenService/RotateToken",
+    "TokenService/UpdateToken",
     "TokenService/ListTokens",
     "TokenService/DeleteToken",
 ];

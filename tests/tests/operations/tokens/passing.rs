@@ -142,11 +142,11 @@ async fn limits_and_rotation_are_on_both_command_lines() {
     let secret =
         created.lines().find_map(|line| line.trim().strip_prefix("secret  ")).unwrap().trim().to_owned();
     let (_, listed, _) = online(&["token", "ls"], admin);
-    let expected = "TOKEN ROLE MAY MAPS EXPIRES\n\
-                    guest reader read all in 12 h\n\
-                    operator admin read,localize,stream,navigate,admin all never\n\
-                    scout robot read,localize floor2-*,hall never\n\
-                    short robot stream hall in 30 d\n";
+    let expected = "TOKEN ROLE MAY MAPS EXPIRES QUOTAS\n\
+                    guest reader read all in 12 h none\n\
+                    operator admin read,localize,stream,navigate,admin all never none\n\
+                    scout robot read,localize floor2-*,hall never none\n\
+                    short robot stream hall in 30 d none\n";
     assert_eq!(words(&listed), words(expected));
     let (code, _, stderr) = online(&["token", "create", "wrong", "--role", "admin", "--may", "read"], admin);
     assert!(code == 4 && stderr.contains("an admin may do everything"), "{stderr}");

@@ -168,7 +168,7 @@ pub(super) fn bad_calls(method: &'static str, path: &str) -> Vec<(StatusCode, Ca
     let nowhere = nowhere.replace("{model}", "nothing").replace("{navigation}", "nobody");
     let nowhere = nowhere.replace("{merge}", "999999").replace("{token}", "nobody");
     let nowhere = nowhere.replace("{correction}", "999999");
-    let body = ["post", "put"].contains(&method).then(|| ("application/json", b"{}".to_vec()));
+    let body = ["post", "put", "patch"].contains(&method).then(|| ("application/json", b"{}".to_vec()));
     let asked = format!("{nowhere}?no_such_parameter=1");
     let mut calls = vec![(StatusCode::BAD_REQUEST, Call { method, path: path.to_owned(), asked, body })];
     if let Some(writes) = bad_writes(method, path, &nowhere) {

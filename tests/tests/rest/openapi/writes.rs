@@ -49,6 +49,12 @@ pub(super) fn good_writes(surveyed: &Surveyed, snapshot: Vec<u8>) -> Vec<Call> {
         Call::write("post", "/v1/jobs/{job}/cancel", &job, None),
         Call::get("/v1/tokens", "/v1/tokens"),
         Call::write("post", "/v1/tokens", "/v1/tokens", json_body(token)),
+        Call::write(
+            "patch",
+            "/v1/tokens/{token}",
+            "/v1/tokens/operator",
+            json_body(r#"{"quotas": {"max_sessions": 3, "max_kept_mib": null}, "lifted": ["kept"]}"#),
+        ),
         Call::write("delete", "/v1/tokens/{token}", "/v1/tokens/made", None),
         // Its secret, which all this is asked with, stays good for an hour.
         Call::write("post", "/v1/tokens/{token}/rotate", "/v1/tokens/operator/rotate", json_body("{}")),
@@ -93,10 +99,18 @@ pub(super) fn bad_writes(method: &'static str, path: &str, nowhere: &str) -> Opt
             refused(bad, json_body(r#"{"lifetime_s": 0}"#)),
             refused(missing, json_body("{}")),
         ]),
+        ("patch", "/v1/tokens/{token}") => Some(vec![
+            refused(bad, json_body("{}")),
+            refused(bad, json_body(r#"{"quotas": {"max_sessions": 0}}"#)),
+            refused(bad, json_body(r#"{"quotas": {"max_sessions": -1}}"#)),
+            refused(bad, json_body(r#"{"lifted": ["all"]}"#)),
+            refused(missing, json_body(r#"{"lifted": ["kept"]}"#)),
+        ]),
         ("post", "/v1/tokens") => Some(vec![
             refused(bad, json_body("")),
             refused(bad, json_body(r#"{"token_id": "new", "role": "king"}"#)),
             refused(bad, json_body(r#"{"token_id": "No Name", "role": "admin"}"#)),
+            refused(bad, json_body(r#"{"token_id": "new", "role": "robot", "quotas": {"max_kept_mib": 0}}"#)),
             refused(StatusCode::CONFLICT, json_body(r#"{"token_id": "first", "role": "robot"}"#)),
         ]),
         ("post", "/v1/jobs/{job}/cancel" | "/v1/maps/{map}/corrections/{correction}/undo")

@@ -24,6 +24,7 @@ class TokenCalls:
         abilities: Iterable[token_pb2.Token.Ability] = (),
         maps: Iterable[str] = (),
         lifetime_s: int | None = None,
+        quotas: token_pb2.Quotas | None = None,
     ) -> tuple[token_pb2.Token, str]:
         """Makes a token; gives it with its secret, which the server does not keep.
 
@@ -33,13 +34,14 @@ class TokenCalls:
             abilities: What a robot's may do, where that is less than all, as in `ABILITY_LOCALIZE`.
             maps: The maps that it reaches: names, or the beginning of names and an asterisk. All if left out.
             lifetime_s: After how many seconds it expires; never if left out.
+            quotas: How much its holder may have and send, as in `token_pb2.Quotas(max_sessions=3)`.
 
         Raises:
             AlreadyExists: If there is one of that name.
             FailedPrecondition: If the first token is not an admin's, or is limited.
         """
         request = token_pb2.CreateTokenRequest(
-            token_id=token_id, role=role, abilities=abilities, maps=maps, lifetime_s=lifetime_s
+            token_id=token_id, role=role, abilities=abilities, maps=maps, lifetime_s=lifetime_s, quotas=quotas
         )
         made = self._connection.call(self._connection.tokens.CreateToken, request)
         return made.token, made.secret
@@ -63,6 +65,28 @@ class TokenCalls:
         )
         rotated = self._connection.call(self._connection.tokens.RotateToken, request)
         return rotated.token, rotated.secret
+
+    def update_token(
+        self,
+        name: str,
+        *,
+        quotas: token_pb2.Quotas | None = None,
+        lifted: Iterable[token_pb2.Quotas.Kind] = (),
+    ) -> token_pb2.Token:
+        """Changes the quotas of a token, which keeps its secret; it holds for streams that are open, too.
+
+        Args:
+            name: Name of the token.
+            quotas: Quotas as they are to be; those that are left out stay as they are.
+            lifted: Quotas that are lifted, as in `token_pb2.Quotas.KIND_SESSIONS`.
+
+        Raises:
+            NotFound: If there is no such token.
+            InvalidArgument: If a quota is none for the token's role.
+        """
+        request = token_pb2.UpdateTokenRequest(name=resource("tokens", name), quotas=quotas, lifted=lifted)
+        token: token_pb2.Token = self._connection.call(self._connection.tokens.UpdateToken, request)
+        return token
 
     def tokens(self) -> list[token_pb2.Token]:
         """All tokens, by name."""

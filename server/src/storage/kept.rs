@@ -1,0 +1,148 @@
+//! What sessions keep, and whose they are: noted beside each session, and added up for quotas.
+
+use std::collections::BTreeMap;
+
+use sqlx::{Sqlite, SqliteConnection, Transaction};
+use topomap::ids::SessionId;
+
+use super::{MapId, Storage, StorageError, to_sql};
+use crate::quotas::{Quotas, Used, UsedByOwner};
+
+/// What each session keeps of some map, counted from its log and media.
+const COUNTED: &str = "SELECT session, sum(bytes) AS bytes FROM ( \
+     SELECT session, length(event) AS bytes FROM log WHERE map_id = ?1 \
+     UNION ALL SELECT session, length(content) AS bytes FROM log JOIN frame_media USING (map_id, position) \
+     WHERE map_id = ?1) GROUP BY session";
+
+/// Bytes that sessions of a map have come to keep.
+pub(super) type KeptBySession = BTreeMap<SessionId, u64>;
+
+impl Storage {
+    /// The quotas, with what there is.
+    pub(crate) fn quotas(&self) -> &Quotas {
+        &self.quotas
+    }
+
+    /// As [`Storage::write`], for what changes whose maps and sessions there are, and what they keep.
+    pub(super) async fn write_counted<T>(
+        &self,
+        work: impl AsyncFnOnce(&mut Transaction<'_, Sqlite>) -> Result<T, StorageError>,
+    ) -> Result<T, StorageError> {
+        // Not in the same transaction: damage in some other map would undo it.
+        self.write_and(work, async |connection, _| match used_by_owner(connection).await {
+            Ok(used) => self.quotas.recount(used),
+            Err(error) => tracing::error!(%error, "what there is for quotas could not be counted"),
+        })
+        .await
+    }
+
+    /// Counts what there is.
+    pub(super) async fn count_used(&self) -> Result<(), StorageError> {
+        self.write_counted(async |_| Ok(())).await
+    }
+
+    /// Counts what sessions keep that earlier servers stored. A map in which damage is found on the way takes nothing more, and
+    /// stays as it is.
+    pub(super) async fn count_old_sessions(&self) -> Result<(), StorageError> {
+        let to_do = sqlx::query("SELECT 1 FROM upkeep WHERE task = 'kept_bytes'");
+        if to_do.fetch_optional(&self.readers).await?.is_none() {
+            return Ok(());
+        }
+        let maps: Vec<MapId> = sqlx::query_scalar("SELECT id FROM maps").fetch_all(&self.readers).await?;
+        for map in maps {
+            match self.write(async |transaction| count_sessions(transaction, map).await).await {
+                Ok(()) => {}
+                Err(StorageError::Rot(found)) => {
+                    tracing::warn!(map, found, "what the sessions of a damaged map keep is not counted");
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        self.write(async |transaction| {
+            let done = sqlx::query("DELETE FROM upkeep WHERE task = 'kept_bytes'");
+            done.execute(&mut **transaction).await?;
+            Ok(())
+        })
+        .await
+    }
+}
+
+/// Counts what the sessions of a map keep, and notes it.
+pub(super) async fn count_sessions(
+    transaction: &mut Transaction<'_, Sqlite>,
+    map: MapId,
+) -> Result<(), StorageError> {
+    let count = format!(
+        "UPDATE sessions SET kept_bytes = counted.bytes FROM ({COUNTED}) AS counted \
+         WHERE sessions.map_id = ?1 AND sessions.number = counted.session"
+    );
+    sqlx::query(sqlx::AssertSqlSafe(count)).bind(map).execute(&mut **transaction).await?;
+    Ok(())
+}
+
+/// The sessions of a map of which another number is noted than is counted: name, noted, counted.
+pub(super) fn wrongly_noted() -> String {
+    format!(
+        "SELECT name, kept_bytes, coalesce(counted.bytes, 0) FROM sessions \
+         LEFT JOIN ({COUNTED}) AS counted ON counted.session = sessions.number \
+         WHERE sessions.map_id = ?1 AND kept_bytes != coalesce(counted.bytes, 0) ORDER BY number"
+    )
+}
+
+/// Notes what sessions have come to keep; what that is by owner.
+pub(super) async fn add_kept(
+    transaction: &mut Transaction<'_, Sqlite>,
+    map: MapId,
+    kept: &KeptBySession,
+) -> Result<Vec<(Option<String>, u64)>, StorageError> {
+    let mut by_owner = Vec::with_capacity(kept.len());
+    for (session, bytes) in kept {
+        let owner = sqlx::query_scalar(
+            "UPDATE sessions SET kept_bytes = kept_bytes + ? WHERE map_id = ? AND number = ? RETURNING owner",
+        )
+        .bind(to_sql(*bytes))
+        .bind(map)
+        .bind(session)
+        .fetch_optional(&mut **transaction)
+        .await?;
+        by_owner.extend(owner.map(|owner| (owner, *bytes)));
+    }
+    Ok(by_owner)
+}
+
+/// How many sessions some maps have, and what they keep.
+pub(super) async fn kept_by_maps(
+    transaction: &mut Transaction<'_, Sqlite>,
+    maps: &[MapId],
+) -> Result<(u64, u64), StorageError> {
+    Ok(sqlx::query_as(
+        "SELECT count(*), coalesce(sum(kept_bytes), 0) FROM sessions \
+         WHERE map_id IN (SELECT value FROM json_each(?))",
+    )
+    // A list of numbers is JSON already.
+    .bind(format!("{maps:?}"))
+    .fetch_one(&mut **transaction)
+    .await?)
+}
+
+/// What there is by owner. What is being deleted is gone; what is being brought in is there.
+async fn used_by_owner(connection: &mut SqliteConnection) -> Result<UsedByOwner, StorageError> {
+    let mut by_owner = UsedByOwner::new();
+    let sessions: Vec<(Option<String>, u64, u64)> = sqlx::query_as(
+        "SELECT sessions.owner, count(*), sum(kept_bytes) FROM sessions JOIN maps ON maps.id = sessions.map_id \
+         WHERE maps.state != 'deleting' GROUP BY sessions.owner",
+    )
+    .fetch_all(&mut *connection)
+    .await?;
+    for (owner, sessions, kept_bytes) in sessions {
+        by_owner.insert(owner, Used { maps: 0, sessions, kept_bytes });
+    }
+    let maps: Vec<(Option<String>, u64)> =
+        sqlx::query_as("SELECT owner, count(*) FROM maps WHERE state != 'deleting' GROUP BY owner")
+            .fetch_all(&mut *connection)
+            .await?;
+    for (owner, maps) in maps {
+        by_owner.entry(owner).or_default().maps = maps;
+    }
+    Ok(by_owner)
+}
