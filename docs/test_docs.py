@@ -26,6 +26,7 @@ from textwrap import dedent
 from urllib.request import urlopen
 
 import pytest
+from PIL import Image
 
 DOCS = Path(__file__).resolve().parent
 REPOSITORY = DOCS.parent
@@ -92,16 +93,19 @@ def blocks(page: Path) -> list[Block]:
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the pages take for granted: `drive`, `drive.mcap` and `drive.mp4`, `photos`, `panoramas` and `demo`.
 
-    `drive` is a simulated robot's: images, odometry and the camera's calibration. `photos` and `panoramas`
-    are images of the demo, which come back to where they began.
+    `drive` is a simulated robot's: images, odometry and the camera's calibration. `photos` are images of the
+    demo, which come back to where they began, and `panoramas` the same, cut to the shape of panoramas.
     """
     folder = tmp_path_factory.mktemp("recordings")
     (folder / "demo").symlink_to(REPOSITORY / "demo")
     mcap(folder / "drive", "NONE")
     for name in ("photos", "panoramas"):
         (folder / name).mkdir()
-        for image in [*IMAGES[:20], *IMAGES[99:110]]:
-            shutil.copy(image, folder / name)
+    for image in [*IMAGES[:20], *IMAGES[99:110]]:
+        shutil.copy(image, folder / "photos")
+        with Image.open(image) as photo:
+            width, height = photo.size
+            photo.crop((0, 0, width, min(height, width // 2))).save(folder / "panoramas" / image.name)
     server = Server(folder / "data")
     server.start()
     try:

@@ -91,7 +91,7 @@ impl Failure {
                 "\nthat server speaks no TLS: name it with http://, or have it started with a certificate"
             }
             Failure::Client(Error::Connection { reason, .. })
-                if reason.contains("frame with invalid size") =>
+                if ["frame with invalid size", "broken pipe"].iter().any(|said| reason.contains(said)) =>
             {
                 "\nthat server may speak TLS: name it with https://"
             }

@@ -28,7 +28,7 @@ pub(crate) async fn frame_name(
     session: &str,
     frame: &str,
 ) -> Result<String, Failure> {
-    let session_name = format!("maps/{map}/sessions/{session}");
+    let session_name = session_name(map, session);
     if !frame.is_empty() && frame.bytes().all(|byte| byte.is_ascii_digit()) {
         return Ok(format!("{session_name}/frames/{frame}"));
     }
@@ -50,6 +50,13 @@ pub(crate) async fn frame_name(
 
 fn number_of(frame: &str) -> &str {
     frame.rsplit('/').next().unwrap_or(frame)
+}
+
+/// `maps/{map}/sessions/{session}` of a map and a session that may both be named in full.
+pub(crate) fn session_name(map: &str, session: &str) -> String {
+    let map = short_map(map);
+    let session = session.rsplit('/').next().unwrap_or(session);
+    format!("maps/{map}/sessions/{session}")
 }
 
 #[cfg(test)]

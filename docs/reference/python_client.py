@@ -58,7 +58,7 @@ CHAPTERS: dict[str, tuple[str, ...]] = {
             "Unauthenticated",
             "PermissionDenied",
         ),
-        *("Cancelled", "QueueFull", "SessionLost", "SessionRewound", "ProtocolError"),
+        *("Cancelled", "QueueFull", "SessionLost", "SessionRewound", "ProtocolError", "OdometryWarning"),
     ),
 }
 ASYNCHRONOUS = ("connect", "AsyncClient", "AsyncSession", "AsyncNavigation")

@@ -186,7 +186,7 @@ impl Navigator {
             }
         }
         if let Some(closure) = closure {
-            self.watch_slip((look.stamp_ns, odometry), &closure.at.pose);
+            self.watch_slip((look.stamp_ns, odometry), closure);
         }
         match seen {
             Seen::Corrected => self.closed(odometry),

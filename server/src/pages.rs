@@ -26,9 +26,17 @@ pub(crate) fn numbered_page<T: TryFrom<u64>>(token: &str) -> Result<Option<T>, S
     if token.is_empty() {
         return Ok(None);
     }
-    let page = number(token).and_then(|number| T::try_from(number).ok());
+    let page = token.strip_prefix(FROM).and_then(number).and_then(|number| T::try_from(number).ok());
     page.map(Some).ok_or_else(bad_page_token)
 }
+
+/// The token of a page that a number stands for.
+pub(crate) fn page_from(number: impl std::fmt::Display) -> String {
+    format!("{FROM}{number}")
+}
+
+/// Begins the token of a page that a number stands for, so that nobody takes a place's number for one.
+const FROM: &str = "from-";
 
 /// As many rows as a page of `size` has and one more, if there are so many that are wanted: `read` gives so many rows after
 /// a key, wanted or not.
@@ -90,8 +98,8 @@ mod tests {
 
     #[test]
     fn page_tokens_are_written_in_one_way() {
-        assert_eq!((numbered_page::<u32>(""), numbered_page("7")), (Ok(None), Ok(Some(7_u32))));
-        for bad in ["+7", "07", "-1", " 7", "7.0", "4294967296", "maps/a"] {
+        assert_eq!((numbered_page::<u32>(""), numbered_page(&page_from(7))), (Ok(None), Ok(Some(7_u32))));
+        for bad in ["7", "from-", "from-+7", "from-07", "from--1", "from- 7", "from-4294967296", "maps/a"] {
             assert!(numbered_page::<u32>(bad).is_err(), "{bad}");
         }
     }

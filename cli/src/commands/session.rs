@@ -7,6 +7,7 @@ use waypost_client::{Client, ClientOptions, v1};
 use super::job;
 use crate::failure::Failure;
 use crate::files::Asking;
+use crate::names::session_name;
 use crate::output::{Output, table};
 
 #[derive(Subcommand)]
@@ -43,14 +44,12 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
     match command {
         Command::Ls { map } => list(&client.sessions(&map).await?, output),
         Command::Frames { map, session } => {
-            let map = map.strip_prefix("maps/").unwrap_or(&map);
-            frames(&client.frames(&format!("maps/{map}/sessions/{session}")).await?, output)
+            frames(&client.frames(&session_name(&map, &session)).await?, output)
         }
         Command::Rm { map, session, yes } => {
             Asking::unless(yes)
                 .confirm_loss(&format!("delete {session} from the map {map}? it cannot be undone"))?;
-            let map = map.strip_prefix("maps/").unwrap_or(&map);
-            let name = format!("maps/{map}/sessions/{session}");
+            let name = session_name(&map, &session);
             let job = client.delete_session(&name).await?;
             job::follow(&client, &job.name, output).await?;
             output.result(&json!({ "deleted": name }), |out| writeln!(out, "deleted {name}"))

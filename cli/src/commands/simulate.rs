@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde::Serialize;
+use waypost_client::v1::map_settings::NavigationStrategy;
 use waypost_client::{Client, ClientOptions, NavigationOptions, v1};
 use waypost_sim::drawing::{Layer, Marks, plan_svg};
 use waypost_sim::drive::{Building, SPEED_M_S, TWICE_A_SECOND, WHEN_MOVED};
@@ -112,6 +113,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let (building, route) = building(&world, route.as_deref(), seed)?;
     let client = Client::connect(server).await?;
     let map = short_map(&map);
+    check_strategy(&client, map).await?;
     let working = async {
         if !navigate {
             return stream(&client, map, &session, (&building, route), seed, output).await;
@@ -135,6 +137,19 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     match picture {
         Some(file) => replacing.write(&file, svg.as_bytes()),
         None => Ok(()),
+    }
+}
+
+/// The robot's camera looks ahead: a map of panoramas is none for it. A map that is not there is made later, or named then.
+async fn check_strategy(client: &Client, map: &str) -> Result<(), Failure> {
+    let settings =
+        client.map(map, v1::MapView::Basic).await.ok().and_then(|found| found.settings).unwrap_or_default();
+    match settings.navigation_strategy() {
+        NavigationStrategy::Appearance => Err(Failure::Unfit(format!(
+            "the map {map} is navigated by appearance, which takes panoramas, and the simulated robot's camera looks ahead; name a \
+             map of metres, or stream a folder of panoramas (waypost stream --panorama)"
+        ))),
+        NavigationStrategy::Unspecified | NavigationStrategy::TopoMetric => Ok(()),
     }
 }
 

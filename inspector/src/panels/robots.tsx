@@ -73,5 +73,6 @@ function goalText(goal: Navigation["goal"]): string {
     if (!goal) return "nowhere";
     if (goal.label) return goal.label;
     if (typeof goal.place_number === "number") return `place ${goal.place_number}`;
-    return goal.position ? `${goal.position.x_m.toFixed(1)}, ${goal.position.y_m.toFixed(1)} m` : "nowhere";
+    const { x_m = null, y_m = null } = goal.position ?? {};
+    return x_m !== null && y_m !== null ? `${x_m.toFixed(1)}, ${y_m.toFixed(1)} m` : "nowhere";
 }

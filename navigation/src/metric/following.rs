@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use posegraph::{PlanarPose, Pose};
 
 use super::guidance::Obstacle;
+use super::localization::Closure;
 use super::settings::SupervisionSettings;
 
 /// Whether the robot moves when it is told to all along.
@@ -278,32 +279,54 @@ fn apart_m(from: &PlanarPose, to: &PlanarPose) -> f64 {
 /// Whether what is recognised goes by as the wheels say: wheels that slip turn, and what is before the camera stays.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct SlipWatch {
-    /// Odometry and where a closure put the robot, oldest first.
-    closures: VecDeque<(PlanarPose, PlanarPose)>,
+    /// Oldest first.
+    seen: VecDeque<SeenAt>,
+}
+
+/// Where a closure put the robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct SeenAt {
+    odometry: PlanarPose,
+    pose: PlanarPose,
+    /// Standard deviation along the way that it looks, in metres.
+    along_m: f64,
 }
 
 /// Closures that it takes to say so.
-const SLIP_CLOSURES: usize = 5;
-/// How far wheels turn for that, in metres: a far wall grows little in less.
-const SLIP_M: f64 = 1.6;
+const SLIP_CLOSURES: usize = 4;
+/// How far wheels turn for that, in metres.
+const SLIP_M: f64 = 0.8;
+/// And in standard deviations of the closures: of a view that structure has not measured only its size tells, and a far
+/// wall grows little.
+const SLIP_SIGMAS: f64 = 10.0;
 /// A robot that has come no further than this share of that slips.
 const SLIP_SHARE: f64 = 0.25;
+/// Share of the closures that has to say so: one may be wrong.
+const SLIP_AGREEING: f64 = 0.75;
 
 impl SlipWatch {
     pub(super) fn forget(&mut self) {
-        self.closures.clear();
+        self.seen.clear();
     }
 
     /// A closure says where the robot was at `odometry`; whether its wheels have slipped.
-    pub(super) fn slips(&mut self, odometry: &PlanarPose, at: &PlanarPose) -> bool {
-        self.closures.push_back((*odometry, *at));
-        while self.closures.get(1).is_some_and(|(then, _)| apart_m(then, odometry) >= SLIP_M) {
-            self.closures.pop_front();
+    pub(super) fn slips(&mut self, odometry: &PlanarPose, closure: &Closure) -> bool {
+        let along_m = closure.covariance[(0, 0)].max(0.0).sqrt();
+        self.seen.push_back(SeenAt { odometry: *odometry, pose: closure.at.pose, along_m });
+        let unsure_m = self.seen.iter().map(|seen| seen.along_m).fold(0.0, f64::max);
+        let wanted_m = SLIP_M.max(SLIP_SIGMAS * unsure_m);
+        let turned_m = |then: &SeenAt| apart_m(&then.odometry, odometry);
+        while self.seen.get(1).is_some_and(|then| turned_m(then) >= wanted_m) {
+            self.seen.pop_front();
         }
-        let Some((then, from)) = self.closures.front() else { return false };
-        let turned_m = apart_m(then, odometry);
-        self.closures.len() >= SLIP_CLOSURES
-            && turned_m >= SLIP_M
-            && self.closures.iter().all(|(_, closure)| apart_m(from, closure) < SLIP_SHARE * turned_m)
+        let Some(first) = self.seen.front() else { return false };
+        let turned_m = turned_m(first);
+        let stays = |seen: &SeenAt| apart_m(&first.pose, &seen.pose) < SLIP_SHARE * turned_m;
+        let count = self.seen.len();
+        let agreeing = self.seen.iter().filter(|seen| stays(seen)).count();
+        count >= SLIP_CLOSURES
+            && turned_m >= wanted_m
+            && agreeing as f64 >= SLIP_AGREEING * count as f64
+            && self.seen.back().is_some_and(stays)
     }
 }

@@ -5,7 +5,7 @@ use posegraph::PlanarPose;
 use super::Navigator;
 use super::following::Motion;
 use super::guidance::{Driver, Obstacle, Reason};
-use super::localization::Sight;
+use super::localization::{Closure, Sight};
 use super::settings::NavigationSettings;
 use super::supervision::Shown;
 use super::tasks::Task;
@@ -53,11 +53,11 @@ impl Navigator {
     }
 
     /// A closure says where the robot was; whether that goes by as the wheels say.
-    pub(super) fn watch_slip(&mut self, (stamp_ns, odometry): (i64, &PlanarPose), at: &PlanarPose) {
+    pub(super) fn watch_slip(&mut self, (stamp_ns, odometry): (i64, &PlanarPose), closure: &Closure) {
         let is_driven = self.driver == Driver::Commands && matches!(self.task, Task::Follow(_));
         if !is_driven || self.watch.is_recovering() {
             self.slip.forget();
-        } else if self.slip.slips(odometry, at) {
+        } else if self.slip.slips(odometry, closure) {
             self.slip.forget();
             self.watch.hold(Obstacle::WheelsSlip, (stamp_ns, odometry), &self.settings.supervision);
         }

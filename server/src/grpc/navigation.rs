@@ -176,12 +176,16 @@ fn answer(
                 })),
             }
         }
-        Some(navigate_request::Content::Goal(message)) => match goal_request(Some(message)) {
+        Some(navigate_request::Content::Goal(message)) => match goal_request(Some(message.clone())) {
             Ok(goal) => {
                 stream.go_to(goal);
                 return None;
             }
-            Err(error) => return Some(Err(error.into())),
+            // The robot goes on to the goal that it had.
+            Err(error) => navigate_response::Content::GoalRefusal(v1::GoalRefusal {
+                goal: Some(message),
+                status: Some(as_message(&error)),
+            }),
         },
         Some(navigate_request::Content::Stop(v1::StopNavigation {})) => {
             stream.stop();

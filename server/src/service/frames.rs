@@ -14,7 +14,7 @@ use crate::ingest::model::LoadedModels;
 use crate::names::{frame_in, frame_name, map_in, session_in, session_name};
 use crate::open_map::answers::{FrameAnswer, GeometryView, MatchView, reference};
 use crate::open_map::{OpenMaps, no_such_map};
-use crate::pages::{Page, numbered_page, page_size};
+use crate::pages::{Page, numbered_page, page_from, page_size};
 pub(crate) use crate::storage::{FrameBytes, SessionSummary};
 use crate::storage::{FrameRow, MapRow, MediumKind, SessionRow, Storage, StoredFrame};
 
@@ -94,7 +94,7 @@ impl Frames {
         let row = self.open_maps.row(map).await?;
         let from = numbered_page(token)?.unwrap_or(0);
         let mut sessions = self.storage.session_summaries(row.id, from, size + 1).await?;
-        let next = sessions.get(size as usize).map_or_else(String::new, |next| next.number.to_string());
+        let next = sessions.get(size as usize).map_or_else(String::new, |next| page_from(next.number));
         sessions.truncate(size as usize);
         let view = |summary: SessionSummary| SessionView { name: session_name(map, &summary.name), summary };
         Ok(Page { items: sessions.into_iter().map(view).collect(), next })
@@ -128,7 +128,7 @@ impl Frames {
         let more = frames.len() > size as usize;
         frames.truncate(size as usize);
         let next =
-            frames.last().filter(|_| more).map_or_else(String::new, |frame| frame.event.sequence.to_string());
+            frames.last().filter(|_| more).map_or_else(String::new, |frame| page_from(frame.event.sequence));
         Ok(Page { items: self.frame_views(&row, frames).await?, next })
     }
 

@@ -6,7 +6,7 @@ use super::appearance::AppearanceGraphs;
 use super::maps::Maps;
 use crate::error::ServiceError;
 use crate::names::{map_in, place_in};
-use crate::pages::{Page, numbered_page, page_size};
+use crate::pages::{Page, numbered_page, page_from, page_size};
 pub(crate) use crate::storage::LabelRow;
 use crate::storage::{MapRow, Storage, StorageError};
 
@@ -47,7 +47,7 @@ impl Labels {
         let from = numbered_page(token)?.unwrap_or(0);
         let row = self.maps.open_maps.row(map).await?;
         let mut items = self.storage.labels(row.id, PlaceId::new(from), size + 1).await?;
-        let next = items.get(size as usize).map_or_else(String::new, |next| next.place.to_string());
+        let next = items.get(size as usize).map_or_else(String::new, |next| page_from(next.place));
         items.truncate(size as usize);
         Ok(Page { items, next })
     }

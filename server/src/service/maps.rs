@@ -19,7 +19,7 @@ use crate::map_settings::{self, MapSettings};
 use crate::names::{check_id, map_in, place_in};
 use crate::open_map::OpenMaps;
 use crate::open_map::answers::{FrameReference, PlacePose, PlaceSummary, WordPlace, reference};
-use crate::pages::{Page, named_page, numbered_page, page_after, page_size, rows_of_page};
+use crate::pages::{Page, named_page, numbered_page, page_after, page_from, page_size, rows_of_page};
 use crate::storage::{ClosureRow, MapId, MapRow, Storage, StorageError};
 pub(crate) use crate::storage::{MapBytes, MapCounts};
 
@@ -145,7 +145,7 @@ impl Maps {
         let open = self.open_maps.open(map).await?;
         let (places, total) = open.places(PlaceId::new(from), size).await?;
         let end = from.saturating_add(size);
-        let next = if end < total { end.to_string() } else { String::new() };
+        let next = if end < total { page_from(end) } else { String::new() };
         Ok(Page { items: self.place_views(map, open.id(), places).await?, next })
     }
 
@@ -183,7 +183,7 @@ impl Maps {
         }
         let mut items =
             self.open_maps.open_of(&row).await?.word_places(word, PlaceId::new(from), size + 1).await?;
-        let next = items.get(size as usize).map_or_else(String::new, |next| next.place.to_string());
+        let next = items.get(size as usize).map_or_else(String::new, |next| page_from(next.place));
         items.truncate(size as usize);
         Ok(Page { items, next })
     }
@@ -253,7 +253,7 @@ impl Maps {
         closures.truncate(size as usize);
         let sessions = self.storage.sessions(row.id).await?;
         let next =
-            closures.last().filter(|_| more).map_or_else(String::new, |closure| closure.position.to_string());
+            closures.last().filter(|_| more).map_or_else(String::new, |closure| page_from(closure.position));
         let frames = closures.iter().map(|closure| closure.position).collect();
         let corrections = Corrections::read(&self.storage, row.id).await?;
         let mut withdrawals = corrections.withdrawals(&self.storage, &row, frames).await?;

@@ -28,7 +28,7 @@ use crate::error::ServiceError;
 use crate::ingest::model::LoadedModels;
 use crate::names::{check_id, map_in};
 use crate::open_map::OpenMaps;
-use crate::pages::{Page, bad_page_token, numbered_page, page_size, rows_of_page};
+use crate::pages::{Page, bad_page_token, numbered_page, page_from, page_size, rows_of_page};
 pub(crate) use crate::storage::MergeState;
 use crate::storage::{JobKind, MapId, MapRow, Storage};
 
@@ -180,7 +180,7 @@ impl Merges {
         let mut items = rows_of_page(size, before, read, number, reached).await?;
         let more = items.len() > size as usize;
         items.truncate(size as usize);
-        let next = items.last().filter(|_| more).map_or_else(String::new, |view| view.number.to_string());
+        let next = items.last().filter(|_| more).map_or_else(String::new, |view| page_from(view.number));
         Ok(Page { items, next })
     }
 

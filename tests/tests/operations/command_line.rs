@@ -252,7 +252,10 @@ fn a_model_is_trained_from_the_command_line() {
     let model = waypost.json(&[&train[..], &["--extractor", "orb features=200 width=320"]].concat());
     assert_eq!((model["display_name"].as_str(), model["words"].as_u64()), (Some("small"), Some(60)));
     assert_eq!(waypost.json(&["model", "show", "small"]), model);
-    let again = [&train[..], &["--extractor", "orb features=200 width=320", "--detach"]].concat();
+    // The same images make the same model, which keeps its name.
+    let again =
+        [&train[..train.len() - 1], &["again", "--extractor", "orb features=200 width=320", "--detach"]]
+            .concat();
     let job = waypost.json(&again)["name"].as_str().unwrap().to_owned();
     assert_eq!(waypost.json(&["job", "watch", &job])["state"], "succeeded");
     assert_eq!(waypost.json(&["job", "show", &job])["state"], "succeeded");

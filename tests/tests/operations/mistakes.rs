@@ -218,6 +218,8 @@ fn folders_and_images_that_are_wrong() {
     }
     let arguments = ["stream", folder, "--map", "hall", "--session", "new", "--camera", "500,500,320,240"];
     beginner.says("the camera of other images", &arguments, 1, "give the calibration of these images");
+    let simulate = ["simulate", "--map", "looks", "--world", "office"];
+    beginner.says("a camera ahead for panoramas", &simulate, 1, "name a map of metres");
     beginner.says(
         "more words than images give",
         &["model", "train", "--images", folder, "--words", "500000", "--name", "large"],

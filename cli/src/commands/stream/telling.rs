@@ -79,9 +79,8 @@ fn where_line(row: &FrameRow) -> Option<String> {
             let seen = matched_frame(row).map_or_else(String::new, |frame| format!(", as in {frame}"));
             format!("{image} is at place {place}{pose}  {}{seen}", how_sure(row))
         }
-        (_, Some(place)) => {
-            format!("{image} is at place {place}{pose}  posterior {:.4}", row.posterior.unwrap_or_default())
-        }
+        // By its wheels, or by words that are much the same all along.
+        (_, Some(place)) => format!("{image} is at place {place} still{pose}"),
         (_, None) => format!("{image} is not recognised: {}{pose}", why_not(reason)),
     })
 }
@@ -161,7 +160,7 @@ mod tests {
         let noted = FrameRow { match_note: Some("a.jpg".to_owned()), ..found };
         assert_eq!(where_line(&noted).unwrap(), format!("{line}a.jpg {of}"));
         let same = where_line(&row("same_place", Some(12))).unwrap();
-        assert_eq!(same, "7.jpg is at place 12  posterior 0.5000");
+        assert_eq!(same, "7.jpg is at place 12 still");
     }
 
     #[test]

@@ -66,8 +66,8 @@ class OdometryDoubts:
         if self._is_wide and self._fast_turns >= _DOUBTFUL_TURNS:
             self._say(
                 "headings",
-                "by its odometry the robot turns faster than once around in a second: are headings in degrees, "
-                "and not in radians?",
+                "by its odometry the robot turns faster than once around in a second: are headings in "
+                "degrees, and not in radians?",
             )
 
     def _say(self, what: str, message: str) -> None:

@@ -125,8 +125,9 @@ def from_call(error: grpc.RpcError, address: str) -> WaypostError:
         )
     if any(said in message for said in _OTHER_TLS):
         return ServerUnreachable(
-            f"no connection to {address} ({message}); that server may speak TLS where this is plain, or none where this is "
-            "TLS, or ask for a certificate of yours: check http or https, ca and client_certificate"
+            f"no connection to {address} ({message}); that server may speak TLS where this is plain, or none "
+            "where this is TLS, or ask for a certificate of yours: check http or https, ca and "
+            "client_certificate"
         )
     # A status that grpcio made up itself has not come with anything over the wire.
     if code == grpc.StatusCode.UNAVAILABLE and not metadata and not _begun(error):
