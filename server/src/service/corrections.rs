@@ -10,7 +10,7 @@ use topomap::mapper::Said;
 use crate::clock::in_words;
 use crate::names::correction_name;
 use crate::open_map::answers::{FrameReference, reference};
-use crate::pages::Page;
+use crate::pages::{Page, page_from};
 use crate::storage::{MapId, MapRow, Storage, StorageError};
 
 /// A correction as people see it.
@@ -200,7 +200,7 @@ impl Corrections {
         let listed: Vec<&CorrectionEvent> = listed.take(size + 1).collect();
         let (listed, more) = listed.split_at(listed.len().min(size));
         let next = listed.last().filter(|_| !more.is_empty());
-        let next = next.map_or_else(String::new, |last| last.position.to_string());
+        let next = next.map_or_else(String::new, |last| page_from(last.position));
         Ok(Page { items: self.views(storage, map, listed.to_vec()).await?, next })
     }
 

@@ -5,7 +5,7 @@ use waypost_client::v1::token::Role;
 use waypost_client::{Client, ClientOptions, Code, v1};
 
 use crate::harness::{
-    CommandLine, Server, answers, assert_status, first_return, folder, followed, frame, import_model,
+    CommandLine, Server, answers, assert_status, first_return, folder, followed, frame, http, import_model,
     map_request, path, refused, state_hash,
 };
 
@@ -164,6 +164,21 @@ async fn what_cannot_be_corrected_is_refused_with_the_way_out() {
         Code::FailedPrecondition,
         "says so already",
     );
-    assert_eq!(client.corrections("drive").await.unwrap(), [confirmed]);
+    assert_eq!(client.corrections("drive").await.unwrap(), std::slice::from_ref(&confirmed));
+
+    // They are listed a page at a time.
+    let later = client.confirm_loop_closure(&of("drive", 12), &of("drive", 6)).await.unwrap();
+    let mut listed = Vec::new();
+    let mut token = String::new();
+    loop {
+        let url = server.url(&format!("/v1/maps/drive/corrections?page_size=1&page_token={token}"));
+        let page: Value = http().get(url).send().await.unwrap().json().await.unwrap();
+        listed.extend(page["corrections"].as_array().unwrap().iter().map(|said| said["name"].clone()));
+        token = page["next_page_token"].as_str().unwrap().to_owned();
+        if token.is_empty() {
+            break;
+        }
+    }
+    assert_eq!(listed, [confirmed.name, later.name]);
     server.stop().await;
 }
