@@ -4,6 +4,7 @@
 mod building;
 mod closing;
 mod correcting;
+mod driven_on;
 mod drives;
 mod fold;
 mod golden;

@@ -294,11 +294,11 @@ struct SeenAt {
 
 /// Closures that it takes to say so.
 const SLIP_CLOSURES: usize = 4;
-/// How far wheels turn for that, in metres.
-const SLIP_M: f64 = 0.8;
-/// And in standard deviations of the closures: of a view that structure has not measured only its size tells, and a far
-/// wall grows little.
+/// How far wheels turn for that, in standard deviations of the closures: of a view that structure has not measured only
+/// its size tells, and a far wall grows little.
 const SLIP_SIGMAS: f64 = 10.0;
+/// At least and at most, in metres.
+const SLIP_M: [f64; 2] = [0.8, 1.6];
 /// A robot that has come no further than this share of that slips.
 const SLIP_SHARE: f64 = 0.25;
 /// Share of the closures that has to say so: one may be wrong.
@@ -314,7 +314,8 @@ impl SlipWatch {
         let along_m = closure.covariance[(0, 0)].max(0.0).sqrt();
         self.seen.push_back(SeenAt { odometry: *odometry, pose: closure.at.pose, along_m });
         let unsure_m = self.seen.iter().map(|seen| seen.along_m).fold(0.0, f64::max);
-        let wanted_m = SLIP_M.max(SLIP_SIGMAS * unsure_m);
+        let [least_m, most_m] = SLIP_M;
+        let wanted_m = (SLIP_SIGMAS * unsure_m).clamp(least_m, most_m);
         let turned_m = |then: &SeenAt| apart_m(&then.odometry, odometry);
         while self.seen.get(1).is_some_and(|then| turned_m(then) >= wanted_m) {
             self.seen.pop_front();

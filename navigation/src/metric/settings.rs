@@ -18,23 +18,22 @@ pub struct NavigationSettings {
 /// How closures and wheels make one position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalizationSettings {
-    /// Standard deviation of a place's position against the places about it, in metres, above 0: what a closure
-    /// measures is not known better.
+    /// Standard deviation of a place's position against those about it, in metres, above 0: no closure knows better.
     pub map_m: f64,
     /// The same of its heading, in radians, above 0.
     pub map_rad: f64,
-    /// Of a closure that structure has not measured, as all up to its heading: standard deviation of its position
-    /// along the way that the robot looks, in metres, above 0.
+    /// Standard deviation of the position along the way that the robot looks, in metres, above 0. This and the next four
+    /// are of closures that structure has not measured.
     pub closure_along_m: f64,
     /// How far away is what a camera sees, as a rule, in metres: a view that is larger by ln s was
     /// taken so many times further back. 0 takes the robot to be where the view was taken.
     pub depth_m: f64,
     /// What that adds to the position's standard deviation for each |ln s|, in metres.
     pub along_m_per_ln_scale: f64,
-    /// Standard deviation of its position across that, in metres, above 0. It is held to be small, because what is
+    /// Standard deviation of the position across that, in metres, above 0. It is held to be small, because what is
     /// really an offset shows as a heading that leads back.
     pub closure_across_m: f64,
-    /// Standard deviation of its heading, in radians, above 0.
+    /// Standard deviation of the heading, in radians, above 0.
     pub closure_heading_rad: f64,
     /// Standard deviation of the turn that the wheels see, and those that made the map did not, in rad/m; it is learnt.
     pub drift_sigma_rad_per_m: f64,
@@ -276,7 +275,8 @@ pub struct NavigationSettingsError {
 }
 
 impl NavigationSettings {
-    /// # Errors [`NavigationSettingsError`] with the first setting that is out of its range.
+    /// # Errors
+    /// [`NavigationSettingsError`] with the first setting that is out of its range.
     pub fn check(&self) -> Result<(), NavigationSettingsError> {
         let Self { localization, planning, path, steering, supervision } = self;
         let ranges = localization

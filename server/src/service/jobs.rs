@@ -16,7 +16,7 @@ use super::tokens::Caller;
 use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::names::id_in;
-use crate::pages::{Page, bad_page_token, page_size, rows_of_page};
+use crate::pages::{Page, numbered_page, page_from, page_size, rows_of_page};
 use crate::role::Reach;
 pub(crate) use crate::storage::JobKind;
 use crate::storage::{JobEnd, JobRow, Storage, StoredError, StoredJobState};
@@ -173,14 +173,14 @@ impl Jobs {
         token: &str,
     ) -> Result<Page<JobStatus>, ServiceError> {
         let size = page_size(size)?;
-        let before = if token.is_empty() { None } else { Some(token.parse().map_err(|_| bad_page_token())?) };
+        let before = numbered_page(token)?;
         let read = |before| self.storage.jobs(before, size + 1);
         let number = |row: &JobRow| Some(row.number);
         let reached = |row: &JobRow| status_of(row.clone()).is_reached_by(caller);
         let mut rows = rows_of_page(size, before, read, number, reached).await?;
         let more = rows.len() > size as usize;
         rows.truncate(size as usize);
-        let next = rows.last().filter(|_| more).map_or_else(String::new, |row| row.number.to_string());
+        let next = rows.last().filter(|_| more).map_or_else(String::new, |row| page_from(row.number));
         let mut items = Vec::with_capacity(rows.len());
         for row in rows {
             items.push(match self.running(row.number) {

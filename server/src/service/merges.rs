@@ -28,7 +28,7 @@ use crate::error::ServiceError;
 use crate::ingest::model::LoadedModels;
 use crate::names::{check_id, map_in};
 use crate::open_map::OpenMaps;
-use crate::pages::{Page, bad_page_token, numbered_page, page_from, page_size, rows_of_page};
+use crate::pages::{Page, numbered_page, page_from, page_size, rows_of_page};
 pub(crate) use crate::storage::MergeState;
 use crate::storage::{JobKind, MapId, MapRow, Storage};
 
@@ -170,7 +170,7 @@ impl Merges {
         token: &str,
     ) -> Result<Page<MergeView>, ServiceError> {
         let size = page_size(size)?;
-        let before = numbered_page(token).map_err(|_| bad_page_token())?;
+        let before = numbered_page(token)?;
         let read = |before| async move {
             let rows = self.storage.merges(before, size + 1).await?;
             rows.into_iter().map(view).collect::<Result<Vec<_>, ServiceError>>()

@@ -75,7 +75,11 @@ impl Mapper {
     /// The most evidence of all. One with far less than another is not verified: words may be sure
     /// of a place that merely looks alike.
     fn strongest(&self, candidates: &[Candidate]) -> f64 {
-        self.possible(candidates).map(Candidate::evidence).fold(0.0, f64::max)
+        self.most_evident(candidates).map_or(0.0, Candidate::evidence)
+    }
+
+    fn most_evident<'a>(&self, candidates: &'a [Candidate]) -> Option<&'a Candidate> {
+        self.possible(candidates).max_by(|a, b| a.evidence().total_cmp(&b.evidence()))
     }
 
     /// The one beside which a candidate is not believed, whatever its probability: it has far more evidence.
@@ -85,7 +89,7 @@ impl Mapper {
         candidate: &Candidate,
         candidates: &'a [Candidate],
     ) -> Option<&'a Candidate> {
-        let most = self.possible(candidates).max_by(|a, b| a.evidence().total_cmp(&b.evidence()))?;
+        let most = self.most_evident(candidates)?;
         (candidate.evidence() < AS_GOOD * most.evidence()).then_some(most)
     }
 
