@@ -32,11 +32,13 @@ pub enum NamedWorld {
     /// A long straight hall with four rooms off it, photographs on all walls, seen by another
     /// camera than the other worlds: for what is tuned on those.
     Gallery,
+    /// A short wide hall with two rooms off it.
+    Foyer,
 }
 
 impl NamedWorld {
     /// All of them.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Office,
         Self::Corridors,
         Self::BooijOffice,
@@ -44,6 +46,7 @@ impl NamedWorld {
         Self::BuildingA,
         Self::BuildingB,
         Self::Gallery,
+        Self::Foyer,
     ];
 
     /// What command lines call it.
@@ -57,6 +60,7 @@ impl NamedWorld {
             Self::BuildingA => "building-a",
             Self::BuildingB => "building-b",
             Self::Gallery => "gallery",
+            Self::Foyer => "foyer",
         }
     }
 
@@ -77,6 +81,7 @@ impl NamedWorld {
             Self::BuildingA => buildings::offices_in_a_row(seed, [0, 1, 2, 3, 4, 5]),
             Self::BuildingB => buildings::offices_in_a_row(seed, [4, 2, 5, 0, 3, 1]),
             Self::Gallery => buildings::gallery(seed),
+            Self::Foyer => buildings::foyer(seed),
         }
     }
 
@@ -84,7 +89,7 @@ impl NamedWorld {
     #[must_use]
     pub fn camera_rig(self) -> CameraRig {
         match self {
-            Self::Gallery => gallery_camera_rig(),
+            Self::Gallery | Self::Foyer => gallery_camera_rig(),
             Self::Office
             | Self::Corridors
             | Self::BooijOffice
@@ -143,6 +148,19 @@ impl NamedWorld {
                 vec![NamedRoute::new("offices", &corners)]
             }
             Self::Gallery => gallery_routes(),
+            Self::Foyer => {
+                let corners = [
+                    [1.0, 5.5],
+                    [3.0, 5.5],
+                    [3.0, 9.8],
+                    [3.0, 5.5],
+                    [9.0, 5.5],
+                    [9.0, 1.2],
+                    [9.0, 5.5],
+                    [11.0, 5.5],
+                ];
+                vec![NamedRoute::new("rooms", &corners)]
+            }
         }
     }
 

@@ -57,7 +57,7 @@ struct Demo {
 #[derive(clap::Args)]
 struct WorldArguments {
     /// Drive through a simulated building: office, corridors, booij-office, loop, building-a,
-    /// building-b or gallery
+    /// building-b, gallery or foyer
     #[arg(long, value_name = "NAME")]
     world: Option<String>,
     /// Route through the building; if left out, its first. An unknown name lists all

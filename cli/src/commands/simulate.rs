@@ -40,7 +40,7 @@ pub(crate) struct Arguments {
     /// Map to drive in; `waypost map create` makes one
     #[arg(long)]
     map: String,
-    /// Building: office, corridors, booij-office, loop, building-a, building-b or gallery
+    /// Building: office, corridors, booij-office, loop, building-a, building-b, gallery or foyer
     #[arg(long, value_name = "NAME", default_value = "office")]
     world: String,
     /// Route through the building; if left out, its first. An unknown name lists all

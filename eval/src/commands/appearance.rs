@@ -89,7 +89,7 @@ pub(crate) struct AppearanceReport {
     /// Of the building whose offices look alike.
     pub look_alikes: Option<LookAlikeFigures>,
     /// Of labels that are put on whole rooms.
-    pub rooms: Option<RoomFigures>,
+    pub rooms: Option<Vec<RoomFigures>>,
     /// Drive by drive.
     pub drives: Vec<Drive>,
 }

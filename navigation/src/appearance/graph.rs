@@ -220,8 +220,10 @@ impl AppearanceGraph {
 pub const MIN_ROOM_SHARE: f64 = 0.7;
 
 /// Normalised cut, in [0, 2], below which a part of the graph is two spaces: a door lets through
-/// that share of what is seen of each room.
-pub const MAX_SPACE_CUT: f64 = 0.25;
+/// that share of what is seen of each room. Where a map has only the places of one way through
+/// a building, a room is a few places, and the two or three in its door weigh much: below 0.4 such rooms
+/// stay with their hall.
+pub const MAX_SPACE_CUT: f64 = 0.5;
 
 impl GoalDistances {
     /// The image that is 0 away.

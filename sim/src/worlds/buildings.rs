@@ -150,6 +150,23 @@ pub(super) fn gallery(seed: u64) -> FloorPlan {
     drawn(layout)
 }
 
+pub(super) fn foyer(seed: u64) -> FloorPlan {
+    let mut layout = Layout::default();
+    let look = |number: u64| Look::unique(derived_seed(seed, 400 + number)).walled(Material::Photographs);
+    let hall = layout.hall("hall", [0.0, 4.0, 12.0, 7.0], look(0));
+    let rooms = [
+        layout.room("north room", [1.0, 7.0, 5.0, 11.0], look(1)),
+        layout.room("south room", [7.0, 0.0, 11.0, 4.0], look(2)),
+    ];
+    layout.door(3.0, 7.0);
+    layout.door(9.0, 4.0);
+    for (number, room) in (0..).zip(rooms) {
+        layout.furnish(room, derived_seed(seed, 410 + number), 0.3, ANY_DEPTH_M);
+    }
+    layout.furnish(hall, derived_seed(seed, 420), 0.08, CORRIDOR_DEPTH_M);
+    drawn(layout)
+}
+
 pub(super) fn ring(seed: u64) -> FloorPlan {
     let mut layout = Layout::default();
     let areas = [[0.0, 0.0, 13.5, 2.0], [0.0, 9.5, 13.5, 11.5], [0.0, 2.0, 2.0, 9.5], [11.5, 2.0, 13.5, 9.5]];
