@@ -21,9 +21,12 @@ test: setup
 	$(CARGO) test --release --locked --workspace --no-fail-fast
 	$(MAKE) --no-print-directory test-python test-ros test-inspector test-cpp
 
+# What the client's messages, arrays and calls go through, with the oldest and the newest packages that it works with.
+RANGE_TESTS = test_values.py test_decisions.py test_words.py test_calls.py
 test-python: build
 	scripts/setup-python $(PYTHON)
 	WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest client/python docker docs
+	WAYPOST_BINARIES=$(abspath $(TARGET)) WAYPOST_PYTHON=$(PYTHON) scripts/test-python-range $(PYTHON)-range $(RANGE_TESTS)
 
 # The bridge between a server and a robot that another DDS plays. Once in thirteen runs Python itself crashed in the library
 # of that DDS: such an end, by a signal, says nothing of the bridge, and the tests run once more. A test that fails has failed.
