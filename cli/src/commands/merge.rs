@@ -283,22 +283,35 @@ fn show_overlap(overlap: &v1::MapOverlap, out: &mut dyn Write) -> io::Result<()>
     writeln!(out, "  overlap              {confirmed_places} of {overlapping_places} places match")?;
     writeln!(out, "  cost                 {cost_before:.1} apart, {cost_after:.1} together")?;
     for matched in strongest_matches.iter().take(5) {
-        let v1::PlaceMatch { source_frame, target_frame, posterior, evidence_inliers, .. } = matched;
+        let v1::PlaceMatch {
+            source_frame,
+            target_frame,
+            source_note,
+            target_note,
+            posterior,
+            evidence_inliers,
+            source_place_number: _,
+            target_place_number: _,
+        } = matched;
         let evidence = evidence_inliers
             .map_or_else(|| "by words alone".to_owned(), |inliers| format!("evidence {inliers:.0} inliers"));
         writeln!(
             out,
             "    {} is {}: posterior {posterior:.4}, {evidence}",
-            frame(source_frame),
-            frame(target_frame)
+            frame(source_frame, source_note),
+            frame(target_frame, target_note)
         )?;
     }
     Ok(())
 }
 
-/// `maps/a/sessions/b/frames/7` as `a b 7`.
-fn frame(name: &str) -> String {
-    name.split('/').skip(1).step_by(2).collect::<Vec<_>>().join(" ")
+/// `maps/a/sessions/b/frames/7` as `a b 7`, or `a b 000147.jpg` where its robot calls it so.
+fn frame(name: &str, note: &str) -> String {
+    let mut parts: Vec<&str> = name.split('/').skip(1).step_by(2).collect();
+    if let (Some(number), false) = (parts.last_mut(), note.is_empty()) {
+        *number = note;
+    }
+    parts.join(" ")
 }
 
 fn named(map: &str) -> String {

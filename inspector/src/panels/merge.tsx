@@ -185,8 +185,8 @@ function Matches({ matches }: { matches: MapOverlap["strongest_matches"] }) {
             <tbody>
                 {matches.slice(0, MOST_MATCHES).map((match) => (
                     <tr key={`${match.source_place_number} ${match.target_place_number}`}>
-                        <td><Seen frame={match.source_frame} place={match.source_place_number} /></td>
-                        <td><Seen frame={match.target_frame} place={match.target_place_number} /></td>
+                        <td><Seen frame={match.source_frame} note={match.source_note} place={match.source_place_number} /></td>
+                        <td><Seen frame={match.target_frame} note={match.target_note} place={match.target_place_number} /></td>
                         <td>{match.evidence_inliers === null ? "by words" : plural(Math.round(match.evidence_inliers), "inlier")}<br /><span class="quiet small">words {share(match.posterior)}</span></td>
                     </tr>
                 ))}
@@ -196,10 +196,10 @@ function Matches({ matches }: { matches: MapOverlap["strongest_matches"] }) {
 }
 
 /** A frame of a match, as maps/{map}/sessions/{session}/frames/{sequence}. */
-function Seen({ frame, place }: { frame: string; place: number }) {
+function Seen({ frame, note, place }: { frame: string; note: string; place: number }) {
     const [, map = "", , session = "", , sequence = ""] = frame.split("/");
     return (
-        <a class="seen" href={hash({ ...START, page: "map", map, session, frame: Number(sequence) })} title={`${map}, ${session}, frame ${sequence}`}>
+        <a class="seen" href={hash({ ...START, page: "map", map, session, frame: Number(sequence) })} title={`${map}, ${session}, ${note || `frame ${sequence}`}`}>
             <Picture path={`${at(frame)}/image?size=thumbnail`} alt="" /><span>place {place}</span>
         </a>
     );

@@ -37,6 +37,15 @@ pub(super) struct ReadMap {
     pub(super) log: Log,
 }
 
+/// A frame as users name it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ToldFrame {
+    /// `maps/{map}/sessions/{session}/frames/{sequence}`
+    pub(super) name: String,
+    /// What its robot calls it; empty if nothing.
+    pub(super) note: String,
+}
+
 /// A map's log, of which some may have come from others.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Log {
@@ -97,11 +106,17 @@ impl ReadMap {
         name.unwrap_or_default()
     }
 
-    /// A frame as users name it; empty if it is none.
-    pub(super) fn frame_name(&self, frame: FrameId) -> String {
-        let Some(MapEvent::Frame(event)) = self.log.event(frame) else { return String::new() };
+    /// A frame as users name it; empty if it is none. Blocks.
+    pub(super) fn told_frame(&self, disk: Disk<'_>, frame: FrameId) -> Result<ToldFrame, ServiceError> {
+        let Some(MapEvent::Frame(event)) = self.log.event(frame) else { return Ok(ToldFrame::default()) };
         let session = self.session_names.get(&event.session);
-        session.map_or_else(String::new, |session| frame_name(session, event.sequence))
+        let name = session.map_or_else(String::new, |session| frame_name(session, event.sequence));
+        let mut note = String::new();
+        if let Some((map, position)) = self.log.media_of(frame) {
+            let notes = disk.runtime.block_on(disk.storage.notes(map, position..position + 1))?;
+            note = notes.into_iter().next().map_or_else(String::new, |row| row.note);
+        }
+        Ok(ToldFrame { name, note })
     }
 }
 

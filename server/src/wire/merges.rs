@@ -64,13 +64,23 @@ fn overlap(overlap: MapOverlap) -> v1::MapOverlap {
         strongest,
     } = overlap;
     let matched = |matched: MatchedPlaces| {
-        let MatchedPlaces { source_place, target_place, source_frame, target_frame, posterior, evidence } =
-            matched;
+        let MatchedPlaces {
+            source_place,
+            target_place,
+            source_frame,
+            target_frame,
+            source_note,
+            target_note,
+            posterior,
+            evidence,
+        } = matched;
         v1::PlaceMatch {
             source_place_number: source_place,
             target_place_number: target_place,
             source_frame,
             target_frame,
+            source_note,
+            target_note,
             posterior,
             // Words alone leave no evidence.
             evidence_inliers: (evidence > 0.0).then_some(evidence),

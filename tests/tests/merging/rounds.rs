@@ -3,7 +3,7 @@
 use posegraph::trajectory::from_tum;
 use waypost_client::v1::export_poses_request::{Body, Format, Frame};
 use waypost_client::v1::merge_source::Outcome;
-use waypost_client::{Client, FrameOutcome, SessionOptions, v1};
+use waypost_client::{Client, FrameInput, FrameOutcome, SessionOptions, v1};
 use waypost_sim::robot::WheelErrors;
 use waypost_sim::simulation::CameraFrame;
 use waypost_sim::worlds::NamedWorld;
@@ -42,7 +42,8 @@ impl Rounds {
         frames: &[CameraFrame],
     ) -> Vec<v1::FrameAnswer> {
         let options = SessionOptions { camera: Some(camera_ahead()), ..session_options(map, session) };
-        let outcomes = stream(client.open_session(options).await.unwrap(), self.0.inputs_of(frames)).await;
+        let noted = self.0.inputs_of(frames).map(|frame| FrameInput { note: note(frame.sequence), ..frame });
+        let outcomes = stream(client.open_session(options).await.unwrap(), noted).await;
         let answer = |outcome| match outcome {
             FrameOutcome::Answer(answer) => answer,
             FrameOutcome::Refusal(refusal) => panic!("{refusal:?}"),
@@ -59,6 +60,11 @@ impl Rounds {
     pub(super) async fn rmse_m(&self, client: &Client, session: &str) -> f64 {
         self.0.rmse_m(&from_tum(&self.exported(client, session).await).unwrap())
     }
+}
+
+/// What the robot calls a frame.
+pub(super) fn note(sequence: u64) -> String {
+    format!("{sequence:04}.png")
 }
 
 /// What becomes of an overlap that was found.

@@ -14,7 +14,7 @@ use crate::harness::{
     import_model, map_request, planar, refused, said, state_hash,
 };
 
-use super::rounds::{OnceFound, Rounds, done, overlap, request};
+use super::rounds::{OnceFound, Rounds, done, note, overlap, request};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn two_maps_become_one_and_two_again() {
@@ -41,6 +41,9 @@ async fn two_maps_become_one_and_two_again() {
     let strongest = &found_overlap.strongest_matches[0];
     assert!(strongest.source_frame.starts_with("maps/tuesday/sessions/robot/frames/"), "{strongest:?}");
     assert!(strongest.target_frame.starts_with("maps/monday/sessions/robot/frames/"), "{strongest:?}");
+    let number = |name: &str| name.rsplit('/').next().unwrap().parse::<u64>().unwrap();
+    assert_eq!(strongest.source_note, note(number(&strongest.source_frame)));
+    assert_eq!(strongest.target_note, note(number(&strongest.target_frame)));
     let picture = String::from_utf8(client.merge_picture(&proposed.name).await.unwrap()).unwrap();
     assert!(picture.contains("tuesday before") && picture.contains("together"), "{picture:.400}");
     assert_eq!(get(&server, &format!("/v1/{}/picture", proposed.name)).await.text(), picture);

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use topomap::merging::{MergePlan, Overlap, PlaceMatch};
 
 use crate::error::ServiceError;
+use crate::service::read_map::ToldFrame;
 use crate::storage::MapRow;
 
 /// Matches that are told of, the strongest.
@@ -77,6 +78,11 @@ pub(crate) struct MatchedPlaces {
     /// The frames that were compared: `maps/{map}/sessions/{session}/frames/{sequence}`.
     pub(crate) source_frame: String,
     pub(crate) target_frame: String,
+    /// What their robots call the two frames; empty if nothing, and in merges that older servers kept.
+    #[serde(default)]
+    pub(crate) source_note: String,
+    #[serde(default)]
+    pub(crate) target_note: String,
     /// By words alone, among all places of the target and "somewhere new".
     pub(crate) posterior: f64,
     /// By geometry, in nats; 0 where words decided alone.
@@ -125,7 +131,11 @@ impl MergeReport {
 impl MapOverlap {
     /// How a source with metres, or without, joins a target. `frames` names the frame of the source and that of the
     /// target.
-    pub(super) fn of(plan: &MergePlan, metres: Metres, frames: impl Fn(&PlaceMatch) -> [String; 2]) -> Self {
+    pub(super) fn of(
+        plan: &MergePlan,
+        metres: Metres,
+        frames: impl Fn(&PlaceMatch) -> Result<[ToldFrame; 2], ServiceError>,
+    ) -> Result<Self, ServiceError> {
         let MergePlan {
             transformation,
             parts: (source_part, target_part),
@@ -138,17 +148,21 @@ impl MapOverlap {
             cost_after,
         } = plan;
         let told = |matched: &PlaceMatch| {
-            let [source_frame, target_frame] = frames(matched);
-            MatchedPlaces {
+            let [source, target] = frames(matched)?;
+            Ok(MatchedPlaces {
                 source_place: matched.source.number(),
                 target_place: matched.target.number(),
-                source_frame,
-                target_frame,
+                source_frame: source.name,
+                target_frame: target.name,
+                source_note: source.note,
+                target_note: target.note,
                 posterior: matched.posterior,
                 evidence: matched.evidence(),
-            }
+            })
         };
-        Self {
+        let strongest: Result<Vec<MatchedPlaces>, ServiceError> =
+            matches.iter().take(MOST_TOLD).map(told).collect();
+        Ok(Self {
             transformation: match metres {
                 Metres::Known => {
                     Some([transformation.x_m(), transformation.y_m(), transformation.heading_rad()])
@@ -165,8 +179,8 @@ impl MapOverlap {
             confirmed_places: *confirmed as u64,
             cost_before: *cost_before,
             cost_after: *cost_after,
-            strongest: matches.iter().take(MOST_TOLD).map(told).collect(),
-        }
+            strongest: strongest?,
+        })
     }
 }
 

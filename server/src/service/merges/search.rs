@@ -154,11 +154,15 @@ impl Search {
                 }
             };
             let frames = |matched: &PlaceMatch| {
-                [source.frame_name(matched.source_frame), merged.frame_name(matched.target_frame)]
+                let told = [
+                    source.told_frame(self.disk(), matched.source_frame)?,
+                    merged.told_frame(self.disk(), matched.target_frame)?,
+                ];
+                Ok(told)
             };
             let known = [&source, &*merged].iter().all(|map| map.mapper.poses().has_metres());
             let metres = if known { Metres::Known } else { Metres::Unknown };
-            *outcome = SourceOutcome::Overlaps(Box::new(MapOverlap::of(&plan, metres, frames)));
+            *outcome = SourceOutcome::Overlaps(Box::new(MapOverlap::of(&plan, metres, frames)?));
             let joined = join((&source.mapper, &merged.mapper), &plan, &source.log.events);
             merged.take(&source, joined.map_err(ServiceError::internal)?)?;
             let events = source.log.events.len() as u64;
