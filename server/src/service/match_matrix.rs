@@ -213,7 +213,7 @@ impl Piece {
                 levels - 1
             )));
         }
-        let places = |side: &Side, tile: u32| side.axis.tile(level, tile).map(|places| places.to_vec());
+        let places = |side: &Side, tile: u32| side.axis.tile(level, tile).map(<[PlaceId]>::to_vec);
         let (Some(shown), Some(against)) = (places(&rows, row), places(&columns, column)) else {
             let tiles = |side: &Side| side.axis.len().div_ceil(TILE_CELLS << level);
             return Err(ServiceError::not_found(format_args!(

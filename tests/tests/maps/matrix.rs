@@ -87,7 +87,7 @@ async fn a_map_is_compared_with_another_of_its_model_and_with_no_other() {
     mapped(&client, "robot", 1..=30).await;
     client.create_map(by_words_request("empty", &model)).await.unwrap();
     let described = client.match_matrix("drive", Some("empty")).await.unwrap();
-    assert_eq!(described.columns.as_ref().unwrap().place_numbers, []);
+    assert!(described.columns.as_ref().unwrap().place_numbers.is_empty());
     assert_eq!((&*described.against, described.marks.len()), ("maps/empty", 0));
     let turned = client.match_matrix("empty", Some("drive")).await.unwrap();
     assert_eq!((&turned.rows, &turned.columns), (&described.columns, &described.rows));
@@ -166,7 +166,7 @@ async fn lists_of_places_and_frames_are_thinned_by_who_asks() {
     let expected = (41..=45).map(|sequence| format!("maps/drive/sessions/robot/frames/{sequence}"));
     assert!(sequences.eq(expected), "{frames}");
     let more = format!("{path}&page_token={}", frames["next_page_token"].as_str().unwrap());
-    let next = &get(&server, &more).await.json()["frames"][0]["name"];
-    assert_eq!(next, "maps/drive/sessions/robot/frames/46");
+    let next = get(&server, &more).await.json();
+    assert_eq!(next["frames"][0]["name"], "maps/drive/sessions/robot/frames/46");
     server.stop().await;
 }
