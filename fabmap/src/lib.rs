@@ -12,6 +12,7 @@ pub mod explanation;
 mod ids;
 pub mod inverted_index;
 pub mod likelihood;
+pub mod likeness;
 pub mod look_alikes;
 pub mod model;
 pub mod new_place;

@@ -88,6 +88,12 @@ impl Observation {
         Ok(Self { words, counts })
     }
 
+    /// From words ascending, each seen once.
+    pub(crate) fn of_ascending(words: Vec<WordId>) -> Self {
+        let counts = vec![1; words.len()];
+        Self { words, counts }
+    }
+
     /// The words seen, ascending, each once.
     #[must_use]
     pub fn words(&self) -> &[WordId] {

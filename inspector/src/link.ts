@@ -18,6 +18,13 @@ export interface Link {
     frame: number | null;
     /** A place that was picked; without it, the cursor's. */
     place: number | null;
+    /** The place that the cursor's frame is shown beside; without it, the one that it was compared with. */
+    beside: number | null;
+    /** The map that the match matrix compares this one with, `.` for itself; without it, the matrix is closed. */
+    matrix: string | null;
+    /** Middle of the matrix and pixels a place, and the cell that was picked: its place above and the one beside. */
+    cells: [number, number, number] | null;
+    cell: [number, number] | null;
     colour: Colour | null;
     shape: Shape | null;
     /** 0 is by odometry alone, 1 corrected by closures. */
@@ -31,7 +38,8 @@ export interface Link {
 }
 
 export const START: Link = {
-    page: "maps", map: "", merge: null, sources: [], target: "", session: null, frame: null, place: null, colour: null,
+    page: "maps", map: "", merge: null, sources: [], target: "", session: null, frame: null, place: null, beside: null,
+    matrix: null, cells: null, cell: null, colour: null,
     shape: null, corrected: 1, view: null, large: false, follow: false,
 };
 
@@ -54,10 +62,15 @@ function decoded(part: string): string {
     }
 }
 
-function viewOf(given: URLSearchParams): Link["view"] {
-    const view = (given.get("view") ?? "").split(",").map(Number);
+function viewOf(given: URLSearchParams, name = "view"): Link["view"] {
+    const view = (given.get(name) ?? "").split(",").map(Number);
     const [x, y, scale] = view;
     return view.length === 3 && view.every(Number.isFinite) && scale! > 0 ? [x!, y!, scale!] : null;
+}
+
+function cellOf(given: URLSearchParams): Link["cell"] {
+    const [row, column] = (given.get("cell") ?? "").split(",").map(whole);
+    return row == null || column == null ? null : [row, column];
 }
 
 /** Reads a hash; what it does not understand is as if it were not there. */
@@ -79,6 +92,10 @@ export function read(hash: string): Link {
         session: given.get("session"),
         frame: whole(given.get("frame")),
         place: whole(given.get("place")),
+        beside: whole(given.get("beside")),
+        matrix: given.get("matrix") || null,
+        cells: viewOf(given, "cells"),
+        cell: cellOf(given),
         colour: one(COLOURS, given.get("colour")),
         shape: one(SHAPES, given.get("shape")),
         corrected: corrected >= 0 && corrected <= 1 ? corrected : 1,
@@ -102,6 +119,10 @@ export function hash(link: Link): string {
     if (link.session !== null) given.set("session", link.session);
     if (link.frame !== null) given.set("frame", String(link.frame));
     if (link.place !== null) given.set("place", String(link.place));
+    if (link.beside !== null) given.set("beside", String(link.beside));
+    if (link.matrix) given.set("matrix", link.matrix);
+    if (link.matrix && link.cells) given.set("cells", written(link.cells));
+    if (link.matrix && link.cell) given.set("cell", link.cell.join(","));
     if (link.colour) given.set("colour", link.colour);
     if (link.shape) given.set("shape", link.shape);
     if (link.corrected !== 1) given.set("corrected", String(link.corrected));

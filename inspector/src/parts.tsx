@@ -252,7 +252,8 @@ export function Picture({ path, alt, class: kind = "" }: PictureProps) {
     }, [path]);
     // Beside a text that says the same, a picture is nothing to those who hear the page.
     const heard = alt ? { role: "img" as const, "aria-label": alt } : { "aria-hidden": true };
-    if (missing) return <div class={`picture missing ${kind}`} title={missing} {...heard}>no image</div>;
+    // What it says is of the style: buttons around it are called otherwise.
+    if (missing) return <div class={`picture missing ${kind}`} title={missing} {...heard} />;
     if (!url) return <div class={`picture ${kind}`} {...heard} />;
     return <img class={`picture ${kind}`} src={url} alt={alt} />;
 }

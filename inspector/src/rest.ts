@@ -115,19 +115,20 @@ export async function download(path: string, name: string) {
 const PAGE_SIZE = 1000;
 
 /** The pages of a list, one after the other. */
-export async function* pages<K extends string, T>(path: string, key: K, signal?: AbortSignal, size = PAGE_SIZE) {
+export async function* pages<K extends string, T>(path: string, key: K, signal?: AbortSignal, size = PAGE_SIZE, asked: Record<string, number> = {}) {
+    const only = Object.entries(asked).map(([name, value]) => `&${name}=${value}`).join("");
     for (let next = "", first = true; first || next; first = false) {
         const more = next ? `&page_token=${encodeURIComponent(next)}` : "";
-        const page = await get<Record<K, T[]> & { next_page_token: string }>(`${path}?page_size=${size}${more}`, signal);
+        const page = await get<Record<K, T[]> & { next_page_token: string }>(`${path}?page_size=${size}${only}${more}`, signal);
         yield page[key] as T[];
         next = page.next_page_token;
     }
 }
 
 /** A list as a whole, of at most `most` elements where that is given. */
-export async function all<K extends string, T>(path: string, key: K, signal?: AbortSignal, most = Infinity) {
+export async function all<K extends string, T>(path: string, key: K, signal?: AbortSignal, most = Infinity, asked: Record<string, number> = {}) {
     const found: T[] = [];
-    for await (const page of pages<K, T>(path, key, signal)) {
+    for await (const page of pages<K, T>(path, key, signal, PAGE_SIZE, asked)) {
         for (const one of page) found.push(one);
         if (found.length >= most) break;
     }

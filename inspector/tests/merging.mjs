@@ -56,7 +56,10 @@ test("a merge is looked for, shown with its evidence, and changes nothing before
     await until("both maps on each other", async () => (await canvas.getAttribute("data-drawn")) === String(places[0] + places[1]));
     assert.ok((await colours(canvas)) > 8);
     const legend = await laid.locator(".legend").textContent();
-    assert.ok(legend.includes("monday") && legend.includes("tuesday"), legend);
+    assert.ok(legend.includes("monday, the base: monday") && legend.includes("tuesday: tuesday"), legend);
+    const base = page.getByRole("region", { name: "The base monday" });
+    await base.getByRole("link", { name: "monday" }).waitFor();
+    assert.match(await base.textContent(), new RegExp(`${places[0]} places.*1 session of its own`));
     await accessible(page, "a proposed merge");
 
     await page.getByRole("button", { name: "Discard", exact: true }).click();
@@ -115,6 +118,11 @@ test("maps without an overlap say why, and the list has every merge with what be
     await page.getByRole("button", { name: "Merge them" }).click();
     await state(page, "no overlap");
     const [{ sources }] = (await rest("merges")).merges;
+    // Into a map that was there before: its sessions are those of the base.
+    const base = page.getByRole("region", { name: "The base monday" });
+    await base.getByRole("link", { name: "monday" }).waitFor();
+    const { frames } = await rest("maps/monday/sessions/monday");
+    await base.getByText(`${frames} frames`).waitFor();
     await page.getByText(sources[0].no_overlap_reason).waitFor();
     assert.equal(await page.getByRole("button", { name: /Commit|Discard|Undo/ }).count(), 0);
     const wide = () => page.evaluate(() => document.documentElement.scrollWidth - innerWidth);

@@ -3,6 +3,7 @@
 import "./maps.mjs";
 import "./pictures.mjs";
 import "./correcting.mjs";
+import "./matrix.mjs";
 import "./operations.mjs";
 import "./merging.mjs";
 import "./live.mjs";

@@ -12,6 +12,7 @@ mod frames;
 mod inspector;
 mod jobs;
 mod maps;
+mod match_matrix;
 mod merges;
 mod models;
 mod navigations;
@@ -158,6 +159,8 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(places::list_places))
         .routes(routes!(places::get_place))
         .routes(routes!(places::list_word_places))
+        .routes(routes!(match_matrix::get_match_matrix))
+        .routes(routes!(match_matrix::get_match_matrix_tile))
         .routes(routes!(maps::list_loop_closures))
         .routes(routes!(corrections::list_corrections, corrections::correct_map))
         .routes(routes!(corrections::undo_correction))

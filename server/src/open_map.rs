@@ -16,12 +16,14 @@ mod requests;
 mod tracking;
 mod views;
 
+pub(crate) use self::answers::PlaceGraph;
 pub(crate) use self::handle::{MapHandle, WriterGone};
 pub(crate) use self::open_maps::{OpenMaps, no_such_map};
 pub(crate) use self::recent::Recent;
 pub(crate) use self::requests::{
     CorrectionRequest, FrameFailure, FrameRequest, FrameSource, FrameWork, LookRequest, Looked,
-    MeasuredFrames, Opener, PlanFrom, SessionMode, SessionOpening, StreamOpening, Verdict,
+    MeasuredFrames, Opener, PlaceBounds, PlacesWanted, PlanFrom, SessionMode, SessionOpening, StreamOpening,
+    Verdict,
 };
 pub(crate) use self::views::{FrameStore, SeenFeatures, compare, compared, stored_features, verifier};
 

@@ -11,6 +11,7 @@ pub(crate) mod jobs;
 pub(crate) mod labels;
 mod map_names;
 pub(crate) mod maps;
+pub(crate) mod match_matrix;
 mod measurements;
 pub(crate) mod merges;
 pub(crate) mod models;
@@ -37,6 +38,7 @@ use self::frames::Frames;
 use self::jobs::Jobs;
 use self::labels::Labels;
 use self::maps::Maps;
+use self::match_matrix::MatchMatrices;
 use self::measurements::Measurements;
 use self::merges::Merges;
 use self::models::Models;
@@ -67,6 +69,7 @@ pub(crate) struct Service {
     pub(crate) jobs: Jobs,
     pub(crate) labels: Labels,
     pub(crate) maps: Maps,
+    pub(crate) match_matrices: MatchMatrices,
     pub(crate) measurements: Measurements,
     pub(crate) merges: Merges,
     pub(crate) models: Models,
@@ -99,6 +102,7 @@ impl Service {
         let rewriting = shared.rewriting();
         let navigation = shared.navigation(&appearance, &labels);
         let snapshots = shared.snapshots();
+        let match_matrices = shared.match_matrices();
         let Shared { storage, open_maps, extraction, jobs, names, deleted_maps, metrics, stopping, .. } =
             shared;
         Self {
@@ -115,6 +119,7 @@ impl Service {
             jobs,
             labels,
             maps,
+            match_matrices,
             models,
             navigation,
             rewriting,

@@ -6,6 +6,7 @@ pub(crate) mod events;
 pub(crate) mod geometry;
 pub(crate) mod jobs;
 pub(crate) mod maps;
+pub(crate) mod match_matrix;
 pub(crate) mod merges;
 pub(crate) mod models;
 pub(crate) mod navigations;

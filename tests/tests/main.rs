@@ -18,6 +18,7 @@ mod maps {
     mod explain;
     mod jobs;
     mod mapping;
+    mod matrix;
     mod notes;
     mod odometry_agreement;
     mod pictures;

@@ -4,6 +4,7 @@ mod creation;
 mod exports;
 mod labels;
 mod listing;
+mod matrix;
 mod trimming;
 mod watching;
 
@@ -50,6 +51,7 @@ pub(crate) enum Command {
         /// Name of the map
         name: String,
     },
+    Matrix(matrix::Matrix),
     Label(labels::Labelling),
     /// List the labels of places
     Labels {
@@ -135,6 +137,7 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         Command::Rebind { name, model } => listing::show(&client.rebind_map(&name, &model).await?, output),
         Command::LoopClosures { name } => listing::loop_closures(&client.loop_closures(&name).await?, output),
         Command::Places { name } => listing::places(&client.places(&name).await?, output),
+        Command::Matrix(asked) => matrix::matrix(&client, asked, output).await,
         Command::Label(labelling) => labels::label(&client, labelling, output).await,
         Command::Labels { name } => labels::list(&client, &name, output).await,
         Command::Export { name, file, force } => {

@@ -122,6 +122,7 @@ async fn trajectory(client: &Client, session: &str) -> Result<Vec<Pose>, Failure
         format: Format::Tum.into(),
         frame: Frame::Map.into(),
         body: Body::Base.into(),
+        every: 0,
     };
     let mut text = Vec::new();
     client.export_poses(request, &mut text).await?;

@@ -106,6 +106,13 @@ def test_sessions_and_frames_are_read_back(
 
     place = client.place(hall, 0)
     assert place.word_hits
+    matrix = client.match_matrix(hall)
+    assert list(matrix.rows.place_numbers) == list(range(len(client.places(hall))))
+    assert matrix == client.match_matrix(hall, against=hall) and matrix.levels == 1
+    tile = client.match_matrix_tile(hall, 0, 0, 0)
+    assert tile.startswith(b"\x89PNG") and tile == client.match_matrix_tile(hall, 0, 0, 0, against=hall)
+    with pytest.raises(waypost.NotFound, match="1 x 1 tiles"):
+        client.match_matrix_tile(hall, 0, 0, 1)
     found = client.word_places(hall, place.word_hits[0].word)
     assert 0 in [of_word.place_number for of_word in found]
     assert len(client.places(hall)) == client.map(hall).places

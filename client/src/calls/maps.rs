@@ -52,7 +52,12 @@ impl Client {
     /// [`Error::Status`] with NOT_FOUND.
     pub async fn places(&self, map: &str) -> Result<Vec<v1::Place>, Error> {
         self.all_pages(|page_token| async move {
-            let request = v1::ListPlacesRequest { map: map_name(map), page_size: PAGE_SIZE, page_token };
+            let request = v1::ListPlacesRequest {
+                map: map_name(map),
+                page_size: PAGE_SIZE,
+                page_token,
+                ..v1::ListPlacesRequest::default()
+            };
             let page = self.maps_client().list_places(request).await?.into_inner();
             Ok((page.places, page.next_page_token))
         })
@@ -93,6 +98,27 @@ impl Client {
             Ok((page.places, page.next_page_token))
         })
         .await
+    }
+
+    /// How the match matrix of a map is laid out, against itself or another map of the same model.
+    ///
+    /// # Errors
+    /// [`Error::Status`]: NOT_FOUND, FAILED_PRECONDITION if the models differ.
+    pub async fn match_matrix(&self, map: &str, against: Option<&str>) -> Result<v1::MatchMatrix, Error> {
+        let against = against.map(map_name).unwrap_or_default();
+        let request = v1::GetMatchMatrixRequest { map: map_name(map), against };
+        self.taken(self.maps_client().get_match_matrix(request).await)
+    }
+
+    /// A tile of a match matrix as PNG: `tile_cells` x `tile_cells` pixels of 8 bits of grey.
+    ///
+    /// # Errors
+    /// See [`Client::match_matrix`]; also INVALID_ARGUMENT or NOT_FOUND for a tile that it does not
+    /// have.
+    pub async fn match_matrix_tile(&self, request: v1::GetMatchMatrixTileRequest) -> Result<Vec<u8>, Error> {
+        let v1::GetMatchMatrixTileResponse { content_type: _, picture } =
+            self.taken(self.maps_client().get_match_matrix_tile(request).await)?;
+        Ok(picture)
     }
 
     /// Continues a map with another model of the same words.

@@ -95,8 +95,13 @@ impl Client {
     pub async fn frames_called(&self, session: &str, note: &str) -> Result<Vec<v1::FrameRecord>, Error> {
         self.all_pages(|page_token| async move {
             let session = session.to_owned();
-            let request =
-                v1::ListFramesRequest { session, page_size: PAGE_SIZE, page_token, note: note.to_owned() };
+            let request = v1::ListFramesRequest {
+                session,
+                page_size: PAGE_SIZE,
+                page_token,
+                note: note.to_owned(),
+                from_sequence: 0,
+            };
             let page = self.sessions_client().list_frames(request).await?.into_inner();
             Ok((page.frames, page.next_page_token))
         })

@@ -9,11 +9,17 @@ import { trajectory, type Stamped } from "./geometry";
 export interface Drive {
     corrected: Stamped[];
     odometry: Stamped[];
+    /** Of so many frames only the first is here. */
+    every: number;
 }
 
 export interface MapData {
     map: WayMap;
+    /** Of large maps those whose number `every` divides, and those that were asked for besides; by number. */
     places: Place[];
+    every: number;
+    /** A place, if it is among them. */
+    placeOf: (number: number) => Place | undefined;
     sessions: Session[];
     closures: LoopClosure[];
     labels: Map<number, string>;
@@ -24,30 +30,64 @@ export interface MapData {
 /** Most sessions whose way is drawn: each is asked for by itself. */
 export const MOST_DRIVES = 40;
 
+/** Most places that are asked for at once: of more, every so many-th along the way. */
+const MOST_PLACES = 10_000;
+/** Most closures that are drawn, and most frames of all ways. */
+export const MOST_CLOSURES = 10_000;
+const MOST_ROWS = 20_000;
+
 export async function load(name: string, signal: AbortSignal): Promise<MapData> {
     const base = at(`maps/${name}`);
-    const [map, places, sessions, closures, labels] = await Promise.all([
-        get<WayMap>(base, signal),
-        all<"places", Place>(`${base}/places`, "places", signal),
+    const map = await get<WayMap>(base, signal);
+    const every = Math.max(Math.ceil(map.places / MOST_PLACES), 1);
+    const [places, sessions, closures, labels] = await Promise.all([
+        all<"places", Place>(`${base}/places`, "places", signal, Infinity, every > 1 ? { every } : {}),
         all<"sessions", Session>(`${base}/sessions`, "sessions", signal),
-        all<"loop_closures", LoopClosure>(`${base}/loop-closures`, "loop_closures", signal),
+        all<"loop_closures", LoopClosure>(`${base}/loop-closures`, "loop_closures", signal, MOST_CLOSURES),
         all<"labels", Schemas["PlaceLabel"]>(`${base}/labels`, "labels", signal),
     ]);
     const byLooks = map.settings?.navigation_strategy === "appearance";
     const graph = byLooks && places.length ? await get<AppearanceGraph>(`${base}/appearance-graph`, signal) : null;
     const metric = !graph && places.some((place) => place.pose);
     const drives = metric ? await drivesOf(sessions.slice(0, MOST_DRIVES), signal) : new Map<string, Drive>();
-    const labelled = new Map(labels.map(({ place, label }) => [Number(short(place)), label]));
-    return { map, places, sessions, closures, labels: labelled, drives, graph };
+    const labelled = new Map(labels.map(({ place, label }) => [numberOf(place), label]));
+    return withPlaces({ map, every, sessions, closures, labels: labelled, drives, graph }, places);
+}
+
+/** The same map with places. */
+export function withPlaces(data: Omit<MapData, "places" | "placeOf">, places: Place[]): MapData {
+    const by = new Map(places.map((place) => [numberOf(place.name), place]));
+    return { ...data, places, placeOf: (number) => by.get(number) };
+}
+
+/** With places that were asked for besides, each once and by number: what was there is as new, or newer. */
+export function withMore(data: MapData, more: Place[]): MapData {
+    const by = new Map([...more, ...data.places].map((place) => [numberOf(place.name), place]));
+    return withPlaces(data, [...by].sort(([a], [b]) => a - b).map(([, place]) => place));
+}
+
+/** A stretch of a large map: numbers, or a rectangle of a part. */
+export type Stretch = Record<"from_place_number" | "to_place_number", number> |
+    Record<"part" | "min_x_m" | "max_x_m" | "min_y_m" | "max_y_m", number>;
+
+/** Places of a large map where somebody looks closely. */
+export async function closer(name: string, every: number, stretches: Stretch[], signal: AbortSignal): Promise<Place[]> {
+    const found = await Promise.all(stretches.map((stretch) =>
+        all<"places", Place>(`${at(name)}/places`, "places", signal, MOST_PLACES, { every, ...stretch })));
+    return found.flat();
+}
+
+function numberOf(name: string): number {
+    return Number(short(name));
 }
 
 async function drivesOf(sessions: Session[], signal: AbortSignal): Promise<Map<string, Drive>> {
+    const every = Math.max(Math.ceil(sessions.reduce((sum, { frames }) => sum + frames, 0) / MOST_ROWS), 1);
+    const thinned = every > 1 ? `&every=${every}` : "";
     const drives = await Promise.all(sessions.map(async ({ name }) => {
-        const [corrected, odometry] = await Promise.all([
-            way(`${at(name)}/trajectory?frame=map`, signal),
-            way(`${at(name)}/trajectory?frame=odom`, signal),
-        ]);
-        return [name, { corrected, odometry }] as const;
+        const [corrected, odometry] = await Promise.all(["map", "odom"].map((frame) =>
+            way(`${at(name)}/trajectory?frame=${frame}${thinned}`, signal)));
+        return [name, { corrected: corrected!, odometry: odometry!, every }] as const;
     }));
     return new Map(drives);
 }

@@ -1,5 +1,5 @@
 // Maps laid on each other as a merge proposes it: a scene like that of one map, coloured by the map that places are of.
-import { all, at, type Merge, type Place } from "../rest";
+import { all, at, type Merge, type Place, type Session } from "../rest";
 import { compose, pose, type Pose } from "./geometry";
 import { empty } from "./layout";
 import type { Closure, Scene } from "./scene";
@@ -10,14 +10,17 @@ interface Layer {
     /** The part's frame in the drawing's. */
     frame: Pose;
     places: Place[];
+    sessions: Session[];
 }
 
 export interface Overlaid {
     scene: Scene;
     /** The map that the place at each index is of. */
     layerOf: number[];
-    /** The maps in the order of their colours, the one that the others are laid on first. */
-    maps: string[];
+    /** The maps in the order of their colours, the one that the others are laid on first, with their sessions. */
+    maps: { map: string; sessions: Session[] }[];
+    /** The session that made the place at each index; empty if none is known. */
+    sessionOf: string[];
     /** Maps that lie on another part, or have no metres. */
     absent: string[];
     /** Whether a map has more places than are drawn. */
@@ -49,8 +52,11 @@ export async function overlaid(merge: Merge, signal: AbortSignal): Promise<Overl
     const shown = measured.filter(({ overlap }) => overlap!.target_part === part);
     const base = baseOf(merge);
     const layer = async (map: string, of: number, frame: Pose): Promise<Layer & { cut: boolean }> => {
-        const places = await all<"places", Place>(`${at(map)}/places`, "places", signal, MOST_PLACES);
-        return { map, frame, places: places.filter((place) => place.pose?.part === of && pose(place.pose.pose)), cut: places.length >= MOST_PLACES };
+        const [places, sessions] = await Promise.all([
+            all<"places", Place>(`${at(map)}/places`, "places", signal, MOST_PLACES),
+            all<"sessions", Session>(`${at(map)}/sessions`, "sessions", signal),
+        ]);
+        return { map, frame, sessions, places: places.filter((place) => place.pose?.part === of && pose(place.pose.pose)), cut: places.length >= MOST_PLACES };
     };
     const layers = await Promise.all([
         layer(base, part, ORIGIN),
@@ -60,7 +66,8 @@ export async function overlaid(merge: Merge, signal: AbortSignal): Promise<Overl
     return {
         scene: sceneOf(layers, merge),
         layerOf: layers.flatMap(({ places }, layer) => places.map(() => layer)),
-        maps: layers.map(({ map }) => map),
+        maps: layers.map(({ map, sessions }) => ({ map, sessions })),
+        sessionOf: layers.flatMap(({ places }) => places.map(({ frames }) => frames[0]?.session ?? "")),
         absent: merge.sources.map(({ map }) => map).filter((map) => !names.has(map)),
         cut: layers.some(({ cut }) => cut),
     };
@@ -92,8 +99,8 @@ function sceneOf(layers: Layer[], merge: Merge): Scene {
     });
     return {
         kind: "metric", numbers: laid.map(({ number }) => number), indexOf: new Map(), corrected: points, odometry: points,
-        unplaced: 0, parts: 1, links, closures, tracks: [], labels: [],
-        sessionOf: Uint16Array.from(laid, ({ layer }) => colourNumber(layer)), spaceOf: new Uint16Array(laid.length),
+        unplaced: 0, parts: 1, links, closures, tracks: [], labels: [], apart: new Map(), near: () => undefined, count: laid.length,
+        sessionOf: Uint16Array.from(laid, ({ layer }) => colourNumber(layer)), spaceOf: new Uint32Array(laid.length),
     };
 }
 

@@ -168,7 +168,7 @@ function places({ context, screen, ink, scale }: Pen, scene: Scene, { x, y }: Po
 }
 
 function colourOf(scene: Scene, at: number, colour: Colour, { ramp }: Ink): string {
-    if (colour === "time") return ramp[step(at / Math.max(scene.numbers.length - 1, 1))]!;
+    if (colour === "time") return ramp[step((scene.count > scene.numbers.length ? scene.numbers[at]! : at) / Math.max(scene.count - 1, 1))]!;
     return named((colour === "session" ? scene.sessionOf : scene.spaceOf)[at]!);
 }
 

@@ -36,8 +36,14 @@ export interface Scene {
     closures: Closure[];
     tracks: Track[];
     sessionOf: Uint16Array;
-    spaceOf: Uint16Array;
+    spaceOf: Uint32Array;
     labels: [number, string][];
+    /** How far each part of the map was moved to the right. */
+    apart: Map<number, number>;
+    /** The index of a place, or of the last one before it where not all are drawn. */
+    near: (number: number) => number | undefined;
+    /** Places of the map, drawn or not: what their numbers are a share of. */
+    count: number;
 }
 
 const NS = 1e9;
@@ -56,18 +62,23 @@ export function sceneOf(data: MapData, shape: Shape | null): Scene {
     const indexOf = new Map(numbers.map((number, index) => [number, index]));
     const sessionNumbers = new Map(data.sessions.map(({ name }, index) => [name, index]));
     const sessionOf = Uint16Array.from(shown, (place) => sessionNumbers.get(place.frames[0]?.session ?? "") ?? 0);
+    const near = (number: number) => indexOf.get(number) ?? indexOf.get(number - (number % data.every));
     const links = shown.flatMap((place, index): [number, number][] =>
         place.linked_place_numbers.flatMap((number): [number, number][] => {
-            const other = indexOf.get(number);
-            return other === undefined || other <= index ? [] : [[index, other]];
+            const other = near(number);
+            // Of two places that are both drawn, each names the link.
+            return other === undefined || other === index || (other < index && numbers[other] === number) ? [] : [[index, other]];
         }));
     const labels = [...data.labels].flatMap(([number, label]): [number, string][] => {
         const index = indexOf.get(number);
         return index === undefined ? [] : [[index, label]];
     });
-    const common = { kind, numbers, indexOf, sessionOf, labels, unplaced: data.places.length - shown.length };
-    if (kind === "metric") return { ...common, links, ...metric(data, shown, indexOf, sessionNumbers) };
-    const points = kind === "appearance" ? looks(data, numbers) : asDriven(data, shape)(numbers.length);
+    const common = {
+        kind, numbers, indexOf, sessionOf, labels, near, count: data.map.places, apart: new Map<number, number>(),
+        unplaced: data.places.length - shown.length,
+    };
+    if (kind === "metric") return { ...common, links, ...metric(data, shown, near, sessionNumbers) };
+    const points = kind === "appearance" ? looks(data, numbers) : places(asDriven(data, shape)(data.map.places), numbers);
     const spaces = new Map(data.graph?.nodes.map(({ place_number, space }) => [place_number, space]));
     const byGraph = data.graph?.links.flatMap(({ from_place_number, to_place_number }): [number, number][] => {
         const [from, to] = [indexOf.get(from_place_number), indexOf.get(to_place_number)];
@@ -79,15 +90,21 @@ export function sceneOf(data: MapData, shape: Shape | null): Scene {
         odometry: points,
         parts: 1,
         links: byGraph ?? links,
-        closures: closuresBetween(data, indexOf, points),
+        closures: closuresBetween(data, near, points),
         tracks: [],
-        spaceOf: Uint16Array.from(numbers, (number) => spaces.get(number) ?? 0),
+        spaceOf: Uint32Array.from(numbers, (number) => spaces.get(number) ?? 0),
     };
 }
 
 /** A map that closed loops is a ring, unless somebody wants to see it otherwise. */
 export function asDriven({ closures }: Pick<MapData, "closures">, shape: Shape | null): (count: number) => Points {
     return (shape ?? (closures.length ? "ring" : "strip")) === "ring" ? ring : strip;
+}
+
+/** The points of some places, of those of all. */
+function places(all: Points, numbers: number[]): Points {
+    const of = (axis: Float64Array) => Float64Array.from(numbers, (number) => axis[number] ?? 0);
+    return { x: of(all.x), y: of(all.y) };
 }
 
 function looks({ graph }: MapData, numbers: number[]): Points {
@@ -109,13 +126,13 @@ export function sure({ probability, posterior }: LoopClosure): number {
 }
 
 /** Closures from the place where the robot was a frame before. */
-function closuresBetween(data: MapData, indexOf: Map<number, number>, { x, y }: Points): Closure[] {
+function closuresBetween(data: MapData, near: Near, { x, y }: Points): Closure[] {
     const visits = visitsOf(data);
     return data.closures.flatMap((closure): Closure[] => {
-        const to = indexOf.get(closure.place_number);
+        const to = near(closure.place_number);
         if (to === undefined || !closure.frame || closure.correction) return [];
         const before = lastBefore(visits.get(closure.frame.session) ?? [], closure.frame.sequence);
-        const from = before === null ? to : (indexOf.get(before) ?? to);
+        const from = before === null ? to : (near(before) ?? to);
         const point: [number, number] = [x[from]!, y[from]!];
         return [{ probability: sure(closure), to, corrected: point, odometry: point }];
     });
@@ -148,8 +165,9 @@ function lastBefore(visits: Visit[], sequence: number): number | null {
 }
 
 type Numbered = Map<string, number>;
+type Near = Scene["near"];
 
-function metric(data: MapData, shown: MapData["places"], indexOf: Map<number, number>, sessions: Numbered) {
+function metric(data: MapData, shown: MapData["places"], near: Near, sessions: Numbered) {
     const apart = sideBySide(shown);
     const corrected = empty(shown.length);
     shown.forEach((place, index) => {
@@ -158,14 +176,17 @@ function metric(data: MapData, shown: MapData["places"], indexOf: Map<number, nu
         corrected.y[index] = at.y;
     });
     const wheels = new Map([...data.drives].map(([session, drive]) => [session, anchored(drive)]));
+    // Of a long way the row before will do.
+    const row = (rows: Stamped[] | undefined, session: string, stamp_s: number) =>
+        (data.drives.get(session)?.every ?? 1) > 1 ? (rows?.[until(rows, stamp_s)] ?? null) : rowOf(rows ?? [], stamp_s);
     const parts = partsOf(shown);
     const odometry: Points = { x: corrected.x.slice(), y: corrected.y.slice() };
     shown.forEach((place, index) => {
         const frame = place.frames[0];
-        const row = frame && rowOf(wheels.get(frame.session) ?? [], frame.stamp_ns / NS);
-        if (!row) return;
-        odometry.x[index] = row.x + (apart.get(place.pose!.part) ?? 0);
-        odometry.y[index] = row.y;
+        const found = frame && row(wheels.get(frame.session), frame.session, frame.stamp_ns / NS);
+        if (!found) return;
+        odometry.x[index] = found.x + (apart.get(place.pose!.part) ?? 0);
+        odometry.y[index] = found.y;
     });
     const shift = (session: string, stamp_s: number) => apart.get(partAt(parts.get(session) ?? [], stamp_s)) ?? 0;
     const tracks = [...data.drives].map(([session, drive]): Track => ({
@@ -174,13 +195,13 @@ function metric(data: MapData, shown: MapData["places"], indexOf: Map<number, nu
         odometry: line(wheels.get(session) ?? [], (row) => shift(session, row.stamp_s)),
     }));
     const closures = data.closures.flatMap((closure): Closure[] => {
-        const to = indexOf.get(closure.place_number);
+        const to = near(closure.place_number);
         const frame = closure.frame;
         if (to === undefined || !frame || closure.correction) return [];
         const stamp_s = frame.stamp_ns / NS;
         const aside = shift(frame.session, stamp_s);
-        const at = rowOf(data.drives.get(frame.session)?.corrected ?? [], stamp_s);
-        const by = rowOf(wheels.get(frame.session) ?? [], stamp_s) ?? at;
+        const at = row(data.drives.get(frame.session)?.corrected, frame.session, stamp_s);
+        const by = row(wheels.get(frame.session), frame.session, stamp_s) ?? at;
         const here: [number, number] = [corrected.x[to]!, corrected.y[to]!];
         return [{
             probability: sure(closure), to,
@@ -188,8 +209,8 @@ function metric(data: MapData, shown: MapData["places"], indexOf: Map<number, nu
             odometry: by ? [by.x + aside, by.y] : here,
         }];
     });
-    const spaceOf = Uint16Array.from(shown, (place) => place.pose!.part);
-    return { corrected, odometry, parts: apart.size, closures, tracks, spaceOf };
+    const spaceOf = Uint32Array.from(shown, (place) => place.pose!.part);
+    return { corrected, odometry, apart, parts: apart.size, closures, tracks, spaceOf };
 }
 
 /** How far each part of the map is moved to the right, so that none lies on another. */

@@ -4,12 +4,15 @@ import { load, MOST_DRIVES, type MapData } from "../drawing/data";
 import { asDriven, kindOf, sceneOf, type Scene } from "../drawing/scene";
 import { ring } from "../drawing/layout";
 import type { Colour, Go, Link, Shape } from "../link";
-import { short } from "../rest";
-import { plural, Shown, useAsked } from "../parts";
+import type { Size, View } from "../drawing/paint";
+import { at, get, short, type Place as PlaceRecord } from "../rest";
+import { count, plural, Shown, useAsked } from "../parts";
 import { MapCanvas } from "./canvas";
 import { Evidence } from "./evidence";
+import { Matrix } from "./matrix";
 import { Pair } from "./pair";
 import { Place } from "./place";
+import { useCloser } from "./closer";
 import { useFresh, useLive, type Live } from "./live";
 import { Robots } from "./robots";
 import { useSteps, type Step } from "./steps";
@@ -37,9 +40,9 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
     const [lists, setLists] = useState(0);
     const { map, sessions } = data;
     const session = sessions.find(({ name }) => short(name) === link.session) ?? sessions[0] ?? null;
-    const { steps, whole, error, hear } = useSteps(session?.name ?? null, lists);
+    const { steps, whole, more, error, hear } = useSteps(session, link.frame, lists);
     const cursor = cursorOf(steps, link.frame);
-    const coming = !whole && link.frame !== null && link.frame > (steps.at(-1)?.sequence ?? -1);
+    const coming = (!whole || more[1]) && link.frame !== null && link.frame > (steps.at(-1)?.sequence ?? -1);
     const step = coming ? null : (steps[cursor] ?? null);
     const place = link.place ?? step?.place ?? null;
     const heard = useLive(map.name, {
@@ -54,26 +57,38 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
     useEffect(() => {
         if (newest && known) go({ session: short(newest.session), frame: Number(short(newest.frame.name)), place: null });
     }, [newest?.frame.name, known]);
-    const scene = useMemo(() => sceneOf(data, link.shape), [data, link.shape]);
+    const { closer, onSeen } = useCloser(data);
+    const scene = useMemo(() => sceneOf(closer, link.shape), [closer, link.shape]);
 
     // Keys may come faster than the page is drawn: each goes on from the one before.
     const latest = useRef(cursor);
     useLayoutEffect(() => {
         latest.current = cursor;
     }, [cursor]);
-    const onCursor = (index: number) => {
-        const nearest = Math.min(Math.max(index, 0), steps.length - 1);
+    const toFrame = (frame: number) =>
+        go({ frame, place: null, beside: null, follow: false, session: session ? short(session.name) : null });
+    const onCursor = (index: number | "first" | "last") => {
+        const end = index === "first" ? session?.first_sequence : index === "last" ? session?.last_sequence : null;
+        if (typeof end === "number" && (more[0] || more[1])) return toFrame(end);
+        const wanted = index === "first" ? 0 : index === "last" ? steps.length - 1 : index;
+        const nearest = Math.min(Math.max(wanted, 0), steps.length - 1);
         const to = steps[nearest];
         if (to) latest.current = nearest;
-        if (to) go({ frame: to.sequence, place: null, follow: false, session: session ? short(session.name) : null });
+        if (to) toFrame(to.sequence);
     };
-    const onFrame = (session: string, frame: number) => go({ session: short(session), frame, place: null, follow: false });
-    const onPlace = (number: number) => {
-        const frames = data.places.find(({ name }) => short(name) === String(number))?.frames ?? [];
+    const onFrame = (session: string, frame: number) => go({ session: short(session), frame, place: null, beside: null, follow: false });
+    const framesOf = async (number: number) => {
+        const known = closer.placeOf(number) ?? (data.every > 1 ? await get<PlaceRecord>(at(`${map.name}/places/${number}`)).catch(() => undefined) : undefined);
+        return known?.frames ?? [];
+    };
+    const onPlace = (number: number) => void framesOf(number).then((frames) => {
         const first = frames.find((frame) => frame.session === session?.name) ?? frames[0];
-        go({ place: number, follow: false, ...(first && { session: short(first.session), frame: first.sequence }) });
-    };
-    useKeys((by) => onCursor(latest.current + by), (to) => onCursor(to === "first" ? 0 : steps.length - 1));
+        go({ place: number, beside: null, follow: false, ...(first && { session: short(first.session), frame: first.sequence }) });
+    });
+    const onPair = (number: number, beside: number) => void framesOf(number).then(([first]) => {
+        go({ place: number, beside, follow: false, ...(first && { session: short(first.session), frame: first.sequence }) });
+    });
+    useKeys((by) => onCursor(latest.current + by), onCursor);
     return <>
         <div class="title">
             <h1>{short(map.name)}</h1>
@@ -86,10 +101,10 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
         </div>
         <div class="columns">
             <div class="broad">
-                <Drawing data={data} scene={scene} link={link} go={go} place={place} heard={heard} onPlace={onPlace} />
+                <Drawing data={data} scene={scene} link={link} go={go} place={place} heard={heard} onPlace={onPlace} onSeen={(view, size) => onSeen(scene, view, size)} />
                 {session && (
                     <Time
-                        sessions={sessions} session={session} steps={steps} whole={whole} error={error} cursor={cursor}
+                        sessions={sessions} session={session} steps={steps} whole={whole} more={more} error={error} cursor={cursor}
                         threshold={map.settings?.closure_threshold ?? null} onCursor={onCursor}
                         onSession={(name) => go({ session: short(name), frame: null, place: null, follow: false })}
                         onDeleted={() => {
@@ -98,9 +113,10 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
                         }}
                     />
                 )}
+                <Matrix data={closer} link={link} go={go} onPair={onPair} onPlace={onPlace} />
             </div>
             <div class="narrow">
-                {session && step && <Pair session={session.name} step={step} large={link.large} follow={link.follow} onLarge={(large) => go({ large })} onPlace={onPlace} onCorrected={onAgain} />}
+                {session && step && <Pair session={session.name} step={step} beside={link.beside} large={link.large} follow={link.follow} onLarge={(large) => go({ large })} onPlace={onPlace} onCorrected={onAgain} />}
                 {place !== null && <Place data={data} number={place} onPlace={onPlace} onFrame={onFrame} onLabels={setLabels} />}
                 <Robots heard={heard} place={place} onPlace={onPlace} onFrame={onFrame} />
                 <Evidence data={data} metric={scene.kind === "metric"} onPlace={onPlace} onFrame={onFrame} />
@@ -139,7 +155,7 @@ function GoTo({ data, onPlace }: { data: MapData; onPlace: (place: number) => vo
     const [missing, setMissing] = useState(false);
     const find = (wanted: string) => {
         const labelled = [...data.labels].find(([, label]) => label === wanted)?.[0];
-        const numbered = data.places.some(({ name }) => short(name) === wanted) ? Number(wanted) : undefined;
+        const numbered = /^\d{1,10}$/.test(wanted) && Number(wanted) < data.map.places ? Number(wanted) : undefined;
         const found = labelled ?? numbered;
         setMissing(found === undefined);
         if (found !== undefined) onPlace(found);
@@ -162,20 +178,21 @@ interface DrawingProps extends MapPageProps {
     place: number | null;
     heard: Live;
     onPlace: (place: number) => void;
+    onSeen: (view: View, size: Size) => void;
 }
 
-function Drawing({ data, scene, link, go, place, heard, onPlace }: DrawingProps) {
+function Drawing({ data, scene, link, go, place, heard, onPlace, onSeen }: DrawingProps) {
     const kind = kindOf(data);
     const colour: Colour = link.colour ?? (kind === "appearance" ? "space" : data.sessions.length > 1 ? "session" : "time");
     const [corrected, setCorrected] = useState(link.corrected);
     useEffect(() => setCorrected(link.corrected), [link.corrected]);
-    const marked = place === null ? null : (scene.indexOf.get(place) ?? null);
+    const marked = place === null ? null : (scene.near(place) ?? null);
     const seen = [
         ...heard.robots.map(({ guidance }) => guidance?.localization?.place_number ?? guidance?.appearance?.subgoal_place_number),
         ...heard.streaming.map(({ frame }) => frame.answer?.place_number),
     ];
     const where = seen.flatMap((number): [number, number][] => {
-        const at = typeof number === "number" ? scene.indexOf.get(number) : undefined;
+        const at = typeof number === "number" ? scene.near(number) : undefined;
         return at === undefined ? [] : [[scene.corrected.x[at]!, scene.corrected.y[at]!]];
     });
     const spots = JSON.stringify(where);
@@ -205,11 +222,13 @@ function Drawing({ data, scene, link, go, place, heard, onPlace }: DrawingProps)
                     scene={scene} look={look} view={view}
                     describe={`Drawing of the map with ${plural(scene.numbers.length, "place")}. Plus and minus zoom, 0 shows all, shift and arrows move it.`}
                     onView={(view) => go({ view: view && [view.x, view.y, view.scale] })}
-                    onPick={(index) => onPlace(scene.numbers[index]!)}
+                    onPick={(index) => onPlace(scene.numbers[index]!)} onSeen={onSeen}
                 />
             )}
             <p class="legend"><span class="key link">link</span><span class="key closure">loop closure; thicker is surer, dashed below 0.9</span>
                 {kind === "metric" && corrected < 1 && <span class="key odometry">by wheels alone</span>}
+                {data.every > 1 && <span data-testid="thinned">one of {data.every} places along the way; more where you zoom in</span>}
+                {data.map.loop_closures > data.closures.length && <span>the first {count(data.closures.length)} closures</span>}
                 {scene.unplaced > 0 && <span>{plural(scene.unplaced, "place")} without a pose not drawn</span>}
                 {scene.parts > 1 && <span>{scene.parts} parts that nothing joins lie side by side</span>}
                 {kind === "metric" && data.sessions.length > MOST_DRIVES && <span>ways of the first {MOST_DRIVES} sessions</span>}

@@ -2,9 +2,11 @@
 import { useState } from "preact/hooks";
 import { hash, START, type Go, type Link } from "../link";
 import { pose } from "../drawing/geometry";
-import { partsOf } from "../drawing/overlay";
-import { at, change, get, Refusal, short, type Job, type Merge, type Schemas } from "../rest";
-import { fixed, moment, Outcome, Picture, plural, Question, Refused, share, useAttempt, useMayAll, usePolled } from "../parts";
+import { baseOf, partsOf } from "../drawing/overlay";
+import { all, at, change, get, Refusal, short, type Job, type Merge, type Schemas, type Session, type WayMap } from "../rest";
+import {
+    fixed, moment, Outcome, Picture, plural, Question, Refused, share, Shown, useAsked, useAttempt, useMayAll, usePolled,
+} from "../parts";
 import { State } from "./merges";
 import { Overlay } from "./overlay";
 
@@ -65,7 +67,10 @@ function Loaded({ merge, job, link, go, onDecided }: LoadedProps) {
                 {laid && <Overlay merge={merge} link={link} go={go} />}
                 {drawn && <Before merge={merge} />}
             </div>
-            <div class="narrow">{sources.map((source) => <Source key={source.map} source={source} searching={state === "searching"} />)}</div>
+            <div class="narrow">
+                <Base merge={merge} />
+                {sources.map((source) => <Source key={source.map} source={source} searching={state === "searching"} />)}
+            </div>
         </div>
     </>;
 }
@@ -143,6 +148,46 @@ function Before({ merge }: { merge: Merge }) {
             <Picture path={`${at(merge.name)}/picture`} alt={`The maps before and after merge ${short(merge.name)}: ways, links within a session and links between sessions`} class="sheet" />
         </section>
     );
+}
+
+/** The map that the others are merged into: of what it holds already, they bring more. */
+function Base({ merge }: { merge: Merge }) {
+    const map = baseOf(merge);
+    const asked = useAsked(async (signal) => {
+        try {
+            return await Promise.all([get<WayMap>(at(map), signal), all<"sessions", Session>(`${at(map)}/sessions`, "sessions", signal)]);
+        } catch (error) {
+            // A merge outlives its maps.
+            if (error instanceof Refusal && error.code === "not_found") return null;
+            throw error;
+        }
+    }, [map, merge.state]);
+    return (
+        <section class="panel" aria-label={`The base ${short(map)}`}>
+            <header><h2>{short(map)}</h2><span class="quiet">the base: the others are laid on it</span></header>
+            <Shown asked={asked} what="the base">
+                {(found) => found === null ? <p class="quiet">There is no such map any more.</p> : <Sessions known={found[0]} sessions={found[1]} brought={broughtOf(merge)} />}
+            </Shown>
+        </section>
+    );
+}
+
+/** Sessions of the target that the merge has brought from other maps. */
+function broughtOf({ sources }: Merge): Set<string> {
+    return new Set(sources.flatMap(({ sessions }) => sessions));
+}
+
+function Sessions({ known, sessions, brought }: { known: WayMap; sessions: Session[]; brought: Set<string> }) {
+    const own = sessions.filter(({ name }) => !brought.has(name));
+    return <>
+        <p>{plural(known.places, "place")} · {plural(known.links, "link")} · {plural(known.loop_closures, "loop closure")}</p>
+        <h3>{plural(own.length, "session")} of its own</h3>
+        {own.length === 0 ? <p class="quiet">None: no robot has driven in it yet.</p> : (
+            <ul class="sessions">{own.map(({ name, frames, first_stamp_ns }) => (
+                <li key={name}><a href={hash({ ...START, page: "map", map: short(known.name), session: short(name) })}>{short(name)}</a> <span class="quiet small">{plural(frames, "frame")}{typeof first_stamp_ns === "number" && `, from ${moment(first_stamp_ns)}`}</span></li>
+            ))}</ul>
+        )}
+    </>;
 }
 
 type MapOverlap = Schemas["MapOverlap"];

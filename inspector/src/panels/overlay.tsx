@@ -23,11 +23,12 @@ export function Overlay({ merge, link, go }: OverlayProps) {
 }
 
 function Drawn({ found, link, go }: { found: Overlaid } & Omit<OverlayProps, "merge">) {
-    const { scene, layerOf, maps, absent, cut } = found;
+    const { scene, layerOf, sessionOf, maps, absent, cut } = found;
     const [picked, setPicked] = useState<number | null>(null);
     const look = useMemo(() => ({ colour: "session" as const, corrected: 1, place: picked, robots: [] }), [picked]);
     const view = useMemo(() => link.view && { x: link.view[0], y: link.view[1], scale: link.view[2] }, [link.view]);
-    const map = picked === null ? null : short(maps[layerOf[picked]!]!);
+    const map = picked === null ? null : short(maps[layerOf[picked]!]!.map);
+    const session = picked === null ? "" : sessionOf[picked]!;
     return <>
         <MapCanvas
             scene={scene} look={look} view={view}
@@ -35,9 +36,11 @@ function Drawn({ found, link, go }: { found: Overlaid } & Omit<OverlayProps, "me
             onView={(view) => go({ view: view && [view.x, view.y, view.scale] })} onPick={setPicked}
         />
         <p class="legend">
-            {maps.map((map, at) => <span key={map} class={`key map-${colourNumber(at)}`}>{short(map)}</span>)}
+            {maps.map(({ map, sessions }, at) => (
+                <span key={map} class={`key map-${colourNumber(at)}`}>{short(map)}{at === 0 && ", the base"}: {sessions.length === 0 ? "no session" : sessions.map(({ name }) => short(name)).join(", ")}</span>
+            ))}
             <span class="key closure">match</span>
-            {map !== null && <a href={hash({ ...START, page: "map", map, place: scene.numbers[picked!]! })}>place {scene.numbers[picked!]} of {map}</a>}
+            {map !== null && <a href={hash({ ...START, page: "map", map, place: scene.numbers[picked!]! })}>place {scene.numbers[picked!]} of {map}{session && `, ${short(session)}`}</a>}
             {absent.length > 0 && <span>not drawn, for want of metres or on another part: {absent.map(short).join(", ")}</span>}
             {cut && <span>the first places of large maps</span>}
         </p>

@@ -13,6 +13,8 @@ const FOLLOWING_REST_MS = 800;
 interface PairProps {
     session: string;
     step: Step;
+    /** The place that it is shown beside; without it, the one that it was compared with. */
+    beside: number | null;
     large: boolean;
     follow: boolean;
     onLarge: (large: boolean) => void;
@@ -20,15 +22,16 @@ interface PairProps {
     onCorrected: () => void;
 }
 
-export function Pair({ session, step, large, follow, onLarge, onPlace, onCorrected }: PairProps) {
+export function Pair({ session, step, beside, large, follow, onLarge, onPlace, onCorrected }: PairProps) {
     const frame = `${at(session)}/frames/${step.sequence}`;
+    const place = beside === null ? "" : `?place_number=${beside}`;
     const asked = useAsked(async (signal) => {
         await pause(follow ? FOLLOWING_REST_MS : REST_MS, signal);
-        return Promise.all([get<Explanation>(`${frame}/explanation`, signal), get<FrameRecord>(frame, signal)]);
-    }, [frame]);
+        return Promise.all([get<Explanation>(`${frame}/explanation${place}`, signal), get<FrameRecord>(frame, signal)]);
+    }, [frame, place]);
     return (
         <section class="panel pair" aria-label="The pair">
-            <header><h2>Frame {step.sequence}</h2>{step.note && <span class="note" data-testid="note">{step.note}</span>}<span class={`reason ${step.reason}`}>{REASONS[step.reason] ?? step.reason}</span></header>
+            <header><h2>Frame {step.sequence}</h2>{beside !== null && <span class="quiet">beside place {beside}</span>}{step.note && <span class="note" data-testid="note">{step.note}</span>}<span class={`reason ${step.reason}`}>{REASONS[step.reason] ?? step.reason}</span></header>
             <Shown asked={asked} what="why it was decided so">
                 {([explanation, record]) => <>
                     <Views explanation={explanation} frame={frame} sequence={step.sequence} large={large} onLarge={onLarge} />

@@ -1,6 +1,6 @@
 // The frames of a session: as they were, page by page, and as they come.
 import { useEffect, useRef, useState } from "preact/hooks";
-import { at, pages, short, type FrameRecord } from "../rest";
+import { at, pages, short, type FrameRecord, type Session } from "../rest";
 import { sessionOf } from "./live";
 
 /** What the strip needs of a frame: sessions are long. */
@@ -38,17 +38,38 @@ export const REASONS: Record<string, string> = {
 
 export interface Steps {
     steps: Step[];
+    /** Whether all that is asked for is here. */
     whole: boolean;
+    /** Whether there are more before and after: of long sessions only those around the cursor are here. */
+    more: [before: boolean, after: boolean];
     error: Error | null;
 }
 
-const NONE: Steps = { steps: [], whole: false, error: null };
+const NONE: Steps = { steps: [], whole: false, more: [false, false], error: null };
+
+/** Longer sessions are listed in windows, each of which begins in the middle of the one before. */
+const LONG = 5000;
+const WINDOW = 2000;
+const STRIDE = WINDOW / 2;
+
+/** Where the window begins that has a frame in its middle; none if the session is listed as a whole. */
+function windowOf(session: Session | null, frame: number | null): number | null {
+    const first = session?.first_sequence ?? null;
+    if (session === null || first === null || session.frames <= LONG) return null;
+    const far = (frame ?? first) - first;
+    return first + Math.max(Math.floor((far - STRIDE / 2) / STRIDE), 0) * STRIDE;
+}
 
 /** Most frames that are kept of those that come while the page is open for days: the oldest make room. */
 const MOST_STEPS = 100_000;
 
-/** The frames of a session, and what adds those that were decided since. They are listed anew with other `times`. */
-export function useSteps(session: string | null, times: number): Steps & { hear: (frames: FrameRecord[]) => void } {
+/**
+ * The frames of a session, of a long one those around the cursor's, and what adds those that were decided since. They are
+ * listed anew with other `times`.
+ */
+export function useSteps(of: Session | null, frame: number | null, times: number): Steps & { hear: (frames: FrameRecord[]) => void } {
+    const session = of?.name ?? null;
+    const from = windowOf(of, frame);
     const [known, setKnown] = useState<Steps & { of: string | null }>({ of: session, ...NONE });
     const listed = useRef<string | null>(null);
     const coming = useRef<Step[]>([]);
@@ -62,20 +83,27 @@ export function useSteps(session: string | null, times: number): Steps & { hear:
         if (session === null) return;
         const read = async () => {
             let steps: Step[] = [];
-            for await (const page of pages<"frames", FrameRecord>(`${at(session)}/frames`, "frames", gone.signal)) {
+            let more = false;
+            for await (const page of pages<"frames", FrameRecord>(`${at(session)}/frames`, "frames", gone.signal, undefined, from === null ? {} : { from_sequence: from })) {
                 steps = steps.concat(page.map(stepOf));
-                if (!gone.signal.aborted && !anew) setKnown({ of: session, steps, whole: false, error: null });
+                more = from !== null && steps.length >= WINDOW;
+                if (more) break;
+                if (!gone.signal.aborted && !anew) setKnown({ of: session, ...NONE, steps });
             }
-            if (!gone.signal.aborted) setKnown({ of: session, steps: grown(steps, coming.current), whole: true, error: null });
+            if (gone.signal.aborted) return;
+            const last = of?.last_sequence ?? null;
+            const after = more && last !== null && (steps.at(-1)?.sequence ?? last) < last;
+            const before = from !== null && from > (of?.first_sequence ?? from);
+            setKnown({ of: session, steps: after ? steps : grown(steps, coming.current), whole: true, more: [before, after], error: null });
         };
         read().catch((error: Error) => gone.signal.aborted || setKnown((now) => ({ ...now, error })));
         return () => gone.abort();
-    }, [session, times]);
+    }, [session, from, times]);
     const hear = (frames: FrameRecord[]) => {
         const own = frames.filter((frame) => sessionOf(frame) === session).map(stepOf);
         if (own.length === 0) return;
         coming.current = grown(coming.current, own);
-        setKnown((now) => now.whole ? { ...now, steps: grown(now.steps, own) } : now);
+        setKnown((now) => now.whole && !now.more[1] ? { ...now, steps: grown(now.steps, own) } : now);
     };
     // Frames of the session before are none of this one's.
     return { ...(known.of === session ? known : NONE), hear };

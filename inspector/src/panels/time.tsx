@@ -3,7 +3,7 @@ import { useEffect, useMemo, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import { ink } from "../drawing/colours";
 import { at, short, type Session } from "../rest";
-import { Picture, plural, Refused, useDark, useSize } from "../parts";
+import { count, Picture, plural, Refused, useDark, useSize } from "../parts";
 import { DeleteSession } from "./deleting";
 import { REASONS, type Step } from "./steps";
 
@@ -12,17 +12,19 @@ interface TimeProps {
     session: Session;
     steps: Step[];
     whole: boolean;
+    more: [before: boolean, after: boolean];
     error: Error | null;
     cursor: number;
     threshold: number | null;
     onSession: (name: string) => void;
-    onCursor: (index: number) => void;
+    onCursor: (index: number | "first" | "last") => void;
     onDeleted: () => void;
 }
 
 export function Time(props: TimeProps) {
-    const { sessions, session, steps, whole, error, cursor, threshold, onSession, onCursor, onDeleted } = props;
+    const { sessions, session, steps, whole, more, error, cursor, threshold, onSession, onCursor, onDeleted } = props;
     const step = steps[cursor];
+    const [first, last] = [cursor <= 0 && !more[0], cursor >= steps.length - 1 && !more[1]];
     return (
         <section class="panel time" aria-label="Time">
             <header>
@@ -33,13 +35,13 @@ export function Time(props: TimeProps) {
                     </select>
                 </label>
                 <span class="steps">
-                    <button type="button" aria-label="First frame" disabled={cursor <= 0} onClick={() => onCursor(0)}>|◀</button>
-                    <button type="button" aria-label="Frame before" disabled={cursor <= 0} onClick={() => onCursor(cursor - 1)}>◀</button>
-                    <button type="button" aria-label="Next frame" disabled={cursor >= steps.length - 1} onClick={() => onCursor(cursor + 1)}>▶</button>
-                    <button type="button" aria-label="Last frame" disabled={cursor >= steps.length - 1} onClick={() => onCursor(steps.length - 1)}>▶|</button>
+                    <button type="button" aria-label="First frame" disabled={first} onClick={() => onCursor("first")}>|◀</button>
+                    <button type="button" aria-label="Frame before" disabled={first} onClick={() => onCursor(cursor - 1)}>◀</button>
+                    <button type="button" aria-label="Next frame" disabled={last} onClick={() => onCursor(cursor + 1)}>▶</button>
+                    <button type="button" aria-label="Last frame" disabled={last} onClick={() => onCursor("last")}>▶|</button>
                 </span>
                 <output data-testid="cursor">{step ? `frame ${step.sequence}: ${REASONS[step.reason] ?? step.reason}` : "no frame"}</output>
-                <span class="quiet">{plural(steps.length, "frame")}{whole ? "" : ", more are coming"} · keys ← →</span>
+                <span class="quiet">{more[0] || more[1] ? `frames ${count(steps[0]!.sequence)} to ${count(steps.at(-1)!.sequence)}, of ${count(session.frames)}` : plural(steps.length, "frame")}{whole ? "" : ", more are coming"} · keys ← →</span>
                 <DeleteSession key={session.name} session={session} onDeleted={onDeleted} />
             </header>
             {error && <Refused error={error} />}

@@ -21,7 +21,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, Admitted, Ending};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 69] = [
+const METHODS: [(&str, Access); 71] = [
     ("/waypost.v1.SessionService/Stream", Access::OPEN_SESSION),
     ("/waypost.v1.RecognitionService/Query", Access::LOCALIZE),
     ("/waypost.v1.SessionService/ListSessions", Access::READ),
@@ -49,6 +49,8 @@ const METHODS: [(&str, Access); 69] = [
     ("/waypost.v1.MapService/ListPlaces", Access::READ),
     ("/waypost.v1.MapService/GetPlace", Access::READ),
     ("/waypost.v1.MapService/ListWordPlaces", Access::READ),
+    ("/waypost.v1.MapService/GetMatchMatrix", Access::READ),
+    ("/waypost.v1.MapService/GetMatchMatrixTile", Access::READ),
     ("/waypost.v1.MapService/ListLoopClosures", Access::READ),
     ("/waypost.v1.MapService/ExportPoses", Access::READ),
     ("/waypost.v1.CorrectionService/ListCorrections", Access::READ),

@@ -10,12 +10,14 @@ use crate::error::ServiceError;
 use crate::names::{map_in, place_in};
 use crate::pages::Page;
 use crate::service::maps::Detail;
+use crate::service::match_matrix::TileAt;
 use crate::service::rewriting::{Trimmed, Trimming};
-use crate::service::trajectories::{TrajectoryBody, TrajectoryFormat, TrajectoryFrame};
+use crate::service::trajectories::{TrajectoryBody, TrajectoryFormat, TrajectoryFrame, TrajectoryWanted};
 use crate::wire::jobs::job;
 use crate::wire::known;
 use crate::wire::maps::{dropped_place, loop_closure, map};
-use crate::wire::places::{listed_place, place, word_place};
+use crate::wire::match_matrix::{match_matrix, tile};
+use crate::wire::places::{listed_place, place, places_wanted, word_place};
 use crate::wire::settings::requested_settings;
 
 /// Largest piece that a text is handed out in.
@@ -61,8 +63,11 @@ impl MapService for Adapter {
         &self,
         request: Request<v1::ListPlacesRequest>,
     ) -> Result<Response<v1::ListPlacesResponse>, Status> {
-        let v1::ListPlacesRequest { map, page_size, page_token } = within(request)?;
-        let Page { items, next } = self.service.maps.places(&map, page_size, &page_token).await?;
+        let request = within(request)?;
+        let v1::ListPlacesRequest { map, page_size, page_token, every, .. } = request;
+        let v1::ListPlacesRequest { from_place_number: from, to_place_number: to, within, .. } = request;
+        let wanted = places_wanted(every, from, to, within)?;
+        let Page { items, next } = self.service.maps.places(&map, wanted, page_size, &page_token).await?;
         let map = map_in(&map)?;
         let places = items.into_iter().map(|view| listed_place(map, view)).collect();
         Ok(Response::new(v1::ListPlacesResponse { places, next_page_token: next }))
@@ -96,6 +101,23 @@ impl MapService for Adapter {
         Ok(Response::new(v1::ListWordPlacesResponse { places, next_page_token: next }))
     }
 
+    async fn get_match_matrix(
+        &self,
+        request: Request<v1::GetMatchMatrixRequest>,
+    ) -> Result<Response<v1::MatchMatrix>, Status> {
+        let v1::GetMatchMatrixRequest { map, against } = within(request)?;
+        Ok(Response::new(match_matrix(self.service.match_matrices.describe(&map, &against).await?)))
+    }
+
+    async fn get_match_matrix_tile(
+        &self,
+        request: Request<v1::GetMatchMatrixTileRequest>,
+    ) -> Result<Response<v1::GetMatchMatrixTileResponse>, Status> {
+        let v1::GetMatchMatrixTileRequest { map, against, level, row, column } = within(request)?;
+        let at = TileAt { level, row, column };
+        Ok(Response::new(tile(self.service.match_matrices.tile(&map, &against, at).await?)))
+    }
+
     async fn rebind_map(&self, request: Request<v1::RebindMapRequest>) -> Result<Response<v1::Map>, Status> {
         let v1::RebindMapRequest { name, model } = within(request)?;
         Ok(Response::new(map(self.service.maps.rebind(&name, &model).await?)))
@@ -107,7 +129,7 @@ impl MapService for Adapter {
         &self,
         request: Request<v1::ExportPosesRequest>,
     ) -> Result<Response<Self::ExportPosesStream>, Status> {
-        let v1::ExportPosesRequest { name, format, frame, body } = within(request)?;
+        let v1::ExportPosesRequest { name, format, frame, body, every } = within(request)?;
         let frame = match known("frame", frame)? {
             Frame::Unspecified | Frame::Map => TrajectoryFrame::Map,
             Frame::Odom => TrajectoryFrame::Odom,
@@ -116,6 +138,10 @@ impl MapService for Adapter {
             Body::Unspecified | Body::Base => TrajectoryBody::Base,
             Body::Camera => TrajectoryBody::Camera,
         };
+        let session = async |format| {
+            let wanted = TrajectoryWanted { format, frame, body, every };
+            self.service.trajectories.session(&name, wanted).await
+        };
         let text = match known("format", format)? {
             Format::Unspecified => {
                 return Err(ServiceError::invalid(
@@ -123,12 +149,8 @@ impl MapService for Adapter {
                 )
                 .into());
             }
-            Format::Tum => {
-                self.service.trajectories.session(&name, TrajectoryFormat::Tum, frame, body).await?
-            }
-            Format::Kitti => {
-                self.service.trajectories.session(&name, TrajectoryFormat::Kitti, frame, body).await?
-            }
+            Format::Tum => session(TrajectoryFormat::Tum).await?,
+            Format::Kitti => session(TrajectoryFormat::Kitti).await?,
             Format::G2o => self.service.trajectories.pose_graph(&name).await?,
         };
         let chunks: Vec<_> = text

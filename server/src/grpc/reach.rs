@@ -41,6 +41,8 @@ names_maps! {
     GetFramePictureRequest: name;
     GetFrameRequest: name;
     GetMapRequest: name;
+    GetMatchMatrixRequest: map, against;
+    GetMatchMatrixTileRequest: map, against;
     GetNavigationRequest: name;
     GetPlaceRequest: name;
     GetSessionRequest: name;

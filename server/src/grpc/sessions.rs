@@ -11,7 +11,7 @@ use crate::error::ServiceError;
 use crate::names::model_name;
 use crate::open_map::{Opener, SessionMode};
 use crate::pages::Page;
-use crate::service::frames::{FrameImage, ImageSize};
+use crate::service::frames::{FrameImage, FramesWanted, ImageSize};
 use crate::service::pictures::FramePicture;
 use crate::service::sessions::{FrameOutcome, Robot, SessionStream};
 use crate::service::tokens::{Access, Caller};
@@ -69,8 +69,9 @@ impl SessionService for Adapter {
         &self,
         request: Request<v1::ListFramesRequest>,
     ) -> Result<Response<v1::ListFramesResponse>, Status> {
-        let v1::ListFramesRequest { session, page_size, page_token, note } = within(request)?;
-        let Page { items, next } = self.service.frames.list(&session, &note, page_size, &page_token).await?;
+        let v1::ListFramesRequest { session, page_size, page_token, note, from_sequence } = within(request)?;
+        let wanted = FramesWanted { note: &note, from_sequence };
+        let Page { items, next } = self.service.frames.list(&session, wanted, page_size, &page_token).await?;
         let frames = items.into_iter().map(listed_frame).collect();
         Ok(Response::new(v1::ListFramesResponse { frames, next_page_token: next }))
     }

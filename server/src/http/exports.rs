@@ -20,7 +20,7 @@ use crate::names::map_name;
 use crate::open_map::answers::FrameReference;
 use crate::pages::Page;
 use crate::service::Service;
-use crate::service::frames::FrameView;
+use crate::service::frames::{FrameView, FramesWanted};
 use crate::service::maps::LoopClosureView;
 use crate::wire::maps::loop_closure;
 use crate::wire::sessions::listed_frame;
@@ -120,7 +120,7 @@ fn frames_of(
     let frames = pages(move |token| {
         let service = service.clone();
         let session = session.clone();
-        async move { service.frames.list(&session, "", PAGE_ROWS, &token).await }
+        async move { service.frames.list(&session, FramesWanted::default(), PAGE_ROWS, &token).await }
     });
     frames.map_ok(move |rows| rows.into_iter().map(|frame| (of.clone(), frame)).collect())
 }

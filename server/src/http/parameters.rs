@@ -85,6 +85,23 @@ pub(super) struct MapPath {
 
 #[derive(Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Path)]
+pub(super) struct TilePath {
+    /// Name of the map.
+    #[param(pattern = "^[a-z0-9][a-z0-9_-]{0,62}$", example = "demo")]
+    pub(super) map: String,
+    /// Zoom level.
+    #[param(example = 0)]
+    pub(super) level: u32,
+    /// Which tile from above, from 0.
+    #[param(example = 0)]
+    pub(super) row: u32,
+    /// Which tile from the left, from 0.
+    #[param(example = 0)]
+    pub(super) column: u32,
+}
+
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Path)]
 pub(super) struct PlacePath {
     /// Name of the map.
     #[param(pattern = "^[a-z0-9][a-z0-9_-]{0,62}$", example = "demo")]

@@ -12,6 +12,7 @@ use super::parameters::{InPath, InQuery, MapPath, Nothing, Paging, Parameters, S
 use crate::names::{map_name, session_name};
 use crate::pages::Page;
 use crate::service::Service;
+use crate::service::frames::FramesWanted;
 use crate::wire::jobs::job;
 use crate::wire::sessions::{listed_frame, session as message};
 
@@ -53,7 +54,7 @@ pub(super) async fn delete_session(
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
-pub(super) struct FramesWanted {
+pub(super) struct FramesAsked {
     /// Most entries in one answer; 0 asks for the default.
     #[param(minimum = 0, maximum = 1000, default = 100, example = 100)]
     page_size: u32,
@@ -62,23 +63,27 @@ pub(super) struct FramesWanted {
     /// Only the frames that their robot calls so, as by the name of a file. Left out, all come.
     #[param(example = "000147.jpg")]
     note: String,
+    /// Only the frames from this sequence number on.
+    #[param(example = 1)]
+    from_sequence: u64,
 }
 
-impl Parameters for FramesWanted {
-    const TAKES: &str = "page_size=NUMBER, page_token=TOKEN and note=TEXT";
+impl Parameters for FramesAsked {
+    const TAKES: &str = "page_size=NUMBER, page_token=TOKEN, note=TEXT and from_sequence=NUMBER";
 }
 
 /// The frames of a session with what was decided about them, by sequence number.
 #[utoipa::path(get, path = "/v1/maps/{map}/sessions/{session}/frames", tag = "sessions",
-    params(SessionPath, FramesWanted),
+    params(SessionPath, FramesAsked),
     responses((status = 200, description = "A page of frames.", body = v1::ListFramesResponse), Refusals))]
 pub(super) async fn list_frames(
     State(service): State<Arc<Service>>,
     InPath(SessionPath { map, session }): InPath<SessionPath>,
-    InQuery(FramesWanted { page_size, page_token, note }): InQuery<FramesWanted>,
+    InQuery(FramesAsked { page_size, page_token, note, from_sequence }): InQuery<FramesAsked>,
 ) -> Result<Json<v1::ListFramesResponse>, HttpError> {
+    let wanted = FramesWanted { note: &note, from_sequence };
     let Page { items, next } =
-        service.frames.list(&session_name(&map, &session), &note, page_size, &page_token).await?;
+        service.frames.list(&session_name(&map, &session), wanted, page_size, &page_token).await?;
     let frames = items.into_iter().map(listed_frame).collect();
     Ok(Json(v1::ListFramesResponse { frames, next_page_token: next }))
 }

@@ -13,7 +13,7 @@ use super::description::Refusals;
 use super::parameters::{InPath, InQuery, MapPath, Nothing, Parameters, SessionPath};
 use crate::names::{map_name, session_name};
 use crate::service::Service;
-use crate::service::trajectories::{TrajectoryBody, TrajectoryFormat, TrajectoryFrame};
+use crate::service::trajectories::{TrajectoryBody, TrajectoryFormat, TrajectoryFrame, TrajectoryWanted};
 
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(default, deny_unknown_fields)]
@@ -29,6 +29,9 @@ pub(super) struct TrajectoryChoice {
     /// `base`: `base_link`. `camera`: the camera, where the session declared how it is mounted.
     #[param(inline)]
     body: Body,
+    /// Thins long drives: of so many frames of the session only the first. 0 and 1 leave none out.
+    #[param(example = 1)]
+    every: u32,
 }
 
 /// `tum`: a line of stamp in seconds, position and quaternion per frame. `kitti`: the upper three rows of its matrix.
@@ -59,7 +62,7 @@ enum Body {
 }
 
 impl Parameters for TrajectoryChoice {
-    const TAKES: &str = "format=tum or kitti, frame=map or odom, body=base or camera";
+    const TAKES: &str = "format=tum or kitti, frame=map or odom, body=base or camera, every=NUMBER";
 }
 
 /// Where a session's robot was at each of its frames; those that the map does not know where to put are left out.
@@ -69,7 +72,7 @@ impl Parameters for TrajectoryChoice {
 pub(super) async fn export_trajectory(
     State(service): State<Arc<Service>>,
     InPath(SessionPath { map, session }): InPath<SessionPath>,
-    InQuery(TrajectoryChoice { format, frame, body }): InQuery<TrajectoryChoice>,
+    InQuery(TrajectoryChoice { format, frame, body, every }): InQuery<TrajectoryChoice>,
 ) -> Result<Response, HttpError> {
     let (format, ending) = match format {
         Format::Tum => (TrajectoryFormat::Tum, "tum"),
@@ -83,7 +86,8 @@ pub(super) async fn export_trajectory(
         Body::Base => TrajectoryBody::Base,
         Body::Camera => TrajectoryBody::Camera,
     };
-    let text = service.trajectories.session(&session_name(&map, &session), format, frame, body).await?;
+    let wanted = TrajectoryWanted { format, frame, body, every };
+    let text = service.trajectories.session(&session_name(&map, &session), wanted).await?;
     Ok(text_file(&format!("{map}-{session}.{ending}"), text))
 }
 

@@ -5,7 +5,7 @@ use fabmap::explanation::Explanation;
 use fabmap::observation::WordId;
 use posegraph::PlanarPose;
 use topomap::evidence::{Candidate, Match, Placement, Similarity, TwoView, ViewMotion};
-use topomap::ids::FrameId;
+use topomap::ids::{FrameId, SessionId};
 use topomap::log::{FrameEvent, Reason};
 use topomap::mapper::MapPose;
 
@@ -34,6 +34,13 @@ pub(crate) struct FrameAnswer {
     pub(crate) timings: Option<FrameTimings>,
     /// Where the robot is on the map, if that is known; `None` if the answer comes from the store.
     pub(crate) map_pose: Option<MapPose>,
+}
+
+/// What the places of a map learnt from, in no order, and the links that stand.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct PlaceGraph {
+    pub(crate) looks: Vec<(SessionId, FrameId, PlaceId)>,
+    pub(crate) links: Vec<(PlaceId, PlaceId)>,
 }
 
 /// An earlier frame of a place.

@@ -13,11 +13,11 @@ use topomap::mapper::MapPose;
 use waypost_navigation::metric::planning::{Goal, PlanError, Route};
 use waypost_navigation::metric::settings::PlanningSettings;
 
-use super::answers::{PlacePose, PlaceSummary, QueryAnswer, WordPlace};
+use super::answers::{PlaceGraph, PlacePose, PlaceSummary, QueryAnswer, WordPlace};
 use super::appearance::GrowingGraph;
 use super::requests::{
-    CorrectionRequest, FrameRequest, FrameSource, LookRequest, Looked, MapRequest, MeasuredFrames,
-    OpenedSession, PlanFrom, Read, SessionOpening,
+    CorrectionRequest, FirstFrames, FrameRequest, FrameSource, LookRequest, Looked, MapRequest,
+    MeasuredFrames, OpenedSession, PlacesWanted, PlanFrom, Read, SessionOpening,
 };
 use crate::error::ServiceError;
 use crate::ingest::FeatureRecord;
@@ -204,13 +204,28 @@ impl MapHandle {
         Ok(self.read(|reply| Read::PosesOf { places, reply }).await?)
     }
 
-    /// Up to `count` places from `from` on, and how many there are in all.
+    /// Up to `count` places that are wanted, and where the next one is.
     pub(crate) async fn places(
         &self,
-        from: PlaceId,
+        wanted: PlacesWanted,
         count: u32,
-    ) -> Result<(Vec<PlaceSummary>, u32), ServiceError> {
-        Ok(self.read(|reply| Read::Places { from, count, reply }).await?)
+    ) -> Result<(Vec<PlaceSummary>, Option<PlaceId>), ServiceError> {
+        Ok(self.read(|reply| Read::Places { wanted, count, reply }).await?)
+    }
+
+    /// The first frame that each place learnt from, by number, and how places make observations.
+    pub(crate) async fn place_order(&self) -> Result<FirstFrames, ServiceError> {
+        Ok(self.read(|reply| Read::PlaceOrder { reply }).await?)
+    }
+
+    /// What places learnt from, and how they are linked.
+    pub(crate) async fn place_graph(&self) -> Result<Box<PlaceGraph>, ServiceError> {
+        Ok(self.read(|reply| Read::PlaceGraph { reply }).await?)
+    }
+
+    /// What some places usually show, in their order.
+    pub(crate) async fn usual_looks(&self, places: Vec<PlaceId>) -> Result<Vec<Observation>, ServiceError> {
+        Ok(self.read(|reply| Read::UsualLooks { places, reply }).await?)
     }
 
     pub(crate) async fn place(&self, place: PlaceId) -> Result<Option<PlaceSummary>, ServiceError> {

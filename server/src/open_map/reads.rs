@@ -7,8 +7,8 @@ use fabmap::appearance::PlaceId;
 use fabmap::observation::{Observation, WordId};
 
 use super::MapWriter;
-use super::answers::{ANSWERED_PLACES, PlacePose, PlaceSummary, QueryAnswer, WordPlace};
-use super::requests::Read;
+use super::answers::{ANSWERED_PLACES, PlaceGraph, PlacePose, PlaceSummary, QueryAnswer, WordPlace};
+use super::requests::{PlacesWanted, Read};
 use super::views::{SeenFeatures, compared};
 use crate::error::ServiceError;
 
@@ -45,8 +45,23 @@ impl MapWriter {
                     |place: PlaceId| Some(PlacePose { part: poses.part(place)?, pose: *poses.pose(place)? });
                 let _ = reply.send(places.into_iter().map(pose).collect());
             }
-            Read::Places { from, count, reply } => {
-                let _ = reply.send(self.places(from, count));
+            Read::Places { wanted, count, reply } => {
+                let _ = reply.send(self.places(&wanted, count));
+            }
+            Read::PlaceOrder { reply } => {
+                let model = self.mapper.recognizer().index().model().clone();
+                let places = self.mapper.map().places().iter();
+                let firsts =
+                    places.map(|place| place.frames.first().map(|first| (first.session, first.frame)));
+                let _ = reply.send((firsts.collect(), model));
+            }
+            Read::PlaceGraph { reply } => {
+                let _ = reply.send(Box::new(self.place_graph()));
+            }
+            Read::UsualLooks { places, reply } => {
+                let index = self.mapper.recognizer().index();
+                let look = |place| index.appearance(place).unwrap_or_default().usual_look();
+                let _ = reply.send(places.into_iter().map(look).collect());
             }
             Read::Place { place, reply } => {
                 let _ = reply.send(self.place(place));
@@ -81,10 +96,28 @@ impl MapWriter {
         })
     }
 
-    fn places(&self, from: PlaceId, count: u32) -> (Vec<PlaceSummary>, u32) {
+    /// Up to `count` places that are wanted, and where the next one is.
+    fn places(&self, wanted: &PlacesWanted, count: u32) -> (Vec<PlaceSummary>, Option<PlaceId>) {
+        let PlacesWanted { from, to, every, within } = wanted;
         let total = self.mapper.map().places().len() as u32;
-        let listed = from.onwards().take_while(|place| place.number() < total).take(count as usize);
-        (listed.filter_map(|place| self.place(place)).collect(), total)
+        let end = to.map_or(total, |to| total.min(to.number().saturating_add(1)));
+        let first = from.number().checked_next_multiple_of(*every).unwrap_or(end);
+        let is_within = |place: &PlaceId| {
+            within.is_none_or(|within| self.place_pose(*place).is_some_and(|pose| within.has(&pose)))
+        };
+        let mut listed = (first..end).step_by(*every as usize).map(PlaceId::new).filter(is_within);
+        let places = listed.by_ref().take(count as usize).filter_map(|place| self.place(place)).collect();
+        (places, listed.next())
+    }
+
+    fn place_graph(&self) -> PlaceGraph {
+        let map = self.mapper.map();
+        let places = PlaceId::all().zip(map.places());
+        let looks = places.flat_map(|(place, known)| {
+            known.frames.iter().map(move |frame| (frame.session, frame.frame, place))
+        });
+        let links = map.standing_links().map(|(_, link)| (link.from, link.to));
+        PlaceGraph { looks: looks.collect(), links: links.collect() }
     }
 
     fn place(&self, place: PlaceId) -> Option<PlaceSummary> {

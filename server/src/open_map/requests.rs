@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use crate::ingest::{FeatureRecord, Tracker};
 use fabmap::appearance::PlaceId;
+use fabmap::likelihood::ObservationModel;
 use fabmap::observation::{Observation, WordId};
 use tokio::sync::{OwnedSemaphorePermit, oneshot};
 use tokio_util::sync::CancellationToken;
@@ -17,7 +18,7 @@ use waypost_navigation::metric::planning::{Goal, MapPosition, PlanError, Route};
 use waypost_navigation::metric::settings::{LocalizationSettings, PlanningSettings};
 use waypost_navigation::metric::{Look, Lookout};
 
-use super::answers::{FrameAnswer, PlacePose, PlaceSummary, QueryAnswer, WordPlace};
+use super::answers::{FrameAnswer, PlaceGraph, PlacePose, PlaceSummary, QueryAnswer, WordPlace};
 use crate::camera::Camera;
 use crate::error::ServiceError;
 use crate::ingest::intrinsics::Intrinsics;
@@ -91,10 +92,23 @@ pub(crate) enum Read {
         places: Vec<PlaceId>,
         reply: oneshot::Sender<Vec<Option<PlacePose>>>,
     },
+    /// Up to `count` places, and where the next one is.
     Places {
-        from: PlaceId,
+        wanted: PlacesWanted,
         count: u32,
-        reply: oneshot::Sender<(Vec<PlaceSummary>, u32)>,
+        reply: oneshot::Sender<(Vec<PlaceSummary>, Option<PlaceId>)>,
+    },
+    /// By number: the first frame that each place learnt from; and how places make observations.
+    PlaceOrder {
+        reply: oneshot::Sender<FirstFrames>,
+    },
+    PlaceGraph {
+        reply: oneshot::Sender<Box<PlaceGraph>>,
+    },
+    /// What some places usually show, in their order; nothing of places that do not exist.
+    UsualLooks {
+        places: Vec<PlaceId>,
+        reply: oneshot::Sender<Vec<Observation>>,
     },
     Place {
         place: PlaceId,
@@ -106,6 +120,35 @@ pub(crate) enum Read {
         count: u32,
         reply: oneshot::Sender<Vec<WordPlace>>,
     },
+}
+
+/// See [`Read::PlaceOrder`].
+pub(crate) type FirstFrames = (Vec<Option<(SessionId, FrameId)>>, Arc<ObservationModel>);
+
+/// Which places are listed.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct PlacesWanted {
+    pub(crate) from: PlaceId,
+    /// The last; all if `None`.
+    pub(crate) to: Option<PlaceId>,
+    /// Those whose number this divides; at least 1.
+    pub(crate) every: u32,
+    pub(crate) within: Option<PlaceBounds>,
+}
+
+/// A rectangle of a part of the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct PlaceBounds {
+    pub(crate) part: PlaceId,
+    pub(crate) x_m: [f64; 2],
+    pub(crate) y_m: [f64; 2],
+}
+
+impl PlaceBounds {
+    pub(super) fn has(&self, PlacePose { part, pose }: &PlacePose) -> bool {
+        let Self { part: of, x_m: [left, right], y_m: [bottom, top] } = *self;
+        *part == of && (left..=right).contains(&pose.x_m()) && (bottom..=top).contains(&pose.y_m())
+    }
 }
 
 /// A frame of a robot that is led, and what is remembered of those before.

@@ -51,6 +51,14 @@ impl FrameView {
     }
 }
 
+/// Which frames of a session are listed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct FramesWanted<'a> {
+    /// Those that their robot calls so; all if empty.
+    pub(crate) note: &'a str,
+    pub(crate) from_sequence: u64,
+}
+
 /// Which picture of a frame is wanted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum ImageSize {
@@ -113,7 +121,7 @@ impl Frames {
     pub(crate) async fn list(
         &self,
         name: &str,
-        note: &str,
+        FramesWanted { note, from_sequence }: FramesWanted<'_>,
         size: u32,
         token: &str,
     ) -> Result<Page<FrameView>, ServiceError> {
@@ -122,7 +130,7 @@ impl Frames {
         let row = self.open_maps.row(map).await?;
         let number = self.storage.session_number(row.id, session).await?;
         let number = number.ok_or_else(|| no_such_session(map, session))?;
-        let after = numbered_page(token)?;
+        let after = numbered_page(token)?.or(from_sequence.checked_sub(1));
         let words = self.vocabulary_len(&row).await?;
         let mut frames = self.storage.frames_of_session(row.id, number, after, note, size + 1, words).await?;
         let more = frames.len() > size as usize;

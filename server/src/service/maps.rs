@@ -19,6 +19,7 @@ use crate::map_settings::{self, MapSettings};
 use crate::names::{check_id, map_in, place_in};
 use crate::open_map::OpenMaps;
 use crate::open_map::answers::{FrameReference, PlacePose, PlaceSummary, WordPlace, reference};
+pub(crate) use crate::open_map::{PlaceBounds, PlacesWanted};
 use crate::pages::{Page, named_page, numbered_page, page_after, page_from, page_size, rows_of_page};
 use crate::storage::{ClosureRow, MapId, MapRow, Storage, StorageError};
 pub(crate) use crate::storage::{MapBytes, MapCounts};
@@ -133,19 +134,20 @@ impl Maps {
         Ok(Page { items, next })
     }
 
+    /// The places that are wanted, by number; those of a page begin where its token says.
     pub(crate) async fn places(
         &self,
         name: &str,
+        wanted: PlacesWanted,
         size: u32,
         token: &str,
     ) -> Result<Page<PlaceView>, ServiceError> {
         let map = map_in(name)?;
         let size = page_size(size)?;
-        let from = numbered_page(token)?.unwrap_or(0);
+        let from = numbered_page(token)?.map_or(wanted.from, PlaceId::new);
         let open = self.open_maps.open(map).await?;
-        let (places, total) = open.places(PlaceId::new(from), size).await?;
-        let end = from.saturating_add(size);
-        let next = if end < total { page_from(end) } else { String::new() };
+        let (places, next) = open.places(PlacesWanted { from, ..wanted }, size).await?;
+        let next = next.map_or_else(String::new, page_from);
         Ok(Page { items: self.place_views(map, open.id(), places).await?, next })
     }
 

@@ -11,6 +11,7 @@ use super::jobs::Jobs;
 use super::labels::Labels;
 use super::map_names::MapNames;
 use super::maps::Maps;
+use super::match_matrix::MatchMatrices;
 use super::models::Models;
 use super::navigation::{Navigation, Registry};
 use super::rewriting::Rewriting;
@@ -72,6 +73,11 @@ impl Shared {
     pub(super) fn maps(&self, models: &Models) -> Maps {
         let Self { storage, loaded, open_maps, names, .. } = self.clone();
         Maps { storage, models: models.clone(), loaded, open_maps, names }
+    }
+
+    pub(super) fn match_matrices(&self) -> MatchMatrices {
+        let Self { storage, loaded, open_maps, .. } = self.clone();
+        MatchMatrices::new(storage, loaded, open_maps)
     }
 
     pub(super) fn appearance(&self) -> AppearanceGraphs {

@@ -46,6 +46,16 @@ pub(crate) enum TrajectoryBody {
     Camera,
 }
 
+/// What of a session is written, and how.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct TrajectoryWanted {
+    pub(crate) format: TrajectoryFormat,
+    pub(crate) frame: TrajectoryFrame,
+    pub(crate) body: TrajectoryBody,
+    /// Of so many frames of the session only the first; 0 is as 1.
+    pub(crate) every: u32,
+}
+
 /// Where robots were, written out. Cheap to clone.
 #[derive(Clone, Debug)]
 pub(crate) struct Trajectories {
@@ -57,11 +67,10 @@ impl Trajectories {
     pub(crate) async fn session(
         &self,
         name: &str,
-        format: TrajectoryFormat,
-        frame: TrajectoryFrame,
-        body: TrajectoryBody,
+        TrajectoryWanted { format, frame, body, every }: TrajectoryWanted,
     ) -> Result<Vec<u8>, ServiceError> {
         let (map, session) = session_in(name)?;
+        let every = every.max(1);
         let row = self.frames.open_maps.row(map).await?;
         let summary = self.frames.storage.session_summary(row.id, session).await?;
         let summary = summary.ok_or_else(|| no_such_session(map, session))?;
@@ -81,13 +90,16 @@ impl Trajectories {
             TrajectoryFrame::Map => !corrections.is_withdrawn(row.event.frame),
         };
         let mut stamped: Vec<Located> = Vec::new();
-        let mut after = None;
+        let (mut after, mut read) = (None, 0);
         loop {
             let frames =
                 self.frames.storage.frames_of_session(row.id, summary.number, after, "", PAGE, words).await?;
             after = frames.last().map(|frame| frame.event.sequence);
             let located = |row: &FrameRow| located(&row.event, measured.get(&row.event.frame), frame, &poses);
-            stamped.extend(frames.iter().filter(is_known).filter_map(located));
+            let first = (every as usize - read % every as usize) % every as usize;
+            let thinned = frames.iter().skip(first).step_by(every as usize);
+            stamped.extend(thinned.filter(is_known).filter_map(located));
+            read += frames.len();
             if frames.len() < PAGE as usize {
                 break;
             }

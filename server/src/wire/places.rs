@@ -5,12 +5,13 @@ use waypost_proto::v1;
 
 use super::geometry::planar_pose;
 use super::references::frame_reference;
+use crate::error::ServiceError;
 use crate::names::place_name;
 use crate::open_map::answers::{PlacePose, WordPlace};
 use crate::open_map::appearance::LinkView;
 use crate::service::appearance::{GraphView, NodeView};
 use crate::service::labels::LabelRow;
-use crate::service::maps::PlaceView;
+use crate::service::maps::{PlaceBounds, PlaceView, PlacesWanted};
 
 pub(crate) fn place(map: &str, view: PlaceView) -> v1::Place {
     let PlaceView { place, looks, word_hits, frames, linked, pose } = view;
@@ -34,6 +35,30 @@ pub(crate) fn place(map: &str, view: PlaceView) -> v1::Place {
 /// As it is in a list: without its words.
 pub(crate) fn listed_place(map: &str, view: PlaceView) -> v1::Place {
     v1::Place { word_hits: Vec::new(), ..place(map, view) }
+}
+
+/// Which places a list is to have, from what both doors take.
+pub(crate) fn places_wanted(
+    every: u32,
+    from: u32,
+    to: Option<u32>,
+    within: Option<v1::PlaceBounds>,
+) -> Result<PlacesWanted, ServiceError> {
+    let within = within.map(|v1::PlaceBounds { part, min_x_m, min_y_m, max_x_m, max_y_m }| {
+        let ordered = |low: f64, high: f64| low <= high;
+        if ordered(min_x_m, max_x_m) && ordered(min_y_m, max_y_m) {
+            return Ok(PlaceBounds {
+                part: PlaceId::new(part),
+                x_m: [min_x_m, max_x_m],
+                y_m: [min_y_m, max_y_m],
+            });
+        }
+        Err(ServiceError::invalid(
+            "places lie within min_x_m to max_x_m and min_y_m to max_y_m; the second of each must not be the smaller",
+        ))
+    });
+    let within = within.transpose()?;
+    Ok(PlacesWanted { from: PlaceId::new(from), to: to.map(PlaceId::new), every: every.max(1), within })
 }
 
 pub(crate) fn word_place(found: WordPlace) -> v1::WordPlace {

@@ -146,6 +146,7 @@ pub(crate) async fn exported(
         format: format.into(),
         frame: frame.into(),
         body: body.into(),
+        every: 0,
     };
     let mut text = Vec::new();
     client.export_poses(request, &mut text).await.unwrap();

@@ -240,7 +240,8 @@ async fn pages_have_sizes_and_tokens() {
         assert_refused(&case, maps.list_maps(request).await, Code::InvalidArgument, fragment);
         let request = v1::ListModelsRequest { page_size, page_token: token.clone() };
         assert_refused(&case, models.list_models(request).await, Code::InvalidArgument, fragment);
-        let request = v1::ListPlacesRequest { map: map(), page_size, page_token: token.clone() };
+        let request =
+            v1::ListPlacesRequest { map: map(), page_size, page_token: token.clone(), ..Default::default() };
         assert_refused(&case, maps.list_places(request).await, Code::InvalidArgument, fragment);
         let request = v1::ListLoopClosuresRequest { map: map(), page_size, page_token: token };
         assert_refused(&case, maps.list_loop_closures(request).await, Code::InvalidArgument, fragment);
@@ -261,7 +262,8 @@ async fn pages_have_sizes_and_tokens() {
     assert_eq!(names, ["maps/a", "maps/b", "maps/c", "maps/drive"]);
 
     let all = client.places("drive").await.unwrap();
-    let request = |page_token| v1::ListPlacesRequest { map: map(), page_size: 1, page_token };
+    let request =
+        |page_token| v1::ListPlacesRequest { map: map(), page_size: 1, page_token, ..Default::default() };
     let mut one_by_one = Vec::new();
     let mut next = String::new();
     while one_by_one.is_empty() || !next.is_empty() {

@@ -234,6 +234,7 @@ async fn poses_that_nobody_measured_are_refused_with_the_way_out() {
             format: format.into(),
             frame: frame.into(),
             body: body.into(),
+            every: 0,
         };
         refused(client.export_poses(request, &mut Vec::new()).await)
     };

@@ -220,7 +220,46 @@ async fn maps_and_places_are_the_same() {
         .await;
     assert!(matches.len() > 1, "{matches:?}");
     places_agree(&both).await;
+    matrices_agree(&both).await;
     both.server.stop().await;
+}
+
+async fn matrices_agree(both: &Both) {
+    let mut matrices = 0;
+    for (map, against) in [
+        ("drive", ""),
+        ("drive", "drive"),
+        ("drive", "empty"),
+        ("empty", ""),
+        ("nowhere", ""),
+        ("drive", "No"),
+    ] {
+        let map = format!("maps/{map}");
+        let (other, query) = match against {
+            "" => (String::new(), String::new()),
+            other => (format!("maps/{other}"), format!("?against={other}")),
+        };
+        let request = v1::GetMatchMatrixRequest { map: map.clone(), against: other.clone() };
+        let over_grpc = both.maps.clone().get_match_matrix(request).await;
+        let told = both.agree(&format!("/v1/{map}/matrix{query}"), "waypost.v1.MatchMatrix", over_grpc).await;
+        matrices += usize::from(told["levels"] == 1);
+        for (level, row, column) in [(0, 0, 0), (0, 0, 1), (7, 0, 0)] {
+            let (map, against) = (map.clone(), other.clone());
+            let path = format!("/v1/{map}/matrix/tiles/{level}/{row}/{column}{query}");
+            let request = v1::GetMatchMatrixTileRequest { map, against, level, row, column };
+            let answer = get(&both.server, &path).await;
+            match both.maps.clone().get_match_matrix_tile(request).await.map(Response::into_inner) {
+                Ok(v1::GetMatchMatrixTileResponse { content_type, picture }) => {
+                    assert_eq!(answer.header("content-type"), content_type, "{path}");
+                    assert!(!picture.is_empty() && answer.body == picture, "{path}: the pictures differ");
+                }
+                Err(status) => {
+                    same::<v1::GetMatchMatrixTileResponse>(&path, &answer, "", Err(status));
+                }
+            }
+        }
+    }
+    assert_eq!(matrices, 4);
 }
 
 /// The lists that a correction shows in are compared once there is one.
@@ -276,7 +315,10 @@ async fn places_agree(both: &Both) {
     let places = both
         .lists_agree("/v1/maps/drive/places", message, async |page_size, page_token| {
             let map = "maps/drive".to_owned();
-            both.maps.clone().list_places(v1::ListPlacesRequest { map, page_size, page_token }).await
+            both.maps
+                .clone()
+                .list_places(v1::ListPlacesRequest { map, page_size, page_token, ..Default::default() })
+                .await
         })
         .await;
     assert!(places.len() > 4, "{places:?}");
@@ -337,7 +379,7 @@ async fn sessions_and_frames_are_the_same() {
                         session,
                         page_size,
                         page_token,
-                        note: String::new(),
+                        ..Default::default()
                     })
                     .await
             })

@@ -139,7 +139,7 @@ async fn a_frame_is_kept_as_its_robot_was_told() {
     let (mut paged, mut page_token) = (Vec::new(), String::new());
     loop {
         let request =
-            v1::ListFramesRequest { session: session(), page_size: 7, page_token, note: String::new() };
+            v1::ListFramesRequest { session: session(), page_size: 7, page_token, ..Default::default() };
         let page = service.list_frames(request).await.unwrap().into_inner();
         assert!(!page.frames.is_empty() && page.frames.len() <= 7);
         paged.extend(page.frames);

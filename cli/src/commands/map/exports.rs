@@ -67,6 +67,7 @@ pub(super) async fn trajectory(client: &Client, asked: Trajectory, output: Outpu
         format: format.into(),
         frame: frame.into(),
         body: body.into(),
+        every: 0,
     };
     poses(client, request, &out, Replacing::of(force), output).await
 }

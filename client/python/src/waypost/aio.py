@@ -118,6 +118,8 @@ class AsyncClient:
     places = _awaited(Client.places)
     place = _awaited(Client.place)
     word_places = _awaited(Client.word_places)
+    match_matrix = _awaited(Client.match_matrix)
+    match_matrix_tile = _awaited(Client.match_matrix_tile)
     appearance_graph = _awaited(Client.appearance_graph)
     labels = _awaited(Client.labels)
     set_label = _awaited(Client.set_label)

@@ -45,6 +45,8 @@ const NAMING_A_MAP: [(&str, &str); 41] = [
     ("MapService/ListPlaces", "maps/MAP"),
     ("MapService/GetPlace", "maps/MAP/places/0"),
     ("MapService/ListWordPlaces", "maps/MAP"),
+    ("MapService/GetMatchMatrix", "maps/MAP"),
+    ("MapService/GetMatchMatrixTile", "maps/MAP"),
     ("MapService/ListLoopClosures", "maps/MAP"),
     ("MapService/RebindMap", "maps/MAP"),
     ("MapService/ExportPoses", "maps/MAP"),

@@ -143,7 +143,12 @@ pub(super) async fn pages(ground: &Ground) -> Cases {
         if token.is_empty() || !token.bytes().all(|digit| digit.is_ascii_digit()) {
             check("maps", service.list_maps(request).await.map(drop));
         }
-        let request = v1::ListPlacesRequest { map: map(), page_size, page_token: page_token.clone() };
+        let request = v1::ListPlacesRequest {
+            map: map(),
+            page_size,
+            page_token: page_token.clone(),
+            ..Default::default()
+        };
         check("places", service.list_places(request).await.map(drop));
         let request = v1::ListLoopClosuresRequest { map: map(), page_size, page_token: page_token.clone() };
         check("matches", service.list_loop_closures(request).await.map(drop));

@@ -155,7 +155,7 @@ pub(super) async fn pages(ground: &Ground) -> Cases {
         let result = service.list_sessions(request).await;
         cases.refused(&format!("sessions, {case}"), result, Code::InvalidArgument, fragment);
         let session = "maps/drive/sessions/robot".to_owned();
-        let request = v1::ListFramesRequest { session, page_size, page_token, note: String::new() };
+        let request = v1::ListFramesRequest { session, page_size, page_token, ..Default::default() };
         let result = service.list_frames(request).await;
         cases.refused(&format!("frames, {case}"), result, Code::InvalidArgument, fragment);
     }

@@ -83,6 +83,20 @@ pub(super) fn good_calls(surveyed: &Surveyed) -> Vec<Call> {
         Call::get("/v1/maps/{map}/places", "/v1/maps/empty/places"),
         Call::get("/v1/maps/{map}/places/{place}", "/v1/maps/drive/places/0"),
         Call::get("/v1/maps/{map}/words/{word}/places", "/v1/maps/drive/words/0/places"),
+        Call::get(
+            "/v1/maps/{map}/places",
+            "/v1/maps/drive/places?every=2&from_place_number=1&to_place_number=4",
+        ),
+        Call::get(
+            "/v1/maps/{map}/places",
+            "/v1/maps/drive/places?part=0&min_x_m=-1&max_x_m=1&min_y_m=-1&max_y_m=1",
+        ),
+        Call::get("/v1/maps/{map}/matrix", "/v1/maps/drive/matrix"),
+        Call::get("/v1/maps/{map}/matrix", "/v1/maps/drive/matrix?against=empty"),
+        Call::get(
+            "/v1/maps/{map}/matrix/tiles/{level}/{row}/{column}",
+            "/v1/maps/drive/matrix/tiles/0/0/0?against=drive",
+        ),
         Call::get("/v1/maps/{map}/loop-closures", "/v1/maps/drive/loop-closures"),
         Call::get("/v1/maps/{map}/loop-closures.csv", "/v1/maps/drive/loop-closures.csv"),
         Call::get("/v1/maps/{map}/loop-closures.json", "/v1/maps/drive/loop-closures.json"),
@@ -168,6 +182,7 @@ pub(super) fn bad_calls(method: &'static str, path: &str) -> Vec<(StatusCode, Ca
     let nowhere = nowhere.replace("{model}", "nothing").replace("{navigation}", "nobody");
     let nowhere = nowhere.replace("{merge}", "999999").replace("{token}", "nobody");
     let nowhere = nowhere.replace("{correction}", "999999");
+    let nowhere = nowhere.replace("{level}", "0").replace("{row}", "0").replace("{column}", "0");
     let body = ["post", "put", "patch"].contains(&method).then(|| ("application/json", b"{}".to_vec()));
     let asked = format!("{nowhere}?no_such_parameter=1");
     let mut calls = vec![(StatusCode::BAD_REQUEST, Call { method, path: path.to_owned(), asked, body })];

@@ -44,6 +44,50 @@ class PlaceCalls:
             self._connection.pages(self._connection.maps.ListWordPlaces, request, lambda page: page.places)
         )
 
+    def match_matrix(self, map_id: str, against: str | None = None) -> map_pb2.MatchMatrix:
+        """How a map's match matrix is laid out: which of its places look alike.
+
+        Args:
+            map_id: The map whose places are the rows.
+            against: The map whose places are the columns, of the same model; the map itself if None.
+
+        Raises:
+            NotFound: If there is no such map.
+            FailedPrecondition: If the maps have different models.
+        """
+        request = map_pb2.GetMatchMatrixRequest(
+            map=resource("maps", map_id), against="" if against is None else resource("maps", against)
+        )
+        matrix: map_pb2.MatchMatrix = self._connection.call(self._connection.maps.GetMatchMatrix, request)
+        return matrix
+
+    def match_matrix_tile(
+        self, map_id: str, level: int, row: int, column: int, *, against: str | None = None
+    ) -> bytes:
+        """A square piece of a match matrix as PNG, 8 bits of grey a cell.
+
+        Args:
+            map_id: The map whose places are the rows.
+            level: Zoom level: a cell is the largest of 2^level x 2^level pairs of places.
+            row: Which tile from above, from 0.
+            column: Which tile from the left, from 0.
+            against: As in match_matrix.
+
+        Raises:
+            InvalidArgument: If the matrix has no such level.
+            NotFound: If it has no such tile, or there is no such map.
+            FailedPrecondition: If the maps have different models.
+        """
+        request = map_pb2.GetMatchMatrixTileRequest(
+            map=resource("maps", map_id),
+            against="" if against is None else resource("maps", against),
+            level=level,
+            row=row,
+            column=column,
+        )
+        picture: bytes = self._connection.call(self._connection.maps.GetMatchMatrixTile, request).picture
+        return picture
+
     def appearance_graph(self, map_id: str) -> appearance_pb2.AppearanceGraph:
         """Which places can be matched with each other, and the spaces that they form.
 
