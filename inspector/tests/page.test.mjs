@@ -4,6 +4,7 @@ import "./maps.mjs";
 import "./pictures.mjs";
 import "./correcting.mjs";
 import "./matrix.mjs";
+import "./large.mjs";
 import "./operations.mjs";
 import "./merging.mjs";
 import "./live.mjs";

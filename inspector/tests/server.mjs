@@ -1,6 +1,6 @@
 // Real servers for the tests of the page: the demo drives one, and leaves its map to another.
 import { execFile, spawn } from "node:child_process";
-import { mkdtempSync, rmSync } from "node:fs";
+import { existsSync, mkdtempSync, rmSync } from "node:fs";
 import { readFile } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { basename, join } from "node:path";
@@ -73,6 +73,16 @@ export async function demo() {
         child.ended.then(() => Promise.reject(new Error("the demo ended before its server was there"))),
     ]);
     return { url: `http://${http}`, data, ended: child.ended };
+}
+
+/** A server on a map of so many places in metres, in one drive to and fro, of words that are drawn. */
+export async function grown(places) {
+    const kept = process.env.LARGE_DATA ?? join(folder, "grown");
+    if (!existsSync(kept)) {
+        const asked = ["--places", places, "--words", 10_000, "--metres-apart", 2, "--rate-hz", 25, "--seconds", 2];
+        await start("waypost-eval", ["load", "growth", ...asked.map(String), "--keep-data", kept]).ended;
+    }
+    return serve(join(kept, "data"));
 }
 
 /** A server on a folder of data, with the command line for it. */

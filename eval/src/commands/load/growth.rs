@@ -2,6 +2,7 @@
 //! the map takes to open.
 
 use std::num::NonZeroUsize;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -11,7 +12,7 @@ use fabmap::observation::Observation;
 use rayon::prelude::*;
 use serde::Serialize;
 use tokio::time::Instant;
-use waypost_client::{Client, FrameInput, SessionOptions};
+use waypost_client::{Client, FrameInput, SessionOptions, v1};
 
 use super::contents::{Contents, histogram};
 use super::report::{LatencyReport, ServerUse};
@@ -19,11 +20,18 @@ use super::robot::{Answered, stream_all};
 use super::server::{MAP, ServerOptions, ServerUnderLoad};
 use super::words::Fleet;
 use super::{positive, seconds};
+use crate::error::refused;
 use crate::workload::{Use, Workload, WorkloadSettings};
 use crate::{files, progress};
 
 /// Frames on their way at once while the map grows.
 const WINDOW: NonZeroUsize = NonZeroUsize::new(64).unwrap();
+
+/// Places of a lane, and how many of their distances lanes lie apart.
+const LANE: u32 = 300;
+const LANE_WIDTHS: f64 = 4.0;
+
+const SECOND_NS: i64 = 1_000_000_000;
 
 /// Different looks at the grown map's places.
 const LOOKS: u32 = 2_000;
@@ -44,6 +52,12 @@ pub(super) struct GrowthOptions {
     /// How long.
     #[arg(long = "seconds", value_name = "S", default_value = "60", value_parser = seconds)]
     duration: Duration,
+    /// Metres between places: frames carry odometry of a drive to and fro, 300 places a lane. Without it, none.
+    #[arg(long, value_name = "M", value_parser = positive)]
+    metres_apart: Option<f64>,
+    /// Keep the server's data in a new folder, for a server to show: its folder `data`.
+    #[arg(long, value_name = "DIRECTORY")]
+    keep_data: Option<PathBuf>,
 }
 
 /// What the robot saw of the server.
@@ -74,19 +88,23 @@ pub(crate) struct GrowthReport {
 }
 
 pub(super) async fn run(server: &ServerOptions, options: &GrowthOptions) -> Result<GrowthReport> {
-    let GrowthOptions { places, words, rate_hz, duration } = options;
+    let GrowthOptions { places, words, rate_hz, duration, metres_apart, keep_data } = options;
+    if let Some(kept) = keep_data.as_deref().filter(|kept| kept.exists()) {
+        return Err(refused(format_args!("{} is there already; name a new folder", kept.display())));
+    }
     let settings = WorkloadSettings { words: *words, ..WorkloadSettings::default() };
     let workload = Workload::new(settings)?;
     let model = workload.model()?;
     let words_hash = model.words_hash().to_string();
     let model_file = tempfile::NamedTempFile::new().map_err(files::not_written(&std::env::temp_dir()))?;
     files::write(model_file.path(), &model.to_bytes())?;
-    let options = ServerOptions { model: model_file.path().to_owned(), ..server.clone() };
+    let options =
+        ServerOptions { model: model_file.path().to_owned(), kept: keep_data.clone(), ..server.clone() };
     let server = ServerUnderLoad::start(&options).await?;
 
     let began = Instant::now();
     let cpu_s = server.cpu_s()?;
-    grow(&server.endpoint(), &workload, &words_hash, *places).await?;
+    grow(&server.endpoint(), &workload, &words_hash, *places, *metres_apart).await?;
     let grown_s = began.elapsed().as_secs_f64();
     let cpu_cores = (server.cpu_s()? - cpu_s) / grown_s;
     let server_use = ServerUse { cpu_cores, rss_mib: server.rss_mib()? };
@@ -126,7 +144,13 @@ pub(super) async fn run(server: &ServerOptions, options: &GrowthOptions) -> Resu
 }
 
 /// Streams a frame of each place, as fast as they are taken.
-async fn grow(endpoint: &str, workload: &Workload, words_hash: &str, places: u32) -> Result<()> {
+async fn grow(
+    endpoint: &str,
+    workload: &Workload,
+    words_hash: &str,
+    places: u32,
+    metres_apart: Option<f64>,
+) -> Result<()> {
     let options = SessionOptions {
         session_id: "growing".to_owned(),
         words_hash: words_hash.to_owned(),
@@ -138,12 +162,31 @@ async fn grow(endpoint: &str, workload: &Workload, words_hash: &str, places: u32
     let frames = (0..places).map(move |place| {
         let content = histogram(&workload.image(Use::Place, place));
         let sequence = u64::from(place) + 1;
-        FrameInput { sequence, stamp_ns: sequence as i64, content, odometry: None, note: String::new() }
+        let odometry = metres_apart.map(|metres_apart| to_and_fro(place, metres_apart));
+        let stamp_ns = SECOND_NS * i64::from(place + 1);
+        FrameInput { sequence, stamp_ns, content, odometry, note: String::new() }
     });
     let progress = progress::bar("frames", places as usize);
     stream_all(&client, options, frames, || progress.inc(1)).await?;
     progress.finish_and_clear();
     Ok(())
+}
+
+/// Where a robot that ploughs a field is at a place.
+fn to_and_fro(place: u32, metres_apart: f64) -> v1::Odometry {
+    let (lane, along) = (place / LANE, place % LANE);
+    let back = lane % 2 == 1;
+    let along = if back { LANE - 1 - along } else { along };
+    let heading_rad = if back { std::f64::consts::PI } else { 0.0 };
+    let (z, w) = (heading_rad / 2.0_f64).sin_cos();
+    let position_m = v1::Vector3 {
+        x: f64::from(along) * metres_apart,
+        y: f64::from(lane) * LANE_WIDTHS * metres_apart,
+        z: 0.0,
+    };
+    let pose =
+        v1::Pose { position_m: Some(position_m), orientation: Some(v1::Quaternion { x: 0.0, y: 0.0, z, w }) };
+    v1::Odometry { pose: Some(pose), ..v1::Odometry::default() }
 }
 
 /// Asks where one image was taken.

@@ -25,12 +25,43 @@ pub(super) struct ServerOptions {
     /// The server [default: waypost-server beside this program].
     #[arg(long, global = true, value_name = "FILE")]
     pub(super) server_binary: Option<PathBuf>,
+    /// Where the server's data are kept; a temporary directory if `None`.
+    #[arg(skip)]
+    pub(super) kept: Option<PathBuf>,
+}
+
+/// What a server leaves behind.
+enum Directory {
+    Temporary(TempDir),
+    Kept(PathBuf),
+}
+
+impl Directory {
+    fn of(options: &ServerOptions) -> Result<Self> {
+        match &options.kept {
+            Some(kept) => {
+                std::fs::create_dir_all(kept).map_err(files::not_written(kept))?;
+                Ok(Self::Kept(kept.clone()))
+            }
+            None => {
+                let made = tempfile::tempdir().map_err(files::not_written(&std::env::temp_dir()))?;
+                Ok(Self::Temporary(made))
+            }
+        }
+    }
+
+    fn path(&self) -> &Path {
+        match self {
+            Self::Temporary(made) => made.path(),
+            Self::Kept(kept) => kept,
+        }
+    }
 }
 
 /// A server on a temporary directory, with a map. Killed when dropped; [`stop`](Self::stop) lets it finish.
 pub(super) struct ServerUnderLoad {
     server: ServerProcess,
-    directory: TempDir,
+    directory: Directory,
 }
 
 impl ServerOptions {
@@ -46,7 +77,7 @@ impl ServerOptions {
 impl ServerUnderLoad {
     /// Starts a server on free ports of the loopback interface and makes a map in it.
     pub(super) async fn start(options: &ServerOptions) -> Result<Self> {
-        let directory = tempfile::tempdir().map_err(files::not_written(&std::env::temp_dir()))?;
+        let directory = Directory::of(options)?;
         let server = options.start_on(directory.path())?;
         let client = Client::connect(&server.endpoint()).await?;
         let file = tokio::fs::File::open(&options.model).await.map_err(files::not_read(&options.model))?;

@@ -1,0 +1,107 @@
+// A map that is larger than the page draws at once: the server thins it, and gives more where one looks closely.
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { accessible, colours, cursor, open, PATIENCE_MS, PHONE, rest } from "./browser.mjs";
+import { grown, until } from "./server.mjs";
+
+/** More than twice as many as are drawn at once; LARGE_PLACES for figures, as of PERFORMANCE.md. */
+const PLACES = Number(process.env.LARGE_PLACES ?? 12_000);
+
+/** Frames a second while the drawing is dragged for two seconds. */
+async function panned(page, canvas) {
+    const box = await canvas.boundingBox();
+    const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+    await page.mouse.move(x, y);
+    await page.mouse.down();
+    await page.evaluate(() => {
+        globalThis.frames_ms = [];
+        const next = (now) => {
+            globalThis.frames_ms.push(now);
+            globalThis.counting = requestAnimationFrame(next);
+        };
+        requestAnimationFrame(next);
+    });
+    for (const end = Date.now() + 2000; Date.now() < end;) {
+        const along = 60 * Math.sin(Date.now() / 300);
+        await page.mouse.move(x + along, y + along / 2);
+    }
+    const frames = await page.evaluate(() => {
+        cancelAnimationFrame(globalThis.counting);
+        return globalThis.frames_ms;
+    });
+    await page.mouse.up();
+    return (1000 * (frames.length - 1)) / (frames.at(-1) - frames[0]);
+}
+
+test("a large map is thinned, is drawn closer where one zooms in, and is stepped through in windows", async (context) => {
+    const large = await grown(PLACES);
+    const { page, close } = await open("#/maps/load", { url: large.url });
+    const began = Date.now();
+    await page.reload();
+    const canvas = page.locator(".drawing canvas");
+    await until("the drawing", async () => (await colours(canvas)) > 8);
+    const painted_ms = Date.now() - began;
+    const { places } = await rest("maps/load", { url: large.url });
+    const every = Math.ceil(places / 10_000);
+    assert.ok(every > 1, `${places} places are not too many`);
+    await page.getByTestId("thinned").filter({ hasText: `one of ${every} places along the way` }).waitFor();
+    const drawn = async () => Number(await canvas.getAttribute("data-drawn"));
+    assert.equal(await drawn(), Math.ceil(places / every));
+    assert.equal(await page.getByTestId("kind").textContent(), "in metres");
+    const fps = await panned(page, canvas);
+    await page.getByRole("button", { name: "Show the whole map" }).click();
+
+    const time = page.getByRole("region", { name: "Time" });
+    const { first_sequence, last_sequence, frames } = await rest("maps/load/sessions/growing", { url: large.url });
+    await time.getByLabel("Session").selectOption({ label: "growing" });
+    await time.getByText(`frames ${first_sequence} to ${(2000).toLocaleString("en-GB")}, of ${frames.toLocaleString("en-GB")}`).waitFor();
+    await page.keyboard.press("End");
+    await cursor(page).filter({ hasText: `frame ${last_sequence}:` }).waitFor();
+    assert.ok(await page.getByRole("button", { name: "Next frame" }).isDisabled());
+    await page.getByRole("button", { name: "Frame before" }).click();
+    await cursor(page).filter({ hasText: `frame ${last_sequence - 1}:` }).waitFor();
+    await page.keyboard.press("Home");
+    await cursor(page).filter({ hasText: `frame ${first_sequence}:` }).waitFor();
+    // Across the border of two windows.
+    await page.goto(`${large.url}/#/maps/load?session=growing&frame=1499`);
+    await cursor(page).filter({ hasText: "frame 1499:" }).waitFor();
+    for (const frame of [1500, 1501, 1502]) {
+        await page.keyboard.press("ArrowRight");
+        await cursor(page).filter({ hasText: `frame ${frame}:` }).waitFor();
+    }
+
+    // A place that is not among those that are drawn.
+    await page.getByLabel("Go to place").fill(String(every + 1));
+    await page.getByRole("button", { name: "Go", exact: true }).click();
+    await page.getByRole("heading", { name: `Place ${every + 1}`, exact: true }).waitFor();
+    const { pose } = await rest(`maps/load/places/${every + 1}`, { url: large.url });
+    const { x, y } = pose.pose.position_m;
+    const before = await drawn();
+    await page.goto(`${large.url}/#/maps/load?view=${x},${y},30`);
+    await until("more places", async () => (await drawn()) > before);
+    const box = await canvas.boundingBox();
+    await until("the place under the hand", async () => {
+        await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
+        return page.url().includes(`place=${every + 1}`);
+    });
+
+    await page.goto(`${large.url}/#/maps/load?matrix=.`);
+    const matrix = page.getByRole("region", { name: "Match matrix" }).locator("canvas");
+    const asked = Date.now();
+    await matrix.waitFor();
+    await matrix.scrollIntoViewIfNeeded();
+    const tiles = () => until("all tiles", async () => (await matrix.getAttribute("data-complete")) === "true", 600);
+    await tiles();
+    const matrix_ms = Date.now() - asked;
+    const matrix_fps = await panned(page, matrix);
+    await tiles();
+    await accessible(page, "a large map");
+    context.diagnostic(JSON.stringify({ places, painted_ms, fps, matrix_ms, matrix_fps }));
+    await close();
+
+    const phone = await open("#/maps/load", { url: large.url, viewport: PHONE, colorScheme: "dark" });
+    await until("the drawing", async () => (await colours(phone.page.locator(".drawing canvas"))) > 8);
+    const wide = await phone.page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
+    assert.ok(wide <= 0, `a large map is ${wide} px wider than a phone`);
+    await phone.close();
+}, { timeout: 30 * PATIENCE_MS });
