@@ -63,10 +63,16 @@ impl MapService for Adapter {
         &self,
         request: Request<v1::ListPlacesRequest>,
     ) -> Result<Response<v1::ListPlacesResponse>, Status> {
-        let request = within(request)?;
-        let v1::ListPlacesRequest { map, page_size, page_token, every, .. } = request;
-        let v1::ListPlacesRequest { from_place_number: from, to_place_number: to, within, .. } = request;
-        let wanted = places_wanted(every, from, to, within)?;
+        let v1::ListPlacesRequest {
+            map,
+            page_size,
+            page_token,
+            every,
+            from_place_number,
+            to_place_number,
+            within: bounds,
+        } = within(request)?;
+        let wanted = places_wanted(every, from_place_number, to_place_number, bounds)?;
         let Page { items, next } = self.service.maps.places(&map, wanted, page_size, &page_token).await?;
         let map = map_in(&map)?;
         let places = items.into_iter().map(|view| listed_place(map, view)).collect();

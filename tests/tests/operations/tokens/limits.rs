@@ -14,7 +14,7 @@ use crate::harness::{
 };
 
 /// Every method that names a map in the first field of its request, and how.
-const NAMING_A_MAP: [(&str, &str); 41] = [
+const NAMING_A_MAP: [(&str, &str); 43] = [
     ("SessionService/ListSessions", "maps/MAP"),
     ("SessionService/GetSession", "maps/MAP/sessions/tour"),
     ("SessionService/ListFrames", "maps/MAP/sessions/tour"),
