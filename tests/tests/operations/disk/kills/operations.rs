@@ -231,7 +231,7 @@ impl Operation {
 
 async fn tokens(client: &Client, step: u64) -> Result<(), Broken> {
     let name = "tokens/cart".to_owned();
-    let quotas = Some(v1::Quotas { max_maps: Some(3), ..Default::default() });
+    let quotas = Some(v1::Quotas { max_sessions: Some(3), ..Default::default() });
     match step {
         0 => client.create_token("cart", v1::token::Role::Robot).await.map(drop)?,
         1 => client
