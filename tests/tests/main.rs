@@ -58,6 +58,7 @@ mod operations {
     mod command_line;
     mod config;
     mod connections;
+    mod disk;
     mod disk_full;
     mod first_minute;
     mod held_up;

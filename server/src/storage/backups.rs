@@ -1,14 +1,13 @@
 //! Copies of all that a data directory holds, and data directories made of them.
 
-use std::fs::{DirBuilder, File};
+use std::fs::File;
 use std::io;
-use std::os::unix::fs::DirBuilderExt;
 use std::path::Path;
 
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
-use super::lock::make_private;
+use super::lock::{make_directory, make_private};
 use super::opening::{FileKind, file_kind};
 use super::{BUSY_TIMEOUT, DirectoryLock, FILE_NAME, StorageError, or_no_database, page_sums};
 
@@ -66,7 +65,7 @@ pub(crate) async fn restore(directory: &Path, data_dir: &Path) -> Result<(), Sto
 
 /// Makes a directory for a file that must not be there yet.
 fn make_for(directory: &Path, name: &str) -> io::Result<()> {
-    DirBuilder::new().recursive(true).mode(0o700).create(directory)?;
+    make_directory(directory)?;
     let path = directory.join(name);
     // A file without a byte holds nothing.
     if path.metadata().is_ok_and(|file| file.len() > 0) {

@@ -1,6 +1,7 @@
 //! A data directory is one server's, and no other user's.
 
 use std::fs::{DirBuilder, File, OpenOptions, TryLockError};
+use std::io;
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
 use std::path::Path;
 
@@ -29,7 +30,7 @@ impl DirectoryLock {
             TryLockError::WouldBlock => StorageError::Locked { directory: directory.to_owned() },
             TryLockError::Error(source) => failed(source),
         };
-        DirBuilder::new().recursive(true).mode(OF_THE_OWNER).create(directory).map_err(failed)?;
+        make_directory(directory).map_err(failed)?;
         let itself = File::open(directory).map_err(failed)?;
         let itself = match itself.try_lock() {
             Ok(()) => Some(itself),
@@ -51,6 +52,30 @@ impl DirectoryLock {
                 tracing::warn!(%error, "the data directory stays locked until this program ends");
             }
         }
+    }
+}
+
+/// Makes a directory for its owner alone, and those above it that are missing. Their names are on the disk then: what is
+/// stored in a directory is lost with its name.
+pub(super) fn make_directory(directory: &Path) -> io::Result<()> {
+    if directory.is_dir() {
+        return Ok(());
+    }
+    let above = match directory.parent() {
+        Some(above) if above.as_os_str().is_empty() => Path::new("."),
+        Some(above) => above,
+        None => return DirBuilder::new().create(directory),
+    };
+    make_directory(above)?;
+    match DirBuilder::new().mode(OF_THE_OWNER).create(directory) {
+        // By somebody else, just now.
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists && directory.is_dir() => {}
+        made => made?,
+    }
+    match File::open(above) {
+        Ok(above) => above.sync_all(),
+        // One that may be written to and not read cannot be synced.
+        Err(_) => Ok(()),
     }
 }
 

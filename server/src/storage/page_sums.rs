@@ -126,7 +126,7 @@ pub(super) async fn reserve(connection: &mut SqliteConnection) -> Result<(), Sto
     }
 }
 
-/// Opens a database's file with checksums, and any other as it is.
+/// Opens a database's file with checksums, and any other without.
 ///
 /// # Safety
 /// SQLite calls it with room for `szOsFile` bytes at `file`.
@@ -141,14 +141,12 @@ unsafe extern "C" fn open(
     // SAFETY: what SQLite gave is passed on; behind our own `sqlite3_file` there is room for the one beneath.
     unsafe {
         let Some(open) = (**vfs).xOpen else { return sqlite::SQLITE_CANTOPEN };
-        if flags & sqlite::SQLITE_OPEN_MAIN_DB == 0 {
-            return open(*vfs, name, file, flags, flags_out);
-        }
+        let methods = if flags & sqlite::SQLITE_OPEN_MAIN_DB == 0 { &OTHER_FILES } else { &METHODS };
         (*file).pMethods = std::ptr::null();
         let opened = open(*vfs, name, beneath(file), flags, flags_out);
         // Also after a failure: SQLite closes what has methods.
         if !(*beneath(file)).pMethods.is_null() {
-            (*file).pMethods = &raw const METHODS;
+            (*file).pMethods = methods;
         }
         opened
     }
@@ -163,10 +161,31 @@ unsafe fn beneath(file: *mut sqlite3_file) -> *mut sqlite3_file {
     unsafe { file.add(1) }
 }
 
+/// A read that fails is no damage: SQLite would call it that, and what it calls so is taken to be lost. The disk may be well
+/// again with the next read.
+unsafe extern "C" fn read_as_it_is(
+    file: *mut sqlite3_file,
+    bytes: *mut c_void,
+    count: c_int,
+    offset: i64,
+) -> c_int {
+    // SAFETY: what SQLite gave is passed on.
+    match unsafe { read_beneath(file, bytes, count, offset) } {
+        sqlite::SQLITE_IOERR_CORRUPTFS => {
+            tracing::error!(
+                offset,
+                "the disk cannot read the database; if that goes on, look at the disk and bring back a backup"
+            );
+            sqlite::SQLITE_IOERR_READ
+        }
+        status => status,
+    }
+}
+
 unsafe extern "C" fn read(file: *mut sqlite3_file, bytes: *mut c_void, count: c_int, offset: i64) -> c_int {
     // SAFETY: SQLite gives `count` bytes to write to, and they are written when the read is well.
     unsafe {
-        let status = read_beneath(file, bytes, count, offset);
+        let status = read_as_it_is(file, bytes, count, offset);
         if status != sqlite::SQLITE_OK {
             return status;
         }
@@ -250,7 +269,7 @@ passed_on! {
 }
 
 /// Without those of version 3: pages that are mapped into memory would pass by the checksums.
-static METHODS: sqlite3_io_methods = sqlite3_io_methods {
+const SUMMED: sqlite3_io_methods = sqlite3_io_methods {
     iVersion: 2,
     xClose: Some(close),
     xRead: Some(read),
@@ -271,3 +290,9 @@ static METHODS: sqlite3_io_methods = sqlite3_io_methods {
     xFetch: None,
     xUnfetch: None,
 };
+
+static METHODS: sqlite3_io_methods = SUMMED;
+
+/// Of the write-ahead log and of journals, which have checksums of SQLite's own.
+static OTHER_FILES: sqlite3_io_methods =
+    sqlite3_io_methods { xRead: Some(read_as_it_is), xWrite: Some(write_beneath), ..SUMMED };

@@ -72,11 +72,16 @@ impl ServerProcess {
 
     /// Starts with further options.
     pub(crate) fn start_with(data_dir: &Path, options: &[&str]) -> Self {
-        let files = tempfile::tempdir().unwrap();
         let mut command = Built::command("waypost-server");
         command.args(options);
+        Self::start_command(command, data_dir).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    /// Starts a command that is [`Built`]; what it says if it does not serve.
+    pub(crate) fn start_command(command: Command, data_dir: &Path) -> Result<Self, String> {
+        let files = tempfile::tempdir().unwrap();
         let server = launch::ServerProcess::start(command, data_dir, files.path());
-        Self { server: server.unwrap_or_else(|error| panic!("{error}")), _files: files }
+        Ok(Self { server: server.map_err(|error| error.to_string())?, _files: files })
     }
 
     pub(crate) async fn client(&self) -> Client {

@@ -1,0 +1,36 @@
+//! What the disk may do to a server: power that goes away at any moment, calls that fail, a process that is killed at any
+//! call. Nothing that was acknowledged is lost by it, and nothing is there twice or otherwise.
+//!
+//! `watched` runs the real server over a library that records its calls (`shim.c`), `record` reads what it recorded, and
+//! `simulated` makes of that what a disk may hold after its power went. `history` knows what the database held commit by commit.
+
+mod contents;
+mod history;
+mod io_errors;
+mod kills;
+mod power_cuts;
+mod record;
+mod script;
+mod simulated;
+mod watched;
+
+/// A number from the environment, for runs that are longer than those of every day.
+fn number(variable: &str, otherwise: u64) -> u64 {
+    std::env::var(variable).map_or(otherwise, |number| number.parse().expect("a whole number"))
+}
+
+/// A folder for many files that nobody keeps: in memory, where there is room for them.
+fn scratch() -> tempfile::TempDir {
+    const ROOM_BYTES: u64 = 2 << 30;
+    let memory = std::path::Path::new("/dev/shm");
+    let room = rustix::fs::statvfs(memory).is_ok_and(|disk| disk.f_bavail * disk.f_frsize > ROOM_BYTES);
+    if room { tempfile::tempdir_in(memory) } else { tempfile::tempdir() }.unwrap()
+}
+
+/// Does what also blocks on a thread of its own.
+fn on_a_thread<T: Send + 'static, W: Future<Output = T>>(
+    work: impl FnOnce() -> W + Send + 'static,
+) -> tokio::task::JoinHandle<T> {
+    let runtime = tokio::runtime::Handle::current();
+    tokio::task::spawn_blocking(move || runtime.block_on(work()))
+}
