@@ -20,7 +20,7 @@ use crate::harness::{
 };
 
 /// Calls that fail in every run of the tests.
-const FAULTS: u64 = 160;
+const FAULTS: u64 = 80;
 
 /// While one server serves; then it is stopped or killed, and what it left is looked at.
 const FAULTS_OF_A_SERVER: u64 = 16;
@@ -178,7 +178,7 @@ async fn calls_that_fail_lose_nothing_and_the_server_goes_on() {
 }
 
 /// Calls that fail while a server starts, or while it stops, in every run of the tests.
-const STARTS: u64 = 24;
+const STARTS: u64 = 12;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn calls_that_fail_at_a_start_or_a_stop_lose_nothing() {

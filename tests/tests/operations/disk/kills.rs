@@ -17,11 +17,11 @@ use waypost_client::v1::job;
 
 use super::watched::{Calls, Fault, How, WatchedDisk, copy_below};
 use super::{number, on_a_thread};
-use operations::{OPERATIONS, Operation};
+use operations::{Broken, OPERATIONS, Operation};
 use template::{State, Template, state};
 
 /// Kills in every run of the tests.
-const KILLS: u64 = 57;
+const KILLS: u64 = 38;
 
 /// Longer than any operation takes.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -96,10 +96,12 @@ async fn killed(
     disk.at_rest().await;
     disk.arm(fault);
     let mut acknowledged = 0;
-    while acknowledged < operation.steps() as usize
-        && operation.step(&client, &mut prepared, acknowledged as u64).await.is_ok()
-    {
-        acknowledged += 1;
+    let mut said = String::new();
+    while acknowledged < operation.steps() as usize && said.is_empty() {
+        match operation.step(&client, &mut prepared, acknowledged as u64).await {
+            Ok(()) => acknowledged += 1,
+            Err(Broken(error)) => said = error,
+        }
     }
     if operation == Operation::Stop {
         let _ = server.terminate(PATIENCE);
@@ -107,7 +109,7 @@ async fn killed(
     let met = disk.counted().1 > 0;
     let log = server.log();
     if !met && acknowledged < operation.steps() as usize {
-        return Err(format!("step {acknowledged} failed though nothing was killed:\n{log}"));
+        return Err(format!("step {acknowledged} failed though nothing was killed: {said}\n{log}"));
     }
     server.kill();
     if log.contains("panicked") {

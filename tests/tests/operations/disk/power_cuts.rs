@@ -21,7 +21,7 @@ use super::{number, scratch};
 use crate::harness::{Server, answers_of, as_histogram, reference_by_words, words_options};
 
 /// Disks that every run of the tests opens.
-const IMAGES: u64 = 100;
+const IMAGES: u64 = 40;
 
 /// Of so many disks, one is served, and the others are only read.
 const SERVED: u64 = 10;

@@ -132,11 +132,6 @@ impl<'a> SimulatedDisk<'a> {
         disk
     }
 
-    /// Calls that were made.
-    pub(super) fn done(&self) -> usize {
-        self.done
-    }
-
     /// Makes the calls before number `until`.
     pub(super) fn run_to(&mut self, until: usize) {
         while self.done < until {

@@ -18,7 +18,7 @@ use super::{NO_FAULT, differences, number};
 use crate::harness::{Server, database_options, run_to_its_end, workspace};
 
 /// Kills of each kind in every run of the tests.
-const KILLS: u64 = 2;
+const KILLS: u64 = 1;
 
 /// The first schema whose database has checksums.
 const WITH_CHECKSUMS: i64 = 11;

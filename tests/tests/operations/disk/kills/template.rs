@@ -83,11 +83,14 @@ pub(super) async fn state(client: &Client) -> State {
         let whole = client.map(&map.name, v1::MapView::Full).await.unwrap();
         let v1::Map { model, frames, places, links, loop_closures, sessions, state_hash, .. } = whole;
         let counts = (frames, places, links, loop_closures, sessions);
+        let corrections = client.corrections(&map.name).await.unwrap();
+        // The log has when somebody said something, so that the map has another hash each time.
+        let state_hash = state_hash.filter(|_| corrections.is_empty());
         state.insert(map.name.clone(), format!("{state_hash:?} {counts:?} {model}"));
         let labels = client.labels(&map.name).await.unwrap();
         let labels = labels.into_iter().map(|label| format!("{label:?}")).collect::<Vec<_>>();
         state.insert(format!("{}: labels", map.name), labels.join(", "));
-        for correction in client.corrections(&map.name).await.unwrap() {
+        for correction in corrections {
             let said = (correction.verdict, correction.undone.is_some());
             state.insert(correction.name, format!("{said:?}"));
         }
