@@ -13,6 +13,37 @@ test("a robot that is led is shown while it drives", async () => {
     assert.match(there, /is at/);
     assert.match(there, /goes to/);
     await robots.getByRole("button", { name: "Cancel its goal: stop" }).waitFor();
+    await robots.getByText(/\d+ of \d+ frames \(\d+ %\)/).waitFor();
+    await robots.getByText(/^[0-5] s ago$/).waitFor();
+    await robots.getByText(/^\d+\.\d s and \d+\.\d m before its last word$/).waitFor();
+    const drawing = page.getByRole("region", { name: "The map" });
+    await drawing.getByText("route of a robot").waitFor();
+
+    // The list knows of it, too.
+    const list = await open("#/maps", { url: driven.url });
+    const card = list.page.getByRole("listitem").filter({ has: list.page.getByRole("heading", { name: "taught", exact: true }) });
+    await card.getByTestId("present").filter({ hasText: "1 robot led now" }).waitFor();
+    await list.close();
+
+    // It is sent from the drawing, to where it goes anyway: its drive is another test's.
+    const { navigations: [robot] } = await rest("maps/taught/navigations", { url: driven.url });
+    const goal = robot.route.waypoints.at(-1).place_number;
+    const { pose } = await rest(`maps/taught/places/${goal}`, { url: driven.url });
+    const { x, y } = pose.pose.position_m;
+    await page.goto(`${driven.url}/#/maps/taught?view=${x},${y},200`);
+    const box = await drawing.locator("canvas").boundingBox();
+    const send = drawing.getByRole("button", { name: `Send ${robot.name.split("/").at(-1)} here` });
+    assert.equal(await send.count(), 0);
+    await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
+    await send.waitFor();
+    const beside = await send.boundingBox();
+    assert.ok(Math.abs(beside.x + beside.width / 2 - box.x - box.width / 2) < 200 && Math.abs(beside.y - box.y - box.height / 2) < 100, "far from the place");
+    await accessible(page, "a robot that is led");
+    const sent = page.waitForResponse((answer) => answer.request().method() === "PUT");
+    await send.click();
+    assert.equal((await sent).status(), 200);
+    assert.deepEqual((await sent).request().postDataJSON(), { place_number: goal });
+    await drawing.getByText("is sent here").waitFor();
     await close();
     await serveDriven();
 });
@@ -151,9 +182,20 @@ test("a metric map has metres, and a place is picked by hand and by number", asy
     await page.getByLabel("From odometry alone to corrected").press("Home");
     await until("the wheels alone", async () => /corrected=0/.test(page.url()));
     await page.getByText("by wheels alone").waitFor();
+    await page.getByLabel("From odometry alone to corrected").press("End");
+    const drawn = () => canvas.evaluate((canvas) => canvas.toDataURL());
+    const alike = await drawn();
+    await page.getByLabel("Links").selectOption({ label: "by what is left over" });
+    const scale = page.getByTestId("residuals");
+    await scale.waitFor();
+    await until("the links in colours", async () => (await drawn()) !== alike);
+    assert.match(page.url(), /links=residual/);
+    const worst = await scale.textContent();
     // By keyboard: panels above it that are still loading move it from under the mouse.
     await page.getByText("Links by what is left over").press("Enter");
     await page.getByRole("group", { name: "Table of links" }).locator("tbody tr").first().waitFor();
+    const [, , off_m] = await page.getByRole("group", { name: "Table of links" }).locator("tbody tr").first().locator("td").allTextContents();
+    assert.ok(worst.includes(`${off_m} m at worst`), `${worst} is not of ${off_m} m`);
     await accessible(page, "a metric map, dark");
     await close();
 });
