@@ -73,9 +73,10 @@ export function paint(context: CanvasRenderingContext2D, scene: Scene, look: Loo
         way(pen, line, look.colour === "session" ? named(track.session) : ink.link, 1.5);
     }
     pairs(pen, points, scene.links);
-    if (look.residuals) leftOver(pen, points, look.residuals);
     closures(pen, scene, points, look.corrected);
-    places(pen, scene, points, look.colour, size);
+    // Where colours are the links', places have none.
+    places(pen, scene, points, look.residuals ? null : look.colour, size);
+    if (look.residuals) leftOver(pen, points, look.residuals);
     routes(pen, look.routes);
     labels(pen, scene, points, size);
     robots(pen, look.robots);
@@ -182,11 +183,11 @@ function closures({ context, screen, ink }: Pen, scene: Scene, { x, y }: Points,
     context.globalAlpha = 1;
 }
 
-function places({ context, screen, ink, scale }: Pen, scene: Scene, { x, y }: Points, colour: Colour, size: Size) {
+function places({ context, screen, ink, scale }: Pen, scene: Scene, { x, y }: Points, colour: Colour | null, size: Size) {
     const radius = Math.min(Math.max(scale * 0.14, 1.6), 5.5);
     const buckets = new Map<string, number[]>();
     for (let at = 0; at < x.length; at++) {
-        const key = colourOf(scene, at, colour, ink);
+        const key = colour ? colourOf(scene, at, colour, ink) : ink.link;
         const bucket = buckets.get(key);
         if (bucket) bucket.push(at);
         else buckets.set(key, [at]);

@@ -4,7 +4,7 @@ import { MOST_DRIVES, type MapData } from "../drawing/data";
 import { pose } from "../drawing/geometry";
 import { ring } from "../drawing/layout";
 import type { Size, View } from "../drawing/paint";
-import { drawn } from "../drawing/residuals";
+import { drawn, LEAST_M } from "../drawing/residuals";
 import { asDriven, kindOf, type Scene } from "../drawing/scene";
 import type { Colour, Go, Link, Shape } from "../link";
 import { count, plural, Refused } from "../parts";
@@ -107,7 +107,7 @@ export function Drawing({ data, scene, link, go, place, heard, onPlace, onSeen }
             <p class="legend"><span class="key link">link</span><span class="key closure">loop closure; thicker is surer, dashed below 0.9</span>
                 {routes.length > 0 && <span class="key route">route of a robot, with a ring at its goal</span>}
                 {wanted && left.state === "refused" && <Refused error={left.error} />}
-                {residuals && <span data-testid="residuals">{residuals.length === 0 ? "no way was measured" : <>left over: 0 m <span class="ramp worse" /> {most_m.toFixed(most_m < 1 ? 3 : 1)} m at worst, and the thicker</>}</span>}
+                {residuals && <span data-testid="residuals">{residuals.length === 0 ? "no way was measured" : most_m < LEAST_M ? "every link fits to a millimetre" : <>left over: 0 m <span class="ramp worse" /> {most_m.toFixed(most_m < 1 ? 3 : 1)} m at worst, and the thicker</>}</span>}
                 {kind === "metric" && corrected < 1 && <span class="key odometry">by wheels alone</span>}
                 {data.every > 1 && <span data-testid="thinned">one of {data.every} places along the way; more where you zoom in</span>}
                 {data.map.loop_closures > data.closures.length && <span>the first {count(data.closures.length)} closures</span>}
