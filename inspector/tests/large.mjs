@@ -26,10 +26,10 @@ test("a large map is thinned, is drawn closer where one zooms in, and is stepped
     const fps = await panned(page, canvas);
     await page.getByRole("button", { name: "Show the whole map" }).click();
 
-    const list = await open("#/maps", { url: large.url });
+    const list = await open("#/operations", { url: large.url });
     const asked_places = [];
     list.page.on("request", (request) => request.url().includes("/maps/load/places") && asked_places.push(request.url()));
-    await list.page.reload();
+    await list.page.goto(`${large.url}/#/maps`);
     await until("the thumbnail", async () => (await colours(list.page.locator(".thumbnail canvas"))) > 8);
     assert.ok(asked_places.length <= 3 && asked_places.every((url) => url.includes(`every=${Math.ceil(places / 2500)}`)), asked_places.join(" "));
     await list.close();

@@ -6,6 +6,8 @@ import { until } from "./server.mjs";
 
 test("a robot that is led is shown while it drives", async () => {
     await until("the taught map", async () => (await fetch(`${driven.url}/v1/maps/taught`)).ok);
+    // It drives for less than a minute: both pages are there before.
+    const list = await open("#/maps", { url: driven.url });
     const { page, close } = await open("#/maps/taught", { url: driven.url });
     const robots = page.getByRole("region", { name: "Robots" });
     await robots.getByRole("heading", { name: /^robot / }).waitFor({ timeout: 2 * PATIENCE_MS });
@@ -20,7 +22,6 @@ test("a robot that is led is shown while it drives", async () => {
     await drawing.getByText("route of a robot").waitFor();
 
     // The list knows of it, too.
-    const list = await open("#/maps", { url: driven.url });
     const card = list.page.getByRole("listitem").filter({ has: list.page.getByRole("heading", { name: "taught", exact: true }) });
     await card.getByTestId("present").filter({ hasText: "1 robot led now" }).waitFor();
     await list.close();

@@ -38,7 +38,7 @@ function Stream({ streaming: { session, frame, frames, recognitions, heard_ms },
                 <div><dt>is at</dt><dd>{typeof answer?.place_number === "number" ? <PlaceLink number={answer.place_number} onPlace={onPlace} /> : "unknown"}</dd></div>
                 {frames > 1 && <Recognised of={frames} recognitions={recognitions} what="frames heard" />}
                 {answer && <div><dt>last probability</dt><dd>{share(answer.match?.geometry?.probability ?? answer.posterior)}</dd></div>}
-                <div><dt>last word</dt><dd><Since heard_ms={heard_ms} />{answer?.timings && `, answered in ${answer.timings.total_ms.toFixed(0)} ms`}</dd></div>
+                <div><dt>last word</dt><dd><Since heard_ms={heard_ms} /></dd></div>
             </dl>
         </article>
     );
