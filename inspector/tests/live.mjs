@@ -33,7 +33,7 @@ async function beginning(events) {
 test("a map grows on the page while a robot streams, and the cursor goes with it", async () => {
     const { model } = await rest("maps/demo");
     await server.call(null, "map", "create", "live", "--model", model.slice(7));
-    const { page, close } = await open("#/maps");
+    const { page, close } = await open("#/operations");
     const asked = [];
     const ended = [];
     page.on("request", (request) => asked.push(request.url()));

@@ -39,6 +39,9 @@ function NoMaps() {
     );
 }
 
+/** A link is called by what one sees of it, too. */
+const NO_PLACES = "no places yet";
+
 interface CardProps {
     map: WayMap;
     present: Present | undefined;
@@ -52,7 +55,7 @@ function MapCard({ map, present, onChange }: CardProps) {
     const link = hash({ ...START, page: "map", map: name });
     return (
         <li class="card">
-            <a class="thumbnail" href={link} aria-label={`Open the map ${name}`}><Thumbnail map={map} /></a>
+            <a class="thumbnail" href={link} aria-label={`Open the map ${name}${map.places === 0 ? `: ${NO_PLACES}` : ""}`}><Thumbnail map={map} /></a>
             <div class="card-text">
                 <h2><a href={link}>{name}</a></h2>
                 <p>{plural(map.places, "place")} · {plural(map.sessions, "session")} · {plural(map.frames, "frame")}</p>
@@ -84,7 +87,7 @@ function Thumbnail({ map }: { map: WayMap }) {
     const asked = useAsked<MapData | null>(
         async (signal) => drawn ? load(short(map.name), signal, SMALL) : null, [map.name, drawn],
     );
-    if (!drawn) return <span class="quiet">no places yet</span>;
+    if (!drawn) return <span class="quiet">{NO_PLACES}</span>;
     return <Drawn asked={asked} />;
 }
 
