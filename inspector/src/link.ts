@@ -27,6 +27,8 @@ export interface Link {
     cell: [number, number] | null;
     colour: Colour | null;
     shape: Shape | null;
+    /** Whether links are coloured by what is left over. */
+    residuals: boolean;
     /** 0 is by odometry alone, 1 corrected by closures. */
     corrected: number;
     /** Middle of the picture and pixels per unit. */
@@ -40,7 +42,7 @@ export interface Link {
 export const START: Link = {
     page: "maps", map: "", merge: null, sources: [], target: "", session: null, frame: null, place: null, beside: null,
     matrix: null, cells: null, cell: null, colour: null,
-    shape: null, corrected: 1, view: null, large: false, follow: false,
+    shape: null, residuals: false, corrected: 1, view: null, large: false, follow: false,
 };
 
 const COLOURS = ["session", "time", "space"] as const;
@@ -98,6 +100,7 @@ export function read(hash: string): Link {
         cell: cellOf(given),
         colour: one(COLOURS, given.get("colour")),
         shape: one(SHAPES, given.get("shape")),
+        residuals: given.get("links") === "residual",
         corrected: corrected >= 0 && corrected <= 1 ? corrected : 1,
         view: viewOf(given),
         large: given.get("large") === "1",
@@ -125,6 +128,7 @@ export function hash(link: Link): string {
     if (link.matrix && link.cell) given.set("cell", link.cell.join(","));
     if (link.colour) given.set("colour", link.colour);
     if (link.shape) given.set("shape", link.shape);
+    if (link.residuals) given.set("links", "residual");
     if (link.corrected !== 1) given.set("corrected", String(link.corrected));
     if (link.view) given.set("view", written(link.view));
     if (link.large) given.set("large", "1");

@@ -6,7 +6,7 @@ import "./style.css";
 import { hash, START, useLink } from "./link";
 import { forgetPictures, Refused, Who } from "./parts";
 import { get, short, token, whenTokenWanted, type Caller } from "./rest";
-import { useSampling } from "./panels/metrics";
+import { useSampling } from "./panels/hour";
 import { MapPage } from "./panels/map";
 import { Maps } from "./panels/maps";
 import { MergePage } from "./panels/merge";

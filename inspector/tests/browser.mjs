@@ -4,7 +4,7 @@ import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { after, before } from "node:test";
 import { chromium } from "playwright-core";
-import { bring, clean, demo, serve } from "./server.mjs";
+import { bring, clean, demo, rest as ask, serve } from "./server.mjs";
 
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 // Labels have at most 63 characters, names of models no slash.
@@ -59,12 +59,9 @@ export async function open(hash, { url = server.url, viewport = DESK, colorSchem
     return { page, close };
 }
 
-export const rest = async (path, { url = server.url, token, ...init } = {}) => {
-    const headers = { ...init.headers, ...(token && { authorization: `Bearer ${token}` }) };
-    const answer = await fetch(`${url}/v1/${path}`, { ...init, headers });
-    assert.ok(answer.ok, `${path}: ${answer.status}`);
-    return answer.json();
-};
+export const rest = (path, { url = server.url, ...init } = {}) => ask(path, { url, ...init });
+
+export { colours } from "./looking.mjs";
 
 /** A frame by which the demo's map closes a loop, in the middle of the drive: which frames do, the model decides. */
 export const closingFrame = async (init) => {
@@ -81,9 +78,3 @@ export async function accessible(page, what) {
 }
 
 export const cursor = (page) => page.getByTestId("cursor");
-
-/** Whether more than the background was drawn. */
-export const colours = (canvas) => canvas.evaluate((canvas) => {
-    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-    return new Set(new Uint32Array(data.buffer)).size;
-});

@@ -1,37 +1,12 @@
 // A map that is larger than the page draws at once: the server thins it, and gives more where one looks closely.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { accessible, colours, cursor, open, PATIENCE_MS, PHONE, rest } from "./browser.mjs";
+import { accessible, cursor, open, PATIENCE_MS, PHONE, rest } from "./browser.mjs";
+import { colours, panned } from "./looking.mjs";
 import { grown, until } from "./server.mjs";
 
 /** More than twice as many as are drawn at once; LARGE_PLACES for figures, as of PERFORMANCE.md. */
 const PLACES = Number(process.env.LARGE_PLACES ?? 12_000);
-
-/** Frames a second while the drawing is dragged for two seconds. */
-async function panned(page, canvas) {
-    const box = await canvas.boundingBox();
-    const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
-    await page.mouse.move(x, y);
-    await page.mouse.down();
-    await page.evaluate(() => {
-        globalThis.frames_ms = [];
-        const next = (now) => {
-            globalThis.frames_ms.push(now);
-            globalThis.counting = requestAnimationFrame(next);
-        };
-        requestAnimationFrame(next);
-    });
-    for (const end = Date.now() + 2000; Date.now() < end;) {
-        const along = 60 * Math.sin(Date.now() / 300);
-        await page.mouse.move(x + along, y + along / 2);
-    }
-    const frames = await page.evaluate(() => {
-        cancelAnimationFrame(globalThis.counting);
-        return globalThis.frames_ms;
-    });
-    await page.mouse.up();
-    return (1000 * (frames.length - 1)) / (frames.at(-1) - frames[0]);
-}
 
 test("a large map is thinned, is drawn closer where one zooms in, and is stepped through in windows", async (context) => {
     const large = await grown(PLACES);
@@ -50,6 +25,14 @@ test("a large map is thinned, is drawn closer where one zooms in, and is stepped
     assert.equal(await page.getByTestId("kind").textContent(), "in metres");
     const fps = await panned(page, canvas);
     await page.getByRole("button", { name: "Show the whole map" }).click();
+
+    const list = await open("#/operations", { url: large.url });
+    const asked_places = [];
+    list.page.on("request", (request) => request.url().includes("/maps/load/places") && asked_places.push(request.url()));
+    await list.page.goto(`${large.url}/#/maps`);
+    await until("the thumbnail", async () => (await colours(list.page.locator(".thumbnail canvas"))) > 8);
+    assert.ok(asked_places.length <= 3 && asked_places.every((url) => url.includes(`every=${Math.ceil(places / 2500)}`)), asked_places.join(" "));
+    await list.close();
 
     const time = page.getByRole("region", { name: "Time" });
     const { first_sequence, last_sequence, frames } = await rest("maps/load/sessions/growing", { url: large.url });

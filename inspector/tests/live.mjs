@@ -33,11 +33,15 @@ async function beginning(events) {
 test("a map grows on the page while a robot streams, and the cursor goes with it", async () => {
     const { model } = await rest("maps/demo");
     await server.call(null, "map", "create", "live", "--model", model.slice(7));
-    const { page, close } = await open("#/maps");
+    const { page, close } = await open("#/operations");
     const asked = [];
     const ended = [];
     page.on("request", (request) => asked.push(request.url()));
     page.on("requestfailed", (request) => ended.push(request.url()));
+    const listed = await open("#/maps");
+    const card = listed.page.getByRole("listitem").filter({ has: listed.page.getByRole("heading", { name: "live", exact: true }) });
+    const present = (words) => card.getByTestId("present").filter({ hasText: words }).waitFor();
+    await present("no robot there now");
     const began = Date.now();
     await page.goto(`${server.url}/#/maps/live`);
     await live(page, "live");
@@ -48,7 +52,14 @@ test("a map grows on the page while a robot streams, and the cursor goes with it
     const robots = page.getByRole("region", { name: "Robots" });
     await robots.getByRole("heading", { name: /^first/ }).waitFor();
     await robots.getByRole("button", { name: /^frame \d+/ }).waitFor();
+    await robots.getByText(/^\d+ of \d+ frames heard \(\d+ %\)$/).waitFor();
+    await robots.getByText(/^\d s ago$/).waitFor();
+    await robots.getByText("last probability").waitFor();
+    await present("1 robot streaming now");
+    await accessible(listed.page, "a robot in the list");
     await streamed;
+    await present("no robot there now");
+    await listed.close();
     await cursor(page).filter({ hasText: "frame 12:" }).waitFor();
     const { places } = await rest("maps/live");
     const canvas = page.locator(".canvas canvas");

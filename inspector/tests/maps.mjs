@@ -6,6 +6,8 @@ import { until } from "./server.mjs";
 
 test("a robot that is led is shown while it drives", async () => {
     await until("the taught map", async () => (await fetch(`${driven.url}/v1/maps/taught`)).ok);
+    // It drives for less than a minute: both pages are there before.
+    const list = await open("#/maps", { url: driven.url });
     const { page, close } = await open("#/maps/taught", { url: driven.url });
     const robots = page.getByRole("region", { name: "Robots" });
     await robots.getByRole("heading", { name: /^robot / }).waitFor({ timeout: 2 * PATIENCE_MS });
@@ -13,6 +15,36 @@ test("a robot that is led is shown while it drives", async () => {
     assert.match(there, /is at/);
     assert.match(there, /goes to/);
     await robots.getByRole("button", { name: "Cancel its goal: stop" }).waitFor();
+    await robots.getByText(/\d+ of \d+ frames \(\d+ %\)/).waitFor();
+    await robots.getByText(/^[0-5] s ago$/).waitFor();
+    await robots.getByText(/^\d+\.\d s and \d+\.\d m before its last word$/).waitFor();
+    const drawing = page.getByRole("region", { name: "The map" });
+    await drawing.getByText("route of a robot").waitFor();
+
+    // The list knows of it, too.
+    const card = list.page.getByRole("listitem").filter({ has: list.page.getByRole("heading", { name: "taught", exact: true }) });
+    await card.getByTestId("present").filter({ hasText: "1 robot led now" }).waitFor();
+    await list.close();
+
+    // It is sent from the drawing, to where it goes anyway: its drive is another test's.
+    const { navigations: [robot] } = await rest("maps/taught/navigations", { url: driven.url });
+    const goal = robot.route.waypoints.at(-1).place_number;
+    const { pose } = await rest(`maps/taught/places/${goal}`, { url: driven.url });
+    const { x, y } = pose.pose.position_m;
+    await page.goto(`${driven.url}/#/maps/taught?view=${x},${y},200`);
+    const box = await drawing.locator("canvas").boundingBox();
+    const send = drawing.getByRole("button", { name: `Send ${robot.name.split("/").at(-1)} here` });
+    assert.equal(await send.count(), 0);
+    await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
+    await send.waitFor();
+    const beside = await send.boundingBox();
+    assert.ok(Math.abs(beside.x + beside.width / 2 - box.x - box.width / 2) < 200 && Math.abs(beside.y - box.y - box.height / 2) < 100, "far from the place");
+    await accessible(page, "a robot that is led");
+    const sent = page.waitForResponse((answer) => answer.request().method() === "PUT");
+    await send.click();
+    assert.equal((await sent).status(), 200);
+    assert.deepEqual((await sent).request().postDataJSON(), { place_number: goal });
+    await drawing.getByText("is sent here").waitFor();
     await close();
     await serveDriven();
 });
@@ -151,9 +183,32 @@ test("a metric map has metres, and a place is picked by hand and by number", asy
     await page.getByLabel("From odometry alone to corrected").press("Home");
     await until("the wheels alone", async () => /corrected=0/.test(page.url()));
     await page.getByText("by wheels alone").waitFor();
+    await page.getByLabel("From odometry alone to corrected").press("End");
+    const drawn = () => canvas.evaluate((canvas) => canvas.toDataURL());
+    const alike = await drawn();
+    await page.getByLabel("Links").selectOption({ label: "by what is left over" });
+    const scale = page.getByTestId("residuals");
+    await scale.waitFor();
+    await until("the links in colours", async () => (await drawn()) !== alike);
+    assert.match(page.url(), /links=residual/);
+    // A way without a closure has nothing to disagree with.
+    await scale.filter({ hasText: "every link fits to a millimetre" }).waitFor();
+    await page.getByLabel("Links").selectOption({ label: "all alike" });
+    await until("the links as before", async () => (await drawn()) === alike);
+    // As if one of the ways had been measured half a metre too long.
+    await page.route("**/graph.g2o", async (route) => {
+        const lines = (await (await route.fetch()).text()).split("\n");
+        const at = lines.findIndex((line) => line.startsWith("EDGE_SE2 40 ") || /^EDGE_SE2 \d+ 40 /.test(line));
+        const edge = lines[at].split(" ");
+        edge[3] = String(Number(edge[3]) + 0.5);
+        lines[at] = edge.join(" ");
+        return route.fulfill({ body: lines.join("\n"), contentType: "text/plain" });
+    });
+    await page.getByLabel("Links").selectOption({ label: "by what is left over" });
+    await scale.filter({ hasText: "0.500 m at worst" }).waitFor();
     // By keyboard: panels above it that are still loading move it from under the mouse.
     await page.getByText("Links by what is left over").press("Enter");
-    await page.getByRole("group", { name: "Table of links" }).locator("tbody tr").first().waitFor();
+    await page.getByRole("group", { name: "Table of links" }).locator("tbody tr").first().filter({ hasText: "place 40" }).filter({ hasText: "0.500" }).waitFor();
     await accessible(page, "a metric map, dark");
     await close();
 });

@@ -136,6 +136,13 @@ test("a job that runs can be cancelled, and how the server fares is drawn", asyn
         Object.assign(job, { state: "cancelled" });
         return route.fulfill({ json: job });
     });
+    // What it refuses is counted by reason, from here on.
+    const refused = page.getByRole("region", { name: "Refused" });
+    await refused.getByText(/since the server began/i).waitFor();
+    for (const map of ["nowhere", "nowhere-else"]) assert.equal((await fetch(`${server.url}/v1/maps/${map}`)).status, 404);
+    const counted = refused.getByRole("row").filter({ has: page.getByRole("rowheader", { name: "REST GET /v1/maps/{map}", exact: true }) }).filter({ hasText: "404, not there" });
+    await counted.getByRole("cell", { name: "2", exact: true }).first().waitFor();
+
     const jobs = page.getByRole("region", { name: "Jobs" });
     await jobs.getByRole("button", { name: "Cancel job 77" }).click();
     await jobs.getByRole("cell", { name: "cancelled", exact: true }).waitFor();

@@ -76,14 +76,21 @@ export async function demo() {
 }
 
 /** A server on a map of so many places in metres, in one drive to and fro, of words that are drawn. */
-export async function grown(places) {
-    const kept = process.env.LARGE_DATA ?? join(folder, "grown");
+export async function grown(places, kept = process.env.LARGE_DATA ?? join(folder, "grown")) {
     if (!existsSync(kept)) {
         const asked = ["--places", places, "--words", 10_000, "--metres-apart", 2, "--rate-hz", 25, "--seconds", 2];
         await start("waypost-eval", ["load", "growth", ...asked.map(String), "--keep-data", kept]).ended;
     }
     return serve(join(kept, "data"));
 }
+
+/** What REST answers, as it must. */
+export const rest = async (path, { url, token, ...init } = {}) => {
+    const headers = { ...init.headers, ...(token && { authorization: `Bearer ${token}` }) };
+    const answer = await fetch(`${url}/v1/${path}`, { ...init, headers });
+    if (!answer.ok) throw new Error(`${path}: ${answer.status}`);
+    return answer.json();
+};
 
 /** A server on a folder of data, with the command line for it. */
 export async function serve(data) {

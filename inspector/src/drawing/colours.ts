@@ -38,13 +38,17 @@ function ramp([from, to]: [number, number]): string[] {
 
 const ON_DARK = ramp([0.28, 1]);
 const ON_LIGHT = ramp([0, 0.9]);
+const WORSE_ON_LIGHT = [...ON_LIGHT].reverse();
 
 /** Colours of the page for the canvas, which does not know its style. */
 export function ink(element: Element) {
     const style = getComputedStyle(element);
     const of = (name: string) => style.getPropertyValue(name).trim();
+    const dark = matchMedia("(prefers-color-scheme: dark)").matches;
     return {
-        ramp: matchMedia("(prefers-color-scheme: dark)").matches ? ON_DARK : ON_LIGHT,
+        ramp: dark ? ON_DARK : ON_LIGHT,
+        // What is worst stands out most from the page.
+        worse: dark ? ON_DARK : WORSE_ON_LIGHT,
         text: of("--text"), faint: of("--faint"), line: of("--line"), back: of("--back"), accent: of("--accent"),
         closure: of("--closure"), link: of("--link"), odometry: of("--odometry"), heat: of("--heat"),
     };

@@ -30,26 +30,35 @@ export interface MapData {
 /** Most sessions whose way is drawn: each is asked for by itself. */
 export const MOST_DRIVES = 40;
 
-/** Most places that are asked for at once: of more, every so many-th along the way. */
-const MOST_PLACES = 10_000;
-/** Most closures that are drawn, and most frames of all ways. */
-export const MOST_CLOSURES = 10_000;
-const MOST_ROWS = 20_000;
+/** How much of a map is asked for at once. */
+interface Most {
+    /** Of more places, every so many-th along the way; so of all frames of ways. */
+    places: number;
+    rows: number;
+    closures: number;
+    /** Graphs of more places are not laid out. */
+    graph: number;
+}
 
-export async function load(name: string, signal: AbortSignal): Promise<MapData> {
+const MOST_PLACES = 10_000;
+const WHOLE: Most = { places: MOST_PLACES, rows: 20_000, closures: 10_000, graph: Infinity };
+/** For a picture of 300 pixels. */
+export const SMALL: Most = { places: 2500, rows: 5000, closures: 1, graph: 2500 };
+
+export async function load(name: string, signal: AbortSignal, most = WHOLE): Promise<MapData> {
     const base = at(`maps/${name}`);
     const map = await get<WayMap>(base, signal);
-    const every = Math.max(Math.ceil(map.places / MOST_PLACES), 1);
+    const every = Math.max(Math.ceil(map.places / most.places), 1);
     const [places, sessions, closures, labels] = await Promise.all([
         all<"places", Place>(`${base}/places`, "places", signal, Infinity, every > 1 ? { every } : {}),
         all<"sessions", Session>(`${base}/sessions`, "sessions", signal),
-        all<"loop_closures", LoopClosure>(`${base}/loop-closures`, "loop_closures", signal, MOST_CLOSURES),
+        all<"loop_closures", LoopClosure>(`${base}/loop-closures`, "loop_closures", signal, most.closures),
         all<"labels", Schemas["PlaceLabel"]>(`${base}/labels`, "labels", signal),
     ]);
     const byLooks = map.settings?.navigation_strategy === "appearance";
-    const graph = byLooks && places.length ? await get<AppearanceGraph>(`${base}/appearance-graph`, signal) : null;
+    const graph = byLooks && places.length && map.places <= most.graph ? await get<AppearanceGraph>(`${base}/appearance-graph`, signal) : null;
     const metric = !graph && places.some((place) => place.pose);
-    const drives = metric ? await drivesOf(sessions.slice(0, MOST_DRIVES), signal) : new Map<string, Drive>();
+    const drives = metric ? await drivesOf(sessions.slice(0, MOST_DRIVES), most.rows, signal) : new Map<string, Drive>();
     const labelled = new Map(labels.map(({ place, label }) => [numberOf(place), label]));
     return withPlaces({ map, every, sessions, closures, labels: labelled, drives, graph }, places);
 }
@@ -81,8 +90,8 @@ function numberOf(name: string): number {
     return Number(short(name));
 }
 
-async function drivesOf(sessions: Session[], signal: AbortSignal): Promise<Map<string, Drive>> {
-    const every = Math.max(Math.ceil(sessions.reduce((sum, { frames }) => sum + frames, 0) / MOST_ROWS), 1);
+async function drivesOf(sessions: Session[], rows: number, signal: AbortSignal): Promise<Map<string, Drive>> {
+    const every = Math.max(Math.ceil(sessions.reduce((sum, { frames }) => sum + frames, 0) / rows), 1);
     const thinned = every > 1 ? `&every=${every}` : "";
     const drives = await Promise.all(sessions.map(async ({ name }) => {
         const [corrected, odometry] = await Promise.all(["map", "odom"].map((frame) =>

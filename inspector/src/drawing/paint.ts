@@ -1,6 +1,6 @@
 // Draws a scene on a canvas. One path a colour: ten thousand places take a few milliseconds.
 import type { Colour } from "../link";
-import { named, step, type Ink } from "./colours";
+import { named, step, STEPS, type Ink } from "./colours";
 import type { Points } from "./layout";
 import { between, boxOf, type Scene } from "./scene";
 
@@ -23,6 +23,10 @@ export interface Look {
     place: number | null;
     /** Where robots are now, as indices of places or positions. */
     robots: [number, number][];
+    /** Routes that robots follow, point by point to the goal. */
+    routes: [number, number][][];
+    /** Links by what is left over, from 0 to 1, the worst last; without it, all alike. */
+    residuals: [from: number, to: number, amount: number][] | null;
 }
 
 const MARGIN_PX = 36;
@@ -70,7 +74,10 @@ export function paint(context: CanvasRenderingContext2D, scene: Scene, look: Loo
     }
     pairs(pen, points, scene.links);
     closures(pen, scene, points, look.corrected);
-    places(pen, scene, points, look.colour, size);
+    // Where colours are the links', places have none.
+    places(pen, scene, points, look.residuals ? null : look.colour, size);
+    if (look.residuals) leftOver(pen, points, look.residuals);
+    routes(pen, look.routes);
     labels(pen, scene, points, size);
     robots(pen, look.robots);
     if (look.place !== null) marked(pen, points, look.place);
@@ -112,6 +119,41 @@ function pairs({ context, screen, ink }: Pen, { x, y }: Points, links: [number, 
     context.stroke();
 }
 
+/** The worse, the further along the ramp, and the thicker: colour alone need not say it. */
+function leftOver({ context, screen, ink }: Pen, { x, y }: Points, residuals: NonNullable<Look["residuals"]>) {
+    let [at, level] = [0, 0];
+    for (; level < STEPS; level++) {
+        context.beginPath();
+        for (; at < residuals.length && step(residuals[at]![2]) <= level; at++) {
+            const [from, to] = residuals[at]!;
+            context.moveTo(screen.x(x[from]!), screen.y(y[from]!));
+            context.lineTo(screen.x(x[to]!), screen.y(y[to]!));
+        }
+        context.strokeStyle = ink.worse[level]!;
+        context.lineWidth = 2.5 + (5 * level) / STEPS;
+        context.stroke();
+    }
+}
+
+/** The way that a robot is to go, and a ring where it ends. */
+function routes({ context, screen, ink }: Pen, ways: Look["routes"]) {
+    for (const way of ways) {
+        const end = way.at(-1);
+        if (!end) continue;
+        for (const [colour, width] of [[ink.back, 7], [ink.heat, 3.5]] as const) {
+            context.beginPath();
+            for (const [x, y] of way) context.lineTo(screen.x(x), screen.y(y));
+            context.moveTo(screen.x(end[0]) + 8, screen.y(end[1]));
+            context.arc(screen.x(end[0]), screen.y(end[1]), 8, 0, 2 * Math.PI);
+            context.setLineDash(colour === ink.heat ? [9, 5] : []);
+            context.strokeStyle = colour;
+            context.lineWidth = width;
+            context.stroke();
+        }
+    }
+    context.setLineDash([]);
+}
+
 /** Closures by probability: dashed where it is low, so that colour alone need not say it. */
 function closures({ context, screen, ink }: Pen, scene: Scene, { x, y }: Points, share: number) {
     const levels = [
@@ -141,11 +183,11 @@ function closures({ context, screen, ink }: Pen, scene: Scene, { x, y }: Points,
     context.globalAlpha = 1;
 }
 
-function places({ context, screen, ink, scale }: Pen, scene: Scene, { x, y }: Points, colour: Colour, size: Size) {
+function places({ context, screen, ink, scale }: Pen, scene: Scene, { x, y }: Points, colour: Colour | null, size: Size) {
     const radius = Math.min(Math.max(scale * 0.14, 1.6), 5.5);
     const buckets = new Map<string, number[]>();
     for (let at = 0; at < x.length; at++) {
-        const key = colourOf(scene, at, colour, ink);
+        const key = colour ? colourOf(scene, at, colour, ink) : ink.link;
         const bucket = buckets.get(key);
         if (bucket) bucket.push(at);
         else buckets.set(key, [at]);

@@ -28,3 +28,14 @@ export function residuals(g2o: string): Residual[] {
     }
     return found.sort((a, b) => b.off_m - a.off_m);
 }
+
+/** What is below a millimetre at worst is rounding. */
+export const LEAST_M = 1e-3;
+
+/** Links between drawn places by what is left over as a share of `most_m`, the worst last. */
+export function drawn(found: Residual[], near: (number: number) => number | undefined, most_m: number): [number, number, number][] {
+    return found.flatMap(({ from, to, off_m }): [number, number, number][] => {
+        const [start, end] = [near(from), near(to)];
+        return start === undefined || end === undefined || start === end ? [] : [[start, end, off_m / Math.max(most_m, LEAST_M)]];
+    }).reverse();
+}

@@ -52,8 +52,16 @@ function Closures({ data, onFrame, onPlace }: Pick<EvidenceProps, "data" | "onFr
     );
 }
 
+/** What is left over of each measured way, once it is wanted. */
+export function useResiduals({ map }: MapData, wanted: boolean) {
+    return useAsked(
+        async (signal) => wanted ? residuals(await text(`${at(map.name)}/graph.g2o`, signal)) : [],
+        [map.name, map.links, map.loop_closures, map.withdrawn_loop_closures, wanted],
+    );
+}
+
 function Residuals({ data, onPlace }: Pick<EvidenceProps, "data" | "onPlace">) {
-    const asked = useAsked(async (signal) => residuals(await text(`${at(data.map.name)}/graph.g2o`, signal)), [data.map.name]);
+    const asked = useResiduals(data, true);
     return (
         <Shown asked={asked} what="the pose graph">
             {(found) => found.length === 0 ? <p class="quiet">No way was measured.</p> : (

@@ -2,17 +2,17 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import { load, type MapData } from "../drawing/data";
 import { follow } from "../events";
-import { all, at, get, short, type FrameRecord, type Navigation, type WayMap } from "../rest";
-
-/** Without events robots are asked for so often; with them only to learn which have gone. */
-const POLL_MS = 1500;
-const GONE_MS = 15_000;
+import { at, get, short, type FrameRecord, type WayMap } from "../rest";
+import { useRobots, type Led } from "./led";
 
 /** The newest frame of a session that a robot streams into. */
 export interface Streaming {
     session: string;
     frame: FrameRecord;
     heard_ms: number;
+    /** Frames that were heard of, and those whose place was recognised. */
+    frames: number;
+    recognitions: number;
 }
 
 /** A robot that streams sends frames every few seconds. */
@@ -22,7 +22,7 @@ const MOST_STREAMING = 64;
 const DRAW_MS = 250;
 
 export interface Live {
-    robots: Navigation[];
+    robots: Led[];
     /** The one that was heard last comes last. */
     streaming: Streaming[];
     live: boolean;
@@ -78,8 +78,13 @@ function newest(known: Streaming[], frames: FrameRecord[]): Streaming[] {
     const by = new Map(known.filter(({ heard_ms }) => now - heard_ms < STREAMS_MS).map((one) => [one.session, one]));
     for (const frame of frames) {
         const session = sessionOf(frame);
+        const before = by.get(session);
+        const known = frame.answer?.reason === "same_place" || frame.answer?.reason === "loop_closure";
         by.delete(session);
-        by.set(session, { session, frame, heard_ms: now });
+        by.set(session, {
+            session, frame, heard_ms: now,
+            frames: (before?.frames ?? 0) + 1, recognitions: (before?.recognitions ?? 0) + (known ? 1 : 0),
+        });
     }
     return [...by.values()].slice(-MOST_STREAMING);
 }
@@ -87,36 +92,6 @@ function newest(known: Streaming[], frames: FrameRecord[]): Streaming[] {
 /** The session of a frame, as maps/{map}/sessions/{session}. */
 export function sessionOf({ name }: FrameRecord): string {
     return name.split("/").slice(0, 4).join("/");
-}
-
-function useRobots(map: string, live: boolean) {
-    const [known, setKnown] = useState<{ robots: Navigation[]; error: Error | null }>({ robots: [], error: null });
-    useEffect(() => {
-        const gone = new AbortController();
-        let timer = 0;
-        const ask = async () => {
-            try {
-                if (document.visibilityState === "visible") {
-                    const path = `${at(map)}/navigations`;
-                    const robots = await all<"navigations", Navigation>(path, "navigations", gone.signal);
-                    if (!gone.signal.aborted) setKnown({ robots, error: null });
-                }
-            } catch (error) {
-                if (!gone.signal.aborted) setKnown((now) => ({ ...now, error: error as Error }));
-            }
-            if (!gone.signal.aborted) timer = window.setTimeout(ask, live ? GONE_MS : POLL_MS);
-        };
-        void ask();
-        return () => {
-            gone.abort();
-            clearTimeout(timer);
-        };
-    }, [map, live]);
-    const hear = (robot: Navigation) => setKnown(({ robots }) => {
-        const others = robots.filter(({ name }) => name !== robot.name);
-        return { robots: [...others, robot].sort((a, b) => a.name < b.name ? -1 : 1), error: null };
-    });
-    return { ...known, hear };
 }
 
 /** A map is asked for anew no sooner than this after it grew, and never for more than a sixth of the time. */

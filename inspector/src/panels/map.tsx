@@ -1,19 +1,17 @@
 // One map: its drawing, its time, the frame under the cursor and the place that it shows. One cursor drives all.
 import { useEffect, useLayoutEffect, useMemo, useRef, useState } from "preact/hooks";
-import { load, MOST_DRIVES, type MapData } from "../drawing/data";
-import { asDriven, kindOf, sceneOf, type Scene } from "../drawing/scene";
-import { ring } from "../drawing/layout";
-import type { Colour, Go, Link, Shape } from "../link";
-import type { Size, View } from "../drawing/paint";
+import { load, type MapData } from "../drawing/data";
+import { sceneOf } from "../drawing/scene";
+import type { Go, Link } from "../link";
 import { at, get, short, type Place as PlaceRecord } from "../rest";
-import { count, plural, Shown, useAsked } from "../parts";
-import { MapCanvas } from "./canvas";
+import { plural, Shown, useAsked } from "../parts";
+import { Drawing } from "./drawing";
 import { Evidence } from "./evidence";
 import { Matrix } from "./matrix";
 import { Pair } from "./pair";
 import { Place } from "./place";
 import { useCloser } from "./closer";
-import { useFresh, useLive, type Live } from "./live";
+import { useFresh, useLive } from "./live";
 import { Robots } from "./robots";
 import { useSteps, type Step } from "./steps";
 import { Time } from "./time";
@@ -169,70 +167,5 @@ function GoTo({ data, onPlace }: { data: MapData; onPlace: (place: number) => vo
             <button type="submit">Go</button>
             {missing && <span class="refused" role="alert">No place has this number or label.</span>}
         </form>
-    );
-}
-
-interface DrawingProps extends MapPageProps {
-    data: MapData;
-    scene: Scene;
-    place: number | null;
-    heard: Live;
-    onPlace: (place: number) => void;
-    onSeen: (view: View, size: Size) => void;
-}
-
-function Drawing({ data, scene, link, go, place, heard, onPlace, onSeen }: DrawingProps) {
-    const kind = kindOf(data);
-    const colour: Colour = link.colour ?? (kind === "appearance" ? "space" : data.sessions.length > 1 ? "session" : "time");
-    const [corrected, setCorrected] = useState(link.corrected);
-    useEffect(() => setCorrected(link.corrected), [link.corrected]);
-    const marked = place === null ? null : (scene.near(place) ?? null);
-    const seen = [
-        ...heard.robots.map(({ guidance }) => guidance?.localization?.place_number ?? guidance?.appearance?.subgoal_place_number),
-        ...heard.streaming.map(({ frame }) => frame.answer?.place_number),
-    ];
-    const where = seen.flatMap((number): [number, number][] => {
-        const at = typeof number === "number" ? scene.near(number) : undefined;
-        return at === undefined ? [] : [[scene.corrected.x[at]!, scene.corrected.y[at]!]];
-    });
-    const spots = JSON.stringify(where);
-    const look = useMemo(() => ({ colour, corrected, place: marked, robots: where }), [colour, corrected, marked, spots]);
-    const view = useMemo(() => link.view && { x: link.view[0], y: link.view[1], scale: link.view[2] }, [link.view]);
-    const words = { metric: "in metres", topological: "places in their order, without metres", appearance: "a graph of what places look like" }[kind];
-    const driven = data.places.length > 0 && kind === "topological";
-    return (
-        <section class="panel drawing" aria-label="The map">
-            <header>
-                <h2>Map</h2><span class="quiet" data-testid="kind">{words}</span>
-                <label>Colour <select value={colour} onChange={(event) => go({ colour: event.currentTarget.value as Colour })}>
-                    <option value="time">by time</option><option value="session">by session</option>
-                    <option value="space">{kind === "metric" ? "by part" : "by space"}</option>
-                </select></label>
-                {driven && <label>Shape <select value={asDriven(data, link.shape) === ring ? "ring" : "strip"} onChange={(event) => go({ shape: event.currentTarget.value as Shape })}>
-                    <option value="ring">ring</option><option value="strip">strip</option>
-                </select></label>}
-                {kind === "metric" && <label class="slider">wheels alone <input
-                    type="range" min={0} max={1} step={0.05} value={corrected} aria-label="From odometry alone to corrected"
-                    onInput={(event) => setCorrected(Number(event.currentTarget.value))}
-                    onChange={(event) => go({ corrected: Number(event.currentTarget.value) })}
-                /> corrected</label>}
-            </header>
-            {data.places.length === 0 ? <p class="empty">This map has no places yet: a robot makes them while it streams.</p> : (
-                <MapCanvas
-                    scene={scene} look={look} view={view}
-                    describe={`Drawing of the map with ${plural(scene.numbers.length, "place")}. Plus and minus zoom, 0 shows all, shift and arrows move it.`}
-                    onView={(view) => go({ view: view && [view.x, view.y, view.scale] })}
-                    onPick={(index) => onPlace(scene.numbers[index]!)} onSeen={onSeen}
-                />
-            )}
-            <p class="legend"><span class="key link">link</span><span class="key closure">loop closure; thicker is surer, dashed below 0.9</span>
-                {kind === "metric" && corrected < 1 && <span class="key odometry">by wheels alone</span>}
-                {data.every > 1 && <span data-testid="thinned">one of {data.every} places along the way; more where you zoom in</span>}
-                {data.map.loop_closures > data.closures.length && <span>the first {count(data.closures.length)} closures</span>}
-                {scene.unplaced > 0 && <span>{plural(scene.unplaced, "place")} without a pose not drawn</span>}
-                {scene.parts > 1 && <span>{scene.parts} parts that nothing joins lie side by side</span>}
-                {kind === "metric" && data.sessions.length > MOST_DRIVES && <span>ways of the first {MOST_DRIVES} sessions</span>}
-            </p>
-        </section>
     );
 }

@@ -1,28 +1,27 @@
 // All maps: what each looks like, how large it is, where to go on.
 import { useEffect, useRef, useState } from "preact/hooks";
 import { ink } from "../drawing/colours";
-import { load, type MapData } from "../drawing/data";
+import { load, SMALL, type MapData } from "../drawing/data";
 import { paintSmall } from "../drawing/paint";
 import { sceneOf } from "../drawing/scene";
 import { hash, START } from "../link";
 import { all, at, get, short, type WayMap } from "../rest";
 import { bytes, moment, plural, Shown, useAsked, useDark, useMayAll, type Asked } from "../parts";
 import { MapActions, NewMaps } from "./making";
-
-/** Larger maps are drawn when they are opened: a list should not ask for a hundred thousand places. */
-const MOST_DRAWN = 5000;
+import { usePresent, type Present } from "./present";
 
 export function Maps() {
     const may = useMayAll();
     const [changes, setChanges] = useState(0);
     const changed = () => setChanges((count) => count + 1);
     const asked = useAsked((signal) => all<"maps", WayMap>("/v1/maps", "maps", signal), [changes]);
+    const present = usePresent(String(changes));
     return (
         <main class="maps" id="content">
             <div class="title"><h1>Maps</h1>{may && <NewMaps onChange={changed} />}</div>
             <Shown asked={asked} what="maps">
                 {(maps) => maps.length === 0 ? <NoMaps /> : (
-                    <ul class="cards">{maps.map((map) => <MapCard key={`${map.name} ${map.create_time_ns}`} map={map} onChange={may ? changed : null} />)}</ul>
+                    <ul class="cards">{maps.map((map) => <MapCard key={`${map.name} ${map.create_time_ns}`} map={map} present={present.get(map.name)} onChange={may ? changed : null} />)}</ul>
                 )}
             </Shown>
         </main>
@@ -40,23 +39,42 @@ function NoMaps() {
     );
 }
 
-function MapCard({ map, onChange }: { map: WayMap; onChange: (() => void) | null }) {
+/** A link is called by what one sees of it, too. */
+const NO_PLACES = "no places yet";
+
+interface CardProps {
+    map: WayMap;
+    present: Present | undefined;
+    onChange: (() => void) | null;
+}
+
+function MapCard({ map, present, onChange }: CardProps) {
     const name = short(map.name);
     const whole = useAsked((signal) => get<WayMap>(`${at(map.name)}?view=full`, signal), [map.name]);
     const size = whole.state === "there" && whole.value.storage ? bytesOf(whole.value.storage) : null;
     const link = hash({ ...START, page: "map", map: name });
     return (
         <li class="card">
-            <a class="thumbnail" href={link} aria-label={`Open the map ${name}`}><Thumbnail map={map} /></a>
+            <a class="thumbnail" href={link} aria-label={`Open the map ${name}${map.places === 0 ? `: ${NO_PLACES}` : ""}`}><Thumbnail map={map} /></a>
             <div class="card-text">
                 <h2><a href={link}>{name}</a></h2>
                 <p>{plural(map.places, "place")} · {plural(map.sessions, "session")} · {plural(map.frames, "frame")}</p>
                 <p>{plural(map.loop_closures, "loop closure")} · {plural(map.links, "link")}{size === null ? "" : ` · ${bytes(size)}`}</p>
                 <p class="quiet">{map.settings?.navigation_strategy === "appearance" ? "by appearance" : "topo-metric"} · made {moment(map.create_time_ns)}</p>
+                <p data-testid="present" class={present && present.led + present.streaming > 0 ? "present" : "quiet"}>{presentText(present)}</p>
                 {onChange && <MapActions map={map} onChange={onChange} />}
             </div>
         </li>
     );
+}
+
+function presentText(present: Present | undefined): string {
+    if (!present) return "looking for robots…";
+    const said = [
+        ...(present.led ? [`${plural(present.led, "robot")} led now`] : []),
+        ...(present.streaming ? [`${plural(present.streaming, "robot")} streaming now`] : []),
+    ];
+    return said.length ? said.join(", ") : "no robot there now";
 }
 
 function bytesOf(storage: NonNullable<WayMap["storage"]>): number {
@@ -65,12 +83,11 @@ function bytesOf(storage: NonNullable<WayMap["storage"]>): number {
 }
 
 function Thumbnail({ map }: { map: WayMap }) {
-    const drawn = map.places > 0 && map.places <= MOST_DRAWN;
+    const drawn = map.places > 0;
     const asked = useAsked<MapData | null>(
-        async (signal) => drawn ? load(short(map.name), signal) : null, [map.name, drawn],
+        async (signal) => drawn ? load(short(map.name), signal, SMALL) : null, [map.name, drawn],
     );
-    if (map.places === 0) return <span class="quiet">no places yet</span>;
-    if (!drawn) return <span class="quiet">large: open it to see it</span>;
+    if (!drawn) return <span class="quiet">{NO_PLACES}</span>;
     return <Drawn asked={asked} />;
 }
 

@@ -1,85 +1,9 @@
 // How the server fares: its own metrics over the last hour, for as long as this page has been there to ask.
-import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { useEffect, useMemo, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import { ink } from "../drawing/colours";
-import { text } from "../rest";
 import { bytes, Refused, useDark, useSize } from "../parts";
-
-const EVERY_MS = 5000;
-const HOUR_S = 3600;
-
-/** What the server said at a moment; sums of a metric over all its labels, but for those that are asked for. */
-interface Sample {
-    /** Seconds since 1970. */
-    at: number;
-    values: Map<string, number>;
-}
-
-interface Hour {
-    samples: Sample[];
-    error: Error | null;
-}
-
-/** Labels that tell things apart that do not add up. */
-const APART = /\b(stage|outcome)="([^"]*)"/;
-
-/** Reads Prometheus' text format as far as this server writes it. */
-export function parsed(text: string): Map<string, number> {
-    const values = new Map<string, number>();
-    for (const line of text.split("\n")) {
-        const [, name, labels = "", written] = /^([a-z_]+)(?:\{(.*)\})? (\S+)$/.exec(line) ?? [];
-        const value = Number(written);
-        if (!name || name.endsWith("_bucket") || !Number.isFinite(value)) continue;
-        const apart = APART.exec(labels)?.[2];
-        for (const key of apart === undefined ? [name] : [name, `${name} ${apart}`]) values.set(key, (values.get(key) ?? 0) + value);
-    }
-    return values;
-}
-
-let hour: Hour = { samples: [], error: null };
-/** Who draws it: only that panel is to be drawn anew every few seconds. */
-let onHour: (hour: Hour) => void = () => {};
-
-function setHour(next: Hour) {
-    hour = next;
-    onHour(hour);
-}
-
-/** Asks for the metrics again and again while the page is there, whatever it shows. */
-export function useSampling(entered: number, waits: boolean) {
-    useEffect(() => {
-        if (waits) return;
-        const gone = new AbortController();
-        let timer = 0;
-        const ask = async () => {
-            try {
-                const values = parsed(await text("/metrics", gone.signal));
-                const at = Date.now() / 1000;
-                setHour({ samples: [...hour.samples.filter((sample) => sample.at > at - HOUR_S), { at, values }], error: null });
-            } catch (error) {
-                if (!gone.signal.aborted) setHour({ ...hour, error: error as Error });
-            }
-            if (!gone.signal.aborted) timer = window.setTimeout(ask, EVERY_MS);
-        };
-        void ask();
-        return () => {
-            gone.abort();
-            clearTimeout(timer);
-        };
-    }, [entered, waits]);
-}
-
-function useHour(): Hour {
-    const [now, setNow] = useState(hour);
-    useEffect(() => {
-        onHour = setNow;
-        setNow(hour);
-        return () => {
-            onHour = () => {};
-        };
-    }, []);
-    return now;
-}
+import { useHour, type Sample } from "./hour";
 
 type Line = [label: string, of: (now: Sample, before: Sample) => number | null];
 

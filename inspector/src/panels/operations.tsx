@@ -3,6 +3,7 @@ import { useState } from "preact/hooks";
 import { all, at, change, download, send, short, type Job, type Model } from "../rest";
 import { bytes, count, Deletion, moment, Outcome, Refused, Shown, useAsked, useAttempt, useMayAll, usePolled } from "../parts";
 import { Metrics } from "./metrics";
+import { Refusals } from "./refusals";
 import { Tokens } from "./tokens";
 
 export function Operations({ onTokens }: { onTokens: () => void }) {
@@ -11,6 +12,7 @@ export function Operations({ onTokens }: { onTokens: () => void }) {
         <main class="operations" id="content">
             <h1>Operations</h1>
             <Metrics />
+            <Refusals />
             <Jobs />
             <Models />
             {may && <Tokens onTokens={onTokens} />}

@@ -25,7 +25,7 @@ export function Overlay({ merge, link, go }: OverlayProps) {
 function Drawn({ found, link, go }: { found: Overlaid } & Omit<OverlayProps, "merge">) {
     const { scene, layerOf, sessionOf, maps, absent, cut } = found;
     const [picked, setPicked] = useState<number | null>(null);
-    const look = useMemo(() => ({ colour: "session" as const, corrected: 1, place: picked, robots: [] }), [picked]);
+    const look = useMemo(() => ({ colour: "session" as const, corrected: 1, place: picked, robots: [], routes: [], residuals: null }), [picked]);
     const view = useMemo(() => link.view && { x: link.view[0], y: link.view[1], scale: link.view[2] }, [link.view]);
     const map = picked === null ? null : short(maps[layerOf[picked]!]!.map);
     const session = picked === null ? "" : sessionOf[picked]!;

@@ -1,7 +1,8 @@
 // Robots that are led along the map: where they are, where they go, and what takes their goal away.
-import { useState } from "preact/hooks";
+import { useEffect, useState } from "preact/hooks";
 import { at, change, short, type Navigation } from "../rest";
-import { Refused, share, useMay } from "../parts";
+import { count, Refused, share, useMay } from "../parts";
+import type { Led } from "./led";
 import type { Live, Streaming } from "./live";
 import { PlaceLink } from "./pair";
 import { REASONS } from "./steps";
@@ -26,7 +27,7 @@ export function Robots({ heard: { robots, streaming, live, error }, place, onPla
 }
 
 /** A robot that lets the map grow, or did a moment ago. */
-function Stream({ streaming: { session, frame }, onPlace, onFrame }: { streaming: Streaming } & Pick<RobotsProps, "onPlace" | "onFrame">) {
+function Stream({ streaming: { session, frame, frames, recognitions, heard_ms }, onPlace, onFrame }: { streaming: Streaming } & Pick<RobotsProps, "onPlace" | "onFrame">) {
     const { answer } = frame;
     const sequence = Number(short(frame.name));
     return (
@@ -35,12 +36,31 @@ function Stream({ streaming: { session, frame }, onPlace, onFrame }: { streaming
             <dl class="facts">
                 <div><dt>streams</dt><dd><button type="button" class="link" onClick={() => onFrame(session, sequence)}>frame {sequence}</button></dd></div>
                 <div><dt>is at</dt><dd>{typeof answer?.place_number === "number" ? <PlaceLink number={answer.place_number} onPlace={onPlace} /> : "unknown"}</dd></div>
+                {frames > 1 && <Recognised of={frames} recognitions={recognitions} what="frames heard" />}
+                {answer && <div><dt>last probability</dt><dd>{share(answer.match?.geometry?.probability ?? answer.posterior)}</dd></div>}
+                <div><dt>last word</dt><dd><Since heard_ms={heard_ms} /></dd></div>
             </dl>
         </article>
     );
 }
 
-function Robot({ robot, place, onPlace }: { robot: Navigation } & Pick<RobotsProps, "place" | "onPlace">) {
+/** How many places were recognised, of the frames that were looked at. */
+function Recognised({ of, recognitions, what }: { of: number; recognitions: number; what: string }) {
+    return <div><dt>recognised</dt><dd>{count(recognitions)} of {count(of)} {what}{of > 0 && ` (${Math.round((100 * recognitions) / of)} %)`}</dd></div>;
+}
+
+/** How long ago something was heard; it goes on by itself. */
+function Since({ heard_ms }: { heard_ms: number | null }) {
+    const [now, setNow] = useState(performance.now());
+    useEffect(() => {
+        setNow(performance.now());
+        const timer = window.setInterval(() => setNow(performance.now()), 1000);
+        return () => clearInterval(timer);
+    }, [heard_ms]);
+    return <>{heard_ms === null ? "none since this page is open" : `${(Math.max(now - heard_ms, 0) / 1000).toFixed(0)} s ago`}</>;
+}
+
+function Robot({ robot, place, onPlace }: { robot: Led } & Pick<RobotsProps, "place" | "onPlace">) {
     const [refused, setRefused] = useState<Error | null>(null);
     const maySend = useMay("navigate");
     const { guidance, goal, connected } = robot;
@@ -56,6 +76,9 @@ function Robot({ robot, place, onPlace }: { robot: Navigation } & Pick<RobotsPro
             <dl class="facts">
                 <div><dt>is at</dt><dd>{number === null ? "unknown" : <PlaceLink number={number} onPlace={onPlace} />}</dd></div>
                 {guidance?.localization && <div><dt>confidence</dt><dd>{share(guidance.localization.confidence)}</dd></div>}
+                {robot.frames > 0 && <Recognised of={robot.frames} recognitions={robot.recognitions} what="frames" />}
+                {guidance?.localization && <div><dt>last recognised</dt><dd>{(guidance.localization.since_recognition_ns / 1e9).toFixed(1)} s and {guidance.localization.since_recognition_m.toFixed(1)} m before its last word</dd></div>}
+                <div><dt>last word</dt><dd><Since heard_ms={robot.heard_ms} /></dd></div>
                 <div><dt>goes to</dt><dd>{goalText(goal)}</dd></div>
                 {typeof guidance?.remaining_m === "number" && <div><dt>still to go</dt><dd>{guidance.remaining_m.toFixed(1)} m</dd></div>}
             </dl>
