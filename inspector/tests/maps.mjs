@@ -35,7 +35,11 @@ test("a robot that is led is shown while it drives", async () => {
     const box = await drawing.locator("canvas").boundingBox();
     const send = drawing.getByRole("button", { name: `Send ${robot.name.split("/").at(-1)} here` });
     assert.equal(await send.count(), 0);
-    await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
+    // The drawing may not have moved to the link's view yet.
+    await until("the place under the hand", async () => {
+        await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
+        return page.url().includes(`place=${goal}`);
+    });
     await send.waitFor();
     const beside = await send.boundingBox();
     assert.ok(Math.abs(beside.x + beside.width / 2 - box.x - box.width / 2) < 200 && Math.abs(beside.y - box.y - box.height / 2) < 100, "far from the place");

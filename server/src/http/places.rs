@@ -33,10 +33,13 @@ pub(super) struct PlacesAsked {
     to_place_number: Option<u32>,
     /// Only places of this part that lie within `min_x_m` to `max_x_m` and `min_y_m` to `max_y_m`: give all five, or none.
     part: Option<u32>,
-    /// In metres, in the part's frame, as the other three.
+    /// Least x in metres, in the part's frame.
     min_x_m: Option<f64>,
+    /// Largest x in metres.
     max_x_m: Option<f64>,
+    /// Least y in metres.
     min_y_m: Option<f64>,
+    /// Largest y in metres.
     max_y_m: Option<f64>,
 }
 

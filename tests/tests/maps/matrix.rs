@@ -6,7 +6,7 @@ use waypost_client::{Client, Code, v1};
 use waypost_proto::v1::map_service_client::MapServiceClient;
 
 use crate::harness::{
-    Server, assert_status, by_words_request, channel, get, mapped, model_of_other_words, reference, refused,
+    Server, assert_status, by_words_request, channel, get, mapped, model_of_other_words, reference_by_words, refused,
     take_model,
 };
 
@@ -26,9 +26,9 @@ fn first_tile(map: &str, against: &str) -> v1::GetMatchMatrixTileRequest {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_matrix_is_what_the_dense_equations_say_of_each_two_places() {
     const MAPPED: u64 = 110;
-    let (server, client) = Server::with_map().await;
+    let (server, client) = Server::with_map_of_words().await;
     mapped(&client, "robot", 1..=MAPPED).await;
-    let mapper = reference().mapper(MAPPED);
+    let mapper = reference_by_words().mapper(MAPPED);
     let index = mapper.recognizer().index();
     let model = index.model();
     let looks: Vec<Observation> = index.appearances().map(|place| place.usual_look()).collect();
