@@ -108,9 +108,11 @@ def test_sessions_and_frames_are_read_back(
     assert place.word_hits
     matrix = client.match_matrix(hall)
     assert list(matrix.rows.place_numbers) == list(range(len(client.places(hall))))
-    assert matrix == client.match_matrix(hall, against=hall) and matrix.levels == 1
+    assert matrix == client.match_matrix(hall, against=hall)
+    assert matrix.levels == 1
     tile = client.match_matrix_tile(hall, 0, 0, 0)
-    assert tile.startswith(b"\x89PNG") and tile == client.match_matrix_tile(hall, 0, 0, 0, against=hall)
+    assert tile.startswith(b"\x89PNG")
+    assert tile == client.match_matrix_tile(hall, 0, 0, 0, against=hall)
     with pytest.raises(waypost.NotFound, match="1 x 1 tiles"):
         client.match_matrix_tile(hall, 0, 0, 1)
     found = client.word_places(hall, place.word_hits[0].word)

@@ -6,8 +6,8 @@ use waypost_client::{Client, Code, v1};
 use waypost_proto::v1::map_service_client::MapServiceClient;
 
 use crate::harness::{
-    Server, assert_status, by_words_request, channel, get, mapped, model_of_other_words, reference_by_words, refused,
-    take_model,
+    Server, assert_status, by_words_request, channel, get, mapped, model_of_other_words, reference_by_words,
+    refused, take_model,
 };
 
 /// The shades of a tile, row by row.
@@ -128,7 +128,7 @@ async fn lists_of_places_and_frames_are_thinned_by_who_asks() {
             .enumerate()
             .filter(|&(number, _)| {
                 let number = number as u32;
-                number % every == 0 && number >= from && to.is_none_or(|to| number <= to)
+                number.is_multiple_of(every) && number >= from && to.is_none_or(|to| number <= to)
             })
             .map(|(_, place)| place)
             .collect();

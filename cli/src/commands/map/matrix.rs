@@ -84,7 +84,8 @@ async fn drawn(client: &Client, described: &v1::MatchMatrix) -> Result<Vec<u8>, 
             let (map, against) = (map.clone(), against.clone());
             let request = v1::GetMatchMatrixTileRequest { map, against, level, row, column };
             let tile = client.match_matrix_tile(request).await?;
-            let tile = image::load_from_memory_with_format(&tile, ImageFormat::Png).map_err(unreadable)?;
+            let tile = image::load_from_memory_with_format(&tile, ImageFormat::Png)
+                .map_err(|error| unreadable(&error))?;
             for (x, y, shade) in tile.to_luma8().enumerate_pixels() {
                 let (x, y) = (column * tile_cells + x, row * tile_cells + y);
                 if let Some(pixel) = picture.get_pixel_mut_checked(x, y) {
@@ -111,10 +112,10 @@ async fn drawn(client: &Client, described: &v1::MatchMatrix) -> Result<Vec<u8>, 
         }
     }
     let mut png = std::io::Cursor::new(Vec::new());
-    picture.write_to(&mut png, ImageFormat::Png).map_err(unreadable)?;
+    picture.write_to(&mut png, ImageFormat::Png).map_err(|error| unreadable(&error))?;
     Ok(png.into_inner())
 }
 
-fn unreadable(error: image::ImageError) -> Failure {
+fn unreadable(error: &image::ImageError) -> Failure {
     Failure::Unfit(format!("the server's picture of the matrix cannot be used: {error}"))
 }

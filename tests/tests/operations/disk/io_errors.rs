@@ -161,9 +161,9 @@ async fn calls_that_fail_lose_nothing_and_the_server_goes_on() {
         assert!(!server.log().contains("panicked"), "{}", server.log());
         refusals += robot.refusals;
         if random.random() {
-            server.stop()
+            server.stop();
         } else {
-            server.kill()
+            server.kill();
         }
         holds(
             &disk.data(),
