@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use image::imageops::{FilterType, resize};
 use image::{ImageFormat, Rgb, RgbImage};
 use waypost_client::v1::matrix_mark::Kind;
 use waypost_client::{Client, v1};
@@ -23,7 +24,7 @@ pub(crate) struct Matrix {
     /// Name of a map to compare it with, in place of itself
     #[arg(long, value_name = "MAP")]
     against: Option<String>,
-    /// Write the matrix as PNG, a pixel for each two places, or for 32 x 32 of large maps
+    /// Write the matrix as PNG: some pixels for each two places of small maps, one for up to 32 x 32 of large ones
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
     /// Replace a file that is there
@@ -37,6 +38,9 @@ const BORDER: Rgb<u8> = Rgb([0x60, 0x60, 0x60]);
 
 /// Pictures of up to so many pixels a side have a pixel for each two places.
 const MOST_PIXELS: usize = 2048;
+
+/// Smaller ones are drawn larger, by a whole number, up to so many pixels a side.
+const LARGE_ENOUGH_PIXELS: u32 = 800;
 
 pub(super) async fn matrix(client: &Client, asked: Matrix, output: Output) -> Result<(), Failure> {
     let Matrix { name, against, picture, force } = asked;
@@ -111,6 +115,8 @@ async fn drawn(client: &Client, described: &v1::MatchMatrix) -> Result<Vec<u8>, 
             picture.put_pixel(row, column, colour);
         }
     }
+    let times = (LARGE_ENOUGH_PIXELS / cells[0].max(cells[1])).max(1);
+    let picture = resize(&picture, times * cells[1], times * cells[0], FilterType::Nearest);
     let mut png = std::io::Cursor::new(Vec::new());
     picture.write_to(&mut png, ImageFormat::Png).map_err(|error| unreadable(&error))?;
     Ok(png.into_inner())
