@@ -89,13 +89,14 @@ impl NamedWorld {
     #[must_use]
     pub fn camera_rig(self) -> CameraRig {
         match self {
-            Self::Gallery | Self::Foyer => gallery_camera_rig(),
+            Self::Gallery => gallery_camera_rig(),
             Self::Office
             | Self::Corridors
             | Self::BooijOffice
             | Self::Loop
             | Self::BuildingA
-            | Self::BuildingB => camera_rig(),
+            | Self::BuildingB
+            | Self::Foyer => camera_rig(),
         }
     }
 

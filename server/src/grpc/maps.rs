@@ -157,6 +157,13 @@ impl MapService for Adapter {
             }
             Format::Tum => session(TrajectoryFormat::Tum).await?,
             Format::Kitti => session(TrajectoryFormat::Kitti).await?,
+            Format::G2o if every > 1 => {
+                return Err(ServiceError::invalid(
+                    "a map's graph cannot be thinned, for its links join its places; leave `every` out, or name a session and \
+                     TUM or KITTI",
+                )
+                .into());
+            }
             Format::G2o => self.service.trajectories.pose_graph(&name).await?,
         };
         let chunks: Vec<_> = text

@@ -152,7 +152,7 @@ pub(super) fn gallery(seed: u64) -> FloorPlan {
 
 pub(super) fn foyer(seed: u64) -> FloorPlan {
     let mut layout = Layout::default();
-    let look = |number: u64| Look::unique(derived_seed(seed, 400 + number)).walled(Material::Photographs);
+    let look = |number: u64| Look::unique(derived_seed(seed, 400 + number));
     let hall = layout.hall("hall", [0.0, 4.0, 12.0, 7.0], look(0));
     let rooms = [
         layout.room("north room", [1.0, 7.0, 5.0, 11.0], look(1)),

@@ -285,6 +285,14 @@ async fn poses_that_nobody_measured_are_refused_with_the_way_out() {
     ] {
         assert_status(case, (code, &message), expected, fragment);
     }
+    let thinned = v1::ExportPosesRequest {
+        name: "maps/drive".to_owned(),
+        format: Format::G2o.into(),
+        every: 2,
+        ..Default::default()
+    };
+    let (code, message) = refused(client.export_poses(thinned, &mut Vec::new()).await);
+    assert_status("a thinned graph", (code, &message), Code::InvalidArgument, "cannot be thinned");
     server.stop().await;
 }
 

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use waypost_client::{Code, v1};
+use waypost_client::{Code, Error, v1};
 use waypost_proto::v1::stream_response::Content as Response;
 
 use super::number;
@@ -60,6 +60,10 @@ struct Robot {
 }
 
 impl Robot {
+    fn of(endpoint: String) -> Self {
+        Self { endpoint, stream: None, answered: BTreeMap::new(), refusals: 0 }
+    }
+
     /// Sends a frame until it is taken. The disk is mended after some refusals.
     async fn sends(&mut self, disk: &WatchedDisk, sequence: u64, case: &str) {
         const MENDED_AFTER: u32 = 3;
@@ -139,8 +143,7 @@ async fn calls_that_fail_lose_nothing_and_the_server_goes_on() {
         let disk = WatchedDisk::new();
         copy_below(template.path(), &disk.data());
         let mut server = disk.start();
-        let endpoint = server.endpoint();
-        let mut robot = Robot { endpoint, stream: None, answered: BTreeMap::new(), refusals: 0 };
+        let mut robot = Robot::of(server.endpoint());
         let mut sequence = 0;
         for number in first..faults.min(first + FAULTS_OF_A_SERVER) {
             let fault = a_fault(&mut random);
@@ -173,8 +176,55 @@ async fn calls_that_fail_lose_nothing_and_the_server_goes_on() {
         .await;
     }
     println!("{faults} faults of seed {seed}, {fired} of them met a call, {refusals} refusals");
-    assert!(fired * 8 > faults && refusals > 0, "{fired} faults met a call");
+    assert!(fired * 4 > faults && refusals > 0, "{fired} faults met a call");
     assert!(FAULTS_OF_A_SERVER * FRAMES_OF_A_FAULT < frame_count());
+}
+
+/// Frames that were taken before the server was killed: its write-ahead log was not folded in.
+const LEFT_FRAMES: u64 = 6;
+
+/// What a server that was killed has left, and what it had answered.
+async fn left_by_a_kill() -> (WatchedDisk, BTreeMap<u64, v1::FrameAnswer>) {
+    let template = one_map().await;
+    let disk = WatchedDisk::new();
+    copy_below(template.path(), &disk.data());
+    let server = disk.start();
+    let mut robot = Robot::of(server.endpoint());
+    for sequence in 1..=LEFT_FRAMES {
+        robot.sends(&disk, sequence, "no fault").await;
+    }
+    server.kill();
+    (disk, robot.answered)
+}
+
+/// A read that fails is told as such, and is no damage: the next one is well, and the map takes frames, also after a restart.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_read_that_fails_once_is_no_damage() {
+    const READS: u32 = 6;
+    let (left, answered) = left_by_a_kill().await;
+    let mut refused = 0;
+    for nth in 1..=READS {
+        let case = format!("read {nth}");
+        let disk = WatchedDisk::new();
+        copy_below(&left.data(), &disk.data());
+        let server = disk.start();
+        let client = server.client().await;
+        disk.arm(Fault { nth, calls: Calls("r"), how: How::Once, error: EIO });
+        let session = "maps/drive/sessions/robot";
+        if let Err(error) = client.frames(session).await {
+            assert!(matches!(&error, Error::Status { code: Code::Unavailable, .. }), "{case}: {error}");
+            refused += 1;
+        }
+        disk.mend();
+        let records = client.frames(session).await.unwrap_or_else(|error| panic!("{case}: {error}"));
+        assert_eq!(records.len() as u64, LEFT_FRAMES, "{case}");
+        let mut robot = Robot { answered: answered.clone(), ..Robot::of(server.endpoint()) };
+        robot.sends(&disk, LEFT_FRAMES + 1, &case).await;
+        assert_eq!(robot.refusals, 0, "{case}");
+        server.kill();
+        holds(&disk.data(), &robot.answered, &case).await;
+    }
+    assert!(refused > 0, "no read of these was met");
 }
 
 /// Calls that fail while a server starts, or while it stops, in every run of the tests.
@@ -182,22 +232,9 @@ const STARTS: u64 = 12;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn calls_that_fail_at_a_start_or_a_stop_lose_nothing() {
-    const FRAMES: u64 = 6;
-    let template = one_map().await;
     let (faults, seed) = (number("WAYPOST_DISK_START_FAULTS", STARTS), number("WAYPOST_DISK_FAULTS_SEED", 1));
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    // A log that was not folded in, as after a kill.
-    let disk = WatchedDisk::new();
-    copy_below(template.path(), &disk.data());
-    let server = disk.start();
-    let mut robot =
-        Robot { endpoint: server.endpoint(), stream: None, answered: BTreeMap::new(), refusals: 0 };
-    for sequence in 1..=FRAMES {
-        robot.sends(&disk, sequence, "no fault").await;
-    }
-    server.kill();
-    let answered = robot.answered;
-    let left = disk;
+    let (left, answered) = left_by_a_kill().await;
     let (mut refused, mut started) = (0, 0);
     for number in 0..faults {
         let disk = WatchedDisk::new();

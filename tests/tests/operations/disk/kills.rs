@@ -21,7 +21,7 @@ use operations::{Broken, OPERATIONS, Operation};
 use template::{State, Template, state};
 
 /// Kills in every run of the tests.
-const KILLS: u64 = 38;
+const KILLS: u64 = 36;
 
 /// Longer than any operation takes.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -58,8 +58,7 @@ impl Whole {
             assert!(ended.is_some_and(|status| status.success()), "{ended:?}: {}", server.log());
         }
         let calls = u32::try_from(disk.counted().0).unwrap();
-        let changes =
-            operation.steps() == 0 || operation == Operation::Export || states.first() != states.last();
+        let changes = operation.steps() == 0 || states.first() != states.last();
         // A map that is compacted is the same one.
         assert!(
             changes || [Operation::Compact, Operation::Tokens].contains(&operation),
@@ -105,6 +104,9 @@ async fn killed(
     }
     if operation == Operation::Stop {
         let _ = server.terminate(PATIENCE);
+    } else if said.is_empty() {
+        // What goes on after the answer may be cut off, too.
+        disk.at_rest().await;
     }
     let met = disk.counted().1 > 0;
     let log = server.log();
@@ -231,5 +233,5 @@ async fn whatever_is_cut_off_is_there_whole_or_not_at_all() {
         .filter(|(came, _)| **came != Came::Over)
         .map(|(_, count)| count)
         .sum::<u64>();
-    assert!(met * 2 > kills, "{met} of {kills} kills met a call");
+    assert!(met * 4 > kills * 3, "{met} of {kills} kills met a call");
 }

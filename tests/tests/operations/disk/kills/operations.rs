@@ -19,7 +19,6 @@ pub(super) enum Operation {
     Model,
     Maps,
     Import,
-    Export,
     Compact,
     MergeIntoNew,
     MergeIntoOne,
@@ -36,13 +35,12 @@ pub(super) enum Operation {
     Stop,
 }
 
-pub(super) const OPERATIONS: [Operation; 19] = [
+pub(super) const OPERATIONS: [Operation; 18] = [
     Operation::Frames,
     Operation::Images,
     Operation::Model,
     Operation::Maps,
     Operation::Import,
-    Operation::Export,
     Operation::Compact,
     Operation::MergeIntoNew,
     Operation::MergeIntoOne,
@@ -65,7 +63,6 @@ pub(super) struct Prepared {
     merge: String,
     correction: Option<String>,
     session: Option<(waypost_client::FrameSender, waypost_client::Outcomes)>,
-    sent: u64,
     /// The job that the last step waits for.
     pub(super) job: Option<String>,
 }
@@ -90,7 +87,6 @@ impl Operation {
             Self::Stop => 0,
             Self::Model
             | Self::Import
-            | Self::Export
             | Self::Compact
             | Self::MergeIntoNew
             | Self::MergeIntoOne
@@ -132,7 +128,6 @@ impl Operation {
             }
             Self::Model
             | Self::Maps
-            | Self::Export
             | Self::Compact
             | Self::Trim
             | Self::RemoveSession
@@ -157,7 +152,6 @@ impl Operation {
         match self {
             Self::Frames | Self::Images => {
                 let (sender, outcomes) = prepared.session.as_mut().unwrap();
-                prepared.sent = step + 1;
                 let next = if self == Self::Frames { as_histogram(step + 1) } else { frame(50 + step) };
                 sender.send(next).await?;
                 match in_time(outcomes.next()).await? {
@@ -177,7 +171,6 @@ impl Operation {
                 let job = client.import_map("copy", Cursor::new(prepared.snapshot.clone())).await?;
                 succeeded(client, prepared, &job.name).await
             }
-            Self::Export => Ok(client.export_map(BASE, &mut Vec::new()).await.map(drop)?),
             Self::Compact => {
                 let job = client.compact_map(BASE).await?;
                 succeeded(client, prepared, &job.name).await

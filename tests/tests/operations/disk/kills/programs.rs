@@ -103,6 +103,7 @@ async fn a_first_start_of_this_version_that_is_killed_goes_on_at_the_next() {
     let template = Template::new().await;
     let (kills, seed) = (number("WAYPOST_KILLS_OF_STARTS", KILLS), number("WAYPOST_KILLS_SEED", 1));
     let last = Migrator::new(workspace().join("migrations")).await.unwrap().iter().last().unwrap().version;
+    let mut met_in_all = 0;
     for schema in 1..last {
         let old = super::super::scratch();
         as_it_was(template.directory.path(), schema, old.path()).await;
@@ -131,8 +132,10 @@ async fn a_first_start_of_this_version_that_is_killed_goes_on_at_the_next() {
             assert!(now == whole, "{case}: {}", differences(&now, std::slice::from_ref(&whole)));
         }
         println!("schema {schema}: {kills} starts of seed {seed}, {met} were killed at one of {calls} calls");
-        assert!(kills == 0 || met > 0, "schema {schema}: no start was killed");
+        met_in_all += met;
     }
+    let starts = kills * (last - 1).cast_unsigned();
+    assert!(met_in_all * 2 > starts, "{met_in_all} of {starts} starts were killed");
 }
 
 /// Runs the server's program on the disk's directory, to its end or to a kill.
