@@ -81,26 +81,7 @@ impl Failure {
     /// The option that helps, which the library's error cannot name.
     pub(crate) fn hint(&self) -> &'static str {
         match self {
-            Failure::Client(Error::Connection { reason, .. })
-                if reason.to_lowercase().contains("certificate") =>
-            {
-                "\nname the authority of the server's certificate with --ca or WAYPOST_CA; \
-                 if the server asks for one of yours, give --client-cert and --client-key"
-            }
-            Failure::Client(Error::Connection { reason, .. }) if reason.contains("InvalidContentType") => {
-                "\nthat server speaks no TLS: name it with http://, or have it started with a certificate"
-            }
-            Failure::Client(Error::Connection { reason, .. })
-                if ["frame with invalid size", "broken pipe"].iter().any(|said| reason.contains(said)) =>
-            {
-                "\nthat server may speak TLS: name it with https://"
-            }
-            Failure::Client(Error::Connection { endpoint, .. }) if endpoint.starts_with("https://") => {
-                "\ncheck that it runs; if it asks for a certificate of yours, give --client-cert and --client-key"
-            }
-            Failure::Client(Error::Connection { .. }) => {
-                "\nstart a server with `make serve`, or name another with --server or WAYPOST_SERVER"
-            }
+            Failure::Client(Error::Connection { endpoint, reason }) => connection_hint(endpoint, reason),
             _ => "",
         }
     }
@@ -129,6 +110,31 @@ impl Failure {
     }
 }
 
+/// What HTTP/2 without TLS hears from a listener that speaks TLS, or asks for a certificate. Which of
+/// these it is hangs on whether the connection was written to or read first.
+const BROKEN_OFF: [&str; 5] = [
+    "frame with invalid size",
+    "broken pipe",
+    "connection closed",
+    "connection was not ready",
+    "reset by peer",
+];
+
+fn connection_hint(endpoint: &str, reason: &str) -> &'static str {
+    if reason.to_lowercase().contains("certificate") {
+        "\nname the authority of the server's certificate with --ca or WAYPOST_CA; \
+         if the server asks for one of yours, give --client-cert and --client-key"
+    } else if reason.contains("InvalidContentType") {
+        "\nthat server speaks no TLS: name it with http://, or have it started with a certificate"
+    } else if endpoint.starts_with("https://") {
+        "\ncheck that it runs; if it asks for a certificate of yours, give --client-cert and --client-key"
+    } else if BROKEN_OFF.iter().any(|said| reason.to_lowercase().contains(said)) {
+        "\nthat server may speak TLS: name it with https://"
+    } else {
+        "\nstart a server with `make serve`, or name another with --server or WAYPOST_SERVER"
+    }
+}
+
 fn client_exit_code(error: &Error) -> u8 {
     match error {
         Error::Endpoint { .. } | Error::Options(_) => 2,
@@ -153,5 +159,24 @@ fn client_exit_code(error: &Error) -> u8 {
         | Error::Read(_)
         | Error::Write(_)
         | Error::Protocol(_) => 1,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::connection_hint;
+
+    /// Under load a connection of the wrong kind ends in one of several ways.
+    #[test]
+    fn the_hint_fits_the_scheme_however_the_connection_ended() {
+        for reason in
+            ["stream closed because of a broken pipe", "connection closed", "Connection was not ready"]
+        {
+            assert!(connection_hint("http://h:1", reason).contains("may speak TLS"), "{reason}");
+            assert!(connection_hint("https://h:1", reason).contains("--client-cert"), "{reason}");
+        }
+        assert!(connection_hint("http://h:1", "Connection refused (os error 111)").contains("make serve"));
+        assert!(connection_hint("https://h:1", "invalid peer certificate").contains("--ca"));
+        assert!(connection_hint("https://h:1", "InvalidContentType").contains("http://"));
     }
 }
