@@ -10,6 +10,7 @@ pub(crate) mod merge;
 pub(crate) mod model;
 pub(crate) mod navigate;
 pub(crate) mod query;
+pub(crate) mod refusals;
 pub(crate) mod session;
 pub(crate) mod shell;
 pub(crate) mod simulate;

@@ -1,8 +1,8 @@
 //! Prints what people said of loop closures.
 
-use std::time::{Duration, UNIX_EPOCH};
-
 use waypost_client::v1;
+
+use crate::output::in_words;
 
 /// Who said it, and when, as in `withdrawn by anna, 2026-02-28 13:05:09 UTC`.
 pub(crate) fn told(correction: &v1::Correction) -> String {
@@ -21,9 +21,8 @@ pub(crate) fn told(correction: &v1::Correction) -> String {
 
 fn by(token: &str, time_ns: i64) -> String {
     let who = if token.is_empty() { "without a token" } else { token };
-    let time = UNIX_EPOCH + Duration::from_nanos(u64::try_from(time_ns).unwrap_or_default());
     let by = if token.is_empty() { "" } else { "by " };
-    format!("{by}{who}, {}", humantime::format_rfc3339_seconds(time))
+    format!("{by}{who}, {}", in_words(time_ns))
 }
 
 /// A frame in a table, as in `monday#212`.

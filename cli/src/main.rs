@@ -7,8 +7,8 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use commands::{
-    closure, demo, explain, inspect, job, map, merge, model, navigate, query, session, shell, simulate,
-    stream, token,
+    closure, demo, explain, inspect, job, map, merge, model, navigate, query, refusals, session, shell,
+    simulate, stream, token,
 };
 use failure::{EXIT_CODES, Failure};
 use output::Output;
@@ -130,6 +130,7 @@ enum Command {
     Query(query::Arguments),
     Explain(explain::Arguments),
     Navigate(navigate::Arguments),
+    Refusals(refusals::Arguments),
     Simulate(simulate::Arguments),
     Demo(demo::Arguments),
     Completions(shell::Completions),
@@ -176,6 +177,7 @@ async fn run(Arguments { globals, command }: Arguments) -> Result<(), Failure> {
         Command::Query(arguments) => query::run(arguments, &server, output).await,
         Command::Explain(arguments) => explain::run(arguments, &server, output).await,
         Command::Navigate(arguments) => navigate::run(arguments, &server, output).await,
+        Command::Refusals(arguments) => refusals::run(arguments, &server, output).await,
         Command::Token(command) => token::run(command, &server, output).await,
         Command::Stream(arguments) => stream::run(arguments, &server, output).await,
         Command::Simulate(arguments) => simulate::run(arguments, &server, output).await,

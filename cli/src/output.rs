@@ -2,6 +2,7 @@
 
 use std::fmt::Display;
 use std::io::{self, Write};
+use std::time::{Duration, UNIX_EPOCH};
 
 use serde::Serialize;
 use serde_json::Value;
@@ -90,6 +91,12 @@ pub(crate) fn table<const COLUMNS: usize>(
         writeln!(out, "{}", cells.join("  ").trim_end())?;
     }
     Ok(())
+}
+
+/// A time of the server, as in `2026-02-28T13:05:09Z`.
+pub(crate) fn in_words(time_ns: i64) -> String {
+    let since_1970 = Duration::from_nanos(u64::try_from(time_ns).unwrap_or_default());
+    humantime::format_rfc3339_seconds(UNIX_EPOCH + since_1970).to_string()
 }
 
 /// A number with so many decimals, without a minus before a zero.

@@ -14,6 +14,7 @@ export type Caller = Schemas["Caller"];
 export type Job = Schemas["Job"];
 export type Merge = Schemas["Merge"];
 export type Model = Schemas["Model"];
+export type OpenStream = Schemas["OpenStream"];
 export type Token = Schemas["Token"];
 
 /** What the server refused, in its own words. */
@@ -76,6 +77,12 @@ export async function text(path: string, signal?: AbortSignal): Promise<string> 
 
 export async function blob(path: string, signal?: AbortSignal): Promise<Blob> {
     return (await ask(path, signal ? { signal } : {})).blob();
+}
+
+/** The streams of robots that are open into a map, or into all of them. */
+export async function streams(map: string, signal: AbortSignal): Promise<OpenStream[]> {
+    const only = map && `?map=${encodeURIComponent(map)}`;
+    return (await get<Schemas["ListOpenStreamsResponse"]>(`/v1/streams${only}`, signal)).streams;
 }
 
 /** Changes something: POST and PUT with a body, DELETE without. */

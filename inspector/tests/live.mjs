@@ -48,12 +48,14 @@ test("a map grows on the page while a robot streams, and the cursor goes with it
     await page.getByText("This map has no places yet").waitFor();
     await page.getByLabel("follow").check();
     await until("the link of who follows", async () => page.url().includes("follow=1"));
-    const streamed = stream(12, "--rate", "3");
+    const streamed = stream(12, "--rate", "2");
     const robots = page.getByRole("region", { name: "Robots" });
     await robots.getByRole("heading", { name: /^first/ }).waitFor();
     await robots.getByRole("button", { name: /^frame \d+/ }).waitFor();
     await robots.getByText(/^\d+ of \d+ frames heard \(\d+ %\)$/).waitFor();
     await robots.getByText(/^\d s ago$/).waitFor();
+    await robots.getByText(/^\d+ answered$/).waitFor();
+    await robots.getByText(/^\d+ ms$/).waitFor();
     await robots.getByText("last probability").waitFor();
     await present("1 robot streaming now");
     await accessible(listed.page, "a robot in the list");

@@ -138,10 +138,14 @@ test("a job that runs can be cancelled, and how the server fares is drawn", asyn
     });
     // What it refuses is counted by reason, from here on.
     const refused = page.getByRole("region", { name: "Refused" });
-    await refused.getByText(/since the server began/i).waitFor();
+    await refused.getByText(/since the server began/i).first().waitFor();
     for (const map of ["nowhere", "nowhere-else"]) assert.equal((await fetch(`${server.url}/v1/maps/${map}`)).status, 404);
     const counted = refused.getByRole("row").filter({ has: page.getByRole("rowheader", { name: "REST GET /v1/maps/{map}", exact: true }) }).filter({ hasText: "404, not there" });
     await counted.getByRole("cell", { name: "2", exact: true }).first().waitFor();
+    const log = refused.getByRole("group", { name: "Log of refusals" });
+    const told = log.getByRole("row").filter({ has: page.getByRole("rowheader", { name: "GET /v1/maps/nowhere-else", exact: true }) });
+    await told.getByText(/^there is no map nowhere-else/).waitFor();
+    await told.getByRole("cell", { name: "127.0.0.1", exact: true }).waitFor();
 
     const jobs = page.getByRole("region", { name: "Jobs" });
     await jobs.getByRole("button", { name: "Cancel job 77" }).click();

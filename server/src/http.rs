@@ -21,6 +21,7 @@ mod parameters;
 mod pictures;
 mod places;
 mod queries;
+mod refusals;
 mod requests;
 mod sessions;
 mod snapshots;
@@ -38,7 +39,7 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::middleware::{from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use axum::{Json, Router};
+use axum::{Extension, Json, Router};
 use axum_server::Handle;
 use hyper_util::rt::{TokioExecutor, TokioTimer};
 use hyper_util::server::conn::auto;
@@ -166,6 +167,7 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(corrections::undo_correction))
         .routes(routes!(queries::query).layer(DefaultBodyLimit::max(queries::MAX_BODY_BYTES)))
         .routes(routes!(sessions::list_sessions))
+        .routes(routes!(sessions::list_open_streams))
         .routes(routes!(sessions::get_session, sessions::delete_session))
         .routes(routes!(sessions::list_frames))
         .routes(routes!(frames::get_frame))
@@ -193,6 +195,7 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(models::get_model, models::delete_model))
         .routes(routes!(models::rename_model))
         .routes(routes!(models::export_model))
+        .routes(routes!(refusals::list_refusals))
         .routes(routes!(jobs::list_jobs))
         .routes(routes!(jobs::get_job))
         .routes(routes!(jobs::cancel_job))
@@ -289,8 +292,17 @@ fn error_body(status: StatusCode, code: &'static str, message: String) -> ErrorB
     }
 }
 
+/// Why a request was refused, beside its answer, for whoever watches over it.
+#[derive(Clone, Debug)]
+struct Said {
+    code: &'static str,
+    message: String,
+}
+
 fn error_response(status: StatusCode, code: &'static str, message: String) -> Response {
-    (status, [(CONTENT_TYPE, PROBLEM)], Json(error_body(status, code, message))).into_response()
+    let said = Said { code, message: message.clone() };
+    let body = Json(error_body(status, code, message));
+    (status, [(CONTENT_TYPE, PROBLEM)], Extension(said), body).into_response()
 }
 
 impl HttpError {

@@ -20,6 +20,7 @@ pub(crate) mod pictures;
 pub(crate) mod queries;
 mod read_map;
 pub(crate) mod rebuilding;
+pub(crate) mod refusals;
 pub(crate) mod rewriting;
 pub(crate) mod sessions;
 mod shared;
@@ -46,6 +47,7 @@ use self::navigation::Navigation;
 use self::pictures::Pictures;
 use self::queries::Queries;
 use self::rebuilding::Rebuilding;
+use self::refusals::RefusalLog;
 use self::rewriting::Rewriting;
 use self::sessions::Sessions;
 use self::shared::Shared;
@@ -77,6 +79,7 @@ pub(crate) struct Service {
     pub(crate) pictures: Pictures,
     pub(crate) queries: Queries,
     pub(crate) rebuilding: Rebuilding,
+    pub(crate) refusals: RefusalLog,
     pub(crate) rewriting: Rewriting,
     pub(crate) sessions: Sessions,
     pub(crate) snapshots: Snapshots,
@@ -103,8 +106,8 @@ impl Service {
         let navigation = shared.navigation(&appearance, &labels);
         let snapshots = shared.snapshots();
         let match_matrices = shared.match_matrices();
-        let Shared { storage, open_maps, extraction, jobs, names, deleted_maps, metrics, stopping, .. } =
-            shared;
+        let Shared { storage, open_maps, extraction, jobs, names, deleted_maps, .. } = shared;
+        let Shared { metrics, refusals, stopping, .. } = shared;
         Self {
             merges: Merges::new(rewriting.clone(), names, deleted_maps.clone(), stopping.clone()),
             pictures: Pictures { storage: storage.clone(), frames: frames.clone() },
@@ -122,6 +125,7 @@ impl Service {
             match_matrices,
             models,
             navigation,
+            refusals,
             rewriting,
             sessions,
             snapshots,

@@ -65,6 +65,7 @@ mod operations {
     mod kill;
     mod mistakes;
     mod operating;
+    mod refusals;
     mod refused_commands;
     mod rot;
     mod shutdown;

@@ -8,7 +8,7 @@ use super::job;
 use crate::failure::Failure;
 use crate::files::Asking;
 use crate::names::session_name;
-use crate::output::{Output, table};
+use crate::output::{Output, in_words, table};
 
 #[derive(Subcommand)]
 pub(crate) enum Command {
@@ -17,6 +17,11 @@ pub(crate) enum Command {
     Ls {
         /// Name of the map
         map: String,
+    },
+    /// List the streams that robots have open now, with how fast their frames are decided
+    Streams {
+        /// Name of the map; if left out, those of all maps
+        map: Option<String>,
     },
     /// List the frames of a session with the decisions about them
     Frames {
@@ -43,6 +48,7 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
     let client = Client::connect(server).await?;
     match command {
         Command::Ls { map } => list(&client.sessions(&map).await?, output),
+        Command::Streams { map } => streams(&client.open_streams(map.as_deref()).await?, output),
         Command::Frames { map, session } => {
             frames(&client.frames(&session_name(&map, &session)).await?, output)
         }
@@ -70,6 +76,25 @@ fn list(sessions: &[v1::Session], output: Output) -> Result<(), Failure> {
             ]
         });
         table(out, ["SESSION", "FRAMES", "CLOSURES", "FIRST", "LAST"], rows)
+    })
+}
+
+fn streams(streams: &[v1::OpenStream], output: Output) -> Result<(), Failure> {
+    output.result(&json!({ "streams": streams }), |out| {
+        let rows = streams.iter().map(|stream| {
+            let delay =
+                stream.last_delay_ns.map_or("-".to_owned(), |delay| format!("{:.1} ms", delay as f64 / 1e6));
+            [
+                stream.session.clone(),
+                stream.mode().json_name().to_owned(),
+                in_words(stream.open_time_ns),
+                stream.answered_frames.to_string(),
+                stream.refused_frames.to_string(),
+                stream.last_frame_time_ns.map_or("-".to_owned(), in_words),
+                delay,
+            ]
+        });
+        table(out, ["SESSION", "MODE", "SINCE", "ANSWERED", "REFUSED", "LAST FRAME", "TOOK"], rows)
     })
 }
 

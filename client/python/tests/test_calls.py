@@ -295,6 +295,21 @@ def test_models_are_trained_followed_and_copied(client: waypost.Client, tmp_path
     assert client.map("old").places == preview.remaining_places
 
 
+def test_open_streams_and_refusals_are_listed(client: waypost.Client) -> None:
+    client.create_map("watched", "shipped")
+    with client.session("watched", "robot") as session:
+        answers(session, range(1, 4))
+        (stream,) = client.open_streams("watched")
+        assert (stream.session, stream.answered_frames) == ("maps/watched/sessions/robot", 3)
+        assert stream.last_delay_ns > 0
+        assert stream in client.open_streams()
+    with pytest.raises(waypost.NotFound):
+        client.open_streams("nowhere")
+    newest = client.refusals()[0]
+    assert (newest.request, newest.code) == ("/waypost.v1.SessionService/ListOpenStreams", "not_found")
+    assert "there is no map nowhere" in newest.message
+
+
 def test_an_upload_that_breaks_trains_nothing(client: waypost.Client) -> None:
     def unplugged() -> Iterator[bytes]:
         for file in IMAGES[:12]:

@@ -7,11 +7,25 @@ use tonic::Streaming;
 use waypost_proto::v1;
 use waypost_proto::v1::map_event::Event;
 
-use crate::client::{Client, map_name};
+use crate::client::{Client, PAGE_SIZE, map_name};
 use crate::error::Error;
 use crate::reconnection::{Backoff, LinkEnd, Reconnection};
 
 impl Client {
+    /// What the server refused since it began, newest first: calls, requests, and frames, wheel reports and goals
+    /// on open streams. The last 1000 are kept. For administrators of the whole server.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with PERMISSION_DENIED.
+    pub async fn refusals(&self) -> Result<Vec<v1::Refusal>, Error> {
+        self.all_pages(|page_token| async move {
+            let request = v1::ListRefusalsRequest { page_size: PAGE_SIZE, page_token };
+            let page = self.events_client().list_refusals(request).await?.into_inner();
+            Ok((page.refusals, page.next_page_token))
+        })
+        .await
+    }
+
     /// Watches a map: its frames from log position `from_position` on (0 for all), or those that are
     /// decided from now on, and the robots that navigate in it.
     ///

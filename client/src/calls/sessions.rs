@@ -34,6 +34,16 @@ impl Client {
         self.taken(self.recognition_client().query(request).await)
     }
 
+    /// The streams of robots that are open now, by when they were opened: into one map, or into all that the token
+    /// reaches. Robots that are led are in [`Client::navigations`].
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND.
+    pub async fn open_streams(&self, map: Option<&str>) -> Result<Vec<v1::OpenStream>, Error> {
+        let request = v1::ListOpenStreamsRequest { map: map.map(map_name).unwrap_or_default() };
+        Ok(self.taken(self.sessions_client().list_open_streams(request).await)?.streams)
+    }
+
     /// Adds a relative pose that a robot measured; returns the pose on the map of the robot of the
     /// frame's session afterwards.
     ///

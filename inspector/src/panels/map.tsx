@@ -116,7 +116,7 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
             <div class="narrow">
                 {session && step && <Pair session={session.name} step={step} beside={link.beside} large={link.large} follow={link.follow} onLarge={(large) => go({ large })} onPlace={onPlace} onCorrected={onAgain} />}
                 {place !== null && <Place data={data} number={place} onPlace={onPlace} onFrame={onFrame} onLabels={setLabels} />}
-                <Robots heard={heard} place={place} onPlace={onPlace} onFrame={onFrame} />
+                <Robots map={map.name} heard={heard} place={place} onPlace={onPlace} onFrame={onFrame} />
                 <Evidence data={data} metric={scene.kind === "metric"} onPlace={onPlace} onFrame={onFrame} />
             </div>
         </div>

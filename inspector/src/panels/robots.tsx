@@ -1,44 +1,64 @@
 // Robots that are led along the map: where they are, where they go, and what takes their goal away.
 import { useEffect, useState } from "preact/hooks";
-import { at, change, short, type Navigation } from "../rest";
-import { count, Refused, share, useMay } from "../parts";
+import { at, change, short, streams, type Navigation, type OpenStream } from "../rest";
+import { count, Refused, share, useMay, usePolled } from "../parts";
 import type { Led } from "./led";
 import type { Live, Streaming } from "./live";
 import { PlaceLink } from "./pair";
 import { REASONS } from "./steps";
 
+/** How soon a stream that was opened or has ended shows. */
+const STREAMS_EVERY_MS = 2000;
+
 interface RobotsProps {
+    map: string;
     heard: Live;
     place: number | null;
     onPlace: (place: number) => void;
     onFrame: (session: string, sequence: number) => void;
 }
 
-export function Robots({ heard: { robots, streaming, live, error }, place, onPlace, onFrame }: RobotsProps) {
+export function Robots({ map, heard: { robots, streaming, live, error }, place, onPlace, onFrame }: RobotsProps) {
+    const { value: open } = usePolled((signal) => streams(short(map), signal), () => STREAMS_EVERY_MS, [map]);
+    // What is heard of a stream goes on for a moment after it has ended.
+    const of = new Map((open ?? []).map((stream) => [stream.session, stream]));
+    const heard = new Map(streaming.map((one) => [one.session, one]));
+    const sessions = [...new Set([...of.keys(), ...heard.keys()])];
     return (
         <section class="panel robots" aria-label="Robots">
             <header><h2>Robots</h2><span class="quiet" data-testid="live">{live ? "live" : "asked for again and again"}</span></header>
             {error && <Refused error={error} />}
-            {robots.length + streaming.length === 0 && !error && <p class="quiet">No robot is led along this map or streams into it now.</p>}
+            {robots.length + sessions.length === 0 && !error && <p class="quiet">No robot is led along this map or streams into it now.</p>}
             {robots.map((robot) => <Robot key={robot.name} robot={robot} place={place} onPlace={onPlace} />)}
-            {streaming.map((one) => <Stream key={one.session} streaming={one} onPlace={onPlace} onFrame={onFrame} />)}
+            {sessions.map((session) => (
+                <Stream key={session} session={session} open={of.get(session) ?? null} heard={heard.get(session) ?? null} onPlace={onPlace} onFrame={onFrame} />
+            ))}
         </section>
     );
 }
 
-/** A robot that lets the map grow, or did a moment ago. */
-function Stream({ streaming: { session, frame, frames, recognitions, heard_ms }, onPlace, onFrame }: { streaming: Streaming } & Pick<RobotsProps, "onPlace" | "onFrame">) {
-    const { answer } = frame;
-    const sequence = Number(short(frame.name));
+interface StreamProps extends Pick<RobotsProps, "onPlace" | "onFrame"> {
+    session: string;
+    open: OpenStream | null;
+    heard: Streaming | null;
+}
+
+/** A robot that streams into a session, or did a moment ago. One that only looks adds no frames to the map. */
+function Stream({ session, open, heard, onPlace, onFrame }: StreamProps) {
+    const answer = heard?.frame.answer;
+    const sequence = heard ? Number(short(heard.frame.name)) : null;
+    const looks = open?.mode === "localize";
     return (
         <article class="robot">
-            <h3>{short(session)} <span class={`reason ${answer?.reason ?? ""}`}>{REASONS[answer?.reason ?? ""] ?? "streams"}</span></h3>
+            <h3>{short(session)} <span class={`reason ${answer?.reason ?? ""}`}>{REASONS[answer?.reason ?? ""] ?? (looks ? "looks" : "streams")}</span></h3>
             <dl class="facts">
-                <div><dt>streams</dt><dd><button type="button" class="link" onClick={() => onFrame(session, sequence)}>frame {sequence}</button></dd></div>
-                <div><dt>is at</dt><dd>{typeof answer?.place_number === "number" ? <PlaceLink number={answer.place_number} onPlace={onPlace} /> : "unknown"}</dd></div>
-                {frames > 1 && <Recognised of={frames} recognitions={recognitions} what="frames heard" />}
+                {sequence !== null && <div><dt>streams</dt><dd><button type="button" class="link" onClick={() => onFrame(session, sequence)}>frame {sequence}</button></dd></div>}
+                {heard && <div><dt>is at</dt><dd>{typeof answer?.place_number === "number" ? <PlaceLink number={answer.place_number} onPlace={onPlace} /> : "unknown"}</dd></div>}
+                {heard && heard.frames > 1 && <Recognised of={heard.frames} recognitions={heard.recognitions} what="frames heard" />}
                 {answer && <div><dt>last probability</dt><dd>{share(answer.match?.geometry?.probability ?? answer.posterior)}</dd></div>}
-                <div><dt>last word</dt><dd><Since heard_ms={heard_ms} /></dd></div>
+                {open && <div><dt>frames</dt><dd>{count(open.answered_frames)} answered{open.refused_frames > 0 && `, ${count(open.refused_frames)} refused`}</dd></div>}
+                {typeof open?.last_delay_ns === "number" && <div><dt>decided in</dt><dd>{(open.last_delay_ns / 1e6).toFixed(0)} ms</dd></div>}
+                {heard && <div><dt>last word</dt><dd><Since heard_ms={heard.heard_ms} /></dd></div>}
             </dl>
         </article>
     );

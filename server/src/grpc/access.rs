@@ -21,11 +21,12 @@ use crate::service::Service;
 use crate::service::tokens::{Access, Admitted, Ending};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 71] = [
+const METHODS: [(&str, Access); 73] = [
     ("/waypost.v1.SessionService/Stream", Access::OPEN_SESSION),
     ("/waypost.v1.RecognitionService/Query", Access::LOCALIZE),
     ("/waypost.v1.SessionService/ListSessions", Access::READ),
     ("/waypost.v1.SessionService/GetSession", Access::READ),
+    ("/waypost.v1.SessionService/ListOpenStreams", Access::READ),
     ("/waypost.v1.SessionService/ListFrames", Access::READ),
     ("/waypost.v1.SessionService/GetFrame", Access::READ),
     ("/waypost.v1.SessionService/GetFrameImage", Access::READ),
@@ -44,6 +45,8 @@ const METHODS: [(&str, Access); 71] = [
     ("/waypost.v1.LabelService/DeleteLabel", Access::NAVIGATE),
     ("/waypost.v1.AppearanceService/GetAppearanceGraph", Access::READ),
     ("/waypost.v1.EventService/Watch", Access::READ),
+    // Messages name maps and what is in them, of whichever token.
+    ("/waypost.v1.EventService/ListRefusals", Access::Server),
     ("/waypost.v1.MapService/ListMaps", Access::READ),
     ("/waypost.v1.MapService/GetMap", Access::READ),
     ("/waypost.v1.MapService/ListPlaces", Access::READ),
@@ -150,12 +153,17 @@ where
         // It must hear that it made the first token, or deleted its own.
         let of_tokens = request.uri().path().starts_with(TOKEN_SERVICE);
         let ending = if of_tokens { Ending::default() } else { ending };
-        request.extensions_mut().insert(caller);
+        request.extensions_mut().insert(caller.clone());
         let answering = self.inner.call(request.map(|body| Body::new(Metered::new(body, room))));
         async move {
             tokio::select! {
                 biased;
-                response = answering => Ok(response?.map(|body| Body::new(UntilOver::new(body, ending)))),
+                response = answering => {
+                    let mut response = response?.map(|body| Body::new(UntilOver::new(body, ending)));
+                    // Whoever watches over the call hears who it was.
+                    response.extensions_mut().insert(caller);
+                    Ok(response)
+                }
                 () = ending.over().cancelled() => Ok(Status::from(ending.why()).into_http()),
             }
         }

@@ -6,7 +6,8 @@ use waypost_proto::v1::event_service_server::EventService;
 
 use super::Adapter;
 use super::reach::within;
-use crate::wire::events::map_event;
+use crate::pages::Page;
+use crate::wire::events::{map_event, refusal};
 
 #[tonic::async_trait]
 impl EventService for Adapter {
@@ -16,5 +17,15 @@ impl EventService for Adapter {
         let v1::WatchRequest { map, from_position, log } = within(request)?;
         let events = self.service.events.watch(&map, from_position, &log).await?;
         Ok(Response::new(events.map(|event| Ok(map_event(event?))).boxed()))
+    }
+
+    async fn list_refusals(
+        &self,
+        request: Request<v1::ListRefusalsRequest>,
+    ) -> Result<Response<v1::ListRefusalsResponse>, Status> {
+        let v1::ListRefusalsRequest { page_size, page_token } = request.into_inner();
+        let Page { items, next } = self.service.refusals.list(page_size, &page_token)?;
+        let refusals = items.into_iter().map(refusal).collect();
+        Ok(Response::new(v1::ListRefusalsResponse { refusals, next_page_token: next }))
     }
 }

@@ -125,7 +125,10 @@ async fn lead(stream: NavigationStream, mut requests: Streaming<v1::NavigateRequ
             error = &mut over => Some(Err(error.into())),
             Ok(()) = refusals.changed() => {
                 let refusal = refusals.borrow_and_update().clone();
-                refusal.map(|refusal| respond(navigate_response::Content::GoalRefusal(goal_refusal(refusal))))
+                refusal.map(|refusal| {
+                    stream.note_refused(&refusal.error);
+                    respond(navigate_response::Content::GoalRefusal(goal_refusal(refusal)))
+                })
             }
             request = requests.message() => match request {
                 Ok(Some(request)) => answer(&stream, request, &frames),
@@ -158,10 +161,13 @@ fn answer(
             let stamp_ns = message.stamp_ns;
             match body_report(message).and_then(|report| stream.report(report)) {
                 Ok(told) => navigate_response::Content::Guidance(guidance(told)),
-                Err(error) => navigate_response::Content::WheelRefusal(v1::WheelRefusal {
-                    stamp_ns,
-                    status: Some(as_message(&error)),
-                }),
+                Err(error) => {
+                    stream.note_refused(&error);
+                    navigate_response::Content::WheelRefusal(v1::WheelRefusal {
+                        stamp_ns,
+                        status: Some(as_message(&error)),
+                    })
+                }
             }
         }
         Some(navigate_request::Content::Frame(message)) => {
@@ -182,10 +188,13 @@ fn answer(
                 return None;
             }
             // The robot goes on to the goal that it had.
-            Err(error) => navigate_response::Content::GoalRefusal(v1::GoalRefusal {
-                goal: Some(message),
-                status: Some(as_message(&error)),
-            }),
+            Err(error) => {
+                stream.note_refused(&error);
+                navigate_response::Content::GoalRefusal(v1::GoalRefusal {
+                    goal: Some(message),
+                    status: Some(as_message(&error)),
+                })
+            }
         },
         Some(navigate_request::Content::Stop(v1::StopNavigation {})) => {
             stream.stop();
@@ -216,6 +225,7 @@ async fn look(stream: NavigationStream, mut frames: mpsc::Receiver<ReceivedFrame
                 [Some(navigate_response::Content::Seen(seen(what))), told]
             }
             Err(RefusedFrame { sequence, error }) => {
+                stream.note_refused(&error);
                 let refusal = navigate_response::Content::Refusal(v1::FrameRefusal {
                     sequence,
                     last_committed_sequence: None,

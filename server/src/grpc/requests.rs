@@ -9,7 +9,7 @@ use std::time::Instant;
 use bytes::Bytes;
 use futures::FutureExt;
 use futures::future::BoxFuture;
-use http::{HeaderMap, Request, Response};
+use http::{Request, Response};
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use tonic::body::Body;
 use tonic::{Code, Status};
@@ -21,6 +21,8 @@ use crate::metrics::OpenStream;
 use crate::net::request_id::RequestId;
 use crate::net::standing::Standing;
 use crate::service::Service;
+use crate::service::refusals::Refusal;
+use crate::service::tokens::Caller;
 
 /// The method whose calls count as open streams.
 const STREAM: &str = "/waypost.v1.SessionService/Stream";
@@ -64,16 +66,17 @@ where
         let id = RequestId::of(request.headers());
         let span = id.span();
         let peer = request.extensions().get::<Standing>().map(Standing::peer);
-        let call = Call::begin(self.service.clone(), request.uri().path(), peer, span.clone());
+        let mut call = Call::begin(self.service.clone(), request.uri().path(), peer, span.clone());
         // Entered already: what the service does before its first wait belongs to the call, too.
         let answering = span.in_scope(|| self.inner.call(request)).instrument(span.clone());
         async move {
             let mut response = answering.await?;
             id.tell(response.headers_mut());
-            Ok(match code_in(response.headers()) {
+            call.token = token_of(&response);
+            Ok(match Status::from_header_map(response.headers()) {
                 // Refused: there is nothing but the status.
-                Some(code) => {
-                    call.end(code);
+                Some(status) => {
+                    call.end(status);
                     response
                 }
                 None => response.map(|body| Body::new(WatchedBody { body, call: Some(call) })),
@@ -91,10 +94,12 @@ struct Call {
     peer: Option<IpAddr>,
     /// A known method, for the metrics.
     method: &'static str,
+    /// Name of the token that it came with, once that is known.
+    token: Option<String>,
     since: Instant,
     span: Span,
     _stream: Option<OpenStream>,
-    ended: Option<Code>,
+    ended: Option<Status>,
 }
 
 impl Call {
@@ -106,6 +111,7 @@ impl Call {
             path: path.to_owned(),
             peer,
             method,
+            token: None,
             since: Instant::now(),
             span,
             _stream: stream,
@@ -113,14 +119,31 @@ impl Call {
         }
     }
 
-    fn end(mut self, code: Code) {
-        self.ended = Some(code);
+    fn end(mut self, status: Status) {
+        self.ended = Some(status);
+    }
+
+    /// Keeps what was refused. Who goes away on its own was refused nothing.
+    fn note(&self) {
+        let Some(status) = &self.ended else { return };
+        if matches!(status.code(), Code::Ok | Code::Cancelled) {
+            return;
+        }
+        self.service.refusals.note(Refusal {
+            request: self.path.clone(),
+            code: code_name(status.code()),
+            message: status.message().to_owned(),
+            peer: self.peer,
+            token: self.token.clone(),
+            stream: String::new(),
+        });
     }
 }
 
 impl Drop for Call {
     fn drop(&mut self) {
-        let status = code_name(self.ended.unwrap_or(Code::Cancelled));
+        let status = code_name(self.ended.as_ref().map_or(Code::Cancelled, Status::code));
+        self.note();
         let took = self.since.elapsed();
         self.service.metrics().grpc_request(self.method, status, took);
         // Whole microseconds: more digits are noise.
@@ -143,9 +166,9 @@ struct WatchedBody {
 }
 
 impl WatchedBody {
-    fn end(&mut self, code: Code) {
+    fn end(&mut self, status: Status) {
         if let Some(call) = self.call.take() {
-            call.end(code);
+            call.end(status);
         }
     }
 }
@@ -163,12 +186,12 @@ impl HttpBody for WatchedBody {
         match &polled {
             Poll::Ready(Some(Ok(frame))) => {
                 if let Some(trailers) = frame.trailers_ref() {
-                    self.end(code_in(trailers).unwrap_or(Code::Unknown));
+                    self.end(Status::from_header_map(trailers).unwrap_or_else(without_status));
                 }
             }
-            Poll::Ready(Some(Err(status))) => self.end(status.code()),
+            Poll::Ready(Some(Err(status))) => self.end(status.clone()),
             // A call without trailers breaks the protocol; tonic makes none.
-            Poll::Ready(None) => self.end(Code::Unknown),
+            Poll::Ready(None) => self.end(without_status()),
             Poll::Pending => {}
         }
         polled
@@ -183,8 +206,13 @@ impl HttpBody for WatchedBody {
     }
 }
 
-fn code_in(headers: &HeaderMap) -> Option<Code> {
-    headers.get("grpc-status").map(|code| Code::from_bytes(code.as_bytes()))
+fn without_status() -> Status {
+    Status::unknown("the call ended without a status")
+}
+
+/// The token that a call was let in with.
+fn token_of<T>(response: &Response<T>) -> Option<String> {
+    response.extensions().get::<Arc<Caller>>().and_then(|caller| caller.token.clone())
 }
 
 fn code_name(code: Code) -> &'static str {

@@ -19,7 +19,7 @@ use crate::wire::geometry::{camera, map_pose_message, measured};
 use crate::wire::jobs::job;
 use crate::wire::known;
 use crate::wire::recognition::explanation;
-use crate::wire::sessions::{answer, frame, frame_record, listed_frame, session};
+use crate::wire::sessions::{answer, frame, frame_record, listed_frame, open_stream, session};
 use crate::wire::status::as_message;
 
 #[tonic::async_trait]
@@ -55,6 +55,16 @@ impl SessionService for Adapter {
         let Page { items, next } = self.service.frames.sessions(&map, page_size, &page_token).await?;
         let sessions = items.into_iter().map(session).collect();
         Ok(Response::new(v1::ListSessionsResponse { sessions, next_page_token: next }))
+    }
+
+    async fn list_open_streams(
+        &self,
+        request: Request<v1::ListOpenStreamsRequest>,
+    ) -> Result<Response<v1::ListOpenStreamsResponse>, Status> {
+        let (caller, v1::ListOpenStreamsRequest { map }) = with_caller(request)?;
+        let streams = self.service.sessions.open_streams(&caller, &map).await?;
+        let streams = streams.into_iter().map(open_stream).collect();
+        Ok(Response::new(v1::ListOpenStreamsResponse { streams }))
     }
 
     async fn get_session(

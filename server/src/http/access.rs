@@ -24,7 +24,7 @@ use crate::net::messages::{MAX_MESSAGE_BYTES, Room};
 use crate::net::origin::Origin;
 use crate::net::standing::Standing;
 use crate::service::Service;
-use crate::service::tokens::{Access, Admitted, Ending};
+use crate::service::tokens::{Access, Admitted, Caller, Ending};
 
 /// How the page that asks is related to this server, as newer browsers say.
 const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
@@ -33,12 +33,14 @@ const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 const OPEN: [&str; 2] = ["/healthz", "/readyz"];
 
 /// What asks for something else than reads do by GET, and changes for administrators do by other methods.
-const ROUTES: [(&str, Access); 5] = [
+const ROUTES: [(&str, Access); 6] = [
     ("/v1/maps/{map}/query", Access::LOCALIZE),
     ("/v1/maps/{map}/navigations/{navigation}/goal", Access::NAVIGATE),
     ("/v1/maps/{map}/places/{place}/label", Access::NAVIGATE),
     ("/v1/maps/{map}/export", Access::ADMIN),
     ("/v1/whoami", Access::Token),
+    // Messages name maps and what is in them, of whichever token.
+    ("/v1/refusals", Access::Server),
 ];
 
 /// What is about the whole server: tokens, and all that changes models.
@@ -93,14 +95,25 @@ pub(super) async fn guard(State(asked): State<Asked>, mut request: Request, next
     // It must hear that it made the first token, or deleted its own.
     let of_tokens = route.is_some_and(|route| route.starts_with(TOKENS));
     match admitted {
-        Ok(Admitted { caller: _, ending: _, room }) if of_tokens => with_room(&room, request, next).await,
-        Ok(Admitted { caller: _, ending, room }) => tokio::select! {
-            biased;
-            response = with_room(&room, request, next) => response.map(|body| until_over(body, ending.clone())),
-            () = ending.over().cancelled() => refusal(ending.why()),
-        },
+        Ok(Admitted { caller, ending: _, room }) if of_tokens => {
+            by(caller, with_room(&room, request, next).await)
+        }
+        Ok(Admitted { caller, ending, room }) => by(
+            caller,
+            tokio::select! {
+                biased;
+                response = with_room(&room, request, next) => response.map(|body| until_over(body, ending.clone())),
+                () = ending.over().cancelled() => refusal(ending.why()),
+            },
+        ),
         Err(error) => refusal(error),
     }
+}
+
+/// Has whoever watches over the request hear who it was.
+fn by(caller: Arc<Caller>, mut response: Response) -> Response {
+    response.extensions_mut().insert(caller);
+    response
 }
 
 /// What is known of the connection that a request came over.

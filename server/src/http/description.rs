@@ -60,6 +60,7 @@ const PAGE_POLICY: HeaderValue = HeaderValue::from_static(
         (name = "merges", description = "Maps that become one: looked for, proposed with their evidence, decided."),
         (name = "tokens", description = "Who may use the server. Where it has no token, it serves everyone on the \
             same machine."),
+        (name = "server", description = "What the server has to say of itself."),
         (name = "jobs", description = "Work that takes longer than a call."),
         (name = "exports", description = "Whole tables, sent as they are read. Rows that a robot adds meanwhile may \
             be in or not."),

@@ -1,5 +1,6 @@
 //! Every request has an id, a line in the log, its place in the metrics, and an end.
 
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -9,11 +10,13 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tracing::Instrument;
 
-use super::HttpError;
 use super::access::standing;
+use super::{HttpError, Said};
 use crate::error::ServiceError;
 use crate::net::request_id::RequestId;
 use crate::service::Service;
+use crate::service::refusals::Refusal;
+use crate::service::tokens::Caller;
 
 /// Within which an answer begins.
 const TIMEOUT: Duration = Duration::from_secs(30);
@@ -31,7 +34,7 @@ pub(super) async fn watch(State(service): State<Arc<Service>>, request: Request,
     let method = request.method().clone();
     let path = request.uri().path().to_owned();
     let route = request.extensions().get::<MatchedPath>().map(|route| route.as_str().to_owned());
-    let peer = standing(&request).map(|standing| standing.peer().to_string());
+    let peer = standing(&request).map(|standing| standing.peer());
     let span = id.span();
     async move {
         let uploads =
@@ -43,6 +46,10 @@ pub(super) async fn watch(State(service): State<Arc<Service>>, request: Request,
         let took = since.elapsed();
         let route = route.as_deref().unwrap_or("unknown");
         service.metrics().http_request(method.as_str(), route, status, took);
+        if status >= 400 {
+            service.refusals.note(refusal(format!("{method} {path}"), peer, &response));
+        }
+        let peer = peer.map(|peer| peer.to_string());
         // Whole microseconds: more digits are noise.
         let duration_ms = took.as_micros() as f64 / 1e3;
         if POLLED.contains(&path.as_str()) {
@@ -54,6 +61,16 @@ pub(super) async fn watch(State(service): State<Arc<Service>>, request: Request,
     }
     .instrument(span)
     .await
+}
+
+fn refusal(request: String, peer: Option<IpAddr>, response: &Response) -> Refusal {
+    let (code, message) = match response.extensions().get::<Said>() {
+        Some(Said { code, message }) => (*code, message.clone()),
+        // Refused by what reads requests, before any handler.
+        None => ("unknown", response.status().to_string()),
+    };
+    let token = response.extensions().get::<Arc<Caller>>().and_then(|caller| caller.token.clone());
+    Refusal { request, code, message, peer, token, stream: String::new() }
 }
 
 async fn within(patience: Duration, answering: impl Future<Output = Response>) -> Response {

@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
-use axum::Json;
 use axum::extract::State;
+use axum::{Extension, Json};
 use serde::Deserialize;
 use utoipa::IntoParams;
 use waypost_proto::v1;
@@ -13,8 +13,9 @@ use crate::names::{map_name, session_name};
 use crate::pages::Page;
 use crate::service::Service;
 use crate::service::frames::FramesWanted;
+use crate::service::tokens::Caller;
 use crate::wire::jobs::job;
-use crate::wire::sessions::{listed_frame, session as message};
+use crate::wire::sessions::{listed_frame, open_stream, session as message};
 
 /// The sessions of a map that let it grow, oldest first.
 #[utoipa::path(get, path = "/v1/maps/{map}/sessions", tag = "sessions", params(MapPath, Paging),
@@ -27,6 +28,33 @@ pub(super) async fn list_sessions(
     let Page { items, next } = service.frames.sessions(&map_name(&map), page_size, &page_token).await?;
     let sessions = items.into_iter().map(message).collect();
     Ok(Json(v1::ListSessionsResponse { sessions, next_page_token: next }))
+}
+
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct StreamsAsked {
+    /// Only those into this map.
+    #[param(example = "hall")]
+    map: String,
+}
+
+impl Parameters for StreamsAsked {
+    const TAKES: &str = "map=MAP";
+}
+
+/// Streams of robots that are open now, by when they were opened. Robots that are led are among a map's navigations.
+#[utoipa::path(get, path = "/v1/streams", tag = "sessions", params(StreamsAsked),
+    responses((status = 200, description = "The streams; at most 500 are open at a time.",
+        body = v1::ListOpenStreamsResponse), Refusals))]
+pub(super) async fn list_open_streams(
+    State(service): State<Arc<Service>>,
+    Extension(caller): Extension<Arc<Caller>>,
+    InQuery(StreamsAsked { map }): InQuery<StreamsAsked>,
+) -> Result<Json<v1::ListOpenStreamsResponse>, HttpError> {
+    let map = if map.is_empty() { map } else { map_name(&map) };
+    let streams = service.sessions.open_streams(&caller, &map).await?;
+    Ok(Json(v1::ListOpenStreamsResponse { streams: streams.into_iter().map(open_stream).collect() }))
 }
 
 /// A session.

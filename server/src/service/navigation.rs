@@ -24,6 +24,7 @@ pub(super) use self::registry::Registry;
 use self::topo_metric::TopoMetricGuide;
 use super::appearance::AppearanceGraphs;
 use super::labels::Labels;
+use super::refusals::{Refusal, RefusalLog};
 use super::sessions::Frame;
 use super::streams::Streams;
 use super::tokens::Caller;
@@ -227,6 +228,7 @@ pub(crate) struct Navigation {
     pub(super) labels: Labels,
     pub(super) streams: Streams,
     pub(super) led: Arc<Registry>,
+    pub(super) refusals: RefusalLog,
     pub(super) quotas: Quotas,
     pub(super) stopping: CancellationToken,
 }
@@ -490,6 +492,9 @@ impl Guide {
     }
 }
 
+/// The call that robots are led by.
+const NAVIGATE: &str = "/waypost.v1.NavigationService/Navigate";
+
 impl NavigationStream {
     /// `maps/{map}/navigations/{navigation}`.
     pub(crate) fn name(&self) -> String {
@@ -520,6 +525,12 @@ impl NavigationStream {
             Guide::TopoMetric(guide) => guide.refusals(),
             Guide::Appearance(guide) => guide.refusals(),
         }
+    }
+
+    /// Notes that something that the robot sent was refused.
+    pub(crate) fn note_refused(&self, error: &ServiceError) {
+        let refusal = Refusal::on_stream(NAVIGATE, &self.name(), self.token.as_ref(), error);
+        self.navigation.refusals.note(refusal);
     }
 
     /// Answers what the robot says of itself with a command.

@@ -18,7 +18,10 @@ pub(super) use self::pipeline::run;
 pub(crate) use self::pipeline::{ReceivedFrame, RefusedFrame, Windows};
 use self::preparing::PreparedFrame;
 use super::appearance::AppearanceGraphs;
-use super::streams::Streams;
+use super::refusals::{Refusal, RefusalLog};
+pub(crate) use super::streams::StreamView;
+use super::streams::{Became, ShownStream, Streams};
+use super::tokens::Caller;
 use crate::camera::Camera;
 use crate::error::ServiceError;
 use crate::ingest::content::Words;
@@ -35,6 +38,9 @@ use crate::open_map::{
     FrameFailure, FrameRequest, FrameSource, MapHandle, OpenMaps, SessionOpening, StreamOpening, WriterGone,
 };
 use crate::storage::{MapEdition, Storage, reason_name};
+
+/// The call that frames come by.
+const STREAM: &str = "/waypost.v1.SessionService/Stream";
 
 /// How often a stream whose map was dropped from memory looks whether it still exists.
 const REOPENED_POLL: Duration = Duration::from_millis(500);
@@ -63,6 +69,7 @@ pub(crate) struct SessionStream {
     order: Mutex<Order>,
     /// Cancelled when a later stream takes the session over.
     taken_over: CancellationToken,
+    shown: ShownStream,
     /// Room for this stream.
     _room: Arc<OwnedSemaphorePermit>,
 }
@@ -101,10 +108,26 @@ pub(crate) struct Sessions {
     pub(super) graphs: AppearanceGraphs,
     pub(super) streams: Streams,
     pub(super) metrics: Metrics,
+    pub(super) refusals: RefusalLog,
     pub(super) stopping: CancellationToken,
 }
 
 impl Sessions {
+    /// Streams that are open into a map, or into all that the caller reaches if `map` is empty; by when they were opened.
+    pub(crate) async fn open_streams(
+        &self,
+        caller: &Caller,
+        map: &str,
+    ) -> Result<Vec<StreamView>, ServiceError> {
+        if map.is_empty() {
+            return Ok(self.streams.of_maps(|map| caller.reach.has(map)));
+        }
+        let map = map_in(map)?;
+        caller.check_map(map)?;
+        self.open_maps.row(map).await?;
+        Ok(self.streams.of_maps(|other| other == map))
+    }
+
     /// Opens a session of that name, or resumes it. An empty name is made up.
     pub(crate) async fn open(
         &self,
@@ -154,11 +177,14 @@ impl Sessions {
         let session = open.open_session(SessionOpening { name, mode, camera, stream: opened_by }).await?;
         let last_committed = session.last_committed;
         let order = Order::new(open, last_committed);
+        let session_name = session_name(map, &session.name);
+        let shown = self.streams.show(stream, &session_name, mode);
         Ok(SessionStream {
             order: Mutex::new(order),
             taken_over,
             sessions: self.clone(),
-            session_name: session_name(map, &session.name),
+            session_name,
+            shown,
             map: map.to_owned(),
             model,
             keep,
@@ -180,6 +206,24 @@ impl SessionStream {
     /// `maps/{map}/sessions/{session}`.
     pub(crate) fn name(&self) -> &str {
         &self.session_name
+    }
+
+    /// Counts what became of a frame, and notes why it was refused.
+    fn count(&self, outcome: &FrameOutcome) {
+        let (counted, timings) = outcome.counted();
+        self.sessions.metrics.frame(counted, timings);
+        match outcome {
+            FrameOutcome::Answered(_) => {
+                self.shown.frame(timings.map_or(Became::Resent, |timings| Became::Decided(timings.total)));
+            }
+            FrameOutcome::Refused { error, .. } => {
+                self.shown.frame(Became::Refused);
+                let refusal = Refusal::on_stream(STREAM, &self.session_name, self.token.as_ref(), error);
+                self.sessions.refusals.note(refusal);
+            }
+            // The call ends with it, and is noted as a whole.
+            FrameOutcome::Ended(_) => {}
+        }
     }
 
     /// Hash of the map's model.

@@ -14,6 +14,7 @@ use super::maps::Maps;
 use super::match_matrix::MatchMatrices;
 use super::models::Models;
 use super::navigation::{Navigation, Registry};
+use super::refusals::RefusalLog;
 use super::rewriting::Rewriting;
 use super::sessions::Sessions;
 use super::snapshots::Snapshots;
@@ -37,6 +38,7 @@ pub(super) struct Shared {
     pub(super) streams: Streams,
     pub(super) led: Arc<Registry>,
     pub(super) metrics: Metrics,
+    pub(super) refusals: RefusalLog,
     pub(super) stopping: CancellationToken,
 }
 
@@ -51,6 +53,7 @@ impl Shared {
             jobs: Jobs::new(storage.clone(), deleted_maps.clone(), stopping.clone()),
             names: MapNames::new(storage.clone()),
             streams: Streams::new(),
+            refusals: RefusalLog::default(),
             led: Arc::default(),
             storage,
             loaded,
@@ -86,10 +89,10 @@ impl Shared {
     }
 
     pub(super) fn sessions(&self, graphs: &AppearanceGraphs) -> Sessions {
-        let Self { storage, loaded: models, open_maps, extraction, streams, metrics, stopping, .. } =
-            self.clone();
+        let Self { storage, loaded: models, open_maps, extraction, streams, .. } = self.clone();
+        let Self { metrics, refusals, stopping, .. } = self.clone();
         let graphs = graphs.clone();
-        Sessions { storage, models, open_maps, extraction, graphs, streams, metrics, stopping }
+        Sessions { storage, models, open_maps, extraction, graphs, streams, metrics, refusals, stopping }
     }
 
     pub(super) fn labels(&self, maps: &Maps, graphs: &AppearanceGraphs) -> Labels {
@@ -102,12 +105,12 @@ impl Shared {
     }
 
     pub(super) fn navigation(&self, graphs: &AppearanceGraphs, labels: &Labels) -> Navigation {
-        let Self { storage, loaded: models, open_maps, extraction, streams, led, stopping, .. } =
-            self.clone();
+        let Self { storage, loaded: models, open_maps, extraction, streams, .. } = self.clone();
+        let Self { led, refusals, stopping, .. } = self.clone();
         let graphs = graphs.clone();
         let labels = labels.clone();
         let quotas = storage.quotas().clone();
-        Navigation { models, open_maps, extraction, graphs, labels, streams, led, quotas, stopping }
+        Navigation { models, open_maps, extraction, graphs, labels, streams, led, refusals, quotas, stopping }
     }
 
     pub(super) fn snapshots(&self) -> Snapshots {

@@ -1,12 +1,16 @@
-//! How many streams of robots may be open, and which came first.
+//! Which streams of robots are open, how many may be, and which came first.
 
-use std::sync::Arc;
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
+use crate::clock::now_ns;
 use crate::error::ServiceError;
+use crate::names::session_in;
+use crate::open_map::SessionMode;
 
 /// Streams that may be open at a time: each holds a few frames, of up to 4 MiB each.
 const MAX_STREAMS: usize = 500;
@@ -14,16 +18,43 @@ const MAX_STREAMS: usize = 500;
 /// When to ask again for a stream.
 const RETRY: Duration = Duration::from_secs(5);
 
-/// Room for streams, and their numbers. Cheap to clone.
+/// A robot's stream into a session, as people see it. Times are the server's.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct StreamView {
+    /// `maps/{map}/sessions/{session}`.
+    pub(crate) session: String,
+    pub(crate) mode: SessionMode,
+    pub(crate) opened_ns: i64,
+    /// Frames that were answered, those that were sent again among them.
+    pub(crate) answered: u64,
+    pub(crate) refused: u64,
+    /// When the last frame was answered or refused.
+    pub(crate) last_frame_ns: Option<i64>,
+    /// How long the last frame that was decided took, from when the server had it until it was durable.
+    pub(crate) last_delay: Option<Duration>,
+}
+
+/// What became of a frame on a stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Became {
+    /// Decided, which took so long.
+    Decided(Duration),
+    /// Answered from what is stored.
+    Resent,
+    Refused,
+}
+
+/// Room for streams, their numbers, and those that are open. Cheap to clone.
 #[derive(Clone, Debug)]
 pub(super) struct Streams {
     room: Arc<Semaphore>,
     next: Arc<AtomicU64>,
+    open: Arc<Mutex<BTreeMap<u64, StreamView>>>,
 }
 
 impl Streams {
     pub(super) fn new() -> Self {
-        Self { room: Arc::new(Semaphore::new(MAX_STREAMS)), next: Arc::default() }
+        Self { room: Arc::new(Semaphore::new(MAX_STREAMS)), next: Arc::default(), open: Arc::default() }
     }
 
     /// Room for one stream, until the last copy is dropped.
@@ -40,5 +71,62 @@ impl Streams {
     /// A number above those of all streams before: a later stream on the same session takes it over.
     pub(super) fn number(&self) -> u64 {
         self.next.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// Shows the stream of that number for as long as what comes back lives.
+    pub(super) fn show(&self, number: u64, session: &str, mode: SessionMode) -> ShownStream {
+        let session = session.to_owned();
+        let view = StreamView {
+            session,
+            mode,
+            opened_ns: now_ns(),
+            answered: 0,
+            refused: 0,
+            last_frame_ns: None,
+            last_delay: None,
+        };
+        self.open().insert(number, view);
+        ShownStream { streams: self.clone(), number }
+    }
+
+    /// Those into maps that are wanted, by when they were opened.
+    pub(super) fn of_maps(&self, is_wanted: impl Fn(&str) -> bool) -> Vec<StreamView> {
+        let is_wanted =
+            |stream: &&StreamView| session_in(&stream.session).is_ok_and(|(map, _)| is_wanted(map));
+        self.open().values().filter(is_wanted).cloned().collect()
+    }
+
+    fn open(&self) -> MutexGuard<'_, BTreeMap<u64, StreamView>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A stream that people see.
+#[derive(Debug)]
+pub(super) struct ShownStream {
+    streams: Streams,
+    number: u64,
+}
+
+impl ShownStream {
+    /// Counts a frame.
+    pub(super) fn frame(&self, became: Became) {
+        let mut open = self.streams.open();
+        let Some(view) = open.get_mut(&self.number) else { return };
+        view.last_frame_ns = Some(now_ns());
+        match became {
+            Became::Decided(took) => {
+                view.answered += 1;
+                view.last_delay = Some(took);
+            }
+            Became::Resent => view.answered += 1,
+            Became::Refused => view.refused += 1,
+        }
+    }
+}
+
+impl Drop for ShownStream {
+    fn drop(&mut self) {
+        self.streams.open().remove(&self.number);
     }
 }

@@ -17,7 +17,7 @@ use crate::names::token_name;
 use crate::open_map::answers::FrameAnswer;
 use crate::service::frames::SessionSummary;
 use crate::service::frames::{FrameBytes, FrameView, SessionView};
-use crate::service::sessions::{Frame, ReceivedFrame, RefusedFrame};
+use crate::service::sessions::{Frame, ReceivedFrame, RefusedFrame, SessionMode, StreamView};
 
 pub(crate) fn session(view: SessionView) -> v1::Session {
     let SessionView { name, summary } = view;
@@ -47,6 +47,23 @@ pub(crate) fn session(view: SessionView) -> v1::Session {
         last_stamp_ns,
         owner: owner.map(|owner| token_name(&owner)).unwrap_or_default(),
         kept_bytes,
+    }
+}
+
+pub(crate) fn open_stream(view: StreamView) -> v1::OpenStream {
+    let StreamView { session, mode, opened_ns, answered, refused, last_frame_ns, last_delay } = view;
+    let mode = match mode {
+        SessionMode::Map => v1::SessionMode::Map,
+        SessionMode::Localize => v1::SessionMode::Localize,
+    };
+    v1::OpenStream {
+        session,
+        mode: mode.into(),
+        open_time_ns: opened_ns,
+        answered_frames: answered,
+        refused_frames: refused,
+        last_frame_time_ns: last_frame_ns,
+        last_delay_ns: last_delay.map(|delay| i64::try_from(delay.as_nanos()).unwrap_or(i64::MAX)),
     }
 }
 

@@ -13,6 +13,7 @@ use tonic::{Code, Response, Status};
 use waypost_proto::v1;
 use waypost_proto::v1::appearance_service_client::AppearanceServiceClient;
 use waypost_proto::v1::correction_service_client::CorrectionServiceClient;
+use waypost_proto::v1::event_service_client::EventServiceClient;
 use waypost_proto::v1::job_service_client::JobServiceClient;
 use waypost_proto::v1::label_service_client::LabelServiceClient;
 use waypost_proto::v1::map_service_client::MapServiceClient;
@@ -25,7 +26,8 @@ use waypost_proto::v1::session_service_client::SessionServiceClient;
 use waypost_proto::v1::token_service_client::TokenServiceClient;
 
 use crate::harness::{
-    Answer, Server, Surveyed, channel, found, get, http, images, import_model, led, taught_hall,
+    Answer, RawStream, Server, Surveyed, channel, found, frame, get, http, images, import_model, led, open,
+    taught_hall, wire,
 };
 
 static CONTRACT: LazyLock<DescriptorPool> =
@@ -499,8 +501,9 @@ async fn queries_are_answered_the_same() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn models_and_jobs_are_the_same() {
+async fn models_jobs_streams_and_refusals_are_the_same() {
     let Surveyed { server, job, .. } = Surveyed::start().await;
+    let events = EventServiceClient::new(channel(&server.endpoint()).await);
     let both = Both::of(server).await;
     let message = ("waypost.v1.ListModelsResponse", "models");
     let models = both
@@ -514,6 +517,30 @@ async fn models_and_jobs_are_the_same() {
         let over_grpc = both.models.clone().get_model(v1::GetModelRequest { name: model.to_owned() }).await;
         both.agree(&format!("/v1/models/{model}"), "waypost.v1.Model", over_grpc).await;
     }
+    let streams = async |map: &str| {
+        let request = v1::ListOpenStreamsRequest { map: map.to_owned() };
+        both.sessions.clone().list_open_streams(request).await
+    };
+    let (mut robot, _) = RawStream::open(&both.server.endpoint(), open("drive", "third")).await.unwrap();
+    robot.answered(wire(frame(1))).await;
+    for (path, map) in [
+        ("/v1/streams", ""),
+        ("/v1/streams?map=drive", "maps/drive"),
+        ("/v1/streams?map=empty", "maps/empty"),
+        ("/v1/streams?map=nowhere", "maps/nowhere"),
+    ] {
+        let told = both.agree(path, "waypost.v1.ListOpenStreamsResponse", streams(map).await).await;
+        let listed = told["streams"].as_array().map_or(0, Vec::len);
+        assert_eq!(listed, usize::from(["", "maps/drive"].contains(&map)), "{told}");
+    }
+    let message = ("waypost.v1.ListRefusalsResponse", "refusals");
+    let refusals = both
+        .lists_agree("/v1/refusals", message, async |page_size, page_token| {
+            events.clone().list_refusals(v1::ListRefusalsRequest { page_size, page_token }).await
+        })
+        .await;
+    // The models that there are not, and the map.
+    assert!(refusals.len() >= 4, "{refusals:?}");
     let message = ("waypost.v1.ListJobsResponse", "jobs");
     let jobs = both
         .lists_agree("/v1/jobs", message, async |page_size, page_token| {

@@ -38,14 +38,13 @@ impl SessionStream {
         frames: impl Stream<Item = Result<ReceivedFrame, E>> + Send + 'static,
     ) -> impl Stream<Item = Result<FrameOutcome, E>> + Send {
         let session = Arc::new(self);
-        let metrics = session.sessions.metrics.clone();
         let sending = session.clone();
+        let counting = session.clone();
         let watching = session;
         let frames = frames.map(move |frame| Ok((sending.clone(), frame?)));
         let outcomes = run(frames, OF_A_ROBOT).inspect(move |outcome| {
             if let Ok(outcome) = outcome {
-                let (outcome, timings) = outcome.counted();
-                metrics.frame(outcome, timings);
+                counting.count(outcome);
             }
         });
         let over = async move { watching.over().await };

@@ -14,8 +14,9 @@ use crate::harness::{
 };
 
 /// Every method that names a map in the first field of its request, and how.
-const NAMING_A_MAP: [(&str, &str); 43] = [
+const NAMING_A_MAP: [(&str, &str); 44] = [
     ("SessionService/ListSessions", "maps/MAP"),
+    ("SessionService/ListOpenStreams", "maps/MAP"),
     ("SessionService/GetSession", "maps/MAP/sessions/tour"),
     ("SessionService/ListFrames", "maps/MAP/sessions/tour"),
     ("SessionService/GetFrame", "maps/MAP/sessions/tour/frames/1"),
@@ -61,7 +62,8 @@ const NAMING_A_MAP: [(&str, &str); 43] = [
 ];
 
 /// Methods about the whole server.
-const SERVER: [&str; 9] = [
+const SERVER: [&str; 10] = [
+    "EventService/ListRefusals",
     "ModelService/TrainModel",
     "ModelService/ImportModel",
     "ModelService/RenameModel",
@@ -197,7 +199,7 @@ async fn routes_know_the_maps_that_a_token_reaches() {
         }
     }
     for (method, path) in ROUTES_FOR_ADMINS {
-        if path.starts_with("/v1/models") || path.starts_with("/v1/tokens") {
+        if ["/v1/models", "/v1/tokens", "/v1/refusals"].iter().any(|server| path.starts_with(server)) {
             let refused = ask(&method, path).await;
             assert_eq!(refused.status, StatusCode::FORBIDDEN, "{method} {path}");
             assert!(refused.text().contains("about the whole server"), "{}", refused.text());

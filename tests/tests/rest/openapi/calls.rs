@@ -170,6 +170,9 @@ pub(super) fn good_calls(surveyed: &Surveyed) -> Vec<Call> {
         Call::label("delete", "/v1/maps/looks/places/0/label", ""),
         Call::get("/v1/models", "/v1/models"),
         Call::get("/v1/models/{model}", "/v1/models/shipped"),
+        Call::get("/v1/streams", "/v1/streams"),
+        Call::get("/v1/streams", "/v1/streams?map=drive"),
+        Call::get("/v1/refusals", "/v1/refusals"),
         Call::get("/v1/jobs", "/v1/jobs"),
         Call::get("/v1/jobs/{job}", format!("/v1/jobs/{job}")),
     ]

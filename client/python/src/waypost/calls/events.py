@@ -1,4 +1,4 @@
-"""What happens in maps, while it happens."""
+"""What happens in maps, while it happens, and what the server refused."""
 
 from __future__ import annotations
 
@@ -16,9 +16,22 @@ from waypost.v1 import event_pb2
 
 
 class EventCalls:
-    """Maps that are watched."""
+    """Maps that are watched, and what was refused."""
 
     _connection: Connection
+
+    def refusals(self) -> list[event_pb2.Refusal]:
+        """What the server refused since it began, newest first; the last 1000 are kept.
+
+        Calls, requests, and frames, wheel reports and goals on open streams. For administrators of the whole server.
+
+        Raises:
+            PermissionDenied: If the token is for less than that.
+        """
+        request = event_pb2.ListRefusalsRequest()
+        return list(
+            self._connection.pages(self._connection.events.ListRefusals, request, lambda page: page.refusals)
+        )
 
     def watch(self, map_id: str, from_position: int | None = None, *, patience_s: float = 60.0) -> MapEvents:
         """What happens in a map: frames that were decided, and robots that navigate. Close it when done.

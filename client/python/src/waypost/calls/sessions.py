@@ -59,6 +59,21 @@ class SessionCalls:
             )
         )
 
+    def open_streams(self, map_id: str = "") -> list[session_pb2.OpenStream]:
+        """The streams of robots that are open now, by when they were opened.
+
+        Robots that are led are in `navigations`.
+
+        Args:
+            map_id: Those into this map alone; into all that the token reaches if left out.
+
+        Raises:
+            NotFound: If there is no such map.
+        """
+        request = session_pb2.ListOpenStreamsRequest(map=resource("maps", map_id) if map_id else "")
+        listed = self._connection.call(self._connection.sessions.ListOpenStreams, request)
+        return list(listed.streams)
+
     def session_record(self, name: str) -> session_pb2.Session:
         """What a map keeps of a session; `session` opens one.
 
