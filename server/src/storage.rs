@@ -26,6 +26,7 @@ mod page_sums;
 mod removal;
 mod retelling;
 mod row_sums;
+mod salvage;
 mod snapshots;
 mod tokens;
 
@@ -46,6 +47,7 @@ pub(crate) use models::ModelRow;
 pub(crate) use notes::NoteRow;
 pub(crate) use removal::Removal;
 pub(crate) use retelling::RetoldLog;
+pub(crate) use salvage::Salvaged;
 pub(crate) use snapshots::{FormerModelRow, ImportedMap, MapView, MediaRow, StoredSession};
 pub(crate) use tokens::{FormerSecret, SecretHash, TokenRow};
 
@@ -123,7 +125,7 @@ pub(crate) enum StorageError {
     Rot(String),
     #[error(
         "the map takes nothing more since damage was found in it: {0}; `waypost-server check --deep` tells all of it; \
-         bring the map back from a snapshot or a backup"
+         `waypost map repair` makes a new map of what is left, and of a snapshot"
     )]
     ReadOnly(String),
     #[error("{0}")]

@@ -92,6 +92,18 @@ pub(crate) enum Command {
         #[arg(long, value_name = "MAP")]
         into: String,
     },
+    /// Make a new map from what is left of a damaged one, and say what is lost; Ctrl-C cancels, and the
+    /// same command continues
+    Repair {
+        /// Name of the damaged map; it stays as it is
+        name: String,
+        /// Name of the new map
+        #[arg(long, value_name = "MAP")]
+        into: String,
+        /// An earlier copy of the map, imported from a snapshot: what is damaged is taken from it
+        #[arg(long, value_name = "MAP")]
+        copy: Option<String>,
+    },
     /// Forget how a map came to be what it is: merges into it can no longer be undone, and deleted
     /// data of all maps is wiped from the disk
     Compact {
@@ -153,6 +165,13 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
             let job = client.rebuild_map(&name, &model, &into).await?;
             let job = job::follow(&client, &job.name, output).await?;
             listing::show(&client.map(&job::result(job)?, v1::MapView::Basic).await?, output)
+        }
+        Command::Repair { name, into, copy } => {
+            let job = client.repair_map(&name, &into, copy.as_deref()).await?;
+            let job = job::follow(&client, &job.name, output).await?;
+            let lost = job.stage.clone();
+            let made = job::result(job)?;
+            output.result(&json!({ "repaired": made, "lost": lost }), |out| writeln!(out, "{made}: {lost}"))
         }
         Command::Compact { name, yes } => {
             Asking::unless(yes).confirm_loss(&format!(

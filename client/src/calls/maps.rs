@@ -159,4 +159,17 @@ impl Client {
         let request = v1::RebuildMapRequest { name: map_name(map), model: model.to_owned(), map_id };
         self.taken(self.maps_client().rebuild_map(request).await)
     }
+
+    /// Makes a new map from what is left of a damaged one, and of an earlier copy of it. Returns the job that does so;
+    /// its last stage says what is lost.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND, ALREADY_EXISTS, or FAILED_PRECONDITION if no damage was found in the map, or
+    /// the copy is of another model.
+    pub async fn repair_map(&self, map: &str, into: &str, copy: Option<&str>) -> Result<v1::Job, Error> {
+        let map_id = into.strip_prefix("maps/").unwrap_or(into).to_owned();
+        let copy = copy.map(map_name).unwrap_or_default();
+        let request = v1::RepairMapRequest { name: map_name(map), map_id, copy };
+        self.taken(self.maps_client().repair_map(request).await)
+    }
 }

@@ -21,7 +21,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, Admitted, Ending};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 73] = [
+const METHODS: [(&str, Access); 74] = [
     ("/waypost.v1.SessionService/Stream", Access::OPEN_SESSION),
     ("/waypost.v1.RecognitionService/Query", Access::LOCALIZE),
     ("/waypost.v1.SessionService/ListSessions", Access::READ),
@@ -67,6 +67,7 @@ const METHODS: [(&str, Access); 73] = [
     ("/waypost.v1.MapService/ImportMap", Access::ADMIN),
     ("/waypost.v1.SessionService/DeleteSession", Access::ADMIN),
     ("/waypost.v1.MapService/RebuildMap", Access::ADMIN),
+    ("/waypost.v1.MapService/RepairMap", Access::ADMIN),
     ("/waypost.v1.MapService/TrimMap", Access::ADMIN),
     ("/waypost.v1.MapService/CompactMap", Access::ADMIN),
     ("/waypost.v1.MergeService/GetMerge", Access::READ),

@@ -225,6 +225,11 @@ impl MapService for Adapter {
         Ok(Response::new(job(self.service.rewriting.compact(&name).await?)))
     }
 
+    async fn repair_map(&self, request: Request<v1::RepairMapRequest>) -> Result<Response<v1::Job>, Status> {
+        let (caller, v1::RepairMapRequest { name, map_id, copy }) = with_caller(request)?;
+        Ok(Response::new(job(self.service.rebuilding.start_repair(&caller, &name, &map_id, &copy).await?)))
+    }
+
     async fn rebuild_map(
         &self,
         request: Request<v1::RebuildMapRequest>,

@@ -55,6 +55,23 @@ pub(crate) struct WordList {
     pub(crate) image_height_px: u32,
 }
 
+impl WordList {
+    /// Features as a robot sends them that keeps descriptors to itself.
+    pub(crate) fn of(features: &FeatureRecord) -> Self {
+        let (image_width_px, image_height_px) = features.image_size_px();
+        let each = |value: fn(&Keypoint) -> f32| features.keypoints().iter().map(value).collect();
+        Self {
+            words: features.words().to_vec(),
+            x_px: each(|keypoint| keypoint.x_px),
+            y_px: each(|keypoint| keypoint.y_px),
+            size_px: each(|keypoint| keypoint.size_px),
+            angle_rad: each(|keypoint| keypoint.angle_rad),
+            image_width_px,
+            image_height_px,
+        }
+    }
+}
+
 /// Words, or features, of one frame at most.
 const MAX_WORDS: usize = 65_536;
 

@@ -373,6 +373,11 @@ impl JobReporter {
         if self.cancel.is_cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
+    /// Says in words that are its own how it ended.
+    pub(super) fn told(&self, stage: String) {
+        self.status.send_modify(|status| (status.stage, status.fraction) = (stage, 1.0));
+    }
+
     /// The job's end, for the transaction that stores what it made.
     pub(super) fn succeeded(&self, result: String) -> JobEnd {
         JobEnd { result: Some(result), ..self.end(StoredJobState::Succeeded) }

@@ -72,7 +72,7 @@ impl Storage {
     }
 
     /// A map, and an event of it, as people name them, as far as that can still be read.
-    async fn named(&self, map: MapId, place: Where) -> String {
+    pub(super) async fn named(&self, map: MapId, place: Where) -> String {
         let name = sqlx::query_scalar("SELECT name FROM maps WHERE id = ?").bind(map);
         let name: Option<String> = name.fetch_optional(&self.readers).await.ok().flatten();
         let name = name.map_or_else(|| format!("map number {map}"), |name| format!("map {name}"));

@@ -29,6 +29,7 @@ pub(crate) enum JobKind {
     MergeMaps,
     RemoveSessions,
     RebuildMap,
+    RepairMap,
     CompactMap,
 }
 

@@ -141,7 +141,7 @@ impl Storage {
     }
 
     /// The first events at `positions`.
-    async fn stored_events(
+    pub(super) async fn stored_events(
         &self,
         map: MapId,
         positions: Range<u64>,

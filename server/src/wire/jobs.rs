@@ -21,6 +21,7 @@ pub(crate) fn job(status: JobStatus) -> v1::Job {
         JobKind::MergeMaps => Kind::MergeMaps,
         JobKind::RemoveSessions => Kind::DeleteSessions,
         JobKind::RebuildMap => Kind::RebuildMap,
+        JobKind::RepairMap => Kind::RepairMap,
         JobKind::CompactMap => Kind::CompactMap,
     };
     v1::Job {

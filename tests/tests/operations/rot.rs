@@ -3,6 +3,7 @@
 mod flips;
 mod notes;
 mod old_databases;
+mod repair;
 
 use std::path::Path;
 

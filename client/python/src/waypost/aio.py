@@ -71,6 +71,7 @@ class AsyncClient:
     greet = _awaited(Client.greet)
     # Jobs.
     jobs = _awaited(Client.jobs)
+    refusals = _awaited(Client.refusals)
     job = _awaited(Client.job)
     wait_for_job = _awaited(Client.wait_for_job)
     cancel_job = _awaited(Client.cancel_job)
@@ -82,6 +83,7 @@ class AsyncClient:
     loop_closures = _awaited(Client.loop_closures)
     rebind_map = _awaited(Client.rebind_map)
     rebuild_map = _awaited(Client.rebuild_map)
+    repair_map = _awaited(Client.repair_map)
     compact_map = _awaited(Client.compact_map)
     trim_map = _awaited(Client.trim_map)
     export_map = _awaited(Client.export_map)
@@ -127,6 +129,7 @@ class AsyncClient:
     # Sessions.
     query = _awaited(Client.query)
     sessions = _awaited(Client.sessions)
+    open_streams = _awaited(Client.open_streams)
     session_record = _awaited(Client.session_record)
     delete_session = _awaited(Client.delete_session)
     frames = _awaited(Client.frames)

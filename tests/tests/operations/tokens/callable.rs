@@ -14,7 +14,7 @@ use tonic_prost::ProstDecoder;
 use crate::harness::{in_time, workspace};
 
 /// Methods that a robot may not call.
-pub(super) const FOR_ADMINS: [&str; 27] = [
+pub(super) const FOR_ADMINS: [&str; 28] = [
     "/waypost.v1.MapService/CreateMap",
     "/waypost.v1.MapService/DeleteMap",
     "/waypost.v1.MapService/RebindMap",
@@ -22,6 +22,7 @@ pub(super) const FOR_ADMINS: [&str; 27] = [
     "/waypost.v1.MapService/ImportMap",
     "/waypost.v1.SessionService/DeleteSession",
     "/waypost.v1.MapService/RebuildMap",
+    "/waypost.v1.MapService/RepairMap",
     "/waypost.v1.MapService/TrimMap",
     "/waypost.v1.MapService/CompactMap",
     "/waypost.v1.CorrectionService/WithdrawLoopClosure",

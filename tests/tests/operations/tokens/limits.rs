@@ -75,10 +75,11 @@ const SERVER: [&str; 10] = [
     "TokenService/DeleteToken",
 ];
 
-/// Those that name no map: they show what the token reaches, or are for everybody. `RebuildMap` names two.
-const OTHERS: [&str; 16] = [
+/// Those that name no map: they show what the token reaches, or are for everybody. `RebuildMap` and `RepairMap` name several.
+const OTHERS: [&str; 17] = [
     "MapService/ListMaps",
     "MapService/RebuildMap",
+    "MapService/RepairMap",
     "MergeService/GetMerge",
     "MergeService/ListMerges",
     "MergeService/GetMergePicture",

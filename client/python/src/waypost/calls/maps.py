@@ -94,6 +94,23 @@ class MapCalls:
         job: job_pb2.Job = self._connection.call(self._connection.maps.RebuildMap, request)
         return job
 
+    def repair_map(self, map_id: str, into: str, copy: str = "") -> job_pb2.Job:
+        """Makes a new map, `into`, from what is left of a damaged one. The job's last stage says what is lost.
+
+        Args:
+            map_id: The damaged map; it stays as it is.
+            into: Name of the new map.
+            copy: The map as it was earlier, imported from a snapshot: what is damaged is taken from it.
+
+        Raises:
+            NotFound: If there is no such map.
+            FailedPrecondition: If no damage was found in the map, or the copy is none of it.
+        """
+        source = resource("maps", copy) if copy else ""
+        request = map_pb2.RepairMapRequest(name=resource("maps", map_id), map_id=_bare(into), copy=source)
+        job: job_pb2.Job = self._connection.call(self._connection.maps.RepairMap, request)
+        return job
+
     def compact_map(self, map_id: str) -> job_pb2.Job:
         """Forgets how a map came to be what it is, and wipes deleted data from the disk: no way back.
 

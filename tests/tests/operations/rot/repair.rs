@@ -1,0 +1,127 @@
+//! A damaged map is made anew from what is left of it.
+
+use std::io::Cursor;
+
+use waypost_client::{Client, Code, v1};
+
+use super::{ROTTEN_FRAME, note, sql, two_maps};
+use crate::harness::{Server, answers, assert_status, followed, frame, refused, said, state_hash};
+
+/// How a repair ended.
+async fn repaired(client: &Client, into: &str, copy: Option<&str>) -> v1::Job {
+    let job = client.repair_map("drive", into, copy).await.unwrap();
+    followed(client, &job).await.pop().unwrap()
+}
+
+async fn snapshot(client: &Client) -> Vec<u8> {
+    let mut snapshot = Vec::new();
+    client.export_map("drive", &mut snapshot).await.unwrap();
+    snapshot
+}
+
+const LABELLED: &str = "maps/drive/places/3";
+
+/// The maps, with a label, and a snapshot of `drive`; then `statements` damage it.
+async fn damaged(statements: &[&str]) -> (tempfile::TempDir, String, Vec<u8>) {
+    let directory = two_maps().await;
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    client.set_label(LABELLED, "kitchen", v1::LabelScope::Place).await.unwrap();
+    let (whole, file) = (state_hash(&client, "drive").await, snapshot(&client).await);
+    server.stop().await;
+    for statement in statements {
+        sql(directory.path(), statement).await;
+    }
+    (directory, whole, file)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_left_is_a_map_again_and_what_is_lost_is_told() {
+    let (directory, whole, _) = damaged(&[ROTTEN_FRAME]).await;
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let job = repaired(&client, "again", None).await;
+    assert_eq!(job.result.as_deref(), Some("maps/again"), "{job:?}");
+    assert_eq!(
+        (job.kind(), job.stage.as_str()),
+        (v1::job::Kind::RepairMap, "lost: map drive, session first, frame 7")
+    );
+    let again = client.map("again", v1::MapView::Full).await.unwrap();
+    assert_eq!((again.frames, again.sessions), (31, 2));
+    assert_ne!(again.state_hash.unwrap(), whole);
+    // As if its robots had not sent that frame.
+    let model = client.models().await.unwrap().remove(0);
+    client.create_map(crate::harness::map_request("sent", &model.name)).await.unwrap();
+    let first = (1..=20).filter(|&sequence| sequence != 7).map(super::noted);
+    answers(&client, "sent", "first", first).await;
+    let begin = crate::harness::first_return();
+    answers(&client, "sent", "second", (begin..begin + 12).map(frame)).await;
+    assert_eq!(state_hash(&client, "again").await, state_hash(&client, "sent").await);
+    let kept = client.frame("maps/again/sessions/first/frames/8").await.unwrap();
+    assert_eq!(kept.note, note(8));
+    // It takes frames, and leaves the other as it was.
+    assert_eq!(answers(&client, "again", "third", (1..=3).map(frame)).await.len(), 3);
+    assert_eq!(client.map("drive", v1::MapView::Basic).await.unwrap().frames, 32);
+    let (code, _) =
+        refused(client.open_session(crate::harness::session_options("drive", "more")).await.map(drop));
+    assert_eq!(code, Code::FailedPrecondition);
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn with_a_snapshot_nothing_is_lost() {
+    let gone = "DELETE FROM log WHERE map_id = (SELECT id FROM maps WHERE name = 'drive') AND position IN (0, 10, 11)";
+    let (directory, whole, file) = damaged(&[ROTTEN_FRAME, gone]).await;
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let imported = client.import_map("earlier", Cursor::new(file)).await.unwrap();
+    followed(&client, &imported).await;
+    let job = repaired(&client, "again", Some("earlier")).await;
+    assert_eq!(
+        (job.result.as_deref(), job.stage.as_str()),
+        (Some("maps/again"), "nothing is lost"),
+        "{job:?}"
+    );
+    assert_eq!(state_hash(&client, "again").await, whole);
+    let labels = client.labels("again").await.unwrap();
+    assert_eq!(labels.iter().map(|label| label.label.as_str()).collect::<Vec<_>>(), ["kitchen"]);
+    let kept = client.frame("maps/again/sessions/first/frames/7").await.unwrap();
+    assert_eq!(kept.note, note(7));
+
+    // Asked for again, it is there.
+    assert_eq!(repaired(&client, "again", Some("earlier")).await.result.as_deref(), Some("maps/again"));
+    assert_eq!(state_hash(&client, "again").await, whole);
+    // Without the snapshot, three frames and the beginning of a session are.
+    let job = repaired(&client, "poorer", None).await;
+    assert!(
+        job.stage.starts_with("lost: map drive, event 0 of the log; map drive, session first, frame 7;"),
+        "{job:?}"
+    );
+    assert_eq!(client.map("poorer", v1::MapView::Basic).await.unwrap().frames, 29);
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_makes_no_sense_is_refused_and_makes_no_map() {
+    let (directory, ..) = damaged(&[ROTTEN_FRAME]).await;
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    for (map, into, copy, code, fragment) in [
+        ("nowhere", "again", None, Code::NotFound, "there is no map nowhere"),
+        ("drive", "drive", None, Code::AlreadyExists, "there is a map drive already"),
+        ("drive", "Again", None, Code::InvalidArgument, "is no map name"),
+        ("drive", "again", Some("nowhere"), Code::NotFound, "there is no map nowhere"),
+        ("drive", "again", Some("drive"), Code::FailedPrecondition, "is no earlier copy of drive"),
+    ] {
+        let (refused_code, message) = refused(client.repair_map(map, into, copy).await);
+        assert_status(map, (refused_code, &message), code, fragment);
+    }
+    // Another map of the same model.
+    let job = repaired(&client, "again", Some("spare")).await;
+    assert!(said(&job.error).contains("spare is no earlier copy of drive: event 1"), "{job:?}");
+    let job = client.repair_map("spare", "again", None).await.unwrap();
+    let job = followed(&client, &job).await.pop().unwrap();
+    assert!(said(&job.error).contains("no damage was found in the map spare"), "{job:?}");
+    assert_eq!(refused(client.map("again", v1::MapView::Basic).await).0, Code::NotFound);
+    server.stop().await;
+}
