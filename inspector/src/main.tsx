@@ -13,6 +13,9 @@ import { MergePage } from "./panels/merge";
 import { Merges } from "./panels/merges";
 import { Operations } from "./panels/operations";
 
+/** A page of a map is called by its name. */
+const TITLES: Partial<Record<ReturnType<typeof useLink>[0]["page"], string>> = { maps: "Maps", merges: "Merges", operations: "Operations" };
+
 function Inspector() {
     const [link, go] = useLink();
     const [wanted, setWanted] = useState(false);
@@ -35,7 +38,7 @@ function Inspector() {
     };
     useEffect(() => whenTokenWanted(leave), []);
     useEffect(() => {
-        document.title = link.page === "map" ? `${link.map} · Waypost` : "Waypost";
+        document.title = `${TITLES[link.page] ?? link.map} · Waypost`;
     }, [link.page, link.map]);
     const enter = () => {
         setEntered((times) => times + 1);
@@ -45,7 +48,9 @@ function Inspector() {
     return <>
         <a class="skip" href="#content" onClick={(event) => {
             event.preventDefault();
-            document.querySelector<HTMLElement>("#content")?.scrollIntoView();
+            const content = document.querySelector<HTMLElement>("#content");
+            content?.setAttribute("tabindex", "-1");
+            content?.focus();
         }}>To the content</a>
         <header class="top">
             <a class="brand" href={hash(START)}><img src="/inspector/icon.svg" alt="" width={24} height={24} /> Waypost</a>
@@ -53,7 +58,7 @@ function Inspector() {
                 <a href={hash(START)} aria-current={current("maps")}>Maps</a>
                 <a href={hash({ ...START, page: "merges" })} aria-current={current("merges")}>Merges</a>
                 <a href={hash({ ...START, page: "operations" })} aria-current={current("operations")}>Operations</a>
-                <a href="/docs/">API</a>
+                <a href="/docs/" title={held ? "The browser asks for a password there: it is the token. Any name will do." : undefined}>API</a>
             </nav>
             {who?.token && <span class="who" title="Who the server says that you are">{short(who.token)} <span class={`reason ${who.role}`}>{who.role}</span></span>}
             {held && <button type="button" onClick={leave}>Log out</button>}

@@ -1,7 +1,7 @@
 // Small parts that every panel uses: what is loading, what was refused, pictures, numbers.
 import { createContext, type ComponentChildren } from "preact";
 import { useContext, useEffect, useRef, useState } from "preact/hooks";
-import { at, blob, get, type Caller, type Job } from "./rest";
+import { at, blob, get, Refusal, type Caller, type Job, type WayMap } from "./rest";
 
 /** Who the server says that this page is; nobody until it has. */
 export const Who = createContext<Caller | null>(null);
@@ -19,17 +19,34 @@ export function useMay(ability: Caller["abilities"][number]): boolean {
 /** What is being asked for: nothing yet but what came before, an answer, or why there is none. */
 export type Asked<T> = { state: "asking"; before?: T } | { state: "there"; value: T } | { state: "refused"; error: Error };
 
-/** Asks again whenever `about` changes; answers that come too late are thrown away. */
+/** A server that does not answer is asked again so soon. */
+const AWAY_MS = 3000;
+
+/** Whether the server was not reached: what it would say is not known. */
+function isAway(error: Error): boolean {
+    return error instanceof Refusal && error.status === 0;
+}
+
+/** Asks again whenever `about` changes, and while the server does not answer; answers that come too late are thrown away. */
 export function useAsked<T>(ask: (signal: AbortSignal) => Promise<T>, about: readonly unknown[]): Asked<T> {
     const [asked, setAsked] = useState<Asked<T>>({ state: "asking" });
     useEffect(() => {
         const gone = new AbortController();
+        let timer = 0;
         setAsked((last) => last.state === "there" ? { state: "asking", before: last.value } : { state: "asking" });
-        ask(gone.signal).then(
+        const look = () => ask(gone.signal).then(
             (value) => gone.signal.aborted || setAsked({ state: "there", value }),
-            (error: Error) => gone.signal.aborted || setAsked({ state: "refused", error }),
+            (error: Error) => {
+                if (gone.signal.aborted) return;
+                setAsked({ state: "refused", error });
+                if (isAway(error)) timer = window.setTimeout(look, AWAY_MS);
+            },
         );
-        return () => gone.abort();
+        void look();
+        return () => {
+            gone.abort();
+            clearTimeout(timer);
+        };
     }, about);
     return asked;
 }
@@ -39,6 +56,9 @@ export interface Polled<T> {
     error: Error | null;
     again: () => void;
 }
+
+/** What was refused is asked for again no sooner than this: each refusal is kept by the server. */
+const REFUSED_MS = 15_000;
 
 /** Asks again and again while the page is looked at, after a pause that the last answer decides; `null` is for good. */
 export function usePolled<T>(ask: (signal: AbortSignal) => Promise<T>, pauseMs: (value: T | null) => number | null, about: readonly unknown[] = []): Polled<T> {
@@ -56,6 +76,7 @@ export function usePolled<T>(ask: (signal: AbortSignal) => Promise<T>, pauseMs: 
                 }
             } catch (error) {
                 if (!gone.signal.aborted) setKnown((now) => ({ ...now, error: error as Error }));
+                if (!gone.signal.aborted && !isAway(error as Error)) return void (timer = window.setTimeout(poll, REFUSED_MS));
             }
             const pause = pauseMs(value);
             if (!gone.signal.aborted && pause !== null) timer = window.setTimeout(poll, pause);
@@ -240,14 +261,21 @@ export function Picture({ path, alt, class: kind = "" }: PictureProps) {
     const [missing, setMissing] = useState<string | null>(null);
     useEffect(() => {
         let gone = false;
+        let timer = 0;
         setMissing(null);
         setUrl(null);
-        loaded(path).then(
+        const look = () => void loaded(path).then(
             (url) => gone || setUrl(url),
-            (error: Error) => gone || setMissing(error.message),
+            (error: Error) => {
+                if (gone) return;
+                if (isAway(error)) timer = window.setTimeout(look, AWAY_MS);
+                else setMissing(error.message);
+            },
         );
+        look();
         return () => {
             gone = true;
+            clearTimeout(timer);
         };
     }, [path]);
     // Beside a text that says the same, a picture is nothing to those who hear the page.
@@ -256,6 +284,16 @@ export function Picture({ path, alt, class: kind = "" }: PictureProps) {
     if (missing) return <div class={`picture missing ${kind}`} title={missing} {...heard} />;
     if (!url) return <div class={`picture ${kind}`} {...heard} />;
     return <img class={`picture ${kind}`} src={url} alt={alt} />;
+}
+
+/** Whether a map keeps anything to be seen of its frames: the server would refuse each picture by itself. */
+export function keepsPictures({ settings }: WayMap): boolean {
+    return settings?.keep !== "words";
+}
+
+/** Where the map keeps words alone. */
+export function NoPicture() {
+    return <div class="picture missing" title="This map keeps words alone" aria-hidden="true" />;
 }
 
 /** The size of an element on the screen, as it changes. */
@@ -301,8 +339,12 @@ export function share(value: number): string {
     return value.toFixed(3);
 }
 
+/** A time where the person is, with the zone: the server's log is in UTC. */
 export function moment(time_ns: number): string {
-    return new Date(time_ns / 1e6).toISOString().replace("T", " ").slice(0, 19);
+    // Swedes write dates as ISO 8601 does.
+    return new Date(time_ns / 1e6).toLocaleString("sv-SE", {
+        year: "numeric", month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", second: "2-digit", timeZoneName: "short",
+    });
 }
 
 /** Some milliseconds, for a cursor that may move on: what is left behind is never asked for. */

@@ -58,7 +58,10 @@ export async function load(name: string, signal: AbortSignal, most = WHOLE): Pro
     const byLooks = map.settings?.navigation_strategy === "appearance";
     const graph = byLooks && places.length && map.places <= most.graph ? await get<AppearanceGraph>(`${base}/appearance-graph`, signal) : null;
     const metric = !graph && places.some((place) => place.pose);
-    const drives = metric ? await drivesOf(sessions.slice(0, MOST_DRIVES), most.rows, signal) : new Map<string, Drive>();
+    // A session of no place with a pose drove without odometry; of thinned places that cannot be told.
+    const driven = new Set(places.filter((place) => place.pose).flatMap((place) => place.frames.map(({ session }) => session)));
+    const mayHaveDriven = ({ name }: Session) => every > 1 || driven.has(name);
+    const drives = metric ? await drivesOf(sessions.filter(mayHaveDriven).slice(0, MOST_DRIVES), most.rows, signal) : new Map<string, Drive>();
     const labelled = new Map(labels.map(({ place, label }) => [numberOf(place), label]));
     return withPlaces({ map, every, sessions, closures, labels: labelled, drives, graph }, places);
 }

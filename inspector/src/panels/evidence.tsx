@@ -3,7 +3,7 @@ import { useState } from "preact/hooks";
 import { residuals } from "../drawing/residuals";
 import type { MapData } from "../drawing/data";
 import { sure } from "../drawing/scene";
-import { at, short, text } from "../rest";
+import { at, download, short, text } from "../rest";
 import { plural, share, Shown, useAsked } from "../parts";
 import { PlaceLink } from "./pair";
 
@@ -48,7 +48,7 @@ function Closures({ data, onFrame, onPlace }: Pick<EvidenceProps, "data" | "onFr
                     </tr>
                 ))}
             </tbody>
-        </table>{sorted.length > MOST_ROWS && <p class="quiet small">The first {MOST_ROWS}; all are in <a href={`${at(data.map.name)}/loop-closures.csv`}>the table</a>.</p>}</div>
+        </table>{sorted.length > MOST_ROWS && <p class="quiet small">The first {MOST_ROWS}; all are in <button type="button" class="link" onClick={() => void download(`${at(data.map.name)}/loop-closures.csv`, `${short(data.map.name)}-loop-closures.csv`)}>the table</button>.</p>}</div>
     );
 }
 

@@ -4,7 +4,7 @@ import { load, type MapData } from "../drawing/data";
 import { sceneOf } from "../drawing/scene";
 import type { Go, Link } from "../link";
 import { at, get, short, type Place as PlaceRecord } from "../rest";
-import { plural, Shown, useAsked } from "../parts";
+import { keepsPictures, plural, Shown, useAsked } from "../parts";
 import { Drawing } from "./drawing";
 import { Evidence } from "./evidence";
 import { Matrix } from "./matrix";
@@ -43,6 +43,7 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
     const coming = (!whole || more[1]) && link.frame !== null && link.frame > (steps.at(-1)?.sequence ?? -1);
     const step = coming ? null : (steps[cursor] ?? null);
     const place = link.place ?? step?.place ?? null;
+    const strayed = strayedTo(link, session && short(session.name), coming ? null : step);
     const heard = useLive(map.name, {
         renew: () => void renew().then((another) => another && setLists((lists) => lists + 1)),
         frames: (frames) => {
@@ -100,11 +101,12 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
         <div class="columns">
             <div class="broad">
                 <Drawing data={data} scene={scene} link={link} go={go} place={place} heard={heard} onPlace={onPlace} onSeen={(view, size) => onSeen(scene, view, size)} />
+                {strayed && <p class="refused" role="alert">{strayed}</p>}
                 {session && (
                     <Time
                         sessions={sessions} session={session} steps={steps} whole={whole} more={more} error={error} cursor={cursor}
-                        threshold={map.settings?.closure_threshold ?? null} onCursor={onCursor}
-                        onSession={(name) => go({ session: short(name), frame: null, place: null, follow: false })}
+                        threshold={map.settings?.closure_threshold ?? null} pictures={keepsPictures(map)} onCursor={onCursor}
+                        onSession={(name) => go({ session: short(name), frame: null, place: null, beside: null, follow: false })}
                         onDeleted={() => {
                             go({ session: null, frame: null, place: null });
                             onAgain();
@@ -114,13 +116,20 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
                 <Matrix data={closer} link={link} go={go} onPair={onPair} onPlace={onPlace} />
             </div>
             <div class="narrow">
-                {session && step && <Pair session={session.name} step={step} beside={link.beside} large={link.large} follow={link.follow} onLarge={(large) => go({ large })} onPlace={onPlace} onCorrected={onAgain} />}
+                {session && step && <Pair session={session.name} step={step} pictures={keepsPictures(map)} beside={link.beside} large={link.large} follow={link.follow} onLarge={(large) => go({ large })} onPlace={onPlace} onCorrected={onAgain} />}
                 {place !== null && <Place data={data} number={place} onPlace={onPlace} onFrame={onFrame} onLabels={setLabels} />}
                 <Robots map={map.name} heard={heard} place={place} onPlace={onPlace} onFrame={onFrame} />
                 <Evidence data={data} metric={scene.kind === "metric"} onPlace={onPlace} onFrame={onFrame} />
             </div>
         </div>
     </>;
+}
+
+/** What a link asks for that is not there (any more), and what is shown in its place. */
+function strayedTo({ session, frame }: Link, shown: string | null, step: Step | null): string | null {
+    if (session !== null && session !== shown) return `This map has no session ${session}${shown === null ? "." : `: this is ${shown}.`}`;
+    if (frame !== null && step && step.sequence !== frame) return `${shown} has no frame ${frame}: this is frame ${step.sequence}.`;
+    return null;
 }
 
 /** The frame of the link, or the last one before it; without one, the first. */

@@ -5,25 +5,27 @@ import { load, SMALL, type MapData } from "../drawing/data";
 import { paintSmall } from "../drawing/paint";
 import { sceneOf } from "../drawing/scene";
 import { hash, START } from "../link";
-import { all, at, get, short, type WayMap } from "../rest";
-import { bytes, moment, plural, Shown, useAsked, useDark, useMayAll, type Asked } from "../parts";
+import { at, get, short, type WayMap } from "../rest";
+import { bytes, moment, plural, Refused, useAsked, useDark, useMayAll, type Asked } from "../parts";
 import { MapActions, NewMaps } from "./making";
-import { usePresent, type Present } from "./present";
+import { useMaps, type Present } from "./present";
 
 export function Maps() {
     const may = useMayAll();
     const [changes, setChanges] = useState(0);
     const changed = () => setChanges((count) => count + 1);
-    const asked = useAsked((signal) => all<"maps", WayMap>("/v1/maps", "maps", signal), [changes]);
-    const present = usePresent(String(changes));
+    const { value: listed, error } = useMaps(changes);
     return (
         <main class="maps" id="content">
             <div class="title"><h1>Maps</h1>{may && <NewMaps onChange={changed} />}</div>
-            <Shown asked={asked} what="maps">
-                {(maps) => maps.length === 0 ? <NoMaps /> : (
-                    <ul class="cards">{maps.map((map) => <MapCard key={`${map.name} ${map.create_time_ns}`} map={map} present={present.get(map.name)} onChange={may ? changed : null} />)}</ul>
+            {error && <Refused error={error} />}
+            {error && listed && <p class="quiet">What follows is as it was last heard of.</p>}
+            {listed === null ? !error && <p class="quiet" role="status">Loading maps…</p>
+                : listed.length === 0 ? <NoMaps /> : (
+                    <ul class="cards">{listed.map(({ map, present }) => (
+                        <MapCard key={`${map.name} ${map.create_time_ns}`} map={map} present={error ? null : present} onChange={may ? changed : null} />
+                    ))}</ul>
                 )}
-            </Shown>
         </main>
     );
 }
@@ -32,25 +34,29 @@ function NoMaps() {
     return (
         <div class="empty">
             <p><strong>There is no map yet.</strong></p>
-            <p>A map begins with a model, and grows while a robot streams into it:</p>
-            <pre tabIndex={0}><code>waypost model import model.waypost{"\n"}waypost map create NAME --model MODEL{"\n"}waypost stream NAME IMAGES</code></pre>
+            <p>A map begins empty, and grows while a robot streams into it:</p>
+            <pre tabIndex={0}><code>waypost map create hall{"\n"}waypost stream --map hall FOLDER-OF-IMAGES</code></pre>
             <p class="quiet">Or see it at work with <code>make demo</code>. The rest is in <a href="/docs/">the API's description</a>.</p>
         </div>
     );
 }
+
+/** Rises by one whenever a count has grown by a fifth: what takes long is asked for anew then. */
+const growth = (count: number) => Math.floor(Math.log(count + 1) / Math.log(1.2));
 
 /** A link is called by what one sees of it, too. */
 const NO_PLACES = "no places yet";
 
 interface CardProps {
     map: WayMap;
-    present: Present | undefined;
+    /** `null` while the server does not say. */
+    present: Present | null;
     onChange: (() => void) | null;
 }
 
 function MapCard({ map, present, onChange }: CardProps) {
     const name = short(map.name);
-    const whole = useAsked((signal) => get<WayMap>(`${at(map.name)}?view=full`, signal), [map.name]);
+    const whole = useAsked((signal) => get<WayMap>(`${at(map.name)}?view=full`, signal), [map.name, growth(map.frames)]);
     const size = whole.state === "there" && whole.value.storage ? bytesOf(whole.value.storage) : null;
     const link = hash({ ...START, page: "map", map: name });
     return (
@@ -68,8 +74,8 @@ function MapCard({ map, present, onChange }: CardProps) {
     );
 }
 
-function presentText(present: Present | undefined): string {
-    if (!present) return "looking for robots…";
+function presentText(present: Present | null): string {
+    if (!present) return "whether a robot is there is not known";
     const said = [
         ...(present.led ? [`${plural(present.led, "robot")} led now`] : []),
         ...(present.streaming ? [`${plural(present.streaming, "robot")} streaming now`] : []),
@@ -85,7 +91,7 @@ function bytesOf(storage: NonNullable<WayMap["storage"]>): number {
 function Thumbnail({ map }: { map: WayMap }) {
     const drawn = map.places > 0;
     const asked = useAsked<MapData | null>(
-        async (signal) => drawn ? load(short(map.name), signal, SMALL) : null, [map.name, drawn],
+        async (signal) => drawn ? load(short(map.name), signal, SMALL) : null, [map.name, growth(map.places), map.loop_closures > 0],
     );
     if (!drawn) return <span class="quiet">{NO_PLACES}</span>;
     return <Drawn asked={asked} />;

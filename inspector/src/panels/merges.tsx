@@ -3,10 +3,11 @@ import { useState } from "preact/hooks";
 import { partsOf } from "../drawing/overlay";
 import { hash, START, type Go, type Link } from "../link";
 import { all, change, short, type Merge, type Schemas, type WayMap } from "../rest";
-import { moment, Outcome, plural, Refused, Shown, useAsked, useAttempt, useMayAll, usePolled } from "../parts";
+import { moment, Outcome, plural, Refused, useAttempt, useMayAll, usePolled } from "../parts";
 
-/** Merges are asked for again while one of them is looked for. */
+/** Merges are asked for again, sooner while one of them is looked for. */
 const SEARCH_EVERY_MS = 2000;
+const EVERY_MS = 10_000;
 const MOST_MERGES = 200;
 
 interface MergesProps {
@@ -37,7 +38,7 @@ export function State({ state }: { state: Merge["state"] }) {
 function List() {
     const { value: merges, error } = usePolled(
         (signal) => all<"merges", Merge>("/v1/merges", "merges", signal, MOST_MERGES),
-        (merges) => !merges || merges.some(({ state }) => state === "searching") ? SEARCH_EVERY_MS : null,
+        (merges) => !merges || merges.some(({ state }) => state === "searching") ? SEARCH_EVERY_MS : EVERY_MS,
     );
     return (
         <section class="panel" aria-label="All merges">
@@ -68,15 +69,14 @@ function Table({ merges }: { merges: Merge[] }) {
 }
 
 function Beginning({ link, go }: MergesProps) {
-    const asked = useAsked((signal) => all<"maps", WayMap>("/v1/maps", "maps", signal), []);
+    const { value: maps, error } = usePolled((signal) => all<"maps", WayMap>("/v1/maps", "maps", signal), () => EVERY_MS);
     return (
         <section class="panel" aria-label="Merge maps">
             <header><h2>Merge maps</h2><span class="quiet small">Nothing changes before an overlap is found, shown and committed. The maps themselves stay as they are.</span></header>
-            <Shown asked={asked} what="maps">
-                {(maps) => maps.length < 2
-                    ? <p class="quiet">It takes two maps, and there {maps.length === 1 ? "is one" : "is none"}.</p>
-                    : <Request maps={maps} link={link} go={go} />}
-            </Shown>
+            {error && <Refused error={error} />}
+            {maps === null ? !error && <p class="quiet" role="status">Loading maps…</p>
+                : maps.length < 2 ? <p class="quiet">It takes two maps, and there {maps.length === 1 ? "is one" : "is none"}.</p>
+                : <Request maps={maps} link={link} go={go} />}
         </section>
     );
 }

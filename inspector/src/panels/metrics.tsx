@@ -52,7 +52,7 @@ export function Metrics() {
     const dark = useDark();
     return (
         <section class="panel" aria-label="Metrics">
-            <header><h2>Metrics</h2><p class="quiet small">While this page is open, for an hour at most. <a href="/metrics">/metrics</a> is for Prometheus.</p></header>
+            <header><h2>Metrics</h2><p class="quiet small">While this page is open, for an hour at most. <code>/metrics</code> is for Prometheus.</p></header>
             {error && <Refused error={error} />}
             <div class="plots">{CHARTS.map((chart) => <Plot key={chart.title} chart={chart} samples={samples} dark={dark} />)}</div>
         </section>

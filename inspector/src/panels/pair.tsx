@@ -15,6 +15,8 @@ interface PairProps {
     step: Step;
     /** The place that it is shown beside; without it, the one that it was compared with. */
     beside: number | null;
+    /** Whether the map keeps any of its frames. */
+    pictures: boolean;
     large: boolean;
     follow: boolean;
     onLarge: (large: boolean) => void;
@@ -22,7 +24,7 @@ interface PairProps {
     onCorrected: () => void;
 }
 
-export function Pair({ session, step, beside, large, follow, onLarge, onPlace, onCorrected }: PairProps) {
+export function Pair({ session, step, beside, pictures, large, follow, onLarge, onPlace, onCorrected }: PairProps) {
     const frame = `${at(session)}/frames/${step.sequence}`;
     const place = beside === null ? "" : `?place_number=${beside}`;
     const asked = useAsked(async (signal) => {
@@ -34,8 +36,8 @@ export function Pair({ session, step, beside, large, follow, onLarge, onPlace, o
             <header><h2>Frame {step.sequence}</h2>{beside !== null && <span class="quiet">beside place {beside}</span>}{step.note && <span class="note" data-testid="note">{step.note}</span>}<span class={`reason ${step.reason}`}>{REASONS[step.reason] ?? step.reason}</span></header>
             <Shown asked={asked} what="why it was decided so">
                 {([explanation, record]) => <>
-                    <Views explanation={explanation} frame={frame} sequence={step.sequence} large={large} onLarge={onLarge} />
-                    <Correcting record={record} onCorrected={onCorrected} />
+                    {(pictures || explanation.picture !== null) && <Views explanation={explanation} frame={frame} sequence={step.sequence} large={large} onLarge={onLarge} />}
+                    <Correcting record={record} shown={explanation.place_explanation?.place_number ?? null} onCorrected={onCorrected} />
                     <Facts record={record} explanation={explanation} onPlace={onPlace} />
                     {explanation.gates.length > 0 && <Gates gates={explanation.gates} />}
                     {explanation.place_explanation && <Words explained={explanation.place_explanation} />}
@@ -89,18 +91,23 @@ function Facts({ record, explanation, onPlace }: FactsProps) {
     if (!answer) return <p class="quiet">The server keeps no answer of this frame.</p>;
     const compared = answer.match ?? answer.best_candidate ?? null;
     const geometry = compared?.geometry ?? null;
-    return (
+    const shown = explanation.place_explanation?.place_number ?? null;
+    const [likely] = answer.places;
+    const movedOn = answer.reason === "new_place" && likely !== undefined && likely.posterior > answer.new_place_posterior && record.odometry;
+    return <>
         <dl class="facts">
-            <Fact name="place">{answer.place_number === null || answer.place_number === undefined ? "none" : <PlaceLink number={answer.place_number} onPlace={onPlace} />}</Fact>
-            <Fact name="posterior, by words">{share(answer.posterior)}</Fact>
-            <Fact name="somewhere new">{share(answer.new_place_posterior)}</Fact>
+            <Fact name="decided">{answer.place_number === null || answer.place_number === undefined ? "no place" : <PlaceLink number={answer.place_number} onPlace={onPlace} />}</Fact>
+            {shown !== null && shown !== answer.place_number && <Fact name="shown beside"><PlaceLink number={shown} onPlace={onPlace} /></Fact>}
+            {likely && <Fact name="most probable, by words"><PlaceLink number={likely.place_number} onPlace={onPlace} />, {share(likely.posterior)}</Fact>}
+            <Fact name="somewhere new, by words">{share(answer.new_place_posterior)}</Fact>
             <Fact name="words">{answer.words}</Fact>
-            {compared && <Fact name={answer.match ? "matched" : "best candidate"}><PlaceLink number={compared.place_number} onPlace={onPlace} /></Fact>}
-            {geometry && <Fact name="features that agree">{geometry.inliers} of {geometry.matches}</Fact>}
-            {geometry && <Fact name="probability of the pair">{share(geometry.probability)}</Fact>}
-            {!explanation.reproduced && <Fact name="replay">did not come to the logged numbers</Fact>}
+            {compared && <Fact name={answer.match ? "matched" : "best for a loop"}><PlaceLink number={compared.place_number} onPlace={onPlace} /></Fact>}
+            {geometry && <Fact name="… features that agree">{geometry.inliers} of {geometry.matches}</Fact>}
+            {geometry && <Fact name="… probability of that pair">{share(geometry.probability)}</Fact>}
+            {!explanation.reproduced && <Fact name="replay">came to other numbers than were logged: another build decided it, or the map was rewritten since, as by a merge. The logged ones hold.</Fact>}
         </dl>
-    );
+        {movedOn && <p class="quiet small">By words the robot was at place {likely.place_number}. Its wheels say that it had moved on farther than a place reaches, so this is a place of its own.</p>}
+    </>;
 }
 
 function Fact({ name, children }: { name: string; children: preact.ComponentChildren }) {

@@ -3,7 +3,7 @@ import { useEffect, useState } from "preact/hooks";
 import type { MapData } from "../drawing/data";
 import { pose } from "../drawing/geometry";
 import { at, change, get, short, type Place as PlaceRecord, type Schemas } from "../rest";
-import { fixed, moment, Picture, plural, Refused, Shown, useAsked, useMay } from "../parts";
+import { fixed, keepsPictures, moment, NoPicture, Picture, plural, Refused, Shown, useAsked, useMay } from "../parts";
 import { PlaceLink } from "./pair";
 
 const MOST_FRAMES = 24;
@@ -24,16 +24,16 @@ export function Place({ data, number, onPlace, onFrame, onLabels }: PlaceProps) 
         <section class="panel place" aria-label="The place">
             <header><h2>Place {number}</h2></header>
             <Shown asked={asked} what="the place">
-                {(place) => <About place={place} onPlace={onPlace} onFrame={onFrame} />}
+                {(place) => <About place={place} pictures={keepsPictures(data.map)} onPlace={onPlace} onFrame={onFrame} />}
             </Shown>
             {mayLabel && <Label key={name} data={data} number={number} onLabels={onLabels} />}
         </section>
     );
 }
 
-type AboutProps = { place: PlaceRecord } & Pick<PlaceProps, "onPlace" | "onFrame">;
+type AboutProps = { place: PlaceRecord; pictures: boolean } & Pick<PlaceProps, "onPlace" | "onFrame">;
 
-function About({ place, onPlace, onFrame }: AboutProps) {
+function About({ place, pictures, onPlace, onFrame }: AboutProps) {
     const where = pose(place.pose?.pose);
     return <>
         <div class="looks">
@@ -42,7 +42,7 @@ function About({ place, onPlace, onFrame }: AboutProps) {
                     key={`${session}/${sequence}`} type="button" class="frame" onClick={() => onFrame(session, sequence)}
                     aria-label={`Frame ${sequence} of ${short(session)}`} title={`${short(session)}, frame ${sequence}, ${moment(stamp_ns)}`}
                 >
-                    <Picture path={`${at(session)}/frames/${sequence}/image?size=thumbnail`} alt="" />
+                    {pictures ? <Picture path={`${at(session)}/frames/${sequence}/image?size=thumbnail`} alt="" /> : <NoPicture />}
                     <span>{sequence}</span>
                 </button>
             ))}

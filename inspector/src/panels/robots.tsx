@@ -55,13 +55,21 @@ function Stream({ session, open, heard, onPlace, onFrame }: StreamProps) {
                 {sequence !== null && <div><dt>streams</dt><dd><button type="button" class="link" onClick={() => onFrame(session, sequence)}>frame {sequence}</button></dd></div>}
                 {heard && <div><dt>is at</dt><dd>{typeof answer?.place_number === "number" ? <PlaceLink number={answer.place_number} onPlace={onPlace} /> : "unknown"}</dd></div>}
                 {heard && heard.frames > 1 && <Recognised of={heard.frames} recognitions={heard.recognitions} what="frames heard" />}
-                {answer && <div><dt>last probability</dt><dd>{share(answer.match?.geometry?.probability ?? answer.posterior)}</dd></div>}
+                {answer && <div><dt>last probability</dt><dd>{sureOf(answer)}</dd></div>}
                 {open && <div><dt>frames</dt><dd>{count(open.answered_frames)} answered{open.refused_frames > 0 && `, ${count(open.refused_frames)} refused`}</dd></div>}
                 {typeof open?.last_delay_ns === "number" && <div><dt>decided in</dt><dd>{(open.last_delay_ns / 1e6).toFixed(0)} ms</dd></div>}
                 {heard && <div><dt>last word</dt><dd><Since heard_ms={heard.heard_ms} /></dd></div>}
             </dl>
         </article>
     );
+}
+
+/** What speaks for the last decision. */
+function sureOf({ match, reason, places, new_place_posterior }: NonNullable<Streaming["frame"]["answer"]>): string {
+    if (match?.geometry) return `${share(match.geometry.probability)}, by words and views`;
+    const [likely] = places;
+    if (reason === "new_place" && (!likely || likely.posterior < new_place_posterior)) return `${share(new_place_posterior)}, somewhere new`;
+    return likely ? `${share(likely.posterior)}, place ${likely.place_number} by words` : "none";
 }
 
 /** How many places were recognised, of the frames that were looked at. */

@@ -9,22 +9,24 @@ export interface Step {
     /** What its robot calls it, as by the name of its file; empty if nothing. */
     note: string;
     stamp_ns: number;
+    /** Of the decision, or that a person withdrew it. */
     reason: string;
     place: number | null;
+    /** Of the place that was the most probable one, by words. */
     posterior: number;
     newPlace: number;
     probability: number | null;
     likely: [place: number, posterior: number][];
 }
 
-function stepOf({ name, note, stamp_ns, answer }: FrameRecord): Step {
+function stepOf({ name, note, stamp_ns, answer, corrections }: FrameRecord): Step {
     return {
         sequence: Number(short(name)),
         note,
         stamp_ns,
-        reason: answer?.reason ?? "unknown",
+        reason: corrections.some(({ verdict }) => verdict === "withdrawn") ? "withdrawn" : (answer?.reason ?? "unknown"),
         place: answer?.place_number ?? null,
-        posterior: answer?.posterior ?? 0,
+        posterior: answer?.places[0]?.posterior ?? 0,
         newPlace: answer?.new_place_posterior ?? 0,
         probability: answer?.match?.geometry?.probability ?? null,
         likely: answer?.places.map(({ place_number, posterior }) => [place_number, posterior]) ?? [],
@@ -33,7 +35,7 @@ function stepOf({ name, note, stamp_ns, answer }: FrameRecord): Step {
 
 export const REASONS: Record<string, string> = {
     new_place: "new place", same_place: "same place", loop_closure: "loop closure",
-    below_threshold: "below the threshold", too_few_words: "too few words", geometry_refused: "geometry refused",
+    withdrawn: "closure withdrawn", below_threshold: "below the threshold", too_few_words: "too few words", geometry_refused: "geometry refused",
 };
 
 export interface Steps {

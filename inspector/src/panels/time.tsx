@@ -3,7 +3,7 @@ import { useEffect, useMemo, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import { ink } from "../drawing/colours";
 import { at, short, type Session } from "../rest";
-import { count, Picture, plural, Refused, useDark, useSize } from "../parts";
+import { count, NoPicture, Picture, plural, Refused, useDark, useSize } from "../parts";
 import { DeleteSession } from "./deleting";
 import { REASONS, type Step } from "./steps";
 
@@ -16,13 +16,15 @@ interface TimeProps {
     error: Error | null;
     cursor: number;
     threshold: number | null;
+    /** Whether the map keeps any of its frames. */
+    pictures: boolean;
     onSession: (name: string) => void;
     onCursor: (index: number | "first" | "last") => void;
     onDeleted: () => void;
 }
 
 export function Time(props: TimeProps) {
-    const { sessions, session, steps, whole, more, error, cursor, threshold, onSession, onCursor, onDeleted } = props;
+    const { sessions, session, steps, whole, more, error, cursor, threshold, pictures, onSession, onCursor, onDeleted } = props;
     const step = steps[cursor];
     const [first, last] = [cursor <= 0 && !more[0], cursor >= steps.length - 1 && !more[1]];
     return (
@@ -48,7 +50,7 @@ export function Time(props: TimeProps) {
             {steps.length > 0 && <>
                 <Plot steps={steps} cursor={cursor} threshold={threshold} onCursor={onCursor} />
                 <Heat steps={steps} cursor={cursor} onCursor={onCursor} />
-                <Strip session={session.name} steps={steps} cursor={cursor} onCursor={onCursor} />
+                <Strip session={session.name} pictures={pictures} steps={steps} cursor={cursor} onCursor={onCursor} />
             </>}
         </section>
     );
@@ -201,7 +203,7 @@ function heat(context: CanvasRenderingContext2D, steps: Step[], cursor: number, 
 const THUMBNAIL_PX = 92;
 
 /** The frames around the cursor; the rest is not asked for. */
-function Strip({ session, steps, cursor, onCursor }: AlongProps & { session: string }) {
+function Strip({ session, pictures, steps, cursor, onCursor }: AlongProps & Pick<TimeProps, "pictures"> & { session: string }) {
     const [box, { width }] = useSize<HTMLDivElement>();
     const fitting = Math.max(Math.floor(width / THUMBNAIL_PX), 1);
     const first = Math.max(Math.min(cursor - Math.floor(fitting / 2), steps.length - fitting), 0);
@@ -216,7 +218,7 @@ function Strip({ session, steps, cursor, onCursor }: AlongProps & { session: str
                         key={step.sequence} type="button" class={`frame ${step.reason}`} aria-current={index === cursor}
                         aria-label={words} title={words} onClick={() => onCursor(index)}
                     >
-                        <Picture path={`${at(session)}/frames/${step.sequence}/image?size=thumbnail`} alt="" />
+                        {pictures ? <Picture path={`${at(session)}/frames/${step.sequence}/image?size=thumbnail`} alt="" /> : <NoPicture />}
                         <span>{step.sequence}</span>
                     </button>
                 );

@@ -149,7 +149,14 @@ where
         let access = known_method(request.uri().path()).map_or(Access::Server, |(_, access)| access);
         let Admitted { caller, ending, room } = match self.admit(&request, access) {
             Ok(admitted) => admitted,
-            Err(error) => return std::future::ready(Ok(Status::from(error).into_http())).boxed(),
+            Err(error) => {
+                let mut refused = Status::from(error).into_http();
+                // Whoever watches over the call hears who it was.
+                if let Some(holder) = self.service.tokens.holder(bearer(request.headers())) {
+                    refused.extensions_mut().insert(holder);
+                }
+                return std::future::ready(Ok(refused)).boxed();
+            }
         };
         // It must hear that it made the first token, or deleted its own.
         let of_tokens = request.uri().path().starts_with(TOKEN_SERVICE);

@@ -106,7 +106,10 @@ pub(super) async fn guard(State(asked): State<Asked>, mut request: Request, next
                 () = ending.over().cancelled() => refusal(ending.why()),
             },
         ),
-        Err(error) => refusal(error),
+        Err(error) => match service.tokens.holder(secret.as_deref()) {
+            Some(caller) => by(caller, refusal(error)),
+            None => refusal(error),
+        },
     }
 }
 

@@ -142,6 +142,8 @@ impl Rebuilding {
             for event in page {
                 match event {
                     MapEvent::SessionOpened { session } => {
+                        // In the order of the log, so that the new one is alike.
+                        self.send(resending, &streams, std::mem::take(&mut frames)).await?;
                         self.open(resending, &mut streams, session).await?;
                     }
                     MapEvent::Frame(event) => {

@@ -136,6 +136,11 @@ impl Tokens {
         Ok(secret.admitted())
     }
 
+    /// Whose a secret is, whatever they may do: so that a refusal can be told apart from those of others.
+    pub(crate) fn holder(&self, secret: Option<&str>) -> Option<Arc<Caller>> {
+        Some(self.lock().secret(&hash(secret?))?.caller.clone())
+    }
+
     /// Ends, until the server stops, what was begun with tokens and secrets when their time is over.
     pub(crate) async fn keep_ending(self, stopping: CancellationToken) {
         loop {

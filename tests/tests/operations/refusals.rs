@@ -49,7 +49,7 @@ async fn who_was_refused_what_is_listed_newest_first() {
             ("/waypost.v1.SessionService/Stream", "invalid_argument", 1, "tokens/robot", monday),
             ("GET /v1/maps/attic", "unauthenticated", 1, "", ""),
             ("/waypost.v1.MapService/ListMaps", "unauthenticated", 3, "", ""),
-            ("/waypost.v1.MapService/DeleteMap", "permission_denied", 1, "", ""),
+            ("/waypost.v1.MapService/DeleteMap", "permission_denied", 1, "tokens/robot", ""),
             ("/waypost.v1.MapService/GetMap", "not_found", 1, "tokens/robot", ""),
         ]
     );

@@ -124,10 +124,16 @@ impl Rebuilding {
             for left in self.left(repair, positions.clone()).await? {
                 match left {
                     Left::Event(map, MapEvent::Frame(event)) => {
-                        self.open(&repair.resending, &mut streams, event.session).await?;
+                        // Its opening may be lost.
+                        if !streams.contains_key(&event.session) {
+                            self.send_noted(repair, &streams, &mut frames, &positions).await?;
+                            self.open(&repair.resending, &mut streams, event.session).await?;
+                        }
                         frames.push(KeptFrame { map, event: *event, note: String::new() });
                     }
                     Left::Event(_, MapEvent::SessionOpened { session }) => {
+                        // In the order of the log, so that the new one is the same.
+                        self.send_noted(repair, &streams, &mut frames, &positions).await?;
                         self.open(&repair.resending, &mut streams, session).await?;
                     }
                     Left::Event(_, MapEvent::Measured(_)) => losses.measured += 1,
@@ -135,8 +141,7 @@ impl Rebuilding {
                     Left::Nothing(what) => losses.events.push(what),
                 }
             }
-            self.add_notes(&mut frames, positions).await;
-            self.send(&repair.resending, &streams, frames).await?;
+            self.send_noted(repair, &streams, &mut frames, &positions).await?;
         }
         losses.labels = self.carry_labels(repair).await?;
         Ok(losses)
@@ -168,8 +173,21 @@ impl Rebuilding {
         Ok(left)
     }
 
+    /// Sends frames of the log at `positions`, with what their robots call them.
+    async fn send_noted(
+        &self,
+        repair: &Repair,
+        streams: &Streams,
+        frames: &mut Vec<KeptFrame>,
+        positions: &Range<u64>,
+    ) -> Result<(), ServiceError> {
+        let mut frames = std::mem::take(frames);
+        self.add_notes(&mut frames, positions).await;
+        self.send(&repair.resending, streams, frames).await
+    }
+
     /// Gives frames what their robots call them; of what is damaged, nothing.
-    async fn add_notes(&self, frames: &mut [KeptFrame], positions: Range<u64>) {
+    async fn add_notes(&self, frames: &mut [KeptFrame], positions: &Range<u64>) {
         let mut notes: HashMap<MapId, HashMap<FrameId, String>> = HashMap::new();
         for KeptFrame { map, event, note } in frames {
             if !notes.contains_key(map) {

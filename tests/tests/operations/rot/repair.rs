@@ -4,8 +4,11 @@ use std::io::Cursor;
 
 use waypost_client::{Client, Code, v1};
 
-use super::{ROTTEN_FRAME, note, sql, two_maps};
-use crate::harness::{Server, answers, assert_status, followed, frame, refused, said, state_hash};
+use super::{ROTTEN_FRAME, note, noted, sql, two_maps};
+use crate::harness::{
+    Server, answers, assert_status, first_return, followed, frame, map_request, refused, said,
+    session_options, state_hash,
+};
 
 /// How a repair ended.
 async fn repaired(client: &Client, into: &str, copy: Option<&str>) -> v1::Job {
@@ -51,10 +54,10 @@ async fn what_is_left_is_a_map_again_and_what_is_lost_is_told() {
     assert_ne!(again.state_hash.unwrap(), whole);
     // As if its robots had not sent that frame.
     let model = client.models().await.unwrap().remove(0);
-    client.create_map(crate::harness::map_request("sent", &model.name)).await.unwrap();
-    let first = (1..=20).filter(|&sequence| sequence != 7).map(super::noted);
+    client.create_map(map_request("sent", &model.name)).await.unwrap();
+    let first = (1..=20).filter(|&sequence| sequence != 7).map(noted);
     answers(&client, "sent", "first", first).await;
-    let begin = crate::harness::first_return();
+    let begin = first_return();
     answers(&client, "sent", "second", (begin..begin + 12).map(frame)).await;
     assert_eq!(state_hash(&client, "again").await, state_hash(&client, "sent").await);
     let kept = client.frame("maps/again/sessions/first/frames/8").await.unwrap();
@@ -62,8 +65,7 @@ async fn what_is_left_is_a_map_again_and_what_is_lost_is_told() {
     // It takes frames, and leaves the other as it was.
     assert_eq!(answers(&client, "again", "third", (1..=3).map(frame)).await.len(), 3);
     assert_eq!(client.map("drive", v1::MapView::Basic).await.unwrap().frames, 32);
-    let (code, _) =
-        refused(client.open_session(crate::harness::session_options("drive", "more")).await.map(drop));
+    let (code, _) = refused(client.open_session(session_options("drive", "more")).await.map(drop));
     assert_eq!(code, Code::FailedPrecondition);
     server.stop().await;
 }
@@ -117,8 +119,11 @@ async fn what_makes_no_sense_is_refused_and_makes_no_map() {
         assert_status(map, (refused_code, &message), code, fragment);
     }
     // Another map of the same model.
-    let job = repaired(&client, "again", Some("spare")).await;
-    assert!(said(&job.error).contains("spare is no earlier copy of drive: event 1"), "{job:?}");
+    let model = client.models().await.unwrap().remove(0);
+    client.create_map(map_request("other", &model.name)).await.unwrap();
+    answers(&client, "other", "only", (5..=9).map(frame)).await;
+    let job = repaired(&client, "again", Some("other")).await;
+    assert!(said(&job.error).contains("other is no earlier copy of drive: event 1"), "{job:?}");
     let job = client.repair_map("spare", "again", None).await.unwrap();
     let job = followed(&client, &job).await.pop().unwrap();
     assert!(said(&job.error).contains("no damage was found in the map spare"), "{job:?}");
