@@ -147,7 +147,10 @@ function asked(given: URLSearchParams): string {
 
 export type Go = (change: Partial<Link>) => void;
 
-/** The link, and what changes it. Another page is a step in the browser's history; a cursor that moves is not. */
+/** What one comes back to by the browser's own button. A cursor that moves along, a view and a colour are none of it. */
+const STEPS = ["page", "map", "merge", "session", "place", "beside", "large", "matrix"] as const;
+
+/** The link, and what changes it. What a click opened is a step in the browser's history. */
 export function useLink(): [Link, Go] {
     const [link, setLink] = useState(() => read(location.hash));
     useEffect(() => {
@@ -160,7 +163,7 @@ export function useLink(): [Link, Go] {
             const next = { ...link, ...change };
             const written = hash(next);
             if (written !== location.hash) {
-                const step = next.page !== link.page || next.map !== link.map || next.merge !== link.merge;
+                const step = STEPS.some((part) => next[part] !== link[part]) && !next.follow;
                 history[step ? "pushState" : "replaceState"](null, "", written);
             }
             return next;

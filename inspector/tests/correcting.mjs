@@ -28,6 +28,7 @@ test("a loop closure is withdrawn by who looks at the pair, and that is undone",
     await page.getByText(`${before.loop_closures} loop closures, 1 withdrawn`).waitFor();
     const table = page.getByRole("region", { name: "Loop closures" });
     await table.getByRole("row").filter({ hasText: `session-0 / ${closing}` }).filter({ hasText: "withdrawn" }).waitFor();
+    await page.getByTestId("cursor").filter({ hasText: "closure withdrawn" }).waitFor();
     const picture = await (await fetch(`${page.url().split("/#")[0]}/v1/${said.frame.session}/frames/${closing}/picture`)).text();
     assert.match(picture, /withdrawn by somebody without a token/);
     await accessible(page, "a withdrawn closure");
@@ -50,14 +51,24 @@ test("two frames are said to be of one place, and what the server refuses is tol
     });
     assert.ok(missed, "no frame of the demo has a candidate that was not taken");
     const sequence = Number(missed.name.split("/").at(-1));
-    const { page, close } = await open(`#/maps/demo?session=session-0&frame=${sequence}`);
+    const { place_number, frame } = missed.answer.match ?? missed.answer.best_candidate;
+    // What is said is said of the place that is shown, whichever it is.
+    const other = place_number === 0 ? 1 : 0;
+    const { page, close } = await open(`#/maps/demo?session=session-0&frame=${sequence}&beside=${other}`);
     const pair = page.getByRole("region", { name: "The pair" });
     await pair.getByRole("button", { name: "The same place" }).click();
-    const question = page.getByRole("dialog", { name: /^Was frame \d+ at place \d+\?$/ });
+    const [first] = (await rest(`maps/demo/places/${other}`)).frames;
+    await page.getByRole("dialog", { name: `Was frame ${sequence} at place ${other}?` }).getByText(`with frame ${first.sequence} of session-0`).waitFor();
+    await page.keyboard.press("Escape");
+    await page.goto(`${page.url().split("#")[0]}#/maps/demo?session=session-0&frame=${sequence}&beside=${place_number}`);
+    await pair.getByText(`beside place ${place_number}`).waitFor();
+    await pair.getByRole("button", { name: "The same place" }).click();
+    const question = page.getByRole("dialog", { name: `Was frame ${sequence} at place ${place_number}?` });
+    await question.getByText(`with frame ${frame.sequence} of session-0`).waitFor();
     await question.getByRole("button", { name: "Link the places" }).click();
     const said = pair.getByTestId("correction").filter({ hasText: "confirmed" });
     await said.waitFor();
-    assert.match(await said.textContent(), /to be of one place with frame \d+ of session-0 by somebody without a token/);
+    assert.match(await said.textContent(), new RegExp(`to be of one place with frame ${frame.sequence} of session-0 by somebody without a token`));
     assert.equal((await rest("maps/demo")).links, before.links + 1);
 
     // Another page undoes it first.

@@ -158,6 +158,21 @@ test("a pair shows the gates and numbers of REST, and both images", async () => 
     await close();
 });
 
+test("a link to what is gone says what is shown, and what a click opened is left by the browser's Back", async () => {
+    const { page, close } = await open("#/maps/demo?session=nosuch&frame=3");
+    await page.getByText("This map has no session nosuch: this is session-0.").waitFor();
+    await page.goto(`${server.url}/#/maps/demo?session=session-0&frame=999999`);
+    await page.getByText(/^session-0 has no frame 999999: this is frame \d+\.$/).waitFor();
+    await page.goto(`${server.url}/#/maps/demo?session=session-0&frame=20`);
+    const pair = page.getByRole("region", { name: "The pair" });
+    await pair.getByRole("button", { name: /^Enlarge/ }).click();
+    await page.locator("dialog").waitFor();
+    await page.goBack();
+    await page.locator("dialog").waitFor({ state: "detached" });
+    assert.match(page.url(), /frame=20$/);
+    await close();
+});
+
 test("a metric map has metres, and a place is picked by hand and by number", async () => {
     const { page, close } = await open("#/maps/taught", { colorScheme: "dark" });
     assert.equal(await page.getByTestId("kind").textContent(), "in metres");

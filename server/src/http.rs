@@ -16,12 +16,12 @@ mod match_matrix;
 mod merges;
 mod models;
 mod navigations;
+mod own;
 mod pages;
 mod parameters;
 mod pictures;
 mod places;
 mod queries;
-mod refusals;
 mod requests;
 mod sessions;
 mod snapshots;
@@ -195,7 +195,8 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(models::get_model, models::delete_model))
         .routes(routes!(models::rename_model))
         .routes(routes!(models::export_model))
-        .routes(routes!(refusals::list_refusals))
+        .routes(routes!(own::list_refusals))
+        .routes(routes!(own::get_metrics_history))
         .routes(routes!(jobs::list_jobs))
         .routes(routes!(jobs::get_job))
         .routes(routes!(jobs::cancel_job))

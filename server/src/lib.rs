@@ -38,7 +38,7 @@ pub use crate::quotas::ServerLimits;
 pub use crate::role::{Ability, Role};
 
 use crate::config::Config;
-use crate::metrics::Metrics;
+use crate::metrics::{HISTORY_EVERY, Metrics};
 use crate::service::Service;
 use crate::service::tokens::{Anonymous, Tokens};
 use crate::storage::Storage;
@@ -196,6 +196,13 @@ impl Server {
                 metrics.sum_up();
             }
         });
+        let looked_at = service.clone();
+        let looking = tokio::spawn(async move {
+            loop {
+                looked_at.keep_metrics().await;
+                tokio::time::sleep(HISTORY_EVERY).await;
+            }
+        });
         let trimming = tokio::spawn(async {
             loop {
                 tokio::time::sleep(MEMORY_UPKEEP).await;
@@ -235,6 +242,7 @@ impl Server {
         };
         watch.abort();
         upkeep.abort();
+        looking.abort();
         trimming.abort();
         service.stop().await;
         served

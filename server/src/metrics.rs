@@ -3,6 +3,8 @@
 //! Each server has a recorder of its own, never the process's: two servers in one process, as in tests,
 //! then count apart, and there is no second installation that could fail.
 
+mod history;
+
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,6 +16,7 @@ use metrics::{
 use metrics_exporter_prometheus::{BuildError, Matcher, PrometheusBuilder, PrometheusRecorder};
 use topomap::metric::AgreementVerdict;
 
+pub(crate) use self::history::{EVERY as HISTORY_EVERY, History, HistoryView, SeriesName};
 use crate::quotas::{Refusals, Used};
 
 const GRPC_REQUESTS: &str = "waypost_grpc_requests_total";

@@ -54,9 +54,10 @@ use self::shared::Shared;
 use self::snapshots::Snapshots;
 use self::tokens::Tokens;
 use self::trajectories::Trajectories;
+use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::ingest::extraction::Extraction;
-use crate::metrics::{Levels, Metrics, QueueLengths};
+use crate::metrics::{History, Levels, Metrics, QueueLengths};
 use crate::open_map::OpenMaps;
 use crate::quotas::ServerLimits;
 use crate::storage::Storage;
@@ -68,6 +69,7 @@ pub(crate) struct Service {
     pub(crate) correcting: Correcting,
     pub(crate) events: Events,
     pub(crate) frames: Frames,
+    pub(crate) history: History,
     pub(crate) jobs: Jobs,
     pub(crate) labels: Labels,
     pub(crate) maps: Maps,
@@ -119,6 +121,7 @@ impl Service {
             rebuilding: Rebuilding { maps: maps.clone(), sessions: sessions.clone(), jobs: jobs.clone() },
             appearance,
             frames,
+            history: History::default(),
             jobs,
             labels,
             maps,
@@ -186,6 +189,12 @@ impl Service {
 
     pub(crate) fn metrics(&self) -> &Metrics {
         &self.metrics
+    }
+
+    /// Keeps what the metrics are now, for an hour.
+    pub(crate) async fn keep_metrics(&self) {
+        let rendered = self.rendered_metrics().await;
+        self.history.keep(now_ns(), &rendered);
     }
 
     /// All metrics in Prometheus' text format.

@@ -26,6 +26,14 @@ impl Client {
         .await
     }
 
+    /// How the server fared over the last hour: its metrics, every 15 seconds.
+    ///
+    /// # Errors
+    /// As every call: [`Error::Connection`] or [`Error::Status`].
+    pub async fn metrics_history(&self) -> Result<v1::MetricsHistory, Error> {
+        self.taken(self.events_client().get_metrics_history(v1::GetMetricsHistoryRequest {}).await)
+    }
+
     /// Watches a map: its frames from log position `from_position` on (0 for all), or those that are
     /// decided from now on, and the robots that navigate in it.
     ///

@@ -1,6 +1,6 @@
-// What the server's own metrics said over the last hour, for as long as this page has been there to ask.
+// What the server's own metrics said over the last hour: what it has kept itself, and since then what the page has asked.
 import { useEffect, useState } from "preact/hooks";
-import { text } from "../rest";
+import { get, text, type Schemas } from "../rest";
 
 const EVERY_MS = 5000;
 const HOUR_S = 3600;
@@ -87,6 +87,17 @@ function setHour(next: Hour) {
     for (const draw of drawers) draw(hour);
 }
 
+/** What the server has kept of the hour before this page. */
+async function before(signal: AbortSignal): Promise<Sample[]> {
+    const { times_ns, series } = await get<Schemas["MetricsHistory"]>("/v1/metrics-history", signal);
+    const named = series.map(({ metric, part, values }) => [part ? `${metric} ${part}` : metric, values] as const);
+    // By this page's clock, should the server's be ahead.
+    const ahead = Math.max((times_ns.at(-1) ?? 0) / 1e9 - Date.now() / 1000, 0);
+    return times_ns.map((at_ns, index) => ({
+        at: at_ns / 1e9 - ahead, values: new Map(named.map(([name, values]) => [name, values[index] ?? 0])),
+    }));
+}
+
 /** Asks for the metrics again and again while the page is there, whatever it shows. */
 export function useSampling(entered: number, waits: boolean) {
     useEffect(() => {
@@ -95,6 +106,7 @@ export function useSampling(entered: number, waits: boolean) {
         let timer = 0;
         const ask = async () => {
             try {
+                if (hour.samples.length === 0) setHour({ ...hour, samples: await before(gone.signal) });
                 const said = await text("/metrics", gone.signal);
                 const [values, now] = [parsed(said), refusalsIn(said)];
                 const at = Date.now() / 1000;

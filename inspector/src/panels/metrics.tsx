@@ -1,4 +1,4 @@
-// How the server fares: its own metrics over the last hour, for as long as this page has been there to ask.
+// How the server fares: its own metrics over the last hour.
 import { useEffect, useMemo, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import { ink } from "../drawing/colours";
@@ -52,7 +52,7 @@ export function Metrics() {
     const dark = useDark();
     return (
         <section class="panel" aria-label="Metrics">
-            <header><h2>Metrics</h2><p class="quiet small">While this page is open, for an hour at most. <code>/metrics</code> is for Prometheus.</p></header>
+            <header><h2>Metrics</h2><p class="quiet small">Over the last hour, as long as the server was there. <code>/metrics</code> is for Prometheus.</p></header>
             {error && <Refused error={error} />}
             <div class="plots">{CHARTS.map((chart) => <Plot key={chart.title} chart={chart} samples={samples} dark={dark} />)}</div>
         </section>

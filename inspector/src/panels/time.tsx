@@ -123,7 +123,7 @@ function Plot({ steps, cursor, threshold, onCursor }: AlongProps & { threshold: 
     return <>
         <div class="plot" ref={box} role="img" aria-label={describeAt(steps[cursor], threshold)} />
         <p class="legend" aria-hidden="true">
-            <span class="key new">somewhere new</span><span class="key match">the place, by words</span>
+            <span class="key new">somewhere new</span><span class="key match">the most probable place, by words</span>
             <span class="key views">the closure, by words and geometry</span><span class="key threshold">threshold</span>
         </p>
     </>;

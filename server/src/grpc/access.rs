@@ -21,7 +21,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, Admitted, Ending};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 74] = [
+const METHODS: [(&str, Access); 75] = [
     ("/waypost.v1.SessionService/Stream", Access::OPEN_SESSION),
     ("/waypost.v1.RecognitionService/Query", Access::LOCALIZE),
     ("/waypost.v1.SessionService/ListSessions", Access::READ),
@@ -45,6 +45,7 @@ const METHODS: [(&str, Access); 74] = [
     ("/waypost.v1.LabelService/DeleteLabel", Access::NAVIGATE),
     ("/waypost.v1.AppearanceService/GetAppearanceGraph", Access::READ),
     ("/waypost.v1.EventService/Watch", Access::READ),
+    ("/waypost.v1.EventService/GetMetricsHistory", Access::READ),
     // Messages name maps and what is in them, of whichever token.
     ("/waypost.v1.EventService/ListRefusals", Access::Server),
     ("/waypost.v1.MapService/ListMaps", Access::READ),

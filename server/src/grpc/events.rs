@@ -7,7 +7,7 @@ use waypost_proto::v1::event_service_server::EventService;
 use super::Adapter;
 use super::reach::within;
 use crate::pages::Page;
-use crate::wire::events::{map_event, refusal};
+use crate::wire::events::{map_event, metrics_history, refusal};
 
 #[tonic::async_trait]
 impl EventService for Adapter {
@@ -17,6 +17,14 @@ impl EventService for Adapter {
         let v1::WatchRequest { map, from_position, log } = within(request)?;
         let events = self.service.events.watch(&map, from_position, &log).await?;
         Ok(Response::new(events.map(|event| Ok(map_event(event?))).boxed()))
+    }
+
+    async fn get_metrics_history(
+        &self,
+        request: Request<v1::GetMetricsHistoryRequest>,
+    ) -> Result<Response<v1::MetricsHistory>, Status> {
+        let v1::GetMetricsHistoryRequest {} = request.into_inner();
+        Ok(Response::new(metrics_history(self.service.history.view())))
     }
 
     async fn list_refusals(

@@ -5,6 +5,7 @@ use waypost_proto::v1::map_event::Event;
 
 use super::navigations::navigation;
 use super::sessions::listed_frame;
+use crate::metrics::{HistoryView, SeriesName};
 use crate::names::token_name;
 use crate::service::events::MapEventView;
 use crate::service::refusals::{Refusal, RefusalView};
@@ -20,6 +21,16 @@ pub(crate) fn map_event(view: MapEventView) -> v1::MapEvent {
         MapEventView::Navigation(view) => Event::Navigation(navigation(*view)),
     };
     v1::MapEvent { event: Some(event) }
+}
+
+pub(crate) fn metrics_history(view: HistoryView) -> v1::MetricsHistory {
+    let HistoryView { times_ns, series } = view;
+    let series = series.into_iter().map(|(SeriesName { metric, part }, values)| v1::MetricSeries {
+        metric,
+        part: part.unwrap_or_default(),
+        values,
+    });
+    v1::MetricsHistory { times_ns, series: series.collect() }
 }
 
 pub(crate) fn refusal(view: RefusalView) -> v1::Refusal {

@@ -501,7 +501,7 @@ async fn queries_are_answered_the_same() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn models_jobs_streams_and_refusals_are_the_same() {
+async fn models_jobs_and_what_the_server_says_of_itself_are_the_same() {
     let Surveyed { server, job, .. } = Surveyed::start().await;
     let events = EventServiceClient::new(channel(&server.endpoint()).await);
     let both = Both::of(server).await;
@@ -533,6 +533,15 @@ async fn models_jobs_streams_and_refusals_are_the_same() {
         let listed = told["streams"].as_array().map_or(0, Vec::len);
         assert_eq!(listed, usize::from(["", "maps/drive"].contains(&map)), "{told}");
     }
+    let path = "/v1/metrics-history";
+    let history = async || events.clone().get_metrics_history(v1::GetMetricsHistoryRequest {}).await;
+    let (before, answer, after) = (history().await, get(&both.server, path).await, history().await);
+    // It may be looked at just now.
+    let is_before = json!(before.as_ref().unwrap().get_ref().times_ns) == answer.json()["times_ns"];
+    let told = same(path, &answer, "waypost.v1.MetricsHistory", if is_before { before } else { after });
+    let series = told["series"].as_array().unwrap();
+    let maps = series.iter().find(|series| series["metric"] == "waypost_maps").unwrap();
+    assert_eq!(maps["values"].as_array().unwrap().len(), told["times_ns"].as_array().unwrap().len());
     let message = ("waypost.v1.ListRefusalsResponse", "refusals");
     let refusals = both
         .lists_agree("/v1/refusals", message, async |page_size, page_token| {

@@ -17,6 +17,9 @@ const USUAL_PANEL_HEIGHT: f64 = 480.0;
 const GAP: f64 = 12.0;
 const LINE_HEIGHT: f64 = 18.0;
 
+/// Of a usual letter, at the size of the text: nobody knows here which font it will be.
+const LETTER_WIDTH: f64 = 7.0;
+
 /// Keypoints of a frame that are drawn, those in common first: more hide the image.
 const MAX_MARKS: usize = 5000;
 
@@ -78,12 +81,13 @@ impl Picture {
     /// The picture, referring to nothing outside. All text is escaped by `html!`.
     pub(super) fn to_svg(&self) -> String {
         let Self { heading, verdict, summary, panels, joined } = self;
+        let width = 2.0 * PANEL_WIDTH + 3.0 * GAP;
+        let verdict: Vec<(bool, String)> = verdict.iter().flat_map(|gate| lines(gate, width)).collect();
         let top = GAP + LINE_HEIGHT * (2 + verdict.len()) as f64;
         let left = |index: usize| GAP + index as f64 * (PANEL_WIDTH + GAP);
         let frames = [0, 1].map(|index| panels[index].frame(left(index), top));
         let bottom = frames.iter().map(|frame| frame.top + frame.height).fold(0.0, f64::max);
         let notes = panels.iter().map(|panel| panel.notes.len()).max().unwrap_or(0);
-        let width = 2.0 * PANEL_WIDTH + 3.0 * GAP;
         let height = bottom + GAP + LINE_HEIGHT * (1 + notes) as f64;
         let is_joined = [0, 1].map(|side| panels[side].is_joined(joined.iter().map(|pair| pair[side])));
         let svg = html! {
@@ -91,10 +95,8 @@ impl Picture {
                 width=(width) height=(number(height)) font-family="sans-serif" font-size="13" {
                 rect width="100%" height="100%" fill="white" {}
                 text x=(GAP) y=(line(0)) font-weight="bold" { (heading) }
-                @for (row, gate) in (1..).zip(verdict) {
-                    text x=(GAP) y=(line(row)) fill=(if gate.gate.passed { "#1a7f37" } else { OTHER }) {
-                        (if gate.gate.passed { "+ " } else { "- " }) (gate.description)
-                    }
+                @for (row, (passed, text)) in (1..).zip(&verdict) {
+                    text x=(GAP) y=(line(row)) fill=(if *passed { "#1a7f37" } else { OTHER }) { (text) }
                 }
                 text x=(GAP) y=(line(1 + verdict.len())) { (summary) " ("
                     tspan fill="#1a7f37" { "green: word in common, or joined" } ", "
@@ -121,6 +123,28 @@ impl Picture {
             }
         }
     }
+}
+
+/// What a gate says, in lines that fit into `width`, with whether it was passed.
+fn lines(gate: &GateView, width: f64) -> Vec<(bool, String)> {
+    let sign = if gate.gate.passed { "+" } else { "-" };
+    let most = ((width - 2.0 * GAP) / LETTER_WIDTH) as usize;
+    wrapped(sign, &gate.description, most).into_iter().map(|line| (gate.gate.passed, line)).collect()
+}
+
+/// A sign and a text, in lines of at most so many letters.
+fn wrapped(sign: &str, text: &str, most: usize) -> Vec<String> {
+    let mut lines = vec![sign.to_owned()];
+    for word in text.split(' ') {
+        match lines.last_mut().filter(|line| line.chars().count() + 1 + word.chars().count() <= most) {
+            Some(line) => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            None => lines.push(format!("   {word}")),
+        }
+    }
+    lines
 }
 
 impl Panel {
@@ -227,6 +251,14 @@ mod tests {
         let svg = drawn(vec![mark(639.5, 359.5, true)], Vec::new(), Vec::new());
         // The middle of the first panel, below two lines of text.
         assert!(svg.contains(r#"<circle cx="332.0" cy="228.0" r="3">"#) && svg.contains("a &lt; b"), "{svg}");
+    }
+
+    #[test]
+    fn long_lines_go_on_below() {
+        assert_eq!(wrapped("+", "short", 40), ["+ short"]);
+        assert_eq!(wrapped("-", "one two three four", 10), ["- one two", "   three", "   four"]);
+        // A word that is longer than a line stays whole.
+        assert_eq!(wrapped("-", "0123456789", 5), ["-", "   0123456789"]);
     }
 
     #[test]

@@ -76,7 +76,7 @@ const SERVER: [&str; 10] = [
 ];
 
 /// Those that name no map: they show what the token reaches, or are for everybody. `RebuildMap` and `RepairMap` name several.
-const OTHERS: [&str; 17] = [
+const OTHERS: [&str; 18] = [
     "MapService/ListMaps",
     "MapService/RebuildMap",
     "MapService/RepairMap",
@@ -94,6 +94,7 @@ const OTHERS: [&str; 17] = [
     "JobService/WatchJob",
     "JobService/CancelJob",
     "TokenService/GetCaller",
+    "EventService/GetMetricsHistory",
 ];
 
 /// What a robot may do, and a reader may not.

@@ -33,6 +33,14 @@ class EventCalls:
             self._connection.pages(self._connection.events.ListRefusals, request, lambda page: page.refusals)
         )
 
+    def metrics_history(self) -> event_pb2.MetricsHistory:
+        """How the server fared over the last hour: its metrics, every 15 seconds."""
+        request = event_pb2.GetMetricsHistoryRequest()
+        history: event_pb2.MetricsHistory = self._connection.call(
+            self._connection.events.GetMetricsHistory, request
+        )
+        return history
+
     def watch(self, map_id: str, from_position: int | None = None, *, patience_s: float = 60.0) -> MapEvents:
         """What happens in a map: frames that were decided, and robots that navigate. Close it when done.
 

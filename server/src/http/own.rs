@@ -1,4 +1,4 @@
-//! What was refused lately.
+//! What the server has to say of itself: what it refused, and how it fared.
 
 use std::sync::Arc;
 
@@ -8,10 +8,10 @@ use waypost_proto::v1;
 
 use super::HttpError;
 use super::description::Refusals;
-use super::parameters::{InQuery, Paging};
+use super::parameters::{InQuery, Nothing, Paging};
 use crate::pages::Page;
 use crate::service::Service;
-use crate::wire::events::refusal;
+use crate::wire::events::{metrics_history, refusal};
 
 /// What was refused since the server began, newest first: requests of both ports, and frames, wheel reports and goals on
 /// open streams. The last 1000 are kept. For administrators of the whole server.
@@ -24,4 +24,15 @@ pub(super) async fn list_refusals(
     let Page { items, next } = service.refusals.list(page_size, &page_token)?;
     let refusals = items.into_iter().map(refusal).collect();
     Ok(Json(v1::ListRefusalsResponse { refusals, next_page_token: next }))
+}
+
+/// How the server fared over the last hour: its metrics, every 15 seconds. `/metrics` has them as they are now, for
+/// Prometheus.
+#[utoipa::path(get, path = "/v1/metrics-history", tag = "server",
+    responses((status = 200, description = "What the metrics were.", body = v1::MetricsHistory), Refusals))]
+pub(super) async fn get_metrics_history(
+    State(service): State<Arc<Service>>,
+    InQuery(Nothing {}): InQuery<Nothing>,
+) -> Json<v1::MetricsHistory> {
+    Json(metrics_history(service.history.view()))
 }
