@@ -9,7 +9,11 @@ PYTHON := $(abspath $(or $(CARGO_TARGET_DIR),target)/python)
 # Where the C++ client is built.
 CPP := $(abspath $(or $(CARGO_TARGET_DIR),target)/cpp)
 
-.PHONY: demo test test-python test-cpp test-ros test-inspector test-image inspector docs serve build setup check deny bench
+# What is fuzzed, and for how long: make fuzz FUZZ=model SECONDS=600
+FUZZ ?= all
+SECONDS ?= 60
+
+.PHONY: demo fuzz test test-python test-cpp test-ros test-inspector test-image inspector docs serve build setup check deny bench
 
 # Drive a real recorded sequence through a real server, and compare the loop closures with the truth.
 demo: build
@@ -51,6 +55,10 @@ test-cpp: build
 test-image: build
 	scripts/setup image
 	scripts/test-image $(TARGET)
+
+# Bytes that nobody means, to everything that strangers send. `make test` does a little of it.
+fuzz: setup
+	scripts/fuzz $(FUZZ) $(SECONDS)
 
 # Build the page anew into server/inspector, which the server embeds.
 inspector:

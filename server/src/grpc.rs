@@ -17,12 +17,16 @@ mod sessions;
 mod status;
 mod tokens;
 
-use std::future::Future;
+use std::future::{Future, poll_fn};
 use std::sync::Arc;
 use std::time::Duration;
 
+use http::{Request, Response};
 use tokio::net::TcpListener;
+use tonic::body::Body;
+use tonic::service::Routes;
 use tonic::{Status, Streaming};
+use tower::{Layer, Service as _};
 use waypost_proto::FILE_DESCRIPTOR_SET;
 use waypost_proto::v1::appearance_service_server::AppearanceServiceServer;
 use waypost_proto::v1::correction_service_server::CorrectionServiceServer;
@@ -86,6 +90,23 @@ pub(crate) async fn serve(
     strangers: Strangers,
     shutdown: impl Future<Output = ()> + Send,
 ) -> anyhow::Result<()> {
+    let routes = routes(&service).await?;
+    let connections = Connections::at(listener, tls.map(|tls| tls.grpc.clone()), LIMITS, strangers)?;
+    tonic::transport::Server::builder()
+        .http2_keepalive_interval(Some(KEEPALIVE))
+        .http2_keepalive_timeout(Some(KEEPALIVE))
+        .max_concurrent_streams(MAX_STREAMS_PER_CONNECTION)
+        .http2_max_header_list_size(MAX_HEADER_BYTES)
+        .layer(RequestLayer { service: service.clone() })
+        .layer(AccessLayer { service: service.clone() })
+        .add_routes(routes)
+        .serve_with_incoming_shutdown(connections, shutdown)
+        .await?;
+    Ok(())
+}
+
+/// All services, behind nothing.
+pub(crate) async fn routes(service: &Arc<Service>) -> anyhow::Result<Routes> {
     let adapter = || Adapter { service: service.clone() };
     let (health_reporter, health) = tonic_health::server::health_reporter();
     health_reporter.set_serving::<SessionServiceServer<Adapter>>().await;
@@ -102,15 +123,7 @@ pub(crate) async fn serve(
     // Python's reflection client, among others, speaks the older version alone.
     let reflection = reflected().build_v1()?;
     let reflection_alpha = reflected().build_v1alpha()?;
-    let connections = Connections::at(listener, tls.map(|tls| tls.grpc.clone()), LIMITS, strangers)?;
-    tonic::transport::Server::builder()
-        .http2_keepalive_interval(Some(KEEPALIVE))
-        .http2_keepalive_timeout(Some(KEEPALIVE))
-        .max_concurrent_streams(MAX_STREAMS_PER_CONNECTION)
-        .http2_max_header_list_size(MAX_HEADER_BYTES)
-        .layer(RequestLayer { service: service.clone() })
-        .layer(AccessLayer { service: service.clone() })
-        .add_service(health)
+    Ok(Routes::new(health)
         .add_service(reflection)
         .add_service(reflection_alpha)
         .add_service(limited!(ModelServiceServer::new(adapter())))
@@ -124,10 +137,19 @@ pub(crate) async fn serve(
         .add_service(limited!(LabelServiceServer::new(adapter())))
         .add_service(limited!(AppearanceServiceServer::new(adapter())))
         .add_service(limited!(EventServiceServer::new(adapter())))
-        .add_service(limited!(TokenServiceServer::new(adapter())))
-        .serve_with_incoming_shutdown(connections, shutdown)
-        .await?;
-    Ok(())
+        .add_service(limited!(TokenServiceServer::new(adapter()))))
+}
+
+/// Answers one call at [`routes`], guarded, as if it had come over a connection.
+pub(crate) async fn answer(
+    service: &Arc<Service>,
+    routes: Routes,
+    call: Request<Body>,
+) -> anyhow::Result<Response<Body>> {
+    let guarded = AccessLayer { service: service.clone() }.layer(routes);
+    let mut watched = RequestLayer { service: service.clone() }.layer(guarded);
+    poll_fn(|context| watched.poll_ready(context)).await?;
+    Ok(watched.call(call).await?)
 }
 
 /// Implements the generated service traits.

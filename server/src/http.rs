@@ -124,7 +124,8 @@ fn worth_compressing() -> impl Predicate {
     DefaultPredicate::new().and(NotForContentType::const_new("application/octet-stream"))
 }
 
-fn router(service: Arc<Service>, cors_origins: Vec<Origin>) -> anyhow::Result<Router> {
+/// All routes, guarded, for pages of these origins too.
+pub(crate) fn router(service: Arc<Service>, cors_origins: Vec<Origin>) -> anyhow::Result<Router> {
     let cross_origin = cross_origin::layer(&cors_origins);
     let asked = access::Asked { service: service.clone(), origins: cors_origins.into() };
     let (api, description) = api().split_for_parts();

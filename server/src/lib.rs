@@ -21,6 +21,8 @@ mod quotas;
 mod role;
 mod service;
 mod storage;
+#[doc(hidden)]
+pub mod unconnected;
 mod wire;
 
 use std::future::Future;

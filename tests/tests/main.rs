@@ -54,6 +54,7 @@ mod navigation {
 
 /// What an operator relies on: settings, limits, access, crashes, full disks.
 mod operations {
+    mod abuse;
     mod backups;
     mod command_line;
     mod config;

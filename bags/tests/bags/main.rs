@@ -6,4 +6,5 @@ mod hostile;
 mod mutated;
 mod reading;
 mod samples;
+mod seeds;
 mod writing;

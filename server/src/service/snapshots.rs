@@ -5,14 +5,19 @@ mod export;
 mod format;
 mod import;
 
+use std::fs::File;
+use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
+use self::check::{NotTaken, check, map_of};
 use super::deleted_maps::DeletedMaps;
 use super::jobs::Jobs;
 use super::map_names::MapNames;
+use crate::error::ServiceError;
+use crate::names::check_id;
 use crate::storage::{EXPORTERS, Storage};
 
 /// Maps out and in as files. Cheap to clone.
@@ -44,5 +49,21 @@ impl Snapshots {
             exports: Arc::new(Semaphore::new(EXPORTERS as usize)),
             uploads: Arc::new(Semaphore::new(import::MAX_IMPORTS)),
         }
+    }
+}
+
+/// Checks a file as an import does, and stores nothing.
+///
+/// # Errors
+/// Why an import would not take it.
+pub(crate) fn would_import(file: &File) -> Result<(), ServiceError> {
+    let checked = map_of(file).and_then(|map| {
+        check_id("map name", &map.name)?;
+        check(file, &map.name, &mut |_| ControlFlow::Continue(()))
+    });
+    match checked {
+        Ok(_map) => Ok(()),
+        Err(NotTaken::Refused(error)) => Err(error),
+        Err(NotTaken::Cancelled) => Err(ServiceError::internal("nobody cancels this")),
     }
 }

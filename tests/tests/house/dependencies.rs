@@ -26,7 +26,7 @@ pub(crate) static METADATA: LazyLock<Value> = LazyLock::new(|| {
 const ANY: &[&str] = &["*"];
 
 /// Member, and the members that it may depend on where no feature is asked for.
-const ALLOWED: [(&str, &[&str]); 14] = [
+const ALLOWED: [(&str, &[&str]); 15] = [
     ("fabmap", &[]),
     ("posegraph", &[]),
     ("topomap", &["fabmap", "posegraph"]),
@@ -44,6 +44,7 @@ const ALLOWED: [(&str, &[&str]); 14] = [
     ("waypost-ros", &["waypost-bags", "waypost-client"]),
     ("waypost-eval", ANY),
     ("waypost-e2e", ANY),
+    ("waypost-fuzz", ANY),
 ];
 
 /// Members, and what none of their normal dependencies may be, however deep, where no feature is asked for.
