@@ -64,6 +64,7 @@ mod operations {
     mod held_up;
     mod kill;
     mod mistakes;
+    mod model;
     mod operating;
     mod refused_commands;
     mod rot;
