@@ -15,6 +15,10 @@ pub(super) struct Call<'a> {
     /// Frames that somebody says something of.
     pub(super) named: Vec<NamedFrame>,
     pub(super) correction: u64,
+    /// The map of a correction.
+    pub(super) corrected: String,
+    /// The place of a label.
+    pub(super) place: u32,
 }
 
 /// What is answered.
@@ -57,6 +61,8 @@ impl<'a> Call<'a> {
             merge: 0,
             named: vec![],
             correction: 0,
+            corrected: String::new(),
+            place: 0,
         };
         match step.operation {
             Operation::Drive { map, session, from, start, frames, noise } => {
@@ -74,6 +80,12 @@ impl<'a> Call<'a> {
                 let map = world.maps.get(&map_name(map));
                 call.session = map.map_or_else(|| "s0".to_owned(), |map| map.session_name(session));
             }
+            Operation::DeleteLabel { map, place } => {
+                let labels = world.maps.get(&map_name(map)).map(|map| &map.labels);
+                let places: Vec<u32> = labels.into_iter().flat_map(|labels| labels.keys().copied()).collect();
+                let any = (place as usize).checked_rem(places.len()).filter(|_| place % 2 == 0);
+                call.place = any.map_or(place, |any| places[any]);
+            }
             Operation::UndoMerge { back } => {
                 call.merge = world.merge_before(back);
             }
@@ -90,7 +102,10 @@ impl<'a> Call<'a> {
                     map.map_or_else(nothing, |map| vec![map.named_frame(which), map.named_frame(earlier)]);
             }
             Operation::UndoCorrection { map, which } => {
-                let said = world.maps.get(&map_name(map)).map(|map| map.said()).unwrap_or_default();
+                let said = |map: &String| world.maps.get(map).map(|map| map.said()).unwrap_or_default();
+                let with_some = world.maps.keys().find(|map| !said(map).is_empty()).cloned();
+                call.corrected = with_some.filter(|_| which % 4 > 0).unwrap_or_else(|| map_name(map));
+                let said = said(&call.corrected);
                 let any = (which as usize).checked_rem(said.len());
                 call.correction = any.map_or(1_000_000, |any| said[any].0);
             }
@@ -109,8 +124,8 @@ impl<'a> Call<'a> {
             | Operation::Trim { map, .. }
             | Operation::Withdraw { map, .. }
             | Operation::Confirm { map, .. }
-            | Operation::UndoCorrection { map, .. }
             | Operation::Compact { map } => vec![map_name(*map)],
+            Operation::UndoCorrection { .. } => vec![self.corrected.clone()],
             Operation::Copy { from, to } => vec![map_name(*from), map_name(*to)],
             Operation::Merge { sources, target } => {
                 sources.iter().chain([target]).map(|map| map_name(*map)).collect()
@@ -160,8 +175,8 @@ impl<'a> Call<'a> {
             Operation::SetLabel { map, place, label } => {
                 world.set_label(shown, (&map_name(*map), *place), &label_text(*label), now).map(done)
             }
-            Operation::DeleteLabel { map, place } => {
-                world.delete_label(shown, (&map_name(*map), *place), now).map(done)
+            Operation::DeleteLabel { map, .. } => {
+                world.delete_label(shown, (&map_name(*map), self.place), now).map(done)
             }
             Operation::DeleteSession { map, .. } => {
                 world.delete_session(shown, (&map_name(*map), &self.session), now).map(done)
@@ -188,8 +203,8 @@ impl<'a> Call<'a> {
                 let pair = (&self.named[0], &self.named[1]);
                 world.confirm(shown, &map_name(*map), pair, now).map(done)
             }
-            Operation::UndoCorrection { map, .. } => {
-                world.undo_correction(shown, (&map_name(*map), self.correction), now).map(done)
+            Operation::UndoCorrection { .. } => {
+                world.undo_correction(shown, (&self.corrected, self.correction), now).map(done)
             }
             Operation::CreateToken { token, role, reach, lifetime_s, limited } => {
                 let asked = Asked::of(*role, *reach, *limited);

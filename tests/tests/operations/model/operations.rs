@@ -193,6 +193,19 @@ pub(super) enum Operation {
 }
 
 impl Operation {
+    /// Whether it is one call, and writes.
+    fn may_be_killed(&self) -> bool {
+        !matches!(
+            self,
+            Self::Together { .. }
+                | Self::Localize { .. }
+                | Self::Query { .. }
+                | Self::ListMaps
+                | Self::WhoAmI
+                | Self::Restart { .. }
+        )
+    }
+
     /// Its name, for counting.
     pub(super) fn name(&self) -> &'static str {
         match self {
@@ -239,8 +252,7 @@ fn step(random: &mut ChaCha8Rng) -> Step {
     // Most operations make few calls of the disk.
     let most = if random.random_bool(0.8) { 8 } else { 60 };
     let kill = Kill { nth: random.random_range(1..=most), halfway: random.random_bool(0.5) };
-    let one_call = !matches!(operation, Operation::Restart { .. } | Operation::Together { .. });
-    let killed = (random.random_bool(0.04) && one_call).then_some(kill);
+    let killed = (random.random_bool(0.06) && operation.may_be_killed()).then_some(kill);
     Step { by, operation, killed }
 }
 

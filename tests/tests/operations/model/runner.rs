@@ -126,6 +126,9 @@ impl Runner {
         };
         let refused = matches!(answer, Answer::Refused(_));
         self.count(format!("{}, {}", call.operation.name(), if refused { "refused" } else { "done" }));
+        if let Answer::Merge(state) = &answer {
+            self.count(format!("merge, {state:?}"));
+        }
         agree(&answer, &predicted)?;
         self.idle = refused || call.only_asks();
         if !refused {

@@ -116,8 +116,8 @@ impl Server<'_> {
                 client.set_label(&place, &label_text(*label), v1::LabelScope::Place).await?;
                 Answer::Done
             }
-            Operation::DeleteLabel { map, place } => {
-                client.delete_label(&format!("maps/{}/places/{place}", map_name(*map))).await?;
+            Operation::DeleteLabel { map, .. } => {
+                client.delete_label(&format!("maps/{}/places/{}", map_name(*map), call.place)).await?;
                 Answer::Done
             }
             Operation::DeleteSession { map, .. } => {
@@ -166,8 +166,8 @@ impl Server<'_> {
                 let (later, earlier) = (call.frame(*map, 0), call.frame(*map, 1));
                 return Ok(Heard::Said(client.confirm_loop_closure(&later, &earlier).await?));
             }
-            Operation::UndoCorrection { map, .. } => {
-                let name = format!("maps/{}/corrections/{}", map_name(*map), call.correction);
+            Operation::UndoCorrection { .. } => {
+                let name = format!("maps/{}/corrections/{}", call.corrected, call.correction);
                 return Ok(Heard::Said(client.undo_correction(&name).await?));
             }
             Operation::CreateToken { token, role, reach, lifetime_s, limited } => {
