@@ -65,6 +65,7 @@ mod operations {
     mod held_up;
     mod kill;
     mod mistakes;
+    mod model;
     mod operating;
     mod refusals;
     mod refused_commands;

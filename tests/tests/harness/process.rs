@@ -16,12 +16,17 @@ use super::workspace;
 /// Far more than a start or a stop takes.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// The binaries of this very source, built with the profile that the tests were built with.
+/// The binaries of this very source, built with the profile that the tests were built with; those of the folder that
+/// `WAYPOST_BINARIES` names, if it is set.
 pub(crate) struct Built {
     directory: PathBuf,
 }
 
 static BUILT: LazyLock<Built> = LazyLock::new(|| {
+    // Whoever has built them says where they are.
+    if let Some(directory) = std::env::var_os("WAYPOST_BINARIES") {
+        return Built { directory: directory.into() };
+    }
     let test = std::env::current_exe().unwrap();
     // target/PROFILE/deps/TEST
     let directory = test.ancestors().nth(2).unwrap().to_owned();

@@ -137,7 +137,12 @@ impl RawStream {
         Self::begin_with(channel(endpoint).await, first, metadata).await
     }
 
-    async fn begin_with(channel: Channel, first: Request, metadata: MetadataMap) -> Result<Self, Status> {
+    /// The same with what goes beside it, as a secret does.
+    pub(crate) async fn begin_with(
+        channel: Channel,
+        first: Request,
+        metadata: MetadataMap,
+    ) -> Result<Self, Status> {
         let (requests, receiver) = mpsc::channel(256);
         requests.send(v1::StreamRequest { content: Some(first) }).await.unwrap();
         let mut service = SessionServiceClient::new(channel);

@@ -12,10 +12,10 @@ mod power_cuts;
 mod record;
 mod script;
 mod simulated;
-mod watched;
+pub(super) mod watched;
 
 /// A number from the environment, for runs that are longer than those of every day.
-fn number(variable: &str, otherwise: u64) -> u64 {
+pub(super) fn number(variable: &str, otherwise: u64) -> u64 {
     std::env::var(variable).map_or(otherwise, |number| number.parse().expect("a whole number"))
 }
 
@@ -28,7 +28,7 @@ fn scratch() -> tempfile::TempDir {
 }
 
 /// Does what also blocks on a thread of its own.
-fn on_a_thread<T: Send + 'static, W: Future<Output = T>>(
+pub(super) fn on_a_thread<T: Send + 'static, W: Future<Output = T>>(
     work: impl FnOnce() -> W + Send + 'static,
 ) -> tokio::task::JoinHandle<T> {
     let runtime = tokio::runtime::Handle::current();

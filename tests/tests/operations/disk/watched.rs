@@ -31,17 +31,17 @@ static SHIM: LazyLock<(TempDir, PathBuf)> = LazyLock::new(|| {
 
 /// Kinds of calls, by the letters that the library has for them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Calls(pub(super) &'static str);
+pub(in crate::operations) struct Calls(pub(super) &'static str);
 
 impl Calls {
     /// Those that change something.
-    pub(super) const CHANGES: Self = Self("wstnud");
+    pub(in crate::operations) const CHANGES: Self = Self("wstnud");
     pub(super) const ALL: Self = Self("wstnudor");
 }
 
 /// What becomes of a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum How {
+pub(in crate::operations) enum How {
     /// It fails, and the next ones do not.
     Once,
     /// It fails, and so do all later ones.
@@ -56,26 +56,26 @@ pub(super) enum How {
 
 /// The n-th call from now on goes wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Fault {
-    pub(super) nth: u32,
-    pub(super) calls: Calls,
-    pub(super) how: How,
+pub(in crate::operations) struct Fault {
+    pub(in crate::operations) nth: u32,
+    pub(in crate::operations) calls: Calls,
+    pub(in crate::operations) how: How,
     /// Of a call that fails.
-    pub(super) error: i32,
+    pub(in crate::operations) error: i32,
 }
 
 /// The control file: what the library reads, and behind it what it tells.
 const CONTROL_BYTES: usize = 48;
 const TOLD_AT: u64 = 32;
 
-pub(super) struct WatchedDisk {
+pub(in crate::operations) struct WatchedDisk {
     folder: TempDir,
     control: File,
     generation: AtomicU64,
 }
 
 impl WatchedDisk {
-    pub(super) fn new() -> Self {
+    pub(in crate::operations) fn new() -> Self {
         let folder = super::scratch();
         std::fs::create_dir(folder.path().join("disk")).unwrap();
         let control = folder.path().join("control");
@@ -90,7 +90,7 @@ impl WatchedDisk {
     }
 
     /// The server's data directory.
-    pub(super) fn data(&self) -> PathBuf {
+    pub(in crate::operations) fn data(&self) -> PathBuf {
         self.root().join("data")
     }
 
@@ -99,7 +99,7 @@ impl WatchedDisk {
     }
 
     /// The server's program over this disk.
-    pub(super) fn command(&self) -> Command {
+    pub(in crate::operations) fn command(&self) -> Command {
         let mut command = Built::command("waypost-server");
         command
             .env("LD_PRELOAD", &SHIM.1)
@@ -109,11 +109,11 @@ impl WatchedDisk {
         command
     }
 
-    pub(super) fn start(&self) -> ServerProcess {
+    pub(in crate::operations) fn start(&self) -> ServerProcess {
         self.try_start().unwrap_or_else(|error| panic!("{error}"))
     }
 
-    pub(super) fn try_start(&self) -> Result<ServerProcess, String> {
+    pub(in crate::operations) fn try_start(&self) -> Result<ServerProcess, String> {
         ServerProcess::start_command(self.command(), &self.data())
     }
 
@@ -138,7 +138,7 @@ impl WatchedDisk {
         Record::read(&self.record_file())
     }
 
-    pub(super) fn arm(&self, Fault { nth, calls, how, error }: Fault) {
+    pub(in crate::operations) fn arm(&self, Fault { nth, calls, how, error }: Fault) {
         let mask = calls.0.bytes().map(|letter| 1_u32 << (letter - b'a')).sum();
         let how = match how {
             How::Once => 1,
@@ -151,7 +151,7 @@ impl WatchedDisk {
     }
 
     /// From now on nothing goes wrong.
-    pub(super) fn mend(&self) {
+    pub(in crate::operations) fn mend(&self) {
         self.control([0; 4]);
     }
 
@@ -166,7 +166,7 @@ impl WatchedDisk {
     }
 
     /// Calls of the kinds that were told last, since then, and how many of them went wrong.
-    pub(super) fn counted(&self) -> (u64, u64) {
+    pub(in crate::operations) fn counted(&self) -> (u64, u64) {
         let mut told = [0; 16];
         self.control.read_exact_at(&mut told, TOLD_AT).unwrap();
         let number = |bytes: &[u8]| u64::from_ne_bytes(bytes.try_into().unwrap());
