@@ -33,7 +33,7 @@ export interface Look {
 
 export const MARGIN_PX = 36;
 const SMALL_MARGIN_PX = 14;
-const EDGE_PX = 12;
+const EDGE_PX = 24;
 
 /** A view of all of a scene, and of some spots besides. */
 export function fit(scene: Scene, { width, height }: Size, margin = MARGIN_PX, besides: readonly Spot[] = []): View {

@@ -41,6 +41,7 @@ function Drawn({ found, link, go }: { found: Overlaid } & Omit<OverlayProps, "me
     const [picked, setPicked] = useState<number | null>(null);
     const look = useMemo(() => ({ colour: "session" as const, corrected: 1, closures: true, place: picked, robots: [], routes: [], residuals: null }), [picked]);
     const view = useMemo(() => link.view && { x: link.view[0], y: link.view[1], scale: link.view[2] }, [link.view]);
+    const empty = maps.filter((_, layer) => !layerOf.includes(layer)).map(({ map }) => short(map));
     const map = picked === null ? null : short(maps[layerOf[picked]!]!.map);
     const session = picked === null ? "" : sessionOf[picked]!;
     return <>
@@ -56,6 +57,7 @@ function Drawn({ found, link, go }: { found: Overlaid } & Omit<OverlayProps, "me
             {maps.length > 1 && <span>what lies below is drawn larger</span>}
             <span class="key closure">match</span>
             {map !== null && <a href={hash({ ...START, page: "map", map, place: scene.numbers[picked!]! })}>place {scene.numbers[picked!]} of {map}{session && `, ${short(session)}`}</a>}
+            {empty.length > 0 && <span>no places there any more: {empty.join(", ")}</span>}
             {absent.length > 0 && <span>not drawn, for want of metres or on another part: {absent.map(short).join(", ")}</span>}
             {cut && <span>the first places of large maps</span>}
         </p>
