@@ -29,6 +29,8 @@ export interface Link {
     shape: Shape | null;
     /** Whether links are coloured by what is left over. */
     residuals: boolean;
+    /** Whether loop closures are drawn. */
+    closures: boolean;
     /** 0 is by odometry alone, 1 corrected by closures. */
     corrected: number;
     /** Middle of the picture and pixels per unit. */
@@ -42,7 +44,7 @@ export interface Link {
 export const START: Link = {
     page: "maps", map: "", merge: null, sources: [], target: "", session: null, frame: null, place: null, beside: null,
     matrix: null, cells: null, cell: null, colour: null,
-    shape: null, residuals: false, corrected: 1, view: null, large: false, follow: false,
+    shape: null, residuals: false, closures: true, corrected: 1, view: null, large: false, follow: false,
 };
 
 const COLOURS = ["session", "time", "space"] as const;
@@ -101,6 +103,7 @@ export function read(hash: string): Link {
         colour: one(COLOURS, given.get("colour")),
         shape: one(SHAPES, given.get("shape")),
         residuals: given.get("links") === "residual",
+        closures: given.get("closures") !== "hidden",
         corrected: corrected >= 0 && corrected <= 1 ? corrected : 1,
         view: viewOf(given),
         large: given.get("large") === "1",
@@ -129,6 +132,7 @@ export function hash(link: Link): string {
     if (link.colour) given.set("colour", link.colour);
     if (link.shape) given.set("shape", link.shape);
     if (link.residuals) given.set("links", "residual");
+    if (!link.closures) given.set("closures", "hidden");
     if (link.corrected !== 1) given.set("corrected", String(link.corrected));
     if (link.view) given.set("view", written(link.view));
     if (link.large) given.set("large", "1");

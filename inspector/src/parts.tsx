@@ -360,13 +360,21 @@ export function pause(milliseconds: number, signal: AbortSignal): Promise<void> 
 
 /** Gives the page another look when the person asks for dark or light. */
 export function useDark(): boolean {
-    const query = "(prefers-color-scheme: dark)";
-    const [dark, setDark] = useState(() => matchMedia(query).matches);
+    return useMedia("(prefers-color-scheme: dark)");
+}
+
+/** Whether all is in one column, as in the style. */
+export function useNarrow(): boolean {
+    return useMedia("(max-width: 960px)");
+}
+
+function useMedia(query: string): boolean {
+    const [matches, setMatches] = useState(() => matchMedia(query).matches);
     useEffect(() => {
         const watched = matchMedia(query);
-        const changed = () => setDark(watched.matches);
+        const changed = () => setMatches(watched.matches);
         watched.addEventListener("change", changed);
         return () => watched.removeEventListener("change", changed);
     }, []);
-    return dark;
+    return matches;
 }

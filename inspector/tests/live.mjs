@@ -81,6 +81,29 @@ test("a map grows on the page while a robot streams, and the cursor goes with it
     await close();
 });
 
+test("a robot that maps new ground is drawn where it is, in metres", async () => {
+    const { model } = await rest("maps/taught");
+    await server.call(null, "map", "create", "ground", "--model", model.slice(7));
+    const { page, close } = await open("#/maps/ground");
+    await live(page, "live");
+    const driving = server.call(null, "simulate", "--map", "ground", "--world", "office", "--session", "first");
+    const canvas = page.locator(".drawing canvas");
+    const [size, seen] = [{}, new Map()];
+    await until("a robot that moves", async () => {
+        const [robot] = JSON.parse(await canvas.getAttribute("data-robots"));
+        Object.assign(size, await canvas.boundingBox());
+        if (robot) seen.set(`${robot.x} ${robot.y}`, robot);
+        return seen.size > 3;
+    });
+    for (const { name, doing, x, y, heading } of seen.values()) {
+        assert.deepEqual([name, doing, typeof heading], ["first", "streams", "number"]);
+        assert.ok(x >= 0 && y >= 0 && x <= size.width && y <= size.height, `${x}, ${y} is not seen`);
+    }
+    await driving;
+    await close();
+    await server.call(null, "map", "rm", "ground", "--yes");
+});
+
 test("events that are cut off go on behind the last one that came", async () => {
     const { page, close } = await open("#/maps");
     const cut = await beginning(3);

@@ -9,6 +9,7 @@ test("a robot that is led is shown while it drives", async () => {
     // It drives for less than a minute: both pages are there before.
     const list = await open("#/maps", { url: driven.url });
     const { page, close } = await open("#/maps/taught", { url: driven.url });
+    const phone = await open("#/maps/taught", { url: driven.url, viewport: PHONE });
     const robots = page.getByRole("region", { name: "Robots" });
     await robots.getByRole("heading", { name: /^robot / }).waitFor({ timeout: 2 * PATIENCE_MS });
     const there = await robots.textContent();
@@ -20,6 +21,30 @@ test("a robot that is led is shown while it drives", async () => {
     await robots.getByText(/^\d+\.\d s and \d+\.\d m before its last word$/).waitFor();
     const drawing = page.getByRole("region", { name: "The map" });
     await drawing.getByText("route of a robot").waitFor();
+
+    // In the drawing it has its name, and looks somewhere.
+    const drawnRobots = async (page) => JSON.parse((await page.locator(".drawing canvas").getAttribute("data-robots")) ?? "[]");
+    const { navigations: [{ name }] } = await rest("maps/taught/navigations", { url: driven.url });
+    const short = name.split("/").at(-1);
+    const [seen] = await until("the robot in the drawing", async () => {
+        const all = await drawnRobots(page);
+        return all.length === 1 && all;
+    });
+    assert.deepEqual([seen.name, seen.doing, typeof seen.heading], [short, "led", "number"]);
+    // On a phone it is right below the drawing, and what stops it is in sight wherever one has scrolled.
+    const stop = phone.page.getByRole("button", { name: `Stop ${short}` });
+    await stop.waitFor();
+    assert.ok((await phone.page.getByRole("region", { name: "Robots" }).boundingBox()).y < PHONE.height);
+    const inSight = async () => {
+        const { y, height } = await stop.boundingBox();
+        return y >= 0 && y + height <= PHONE.height;
+    };
+    assert.ok(await inSight(), "Stop is out of sight");
+    await phone.page.evaluate(() => scrollTo(0, document.body.scrollHeight));
+    await until("the end of the page", () => phone.page.evaluate(() => scrollY > innerHeight));
+    assert.ok(await inSight(), "Stop is out of sight at the end of the page");
+    assert.equal(await phone.page.locator(".drawing canvas").evaluate((canvas) => getComputedStyle(canvas).touchAction), "pan-y");
+    await phone.close();
 
     // The list knows of it, too.
     const card = list.page.getByRole("listitem").filter({ has: list.page.getByRole("heading", { name: "taught", exact: true }) });
@@ -49,6 +74,40 @@ test("a robot that is led is shown while it drives", async () => {
     assert.equal((await sent).status(), 200);
     assert.deepEqual((await sent).request().postDataJSON(), { place_number: goal });
     await drawing.getByText("is sent here").waitFor();
+    await drawing.locator(".beside").waitFor({ state: "detached" });
+
+    // Two robots at one place, one of which has lost its connection.
+    await page.route("**/v1/maps/taught/events", (route) => route.fulfill({ status: 503, json: {} }));
+    await page.route("**/v1/maps/taught/navigations?*", async (route) => {
+        const answer = await (await route.fetch()).json();
+        const here = { ...robot, connected: true };
+        answer.navigations = [here, { ...here, name: "maps/taught/navigations/zombie", connected: false }];
+        return route.fulfill({ json: answer });
+    });
+    const stopped = [];
+    await page.route("**/goal", (route) => {
+        stopped.push([route.request().method(), new URL(route.request().url()).pathname]);
+        return route.fulfill({ json: {} });
+    });
+    await page.reload();
+    const both = await until("both robots", async () => {
+        const all = await drawnRobots(page);
+        return all.length === 2 && all;
+    });
+    assert.deepEqual(both.map(({ name, doing }) => [name, doing]), [[short, "led"], ["zombie", "gone"]]);
+    assert.ok(Math.abs(both[0].x - both[1].x) >= 20, "one hides the other");
+    assert.equal(await page.getByRole("button", { name: "Stop zombie" }).count(), 0);
+    await page.getByRole("button", { name: `Stop ${short}` }).click();
+    await until("the wish that it stops", async () => stopped.length > 0);
+    assert.deepEqual(stopped, [["DELETE", `/v1/${name}/goal`]]);
+    const lost = robots.getByRole("article").filter({ has: page.getByRole("heading", { name: /^zombie/ }) });
+    await lost.getByText("It is not connected").waitFor();
+    assert.ok(await lost.getByRole("button", { name: "Cancel its goal: stop" }).isDisabled());
+    assert.ok(await lost.getByRole("button", { name: /^Send to place/ }).isDisabled());
+    await accessible(page, "a robot without a connection");
+    // What is beside a place can be closed, and comes again when the place is picked again.
+    await drawing.getByRole("button", { name: /^Close what is beside/ }).click();
+    await drawing.locator(".beside").waitFor({ state: "detached" });
     await close();
     await serveDriven();
 });
@@ -229,6 +288,27 @@ test("a metric map has metres, and a place is picked by hand and by number", asy
     await page.getByText("Links by what is left over").press("Enter");
     await page.getByRole("group", { name: "Table of links" }).locator("tbody tr").first().filter({ hasText: "place 40" }).filter({ hasText: "0.500" }).waitFor();
     await accessible(page, "a metric map, dark");
+    await close();
+});
+
+test("colours have a legend, and closures can be hidden", async () => {
+    const { page, close } = await open("#/maps/demo?colour=session");
+    const canvas = page.locator(".drawing canvas");
+    const legend = page.getByTestId("colours");
+    await legend.filter({ hasText: "session-0" }).waitFor();
+    const drawn = () => canvas.evaluate((canvas) => canvas.toDataURL());
+    const closure = page.locator(".drawing .key.closure");
+    await closure.waitFor();
+    await until("the drawing", async () => (await colours(canvas)) > 4);
+    const shown = await drawn();
+    await page.getByRole("combobox", { name: "Closures" }).selectOption({ label: "hidden" });
+    await closure.waitFor({ state: "detached" });
+    await until("a drawing without closures", async () => (await drawn()) !== shown);
+    assert.match(page.url(), /closures=hidden/);
+    await page.getByRole("combobox", { name: "Closures" }).selectOption({ label: "shown" });
+    await until("closures as before", async () => (await drawn()) === shown);
+    await page.getByRole("combobox", { name: "Colour" }).selectOption({ label: "by time" });
+    await legend.filter({ hasText: /first place.*last/ }).waitFor();
     await close();
 });
 

@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { join } from "node:path";
 import { test } from "node:test";
-import { accessible, closingFrame, cursor, open, rest, server } from "./browser.mjs";
+import { accessible, closingFrame, cursor, open, PHONE, rest, server } from "./browser.mjs";
 import { folder, serve, until } from "./server.mjs";
 
 test("the first token is an admin's, is shown once, and is the page's own from then on", async () => {
@@ -147,4 +147,22 @@ test("who may only read sees who withdrew a loop closure, and can neither do so 
     assert.equal((await rest("maps/demo?view=full", { token: reader })).state_hash, before.state_hash);
     await annas.close();
     await onlookers.close();
+});
+
+test("on a phone it shows who one is, and the way out", async () => {
+    const { page, close } = await open("#/maps", { viewport: PHONE });
+    await page.getByLabel("Token").fill(admins);
+    await page.getByRole("button", { name: "Log in" }).click();
+    for (const width of [PHONE.width, 320]) {
+        await page.setViewportSize({ width, height: PHONE.height });
+        for (const shown of [page.locator(".who").filter({ hasText: "operator" }), page.getByRole("button", { name: "Log out" })]) {
+            await shown.waitFor();
+            const { x, width: wide } = await shown.boundingBox();
+            assert.ok(x >= 0 && x + wide <= width, `something of the header is out of sight at ${width} px`);
+        }
+        const over = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
+        assert.ok(over <= 0, `the page is ${over} px wider than the screen`);
+    }
+    await accessible(page, "who one is, on a phone");
+    await close();
 });

@@ -51,12 +51,15 @@ export async function overlaid(merge: Merge, signal: AbortSignal): Promise<Overl
     const part = measured[0]?.overlap?.target_part ?? 0;
     const shown = measured.filter(({ overlap }) => overlap!.target_part === part);
     const base = baseOf(merge);
+    // A base that was merged into holds what the others brought: that is not drawn twice.
+    const brought = new Set(merge.sources.flatMap(({ sessions }) => sessions));
     const layer = async (map: string, of: number, frame: Pose): Promise<Layer & { cut: boolean }> => {
         const [places, sessions] = await Promise.all([
             all<"places", Place>(`${at(map)}/places`, "places", signal, MOST_PLACES),
             all<"sessions", Session>(`${at(map)}/sessions`, "sessions", signal),
         ]);
-        return { map, frame, sessions, places: places.filter((place) => place.pose?.part === of && pose(place.pose.pose)), cut: places.length >= MOST_PLACES };
+        const own = places.filter((place) => place.pose?.part === of && pose(place.pose.pose) && !brought.has(place.frames[0]?.session ?? ""));
+        return { map, frame, sessions, places: own, cut: places.length >= MOST_PLACES };
     };
     const layers = await Promise.all([
         layer(base, part, ORIGIN),
@@ -99,7 +102,7 @@ function sceneOf(layers: Layer[], merge: Merge): Scene {
     });
     return {
         kind: "metric", numbers: laid.map(({ number }) => number), indexOf: new Map(), corrected: points, odometry: points,
-        unplaced: 0, parts: 1, links, closures, tracks: [], labels: [], apart: new Map(), near: () => undefined, count: laid.length,
+        unplaced: 0, parts: 1, layered: true, links, closures, tracks: [], labels: [], apart: new Map(), near: () => undefined, count: laid.length,
         sessionOf: Uint16Array.from(laid, ({ layer }) => colourNumber(layer)), spaceOf: new Uint32Array(laid.length),
     };
 }

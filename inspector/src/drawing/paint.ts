@@ -2,6 +2,7 @@
 import type { Colour } from "../link";
 import { named, step, STEPS, type Ink } from "./colours";
 import type { Points } from "./layout";
+import { paintRobots, type Spot, type Standing } from "./robots";
 import { between, boxOf, type Scene } from "./scene";
 
 /** What of the world is seen: its middle, and pixels a unit. */
@@ -21,19 +22,22 @@ export interface Look {
     /** 0 by odometry, 1 corrected. */
     corrected: number;
     place: number | null;
-    /** Where robots are now, as indices of places or positions. */
-    robots: [number, number][];
+    /** Whether loop closures are drawn. */
+    closures: boolean;
+    robots: Standing[];
     /** Routes that robots follow, point by point to the goal. */
     routes: [number, number][][];
     /** Links by what is left over, from 0 to 1, the worst last; without it, all alike. */
     residuals: [from: number, to: number, amount: number][] | null;
 }
 
-const MARGIN_PX = 36;
+export const MARGIN_PX = 36;
 const SMALL_MARGIN_PX = 14;
+const EDGE_PX = 24;
 
-export function fit(scene: Scene, { width, height }: Size, margin = MARGIN_PX): View {
-    const { x, y } = boxOf(scene);
+/** A view of all of a scene, and of some spots besides. */
+export function fit(scene: Scene, { width, height }: Size, margin = MARGIN_PX, besides: readonly Spot[] = []): View {
+    const { x, y } = boxOf(scene, besides);
     const room = (pixels: number) => Math.max(pixels - 2 * margin, 10);
     const scale = Math.min(room(width) / Math.max(x[1] - x[0], 1e-3), room(height) / Math.max(y[1] - y[0], 1e-3), 400);
     return { x: (x[0] + x[1]) / 2, y: (y[0] + y[1]) / 2, scale };
@@ -59,7 +63,15 @@ export function placeAt(points: Points, view: View, size: Size, [px, py]: [numbe
     return best;
 }
 
-export function paint(context: CanvasRenderingContext2D, scene: Scene, look: Look, view: View, size: Size, ink: Ink) {
+/** Whether a spot is seen, and not at the very edge. */
+export function isSeen([x, y]: Spot, view: View, size: Size): boolean {
+    const screen = toScreen(view, size);
+    const within = (at: number, most: number) => at >= EDGE_PX && at <= most - EDGE_PX;
+    return within(screen.x(x), size.width) && within(screen.y(y), size.height);
+}
+
+/** Draws all, and tells where on the screen the robots are. */
+export function paint(context: CanvasRenderingContext2D, scene: Scene, look: Look, view: View, size: Size, ink: Ink): Spot[] {
     context.clearRect(0, 0, size.width, size.height);
     const screen = toScreen(view, size);
     if (scene.kind === "metric") axes(context, view, size, ink);
@@ -68,20 +80,21 @@ export function paint(context: CanvasRenderingContext2D, scene: Scene, look: Loo
     if (look.corrected < 1) {
         for (const track of scene.tracks) way(pen, track.odometry, ink.odometry, 1);
     }
+    pairs(pen, points, scene.links);
+    if (look.closures) closures(pen, scene, points, look.corrected);
+    // Above closures: of a map with many, the colours of sessions would be lost.
     for (const track of scene.tracks) {
         const line = between(track.odometry, track.corrected, look.corrected);
-        way(pen, line, look.colour === "session" ? named(track.session) : ink.link, 1.5);
+        way(pen, line, look.colour === "session" && !look.residuals ? named(track.session) : ink.link, 1.5);
     }
-    pairs(pen, points, scene.links);
-    closures(pen, scene, points, look.corrected);
     // Where colours are the links', places have none.
     places(pen, scene, points, look.residuals ? null : look.colour, size);
     if (look.residuals) leftOver(pen, points, look.residuals);
     routes(pen, look.routes);
     labels(pen, scene, points, size);
-    robots(pen, look.robots);
     if (look.place !== null) marked(pen, points, look.place);
     if (scene.kind === "metric") scaleBar(context, view, size, ink);
+    return paintRobots(context, look.robots, screen, size.width, ink);
 }
 
 /** The picture of a map in the list: its ways, links and places alone. */
@@ -155,7 +168,8 @@ function routes({ context, screen, ink }: Pen, ways: Look["routes"]) {
 }
 
 /** Closures by probability: dashed where it is low, so that colour alone need not say it. */
-function closures({ context, screen, ink }: Pen, scene: Scene, { x, y }: Points, share: number) {
+function closures({ context, screen, ink, scale }: Pen, scene: Scene, { x, y }: Points, share: number) {
+    const ring = dot(scale) + 2;
     const levels = [
         { from: 0, width: 1, dash: [3, 3], alpha: 0.75 },
         { from: 0.9, width: 1.6, dash: [], alpha: 0.8 },
@@ -169,9 +183,6 @@ function closures({ context, screen, ink }: Pen, scene: Scene, { x, y }: Points,
             const mixed = (axis: 0 | 1) => odometry[axis] + (corrected[axis] - odometry[axis]) * share;
             context.moveTo(screen.x(mixed(0)), screen.y(mixed(1)));
             context.lineTo(screen.x(x[to]!), screen.y(y[to]!));
-            const [px, py] = [screen.x(x[to]!), screen.y(y[to]!)];
-            context.moveTo(px + 6, py);
-            context.arc(px, py, 6, 0, 2 * Math.PI);
         }
         context.globalAlpha = alpha;
         context.setLineDash(dash);
@@ -180,11 +191,27 @@ function closures({ context, screen, ink }: Pen, scene: Scene, { x, y }: Points,
         context.stroke();
     });
     context.setLineDash([]);
+    // Around the place's dot, thin, and once however often it was known again: its colour shows.
+    context.beginPath();
+    for (const to of new Set(scene.closures.map(({ to }) => to))) {
+        const [px, py] = [screen.x(x[to]!), screen.y(y[to]!)];
+        context.moveTo(px + ring, py);
+        context.arc(px, py, ring, 0, 2 * Math.PI);
+    }
+    context.lineWidth = 1;
+    context.stroke();
     context.globalAlpha = 1;
 }
 
+/** The radius of a place, in pixels. */
+function dot(scale: number): number {
+    return Math.min(Math.max(scale * 0.14, 1.6), 5.5);
+}
+
+/** How much larger each map is drawn that lies below another. */
+const BELOW_PX = 2.5;
+
 function places({ context, screen, ink, scale }: Pen, scene: Scene, { x, y }: Points, colour: Colour | null, size: Size) {
-    const radius = Math.min(Math.max(scale * 0.14, 1.6), 5.5);
     const buckets = new Map<string, number[]>();
     for (let at = 0; at < x.length; at++) {
         const key = colour ? colourOf(scene, at, colour, ink) : ink.link;
@@ -192,7 +219,9 @@ function places({ context, screen, ink, scale }: Pen, scene: Scene, { x, y }: Po
         if (bucket) bucket.push(at);
         else buckets.set(key, [at]);
     }
-    for (const [fill, bucket] of buckets) {
+    const last = buckets.size - 1;
+    for (const [at, [fill, bucket]] of [...buckets].entries()) {
+        const radius = dot(scale) + (scene.layered ? (last - at) * BELOW_PX : 0);
         context.beginPath();
         for (const at of bucket) {
             const [px, py] = [screen.x(x[at]!), screen.y(y[at]!)];
@@ -215,6 +244,8 @@ function colourOf(scene: Scene, at: number, colour: Colour, { ramp }: Ink): stri
 }
 
 const MOST_LABELS = 300;
+const LABEL_PX = 9;
+const LABEL_EDGE_PX = 4;
 
 function labels({ context, screen, ink }: Pen, scene: Scene, { x, y }: Points, size: Size) {
     context.font = "600 12px system-ui, sans-serif";
@@ -223,14 +254,22 @@ function labels({ context, screen, ink }: Pen, scene: Scene, { x, y }: Points, s
     context.lineWidth = 4;
     context.lineJoin = "round";
     for (const [at, label] of scene.labels.slice(0, MOST_LABELS)) {
-        const [px, py] = [screen.x(x[at]!) + 9, screen.y(y[at]!)];
-        if (px < -200 || py < 0 || px > size.width || py > size.height) continue;
+        const [spot, py] = [screen.x(x[at]!), screen.y(y[at]!)];
+        if (spot < 0 || py < 0 || spot > size.width || py > size.height) continue;
         const shown = label.length > 40 ? `${label.slice(0, 39)}…` : label;
+        const px = besideDot(spot, context.measureText(shown).width, size.width);
         context.strokeStyle = ink.back;
         context.strokeText(shown, px, py);
         context.fillStyle = ink.text;
         context.fillText(shown, px, py);
     }
+}
+
+/** Where a text begins that is beside a dot: right of it, else left of it, else wherever it has room. */
+function besideDot(spot: number, wide: number, width: number): number {
+    if (spot + LABEL_PX + wide <= width - LABEL_EDGE_PX) return spot + LABEL_PX;
+    if (spot - LABEL_PX - wide >= LABEL_EDGE_PX) return spot - LABEL_PX - wide;
+    return Math.max(width - LABEL_EDGE_PX - wide, LABEL_EDGE_PX);
 }
 
 function marked({ context, screen, ink }: Pen, { x, y }: Points, at: number) {
@@ -240,22 +279,6 @@ function marked({ context, screen, ink }: Pen, { x, y }: Points, at: number) {
         context.arc(screen.x(x[at]), screen.y(y[at]), radius, 0, 2 * Math.PI);
         context.strokeStyle = colour;
         context.lineWidth = width;
-        context.stroke();
-    }
-}
-
-function robots({ context, screen, ink }: Pen, where: [number, number][]) {
-    for (const [x, y] of where) {
-        const [px, py] = [screen.x(x), screen.y(y)];
-        context.beginPath();
-        context.moveTo(px, py - 11);
-        context.lineTo(px + 9, py + 8);
-        context.lineTo(px - 9, py + 8);
-        context.closePath();
-        context.fillStyle = ink.accent;
-        context.strokeStyle = ink.back;
-        context.lineWidth = 2;
-        context.fill();
         context.stroke();
     }
 }

@@ -44,6 +44,8 @@ export interface Scene {
     near: (number: number) => number | undefined;
     /** Places of the map, drawn or not: what their numbers are a share of. */
     count: number;
+    /** Whether maps lie on each other: then what is below is drawn larger, so that it shows. */
+    layered?: boolean;
 }
 
 const NS = 1e9;
@@ -278,13 +280,18 @@ export interface Box {
     y: [number, number];
 }
 
-export function boxOf({ corrected, odometry }: Scene): Box {
-    const box: Box = { x: [Infinity, -Infinity], y: [Infinity, -Infinity] };
-    for (const { x, y } of [corrected, odometry]) {
-        for (let at = 0; at < x.length; at++) {
-            box.x = [Math.min(box.x[0], x[at]!), Math.max(box.x[1], x[at]!)];
-            box.y = [Math.min(box.y[0], y[at]!), Math.max(box.y[1], y[at]!)];
-        }
+/** All that is drawn of a map, ways too: a robot may be far from the last place that it made. */
+export function boxOf({ corrected, odometry, tracks }: Scene, besides: readonly [number, number][] = []): Box {
+    let [left, right, low, high] = [Infinity, -Infinity, Infinity, -Infinity];
+    const take = (x: number, y: number) => {
+        left = Math.min(left, x);
+        right = Math.max(right, x);
+        low = Math.min(low, y);
+        high = Math.max(high, y);
+    };
+    for (const { x, y } of [corrected, odometry, ...tracks.flatMap((track) => [track.corrected, track.odometry])]) {
+        for (let at = 0; at < x.length; at++) take(x[at]!, y[at]!);
     }
-    return box.x[0] <= box.x[1] ? box : { x: [-1, 1], y: [-1, 1] };
+    for (const [x, y] of besides) take(x, y);
+    return left <= right ? { x: [left, right], y: [low, high] } : { x: [-1, 1], y: [-1, 1] };
 }

@@ -3,7 +3,8 @@ import type { ComponentChildren } from "preact";
 import { useEffect, useMemo, useRef } from "preact/hooks";
 import { ink } from "../drawing/colours";
 import { between, type Scene } from "../drawing/scene";
-import { fit, paint, placeAt, toScreen, type Look, type Size, type View } from "../drawing/paint";
+import { fit, isSeen, MARGIN_PX, paint, placeAt, toScreen, type Look, type Size, type View } from "../drawing/paint";
+import { listed } from "../drawing/robots";
 import { useDark, useSize } from "../parts";
 import { useHand } from "./hand";
 
@@ -50,31 +51,36 @@ export function MapCanvas({ scene, look, view, describe, onView, onPick, onSeen,
         if (canvas.current.width !== width) canvas.current.width = width;
         if (canvas.current.height !== height) canvas.current.height = height;
         context.setTransform(sharp, 0, 0, sharp, 0, 0);
-        paint(context, scene, look, shown.current, size, ink(canvas.current));
+        const robots = paint(context, scene, look, shown.current, size, ink(canvas.current));
         if (note.current && look.place !== null) {
             const screen = toScreen(shown.current, size);
             moveBeside(note.current, [screen.x(points.x[look.place]!), screen.y(points.y[look.place]!)], size);
         }
         canvas.current.dataset["drawn"] = String(scene.numbers.length);
+        canvas.current.dataset["robots"] = listed(look.robots, robots);
     };
     const redraw = () => {
         if (!asked.current) asked.current = requestAnimationFrame(() => latest.current());
     };
     const latest = useRef(draw);
     latest.current = draw;
+    const whole = () => fit(scene, size, MARGIN_PX, look.robots.map(({ at }) => at));
     useEffect(() => {
         if (!size.width) return;
-        shown.current = view ?? fit(scene, size);
+        shown.current = view ?? whole();
         redraw();
     }, [scene, look.corrected, view, size.width, size.height]);
-    // What moves in the drawing leaves it in the hand where it is.
-    useEffect(redraw, [look, dark, beside]);
+    // What moves in the drawing leaves it in the hand where it is; only who sees all goes on to do so.
+    useEffect(() => {
+        if (size.width && !view && look.robots.some(({ at }) => !isSeen(at, shown.current, size)) && !busy()) shown.current = whole();
+        redraw();
+    }, [look, dark, beside]);
     useEffect(() => {
         if (size.width) onSeen?.(view ?? fit(scene, size), size);
     }, [view, size.width, size.height]);
 
-    const { hand, zoom, all } = useHand({
-        size, shown, redraw, onView, scales: [1e-4, 2000],
+    const { hand, zoom, all, busy } = useHand({
+        canvas, size, shown, redraw, onView, scales: [1e-4, 2000],
         onClick: (spot) => {
             const found = placeAt(points, shown.current, size, spot, REACH_PX);
             if (found !== null) onPick(found);

@@ -10,6 +10,7 @@ const STEP_PX = 60;
 const REST_MS = 250;
 
 interface Holding {
+    canvas: { current: HTMLCanvasElement | null };
     size: Size;
     /** What is seen now, ahead of what the link says. */
     shown: { current: View };
@@ -22,7 +23,7 @@ interface Holding {
     onHover?: (spot: [number, number] | null) => void;
 }
 
-export function useHand({ size, shown, scales: [least, most], redraw, onView, onClick, onKey, onHover }: Holding) {
+export function useHand({ canvas, size, shown, scales: [least, most], redraw, onView, onClick, onKey, onHover }: Holding) {
     const held = useRef<Held>(new Map());
     const moved = useRef(0);
     const told = useRef(0);
@@ -31,11 +32,29 @@ export function useHand({ size, shown, scales: [least, most], redraw, onView, on
         shown.current = next;
         redraw();
         clearTimeout(told.current);
-        told.current = window.setTimeout(() => onView(shown.current), REST_MS);
+        told.current = window.setTimeout(() => {
+            told.current = 0;
+            onView(shown.current);
+        }, REST_MS);
     };
     useEffect(() => () => clearTimeout(told.current), []);
+    const began = useRef<View>(shown.current);
+    // One finger scrolls the page, up and down; two are the drawing's, so the browser must not take them.
+    useEffect(() => {
+        const element = canvas.current;
+        const two = (event: TouchEvent) => {
+            if (event.touches.length > 1 && event.cancelable) event.preventDefault();
+        };
+        element?.addEventListener("touchstart", two, { passive: false });
+        element?.addEventListener("touchmove", two, { passive: false });
+        return () => {
+            element?.removeEventListener("touchstart", two);
+            element?.removeEventListener("touchmove", two);
+        };
+    }, []);
     const all = () => {
         clearTimeout(told.current);
+        told.current = 0;
         onView(null);
     };
     const zoom = (times: number, px = size.width / 2, py = size.height / 2) => {
@@ -74,7 +93,10 @@ export function useHand({ size, shown, scales: [least, most], redraw, onView, on
         },
         onPointerDown: (event: PointerEvent) => {
             (event.currentTarget as Element).setPointerCapture(event.pointerId);
-            if (held.current.size === 0) moved.current = 0;
+            if (held.current.size === 0) {
+                moved.current = 0;
+                began.current = shown.current;
+            }
             held.current.set(event.pointerId, spot(event));
         },
         onPointerMove: (event: PointerEvent) => {
@@ -86,14 +108,25 @@ export function useHand({ size, shown, scales: [least, most], redraw, onView, on
             moved.current += Math.hypot(now[0] - before[0], now[1] - before[1]);
             if (!other) return pan(now[0] - before[0], now[1] - before[1]);
             const apart = (at: [number, number]) => Math.max(Math.hypot(at[0] - other[0], at[1] - other[1]), 1);
+            pan((now[0] - before[0]) / 2, (now[1] - before[1]) / 2);
             zoom(apart(now) / apart(before), (now[0] + other[0]) / 2, (now[1] + other[1]) / 2);
         },
         onPointerUp: (event: PointerEvent) => {
             const alone = held.current.size === 1;
             if (held.current.delete(event.pointerId) && alone && moved.current <= CLICK_PX) onClick(spot(event));
         },
-        onPointerCancel: (event: PointerEvent) => held.current.delete(event.pointerId),
+        onPointerCancel: (event: PointerEvent) => {
+            // The browser took the finger to scroll the page: the drawing is as before.
+            if (held.current.delete(event.pointerId) && held.current.size === 0 && shown.current !== began.current) {
+                clearTimeout(told.current);
+                told.current = 0;
+                shown.current = began.current;
+                redraw();
+            }
+        },
         onPointerLeave: () => onHover?.(null),
     };
-    return { hand, zoom, show, all };
+    /** Whether a hand moves it, or did a moment ago. */
+    const busy = () => held.current.size > 0 || told.current !== 0;
+    return { hand, zoom, show, all, busy };
 }

@@ -4,13 +4,14 @@ import { load, type MapData } from "../drawing/data";
 import { sceneOf } from "../drawing/scene";
 import type { Go, Link } from "../link";
 import { at, get, short, type Place as PlaceRecord } from "../rest";
-import { keepsPictures, plural, Shown, useAsked } from "../parts";
+import { keepsPictures, plural, Shown, useAsked, useNarrow } from "../parts";
 import { Drawing } from "./drawing";
 import { Evidence } from "./evidence";
 import { Matrix } from "./matrix";
 import { Pair } from "./pair";
 import { Place } from "./place";
 import { useCloser } from "./closer";
+import { Leading } from "./leading";
 import { useFresh, useLive } from "./live";
 import { Robots } from "./robots";
 import { useSteps, type Step } from "./steps";
@@ -56,6 +57,7 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
     useEffect(() => {
         if (newest && known) go({ session: short(newest.session), frame: Number(short(newest.frame.name)), place: null });
     }, [newest?.frame.name, known]);
+    const narrow = useNarrow();
     const { closer, onSeen } = useCloser(data);
     const scene = useMemo(() => sceneOf(closer, link.shape), [closer, link.shape]);
 
@@ -87,7 +89,19 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
     const onPair = (number: number, beside: number) => void framesOf(number).then(([first]) => {
         go({ place: number, beside, follow: false, ...(first && { session: short(first.session), frame: first.sequence }) });
     });
+    // Where no robot streams, who follows goes with one that is led.
+    const led = link.follow && !newest ? (heard.robots.find(({ connected, guidance }) => connected && guidance?.localization)?.guidance?.localization?.place_number ?? null) : null;
+    useEffect(() => {
+        let gone = false;
+        if (led !== null) void framesOf(led).then(([first]) => {
+            if (!gone) go({ place: led, beside: null, ...(first && { session: short(first.session), frame: first.sequence }) });
+        });
+        return () => {
+            gone = true;
+        };
+    }, [led]);
     useKeys((by) => onCursor(latest.current + by), onCursor);
+    const robots = <Robots map={map.name} heard={heard} place={place} onPlace={onPlace} onFrame={onFrame} />;
     return <>
         <div class="title">
             <h1>{short(map.name)}</h1>
@@ -95,13 +109,15 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
                 {plural(map.places, "place")} · {plural(map.links, "link")} · {plural(map.loop_closures, "loop closure")}{map.withdrawn_loop_closures > 0 && `, ${map.withdrawn_loop_closures} withdrawn`} · {plural(map.frames, "frame")}
             </p>
             <GoTo data={data} onPlace={onPlace} />
-            <label class="choice" title="The cursor goes with the newest frame"><input type="checkbox" checked={link.follow} onChange={(event) => go({ follow: event.currentTarget.checked })} /> <span>follow</span></label>
+            <label class="choice" title="The cursor goes with the newest frame, or with a robot that is led"><input type="checkbox" checked={link.follow} onChange={(event) => go({ follow: event.currentTarget.checked })} /> <span>follow</span></label>
             <button type="button" onClick={onAgain}>Load anew</button>
         </div>
+        <Leading robots={heard.robots} onPlace={onPlace} />
         <div class="columns">
             <div class="broad">
-                <Drawing data={data} scene={scene} link={link} go={go} place={place} heard={heard} onPlace={onPlace} onSeen={(view, size) => onSeen(scene, view, size)} />
+                <Drawing data={data} scene={scene} link={link} go={go} place={place} heard={heard} narrow={narrow} onPlace={onPlace} onSeen={(view, size) => onSeen(scene, view, size)} />
                 {strayed && <p class="refused" role="alert">{strayed}</p>}
+                {narrow && robots}
                 {session && (
                     <Time
                         sessions={sessions} session={session} steps={steps} whole={whole} more={more} error={error} cursor={cursor}
@@ -118,7 +134,7 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
             <div class="narrow">
                 {session && step && <Pair session={session.name} step={step} pictures={keepsPictures(map)} beside={link.beside} large={link.large} follow={link.follow} onLarge={(large) => go({ large })} onPlace={onPlace} onCorrected={onAgain} />}
                 {place !== null && <Place data={data} number={place} onPlace={onPlace} onFrame={onFrame} onLabels={setLabels} />}
-                <Robots map={map.name} heard={heard} place={place} onPlace={onPlace} onFrame={onFrame} />
+                {!narrow && robots}
                 <Evidence data={data} metric={scene.kind === "metric"} onPlace={onPlace} onFrame={onFrame} />
             </div>
         </div>

@@ -133,7 +133,7 @@ function Drawn({ matrix, data, link, go, onPair, onPlace }: MatrixProps & { matr
         return true;
     };
     const { hand, zoom, all: whole } = useHand({
-        size, shown, redraw, scales: [1e-4, 80], onKey: step,
+        canvas, size, shown, redraw, scales: [1e-4, 80], onKey: step,
         onView: (view) => go({ cells: view && [view.x, view.y, view.scale] }),
         onClick: (spot) => {
             const cell = cellAt(matrix, shown.current, size, spot);

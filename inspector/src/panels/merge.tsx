@@ -1,5 +1,5 @@
 // One merge: how far it is, what was found, the maps on each other, and what a person decides.
-import { useState } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 import { hash, START, type Go, type Link } from "../link";
 import { pose } from "../drawing/geometry";
 import { baseOf, partsOf } from "../drawing/overlay";
@@ -54,7 +54,7 @@ interface LoadedProps extends Known {
 function Loaded({ merge, job, link, go, onDecided }: LoadedProps) {
     const { state, sources, target } = merge;
     const drawn = state !== "searching" && sources.some((source) => source.overlap || source.no_overlap_reason);
-    const laid = state === "proposed" && sources.some((source) => source.overlap?.transformation);
+    const laid = state !== "searching" && sources.some((source) => source.overlap?.transformation);
     return <>
         <div class="title">
             <h1>Merge {short(merge.name)}</h1><State state={state} />
@@ -142,11 +142,27 @@ function Decisions({ merge, job, onDecided }: Known & { merge: Merge; onDecided:
 }
 
 function Before({ merge }: { merge: Merge }) {
+    const [large, setLarge] = useState(false);
+    const path = `${at(merge.name)}/picture`;
+    const alt = `The maps before and after merge ${short(merge.name)}: ways, links within a session and links between sessions`;
     return (
         <section class="panel" aria-label="Before and after">
             <header><h2>Before and after</h2><span class="quiet small">as the search left them; of each map its largest part</span></header>
-            <Picture path={`${at(merge.name)}/picture`} alt={`The maps before and after merge ${short(merge.name)}: ways, links within a session and links between sessions`} class="sheet" />
+            <button type="button" class="enlarge" aria-label={`Enlarge: ${alt}`} onClick={() => setLarge(true)}><Picture path={path} alt="" class="sheet" /></button>
+            {large && <Large path={path} alt={alt} onClose={() => setLarge(false)} />}
         </section>
+    );
+}
+
+/** The picture as large as it was drawn, to be moved about on a small screen. */
+function Large({ path, alt, onClose }: { path: string; alt: string; onClose: () => void }) {
+    const dialog = useRef<HTMLDialogElement>(null);
+    useEffect(() => dialog.current?.showModal(), []);
+    return (
+        <dialog ref={dialog} aria-label="Before and after" onClose={onClose}>
+            <form method="dialog"><button type="submit" aria-label="Close">✕</button></form>
+            <div class="wide roam" tabIndex={0} role="group" aria-label="Scroll to see all"><Picture path={path} alt={alt} class="sheet" /></div>
+        </dialog>
     );
 }
 

@@ -98,7 +98,7 @@ function Robot({ robot, place, onPlace }: { robot: Led } & Pick<RobotsProps, "pl
         change(method, `${at(robot.name)}/goal`, body).catch(setRefused);
     };
     return (
-        <article class="robot">
+        <article class={connected ? "robot" : "robot gone"}>
             <h3>{short(robot.name)} <span class={`reason ${guidance?.status ?? ""}`}>{connected ? (guidance?.status ?? "no word yet") : "not connected"}</span></h3>
             {guidance?.detail && <p>{guidance.detail}</p>}
             <dl class="facts">
@@ -112,15 +112,17 @@ function Robot({ robot, place, onPlace }: { robot: Led } & Pick<RobotsProps, "pl
             </dl>
             {robot.goal_refusal?.status && <p class="refused">{robot.goal_refusal.status.message}</p>}
             {maySend && <p class="actions">
-                <button type="button" class="stop" disabled={!goal} onClick={() => send("DELETE")}>Cancel its goal: stop</button>
-                {place !== null && <button type="button" onClick={() => send("PUT", { place_number: place })}>Send to place {place}</button>}
+                <button type="button" class="stop" disabled={!goal || !connected} onClick={() => send("DELETE")}>Cancel its goal: stop</button>
+                {place !== null && <button type="button" disabled={!connected} onClick={() => send("PUT", { place_number: place })}>Send to place {place}</button>}
+                {!connected && <span class="quiet small">It is not connected: it would not hear of it.</span>}
             </p>}
             {refused && <Refused error={refused} />}
         </article>
     );
 }
 
-function goalText(goal: Navigation["goal"]): string {
+/** Where a robot goes, in words. */
+export function goalText(goal: Navigation["goal"]): string {
     if (!goal) return "nowhere";
     if (goal.label) return goal.label;
     if (typeof goal.place_number === "number") return `place ${goal.place_number}`;

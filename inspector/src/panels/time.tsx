@@ -44,7 +44,6 @@ export function Time(props: TimeProps) {
                 </span>
                 <output data-testid="cursor">{step ? `frame ${step.sequence}: ${REASONS[step.reason] ?? step.reason}` : "no frame"}</output>
                 <span class="quiet">{more[0] || more[1] ? `frames ${count(steps[0]!.sequence)} to ${count(steps.at(-1)!.sequence)}, of ${count(session.frames)}` : plural(steps.length, "frame")}{whole ? "" : ", more are coming"} · keys ← →</span>
-                <DeleteSession key={session.name} session={session} onDeleted={onDeleted} />
             </header>
             {error && <Refused error={error} />}
             {steps.length > 0 && <>
@@ -52,6 +51,7 @@ export function Time(props: TimeProps) {
                 <Heat steps={steps} cursor={cursor} onCursor={onCursor} />
                 <Strip session={session.name} pictures={pictures} steps={steps} cursor={cursor} onCursor={onCursor} />
             </>}
+            <p class="actions apart"><DeleteSession key={session.name} session={session} onDeleted={onDeleted} /></p>
         </section>
     );
 }
@@ -83,6 +83,8 @@ function Plot({ steps, cursor, threshold, onCursor }: AlongProps & { threshold: 
         if (!box.current || !width) return;
         const { faint, line, accent, closure } = ink(box.current);
         const axis = { stroke: faint, grid: { stroke: line, width: 1 }, ticks: { show: false }, font: "11px system-ui" };
+        // A line through one frame is none: its point must show.
+        const [none, few] = [{ show: false }, { show: steps.length === 1 }];
         const made = new uPlot({
             width, height: PLOT_PX,
             padding: [6, 0, 0, 0],
@@ -95,10 +97,10 @@ function Plot({ steps, cursor, threshold, onCursor }: AlongProps & { threshold: 
             ],
             series: [
                 {},
-                { label: "new", stroke: faint, width: 1.5, dash: [5, 3] },
-                { label: "match", stroke: accent, width: 1.5 },
+                { label: "new", stroke: faint, width: 1.5, dash: [5, 3], points: none },
+                { label: "match", stroke: accent, width: 1.5, points: few },
                 { label: "views", stroke: closure, width: 0, points: { show: true, size: 6, fill: closure } },
-                { label: "threshold", stroke: closure, width: 1, dash: [2, 3] },
+                { label: "threshold", stroke: closure, width: 1, dash: [2, 3], points: none },
             ],
             hooks: {
                 draw: [(drawn) => {
@@ -137,6 +139,9 @@ function describeAt(step: Step | undefined, threshold: number | null): string {
 }
 
 const HEAT_PX = 96;
+/** A decided place, and that of the cursor's frame. */
+const MARK_PX = 4;
+const CURSOR_MARK_PX = 6;
 
 /** Time by place: the ten most probable places of each frame, the decided one marked. */
 function Heat({ steps, cursor, onCursor }: AlongProps) {
@@ -152,7 +157,7 @@ function Heat({ steps, cursor, onCursor }: AlongProps) {
         context.setTransform(sharp, 0, 0, sharp, 0, 0);
         heat(context, steps, cursor, width, ink(canvas.current));
     }, [steps, cursor, width, dark]);
-    return (
+    return <>
         <div class="heat" ref={box}>
             <canvas
                 ref={canvas} role="img" aria-label="Posterior over places, frame by frame"
@@ -162,11 +167,14 @@ function Heat({ steps, cursor, onCursor }: AlongProps) {
                 }}
             />
         </div>
-    );
+        <p class="legend" aria-hidden="true">
+            <span>probability of each place: 0 <span class="ramp posterior" /> 1</span><span class="key decided">the place that was decided</span>
+        </p>
+    </>;
 }
 
 function heat(context: CanvasRenderingContext2D, steps: Step[], cursor: number, width: number, colours: ReturnType<typeof ink>) {
-    const most = steps.reduce((most, { place, likely }) => Math.max(most, place ?? 0, ...likely.map(([place]) => place)), 1);
+    const most = steps.reduce((most, { place, likely }) => Math.max(most, place ?? 0, ...likely.map(([place]) => place)), 0);
     const [cell, row] = [(width - AXIS_PX) / steps.length, HEAT_PX / (most + 1)];
     const x = (index: number) => AXIS_PX + index * cell;
     const y = (place: number) => HEAT_PX - (place + 1) * row;
@@ -185,17 +193,20 @@ function heat(context: CanvasRenderingContext2D, steps: Step[], cursor: number, 
         }
     });
     context.globalAlpha = 1;
-    context.fillStyle = colours.closure;
-    steps.forEach(({ place }, index) => {
-        if (place !== null) context.fillRect(x(index) + cell / 2 - 1, y(place) + row / 2 - 1, 2, 2);
-    });
     context.fillStyle = colours.accent;
     context.fillRect(x(cursor) + cell / 2 - 1, 0, 2, HEAT_PX);
+    context.fillStyle = colours.closure;
+    steps.forEach(({ place }, index) => {
+        if (place === null) return;
+        const size = index === cursor ? CURSOR_MARK_PX : MARK_PX;
+        const within = (wanted: number, least: number, most: number) => Math.min(Math.max(wanted, least), most - size);
+        context.fillRect(within(x(index) + (cell - size) / 2, AXIS_PX, width), within(y(place) + (row - size) / 2, 0, HEAT_PX), size, size);
+    });
     context.fillStyle = colours.faint;
     context.font = "11px system-ui, sans-serif";
     context.textAlign = "right";
     context.textBaseline = "top";
-    context.fillText(String(most), AXIS_PX - 6, 1);
+    if (most > 0) context.fillText(String(most), AXIS_PX - 6, 1);
     context.textBaseline = "bottom";
     context.fillText("place 0", AXIS_PX - 6, HEAT_PX - 1);
 }
