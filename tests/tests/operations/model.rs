@@ -43,7 +43,8 @@ const SHRINKING: Duration = Duration::from_secs(60);
 /// The same for those of a server that is known to be wrong.
 const SHRINKING_OF_SABOTAGE: Duration = Duration::from_secs(8);
 
-/// Lists of steps of which one finds what a server is made to get wrong.
+/// Lists of so many steps, of which one finds what a server is made to get wrong.
+const STEPS_OF_SABOTAGE: u64 = 180;
 const SEEDS_OF_SABOTAGE: u64 = 6;
 
 /// What a run came to.
@@ -179,7 +180,7 @@ async fn the_model_finds_what_a_server_gets_wrong() {
         // Not every list has what would be forgotten.
         let mut found = None;
         for seed in 1..=SEEDS_OF_SABOTAGE {
-            let list = drawn(seed, STEPS_OF_A_RUN);
+            let list = drawn(seed, STEPS_OF_SABOTAGE);
             if let Came::Failed(failure) = run(seed, list.clone(), Some(sabotage)).await {
                 found = Some((seed, list, failure));
                 break;

@@ -223,11 +223,9 @@ impl Runner {
             Some(_) => "a part",
             None => {
                 let differ = worlds[least..].iter().map(|world| differences(&told, &expected(world)));
-                let differ: Vec<String> = differ.collect();
-                return Err(format!(
-                    "after a kill, it is nothing that it may be:\n  {}",
-                    differ.join("\n or\n  ")
-                ));
+                // The one that it is most like says what is wrong.
+                let nearest = differ.min_by_key(String::len).unwrap_or_default();
+                return Err(format!("after a kill, it is nothing that it may be: {nearest}"));
             }
         };
         self.count(format!("kill {}: {came}", if met { "meanwhile" } else { "when it was over" }));
