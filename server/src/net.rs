@@ -1,5 +1,6 @@
 //! Connections, and what is known of them before anything is asked.
 
+mod complaint;
 pub(crate) mod connections;
 pub(crate) mod messages;
 pub(crate) mod origin;

@@ -3,7 +3,7 @@
 use std::io;
 use std::net::SocketAddr;
 use std::pin::Pin;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
@@ -22,6 +22,7 @@ use tokio_util::sync::WaitForCancellationFutureOwned;
 use tokio_util::task::AbortOnDropHandle;
 use tonic::transport::server::Connected;
 
+use super::complaint::Complaint;
 use super::standing::{Place, Standing, Standings, Strangers};
 
 /// How an HTTP/2 client begins, RFC 9113 section 3.4.
@@ -33,8 +34,8 @@ const QUEUE: usize = 16;
 /// Until the system is asked again that had no room for a connection: asking at once would take a core.
 const RETRY: Duration = Duration::from_millis(200);
 
-/// A complaint is logged once in this time, however many connections give rise to it.
-const COMPLAINT_INTERVAL: Duration = Duration::from_secs(10);
+/// A stranger that says more than this means no good: a call without a token is a few hundred bytes.
+const MUCH_OF_A_STRANGER: u64 = 64 << 10;
 
 /// What a port takes.
 #[derive(Clone, Copy, Debug)]
@@ -67,7 +68,8 @@ impl Connections {
         let at = listener.local_addr()?;
         let (sender, ready) = mpsc::channel(QUEUE);
         let standings = Standings::new(limits.connections, limits.kept_for_strangers, strangers);
-        let opening = Opening { tls: tls.map(TlsAcceptor::from), patience: limits.patience, ready: sender };
+        let (tls, complaint) = (tls.map(TlsAcceptor::from), Arc::default());
+        let opening = Opening { tls, patience: limits.patience, ready: sender, complaint };
         let accepting = tokio::spawn(accept(listener, standings, opening));
         Ok(Self { at, ready: Mutex::new(ready), _accepting: AbortOnDropHandle::new(accepting) })
     }
@@ -79,6 +81,8 @@ struct Opening {
     tls: Option<TlsAcceptor>,
     patience: Duration,
     ready: mpsc::Sender<Connection>,
+    /// About strangers of the port.
+    complaint: Arc<std::sync::Mutex<Complaint>>,
 }
 
 async fn accept(listener: TcpListener, standings: Standings, opening: Opening) {
@@ -94,7 +98,7 @@ async fn accept(listener: TcpListener, standings: Standings, opening: Opening) {
                 Some(place) => {
                     connections.spawn(opening.clone().take(stream, place));
                 }
-                None if complaint.is_due() => tracing::warn!(
+                None if complaint.count().is_some() => tracing::warn!(
                     %from,
                     "no more connections are taken: as many are open as may be; further ones are closed at once"
                 ),
@@ -102,7 +106,7 @@ async fn accept(listener: TcpListener, standings: Standings, opening: Opening) {
             },
             Err(error) if is_of_one_connection(&error) => {}
             Err(error) => {
-                if complaint.is_due() {
+                if complaint.count().is_some() {
                     tracing::error!(
                         %error,
                         "connections cannot be taken; if too many files are open, raise the limit (ulimit -n)"
@@ -120,7 +124,7 @@ impl Opening {
         let from = place.standing().peer();
         let cut = place.cut().clone();
         let opened = tokio::select! {
-            opened = tokio::time::timeout(self.patience, open(stream, self.tls, place)) => opened,
+            opened = tokio::time::timeout(self.patience, open(stream, self.tls, place, self.complaint)) => opened,
             () = cut.cancelled() => return tracing::debug!(%from, "a connection made room for another"),
         };
         match opened {
@@ -138,22 +142,12 @@ fn is_of_one_connection(error: &io::Error) -> bool {
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)
 }
 
-#[derive(Debug, Default)]
-struct Complaint {
-    last: Option<Instant>,
-}
-
-impl Complaint {
-    fn is_due(&mut self) -> bool {
-        let due = self.last.is_none_or(|last| last.elapsed() >= COMPLAINT_INTERVAL);
-        if due {
-            self.last = Some(Instant::now());
-        }
-        due
-    }
-}
-
-async fn open(stream: TcpStream, tls: Option<TlsAcceptor>, place: Place) -> io::Result<Connection> {
+async fn open(
+    stream: TcpStream,
+    tls: Option<TlsAcceptor>,
+    place: Place,
+    complaint: Arc<std::sync::Mutex<Complaint>>,
+) -> io::Result<Connection> {
     // Answers are small and come in bursts: none is to wait until the one before it is acknowledged.
     stream.set_nodelay(true)?;
     let mut wire = match tls {
@@ -166,7 +160,7 @@ async fn open(stream: TcpStream, tls: Option<TlsAcceptor>, place: Place) -> io::
             return Err(io::ErrorKind::UnexpectedEof.into());
         }
     }
-    Ok(Connection::new(head.freeze(), wire, place))
+    Ok(Connection::new(head.freeze(), wire, place, complaint))
 }
 
 /// Whether it can be told which version of HTTP is spoken: what serves it sees to the rest.
@@ -180,6 +174,7 @@ pub(crate) struct Connection {
     /// What was read to see that.
     head: Bytes,
     wire: Wire,
+    end: End,
     /// Given back when the connection is closed.
     place: Place,
     cut: Pin<Box<WaitForCancellationFutureOwned>>,
@@ -188,10 +183,12 @@ pub(crate) struct Connection {
 }
 
 impl Connection {
-    fn new(head: Bytes, wire: Wire, place: Place) -> Self {
+    fn new(head: Bytes, wire: Wire, place: Place, complaint: Arc<std::sync::Mutex<Complaint>>) -> Self {
         let cut = Box::pin(place.cut().clone().cancelled_owned());
         let review = Box::pin(tokio::time::sleep(place.review().unwrap_or_default()));
-        Self { head, wire, place, cut, review }
+        let (standing, since) = (place.standing().clone(), Instant::now());
+        let end = End { standing, since, heard_bytes: head.len() as u64, is_overdue: false, complaint };
+        Self { head, wire, end, place, cut, review }
     }
 
     /// An error once the connection is to be closed: it made room for another, or nobody on it was admitted in time.
@@ -200,10 +197,43 @@ impl Connection {
             return Err(io::ErrorKind::ConnectionAborted.into());
         }
         while self.review.as_mut().poll(context).is_ready() {
-            let Some(next) = self.place.review() else { return Err(io::ErrorKind::ConnectionAborted.into()) };
+            let Some(next) = self.place.review() else {
+                self.end.is_overdue = true;
+                return Err(io::ErrorKind::ConnectionAborted.into());
+            };
             self.review.as_mut().reset(tokio::time::Instant::now() + next);
         }
         Ok(())
+    }
+}
+
+/// Says of a stranger's connection, when it is closed, that it was open for too long or said too much: who runs the server has
+/// to know where that comes from.
+#[derive(Debug)]
+struct End {
+    standing: Standing,
+    since: Instant,
+    heard_bytes: u64,
+    is_overdue: bool,
+    complaint: Arc<std::sync::Mutex<Complaint>>,
+}
+
+impl Drop for End {
+    fn drop(&mut self) {
+        let is_to_be_told = self.is_overdue || self.heard_bytes > MUCH_OF_A_STRANGER;
+        if !is_to_be_told || self.standing.is_admitted() {
+            return;
+        }
+        let mut complaint = self.complaint.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(untold) = complaint.count() {
+            tracing::info!(
+                peer = %self.standing.peer(),
+                open_s = self.since.elapsed().as_secs(),
+                heard_bytes = self.heard_bytes,
+                further = untold,
+                "a connection without an admitted call was closed; `further` ones were since the last that was told of"
+            );
+        }
     }
 }
 
@@ -234,7 +264,10 @@ impl AsyncRead for Connection {
     ) -> Poll<io::Result<()>> {
         self.poll_stay(context)?;
         if self.head.is_empty() {
-            return Pin::new(self.wire.stream()).poll_read(context, buffer);
+            let before = buffer.filled().len();
+            let read = Pin::new(self.wire.stream()).poll_read(context, buffer);
+            self.end.heard_bytes += (buffer.filled().len() - before) as u64;
+            return read;
         }
         let taken = self.head.len().min(buffer.remaining());
         buffer.put_slice(&self.head[..taken]);

@@ -184,6 +184,11 @@ impl Standing {
         self.peer
     }
 
+    /// Whether a call on this connection was ever admitted.
+    pub(crate) fn is_admitted(&self) -> bool {
+        self.all.held().connections.get(&self.number).is_some_and(Holder::is_admitted)
+    }
+
     /// A call on this connection was admitted by a token that is cancelled when that is deleted: it may stay.
     ///
     /// # Errors

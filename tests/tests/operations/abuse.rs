@@ -1,5 +1,5 @@
 //! Connections that are meant to do harm: floods, halves, hoards. Whoever means well is served meanwhile, the memory stays what it
-//! was, and what does harm is closed in time.
+//! was, what does harm is closed in time, and the log says where it came from.
 
 mod floods;
 mod wire;
@@ -102,13 +102,14 @@ impl Attacked {
         longest
     }
 
-    /// Ends it. Its memory must not have grown by more.
-    fn ends(self, most_growth: u64) {
+    /// Ends it; what it said. Its memory must not have grown by more.
+    fn ends(self, most_growth: u64) -> String {
         let growth = self.server.rss_bytes().saturating_sub(self.rss_before);
         let log = self.server.log();
         assert!(growth <= most_growth, "the memory grew by {} MiB", growth >> 20);
         assert!(!log.contains("panicked"), "{log}");
         self.server.stop();
+        log
     }
 }
 
@@ -131,8 +132,12 @@ async fn floods_of_frames_are_cut_and_delay_nobody() {
         println!("{flood}: closed within {open:.1?}");
         assert!(open <= CLOSED_WITHIN, "{flood}: open for {open:?}");
     }
-    attacked.ends(MOST_GROWTH);
+    let log = attacked.ends(MOST_GROWTH);
+    assert!(log.contains("peer=127.0.0.1") && log.contains(TOLD), "{log}");
 }
+
+/// What the log says of those whose calls were not admitted, with where they came from.
+const TOLD: &str = "without an admitted call";
 
 /// A byte in a while, and never the last.
 fn drip(wire: &mut Wire, said: &[u8], byte: u8) -> std::io::Result<()> {
@@ -184,7 +189,8 @@ async fn halves_are_not_waited_for() {
         println!("{half}: closed within {open:.1?}");
         assert!(open <= CLOSED_WITHIN + Duration::from_secs(9), "{half}: open for {open:?}");
     }
-    attacked.ends(MOST_GROWTH);
+    let log = attacked.ends(MOST_GROWTH);
+    assert!(log.contains("peer=127.0.0.1") && log.contains(TOLD), "{log}");
 }
 
 /// The same flood where strangers have an hour: it is that setting which cuts it.
