@@ -15,7 +15,7 @@ interface ColourKeysProps {
 }
 
 export function ColourKeys({ colour, data, scene }: ColourKeysProps) {
-    if (colour === "time") return <span data-testid="colours">first place <span class="ramp time" /> last</span>;
+    if (colour === "time") return <span data-testid="colours">first place <span class="ramp along" /> last</span>;
     const keys = colour === "session"
         ? data.sessions.map(({ name }, at) => [at, short(name)] as const)
         : [...new Set(scene.spaceOf)].sort((a, b) => a - b).map((at) => [at, `${scene.kind === "metric" ? "part" : "space"} ${at}`] as const);

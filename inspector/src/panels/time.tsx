@@ -65,6 +65,8 @@ interface AlongProps {
 /** Left of the plot, so that the heat map begins where the lines do. */
 const AXIS_PX = 46;
 const PLOT_PX = 120;
+/** Half of a frame's number. */
+const NUMBER_PX = 14;
 
 function Plot({ steps, cursor, threshold, onCursor }: AlongProps & { threshold: number | null }) {
     const [box, { width }] = useSize<HTMLDivElement>();
@@ -84,6 +86,8 @@ function Plot({ steps, cursor, threshold, onCursor }: AlongProps & { threshold: 
         const { faint, line, accent, closure } = ink(box.current);
         const axis = { stroke: faint, grid: { stroke: line, width: 1 }, ticks: { show: false }, font: "11px system-ui" };
         // A line through one frame is none: its point must show.
+        // A number at the very end would be cut off.
+        const cut = (index: number) => ((index + 0.5) / steps.length) * (width - AXIS_PX) > width - AXIS_PX - NUMBER_PX;
         const [none, few] = [{ show: false }, { show: steps.length === 1 }];
         const made = new uPlot({
             width, height: PLOT_PX,
@@ -92,7 +96,7 @@ function Plot({ steps, cursor, threshold, onCursor }: AlongProps & { threshold: 
             cursor: { drag: { x: false, y: false }, y: false },
             scales: { x: { time: false, range: [-0.5, Math.max(steps.length - 0.5, 0.5)] }, y: { range: [0, 1.05] } },
             axes: [
-                { ...axis, size: 22, values: (_, at) => at.map((index) => Number.isInteger(index) ? String(steps[index]?.sequence ?? "") : "") },
+                { ...axis, size: 22, values: (_, at) => at.map((index) => Number.isInteger(index) && !cut(index) ? String(steps[index]?.sequence ?? "") : "") },
                 { ...axis, size: AXIS_PX, values: (_, at) => at.map((value) => value.toFixed(1)) },
             ],
             series: [
