@@ -208,6 +208,13 @@ impl SessionService for Sessions {
         Err(Status::unimplemented("this peer streams only"))
     }
 
+    async fn list_open_streams(
+        &self,
+        _: Request<v1::ListOpenStreamsRequest>,
+    ) -> Result<Response<v1::ListOpenStreamsResponse>, Status> {
+        Err(Status::unimplemented("this peer streams only"))
+    }
+
     async fn list_frames(
         &self,
         _: Request<v1::ListFramesRequest>,

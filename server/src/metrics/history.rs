@@ -25,10 +25,13 @@ pub(crate) struct HistoryView {
     pub(crate) series: Vec<(SeriesName, Vec<f64>)>,
 }
 
+/// When the metrics were looked at, and what they were.
+type Look = (i64, BTreeMap<SeriesName, f64>);
+
 /// What the metrics were. Cheap to clone.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct History {
-    looks: Arc<Mutex<VecDeque<(i64, BTreeMap<SeriesName, f64>)>>>,
+    looks: Arc<Mutex<VecDeque<Look>>>,
 }
 
 impl History {
@@ -59,7 +62,7 @@ impl History {
         }
     }
 
-    fn looks(&self) -> MutexGuard<'_, VecDeque<(i64, BTreeMap<SeriesName, f64>)>> {
+    fn looks(&self) -> MutexGuard<'_, VecDeque<Look>> {
         self.looks.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

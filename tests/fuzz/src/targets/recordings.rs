@@ -42,8 +42,8 @@ pub(super) fn ros_message(bytes: &[u8]) -> Fed {
         2 => live::camera_info(data).is_ok_and(|info| {
             info.declared_on("/camera/image_raw").is_ok() | info.declared_on("/camera/image_rect").is_ok()
         }),
-        3 => live::pose(Kind::Odometry, data).is_ok_and(is_finite),
-        4 => live::pose(Kind::PoseStamped, data).is_ok_and(is_finite),
+        3 => live::pose(Kind::Odometry, data).is_ok_and(|stamped| is_finite(&stamped)),
+        4 => live::pose(Kind::PoseStamped, data).is_ok_and(|stamped| is_finite(&stamped)),
         5 => {
             let mut mountings = live::Mountings::default();
             let added = mountings.add(data).is_ok();
@@ -55,7 +55,7 @@ pub(super) fn ros_message(bytes: &[u8]) -> Fed {
     if taken { Fed::Taken } else { Fed::Refused }
 }
 
-fn is_finite(stamped: live::LivePose) -> bool {
+fn is_finite(stamped: &live::LivePose) -> bool {
     let numbers = stamped.pose.position_m.into_iter().chain(stamped.pose.orientation);
     assert!(numbers.into_iter().all(f64::is_finite), "{stamped:?}");
     true

@@ -196,7 +196,7 @@ impl Wire {
                 // Refused: nothing more goes there.
                 Ok((kind::RST_STREAM, _, stream, _)) => forget(left, stream),
                 Ok((kind::HEADERS, flags, stream, _)) if flags & kind::END_STREAM != 0 => {
-                    forget(left, stream)
+                    forget(left, stream);
                 }
                 Ok(_) => {}
                 Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}

@@ -112,7 +112,7 @@ fn streams(words_hash: &str, images: &[Vec<u8>]) -> Vec<Seed> {
     };
     let words = || vec![frame::Content::Words(words()); 3];
     let counts = || vec![frame::Content::Histogram(histogram()); 3];
-    let pictures = images.iter().map(|image| frame::Content::Image(image.clone().into())).collect();
+    let pictures = images.iter().map(|image| frame::Content::Image(image.clone())).collect();
     let mut seeds = vec![
         named(stream(open(v1::SessionMode::Map, None), frames(words())), "stream-words"),
         named(stream(open(v1::SessionMode::Map, None), frames(counts())), "stream-histograms"),
@@ -124,7 +124,7 @@ fn streams(words_hash: &str, images: &[Vec<u8>]) -> Vec<Seed> {
         seeds.push(named(opened, &format!("stream-{name}")));
     }
     let turn = v1::Camera { model: Some(cameras().remove(3).1), ..v1::Camera::default() };
-    let seen = frames(images.iter().map(|image| frame::Content::Image(image.clone().into())).collect());
+    let seen = frames(images.iter().map(|image| frame::Content::Image(image.clone())).collect());
     seeds.push(named(stream(open(v1::SessionMode::Map, Some(turn)), seen), "stream-panoramas"));
     seeds
 }
@@ -195,7 +195,7 @@ pub(super) fn grpc() -> Vec<Seed> {
     let queries = [
         ("query-words", query_request::Content::Words(words())),
         ("query-histogram", query_request::Content::Histogram(histogram())),
-        ("query-image", query_request::Content::Image(images[0].clone().into())),
+        ("query-image", query_request::Content::Image(images[0].clone())),
     ];
     for (name, content) in queries {
         seeds.push(named(call("RecognitionService/Query", &[query(content).encode_to_vec()]), name));
