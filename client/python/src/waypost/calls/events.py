@@ -23,7 +23,8 @@ class EventCalls:
     def refusals(self) -> list[event_pb2.Refusal]:
         """What the server refused since it began, newest first; the last 1000 are kept.
 
-        Calls, requests, and frames, wheel reports and goals on open streams. For administrators of the whole server.
+        Calls, requests, and frames, wheel reports and goals on open streams. For administrators of the
+        whole server.
 
         Raises:
             PermissionDenied: If the token is for less than that.

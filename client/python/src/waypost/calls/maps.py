@@ -95,7 +95,7 @@ class MapCalls:
         return job
 
     def repair_map(self, map_id: str, into: str, copy: str = "") -> job_pb2.Job:
-        """Makes a new map, `into`, from what is left of a damaged one. The job's last stage says what is lost.
+        """Makes a new map, `into`, from what is left of a damaged one. The job's last stage tells the losses.
 
         Args:
             map_id: The damaged map; it stays as it is.
