@@ -35,6 +35,7 @@ type AboutProps = { place: PlaceRecord; pictures: boolean } & Pick<PlaceProps, "
 
 function About({ place, pictures, onPlace, onFrame }: AboutProps) {
     const where = pose(place.pose?.pose);
+    const several = new Set(place.frames.map(({ session }) => session)).size > 1;
     return <>
         <div class="looks">
             {place.frames.slice(0, MOST_FRAMES).map(({ session, sequence, stamp_ns }) => (
@@ -43,7 +44,7 @@ function About({ place, pictures, onPlace, onFrame }: AboutProps) {
                     aria-label={`Frame ${sequence} of ${short(session)}`} title={`${short(session)}, frame ${sequence}, ${moment(stamp_ns)}`}
                 >
                     {pictures ? <Picture path={`${at(session)}/frames/${sequence}/image?size=thumbnail`} alt="" /> : <NoPicture />}
-                    <span>{sequence}</span>
+                    <span>{several && `${short(session)} `}{sequence}</span>
                 </button>
             ))}
         </div>

@@ -138,7 +138,7 @@ function Plot({ steps, cursor, threshold, onCursor }: AlongProps & { threshold: 
 function describeAt(step: Step | undefined, threshold: number | null): string {
     if (!step) return "Probabilities along the session";
     const views = step.probability === null ? "" : `, of the closure ${step.probability.toFixed(3)}`;
-    return `At frame ${step.sequence}: probability of somewhere new ${step.newPlace.toFixed(3)}, of the place ` +
+    return `At frame ${step.sequence}: probability of somewhere new ${step.newPlace.toFixed(3)}, of the most probable place ` +
         `${step.posterior.toFixed(3)}${views}; threshold ${threshold ?? "unknown"}`;
 }
 

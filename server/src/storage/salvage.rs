@@ -40,10 +40,19 @@ impl Storage {
                 .and_then(|event| event.decode(vocabulary_len).ok());
             salvaged.push(match event {
                 Some(event) => Salvaged::Whole(event),
-                None => Salvaged::Lost(self.named(map, Where::Event(position)).await),
+                None => Salvaged::Lost(self.lost(map, position).await),
             });
         }
         Ok(salvaged)
+    }
+
+    /// What an event was that is damaged, as far as that can be told; its map takes nothing more.
+    async fn lost(&self, map: MapId, position: u64) -> String {
+        let place = Where::Event(position);
+        if self.damage(map).is_none() {
+            self.note_rot(map, place, "what is stored of it is not what was written").await;
+        }
+        self.named(map, place).await
     }
 
     /// The rows at `positions` that can be read, and have the checksums of what they hold.
