@@ -57,10 +57,10 @@ impl Rebuilding {
         let settings = map_settings::from_json(&source.settings)?;
         check_kept(&source, settings.keep, &before, &loaded)?;
         check_recognizer(loaded, settings.mapper).await?;
-        self.make(caller, &source, &model.hash, &into).await?;
+        self.make(JobKind::RebuildMap, caller, &source, &model.hash, &into).await?;
         let sessions = self.maps.storage.stored_sessions(source.id).await?;
         let made = into.clone();
-        let resending = Resending { source, sessions, into, without_content: WithoutContent::Refuse };
+        let resending = Resending::new(source, sessions, into, WithoutContent::Refuse);
         let rebuild = Rebuild { resending, words: before.model.vocabulary().len() };
         let rebuilding = self.clone();
         let work = |reporter: JobReporter| async move { rebuilding.rebuild(rebuild, &reporter).await };
@@ -70,12 +70,13 @@ impl Rebuilding {
     /// Makes the new map, with the settings of the other; one that was begun before is gone on with.
     async fn make(
         &self,
+        kind: JobKind,
         caller: &Caller,
         source: &MapRow,
         model_hash: &str,
         into: &str,
     ) -> Result<(), ServiceError> {
-        if self.was_begun(source, model_hash, into).await? {
+        if self.was_begun(kind, source, model_hash, into).await? {
             return Ok(());
         }
         self.maps.names.check_unreserved(into)?;
@@ -89,17 +90,26 @@ impl Rebuilding {
         Ok(())
     }
 
-    /// Whether the new map is there already, as one that was begun before; refused if it is any other.
-    async fn was_begun(&self, source: &MapRow, model_hash: &str, into: &str) -> Result<bool, ServiceError> {
-        match self.maps.storage.map(into).await? {
-            None => Ok(false),
-            Some(row)
-                if row.model == model_hash && row.settings == source.settings && row.id != source.id =>
-            {
-                Ok(true)
-            }
-            Some(_) => Err(map_exists(into)),
+    /// Whether the new map is there already, as one that was begun before; refused if it is any other, so that nobody's
+    /// map gets the frames of another.
+    async fn was_begun(
+        &self,
+        kind: JobKind,
+        source: &MapRow,
+        model_hash: &str,
+        into: &str,
+    ) -> Result<bool, ServiceError> {
+        let storage = &self.maps.storage;
+        let Some(row) = storage.map(into).await? else { return Ok(false) };
+        let is_like = row.model == model_hash && row.settings == source.settings && row.id != source.id;
+        // A server that was killed may have made the map, and not told of the job yet.
+        if is_like
+            && (storage.was_begun(kind, &[&source.name, into]).await?
+                || storage.stored_sessions(row.id).await?.is_empty())
+        {
+            return Ok(true);
         }
+        Err(map_exists(into))
     }
 
     async fn rebuild(&self, rebuild: Rebuild, reporter: &JobReporter) -> JobOutcome {

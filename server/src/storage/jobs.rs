@@ -100,6 +100,16 @@ impl Storage {
         .await
     }
 
+    /// Whether a job of that kind was ever begun about maps, the first of which are these; jobs are kept for 30 days.
+    pub(crate) async fn was_begun(&self, kind: JobKind, maps: &[&str]) -> Result<bool, StorageError> {
+        let found = sqlx::query("SELECT 1 FROM jobs WHERE kind = ? AND instr(maps || ',', ?) = 1 LIMIT 1")
+            .bind(kind)
+            .bind(format!("{},", maps.join(",")))
+            .fetch_optional(&self.readers)
+            .await?;
+        Ok(found.is_some())
+    }
+
     pub(crate) async fn end_job(&self, end: &JobEnd) -> Result<(), StorageError> {
         self.write(async |transaction| end_job(transaction, end).await).await
     }

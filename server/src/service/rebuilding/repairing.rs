@@ -18,6 +18,9 @@ use crate::storage::{JobKind, LabelRow, MapId, MapRow, Salvaged, StorageError};
 /// Frames of a place that are asked where it is now.
 const WITNESSES: u32 = 16;
 
+/// Above every position of a log.
+const END_OF_LOG: FrameId = i64::MAX as FrameId;
+
 /// What is lost that is told by name.
 const MOST_TOLD: usize = 20;
 
@@ -26,10 +29,16 @@ struct Repair {
     /// Whose the new map is.
     caller: Caller,
     resending: Resending,
-    /// The map as it was earlier.
-    copy: Option<MapRow>,
+    copy: Option<Copy>,
     /// Of the model that both have.
     words: usize,
+}
+
+/// The map as it was earlier.
+struct Copy {
+    row: MapRow,
+    /// Of its log: the map may have grown since.
+    events: u64,
 }
 
 /// What could not be brought back.
@@ -39,7 +48,9 @@ struct Losses {
     /// What robots measured, and people corrected: said of frames of the damaged map.
     measured: u64,
     corrected: u64,
-    labels: Vec<LabelRow>,
+    labels: Vec<String>,
+    /// What is kept of frames beside the log.
+    beside: Vec<String>,
 }
 
 impl Rebuilding {
@@ -70,14 +81,25 @@ impl Rebuilding {
             )));
         }
         let model = self.maps.loaded.get(&source.model).await?;
-        self.was_begun(&source, &source.model, &into).await?;
-        let sessions = self.maps.storage.stored_sessions(source.id).await?;
-        let maps: Vec<String> = [source.name.clone(), into.clone()]
-            .into_iter()
-            .chain(copy.as_ref().map(|copy| copy.name.clone()))
-            .collect();
-        let without_content = WithoutContent::SendWords(model.words_hash.clone());
-        let resending = Resending { source, sessions, into, without_content };
+        self.was_begun(JobKind::RepairMap, &source, &source.model, &into).await?;
+        let storage = &self.maps.storage;
+        let mut sessions = storage.stored_sessions(source.id).await?;
+        let mut maps = vec![source.name.clone(), into.clone()];
+        let copy = match copy {
+            None => None,
+            Some(row) => {
+                maps.push(row.name.clone());
+                let mut others = storage.stored_sessions(row.id).await?;
+                others.retain(|other| sessions.iter().all(|session| session.number != other.number));
+                sessions.extend(others);
+                Some(Copy { events: storage.log_events(row.id).await?, row })
+            }
+        };
+        let without_content = WithoutContent::SendWords {
+            words_hash: model.words_hash.clone(),
+            copy: copy.as_ref().map(|copy| copy.row.id),
+        };
+        let resending = Resending::new(source, sessions, into, without_content);
         let words = model.model.vocabulary().len();
         let repair = Repair { caller: caller.clone(), resending, copy, words };
         let rebuilding = self.clone();
@@ -115,7 +137,8 @@ impl Rebuilding {
                 source.name
             ))));
         }
-        self.make(&repair.caller, source, &source.model, &repair.resending.into).await?;
+        let kind = JobKind::RepairMap;
+        self.make(kind, &repair.caller, source, &source.model, &repair.resending.into).await?;
         let (mut streams, mut losses) = (Streams::new(), Losses::default());
         for positions in pages() {
             Stopped::unless(reporter.progress("looking at the frames again", fraction(&positions)))?;
@@ -144,6 +167,7 @@ impl Rebuilding {
             self.send_noted(repair, &streams, &mut frames, &positions).await?;
         }
         losses.labels = self.carry_labels(repair).await?;
+        losses.beside = repair.resending.lost();
         Ok(losses)
     }
 
@@ -155,18 +179,20 @@ impl Rebuilding {
         let Some(copy) = copy else {
             return Ok(salvaged.into_iter().map(|salvaged| Left::of(source.id, salvaged)).collect());
         };
-        let copied = storage.salvage(copy.id, positions.clone(), *words).await?;
+        let Copy { row: copy, events } = copy;
+        let there = positions.start.min(*events)..positions.end.min(*events);
+        let mut copied = storage.salvage(copy.id, there, *words).await?.into_iter();
         let mut left = Vec::new();
-        for ((position, salvaged), copied) in positions.zip(salvaged).zip(copied) {
-            left.push(match (salvaged, copied) {
-                (Salvaged::Whole(event), Salvaged::Whole(copied)) if event != copied => {
+        for (position, salvaged) in positions.zip(salvaged) {
+            left.push(match (salvaged, copied.next()) {
+                (Salvaged::Whole(event), Some(Salvaged::Whole(copied))) if event != copied => {
                     return Err(ServiceError::precondition(format_args!(
                         "the map {} is no earlier copy of {}: event {position} of its log is another, since it is another \
                          map, or sessions were removed from one of them; delete what was begun, and repair without it",
                         copy.name, source.name
                     )));
                 }
-                (Salvaged::Lost(_), Salvaged::Whole(copied)) => Left::Event(copy.id, copied),
+                (Salvaged::Lost(_), Some(Salvaged::Whole(copied))) => Left::Event(copy.id, copied),
                 (salvaged, _) => Left::of(source.id, salvaged),
             });
         }
@@ -182,38 +208,54 @@ impl Rebuilding {
         positions: &Range<u64>,
     ) -> Result<(), ServiceError> {
         let mut frames = std::mem::take(frames);
-        self.add_notes(&mut frames, positions).await;
+        self.add_notes(&repair.resending, &mut frames, positions).await?;
         self.send(&repair.resending, streams, frames).await
     }
 
-    /// Gives frames what their robots call them; of what is damaged, nothing.
-    async fn add_notes(&self, frames: &mut [KeptFrame], positions: &Range<u64>) {
-        let mut notes: HashMap<MapId, HashMap<FrameId, String>> = HashMap::new();
+    /// Gives frames what their robots call them, as far as that can be read.
+    async fn add_notes(
+        &self,
+        resending: &Resending,
+        frames: &mut [KeptFrame],
+        positions: &Range<u64>,
+    ) -> Result<(), ServiceError> {
+        let storage = &self.maps.storage;
+        // By map; none of one whose notes cannot be read at once.
+        let mut known: HashMap<MapId, Option<HashMap<FrameId, String>>> = HashMap::new();
         for KeptFrame { map, event, note } in frames {
-            if !notes.contains_key(map) {
-                let read = self.maps.storage.notes(*map, positions.clone()).await;
-                notes.insert(*map, by_position(read.unwrap_or_default()));
+            if !known.contains_key(map) {
+                let read = storage.notes(*map, positions.clone()).await;
+                known.insert(*map, unless_damaged(read.map(by_position))?);
             }
-            if let Some(found) = notes.get_mut(map).and_then(|notes| notes.remove(&event.frame)) {
-                *note = found;
+            let found = match known.get_mut(map).and_then(Option::as_mut) {
+                Some(notes) => Some(notes.remove(&event.frame).unwrap_or_default()),
+                None => {
+                    let read = storage.notes(*map, event.frame..event.frame + 1).await;
+                    unless_damaged(read.map(by_position))?
+                        .map(|mut notes| notes.remove(&event.frame).unwrap_or_default())
+                }
+            };
+            match found {
+                Some(found) => *note = found,
+                None => resending.lose("what its robot calls it", event),
             }
         }
+        Ok(())
     }
 
-    /// Puts labels on the places where the frames of theirs are now; gives those that found none.
-    async fn carry_labels(&self, repair: &Repair) -> Result<Vec<LabelRow>, ServiceError> {
+    /// Puts labels on the places where the frames of theirs are now; gives those that are lost.
+    async fn carry_labels(&self, repair: &Repair) -> Result<Vec<String>, ServiceError> {
         let source = repair.resending.source.id;
         let storage = &self.maps.storage;
         let now = self.maps.open_maps.row(&repair.resending.into).await?;
-        let labels = match storage.labels(source, PlaceId::new(0), u32::MAX).await {
-            Err(StorageError::Rot(_)) => Vec::new(),
-            labels => labels?,
+        let Some(labels) = unless_damaged(storage.labels(source, PlaceId::new(0), u32::MAX).await)? else {
+            return Ok(vec!["labels, which cannot be read".to_owned()]);
         };
         let mut lost = Vec::new();
-        for label in labels {
-            match self.place_now(repair, &now, label.place).await? {
-                Some(place) => storage.put_labels(now.id, &[place], &label.label).await?,
-                None => lost.push(label),
+        for LabelRow { place, label } in labels {
+            match self.place_now(repair, &now, place).await? {
+                Some(now_at) => storage.put_labels(now.id, &[now_at], &label).await?,
+                None => lost.push(format!("label {label:?} of place {place}")),
             }
         }
         Ok(lost)
@@ -228,14 +270,11 @@ impl Rebuilding {
     ) -> Result<Option<PlaceId>, ServiceError> {
         let Repair { resending: Resending { source, sessions, .. }, words, .. } = repair;
         let storage = &self.maps.storage;
-        let witnesses = match storage.frames_of_place(source.id, place, FrameId::MAX >> 1, WITNESSES).await {
+        let witnesses = match storage.frames_of_place(source.id, place, END_OF_LOG, WITNESSES).await {
             Ok(positions) => storage.frames_at(source.id, &positions).await,
             Err(error) => Err(error),
         };
-        let witnesses = match witnesses {
-            Err(StorageError::Rot(_)) => return Ok(None),
-            witnesses => witnesses?,
-        };
+        let Some(witnesses) = unless_damaged(witnesses)? else { return Ok(None) };
         let mut votes: HashMap<PlaceId, u32> = HashMap::new();
         for witness in witnesses {
             let Some(session) = sessions.iter().find(|stored| stored.number == witness.session) else {
@@ -253,6 +292,15 @@ impl Rebuilding {
         }
         let most = votes.into_iter().max_by_key(|&(place, votes)| (votes, std::cmp::Reverse(place)));
         Ok(most.map(|(place, _)| place))
+    }
+}
+
+/// What was read; none if it is damaged.
+fn unless_damaged<T>(read: Result<T, StorageError>) -> Result<Option<T>, StorageError> {
+    match read {
+        Ok(read) => Ok(Some(read)),
+        Err(StorageError::Rot(_)) => Ok(None),
+        Err(error) => Err(error),
     }
 }
 
@@ -281,19 +329,16 @@ impl Left {
 
 impl Losses {
     fn in_words(&self) -> String {
-        let Self { events, measured, corrected, labels } = self;
+        let Self { events, measured, corrected, labels, beside } = self;
         let mut told = Vec::new();
-        if !events.is_empty() {
-            let more = events.len().saturating_sub(MOST_TOLD);
-            let named = events.iter().take(MOST_TOLD).cloned().collect::<Vec<_>>().join("; ");
-            told.push(match more {
+        let lost: Vec<&str> = [events, beside, labels].into_iter().flatten().map(String::as_str).collect();
+        if !lost.is_empty() {
+            let named = lost.iter().take(MOST_TOLD).copied().collect::<Vec<_>>().join("; ");
+            told.push(match lost.len().saturating_sub(MOST_TOLD) {
                 0 => format!("lost: {named}"),
                 more => format!("lost: {named}; and {more} more"),
             });
         }
-        let labels =
-            labels.iter().map(|LabelRow { place, label }| format!("lost: label {label:?} of place {place}"));
-        told.extend(labels);
         if measured + corrected > 0 {
             told.push(format!(
                 "to be said again: {measured} poses that robots measured, {corrected} corrections of people"

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::pin::pin;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use bytes::Bytes;
 use futures::stream::{self, StreamExt};
@@ -30,14 +30,47 @@ pub(super) struct Resending {
     /// Name of the new map.
     pub(super) into: String,
     pub(super) without_content: WithoutContent,
+    /// What is kept of frames, and could be read nowhere.
+    lost: Mutex<Vec<String>>,
+}
+
+impl Resending {
+    pub(super) fn new(
+        source: MapRow,
+        sessions: Vec<StoredSession>,
+        into: String,
+        without_content: WithoutContent,
+    ) -> Self {
+        Self { source, sessions, into, without_content, lost: Mutex::default() }
+    }
+
+    /// Notes that something that is kept of a frame is lost.
+    pub(super) fn lose(&self, what: &str, frame: &FrameEvent) {
+        let session = self.sessions.iter().find(|stored| stored.number == frame.session);
+        let session = session.map_or("", |stored| &stored.name);
+        let lost = format!("{what} of session {session}, frame {}", frame.sequence);
+        self.lost.lock().unwrap_or_else(PoisonError::into_inner).push(lost);
+    }
+
+    /// What was lost so far.
+    pub(super) fn lost(&self) -> Vec<String> {
+        let mut lost = self.lost.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        // Frames are read side by side.
+        lost.sort();
+        lost
+    }
 }
 
 /// What becomes of a frame of which neither the image nor descriptors can be read.
 pub(super) enum WithoutContent {
     /// The new map has other words, so there is nothing to send.
     Refuse,
-    /// Its words are sent: the new map has the same, of this hash.
-    SendWords(String),
+    /// Its words are sent: the new map has the same.
+    SendWords {
+        words_hash: String,
+        /// An earlier copy of the map, with the same frames at the same positions of its log as far as it goes.
+        copy: Option<MapId>,
+    },
 }
 
 /// A frame, and where what is kept of it lies.
@@ -60,12 +93,17 @@ impl Rebuilding {
     ) -> Result<(), ServiceError> {
         if let Entry::Vacant(stream) = streams.entry(session) {
             let stored = resending.sessions.iter().find(|stored| stored.number == session);
-            let stored = stored.ok_or_else(|| ServiceError::internal("a session is not in the table"))?;
+            let stored = stored.ok_or_else(|| {
+                ServiceError::damaged(&format!(
+                    "map {}, session number {session}: its name and camera cannot be read",
+                    resending.source.name
+                ))
+            })?;
             let map = map_name(&resending.into);
             let camera = stored.camera.clone();
             let words_hash = match &resending.without_content {
                 WithoutContent::Refuse => "",
-                WithoutContent::SendWords(hash) => hash,
+                WithoutContent::SendWords { words_hash, copy: _ } => words_hash,
             };
             let robot = Robot { words_hash, run: "", opener: Opener::SERVER };
             let opened = self.sessions.open(&map, &stored.name, SessionMode::Map, camera, robot).await?;
@@ -117,8 +155,8 @@ impl Rebuilding {
                 let thumbnail = self.medium(resending, frame, MediumKind::Thumbnail).await?;
                 Ok(Content::Described(Described { features: Arc::new(features), thumbnail }))
             }
-            (Some(features), WithoutContent::SendWords(_)) => Ok(Content::Words(WordList::of(&features))),
-            (None, WithoutContent::SendWords(_)) => {
+            (Some(features), WithoutContent::SendWords { .. }) => Ok(Content::Words(WordList::of(&features))),
+            (None, WithoutContent::SendWords { .. }) => {
                 let (words, counts) = frame.event.observation.word_counts().unzip();
                 Ok(Content::Histogram { words, counts })
             }
@@ -130,18 +168,38 @@ impl Rebuilding {
         }
     }
 
-    /// Something that is kept of a frame; none if it is damaged, and the frame's words will do.
+    /// Something that is kept of a frame; from the copy if it is damaged, and none if it is there, too.
     async fn medium(
         &self,
         resending: &Resending,
         frame: &KeptFrame,
         kind: MediumKind,
     ) -> Result<Option<Vec<u8>>, ServiceError> {
-        match (self.maps.storage.medium(frame.map, frame.event.frame, kind).await, &resending.without_content)
-        {
-            (Ok(medium), _) => Ok(medium),
-            (Err(StorageError::Rot(_)), WithoutContent::SendWords(_)) => Ok(None),
-            (Err(error), _) => Err(error.into()),
+        let storage = &self.maps.storage;
+        let position = frame.event.frame;
+        let copy = match (storage.medium(frame.map, position, kind).await, &resending.without_content) {
+            (Ok(medium), _) => return Ok(medium),
+            (Err(StorageError::Rot(_)), WithoutContent::SendWords { words_hash: _, copy }) => *copy,
+            (Err(error), _) => return Err(error.into()),
+        };
+        let copied = match copy.filter(|copy| *copy != frame.map) {
+            Some(copy) => storage.medium(copy, position, kind).await,
+            None => Ok(None),
+        };
+        match copied {
+            Ok(Some(medium)) => Ok(Some(medium)),
+            Ok(None) | Err(StorageError::Rot(_)) => {
+                resending.lose(
+                    match kind {
+                        MediumKind::Image => "the image",
+                        MediumKind::Features => "the features",
+                        MediumKind::Thumbnail => "the thumbnail",
+                    },
+                    &frame.event,
+                );
+                Ok(None)
+            }
+            Err(error) => Err(error.into()),
         }
     }
 }

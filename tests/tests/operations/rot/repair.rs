@@ -2,12 +2,13 @@
 
 use std::io::Cursor;
 
+use sqlx::{ConnectOptions, Connection};
 use waypost_client::{Client, Code, v1};
 
-use super::{ROTTEN_FRAME, note, noted, sql, two_maps};
+use super::{ROTTEN_FRAME, flip_at, note, noted, sql, two_maps};
 use crate::harness::{
-    Server, answers, assert_status, first_return, followed, frame, map_request, refused, said,
-    session_options, state_hash,
+    Server, answers, assert_status, database_options, first_return, followed, frame, map_request, refused,
+    said, session_options, state_hash,
 };
 
 /// How a repair ended.
@@ -111,6 +112,8 @@ async fn what_makes_no_sense_is_refused_and_makes_no_map() {
     for (map, into, copy, code, fragment) in [
         ("nowhere", "again", None, Code::NotFound, "there is no map nowhere"),
         ("drive", "drive", None, Code::AlreadyExists, "there is a map drive already"),
+        // Alike in model and settings, and somebody's own.
+        ("drive", "spare", None, Code::AlreadyExists, "there is a map spare already"),
         ("drive", "Again", None, Code::InvalidArgument, "is no map name"),
         ("drive", "again", Some("nowhere"), Code::NotFound, "there is no map nowhere"),
         ("drive", "again", Some("drive"), Code::FailedPrecondition, "is no earlier copy of drive"),
@@ -128,5 +131,61 @@ async fn what_makes_no_sense_is_refused_and_makes_no_map() {
     let job = followed(&client, &job).await.pop().unwrap();
     assert!(said(&job.error).contains("no damage was found in the map spare"), "{job:?}");
     assert_eq!(refused(client.map("again", v1::MapView::Basic).await).0, Code::NotFound);
+    server.stop().await;
+}
+
+/// A robot drives on after the snapshot was made: what only the map has comes from it, and the snapshot stays whole.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_older_snapshot_gives_what_it_has_and_is_not_taken_for_damaged() {
+    let (directory, _, file) = damaged(&[]).await;
+    let server = Server::start_on(directory.path()).await;
+    answers(&server.client().await, "drive", "third", (1..=5).map(frame)).await;
+    let whole = state_hash(&server.client().await, "drive").await;
+    server.stop().await;
+    sql(directory.path(), ROTTEN_FRAME).await;
+    // The name and the camera of a session, too.
+    let session =
+        "DELETE FROM sessions WHERE map_id = (SELECT id FROM maps WHERE name = 'drive') AND number = 1";
+    sql(directory.path(), session).await;
+
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let imported = client.import_map("earlier", Cursor::new(file)).await.unwrap();
+    followed(&client, &imported).await;
+    let job = repaired(&client, "again", Some("earlier")).await;
+    assert_eq!(
+        (job.result.as_deref(), job.stage.as_str()),
+        (Some("maps/again"), "nothing is lost"),
+        "{job:?}"
+    );
+    assert_eq!(state_hash(&client, "again").await, whole);
+    assert_eq!(answers(&client, "earlier", "more", (1..=3).map(frame)).await.len(), 3, "it is whole");
+    let job = repaired(&client, "poorer", None).await;
+    assert!(said(&job.error).contains("session number 1: its name and camera cannot be read"), "{job:?}");
+    server.stop().await;
+}
+
+/// What is kept of a frame beside the log may be what is damaged.
+#[tokio::test(flavor = "multi_thread")]
+async fn features_come_from_the_snapshot_or_are_told_as_lost() {
+    let (directory, whole, file) = damaged(&[]).await;
+    let mut database = database_options(directory.path()).connect().await.unwrap();
+    let select = "SELECT content FROM frame_media JOIN maps ON maps.id = map_id \
+                  WHERE name = 'drive' AND position = 7 AND kind = 'features'";
+    let features: Vec<u8> = sqlx::query_scalar(select).fetch_one(&mut database).await.unwrap();
+    database.close().await.unwrap();
+    flip_at(directory.path(), features.last_chunk::<24>().unwrap());
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let (code, _) = refused(client.frame_picture("maps/drive/sessions/first/frames/7", None).await);
+    assert_eq!(code, Code::DataLoss);
+    let job = repaired(&client, "poorer", None).await;
+    assert!(job.stage.starts_with("lost: the features of session first, frame 7"), "{job:?}");
+    assert_eq!(client.map("poorer", v1::MapView::Basic).await.unwrap().frames, 32);
+    let imported = client.import_map("earlier", Cursor::new(file)).await.unwrap();
+    followed(&client, &imported).await;
+    let job = repaired(&client, "again", Some("earlier")).await;
+    assert_eq!(job.stage, "nothing is lost", "{job:?}");
+    assert_eq!(state_hash(&client, "again").await, whole);
     server.stop().await;
 }
