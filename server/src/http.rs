@@ -16,13 +16,13 @@ mod match_matrix;
 mod merges;
 mod models;
 mod navigations;
-mod own;
 mod pages;
 mod parameters;
 mod pictures;
 mod places;
 mod queries;
 mod requests;
+mod server;
 mod sessions;
 mod snapshots;
 mod tokens;
@@ -196,8 +196,8 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(models::get_model, models::delete_model))
         .routes(routes!(models::rename_model))
         .routes(routes!(models::export_model))
-        .routes(routes!(own::list_refusals))
-        .routes(routes!(own::get_metrics_history))
+        .routes(routes!(server::list_refusals))
+        .routes(routes!(server::get_metrics_history))
         .routes(routes!(jobs::list_jobs))
         .routes(routes!(jobs::get_job))
         .routes(routes!(jobs::cancel_job))

@@ -106,7 +106,7 @@ function Facts({ record, explanation, onPlace }: FactsProps) {
             {geometry && <Fact name="… probability of that pair">{share(geometry.probability)}</Fact>}
             {!explanation.reproduced && <Fact name="replay">came to other numbers than were logged: another build decided it, or the map was rewritten since, as by a merge. The logged ones hold.</Fact>}
         </dl>
-        {movedOn && <p class="quiet small">By words the robot was at place {likely.place_number}. Its wheels say that it had moved on farther than a place reaches, so this is a place of its own.</p>}
+        {movedOn && <p class="quiet small">By words the robot was at place {likely.place_number}. Its wheels say that it had moved or turned by more than a place reaches, so this is a place of its own.</p>}
     </>;
 }
 
