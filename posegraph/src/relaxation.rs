@@ -23,7 +23,8 @@ pub enum Start<'a, P> {
     /// Rotations first, then positions: both are linear, so nothing is lost however odometry
     /// drifts.
     Chordal,
-    /// Both of these; the lower minimum counts.
+    /// Both of these; the lower minimum counts. Odometry is given up after 20 steps if it costs twice
+    /// as much then.
     Best,
     /// From these poses; those that are not among them follow along odometry.
     Poses(&'a [P]),
@@ -84,7 +85,11 @@ pub fn relax<P: Pose<D>, const D: usize>(
     start: Start<'_, P>,
     settings: &RelaxationSettings,
 ) -> Relaxed<P> {
-    let stop = Stop { relative_gain: settings.relative_gain, max_iterations: settings.max_iterations };
+    let stop = Stop {
+        relative_gain: settings.relative_gain,
+        max_iterations: settings.max_iterations,
+        rival_cost: f64::INFINITY,
+    };
     let first = first_poses(graph, start);
     match settings.closures {
         Closures::Judged => {
@@ -107,7 +112,7 @@ pub fn relax<P: Pose<D>, const D: usize>(
                 Start::Chordal => equations.minimize(chordal(), &weights, stop),
                 Start::Best => {
                     let one = equations.minimize(chordal(), &weights, stop);
-                    let other = equations.minimize(first, &weights, stop);
+                    let other = equations.minimize(first, &weights, Stop { rival_cost: one.cost, ..stop });
                     let iterations = one.iterations + other.iterations;
                     let lower = if other.cost < one.cost { other } else { one };
                     Minimum { iterations, ..lower }

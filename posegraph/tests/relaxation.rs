@@ -9,6 +9,9 @@ use posegraph::{
     Closures, Edge, EdgeKind, PlanarPose, Pose, PoseGraph, RelaxationSettings, Relaxed, Start, relax,
 };
 use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::f64::consts::PI;
 
 const POSES: usize = 8;
 
@@ -115,6 +118,42 @@ fn check_minimum<P: Pose<D>, const D: usize>(graph: &PoseGraph<P, D>) {
         distance(&again.poses, &relaxed.poses) < 1e-6
             && (again.cost - relaxed.cost).abs() < 1e-9 * (1.0 + relaxed.cost)
     );
+}
+
+/// A way to and fro over a hill, with odometry that soon does not know where it looks, and closures between its rows.
+fn hill(rows: usize, columns: usize, seed: u64) -> PoseGraph<Isometry3<f64>, 6> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let at = |row: usize, step: usize| {
+        let column = if row.is_multiple_of(2) { step } else { columns - 1 - step };
+        let (x, y) = (column as f64, row as f64);
+        let turned = Vector3::new(0.3 * x.sin(), 0.3 * y.cos(), if row.is_multiple_of(2) { 0.0 } else { PI });
+        Isometry3::new(Vector3::new(x, y, x.sin() * y.cos()), turned)
+    };
+    let number = |row: usize, step: usize| row * columns + step;
+    let truth: Vec<Isometry3<f64>> =
+        (0..rows * columns).map(|pose| at(pose / columns, pose % columns)).collect();
+    let mut graph = PoseGraph::new(truth.len());
+    let mut join = |from: usize, to: usize, kind| {
+        let noise = SVector::<f64, 6>::from_fn(|_, _| random.random_range(-0.25..0.25));
+        let measured = truth[from].inverse().compose(&truth[to]).retract(&noise);
+        graph.add_edge(Edge::new(from, to, measured, SMatrix::identity() * 50.0, kind).unwrap()).unwrap();
+    };
+    (1..truth.len()).for_each(|to| join(to - 1, to, EdgeKind::Odometry));
+    for row in 1..rows {
+        (0..columns - 1)
+            .for_each(|step| join(number(row - 1, columns - 1 - step), number(row, step), EdgeKind::Closure));
+    }
+    graph
+}
+
+#[test]
+fn a_start_that_cannot_win_is_given_up() {
+    let hill = hill(28, 28, 1);
+    let [odometry, chordal, best] =
+        [Start::Odometry, Start::Chordal, Start::Best].map(|start| relax(&hill, start, &trusted()));
+    assert!(odometry.cost > chordal.cost && odometry.iterations > 40);
+    assert_eq!((best.cost, &best.poses), (chordal.cost, &chordal.poses));
+    assert_eq!(best.iterations, chordal.iterations + 20);
 }
 
 fn check_recovery<P: Pose<D>, const D: usize>(graph: &PoseGraph<P, D>, truth: &[P]) {

@@ -26,7 +26,15 @@ pub(super) struct Stop {
     pub(super) relative_gain: f64,
     /// Most steps, refused ones among them.
     pub(super) max_iterations: usize,
+    /// The cost that another start has come to: one that costs [`HOPELESS`] times as much after [`FIRST_ITERATIONS`] is
+    /// given up.
+    pub(super) rival_cost: f64,
 }
+
+/// Steps after which one start, or alternative, is compared with the best one so far.
+pub(super) const FIRST_ITERATIONS: usize = 20;
+/// How many times as much as the best one it may cost then.
+pub(super) const HOPELESS: f64 = 2.0;
 
 /// Where a minimisation ended.
 #[derive(Clone, Debug, PartialEq)]
@@ -108,6 +116,9 @@ impl<'a, P: Pose<D>, const D: usize> NormalEquations<'a, P, D> {
         let mut diagonal = Vec::new();
         let mut current = false;
         while minimum.iterations < stop.max_iterations {
+            if minimum.iterations == FIRST_ITERATIONS && minimum.cost > HOPELESS * stop.rival_cost {
+                break;
+            }
             if !current {
                 self.linearize(&minimum.poses, weights);
                 diagonal = self.matrix.diagonal();

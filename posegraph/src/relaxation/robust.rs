@@ -1,7 +1,7 @@
 //! Relaxation where closures may be wrong: what agrees is relaxed, and what then fits is taken in.
 
 use super::consensus::{Consensus, MAX_UNSURE, Noise, log_volume};
-use super::levenberg::{Minimum, NormalEquations, Stop};
+use super::levenberg::{FIRST_ITERATIONS, HOPELESS, Minimum, NormalEquations, Stop};
 use super::{Relaxed, Start, starts};
 use crate::graph::{EdgeKind, PoseGraph};
 use crate::pose::Pose;
@@ -12,10 +12,6 @@ const BY_CHANCE: f64 = 0.01;
 /// A closure that misses by more standard deviations is wrong, however large the map. Real ones
 /// miss by that many where information matrices are overconfident.
 const MOST_DEVIATIONS: f64 = 30.0;
-/// Steps after which an alternative is compared with the best one so far, and dropped if it costs
-/// so many times as much.
-const FIRST_ITERATIONS: usize = 20;
-const HOPELESS: f64 = 2.0;
 /// Closures that are excluded at once, at most.
 const MAX_EXCLUDED: usize = 4;
 /// Changes of mind about single closures.
