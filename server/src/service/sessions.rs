@@ -35,7 +35,8 @@ use crate::names::{check_id, map_in, session_name};
 pub(crate) use crate::open_map::SessionMode;
 use crate::open_map::answers::FrameAnswer;
 use crate::open_map::{
-    FrameFailure, FrameRequest, FrameSource, MapHandle, OpenMaps, SessionOpening, StreamOpening, WriterGone,
+    FrameFailure, FrameRequest, FrameSource, MapHandle, OpenMaps, Opener, SessionOpening, StreamOpening,
+    WriterGone,
 };
 use crate::storage::{MapEdition, Storage, reason_name};
 
@@ -69,7 +70,7 @@ pub(crate) struct SessionStream {
     order: Mutex<Order>,
     /// Cancelled when a later stream takes the session over.
     taken_over: CancellationToken,
-    shown: ShownStream,
+    shown: Option<ShownStream>,
     /// Room for this stream.
     _room: Arc<OwnedSemaphorePermit>,
 }
@@ -166,6 +167,8 @@ impl Sessions {
         }
         let open = self.open_maps.open_of(&row).await?;
         let taken_over = CancellationToken::new();
+        let is_seen = opener.is_some();
+        let opener = opener.unwrap_or(Opener::SERVER);
         let token = opener.token.clone();
         let opened_by = StreamOpening {
             opener,
@@ -178,7 +181,7 @@ impl Sessions {
         let last_committed = session.last_committed;
         let order = Order::new(open, last_committed);
         let session_name = session_name(map, &session.name);
-        let shown = self.streams.show(stream, &session_name, mode);
+        let shown = is_seen.then(|| self.streams.show(stream, &session_name, mode));
         Ok(SessionStream {
             order: Mutex::new(order),
             taken_over,
@@ -213,16 +216,20 @@ impl SessionStream {
         let (counted, timings) = outcome.counted();
         self.sessions.metrics.frame(counted, timings);
         match outcome {
-            FrameOutcome::Answered(_) => {
-                self.shown.frame(timings.map_or(Became::Resent, |timings| Became::Decided(timings.total)));
-            }
+            FrameOutcome::Answered(answer) => self.show(Became::Answered(answer)),
             FrameOutcome::Refused { error, .. } => {
-                self.shown.frame(Became::Refused);
+                self.show(Became::Refused);
                 let refusal = Refusal::on_stream(STREAM, &self.session_name, self.token.as_ref(), error);
                 self.sessions.refusals.note(refusal);
             }
             // The call ends with it, and is noted as a whole.
             FrameOutcome::Ended(_) => {}
+        }
+    }
+
+    fn show(&self, became: Became<'_>) {
+        if let Some(shown) = &self.shown {
+            shown.frame(became);
         }
     }
 

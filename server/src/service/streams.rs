@@ -11,6 +11,7 @@ use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::names::session_in;
 use crate::open_map::SessionMode;
+use crate::open_map::answers::FrameAnswer;
 
 /// Streams that may be open at a time: each holds a few frames, of up to 4 MiB each.
 const MAX_STREAMS: usize = 500;
@@ -19,7 +20,7 @@ const MAX_STREAMS: usize = 500;
 const RETRY: Duration = Duration::from_secs(5);
 
 /// A robot's stream into a session, as people see it. Times are the server's.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct StreamView {
     /// `maps/{map}/sessions/{session}`.
     pub(crate) session: String,
@@ -32,15 +33,15 @@ pub(crate) struct StreamView {
     pub(crate) last_frame_ns: Option<i64>,
     /// How long the last frame that was decided took, from when the server had it until it was durable.
     pub(crate) last_delay: Option<Duration>,
+    /// To the last frame that was answered.
+    pub(crate) last_answer: Option<FrameAnswer>,
 }
 
 /// What became of a frame on a stream.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Became {
-    /// Decided, which took so long.
-    Decided(Duration),
-    /// Answered from what is stored.
-    Resent,
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Became<'a> {
+    /// Decided, or answered from what is stored.
+    Answered(&'a FrameAnswer),
     Refused,
 }
 
@@ -84,6 +85,7 @@ impl Streams {
             refused: 0,
             last_frame_ns: None,
             last_delay: None,
+            last_answer: None,
         };
         self.open().insert(number, view);
         ShownStream { streams: self.clone(), number }
@@ -110,16 +112,16 @@ pub(super) struct ShownStream {
 
 impl ShownStream {
     /// Counts a frame.
-    pub(super) fn frame(&self, became: Became) {
+    pub(super) fn frame(&self, became: Became<'_>) {
         let mut open = self.streams.open();
         let Some(view) = open.get_mut(&self.number) else { return };
         view.last_frame_ns = Some(now_ns());
         match became {
-            Became::Decided(took) => {
+            Became::Answered(answer) => {
                 view.answered += 1;
-                view.last_delay = Some(took);
+                view.last_delay = answer.timings.map(|timings| timings.total).or(view.last_delay);
+                view.last_answer = Some(answer.clone());
             }
-            Became::Resent => view.answered += 1,
             Became::Refused => view.refused += 1,
         }
     }

@@ -51,7 +51,8 @@ pub(crate) fn session(view: SessionView) -> v1::Session {
 }
 
 pub(crate) fn open_stream(view: StreamView) -> v1::OpenStream {
-    let StreamView { session, mode, opened_ns, answered, refused, last_frame_ns, last_delay } = view;
+    let StreamView { session, mode, opened_ns, answered, refused, last_frame_ns, last_delay, last_answer } =
+        view;
     let mode = match mode {
         SessionMode::Map => v1::SessionMode::Map,
         SessionMode::Localize => v1::SessionMode::Localize,
@@ -64,6 +65,7 @@ pub(crate) fn open_stream(view: StreamView) -> v1::OpenStream {
         refused_frames: refused,
         last_frame_time_ns: last_frame_ns,
         last_delay_ns: last_delay.map(|delay| i64::try_from(delay.as_nanos()).unwrap_or(i64::MAX)),
+        last_answer: last_answer.map(answer),
     }
 }
 

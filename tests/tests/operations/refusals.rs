@@ -83,15 +83,18 @@ async fn streams_are_shown_while_they_are_open() {
             ("maps/drive/sessions/monday".to_owned(), v1::SessionMode::Map),
         ]
     );
-    assert!(fresh.iter().all(|stream| stream.last_delay_ns.is_none() && stream.answered_frames == 0));
+    assert!(fresh.iter().all(|stream| stream.last_delay_ns.is_none() && stream.last_answer.is_none()));
 
     mapping.answered(wire(frame(1))).await;
     mapping.answered(wire(frame(2))).await;
     // Sent again: answered from what is stored, so it takes no time to decide.
     mapping.answered(wire(frame(2))).await;
     mapping.refused(junk(3)).await;
-    looking.answered(wire(frame(1))).await;
+    let seen = looking.answered(wire(frame(1))).await;
     let told = client.open_streams(None).await.unwrap();
+    // Nobody else hears where it is: the map keeps none of its frames.
+    assert_eq!(told[0].last_answer, Some(seen));
+    assert_eq!(told[1].last_answer.as_ref().map(|answer| answer.sequence), Some(2));
     let counts: Vec<(u64, u64)> =
         told.iter().map(|stream| (stream.answered_frames, stream.refused_frames)).collect();
     assert_eq!(counts, [(1, 0), (3, 1)]);

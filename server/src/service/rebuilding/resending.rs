@@ -15,7 +15,7 @@ use crate::error::ServiceError;
 use crate::ingest::FeatureRecord;
 use crate::ingest::content::{Content, Described, WordList};
 use crate::names::map_name;
-use crate::open_map::{Opener, SessionMode};
+use crate::open_map::SessionMode;
 use crate::service::sessions::{self, Frame, FrameOutcome, Robot, SessionStream, Windows};
 use crate::storage::{MapId, MapRow, MediumKind, StorageError, StoredSession};
 
@@ -105,7 +105,7 @@ impl Rebuilding {
                 WithoutContent::Refuse => "",
                 WithoutContent::SendWords { words_hash, copy: _ } => words_hash,
             };
-            let robot = Robot { words_hash, run: "", opener: Opener::SERVER };
+            let robot = Robot { words_hash, run: "", opener: None };
             let opened = self.sessions.open(&map, &stored.name, SessionMode::Map, camera, robot).await?;
             stream.insert(Arc::new(opened));
         }

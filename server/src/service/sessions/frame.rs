@@ -73,5 +73,6 @@ pub(crate) struct Robot<'a> {
     pub(crate) words_hash: &'a str,
     /// Tells the runs apart of a robot that localizes by one name; empty if it is not said.
     pub(crate) run: &'a str,
-    pub(crate) opener: Opener,
+    /// None if the server itself sends again what a log has: nobody sees that as a robot.
+    pub(crate) opener: Option<Opener>,
 }
