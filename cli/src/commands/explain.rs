@@ -35,21 +35,24 @@ pub(crate) struct Arguments {
     /// Write the frame and one of the place as SVG, with common features in green
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
+    /// Show that frame beside it in the picture, in place of one of the place:
+    /// maps/MAP/sessions/SESSION/frames/NUMBER, of any map with the same model
+    #[arg(long, value_name = "FRAME", requires = "picture")]
+    beside: Option<String>,
     /// Replace a file that is there
     #[arg(long, requires = "picture")]
     force: bool,
 }
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
-    let Arguments { map, session, frame, place, words, picture: file, force } = arguments;
+    let Arguments { map, session, frame, place, words, picture: file, beside, force } = arguments;
     let replacing = Replacing::of(force);
     replacing.check_wanted(file.as_deref())?;
     let client = Client::connect(server).await?;
     let name = frame_name(&client, short_map(&map), &session, &frame).await?;
     let explained = client.explain_frame(&name, place, Some(words)).await?;
     if let Some(file) = &file {
-        let place = explained.place_explanation.as_ref().map(|place| place.place_number);
-        let drawn = client.frame_picture(&name, place).await?;
+        let drawn = client.frame_pair_picture(pictured(&explained, beside)).await?;
         replacing.write(file, &drawn)?;
     }
     output.result(&explained, |out| {
@@ -75,6 +78,19 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         }
         Ok(())
     })
+}
+
+/// The frame beside one of the place that is explained, or beside the one that is asked for; with what was expected
+/// and not seen.
+fn pictured(explained: &v1::FrameExplanation, beside: Option<String>) -> v1::GetFramePictureRequest {
+    let place = explained.place_explanation.as_ref();
+    let against = place.into_iter().flat_map(|place| &place.words_against);
+    v1::GetFramePictureRequest {
+        name: explained.name.clone(),
+        place_number: place.filter(|_| beside.is_none()).map(|place| place.place_number),
+        beside_frame: beside.unwrap_or_default(),
+        expected_words: against.filter(|evidence| !evidence.seen).map(|evidence| evidence.word).collect(),
+    }
 }
 
 fn show_odometry(odometry: &v1::OdometryAgreement, out: &mut dyn Write) -> io::Result<()> {

@@ -161,7 +161,17 @@ impl Client {
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND.
     pub async fn frame_picture(&self, name: &str, place_number: Option<u32>) -> Result<Vec<u8>, Error> {
-        let request = v1::GetFramePictureRequest { name: name.to_owned(), place_number };
+        let name = name.to_owned();
+        self.frame_pair_picture(v1::GetFramePictureRequest { name, place_number, ..Default::default() }).await
+    }
+
+    /// A picture of a frame beside any other, also of another map with the same model; or beside
+    /// one of a place, with words marked that were expected there and not seen.
+    ///
+    /// # Errors
+    /// [`Error::Status`] with NOT_FOUND, INVALID_ARGUMENT, or FAILED_PRECONDITION for frames of
+    /// two models.
+    pub async fn frame_pair_picture(&self, request: v1::GetFramePictureRequest) -> Result<Vec<u8>, Error> {
         let v1::GetFramePictureResponse { content_type: _, picture } =
             self.taken(self.sessions_client().get_frame_picture(request).await)?;
         Ok(picture)

@@ -38,7 +38,7 @@ names_maps! {
     ExportPosesRequest: name;
     GetAppearanceGraphRequest: map;
     GetFrameImageRequest: name;
-    GetFramePictureRequest: name;
+    GetFramePictureRequest: name, beside_frame;
     GetFrameRequest: name;
     GetMapRequest: name;
     GetMatchMatrixRequest: map, against;

@@ -12,7 +12,7 @@ use crate::names::model_name;
 use crate::open_map::{Opener, SessionMode};
 use crate::pages::Page;
 use crate::service::frames::{FrameImage, FramesWanted, ImageSize};
-use crate::service::pictures::FramePicture;
+use crate::service::pictures::{Beside, FramePicture};
 use crate::service::sessions::{FrameOutcome, Robot, SessionStream};
 use crate::service::tokens::{Access, Caller};
 use crate::wire::geometry::{camera, map_pose_message, measured};
@@ -123,9 +123,11 @@ impl SessionService for Adapter {
         &self,
         request: Request<v1::GetFramePictureRequest>,
     ) -> Result<Response<v1::GetFramePictureResponse>, Status> {
-        let v1::GetFramePictureRequest { name, place_number } = within(request)?;
+        let v1::GetFramePictureRequest { name, place_number, beside_frame, expected_words } =
+            within(request)?;
+        let beside = Beside::asked(place_number, beside_frame)?;
         let FramePicture { content_type, picture } =
-            self.service.pictures.frame(&name, place_number.map(PlaceId::new)).await?;
+            self.service.pictures.frame(&name, beside, &expected_words).await?;
         Ok(Response::new(v1::GetFramePictureResponse { content_type: content_type.to_owned(), picture }))
     }
 
@@ -169,7 +171,7 @@ impl Adapter {
         })?;
         let camera = declared.map(camera).transpose()?;
         let opener = Opener { token: caller.token.clone(), role: caller.role };
-        let robot = Robot { words_hash: &words_hash, run: &run_id, opener };
+        let robot = Robot { words_hash: &words_hash, run: &run_id, opener: Some(opener) };
         self.service.sessions.open(&map, &session_id, mode, camera, robot).await
     }
 }

@@ -1,8 +1,10 @@
-//! A frame beside an earlier one: what they have in common, for people to see.
+//! A frame beside another: what they have in common, for people to see.
 
 mod drawing;
 
 use crate::ingest::{Comparison, FeatureRecord, Keypoint};
+use std::collections::HashSet;
+
 use fabmap::appearance::PlaceId;
 use fabmap::observation::{Observation, WordId};
 use tokio::runtime::Handle;
@@ -11,7 +13,7 @@ use topomap::ids::FrameId;
 use topomap::log::{FrameEvent, MapEvent};
 use topomap::settings::MapperSettings;
 
-use self::drawing::{Mark, Panel, Picture, StillImage};
+use self::drawing::{Kind, Mark, Panel, Picture, StillImage};
 use super::corrections::{CorrectionView, Corrections};
 use super::frames::{Frames, LocatedFrame, content_type};
 use super::queries::{GateView, probability, verdict_views};
@@ -25,6 +27,34 @@ use crate::storage::{MapRow, MediumKind, Storage, reason_name};
 /// Frames of a place that the most alike is chosen from, the latest.
 const MAX_FRAMES_OF_PLACE: u32 = 100;
 
+/// As many as an explanation lists against a place.
+const MAX_EXPECTED_WORDS: usize = 100;
+
+/// What a frame is shown beside.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Beside {
+    /// What it was, or could have been, matched with.
+    Matched,
+    /// An earlier frame of a place: the one that it was compared with, or that has most words in common.
+    Place(PlaceId),
+    /// `maps/{map}/sessions/{session}/frames/{sequence}`, of any map with the same model.
+    Frame(String),
+}
+
+impl Beside {
+    /// `frame` is empty where none is asked for.
+    pub(crate) fn asked(place: Option<u32>, frame: String) -> Result<Self, ServiceError> {
+        match (place, frame) {
+            (None, frame) if frame.is_empty() => Ok(Self::Matched),
+            (Some(place), frame) if frame.is_empty() => Ok(Self::Place(PlaceId::new(place))),
+            (None, frame) => Ok(Self::Frame(frame)),
+            (Some(_), _) => Err(ServiceError::invalid(
+                "a frame is shown beside one of a place or beside a frame that you name, not both; leave one of them out",
+            )),
+        }
+    }
+}
+
 /// A picture that stands for itself: it refers to nothing outside.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct FramePicture {
@@ -34,6 +64,7 @@ pub(crate) struct FramePicture {
 
 /// A frame with all that is kept of it.
 struct ShownFrame {
+    map: MapRow,
     name: String,
     /// What its robot calls it; empty if nothing.
     note: String,
@@ -50,32 +81,67 @@ pub(crate) struct Pictures {
 }
 
 impl Pictures {
-    /// A frame beside an earlier one of `place`: the one that it was compared with, or that has most words in
-    /// common. Left out, the place is the one that was, or could have been, matched.
+    /// A frame beside another. `expected` are words that the other was expected to have in common, and are marked.
     pub(crate) async fn frame(
         &self,
         name: &str,
-        place: Option<PlaceId>,
+        beside: Beside,
+        expected: &[u32],
     ) -> Result<FramePicture, ServiceError> {
         let LocatedFrame { map, position } = self.frames.locate(name).await?;
+        let expected = self.expected_words(&map, expected).await?;
         let current = self.shown_frame(&map, position).await?;
         let corrections = Corrections::read(&self.storage, map.id).await?;
         let of_frame = corrections.of_frames(&self.storage, &map, vec![position]).await?.remove(&position);
         let said: Vec<String> = of_frame.iter().flatten().map(CorrectionView::told).collect();
-        let (place, earlier) = self.counterpart(&map, &current, place, &corrections).await?;
-        let earlier = self.shown_frame(&map, earlier).await?;
+        let (place, other) = match beside {
+            Beside::Matched => self.counterpart(&map, &current, None, &corrections).await?,
+            Beside::Place(place) => self.counterpart(&map, &current, Some(place), &corrections).await?,
+            Beside::Frame(name) => (None, self.other_frame(&map, &name).await?),
+        };
         let settings = map_settings::from_json(&map.settings)?.mapper;
         let storage = self.storage.clone();
         let runtime = Handle::current();
         let drawing = tokio::task::spawn_blocking(move || {
-            let features = |frame: &ShownFrame| stored_features(&runtime, &storage, map.id, frame.position);
-            let seen = [features(&current)?, features(&earlier)?];
-            let mut picture = side_by_side([current, earlier], &seen, place, &settings);
+            let features =
+                |frame: &ShownFrame| stored_features(&runtime, &storage, frame.map.id, frame.position);
+            let seen = [features(&current)?, features(&other)?];
+            let mut picture = side_by_side([current, other], &seen, place, &expected, &settings);
             said.iter().for_each(|said| picture.heading.push_str(&format!("; {said}")));
             Ok::<_, ArchiveError>(picture.to_svg())
         });
         let svg = drawing.await.map_err(ServiceError::internal)??;
         Ok(FramePicture { content_type: "image/svg+xml", picture: svg.into_bytes() })
+    }
+
+    async fn expected_words(&self, map: &MapRow, words: &[u32]) -> Result<HashSet<WordId>, ServiceError> {
+        if words.len() > MAX_EXPECTED_WORDS {
+            return Err(ServiceError::invalid(format_args!(
+                "at most {MAX_EXPECTED_WORDS} expected words are marked, not {}",
+                words.len()
+            )));
+        }
+        let known = self.frames.vocabulary_len(map).await?;
+        match words.iter().find(|&&word| word as usize >= known) {
+            Some(word) => Err(ServiceError::invalid(format_args!(
+                "there is no word {word}: the map's model has the words 0 to {}",
+                known.saturating_sub(1)
+            ))),
+            None => Ok(words.iter().map(|&word| WordId::new(word)).collect()),
+        }
+    }
+
+    /// A frame that was asked for by name, to be shown beside one of `map`.
+    async fn other_frame(&self, map: &MapRow, name: &str) -> Result<ShownFrame, ServiceError> {
+        let LocatedFrame { map: other, position } = self.frames.locate(name).await?;
+        if other.model != map.model {
+            return Err(ServiceError::precondition(format_args!(
+                "the maps {} and {} have different models, so that a word of the one is another of the other; \
+                 show frames of maps with one model",
+                map.name, other.name
+            )));
+        }
+        self.shown_frame(&other, position).await
     }
 
     async fn shown_frame(&self, map: &MapRow, position: FrameId) -> Result<ShownFrame, ServiceError> {
@@ -92,7 +158,7 @@ impl Pictures {
             }
         }
         let name = frame_name(&reference.session, reference.sequence);
-        Ok(ShownFrame { name, note: reference.note, position, event, image })
+        Ok(ShownFrame { map: map.clone(), name, note: reference.note, position, event, image })
     }
 
     async fn frame_event(&self, map: &MapRow, position: FrameId) -> Result<FrameEvent, ServiceError> {
@@ -105,21 +171,21 @@ impl Pictures {
         }
     }
 
-    /// The place and the earlier frame of it that a frame is shown beside.
+    /// The place, and the earlier frame of it that a frame is shown beside.
     async fn counterpart(
         &self,
         map: &MapRow,
         ShownFrame { name, event, .. }: &ShownFrame,
         place: Option<PlaceId>,
         corrections: &Corrections,
-    ) -> Result<(PlaceId, FrameId), ServiceError> {
+    ) -> Result<(Option<PlaceId>, ShownFrame), ServiceError> {
         let decided = event.decision.closure.or(event.proposal);
         let compared = match place {
             None => decided,
             Some(place) => compared(event).find(|matched| matched.place == place),
         };
         if let Some(Match { place, frame, .. }) = compared {
-            return Ok((place, frame));
+            return Ok((Some(place), self.shown_frame(map, frame).await?));
         }
         let Some(place) = place.or(event.decision.place) else {
             return Err(ServiceError::not_found(format_args!(
@@ -135,36 +201,45 @@ impl Pictures {
                 most_alike = Some((common, frame));
             }
         }
-        most_alike.map(|(_, frame)| (place, frame)).ok_or_else(|| {
+        let (_, frame) = most_alike.ok_or_else(|| {
             ServiceError::not_found(format_args!(
                 "no frame of place {place} was there when {name} came in; ask about an earlier place, or a later frame"
             ))
-        })
+        })?;
+        Ok((Some(place), self.shown_frame(map, frame).await?))
     }
 }
 
-/// A frame and an earlier one of `place`, with what the map's settings make of them.
+/// A frame and another, with what the settings of the first one's map make of them. Where the other was looked for,
+/// it is an earlier one of `place`.
 fn side_by_side(
-    [current, earlier]: [ShownFrame; 2],
+    [current, other]: [ShownFrame; 2],
     seen: &[Option<SeenFeatures>; 2],
-    place: PlaceId,
+    place: Option<PlaceId>,
+    expected: &HashSet<WordId>,
     settings: &MapperSettings,
 ) -> Picture {
     let comparison = match (settings.verification.method, seen) {
-        (VerificationMethod::Similarity | VerificationMethod::Epipolar, [Some(current), Some(earlier)]) => {
-            Some(compare(&verifier(settings), earlier, current))
+        (VerificationMethod::Similarity | VerificationMethod::Epipolar, [Some(current), Some(other)]) => {
+            Some(compare(&verifier(settings), other, current))
         }
         (VerificationMethod::None, _) | (_, [None, _] | [_, None]) => None,
     };
     let focal_length_widths = seen[0].as_ref().and_then(SeenFeatures::focal_length_widths);
     let settings = settings.for_frame(current.event.odometry.as_ref(), focal_length_widths);
     let ours = current.event.observation.clone();
-    let theirs = earlier.event.observation.clone();
+    let theirs = other.event.observation.clone();
     Picture {
-        heading: heading(&current.event, place),
-        verdict: verdict(&current.event, place, &settings),
+        heading: match place {
+            Some(place) => heading(&current.event, place),
+            None => "side by side: nothing was decided about these two together".to_owned(),
+        },
+        verdict: place.map(|place| verdict(&current.event, place, &settings)).unwrap_or_default(),
         summary: summary([&ours, &theirs], comparison.as_ref()),
-        panels: [current.panel(seen[0].as_ref(), &theirs), earlier.panel(seen[1].as_ref(), &ours)],
+        panels: [
+            current.panel(seen[0].as_ref(), &theirs, &HashSet::new()),
+            other.panel(seen[1].as_ref(), &ours, expected),
+        ],
         joined: comparison.as_ref().map(joined).unwrap_or_default(),
     }
 }
@@ -176,13 +251,18 @@ fn compared(event: &FrameEvent) -> impl Iterator<Item = Match> {
 }
 
 impl ShownFrame {
-    /// `other` is what the frame beside it shows.
-    fn panel(self, seen: Option<&SeenFeatures>, other: &Observation) -> Panel {
+    /// `other` is what the frame beside it shows, and `expected` what that should have shown, too.
+    fn panel(self, seen: Option<&SeenFeatures>, other: &Observation, expected: &HashSet<WordId>) -> Panel {
+        let kind = |word| match (other.contains(word), expected.contains(&word)) {
+            (true, _) => Kind::Common,
+            (false, true) => Kind::Expected,
+            (false, false) => Kind::Other,
+        };
         let mark = |(keypoint, &word): (&Keypoint, &WordId)| Mark {
             x_px: f64::from(keypoint.x_px),
             y_px: f64::from(keypoint.y_px),
             word,
-            common: other.contains(word),
+            kind: kind(word),
         };
         let features = seen.map(|seen| &*seen.features);
         let marks = features

@@ -220,12 +220,13 @@ impl Replay {
             let stronger = mapper.outdone_by(candidate, &event.candidates);
             gates.extend(stronger.map(|stronger| outdone_view(candidate, stronger)));
         }
+        let words = explained.and_then(|place| mapper.explain(&input.observation, recognition, place, words));
         Ok(FrameExplanation {
-            picture: explained.map(|place| format!("/v1/{name}/picture?place_number={place}")),
+            picture: explained.map(|place| picture_path(&name, place, words.as_ref())),
             name,
             reason: event.decision.reason,
             gates,
-            place: explained.and_then(|place| mapper.explain(&input.observation, recognition, place, words)),
+            place: words,
             reproduced: decided.event == event,
             odometry: self.odometry_agreement(&mapper, before, event)?,
             corrections: Vec::new(),
@@ -322,6 +323,16 @@ impl FrameStore for Replay {
     fn features(&self, frame: FrameId) -> Result<Option<SeenFeatures>, ArchiveError> {
         stored_features(&self.runtime, &self.storage, self.map.id, frame)
     }
+}
+
+/// Where REST has the frame beside a place, with the words marked that the place was expected to show.
+fn picture_path(name: &str, place: PlaceId, explained: Option<&Explanation>) -> String {
+    let against = explained.iter().flat_map(|explained| &explained.words_against);
+    let expected: Vec<String> =
+        against.filter(|evidence| !evidence.seen).map(|evidence| evidence.word.to_string()).collect();
+    let marked =
+        if expected.is_empty() { String::new() } else { format!("&expected_words={}", expected.join(",")) };
+    format!("/v1/{name}/picture?place_number={place}{marked}")
 }
 
 /// The place that was matched, or else the one that came closest to it.

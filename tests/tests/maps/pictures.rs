@@ -11,7 +11,8 @@ use waypost_client::{Client, Code, FrameContent, FrameInput, v1};
 
 use crate::harness::{
     Answer, CommandLine, Server, answers, answers_of, as_histogram, as_words, assert_status, first_return,
-    folder, frame, get, http, images, map_request, path, refused, word_maker, words_options,
+    folder, frame, get, http, images, map_request, model_of_other_words, path, refused, take_model,
+    word_maker, words_options,
 };
 
 const GREEN: &str = "#3ddc5b";
@@ -40,6 +41,8 @@ struct Drawn {
     /// Where something is drawn in a colour, and which word it is.
     green: Vec<(String, String, u32)>,
     red: Vec<(String, String, u32)>,
+    /// Words in squares.
+    expected: Vec<u32>,
     lines: usize,
     /// The images within, from the left.
     images: Vec<Vec<u8>>,
@@ -74,6 +77,12 @@ impl Drawn {
             text: text.collect::<Vec<_>>().join("\n"),
             green: circles(GREEN),
             red: circles(RED),
+            expected: named("rect")
+                .filter_map(|square| square.first_element_child()?.text())
+                .map(|title| {
+                    title.strip_prefix("word ").unwrap().strip_suffix(", expected").unwrap().parse().unwrap()
+                })
+                .collect(),
             lines: named("line").count(),
             images: named("image").map(image).collect(),
         }
@@ -162,6 +171,90 @@ async fn what_one_motion_explains_is_joined() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_was_expected_and_not_seen_is_marked() {
+    use v1::map_settings::{Keep, Verification};
+    let (server, client) = Server::with_map().await;
+    create(&client, "hall", Keep::Images, Verification::None).await;
+    answers(&client, "hall", "robot", (1..=3).map(frame)).await;
+    let explained = client.explain_frame(&name("hall", 3), Some(0), Some(40)).await.unwrap();
+    let missed = explained.place_explanation.as_ref().unwrap().words_against.iter().filter(|word| !word.seen);
+    let missed: HashSet<u32> = missed.map(|word| word.word).collect();
+    assert!(!missed.is_empty(), "{explained:?}");
+    let drawn = Drawn::of(&get(&server, explained.picture.as_ref().unwrap()).await.body);
+    let ours: HashSet<u32> = words_of(3).into_iter().collect();
+    let wanted: Vec<u32> = words_of(1).into_iter().filter(|word| missed.contains(word)).collect();
+    assert!(!wanted.is_empty() && wanted.iter().all(|word| !ours.contains(word)));
+    assert_eq!(sorted(drawn.expected.clone()), sorted(wanted));
+    assert!(drawn.text.contains("squares: expected in the other, and not seen"), "{}", drawn.text);
+    // What both show was not missed.
+    let [common] = *words_of(1)
+        .iter()
+        .filter(|word| ours.contains(word))
+        .copied()
+        .collect::<Vec<_>>()
+        .first_chunk()
+        .unwrap();
+    let asked = |words: &[u32]| v1::GetFramePictureRequest {
+        name: name("hall", 3),
+        place_number: Some(0),
+        expected_words: words.to_vec(),
+        ..v1::GetFramePictureRequest::default()
+    };
+    let drawn = Drawn::of(&client.frame_pair_picture(asked(&[common])).await.unwrap());
+    assert_eq!(drawn.expected, [] as [u32; 0]);
+    for (words, fragment) in
+        [(vec![u32::MAX], "there is no word 4294967295"), (vec![1; 101], "at most 100 expected words")]
+    {
+        let (code, message) = refused(client.frame_pair_picture(asked(&words)).await);
+        assert_status("words", (code, &message), Code::InvalidArgument, fragment);
+    }
+    let nonsense = get(&server, &format!("/v1/{}/picture?expected_words=3,,4", name("hall", 3))).await;
+    assert_eq!(nonsense.status, StatusCode::BAD_REQUEST);
+    assert!(nonsense.text().contains("commas between them"), "{}", nonsense.text());
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_frame_is_shown_beside_one_of_another_map() {
+    use v1::map_settings::{Keep, Verification};
+    let (server, client) = Server::with_map().await;
+    for (map, verified) in [("hall", Verification::Similarity), ("attic", Verification::None)] {
+        create(&client, map, Keep::Images, verified).await;
+    }
+    answers(&client, "hall", "robot", (1..=2).map(frame)).await;
+    answers(&client, "attic", "robot", (1..=3).map(frame)).await;
+    let asked = |frame: String, beside: String| v1::GetFramePictureRequest {
+        name: frame,
+        beside_frame: beside,
+        ..v1::GetFramePictureRequest::default()
+    };
+    let picture = client.frame_pair_picture(asked(name("hall", 2), name("attic", 2))).await.unwrap();
+    let drawn = Drawn::of(&picture);
+    // The same image: all is in common, and one motion joins it as far as the first map's settings look for one.
+    assert_eq!(drawn.images, [images()[1].clone(), images()[1].clone()]);
+    assert!(drawn.red.is_empty() && drawn.lines > 50, "{} red, {} lines", drawn.red.len(), drawn.lines);
+    assert!(drawn.text.contains("side by side") && drawn.text.contains(&name("attic", 2)), "{}", drawn.text);
+    let reversed = client.frame_pair_picture(asked(name("attic", 2), name("hall", 2))).await.unwrap();
+    assert_eq!(Drawn::of(&reversed).lines, 0);
+    // A frame that came later is as good.
+    let later = client.frame_pair_picture(asked(name("attic", 1), name("attic", 3))).await.unwrap();
+    assert_eq!(Drawn::of(&later).images, [images()[0].clone(), images()[2].clone()]);
+
+    let both =
+        v1::GetFramePictureRequest { place_number: Some(0), ..asked(name("hall", 2), name("attic", 2)) };
+    let (code, message) = refused(client.frame_pair_picture(both).await);
+    assert_status("both", (code, &message), Code::InvalidArgument, "leave one of them out");
+    let (code, message) = refused(client.frame_pair_picture(asked(name("hall", 2), name("attic", 9))).await);
+    assert_status("no frame", (code, &message), Code::NotFound, "has no frame 9");
+    let other = take_model(&client, "other", &model_of_other_words()).await;
+    client.create_map(map_request("barn", &other.name)).await.unwrap();
+    answers(&client, "barn", "robot", [frame(1)]).await;
+    let (code, message) = refused(client.frame_pair_picture(asked(name("hall", 2), name("barn", 1))).await);
+    assert_status("models", (code, &message), Code::FailedPrecondition, "have different models");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn what_is_not_kept_is_said() {
     let (server, client) = Server::with_map().await;
     let few = v1::WordHistogram { words: vec![3, 5], counts: vec![1, 2] };
@@ -201,7 +294,22 @@ fn the_command_line_writes_pictures() {
     let drawn = Drawn::of(&std::fs::read(&file).unwrap());
     assert!(drawn.text.contains(&name("drive", 6)) && !drawn.green.is_empty(), "{drawn:?}");
     let explained = waypost.json(&["explain", "drive", "robot", "6", "--place", "0"]);
-    assert_eq!(explained["picture"], format!("/v1/{}/picture?place_number=0", name("drive", 6)));
+    let picture = explained["picture"].as_str().unwrap();
+    assert!(picture.starts_with(&format!("/v1/{}/picture?place_number=0", name("drive", 6))), "{picture}");
+    let beside = name("drive", 1);
+    waypost.text(&[
+        "explain",
+        "drive",
+        "robot",
+        "6",
+        "--picture",
+        path(&file),
+        "--force",
+        "--beside",
+        &beside,
+    ]);
+    let drawn = Drawn::of(&std::fs::read(&file).unwrap());
+    assert!(drawn.text.contains("side by side") && drawn.text.contains(&beside), "{drawn:?}");
     let (code, stderr) = waypost.fails(&[
         "explain",
         "drive",

@@ -411,8 +411,27 @@ async fn frame_agrees(both: &Both, name: &str) {
         let path = format!("/v1/{name}/explanation{query}");
         both.agree(&path, "waypost.v1.FrameExplanation", over_grpc).await;
     }
-    for (place, query) in [(None, ""), (Some(0), "?place_number=0"), (Some(999), "?place_number=999")] {
-        let request = v1::GetFramePictureRequest { name: name.to_owned(), place_number: place };
+    let beside = |frame: &str, expected_words: &[u32]| v1::GetFramePictureRequest {
+        beside_frame: frame.to_owned(),
+        expected_words: expected_words.to_vec(),
+        ..Default::default()
+    };
+    let of_place = |place| v1::GetFramePictureRequest { place_number: Some(place), ..Default::default() };
+    let first = "maps/drive/sessions/first/frames/1";
+    for (asked, query) in [
+        (v1::GetFramePictureRequest::default(), String::new()),
+        (of_place(0), "?place_number=0".to_owned()),
+        (of_place(999), "?place_number=999".to_owned()),
+        (beside(first, &[3, 1]), format!("?beside_frame={first}&expected_words=3,1")),
+        (beside("maps/nowhere/places/3", &[]), "?beside_frame=maps/nowhere/places/3".to_owned()),
+        (beside("", &[u32::MAX]), format!("?expected_words={}", u32::MAX)),
+        (beside("", &[7; 101]), format!("?expected_words={}", ["7"; 101].join(","))),
+        (
+            v1::GetFramePictureRequest { place_number: Some(0), ..beside(first, &[]) },
+            format!("?place_number=0&beside_frame={first}"),
+        ),
+    ] {
+        let request = v1::GetFramePictureRequest { name: name.to_owned(), ..asked };
         let path = format!("/v1/{name}/picture{query}");
         let answer = get(&both.server, &path).await;
         match both.sessions.clone().get_frame_picture(request).await.map(Response::into_inner) {

@@ -26,6 +26,11 @@ const MAX_MARKS: usize = 5000;
 /// Green and red that those who confuse the two can tell by their brightness.
 const COMMON: &str = "#3ddc5b";
 const OTHER: &str = "#d7263d";
+/// Of squares, which nothing else is.
+const EXPECTED: &str = "#ffb000";
+
+/// Half a square's side.
+const HALF_SQUARE: f64 = 7.0;
 
 /// Two frames, and what connects them.
 #[derive(Clone, Debug, PartialEq)]
@@ -62,8 +67,16 @@ pub(super) struct Mark {
     pub(super) x_px: f64,
     pub(super) y_px: f64,
     pub(super) word: WordId,
-    /// Whether the other frame shows the word, too.
-    pub(super) common: bool,
+    pub(super) kind: Kind,
+}
+
+/// Whether the other frame shows a mark's word, too.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Common,
+    /// It does not, though it should.
+    Expected,
+    Other,
 }
 
 /// Where a panel lies in the picture.
@@ -82,8 +95,11 @@ impl Picture {
     pub(super) fn to_svg(&self) -> String {
         let Self { heading, verdict, summary, panels, joined } = self;
         let width = 2.0 * PANEL_WIDTH + 3.0 * GAP;
-        let verdict: Vec<(bool, String)> = verdict.iter().flat_map(|gate| lines(gate, width)).collect();
-        let top = GAP + LINE_HEIGHT * (2 + verdict.len()) as f64;
+        let most = ((width - 2.0 * GAP) / LETTER_WIDTH) as usize;
+        let verdict: Vec<(bool, String)> = verdict.iter().flat_map(|gate| lines(gate, most)).collect();
+        let summary = wrapped(summary, most);
+        let legend = 1 + verdict.len() + summary.len();
+        let top = GAP + LINE_HEIGHT * (1 + legend) as f64;
         let left = |index: usize| GAP + index as f64 * (PANEL_WIDTH + GAP);
         let frames = [0, 1].map(|index| panels[index].frame(left(index), top));
         let bottom = frames.iter().map(|frame| frame.top + frame.height).fold(0.0, f64::max);
@@ -98,9 +114,13 @@ impl Picture {
                 @for (row, (passed, text)) in (1..).zip(&verdict) {
                     text x=(GAP) y=(line(row)) fill=(if *passed { "#1a7f37" } else { OTHER }) { (text) }
                 }
-                text x=(GAP) y=(line(1 + verdict.len())) { (summary) " ("
-                    tspan fill="#1a7f37" { "green: word in common, or joined" } ", "
-                    tspan fill=(OTHER) { "red: neither" } ")"
+                @for (row, text) in (1 + verdict.len()..).zip(&summary) {
+                    text x=(GAP) y=(line(row)) { (text) }
+                }
+                text x=(GAP) y=(line(legend)) {
+                    tspan fill="#1a7f37" { "green: word in common, or joined" } "; "
+                    tspan fill=(OTHER) { "red: neither" }
+                    @if self.expects() { "; " tspan fill="#8a5a00" { "squares: expected in the other, and not seen" } }
                 }
                 @for (panel, (frame, joined)) in panels.iter().zip(frames.iter().zip(&is_joined)) {
                     (panel.draw(frame, joined, bottom))
@@ -111,6 +131,10 @@ impl Picture {
             }
         };
         svg.into_string()
+    }
+
+    fn expects(&self) -> bool {
+        self.panels.iter().flat_map(|panel| &panel.marks).any(|mark| mark.kind == Kind::Expected)
     }
 
     fn join(&self, [here, there]: &[Frame; 2], ours: usize, theirs: usize) -> Markup {
@@ -125,17 +149,18 @@ impl Picture {
     }
 }
 
-/// What a gate says, in lines that fit into `width`, with whether it was passed.
-fn lines(gate: &GateView, width: f64) -> Vec<(bool, String)> {
+/// What a gate says, in lines of at most so many letters, with whether it was passed.
+fn lines(gate: &GateView, most: usize) -> Vec<(bool, String)> {
     let sign = if gate.gate.passed { "+" } else { "-" };
-    let most = ((width - 2.0 * GAP) / LETTER_WIDTH) as usize;
-    wrapped(sign, &gate.description, most).into_iter().map(|line| (gate.gate.passed, line)).collect()
+    let text = format!("{sign} {}", gate.description);
+    wrapped(&text, most).into_iter().map(|line| (gate.gate.passed, line)).collect()
 }
 
-/// A sign and a text, in lines of at most so many letters.
-fn wrapped(sign: &str, text: &str, most: usize) -> Vec<String> {
-    let mut lines = vec![sign.to_owned()];
-    for word in text.split(' ') {
+/// A text in lines of at most so many letters.
+fn wrapped(text: &str, most: usize) -> Vec<String> {
+    let mut words = text.split(' ');
+    let mut lines = Vec::from_iter(words.next().map(str::to_owned));
+    for word in words {
         match lines.last_mut().filter(|line| line.chars().count() + 1 + word.chars().count() <= most) {
             Some(line) => {
                 line.push(' ');
@@ -171,7 +196,8 @@ impl Panel {
 
     fn draw(&self, frame: &Frame, joined: &[bool], captions_top: f64) -> Markup {
         let Frame { left, top, width, height, .. } = *frame;
-        let marks = self.marks.iter().zip(joined).map(|(mark, joined)| (mark, mark.common || *joined));
+        let marks =
+            self.marks.iter().zip(joined).map(|(mark, joined)| (mark, mark.kind == Kind::Common || *joined));
         let (common, others): (Vec<_>, Vec<_>) = marks.partition(|(_, common)| *common);
         let others_drawn = others.len().min(MAX_MARKS.saturating_sub(common.len()));
         // A thumbnail is of the same view, but for the rounding of its height.
@@ -186,6 +212,7 @@ impl Panel {
             }
             (circles(OTHER, others.iter().take(others_drawn).map(|(mark, _)| *mark), frame))
             (circles(COMMON, common.iter().take(MAX_MARKS).map(|(mark, _)| *mark), frame))
+            (squares(others.iter().map(|(mark, _)| *mark).filter(|mark| mark.kind == Kind::Expected), frame))
             text x=(left) y=(number(captions_top + LINE_HEIGHT)) { (self.title) }
             @for (row, note) in (2..).zip(&self.notes) {
                 text x=(left) y=(number(captions_top + LINE_HEIGHT * f64::from(row))) fill="#555" { (note) }
@@ -200,6 +227,22 @@ fn circles<'a>(colour: &str, marks: impl Iterator<Item = &'a Mark>, frame: &Fram
             @for mark in marks {
                 @if let Some((x, y)) = frame.locate(mark) {
                     circle cx=(number(x)) cy=(number(y)) r="3" { title { "word " (mark.word) } }
+                }
+            }
+        }
+    }
+}
+
+/// Around what the other frame was expected to show.
+fn squares<'a>(marks: impl Iterator<Item = &'a Mark>, frame: &Frame) -> Markup {
+    let side = 2.0 * HALF_SQUARE;
+    html! {
+        g stroke=(EXPECTED) fill="none" stroke-width="2.5" {
+            @for mark in marks {
+                @if let Some((x, y)) = frame.locate(mark) {
+                    rect x=(number(x - HALF_SQUARE)) y=(number(y - HALF_SQUARE)) width=(side) height=(side) {
+                        title { "word " (mark.word) ", expected" }
+                    }
                 }
             }
         }
@@ -235,8 +278,8 @@ mod tests {
         Panel { title, image: None, size_px: Some((1280, 720)), marks, notes: Vec::new() }
     }
 
-    fn mark(x_px: f64, y_px: f64, common: bool) -> Mark {
-        Mark { x_px, y_px, word: WordId::new(7), common }
+    fn mark(x_px: f64, y_px: f64, kind: Kind) -> Mark {
+        Mark { x_px, y_px, word: WordId::new(7), kind }
     }
 
     fn drawn(left: Vec<Mark>, right: Vec<Mark>, joined: Vec<[usize; 2]>) -> String {
@@ -248,30 +291,48 @@ mod tests {
 
     #[test]
     fn marks_lie_where_their_pixels_are() {
-        let svg = drawn(vec![mark(639.5, 359.5, true)], Vec::new(), Vec::new());
-        // The middle of the first panel, below two lines of text.
-        assert!(svg.contains(r#"<circle cx="332.0" cy="228.0" r="3">"#) && svg.contains("a &lt; b"), "{svg}");
+        let svg = drawn(vec![mark(639.5, 359.5, Kind::Common)], Vec::new(), Vec::new());
+        // The middle of the first panel, below three lines of text.
+        assert!(svg.contains(r#"<circle cx="332.0" cy="246.0" r="3">"#) && svg.contains("a &lt; b"), "{svg}");
+    }
+
+    #[test]
+    fn squares_mark_what_was_expected_and_is_joined_with_nothing() {
+        let expected = mark(639.5, 359.5, Kind::Expected);
+        let other = mark(5.0, 5.0, Kind::Other);
+        let told = "squares: expected";
+        let svg = drawn(vec![other], vec![expected, other], Vec::new());
+        let square = r#"<rect x="977.0" y="239.0" width="14" height="14"><title>word 7, expected</title>"#;
+        assert!(svg.contains(square) && svg.contains(told) && svg.matches("<circle").count() == 3, "{svg}");
+        let svg = drawn(vec![other], vec![expected], vec![[0, 0]]);
+        assert!(!svg.contains("<title>word 7, expected"), "{svg}");
+        let svg = drawn(vec![other], vec![other], Vec::new());
+        assert!(!svg.contains(told), "{svg}");
     }
 
     #[test]
     fn long_lines_go_on_below() {
-        assert_eq!(wrapped("+", "short", 40), ["+ short"]);
-        assert_eq!(wrapped("-", "one two three four", 10), ["- one two", "   three", "   four"]);
+        assert_eq!(wrapped("+ short", 40), ["+ short"]);
+        assert_eq!(wrapped("- one two three four", 10), ["- one two", "   three", "   four"]);
         // A word that is longer than a line stays whole.
-        assert_eq!(wrapped("-", "0123456789", 5), ["-", "   0123456789"]);
+        assert_eq!(wrapped("- 0123456789", 5), ["-", "   0123456789"]);
     }
 
     #[test]
     fn what_lies_nowhere_is_not_drawn() {
-        let nowhere = [mark(f64::NAN, 5.0, true), mark(5.0, f64::INFINITY, false), mark(-9.0, 5.0, true)];
-        let svg = drawn(nowhere.to_vec(), vec![mark(5.0, 5.0, true)], vec![[0, 0], [9, 9]]);
+        let nowhere = [
+            mark(f64::NAN, 5.0, Kind::Common),
+            mark(5.0, f64::INFINITY, Kind::Other),
+            mark(-9.0, 5.0, Kind::Common),
+        ];
+        let svg = drawn(nowhere.to_vec(), vec![mark(5.0, 5.0, Kind::Common)], vec![[0, 0], [9, 9]]);
         assert!(svg.matches("<circle").count() == 1 && !svg.contains("<line"), "{svg}");
     }
 
     #[test]
     fn of_too_many_marks_those_in_common_are_drawn() {
-        let of = |common| std::iter::repeat_n(mark(5.0, 5.0, common), MAX_MARKS - 10);
-        let svg = drawn(of(false).chain(of(true)).collect(), Vec::new(), Vec::new());
+        let of = |kind| std::iter::repeat_n(mark(5.0, 5.0, kind), MAX_MARKS - 10);
+        let svg = drawn(of(Kind::Other).chain(of(Kind::Common)).collect(), Vec::new(), Vec::new());
         let green = svg.split(COMMON).nth(1).unwrap();
         assert_eq!(svg.matches("<circle").count(), MAX_MARKS);
         assert_eq!(green.matches("<circle").count(), MAX_MARKS - 10);

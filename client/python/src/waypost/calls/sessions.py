@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy.typing as npt
 
 from waypost import answers
@@ -153,13 +155,31 @@ class SessionCalls:
         )
         return explained
 
-    def frame_picture(self, name: str, place_number: int | None = None) -> bytes:
+    def frame_picture(
+        self,
+        name: str,
+        place_number: int | None = None,
+        *,
+        beside_frame: str = "",
+        expected_words: Sequence[int] = (),
+    ) -> bytes:
         """A frame beside an earlier one of a place, as SVG, with common features in green.
+
+        Args:
+            name: The frame, as maps/MAP/sessions/SESSION/frames/NUMBER.
+            place_number: The place; the one that was, or could have been, matched if left out.
+            beside_frame: Any other frame, in the same form, in place of one of a place. It may be of another map
+                with the same model.
+            expected_words: Words that were expected and not seen, as `words_against` of an explanation has them:
+                squares mark where the frame beside shows them.
 
         Raises:
             NotFound: If there is no such frame or place.
+            FailedPrecondition: If the two frames are of maps with different models.
         """
-        request = session_pb2.GetFramePictureRequest(name=name, place_number=place_number)
+        request = session_pb2.GetFramePictureRequest(
+            name=name, place_number=place_number, beside_frame=beside_frame, expected_words=expected_words
+        )
         picture: bytes = self._connection.call(self._connection.sessions.GetFramePicture, request).picture
         return picture
 
