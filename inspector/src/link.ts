@@ -13,6 +13,8 @@ export interface Link {
     /** Maps that are to be merged, and the one that they go into. */
     sources: string[];
     target: string;
+    /** How those after the first lie on it, in metres and degrees, where they are laid on each other by hand. */
+    laid: [number, number, number][] | null;
     /** The cursor of time: a frame of a session. */
     session: string | null;
     frame: number | null;
@@ -35,16 +37,18 @@ export interface Link {
     corrected: number;
     /** Middle of the picture and pixels per unit. */
     view: [number, number, number] | null;
-    /** Which picture fills the page. */
+    /** Whether the pair fills the page. */
     large: boolean;
+    /** The two frames of a merge's match that fill the page, by their names. */
+    pair: [string, string] | null;
     /** Whether the cursor goes with the newest frame. */
     follow: boolean;
 }
 
 export const START: Link = {
-    page: "maps", map: "", merge: null, sources: [], target: "", session: null, frame: null, place: null, beside: null,
+    page: "maps", map: "", merge: null, sources: [], target: "", laid: null, session: null, frame: null, place: null, beside: null,
     matrix: null, cells: null, cell: null, colour: null,
-    shape: null, residuals: false, closures: true, corrected: 1, view: null, large: false, follow: false,
+    shape: null, residuals: false, closures: true, corrected: 1, view: null, large: false, pair: null, follow: false,
 };
 
 const COLOURS = ["session", "time", "space"] as const;
@@ -72,6 +76,12 @@ function viewOf(given: URLSearchParams, name = "view"): Link["view"] {
     return view.length === 3 && view.every(Number.isFinite) && scale! > 0 ? [x!, y!, scale!] : null;
 }
 
+function laidOf(given: string | null): Link["laid"] {
+    if (given === null) return null;
+    const lies = given.split(";").filter(Boolean).map((lie) => lie.split(",").map(Number));
+    return lies.every((lie) => lie.length === 3 && lie.every(Number.isFinite)) ? (lies as [number, number, number][]) : [];
+}
+
 function cellOf(given: URLSearchParams): Link["cell"] {
     const [row, column] = (given.get("cell") ?? "").split(",").map(whole);
     return row == null || column == null ? null : [row, column];
@@ -85,7 +95,11 @@ export function read(hash: string): Link {
     const given = new URLSearchParams(query);
     if (page === "merges") {
         const sources = (given.get("maps") ?? "").split(",").filter(Boolean);
-        return { ...START, page, merge: whole(map), sources, target: given.get("into") ?? "", view: viewOf(given) };
+        const [frame, beside] = [given.get("frame"), given.get("beside")];
+        return {
+            ...START, page, merge: whole(map), sources, target: given.get("into") ?? "", view: viewOf(given),
+            pair: frame && beside ? [frame, beside] : null, laid: laidOf(given.get("laid")),
+        };
     }
     if (page !== "maps" || !map) return START;
     const corrected = Number(given.get("corrected") ?? "1");
@@ -119,7 +133,12 @@ export function hash(link: Link): string {
     if (link.page === "merges") {
         if (link.merge === null && link.sources.length) given.set("maps", link.sources.join(","));
         if (link.merge === null && link.target) given.set("into", link.target);
-        if (link.merge !== null && link.view) given.set("view", written(link.view));
+        if (link.merge === null && link.laid) given.set("laid", link.laid.map(written).join(";"));
+        if (link.view) given.set("view", written(link.view));
+        if (link.merge !== null && link.pair) {
+            given.set("frame", link.pair[0]);
+            given.set("beside", link.pair[1]);
+        }
         return `#/merges${link.merge === null ? "" : `/${link.merge}`}${asked(given)}`;
     }
     if (link.session !== null) given.set("session", link.session);
@@ -140,7 +159,7 @@ export function hash(link: Link): string {
     return `#/maps/${encodeURIComponent(link.map)}${asked(given)}`;
 }
 
-function written(view: NonNullable<Link["view"]>): string {
+function written(view: [number, number, number]): string {
     return view.map((value) => Number(value.toPrecision(6))).join(",");
 }
 
@@ -152,7 +171,7 @@ function asked(given: URLSearchParams): string {
 export type Go = (change: Partial<Link>) => void;
 
 /** What one comes back to by the browser's own button. A cursor that moves along, a view and a colour are none of it. */
-const STEPS = ["page", "map", "merge", "session", "place", "beside", "large", "matrix"] as const;
+const STEPS = ["page", "map", "merge", "session", "place", "beside", "large", "pair", "matrix"] as const;
 
 /** The link, and what changes it. What a click opened is a step in the browser's history. */
 export function useLink(): [Link, Go] {

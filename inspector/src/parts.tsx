@@ -291,9 +291,9 @@ export function keepsPictures({ settings }: WayMap): boolean {
     return settings?.keep !== "words";
 }
 
-/** Where the map keeps words alone. */
-export function NoPicture() {
-    return <div class="picture missing" title="This map keeps words alone" aria-hidden="true" />;
+/** Where there is none, and it is known why. */
+export function NoPicture({ why = "This map keeps words alone" }: { why?: string }) {
+    return <div class="picture missing" title={why} aria-hidden="true" />;
 }
 
 /** The size of an element on the screen, as it changes. */

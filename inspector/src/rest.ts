@@ -5,6 +5,7 @@ export type Schemas = components["schemas"];
 export type WayMap = Schemas["Map"];
 export type Place = Schemas["Place"];
 export type Session = Schemas["Session"];
+export type FrameAnswer = Schemas["FrameAnswer"];
 export type FrameRecord = Schemas["FrameRecord"];
 export type Explanation = Schemas["FrameExplanation"];
 export type LoopClosure = Schemas["LoopClosure"];
@@ -85,20 +86,32 @@ export async function streams(map: string, signal: AbortSignal): Promise<OpenStr
     return (await get<Schemas["ListOpenStreamsResponse"]>(`/v1/streams${only}`, signal)).streams;
 }
 
-/** Changes something: POST and PUT with a body, DELETE without. */
-export async function change<T>(method: "POST" | "PUT" | "DELETE", path: string, body?: unknown): Promise<T> {
+/** Changes something: POST, PUT and PATCH with a body, DELETE without. */
+export async function change<T>(method: "POST" | "PUT" | "PATCH" | "DELETE", path: string, body?: unknown): Promise<T> {
     const json = { "content-type": "application/json" };
     return (await ask(path, body === undefined ? { method } : { method, headers: json, body: JSON.stringify(body) }))
         .json();
 }
 
 /** Makes a token. The first one is taken by this page itself: from then on the server serves nobody without one. */
-export async function createToken(id: string, role: Token["role"]): Promise<Schemas["CreateTokenResponse"]> {
+export async function createToken(wanted: Schemas["CreateToken"]): Promise<Schemas["CreateTokenResponse"]> {
     tokensChange = true;
     try {
-        const made = await change<Schemas["CreateTokenResponse"]>("POST", "/v1/tokens", { token_id: id, role });
+        const made = await change<Schemas["CreateTokenResponse"]>("POST", "/v1/tokens", wanted);
         if (token.get() === null) token.set(made.secret);
         return made;
+    } finally {
+        tokensChange = false;
+    }
+}
+
+/** Gives a token a new secret, which this page takes where the token is its own. */
+export async function rotateToken({ name }: Token, overlap_s: number, own: boolean): Promise<Schemas["RotateTokenResponse"]> {
+    tokensChange = own;
+    try {
+        const rotated = await change<Schemas["RotateTokenResponse"]>("POST", `${at(name)}/rotate`, { overlap_s });
+        if (own) token.set(rotated.secret);
+        return rotated;
     } finally {
         tokensChange = false;
     }

@@ -104,6 +104,28 @@ test("a robot that maps new ground is drawn where it is, in metres", async () =>
     await server.call(null, "map", "rm", "ground", "--yes");
 });
 
+test("a robot that only looks is drawn and told where it is, though the map keeps none of its frames", async () => {
+    const { page, close } = await open("#/maps/demo");
+    await live(page, "live");
+    const before = await rest("maps/demo?view=full");
+    const looking = server.call(null, "stream", drive(12), "--map", "demo", "--localize", "--session", "looker", "--rate", "2");
+    const canvas = page.locator(".drawing canvas");
+    await until("a robot that looks", async () => {
+        const [robot] = JSON.parse(await canvas.getAttribute("data-robots"));
+        return robot?.name === "looker" && robot.doing === "looks";
+    });
+    const robots = page.getByRole("region", { name: "Robots" });
+    const robot = robots.getByRole("article").filter({ hasText: "looker" });
+    await robot.getByRole("button", { name: /^place \d+$/ }).waitFor();
+    await robot.getByText("last probability").waitFor();
+    await accessible(page, "a robot that only looks");
+    await looking;
+    await robot.waitFor({ state: "detached" });
+    await until("a drawing without it", async () => JSON.parse(await canvas.getAttribute("data-robots")).length === 0);
+    assert.equal((await rest("maps/demo?view=full")).state_hash, before.state_hash);
+    await close();
+});
+
 test("events that are cut off go on behind the last one that came", async () => {
     const { page, close } = await open("#/maps");
     const cut = await beginning(3);

@@ -113,6 +113,12 @@ test("a map is compared with another of its model, on a phone too, and an empty 
         const across = panel.locator(".across");
         await across.getByText(`place ${rows.place_numbers[3]} of demo`).waitFor();
         await across.getByText(`place ${columns.place_numbers[2]} of ${name}`).waitFor();
+        const enlarge = panel.getByRole("button", { name: new RegExp(`^Enlarge: Place ${rows.place_numbers[3]} of demo beside place`) });
+        await until("the two places side by side", () => enlarge.locator("img").evaluate((image) => image.naturalWidth > 1000));
+        await enlarge.click();
+        await page.getByRole("dialog").locator("img").waitFor();
+        await accessible(page, "two places of two maps");
+        await page.keyboard.press("Escape");
     }
     const wide = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
     assert.ok(wide <= 0, `the matrix is ${wide} px wider than a phone`);

@@ -32,6 +32,18 @@ test("a merge is looked for, shown with its evidence, and changes nothing before
     await form.getByLabel("Matches that must agree").fill("6");
     await until("the link of what is chosen", async () => /maps=monday%2Ctuesday&into=week/.test(page.url()));
     await accessible(page, "the wish for a merge");
+    // Without a search they lie on each other as a person says.
+    await form.getByRole("button", { name: "On each other" }).click();
+    const byHand = page.getByRole("region", { name: "The maps on each other" });
+    const before = await Promise.all(["monday", "tuesday"].map(async (day) => (await rest(`maps/${day}`)).places));
+    await until("both maps", async () => (await byHand.locator("canvas").getAttribute("data-drawn")) === String(before[0] + before[1]));
+    await byHand.getByLabel("tuesday x, m").fill("2.5");
+    await byHand.getByLabel("tuesday turned, °").fill("90");
+    await byHand.getByLabel("tuesday turned, °").press("Enter");
+    await until("the link of how they lie", async () => decodeURIComponent(page.url()).includes("laid=2.5,0,90"));
+    await accessible(page, "maps on each other by hand");
+    await form.getByRole("button", { name: "On each other" }).click();
+    await byHand.waitFor({ state: "detached" });
     await look.click();
     await page.getByRole("heading", { name: /^Merge \d+$/ }).waitFor();
     const number = page.url().match(/merges\/(\d+)$/)[1];
@@ -49,6 +61,15 @@ test("a merge is looked for, shown with its evidence, and changes nothing before
     const strongest = overlap.strongest_matches[0];
     await evidence.getByRole("link", { name: `place ${strongest.source_place_number}` }).first().waitFor();
     await until("the images of a match", () => evidence.locator("img").first().evaluate((image) => image.naturalWidth > 0));
+    await evidence.getByRole("button", { name: `Compare place ${strongest.source_place_number} with place ${strongest.target_place_number} of the target` }).click();
+    const sharing = page.getByRole("dialog", { name: new RegExp(`^Place ${strongest.source_place_number} beside place`) });
+    await until("the match as a picture", () => sharing.locator("img").evaluate((image) => image.naturalWidth > 1000));
+    assert.ok(decodeURIComponent(page.url()).includes(`frame=${strongest.source_frame}&beside=${strongest.target_frame}`), page.url());
+    await accessible(page, "a match of a merge");
+    await page.reload();
+    await sharing.waitFor();
+    await page.keyboard.press("Escape");
+    await until("the merge alone", async () => !page.url().includes("beside="));
     await until("the picture", () => page.getByRole("region", { name: "Before and after" }).locator("img").evaluate((image) => image.naturalWidth > 300));
     const laid = page.getByRole("region", { name: "The maps on each other" });
     const canvas = laid.locator("canvas");

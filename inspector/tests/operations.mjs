@@ -117,8 +117,16 @@ test("a model goes out and in by its file, and one that a map uses stays", async
     await models.getByRole("button", { name: "Import a model" }).click();
     await models.getByRole("cell", { name: "site", exact: true }).waitFor();
     assert.equal((await rest("models", { url: bare.url })).models[0].name, name);
-    await models.getByRole("button", { name: "Delete the model site" }).click();
-    await other.page.getByRole("dialog").getByRole("textbox").fill("site");
+    await models.getByRole("button", { name: "Rename the model site" }).click();
+    const naming = other.page.getByRole("dialog", { name: /^Rename the model/ });
+    assert.equal(await naming.getByLabel("Name").inputValue(), "site");
+    await accessible(other.page, "a model to be renamed");
+    await naming.getByLabel("Name").fill("shipped site");
+    await naming.getByRole("button", { name: "Rename it" }).click();
+    await models.getByRole("cell", { name: "shipped site", exact: true }).waitFor();
+    assert.equal((await rest("models", { url: bare.url })).models[0].display_name, "shipped site");
+    await models.getByRole("button", { name: "Delete the model shipped site" }).click();
+    await other.page.getByRole("dialog").getByRole("textbox").fill("shipped site");
     await other.page.getByRole("dialog").getByRole("button", { name: "Delete the model" }).click();
     await models.getByText("There is no model yet").waitFor();
     await other.close();

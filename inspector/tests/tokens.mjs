@@ -65,6 +65,59 @@ test("the first token is an admin's, is shown once, and is the page's own from t
     await close();
 });
 
+test("a token is made with limits, limited otherwise, and given another secret", async () => {
+    const fresh = await serve(join(folder, "limited"));
+    const admin = secretOf(await fresh.call(null, "token", "create", "operator", "--role", "admin"));
+    const { page, close } = await open("#/operations", { url: fresh.url });
+    await page.getByLabel("Token").fill(admin);
+    await page.getByRole("button", { name: "Log in" }).click();
+    const tokens = page.getByRole("region", { name: "Tokens" });
+    await tokens.getByLabel("Name of a new token").fill("scout");
+    await tokens.getByText("Limit it").click();
+    await tokens.getByLabel("Maps that it reaches").fill("hall, floor2-*");
+    await tokens.getByLabel("Days that it is good for").fill("0.5");
+    await tokens.getByLabel("may navigate").uncheck();
+    await tokens.getByLabel("Most sessions").fill("3");
+    await accessible(page, "a token that is limited");
+    await tokens.getByRole("button", { name: "Make a token" }).click();
+    await tokens.getByText("The secret of scout.").waitFor();
+    const first = await tokens.locator(".secret code").textContent();
+    const row = tokens.getByRole("row").filter({ hasText: "scout" });
+    await row.getByText(/^the maps floor2-\*, hall; may read, localize, stream; 0 of 3 sessions; until /).waitFor();
+    const known = async () => (await rest("tokens", { url: fresh.url, token: admin })).tokens.find(({ name }) => name === "tokens/scout");
+    const { create_time_ns, expire_time_ns } = await known();
+    assert.ok(Math.abs((expire_time_ns - create_time_ns) / 1e9 - 43_200) < 60, "half a day");
+
+    await row.getByRole("button", { name: "Limits of the token scout" }).click();
+    const limiting = page.getByRole("dialog", { name: "Limits of scout" });
+    assert.equal(await limiting.getByLabel("Most sessions").inputValue(), "3");
+    await limiting.getByLabel("Most sessions").fill("");
+    await limiting.getByLabel("Most frames a second").fill("2.5");
+    await accessible(page, "the limits of a token");
+    await limiting.getByRole("button", { name: "Change the limits" }).click();
+    await row.getByText(/stream; 2.5 frames a second; until /).waitFor();
+    const { quotas } = await known();
+    assert.deepEqual(quotas, { max_maps: null, max_sessions: null, max_frames_per_second: 2.5, max_kept_mib: null });
+
+    await row.getByRole("button", { name: "New secret for the token scout" }).click();
+    const rotating = page.getByRole("dialog", { name: "A new secret for scout" });
+    await rotating.getByLabel("Hours").fill("0");
+    await rotating.getByRole("button", { name: "Make a new secret" }).click();
+    await until("another secret", async () => (await tokens.locator(".secret code").textContent()) !== first);
+    const second = await tokens.locator(".secret code").textContent();
+    const who = async (token) => (await fetch(`${fresh.url}/v1/whoami`, { headers: { authorization: `Bearer ${token}` } })).status;
+    assert.deepEqual([await who(first), await who(second)], [401, 200]);
+    // The page goes on with its own new secret.
+    await tokens.getByRole("button", { name: "New secret for the token operator" }).click();
+    await page.getByRole("dialog").getByLabel("Hours").fill("0");
+    await page.getByRole("dialog").getByRole("button", { name: "Make a new secret" }).click();
+    await tokens.getByText("The secret of operator.").waitFor();
+    assert.equal(await who(admin), 401);
+    await page.reload();
+    await tokens.getByText("(this page’s)").waitFor();
+    await close();
+});
+
 const secretOf = (text) => text.match(/waypost_\w+/)[0];
 
 /** The secret of the demo's server, once it asks for one. */

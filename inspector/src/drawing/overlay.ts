@@ -1,16 +1,19 @@
-// Maps laid on each other as a merge proposes it: a scene like that of one map, coloured by the map that places are of.
-import { all, at, type Merge, type Place, type Session } from "../rest";
+// Maps laid on each other, as a merge proposes it or by hand: a scene like that of one map, coloured by the map that
+// places are of.
+import { all, at, type Merge, type Place, type Schemas, type Session } from "../rest";
 import { compose, pose, type Pose } from "./geometry";
 import { empty } from "./layout";
 import type { Closure, Scene } from "./scene";
 
-/** Places of one map, of the part that the merge speaks of. */
-interface Layer {
+/** Places of one map, of one of its parts. */
+export interface Layer {
     map: string;
     /** The part's frame in the drawing's. */
     frame: Pose;
     places: Place[];
     sessions: Session[];
+    /** Whether the map has more places than are drawn. */
+    cut: boolean;
 }
 
 export interface Overlaid {
@@ -50,33 +53,69 @@ export async function overlaid(merge: Merge, signal: AbortSignal): Promise<Overl
     const measured = merge.sources.filter(({ overlap }) => overlap?.transformation);
     const part = measured[0]?.overlap?.target_part ?? 0;
     const shown = measured.filter(({ overlap }) => overlap!.target_part === part);
-    const base = baseOf(merge);
     // A base that was merged into holds what the others brought: that is not drawn twice.
     const brought = new Set(merge.sources.flatMap(({ sessions }) => sessions));
-    const layer = async (map: string, of: number, frame: Pose): Promise<Layer & { cut: boolean }> => {
-        const [places, sessions] = await Promise.all([
-            all<"places", Place>(`${at(map)}/places`, "places", signal, MOST_PLACES),
-            all<"sessions", Session>(`${at(map)}/sessions`, "sessions", signal),
-        ]);
-        const own = places.filter((place) => place.pose?.part === of && pose(place.pose.pose) && !brought.has(place.frames[0]?.session ?? ""));
-        return { map, frame, sessions, places: own, cut: places.length >= MOST_PLACES };
+    const layer = async (map: string, of: number, frame: Pose): Promise<Layer> => {
+        const loaded = await layerOf(map, signal);
+        const own = ofPart(loaded, of).filter(({ frames }) => !brought.has(frames[0]?.session ?? ""));
+        return { ...loaded, frame, places: own };
     };
     const layers = await Promise.all([
-        layer(base, part, ORIGIN),
+        layer(baseOf(merge), part, ORIGIN),
         ...shown.map(({ map, overlap }) => layer(map, overlap!.source_part, pose(overlap!.transformation) ?? ORIGIN)),
     ]);
-    const names = new Set(shown.map(({ map }) => map));
+    const matches = new Map(merge.sources.map(({ map, overlap }) => [map, overlap?.strongest_matches ?? []]));
+    return laid(layers, merge.sources.map(({ map }) => map), matches);
+}
+
+/** Maps as they are loaded: how they lie is not said yet. */
+export function loadLayers(maps: string[], signal: AbortSignal): Promise<Layer[]> {
+    return Promise.all(maps.map(async (map) => {
+        const loaded = await layerOf(map, signal);
+        return { ...loaded, places: ofPart(loaded, largestPart(loaded)) };
+    }));
+}
+
+/** Loaded maps, each laid as a person says, by its largest part. */
+export function laidByHand(layers: Layer[], frames: Pose[]): Overlaid {
+    const shown = layers.filter(({ places }) => places.length > 0);
+    return laid(shown.map((layer) => ({ ...layer, frame: frames[layers.indexOf(layer)] ?? ORIGIN })), layers.map(({ map }) => map), new Map());
+}
+
+async function layerOf(map: string, signal: AbortSignal): Promise<Layer> {
+    const [places, sessions] = await Promise.all([
+        all<"places", Place>(`${at(map)}/places`, "places", signal, MOST_PLACES),
+        all<"sessions", Session>(`${at(map)}/sessions`, "sessions", signal),
+    ]);
+    return { map, frame: ORIGIN, sessions, places, cut: places.length >= MOST_PLACES };
+}
+
+/** Places with metres of a part. */
+function ofPart({ places }: Layer, part: number | undefined): Place[] {
+    return places.filter((place) => place.pose?.part === part && pose(place.pose?.pose));
+}
+
+function largestPart({ places }: Layer): number | undefined {
+    const sizes = new Map<number, number>();
+    for (const { pose } of places) if (pose) sizes.set(pose.part, (sizes.get(pose.part) ?? 0) + 1);
+    return [...sizes].sort(([, one], [, other]) => other - one)[0]?.[0];
+}
+
+type Matches = Map<string, Schemas["MapOverlap"]["strongest_matches"]>;
+
+function laid(layers: Layer[], wanted: string[], matches: Matches): Overlaid {
+    const names = new Set(layers.map(({ map }) => map));
     return {
-        scene: sceneOf(layers, merge),
+        scene: sceneOf(layers, matches),
         layerOf: layers.flatMap(({ places }, layer) => places.map(() => layer)),
         maps: layers.map(({ map, sessions }) => ({ map, sessions })),
         sessionOf: layers.flatMap(({ places }) => places.map(({ frames }) => frames[0]?.session ?? "")),
-        absent: merge.sources.map(({ map }) => map).filter((map) => !names.has(map)),
+        absent: wanted.filter((map) => !names.has(map)),
         cut: layers.some(({ cut }) => cut),
     };
 }
 
-function sceneOf(layers: Layer[], merge: Merge): Scene {
+function sceneOf(layers: Layer[], matchesOf: Matches): Scene {
     const laid = layers.flatMap(({ places, frame }, layer) => places.map((place) => ({
         layer, place, number: numberOf(place), ...compose(frame, pose(place.pose!.pose)!),
     })));
@@ -92,7 +131,7 @@ function sceneOf(layers: Layer[], merge: Merge): Scene {
         return to === undefined || other <= number ? [] : [[from, to]];
     }));
     const closures = layers.flatMap(({ map }, layer) => {
-        const matches = merge.sources.find((source) => source.map === map)?.overlap?.strongest_matches ?? [];
+        const matches = matchesOf.get(map) ?? [];
         return matches.flatMap(({ source_place_number, target_place_number, posterior }): Closure[] => {
             const [from, to] = [index.get(`${layer}/${source_place_number}`), index.get(`0/${target_place_number}`)];
             if (layer === 0 || from === undefined || to === undefined) return [];

@@ -1,5 +1,5 @@
 // Robots in the drawing: where each is, which way it looks, and whether anybody hears of it.
-import type { FrameRecord, Navigation, Schemas } from "../rest";
+import type { FrameAnswer, Navigation, Schemas } from "../rest";
 import { short } from "../rest";
 import type { Ink } from "./colours";
 import { pose } from "./geometry";
@@ -7,8 +7,8 @@ import { boxOf, type Scene } from "./scene";
 
 export type Spot = [x: number, y: number];
 
-/** What a robot does: it is led, it streams, or it was led and has no connection now. */
-export type Doing = "led" | "streams" | "gone";
+/** What a robot does: it is led, it lets the map grow, it only looks, or it was led and has no connection now. */
+export type Doing = "led" | "streams" | "looks" | "gone";
 
 export interface Standing {
     name: string;
@@ -33,7 +33,7 @@ export function heardOfLed({ guidance }: Navigation): Heard {
     };
 }
 
-export function heardOfFrame({ answer }: FrameRecord): Heard {
+export function heardOfAnswer(answer: FrameAnswer | null | undefined): Heard {
     const here = answer?.map_pose;
     return { pose: here?.robot ?? null, part: here?.part ?? null, place: answer?.place_number ?? null };
 }
@@ -172,7 +172,7 @@ export function listed(robots: Standing[], spots: Spot[]): string {
     }));
 }
 
-const DOES: Record<Doing, string> = { led: "is led", streams: "streams", gone: "is not connected" };
+const DOES: Record<Doing, string> = { led: "is led", streams: "streams", looks: "looks", gone: "is not connected" };
 
 /** The same in words. */
 export function described(robots: Standing[]): string {

@@ -5,7 +5,7 @@ import { ring } from "../drawing/layout";
 import type { Size, View } from "../drawing/paint";
 import { drawn, LEAST_M } from "../drawing/residuals";
 import {
-    described, heardOfFrame, heardOfLed, spotOfPlace, spotOfPose, standing, type Doing, type Heard, type Spot, type Standing,
+    described, heardOfAnswer, heardOfLed, spotOfPlace, spotOfPose, standing, type Doing, type Heard, type Spot, type Standing,
 } from "../drawing/robots";
 import { asDriven, kindOf, type Scene } from "../drawing/scene";
 import type { Colour, Go, Link, Shape } from "../link";
@@ -22,7 +22,7 @@ function routeOf(scene: Scene, { part, waypoints }: Schemas["Route"]): Spot[] {
 }
 
 /** Where robots stand in the drawing; one that says nothing new of it, where it did last. */
-function useStanding(scene: Scene, { robots, streaming }: Live): Standing[] {
+function useStanding(scene: Scene, { robots, streaming, open }: Live): Standing[] {
     const last = useRef(new Map<string, Heard>());
     const stand = (name: string, doing: Doing, heard: Heard): Standing[] => {
         const here = standing(scene, name, doing, heard);
@@ -33,7 +33,8 @@ function useStanding(scene: Scene, { robots, streaming }: Live): Standing[] {
     };
     const found = [
         ...robots.flatMap((robot) => stand(robot.name, robot.connected ? "led" : "gone", heardOfLed(robot))),
-        ...streaming.flatMap(({ session, frame }) => stand(session, "streams", heardOfFrame(frame))),
+        ...streaming.flatMap(({ session, frame }) => stand(session, "streams", heardOfAnswer(frame.answer))),
+        ...open.flatMap(({ session, mode, last_answer }) => mode === "localize" && last_answer ? stand(session, "looks", heardOfAnswer(last_answer)) : []),
     ];
     const written = JSON.stringify(found);
     return useMemo(() => found, [written]);

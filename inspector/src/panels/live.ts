@@ -2,8 +2,12 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import { load, type MapData } from "../drawing/data";
 import { follow } from "../events";
-import { at, get, short, type FrameRecord, type WayMap } from "../rest";
+import { usePolled } from "../parts";
+import { at, get, short, streams, type FrameRecord, type OpenStream, type WayMap } from "../rest";
 import { useRobots, type Led } from "./led";
+
+/** How soon a stream that was opened or has ended shows, and where a robot is that only looks. */
+const STREAMS_EVERY_MS = 1000;
 
 /** The newest frame of a session that a robot streams into. */
 export interface Streaming {
@@ -25,6 +29,8 @@ export interface Live {
     robots: Led[];
     /** The one that was heard last comes last. */
     streaming: Streaming[];
+    /** Streams that are open. Of a robot that only looks, nothing else is heard: the map keeps none of its frames. */
+    open: OpenStream[];
     live: boolean;
     error: Error | null;
 }
@@ -41,6 +47,7 @@ export function useLive(map: string, hearing: Hearing): Live {
     const [{ live, error }, setLive] = useState<{ live: boolean; error: Error | null }>({ live: false, error: null });
     const [streaming, setStreaming] = useState<Streaming[]>([]);
     const { robots, error: unheard, hear } = useRobots(map, live);
+    const { value: open } = usePolled((signal) => streams(short(map), signal), () => STREAMS_EVERY_MS, [map]);
     const to = useRef({ ...hearing, hear });
     to.current = { ...hearing, hear };
     useEffect(() => {
@@ -70,7 +77,7 @@ export function useLive(map: string, hearing: Hearing): Live {
             clearInterval(fade);
         };
     }, [map]);
-    return { robots, streaming, live, error: unheard ?? (live ? null : error) };
+    return { robots, streaming, open: open ?? [], live, error: unheard ?? (live ? null : error) };
 }
 
 function newest(known: Streaming[], frames: FrameRecord[]): Streaming[] {

@@ -101,7 +101,7 @@ function Loaded({ given, link, go, onAgain }: MapPageProps & { given: MapData; o
         };
     }, [led]);
     useKeys((by) => onCursor(latest.current + by), onCursor);
-    const robots = <Robots map={map.name} heard={heard} place={place} onPlace={onPlace} onFrame={onFrame} />;
+    const robots = <Robots heard={heard} place={place} onPlace={onPlace} onFrame={onFrame} />;
     return <>
         <div class="title">
             <h1>{short(map.name)}</h1>

@@ -10,6 +10,7 @@ import { hash, START, type Go, type Link } from "../link";
 import { all, at, get, short, type Place, type WayMap } from "../rest";
 import { count, Picture, plural, Refused, Shown, useAsked, useDark, useSize } from "../parts";
 import { useHand } from "./hand";
+import { Large, pairPath } from "./large";
 
 /** In the link: the map with itself. */
 const ITSELF = ".";
@@ -195,20 +196,32 @@ function Across({ matrix, cell }: { matrix: MatchMatrix; cell: Cell }) {
     const places = [
         [short(matrix.map), matrix.rows!.place_numbers[cell[0]]!], [short(matrix.against), matrix.columns!.place_numbers[cell[1]]!],
     ] as const;
-    return <div class="across">{places.map(([map, place]) => <One key={map} map={map} number={place} />)}</div>;
+    const asked = useAsked((signal) => Promise.all(places.map(async ([map, number]) => {
+        const { frames: [frame] } = await get<Place>(at(`maps/${map}/places/${number}`), signal);
+        return { map, number, frame };
+    })), [...places[0], ...places[1]]);
+    return <Shown asked={asked} what="the two places">{([one, other]) => <TwoPlaces one={one!} other={other!} />}</Shown>;
 }
 
-function One({ map, number }: { map: string; number: number }) {
-    const name = `maps/${map}/places/${number}`;
-    const asked = useAsked((signal) => get<Place>(at(name), signal), [name]);
-    return (
-        <Shown asked={asked} what={`place ${number}`}>
-            {({ frames: [frame] }) => (
-                <a href={hash({ ...START, page: "map", map, place: number, ...(frame && { session: short(frame.session), frame: frame.sequence }) })}>
-                    {frame && <Picture path={`${at(frame.session)}/frames/${frame.sequence}/image`} alt="" />}
-                    <span>place {number} of {map}{frame && `, ${short(frame.session)}, frame ${frame.sequence}`}</span>
-                </a>
-            )}
-        </Shown>
-    );
+interface PlaceOfMap {
+    map: string;
+    number: number;
+    frame: Place["frames"][number] | undefined;
+}
+
+/** What the first frames of the two places share. */
+function TwoPlaces({ one, other }: { one: PlaceOfMap; other: PlaceOfMap }) {
+    const [large, setLarge] = useState(false);
+    const [frame, beside] = [one, other].map(({ frame }) => frame && `${frame.session}/frames/${frame.sequence}`);
+    const path = frame && beside ? pairPath(frame, beside) : null;
+    const alt = `Place ${one.number} of ${one.map} beside place ${other.number} of ${other.map}: what they share`;
+    return <>
+        {path && <button type="button" class="enlarge" aria-label={`Enlarge: ${alt}`} onClick={() => setLarge(true)}><Picture path={path} alt="" /></button>}
+        {path && large && <Large path={path} alt={alt} as="fitted" onClose={() => setLarge(false)} />}
+        <p class="across">{[one, other].map(({ map, number, frame }) => (
+            <a key={map} href={hash({ ...START, page: "map", map, place: number, ...(frame && { session: short(frame.session), frame: frame.sequence }) })}>
+                place {number} of {map}{frame && `, ${short(frame.session)}, frame ${frame.sequence}`}
+            </a>
+        ))}</p>
+    </>;
 }

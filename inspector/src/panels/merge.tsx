@@ -1,12 +1,14 @@
 // One merge: how far it is, what was found, the maps on each other, and what a person decides.
-import { useEffect, useRef, useState } from "preact/hooks";
+import { createContext } from "preact";
+import { useContext, useState } from "preact/hooks";
 import { hash, START, type Go, type Link } from "../link";
 import { pose } from "../drawing/geometry";
 import { baseOf, partsOf } from "../drawing/overlay";
 import { all, at, change, get, Refusal, short, type Job, type Merge, type Schemas, type Session, type WayMap } from "../rest";
 import {
-    fixed, moment, Outcome, Picture, plural, Question, Refused, share, Shown, useAsked, useAttempt, useMayAll, usePolled,
+    fixed, keepsPictures, moment, NoPicture, Outcome, Picture, plural, Question, Refused, share, Shown, useAsked, useAttempt, useMayAll, usePolled,
 } from "../parts";
+import { Large, pairPath } from "./large";
 import { State } from "./merges";
 import { Overlay } from "./overlay";
 
@@ -51,8 +53,13 @@ interface LoadedProps extends Known {
     onDecided: () => void;
 }
 
+/** Maps that are there and keep something to be seen; nothing before that is known. A merge outlives its maps. */
+const Pictured = createContext<Set<string> | null>(null);
+
 function Loaded({ merge, job, link, go, onDecided }: LoadedProps) {
     const { state, sources, target } = merge;
+    const maps = useAsked((signal) => all<"maps", WayMap>("/v1/maps", "maps", signal), [merge.name, state]);
+    const pictured = maps.state === "there" ? new Set(maps.value.filter(keepsPictures).map(({ name }) => name)) : null;
     const drawn = state !== "searching" && sources.some((source) => source.overlap || source.no_overlap_reason);
     const laid = state !== "searching" && sources.some((source) => source.overlap?.transformation);
     return <>
@@ -69,7 +76,7 @@ function Loaded({ merge, job, link, go, onDecided }: LoadedProps) {
             </div>
             <div class="narrow">
                 <Base merge={merge} />
-                {sources.map((source) => <Source key={source.map} source={source} searching={state === "searching"} />)}
+                <Pictured.Provider value={pictured}>{sources.map((source) => <Source key={source.map} source={source} searching={state === "searching"} link={link} go={go} />)}</Pictured.Provider>
             </div>
         </div>
     </>;
@@ -149,20 +156,8 @@ function Before({ merge }: { merge: Merge }) {
         <section class="panel" aria-label="Before and after">
             <header><h2>Before and after</h2><span class="quiet small">as the search left them; of each map its largest part</span></header>
             <button type="button" class="enlarge" aria-label={`Enlarge: ${alt}`} onClick={() => setLarge(true)}><Picture path={path} alt="" class="sheet" /></button>
-            {large && <Large path={path} alt={alt} onClose={() => setLarge(false)} />}
+            {large && <Large path={path} alt={alt} as="drawn" onClose={() => setLarge(false)} />}
         </section>
-    );
-}
-
-/** The picture as large as it was drawn, to be moved about on a small screen. */
-function Large({ path, alt, onClose }: { path: string; alt: string; onClose: () => void }) {
-    const dialog = useRef<HTMLDialogElement>(null);
-    useEffect(() => dialog.current?.showModal(), []);
-    return (
-        <dialog ref={dialog} aria-label="Before and after" onClose={onClose}>
-            <form method="dialog"><button type="submit" aria-label="Close">✕</button></form>
-            <div class="wide roam" tabIndex={0} role="group" aria-label="Scroll to see all"><Picture path={path} alt={alt} class="sheet" /></div>
-        </dialog>
     );
 }
 
@@ -208,18 +203,25 @@ function Sessions({ known, sessions, brought }: { known: WayMap; sessions: Sessi
 
 type MapOverlap = Schemas["MapOverlap"];
 
-function Source({ source, searching }: { source: Schemas["MergeSource"]; searching: boolean }) {
+interface SourceProps {
+    source: Schemas["MergeSource"];
+    searching: boolean;
+    link: Link;
+    go: Go;
+}
+
+function Source({ source, searching, link, go }: SourceProps) {
     const { map, places, overlap, no_overlap_reason, sessions } = source;
     return (
         <section class="panel" aria-label={`Evidence for ${short(map)}`}>
             <header><h2>{short(map)}</h2>{!searching && <span class="quiet">{plural(places, "place")}</span>}</header>
-            {overlap ? <Evidence overlap={overlap} /> : no_overlap_reason ? <p>No overlap: {no_overlap_reason}</p> : <p class="quiet">{searching ? "It is being looked for." : "It was not looked for to the end."}</p>}
+            {overlap ? <Evidence overlap={overlap} link={link} go={go} /> : no_overlap_reason ? <p>No overlap: {no_overlap_reason}</p> : <p class="quiet">{searching ? "It is being looked for." : "It was not looked for to the end."}</p>}
             {sessions.length > 0 && <p class="quiet small">Its {sessions.length === 1 ? "session" : "sessions"} in the target: {sessions.map(short).join(", ")}</p>}
         </section>
     );
 }
 
-function Evidence({ overlap }: { overlap: MapOverlap }) {
+function Evidence({ overlap, link, go }: { overlap: MapOverlap; link: Link; go: Go }) {
     const where = pose(overlap.transformation);
     return <>
         <dl class="facts">
@@ -231,24 +233,35 @@ function Evidence({ overlap }: { overlap: MapOverlap }) {
             <div><dt>cost of all links</dt><dd>{overlap.cost_before.toFixed(1)} apart, {overlap.cost_after.toFixed(1)} together</dd></div>
             <div><dt>lies at</dt><dd>{where ? `${fixed(where.x, 2)}, ${fixed(where.y, 2)} m, turned by ${fixed((where.heading * 180) / Math.PI, 1)}°` : "not known: one of the maps has no metres"}</dd></div>
         </dl>
-        <Matches matches={overlap.strongest_matches} />
+        <Matches matches={overlap.strongest_matches} link={link} go={go} />
     </>;
 }
 
 const MOST_MATCHES = 12;
 
-function Matches({ matches }: { matches: MapOverlap["strongest_matches"] }) {
+/** Matches, of which the link may show one as a pair: its source frame beside the target's. */
+function Matches({ matches, link, go }: { matches: MapOverlap["strongest_matches"]; link: Link; go: Go }) {
+    const pictured = useContext(Pictured);
     if (matches.length === 0) return null;
+    const seen = (frame: string) => pictured?.has(mapOf(frame)) ?? false;
+    const opened = matches.find(({ source_frame, target_frame }) => link.pair?.[0] === source_frame && link.pair[1] === target_frame);
     return <>
         <h3>The strongest matches</h3>
+        {opened && (
+            <Large
+                path={pairPath(opened.source_frame, opened.target_frame)} as="fitted" onClose={() => go({ pair: null })}
+                alt={`Place ${opened.source_place_number} beside place ${opened.target_place_number} of the target: what the two frames share, joined by lines`}
+            />
+        )}
         <div class="wide tall" tabIndex={0} role="group" aria-label="Table of matches"><table>
-            <thead><tr><th scope="col">place</th><th scope="col">place of the target</th><th scope="col">evidence</th></tr></thead>
+            <thead><tr><th scope="col">place</th><th scope="col">place of the target</th><th scope="col">evidence</th><th scope="col"><span class="unseen">what they share</span></th></tr></thead>
             <tbody>
                 {matches.slice(0, MOST_MATCHES).map((match) => (
                     <tr key={`${match.source_place_number} ${match.target_place_number}`}>
                         <td><Seen frame={match.source_frame} note={match.source_note} place={match.source_place_number} /></td>
                         <td><Seen frame={match.target_frame} note={match.target_note} place={match.target_place_number} /></td>
                         <td>{match.evidence_inliers === null ? "by words" : plural(Math.round(match.evidence_inliers), "inlier")}<br /><span class="quiet small">words {share(match.posterior)}</span></td>
+                        <td class="do">{seen(match.source_frame) && seen(match.target_frame) && <button type="button" aria-label={`Compare place ${match.source_place_number} with place ${match.target_place_number} of the target`} onClick={() => go({ pair: [match.source_frame, match.target_frame] })}>Compare</button>}</td>
                     </tr>
                 ))}
             </tbody>
@@ -258,10 +271,18 @@ function Matches({ matches }: { matches: MapOverlap["strongest_matches"] }) {
 
 /** A frame of a match, as maps/{map}/sessions/{session}/frames/{sequence}. */
 function Seen({ frame, note, place }: { frame: string; note: string; place: number }) {
+    const pictured = useContext(Pictured);
     const [, map = "", , session = "", , sequence = ""] = frame.split("/");
     return (
         <a class="seen" href={hash({ ...START, page: "map", map, session, frame: Number(sequence) })} title={`${map}, ${session}, ${note || `frame ${sequence}`}`}>
-            <Picture path={`${at(frame)}/image?size=thumbnail`} alt="" /><span>place {place}</span>
+            {pictured?.has(mapOf(frame)) && <Picture path={`${at(frame)}/image?size=thumbnail`} alt="" />}
+            {pictured?.has(mapOf(frame)) === false && <NoPicture why="The map is gone, or keeps words alone" />}
+            <span>place {place}</span>
         </a>
     );
+}
+
+/** The map of a frame, as maps/{map}. */
+function mapOf(frame: string): string {
+    return frame.split("/").slice(0, 2).join("/");
 }

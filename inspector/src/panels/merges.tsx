@@ -4,6 +4,7 @@ import { partsOf } from "../drawing/overlay";
 import { hash, START, type Go, type Link } from "../link";
 import { all, change, short, type Merge, type Schemas, type WayMap } from "../rest";
 import { moment, Outcome, plural, Refused, useAttempt, useMayAll, usePolled } from "../parts";
+import { ByHand } from "./overlay";
 
 /** Merges are asked for again, sooner while one of them is looked for. */
 const SEARCH_EVERY_MS = 2000;
@@ -88,7 +89,8 @@ function Request({ maps, link, go }: MergesProps & { maps: WayMap[] }) {
     const { told, busy, attempt } = useAttempt();
     const { sources, target } = link;
     const choose = (map: string, chosen: boolean) =>
-        go({ sources: [...sources.filter((known) => known !== map), ...(chosen ? [map] : [])] });
+        // Who is moved by hand is another one then.
+        go({ sources: [...sources.filter((known) => known !== map), ...(chosen ? [map] : [])], laid: link.laid && [] });
     const begin = () => attempt("Asking for it", async () => {
         const request: Schemas["MergeMaps"] = {
             sources: sources.map((map) => `maps/${map}`), target: `maps/${target}`, auto_commit: unseen,
@@ -98,7 +100,10 @@ function Request({ maps, link, go }: MergesProps & { maps: WayMap[] }) {
         go({ ...START, page: "merges", merge: Number(short(name)) });
         return "";
     });
-    return (
+    // A target that is there is what the others would be laid on.
+    const there = maps.some(({ name }) => short(name) === target) && !sources.includes(target);
+    const shown = there ? [target, ...sources] : sources;
+    return <>
         <form class="merging" onSubmit={(event) => {
             event.preventDefault();
             void begin();
@@ -117,9 +122,11 @@ function Request({ maps, link, go }: MergesProps & { maps: WayMap[] }) {
                 <datalist id="known-maps">{maps.map(({ name }) => <option key={name} value={short(name)} />)}</datalist>
                 <label>Matches that must agree <input class="few" type="number" min={3} value={support} placeholder="5" onInput={(event) => setSupport(event.currentTarget.value)} /></label>
                 <label class="choice"><input type="checkbox" checked={unseen} onChange={(event) => setUnseen(event.currentTarget.checked)} /> <span>commit unseen</span></label>
+                {shown.length > 1 && <button type="button" aria-pressed={link.laid !== null} onClick={() => go({ laid: link.laid ? null : [], view: null })}>On each other</button>}
                 <button type="submit" class="main" disabled={busy || sources.length === 0 || !target}>{unseen ? "Merge them" : "Look for the overlap"}</button>
             </div>
             <Outcome told={told} />
         </form>
-    );
+        {shown.length > 1 && link.laid && <ByHand maps={shown} link={link} go={go} />}
+    </>;
 }

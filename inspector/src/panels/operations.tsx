@@ -1,7 +1,7 @@
 // What the server works with and on: how it fares, its jobs, models and tokens.
 import { useState } from "preact/hooks";
 import { all, at, change, download, send, short, type Job, type Model } from "../rest";
-import { bytes, count, Deletion, moment, Outcome, Refused, Shown, useAsked, useAttempt, useMayAll, usePolled } from "../parts";
+import { bytes, count, Deletion, Dialog, moment, Outcome, Refused, Shown, useAsked, useAttempt, useMayAll, usePolled } from "../parts";
 import { Metrics } from "./metrics";
 import { Refusals } from "./refusals";
 import { Tokens } from "./tokens";
@@ -72,9 +72,11 @@ function Models() {
     const may = useMayAll();
     const [changes, setChanges] = useState(0);
     const [leaving, setLeaving] = useState<Model | null>(null);
+    const [naming, setNaming] = useState<Model | null>(null);
     const asked = useAsked((signal) => all<"models", Model>("/v1/models", "models", signal, 200), [changes]);
     const changed = () => {
         setLeaving(null);
+        setNaming(null);
         setChanges((count) => count + 1);
     };
     return (
@@ -83,9 +85,10 @@ function Models() {
             <Shown asked={asked} what="models">
                 {(models) => models.length === 0
                     ? <p class="quiet">There is no model yet: <code>waypost model train</code> makes one of images, and a file of one can be brought here.</p>
-                    : <ModelTable models={models} onDelete={may ? setLeaving : null} />}
+                    : <ModelTable models={models} onDelete={may ? setLeaving : null} onName={may ? setNaming : null} />}
             </Shown>
             {may && <Bringing onCame={changed} />}
+            {naming && <Naming model={naming} onClose={() => setNaming(null)} onDone={changed} />}
             {leaving && (
                 <Deletion
                     what="the model" name={leaving.display_name || short(leaving.name).slice(0, 12)} act={() => change("DELETE", at(leaving.name))}
@@ -97,7 +100,13 @@ function Models() {
     );
 }
 
-function ModelTable({ models, onDelete }: { models: Model[]; onDelete: ((model: Model) => void) | null }) {
+interface ModelTableProps {
+    models: Model[];
+    onDelete: ((model: Model) => void) | null;
+    onName: ((model: Model) => void) | null;
+}
+
+function ModelTable({ models, onDelete, onName }: ModelTableProps) {
     const { told, busy, attempt } = useAttempt();
     const take = (model: Model) => attempt("Fetching it", async () => {
         await download(`${at(model.name)}/export`, `${short(model.name).slice(0, 12)}.waypost`);
@@ -115,6 +124,7 @@ function ModelTable({ models, onDelete }: { models: Model[]; onDelete: ((model: 
                         <td>{bytes(model.size_bytes)}</td><td>{moment(model.create_time_ns)}</td>
                         <td class="do">
                             <button type="button" disabled={busy} aria-label={`Export the model ${named(model)}`} onClick={() => void take(model)}>Export</button>
+                            {onName && <button type="button" aria-label={`Rename the model ${named(model)}`} onClick={() => onName(model)}>Rename</button>}
                             {onDelete && <button type="button" aria-label={`Delete the model ${named(model)}`} onClick={() => onDelete(model)}>Delete</button>}
                         </td>
                     </tr>
@@ -123,6 +133,29 @@ function ModelTable({ models, onDelete }: { models: Model[]; onDelete: ((model: 
         </table></div>
         <Outcome told={told} />
     </>;
+}
+
+function Naming({ model, onClose, onDone }: { model: Model; onClose: () => void; onDone: () => void }) {
+    const [name, setName] = useState(model.display_name);
+    const { told, busy, attempt } = useAttempt();
+    const rename = async () => {
+        if (await attempt("Renaming it", async () => {
+            await change<Model>("PUT", `${at(model.name)}/display-name`, { display_name: name });
+            return "renamed";
+        })) onDone();
+    };
+    return (
+        <Dialog title={`Rename the model ${short(model.name).slice(0, 12)}`} onClose={onClose}>
+            <form onSubmit={(event) => {
+                event.preventDefault();
+                void rename();
+            }}>
+                <label>Name <input value={name} autoComplete="off" autoFocus required onInput={(event) => setName(event.currentTarget.value)} /></label>
+                <p class="actions"><button type="submit" class="main" disabled={busy}>Rename it</button></p>
+                <Outcome told={told} />
+            </form>
+        </Dialog>
+    );
 }
 
 function Bringing({ onCame }: { onCame: () => void }) {

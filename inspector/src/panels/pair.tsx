@@ -1,8 +1,8 @@
 // Why a frame was decided as it was: it beside what it was compared with, and each gate with its number.
-import { useEffect, useRef } from "preact/hooks";
 import { at, get, type Explanation, type FrameRecord, type Schemas } from "../rest";
 import { pause, Picture, share, Shown, useAsked } from "../parts";
 import { Correcting } from "./correcting";
+import { Large } from "./large";
 import { REASONS, type Step } from "./steps";
 
 /** An explanation is a replay, so it is asked for where the cursor rests. */
@@ -64,20 +64,9 @@ function Views({ explanation, frame, sequence, large, onLarge }: ViewsProps) {
         <button type="button" class="enlarge" onClick={() => onLarge(true)} aria-label={`Enlarge: ${alt}`}>
             <Picture path={source} alt={alt} />
         </button>
-        {path && <p class="quiet small">Green: a word in common, or joined by geometry. Red: neither.</p>}
-        {large && <Large path={source} alt={alt} onClose={() => onLarge(false)} />}
+        {path && <p class="quiet small">Green: a word in common, or joined by geometry. Red: neither. Squares: expected here, and not seen.</p>}
+        {large && <Large path={source} alt={alt} as="fitted" onClose={() => onLarge(false)} />}
     </>;
-}
-
-function Large({ path, alt, onClose }: { path: string; alt: string; onClose: () => void }) {
-    const dialog = useRef<HTMLDialogElement>(null);
-    useEffect(() => dialog.current?.showModal(), []);
-    return (
-        <dialog ref={dialog} aria-label={alt} onClose={onClose}>
-            <form method="dialog"><button type="submit" aria-label="Close">✕</button></form>
-            <Picture path={path} alt={alt} />
-        </dialog>
-    );
 }
 
 interface FactsProps {
@@ -145,7 +134,7 @@ function Words({ explained }: { explained: Schemas["PlaceExplanation"] }) {
             <tbody>
                 {shown.map(({ word, seen, hits, looks, evidence_nats }) => (
                     <tr key={word} class={evidence_nats < 0 ? "against" : "for"}>
-                        <th scope="row">{word}</th><td>{seen ? "seen" : "not seen"}</td><td>{hits} of {looks}</td>
+                        <th scope="row">{word}</th><td>{seen ? "seen" : evidence_nats < 0 ? "expected, not seen" : "not seen"}</td><td>{hits} of {looks}</td>
                         <td><meter aria-label={`evidence of word ${word}`} min={0} max={most} value={Math.abs(evidence_nats)} /> {evidence_nats.toFixed(2)}</td>
                     </tr>
                 ))}

@@ -1,27 +1,22 @@
 // Robots that are led along the map: where they are, where they go, and what takes their goal away.
 import { useEffect, useState } from "preact/hooks";
-import { at, change, short, streams, type Navigation, type OpenStream } from "../rest";
-import { count, Refused, share, useMay, usePolled } from "../parts";
+import { at, change, short, type FrameAnswer, type Navigation, type OpenStream } from "../rest";
+import { count, Refused, share, useMay } from "../parts";
 import type { Led } from "./led";
 import type { Live, Streaming } from "./live";
 import { PlaceLink } from "./pair";
 import { REASONS } from "./steps";
 
-/** How soon a stream that was opened or has ended shows. */
-const STREAMS_EVERY_MS = 2000;
-
 interface RobotsProps {
-    map: string;
     heard: Live;
     place: number | null;
     onPlace: (place: number) => void;
     onFrame: (session: string, sequence: number) => void;
 }
 
-export function Robots({ map, heard: { robots, streaming, live, error }, place, onPlace, onFrame }: RobotsProps) {
-    const { value: open } = usePolled((signal) => streams(short(map), signal), () => STREAMS_EVERY_MS, [map]);
+export function Robots({ heard: { robots, streaming, open, live, error }, place, onPlace, onFrame }: RobotsProps) {
     // What is heard of a stream goes on for a moment after it has ended.
-    const of = new Map((open ?? []).map((stream) => [stream.session, stream]));
+    const of = new Map(open.map((stream) => [stream.session, stream]));
     const heard = new Map(streaming.map((one) => [one.session, one]));
     const sessions = [...new Set([...of.keys(), ...heard.keys()])];
     return (
@@ -45,7 +40,7 @@ interface StreamProps extends Pick<RobotsProps, "onPlace" | "onFrame"> {
 
 /** A robot that streams into a session, or did a moment ago. One that only looks adds no frames to the map. */
 function Stream({ session, open, heard, onPlace, onFrame }: StreamProps) {
-    const answer = heard?.frame.answer;
+    const answer = heard?.frame.answer ?? open?.last_answer ?? null;
     const sequence = heard ? Number(short(heard.frame.name)) : null;
     const looks = open?.mode === "localize";
     return (
@@ -53,7 +48,7 @@ function Stream({ session, open, heard, onPlace, onFrame }: StreamProps) {
             <h3>{short(session)} <span class={`reason ${answer?.reason ?? ""}`}>{REASONS[answer?.reason ?? ""] ?? (looks ? "looks" : "streams")}</span></h3>
             <dl class="facts">
                 {sequence !== null && <div><dt>streams</dt><dd><button type="button" class="link" onClick={() => onFrame(session, sequence)}>frame {sequence}</button></dd></div>}
-                {heard && <div><dt>is at</dt><dd>{typeof answer?.place_number === "number" ? <PlaceLink number={answer.place_number} onPlace={onPlace} /> : "unknown"}</dd></div>}
+                {answer && <div><dt>is at</dt><dd>{typeof answer?.place_number === "number" ? <PlaceLink number={answer.place_number} onPlace={onPlace} /> : "unknown"}</dd></div>}
                 {heard && heard.frames > 1 && <Recognised of={heard.frames} recognitions={heard.recognitions} what="frames heard" />}
                 {answer && <div><dt>last probability</dt><dd>{sureOf(answer)}</dd></div>}
                 {open && <div><dt>frames</dt><dd>{count(open.answered_frames)} answered{open.refused_frames > 0 && `, ${count(open.refused_frames)} refused`}</dd></div>}
@@ -65,7 +60,7 @@ function Stream({ session, open, heard, onPlace, onFrame }: StreamProps) {
 }
 
 /** What speaks for the last decision. */
-function sureOf({ match, reason, places, new_place_posterior }: NonNullable<Streaming["frame"]["answer"]>): string {
+function sureOf({ match, reason, places, new_place_posterior }: FrameAnswer): string {
     if (match?.geometry) return `${share(match.geometry.probability)}, by words and views`;
     const [likely] = places;
     if (reason === "new_place" && (!likely || likely.posterior < new_place_posterior)) return `${share(new_place_posterior)}, somewhere new`;
