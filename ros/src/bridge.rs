@@ -17,13 +17,13 @@ use crate::drive::{Drive, goals, wishes};
 use crate::failure::Failure;
 use crate::intake::Intake;
 use crate::markers::Markers;
-use crate::messages::{Covariance, DiagnosticArray};
 use crate::outbox::Outbox;
 use crate::session::Streaming;
 use crate::settings::{Mode, Settings};
 use crate::state::{Declared, Shared};
 use crate::telling::Telling;
 use crate::tf::TfThread;
+use waypost_ros_messages::{Covariance, DiagnosticArray};
 
 const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
 /// For the robot to stand when the bridge ends.

@@ -12,9 +12,9 @@ use rustdds::{
     RepresentationIdentifier, Subscriber, Topic, TopicKind,
 };
 
-use crate::messages::Message;
-use crate::names::{in_dds, type_in_ros};
+use crate::names::{in_dds, type_in_dds, type_in_ros};
 use crate::settings::SensorQos;
+use waypost_ros_messages::Message;
 
 /// Messages of a sensor that a busy machine may leave unread.
 const SENSOR_DEPTH: i32 = 32;
@@ -121,7 +121,7 @@ impl Bus {
     }
 
     pub(crate) fn write<M: Message>(&self, topic: &str, qos: Qos) -> Result<Outgoing<M>, BusError> {
-        let made = self.topic(topic, M::TYPE, qos)?;
+        let made = self.topic(topic, &type_in_dds(M::TYPE), qos)?;
         let writer = self.publisher.create_datawriter_no_key(&made, None).map_err(failed(topic))?;
         Ok(Outgoing { topic: topic.to_owned(), writer })
     }

@@ -4,9 +4,9 @@ use std::time::Duration;
 
 use waypost_client::v1;
 
-use crate::messages::{DiagnosticArray, DiagnosticStatus, Header, KeyValue};
 use crate::settings::Topics;
 use crate::state::{Received, State};
+use waypost_ros_messages::{DiagnosticArray, DiagnosticStatus, Header, KeyValue};
 
 /// A sensor that is silent for longer is missing.
 const SENSOR_PATIENCE: Duration = Duration::from_secs(3);
@@ -208,10 +208,10 @@ mod tests {
     use super::*;
     use std::time::Instant;
 
-    use crate::messages::Pose;
     use crate::settings::Given;
     use crate::state::Placed;
     use clap::Parser;
+    use waypost_ros_messages::Pose;
 
     fn reported(state: &State, mismatches: &[String], unanswered: usize) -> Vec<(u8, String)> {
         let settings = Given::parse_from(["waypost-ros", "--map", "m"]).settings().unwrap();

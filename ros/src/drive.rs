@@ -14,10 +14,10 @@ use waypost_client::{
 use crate::bus::{Incoming, Outgoing};
 use crate::camera::odometry_message;
 use crate::intake::Wheels;
-use crate::messages::{Twist, Vector3};
 use crate::session::{camera, reconnection};
 use crate::settings::Settings;
 use crate::state::{Declared, Shared};
+use waypost_ros_messages::{Twist, Vector3};
 
 /// 20 Hz.
 const PERIOD: Duration = Duration::from_millis(50);

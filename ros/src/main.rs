@@ -17,7 +17,6 @@ mod drive;
 mod failure;
 mod intake;
 mod markers;
-mod messages;
 mod names;
 mod outbox;
 mod session;

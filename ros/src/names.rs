@@ -39,6 +39,11 @@ pub(crate) fn type_in_ros(type_name: &str) -> String {
     type_name.replace("::msg::dds_::", "/").trim_end_matches('_').to_owned()
 }
 
+/// A type's name in DDS, of one as in `nav_msgs/msg/Path`.
+pub(crate) fn type_in_dds(ros_type: &str) -> String {
+    format!("{}_", ros_type.replace("/msg/", "::msg::dds_::"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -62,5 +67,6 @@ mod tests {
     #[test]
     fn types_are_told_as_ros_writes_them() {
         assert_eq!(type_in_ros("sensor_msgs::msg::dds_::Image_"), "sensor_msgs/Image");
+        assert_eq!(type_in_dds("nav_msgs/msg/Path"), "nav_msgs::msg::dds_::Path_");
     }
 }

@@ -13,11 +13,11 @@ use waypost_client::{
 };
 
 use crate::camera::odometry_message;
-use crate::messages::Pose;
 use crate::outbox::Outbox;
 use crate::settings::{Mode, Settings};
 use crate::state::{Declared, Placed, Shared};
 use crate::telling::Telling;
+use waypost_ros_messages::Pose;
 
 /// A robot drives on without its server, whatever the time: it is the operator who gives up.
 const GIVE_UP_AFTER: Duration = Duration::from_secs(10 * 365 * 24 * 3600);

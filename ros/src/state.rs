@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use waypost_bags::{CameraInfo, live::Mountings};
 use waypost_client::v1;
 
-use crate::messages::Pose;
+use waypost_ros_messages::Pose;
 
 /// Messages of one topic.
 #[derive(Clone, Debug, Default)]

@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use crate::bus::Outgoing;
-use crate::messages::{Covariance, Header, Path, Pose, PoseStamped, PoseWithCovarianceStamped};
 use crate::state::Placed;
+use waypost_ros_messages::{Covariance, Header, Path, Pose, PoseStamped, PoseWithCovarianceStamped};
 
 /// Poses of a path; when there are more, every second one goes.
 const MOST_POSES: usize = 2000;
@@ -91,7 +91,7 @@ impl Track {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::Vector3;
+    use waypost_ros_messages::Vector3;
 
     fn at(x: f64) -> Pose {
         Pose { position: Vector3 { x, y: 0.0, z: 0.0 }, ..Pose::ORIGIN }

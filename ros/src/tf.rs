@@ -6,8 +6,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::bus::Outgoing;
-use crate::messages::{Header, TransformStamped, Transforms};
 use crate::state::Shared;
+use waypost_ros_messages::{Header, TransformStamped, Transforms};
 
 /// 20 Hz.
 const PERIOD: Duration = Duration::from_millis(50);
@@ -76,8 +76,8 @@ fn transform(shared: &Shared, map_frame: &str) -> Option<TransformStamped> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::Pose;
     use crate::state::{OdometryFrames, Placed};
+    use waypost_ros_messages::Pose;
 
     #[test]
     fn nothing_is_told_before_the_map_has_the_robot() {

@@ -5,6 +5,7 @@ mod exports;
 mod labels;
 mod listing;
 mod matrix;
+mod recording;
 mod trimming;
 mod watching;
 
@@ -60,6 +61,7 @@ pub(crate) enum Command {
     },
     Trajectory(exports::Trajectory),
     Graph(exports::Graph),
+    Recording(recording::ToRecord),
     /// Copy a map with its model to a file, even while robots stream into it
     Export {
         /// Name of the map
@@ -157,6 +159,7 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         }
         Command::Trajectory(asked) => exports::trajectory(&client, asked, output).await,
         Command::Graph(asked) => exports::graph(&client, asked, output).await,
+        Command::Recording(asked) => recording::record(&client, asked, output).await,
         Command::Import { file, name } => {
             listing::show(&snapshot::import(&client, &file, &name, output).await?, output)
         }

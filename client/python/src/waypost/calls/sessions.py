@@ -168,10 +168,10 @@ class SessionCalls:
         Args:
             name: The frame, as maps/MAP/sessions/SESSION/frames/NUMBER.
             place_number: The place; the one that was, or could have been, matched if left out.
-            beside_frame: Any other frame, in the same form, in place of one of a place. It may be of another map
-                with the same model.
-            expected_words: Words that were expected and not seen, as `words_against` of an explanation has them:
-                squares mark where the frame beside shows them.
+            beside_frame: Any other frame, in the same form, in place of one of a place. It may be of another
+                map with the same model.
+            expected_words: Words that were expected and not seen, as `words_against` of an explanation has
+                them: squares mark where the frame beside shows them.
 
         Raises:
             NotFound: If there is no such frame or place.

@@ -1,0 +1,17 @@
+//! What Waypost tells ROS 2: its messages, laid out as CDR has them, a map as markers, and recordings of all that as
+//! MCAP, which Foxglove and `ros2 bag` open.
+//!
+//! Nothing here sends anything: `waypost-ros` publishes these messages over DDS, and `waypost` writes them to files.
+
+mod definitions;
+mod markers;
+mod messages;
+mod recording;
+
+pub use markers::{DrawnMap, Line, MarkerArray};
+pub use messages::{
+    CompressedImage, Covariance, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue, Message,
+    Odometry, Path, Pose, PoseStamped, PoseWithCovarianceStamped, Time, TransformStamped, Transforms, Twist,
+    Vector3,
+};
+pub use recording::{Recording, RecordingError};
