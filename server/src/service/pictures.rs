@@ -2,7 +2,6 @@
 
 mod drawing;
 
-use crate::ingest::{Comparison, FeatureRecord, Keypoint};
 use std::collections::HashSet;
 
 use fabmap::appearance::PlaceId;
@@ -18,6 +17,7 @@ use super::corrections::{CorrectionView, Corrections};
 use super::frames::{Frames, LocatedFrame, content_type};
 use super::queries::{GateView, probability, verdict_views};
 use crate::error::{ArchiveError, ServiceError};
+use crate::ingest::{Comparison, FeatureRecord, Keypoint};
 use crate::map_settings;
 use crate::names::frame_name;
 use crate::open_map::answers::reference;

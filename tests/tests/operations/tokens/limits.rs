@@ -169,6 +169,16 @@ async fn a_token_for_some_maps_is_refused_on_all_others() {
         let (code, message) = refused(limited.rebuild_map(from, "", into).await);
         assert_status("rebuild", (code, &message), Code::PermissionDenied, "and not for the map drive");
     }
+    // Nor by the second name of a request.
+    let beside = v1::GetFramePictureRequest {
+        name: "maps/hall/sessions/tour/frames/1".to_owned(),
+        beside_frame: "maps/drive/sessions/tour/frames/1".to_owned(),
+        ..Default::default()
+    };
+    let (code, message) = refused(limited.frame_pair_picture(beside).await);
+    assert_status("a picture", (code, &message), Code::PermissionDenied, "and not for the map drive");
+    let (code, message) = refused(limited.match_matrix("hall", Some("drive")).await);
+    assert_status("a matrix", (code, &message), Code::PermissionDenied, "and not for the map drive");
     let covered = NAMING_A_MAP.iter().map(|(method, _)| *method).chain(SERVER).chain(OTHERS);
     let covered: std::collections::BTreeSet<String> = covered.map(path).collect();
     assert_eq!(covered, methods().into_iter().collect(), "decide what the limit to maps means for a method");
@@ -184,6 +194,15 @@ async fn routes_know_the_maps_that_a_token_reaches() {
     let ask = async |method: &reqwest::Method, path: &str| {
         Answer::to(http().request(method.clone(), guarded.server.url(path)).bearer_auth(&secret)).await
     };
+    // Nor what a query names, however it is written.
+    for path in [
+        "/v1/maps/hall/matrix?against=drive",
+        "/v1/maps/hall/sessions/tour/frames/1/picture?beside_frame=maps/drive/sessions/tour/frames/1",
+        "/v1/maps/hall/sessions/tour/frames/1/picture?beside_frame=maps%2Fdriv%65%2Fsessions%2Ftour%2Fframes%2F1",
+    ] {
+        let refused = ask(&reqwest::Method::GET, path).await;
+        assert_eq!(refused.status, StatusCode::FORBIDDEN, "{path}: {}", refused.text());
+    }
     for (method, path, _) in guarded_routes() {
         let Some(rest) = path.strip_prefix("/v1/maps/") else { continue };
         let (_, rest) =
