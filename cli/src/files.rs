@@ -42,11 +42,24 @@ impl Asking {
         self.confirm(&format!("{doubt}\nstream it as it is?"), unanswered)
     }
 
+    /// Says what seems wrong with what is being sent, and asks where somebody can answer. Elsewhere it goes on: it is a
+    /// finding, and no proof.
+    ///
+    /// # Errors
+    /// [`Failure`] if somebody says no.
+    pub(crate) fn confirm_going_on(self, doubt: &str) -> Result<(), Failure> {
+        if is_answered() {
+            return self.confirm(&format!("{doubt}\ngo on?"), String::new);
+        }
+        // If stderr is closed, the doubt is lost.
+        let _ = writeln!(io::stderr(), "{doubt}");
+        Ok(())
+    }
+
     fn confirm(self, question: &str, unanswered: impl FnOnce() -> String) -> Result<(), Failure> {
-        let is_asked = io::stdin().is_terminal() && io::stderr().is_terminal();
         match self {
             Self::Never => Ok(()),
-            Self::OnATerminal if !is_asked => Err(Failure::Unfit(unanswered())),
+            Self::OnATerminal if !is_answered() => Err(Failure::Unfit(unanswered())),
             Self::OnATerminal => {
                 // If stderr is closed, nobody sees the question, and silence is no yes.
                 let _ = write!(io::stderr(), "{question} [y/N] ");
@@ -57,6 +70,11 @@ impl Asking {
             }
         }
     }
+}
+
+/// Whether somebody is there to answer.
+fn is_answered() -> bool {
+    io::stdin().is_terminal() && io::stderr().is_terminal()
 }
 
 fn agreed(answer: &str) -> Result<(), Failure> {

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use commands::{
     closure, demo, explain, inspect, job, map, merge, model, navigate, query, refusals, session, shell,
@@ -138,7 +138,8 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let matches = plain_usage(Arguments::command()).get_matches();
+    let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     // The library warns of lost connections.
     tracing_subscriber::fmt()
         .with_writer(std::io::stderr)
@@ -162,6 +163,26 @@ fn main() -> ExitCode {
             failure.exit_code()
         }
     }
+}
+
+/// The command with the usage lines that its help has in errors too: there clap would add what was given, the server's
+/// address in the environment among it, as if that were needed.
+fn plain_usage(command: clap::Command) -> clap::Command {
+    let mut whole = command.clone();
+    whole.build();
+    as_in_help(command, &mut whole)
+}
+
+fn as_in_help(command: clap::Command, whole: &mut clap::Command) -> clap::Command {
+    let usage = whole.render_usage().to_string();
+    let within: Vec<String> = command.get_subcommands().map(|within| within.get_name().to_owned()).collect();
+    let command = command.override_usage(usage.trim_start_matches("Usage: ").to_owned());
+    within.iter().fold(command, |command, name| {
+        command.mut_subcommand(name, |within| match whole.find_subcommand_mut(name) {
+            Some(whole) => as_in_help(within, whole),
+            None => within,
+        })
+    })
 }
 
 async fn run(Arguments { globals, command }: Arguments) -> Result<(), Failure> {
@@ -195,5 +216,22 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent() {
         Arguments::command().debug_assert();
+        plain_usage(Arguments::command()).debug_assert();
+    }
+
+    /// The usage line of an error.
+    fn usage(arguments: &str) -> String {
+        let server = ["waypost", "--server", "http://127.0.0.1:1"];
+        let given = server.into_iter().chain(arguments.split_whitespace());
+        let refused = plain_usage(Arguments::command()).try_get_matches_from(given).unwrap_err().to_string();
+        let line = refused.lines().find_map(|line| line.strip_prefix("Usage: "));
+        line.unwrap_or_else(|| panic!("{refused}")).to_owned()
+    }
+
+    #[test]
+    fn usage_lines_name_what_is_needed_and_nothing_else() {
+        assert_eq!(usage("map show"), "waypost map show [OPTIONS] <NAME>");
+        assert_eq!(usage("stream images"), "waypost stream [OPTIONS] --map <MAP> <DIR>");
+        assert_eq!(usage("map lss"), "waypost map [OPTIONS] <COMMAND>");
     }
 }

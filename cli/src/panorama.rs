@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 use waypost_client::v1;
+use waypost_sim::camera::Panorama;
 
 use crate::failure::Failure;
 use crate::images::ImageFile;
@@ -17,6 +18,24 @@ pub(crate) enum Projection {
     Cylindrical,
     /// By elevation
     Equirectangular,
+}
+
+impl From<Projection> for Panorama {
+    fn from(projection: Projection) -> Self {
+        match projection {
+            Projection::Cylindrical => Self::Cylindrical,
+            Projection::Equirectangular => Self::Equirectangular,
+        }
+    }
+}
+
+impl From<Panorama> for Projection {
+    fn from(panorama: Panorama) -> Self {
+        match panorama {
+            Panorama::Cylindrical => Self::Cylindrical,
+            Panorama::Equirectangular => Self::Equirectangular,
+        }
+    }
 }
 
 /// The JSON description of a camera that looks up into a hyperbolic mirror, as in
@@ -76,7 +95,8 @@ pub(crate) fn panorama_camera(projection: Projection, size_px: (u32, u32)) -> Re
     Ok(camera_of(projection, size_px))
 }
 
-fn camera_of(projection: Projection, (image_width_px, image_height_px): (u32, u32)) -> v1::Camera {
+/// The same for a size that is known to be that of a panorama.
+pub(crate) fn camera_of(projection: Projection, (image_width_px, image_height_px): (u32, u32)) -> v1::Camera {
     // Half of the height, in widths of a circle of radius 1.
     let half = PI * f64::from(image_height_px) / f64::from(image_width_px.max(1));
     let (projection, vertical_rad) = match projection {

@@ -1,5 +1,6 @@
 //! A simulated robot that drives as a server tells it.
 
+pub(crate) mod by_looks;
 pub(crate) mod mapping;
 
 use std::collections::BTreeMap;
@@ -12,12 +13,21 @@ use tokio::time::MissedTickBehavior;
 use waypost_client::{FrameContent, FrameInput, Navigation, NavigationEvent, Reading, v1};
 use waypost_sim::drive::Building;
 use waypost_sim::pose::Pose;
+use waypost_sim::range_sensor::RangeScan;
 use waypost_sim::render::{Mount, Shot};
-use waypost_sim::robot::{Command, OdometryReading, WheelErrors};
+use waypost_sim::robot::{Body, Command, OdometryReading, WheelErrors};
 use waypost_sim::simulation::{CameraFrame, CameraTrigger, Obedience, Simulation, Tick};
 use waypost_sim::worlds::NamedWorld;
 
 use crate::failure::Failure;
+use crate::panorama::camera_of;
+
+/// How a robot that is led by looks turns to a heading: in 1/s and rad/s, and the heading from which it stands.
+const TURN_PER_S: f64 = 1.8;
+const MAX_TURN_RAD_S: f64 = 1.2;
+const STOP_FROM_RAD: f64 = 0.8;
+/// And how fast it drives where that is straight ahead, in m/s.
+const AHEAD_M_S: f64 = 0.4;
 
 /// Of 20 ms each.
 const STEPS_PER_REPORT: usize = 2;
@@ -71,6 +81,10 @@ pub(crate) fn jpeg(building: &Building, shot: &Shot) -> Result<Vec<u8>, Failure>
 pub(crate) fn camera(building: &Building) -> v1::Camera {
     let Mount { forward_m, height_m, yaw_rad } = *building.rig.mount();
     let camera = building.rig.camera();
+    let size_px = (camera.width_px(), camera.height_px());
+    if let Some(panorama) = camera.panorama() {
+        return camera_of(panorama.into(), size_px);
+    }
     let horizontal_rad = camera.field_of_view_rad();
     v1::Camera {
         model: Some(v1::camera::Model::FieldOfView(v1::FieldOfView { horizontal_rad })),
@@ -123,7 +137,7 @@ pub(crate) async fn drive(
     let mut developing: Option<Developing> = None;
     loop {
         steps.tick().await;
-        let mut tick = step(robot, navigation, steps_taken.is_multiple_of(STEPS_PER_REPORT));
+        let mut tick = step(building, robot, navigation, steps_taken.is_multiple_of(STEPS_PER_REPORT));
         steps_taken = steps_taken.wrapping_add(1);
         if let Some(frame) = tick.frame.take().filter(|_| developing.is_none()) {
             poses.insert(frame.number + 1, frame.shot.pose);
@@ -134,7 +148,7 @@ pub(crate) async fn drive(
         }
         ticks.push(tick);
         if let Some(Developing { image, frame }) = developing.take_if(|taken| taken.image.is_finished()) {
-            navigation.see(frame_input(&frame, image.await.map_err(unfit)??));
+            navigation.see(frame_input(building, &frame, image.await.map_err(unfit)??));
         }
         while let Some(event) = navigation.try_next() {
             let Some(what) = shown(event)? else { continue };
@@ -164,8 +178,11 @@ pub(crate) async fn drive(
 }
 
 /// A step as the last command says, and what the wheels say of it, if that is to be reported.
-fn step(robot: &mut Simulation, navigation: &Navigation, report_is_due: bool) -> Tick {
-    let waypost_client::Command { forward_m_s, turn_rad_s } = navigation.command();
+fn step(building: &Building, robot: &mut Simulation, navigation: &Navigation, report_is_due: bool) -> Tick {
+    let is_led_by_looks = building.rig.camera().panorama().is_some();
+    let told = navigation.command();
+    let waypost_client::Command { forward_m_s, turn_rad_s } =
+        if is_led_by_looks { past_corners(told, navigation, robot.scan()) } else { told };
     let valid_ns = 2 * robot.settings().period_ns;
     robot.command(Command { forward_m_s, turn_rad_s, valid_ns });
     let tick = robot.advance();
@@ -173,18 +190,48 @@ fn step(robot: &mut Simulation, navigation: &Navigation, report_is_due: bool) ->
         // Stamps begin above 0.
         let stamp_ns = tick.stamp_ns + 1;
         let reflex = tick.obedience == Obedience::Reflex;
-        navigation.report(Reading { stamp_ns, odometry: odometry(&tick.odometry), reflex });
+        if is_led_by_looks {
+            navigation.report_reflex(stamp_ns, reflex);
+        } else {
+            navigation.report(Reading { stamp_ns, odometry: odometry(&tick.odometry), reflex });
+        }
     }
     tick
 }
 
-/// A frame as it goes to the server.
-pub(crate) fn frame_input(frame: &CameraFrame, image: Vec<u8>) -> FrameInput {
+/// Turns the heading that was told to where the robot's own range sensor finds room: a camera sees past corners that a hull
+/// does not get past. A stop stays one.
+fn past_corners(
+    told: waypost_client::Command,
+    navigation: &Navigation,
+    scan: &RangeScan,
+) -> waypost_client::Command {
+    let guidance = navigation.guidance();
+    let heading_rad = guidance
+        .borrow()
+        .as_ref()
+        .and_then(|guidance| guidance.appearance.as_ref())
+        .and_then(|by_looks| by_looks.heading_rad);
+    match heading_rad {
+        Some(heading_rad) if told != waypost_client::Command::default() => {
+            let free_rad = scan.free_heading_rad(heading_rad, Body::default().radius_m);
+            waypost_client::Command {
+                forward_m_s: AHEAD_M_S * (1.0 - free_rad.abs() / STOP_FROM_RAD).max(0.0),
+                turn_rad_s: (TURN_PER_S * free_rad).clamp(-MAX_TURN_RAD_S, MAX_TURN_RAD_S),
+            }
+        }
+        Some(_) | None => told,
+    }
+}
+
+/// A frame as it goes to the server: with odometry, unless the robot goes by looks alone.
+pub(crate) fn frame_input(building: &Building, frame: &CameraFrame, image: Vec<u8>) -> FrameInput {
+    let goes_by_metres = building.rig.camera().panorama().is_none();
     FrameInput {
         sequence: frame.number + 1,
         stamp_ns: frame.stamp_ns + 1,
         content: FrameContent::Image(image),
-        odometry: Some(odometry(&frame.odometry)),
+        odometry: goes_by_metres.then(|| odometry(&frame.odometry)),
         note: String::new(),
     }
 }

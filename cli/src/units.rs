@@ -14,6 +14,9 @@ const DOUBTFUL_TURNS: usize = 3;
 /// Headings that spread less are no degrees, or of a robot that hardly turned: three turns, if they are radians.
 const LEAST_SPAN_OF_DEGREES: f64 = 20.0;
 
+/// Headings that jump by so much between two poses go around in degrees: radians jump by a whole turn, which is 6.3.
+const JUMP_OF_DEGREES: std::ops::RangeInclusive<f64> = 330.0..=360.0;
+
 /// Steps that are too few to compare headings with.
 const LEAST_STEPS: usize = 20;
 
@@ -79,7 +82,20 @@ fn centimetres(poses: &[StampedPose]) -> Option<String> {
 
 /// Degrees, by how fast the robot would turn, or by where it drives.
 fn degrees(poses: &[StampedPose]) -> Option<String> {
-    turns_too_fast(poses).or_else(|| drives_by_degrees(poses))
+    turns_too_fast(poses).or_else(|| goes_around_in_degrees(poses)).or_else(|| drives_by_degrees(poses))
+}
+
+/// Also of a robot that turns slowly, and on the spot: from 180 to -180, or from 360 to 0.
+fn goes_around_in_degrees(poses: &[StampedPose]) -> Option<String> {
+    let is_within_a_turn = poses.iter().filter_map(|pose| pose.yaw_rad).all(|yaw| yaw.abs() <= 360.0);
+    let jump = poses.windows(2).find_map(|pair| {
+        let (before, after) = (pair[0].yaw_rad?, pair[1].yaw_rad?);
+        JUMP_OF_DEGREES.contains(&(after - before).abs()).then_some((before, after))
+    });
+    let (before, after) = jump.filter(|_| is_within_a_turn)?;
+    Some(format!(
+        "by its odometry the robot turns from {before:.1} to {after:.1} at once: is yaw_rad in degrees?"
+    ))
 }
 
 /// A robot drives to where it looks, or back from there. Headings over some turns that fit that in degrees, and do
@@ -206,5 +222,22 @@ mod tests {
         for seconds in [8.0, 30.0, 72.0, 500.0] {
             assert_eq!(doubts(&circle(seconds, 1.0)), Vec::<String>::new(), "{seconds}");
         }
+    }
+
+    #[test]
+    fn degrees_of_a_robot_that_turns_on_the_spot_are_noticed() {
+        // Five degrees a second, once around, wrapped as atan2 does it.
+        let spin = |as_degrees: bool| {
+            let row = |second: i64| {
+                let degrees = (second * 5 + 180).rem_euclid(360) - 180;
+                let yaw = if as_degrees { degrees as f64 } else { (degrees as f64).to_radians() };
+                format!("{},0,0,{yaw}", (second + 1) * 1_000_000_000)
+            };
+            let rows: Vec<String> = (0..72).map(row).collect();
+            parse(&format!("stamp_ns,x_m,y_m,yaw_rad\n{}\n", rows.join("\n"))).unwrap()
+        };
+        let doubted = doubts(&spin(true));
+        assert!(doubted.len() == 1 && doubted[0].contains("is yaw_rad in degrees"), "{doubted:?}");
+        assert_eq!(doubts(&spin(false)), Vec::<String>::new());
     }
 }

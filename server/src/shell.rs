@@ -21,7 +21,17 @@ pub(crate) enum Command {
     Man {
         /// Folder to write them to, as in ~/.local/share/man/man8; created if it does not exist
         folder: PathBuf,
+        /// Replace pages that are there
+        #[arg(long)]
+        force: bool,
     },
+}
+
+/// Whether a page that is there may be replaced.
+#[derive(Clone, Copy)]
+enum Replacing {
+    Allowed,
+    Refused,
 }
 
 /// Where the pages belong: programs that administrators run.
@@ -32,7 +42,9 @@ impl Command {
     pub(crate) fn run(self, whole: clap::Command) -> anyhow::Result<()> {
         match self {
             Command::Completions { shell } => completions(shell, whole),
-            Command::Man { folder } => manual(&folder, whole),
+            Command::Man { folder, force } => {
+                manual(&folder, if force { Replacing::Allowed } else { Replacing::Refused }, whole)
+            }
         }
     }
 }
@@ -45,19 +57,32 @@ fn completions(shell: Shell, mut command: clap::Command) -> anyhow::Result<()> {
 }
 
 /// Writes a manual page for the program and one for each of its commands.
-fn manual(folder: &Path, command: clap::Command) -> anyhow::Result<()> {
+fn manual(folder: &Path, replacing: Replacing, command: clap::Command) -> anyhow::Result<()> {
     let mut command = command.disable_help_subcommand(true);
     command.build();
     std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    write_pages(&command, "waypost-server", folder)
+    write_pages(&command, "waypost-server", folder, replacing)
 }
 
-fn write_pages(command: &clap::Command, name: &str, folder: &Path) -> anyhow::Result<()> {
+fn write_pages(
+    command: &clap::Command,
+    name: &str,
+    folder: &Path,
+    replacing: Replacing,
+) -> anyhow::Result<()> {
     let mut page = Vec::new();
     clap_mangen::Man::new(command.clone()).title(name).section(SECTION).render(&mut page)?;
-    write_new(&folder.join(format!("{name}.{SECTION}")), &page)?;
+    let file = folder.join(format!("{name}.{SECTION}"));
+    match replacing {
+        Replacing::Allowed => {
+            std::fs::write(&file, &page).with_context(|| format!("cannot write {}", file.display()))?;
+        }
+        Replacing::Refused => write_new(&file, &page)?,
+    }
     let mut within = command.get_subcommands().filter(|command| !command.is_hide_set());
-    within.try_for_each(|within| write_pages(within, &format!("{name}-{}", within.get_name()), folder))
+    within.try_for_each(|within| {
+        write_pages(within, &format!("{name}-{}", within.get_name()), folder, replacing)
+    })
 }
 
 /// A file that is there stays as it is.
@@ -65,7 +90,7 @@ fn write_new(file: &Path, content: &[u8]) -> anyhow::Result<()> {
     let opened = OpenOptions::new().write(true).create_new(true).open(file);
     opened.and_then(|mut opened| opened.write_all(content)).with_context(|| {
         format!(
-            "cannot write {}; a page that is there already is not replaced: name another folder",
+            "cannot write {}; a page that is there already is not replaced: name another folder, or give --force",
             file.display()
         )
     })

@@ -21,6 +21,15 @@ enum Projection {
     Equirectangular,
 }
 
+/// How a camera sees that looks all around.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Panorama {
+    /// On an upright cylinder; see [`Camera::cylindrical`].
+    Cylindrical,
+    /// By azimuth and elevation; see [`Camera::equirectangular`].
+    Equirectangular,
+}
+
 /// Numbers that make no camera.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum CameraError {
@@ -156,6 +165,16 @@ impl Camera {
         match self.projection {
             Projection::Perspective { focal_px, center_px } => Some([focal_px, center_px]),
             Projection::Cylindrical | Projection::Equirectangular => None,
+        }
+    }
+
+    /// How it looks all around; `None` of one that looks ahead.
+    #[must_use]
+    pub fn panorama(&self) -> Option<Panorama> {
+        match self.projection {
+            Projection::Perspective { .. } => None,
+            Projection::Cylindrical => Some(Panorama::Cylindrical),
+            Projection::Equirectangular => Some(Panorama::Equirectangular),
         }
     }
 

@@ -9,7 +9,7 @@ use serde::Serialize;
 use waypost_client::v1::map_settings::NavigationStrategy;
 use waypost_client::{Client, ClientOptions, NavigationOptions, v1};
 use waypost_sim::drawing::{Layer, Marks, plan_svg};
-use waypost_sim::drive::{Building, SPEED_M_S, TWICE_A_SECOND, WHEN_MOVED};
+use waypost_sim::drive::{Building, EVERY_HALF_METRE, FOUR_A_SECOND, SPEED_M_S, TWICE_A_SECOND, WHEN_MOVED};
 use waypost_sim::pose::Pose;
 
 use super::navigate::status_name;
@@ -17,6 +17,8 @@ use crate::failure::{EXIT_CODES, Failure};
 use crate::files::Replacing;
 use crate::names::short_map;
 use crate::output::Output;
+use crate::panorama::Projection;
+use crate::simulated::by_looks::map_by_looks;
 use crate::simulated::mapping::{SeenAgain, error_m, layers, map_along};
 use crate::simulated::{Ending, LedDrive, building, camera, drive, robot, unfit};
 
@@ -33,7 +35,8 @@ const LED_WHEELS: u64 = 1;
 /// into the map, as a real robot's would be. With --navigate, a robot starts where that route
 /// starts and drives as the server tells it: to --to or --to-label, or wherever `waypost navigate`
 /// sends it, until it is interrupted. Use the same --world, --route and --seed that the map was
-/// made with.
+/// made with. With --panorama, the robot has a camera that sees all around and no odometry: its map
+/// has links by looks, and it is led by headings.
 #[derive(clap::Args)]
 #[command(after_help = EXIT_CODES)]
 pub(crate) struct Arguments {
@@ -49,6 +52,10 @@ pub(crate) struct Arguments {
     /// Seed of the building's textures, the wheel errors and the camera noise
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     seed: u64,
+    /// The robot sees all around in this projection, and goes by looks alone, without odometry. For
+    /// maps with the navigation strategy appearance
+    #[arg(long, value_enum, value_name = "PROJECTION")]
+    panorama: Option<Projection>,
     /// Name of the session to stream into; if left out, the server chooses one
     #[arg(
         long,
@@ -92,6 +99,21 @@ struct Streamed {
     closures: Vec<SeenAgain>,
 }
 
+/// What `--json` prints of a drive that was streamed into a map by looks.
+#[derive(Serialize)]
+struct StreamedByLooks {
+    session: String,
+    route: &'static str,
+    driven_m: f64,
+    frames: usize,
+    /// Of the map's appearance graph.
+    links_by_looks: usize,
+    /// How far the ends of the drive's own links really are from each other; null where there are none.
+    links_apart_median_m: Option<f64>,
+    links_apart_most_m: Option<f64>,
+    map: v1::Map,
+}
+
 /// What `--json` prints of a drive that the server led.
 #[derive(Serialize)]
 struct Led {
@@ -106,17 +128,37 @@ struct Led {
 }
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
-    let Arguments { map, world, route, seed, session, navigate, robot, to, to_label, picture, force } =
-        arguments;
+    let Arguments {
+        map,
+        world,
+        route,
+        seed,
+        panorama,
+        session,
+        navigate,
+        robot,
+        to,
+        to_label,
+        picture,
+        force,
+    } = arguments;
     let replacing = Replacing::of(force);
     replacing.check_wanted(picture.as_deref())?;
     let (building, route) = building(&world, route.as_deref(), seed)?;
+    let building = match panorama {
+        Some(projection) => building.seen_all_around(projection.into()),
+        None => building,
+    };
     let client = Client::connect(server).await?;
     let map = short_map(&map);
-    check_strategy(&client, map).await?;
+    check_strategy(&client, map, panorama).await?;
     let working = async {
         if !navigate {
-            return stream(&client, map, &session, (&building, route), seed, output).await;
+            let drive = (&building, route);
+            return match panorama {
+                None => stream(&client, map, &session, drive, seed, output).await,
+                Some(_) => stream_by_looks(&client, map, &session, drive, seed, output).await,
+            };
         }
         let target = to.map(v1::goal::Target::PlaceNumber).or(to_label.map(v1::goal::Target::Label));
         let goal = target.map(|target| v1::Goal { target: Some(target) });
@@ -140,16 +182,24 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     }
 }
 
-/// The robot's camera looks ahead: a map of panoramas is none for it. A map that is not there is made later, or named then.
-async fn check_strategy(client: &Client, map: &str) -> Result<(), Failure> {
-    let settings =
-        client.map(map, v1::MapView::Basic).await.ok().and_then(|found| found.settings).unwrap_or_default();
-    match settings.navigation_strategy() {
-        NavigationStrategy::Appearance => Err(Failure::Unfit(format!(
-            "the map {map} is navigated by appearance, which takes panoramas, and the simulated robot's camera looks ahead; name a \
-             map of metres, or stream a folder of panoramas (waypost stream --panorama)"
+/// A robot by metres is none for a map of panoramas, nor the other way round. A map that is not there is made later, or named
+/// then.
+async fn check_strategy(client: &Client, map: &str, panorama: Option<Projection>) -> Result<(), Failure> {
+    let Ok(found) = client.map(map, v1::MapView::Basic).await else { return Ok(()) };
+    let strategy = found.settings.unwrap_or_default().navigation_strategy();
+    match (strategy, panorama) {
+        (NavigationStrategy::Appearance, None) => Err(Failure::Unfit(format!(
+            "the map {map} is navigated by appearance, which takes panoramas, and the simulated robot's camera looks ahead; give it \
+             another one with --panorama cylindrical, or name a map of metres"
         ))),
-        NavigationStrategy::Unspecified | NavigationStrategy::TopoMetric => Ok(()),
+        (NavigationStrategy::Unspecified | NavigationStrategy::TopoMetric, Some(_)) => {
+            Err(Failure::Unfit(format!(
+                "the map {map} is navigated by metres, and the simulated robot that sees all around has no odometry; leave out \
+                 --panorama, or name a map that was created with --navigation-strategy appearance"
+            )))
+        }
+        (NavigationStrategy::Appearance, Some(_))
+        | (NavigationStrategy::Unspecified | NavigationStrategy::TopoMetric, None) => Ok(()),
     }
 }
 
@@ -191,6 +241,46 @@ fn write_streamed(streamed: &Streamed, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "error of the map      {map_error_m:8.2} m")
 }
 
+/// The same for a robot that sees all around.
+async fn stream_by_looks(
+    client: &Client,
+    map: &str,
+    session: &str,
+    (building, route): (&Building, &'static str),
+    seed: u64,
+    output: Output,
+) -> Result<String, Failure> {
+    let mut robot = robot(building, seed, MAPPING_WHEELS, EVERY_HALF_METRE)?;
+    let recording = robot.drive_along(&building.route, SPEED_M_S).map_err(unfit)?;
+    let mapped = map_by_looks(client, map, session, building, &recording, output).await?;
+    let svg = plan_svg(building.scene.plan(), &mapped.layers(&recording));
+    let apart_m = mapped.apart_m();
+    let streamed = StreamedByLooks {
+        route,
+        driven_m: recording.length_m(),
+        frames: recording.frames().count(),
+        links_apart_median_m: apart_m.map(|(median_m, _)| median_m),
+        links_apart_most_m: apart_m.map(|(_, most_m)| most_m),
+        session: mapped.session,
+        links_by_looks: mapped.links,
+        map: mapped.map,
+    };
+    output.result(&streamed, |out| write_streamed_by_looks(&streamed, out))?;
+    Ok(svg)
+}
+
+fn write_streamed_by_looks(streamed: &StreamedByLooks, out: &mut dyn Write) -> io::Result<()> {
+    let StreamedByLooks { session, route, driven_m, frames, links_by_looks, map, .. } = streamed;
+    writeln!(out)?;
+    writeln!(out, "{session}: route {route}, {driven_m:.1} m, {frames} panoramas")?;
+    writeln!(out, "places in the map     {:8}", map.places)?;
+    writeln!(out, "links by looks        {links_by_looks:8}")?;
+    let (Some(median_m), Some(most_m)) = (streamed.links_apart_median_m, streamed.links_apart_most_m) else {
+        return Ok(());
+    };
+    writeln!(out, "their ends are apart  {median_m:8.2} m in the median, {most_m:.2} m at most, in truth")
+}
+
 /// Lets the server lead the robot; gives the picture of the drive.
 async fn lead(
     client: &Client,
@@ -211,12 +301,17 @@ async fn lead(
         }
     })?;
     let told = tell_states(navigation.guidance(), output);
-    let mut robot = robot(building, seed, LED_WHEELS, TWICE_A_SECOND)?;
+    let trigger = match building.rig.camera().panorama() {
+        Some(_) => FOUR_A_SECOND,
+        None => TWICE_A_SECOND,
+    };
+    let mut robot = robot(building, seed, LED_WHEELS, trigger)?;
     let driving = drive(building, &mut robot, &mut navigation, ending, |seen, pose| {
         let Some(place) = seen.place_number else { return Ok(()) };
-        let sure = seen.probability.unwrap_or_default();
+        // By looks there is none.
+        let sure = seen.probability.map_or_else(String::new, |sure| format!(", probability {sure:.3}"));
         output.line(format_args!(
-            "frame {:3} shows place {place:3}, probability {sure:.3}; truth: ({:.2}, {:.2}) m",
+            "frame {:3} shows place {place:3}{sure}; truth: ({:.2}, {:.2}) m",
             seen.sequence, pose.x_m, pose.y_m
         ))
     });

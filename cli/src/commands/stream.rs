@@ -1,17 +1,21 @@
 //! `waypost stream`: streams a folder of images or a bag, as a robot would.
 
+mod agreement;
 mod opening;
 mod summary;
 mod telling;
 
 use std::fs::File;
 use std::hash::{BuildHasher, RandomState};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use tokio::sync::oneshot;
 use waypost_client::{Client, ClientOptions, SessionOptions, v1};
 
-use self::opening::{Opened, Reading, check_resumed, declared_camera, recording};
-use self::summary::conclude;
+use self::agreement::{FRAMES_AT_FIRST, Streamed, has_odometry};
+use self::opening::{Opened, Reading, check_resumed, declared_camera, panoramas_for_metres, recording};
+use self::summary::{Hints, conclude};
 pub(crate) use self::telling::closure_line;
 use self::telling::{short_sequence_hint, tell};
 use crate::drive::Topics;
@@ -123,6 +127,10 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let Opened { recording, folder: _folder } = recording(&dir, reading, Asking::unless(yes), output).await?;
     let camera = declared_camera(seeing, &recording)?;
     let client = Client::connect(server).await?;
+    if let Some(line) = panoramas_for_metres(&client, &map, camera.as_ref()).await {
+        // If stderr is closed, the hint is lost.
+        let _ = writeln!(std::io::stderr(), "{line}");
+    }
     let contents = ContentMaker::new(&client, &map, words.words).await?;
     let mode = if localize { v1::SessionMode::Localize } else { v1::SessionMode::Map };
     let words_hash = contents.words_hash();
@@ -148,17 +156,30 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
 
     let bar = progress::counter(output, "frames answered", to_stream);
     let mut rows = Vec::new();
+    // Nothing is kept of a robot that only localizes.
+    let is_agreement_told = mode == v1::SessionMode::Map && has_odometry(&replay);
+    let streamed = Streamed { client: &client, map: &map, session: &opened.session };
+    let (first, first_frames) = oneshot::channel();
+    let mut first = Some(first).filter(|_| is_agreement_told);
     let streaming = replay.stream(session, after_sequence, |row| {
         bar.inc(1);
         bar.suspend(|| tell(&row, &replay, mode, &opened.session, output))?;
         if let Some(table) = &mut table {
             table.write(&row)?;
         }
+        if let Some(first) = first.take_if(|_| rows.len() + 1 == FRAMES_AT_FIRST) {
+            // Whom it is told to may be gone.
+            let _ = first.send(row.sequence);
+        }
         rows.push(row);
         Ok(())
     });
     let sent = tokio::select! {
         streamed = streaming => streamed?,
+        doubted = streamed.doubt(first_frames, Asking::unless(yes)) => {
+            bar.abandon();
+            return Err(doubted);
+        }
         interrupt = tokio::signal::ctrl_c() => {
             interrupt.map_err(Failure::Runtime)?;
             bar.abandon();
@@ -168,13 +189,18 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         }
     };
     bar.finish_and_clear();
-    let hint = match mode {
+    let short_sequence = match mode {
         v1::SessionMode::Localize => None,
         v1::SessionMode::Map | v1::SessionMode::Unspecified => {
             short_sequence_hint(&client, &map, &rows).await?
         }
     };
-    conclude(opened, rows, sent, (mode, hint), output)
+    let last = rows.iter().filter(|row| row.reason.is_some()).map(|row| row.sequence).max();
+    let odometry_finding = match last.filter(|_| is_agreement_told) {
+        Some(last) => streamed.finding(last).await,
+        None => None,
+    };
+    conclude(opened, rows, sent, mode, Hints { short_sequence, odometry_finding }, output)
 }
 
 /// Returns the number of frames to stream.

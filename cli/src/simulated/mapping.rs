@@ -1,5 +1,7 @@
 //! A simulated drive, streamed into a map and held against the truth.
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 use waypost_client::{Client, FrameOutcome, FrameSender, Outcomes, SessionOptions, v1};
 use waypost_sim::drawing::{Layer, Marks};
@@ -33,6 +35,15 @@ pub(crate) struct Mapped {
     pub(crate) map: v1::Map,
 }
 
+/// What was answered to a drive's frames.
+pub(super) struct Answered {
+    /// maps/{map}/sessions/{session}
+    pub(super) session: String,
+    pub(super) closures: Vec<SeenAgain>,
+    /// The places that frames made, and where the robot really was at those.
+    pub(super) places: BTreeMap<u32, Pose>,
+}
+
 /// Streams a drive into a session of a map that there is.
 pub(crate) async fn map_along(
     client: &Client,
@@ -42,6 +53,22 @@ pub(crate) async fn map_along(
     recording: &Recording,
     output: Output,
 ) -> Result<Mapped, Failure> {
+    let Answered { session, closures, places: _ } =
+        stream_along(client, map, session, building, recording, output).await?;
+    let poses = trajectory(client, &session).await?;
+    let map = client.map(map, v1::MapView::Full).await?;
+    Ok(Mapped { session, closures, poses, map })
+}
+
+/// Streams a drive; what is made of it is asked for later.
+pub(super) async fn stream_along(
+    client: &Client,
+    map: &str,
+    session: &str,
+    building: &Building,
+    recording: &Recording,
+    output: Output,
+) -> Result<Answered, Failure> {
     let camera = Some(camera(building));
     let options = SessionOptions { session_id: session.to_owned(), camera, ..SessionOptions::new(map) };
     let session = client.open_session(options).await?;
@@ -54,18 +81,16 @@ pub(crate) async fn map_along(
     ))?;
     let (sender, outcomes) = session.split();
     let receiving = receive(outcomes, &frames, output);
-    let (sent, closures) = tokio::join!(send(sender, building, &frames), receiving);
-    let closures = closures?;
+    let (sent, received) = tokio::join!(send(sender, building, &frames), receiving);
+    let (closures, places) = received?;
     sent?;
-    let poses = trajectory(client, &name).await?;
-    let map = client.map(map, v1::MapView::Full).await?;
-    Ok(Mapped { session: name, closures, poses, map })
+    Ok(Answered { session: name, closures, places })
 }
 
 async fn send(mut sender: FrameSender, building: &Building, frames: &[&CameraFrame]) -> Result<(), Failure> {
     for frame in frames {
         let image = tokio::task::block_in_place(|| jpeg(building, &frame.shot))?;
-        let input = frame_input(frame, image);
+        let input = frame_input(building, frame, image);
         sender.send(input).await?;
     }
     Ok(())
@@ -75,9 +100,10 @@ async fn receive(
     mut outcomes: Outcomes,
     frames: &[&CameraFrame],
     output: Output,
-) -> Result<Vec<SeenAgain>, Failure> {
+) -> Result<(Vec<SeenAgain>, BTreeMap<u32, Pose>), Failure> {
     let bar = progress::counter(output, "frames answered", frames.len());
     let mut closures = Vec::new();
+    let mut places = BTreeMap::new();
     while let Some(outcome) = outcomes.next().await? {
         bar.inc(1);
         let answer = match outcome {
@@ -87,6 +113,10 @@ async fn receive(
                 return Err(Failure::Unfit(format!("frame {} was refused: {said}", refusal.sequence)));
             }
         };
+        // The first frame of a place made it.
+        if let (Some(place), Some(pose)) = (answer.place_number, true_pose(frames, answer.sequence)) {
+            places.entry(place).or_insert(*pose);
+        }
         if let Some(closure) = seen_again(&answer, frames) {
             let SeenAgain { frame, earlier_frame, probability, apart_m } = &closure;
             let sure = probability.map_or_else(String::new, |sure| format!(", probability {sure:.3}"));
@@ -99,7 +129,13 @@ async fn receive(
         }
     }
     bar.finish_and_clear();
-    Ok(closures)
+    Ok((closures, places))
+}
+
+/// Where the robot really was at a frame.
+fn true_pose<'a>(frames: &[&'a CameraFrame], sequence: u64) -> Option<&'a Pose> {
+    let index = usize::try_from(sequence.checked_sub(1)?).ok()?;
+    Some(&frames.get(index)?.shot.pose)
 }
 
 fn seen_again(answer: &v1::FrameAnswer, frames: &[&CameraFrame]) -> Option<SeenAgain> {
@@ -108,8 +144,7 @@ fn seen_again(answer: &v1::FrameAnswer, frames: &[&CameraFrame]) -> Option<SeenA
     }
     let closure = answer.r#match.as_ref()?;
     let earlier_frame = closure.frame.as_ref()?.sequence;
-    let truth = |sequence: u64| Some(&frames.get(usize::try_from(sequence.checked_sub(1)?).ok()?)?.shot.pose);
-    let apart_m = truth(answer.sequence)?.distance_m(truth(earlier_frame)?);
+    let apart_m = true_pose(frames, answer.sequence)?.distance_m(true_pose(frames, earlier_frame)?);
     let probability = closure.geometry.as_ref().map(|geometry| geometry.probability);
     Some(SeenAgain { frame: answer.sequence, earlier_frame, probability, apart_m })
 }

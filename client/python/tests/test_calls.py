@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import IMAGES, MODEL, answers, eventually
+from conftest import IMAGES, MODEL, answers, eventually, frame
 from robot import STEP_M, taught
 
 import waypost
@@ -83,6 +83,23 @@ def looped(client: waypost.Client, hall: str, drive: range) -> str:
         return session.name
 
 
+def test_a_frame_may_be_asked_about_by_what_its_robot_calls_it(client: waypost.Client, hall: str) -> None:
+    notes = ["000001.jpg", "000002.jpg", "twice.jpg", "twice.jpg"]
+    with client.session(hall, "noted") as session:
+        list(session.stream(frame(number, note=note) for number, note in enumerate(notes, 1)))
+        name = session.name
+    second = client.frame(f"{name}/frames/2")
+    assert client.frame(f"{name}/frames/000002.jpg") == second
+    assert client.explain_frame(f"{name}/frames/000002.jpg").name == second.name
+    assert client.frame_picture(f"{name}/frames/000002.jpg", 0) == client.frame_picture(second.name, 0)
+    thumbnail = session_pb2.GetFrameImageRequest.SIZE_THUMBNAIL
+    by_note = client.frame_image(f"{name}/frames/000002.jpg", thumbnail)
+    assert by_note == client.frame_image(second.name, thumbnail)
+    twice = r"2 frames of .* are called 'twice\.jpg', .* name one by its number"
+    with pytest.raises(waypost.InvalidArgument, match=twice):
+        client.explain_frame(f"{name}/frames/twice.jpg")
+
+
 def test_sessions_and_frames_are_read_back(
     client: waypost.Client, hall: str, looped: str, drive: range
 ) -> None:
@@ -103,6 +120,8 @@ def test_sessions_and_frames_are_read_back(
     assert b"<svg" in client.frame_picture(closed.name)
     with pytest.raises(waypost.NotFound):
         client.explain_frame(f"{looped}/frames/99")
+    with pytest.raises(waypost.NotFound, match=r"no frame of .* is called '99\.jpg'"):
+        client.explain_frame(f"{looped}/frames/99.jpg")
 
     place = client.place(hall, 0)
     assert place.word_hits

@@ -3,17 +3,18 @@
 use std::sync::Arc;
 
 use waypost_client::{Client, FrameContent, FrameInput, SessionOptions, v1};
-use waypost_sim::camera::Camera;
+use waypost_sim::camera::Panorama;
+use waypost_sim::drive::panorama_rig;
 use waypost_sim::light::Light;
 use waypost_sim::pose::Pose;
-use waypost_sim::render::{CameraRig, Mount, Sensor, Shot};
+use waypost_sim::render::{CameraRig, Shot};
 use waypost_sim::scene::Scene;
 use waypost_sim::worlds::NamedWorld;
 
 use super::{answers_of, map_request, session_options};
 
 /// Columns and rows of its panoramas.
-pub(crate) const PANORAMA_PX: (u32, u32) = (512, 128);
+pub(crate) use waypost_sim::drive::PANORAMA_SIZE_PX as PANORAMA_PX;
 
 /// The paper's office, and a robot's panoramic camera in it.
 pub(crate) struct Panoramas {
@@ -30,10 +31,9 @@ pub(crate) struct TaughtPlace {
 
 impl Panoramas {
     pub(crate) fn new() -> Self {
-        let camera = Camera::cylindrical(PANORAMA_PX).unwrap();
         Self {
             scene: Arc::new(Scene::new(NamedWorld::BooijOffice.plan(1))),
-            rig: CameraRig::new(camera, Mount::default(), Sensor::default()).unwrap(),
+            rig: panorama_rig(Panorama::Cylindrical),
         }
     }
 

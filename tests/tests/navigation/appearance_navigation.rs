@@ -10,8 +10,8 @@ use waypost_client::{
     Client, Code, FrameContent, FrameInput, Navigation, NavigationEvent, NavigationOptions, Reading,
     SessionOptions, v1,
 };
+use waypost_sim::drive::REFLEX_IN_DOORS;
 use waypost_sim::pose::Pose;
-use waypost_sim::range_sensor::ReflexSettings;
 use waypost_sim::robot::{Body, Command};
 use waypost_sim::simulation::{CameraTrigger, Obedience, Simulation, SimulationSettings};
 
@@ -64,17 +64,10 @@ async fn look(
 }
 
 fn robot_at(panoramas: &Panoramas, start: Pose) -> Simulation {
-    let reflex = ReflexSettings {
-        stop_m: 0.15,
-        margin_m: 0.02,
-        turn_rad_s: 0.8,
-        ahead_ns: 600_000_000,
-        ahead_m_s: 0.25,
-    };
     let settings = SimulationSettings {
         trigger: CameraTrigger::Period { period_ns: OBSERVATION_NS },
         seed: 5,
-        reflex: Some(reflex),
+        reflex: Some(REFLEX_IN_DOORS),
         ..SimulationSettings::new(panoramas.rig.clone())
     };
     Simulation::new(panoramas.scene.clone(), start, settings).unwrap()

@@ -171,5 +171,8 @@ fn shells_and_man_know_every_command_whatever_the_settings_are() {
     says(&page("waypost-server-token-create.8"), &["\\-\\-may", "localize: Ask where"]);
     let (code, _, stderr) = run(&man, &[]);
     assert_eq!(code, 1);
-    says(&stderr, &["waypost-server.8", "not replaced"]);
+    says(&stderr, &["waypost-server.8", "not replaced", "--force"]);
+    std::fs::write(pages.join("waypost-server.8"), "old").unwrap();
+    assert_eq!(run(&["man", pages.to_str().unwrap(), "--force"], &[]).0, 0);
+    says(&page("waypost-server.8"), &["wrong\\-tokens\\-per\\-minute"]);
 }

@@ -1,6 +1,9 @@
 //! What a beginner does wrong, and what is said. TLS, tokens, ports and settings of the server have tables of their own
 //! (`tls.rs`, `tokens.rs`, `startup.rs`, `config.rs`), bad frames have `robots/bad_frames.rs`.
 
+mod asking;
+mod streaming;
+
 use std::path::{Path, PathBuf};
 
 use crate::harness::{Built, CommandLine, folder, images, path, run_to_its_end};
@@ -97,9 +100,32 @@ fn names_and_verbs_that_are_wrong() {
             4,
             "must be a number above 0",
         ),
+        (
+            "words that views are to verify",
+            &[
+                "map",
+                "create",
+                "new",
+                "--model",
+                "shipped",
+                "--keep",
+                "words",
+                "--verification",
+                "similarity",
+            ],
+            4,
+            "or let the map keep features or images",
+        ),
     ] {
         beginner.says(mistake, arguments, code, fragment);
     }
+    // Usage lines are those of the help, whatever else was given.
+    let said = String::from_utf8(beginner.waypost.run(&["map", "create"]).stderr).unwrap();
+    assert!(said.contains("Usage: waypost map create [OPTIONS] <NAME>"), "{said}");
+    // Words alone verify nothing, and nothing else is said of them.
+    beginner.waypost.text(&["map", "create", "words", "--model", "shipped", "--keep", "words"]);
+    let words = beginner.waypost.json(&["map", "show", "words"]);
+    assert_eq!(words["settings"]["verification"], "none", "{words}");
     // By the name of its file, a frame is found; nothing was removed.
     let explained = beginner.waypost.text(&["explain", "hall", "monday", "000003.jpg"]);
     assert!(explained.starts_with("maps/hall/sessions/monday/frames/4: "), "{explained}");

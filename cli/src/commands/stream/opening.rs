@@ -148,6 +148,28 @@ pub(super) fn declared_camera(seeing: Seeing, recording: &Recording) -> Result<O
     })
 }
 
+/// What is said of panoramas for a map that is navigated by metres: they are recognised in it, but nobody goes by them.
+pub(super) async fn panoramas_for_metres(
+    client: &Client,
+    map: &str,
+    camera: Option<&v1::Camera>,
+) -> Option<String> {
+    use v1::camera::Model;
+    use v1::map_settings::NavigationStrategy;
+    let is_panoramic = matches!(camera?.model.as_ref()?, Model::Panorama(_) | Model::HyperbolicMirror(_));
+    // A map that is not there is named when the session is opened.
+    let settings = client.map(map, v1::MapView::Basic).await.ok()?.settings.unwrap_or_default();
+    match settings.navigation_strategy() {
+        NavigationStrategy::Appearance => None,
+        NavigationStrategy::Unspecified | NavigationStrategy::TopoMetric => is_panoramic.then(|| {
+            format!(
+                "the map {map} is navigated by metres: its places are recognised in panoramas, but no robot is led by how they \
+                 look; for that, stream into a map that was created with --navigation-strategy appearance"
+            )
+        }),
+    }
+}
+
 fn first_size_px(recording: &Recording) -> Result<(u32, u32), Failure> {
     let unknown = || Failure::Unfit("the first image cannot be read; send JPEG or PNG".to_owned());
     match recording {

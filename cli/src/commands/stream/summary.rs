@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use serde::Serialize;
 use waypost_client::v1;
 
+use super::agreement;
 use crate::failure::Failure;
 use crate::frame_row::FrameRow;
 use crate::output::Output;
@@ -28,7 +29,15 @@ struct Summary {
     bytes_per_frame: Option<f64>,
     /// Median time of a frame at the server; null if all answers were stored ones.
     ms_p50: Option<f64>,
+    /// What seems to be wrong with the odometry, held against the last images; null if nothing does.
+    odometry_finding: Option<String>,
     frames: Vec<FrameRow>,
+}
+
+/// What may help, in the end.
+pub(super) struct Hints {
+    pub(super) short_sequence: Option<String>,
+    pub(super) odometry_finding: Option<String>,
 }
 
 /// How many frames were decided for each reason.
@@ -78,12 +87,13 @@ impl Reasons {
     }
 }
 
-/// Prints what came of a stream, and `hint` to stderr. Fails if frames were refused.
+/// Prints what came of a stream, and the hints to stderr. Fails if frames were refused.
 pub(super) fn conclude(
     opened: v1::SessionOpened,
     frames: Vec<FrameRow>,
     sent: Sent,
-    (mode, hint): (v1::SessionMode, Option<String>),
+    mode: v1::SessionMode,
+    Hints { short_sequence, odometry_finding }: Hints,
     output: Output,
 ) -> Result<(), Failure> {
     let v1::SessionOpened { session, last_committed_sequence, model, words_hash: _ } = opened;
@@ -107,12 +117,16 @@ pub(super) fn conclude(
         reasons,
         bytes_per_frame: sent.bytes_per_frame(),
         ms_p50: median(frames.iter().filter_map(|row| row.total_ms).collect()),
+        odometry_finding,
         frames,
     };
     output.result(&summary, |out| write(&summary, mode, out))?;
-    if let (Some(hint), Output::Text) = (hint, output) {
+    if let (Some(hint), Output::Text) = (short_sequence, output) {
         // If stderr is closed, the hint is lost.
         let _ = writeln!(io::stderr(), "{hint}");
+    }
+    if let Some(finding) = &summary.odometry_finding {
+        agreement::tell(finding);
     }
     match summary.refused {
         0 => Ok(()),

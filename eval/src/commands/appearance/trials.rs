@@ -12,9 +12,10 @@ use waypost_navigation::appearance::graph::{ImageId, Overlap, Panorama};
 use waypost_navigation::appearance::navigator::{
     AppearanceNavigator, Body, Guidance, HeadingSteering, NavigationSettings, NavigationStatus, Sight,
 };
+use waypost_sim::drive::REFLEX_IN_DOORS;
 use waypost_sim::people::{Behaviour, Person, Walker};
 use waypost_sim::pose::Pose;
-use waypost_sim::range_sensor::{RangeScan, ReflexSettings};
+use waypost_sim::range_sensor::RangeScan;
 use waypost_sim::robot::{Body as RobotBody, Command};
 use waypost_sim::simulation::{CameraTrigger, Obedience, Simulation, SimulationSettings};
 use waypost_sim::worlds::{NamedRoute, NamedWorld};
@@ -30,10 +31,6 @@ const OBSERVATION_NS: i64 = 250_000_000;
 
 /// Seconds after which a drive is given up, per metre of the shortest path, and in all.
 const LIMIT_S: (f64, f64) = (10.0, 100.0);
-
-/// What stops the robot: narrow doors are no reason.
-const REFLEX: ReflexSettings =
-    ReflexSettings { stop_m: 0.15, margin_m: 0.02, turn_rad_s: 0.8, ahead_ns: 600_000_000, ahead_m_s: 0.25 };
 
 /// A drive to one goal.
 #[derive(Serialize)]
@@ -160,7 +157,7 @@ fn simulation(eye: &Eye, map: &TaughtMap, start: Pose, seed: u64) -> Result<Simu
     let settings = SimulationSettings {
         trigger: CameraTrigger::Period { period_ns: OBSERVATION_NS },
         seed,
-        reflex: Some(REFLEX),
+        reflex: Some(REFLEX_IN_DOORS),
         ..SimulationSettings::new(eye.rig.clone())
     };
     Ok(Simulation::new(map.scene.clone(), start, settings)?)

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import grpc
 import numpy.typing as npt
 
 from waypost import answers
 from waypost.answers import MapPose, QueryAnswer
 from waypost.connection import Connection, resource
+from waypost.errors import InvalidArgument, NotFound
 from waypost.frames import Image, WordHistogram, WordList, put_content
 from waypost.poses import Pose2, Pose3, odometry
 from waypost.v1 import job_pb2, recognition_pb2, session_pb2
 
 
 class SessionCalls:
-    """Sessions as maps/{map}/sessions/{session}, and frames as that and /frames/{sequence}."""
+    """Sessions as maps/{map}/sessions/{session}, and frames as that and /frames/{sequence}.
+
+    Where a frame is asked about, what its robot calls it may stand in place of the number: the name of its
+    image file, if `waypost stream` sent it.
+    """
 
     _connection: Connection
 
@@ -118,7 +124,7 @@ class SessionCalls:
         Raises:
             NotFound: If there is no such frame.
         """
-        request = session_pb2.GetFrameRequest(name=name)
+        request = session_pb2.GetFrameRequest(name=self._numbered_frame(name))
         found: session_pb2.FrameRecord = self._connection.call(self._connection.sessions.GetFrame, request)
         return found
 
@@ -132,7 +138,7 @@ class SessionCalls:
         Raises:
             NotFound: If there is no such frame, or the map does not keep it in that size.
         """
-        request = session_pb2.GetFrameImageRequest(name=name, size=size)
+        request = session_pb2.GetFrameImageRequest(name=self._numbered_frame(name), size=size)
         image: bytes = self._connection.call(self._connection.sessions.GetFrameImage, request).image
         return image
 
@@ -142,14 +148,17 @@ class SessionCalls:
         """Why a frame was decided as it was: all conditions for a loop closure, the words for and against.
 
         Args:
-            name: The frame.
+            name: The frame, by its number or by what its robot calls it.
             place_number: The place to explain; the one that was, or could have been, matched if left out.
             max_words: How many words for it, and how many against it, at most 100; 10 if left out.
 
         Raises:
             NotFound: If there is no such frame, or was no such place at that time.
+            InvalidArgument: If several frames of the session are called so.
         """
-        request = session_pb2.ExplainFrameRequest(name=name, place_number=place_number, max_words=max_words)
+        request = session_pb2.ExplainFrameRequest(
+            name=self._numbered_frame(name), place_number=place_number, max_words=max_words
+        )
         explained: session_pb2.FrameExplanation = self._connection.call(
             self._connection.sessions.ExplainFrame, request
         )
@@ -178,10 +187,32 @@ class SessionCalls:
             FailedPrecondition: If the two frames are of maps with different models.
         """
         request = session_pb2.GetFramePictureRequest(
-            name=name, place_number=place_number, beside_frame=beside_frame, expected_words=expected_words
+            name=self._numbered_frame(name),
+            place_number=place_number,
+            beside_frame=beside_frame and self._numbered_frame(beside_frame),
+            expected_words=expected_words,
         )
         picture: bytes = self._connection.call(self._connection.sessions.GetFramePicture, request).picture
         return picture
+
+    def _numbered_frame(self, name: str) -> str:
+        """The name of a frame that may be given by its note: no note that is a number is looked for."""
+        session, _, called = name.partition("/frames/")
+        if not called or called.isdecimal():
+            return name
+        found = self.frames(session, note=called)
+        if len(found) > 1:
+            raise InvalidArgument(
+                grpc.StatusCode.INVALID_ARGUMENT,
+                f"{len(found)} frames of {session} are called {called!r}, from {found[0].name} to "
+                f"{found[-1].name}; name one by its number",
+            )
+        if not found:
+            raise NotFound(
+                grpc.StatusCode.NOT_FOUND,
+                f"no frame of {session} is called {called!r}; `frames` lists what there is",
+            )
+        return found[0].name
 
     def add_relative_pose(
         self,

@@ -1,0 +1,103 @@
+//! What is streamed in another order, unit or projection than it should be, and what rows say of it.
+
+use waypost_client::FrameContent;
+use waypost_sim::robot::WheelErrors;
+use waypost_sim::worlds::NamedWorld;
+
+use super::Beginner;
+use crate::harness::{CommandLine, Drive, building, folder, images, json_object, path};
+
+#[test]
+fn images_are_streamed_by_the_numbers_in_their_names() {
+    let beginner = Beginner::new();
+    let folder = tempfile::tempdir().unwrap();
+    for (number, image) in (1..=12).zip(images()) {
+        std::fs::write(folder.path().join(format!("frame{number}.jpg")), image).unwrap();
+    }
+    let arguments = ["stream", path(folder.path()), "--map", "hall", "--session", "new"];
+    let streamed = beginner.waypost.json(&arguments);
+    let rows = streamed["frames"].as_array().unwrap();
+    let names: Vec<&str> = rows.iter().map(|row| row["image"].as_str().unwrap()).collect();
+    let expected: Vec<String> = (1..=12).map(|number| format!("frame{number}.jpg")).collect();
+    assert_eq!(names, expected);
+}
+
+/// A row that matched a place is no closure unless its reason is one: counting the columns of the match gives more.
+#[test]
+fn rows_of_a_stream_tell_closures_from_what_merely_matched() {
+    let waypost = CommandLine::new();
+    waypost.prepare_by_words();
+    let images = folder(images().len());
+    let csv = images.path().join("rows.csv");
+    let arguments = ["stream", path(images.path()), "--map", "drive", "--csv", path(&csv)];
+    let streamed = waypost.json(&arguments);
+    let mut rows = csv::Reader::from_path(&csv).unwrap();
+    let header = rows.headers().unwrap().clone();
+    let column = |name: &str| header.iter().position(|column| column == name).unwrap();
+    assert!(!header.iter().any(|column| column.starts_with("closure_")), "{header:?}");
+    let (reason, matched) = (column("reason"), column("match_place_number"));
+    let rows: Vec<csv::StringRecord> = rows.records().map(Result::unwrap).collect();
+    let closures = rows.iter().filter(|row| &row[reason] == "loop_closure").count();
+    assert_eq!(Some(closures as u64), streamed["loop_closures"].as_u64());
+    assert!(closures > 0);
+    for row in &rows {
+        let may_match = matches!(&row[reason], "loop_closure" | "below_threshold" | "geometry_refused");
+        assert_eq!(!row[matched].is_empty(), may_match, "{row:?}");
+    }
+}
+
+#[test]
+fn panoramas_for_a_map_of_metres_are_told() {
+    let beginner = Beginner::new();
+    let folder = tempfile::tempdir().unwrap();
+    let photo = image::load_from_memory(&images()[0]).unwrap();
+    let wide = photo.resize_exact(640, 160, image::imageops::FilterType::Triangle);
+    wide.save(folder.path().join("1.png")).unwrap();
+    let arguments = ["stream", path(folder.path()), "--map", "hall", "--panorama", "cylindrical"];
+    let output = beginner.waypost.run(&arguments);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && said.contains("--navigation-strategy appearance"), "{said}");
+}
+
+/// A robot so slow that its centimetres are no doubtful speed: images say so, while it streams and in the end.
+#[test]
+fn centimetres_of_a_slow_robot_are_told_while_it_streams() {
+    let wheels = WheelErrors { scale: 0.01, ..WheelErrors::NONE };
+    let drive = Drive::new(building(NamedWorld::Gallery, 12, "rooms"), wheels, 12);
+    let folder = tempfile::tempdir().unwrap();
+    let images = folder.path().join("images");
+    std::fs::create_dir(&images).unwrap();
+    let mut rows = [String::new(), String::new()];
+    for (input, frame) in drive.inputs().zip(&drive.frames).take(70) {
+        let FrameContent::Image(image) = input.content else { panic!("no image") };
+        std::fs::write(images.join(format!("{:03}.png", input.sequence)), image).unwrap();
+        let pose = frame.odometry.pose;
+        for (rows, scale) in rows.iter_mut().zip([1.0, 100.0]) {
+            // Four times as slow as it was: 0.1 m/s, and 10 "m/s" by its centimetres.
+            let stamp_ns = 4 * frame.stamp_ns + 1;
+            let [x_m, y_m] = [scale * pose.x_m, scale * pose.y_m];
+            rows.push_str(&format!("{stamp_ns},{x_m},{y_m},{}\n", pose.heading_rad));
+        }
+    }
+    let waypost = CommandLine::new();
+    waypost.prepare();
+    for (session, rows) in ["metres", "centimetres"].into_iter().zip(rows) {
+        let odometry = folder.path().join(format!("{session}.csv"));
+        std::fs::write(&odometry, format!("stamp_ns,x_m,y_m,yaw_rad\n{rows}")).unwrap();
+        waypost.text(&["map", "create", session, "--model", "shipped"]);
+        let arguments = ["stream", path(&images), "--map", session, "--odometry", path(&odometry)];
+        // Slowly enough for an answer while it streams.
+        let camera = ["--camera", "174.6,174.6,159.5,119.5", "--rate", "6", "--json"];
+        let output = waypost.run(&[&arguments[..], &camera].concat());
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{session}: {said}");
+        let summary = json_object(&String::from_utf8(output.stdout).unwrap());
+        let finding = summary["odometry_finding"].as_str();
+        if session == "metres" {
+            assert_eq!((finding, said.contains("centimetres")), (None, false), "{said}");
+        } else {
+            assert!(finding.unwrap().contains("in centimetres or millimetres"), "{summary}");
+            assert!(said.contains("after 40 frames: ") && said.contains("do not go together"), "{said}");
+        }
+    }
+}
