@@ -19,7 +19,7 @@ SECONDS ?= 60
 demo: build
 	$(TARGET)/waypost demo
 
-# All unit, property and end-to-end tests, and then those of the Python client, of docker/, of docs/, of ros/, of the page and of
+# All unit, property and end-to-end tests, and then those of the Python client, of docker/, docs/ and packaging/, of ros/, of the page and of
 # the C++ client.
 test: setup
 	$(CARGO) test --release --locked --workspace --no-fail-fast
@@ -29,7 +29,7 @@ test: setup
 RANGE_TESTS = test_values.py test_decisions.py test_words.py test_calls.py
 test-python: build
 	scripts/setup-python $(PYTHON)
-	WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest client/python docker docs
+	WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest client/python docker docs packaging
 	WAYPOST_BINARIES=$(abspath $(TARGET)) WAYPOST_PYTHON=$(PYTHON) scripts/test-python-range $(PYTHON)-range $(RANGE_TESTS)
 
 # The bridge between a server and a robot that another DDS plays. Once in thirteen runs Python itself crashed in the library

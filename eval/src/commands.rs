@@ -10,4 +10,5 @@ pub(crate) mod posegraph;
 pub(crate) mod recorded;
 pub(crate) mod scale;
 pub(crate) mod sequence;
+pub(crate) mod soak;
 pub(crate) mod train;

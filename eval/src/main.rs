@@ -33,7 +33,7 @@ use clap::{Parser, Subcommand};
 use serde_json::to_string;
 
 use commands::{
-    appearance, leave_one_out, load, map, merge, navigate, posegraph, recorded, scale, sequence, train,
+    appearance, leave_one_out, load, map, merge, navigate, posegraph, recorded, scale, sequence, soak, train,
 };
 use error::Refused;
 
@@ -64,6 +64,7 @@ enum Command {
     Appearance(appearance::AppearanceOptions),
     Merge(Box<merge::MergeOptions>),
     Recorded(recorded::RecordedOptions),
+    Soak(soak::SoakOptions),
 }
 
 fn main() -> ExitCode {
@@ -77,6 +78,7 @@ fn main() -> ExitCode {
 }
 
 fn run(cli: &Cli) -> Result<()> {
+    let mut verdict = Ok(());
     let report = match &cli.command {
         Command::Train(options) => to_string(&train::run(options)?),
         Command::Sequence(options) => to_string(&sequence::run(options)?),
@@ -89,10 +91,15 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Appearance(options) => to_string(&appearance::run(options)?),
         Command::Merge(options) => to_string(&merge::run(options)?),
         Command::Recorded(options) => to_string(&recorded::run(options)?),
+        Command::Soak(options) => {
+            let report = soak::run(options)?;
+            verdict = report.verdict();
+            to_string(&report)
+        }
     }?;
     eprint!("{}", report::for_people(&report)?);
     if cli.json {
         writeln!(io::stdout().lock(), "{report}").context("stdout cannot be written")?;
     }
-    Ok(())
+    verdict
 }

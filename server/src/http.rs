@@ -2,6 +2,7 @@
 
 mod access;
 mod appearance;
+mod bodies;
 mod corrections;
 mod cross_origin;
 mod description;

@@ -1,14 +1,14 @@
 //! `waypost-eval load`: a real server in a process of its own, and robots that drive it over gRPC.
 
-mod contents;
+pub(super) mod contents;
 mod growth;
 mod leading;
 mod overload;
-mod panoramas;
+pub(super) mod panoramas;
 mod report;
 mod robot;
 mod robots;
-mod server;
+pub(super) mod server;
 mod stalled;
 mod words;
 

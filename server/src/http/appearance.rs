@@ -4,15 +4,14 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::State;
-use axum::extract::rejection::JsonRejection;
 use serde::Deserialize;
 use utoipa::ToSchema;
 use waypost_proto::v1;
 
 use super::HttpError;
-use super::description::Refusals;
+use super::bodies::{InBody, JsonBody};
+use super::description::{BodyRefusals, Refusals};
 use super::parameters::{InPath, InQuery, MapPath, Nothing, Paging, PlacePath};
-use crate::error::ServiceError;
 use crate::names::map_name;
 use crate::pages::Page;
 use crate::service::Service;
@@ -34,20 +33,13 @@ pub(super) async fn list_labels(
 /// Puts a label on a place, in place of what it had; or on all places of its space.
 #[utoipa::path(put, path = "/v1/maps/{map}/places/{place}/label", tag = "maps", params(PlacePath),
     request_body(content = Labelling, description = "The label, and on which places it is put."),
-    responses((status = 200, description = "The places that were labelled.", body = v1::SetLabelResponse), Refusals))]
+    responses((status = 200, description = "The places that were labelled.", body = v1::SetLabelResponse), Refusals, BodyRefusals))]
 pub(super) async fn set_label(
     State(service): State<Arc<Service>>,
     InPath(PlacePath { map, place }): InPath<PlacePath>,
     InQuery(Nothing {}): InQuery<Nothing>,
-    labelling: Result<Json<Labelling>, JsonRejection>,
+    InBody(Labelling { label, scope }): InBody<Labelling>,
 ) -> Result<Json<v1::SetLabelResponse>, HttpError> {
-    let Json(Labelling { label, scope }) = labelling.map_err(|rejection| {
-        ServiceError::invalid(format_args!(
-            "{}; send {{\"label\": \"kitchen\"}}, with \"scope\": \"space\" for all places of its space, as \
-             application/json",
-            rejection.body_text()
-        ))
-    })?;
     let scope = match scope {
         LabelScope::Place => labels::LabelScope::Place,
         LabelScope::Space => labels::LabelScope::Space,
@@ -89,6 +81,10 @@ pub(super) struct Labelling {
     label: String,
     #[serde(default)]
     scope: LabelScope,
+}
+
+impl JsonBody for Labelling {
+    const TAKES: &str = r#"{"label": "kitchen"}, with "scope": "space" for all places of its space"#;
 }
 
 /// On which places a label is put: on that one alone; or on all of the space that it is in at this moment, such as a room:

@@ -3,14 +3,14 @@
 use std::sync::Arc;
 
 use axum::extract::State;
-use axum::extract::rejection::JsonRejection;
 use axum::{Extension, Json};
 use serde::Deserialize;
 use utoipa::ToSchema;
 use waypost_proto::v1;
 
 use super::HttpError;
-use super::description::Refusals;
+use super::bodies::{InBody, JsonBody};
+use super::description::{BodyRefusals, Refusals};
 use super::parameters::{CorrectionPath, InPath, InQuery, MapPath, Nothing, Paging};
 use crate::error::ServiceError;
 use crate::names::{map_in, map_name, map_of};
@@ -35,21 +35,14 @@ pub(super) async fn list_corrections(
 /// Withdraws a loop closure, or says that two frames were at the same place. For administrators.
 #[utoipa::path(post, path = "/v1/maps/{map}/corrections", tag = "corrections", params(MapPath),
     request_body(content = Correct, description = "What was decided wrong."),
-    responses((status = 200, description = "The correction.", body = v1::Correction), Refusals))]
+    responses((status = 200, description = "The correction.", body = v1::Correction), Refusals, BodyRefusals))]
 pub(super) async fn correct_map(
     State(service): State<Arc<Service>>,
     Extension(caller): Extension<Arc<Caller>>,
     InPath(MapPath { map }): InPath<MapPath>,
     InQuery(Nothing {}): InQuery<Nothing>,
-    request: Result<Json<Correct>, JsonRejection>,
+    InBody(correct): InBody<Correct>,
 ) -> Result<Json<v1::Correction>, HttpError> {
-    let Json(correct) = request.map_err(|rejection| {
-        ServiceError::invalid(format_args!(
-            "{}; send {{\"withdraw\": {{\"frame\": \"maps/{map}/sessions/S/frames/N\"}}}}, or {{\"confirm\": {{\"frame\": …, \
-             \"matched_frame\": …}}}}, as application/json",
-            rejection.body_text()
-        ))
-    })?;
     map_in(&map_name(&map))?;
     let of_map = |frame: &str| match map_of(frame) {
         Some(other) if other != map => Err(ServiceError::invalid(format_args!(
@@ -101,4 +94,8 @@ pub(super) enum Correct {
         /// The earlier frame, of any session of the same map; in the same form.
         matched_frame: String,
     },
+}
+
+impl JsonBody for Correct {
+    const TAKES: &str = r#"{"withdraw": {"frame": "maps/MAP/sessions/S/frames/N"}}, or {"confirm": {"frame": …, "matched_frame": …}}"#;
 }

@@ -145,6 +145,15 @@ impl IntoResponses for Refusals {
     }
 }
 
+/// What a route can come to besides that takes a body.
+pub(super) struct BodyRefusals;
+
+impl IntoResponses for BodyRefusals {
+    fn responses() -> BTreeMap<String, RefOr<utoipa::openapi::Response>> {
+        references(&[TOO_LARGE])
+    }
+}
+
 /// What a query can come to besides.
 pub(super) struct QueryRefusals;
 

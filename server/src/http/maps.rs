@@ -2,7 +2,6 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use axum::extract::State;
-use axum::extract::rejection::JsonRejection;
 use axum::{Extension, Json};
 use serde::Deserialize;
 use utoipa::openapi::{RefOr, Schema};
@@ -10,9 +9,9 @@ use utoipa::{IntoParams, PartialSchema, ToSchema};
 use waypost_proto::v1;
 
 use super::HttpError;
-use super::description::Refusals;
+use super::bodies::{InBody, JsonBody};
+use super::description::{BodyRefusals, Refusals};
 use super::parameters::{InPath, InQuery, MapPath, Nothing, Paging, Parameters};
-use crate::error::ServiceError;
 use crate::names::map_name;
 use crate::pages::Page;
 use crate::service::Service;
@@ -58,19 +57,13 @@ pub(super) async fn list_maps(
 /// Makes a map without places, which grows by a model. For administrators.
 #[utoipa::path(post, path = "/v1/maps", tag = "maps",
     request_body(content = CreateMap, description = "What it is called, its model, and what is to be other than usual."),
-    responses((status = 200, description = "The map.", body = v1::Map), Refusals))]
+    responses((status = 200, description = "The map.", body = v1::Map), Refusals, BodyRefusals))]
 pub(super) async fn create_map(
     State(service): State<Arc<Service>>,
     Extension(caller): Extension<Arc<Caller>>,
     InQuery(Nothing {}): InQuery<Nothing>,
-    request: Result<Json<CreateMap>, JsonRejection>,
+    InBody(CreateMap { map_id, model, settings }): InBody<CreateMap>,
 ) -> Result<Json<v1::Map>, HttpError> {
-    let Json(CreateMap { map_id, model, settings }) = request.map_err(|rejection| {
-        ServiceError::invalid(format_args!(
-            "{}; send {{\"map_id\": \"office\"}} as application/json",
-            rejection.body_text()
-        ))
-    })?;
     let Settings(settings) = settings.unwrap_or_default();
     let settings = requested_settings(settings)?;
     Ok(Json(message(service.maps.create(&caller, &map_id, &model, settings).await?)))
@@ -129,6 +122,10 @@ pub(super) struct CreateMap {
     model: String,
     #[serde(default)]
     settings: Option<Settings>,
+}
+
+impl JsonBody for CreateMap {
+    const TAKES: &str = r#"{"map_id": "office"}"#;
 }
 
 /// What is left out or null has its default.

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use axum::extract::State;
-use axum::extract::rejection::JsonRejection;
 use axum::http::HeaderMap;
 use axum::response::Response;
 use axum::{Extension, Json};
@@ -12,10 +11,10 @@ use utoipa::ToSchema;
 use waypost_proto::v1;
 
 use super::HttpError;
-use super::description::Refusals;
+use super::bodies::{InBody, JsonBody};
+use super::description::{BodyRefusals, Refusals};
 use super::frames::{ImageFile, unless_known};
 use super::parameters::{InPath, InQuery, MergePath, Nothing, Paging};
-use crate::error::ServiceError;
 use crate::pages::Page;
 use crate::service::Service;
 use crate::service::merges::{CommitPolicy, MergeRequest};
@@ -38,19 +37,13 @@ pub(super) async fn list_merges(
 /// Begins to look for maps on each other; the job that does so is named in the answer. For administrators.
 #[utoipa::path(post, path = "/v1/merges", tag = "merges",
     request_body(content = MergeMaps, description = "The maps, and what is to be done once an overlap is found."),
-    responses((status = 200, description = "The merge.", body = v1::Merge), Refusals))]
+    responses((status = 200, description = "The merge.", body = v1::Merge), Refusals, BodyRefusals))]
 pub(super) async fn merge_maps(
     State(service): State<Arc<Service>>,
     Extension(caller): Extension<Arc<Caller>>,
     InQuery(Nothing {}): InQuery<Nothing>,
-    request: Result<Json<MergeMaps>, JsonRejection>,
+    InBody(MergeMaps { sources, target, auto_commit, min_support }): InBody<MergeMaps>,
 ) -> Result<Json<v1::Merge>, HttpError> {
-    let Json(MergeMaps { sources, target, auto_commit, min_support }) = request.map_err(|rejection| {
-        ServiceError::invalid(format_args!(
-            "{}; send {{\"sources\": [\"maps/A\", \"maps/B\"], \"target\": \"maps/C\"}} as application/json",
-            rejection.body_text()
-        ))
-    })?;
     let commit_policy = if auto_commit { CommitPolicy::Automatic } else { CommitPolicy::OnRequest };
     let request = MergeRequest { sources, target, commit_policy, min_support };
     Ok(Json(message(service.merges.begin(&caller, request).await?)))
@@ -90,20 +83,14 @@ pub(super) async fn get_merge_picture(
 /// Commits or discards what was proposed, or undoes what was committed. For administrators.
 #[utoipa::path(put, path = "/v1/merges/{merge}/decision", tag = "merges", params(MergePath),
     request_body(content = Decision, description = "What is to become of it."),
-    responses((status = 200, description = "The merge.", body = v1::Merge), Refusals))]
+    responses((status = 200, description = "The merge.", body = v1::Merge), Refusals, BodyRefusals))]
 pub(super) async fn decide_merge(
     State(service): State<Arc<Service>>,
     Extension(caller): Extension<Arc<Caller>>,
     InPath(MergePath { merge }): InPath<MergePath>,
     InQuery(Nothing {}): InQuery<Nothing>,
-    decision: Result<Json<Decision>, JsonRejection>,
+    InBody(Decision { decision }): InBody<Decision>,
 ) -> Result<Json<v1::Merge>, HttpError> {
-    let Json(Decision { decision }) = decision.map_err(|rejection| {
-        ServiceError::invalid(format_args!(
-            "{}; send {{\"decision\": \"commit\"}}, \"discard\" or \"undo\" as application/json",
-            rejection.body_text()
-        ))
-    })?;
     let name = format!("merges/{merge}");
     let view = match decision {
         Decided::Commit => service.merges.commit(&caller, &name).await?,
@@ -131,12 +118,20 @@ pub(super) struct MergeMaps {
     min_support: Option<u32>,
 }
 
+impl JsonBody for MergeMaps {
+    const TAKES: &str = r#"{"sources": ["maps/A", "maps/B"], "target": "maps/C"}"#;
+}
+
 /// What is to become of a merge.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"decision": "commit"}))]
 pub(super) struct Decision {
     decision: Decided,
+}
+
+impl JsonBody for Decision {
+    const TAKES: &str = r#"{"decision": "commit"}, "discard" or "undo""#;
 }
 
 #[derive(Clone, Copy, Debug, Deserialize, ToSchema)]

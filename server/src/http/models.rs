@@ -3,7 +3,6 @@ use std::sync::Arc;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
-use axum::extract::rejection::JsonRejection;
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
@@ -11,7 +10,8 @@ use utoipa::{IntoParams, ToSchema};
 use waypost_proto::v1;
 
 use super::HttpError;
-use super::description::Refusals;
+use super::bodies::{InBody, JsonBody};
+use super::description::{BodyRefusals, Refusals};
 use super::parameters::{InPath, InQuery, ModelPath, Nothing, Paging, Parameters};
 use super::uploads::{BinaryFile, Upload};
 use crate::error::ServiceError;
@@ -103,22 +103,20 @@ pub(super) struct Renaming {
     display_name: String,
 }
 
+impl JsonBody for Renaming {
+    const TAKES: &str = r#"{"display_name": "site"}"#;
+}
+
 /// Gives a model another display name. For administrators.
 #[utoipa::path(put, path = "/v1/models/{model}/display-name", tag = "models", params(ModelPath),
     request_body(content = Renaming, description = "What people call it from now on."),
-    responses((status = 200, description = "The model.", body = v1::Model), Refusals))]
+    responses((status = 200, description = "The model.", body = v1::Model), Refusals, BodyRefusals))]
 pub(super) async fn rename_model(
     State(service): State<Arc<Service>>,
     InPath(ModelPath { model }): InPath<ModelPath>,
     InQuery(Nothing {}): InQuery<Nothing>,
-    request: Result<Json<Renaming>, JsonRejection>,
+    InBody(Renaming { display_name }): InBody<Renaming>,
 ) -> Result<Json<v1::Model>, HttpError> {
-    let Json(Renaming { display_name }) = request.map_err(|rejection| {
-        ServiceError::invalid(format_args!(
-            "{}; send {{\"display_name\": \"site\"}} as application/json",
-            rejection.body_text()
-        ))
-    })?;
     Ok(Json(message(service.models.rename(&model, &display_name).await?)))
 }
 

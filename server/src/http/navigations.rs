@@ -6,7 +6,6 @@ use std::sync::Arc;
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::State;
-use axum::extract::rejection::BytesRejection;
 use axum::http::HeaderMap;
 use axum::http::header::CONTENT_TYPE;
 use fabmap::PlaceId;
@@ -15,7 +14,8 @@ use utoipa::{IntoParams, ToSchema};
 use waypost_proto::v1;
 
 use super::HttpError;
-use super::description::Refusals;
+use super::bodies::WholeBody;
+use super::description::{BodyRefusals, Refusals};
 use super::frames::ImageFile;
 use super::parameters::{InPath, InQuery, MapPath, NavigationPath, Nothing, Paging, Parameters};
 use crate::error::ServiceError;
@@ -54,13 +54,13 @@ pub(super) async fn get_navigation(
     request_body(content((GoalBody = "application/json"), (ImageFile = "image/jpeg"), (ImageFile = "image/png")),
         description = "A place, the place nearest to a position, or a label. By appearance also a panorama: the robot goes \
                        to where it was taken."),
-    responses((status = 200, description = "The navigation.", body = v1::Navigation), Refusals))]
+    responses((status = 200, description = "The navigation.", body = v1::Navigation), Refusals, BodyRefusals))]
 pub(super) async fn set_goal(
     State(service): State<Arc<Service>>,
     InPath(NavigationPath { map, navigation }): InPath<NavigationPath>,
     InQuery(Nothing {}): InQuery<Nothing>,
     headers: HeaderMap,
-    body: Result<Bytes, BytesRejection>,
+    WholeBody(body): WholeBody,
 ) -> Result<Json<v1::Navigation>, HttpError> {
     let goal = wanted(&headers, body)?;
     let view = service.navigation.set_goal(&navigation_name(&map, &navigation), goal).await?;
@@ -68,14 +68,13 @@ pub(super) async fn set_goal(
 }
 
 /// What a body asks for.
-fn wanted(headers: &HeaderMap, body: Result<Bytes, BytesRejection>) -> Result<GoalRequest, ServiceError> {
+fn wanted(headers: &HeaderMap, body: Bytes) -> Result<GoalRequest, ServiceError> {
     let unfit = |why: &dyn Display| {
         ServiceError::invalid(format_args!(
             "{why}; send {{\"place_number\": NUMBER}}, {{\"position\": {{\"x_m\": X, \"y_m\": Y}}}} or \
              {{\"label\": \"kitchen\"}} as application/json, or a panorama as image/jpeg or image/png"
         ))
     };
-    let body = body.map_err(|rejection| unfit(&rejection.body_text()))?;
     let declared = headers.get(CONTENT_TYPE).map_or("", |declared| declared.to_str().unwrap_or("not text"));
     match declared.split(';').next().unwrap_or_default().trim().to_ascii_lowercase().as_str() {
         "image/jpeg" | "image/png" => Ok(GoalRequest::Image(body)),

@@ -4,7 +4,6 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use axum::extract::State;
-use axum::extract::rejection::JsonRejection;
 use axum::{Extension, Json};
 use serde::Deserialize;
 use utoipa::openapi::{RefOr, Schema};
@@ -12,9 +11,9 @@ use utoipa::{PartialSchema, ToSchema};
 use waypost_proto::v1;
 
 use super::HttpError;
-use super::description::Refusals;
+use super::bodies::{InBody, JsonBody};
+use super::description::{BodyRefusals, Refusals};
 use super::parameters::{InPath, InQuery, Nothing, Paging, TokenPath};
-use crate::error::ServiceError;
 use crate::pages::Page;
 use crate::quotas;
 use crate::role;
@@ -38,18 +37,12 @@ pub(super) async fn list_tokens(
 /// server asks everyone for one.
 #[utoipa::path(post, path = "/v1/tokens", tag = "tokens",
     request_body(content = CreateToken, description = "What it is called, and what its holder may do."),
-    responses((status = 200, description = "The token and its secret.", body = v1::CreateTokenResponse), Refusals))]
+    responses((status = 200, description = "The token and its secret.", body = v1::CreateTokenResponse), Refusals, BodyRefusals))]
 pub(super) async fn create_token(
     State(service): State<Arc<Service>>,
     InQuery(Nothing {}): InQuery<Nothing>,
-    request: Result<Json<CreateToken>, JsonRejection>,
+    InBody(new): InBody<CreateToken>,
 ) -> Result<Json<v1::CreateTokenResponse>, HttpError> {
-    let Json(new) = request.map_err(|rejection| {
-        ServiceError::invalid(format_args!(
-            "{}; send {{\"token_id\": \"robot-7\", \"role\": \"robot\"}}, \"reader\" or \"admin\", as application/json",
-            rejection.body_text()
-        ))
-    })?;
     let (created, secret) = service.tokens.create(new.into()).await?;
     Ok(Json(v1::CreateTokenResponse { token: Some(shown(&service, created)), secret }))
 }
@@ -57,19 +50,13 @@ pub(super) async fn create_token(
 /// Gives a token a new secret, which is only in the answer; the one before stays good for a while. For administrators.
 #[utoipa::path(post, path = "/v1/tokens/{token}/rotate", tag = "tokens", params(TokenPath),
     request_body(content = RotateToken, description = "How long the secret before stays good, and how long the token lives."),
-    responses((status = 200, description = "The token and its new secret.", body = v1::RotateTokenResponse), Refusals))]
+    responses((status = 200, description = "The token and its new secret.", body = v1::RotateTokenResponse), Refusals, BodyRefusals))]
 pub(super) async fn rotate_token(
     State(service): State<Arc<Service>>,
     InPath(TokenPath { token }): InPath<TokenPath>,
     InQuery(Nothing {}): InQuery<Nothing>,
-    request: Result<Json<RotateToken>, JsonRejection>,
+    InBody(RotateToken { overlap_s, lifetime_s }): InBody<RotateToken>,
 ) -> Result<Json<v1::RotateTokenResponse>, HttpError> {
-    let Json(RotateToken { overlap_s, lifetime_s }) = request.map_err(|rejection| {
-        ServiceError::invalid(format_args!(
-            "{}; send {{}}, or {{\"overlap_s\": 3600}}, as application/json",
-            rejection.body_text()
-        ))
-    })?;
     let rotation = Rotation { overlap_s, lifetime_s };
     let (rotated, secret) = service.tokens.rotate(&format!("tokens/{token}"), rotation).await?;
     Ok(Json(v1::RotateTokenResponse { token: Some(shown(&service, rotated)), secret }))
@@ -78,19 +65,13 @@ pub(super) async fn rotate_token(
 /// Changes the quotas of a token, which keeps its secret. It holds for streams that are open, too. For administrators.
 #[utoipa::path(patch, path = "/v1/tokens/{token}", tag = "tokens", params(TokenPath),
     request_body(content = UpdateToken, description = "Quotas as they are to be; those that are left out stay."),
-    responses((status = 200, description = "The token.", body = v1::Token), Refusals))]
+    responses((status = 200, description = "The token.", body = v1::Token), Refusals, BodyRefusals))]
 pub(super) async fn update_token(
     State(service): State<Arc<Service>>,
     InPath(TokenPath { token }): InPath<TokenPath>,
     InQuery(Nothing {}): InQuery<Nothing>,
-    request: Result<Json<UpdateToken>, JsonRejection>,
+    InBody(UpdateToken { quotas, lifted }): InBody<UpdateToken>,
 ) -> Result<Json<v1::Token>, HttpError> {
-    let Json(UpdateToken { quotas, lifted }) = request.map_err(|rejection| {
-        ServiceError::invalid(format_args!(
-            "{}; send {{\"quotas\": {{\"max_sessions\": 3}}}}, or {{\"lifted\": [\"sessions\"]}}, as application/json",
-            rejection.body_text()
-        ))
-    })?;
     let limits = requested_limits(quotas.unwrap_or_default().0);
     let lifted = lifted.into_iter().map(Quota::named).collect();
     let limited = service.tokens.limit(&format!("tokens/{token}"), LimitChange { limits, lifted }).await?;
@@ -147,6 +128,10 @@ pub(super) struct CreateToken {
     /// How much its holder may have and send; what is left out is not limited.
     #[serde(default)]
     quotas: Option<Quotas>,
+}
+
+impl JsonBody for CreateToken {
+    const TAKES: &str = r#"{"token_id": "robot-7", "role": "robot"}, "reader" or "admin""#;
 }
 
 impl From<CreateToken> for NewToken {
@@ -207,6 +192,10 @@ pub(super) struct RotateToken {
     lifetime_s: Option<u32>,
 }
 
+impl JsonBody for RotateToken {
+    const TAKES: &str = r#"{}, or {"overlap_s": 3600}"#;
+}
+
 /// A change of a token's quotas.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -218,6 +207,10 @@ pub(super) struct UpdateToken {
     /// Quotas that are lifted.
     #[serde(default)]
     lifted: Vec<Quota>,
+}
+
+impl JsonBody for UpdateToken {
+    const TAKES: &str = r#"{"quotas": {"max_sessions": 3}}, or {"lifted": ["sessions"]}"#;
 }
 
 /// How much the holder of a token may have and send.

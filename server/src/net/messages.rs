@@ -11,8 +11,8 @@ use futures::future::BoxFuture;
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep};
-use tonic::Status;
 use tonic::body::Body;
+use tonic::{Code, Status};
 
 use crate::error::ServiceError;
 
@@ -155,7 +155,7 @@ impl HttpBody for Metered {
         let piece = match frame.map(|frame| frame.map(Frame::into_data)) {
             Some(Ok(Ok(piece))) => piece,
             Some(Ok(Err(trailers))) => return Poll::Ready(Some(Ok(trailers))),
-            Some(Err(status)) => return Poll::Ready(Some(Err(status))),
+            Some(Err(broken)) => return Poll::Ready(Some(Err(gone(broken)))),
             None => return Poll::Ready(None),
         };
         let before = self.progress.messages;
@@ -181,6 +181,14 @@ impl HttpBody for Metered {
 
     fn size_hint(&self) -> SizeHint {
         self.body.size_hint()
+    }
+}
+
+/// What a call comes to whose client went away while it sent: nobody was refused anything. The transport says UNKNOWN to it.
+fn gone(broken: Status) -> Status {
+    match broken.code() {
+        Code::Unknown => Status::cancelled(format!("the connection broke: {}", broken.message())),
+        _ => broken,
     }
 }
 
@@ -234,7 +242,6 @@ mod tests {
     use std::future::poll_fn;
 
     use tokio::sync::mpsc;
-    use tonic::Code;
 
     use super::*;
 
@@ -289,6 +296,32 @@ mod tests {
             sending.await.unwrap();
             assert_eq!(heard, sent);
             assert_eq!(room.of_token.available_permits(), TOKEN_BYTES, "pieces of {piece_len}");
+        }
+    }
+
+    /// A client whose connection breaks.
+    struct Broken(Status);
+
+    impl HttpBody for Broken {
+        type Data = Bytes;
+        type Error = Status;
+
+        fn poll_frame(
+            self: Pin<&mut Self>,
+            _: &mut Context<'_>,
+        ) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
+            Poll::Ready(Some(Err(self.0.clone())))
+        }
+    }
+
+    #[tokio::test]
+    async fn a_client_that_goes_away_has_cancelled_its_call() {
+        for (broken, expected) in [
+            (Status::unknown("h2 protocol error: error reading a body from connection"), Code::Cancelled),
+            (Status::unavailable("too many messages"), Code::Unavailable),
+        ] {
+            let mut metered = Metered::within(Body::new(Broken(broken)), Room::whole().for_token(), LONG);
+            assert_eq!(next(&mut metered).await.unwrap().unwrap_err().code(), expected);
         }
     }
 

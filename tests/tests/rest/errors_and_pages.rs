@@ -175,6 +175,42 @@ async fn queries_that_make_no_sense_are_refused() {
     server.stop().await;
 }
 
+/// Of every route that takes a body, besides uploads.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_body_that_is_too_large_is_told_so_whatever_it_says() {
+    const MOST_BYTES: usize = 5 << 20;
+    let Surveyed { server, .. } = Surveyed::start().await;
+    let routes = [
+        (Method::POST, "/v1/maps"),
+        (Method::PUT, "/v1/maps/drive/places/0/label"),
+        (Method::PUT, "/v1/models/shipped/display-name"),
+        (Method::POST, "/v1/maps/drive/corrections"),
+        (Method::PUT, "/v1/maps/drive/navigations/cart/goal"),
+        (Method::POST, "/v1/merges"),
+        (Method::PUT, "/v1/merges/1/decision"),
+        (Method::POST, "/v1/tokens"),
+        (Method::POST, "/v1/tokens/cart/rotate"),
+        (Method::PATCH, "/v1/tokens/cart"),
+    ];
+    for (method, path) in routes {
+        let of_bytes = |bytes: usize| {
+            let body = format!("{:bytes$}", "{}").into_bytes();
+            http()
+                .request(method.clone(), server.url(path))
+                .header("content-type", "application/json")
+                .body(body)
+        };
+        let answer = Answer::to(of_bytes(MOST_BYTES + 1)).await;
+        assert_eq!(answer.status, StatusCode::PAYLOAD_TOO_LARGE, "{method} {path}: {}", answer.text());
+        assert_error(path, &answer, "payload_too_large", "at most 5242880 bytes");
+        // As large as may be, it is read, and then refused for what it says or names.
+        let answer = Answer::to(of_bytes(MOST_BYTES)).await;
+        let refused = [StatusCode::BAD_REQUEST, StatusCode::NOT_FOUND];
+        assert!(refused.contains(&answer.status), "{method} {path}: {}", answer.text());
+    }
+    server.stop().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn an_image_is_sent_once_to_those_who_keep_it() {
     let Surveyed { server, .. } = Surveyed::start().await;

@@ -71,7 +71,7 @@ fn words_of_images(model_file: &Path, folder: &Path) -> Result<Vec<FrameContent>
 }
 
 /// An observation as a robot sends it.
-pub(super) fn histogram(observation: &fabmap::observation::Observation) -> FrameContent {
+pub(in crate::commands) fn histogram(observation: &fabmap::observation::Observation) -> FrameContent {
     let (words, counts) = observation.histogram();
     FrameContent::Histogram(v1::WordHistogram { words, counts })
 }

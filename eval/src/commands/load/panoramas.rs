@@ -67,7 +67,8 @@ pub(crate) struct PanoramasReport {
 }
 
 pub(super) async fn run(server: &ServerOptions, options: &PanoramasOptions) -> Result<PanoramasReport> {
-    let (images, camera) = images(options)?;
+    let PanoramasOptions { panoramas, seed, rate_hz: _ } = options;
+    let (images, camera) = images((NamedWorld::Office, *seed), Acuity::Fine, (*panoramas, SPACING_M))?;
     let options_of_server = server;
     let server = ServerUnderLoad::start(server).await?;
     let client = Client::connect(&server.endpoint()).await?;
@@ -115,15 +116,17 @@ pub(super) async fn run(server: &ServerOptions, options: &PanoramasOptions) -> R
     })
 }
 
-/// Panoramas all over the large office, and the camera that took them.
-fn images(options: &PanoramasOptions) -> Result<(Vec<Vec<u8>>, v1::Camera)> {
-    let PanoramasOptions { panoramas, seed, .. } = options;
-    let acuity = Acuity::Fine;
+/// So many panoramas all over a building, so many metres apart, and the camera that took them.
+pub(in crate::commands) fn images(
+    (world, seed): (NamedWorld, u64),
+    acuity: Acuity,
+    (panoramas, spacing_m): (usize, f64),
+) -> Result<(Vec<Vec<u8>>, v1::Camera)> {
     let eye = Eye::new(acuity)?;
-    let plan = NamedWorld::Office.plan(*seed);
-    let poses = scattered(&plan, SPACING_M, *seed);
+    let plan = world.plan(seed);
+    let poses = scattered(&plan, spacing_m, seed);
     let scene = Scene::new(plan);
-    let shots: Vec<_> = (0..).zip(poses).take(*panoramas).map(|(number, pose)| still(pose, number)).collect();
+    let shots: Vec<_> = (0..).zip(poses).take(panoramas).map(|(number, pose)| still(pose, number)).collect();
     let jpeg = |shot| Ok(scene.render(&eye.rig, shot).to_jpeg()?);
     let images: Result<Vec<Vec<u8>>> = shots.par_iter().map(jpeg).collect();
     let (image_width_px, image_height_px) = acuity.size_px();

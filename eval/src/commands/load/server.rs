@@ -1,6 +1,7 @@
 //! The server under load: started for one measurement, watched from outside, and stopped.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use anyhow::{Context, Result, anyhow};
 use clap::Args;
@@ -17,11 +18,11 @@ pub(super) const MAP: &str = "load";
 const TICKS_PER_SECOND: f64 = 100.0;
 
 /// The server that is put under load.
-#[derive(Clone, Args)]
-pub(super) struct ServerOptions {
+#[derive(Clone, Debug, Args)]
+pub(in crate::commands) struct ServerOptions {
     /// The model that the server's map is made with.
     #[arg(long, global = true, value_name = "FILE", default_value = "demo/model.waypost")]
-    pub(super) model: PathBuf,
+    pub(in crate::commands) model: PathBuf,
     /// The server [default: waypost-server beside this program].
     #[arg(long, global = true, value_name = "FILE")]
     pub(super) server_binary: Option<PathBuf>,
@@ -65,11 +66,17 @@ pub(super) struct ServerUnderLoad {
 }
 
 impl ServerOptions {
-    fn start_on(&self, directory: &Path) -> Result<ServerProcess> {
+    /// A command of the server's program, which logs what `log` says.
+    pub(in crate::commands) fn command(&self, log: &str) -> Result<Command> {
         let program = self.server_binary.clone().map_or_else(beside_this_program, Ok)?;
         let mut command = launch::command(program);
+        command.env("WAYPOST_LOG", log);
+        Ok(command)
+    }
+
+    fn start_on(&self, directory: &Path) -> Result<ServerProcess> {
         // What is counted by `frames_per_commit`.
-        command.env("WAYPOST_LOG", "warn,waypost_server::open_map=debug");
+        let command = self.command("warn,waypost_server::open_map=debug")?;
         Ok(ServerProcess::start(command, &directory.join("data"), directory)?)
     }
 }
