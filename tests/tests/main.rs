@@ -71,6 +71,7 @@ mod operations {
     mod refused_commands;
     mod rot;
     mod shutdown;
+    mod soak;
     mod startup;
     mod tls;
     mod tokens;

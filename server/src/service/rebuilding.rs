@@ -1,5 +1,6 @@
 //! A map made anew from what another keeps of its frames: with another model, or because that one is damaged.
 
+mod losses;
 mod repairing;
 mod resending;
 

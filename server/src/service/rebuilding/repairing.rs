@@ -5,12 +5,15 @@ use std::ops::Range;
 
 use fabmap::appearance::PlaceId;
 use topomap::ids::FrameId;
-use topomap::log::MapEvent;
+use topomap::log::{Confirmation, Correction, CorrectionEvent, MapEvent, Undoing};
+use topomap::mapper::Said;
 
+use super::losses::Losses;
 use super::resending::{KeptFrame, Resending, Streams, WithoutContent};
 use super::{EVENTS_PAGE, Rebuilding, by_position};
 use crate::error::ServiceError;
 use crate::names::{check_id, map_in};
+use crate::open_map::{CorrectionRequest, Verdict};
 use crate::service::jobs::{JobOutcome, JobReporter, JobStatus, Stopped};
 use crate::service::tokens::Caller;
 use crate::storage::{JobKind, LabelRow, MapId, MapRow, Salvaged, StorageError};
@@ -20,9 +23,6 @@ const WITNESSES: u32 = 16;
 
 /// Above every position of a log.
 const END_OF_LOG: FrameId = i64::MAX as FrameId;
-
-/// What is lost that is told by name.
-const MOST_TOLD: usize = 20;
 
 /// A damaged map, and what its frames are.
 struct Repair {
@@ -39,18 +39,6 @@ struct Copy {
     row: MapRow,
     /// Of its log: the map may have grown since.
     events: u64,
-}
-
-/// What could not be brought back.
-#[derive(Debug, Default)]
-struct Losses {
-    events: Vec<String>,
-    /// What robots measured, and people corrected: said of frames of the damaged map.
-    measured: u64,
-    corrected: u64,
-    labels: Vec<String>,
-    /// What is kept of frames beside the log.
-    beside: Vec<String>,
 }
 
 impl Rebuilding {
@@ -140,6 +128,8 @@ impl Rebuilding {
         let kind = JobKind::RepairMap;
         self.make(kind, &repair.caller, source, &source.model, &repair.resending.into).await?;
         let (mut streams, mut losses) = (Streams::new(), Losses::default());
+        // Corrections of the new map, by their positions in the log of the other.
+        let mut said = HashMap::new();
         for positions in pages() {
             Stopped::unless(reporter.progress("looking at the frames again", fraction(&positions)))?;
             self.check_unchanged(source).await?;
@@ -160,7 +150,11 @@ impl Rebuilding {
                         self.open(&repair.resending, &mut streams, session).await?;
                     }
                     Left::Event(_, MapEvent::Measured(_)) => losses.measured += 1,
-                    Left::Event(_, MapEvent::Corrected(_)) => losses.corrected += 1,
+                    Left::Event(_, MapEvent::Corrected(event)) => {
+                        // What was decided afterwards rests on it.
+                        self.send_noted(repair, &streams, &mut frames, &positions).await?;
+                        losses.corrections.extend(self.say_again(repair, &mut said, &event).await?);
+                    }
                     Left::Nothing(what) => losses.events.push(what),
                 }
             }
@@ -243,6 +237,76 @@ impl Rebuilding {
         Ok(())
     }
 
+    /// Says a correction again of the same frames of the new map, as who said it and when; what is lost where that makes no
+    /// sense there. One that is there already, since a repair that was begun has said it, stays.
+    async fn say_again(
+        &self,
+        repair: &Repair,
+        said: &mut HashMap<u64, u64>,
+        event: &CorrectionEvent,
+    ) -> Result<Option<String>, ServiceError> {
+        let CorrectionEvent { position, session: _, by, said_ns, correction } = event;
+        let now = self.maps.open_maps.row(&repair.resending.into).await?;
+        let there = self.maps.storage.corrections(now.id).await?;
+        if let Some(there) = there.iter().find(|there| is_said_again(event, there)) {
+            said.insert(*position, there.position);
+            return Ok(None);
+        }
+        let lost = |why: &dyn std::fmt::Display| {
+            let what = match correction {
+                Correction::Withdrawn(_) => "a loop closure withdrawn",
+                Correction::Confirmed(_) => "a loop closure confirmed",
+                Correction::Undone(_) => "a correction undone",
+            };
+            Ok(Some(format!("event {position} of the log, {what} by {by:?}: {why}")))
+        };
+        let verdict = match correction {
+            Correction::Withdrawn(withdrawal) => {
+                let frame = self.position_now(repair, &now, withdrawal.frame).await?;
+                frame.map(|frame| Verdict::Withdrawn { frame })
+            }
+            Correction::Confirmed(Confirmation { frame, earlier, link: _ }) => {
+                let frame = self.position_now(repair, &now, *frame).await?;
+                let matched = self.position_now(repair, &now, *earlier).await?;
+                frame.zip(matched).map(|(frame, matched)| Verdict::Confirmed { frame, matched })
+            }
+            Correction::Undone(Undoing { correction, place: _ }) => {
+                said.get(correction).map(|&correction| Verdict::Undone { correction })
+            }
+        };
+        let Some(verdict) = verdict else { return lost(&"what it is about is lost") };
+        let open = self.maps.open_maps.open_of(&now).await?;
+        let request = CorrectionRequest { verdict, said: Said { by: by.clone(), said_ns: *said_ns } };
+        match open.correct(request).await {
+            Ok(again) => {
+                said.insert(*position, again.position);
+                Ok(None)
+            }
+            Err(
+                error @ (ServiceError::FailedPrecondition { .. }
+                | ServiceError::NotFound { .. }
+                | ServiceError::InvalidArgument { .. }),
+            ) => lost(&error),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Where a frame of the damaged map is in the log of the new one, if it could be brought back.
+    async fn position_now(
+        &self,
+        repair: &Repair,
+        now: &MapRow,
+        frame: FrameId,
+    ) -> Result<Option<FrameId>, ServiceError> {
+        let left = self.left(repair, frame..frame + 1).await?.pop();
+        let Some(Left::Event(_, MapEvent::Frame(event))) = left else { return Ok(None) };
+        let session = repair.resending.sessions.iter().find(|stored| stored.number == event.session);
+        let Some(session) = session else { return Ok(None) };
+        let storage = &self.maps.storage;
+        let Some(number) = storage.session_number(now.id, &session.name).await? else { return Ok(None) };
+        Ok(storage.position_of_sequence(now.id, number, event.sequence).await?)
+    }
+
     /// Puts labels on the places where the frames of theirs are now; gives those that are lost.
     async fn carry_labels(&self, repair: &Repair) -> Result<Vec<String>, ServiceError> {
         let source = repair.resending.source.id;
@@ -295,6 +359,12 @@ impl Rebuilding {
     }
 }
 
+/// Whether one of the corrections is the other, said of the frames of another map.
+fn is_said_again(said: &CorrectionEvent, again: &CorrectionEvent) -> bool {
+    let kind = std::mem::discriminant::<Correction>;
+    (&said.by, said.said_ns, kind(&said.correction)) == (&again.by, again.said_ns, kind(&again.correction))
+}
+
 /// What was read; none if it is damaged.
 fn unless_damaged<T>(read: Result<T, StorageError>) -> Result<Option<T>, StorageError> {
     match read {
@@ -324,26 +394,5 @@ impl Left {
             Salvaged::Whole(event) => Self::Event(map, event),
             Salvaged::Lost(what) => Self::Nothing(what),
         }
-    }
-}
-
-impl Losses {
-    fn in_words(&self) -> String {
-        let Self { events, measured, corrected, labels, beside } = self;
-        let mut told = Vec::new();
-        let lost: Vec<&str> = [events, beside, labels].into_iter().flatten().map(String::as_str).collect();
-        if !lost.is_empty() {
-            let named = lost.iter().take(MOST_TOLD).copied().collect::<Vec<_>>().join("; ");
-            told.push(match lost.len().saturating_sub(MOST_TOLD) {
-                0 => format!("lost: {named}"),
-                more => format!("lost: {named}; and {more} more"),
-            });
-        }
-        if measured + corrected > 0 {
-            told.push(format!(
-                "to be said again: {measured} poses that robots measured, {corrected} corrections of people"
-            ));
-        }
-        if told.is_empty() { "nothing is lost".to_owned() } else { told.join("; ") }
     }
 }

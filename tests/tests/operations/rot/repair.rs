@@ -189,3 +189,58 @@ async fn features_come_from_the_snapshot_or_are_told_as_lost() {
     assert_eq!(state_hash(&client, "again").await, whole);
     server.stop().await;
 }
+
+/// What people said of loop closures goes with the frames that it is about, as who said it and when.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_people_said_is_said_again_of_what_is_left() {
+    let (directory, ..) = damaged(&[]).await;
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let first = |sequence: u64| format!("maps/drive/sessions/first/frames/{sequence}");
+    let closures = client.loop_closures("drive").await.unwrap();
+    let closing = |closure: &v1::LoopClosure| {
+        let frame = closure.frame.as_ref().unwrap();
+        format!("{}/frames/{}", frame.session, frame.sequence)
+    };
+    // One that is withdrawn for good, one for a while, and two that were missed; the last is of the frame that rots.
+    client.withdraw_loop_closure(&closing(&closures[0])).await.unwrap();
+    let other = closures.iter().rev().map(closing).find(|frame| *frame != closing(&closures[0])).unwrap();
+    let undone = client.withdraw_loop_closure(&other).await.unwrap();
+    client.undo_correction(&undone.name).await.unwrap();
+    client.confirm_loop_closure(&first(9), &first(2)).await.unwrap();
+    client.confirm_loop_closure(&first(14), &first(7)).await.unwrap();
+    // A robot goes on: what is decided then rests on what was said.
+    answers(&client, "drive", "third", (1..=5).map(frame)).await;
+    let said_of = async |map: &str| {
+        let said = client.corrections(map).await.unwrap();
+        let told = |said: &v1::Correction| (said.verdict, said.create_time_ns, said.undone.clone());
+        said.iter().map(told).collect::<Vec<_>>()
+    };
+    let (whole, file, said) =
+        (state_hash(&client, "drive").await, snapshot(&client).await, said_of("drive").await);
+    assert_eq!(said.len(), 4);
+    server.stop().await;
+    sql(directory.path(), ROTTEN_FRAME).await;
+
+    let server = Server::start_on(directory.path()).await;
+    let client = server.client().await;
+    let imported = client.import_map("earlier", Cursor::new(file)).await.unwrap();
+    followed(&client, &imported).await;
+    // Asked for again, nothing is said twice.
+    for _ in 0..2 {
+        let job = repaired(&client, "again", Some("earlier")).await;
+        assert_eq!(job.stage, "nothing is lost", "{job:?}");
+        assert_eq!(state_hash(&client, "again").await, whole);
+    }
+    let job = repaired(&client, "poorer", None).await;
+    let lost = "a loop closure confirmed by \"\": what it is about is lost";
+    assert!(
+        job.stage.starts_with("lost: map drive, session first, frame 7;") && job.stage.contains(lost),
+        "{job:?}"
+    );
+    let left = client.corrections("poorer").await.unwrap();
+    let left: Vec<_> = left.iter().map(|said| (said.verdict, said.create_time_ns)).collect();
+    let expected: Vec<_> = said[..3].iter().map(|(verdict, time_ns, _)| (*verdict, *time_ns)).collect();
+    assert_eq!(left, expected);
+    server.stop().await;
+}

@@ -4,12 +4,12 @@ use std::io::Cursor;
 
 use waypost_client::v1::merge::State as MergeState;
 use waypost_client::v1::trim_map_request::Mode;
-use waypost_client::{Client, Error, FrameOutcome, v1};
+use waypost_client::{Client, Code, Error, FrameOutcome, v1};
 
-use super::template::{BASE, OTHER};
+use super::template::{BASE, OTHER, ROTTEN};
 use crate::harness::{
-    as_histogram, followed, frame, import_model, in_time, map_request, recalibrated_model, session_options,
-    words_options,
+    as_histogram, followed, frame, import_model, in_time, map_request, recalibrated_model, refused,
+    session_options, words_options,
 };
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -27,6 +27,7 @@ pub(super) enum Operation {
     RemoveSession,
     DeleteMap,
     Rebuild,
+    Repair,
     Rebind,
     Labels,
     Tokens,
@@ -35,7 +36,7 @@ pub(super) enum Operation {
     Stop,
 }
 
-pub(super) const OPERATIONS: [Operation; 18] = [
+pub(super) const OPERATIONS: [Operation; 19] = [
     Operation::Frames,
     Operation::Images,
     Operation::Model,
@@ -49,6 +50,7 @@ pub(super) const OPERATIONS: [Operation; 18] = [
     Operation::RemoveSession,
     Operation::DeleteMap,
     Operation::Rebuild,
+    Operation::Repair,
     Operation::Rebind,
     Operation::Labels,
     Operation::Tokens,
@@ -95,13 +97,24 @@ impl Operation {
             | Self::RemoveSession
             | Self::DeleteMap
             | Self::Rebuild
+            | Self::Repair
             | Self::Rebind => 1,
         }
     }
 
-    /// What may be there without having been acknowledged as a whole: a rebuilt map goes on when it is asked for again.
+    /// What may be there without having been acknowledged as a whole: a map that is made anew goes on when it is asked for
+    /// again.
     pub(super) fn partial_map(self) -> Option<&'static str> {
-        (self == Self::Rebuild).then_some("rebuilt")
+        match self {
+            Self::Rebuild => Some("rebuilt"),
+            Self::Repair => Some("repaired"),
+            _ => None,
+        }
+    }
+
+    /// The map that is damaged before anything else is done.
+    pub(super) fn damaged_map(self) -> Option<&'static str> {
+        (self == Self::Repair).then_some(OTHER)
     }
 
     pub(super) async fn prepare(self, client: &Client) -> Prepared {
@@ -125,6 +138,11 @@ impl Operation {
                 let merge = client.commit_merge(&prepared.merge).await.unwrap();
                 let done = followed(client, &client.job(&merge.job).await.unwrap()).await;
                 assert_eq!(done.last().unwrap().state(), v1::job::State::Succeeded, "{done:?}");
+            }
+            Self::Repair => {
+                // Somebody meets the damage, and the server notes it.
+                let looked = client.frame_picture(&format!("maps/{OTHER}/{ROTTEN}"), None).await;
+                assert_eq!(refused(looked).0, Code::DataLoss);
             }
             Self::Model
             | Self::Maps
@@ -195,6 +213,10 @@ impl Operation {
             Self::DeleteMap => Ok(client.delete_map(OTHER).await?),
             Self::Rebuild => {
                 let job = client.rebuild_map(OTHER, &model_named(client, "second").await?, "rebuilt").await?;
+                succeeded(client, prepared, &job.name).await
+            }
+            Self::Repair => {
+                let job = client.repair_map(OTHER, "repaired", None).await?;
                 succeeded(client, prepared, &job.name).await
             }
             Self::Rebind => {

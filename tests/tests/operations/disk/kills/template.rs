@@ -3,20 +3,41 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use sqlx::{ConnectOptions, Connection};
 use tempfile::TempDir;
 use waypost_client::{Client, ClientOptions, v1};
 use waypost_server::Role;
 use waypost_server::offline::{TokenLimits, create_token};
 
 use crate::harness::{
-    Server, answers, answers_of, as_histogram, by_words_request, frame, import_model, map_request,
-    recalibrated_model, take_model, words_options,
+    Server, answers, answers_of, as_histogram, by_words_request, database_options, frame, import_model,
+    map_request, recalibrated_model, take_model, words_options,
 };
 
 /// A map of images, of two sessions.
 pub(super) const BASE: &str = "base";
 /// A map of some of the same images.
 pub(super) const OTHER: &str = "other";
+
+/// The frame of a map whose features [`rot`] damages.
+pub(super) const ROTTEN: &str = "sessions/o/frames/8";
+
+/// Flips a bit of what is kept of that frame of the map [`OTHER`].
+pub(super) async fn rot(data: &Path) {
+    let mut database = database_options(data).connect().await.unwrap();
+    let select = "SELECT content FROM frame_media WHERE kind = 'features' AND (map_id, position) = \
+                  (SELECT map_id, position FROM log WHERE sequence = 8 AND map_id = \
+                  (SELECT id FROM maps WHERE name = 'other'))";
+    let features: Vec<u8> = sqlx::query_scalar(select).fetch_one(&mut database).await.unwrap();
+    database.close().await.unwrap();
+    let file = data.join("waypost.sqlite");
+    let mut content = std::fs::read(&file).unwrap();
+    let end = features.last_chunk::<24>().unwrap();
+    // The map that was made before keeps the same of the same image.
+    let at = content.windows(end.len()).rposition(|window| window == end).expect("it is in the file");
+    content[at] ^= 1;
+    std::fs::write(&file, content).unwrap();
+}
 
 pub(super) struct Template {
     pub(super) directory: TempDir,

@@ -1,0 +1,102 @@
+//! Messages that are begun and not ended: what they may take of the memory.
+
+use std::io::Write;
+use std::time::Duration;
+
+use waypost_client::{Client, ClientOptions, v1};
+
+use super::wire::{Wire, block, data, frame, kind, opened};
+use super::{Attacked, MOST_GROWTH};
+
+/// What half-sent messages of one token may take, as the server has it, and what is around them.
+const MOST_HOARDED: u64 = (64 << 20) + MOST_GROWTH;
+
+/// Calls in all, and what each sends of a message of 16 MiB.
+const CALLS: u32 = 24;
+const EACH: usize = 15 << 20;
+
+/// Tokens of so many robots.
+async fn robots(attacked: &Attacked, count: u32) -> Vec<String> {
+    let options = ClientOptions::new(attacked.server.endpoint()).with_token(&attacked.secret);
+    let admin = Client::connect(options).await.unwrap();
+    let mut secrets = Vec::new();
+    for number in 0..count {
+        secrets.push(admin.create_token(&format!("robot-{number}"), v1::token::Role::Robot).await.unwrap().1);
+    }
+    secrets
+}
+
+/// One connection of one robot, with so many calls, each with most of a message and no end, as fast as the server takes them;
+/// and the bytes that it took.
+fn hoarding(attacked: &Attacked, robot: String, calls: u32) -> tokio::task::JoinHandle<(Wire, usize)> {
+    let port = attacked.server.grpc();
+    tokio::task::spawn_blocking(move || {
+        let mut wire = Wire::to(port).unwrap();
+        let bearer = format!("Bearer {robot}");
+        let call = block("/waypost.v1.RecognitionService/Query", &[("authorization", &bearer)]);
+        let mut said = opened();
+        for number in 0..calls {
+            said.extend(frame(kind::HEADERS, kind::END_HEADERS, 2 * number + 1, &call));
+        }
+        wire.write_all(&said).unwrap();
+        let prefix = [&[0][..], &(16_u32 << 20).to_be_bytes()].concat();
+        let mut left: Vec<_> = (0..calls).map(|number| (2 * number + 1, prefix.len() + EACH)).collect();
+        let sent = wire.pour(&mut left, Duration::from_secs(6), |stream, first, length| {
+            let mut bytes = vec![0; length];
+            if first {
+                bytes[..prefix.len()].copy_from_slice(&prefix);
+            }
+            data(stream, &bytes)
+        });
+        (wire, sent)
+    })
+}
+
+/// All calls with one token.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robots_half_sent_messages_have_a_bound() {
+    let attacked = Attacked::start().await;
+    let robot = robots(&attacked, 1).await.remove(0);
+    let (wire, sent) = hoarding(&attacked, robot, CALLS).await.unwrap();
+    attacked.others_are_served().await;
+    println!("{} MiB of half-sent messages were taken", sent >> 20);
+    assert!(sent > 30 << 20, "only {} MiB were taken: the server was hardly asked", sent >> 20);
+    let growth = attacked.server.rss_bytes().saturating_sub(attacked.rss_before);
+    assert!(growth <= MOST_HOARDED, "the memory grew by {} MiB", growth >> 20);
+    drop(wire);
+    attacked.ends(MOST_HOARDED);
+}
+
+/// The bound is what holds the memory down: the same calls with tokens of their own, for which it is not met, take more.
+#[tokio::test(flavor = "multi_thread")]
+async fn half_sent_messages_of_many_robots_take_more_than_the_bound_of_one() {
+    const ROBOTS: u32 = 6;
+    let attacked = Attacked::start().await;
+    let hoarding: Vec<_> = robots(&attacked, ROBOTS)
+        .await
+        .into_iter()
+        .map(|robot| hoarding(&attacked, robot, CALLS / ROBOTS))
+        .collect();
+    let mut held = Vec::new();
+    for robot in hoarding {
+        held.push(robot.await.unwrap());
+    }
+    attacked.others_are_served().await;
+    let sent: usize = held.iter().map(|(_, sent)| sent).sum();
+    let growth = attacked.server.rss_bytes().saturating_sub(attacked.rss_before);
+    println!(
+        "{} MiB of half-sent messages were taken, and the memory grew by {} MiB",
+        sent >> 20,
+        growth >> 20
+    );
+    assert!(
+        growth > MOST_HOARDED,
+        "the memory grew by {} MiB alone: the bound was not what held it",
+        growth >> 20
+    );
+    // All robots together have a bound, too.
+    let most = (256 << 20) + 2 * MOST_GROWTH;
+    assert!(growth <= most, "the memory grew by {} MiB", growth >> 20);
+    drop(held);
+    attacked.others_are_served().await;
+}
