@@ -224,7 +224,7 @@ pub(super) async fn panoramic(caller: &Caller, material: &Material) -> Result<()
     };
     let mut links = None;
     while let Some(_step) = caller.stage.step().await {
-        make(caller, MAP, Some(settings.clone())).await?;
+        make(caller, MAP, Some(settings)).await?;
         let camera = Some(material.panoramic_camera.clone());
         let options = SessionOptions { camera, ..session(MAP, "robot") };
         let answers = drive(caller, options.clone(), &material.panoramas, OF_LOOKS).await?;
