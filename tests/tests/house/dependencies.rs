@@ -26,7 +26,7 @@ pub(crate) static METADATA: LazyLock<Value> = LazyLock::new(|| {
 const ANY: &[&str] = &["*"];
 
 /// Member, and the members that it may depend on where no feature is asked for.
-const ALLOWED: [(&str, &[&str]); 15] = [
+const ALLOWED: [(&str, &[&str]); 16] = [
     ("fabmap", &[]),
     ("posegraph", &[]),
     ("topomap", &["fabmap", "posegraph"]),

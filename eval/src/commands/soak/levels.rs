@@ -115,7 +115,8 @@ mod tests {
 
     #[test]
     fn every_level_that_grows_is_told() {
-        let leaks: [(&str, fn(&mut Levels, f64)); 5] = [
+        type Leak = fn(&mut Levels, f64);
+        let leaks: [(&str, Leak); 5] = [
             ("rss_mib", |levels, tenth| levels.rss_mib += 15.0 * tenth),
             ("descriptors", |levels, tenth| levels.descriptors += 5.0 * tenth),
             ("threads", |levels, tenth| levels.threads += 5.0 * tenth),
