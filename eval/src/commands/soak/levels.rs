@@ -117,7 +117,7 @@ mod tests {
     fn every_level_that_grows_is_told() {
         type Leak = fn(&mut Levels, f64);
         let leaks: [(&str, Leak); 5] = [
-            ("rss_mib", |levels, tenth| levels.rss_mib += 15.0 * tenth),
+            ("rss_mib", |levels, tenth| levels.rss_mib += 30.0 * tenth),
             ("descriptors", |levels, tenth| levels.descriptors += 5.0 * tenth),
             ("threads", |levels, tenth| levels.threads += 5.0 * tenth),
             ("database_mib", |levels, tenth| levels.database_mib += 4.0 * tenth),
