@@ -18,7 +18,7 @@ use waypost_client::v1::job;
 use super::watched::{Calls, Fault, How, WatchedDisk, copy_below};
 use super::{number, on_a_thread};
 use operations::{Broken, OPERATIONS, Operation};
-use template::{State, Template, rot, state};
+use template::{OTHER, State, Template, rot, state};
 
 /// Kills in every run of the tests.
 const KILLS: u64 = 38;
@@ -68,12 +68,22 @@ impl Whole {
     }
 }
 
-/// What the operation begins with.
-async fn laid_out(template: &Template, operation: Operation, disk: &WatchedDisk) {
+/// What the operation begins with; what is wrong with it.
+async fn laid_out(template: &Template, operation: Operation, disk: &WatchedDisk) -> Vec<String> {
     copy_below(template.directory.path(), &disk.data());
-    if operation.damaged_map().is_some() {
-        rot(&disk.data()).await;
+    if operation != Operation::Repair {
+        return Vec::new();
     }
+    rot(&disk.data()).await;
+    let wrong = wrong(&disk.data()).await;
+    assert!(!wrong.is_empty(), "nothing is damaged");
+    wrong
+}
+
+/// What a look at all of a directory finds.
+async fn wrong(data: &std::path::Path) -> Vec<String> {
+    let findings = waypost_server::offline::check_all(data).await.unwrap();
+    findings.into_iter().filter_map(|finding| finding.result.err()).collect()
 }
 
 /// What came of a kill.
@@ -96,7 +106,7 @@ async fn killed(
     fault: Fault,
 ) -> Result<Came, String> {
     let disk = WatchedDisk::new();
-    laid_out(template, operation, &disk).await;
+    let known = laid_out(template, operation, &disk).await;
     let mut server = disk.start();
     let client = template.client(&server.endpoint()).await;
     let mut prepared = operation.prepare(&client).await;
@@ -153,12 +163,11 @@ async fn killed(
         came = Came::After;
     }
     told_of_jobs(&jobs, prepared.job.as_deref(), came, whole)?;
-    let findings =
-        waypost_server::offline::check_all(&disk.data()).await.map_err(|error| error.to_string())?;
-    let known = |problem: &String| {
-        operation.damaged_map().is_some_and(|map| problem.contains(&format!("map {map},")))
-    };
-    let unknown = findings.into_iter().filter_map(|finding| finding.result.err()).find(|found| !known(found));
+    // Also what the server has noted of it since.
+    let is_known =
+        |found: &String| known.contains(found) || found.contains(&format!("map {OTHER}, session o, frame 8"));
+    let whole_before = known.is_empty();
+    let unknown = wrong(&disk.data()).await.into_iter().find(|found| whole_before || !is_known(found));
     unknown.map_or(Ok(came), Err)
 }
 

@@ -112,11 +112,6 @@ impl Operation {
         }
     }
 
-    /// The map that is damaged before anything else is done.
-    pub(super) fn damaged_map(self) -> Option<&'static str> {
-        (self == Self::Repair).then_some(OTHER)
-    }
-
     pub(super) async fn prepare(self, client: &Client) -> Prepared {
         let mut prepared = Prepared::default();
         match self {
@@ -141,7 +136,7 @@ impl Operation {
             }
             Self::Repair => {
                 // Somebody meets the damage, and the server notes it.
-                let looked = client.frame_picture(&format!("maps/{OTHER}/{ROTTEN}"), None).await;
+                let looked = client.frame_picture(&format!("maps/{OTHER}/{ROTTEN}"), Some(0)).await;
                 assert_eq!(refused(looked).0, Code::DataLoss);
             }
             Self::Model
