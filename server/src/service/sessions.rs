@@ -216,20 +216,16 @@ impl SessionStream {
         let (counted, timings) = outcome.counted();
         self.sessions.metrics.frame(counted, timings);
         match outcome {
-            FrameOutcome::Answered(answer) => self.show(Became::Answered(answer)),
+            FrameOutcome::Answered(answer) => {
+                self.shown.iter().for_each(|shown| shown.frame(Became::Answered(answer)));
+            }
             FrameOutcome::Refused { error, .. } => {
-                self.show(Became::Refused);
+                self.shown.iter().for_each(|shown| shown.frame(Became::Refused));
                 let refusal = Refusal::on_stream(STREAM, &self.session_name, self.token.as_ref(), error);
                 self.sessions.refusals.note(refusal);
             }
             // The call ends with it, and is noted as a whole.
             FrameOutcome::Ended(_) => {}
-        }
-    }
-
-    fn show(&self, became: Became<'_>) {
-        if let Some(shown) = &self.shown {
-            shown.frame(became);
         }
     }
 
