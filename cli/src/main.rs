@@ -143,6 +143,8 @@ fn main() -> ExitCode {
     // The library warns of lost connections.
     tracing_subscriber::fmt()
         .with_writer(std::io::stderr)
+        // Where nobody reads it any more, saying so would panic.
+        .log_internal_errors(false)
         .with_max_level(tracing::Level::WARN)
         .without_time()
         .with_level(false)

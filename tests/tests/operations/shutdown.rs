@@ -2,8 +2,10 @@
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::time::Duration;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
 
+use rustix::process::{Pid, Signal};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use waypost_client::{Code, FrameOutcome};
@@ -13,8 +15,8 @@ use waypost_proto::v1::session_service_client::SessionServiceClient;
 use waypost_proto::v1::train_model_request::Content;
 
 use crate::harness::{
-    RawStream, ServerProcess, assert_status, channel, frame, images, import_model, in_time, map_request,
-    open, session_options, wire,
+    Built, RawStream, ServerProcess, assert_status, channel, frame, images, import_model, in_time,
+    map_request, open, session_options, wire,
 };
 
 /// Many times what a stop takes.
@@ -81,6 +83,43 @@ async fn frames_under_way_are_answered_or_sent_again() {
     let (_, opened) = RawStream::open(&server.endpoint(), open("drive", "robot")).await.unwrap();
     assert!(opened.last_committed_sequence >= Some(acknowledged), "{opened:?}");
     server.stop();
+}
+
+/// Whoever reads its log may end first, as behind a pipe: what cannot be told then is no reason to fail or to go on.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_whose_log_nobody_reads_serves_and_stops() {
+    let directory = tempfile::tempdir().unwrap();
+    let ready = directory.path().join("ready.json");
+    let mut command = Built::command("waypost-server");
+    command.args(["--grpc-address", "127.0.0.1:0", "--http-address", "127.0.0.1:0", "--log", "debug"]);
+    command.arg("--data-dir").arg(directory.path().join("data")).arg("--ready-file").arg(&ready);
+    let mut server = command.stderr(Stdio::piped()).spawn().unwrap();
+    let reader = server.stderr.take().unwrap();
+    let began = Instant::now();
+    while !ready.exists() {
+        assert!(began.elapsed() < 6 * STOPPING, "it does not start");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    drop(reader);
+    let addresses: serde_json::Value = serde_json::from_slice(&std::fs::read(&ready).unwrap()).unwrap();
+    let http = addresses["http"].as_str().unwrap();
+    for _ in 0..3 {
+        let refused = reqwest::get(format!("http://{http}/v1/maps/nowhere")).await.unwrap();
+        assert_eq!(refused.status(), reqwest::StatusCode::NOT_FOUND);
+    }
+    rustix::process::kill_process(Pid::from_child(&server), Signal::TERM).unwrap();
+    let asked = Instant::now();
+    let status = loop {
+        if let Some(status) = server.try_wait().unwrap() {
+            break Some(status);
+        }
+        if asked.elapsed() > STOPPING {
+            server.kill().unwrap();
+            break None;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    };
+    assert!(status.is_some_and(|status| status.success()), "it does not stop: {status:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
