@@ -80,14 +80,14 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     })
 }
 
-/// The frame beside one of the place that is explained, or beside the one that is asked for; with what was expected
-/// and not seen.
+/// The frame beside one of the place that is explained, with what was expected and not seen; or beside the one that is
+/// asked for, of which nothing was expected.
 fn pictured(explained: &v1::FrameExplanation, beside: Option<String>) -> v1::GetFramePictureRequest {
-    let place = explained.place_explanation.as_ref();
+    let place = explained.place_explanation.as_ref().filter(|_| beside.is_none());
     let against = place.into_iter().flat_map(|place| &place.words_against);
     v1::GetFramePictureRequest {
         name: explained.name.clone(),
-        place_number: place.filter(|_| beside.is_none()).map(|place| place.place_number),
+        place_number: place.map(|place| place.place_number),
         beside_frame: beside.unwrap_or_default(),
         expected_words: against.filter(|evidence| !evidence.seen).map(|evidence| evidence.word).collect(),
     }

@@ -310,6 +310,7 @@ fn the_command_line_writes_pictures() {
     ]);
     let drawn = Drawn::of(&std::fs::read(&file).unwrap());
     assert!(drawn.text.contains("side by side") && drawn.text.contains(&beside), "{drawn:?}");
+    assert_eq!(drawn.expected, [] as [u32; 0], "nothing was expected of that frame");
     let (code, stderr) = waypost.fails(&[
         "explain",
         "drive",
