@@ -13,23 +13,29 @@ CPP := $(abspath $(or $(CARGO_TARGET_DIR),target)/cpp)
 FUZZ ?= all
 SECONDS ?= 60
 
-.PHONY: demo fuzz test test-python test-cpp test-ros test-inspector test-image inspector docs serve build setup check deny bench
+.PHONY: demo fuzz test test-postgres test-python test-cpp test-ros test-inspector test-image inspector docs serve build setup check deny bench
 
 # Drive a real recorded sequence through a real server, and compare the loop closures with the truth.
 demo: build
 	$(TARGET)/waypost demo
 
-# All unit, property and end-to-end tests, and then those of the Python client, of docker/, docs/ and packaging/, of ros/, of the page and of
-# the C++ client.
+# All unit, property and end-to-end tests, a part of these on PostgreSQL, and then those of the Python client, of docker/, docs/ and
+# packaging/, of ros/, of the page and of the C++ client.
 test: setup
 	$(CARGO) test --release --locked --workspace --no-fail-fast
-	$(MAKE) --no-print-directory test-python test-ros test-inspector test-cpp
+	$(MAKE) --no-print-directory test-postgres test-python test-ros test-inspector test-cpp
+
+# Servers over a database of PostgreSQL that is made for the tests; and tests of SQLite, each on such a database.
+# All that can run there: make test-postgres ON_POSTGRES="fleet:: maps:: merging:: navigation:: rest:: robots::"
+ON_POSTGRES ?= fleet:: maps:: merging:: rest::parity operations::tokens
+test-postgres: setup
+	scripts/with-postgres $(CARGO) test --release --locked --workspace --test end_to_end -- $(ON_POSTGRES)
 
 # What the client's messages, arrays and calls go through, with the oldest and the newest packages that it works with.
 RANGE_TESTS = test_values.py test_decisions.py test_words.py test_calls.py
 test-python: build
 	scripts/setup-python $(PYTHON)
-	WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest client/python docker docs packaging
+	WAYPOST_BINARIES=$(abspath $(TARGET)) scripts/with-postgres $(PYTHON)/bin/python -m pytest client/python docker docs packaging
 	WAYPOST_BINARIES=$(abspath $(TARGET)) WAYPOST_PYTHON=$(PYTHON) scripts/test-python-range $(PYTHON)-range $(RANGE_TESTS)
 
 # The bridge between a server and a robot that another DDS plays. Once in thirteen runs Python itself crashed in the library

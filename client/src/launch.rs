@@ -154,6 +154,11 @@ impl ServerProcess {
         self.ask_to_stop().then(|| wait(&mut self.child, patience)).flatten()
     }
 
+    /// Waits until it ends by itself; `None` if it does not within `patience`.
+    pub fn wait(&mut self, patience: Duration) -> Option<ExitStatus> {
+        wait(&mut self.child, patience)
+    }
+
     /// Asks it to stop, and waits until it has.
     ///
     /// # Errors

@@ -19,16 +19,19 @@ use crate::quotas::ServerLimits;
 
 mod error;
 mod layers;
+mod location;
 
 pub use error::ConfigError;
 use layers::{CommandLine, Environment};
+pub use location::{DataLocation, NoStorage, StorageAddress};
 
 /// Begins the names of variables in the environment.
 const PREFIX: &str = "WAYPOST_";
 
 /// Every setting, with how it is written.
-const KEYS: [(&str, &str); 19] = [
+const KEYS: [(&str, &str); 20] = [
     ("data_dir", "a directory, as in \"waypost-data\""),
+    ("storage", "\"sqlite\", or a URL, as in \"postgres://waypost@db.example.org/waypost\""),
     ("grpc_address", "an address and a port, as in \"127.0.0.1:7600\""),
     ("http_address", "an address and a port, as in \"127.0.0.1:7601\""),
     ("ready_file", "a file, as in \"/run/waypost/ready.json\""),
@@ -61,6 +64,8 @@ const OTHER_VARIABLES: [&str; 6] = ["CONFIG", "SERVER", "TOKEN", "CA", "CLIENT_C
 pub struct Config {
     /// Directory of the database; made if it is missing.
     pub data_dir: PathBuf,
+    /// What keeps maps, models and tokens.
+    pub storage: StorageAddress,
     /// Where robots connect (gRPC).
     pub grpc_address: SocketAddr,
     /// Where people look (HTTP).
@@ -110,6 +115,7 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             data_dir: PathBuf::from("waypost-data"),
+            storage: StorageAddress::Sqlite,
             grpc_address: (Ipv4Addr::LOCALHOST, 7600).into(),
             http_address: (Ipv4Addr::LOCALHOST, 7601).into(),
             ready_file: None,
@@ -153,6 +159,11 @@ pub struct Flags {
     #[arg(long, global = true, value_name = "DIR")]
     #[serde(skip_serializing_if = "Option::is_none")]
     data_dir: Option<PathBuf>,
+    /// What keeps maps, models and tokens: sqlite, a file in the data directory, or postgres://USER@HOST/DATABASE
+    /// [default: sqlite]
+    #[arg(long, global = true, value_name = "STORAGE")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    storage: Option<StorageAddress>,
     /// Where robots connect (gRPC); port 0 picks a free one [default: 127.0.0.1:7600]
     #[arg(long, value_name = "ADDRESS")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -257,6 +268,12 @@ impl Config {
     /// If a path is not UTF-8.
     pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
         toml::to_string(self)
+    }
+
+    /// Where all lies that the server has.
+    #[must_use]
+    pub fn location(&self) -> DataLocation {
+        DataLocation { storage: self.storage.clone(), data_dir: self.data_dir.clone() }
     }
 
     /// [`Config::map_memory_mib`] in bytes.

@@ -228,6 +228,7 @@ impl From<StorageError> for ServiceError {
         match error {
             StorageError::DiskFull(_) => Self::disk_full(error),
             StorageError::HeldUp(_) => Self::held_up(error),
+            StorageError::TakenOver => Self::held_up(error),
             StorageError::Rot(found) => Self::damaged(&found),
             StorageError::ReadOnly(_) => Self::precondition(error),
             StorageError::OverQuota(over) => over.into(),
@@ -241,7 +242,9 @@ impl From<StorageError> for ServiceError {
             | StorageError::NoDatabase { .. }
             | StorageError::Damaged(_)
             | StorageError::Broken { .. }
-            | StorageError::Sqlite(_)
+            | StorageError::Failed(_)
+            | StorageError::Owned { .. }
+            | StorageError::Unfit(_)
             | StorageError::Migration(_) => Self::internal(error),
         }
     }

@@ -27,7 +27,6 @@ mod wire;
 
 use std::future::Future;
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -39,11 +38,11 @@ pub use crate::net::tls::{Tls, TlsError, TlsFiles};
 pub use crate::quotas::ServerLimits;
 pub use crate::role::{Ability, Role};
 
-use crate::config::Config;
+use crate::config::{Config, DataLocation, StorageAddress};
 use crate::metrics::{HISTORY_EVERY, Metrics};
 use crate::service::Service;
 use crate::service::tokens::{Anonymous, Tokens};
-use crate::storage::Storage;
+use crate::storage::{Storage, WhileOwned};
 
 /// How long connections may take to end once the server stops.
 const GRACE: Duration = Duration::from_secs(5);
@@ -77,13 +76,14 @@ pub struct Exposed {
 }
 
 impl Server {
-    /// Opens the database in `data_dir`, making it if it is missing.
+    /// Opens the database of `location`, a data directory or more, making it if it is missing. One of PostgreSQL is
+    /// waited for while another server owns it.
     ///
     /// # Errors
     /// If the directory cannot be written to, is used by another server, is of a newer version or is
-    /// damaged; the message says which and how to mend it.
-    pub async fn open(data_dir: PathBuf) -> anyhow::Result<Self> {
-        let service = open(&data_dir).await?;
+    /// damaged, or the database cannot be reached; the message says which and how to mend it.
+    pub async fn open(location: DataLocation) -> anyhow::Result<Self> {
+        let service = open(&location, WhileOwned::Wait).await?;
         service.settle().await?;
         let defaults = Config::default();
         let map_memory_bytes = defaults.map_memory_bytes();
@@ -187,8 +187,13 @@ impl Server {
         service.start_upkeep(map_memory_bytes);
         let stopping = service.stopping().clone();
         let signal = stopping.clone();
+        let taken_over = service.taken_over();
+        let lost = taken_over.clone();
         let watch = tokio::spawn(async move {
-            shutdown.await;
+            tokio::select! {
+                () = shutdown => {}
+                () = lost.happens() => tracing::error!("stopping: the database may be another server's by now"),
+            }
             signal.cancel();
         });
         let metrics = service.metrics().clone();
@@ -247,7 +252,12 @@ impl Server {
         looking.abort();
         trimming.abort();
         service.stop().await;
-        served
+        served?;
+        anyhow::ensure!(
+            !taken_over.has_happened(),
+            "another server may own the database by now; start this one again, and it waits for its turn"
+        );
+        Ok(())
     }
 }
 
@@ -256,23 +266,27 @@ fn exposed(addresses: [SocketAddr; 2]) -> Option<SocketAddr> {
     addresses.into_iter().find(|address| !address.ip().to_canonical().is_loopback())
 }
 
-async fn open(data_dir: &Path) -> anyhow::Result<Arc<Service>> {
-    let storage = Storage::open(data_dir).await?;
+async fn open(location: &DataLocation, while_owned: WhileOwned) -> anyhow::Result<Arc<Service>> {
+    let DataLocation { storage, data_dir } = location;
+    let storage = match storage {
+        StorageAddress::Sqlite => Storage::open(data_dir).await?,
+        StorageAddress::Postgres(url) => Storage::connect(url, data_dir, while_owned).await?,
+    };
     let tokens = Tokens::load(&storage).await?;
     Ok(Arc::new(Service::new(storage, tokens, Metrics::new()?)))
 }
 
-/// Opens `data_dir` and serves until `shutdown` completes; see [`Server`].
+/// Opens the database of `location` and serves until `shutdown` completes; see [`Server`].
 ///
 /// # Errors
 /// As [`Server::open`] and [`Server::serve`].
 pub async fn serve(
-    data_dir: PathBuf,
+    location: DataLocation,
     grpc: TcpListener,
     http: TcpListener,
     shutdown: impl Future<Output = ()> + Send + 'static,
 ) -> anyhow::Result<()> {
-    Server::open(data_dir).await?.serve(grpc, http, shutdown).await
+    Server::open(location).await?.serve(grpc, http, shutdown).await
 }
 
 #[cfg(test)]
@@ -286,7 +300,7 @@ mod tests {
     #[tokio::test]
     async fn only_loopback_is_served_without_a_token() {
         let directory = tempfile::tempdir().unwrap();
-        let server = Server::open(directory.path().to_owned()).await.unwrap();
+        let server = Server::open(directory.path().to_owned().into()).await.unwrap();
         for (grpc, http) in [("127.0.0.1:1", "127.9.9.9:2"), ("[::1]:1", "[::ffff:127.0.0.1]:2")] {
             assert_eq!(server.check_exposure(addresses(grpc, http)), Ok(()));
         }
@@ -310,8 +324,10 @@ mod tests {
     #[tokio::test]
     async fn with_a_token_any_address_will_do_and_the_last_one_stays() {
         let directory = tempfile::tempdir().unwrap();
-        offline::create_token(directory.path(), "operator", Role::Admin, Default::default()).await.unwrap();
-        let server = Server::open(directory.path().to_owned()).await.unwrap();
+        offline::create_token(directory.path().into(), "operator", Role::Admin, Default::default())
+            .await
+            .unwrap();
+        let server = Server::open(directory.path().to_owned().into()).await.unwrap();
         assert_eq!(server.check_exposure(addresses("0.0.0.0:1", "127.0.0.1:2")), Ok(()));
         assert!(server.service.tokens.delete("tokens/operator").await.is_err());
         server.service.stop().await;

@@ -10,7 +10,7 @@ use serde::Serialize;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
-use waypost_server::config::{Config, Flags, LogFormat, unknown_variables};
+use waypost_server::config::{Config, DataLocation, Flags, LogFormat, unknown_variables};
 use waypost_server::offline::{self, Finding, ListedToken, TokenLimits};
 use waypost_server::{Role, Server, Tls};
 
@@ -65,6 +65,18 @@ enum DataCommand {
     Backup {
         /// Where to; made if it is missing, and holds no database yet
         directory: PathBuf,
+    },
+    /// Bring all that one database holds into another: from SQLite to PostgreSQL, and back
+    ///
+    /// A server may run on the source, and is best asked for reads alone. What it takes in after the beginning is not
+    /// brought over. Cut off, the command goes on where it was when it is given again.
+    Migrate {
+        /// A data directory, or postgres://USER@HOST/DATABASE
+        #[arg(long, value_name = "SOURCE")]
+        from: DataLocation,
+        /// The same, which holds nothing yet
+        #[arg(long, value_name = "TARGET")]
+        to: DataLocation,
     },
     /// Make an empty data directory what a backup is, after reading all of that
     Restore {
@@ -127,17 +139,25 @@ async fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
 
 async fn work_on_data(command: DataCommand, config: &Config) -> anyhow::Result<ExitCode> {
     match command {
-        DataCommand::Token(command) => look_after_tokens(command, &config.data_dir).await,
+        DataCommand::Token(command) => look_after_tokens(command, config.location()).await,
         DataCommand::Check { deep: false } => report(&offline::check(config).await),
         DataCommand::Check { deep: true } => {
+            offline::need_sqlite(&config.storage, "check --deep")?;
             let mut findings = offline::check(config).await;
             findings.extend(offline::check_all(&config.data_dir).await?);
             report(&findings)
         }
         DataCommand::Backup { directory } => {
+            offline::need_sqlite(&config.storage, "backup")?;
             report(&offline::make_backup(&config.data_dir, &directory).await?)
         }
+        DataCommand::Migrate { from, to } => {
+            let findings = offline::migrate(&from, &to).await?;
+            eprintln!("all of {from} is in {to}; start a server on it");
+            report(&findings)
+        }
         DataCommand::Restore { directory } => {
+            offline::need_sqlite(&config.storage, "restore")?;
             offline::restore_backup(&directory, &config.data_dir).await?;
             eprintln!("{} is restored; start a server on it", config.data_dir.display());
             Ok(ExitCode::SUCCESS)
@@ -150,8 +170,10 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
     let map_memory_bytes = config.map_memory_bytes();
     let strangers = config.strangers();
     let limits = config.limits();
+    let location = config.location();
     let Config {
-        data_dir,
+        data_dir: _,
+        storage: _,
         grpc_address,
         http_address,
         ready_file,
@@ -176,7 +198,7 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
         tracing::warn!(variable, "no setting has this name; it is left alone");
     }
 
-    let mut server = Server::open(data_dir.clone())
+    let mut server = Server::open(location.clone())
         .await?
         .with_shipped_model()
         .await?
@@ -200,7 +222,7 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
     if let Some(file) = &ready_file {
         announce(file, &grpc_at.to_string(), &http_at.to_string())?;
     }
-    tracing::info!(grpc = %grpc_at, http = %http_at, tls = encrypted, data_dir = %data_dir.display(), "serving");
+    tracing::info!(grpc = %grpc_at, http = %http_at, tls = encrypted, data = %location, "serving");
 
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
@@ -275,21 +297,21 @@ fn report(findings: &[Finding]) -> anyhow::Result<ExitCode> {
     Ok(code)
 }
 
-async fn look_after_tokens(command: TokenCommand, data_dir: &Path) -> anyhow::Result<ExitCode> {
+async fn look_after_tokens(command: TokenCommand, location: DataLocation) -> anyhow::Result<ExitCode> {
     let mut stdout = std::io::stdout().lock();
     match command {
         TokenCommand::Create { name, role, limits } => {
-            let secret = offline::create_token(data_dir, &name, role, limits).await?;
+            let secret = offline::create_token(location, &name, role, limits).await?;
             eprintln!("this is the secret of {name}; it is not kept here, so note it now:");
             writeln!(stdout, "{secret}")?;
         }
         TokenCommand::Ls => {
-            for ListedToken { name, role, limits } in offline::list_tokens(data_dir).await? {
+            for ListedToken { name, role, limits } in offline::list_tokens(location).await? {
                 let row = format!("{name}  {}  {limits}", role.name());
                 writeln!(stdout, "{}", row.trim_end())?;
             }
         }
-        TokenCommand::Rm { name } => offline::delete_token(data_dir, &name).await?,
+        TokenCommand::Rm { name } => offline::delete_token(location, &name).await?,
     }
     Ok(ExitCode::SUCCESS)
 }

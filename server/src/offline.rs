@@ -1,16 +1,22 @@
-//! What an operator does with a data directory while no server runs on it.
+//! What an operator does with a data directory, or a database, while no server runs on it.
 
 use std::path::Path;
 
+use anyhow::bail;
 use tokio::net::TcpListener;
 use waypost_proto::flags::{QuotasFlags, seconds};
 
 use crate::clock::in_words;
-use crate::config::Config;
+use crate::config::{Config, DataLocation, StorageAddress};
 use crate::net::tls::Tls;
 use crate::role::{Ability, Reach, Role};
+use crate::service::Service;
+use crate::service::maps::Detail;
 use crate::service::tokens::{NewToken, TokenRow};
-use crate::storage::{DeepInspection, Inspection, back_up, inspect, inspect_all, restore};
+use crate::storage::{
+    DeepInspection, Inspection, Moved, Source, WhileOwned, back_up, inspect, inspect_all, inspect_postgres,
+    restore,
+};
 use crate::wire::tokens::requested_limits;
 use crate::{Exposed, exposed, open};
 
@@ -42,17 +48,17 @@ pub struct TokenLimits {
     pub quotas: QuotasFlags,
 }
 
-/// Makes a token in `data_dir`; gives its secret, which is kept nowhere.
+/// Makes a token in `location`; gives its secret, which is kept nowhere.
 ///
 /// # Errors
 /// If the directory cannot be used, or the token cannot be; the message says how to mend it.
 pub async fn create_token(
-    data_dir: &Path,
+    location: DataLocation,
     name: &str,
     role: Role,
     limits: TokenLimits,
 ) -> anyhow::Result<String> {
-    let service = open(data_dir).await?;
+    let service = open(&location, WhileOwned::Refuse).await?;
     let TokenLimits { abilities, maps, lifetime_s, quotas } = limits;
     let limits = requested_limits(quotas.into());
     let new = NewToken { name: name.to_owned(), role, abilities, maps, lifetime_s, limits };
@@ -61,12 +67,12 @@ pub async fn create_token(
     Ok(created?.1)
 }
 
-/// All tokens in `data_dir`, by name.
+/// All tokens in `location`, by name.
 ///
 /// # Errors
 /// If the directory cannot be used.
-pub async fn list_tokens(data_dir: &Path) -> anyhow::Result<Vec<ListedToken>> {
-    let service = open(data_dir).await?;
+pub async fn list_tokens(location: DataLocation) -> anyhow::Result<Vec<ListedToken>> {
+    let service = open(&location, WhileOwned::Refuse).await?;
     let listed = service.tokens.all();
     service.stop().await;
     Ok(listed.into_iter().map(listed_token).collect())
@@ -84,12 +90,12 @@ fn listed_token(token: TokenRow) -> ListedToken {
     }
 }
 
-/// Deletes a token in `data_dir`.
+/// Deletes a token in `location`.
 ///
 /// # Errors
 /// If the directory cannot be used, or the token must stay; the message says how to mend it.
-pub async fn delete_token(data_dir: &Path, name: &str) -> anyhow::Result<()> {
-    let service = open(data_dir).await?;
+pub async fn delete_token(location: DataLocation, name: &str) -> anyhow::Result<()> {
+    let service = open(&location, WhileOwned::Refuse).await?;
     let deleted = service.tokens.delete(&format!("tokens/{name}")).await;
     service.stop().await;
     Ok(deleted?)
@@ -108,10 +114,10 @@ pub struct Finding {
 /// wrong. The data directory is made if it is missing, nothing in it is changed.
 pub async fn check(config: &Config) -> Vec<Finding> {
     let tls = check_tls(config);
-    let (data, tokens) = check_data(&config.data_dir).await;
+    let (data, tokens) = check_data(&config.location()).await;
     let mut findings = vec![
         Finding { subject: "certificates", result: tls },
-        Finding { subject: "data directory", result: data },
+        Finding { subject: config.location().subject(), result: data },
     ];
     if let Some(tokens) = tokens {
         findings.push(Finding { subject: "access", result: check_access(config, tokens) });
@@ -119,6 +125,20 @@ pub async fn check(config: &Config) -> Vec<Finding> {
         findings.push(Finding { subject: "addresses", result: check_addresses(config).await });
     }
     findings
+}
+
+/// That something is about a data directory, which a database of PostgreSQL has not got.
+///
+/// # Errors
+/// If `storage` is one; the message says what does it there.
+pub fn need_sqlite(storage: &StorageAddress, what: &str) -> anyhow::Result<()> {
+    match storage {
+        StorageAddress::Sqlite => Ok(()),
+        StorageAddress::Postgres(_) => bail!(
+            "`{what}` is for SQLite; a database of PostgreSQL has its own means, as pg_dump and pg_basebackup \
+             (https://www.postgresql.org/docs/current/backup.html)"
+        ),
+    }
 }
 
 /// Reads all that `data_dir` holds, whole pages and every row, and says what is not as it was written. Changes nothing.
@@ -167,6 +187,39 @@ pub async fn restore_backup(directory: &Path, data_dir: &Path) -> anyhow::Result
     Ok(restore(directory, data_dir).await?)
 }
 
+/// Brings all that `from` holds, and may be serving, into `to`, which holds nothing, or what an earlier run that was cut off
+/// left. Every row is read back and compared; then every map is opened, and its state hash is told.
+///
+/// # Errors
+/// If something cannot be read or written, `to` holds something else, or a server runs on it; the message says how to mend
+/// it.
+pub async fn migrate(from: &DataLocation, to: &DataLocation) -> anyhow::Result<Vec<Finding>> {
+    anyhow::ensure!(from != to, "the source and the target are the same; name another target");
+    let source = match &from.storage {
+        StorageAddress::Sqlite => Source::of_directory(&from.data_dir).await?,
+        StorageAddress::Postgres(url) => Source::of_postgres(url).await?,
+    };
+    let service = open(to, WhileOwned::Refuse).await?;
+    let moved = move_into(&service, source).await;
+    service.stop().await;
+    moved
+}
+
+async fn move_into(service: &Service, source: Source) -> anyhow::Result<Vec<Finding>> {
+    let Moved { maps, rows } = service.take_over_from(source).await?;
+    let mut findings = vec![Finding {
+        subject: "contents",
+        result: Ok(format!("{rows} rows are as they are in the source")),
+    }];
+    for name in maps {
+        let view = service.maps.get(&format!("maps/{name}"), Detail::Full).await?;
+        let state_hash = view.state_hash.unwrap_or_default();
+        findings
+            .push(Finding { subject: "map", result: Ok(format!("{name} has the state hash {state_hash}")) });
+    }
+    Ok(findings)
+}
+
 /// Makes the file system that writes checksums known to SQLite in this process; its name, for those who look into a
 /// database by themselves. What another one writes has no checksums, and is taken for damage.
 ///
@@ -190,12 +243,16 @@ fn check_tls(config: &Config) -> Result<String, String> {
 }
 
 /// Also how many tokens there are, if that can be told.
-async fn check_data(data_dir: &Path) -> (Result<String, String>, Option<u64>) {
-    match inspect(data_dir).await {
-        Ok(None) => (Ok(format!("{} holds no database yet; one will be made", data_dir.display())), Some(0)),
+async fn check_data(location: &DataLocation) -> (Result<String, String>, Option<u64>) {
+    let (inspected, makes) = match &location.storage {
+        StorageAddress::Sqlite => (inspect(&location.data_dir).await, "no database yet; one will be made"),
+        StorageAddress::Postgres(url) => (inspect_postgres(url).await, "no tables yet; they will be made"),
+    };
+    match inspected {
+        Ok(None) => (Ok(format!("{location} holds {makes}")), Some(0)),
         Ok(Some(Inspection { maps, tokens, outdated })) => {
             let update = if outdated { "; the next start brings its database up to date" } else { "" };
-            let there = format!("{} holds {maps} maps and {tokens} tokens{update}", data_dir.display());
+            let there = format!("{location} holds {maps} maps and {tokens} tokens{update}");
             (Ok(there), Some(tokens))
         }
         Err(error) => (Err(error.to_string()), None),

@@ -60,7 +60,7 @@ use crate::ingest::extraction::Extraction;
 use crate::metrics::{History, Levels, Metrics, QueueLengths};
 use crate::open_map::OpenMaps;
 use crate::quotas::ServerLimits;
-use crate::storage::Storage;
+use crate::storage::{Moved, Source, Storage, StorageError, TakenOver};
 
 /// All that the server can do, by subject. Shared by every adapter.
 #[derive(Debug)]
@@ -173,6 +173,16 @@ impl Service {
         self.jobs.stop().await;
         self.open_maps.close_all().await;
         self.storage.close().await;
+    }
+
+    /// Brings over all that another database holds; see [`Storage::take_over_from`].
+    pub(crate) async fn take_over_from(&self, source: Source) -> Result<Moved, StorageError> {
+        self.storage.take_over_from(source).await
+    }
+
+    /// When another server owns the database.
+    pub(crate) fn taken_over(&self) -> TakenOver {
+        self.storage.taken_over()
     }
 
     /// Fails with the reason while requests are better sent elsewhere: the database does not answer, or

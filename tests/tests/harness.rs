@@ -6,6 +6,7 @@ mod driving;
 mod evo;
 mod models;
 mod panoramas;
+mod postgres;
 mod process;
 mod proxy;
 mod reference;
@@ -22,6 +23,7 @@ pub(crate) use driving::{Drive, building, camera_ahead, driven, exported, frame_
 pub(crate) use evo::evo_rmse_m;
 pub(crate) use models::{model_of_other_words, recalibrated_model, take_model};
 pub(crate) use panoramas::{PANORAMA_PX, Panoramas, TaughtPlace, by_looks_request, taught_at, taught_hall};
+pub(crate) use postgres::{Cluster, TestDatabase, location};
 pub(crate) use process::{Built, ServerProcess, run_to_its_end};
 pub(crate) use proxy::Proxy;
 pub(crate) use reference::{BY_WORDS_THRESHOLD, Reference, reference, reference_by_words};

@@ -10,6 +10,12 @@ mod house {
     mod licences;
 }
 
+/// Servers over one database of PostgreSQL.
+mod fleet {
+    mod migrating;
+    mod owners;
+}
+
 /// Maps: what they keep, how they are told, restored, moved and explained.
 mod maps {
     mod bad_requests;

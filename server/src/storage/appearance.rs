@@ -1,17 +1,18 @@
 //! What the panoramas of a map have in common.
 
 use fabmap::appearance::PlaceId;
-use sqlx::{QueryBuilder, Sqlite, Transaction};
+use sqlx::{Any, AssertSqlSafe, Transaction};
 
 use super::maps::check_edition;
+use super::values::{Whole, from_sql};
 use super::{MapEdition, MapId, Storage, StorageError};
 
 /// A similarity that two places were found to have.
 #[derive(Clone, Copy, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct LinkRow {
-    #[sqlx(try_from = "u32")]
+    #[sqlx(try_from = "Whole")]
     pub(crate) place: PlaceId,
-    #[sqlx(try_from = "u32")]
+    #[sqlx(try_from = "Whole")]
     pub(crate) earlier: PlaceId,
     pub(crate) similarity: f64,
 }
@@ -43,12 +44,15 @@ const ROWS: usize = 4000;
 impl Storage {
     /// Links of a map that these rules found; none if others did.
     pub(crate) async fn kept_links(&self, map: MapId, rules: u32) -> Result<KeptLinks, StorageError> {
-        let mut snapshot = self.readers.begin().await?;
+        let mut snapshot = self.snapshot(&self.readers).await?;
         let next_place = kept_until(&mut snapshot, map, rules).await?;
-        let select = "SELECT place, earlier, similarity FROM appearance_links WHERE map_id = ? AND place < ? \
+        let select = "SELECT place, earlier, similarity FROM appearance_links WHERE map_id = $1 AND place < $2 \
                       ORDER BY place, earlier";
-        let links =
-            sqlx::query_as(select).bind(map).bind(next_place.number()).fetch_all(&mut *snapshot).await?;
+        let links = sqlx::query_as(select)
+            .bind(map)
+            .bind(i64::from(next_place.number()))
+            .fetch_all(&mut *snapshot)
+            .await?;
         Ok(KeptLinks { next_place, links })
     }
 
@@ -74,24 +78,15 @@ impl Storage {
                 forget_links(transaction, map.map).await?;
             }
             for rows in links.chunks(ROWS) {
-                let insert = "INSERT INTO appearance_links (map_id, place, earlier, similarity) ";
-                let mut insert = QueryBuilder::new(insert);
-                insert.push_values(rows, |mut values, &LinkRow { place, earlier, similarity }| {
-                    values
-                        .push_bind(map.map)
-                        .push_bind(place.number())
-                        .push_bind(earlier.number())
-                        .push_bind(similarity);
-                });
-                insert.build().persistent(false).execute(&mut **transaction).await?;
+                insert_links(transaction, map.map, rows).await?;
             }
             sqlx::query(
-                "INSERT INTO appearance_graphs (map_id, rules, next_place) VALUES (?, ?, ?) \
+                "INSERT INTO appearance_graphs (map_id, rules, next_place) VALUES ($1, $2, $3) \
                  ON CONFLICT (map_id) DO UPDATE SET rules = excluded.rules, next_place = excluded.next_place",
             )
             .bind(map.map)
-            .bind(rules)
-            .bind(next_place.number())
+            .bind(i64::from(rules))
+            .bind(i64::from(next_place.number()))
             .execute(&mut **transaction)
             .await?;
             Ok(())
@@ -100,24 +95,47 @@ impl Storage {
     }
 }
 
+/// Inserts links by one statement.
+async fn insert_links(
+    transaction: &mut Transaction<'_, Any>,
+    map: MapId,
+    links: &[LinkRow],
+) -> Result<(), StorageError> {
+    let values: Vec<String> = (0..links.len())
+        .map(|row| format!("($1, ${}, ${}, ${})", 3 * row + 2, 3 * row + 3, 3 * row + 4))
+        .collect();
+    let insert = format!(
+        "INSERT INTO appearance_links (map_id, place, earlier, similarity) VALUES {}",
+        values.join(", ")
+    );
+    let mut insert = sqlx::query(AssertSqlSafe(insert)).persistent(false).bind(map);
+    for LinkRow { place, earlier, similarity } in links {
+        insert = insert.bind(i64::from(place.number())).bind(i64::from(earlier.number())).bind(similarity);
+    }
+    insert.execute(&mut **transaction).await?;
+    Ok(())
+}
+
 /// Places below have links that these rules found.
 async fn kept_until(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     map: MapId,
     rules: u32,
 ) -> Result<PlaceId, StorageError> {
-    let select = "SELECT next_place FROM appearance_graphs WHERE map_id = ? AND rules = ?";
-    let next_place = sqlx::query_scalar(select).bind(map).bind(rules).fetch_optional(&mut **transaction);
-    Ok(next_place.await?.map(PlaceId::new).unwrap_or_default())
+    let select = "SELECT next_place FROM appearance_graphs WHERE map_id = $1 AND rules = $2";
+    let next_place =
+        sqlx::query_scalar(select).bind(map).bind(i64::from(rules)).fetch_optional(&mut **transaction);
+    let next_place: Option<i64> = next_place.await?;
+    Ok(PlaceId::new(next_place.map_or(Ok(0), from_sql)?))
 }
 
 /// What was found out about the places of a map.
 pub(super) async fn forget_links(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     map: MapId,
 ) -> Result<(), StorageError> {
     for delete in
-        ["DELETE FROM appearance_links WHERE map_id = ?", "DELETE FROM appearance_graphs WHERE map_id = ?"]
+        ["DELETE FROM appearance_links WHERE map_id = $1", "DELETE FROM appearance_graphs WHERE map_id = $1"]
     {
         sqlx::query(delete).bind(map).execute(&mut **transaction).await?;
     }

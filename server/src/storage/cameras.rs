@@ -1,29 +1,28 @@
 //! Cameras as a column keeps them, and those that earlier servers kept as messages.
 
+use sqlx::any::{AnyTypeInfo, AnyValueRef};
 use sqlx::encode::IsNull;
 use sqlx::error::BoxDynError;
-use sqlx::sqlite::{SqliteArgumentsBuffer, SqliteTypeInfo, SqliteValueRef};
-use sqlx::{Decode, Encode, Sqlite, Type};
-use topomap::ids::SessionId;
+use sqlx::{Any, Database, Decode, Encode, Type};
 
 use super::{MapId, Storage, StorageError};
 use crate::camera::{Camera, from_message};
 
-impl Type<Sqlite> for Camera {
-    fn type_info() -> SqliteTypeInfo {
-        <Vec<u8> as Type<Sqlite>>::type_info()
+impl Type<Any> for Camera {
+    fn type_info() -> AnyTypeInfo {
+        <Vec<u8> as Type<Any>>::type_info()
     }
 }
 
-impl<'row> Decode<'row, Sqlite> for Camera {
-    fn decode(value: SqliteValueRef<'row>) -> Result<Self, BoxDynError> {
-        Ok(Camera::from_bytes(<&[u8] as Decode<Sqlite>>::decode(value)?)?)
+impl<'row> Decode<'row, Any> for Camera {
+    fn decode(value: AnyValueRef<'row>) -> Result<Self, BoxDynError> {
+        Ok(Camera::from_bytes(<&[u8] as Decode<Any>>::decode(value)?)?)
     }
 }
 
-impl Encode<'_, Sqlite> for Camera {
-    fn encode_by_ref(&self, buffer: &mut SqliteArgumentsBuffer) -> Result<IsNull, BoxDynError> {
-        Encode::<Sqlite>::encode(self.to_bytes(), buffer)
+impl Encode<'_, Any> for Camera {
+    fn encode_by_ref(&self, buffer: &mut <Any as Database>::ArgumentBuffer) -> Result<IsNull, BoxDynError> {
+        Encode::<Any>::encode(self.to_bytes(), buffer)
     }
 }
 
@@ -32,7 +31,7 @@ impl Storage {
     /// session then has none.
     pub(super) async fn rewrite_camera_messages(&self) -> Result<(), StorageError> {
         self.write(async |transaction| {
-            let kept: Vec<(MapId, SessionId, Vec<u8>)> = sqlx::query_as(
+            let kept: Vec<(MapId, i64, Vec<u8>)> = sqlx::query_as(
                 "SELECT map_id, number, camera_message FROM sessions WHERE camera_message IS NOT NULL",
             )
             .fetch_all(&mut **transaction)
@@ -43,11 +42,11 @@ impl Storage {
                     continue;
                 };
                 sqlx::query(
-                    "UPDATE sessions SET camera = ?, camera_message = NULL WHERE map_id = ? AND number = ?",
+                    "UPDATE sessions SET camera = $1, camera_message = NULL WHERE map_id = $2 AND number = $3",
                 )
                 .bind(camera)
                 .bind(map)
-                .bind(session)
+                .bind(i64::from(session))
                 .execute(&mut **transaction)
                 .await?;
             }

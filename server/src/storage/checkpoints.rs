@@ -1,11 +1,12 @@
 use std::ops::Range;
 
 use fabmap::appearance::PlaceId;
-use sqlx::{Sqlite, Transaction};
+use sqlx::{Any, Transaction};
 use topomap::checkpoint::{Block, Pieces};
 use topomap::ids::SessionId;
 
-use super::{MapId, Storage, StorageError, delete_some, to_sql};
+use super::values::{Whole, from_sql, to_sql};
+use super::{MapId, Storage, StorageError, delete_some};
 
 /// Tables of a checkpoint without its head, their keys, and how many rows are deleted at a time.
 pub(super) const CHECKPOINT_PIECES: [(&str, &str, u32); 4] = [
@@ -22,16 +23,18 @@ pub(crate) struct CheckpointView {
     /// The fold of the log up to here.
     pub(crate) events: u64,
     pub(crate) head: Vec<u8>,
-    snapshot: Transaction<'static, Sqlite>,
+    snapshot: Transaction<'static, Any>,
 }
 
 /// A sealed block as it was stored.
 #[derive(Clone, Debug, sqlx::FromRow)]
 pub(crate) struct StoredBlock {
-    #[sqlx(rename = "first_place", try_from = "u32")]
+    #[sqlx(rename = "first_place", try_from = "Whole")]
     pub(crate) first: PlaceId,
+    #[sqlx(try_from = "i64")]
     pub(crate) places: u32,
     /// As of this log position.
+    #[sqlx(try_from = "i64")]
     events: u64,
     pub(crate) content: Vec<u8>,
 }
@@ -49,8 +52,8 @@ impl Storage {
         self.write(async |transaction| {
             // Never backwards: the pieces of a newer checkpoint are not this one's.
             let done = sqlx::query(
-                "INSERT INTO checkpoints (map_id, events, head) VALUES (?, ?, ?) ON CONFLICT (map_id) \
-                 DO UPDATE SET events = excluded.events, head = excluded.head WHERE excluded.events > events",
+                "INSERT INTO checkpoints (map_id, events, head) VALUES ($1, $2, $3) ON CONFLICT (map_id) \
+                 DO UPDATE SET events = excluded.events, head = excluded.head WHERE excluded.events > checkpoints.events",
             )
             .bind(map)
             .bind(to_sql(*events))
@@ -62,18 +65,18 @@ impl Storage {
             }
             for (session, content) in sessions {
                 sqlx::query(
-                    "INSERT INTO checkpoint_sessions (map_id, session, content) VALUES (?, ?, ?) \
+                    "INSERT INTO checkpoint_sessions (map_id, session, content) VALUES ($1, $2, $3) \
                      ON CONFLICT (map_id, session) DO UPDATE SET content = excluded.content",
                 )
                 .bind(map)
-                .bind(session)
+                .bind(i64::from(*session))
                 .bind(content)
                 .execute(&mut **transaction)
                 .await?;
             }
             for (first_link, content) in links {
                 sqlx::query(
-                    "INSERT INTO checkpoint_links (map_id, first_link, content) VALUES (?, ?, ?) \
+                    "INSERT INTO checkpoint_links (map_id, first_link, content) VALUES ($1, $2, $3) \
                      ON CONFLICT (map_id, first_link) DO UPDATE SET content = excluded.content",
                 )
                 .bind(map)
@@ -84,11 +87,11 @@ impl Storage {
             }
             for (place, content) in places {
                 sqlx::query(
-                    "INSERT INTO checkpoint_places (map_id, place, events, content) VALUES (?, ?, ?, ?) \
+                    "INSERT INTO checkpoint_places (map_id, place, events, content) VALUES ($1, $2, $3, $4) \
                      ON CONFLICT (map_id, place) DO UPDATE SET events = excluded.events, content = excluded.content",
                 )
                 .bind(map)
-                .bind(place.number())
+                .bind(i64::from(place.number()))
                 .bind(to_sql(*events))
                 .bind(content)
                 .execute(&mut **transaction)
@@ -118,10 +121,10 @@ impl Storage {
         self.write(async |transaction| {
             if let Some(before) = before {
                 let done = sqlx::query(
-                    "DELETE FROM checkpoint_blocks WHERE map_id = ? AND first_place = ? AND events = ?",
+                    "DELETE FROM checkpoint_blocks WHERE map_id = $1 AND first_place = $2 AND events = $3",
                 )
                 .bind(map)
-                .bind(before.first.number())
+                .bind(i64::from(before.first.number()))
                 .bind(to_sql(before.events))
                 .execute(&mut **transaction)
                 .await?;
@@ -132,11 +135,11 @@ impl Storage {
             for block in sealed {
                 insert_block(transaction, map, events, block).await?;
                 sqlx::query(
-                    "DELETE FROM checkpoint_places WHERE map_id = ? AND place >= ? AND place < ? AND events <= ?",
+                    "DELETE FROM checkpoint_places WHERE map_id = $1 AND place >= $2 AND place < $3 AND events <= $4",
                 )
                 .bind(map)
-                .bind(block.first.number())
-                .bind(PlaceId::new(block.places).counted_from(block.first).number())
+                .bind(i64::from(block.first.number()))
+                .bind(i64::from(PlaceId::new(block.places).counted_from(block.first).number()))
                 .bind(to_sql(events))
                 .execute(&mut **transaction)
                 .await?;
@@ -148,19 +151,20 @@ impl Storage {
 
     /// A view of a map's checkpoint as it is now; `None` if there is none.
     pub(crate) async fn view_checkpoint(&self, map: MapId) -> Result<Option<CheckpointView>, StorageError> {
-        let mut snapshot = self.readers.begin().await?;
-        let head = sqlx::query_as("SELECT events, head FROM checkpoints WHERE map_id = ?")
+        let mut snapshot = self.snapshot(&self.readers).await?;
+        let head = sqlx::query_as("SELECT events, head FROM checkpoints WHERE map_id = $1")
             .bind(map)
             .fetch_optional(&mut *snapshot)
             .await?;
-        Ok(head.map(|(events, head)| CheckpointView { map, events, head, snapshot }))
+        let Some((events, head)) = head else { return Ok(None) };
+        Ok(Some(CheckpointView { map, events: from_sql(events)?, head, snapshot }))
     }
 
     /// Forgets a checkpoint that cannot be used; the log has it all.
     pub(crate) async fn delete_checkpoint(&self, map: MapId) -> Result<(), StorageError> {
         // The head first: without it the rest is nothing, however far the deleting comes.
         self.write(async |transaction| {
-            sqlx::query("DELETE FROM checkpoints WHERE map_id = ?")
+            sqlx::query("DELETE FROM checkpoints WHERE map_id = $1")
                 .bind(map)
                 .execute(&mut **transaction)
                 .await?;
@@ -177,20 +181,22 @@ impl Storage {
 impl CheckpointView {
     /// Every session.
     pub(crate) async fn sessions(&mut self) -> Result<Vec<(SessionId, Vec<u8>)>, StorageError> {
-        Ok(sqlx::query_as("SELECT session, content FROM checkpoint_sessions WHERE map_id = ?")
+        let rows = sqlx::query_as("SELECT session, content FROM checkpoint_sessions WHERE map_id = $1")
             .bind(self.map)
             .fetch_all(&mut *self.snapshot)
-            .await?)
+            .await?;
+        keyed(rows)
     }
 
     /// All links in order, by the number of the first of each piece.
     pub(crate) async fn links(&mut self) -> Result<Vec<(u64, Vec<u8>)>, StorageError> {
-        Ok(sqlx::query_as(
-            "SELECT first_link, content FROM checkpoint_links WHERE map_id = ? ORDER BY first_link",
+        let rows = sqlx::query_as(
+            "SELECT first_link, content FROM checkpoint_links WHERE map_id = $1 ORDER BY first_link",
         )
         .bind(self.map)
         .fetch_all(&mut *self.snapshot)
-        .await?)
+        .await?;
+        keyed(rows)
     }
 
     /// The places of `places` that hold over their blocks, or are in none; ascending.
@@ -198,15 +204,15 @@ impl CheckpointView {
         &mut self,
         places: Range<PlaceId>,
     ) -> Result<Vec<(PlaceId, Vec<u8>)>, StorageError> {
-        let rows: Vec<(u32, Vec<u8>)> = sqlx::query_as(
-            "SELECT place, content FROM checkpoint_places WHERE map_id = ? AND place >= ? AND place < ? ORDER BY place",
+        let rows = sqlx::query_as(
+            "SELECT place, content FROM checkpoint_places WHERE map_id = $1 AND place >= $2 AND place < $3 ORDER BY place",
         )
         .bind(self.map)
-        .bind(places.start.number())
-        .bind(places.end.number())
+        .bind(i64::from(places.start.number()))
+        .bind(i64::from(places.end.number()))
         .fetch_all(&mut *self.snapshot)
         .await?;
-        Ok(rows.into_iter().map(|(place, content)| (PlaceId::new(place), content)).collect())
+        Ok(keyed(rows)?.into_iter().map(|(place, content)| (PlaceId::new(place), content)).collect())
     }
 
     /// Up to `limit` blocks of places from `from` on, in order.
@@ -217,29 +223,34 @@ impl CheckpointView {
     ) -> Result<Vec<StoredBlock>, StorageError> {
         Ok(sqlx::query_as(
             "SELECT first_place, places, events, content FROM checkpoint_blocks \
-             WHERE map_id = ? AND first_place >= ? ORDER BY first_place LIMIT ?",
+             WHERE map_id = $1 AND first_place >= $2 ORDER BY first_place LIMIT $3",
         )
         .bind(self.map)
-        .bind(from.number())
-        .bind(limit)
+        .bind(i64::from(from.number()))
+        .bind(i64::from(limit))
         .fetch_all(&mut *self.snapshot)
         .await?)
     }
 }
 
+/// Rows by their keys, which are numbers.
+fn keyed<K: TryFrom<i64>>(rows: Vec<(i64, Vec<u8>)>) -> Result<Vec<(K, Vec<u8>)>, StorageError> {
+    rows.into_iter().map(|(key, content)| Ok((from_sql(key)?, content))).collect()
+}
+
 async fn insert_block(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     map: MapId,
     events: u64,
     block: &Block,
 ) -> Result<(), StorageError> {
     let Block { first, places, bytes } = block;
     sqlx::query(
-        "INSERT INTO checkpoint_blocks (map_id, first_place, places, events, content) VALUES (?, ?, ?, ?, ?)",
+        "INSERT INTO checkpoint_blocks (map_id, first_place, places, events, content) VALUES ($1, $2, $3, $4, $5)",
     )
     .bind(map)
-    .bind(first.number())
-    .bind(places)
+    .bind(i64::from(first.number()))
+    .bind(i64::from(*places))
     .bind(to_sql(events))
     .bind(bytes)
     .execute(&mut **transaction)

@@ -1,13 +1,14 @@
 //! What the log's columns tell of an event, beside its bytes.
 
 use fabmap::appearance::PlaceId;
-use sqlx::{Sqlite, Transaction};
+use sqlx::{Any, Transaction};
 use topomap::evidence::Candidate;
 use topomap::ids::SessionId;
 use topomap::log::{Confirmation, Correction, CorrectionEvent, Link, MapEvent, Reason, Undoing};
 
 use super::row_sums::checksum;
-use super::{MapId, StorageError, to_sql};
+use super::values::{MaybeReal, MaybeWhole, to_sql};
+use super::{MapId, StorageError};
 
 /// What the column of reasons says of corrections.
 const WITHDRAWN: &str = "closure_withdrawn";
@@ -17,16 +18,20 @@ const UNDONE: &str = "correction_undone";
 /// The columns of an event.
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(super) struct EventColumns {
+    #[sqlx(try_from = "i64")]
     session: SessionId,
     sequence: Option<i64>,
     stamp_ns: Option<i64>,
     reason: Option<String>,
+    #[sqlx(try_from = "MaybeWhole")]
     place: Option<u32>,
     posterior: Option<f64>,
     matched_frame: Option<i64>,
     /// `None` in what the first servers wrote.
     probability: Option<f64>,
+    #[sqlx(try_from = "MaybeWhole")]
     link_from: Option<u32>,
+    #[sqlx(try_from = "MaybeWhole")]
     link_to: Option<u32>,
 }
 
@@ -95,7 +100,7 @@ impl EventColumns {
 
 /// Stores an event; how many bytes it takes.
 pub(super) async fn insert_event(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     map: MapId,
     position: i64,
     event: &MapEvent,
@@ -117,23 +122,23 @@ pub(super) async fn insert_event(
     // The chain goes on as in `row_sums::chained`.
     sqlx::query(
         "INSERT INTO log (map_id, position, checksum, chain, session, sequence, stamp_ns, reason, place, posterior, \
-         matched_frame, probability, link_from, link_to, event) VALUES (?1, ?2, ?3, \
-         (coalesce((SELECT chain FROM log WHERE map_id = ?1 AND position = ?2 - 1), 0) * 48271 + ?3) % 2147483647, \
-         ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14)",
+         matched_frame, probability, link_from, link_to, event) VALUES ($1, $2, $3, \
+         (coalesce((SELECT chain FROM log WHERE map_id = $1 AND position = $2 - 1), 0) * 48271 + $3) % 2147483647, \
+         $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14)",
     )
     .bind(map)
     .bind(position)
     .bind(checksum(position, &bytes))
-    .bind(session)
+    .bind(i64::from(session))
     .bind(sequence)
     .bind(stamp_ns)
     .bind(reason)
-    .bind(place)
-    .bind(posterior)
+    .bind(place.map(i64::from))
+    .bind(MaybeReal(posterior))
     .bind(matched_frame)
-    .bind(probability)
-    .bind(link_from)
-    .bind(link_to)
+    .bind(MaybeReal(probability))
+    .bind(link_from.map(i64::from))
+    .bind(link_to.map(i64::from))
     .bind(bytes)
     .execute(&mut **transaction)
     .await?;

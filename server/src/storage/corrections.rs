@@ -3,7 +3,8 @@
 use topomap::log::{CorrectionEvent, FrameEvent, MapEvent};
 
 use super::log::as_frame;
-use super::{MapId, Storage, StorageError, to_sql};
+use super::values::to_sql;
+use super::{MapId, Storage, StorageError};
 
 impl Storage {
     /// All that people said of a map's loop closures, undone or not, in the order of the log.
@@ -11,7 +12,7 @@ impl Storage {
         // As its index says it.
         let stored = sqlx::query_as(
             "SELECT position, event, checksum, chain FROM log \
-             WHERE map_id = ? AND sequence IS NULL AND reason IS NOT NULL ORDER BY position",
+             WHERE map_id = $1 AND sequence IS NULL AND reason IS NOT NULL ORDER BY position",
         )
         .bind(map)
         .fetch_all(&self.readers)
@@ -33,13 +34,13 @@ impl Storage {
         vocabulary_len: usize,
     ) -> Result<Vec<FrameEvent>, StorageError> {
         let stored = sqlx::query_as(
-            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND session = ? AND sequence < ? \
-             ORDER BY sequence DESC LIMIT ?",
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = $1 AND session = $2 AND sequence < $3 \
+             ORDER BY sequence DESC LIMIT $4",
         )
         .bind(map)
-        .bind(frame.session)
+        .bind(i64::from(frame.session))
         .bind(to_sql(frame.sequence))
-        .bind(most)
+        .bind(i64::from(most))
         .fetch_all(&self.readers)
         .await;
         Ok(self.decoded(map, stored, vocabulary_len).await?.into_iter().filter_map(as_frame).collect())
@@ -54,13 +55,13 @@ impl Storage {
         vocabulary_len: usize,
     ) -> Result<Vec<FrameEvent>, StorageError> {
         let stored = sqlx::query_as(
-            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND session = ? AND sequence > ? \
-             ORDER BY sequence LIMIT ?",
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = $1 AND session = $2 AND sequence > $3 \
+             ORDER BY sequence LIMIT $4",
         )
         .bind(map)
-        .bind(frame.session)
+        .bind(i64::from(frame.session))
         .bind(to_sql(frame.sequence))
-        .bind(most)
+        .bind(i64::from(most))
         .fetch_all(&self.readers)
         .await;
         Ok(self.decoded(map, stored, vocabulary_len).await?.into_iter().filter_map(as_frame).collect())

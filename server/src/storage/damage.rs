@@ -5,7 +5,8 @@ use std::sync::{PoisonError, RwLock};
 
 use topomap::ids::FrameId;
 
-use super::{MapId, Storage, StorageError, to_sql};
+use super::values::to_sql;
+use super::{MapId, Storage, StorageError};
 use crate::clock::now_ns;
 
 /// What was found first in each map that is damaged.
@@ -61,7 +62,7 @@ impl Storage {
         tracing::error!(map, found, "damage on the disk; the map is read-only from now on");
         if first {
             let noted = sqlx::query(
-                "INSERT INTO map_damage (map_id, found, found_ns) VALUES (?, ?, ?) ON CONFLICT DO NOTHING",
+                "INSERT INTO map_damage (map_id, found, found_ns) VALUES ($1, $2, $3) ON CONFLICT DO NOTHING",
             );
             let noted = noted.bind(map).bind(&found).bind(now_ns()).execute(&self.writer).await;
             if let Err(error) = noted {
@@ -73,13 +74,13 @@ impl Storage {
 
     /// A map, and an event of it, as people name them, as far as that can still be read.
     pub(super) async fn named(&self, map: MapId, place: Where) -> String {
-        let name = sqlx::query_scalar("SELECT name FROM maps WHERE id = ?").bind(map);
+        let name = sqlx::query_scalar("SELECT name FROM maps WHERE id = $1").bind(map);
         let name: Option<String> = name.fetch_optional(&self.readers).await.ok().flatten();
         let name = name.map_or_else(|| format!("map number {map}"), |name| format!("map {name}"));
         let Where::Event(position) = place else { return name };
         let frame = sqlx::query_as(
             "SELECT s.name, l.sequence FROM log AS l JOIN sessions AS s ON s.map_id = l.map_id AND s.number = l.session \
-             WHERE l.map_id = ? AND l.position = ?",
+             WHERE l.map_id = $1 AND l.position = $2",
         );
         let frame = frame.bind(map).bind(to_sql(position)).fetch_optional(&self.readers).await;
         let frame: Option<(String, Option<i64>)> = frame.ok().flatten();

@@ -3,24 +3,31 @@ use topomap::log::{FrameEvent, MapEvent};
 
 use super::damage::Where;
 use super::row_sums::StoredEvent;
-use super::{MapId, Storage, StorageError, to_sql};
+use super::values::{MaybeWhole, from_sql, to_sql};
+use super::{MapId, Storage, StorageError};
 use crate::camera::Camera;
 
 /// A session with what its frames add up to.
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct SessionSummary {
+    #[sqlx(try_from = "i64")]
     pub(crate) number: SessionId,
     pub(crate) name: String,
     pub(crate) camera: Option<Camera>,
     pub(crate) opened_ns: i64,
+    #[sqlx(try_from = "i64")]
     pub(crate) frames: u64,
+    #[sqlx(try_from = "i64")]
     pub(crate) loop_closures: u64,
+    #[sqlx(try_from = "MaybeWhole")]
     pub(crate) first_sequence: Option<u64>,
+    #[sqlx(try_from = "MaybeWhole")]
     pub(crate) last_sequence: Option<u64>,
     pub(crate) first_stamp_ns: Option<i64>,
     pub(crate) last_stamp_ns: Option<i64>,
     /// Name of the token that opened it, if one did.
     pub(crate) owner: Option<String>,
+    #[sqlx(try_from = "i64")]
     pub(crate) kept_bytes: u64,
 }
 
@@ -36,9 +43,13 @@ pub(crate) struct FrameRow {
 /// What is kept of a frame; 0 where nothing is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::FromRow)]
 pub(crate) struct FrameBytes {
+    #[sqlx(try_from = "i64")]
     pub(crate) log: u64,
+    #[sqlx(try_from = "i64")]
     pub(crate) features: u64,
+    #[sqlx(try_from = "i64")]
     pub(crate) thumbnail: u64,
+    #[sqlx(try_from = "i64")]
     pub(crate) image: u64,
 }
 
@@ -78,8 +89,9 @@ impl Storage {
         limit: u32,
     ) -> Result<Vec<SessionSummary>, StorageError> {
         let sql =
-            format!("SELECT {SESSION_COLUMNS} WHERE map_id = ? AND number >= ? ORDER BY number LIMIT ?");
-        let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(from).bind(limit);
+            format!("SELECT {SESSION_COLUMNS} WHERE map_id = $1 AND number >= $2 ORDER BY number LIMIT $3");
+        let query =
+            sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(i64::from(from)).bind(i64::from(limit));
         let summaries = query.fetch_all(&self.readers).await;
         self.noting_rot(map, Where::Somewhere, summaries.map_err(StorageError::from)).await
     }
@@ -89,7 +101,7 @@ impl Storage {
         map: MapId,
         name: &str,
     ) -> Result<Option<SessionSummary>, StorageError> {
-        let sql = format!("SELECT {SESSION_COLUMNS} WHERE map_id = ? AND name = ?");
+        let sql = format!("SELECT {SESSION_COLUMNS} WHERE map_id = $1 AND name = $2");
         let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(name);
         let summary = query.fetch_optional(&self.readers).await;
         self.noting_rot(map, Where::Somewhere, summary.map_err(StorageError::from)).await
@@ -101,11 +113,13 @@ impl Storage {
         map: MapId,
         name: &str,
     ) -> Result<Option<SessionId>, StorageError> {
-        Ok(sqlx::query_scalar("SELECT number FROM sessions WHERE map_id = ? AND name = ?")
-            .bind(map)
-            .bind(name)
-            .fetch_optional(&self.readers)
-            .await?)
+        let number: Option<i64> =
+            sqlx::query_scalar("SELECT number FROM sessions WHERE map_id = $1 AND name = $2")
+                .bind(map)
+                .bind(name)
+                .fetch_optional(&self.readers)
+                .await?;
+        number.map(from_sql).transpose()
     }
 
     /// Frames of a session whose sequence number is above `after` (all if `None`), by number; only those with that note,
@@ -120,11 +134,11 @@ impl Storage {
         vocabulary_len: usize,
     ) -> Result<Vec<FrameRow>, StorageError> {
         let sql = format!(
-            "SELECT {FRAME_COLUMNS} WHERE map_id = ?1 AND session = ?2 AND sequence > ?3 AND (?4 = '' OR note = ?4) \
-             ORDER BY sequence LIMIT ?5"
+            "SELECT {FRAME_COLUMNS} WHERE map_id = $1 AND session = $2 AND sequence > $3 AND ($4 = '' OR note = $4) \
+             ORDER BY sequence LIMIT $5"
         );
-        let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(session);
-        let query = query.bind(after.map_or(-1, to_sql)).bind(note).bind(limit);
+        let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(i64::from(session));
+        let query = query.bind(after.map_or(-1, to_sql)).bind(note).bind(i64::from(limit));
         self.frame_rows(map, query.fetch_all(&self.readers).await, vocabulary_len).await
     }
 
@@ -137,10 +151,11 @@ impl Storage {
         vocabulary_len: usize,
     ) -> Result<Vec<FrameRow>, StorageError> {
         let sql = format!(
-            "SELECT {FRAME_COLUMNS} WHERE map_id = ? AND position >= ? AND sequence IS NOT NULL \
-             ORDER BY position LIMIT ?"
+            "SELECT {FRAME_COLUMNS} WHERE map_id = $1 AND position >= $2 AND sequence IS NOT NULL \
+             ORDER BY position LIMIT $3"
         );
-        let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(to_sql(from)).bind(limit);
+        let query =
+            sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(to_sql(from)).bind(i64::from(limit));
         self.frame_rows(map, query.fetch_all(&self.readers).await, vocabulary_len).await
     }
 
@@ -152,8 +167,11 @@ impl Storage {
         sequence: u64,
         vocabulary_len: usize,
     ) -> Result<Option<FrameRow>, StorageError> {
-        let sql = format!("SELECT {FRAME_COLUMNS} WHERE map_id = ? AND session = ? AND sequence = ?");
-        let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(session).bind(to_sql(sequence));
+        let sql = format!("SELECT {FRAME_COLUMNS} WHERE map_id = $1 AND session = $2 AND sequence = $3");
+        let query = sqlx::query_as(sqlx::AssertSqlSafe(sql))
+            .bind(map)
+            .bind(i64::from(session))
+            .bind(to_sql(sequence));
         let rows = query.fetch_all(&self.readers).await;
         Ok(self.frame_rows(map, rows, vocabulary_len).await?.pop())
     }
@@ -180,10 +198,11 @@ impl Storage {
         session: SessionId,
         sequence: u64,
     ) -> Result<Option<FrameId>, StorageError> {
-        let select = "SELECT position FROM log WHERE map_id = ? AND session = ? AND sequence = ?";
-        let query = sqlx::query_scalar(select).bind(map).bind(session).bind(to_sql(sequence));
-        let position = query.fetch_optional(&self.readers).await;
-        self.noting_rot(map, Where::Somewhere, position.map_err(StorageError::from)).await
+        let select = "SELECT position FROM log WHERE map_id = $1 AND session = $2 AND sequence = $3";
+        let query = sqlx::query_scalar(select).bind(map).bind(i64::from(session)).bind(to_sql(sequence));
+        let position: Result<Option<i64>, _> = query.fetch_optional(&self.readers).await;
+        let position = self.noting_rot(map, Where::Somewhere, position.map_err(StorageError::from)).await?;
+        position.map(from_sql).transpose()
     }
 }
 

@@ -1,10 +1,12 @@
-use sqlx::{Sqlite, Transaction};
+use sqlx::{Any, Transaction};
 
-use super::{Storage, StorageError, from_sql, to_sql};
+use super::values::{from_sql, to_sql, words};
+use super::{Storage, StorageError};
 
 /// A job as the table has it.
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct JobRow {
+    #[sqlx(try_from = "i64")]
     pub(crate) number: u64,
     pub(crate) kind: JobKind,
     pub(crate) state: StoredJobState,
@@ -21,8 +23,7 @@ pub(crate) struct JobRow {
     pub(crate) maps: Option<String>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::Type)]
-#[sqlx(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum JobKind {
     TrainModel,
     ImportMap,
@@ -33,14 +34,30 @@ pub(crate) enum JobKind {
     CompactMap,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::Type)]
-#[sqlx(rename_all = "snake_case")]
+words!(JobKind {
+    TrainModel = "train_model",
+    ImportMap = "import_map",
+    MergeMaps = "merge_maps",
+    RemoveSessions = "remove_sessions",
+    RebuildMap = "rebuild_map",
+    RepairMap = "repair_map",
+    CompactMap = "compact_map",
+});
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum StoredJobState {
     Running,
     Succeeded,
     Failed,
     Cancelled,
 }
+
+words!(StoredJobState {
+    Running = "running",
+    Succeeded = "succeeded",
+    Failed = "failed",
+    Cancelled = "cancelled",
+});
 
 /// How a job ended.
 #[derive(Clone, Debug, PartialEq)]
@@ -86,27 +103,30 @@ impl Storage {
         created_ns: i64,
     ) -> Result<u64, StorageError> {
         self.write(async |transaction| {
-            let done = sqlx::query(
-                "INSERT INTO jobs (kind, maps, state, stage, created_ns) VALUES (?, ?, 'running', ?, ?)",
+            let number = sqlx::query_scalar(
+                "INSERT INTO jobs (kind, maps, state, stage, created_ns) VALUES ($1, $2, 'running', $3, $4) \
+                 RETURNING number",
             )
             .bind(kind)
             .bind(maps)
             .bind(stage)
             .bind(created_ns)
-            .execute(&mut **transaction)
+            .fetch_one(&mut **transaction)
             .await?;
-            from_sql(done.last_insert_rowid())
+            from_sql(number)
         })
         .await
     }
 
     /// Whether a job of that kind was ever begun about maps, the first of which are these; jobs are kept for 30 days.
     pub(crate) async fn was_begun(&self, kind: JobKind, maps: &[&str]) -> Result<bool, StorageError> {
-        let found = sqlx::query("SELECT 1 FROM jobs WHERE kind = ? AND instr(maps || ',', ?) = 1 LIMIT 1")
-            .bind(kind)
-            .bind(format!("{},", maps.join(",")))
-            .fetch_optional(&self.readers)
-            .await?;
+        let found = sqlx::query(
+            "SELECT 1 FROM jobs WHERE kind = $1 AND substr(maps || ',', 1, length($2)) = $2 LIMIT 1",
+        )
+        .bind(kind)
+        .bind(format!("{},", maps.join(",")))
+        .fetch_optional(&self.readers)
+        .await?;
         Ok(found.is_some())
     }
 
@@ -115,7 +135,7 @@ impl Storage {
     }
 
     pub(crate) async fn job(&self, number: u64) -> Result<Option<JobRow>, StorageError> {
-        let query = format!("SELECT {COLUMNS} FROM jobs WHERE number = ?");
+        let query = format!("SELECT {COLUMNS} FROM jobs WHERE number = $1");
         Ok(sqlx::query_as(sqlx::AssertSqlSafe(query))
             .bind(to_sql(number))
             .fetch_optional(&self.readers)
@@ -124,10 +144,10 @@ impl Storage {
 
     /// Jobs with a number below `before` (all if `None`), newest first.
     pub(crate) async fn jobs(&self, before: Option<u64>, limit: u32) -> Result<Vec<JobRow>, StorageError> {
-        let query = format!("SELECT {COLUMNS} FROM jobs WHERE number < ? ORDER BY number DESC LIMIT ?");
+        let query = format!("SELECT {COLUMNS} FROM jobs WHERE number < $1 ORDER BY number DESC LIMIT $2");
         Ok(sqlx::query_as(sqlx::AssertSqlSafe(query))
             .bind(before.map_or(i64::MAX, to_sql))
-            .bind(limit)
+            .bind(i64::from(limit))
             .fetch_all(&self.readers)
             .await?)
     }
@@ -141,7 +161,7 @@ impl Storage {
     ) -> Result<u64, StorageError> {
         self.write(async |transaction| {
             let done = sqlx::query(
-                "UPDATE jobs SET state = 'failed', error = ?, error_code = ?, ended_ns = ? WHERE state = 'running'",
+                "UPDATE jobs SET state = 'failed', error = $1, error_code = $2, ended_ns = $3 WHERE state = 'running'",
             )
             .bind(&error.message)
             .bind(&error.code)
@@ -157,7 +177,7 @@ impl Storage {
     pub(crate) async fn delete_jobs_ended_before(&self, ended_ns: i64) -> Result<u64, StorageError> {
         self.write(async |transaction| {
             let done = sqlx::query(
-                "DELETE FROM jobs WHERE ended_ns < ? AND (state = 'succeeded' OR result IS NULL)",
+                "DELETE FROM jobs WHERE ended_ns < $1 AND (state = 'succeeded' OR result IS NULL)",
             )
             .bind(ended_ns)
             .execute(&mut **transaction)
@@ -170,14 +190,14 @@ impl Storage {
 
 /// [`StorageError::JobEnded`] unless it runs: one that was cut off must not come to have made something.
 pub(super) async fn end_job(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     end: &JobEnd,
 ) -> Result<(), StorageError> {
     let JobEnd { number, state, stage, result, error, ended_ns } = end;
     // What a job that did not succeed brought in is noted until it is cleaned up.
     let done = sqlx::query(
-        "UPDATE jobs SET state = ?1, stage = ?2, result = CASE ?1 WHEN 'succeeded' THEN ?3 ELSE result END, \
-         error = ?4, error_code = coalesce(?5, error_code), ended_ns = ?6 WHERE number = ?7 AND state = 'running'",
+        "UPDATE jobs SET state = $1, stage = $2, result = CASE $1 WHEN 'succeeded' THEN $3 ELSE result END, \
+         error = $4, error_code = coalesce($5, error_code), ended_ns = $6 WHERE number = $7 AND state = 'running'",
     )
     .bind(state)
     .bind(stage)

@@ -2,17 +2,18 @@
 
 use std::collections::BTreeMap;
 
-use sqlx::{Sqlite, SqliteConnection, Transaction};
+use sqlx::{Any, AnyConnection, Transaction};
 use topomap::ids::SessionId;
 
-use super::{MapId, Storage, StorageError, to_sql};
+use super::values::{from_sql, json_list, to_sql};
+use super::{MapId, Storage, StorageError};
 use crate::quotas::{Quotas, Used, UsedByOwner};
 
 /// What each session keeps of some map, counted from its log and media.
-const COUNTED: &str = "SELECT session, sum(bytes) AS bytes FROM ( \
-     SELECT session, length(event) AS bytes FROM log WHERE map_id = ?1 \
+const COUNTED: &str = "SELECT session, CAST(sum(bytes) AS BIGINT) AS bytes FROM ( \
+     SELECT session, length(event) AS bytes FROM log WHERE map_id = $1 \
      UNION ALL SELECT session, length(content) AS bytes FROM log JOIN frame_media USING (map_id, position) \
-     WHERE map_id = ?1) GROUP BY session";
+     WHERE map_id = $1) AS kept GROUP BY session";
 
 /// Bytes that sessions of a map have come to keep.
 pub(super) type KeptBySession = BTreeMap<SessionId, u64>;
@@ -26,7 +27,7 @@ impl Storage {
     /// As [`Storage::write`], for what changes whose maps and sessions there are, and what they keep.
     pub(super) async fn write_counted<T>(
         &self,
-        work: impl AsyncFnOnce(&mut Transaction<'_, Sqlite>) -> Result<T, StorageError>,
+        work: impl AsyncFnOnce(&mut Transaction<'_, Any>) -> Result<T, StorageError>,
     ) -> Result<T, StorageError> {
         // Not in the same transaction: damage in some other map would undo it.
         self.write_and(work, async |connection, _| match used_by_owner(connection).await {
@@ -69,12 +70,12 @@ impl Storage {
 
 /// Counts what the sessions of a map keep, and notes it.
 pub(super) async fn count_sessions(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     map: MapId,
 ) -> Result<(), StorageError> {
     let count = format!(
         "UPDATE sessions SET kept_bytes = counted.bytes FROM ({COUNTED}) AS counted \
-         WHERE sessions.map_id = ?1 AND sessions.number = counted.session"
+         WHERE sessions.map_id = $1 AND sessions.number = counted.session"
     );
     sqlx::query(sqlx::AssertSqlSafe(count)).bind(map).execute(&mut **transaction).await?;
     Ok(())
@@ -85,24 +86,24 @@ pub(super) fn wrongly_noted() -> String {
     format!(
         "SELECT name, kept_bytes, coalesce(counted.bytes, 0) FROM sessions \
          LEFT JOIN ({COUNTED}) AS counted ON counted.session = sessions.number \
-         WHERE sessions.map_id = ?1 AND kept_bytes != coalesce(counted.bytes, 0) ORDER BY number"
+         WHERE sessions.map_id = $1 AND kept_bytes != coalesce(counted.bytes, 0) ORDER BY number"
     )
 }
 
 /// Notes what sessions have come to keep; what that is by owner.
 pub(super) async fn add_kept(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     map: MapId,
     kept: &KeptBySession,
 ) -> Result<Vec<(Option<String>, u64)>, StorageError> {
     let mut by_owner = Vec::with_capacity(kept.len());
     for (session, bytes) in kept {
         let owner = sqlx::query_scalar(
-            "UPDATE sessions SET kept_bytes = kept_bytes + ? WHERE map_id = ? AND number = ? RETURNING owner",
+            "UPDATE sessions SET kept_bytes = kept_bytes + $1 WHERE map_id = $2 AND number = $3 RETURNING owner",
         )
         .bind(to_sql(*bytes))
         .bind(map)
-        .bind(session)
+        .bind(i64::from(*session))
         .fetch_optional(&mut **transaction)
         .await?;
         by_owner.extend(owner.map(|owner| (owner, *bytes)));
@@ -112,37 +113,38 @@ pub(super) async fn add_kept(
 
 /// How many sessions some maps have, and what they keep.
 pub(super) async fn kept_by_maps(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     maps: &[MapId],
 ) -> Result<(u64, u64), StorageError> {
-    Ok(sqlx::query_as(
-        "SELECT count(*), coalesce(sum(kept_bytes), 0) FROM sessions \
-         WHERE map_id IN (SELECT value FROM json_each(?))",
+    let (sessions, kept_bytes) = sqlx::query_as(
+        "SELECT count(*), CAST(coalesce(sum(kept_bytes), 0) AS BIGINT) FROM sessions \
+         WHERE map_id IN (SELECT value FROM json_each($1))",
     )
-    // A list of numbers is JSON already.
-    .bind(format!("{maps:?}"))
+    .bind(json_list(maps.iter().copied()))
     .fetch_one(&mut **transaction)
-    .await?)
+    .await?;
+    Ok((from_sql(sessions)?, from_sql(kept_bytes)?))
 }
 
 /// What there is by owner. What is being deleted is gone; what is being brought in is there.
-async fn used_by_owner(connection: &mut SqliteConnection) -> Result<UsedByOwner, StorageError> {
+async fn used_by_owner(connection: &mut AnyConnection) -> Result<UsedByOwner, StorageError> {
     let mut by_owner = UsedByOwner::new();
-    let sessions: Vec<(Option<String>, u64, u64)> = sqlx::query_as(
-        "SELECT sessions.owner, count(*), sum(kept_bytes) FROM sessions JOIN maps ON maps.id = sessions.map_id \
+    let sessions: Vec<(Option<String>, i64, i64)> = sqlx::query_as(
+        "SELECT sessions.owner, count(*), CAST(sum(kept_bytes) AS BIGINT) FROM sessions JOIN maps ON maps.id = sessions.map_id \
          WHERE maps.state != 'deleting' GROUP BY sessions.owner",
     )
     .fetch_all(&mut *connection)
     .await?;
     for (owner, sessions, kept_bytes) in sessions {
+        let (sessions, kept_bytes) = (from_sql(sessions)?, from_sql(kept_bytes)?);
         by_owner.insert(owner, Used { maps: 0, sessions, kept_bytes });
     }
-    let maps: Vec<(Option<String>, u64)> =
+    let maps: Vec<(Option<String>, i64)> =
         sqlx::query_as("SELECT owner, count(*) FROM maps WHERE state != 'deleting' GROUP BY owner")
             .fetch_all(&mut *connection)
             .await?;
     for (owner, maps) in maps {
-        by_owner.entry(owner).or_default().maps = maps;
+        by_owner.entry(owner).or_default().maps = from_sql(maps)?;
     }
     Ok(by_owner)
 }

@@ -2,7 +2,7 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use fabmap::appearance::PlaceId;
-use sqlx::{Sqlite, Transaction};
+use sqlx::{Any, Transaction};
 use topomap::ids::{FrameId, SessionId};
 use topomap::log::{FrameEvent, MapEvent, MeasuredEvent};
 
@@ -12,7 +12,8 @@ use super::kept::{KeptBySession, add_kept};
 use super::media::{insert_media, kept_bytes};
 use super::notes::insert_note;
 use super::row_sums::{CHAIN_START, StoredEvent};
-use super::{MapId, Medium, Storage, StorageError, to_sql};
+use super::values::{from_sql, json_list, to_sql};
+use super::{MapId, Medium, Storage, StorageError};
 use crate::quotas::Used;
 
 /// Events read at a time when a log is replayed.
@@ -32,21 +33,34 @@ pub(crate) struct LogEntry {
 /// Which frame a log position is.
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct StoredFrame {
+    #[sqlx(try_from = "i64")]
     pub(crate) session: SessionId,
+    #[sqlx(try_from = "i64")]
     pub(crate) sequence: u64,
     pub(crate) stamp_ns: i64,
     /// What its robot calls it; empty if nothing.
     pub(crate) note: String,
 }
 
+/// The same, with its position.
+#[derive(sqlx::FromRow)]
+struct FrameAt {
+    #[sqlx(try_from = "i64")]
+    position: FrameId,
+    #[sqlx(flatten)]
+    frame: StoredFrame,
+}
+
 /// A loop closure as the log's columns tell it.
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct ClosureRow {
+    #[sqlx(try_from = "i64")]
     pub(crate) position: u64,
     #[sqlx(flatten)]
     pub(crate) frame: StoredFrame,
     #[sqlx(flatten, try_from = "MatchedColumns")]
     pub(crate) matched: StoredFrame,
+    #[sqlx(try_from = "i64")]
     pub(crate) place: u32,
     pub(crate) posterior: f64,
     pub(crate) probability: Option<f64>,
@@ -55,7 +69,9 @@ pub(crate) struct ClosureRow {
 /// The frame that another matched, beside that other.
 #[derive(sqlx::FromRow)]
 struct MatchedColumns {
+    #[sqlx(try_from = "i64")]
     matched_session: SessionId,
+    #[sqlx(try_from = "i64")]
     matched_sequence: u64,
     matched_stamp_ns: i64,
     matched_note: String,
@@ -77,7 +93,7 @@ impl Storage {
     /// Appends events to a map's log, all or none, and returns when they are on the disk.
     pub(crate) async fn append(&self, map: MapId, entries: &[LogEntry]) -> Result<(), StorageError> {
         self.check_sound(map)?;
-        let append = async |transaction: &mut Transaction<'_, Sqlite>| {
+        let append = async |transaction: &mut Transaction<'_, Any>| {
             let mut kept = KeptBySession::new();
             for LogEntry { position, event, media, note } in entries {
                 let bytes = insert_event(transaction, map, to_sql(*position), event).await?;
@@ -147,13 +163,13 @@ impl Storage {
         positions: Range<u64>,
     ) -> Result<Vec<StoredEvent>, StorageError> {
         Ok(sqlx::query_as(
-            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND position >= ? AND position < ? \
-             ORDER BY position LIMIT ?",
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = $1 AND position >= $2 AND position < $3 \
+             ORDER BY position LIMIT $4",
         )
         .bind(map)
         .bind(to_sql(positions.start))
         .bind(to_sql(positions.end))
-        .bind(REPLAY_PAGE)
+        .bind(i64::from(REPLAY_PAGE))
         .fetch_all(&self.readers)
         .await?)
     }
@@ -165,7 +181,7 @@ impl Storage {
         position: FrameId,
         vocabulary_len: usize,
     ) -> Result<Option<MapEvent>, StorageError> {
-        let select = "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND position = ?";
+        let select = "SELECT position, event, checksum, chain FROM log WHERE map_id = $1 AND position = $2";
         let stored = sqlx::query_as(select).bind(map).bind(to_sql(position)).fetch_all(&self.readers).await;
         Ok(self.decoded(map, stored, vocabulary_len).await?.pop())
     }
@@ -179,10 +195,10 @@ impl Storage {
         vocabulary_len: usize,
     ) -> Result<Option<MapEvent>, StorageError> {
         let stored = sqlx::query_as(
-            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND session = ? AND sequence = ?",
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = $1 AND session = $2 AND sequence = $3",
         )
         .bind(map)
-        .bind(session)
+        .bind(i64::from(session))
         .bind(to_sql(sequence))
         .fetch_all(&self.readers)
         .await;
@@ -197,11 +213,11 @@ impl Storage {
         vocabulary_len: usize,
     ) -> Result<Option<FrameEvent>, StorageError> {
         let stored = sqlx::query_as(
-            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND session = ? AND sequence < ? \
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = $1 AND session = $2 AND sequence < $3 \
              ORDER BY sequence DESC LIMIT 1",
         )
         .bind(map)
-        .bind(frame.session)
+        .bind(i64::from(frame.session))
         .bind(to_sql(frame.sequence))
         .fetch_all(&self.readers)
         .await;
@@ -217,11 +233,11 @@ impl Storage {
         vocabulary_len: usize,
     ) -> Result<Vec<FrameEvent>, StorageError> {
         let stored = sqlx::query_as(
-            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND session = ? \
-             AND sequence IS NOT NULL ORDER BY sequence DESC LIMIT ?",
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = $1 AND session = $2 \
+             AND sequence IS NOT NULL ORDER BY sequence DESC LIMIT $3",
         )
         .bind(map)
-        .bind(session)
+        .bind(i64::from(session))
         .bind(to_sql(most as u64))
         .fetch_all(&self.readers)
         .await;
@@ -236,11 +252,11 @@ impl Storage {
         vocabulary_len: usize,
     ) -> Result<Vec<MeasuredEvent>, StorageError> {
         let stored = sqlx::query_as(
-            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND session = ? AND sequence IS NULL \
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = $1 AND session = $2 AND sequence IS NULL \
              ORDER BY position",
         )
         .bind(map)
-        .bind(session)
+        .bind(i64::from(session))
         .fetch_all(&self.readers)
         .await;
         let measured = |event| match event {
@@ -274,16 +290,17 @@ impl Storage {
         before: FrameId,
         limit: u32,
     ) -> Result<Vec<FrameId>, StorageError> {
-        let frames = sqlx::query_scalar(
-            "SELECT position FROM log WHERE map_id = ? AND place = ? AND position < ? ORDER BY position DESC LIMIT ?",
+        let frames: Result<Vec<i64>, _> = sqlx::query_scalar(
+            "SELECT position FROM log WHERE map_id = $1 AND place = $2 AND position < $3 ORDER BY position DESC LIMIT $4",
         )
         .bind(map)
-        .bind(place.number())
+        .bind(i64::from(place.number()))
         .bind(to_sql(before))
-        .bind(limit)
+        .bind(i64::from(limit))
         .fetch_all(&self.readers)
         .await;
-        self.noting_rot(map, Where::Somewhere, frames.map_err(StorageError::from)).await
+        let frames = self.noting_rot(map, Where::Somewhere, frames.map_err(StorageError::from)).await?;
+        frames.into_iter().map(from_sql).collect()
     }
 
     /// Which session and sequence number the frames at these positions have, in the same order;
@@ -303,23 +320,19 @@ impl Storage {
         map: MapId,
         positions: impl IntoIterator<Item = FrameId>,
     ) -> Result<HashMap<FrameId, StoredFrame>, StorageError> {
-        // A list of numbers is JSON already.
-        let positions = format!("{:?}", positions.into_iter().map(to_sql).collect::<Vec<_>>());
+        let positions = json_list(positions.into_iter().map(to_sql));
         let rows = sqlx::query_as(
-            "SELECT position, session, sequence, stamp_ns, coalesce(note, '') \
+            "SELECT position, session, sequence, stamp_ns, coalesce(note, '') AS note \
              FROM log LEFT JOIN frame_notes USING (map_id, position) \
-             WHERE map_id = ? AND sequence IS NOT NULL AND position IN (SELECT value FROM json_each(?))",
+             WHERE map_id = $1 AND sequence IS NOT NULL AND position IN (SELECT value FROM json_each($2))",
         )
         .bind(map)
         .bind(positions)
         .fetch_all(&self.readers)
         .await;
-        let rows: Vec<(FrameId, SessionId, u64, i64, String)> =
+        let rows: Vec<FrameAt> =
             self.noting_rot(map, Where::Somewhere, rows.map_err(StorageError::from)).await?;
-        let frame = |(position, session, sequence, stamp_ns, note)| {
-            (position, StoredFrame { session, sequence, stamp_ns, note })
-        };
-        Ok(rows.into_iter().map(frame).collect())
+        Ok(rows.into_iter().map(|FrameAt { position, frame }| (position, frame)).collect())
     }
 
     /// Loop closures after log position `after` (all if `None`), oldest first.
@@ -336,11 +349,11 @@ impl Storage {
              FROM log AS f JOIN log AS m ON m.map_id = f.map_id AND m.position = f.matched_frame \
              LEFT JOIN frame_notes AS fn ON fn.map_id = f.map_id AND fn.position = f.position \
              LEFT JOIN frame_notes AS mn ON mn.map_id = m.map_id AND mn.position = m.position \
-             WHERE f.map_id = ? AND f.reason = 'loop_closure' AND f.position > ? ORDER BY f.position LIMIT ?",
+             WHERE f.map_id = $1 AND f.reason = 'loop_closure' AND f.position > $2 ORDER BY f.position LIMIT $3",
         )
         .bind(map)
         .bind(after.map_or(-1, to_sql))
-        .bind(limit)
+        .bind(i64::from(limit))
         .fetch_all(&self.readers)
         .await;
         self.noting_rot(map, Where::Somewhere, closures.map_err(StorageError::from)).await

@@ -1,9 +1,10 @@
-use sqlx::{Sqlite, Transaction};
+use sqlx::{Any, Transaction};
 use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 
 use super::columns::insert_event;
-use super::{Storage, StorageError, to_sql};
+use super::values::{from_sql, to_sql};
+use super::{Storage, StorageError};
 use crate::camera::Camera;
 use crate::quotas::Used;
 
@@ -20,6 +21,7 @@ pub(crate) struct MapRow {
     pub(crate) settings: String,
     pub(crate) created_ns: i64,
     /// How often its log was rewritten.
+    #[sqlx(try_from = "i64")]
     pub(crate) edition: u64,
 }
 
@@ -32,6 +34,7 @@ pub(crate) struct MapEdition {
 
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct SessionRow {
+    #[sqlx(try_from = "i64")]
     pub(crate) number: SessionId,
     pub(crate) name: String,
     /// Name of the token that opened it, if one did.
@@ -41,10 +44,15 @@ pub(crate) struct SessionRow {
 /// What a map holds, by its log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, sqlx::FromRow)]
 pub(crate) struct MapCounts {
+    #[sqlx(try_from = "i64")]
     pub(crate) sessions: u64,
+    #[sqlx(try_from = "i64")]
     pub(crate) frames: u64,
+    #[sqlx(try_from = "i64")]
     pub(crate) loop_closures: u64,
+    #[sqlx(try_from = "i64")]
     pub(crate) places: u64,
+    #[sqlx(try_from = "i64")]
     pub(crate) links: u64,
 }
 
@@ -68,16 +76,16 @@ impl Storage {
         let created = self.write_counted(async |transaction| {
             // Once more: another may have been made meanwhile.
             self.quotas.check_map(owner)?;
-            let insert = "INSERT INTO maps (name, model, settings, created_ns, owner) VALUES (?, ?, ?, ?, ?)";
-            let done = sqlx::query(insert)
+            let insert = "INSERT INTO maps (name, model, settings, created_ns, owner) VALUES ($1, $2, $3, $4, $5) RETURNING id";
+            let id = sqlx::query_scalar(insert)
                 .bind(name)
                 .bind(model)
                 .bind(settings)
                 .bind(created_ns)
                 .bind(owner)
-                .execute(&mut **transaction)
+                .fetch_one(&mut **transaction)
                 .await?;
-            Ok(done.last_insert_rowid())
+            Ok(id)
         });
         let id = created.await?;
         let name = name.to_owned();
@@ -88,7 +96,7 @@ impl Storage {
 
     pub(crate) async fn map(&self, name: &str) -> Result<Option<MapRow>, StorageError> {
         Ok(sqlx::query_as(
-            "SELECT id, name, model, settings, created_ns, edition FROM maps WHERE name = ? AND state = 'live'",
+            "SELECT id, name, model, settings, created_ns, edition FROM maps WHERE name = $1 AND state = 'live'",
         )
         .bind(name)
         .fetch_optional(&self.readers)
@@ -99,21 +107,21 @@ impl Storage {
     pub(crate) async fn maps(&self, after: &str, limit: u32) -> Result<Vec<MapRow>, StorageError> {
         Ok(sqlx::query_as(
             "SELECT id, name, model, settings, created_ns, edition FROM maps \
-             WHERE name > ? AND state = 'live' ORDER BY name LIMIT ?",
+             WHERE name > $1 AND state = 'live' ORDER BY name LIMIT $2",
         )
         .bind(after)
-        .bind(limit)
+        .bind(i64::from(limit))
         .fetch_all(&self.readers)
         .await?)
     }
 
     pub(crate) async fn map_counts(&self, map: MapId) -> Result<MapCounts, StorageError> {
         Ok(sqlx::query_as(
-            "SELECT (SELECT count(*) FROM sessions WHERE map_id = ?1) AS sessions, \
-             (SELECT count(*) FROM log WHERE map_id = ?1 AND sequence IS NOT NULL) AS frames, \
-             (SELECT count(*) FROM log WHERE map_id = ?1 AND reason = 'loop_closure') AS loop_closures, \
-             (SELECT coalesce(max(place) + 1, 0) FROM log WHERE map_id = ?1 AND place IS NOT NULL) AS places, \
-             (SELECT count(*) FROM log WHERE map_id = ?1 AND link_to IS NOT NULL) AS links",
+            "SELECT (SELECT count(*) FROM sessions WHERE map_id = $1) AS sessions, \
+             (SELECT count(*) FROM log WHERE map_id = $1 AND sequence IS NOT NULL) AS frames, \
+             (SELECT count(*) FROM log WHERE map_id = $1 AND reason = 'loop_closure') AS loop_closures, \
+             (SELECT coalesce(max(place) + 1, 0) FROM log WHERE map_id = $1 AND place IS NOT NULL) AS places, \
+             (SELECT count(*) FROM log WHERE map_id = $1 AND link_to IS NOT NULL) AS links",
         )
         .bind(map)
         .fetch_one(&self.readers)
@@ -126,13 +134,13 @@ impl Storage {
         self.write(async |transaction| {
             sqlx::query(
                 "INSERT INTO map_models (map_id, until_events, model) \
-                 SELECT id, (SELECT coalesce(max(position) + 1, 0) FROM log WHERE map_id = ?1), model FROM maps \
-                 WHERE id = ?1 ON CONFLICT DO NOTHING",
+                 SELECT id, (SELECT coalesce(max(position) + 1, 0) FROM log WHERE map_id = $1), model FROM maps \
+                 WHERE id = $1 ON CONFLICT DO NOTHING",
             )
             .bind(map)
             .execute(&mut **transaction)
             .await?;
-            sqlx::query("UPDATE maps SET model = ? WHERE id = ?")
+            sqlx::query("UPDATE maps SET model = $1 WHERE id = $2")
                 .bind(model)
                 .bind(map)
                 .execute(&mut **transaction)
@@ -149,7 +157,7 @@ impl Storage {
         position: u64,
     ) -> Result<Option<String>, StorageError> {
         Ok(sqlx::query_scalar(
-            "SELECT model FROM map_models WHERE map_id = ? AND until_events > ? ORDER BY until_events LIMIT 1",
+            "SELECT model FROM map_models WHERE map_id = $1 AND until_events > $2 ORDER BY until_events LIMIT 1",
         )
         .bind(map)
         .bind(to_sql(position))
@@ -159,7 +167,7 @@ impl Storage {
 
     /// All sessions of a map, by number.
     pub(crate) async fn sessions(&self, map: MapId) -> Result<Vec<SessionRow>, StorageError> {
-        Ok(sqlx::query_as("SELECT number, name, owner FROM sessions WHERE map_id = ? ORDER BY number")
+        Ok(sqlx::query_as("SELECT number, name, owner FROM sessions WHERE map_id = $1 ORDER BY number")
             .bind(map)
             .fetch_all(&self.readers)
             .await?)
@@ -167,10 +175,12 @@ impl Storage {
 
     /// The cameras that sessions declared.
     pub(crate) async fn cameras(&self, map: MapId) -> Result<Vec<(SessionId, Camera)>, StorageError> {
-        Ok(sqlx::query_as("SELECT number, camera FROM sessions WHERE map_id = ? AND camera IS NOT NULL")
-            .bind(map)
-            .fetch_all(&self.readers)
-            .await?)
+        let cameras: Vec<(i64, Camera)> =
+            sqlx::query_as("SELECT number, camera FROM sessions WHERE map_id = $1 AND camera IS NOT NULL")
+                .bind(map)
+                .fetch_all(&self.readers)
+                .await?;
+        cameras.into_iter().map(|(session, camera)| Ok((from_sql(session)?, camera))).collect()
     }
 
     /// The camera that a session declared.
@@ -180,7 +190,7 @@ impl Storage {
         session: &str,
     ) -> Result<Option<Camera>, StorageError> {
         let camera: Option<Option<Camera>> =
-            sqlx::query_scalar("SELECT camera FROM sessions WHERE map_id = ? AND name = ?")
+            sqlx::query_scalar("SELECT camera FROM sessions WHERE map_id = $1 AND name = $2")
                 .bind(map)
                 .bind(session)
                 .fetch_optional(&self.readers)
@@ -200,17 +210,17 @@ impl Storage {
         self.check_sound(map)?;
         let owner = session.owner.as_deref();
         self.quotas.check_session(owner)?;
-        let open = async |transaction: &mut Transaction<'_, Sqlite>| {
+        let open = async |transaction: &mut Transaction<'_, Any>| {
             // Once more: another may have been opened meanwhile.
             self.quotas.check_session(owner)?;
             let event = MapEvent::SessionOpened { session: session.number };
             let kept_bytes = insert_event(transaction, map, to_sql(position), &event).await?;
             sqlx::query(
                 "INSERT INTO sessions (map_id, number, name, camera, opened_ns, owner, kept_bytes) \
-                 VALUES (?, ?, ?, ?, ?, ?, ?)",
+                 VALUES ($1, $2, $3, $4, $5, $6, $7)",
             )
             .bind(map)
-            .bind(session.number)
+            .bind(i64::from(session.number))
             .bind(&session.name)
             .bind(camera)
             .bind(opened_ns)
@@ -229,10 +239,10 @@ impl Storage {
 
 /// [`StorageError::Retold`] if the log was rewritten since, or the map deleted.
 pub(super) async fn check_edition(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     MapEdition { map, edition }: MapEdition,
 ) -> Result<(), StorageError> {
-    let row = sqlx::query("SELECT 1 FROM maps WHERE id = ? AND edition = ? AND state = 'live'")
+    let row = sqlx::query("SELECT 1 FROM maps WHERE id = $1 AND edition = $2 AND state = 'live'")
         .bind(map)
         .bind(to_sql(edition))
         .fetch_optional(&mut **transaction)

@@ -1,8 +1,9 @@
-use sqlx::{Sqlite, Transaction};
+use sqlx::{Any, Transaction};
 use topomap::ids::FrameId;
 
 use super::damage::Where;
-use super::{MapId, Storage, StorageError, to_sql};
+use super::values::{to_sql, words};
+use super::{MapId, Storage, StorageError};
 use crate::camera::Camera;
 
 /// Something that a map keeps of a frame beside its words.
@@ -13,8 +14,7 @@ pub(crate) struct Medium {
 }
 
 /// In the order of their names, which is the order of the table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, sqlx::Type)]
-#[sqlx(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum MediumKind {
     /// A [`waypost_vision::feature_record::FeatureRecord`].
     Features,
@@ -23,6 +23,8 @@ pub(crate) enum MediumKind {
     /// A small JPEG.
     Thumbnail,
 }
+
+words!(MediumKind { Features = "features", Image = "image", Thumbnail = "thumbnail" });
 
 /// Where a frame's features are, as it is kept.
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
@@ -35,10 +37,15 @@ pub(crate) struct StoredFeatures {
 /// What a map takes on the disk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, sqlx::FromRow)]
 pub(crate) struct MapBytes {
+    #[sqlx(try_from = "i64")]
     pub(crate) log: u64,
+    #[sqlx(try_from = "i64")]
     pub(crate) checkpoint: u64,
+    #[sqlx(try_from = "i64")]
     pub(crate) features: u64,
+    #[sqlx(try_from = "i64")]
     pub(crate) thumbnails: u64,
+    #[sqlx(try_from = "i64")]
     pub(crate) images: u64,
 }
 
@@ -61,7 +68,7 @@ impl Storage {
         frame: FrameId,
         kind: MediumKind,
     ) -> Result<Option<Vec<u8>>, StorageError> {
-        let select = "SELECT content FROM frame_media WHERE map_id = ? AND position = ? AND kind = ?";
+        let select = "SELECT content FROM frame_media WHERE map_id = $1 AND position = $2 AND kind = $3";
         let query = sqlx::query_scalar(select).bind(map).bind(to_sql(frame)).bind(kind);
         let medium = query.fetch_optional(&self.readers).await;
         self.noting_rot(map, Where::Event(frame), medium.map_err(StorageError::from)).await
@@ -77,7 +84,7 @@ impl Storage {
             "SELECT m.content AS features, s.camera FROM frame_media AS m \
              JOIN log AS l ON l.map_id = m.map_id AND l.position = m.position \
              JOIN sessions AS s ON s.map_id = l.map_id AND s.number = l.session \
-             WHERE m.map_id = ? AND m.position = ? AND m.kind = 'features'",
+             WHERE m.map_id = $1 AND m.position = $2 AND m.kind = 'features'",
         )
         .bind(map)
         .bind(to_sql(frame))
@@ -89,15 +96,15 @@ impl Storage {
     /// Adds up what a map takes. SQLite knows the length of a blob without reading it.
     pub(crate) async fn map_bytes(&self, map: MapId) -> Result<MapBytes, StorageError> {
         Ok(sqlx::query_as(
-            "SELECT (SELECT coalesce(sum(length(event)), 0) FROM log WHERE map_id = ?1) AS log, \
-             (SELECT coalesce(sum(length(head)), 0) FROM checkpoints WHERE map_id = ?1) + \
-             (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_sessions WHERE map_id = ?1) + \
-             (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_links WHERE map_id = ?1) + \
-             (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_blocks WHERE map_id = ?1) + \
-             (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_places WHERE map_id = ?1) AS checkpoint, \
-             (SELECT coalesce(sum(length(content)), 0) FROM frame_media WHERE map_id = ?1 AND kind = 'features') AS features, \
-             (SELECT coalesce(sum(length(content)), 0) FROM frame_media WHERE map_id = ?1 AND kind = 'thumbnail') AS thumbnails, \
-             (SELECT coalesce(sum(length(content)), 0) FROM frame_media WHERE map_id = ?1 AND kind = 'image') AS images",
+            "SELECT (SELECT coalesce(sum(length(event)), 0) FROM log WHERE map_id = $1) AS log, \
+             (SELECT coalesce(sum(length(head)), 0) FROM checkpoints WHERE map_id = $1) + \
+             (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_sessions WHERE map_id = $1) + \
+             (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_links WHERE map_id = $1) + \
+             (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_blocks WHERE map_id = $1) + \
+             (SELECT coalesce(sum(length(content)), 0) FROM checkpoint_places WHERE map_id = $1) AS checkpoint, \
+             (SELECT coalesce(sum(length(content)), 0) FROM frame_media WHERE map_id = $1 AND kind = 'features') AS features, \
+             (SELECT coalesce(sum(length(content)), 0) FROM frame_media WHERE map_id = $1 AND kind = 'thumbnail') AS thumbnails, \
+             (SELECT coalesce(sum(length(content)), 0) FROM frame_media WHERE map_id = $1 AND kind = 'image') AS images",
         )
         .bind(map)
         .fetch_one(&self.readers)
@@ -111,13 +118,13 @@ pub(crate) fn kept_bytes(media: &[Medium]) -> u64 {
 }
 
 pub(super) async fn insert_media(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     map: MapId,
     position: i64,
     media: &[Medium],
 ) -> Result<(), StorageError> {
     for Medium { kind, content } in media {
-        sqlx::query("INSERT INTO frame_media (map_id, position, kind, content) VALUES (?, ?, ?, ?)")
+        sqlx::query("INSERT INTO frame_media (map_id, position, kind, content) VALUES ($1, $2, $3, $4)")
             .bind(map)
             .bind(position)
             .bind(kind)

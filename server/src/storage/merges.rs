@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use fabmap::appearance::PlaceId;
-use sqlx::{Sqlite, Transaction};
+use sqlx::{Any, Transaction};
 use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 
@@ -13,14 +13,13 @@ use super::jobs::{ErrorColumns, end_job};
 use super::kept::{count_sessions, kept_by_maps};
 use super::maps::check_edition;
 use super::notes::copy_notes;
-use super::{
-    JobEnd, LabelRow, MapEdition, MapId, MapRow, Storage, StorageError, StoredError, StoredSession, from_sql,
-    to_sql,
-};
+use super::values::{from_sql, to_sql, words};
+use super::{JobEnd, LabelRow, MapEdition, MapId, MapRow, Storage, StorageError, StoredError, StoredSession};
 
 /// A merge as the table has it.
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct MergeRow {
+    #[sqlx(try_from = "i64")]
     pub(crate) number: u64,
     /// The name of the map that the sources go into.
     pub(crate) target: String,
@@ -28,6 +27,7 @@ pub(crate) struct MergeRow {
     #[sqlx(rename = "map_id")]
     pub(crate) map: Option<MapId>,
     /// What works on it, or did last.
+    #[sqlx(try_from = "i64")]
     pub(crate) job: u64,
     pub(crate) state: MergeState,
     /// JSON.
@@ -38,20 +38,28 @@ pub(crate) struct MergeRow {
     pub(crate) created_ns: i64,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, sqlx::Type)]
-#[sqlx(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum MergeState {
     Searching,
     /// Found; a person has to decide.
     Proposed,
     /// As far as can be told.
-    #[sqlx(rename = "apart")]
     NoOverlap,
     Committed,
     Discarded,
     Undone,
     Failed,
 }
+
+words!(MergeState {
+    Searching = "searching",
+    Proposed = "proposed",
+    NoOverlap = "apart",
+    Committed = "committed",
+    Discarded = "discarded",
+    Undone = "undone",
+    Failed = "failed",
+});
 
 /// What a merge has come to.
 #[derive(Clone, Debug, PartialEq)]
@@ -93,21 +101,22 @@ impl Storage {
         created_ns: i64,
     ) -> Result<u64, StorageError> {
         self.write(async |transaction| {
-            let done = sqlx::query(
-                "INSERT INTO merges (target, job, state, report, created_ns) VALUES (?, 0, 'searching', ?, ?)",
+            let number = sqlx::query_scalar(
+                "INSERT INTO merges (target, job, state, report, created_ns) VALUES ($1, 0, 'searching', $2, $3) \
+                 RETURNING number",
             )
             .bind(target)
             .bind(report)
             .bind(created_ns)
-            .execute(&mut **transaction)
+            .fetch_one(&mut **transaction)
             .await?;
-            from_sql(done.last_insert_rowid())
+            from_sql(number)
         })
         .await
     }
 
     pub(crate) async fn merge(&self, number: u64) -> Result<Option<MergeRow>, StorageError> {
-        let query = format!("SELECT {COLUMNS} FROM merges WHERE number = ?");
+        let query = format!("SELECT {COLUMNS} FROM merges WHERE number = $1");
         Ok(sqlx::query_as(sqlx::AssertSqlSafe(query))
             .bind(to_sql(number))
             .fetch_optional(&self.readers)
@@ -120,10 +129,10 @@ impl Storage {
         before: Option<u64>,
         limit: u32,
     ) -> Result<Vec<MergeRow>, StorageError> {
-        let query = format!("SELECT {COLUMNS} FROM merges WHERE number < ? ORDER BY number DESC LIMIT ?");
+        let query = format!("SELECT {COLUMNS} FROM merges WHERE number < $1 ORDER BY number DESC LIMIT $2");
         Ok(sqlx::query_as(sqlx::AssertSqlSafe(query))
             .bind(before.map_or(i64::MAX, to_sql))
-            .bind(limit)
+            .bind(i64::from(limit))
             .fetch_all(&self.readers)
             .await?)
     }
@@ -131,7 +140,7 @@ impl Storage {
     /// The maps before and after, as SVG.
     pub(crate) async fn merge_picture(&self, number: u64) -> Result<Option<String>, StorageError> {
         let picture: Option<Option<String>> =
-            sqlx::query_scalar("SELECT picture FROM merges WHERE number = ?")
+            sqlx::query_scalar("SELECT picture FROM merges WHERE number = $1")
                 .bind(to_sql(number))
                 .fetch_optional(&self.readers)
                 .await?;
@@ -141,7 +150,7 @@ impl Storage {
     /// Says which job works on a merge.
     pub(crate) async fn set_merge_job(&self, number: u64, job: u64) -> Result<(), StorageError> {
         self.write(async |transaction| {
-            sqlx::query("UPDATE merges SET job = ? WHERE number = ?")
+            sqlx::query("UPDATE merges SET job = $1 WHERE number = $2")
                 .bind(to_sql(job))
                 .bind(to_sql(number))
                 .execute(&mut **transaction)
@@ -159,7 +168,7 @@ impl Storage {
         end: Option<&JobEnd>,
     ) -> Result<(), StorageError> {
         self.write(async |transaction| {
-            sqlx::query("UPDATE merges SET picture = ? WHERE number = ?")
+            sqlx::query("UPDATE merges SET picture = $1 WHERE number = $2")
                 .bind(picture)
                 .bind(to_sql(outcome.number))
                 .execute(&mut **transaction)
@@ -177,7 +186,7 @@ impl Storage {
     pub(crate) async fn discard_merge(&self, number: u64) -> Result<bool, StorageError> {
         self.write(async |transaction| {
             let done =
-                sqlx::query("UPDATE merges SET state = 'discarded' WHERE number = ? AND state = 'proposed'")
+                sqlx::query("UPDATE merges SET state = 'discarded' WHERE number = $1 AND state = 'proposed'")
                     .bind(to_sql(number))
                     .execute(&mut **transaction)
                     .await?;
@@ -190,8 +199,8 @@ impl Storage {
     pub(crate) async fn fail_merge(&self, number: u64, error: &StoredError) -> Result<(), StorageError> {
         self.write(async |transaction| {
             sqlx::query(
-                "UPDATE merges SET state = 'failed', error = ?, error_code = ? \
-                 WHERE number = ? AND state IN ('searching', 'proposed')",
+                "UPDATE merges SET state = 'failed', error = $1, error_code = $2 \
+                 WHERE number = $3 AND state IN ('searching', 'proposed')",
             )
             .bind(&error.message)
             .bind(&error.code)
@@ -207,7 +216,7 @@ impl Storage {
     pub(crate) async fn fail_open_merges(&self, error: &StoredError) -> Result<(), StorageError> {
         self.write(async |transaction| {
             sqlx::query(
-                "UPDATE merges SET state = 'failed', error = ?, error_code = ? WHERE state IN ('searching', 'proposed')",
+                "UPDATE merges SET state = 'failed', error = $1, error_code = $2 WHERE state IN ('searching', 'proposed')",
             )
             .bind(&error.message)
             .bind(&error.code)
@@ -221,7 +230,7 @@ impl Storage {
     /// The sessions of a map with all that is stored of them.
     pub(crate) async fn stored_sessions(&self, map: MapId) -> Result<Vec<StoredSession>, StorageError> {
         Ok(sqlx::query_as(
-            "SELECT number, name, camera, opened_ns FROM sessions WHERE map_id = ? ORDER BY number",
+            "SELECT number, name, camera, opened_ns FROM sessions WHERE map_id = $1 ORDER BY number",
         )
         .bind(map)
         .fetch_all(&self.readers)
@@ -231,7 +240,7 @@ impl Storage {
     /// A map by its number, if it is there.
     pub(crate) async fn map_of_id(&self, map: MapId) -> Result<Option<MapRow>, StorageError> {
         Ok(sqlx::query_as(
-            "SELECT id, name, model, settings, created_ns, edition FROM maps WHERE id = ? AND state = 'live'",
+            "SELECT id, name, model, settings, created_ns, edition FROM maps WHERE id = $1 AND state = 'live'",
         )
         .bind(map)
         .fetch_optional(&self.readers)
@@ -281,26 +290,26 @@ impl Storage {
             self.quotas.check_map(owner)?;
             let (sessions, bytes) = kept_by_maps(transaction, made_of).await?;
             self.quotas.check_copies(sessions, bytes)?;
-            let done = sqlx::query(
-                "INSERT INTO maps (name, model, settings, created_ns, state, owner) VALUES (?, ?, ?, ?, 'importing', ?)",
+            let map = sqlx::query_scalar(
+                "INSERT INTO maps (name, model, settings, created_ns, state, owner) \
+                 VALUES ($1, $2, $3, $4, 'importing', $5) RETURNING id",
             )
             .bind(name)
             .bind(&base.model)
             .bind(&base.settings)
             .bind(created_ns)
             .bind(owner)
-            .execute(&mut **transaction)
+            .fetch_one(&mut **transaction)
             .await?;
-            let map = done.last_insert_rowid();
             sqlx::query(
                 "INSERT INTO map_models (map_id, until_events, model) \
-                 SELECT ?, until_events, model FROM map_models WHERE map_id = ?",
+                 SELECT $1, until_events, model FROM map_models WHERE map_id = $2",
             )
             .bind(map)
             .bind(base.id)
             .execute(&mut **transaction)
             .await?;
-            sqlx::query("INSERT INTO labels (map_id, place, label) SELECT ?, place, label FROM labels WHERE map_id = ?")
+            sqlx::query("INSERT INTO labels (map_id, place, label) SELECT $1, place, label FROM labels WHERE map_id = $2")
                 .bind(map)
                 .bind(base.id)
                 .execute(&mut **transaction)
@@ -320,9 +329,9 @@ impl Storage {
         self.write(async |transaction| {
             sqlx::query(
                 "INSERT INTO sessions (map_id, number, name, camera, opened_ns, merge, owner) \
-                 SELECT ?1, number, name, camera, opened_ns, merge, owner FROM sessions \
-                 WHERE map_id = ?2 AND number IN \
-                 (SELECT session FROM log WHERE map_id = ?2 AND position >= ?3 AND position < ?4) \
+                 SELECT $1, number, name, camera, opened_ns, merge, owner FROM sessions \
+                 WHERE map_id = $2 AND number IN \
+                 (SELECT session FROM log WHERE map_id = $2 AND position >= $3 AND position < $4) \
                  ON CONFLICT DO NOTHING",
             )
             .bind(map)
@@ -334,8 +343,8 @@ impl Storage {
             const REST: &str = "position, session, sequence, stamp_ns, reason, place, posterior, matched_frame, \
                                 probability, link_from, link_to, event, checksum, chain";
             let copy = format!(
-                "INSERT INTO log (map_id, {REST}) SELECT ?, {REST} FROM log \
-                 WHERE map_id = ? AND position >= ? AND position < ?"
+                "INSERT INTO log (map_id, {REST}) SELECT $1, {REST} FROM log \
+                 WHERE map_id = $2 AND position >= $3 AND position < $4"
             );
             sqlx::query(sqlx::AssertSqlSafe(copy))
                 .bind(map)
@@ -384,7 +393,7 @@ impl Storage {
                 check_edition(transaction, edition).await?;
             }
             count_sessions(transaction, map).await?;
-            sqlx::query("UPDATE maps SET state = 'live' WHERE id = ? AND state = 'importing'")
+            sqlx::query("UPDATE maps SET state = 'live' WHERE id = $1 AND state = 'importing'")
                 .bind(map)
                 .execute(&mut **transaction)
                 .await?;
@@ -402,7 +411,7 @@ impl Storage {
     ) -> Result<(), StorageError> {
         self.write_counted(async |transaction| {
             sqlx::query(
-                "UPDATE maps SET name = '~' || id, state = 'deleting' WHERE id = ? AND state = 'live'",
+                "UPDATE maps SET name = '~' || id, state = 'deleting' WHERE id = $1 AND state = 'live'",
             )
             .bind(map)
             .execute(&mut **transaction)
@@ -415,12 +424,12 @@ impl Storage {
 }
 
 async fn commit(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     map: MapId,
     outcome: &MergeOutcome,
     end: &JobEnd,
 ) -> Result<(), StorageError> {
-    sqlx::query("UPDATE merges SET map_id = ? WHERE number = ?")
+    sqlx::query("UPDATE merges SET map_id = $1 WHERE number = $2")
         .bind(map)
         .bind(to_sql(outcome.number))
         .execute(&mut **transaction)
@@ -431,12 +440,12 @@ async fn commit(
 
 /// [`StorageError::JobEnded`] unless the merge was `before`: what was discarded meanwhile must not come about.
 pub(super) async fn set_outcome(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     outcome: &MergeOutcome,
     before: MergeState,
 ) -> Result<(), StorageError> {
     let MergeOutcome { number, state, report } = outcome;
-    let done = sqlx::query("UPDATE merges SET state = ?, report = ? WHERE number = ? AND state = ?")
+    let done = sqlx::query("UPDATE merges SET state = $1, report = $2 WHERE number = $3 AND state = $4")
         .bind(state)
         .bind(report)
         .bind(to_sql(*number))
@@ -447,7 +456,7 @@ pub(super) async fn set_outcome(
 }
 
 async fn insert_sessions_and_labels(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     map: MapId,
     log: &JoinedLog,
     merge: u64,
@@ -455,27 +464,27 @@ async fn insert_sessions_and_labels(
     for JoinedSession { of_source, number, name } in &log.sessions {
         sqlx::query(
             "INSERT INTO sessions (map_id, number, name, camera, opened_ns, merge, owner) \
-             SELECT ?, ?, ?, camera, opened_ns, ?, owner FROM sessions WHERE map_id = ? AND number = ?",
+             SELECT $1, $2, $3, camera, opened_ns, $4, owner FROM sessions WHERE map_id = $5 AND number = $6",
         )
         .bind(map)
-        .bind(number)
+        .bind(i64::from(*number))
         .bind(name)
         .bind(to_sql(merge))
         .bind(log.source.map)
-        .bind(of_source)
+        .bind(i64::from(*of_source))
         .execute(&mut **transaction)
         .await?;
     }
-    let labels = sqlx::query_as("SELECT place, label FROM labels WHERE map_id = ?")
+    let labels = sqlx::query_as("SELECT place, label FROM labels WHERE map_id = $1")
         .bind(log.source.map)
         .fetch_all(&mut **transaction)
         .await?;
     for LabelRow { place, label } in labels {
         let Some(joined) = log.places.get(&place) else { continue };
         // What the target calls a place counts.
-        sqlx::query("INSERT INTO labels (map_id, place, label) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
+        sqlx::query("INSERT INTO labels (map_id, place, label) VALUES ($1, $2, $3) ON CONFLICT DO NOTHING")
             .bind(map)
-            .bind(joined.number())
+            .bind(i64::from(joined.number()))
             .bind(label)
             .execute(&mut **transaction)
             .await?;
@@ -485,7 +494,7 @@ async fn insert_sessions_and_labels(
 
 /// Media and notes.
 async fn copy_media(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     source: MapId,
     map: MapId,
     positions: std::ops::Range<u64>,
@@ -493,8 +502,8 @@ async fn copy_media(
 ) -> Result<(), StorageError> {
     sqlx::query(
         "INSERT INTO frame_media (map_id, position, kind, content) \
-         SELECT ?, position + ?, kind, content FROM frame_media \
-         WHERE map_id = ? AND position >= ? AND position < ?",
+         SELECT $1, position + $2, kind, content FROM frame_media \
+         WHERE map_id = $3 AND position >= $4 AND position < $5",
     )
     .bind(map)
     .bind(to_sql(from))
@@ -504,18 +513,4 @@ async fn copy_media(
     .execute(&mut **transaction)
     .await?;
     copy_notes(transaction, source, map, positions, from).await
-}
-
-impl MergeState {
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            MergeState::Searching => "searching",
-            MergeState::Proposed => "proposed",
-            MergeState::NoOverlap => "apart",
-            MergeState::Committed => "committed",
-            MergeState::Discarded => "discarded",
-            MergeState::Undone => "undone",
-            MergeState::Failed => "failed",
-        }
-    }
 }

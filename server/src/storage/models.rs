@@ -1,7 +1,8 @@
-use sqlx::{Sqlite, Transaction};
+use sqlx::{Any, Transaction};
 
 use super::jobs::{JobEnd, end_job};
-use super::{Storage, StorageError, to_sql};
+use super::values::to_sql;
+use super::{Storage, StorageError};
 
 /// What is known of a model without reading its file.
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
@@ -9,9 +10,12 @@ pub(crate) struct ModelRow {
     pub(crate) hash: String,
     pub(crate) display_name: String,
     pub(crate) extractor: String,
+    #[sqlx(try_from = "i64")]
     pub(crate) words: u64,
+    #[sqlx(try_from = "i64")]
     pub(crate) samples: u64,
     pub(crate) words_hash: String,
+    #[sqlx(try_from = "i64")]
     pub(crate) size_bytes: u64,
     pub(crate) created_ns: i64,
 }
@@ -49,11 +53,11 @@ impl Storage {
         let (created_ns, hash) = after.unwrap_or((i64::MAX, ""));
         Ok(sqlx::query_as(
             "SELECT hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns FROM models \
-             WHERE created_ns < ?1 OR (created_ns = ?1 AND hash > ?2) ORDER BY created_ns DESC, hash LIMIT ?3",
+             WHERE created_ns < $1 OR (created_ns = $1 AND hash > $2) ORDER BY created_ns DESC, hash LIMIT $3",
         )
         .bind(created_ns)
         .bind(hash)
-        .bind(limit)
+        .bind(i64::from(limit))
         .fetch_all(&self.readers)
         .await?)
     }
@@ -63,7 +67,7 @@ impl Storage {
     pub(crate) async fn models_by_hash(&self, beginning: &str) -> Result<Vec<ModelRow>, StorageError> {
         Ok(sqlx::query_as(
             "SELECT hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns FROM models \
-             WHERE substr(hash, 1, length(?1)) = ?1 ORDER BY hash LIMIT 2",
+             WHERE substr(hash, 1, length($1)) = $1 ORDER BY hash LIMIT 2",
         )
         .bind(beginning)
         .fetch_all(&self.readers)
@@ -74,7 +78,7 @@ impl Storage {
     pub(crate) async fn models_by_display_name(&self, name: &str) -> Result<Vec<ModelRow>, StorageError> {
         Ok(sqlx::query_as(
             "SELECT hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns FROM models \
-             WHERE display_name = ? ORDER BY hash LIMIT 2",
+             WHERE display_name = $1 ORDER BY hash LIMIT 2",
         )
         .bind(name)
         .fetch_all(&self.readers)
@@ -82,7 +86,7 @@ impl Storage {
     }
 
     pub(crate) async fn model_file(&self, hash: &str) -> Result<Option<Vec<u8>>, StorageError> {
-        Ok(sqlx::query_scalar("SELECT file FROM models WHERE hash = ?")
+        Ok(sqlx::query_scalar("SELECT file FROM models WHERE hash = $1")
             .bind(hash)
             .fetch_optional(&self.readers)
             .await?)
@@ -91,7 +95,7 @@ impl Storage {
     /// Whether there was one.
     pub(crate) async fn rename_model(&self, hash: &str, display_name: &str) -> Result<bool, StorageError> {
         self.write(async |transaction| {
-            let done = sqlx::query("UPDATE models SET display_name = ? WHERE hash = ?")
+            let done = sqlx::query("UPDATE models SET display_name = $1 WHERE hash = $2")
                 .bind(display_name)
                 .bind(hash)
                 .execute(&mut **transaction)
@@ -103,21 +107,27 @@ impl Storage {
 
     /// Whether there was one. [`StorageError::InUse`] while a map uses it.
     pub(crate) async fn delete_model(&self, hash: &str) -> Result<bool, StorageError> {
-        let done = sqlx::query("DELETE FROM models WHERE hash = ?").bind(hash).execute(&self.writer).await?;
-        Ok(done.rows_affected() > 0)
+        self.write(async |transaction| {
+            let done = sqlx::query("DELETE FROM models WHERE hash = $1")
+                .bind(hash)
+                .execute(&mut **transaction)
+                .await?;
+            Ok(done.rows_affected() > 0)
+        })
+        .await
     }
 }
 
 /// Whether it was not there yet. One that is there and has no name takes that of `row`; all else of it stays.
 pub(super) async fn insert_model(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     row: &ModelRow,
     file: &[u8],
 ) -> Result<bool, StorageError> {
     let ModelRow { hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns } = row;
     let done = sqlx::query(
         "INSERT INTO models (hash, display_name, extractor, words, samples, words_hash, size_bytes, created_ns, file) \
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (hash) DO NOTHING",
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9) ON CONFLICT (hash) DO NOTHING",
     )
     .bind(hash)
     .bind(display_name)
@@ -133,7 +143,7 @@ pub(super) async fn insert_model(
     if done.rows_affected() > 0 {
         return Ok(true);
     }
-    sqlx::query("UPDATE models SET display_name = ? WHERE hash = ? AND display_name = ''")
+    sqlx::query("UPDATE models SET display_name = $1 WHERE hash = $2 AND display_name = ''")
         .bind(display_name)
         .bind(hash)
         .execute(&mut **transaction)

@@ -2,18 +2,20 @@
 
 use std::ops::Range;
 
-use sqlx::{Sqlite, Transaction};
+use sqlx::{Any, Transaction};
 use topomap::ids::FrameId;
 use topomap::log::MapEvent;
 
 use super::damage::Where;
 use super::row_sums::StoredEvent;
-use super::{MapId, Storage, StorageError, to_sql};
+use super::values::to_sql;
+use super::{MapId, Storage, StorageError};
 
 /// A frame with what its robot calls it.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
 pub(crate) struct NoteRow {
     /// The frame's position in the log.
+    #[sqlx(try_from = "i64")]
     pub(crate) position: FrameId,
     pub(crate) note: String,
 }
@@ -36,7 +38,7 @@ impl Storage {
     ) -> Result<Option<(MapEvent, String)>, StorageError> {
         let row = sqlx::query_as(
             "SELECT position, event, checksum, chain, coalesce(note, '') AS note \
-             FROM log LEFT JOIN frame_notes USING (map_id, position) WHERE map_id = ? AND position = ?",
+             FROM log LEFT JOIN frame_notes USING (map_id, position) WHERE map_id = $1 AND position = $2",
         )
         .bind(map)
         .bind(to_sql(position))
@@ -56,7 +58,7 @@ impl Storage {
         positions: Range<u64>,
     ) -> Result<Vec<NoteRow>, StorageError> {
         let notes = sqlx::query_as(
-            "SELECT position, note FROM frame_notes WHERE map_id = ? AND position >= ? AND position < ? \
+            "SELECT position, note FROM frame_notes WHERE map_id = $1 AND position >= $2 AND position < $3 \
              ORDER BY position",
         )
         .bind(map)
@@ -70,7 +72,7 @@ impl Storage {
 
 /// Stores a note; an empty one is none.
 pub(super) async fn insert_note(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     map: MapId,
     position: i64,
     note: &str,
@@ -78,7 +80,7 @@ pub(super) async fn insert_note(
     if note.is_empty() {
         return Ok(());
     }
-    sqlx::query("INSERT INTO frame_notes (map_id, position, note) VALUES (?, ?, ?)")
+    sqlx::query("INSERT INTO frame_notes (map_id, position, note) VALUES ($1, $2, $3)")
         .bind(map)
         .bind(position)
         .bind(note)
@@ -89,7 +91,7 @@ pub(super) async fn insert_note(
 
 /// Gives the frames of a target, `from` positions later, the notes that those of a source have.
 pub(super) async fn copy_notes(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     source: MapId,
     map: MapId,
     positions: Range<u64>,
@@ -97,7 +99,7 @@ pub(super) async fn copy_notes(
 ) -> Result<(), StorageError> {
     sqlx::query(
         "INSERT INTO frame_notes (map_id, position, note) \
-         SELECT ?, position + ?, note FROM frame_notes WHERE map_id = ? AND position >= ? AND position < ?",
+         SELECT $1, position + $2, note FROM frame_notes WHERE map_id = $3 AND position >= $4 AND position < $5",
     )
     .bind(map)
     .bind(to_sql(from))

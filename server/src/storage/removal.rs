@@ -32,7 +32,7 @@ impl Storage {
         self.write_counted(async |transaction| {
             // Nobody can choose a name with a tilde.
             let done = sqlx::query(
-                "UPDATE maps SET name = '~' || id, state = 'deleting' WHERE name = ? AND state = 'live'",
+                "UPDATE maps SET name = '~' || id, state = 'deleting' WHERE name = $1 AND state = 'live'",
             )
             .bind(name)
             .execute(&mut **transaction)
@@ -46,7 +46,7 @@ impl Storage {
     pub(crate) async fn retire_import(&self, map: MapId) -> Result<(), StorageError> {
         self.write_counted(async |transaction| {
             sqlx::query(
-                "UPDATE maps SET name = '~' || id, state = 'deleting' WHERE id = ? AND state = 'importing'",
+                "UPDATE maps SET name = '~' || id, state = 'deleting' WHERE id = $1 AND state = 'importing'",
             )
             .bind(map)
             .execute(&mut **transaction)
@@ -82,7 +82,7 @@ impl Storage {
                     return Ok(Removal::Under);
                 }
             }
-            sqlx::query("DELETE FROM maps WHERE id = ? AND state = 'deleting'")
+            sqlx::query("DELETE FROM maps WHERE id = $1 AND state = 'deleting'")
                 .bind(map)
                 .execute(&mut **transaction)
                 .await?;
@@ -93,12 +93,12 @@ impl Storage {
 
     /// Whether a map that is being deleted still refers to the model, and no other map does.
     pub(crate) async fn only_retired_maps_use(&self, model: &str) -> Result<bool, StorageError> {
-        Ok(sqlx::query_scalar(
-            "SELECT count(*) = count(*) FILTER (WHERE state = 'deleting') FROM maps WHERE model = ?",
-        )
-        .bind(model)
-        .fetch_one(&self.readers)
-        .await?)
+        let others: i64 =
+            sqlx::query_scalar("SELECT count(*) FROM maps WHERE model = $1 AND state != 'deleting'")
+                .bind(model)
+                .fetch_one(&self.readers)
+                .await?;
+        Ok(others == 0)
     }
 
     /// Deletes a model that an import brought in and did not come to use, if nothing else uses it.
@@ -113,14 +113,14 @@ impl Storage {
             .await?;
             let Some((number, result)) = unfinished else { return Ok(false) };
             sqlx::query(
-                "DELETE FROM models WHERE 'models/' || hash = ?1 \
+                "DELETE FROM models WHERE 'models/' || hash = $1 \
                  AND NOT EXISTS (SELECT 1 FROM maps WHERE maps.model = models.hash)",
             )
             .bind(result)
             .execute(&mut **transaction)
             .await?;
-            sqlx::query("UPDATE jobs SET result = NULL WHERE number = ?")
-                .bind(number)
+            sqlx::query("UPDATE jobs SET result = NULL WHERE number = $1")
+                .bind(i64::from(number))
                 .execute(&mut **transaction)
                 .await?;
             Ok(true)

@@ -1,10 +1,9 @@
 //! A log that is rewritten, without some sessions.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use fabmap::appearance::PlaceId;
-use sqlx::{Sqlite, Transaction};
+use sqlx::{Any, Transaction};
 use topomap::ids::{FrameId, SessionId};
 use topomap::log::MapEvent;
 use topomap::rewriting::Retold;
@@ -15,9 +14,9 @@ use super::columns::insert_event;
 use super::jobs::end_job;
 use super::kept::count_sessions;
 use super::merges::set_outcome;
+use super::values::{from_sql, json_list, to_sql};
 use super::{
     FormerModelRow, JobEnd, LabelRow, MapEdition, MapId, MergeOutcome, MergeState, Storage, StorageError,
-    to_sql,
 };
 
 /// A log as it is to be from some position on.
@@ -102,8 +101,8 @@ impl Storage {
     pub(crate) async fn end_undoing(&self, map: MapId) -> Result<(), StorageError> {
         self.write(async |transaction| {
             for forget in [
-                "UPDATE sessions SET merge = NULL WHERE map_id = ?",
-                "UPDATE merges SET map_id = NULL WHERE map_id = ?",
+                "UPDATE sessions SET merge = NULL WHERE map_id = $1",
+                "UPDATE merges SET map_id = NULL WHERE map_id = $1",
             ] {
                 sqlx::query(forget).bind(map).execute(&mut **transaction).await?;
             }
@@ -112,23 +111,13 @@ impl Storage {
         .await
     }
 
-    /// Rewrites the database without what was deleted, which is still between the rows until then, and in the
-    /// write-ahead log. Commits wait meanwhile. [`StorageError::InUse`] if somebody reads from that log for so long that
-    /// it cannot be emptied.
-    pub(crate) async fn wipe_deleted(&self) -> Result<(), StorageError> {
-        let _compacting = Compacting::begin(&self.compacting);
-        sqlx::query("VACUUM").execute(&self.writer).await?;
-        // The first column says whether it could not.
-        let busy: i64 = sqlx::query_scalar("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(&self.writer).await?;
-        if busy == 0 { Ok(()) } else { Err(StorageError::InUse) }
-    }
-
     /// Events of a map's log.
     pub(crate) async fn log_events(&self, map: MapId) -> Result<u64, StorageError> {
-        Ok(sqlx::query_scalar("SELECT coalesce(max(position) + 1, 0) FROM log WHERE map_id = ?")
+        let events = sqlx::query_scalar("SELECT coalesce(max(position) + 1, 0) FROM log WHERE map_id = $1")
             .bind(map)
             .fetch_one(&self.readers)
-            .await?)
+            .await?;
+        from_sql(events)
     }
 
     /// The sessions that a merge has brought to a map.
@@ -137,42 +126,28 @@ impl Storage {
         map: MapId,
         merge: u64,
     ) -> Result<Vec<SessionId>, StorageError> {
-        let numbers = sqlx::query_scalar("SELECT number FROM sessions WHERE map_id = ? AND merge = ?")
-            .bind(map)
-            .bind(to_sql(merge))
-            .fetch_all(&self.readers)
-            .await?;
-        Ok(numbers)
-    }
-}
-
-/// Writers wait until this is dropped.
-struct Compacting<'a>(&'a AtomicBool);
-
-impl<'a> Compacting<'a> {
-    fn begin(compacting: &'a AtomicBool) -> Self {
-        compacting.store(true, Ordering::Relaxed);
-        Self(compacting)
-    }
-}
-
-impl Drop for Compacting<'_> {
-    fn drop(&mut self) {
-        self.0.store(false, Ordering::Relaxed);
+        let numbers: Vec<i64> =
+            sqlx::query_scalar("SELECT number FROM sessions WHERE map_id = $1 AND merge = $2")
+                .bind(map)
+                .bind(to_sql(merge))
+                .fetch_all(&self.readers)
+                .await?;
+        numbers.into_iter().map(from_sql).collect()
     }
 }
 
 /// [`StorageError::Retold`] if the map is no longer of that edition.
 async fn raise_edition(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     MapEdition { map, edition }: MapEdition,
 ) -> Result<(), StorageError> {
-    let done =
-        sqlx::query("UPDATE maps SET edition = edition + 1 WHERE id = ? AND edition = ? AND state = 'live'")
-            .bind(map)
-            .bind(to_sql(edition))
-            .execute(&mut **transaction)
-            .await?;
+    let done = sqlx::query(
+        "UPDATE maps SET edition = edition + 1 WHERE id = $1 AND edition = $2 AND state = 'live'",
+    )
+    .bind(map)
+    .bind(to_sql(edition))
+    .execute(&mut **transaction)
+    .await?;
     if done.rows_affected() == 1 { Ok(()) } else { Err(StorageError::Retold) }
 }
 
@@ -180,14 +155,13 @@ async fn raise_edition(
 const BESIDE_FRAMES: [&str; 2] = ["frame_media", "frame_notes"];
 
 /// What is kept of frames that stay gets the frames' new positions; the rest goes.
-async fn move_kept(transaction: &mut Transaction<'_, Sqlite>, log: &RetoldLog) -> Result<(), StorageError> {
+async fn move_kept(transaction: &mut Transaction<'_, Any>, log: &RetoldLog) -> Result<(), StorageError> {
     let map = log.map.map;
-    // A list of numbers is JSON already.
-    let positions = format!("{:?}", log.kept.keys().collect::<Vec<_>>());
+    let positions = json_list(log.kept.keys().copied().map(to_sql));
     for table in BESIDE_FRAMES {
         let delete = format!(
-            "DELETE FROM {table} WHERE map_id = ? AND position >= ? \
-             AND position NOT IN (SELECT value FROM json_each(?))"
+            "DELETE FROM {table} WHERE map_id = $1 AND position >= $2 \
+             AND position NOT IN (SELECT value FROM json_each($3))"
         );
         sqlx::query(sqlx::AssertSqlSafe(delete))
             .bind(map)
@@ -199,7 +173,7 @@ async fn move_kept(transaction: &mut Transaction<'_, Sqlite>, log: &RetoldLog) -
     // In order, so that each finds its new position free.
     for (before, now) in log.kept.iter().filter(|(before, now)| before != now) {
         for table in BESIDE_FRAMES {
-            let renumber = format!("UPDATE {table} SET position = ? WHERE map_id = ? AND position = ?");
+            let renumber = format!("UPDATE {table} SET position = $1 WHERE map_id = $2 AND position = $3");
             sqlx::query(sqlx::AssertSqlSafe(renumber))
                 .bind(to_sql(*now))
                 .bind(map)
@@ -211,12 +185,9 @@ async fn move_kept(transaction: &mut Transaction<'_, Sqlite>, log: &RetoldLog) -
     Ok(())
 }
 
-async fn replace_events(
-    transaction: &mut Transaction<'_, Sqlite>,
-    log: &RetoldLog,
-) -> Result<(), StorageError> {
+async fn replace_events(transaction: &mut Transaction<'_, Any>, log: &RetoldLog) -> Result<(), StorageError> {
     let map = log.map.map;
-    sqlx::query("DELETE FROM log WHERE map_id = ? AND position >= ?")
+    sqlx::query("DELETE FROM log WHERE map_id = $1 AND position >= $2")
         .bind(map)
         .bind(to_sql(log.from))
         .execute(&mut **transaction)
@@ -227,36 +198,30 @@ async fn replace_events(
     Ok(())
 }
 
-async fn move_sessions(
-    transaction: &mut Transaction<'_, Sqlite>,
-    log: &RetoldLog,
-) -> Result<(), StorageError> {
+async fn move_sessions(transaction: &mut Transaction<'_, Any>, log: &RetoldLog) -> Result<(), StorageError> {
     let map = log.map.map;
     for session in &log.removed_sessions {
-        sqlx::query("DELETE FROM sessions WHERE map_id = ? AND number = ?")
+        sqlx::query("DELETE FROM sessions WHERE map_id = $1 AND number = $2")
             .bind(map)
-            .bind(session)
+            .bind(i64::from(*session))
             .execute(&mut **transaction)
             .await?;
     }
     // In order, so that each finds its new number free.
     for (before, now) in log.sessions.iter().filter(|(before, now)| before != now) {
-        sqlx::query("UPDATE sessions SET number = ? WHERE map_id = ? AND number = ?")
-            .bind(now)
+        sqlx::query("UPDATE sessions SET number = $1 WHERE map_id = $2 AND number = $3")
+            .bind(i64::from(*now))
             .bind(map)
-            .bind(before)
+            .bind(i64::from(*before))
             .execute(&mut **transaction)
             .await?;
     }
     Ok(())
 }
 
-async fn delete_checkpoint(
-    transaction: &mut Transaction<'_, Sqlite>,
-    map: MapId,
-) -> Result<(), StorageError> {
+async fn delete_checkpoint(transaction: &mut Transaction<'_, Any>, map: MapId) -> Result<(), StorageError> {
     for table in CHECKPOINT_PIECES.into_iter().map(|(table, ..)| table).chain(["checkpoints"]) {
-        sqlx::query(sqlx::AssertSqlSafe(format!("DELETE FROM {table} WHERE map_id = ?")))
+        sqlx::query(sqlx::AssertSqlSafe(format!("DELETE FROM {table} WHERE map_id = $1")))
             .bind(map)
             .execute(&mut **transaction)
             .await?;
@@ -266,16 +231,16 @@ async fn delete_checkpoint(
 
 /// A former model was in use up to an event that may be another by now.
 async fn move_former_models(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     log: &RetoldLog,
 ) -> Result<(), StorageError> {
     let former =
-        sqlx::query_as("SELECT until_events, model FROM map_models WHERE map_id = ? AND until_events > ?")
+        sqlx::query_as("SELECT until_events, model FROM map_models WHERE map_id = $1 AND until_events > $2")
             .bind(log.map.map)
             .bind(to_sql(log.from))
             .fetch_all(&mut **transaction)
             .await?;
-    sqlx::query("DELETE FROM map_models WHERE map_id = ? AND until_events > ?")
+    sqlx::query("DELETE FROM map_models WHERE map_id = $1 AND until_events > $2")
         .bind(log.map.map)
         .bind(to_sql(log.from))
         .execute(&mut **transaction)
@@ -284,7 +249,7 @@ async fn move_former_models(
         let kept = log.kept.range(log.from..until_events).count() as u64;
         // Of two that have come to end at the same event, the later one was in use for none.
         sqlx::query(
-            "INSERT INTO map_models (map_id, until_events, model) VALUES (?, ?, ?) ON CONFLICT DO NOTHING",
+            "INSERT INTO map_models (map_id, until_events, model) VALUES ($1, $2, $3) ON CONFLICT DO NOTHING",
         )
         .bind(log.map.map)
         .bind(to_sql(log.from + kept))
@@ -296,16 +261,16 @@ async fn move_former_models(
 }
 
 /// Places keep what they are called, whatever their numbers.
-async fn move_labels(transaction: &mut Transaction<'_, Sqlite>, log: &RetoldLog) -> Result<(), StorageError> {
-    let labels = sqlx::query_as("DELETE FROM labels WHERE map_id = ? RETURNING place, label")
+async fn move_labels(transaction: &mut Transaction<'_, Any>, log: &RetoldLog) -> Result<(), StorageError> {
+    let labels = sqlx::query_as("DELETE FROM labels WHERE map_id = $1 RETURNING place, label")
         .bind(log.map.map)
         .fetch_all(&mut **transaction)
         .await?;
     for LabelRow { place, label } in labels {
         let Some(now) = log.places.get(place.index()).copied().flatten() else { continue };
-        sqlx::query("INSERT INTO labels (map_id, place, label) VALUES (?, ?, ?)")
+        sqlx::query("INSERT INTO labels (map_id, place, label) VALUES ($1, $2, $3)")
             .bind(log.map.map)
-            .bind(now.number())
+            .bind(i64::from(now.number()))
             .bind(label)
             .execute(&mut **transaction)
             .await?;

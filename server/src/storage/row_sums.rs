@@ -1,10 +1,10 @@
 //! Checksums of a log's events, and the chain that they make.
 
-use sqlx::sqlite::SqliteRow;
-use sqlx::{FromRow, Row, Sqlite, Transaction};
+use sqlx::{Any, Transaction};
 use topomap::log::MapEvent;
 
-use super::{MapId, Storage, StorageError, to_sql};
+use super::values::to_sql;
+use super::{MapId, Storage, StorageError};
 
 /// Events that are summed at a time.
 const PIECE: u32 = 500;
@@ -30,23 +30,14 @@ pub(super) fn chained(before: i64, checksum: i64) -> i64 {
 }
 
 /// An event as it is stored. Read with its `position`, `event`, `checksum` and `chain`.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, sqlx::FromRow)]
 pub(super) struct StoredEvent {
+    #[sqlx(try_from = "i64")]
     pub(super) position: u64,
+    #[sqlx(rename = "event")]
     pub(super) bytes: Vec<u8>,
     checksum: Option<i64>,
     chain: Option<i64>,
-}
-
-impl<'row> FromRow<'row, SqliteRow> for StoredEvent {
-    fn from_row(row: &'row SqliteRow) -> Result<Self, sqlx::Error> {
-        Ok(Self {
-            position: row.try_get("position")?,
-            bytes: row.try_get("event")?,
-            checksum: row.try_get("checksum")?,
-            chain: row.try_get("chain")?,
-        })
-    }
 }
 
 impl StoredEvent {
@@ -109,23 +100,23 @@ impl Storage {
 
 /// Sums events from a position on; where the next piece begins and what it follows, if there is one.
 async fn sum_piece(
-    transaction: &mut Transaction<'_, Sqlite>,
+    transaction: &mut Transaction<'_, Any>,
     map: MapId,
     from: i64,
     mut chain: i64,
 ) -> Result<Option<(i64, i64)>, StorageError> {
     let events: Vec<(i64, Vec<u8>)> = sqlx::query_as(
-        "SELECT position, event FROM log WHERE map_id = ? AND position >= ? ORDER BY position LIMIT ?",
+        "SELECT position, event FROM log WHERE map_id = $1 AND position >= $2 ORDER BY position LIMIT $3",
     )
     .bind(map)
     .bind(from)
-    .bind(PIECE)
+    .bind(i64::from(PIECE))
     .fetch_all(&mut **transaction)
     .await?;
     for (position, event) in &events {
         let checksum = checksum(*position, event);
         chain = chained(chain, checksum);
-        sqlx::query("UPDATE log SET checksum = ?, chain = ? WHERE map_id = ? AND position = ?")
+        sqlx::query("UPDATE log SET checksum = $1, chain = $2 WHERE map_id = $3 AND position = $4")
             .bind(checksum)
             .bind(chain)
             .bind(map)

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use fabmap::appearance::PlaceId;
-use sqlx::{Sqlite, Transaction};
+use sqlx::{Any, Transaction};
 use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 
@@ -13,7 +13,8 @@ use super::jobs::end_job;
 use super::labels::insert_label;
 use super::notes::insert_note;
 use super::row_sums::{CHAIN_START, StoredEvent};
-use super::{JobEnd, LabelRow, MapId, MapRow, MediumKind, ModelRow, NoteRow, Storage, StorageError, to_sql};
+use super::values::to_sql;
+use super::{JobEnd, LabelRow, MapId, MapRow, MediumKind, ModelRow, NoteRow, Storage, StorageError};
 use crate::camera::Camera;
 
 /// Log events that are read at a time.
@@ -31,6 +32,7 @@ const NOTES_PAGE: u32 = 500;
 /// A session with all that is stored of it.
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct StoredSession {
+    #[sqlx(try_from = "i64")]
     pub(crate) number: SessionId,
     pub(crate) name: String,
     pub(crate) camera: Option<Camera>,
@@ -41,6 +43,7 @@ pub(crate) struct StoredSession {
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct FormerModelRow {
     /// The log position from which it no longer was.
+    #[sqlx(try_from = "i64")]
     pub(crate) until_events: u64,
     /// Its hash.
     pub(crate) model: String,
@@ -50,6 +53,7 @@ pub(crate) struct FormerModelRow {
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(crate) struct MediaRow {
     /// The frame's position in the log.
+    #[sqlx(try_from = "i64")]
     pub(crate) position: u64,
     pub(crate) kind: MediumKind,
     pub(crate) content: Vec<u8>,
@@ -74,7 +78,7 @@ pub(crate) struct ImportedMap {
 #[derive(Debug)]
 pub(crate) struct MapView {
     map: MapRow,
-    snapshot: Transaction<'static, Sqlite>,
+    snapshot: Transaction<'static, Any>,
     storage: Storage,
     /// The next event of the log, and the link of the one before it.
     next: (u64, i64),
@@ -83,10 +87,10 @@ pub(crate) struct MapView {
 impl Storage {
     /// A view of the map of that name as it is now.
     pub(crate) async fn view_map(&self, name: &str) -> Result<Option<MapView>, StorageError> {
-        let mut snapshot = self.exporters.begin().await?;
+        let mut snapshot = self.snapshot(&self.exporters).await?;
         // The first read is what fixes the view.
         let map = sqlx::query_as(
-            "SELECT id, name, model, settings, created_ns, edition FROM maps WHERE name = ? AND state = 'live'",
+            "SELECT id, name, model, settings, created_ns, edition FROM maps WHERE name = $1 AND state = 'live'",
         )
         .bind(name)
         .fetch_optional(&mut *snapshot)
@@ -111,25 +115,25 @@ impl Storage {
             self.quotas.check_map(owner)?;
             self.quotas.check_copies(sessions.len() as u64, kept.values().sum())?;
             if super::models::insert_model(transaction, model, model_file).await? {
-                sqlx::query("UPDATE jobs SET result = 'models/' || ? WHERE number = ?")
+                sqlx::query("UPDATE jobs SET result = 'models/' || $1 WHERE number = $2")
                     .bind(&model.hash)
                     .bind(to_sql(job))
                     .execute(&mut **transaction)
                     .await?;
             }
-            let done = sqlx::query(
-                "INSERT INTO maps (name, model, settings, created_ns, state, owner) VALUES (?, ?, ?, ?, 'importing', ?)",
+            let map = sqlx::query_scalar(
+                "INSERT INTO maps (name, model, settings, created_ns, state, owner) \
+                 VALUES ($1, $2, $3, $4, 'importing', $5) RETURNING id",
             )
             .bind(name)
             .bind(&model.hash)
             .bind(settings)
             .bind(created_ns)
             .bind(owner)
-            .execute(&mut **transaction)
+            .fetch_one(&mut **transaction)
             .await?;
-            let map = done.last_insert_rowid();
             for FormerModelRow { until_events, model } in former_models {
-                sqlx::query("INSERT INTO map_models (map_id, until_events, model) VALUES (?, ?, ?)")
+                sqlx::query("INSERT INTO map_models (map_id, until_events, model) VALUES ($1, $2, $3)")
                     .bind(map)
                     .bind(to_sql(*until_events))
                     .bind(model)
@@ -138,10 +142,10 @@ impl Storage {
             }
             for StoredSession { number, name, camera, opened_ns } in sessions {
                 sqlx::query(
-                    "INSERT INTO sessions (map_id, number, name, camera, opened_ns, kept_bytes) VALUES (?, ?, ?, ?, ?, ?)",
+                    "INSERT INTO sessions (map_id, number, name, camera, opened_ns, kept_bytes) VALUES ($1, $2, $3, $4, $5, $6)",
                 )
                 .bind(map)
-                .bind(number)
+                .bind(i64::from(*number))
                 .bind(name)
                 .bind(camera)
                 .bind(opened_ns)
@@ -168,13 +172,15 @@ impl Storage {
                 insert_event(transaction, map, to_sql(*position), event).await?;
             }
             for MediaRow { position, kind, content } in media {
-                sqlx::query("INSERT INTO frame_media (map_id, position, kind, content) VALUES (?, ?, ?, ?)")
-                    .bind(map)
-                    .bind(to_sql(*position))
-                    .bind(kind)
-                    .bind(content)
-                    .execute(&mut **transaction)
-                    .await?;
+                sqlx::query(
+                    "INSERT INTO frame_media (map_id, position, kind, content) VALUES ($1, $2, $3, $4)",
+                )
+                .bind(map)
+                .bind(to_sql(*position))
+                .bind(kind)
+                .bind(content)
+                .execute(&mut **transaction)
+                .await?;
             }
             for LabelRow { place, label } in labels {
                 insert_label(transaction, map, *place, label).await?;
@@ -190,7 +196,7 @@ impl Storage {
     /// Shows an imported map, and ends its job: both or neither.
     pub(crate) async fn finish_import(&self, map: MapId, end: &JobEnd) -> Result<(), StorageError> {
         self.write(async |transaction| {
-            sqlx::query("UPDATE maps SET state = 'live' WHERE id = ? AND state = 'importing'")
+            sqlx::query("UPDATE maps SET state = 'live' WHERE id = $1 AND state = 'importing'")
                 .bind(map)
                 .execute(&mut **transaction)
                 .await?;
@@ -207,7 +213,7 @@ impl MapView {
 
     /// The model's display name and file.
     pub(crate) async fn model(&mut self) -> Result<(String, Vec<u8>), StorageError> {
-        Ok(sqlx::query_as("SELECT display_name, file FROM models WHERE hash = ?")
+        Ok(sqlx::query_as("SELECT display_name, file FROM models WHERE hash = $1")
             .bind(&self.map.model)
             .fetch_one(&mut *self.snapshot)
             .await?)
@@ -215,7 +221,7 @@ impl MapView {
 
     pub(crate) async fn former_models(&mut self) -> Result<Vec<FormerModelRow>, StorageError> {
         let rows = sqlx::query_as(
-            "SELECT until_events, model FROM map_models WHERE map_id = ? ORDER BY until_events",
+            "SELECT until_events, model FROM map_models WHERE map_id = $1 ORDER BY until_events",
         )
         .bind(self.map.id)
         .fetch_all(&mut *self.snapshot)
@@ -225,7 +231,7 @@ impl MapView {
 
     pub(crate) async fn sessions(&mut self) -> Result<Vec<StoredSession>, StorageError> {
         let rows = sqlx::query_as(
-            "SELECT number, name, camera, opened_ns FROM sessions WHERE map_id = ? ORDER BY number",
+            "SELECT number, name, camera, opened_ns FROM sessions WHERE map_id = $1 ORDER BY number",
         )
         .bind(self.map.id)
         .fetch_all(&mut *self.snapshot)
@@ -238,12 +244,12 @@ impl MapView {
     pub(crate) async fn events(&mut self) -> Result<Vec<(u64, Vec<u8>)>, StorageError> {
         let (from, mut chain) = self.next;
         let stored: Result<Vec<StoredEvent>, _> = sqlx::query_as(
-            "SELECT position, event, checksum, chain FROM log WHERE map_id = ? AND position >= ? \
-             ORDER BY position LIMIT ?",
+            "SELECT position, event, checksum, chain FROM log WHERE map_id = $1 AND position >= $2 \
+             ORDER BY position LIMIT $3",
         )
         .bind(self.map.id)
         .bind(to_sql(from))
-        .bind(EVENTS_PAGE)
+        .bind(i64::from(EVENTS_PAGE))
         .fetch_all(&mut *self.snapshot)
         .await;
         let stored = self.noting_rot(Where::Somewhere, stored.map_err(StorageError::from)).await?;
@@ -269,13 +275,13 @@ impl MapView {
         let first = (-1, MediumKind::Features);
         let (position, kind) = after.map_or(first, |(position, kind)| (to_sql(position), kind));
         let media = sqlx::query_as(
-            "SELECT position, kind, content FROM frame_media WHERE map_id = ? AND (position, kind) > (?, ?) \
-             ORDER BY position, kind LIMIT ?",
+            "SELECT position, kind, content FROM frame_media WHERE map_id = $1 AND (position, kind) > ($2, $3) \
+             ORDER BY position, kind LIMIT $4",
         )
         .bind(self.map.id)
         .bind(position)
         .bind(kind)
-        .bind(MEDIA_PAGE)
+        .bind(i64::from(MEDIA_PAGE))
         .fetch_all(&mut *self.snapshot)
         .await;
         // Several are read at once: which of them it is, nobody can say here.
@@ -286,13 +292,13 @@ impl MapView {
     pub(crate) async fn labels(&mut self, from: PlaceId) -> Result<Vec<LabelRow>, StorageError> {
         let rows = sqlx::query_as(
             // One that was put while places were renumbered may be of none.
-            "SELECT place, label FROM labels WHERE map_id = ? AND place >= ? \
+            "SELECT place, label FROM labels WHERE map_id = $1 AND place >= $2 \
              AND EXISTS (SELECT 1 FROM log WHERE log.map_id = labels.map_id AND log.place = labels.place) \
-             ORDER BY place LIMIT ?",
+             ORDER BY place LIMIT $3",
         )
         .bind(self.map.id)
-        .bind(from.number())
-        .bind(LABELS_PAGE)
+        .bind(i64::from(from.number()))
+        .bind(i64::from(LABELS_PAGE))
         .fetch_all(&mut *self.snapshot)
         .await;
         self.noting_rot(Where::Somewhere, rows.map_err(StorageError::from)).await
@@ -301,11 +307,11 @@ impl MapView {
     /// The next notes, from that of a frame on; none after the last.
     pub(crate) async fn notes(&mut self, from: u64) -> Result<Vec<NoteRow>, StorageError> {
         let rows = sqlx::query_as(
-            "SELECT position, note FROM frame_notes WHERE map_id = ? AND position >= ? ORDER BY position LIMIT ?",
+            "SELECT position, note FROM frame_notes WHERE map_id = $1 AND position >= $2 ORDER BY position LIMIT $3",
         )
         .bind(self.map.id)
         .bind(to_sql(from))
-        .bind(NOTES_PAGE)
+        .bind(i64::from(NOTES_PAGE))
         .fetch_all(&mut *self.snapshot)
         .await;
         self.noting_rot(Where::Somewhere, rows.map_err(StorageError::from)).await

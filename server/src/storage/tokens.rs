@@ -1,3 +1,4 @@
+use super::values::{MaybeReal, MaybeWhole};
 use super::{Storage, StorageError};
 use crate::quotas::Limits;
 use crate::role::{Abilities, Reach, Role};
@@ -42,9 +43,12 @@ struct Columns {
     expires_ns: Option<i64>,
     former_secret_sha256: Option<Vec<u8>>,
     former_until_ns: Option<i64>,
+    #[sqlx(try_from = "MaybeWhole")]
     max_maps: Option<u32>,
+    #[sqlx(try_from = "MaybeWhole")]
     max_sessions: Option<u32>,
     max_frames_per_second: Option<f64>,
+    #[sqlx(try_from = "MaybeWhole")]
     max_kept_mib: Option<u32>,
 }
 
@@ -70,7 +74,7 @@ impl Storage {
             sqlx::query(
                 "INSERT INTO tokens (name, role, secret_sha256, created_ns, abilities, maps, expires_ns, \
                  former_secret_sha256, former_until_ns, max_maps, max_sessions, max_frames_per_second, max_kept_mib) \
-                 VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                 VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13)",
             )
             .bind(name)
             .bind(role.name())
@@ -81,10 +85,10 @@ impl Storage {
             .bind(expires_ns)
             .bind(former.as_ref().map(|former| former.sha256.as_slice()))
             .bind(former.as_ref().map(|former| former.until_ns))
-            .bind(maps)
-            .bind(sessions)
-            .bind(frames_per_second)
-            .bind(kept_mib)
+            .bind(maps.map(i64::from))
+            .bind(sessions.map(i64::from))
+            .bind(MaybeReal(*frames_per_second))
+            .bind(kept_mib.map(i64::from))
             .execute(&mut **transaction)
             .await?;
             Ok(())
@@ -97,8 +101,8 @@ impl Storage {
         let TokenRow { name, secret_sha256, expires_ns, former, .. } = token;
         self.write(async |transaction| {
             sqlx::query(
-                "UPDATE tokens SET secret_sha256 = ?, expires_ns = ?, former_secret_sha256 = ?, former_until_ns = ? \
-                 WHERE name = ?",
+                "UPDATE tokens SET secret_sha256 = $1, expires_ns = $2, former_secret_sha256 = $3, former_until_ns = $4 \
+                 WHERE name = $5",
             )
             .bind(secret_sha256.as_slice())
             .bind(expires_ns)
@@ -118,13 +122,13 @@ impl Storage {
         let Limits { maps, sessions, frames_per_second, kept_mib } = limits;
         self.write(async |transaction| {
             sqlx::query(
-                "UPDATE tokens SET max_maps = ?, max_sessions = ?, max_frames_per_second = ?, max_kept_mib = ? \
-                 WHERE name = ?",
+                "UPDATE tokens SET max_maps = $1, max_sessions = $2, max_frames_per_second = $3, max_kept_mib = $4 \
+                 WHERE name = $5",
             )
-            .bind(maps)
-            .bind(sessions)
-            .bind(frames_per_second)
-            .bind(kept_mib)
+            .bind(maps.map(i64::from))
+            .bind(sessions.map(i64::from))
+            .bind(MaybeReal(*frames_per_second))
+            .bind(kept_mib.map(i64::from))
             .bind(name)
             .execute(&mut **transaction)
             .await?;
@@ -135,7 +139,7 @@ impl Storage {
 
     pub(crate) async fn delete_token(&self, name: &str) -> Result<(), StorageError> {
         self.write(async |transaction| {
-            sqlx::query("DELETE FROM tokens WHERE name = ?").bind(name).execute(&mut **transaction).await?;
+            sqlx::query("DELETE FROM tokens WHERE name = $1").bind(name).execute(&mut **transaction).await?;
             Ok(())
         })
         .await

@@ -27,6 +27,10 @@ impl Proxy {
         Self { address, behind, connections, forwarding }
     }
 
+    pub(crate) fn address(&self) -> SocketAddr {
+        self.address
+    }
+
     pub(crate) fn endpoint(&self) -> String {
         format!("http://{}", self.address)
     }

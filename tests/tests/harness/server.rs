@@ -10,7 +10,7 @@ use tokio::task::JoinHandle;
 use tonic::transport::{Channel, Endpoint};
 use waypost_client::{Client, v1};
 
-use super::{by_words_request, map_request, model_file};
+use super::{by_words_request, location, map_request, model_file};
 
 /// A server on ports and, unless told otherwise, on a directory of its own. Stops when dropped.
 pub(crate) struct Server {
@@ -39,7 +39,7 @@ impl Server {
 
     /// A server on a directory that may be damaged: what it says if it does not start.
     pub(crate) async fn try_start_on(directory: &Path) -> Result<Self, String> {
-        let server = waypost_server::Server::open(directory.to_owned()).await;
+        let server = waypost_server::Server::open(location(directory).await).await;
         Ok(Self::serving(directory, server.map_err(|error| error.to_string())?).await)
     }
 
@@ -48,7 +48,8 @@ impl Server {
         directory: &Path,
         configure: impl FnOnce(waypost_server::Server) -> waypost_server::Server,
     ) -> Self {
-        let server = waypost_server::Server::open(directory.to_owned()).await.expect("the directory opens");
+        let server =
+            waypost_server::Server::open(location(directory).await).await.expect("the directory opens");
         Self::serving(directory, configure(server)).await
     }
 

@@ -43,7 +43,7 @@ impl Attacked {
     async fn start_with(options: &[&str]) -> Self {
         let directory = tempfile::tempdir().unwrap();
         let secret = waypost_server::offline::create_token(
-            directory.path(),
+            directory.path().into(),
             "operator",
             Role::Admin,
             Default::default(),

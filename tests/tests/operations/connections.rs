@@ -85,7 +85,7 @@ async fn hold(port: SocketAddr) {
 
 /// An admin's token in a directory.
 async fn admin(directory: &Path) -> String {
-    waypost_server::offline::create_token(directory, "operator", Role::Admin, Default::default())
+    waypost_server::offline::create_token(directory.into(), "operator", Role::Admin, Default::default())
         .await
         .unwrap()
 }

@@ -55,7 +55,7 @@ pub(super) fn undecidable(merge: &MergeView, what: &str) -> ServiceError {
         | MergeState::Undone
         | MergeState::Failed => format!(
             "merges/{number} is {} and cannot be {what}; ask for a new one if you want the maps merged",
-            state.name()
+            state.word()
         ),
     })
 }

@@ -58,7 +58,7 @@ static BEGINNING: LazyLock<TempDir> = LazyLock::new(|| {
 });
 
 async fn served(directory: &Path) -> Unconnected {
-    Unconnected::of(Server::open(directory.to_owned()).await.unwrap()).await.unwrap()
+    Unconnected::of(Server::open(directory.to_owned().into()).await.unwrap()).await.unwrap()
 }
 
 impl Site {

@@ -8,6 +8,7 @@ use std::path::Path;
 use futures::StreamExt;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use tokio::runtime::Handle;
 use tokio::sync::OnceCell;
 use waypost_client::{Client, ClientOptions, v1};
 
@@ -91,7 +92,7 @@ impl Recorded {
             return Err(format!("holds state {state}, and {due} was acknowledged"));
         }
         // A server opens it, brings it up to date, and closes it.
-        let opened = waypost_server::offline::list_tokens(data).await;
+        let opened = waypost_server::offline::list_tokens(data.into()).await;
         opened.map(drop).map_err(|error| format!("does not open: {error}"))
     }
 
@@ -208,7 +209,8 @@ async fn judged(
     let images = moments.into_iter().map(|(moment, number, mut random)| {
         disk.run_to(moment);
         let (image, lost) = disk.after_a_power_cut(&mut random);
-        tokio::spawn(judge(recorded, number, (moment, lost, image)))
+        let runtime = Handle::current();
+        tokio::task::spawn_blocking(move || runtime.block_on(judge(recorded, number, (moment, lost, image))))
     });
     let at_once = std::thread::available_parallelism().map_or(2, usize::from);
     let judged = futures::stream::iter(images).buffer_unordered(at_once);

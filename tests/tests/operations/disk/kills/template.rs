@@ -49,7 +49,7 @@ impl Template {
     pub(super) async fn new() -> Self {
         let directory = super::super::scratch();
         let limits = TokenLimits::default();
-        let secret = create_token(directory.path(), "operator", Role::Admin, limits).await.unwrap();
+        let secret = create_token(directory.path().into(), "operator", Role::Admin, limits).await.unwrap();
         let template = Self { directory, secret };
         let server = Server::start_on(template.directory.path()).await;
         let client = template.client(&server.endpoint()).await;

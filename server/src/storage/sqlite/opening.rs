@@ -10,7 +10,8 @@ use sqlx::{ConnectOptions, Connection};
 
 use super::lock::make_private;
 use super::page_sums::{self, PAGE_BYTES, RESERVED_AT, SUM_BYTES, is_sound};
-use super::{FILE_NAME, StorageError, or_no_database};
+use super::{FILE_NAME, or_no_database};
+use crate::storage::StorageError;
 
 /// What every database of SQLite begins with.
 const MAGIC: &[u8] = b"SQLite format 3\0";
@@ -118,12 +119,17 @@ async fn write_anew(directory: &Path) -> Result<(), StorageError> {
 
 /// The name of a file for SQLite, with who writes it.
 fn with_checksums(file: &Path) -> String {
-    let mut uri = "file:".to_owned();
-    for byte in file.as_os_str().as_encoded_bytes() {
+    format!("file:{}?vfs={}", percent_encoded(file), page_sums::VFS)
+}
+
+/// A path as it may stand in an address.
+pub(super) fn percent_encoded(path: &Path) -> String {
+    let mut encoded = String::new();
+    for byte in path.as_os_str().as_encoded_bytes() {
         match byte {
-            b'/' | b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' => uri.push(char::from(*byte)),
-            other => uri.push_str(&format!("%{other:02X}")),
+            b'/' | b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' => encoded.push(char::from(*byte)),
+            other => encoded.push_str(&format!("%{other:02X}")),
         }
     }
-    format!("{uri}?vfs={}", page_sums::VFS)
+    encoded
 }

@@ -5,7 +5,7 @@ use std::io;
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
 use std::path::Path;
 
-use super::StorageError;
+use crate::storage::StorageError;
 
 const LOCK_NAME: &str = "waypost.lock";
 
@@ -57,7 +57,7 @@ impl DirectoryLock {
 
 /// Makes a directory for its owner alone, and those above it that are missing. Their names are on the disk then: what is
 /// stored in a directory is lost with its name.
-pub(super) fn make_directory(directory: &Path) -> io::Result<()> {
+pub(in crate::storage) fn make_directory(directory: &Path) -> io::Result<()> {
     if directory.is_dir() {
         return Ok(());
     }

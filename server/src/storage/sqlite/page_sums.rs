@@ -13,7 +13,7 @@ use libsqlite3_sys as sqlite;
 use libsqlite3_sys::{sqlite3_file, sqlite3_io_methods, sqlite3_vfs};
 use sqlx::SqliteConnection;
 
-use super::StorageError;
+use crate::storage::StorageError;
 
 /// What connections open the file with.
 pub(super) const VFS: &str = "waypost";

@@ -4,16 +4,18 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use fabmap::model::Model;
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection, SqliteConnection};
+use sqlx::{AnyConnection, Connection};
 use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 
-use super::columns::EventColumns;
-use super::kept::wrongly_noted;
+use super::lock::DirectoryLock;
 use super::opening::{FileKind, file_kind};
-use super::row_sums::{CHAIN_START, StoredEvent};
-use super::{DirectoryLock, FILE_NAME, MapId, MediumKind, StorageError, or_no_database, page_sums};
+use super::{FILE_NAME, connect_to_read, or_no_database, page_sums};
+use crate::storage::columns::EventColumns;
+use crate::storage::kept::wrongly_noted;
+use crate::storage::row_sums::{CHAIN_START, StoredEvent};
+use crate::storage::values::MaybeWhole;
+use crate::storage::{MapId, MediumKind, StorageError};
 
 /// What was read, and what is wrong with it.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -38,6 +40,34 @@ struct InspectedMap {
     id: MapId,
     name: String,
     words: Option<i64>,
+}
+
+/// What people call a session.
+#[derive(sqlx::FromRow)]
+struct SessionName {
+    #[sqlx(try_from = "i64")]
+    number: SessionId,
+    name: String,
+}
+
+/// What is kept of a frame, beside what the log says of the frame.
+#[derive(sqlx::FromRow)]
+struct KeptNote {
+    position: i64,
+    note: String,
+    #[sqlx(try_from = "MaybeWhole")]
+    session: Option<SessionId>,
+    sequence: Option<i64>,
+}
+
+/// The same, of an image or of features.
+#[derive(sqlx::FromRow)]
+struct KeptMedium {
+    position: i64,
+    kind: MediumKind,
+    #[sqlx(try_from = "MaybeWhole")]
+    session: Option<SessionId>,
+    sequence: Option<i64>,
 }
 
 /// An event with all that the log tells of it.
@@ -67,8 +97,7 @@ pub(crate) async fn inspect_all(directory: &Path) -> Result<Option<DeepInspectio
             return Ok(Some(DeepInspection { problems, ..DeepInspection::default() }));
         }
     }
-    let options = SqliteConnectOptions::new().filename(&file).vfs(page_sums::VFS).read_only(true);
-    let database = options.connect().await.map_err(|error| or_no_database(error, directory))?;
+    let database = connect_to_read(&file).await.map_err(|error| or_no_database(error, directory))?;
     let mut reading = Reading { database, found: DeepInspection::default() };
     reading.all().await;
     let Reading { database, found } = reading;
@@ -84,7 +113,7 @@ enum Soundness {
 }
 
 struct Reading {
-    database: SqliteConnection,
+    database: AnyConnection,
     found: DeepInspection,
 }
 
@@ -161,7 +190,7 @@ impl Reading {
             sqlx::query_scalar("SELECT hash FROM models ORDER BY hash").fetch_all(&mut self.database).await;
         for hash in self.read("the models", hashes).unwrap_or_default() {
             self.found.models += 1;
-            let file = sqlx::query_scalar("SELECT file FROM models WHERE hash = ?").bind(&hash);
+            let file = sqlx::query_scalar("SELECT file FROM models WHERE hash = $1").bind(&hash);
             let file: Result<Vec<u8>, _> = file.fetch_one(&mut self.database).await;
             let Some(file) = self.read(&format!("the model {hash}"), file) else { continue };
             if !Model::from_bytes(&file).is_ok_and(|model| model.hash().to_string() == hash) {
@@ -182,11 +211,12 @@ impl Reading {
 
     async fn map(&mut self, map: &InspectedMap) -> Soundness {
         let InspectedMap { id, name, words } = map;
-        let sessions = sqlx::query_as("SELECT number, name FROM sessions WHERE map_id = ?").bind(id);
-        let sessions: Result<Vec<(SessionId, String)>, _> = sessions.fetch_all(&mut self.database).await;
-        let sessions = self.read(&format!("map {name}: its sessions"), sessions);
-        let sessions = sessions.unwrap_or_default().into_iter().collect::<BTreeMap<_, _>>();
-        let last = sqlx::query_scalar("SELECT max(position) FROM log WHERE map_id = ?").bind(id);
+        let sessions = sqlx::query_as("SELECT number, name FROM sessions WHERE map_id = $1").bind(id);
+        let sessions: Result<Vec<SessionName>, _> = sessions.fetch_all(&mut self.database).await;
+        let sessions = self.read(&format!("map {name}: its sessions"), sessions).unwrap_or_default();
+        let sessions: BTreeMap<_, _> =
+            sessions.into_iter().map(|SessionName { number, name }| (number, name)).collect();
+        let last = sqlx::query_scalar("SELECT max(position) FROM log WHERE map_id = $1").bind(id);
         let last: Result<Option<i64>, _> = last.fetch_one(&mut self.database).await;
         let last = self.read(&format!("map {name}: its log"), last).flatten();
         let mut problems = Problems::default();
@@ -223,7 +253,7 @@ impl Reading {
         problems: &mut Problems,
         sessions: &BTreeMap<SessionId, String>,
     ) -> Option<MapEvent> {
-        let row = sqlx::query_as("SELECT * FROM log WHERE map_id = ? AND position = ?");
+        let row = sqlx::query_as("SELECT * FROM log WHERE map_id = $1 AND position = $2");
         let row = row.bind(map).bind(position).fetch_optional(&mut self.database).await;
         let row: WholeEvent = match row {
             Ok(Some(row)) => row,
@@ -260,18 +290,14 @@ impl Reading {
         loop {
             let next = sqlx::query_as(
                 "SELECT position, note, session, sequence FROM frame_notes LEFT JOIN log USING (map_id, position) \
-                 WHERE map_id = ? AND position > ? ORDER BY position LIMIT 1",
+                 WHERE map_id = $1 AND position > $2 ORDER BY position LIMIT 1",
             );
             let next = next.bind(map).bind(after).fetch_optional(&mut self.database).await;
-            let (position, note, session, sequence): (i64, String, Option<SessionId>, Option<i64>) =
-                match next {
-                    Ok(Some(next)) => next,
-                    Ok(None) => return,
-                    Err(error) => {
-                        return problems
-                            .add(format!("what its frames are called: {}", StorageError::from(error)));
-                    }
-                };
+            let KeptNote { position, note, session, sequence } = match next {
+                Ok(Some(next)) => next,
+                Ok(None) => return,
+                Err(error) => return problems.unread("what its frames are called", error),
+            };
             after = position;
             self.found.notes += 1;
             if sequence.is_none() {
@@ -287,18 +313,14 @@ impl Reading {
         loop {
             let next = sqlx::query_as(
                 "SELECT position, kind, session, sequence FROM frame_media LEFT JOIN log USING (map_id, position) \
-                 WHERE map_id = ? AND (position, kind) > (?, ?) ORDER BY position, kind LIMIT 1",
+                 WHERE map_id = $1 AND (position, kind) > ($2, $3) ORDER BY position, kind LIMIT 1",
             );
             let next = next.bind(map).bind(after.0).bind(after.1).fetch_optional(&mut self.database).await;
-            let (position, kind, session, sequence): (i64, MediumKind, Option<SessionId>, Option<i64>) =
-                match next {
-                    Ok(Some(next)) => next,
-                    Ok(None) => return,
-                    Err(error) => {
-                        return problems
-                            .add(format!("what is kept of its frames: {}", StorageError::from(error)));
-                    }
-                };
+            let KeptMedium { position, kind, session, sequence } = match next {
+                Ok(Some(next)) => next,
+                Ok(None) => return,
+                Err(error) => return problems.unread("what is kept of its frames", error),
+            };
             after = (position, kind);
             self.found.media += 1;
             let named = named(sessions, session, sequence, position);
@@ -306,7 +328,7 @@ impl Reading {
                 problems.add(format!("{named}: something is kept of a frame that is none"));
             }
             let content = sqlx::query_scalar(
-                "SELECT content FROM frame_media WHERE map_id = ? AND position = ? AND kind = ?",
+                "SELECT content FROM frame_media WHERE map_id = $1 AND position = $2 AND kind = $3",
             );
             let content = content.bind(map).bind(position).bind(kind).fetch_one(&mut self.database).await;
             if let Err(error) = content.map(|content: Vec<u8>| content.len()) {
@@ -354,6 +376,10 @@ struct Problems(Vec<String>);
 impl Problems {
     fn add(&mut self, problem: String) {
         self.0.push(problem);
+    }
+
+    fn unread(&mut self, what: &str, error: sqlx::Error) {
+        self.add(format!("{what}: {}", StorageError::from(error)));
     }
 }
 

@@ -7,9 +7,10 @@ use std::path::Path;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
-use super::lock::{make_directory, make_private};
+use super::lock::{DirectoryLock, make_directory, make_private};
 use super::opening::{FileKind, file_kind};
-use super::{BUSY_TIMEOUT, DirectoryLock, FILE_NAME, StorageError, or_no_database, page_sums};
+use super::{BUSY_TIMEOUT, FILE_NAME, or_no_database, page_sums};
+use crate::storage::StorageError;
 
 /// What a copy is called until it is whole.
 const PARTIAL_NAME: &str = "waypost.sqlite.partial";

@@ -1,4 +1,4 @@
-//! Looking at a database without serving it, and at one that is served.
+//! Looking at a database without serving it.
 
 use std::path::Path;
 
@@ -7,8 +7,10 @@ use sqlx::migrate::MigrateError;
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
 
 use super::deep_inspection::in_one_line;
+use super::lock::DirectoryLock;
 use super::opening::{FileKind, file_kind};
-use super::{DirectoryLock, FILE_NAME, Storage, StorageError, or_no_database, page_sums};
+use super::{FILE_NAME, or_no_database, page_sums};
+use crate::storage::StorageError;
 
 /// What a data directory holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,7 +46,7 @@ pub(crate) async fn inspect(directory: &Path) -> Result<Option<Inspection>, Stor
         Ok(inspection) => {
             Ok(Some(Inspection { outdated: inspection.outdated || without_checksums, ..inspection }))
         }
-        Err(StorageError::Sqlite(error)) => Err(or_no_database(error, directory)),
+        Err(StorageError::Failed(error)) => Err(or_no_database(error, directory)),
         Err(error) => Err(error),
     }
 }
@@ -84,27 +86,4 @@ async fn look_at_migrations(database: &SqlitePool) -> Result<bool, StorageError>
         }
     }
     Ok(applied.len() < migrator.iter().count())
-}
-
-impl Storage {
-    /// Size of the database, without what is still in the write-ahead log.
-    pub(crate) async fn size_bytes(&self) -> Result<u64, StorageError> {
-        Ok(sqlx::query_scalar(
-            "SELECT pages.page_count * sizes.page_size FROM pragma_page_count AS pages, pragma_page_size AS sizes",
-        )
-        .fetch_one(&self.readers)
-        .await?)
-    }
-
-    /// What is left of the disk that the database is on, if the system tells.
-    pub(crate) fn free_bytes(&self) -> Option<u64> {
-        let disk = rustix::fs::statvfs(&self.directory).ok()?;
-        Some(disk.f_bavail.saturating_mul(disk.f_frsize))
-    }
-
-    /// Fails if the database does not answer.
-    pub(crate) async fn ping(&self) -> Result<(), StorageError> {
-        sqlx::query("SELECT 1 FROM maps LIMIT 1").fetch_optional(&self.readers).await?;
-        Ok(())
-    }
 }

@@ -1,0 +1,319 @@
+//! A database of PostgreSQL: how it is opened, and whose it is.
+//!
+//! One server at a time owns it. The owner is a row with an epoch, which every transaction that writes holds on to: one
+//! that was taken over writes nothing more. No clock decides about that, only about when somebody else may try.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use sqlx::any::AnyPoolOptions;
+use sqlx::migrate::{MigrateError, Migrator};
+use sqlx::postgres::{PgConnectOptions, PgConnection};
+use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, ConnectOptions, Connection, Transaction};
+use tokio::sync::watch;
+use tokio::task::AbortHandle;
+
+use super::sqlite::Inspection;
+use super::values::from_sql;
+use super::{EXPORTERS, Pools, READERS, StorageError};
+
+/// Who has not said for this long that it is there has given the database up.
+const LEASE: Duration = Duration::from_secs(6);
+const RENEWALS_PER_LEASE: u32 = 4;
+/// How often one that waits looks whether the database is free.
+const PATIENCE: Duration = Duration::from_millis(250);
+
+/// Statements, and waits for locks, are bounded in time: who asks gets an answer.
+const STATEMENT_TIMEOUT: Duration = Duration::from_secs(60);
+const LOCK_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// The oldest that is tested.
+const OLDEST_VERSION: i32 = 150_000;
+
+static MIGRATIONS: Migrator = sqlx::migrate!("../migrations/postgres");
+
+/// Size of the database.
+pub(super) const SIZE_BYTES: &str = "SELECT pg_database_size(current_database())";
+
+/// A database that this server owns.
+#[derive(Clone, Debug)]
+pub(super) struct Postgres {
+    epoch: i64,
+    taken_over: watch::Receiver<bool>,
+    renewal: Arc<Renewal>,
+}
+
+/// Ends with the last that needs it.
+#[derive(Debug)]
+struct Renewal(AbortHandle);
+
+impl Drop for Renewal {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
+/// What to do while another server owns a database.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum WhileOwned {
+    Wait,
+    Refuse,
+}
+
+/// Why a text is no URL of a database, if it is none.
+pub(crate) fn parse_postgres_address(address: &str) -> Result<(), String> {
+    address.parse::<PgConnectOptions>().map(drop).map_err(|error| error.to_string())
+}
+
+/// Opens the database at `address`, a URL as libpq has it.
+pub(super) async fn open(address: &str, while_owned: WhileOwned) -> Result<(Postgres, Pools), StorageError> {
+    let mut connection = connect(address).await?;
+    check(&mut connection).await?;
+    migrate(&mut connection).await?;
+    connection.close().await?;
+    let writer = pool(1).connect(address).await?;
+    let readers = pool(READERS).connect(address).await?;
+    let exporters = pool(EXPORTERS).connect_lazy(address)?;
+    let epoch = take(&writer, while_owned).await?;
+    let (tell, taken_over) = watch::channel(false);
+    // A connection of its own: neither a long transaction nor readers hold it up.
+    let renewing = tokio::spawn(renew(pool(1).connect_lazy(address)?, epoch, tell));
+    let renewal = Arc::new(Renewal(renewing.abort_handle()));
+    Ok((Postgres { epoch, taken_over, renewal }, Pools { writer, readers, exporters }))
+}
+
+async fn connect(address: &str) -> Result<PgConnection, StorageError> {
+    let options: PgConnectOptions = address.parse()?;
+    options.connect().await.map_err(|error| {
+        StorageError::Unfit(format!(
+            "cannot connect to the database ({error}); see that PostgreSQL runs there, that the database exists, and \
+             that the user may use it"
+        ))
+    })
+}
+
+/// Looks at a database and changes nothing in it. `None` if it has no tables yet.
+pub(crate) async fn inspect_postgres(address: &str) -> Result<Option<Inspection>, StorageError> {
+    let mut connection = connect(address).await?;
+    check(&mut connection).await?;
+    let applied: Option<String> =
+        sqlx::query_scalar("SELECT to_regclass('_sqlx_migrations')::text").fetch_one(&mut connection).await?;
+    if applied.is_none() {
+        return Ok(None);
+    }
+    let applied: Vec<i64> =
+        sqlx::query_scalar("SELECT version FROM _sqlx_migrations").fetch_all(&mut connection).await?;
+    let known = MIGRATIONS.iter().map(|migration| migration.version).collect::<Vec<_>>();
+    if let Some(&schema) = applied.iter().find(|version| !known.contains(version)) {
+        return Err(StorageError::Newer { schema });
+    }
+    let maps: i64 = sqlx::query_scalar("SELECT count(*) FROM maps").fetch_one(&mut connection).await?;
+    let tokens: i64 = sqlx::query_scalar("SELECT count(*) FROM tokens").fetch_one(&mut connection).await?;
+    connection.close().await?;
+    Ok(Some(Inspection {
+        maps: from_sql(maps)?,
+        tokens: from_sql(tokens)?,
+        outdated: applied.len() < known.len(),
+    }))
+}
+
+fn pool(connections: u32) -> AnyPoolOptions {
+    sqlx::any::install_default_drivers();
+    AnyPoolOptions::new().max_connections(connections).after_connect(|connection, _| {
+        Box::pin(async move {
+            let settings = format!(
+                "SET statement_timeout = {}; SET lock_timeout = {};",
+                STATEMENT_TIMEOUT.as_millis(),
+                LOCK_TIMEOUT.as_millis()
+            );
+            sqlx::raw_sql(AssertSqlSafe(settings)).execute(connection).await?;
+            Ok(())
+        })
+    })
+}
+
+/// Whether acknowledged frames survive on this database; what may not be is an error, what should not be a warning.
+async fn check(connection: &mut PgConnection) -> Result<(), StorageError> {
+    let version: i32 = sqlx::query_scalar("SELECT current_setting('server_version_num')::int4")
+        .fetch_one(&mut *connection)
+        .await?;
+    if version < OLDEST_VERSION {
+        return Err(StorageError::Unfit(format!(
+            "the database is PostgreSQL {}; use {} or a later one",
+            version / 10_000,
+            OLDEST_VERSION / 10_000
+        )));
+    }
+    let encoding = setting(connection, "server_encoding").await?;
+    if encoding != "UTF8" {
+        return Err(StorageError::Unfit(format!(
+            "the database has the encoding {encoding}; make one with UTF8, as by `createdb -E UTF8 -T template0 waypost`"
+        )));
+    }
+    for (name, bad, then) in [
+        ("fsync", "off", "a power cut may lose acknowledged frames, or the database"),
+        ("full_page_writes", "off", "a power cut may damage the database"),
+        ("synchronous_commit", "off", "a crash of the database may lose acknowledged frames"),
+        ("data_checksums", "off", "damage on the disk is found in logs alone; see `pg_checksums --enable`"),
+    ] {
+        if setting(connection, name).await? == bad {
+            tracing::warn!("PostgreSQL's {name} is {bad}: {then}");
+        }
+    }
+    Ok(())
+}
+
+async fn setting(connection: &mut PgConnection, name: &str) -> Result<String, StorageError> {
+    Ok(sqlx::query_scalar("SELECT current_setting($1)").bind(name).fetch_one(&mut *connection).await?)
+}
+
+/// Brings the tables up to date; several servers that start together wait for each other.
+async fn migrate(connection: &mut PgConnection) -> Result<(), StorageError> {
+    let migrated = MIGRATIONS.run(connection).await;
+    migrated.map_err(|error| match error {
+        MigrateError::VersionMissing(schema) => StorageError::Newer { schema },
+        MigrateError::Execute(error) => error.into(),
+        other => StorageError::Migration(other),
+    })
+}
+
+/// Becomes the owner, unless somebody else is.
+async fn take(writer: &AnyPool, while_owned: WhileOwned) -> Result<i64, StorageError> {
+    let holder = format!("{}, process {}", host_name(), std::process::id());
+    let mut told = false;
+    loop {
+        let taken = sqlx::query_scalar(
+            "INSERT INTO lease (id, epoch, holder, expires) VALUES (1, 1, $1, now() + $2 * interval '1 millisecond') \
+             ON CONFLICT (id) DO UPDATE SET epoch = lease.epoch + 1, holder = excluded.holder, \
+             expires = excluded.expires WHERE lease.expires <= now() RETURNING epoch",
+        )
+        .bind(&holder)
+        .bind(LEASE.as_millis() as i64)
+        .fetch_optional(writer)
+        .await?;
+        if let Some(epoch) = taken {
+            tracing::info!(epoch, "this server owns the database");
+            return Ok(epoch);
+        }
+        let other: Option<String> =
+            sqlx::query_scalar("SELECT holder FROM lease WHERE id = 1").fetch_optional(writer).await?;
+        let other = other.unwrap_or_default();
+        match while_owned {
+            WhileOwned::Refuse => return Err(StorageError::Owned { owner: other }),
+            WhileOwned::Wait if !told => {
+                tracing::info!(owner = other, "another server owns the database; waiting until it stops");
+                told = true;
+            }
+            WhileOwned::Wait => {}
+        }
+        tokio::time::sleep(PATIENCE).await;
+    }
+}
+
+/// Says again and again that the owner is there; tells when it no longer is, or may no longer be.
+async fn renew(pool: AnyPool, epoch: i64, taken_over: watch::Sender<bool>) {
+    let mut owned = Instant::now();
+    loop {
+        tokio::time::sleep(LEASE / RENEWALS_PER_LEASE).await;
+        let asked = Instant::now();
+        let renewal = sqlx::query(
+            "UPDATE lease SET expires = now() + $1 * interval '1 millisecond' WHERE id = 1 AND epoch = $2",
+        )
+        .bind(LEASE.as_millis() as i64)
+        .bind(epoch);
+        let renewed = tokio::time::timeout(LEASE / RENEWALS_PER_LEASE, renewal.execute(&pool)).await;
+        match renewed {
+            Ok(Ok(done)) if done.rows_affected() == 1 => owned = asked,
+            Ok(Ok(_none)) => {
+                tracing::error!(epoch, "another server has taken the database over");
+                taken_over.send_replace(true);
+                return;
+            }
+            Ok(Err(error)) => tracing::warn!(%error, "the database cannot be told that its owner is there"),
+            Err(_late) => tracing::warn!("the database does not answer its owner in time"),
+        }
+        if owned.elapsed() > LEASE {
+            tracing::error!(
+                epoch,
+                "the database was out of reach for too long; another server may own it by now"
+            );
+            taken_over.send_replace(true);
+            return;
+        }
+    }
+}
+
+/// As others know this machine.
+fn host_name() -> String {
+    std::fs::read_to_string("/proc/sys/kernel/hostname")
+        .map_or_else(|_| "?".to_owned(), |name| name.trim().to_owned())
+}
+
+impl Postgres {
+    /// [`StorageError::TakenOver`] if this is no longer the owner. Nobody else becomes it before the transaction ends.
+    pub(super) async fn fence(&self, transaction: &mut Transaction<'_, Any>) -> Result<(), StorageError> {
+        let owned = sqlx::query("SELECT 1 FROM lease WHERE id = 1 AND epoch = $1 FOR SHARE")
+            .bind(self.epoch)
+            .fetch_optional(&mut **transaction)
+            .await?;
+        if owned.is_some() { Ok(()) } else { Err(StorageError::TakenOver) }
+    }
+
+    pub(super) fn taken_over(&self) -> watch::Receiver<bool> {
+        self.taken_over.clone()
+    }
+
+    /// The next server need not wait until the lease has run out.
+    pub(super) async fn hand_over(&self, writer: &AnyPool) {
+        self.renewal.0.abort();
+        let expire =
+            sqlx::query("UPDATE lease SET expires = now() WHERE id = 1 AND epoch = $1").bind(self.epoch);
+        if let Err(error) = expire.execute(writer).await {
+            tracing::warn!(%error, "the database could not be handed over; the next server waits for {LEASE:?}");
+        }
+    }
+}
+
+/// The last number that a table gave.
+pub(super) const LAST_NUMBER: &str = "SELECT pg_sequence_last_value(pg_get_serial_sequence($1, \
+     CASE $1 WHEN 'maps' THEN 'id' ELSE 'number' END)::regclass)";
+
+/// The next number that a table gives in its column is above `last`.
+pub(super) async fn give_no_number_up_to(
+    transaction: &mut Transaction<'_, Any>,
+    (table, column): (&str, &str),
+    last: i64,
+) -> Result<(), StorageError> {
+    if last > 0 {
+        sqlx::query("SELECT setval(pg_get_serial_sequence($1, $2)::regclass, $3)")
+            .bind(table)
+            .bind(column)
+            .bind(last)
+            .execute(&mut **transaction)
+            .await?;
+    }
+    Ok(())
+}
+
+/// The database at an address, to read all of it; a server may own it.
+pub(super) async fn open_to_read(address: &str) -> Result<AnyConnection, StorageError> {
+    match inspect_postgres(address).await? {
+        Some(Inspection { outdated: false, .. }) => {}
+        Some(_) | None => {
+            let message = "the source has no tables of this version: start this version's server on it once";
+            return Err(StorageError::Unfit(message.to_owned()));
+        }
+    }
+    sqlx::any::install_default_drivers();
+    Ok(AnyConnection::connect(address).await?)
+}
+
+/// Old versions of rows are kept until a vacuum. PostgreSQL does that by itself, and it is asked to do it now.
+pub(super) async fn wipe_deleted(writer: &AnyPool) -> Result<(), StorageError> {
+    let mut connection = writer.acquire().await?;
+    // Takes as long as it takes; the next one has its time limit again.
+    sqlx::raw_sql("SET statement_timeout = 0").execute(&mut *connection).await?;
+    connection.close_on_drop();
+    sqlx::query("VACUUM").execute(&mut *connection).await?;
+    Ok(())
+}
