@@ -20,9 +20,11 @@ use crate::markers::Markers;
 use crate::outbox::Outbox;
 use crate::session::Streaming;
 use crate::settings::{Mode, Settings};
+use crate::shown::Shown;
 use crate::state::{Declared, Shared};
-use crate::telling::Telling;
+use crate::telling::{Sureness, Telling};
 use crate::tf::TfThread;
+use crate::viewers::Viewers;
 use waypost_ros_messages::{Covariance, DiagnosticArray};
 
 const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
@@ -52,9 +54,14 @@ struct Parts {
 /// [`Failure`], by its kind.
 pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
     let client = Client::lazy(client_options(&settings).await?)?;
-    let mut bus = Bus::join(settings.domain, &settings.networks)?;
+    let shared = Shared::default();
+    let viewers = match settings.foxglove {
+        Some(address) => Some(Arc::new(Viewers::open(address, shared.clone()).await?)),
+        None => None,
+    };
+    let mut bus = Bus::join(settings.domain, &settings.networks, viewers.clone())?;
     let (end, ending) = watch::channel(false);
-    let parts = parts(settings, client, ending);
+    let parts = parts(settings, client, shared, viewers.as_deref(), ending)?;
     let mut tasks = listen(&parts, &mut bus)?;
     let driving = match parts.settings.mode {
         Mode::Drive => Some(drive(&parts, &mut bus, &mut tasks)?),
@@ -84,17 +91,26 @@ pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
     }
     tasks.into_iter().for_each(|task| task.abort());
     tf.stop();
+    if let Some(viewers) = viewers {
+        viewers.close().await;
+    }
     ended
 }
 
-fn parts(settings: Settings, client: Client, ending: watch::Receiver<bool>) -> Parts {
-    let shared = Shared::default();
+fn parts(
+    settings: Settings,
+    client: Client,
+    shared: Shared,
+    viewers: Option<&Viewers>,
+    ending: watch::Receiver<bool>,
+) -> Result<Parts, Failure> {
     let outbox = Arc::new(Outbox::new(settings.buffer_frames));
     let (declaring, declared) = watch::channel(Declared::default());
     let topics = settings.topics.clone();
-    let intake = Intake::new(shared.clone(), topics, settings.most_hz, outbox.clone(), declaring);
+    let shown = viewers.map(|viewers| Shown::to(viewers, &topics)).transpose()?;
+    let intake = Intake::new(shared.clone(), topics, settings.most_hz, outbox.clone(), declaring, shown);
     let (intake, unanswered) = (Arc::new(intake), Unanswered::default());
-    Parts { settings, client, shared, outbox, intake, unanswered, declared, ending }
+    Ok(Parts { settings, client, shared, outbox, intake, unanswered, declared, ending })
 }
 
 async fn client_options(settings: &Settings) -> Result<ClientOptions, Failure> {
@@ -158,6 +174,11 @@ fn streaming(parts: &Parts, bus: &Bus) -> Result<Streaming, Failure> {
     let Parts { settings, client, shared, outbox, unanswered, ending, .. } = parts;
     let pose = bus.write(&settings.topics.pose, Qos::Reliable)?;
     let path = bus.write(&settings.topics.path, Qos::Latest)?;
+    let sureness = Sureness {
+        new_place: bus.write(&settings.topics.new_place, Qos::Reliable)?,
+        most_probable_place: bus.write(&settings.topics.most_probable_place, Qos::Reliable)?,
+        matched: bus.write(&settings.topics.matched, Qos::Reliable)?,
+    };
     let covariance = Covariance::planar(settings.position_sigma_m, settings.heading_sigma_rad);
     Ok(Streaming {
         client: client.clone(),
@@ -165,6 +186,7 @@ fn streaming(parts: &Parts, bus: &Bus) -> Result<Streaming, Failure> {
         outbox: outbox.clone(),
         ending: ending.clone(),
         telling: Telling::new(pose, path, settings.map_frame.clone(), covariance),
+        sureness,
         unanswered: unanswered.clone(),
     })
 }

@@ -3,6 +3,7 @@
 use std::convert::Infallible;
 use std::net::IpAddr;
 use std::pin::Pin;
+use std::sync::Arc;
 
 use futures::{Stream, StreamExt};
 use rustdds::no_key::{DataWriter, Decode, DefaultDecoder, DeserializerAdapter};
@@ -14,6 +15,7 @@ use rustdds::{
 
 use crate::names::{in_dds, type_in_dds, type_in_ros};
 use crate::settings::SensorQos;
+use crate::viewers::{Screen, Viewers};
 use waypost_ros_messages::Message;
 
 /// Messages of a sensor that a busy machine may leave unread.
@@ -33,6 +35,15 @@ pub(crate) enum Qos {
 }
 
 impl Qos {
+    /// How many messages those get who come late.
+    pub(crate) fn kept(self) -> usize {
+        match self {
+            Qos::Sensor(_) | Qos::Reliable => 0,
+            Qos::Latched => 32,
+            Qos::Latest => 1,
+        }
+    }
+
     fn policies(self) -> QosPolicies {
         let reliable = Reliability::Reliable { max_blocking_time: Duration::from_millis(100) };
         let (reliability, durability, depth) = match self {
@@ -77,13 +88,18 @@ pub(crate) struct Bus {
     publisher: Publisher,
     subscriber: Subscriber,
     wanted: Vec<Wanted>,
+    viewers: Option<Arc<Viewers>>,
 }
 
 /// Messages of a topic, each behind its four bytes of encapsulation.
 pub(crate) type Incoming = Pin<Box<dyn Stream<Item = Vec<u8>> + Send>>;
 
 impl Bus {
-    pub(crate) fn join(domain: u16, networks: &[IpAddr]) -> Result<Self, BusError> {
+    pub(crate) fn join(
+        domain: u16,
+        networks: &[IpAddr],
+        viewers: Option<Arc<Viewers>>,
+    ) -> Result<Self, BusError> {
         let mut builder = DomainParticipantBuilder::new(domain);
         if !networks.is_empty() {
             builder = builder.with_only_networks(networks.iter().copied());
@@ -92,7 +108,7 @@ impl Bus {
         let qos = QosPolicies::qos_none();
         let publisher = participant.create_publisher(&qos).map_err(failed("making a publisher"))?;
         let subscriber = participant.create_subscriber(&qos).map_err(failed("making a subscriber"))?;
-        Ok(Self { participant, publisher, subscriber, wanted: Vec::new() })
+        Ok(Self { participant, publisher, subscriber, wanted: Vec::new(), viewers })
     }
 
     fn topic(&self, topic: &str, type_name: &str, qos: Qos) -> Result<Topic, BusError> {
@@ -123,7 +139,11 @@ impl Bus {
     pub(crate) fn write<M: Message>(&self, topic: &str, qos: Qos) -> Result<Outgoing<M>, BusError> {
         let made = self.topic(topic, &type_in_dds(M::TYPE), qos)?;
         let writer = self.publisher.create_datawriter_no_key(&made, None).map_err(failed(topic))?;
-        Ok(Outgoing { topic: topic.to_owned(), writer })
+        let screen = match &self.viewers {
+            Some(viewers) => Some(viewers.screen::<M>(topic, qos.kept()).map_err(failed(topic))?),
+            None => None,
+        };
+        Ok(Outgoing { topic: topic.to_owned(), writer, screen })
     }
 
     /// Who publishes what is read here in a way that cannot be read, and how to mend it.
@@ -169,15 +189,19 @@ fn mismatch(
     Some(format!("{topic} is published with a quality of service that is not heard ({failure:?}): {mend}"))
 }
 
-/// A writer of one topic.
+/// A writer of one topic, which viewers see as well.
 pub(crate) struct Outgoing<M: Message> {
     topic: String,
     writer: DataWriter<M>,
+    screen: Option<Screen>,
 }
 
 impl<M: Message> Outgoing<M> {
     /// Publishes a message. One that DDS does not take is told in the log: the next one follows soon.
     pub(crate) fn publish(&self, message: M) {
+        if let Some(screen) = &self.screen {
+            screen.show(&message);
+        }
         if let Err(error) = self.writer.write(message, None) {
             tracing::warn!("{} was not published: {error}", self.topic);
         }

@@ -208,7 +208,7 @@ mod tests {
     use super::*;
     use std::time::Instant;
 
-    use crate::settings::Given;
+    use crate::given::Given;
     use crate::state::Placed;
     use clap::Parser;
     use waypost_ros_messages::Pose;

@@ -7,7 +7,8 @@ use std::process::ExitCode;
 use waypost_client::Error;
 
 use crate::bus::BusError;
-use crate::settings::SettingsError;
+use crate::given::SettingsError;
+use crate::viewers::ViewersError;
 
 /// Why the bridge ended. The message says what to do about it.
 #[derive(Debug, thiserror::Error)]
@@ -18,6 +19,9 @@ pub(crate) enum Failure {
     /// DDS.
     #[error(transparent)]
     Bus(#[from] BusError),
+    /// Foxglove's app cannot be let in.
+    #[error(transparent)]
+    Viewers(#[from] ViewersError),
     /// The server refuses for good.
     #[error(transparent)]
     Server(#[from] Error),
@@ -44,7 +48,7 @@ impl Failure {
             Failure::Settings(_) => 2,
             Failure::Server(Error::Connection { .. } | Error::SessionLost { .. }) => 3,
             Failure::Server(Error::Status { .. } | Error::SessionRewound { .. }) => 4,
-            Failure::Server(_) | Failure::Bus(_) | Failure::Certificate { .. } => 1,
+            Failure::Server(_) | Failure::Bus(_) | Failure::Viewers(_) | Failure::Certificate { .. } => 1,
             Failure::System(_) | Failure::Died => 1,
         };
         ExitCode::from(code)

@@ -7,7 +7,7 @@ use clap::Parser;
 use tracing_subscriber::EnvFilter;
 
 use failure::Failure;
-use settings::Given;
+use given::Given;
 
 mod bridge;
 mod bus;
@@ -15,15 +15,18 @@ mod camera;
 mod diagnostics;
 mod drive;
 mod failure;
+mod given;
 mod intake;
 mod markers;
 mod names;
 mod outbox;
 mod session;
 mod settings;
+mod shown;
 mod state;
 mod telling;
 mod tf;
+mod viewers;
 
 /// RustDDS tells of what is everyday in a network, even at its end; `RUST_LOG=rustdds=warn` shows it.
 const DEFAULT_LOG: &str = "warn,waypost_ros=info,rustdds=off";

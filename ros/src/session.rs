@@ -16,7 +16,7 @@ use crate::camera::odometry_message;
 use crate::outbox::Outbox;
 use crate::settings::{Mode, Settings};
 use crate::state::{Declared, Placed, Shared};
-use crate::telling::Telling;
+use crate::telling::{Sureness, Telling};
 use waypost_ros_messages::Pose;
 
 /// A robot drives on without its server, whatever the time: it is the operator who gives up.
@@ -39,6 +39,7 @@ pub(crate) struct Streaming {
     pub(crate) outbox: Arc<Outbox>,
     pub(crate) ending: watch::Receiver<bool>,
     pub(crate) telling: Telling,
+    pub(crate) sureness: Sureness,
     /// Numbers and stamps of frames that have no answer yet.
     pub(crate) unanswered: Arc<Mutex<VecDeque<(u64, i64)>>>,
 }
@@ -138,6 +139,7 @@ impl Streaming {
     }
 
     fn answer(&mut self, answer: &v1::FrameAnswer, stamp_ns: Option<i64>) {
+        self.sureness.answered(answer);
         let placed = answer.map_pose.as_ref().and_then(placed);
         let mut state = self.shared.lock();
         state.frames.answered += 1;

@@ -8,10 +8,11 @@ mod markers;
 mod messages;
 mod recording;
 
+pub use definitions::definition;
 pub use markers::{DrawnMap, Line, MarkerArray};
 pub use messages::{
     CompressedImage, Covariance, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue, Message,
     Odometry, Path, Pose, PoseStamped, PoseWithCovarianceStamped, Time, TransformStamped, Transforms, Twist,
-    Vector3,
+    Vector3, encoded,
 };
 pub use recording::{Recording, RecordingError};

@@ -1,12 +1,26 @@
 //! The messages of ROS 2, laid out as CDR has them.
 
+use byteorder::LittleEndian;
 use serde::Serialize;
 use waypost_proto::v1;
+
+/// What CDR in little endian begins with.
+const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
 /// A message of ROS.
 pub trait Message: Serialize + Send + 'static {
     /// Its type as ROS names it, as in `nav_msgs/msg/Path`.
     const TYPE: &'static str;
+}
+
+/// A message in CDR, behind its four bytes of encapsulation.
+///
+/// # Errors
+/// If it has something that CDR cannot say.
+pub fn encoded<M: Message>(message: &M) -> Result<Vec<u8>, cdr_encoding::Error> {
+    let mut data = ENCAPSULATION.to_vec();
+    data.extend(cdr_encoding::to_vec::<M, LittleEndian>(message)?);
+    Ok(data)
 }
 
 /// builtin_interfaces/Time
