@@ -1,19 +1,19 @@
 //! DDS: readers that hand out messages as bytes, and writers of the messages of ROS.
 
-use std::convert::Infallible;
 use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 
 use futures::{Stream, StreamExt};
-use rustdds::no_key::{DataWriter, Decode, DefaultDecoder, DeserializerAdapter};
+use rustdds::no_key::DataWriter;
 use rustdds::policy::{Durability, History, Reliability};
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, Duration, Publisher, QosPolicies, QosPolicyBuilder,
-    RepresentationIdentifier, Subscriber, Topic, TopicKind,
+    Subscriber, Topic, TopicKind,
 };
 
 use crate::names::{in_dds, type_in_dds, type_in_ros};
+use crate::raw::{AsItIs, Raw, RawWriter, Sample};
 use crate::settings::SensorQos;
 use crate::viewers::{Screen, Viewers};
 use waypost_ros_messages::Message;
@@ -112,10 +112,38 @@ impl Bus {
     }
 
     fn topic(&self, topic: &str, type_name: &str, qos: Qos) -> Result<Topic, BusError> {
-        let name = in_dds(topic);
-        let policies = qos.policies();
-        let made = self.participant.create_topic(name, type_name.to_owned(), &policies, TopicKind::NoKey);
-        made.map_err(failed(topic))
+        self.topic_in_dds(&in_dds(topic), type_name, qos)
+    }
+
+    fn topic_in_dds(&self, name: &str, type_name: &str, qos: Qos) -> Result<Topic, BusError> {
+        let (policies, type_name) = (qos.policies(), type_name.to_owned());
+        let made = self.participant.create_topic(name.to_owned(), type_name, &policies, TopicKind::NoKey);
+        made.map_err(failed(name))
+    }
+
+    /// Reads a topic by its name in DDS, with who wrote what.
+    pub(crate) fn read_raw(
+        &self,
+        name: &str,
+        type_name: &str,
+    ) -> Result<impl Stream<Item = Result<Sample, String>> + Send + use<>, BusError> {
+        let made = self.topic_in_dds(name, type_name, Qos::Reliable)?;
+        let reader = self.subscriber.create_datareader_no_key::<Raw, AsItIs>(&made, None);
+        let reader = reader.map_err(failed(name))?;
+        Ok(reader.async_sample_stream().map(|message| {
+            let message = message.map_err(|error| format!("{error:?}"))?;
+            let info = message.sample_info();
+            let (identity, related) = (info.sample_identity(), info.related_sample_identity());
+            let Raw(data) = message.into_value();
+            Ok(Sample { data, identity, related })
+        }))
+    }
+
+    /// Writes a topic by its name in DDS.
+    pub(crate) fn write_raw(&self, name: &str, type_name: &str) -> Result<RawWriter, BusError> {
+        let made = self.topic_in_dds(name, type_name, Qos::Reliable)?;
+        let writer = self.publisher.create_datawriter_no_key(&made, None).map_err(failed(name))?;
+        Ok(RawWriter::new(name, self.participant.clone(), writer))
     }
 
     pub(crate) fn read(
@@ -212,45 +240,6 @@ impl<M: Message> Outgoing<M> {
         if !matches!(self.writer.wait_for_acknowledgments(most), Ok(true)) {
             tracing::debug!("{} was not acknowledged by all", self.topic);
         }
-    }
-}
-
-/// A message as it came.
-struct Raw(Vec<u8>);
-
-/// Leaves messages as they came.
-struct AsItIs;
-
-impl DeserializerAdapter<Raw> for AsItIs {
-    type Error = Infallible;
-    type Decoded = Raw;
-
-    fn supported_encodings() -> &'static [RepresentationIdentifier] {
-        &[RepresentationIdentifier::CDR_LE, RepresentationIdentifier::CDR_BE]
-    }
-
-    fn transform_decoded(decoded: Raw) -> Raw {
-        decoded
-    }
-}
-
-impl DefaultDecoder<Raw> for AsItIs {
-    type Decoder = Copying;
-    const DECODER: Copying = Copying;
-}
-
-#[derive(Clone)]
-struct Copying;
-
-impl Decode<'_, Raw> for Copying {
-    type Error = Infallible;
-
-    fn decode_bytes(self, data: &[u8], encoding: RepresentationIdentifier) -> Result<Raw, Infallible> {
-        let order = u8::from(encoding == RepresentationIdentifier::CDR_LE);
-        let mut whole = Vec::with_capacity(data.len() + 4);
-        whole.extend([0, order, 0, 0]);
-        whole.extend_from_slice(data);
-        Ok(Raw(whole))
     }
 }
 

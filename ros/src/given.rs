@@ -8,15 +8,11 @@ use serde::Deserialize;
 use waypost_bags::Kind;
 
 use crate::names::{NameError, full};
-use crate::settings::{Mode, SensorQos, Settings, Topics};
+use crate::settings::{Mode, SensorQos, Services, Settings, Topics};
 
 /// In place of a topic: there is none.
 const NONE: &str = "none";
 const DEFAULT_SERVER: &str = "http://127.0.0.1:7600";
-/// Frames that wait for a server while it is away: some minutes at two a second.
-const DEFAULT_BUFFER_FRAMES: usize = 512;
-/// While localizing, an old frame says little: the newest ones are worth most.
-const LOCALIZING_BUFFER_FRAMES: usize = 2;
 const DEFAULT_MOST_HZ: f64 = 10.0;
 const DEFAULT_POSITION_SIGMA_M: f64 = 0.5;
 const DEFAULT_HEADING_SIGMA_RAD: f64 = 0.1;
@@ -97,6 +93,9 @@ pub(crate) struct Given {
     /// Standard deviation of the heading to publish with poses [default: 0.1]
     #[arg(long, value_name = "RADIANS")]
     heading_sigma_rad: Option<f64>,
+    /// Let ROS 2 services choose map and mode, and finish sessions. --map may be left out then
+    #[arg(long)]
+    services: bool,
     /// Let Foxglove's app look on at this address, as 127.0.0.1:8765. Whoever reaches it sees the images
     #[arg(long, value_name = "ADDRESS:PORT")]
     foxglove: Option<SocketAddr>,
@@ -122,7 +121,7 @@ pub(crate) enum SettingsError {
         source: toml::de::Error,
     },
     /// No map is named.
-    #[error("no map is named; give --map, or `map` in the file of --params")]
+    #[error("no map is named; give --map, or `map` in the file of --params; or --services for a robot that chooses it")]
     NoMap,
     /// A drive that would change the map.
     #[error("--drive follows a map that is there; give --localize with it")]
@@ -187,6 +186,7 @@ impl Given {
             buffer_frames: self.buffer_frames.or(file.buffer_frames),
             position_sigma_m: self.position_sigma_m.or(file.position_sigma_m),
             heading_sigma_rad: self.heading_sigma_rad.or(file.heading_sigma_rad),
+            services: self.services || file.services,
             foxglove: self.foxglove.or(file.foxglove),
         }
     }
@@ -201,7 +201,10 @@ impl Given {
         if domain > LAST_DOMAIN {
             return Err(SettingsError::Domain(domain));
         }
-        let kept = if mode == Mode::Map { DEFAULT_BUFFER_FRAMES } else { LOCALIZING_BUFFER_FRAMES };
+        let map = self.map.filter(|map| !map.is_empty());
+        if map.is_none() && !self.services {
+            return Err(SettingsError::NoMap);
+        }
         let position_sigma_m = self.position_sigma_m.unwrap_or(DEFAULT_POSITION_SIGMA_M);
         let heading_sigma_rad = self.heading_sigma_rad.unwrap_or(DEFAULT_HEADING_SIGMA_RAD);
         Ok(Settings {
@@ -212,14 +215,15 @@ impl Given {
             server: self.server.unwrap_or_else(|| DEFAULT_SERVER.to_owned()),
             token: self.token.filter(|token| !token.is_empty()),
             ca: self.ca,
-            map: self.map.filter(|map| !map.is_empty()).ok_or(SettingsError::NoMap)?,
+            map,
+            is_served: self.services,
             session: self.session.unwrap_or_default(),
             networks: self.network,
             namespace: self.namespace.unwrap_or_default().trim_matches('/').to_owned(),
             sensor_qos: self.sensor_qos.unwrap_or(SensorQos::BestEffort),
             map_frame: self.map_frame.unwrap_or_else(|| "map".to_owned()),
             most_hz: at_least_zero("most_hz", self.most_hz.unwrap_or(DEFAULT_MOST_HZ))?,
-            buffer_frames: self.buffer_frames.unwrap_or(kept).max(1),
+            buffer_frames: self.buffer_frames.map(|frames| frames.max(1)),
             position_sigma_m: at_least_zero("position_sigma_m", position_sigma_m)?,
             heading_sigma_rad: at_least_zero("heading_sigma_rad", heading_sigma_rad)?,
             foxglove: self.foxglove,
@@ -259,6 +263,14 @@ impl Given {
             path: name("waypost/path")?,
             markers: name("waypost/markers")?,
             diagnostics: name("/diagnostics")?,
+            services: Services {
+                localize: name("waypost/localize")?,
+                start: name("waypost/start")?,
+                finish: name("waypost/finish")?,
+                set_parameters: name("waypost/set_parameters")?,
+                get_parameters: name("waypost/get_parameters")?,
+                list_parameters: name("waypost/list_parameters")?,
+            },
             new_place: name("waypost/new_place")?,
             most_probable_place: name("waypost/most_probable_place")?,
             matched: name("waypost/match")?,
@@ -318,9 +330,8 @@ mod tests {
     fn a_flag_wins_over_the_file() {
         let file: Given = toml::from_str("map = 'hall'\nmost_hz = 2.5\nsensor_qos = 'reliable'").unwrap();
         let settings = given(&["--map", "office", "--localize"]).over(file).resolved().unwrap();
-        assert_eq!((settings.map.as_str(), settings.most_hz), ("office", 2.5));
+        assert_eq!((settings.map.as_deref(), settings.most_hz), (Some("office"), 2.5));
         assert_eq!((settings.mode, settings.sensor_qos), (Mode::Localize, SensorQos::Reliable));
-        assert_eq!(settings.buffer_frames, LOCALIZING_BUFFER_FRAMES);
     }
 
     #[test]

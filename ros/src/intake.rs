@@ -173,6 +173,10 @@ impl Intake {
             if self.seen.receiver_count() > 0 {
                 let _ = self.seen.send(frame.clone());
             }
+            if !self.outbox.is_open() {
+                self.shared.lock().frames.unwanted += 1;
+                continue;
+            }
             let dropped = self.outbox.put(frame);
             self.shared.lock().frames.dropped += dropped;
         }

@@ -14,8 +14,9 @@ use waypost_client::{
 
 use crate::camera::odometry_message;
 use crate::outbox::Outbox;
+use crate::plan::Plan;
 use crate::settings::{Mode, Settings};
-use crate::state::{Declared, Placed, Shared};
+use crate::state::{Declared, Placed, Shared, Turned};
 use crate::telling::{Sureness, Telling};
 use waypost_ros_messages::Pose;
 
@@ -37,7 +38,6 @@ pub(crate) struct Streaming {
     pub(crate) client: Client,
     pub(crate) shared: Shared,
     pub(crate) outbox: Arc<Outbox>,
-    pub(crate) ending: watch::Receiver<bool>,
     pub(crate) telling: Telling,
     pub(crate) sureness: Sureness,
     /// Numbers and stamps of frames that have no answer yet.
@@ -45,28 +45,44 @@ pub(crate) struct Streaming {
 }
 
 impl Streaming {
-    /// Streams frames, from when the camera is known until the bridge ends.
+    /// Streams frames, from when the camera is known until the session is to stop. A planned name is used up once it is
+    /// open.
     ///
     /// # Errors
     /// What the server refuses for good, as a map that it does not have.
     pub(crate) async fn run(
-        mut self,
+        &mut self,
         settings: &Settings,
+        plan: &Plan,
         mut declared: watch::Receiver<Declared>,
+        mut stopping: watch::Receiver<bool>,
+        plans: &watch::Sender<Plan>,
     ) -> Result<(), Error> {
+        self.unanswered.lock().unwrap_or_else(PoisonError::into_inner).clear();
         let camera = tokio::select! {
             camera = camera(&mut declared) => camera,
-            _ = self.ending.wait_for(|ends| *ends) => return Ok(()),
+            _ = stopping.wait_for(|stops| *stops) => return Ok(()),
         };
         tracing::info!("opening the session at {}", settings.server);
-        let opening = self.client.open_session(options(settings, camera));
+        let opening = self.client.open_session(options(plan, camera));
         let session = tokio::select! {
             session = opening => session?,
-            _ = self.ending.wait_for(|ends| *ends) => return Ok(()),
+            _ = stopping.wait_for(|stops| *stops) => return Ok(()),
         };
         let opened = session.opened().clone();
         tracing::info!("{} is open", opened.session);
-        self.shared.lock().session = Some(opened.session);
+        plans.send_if_modified(|now| {
+            if now.turn == plan.turn && now.next_session == plan.next_session {
+                now.next_session.clear();
+            }
+            // Nobody has to do anything about it.
+            false
+        });
+        {
+            let mut state = self.shared.lock();
+            state.session = Some(opened.session.clone());
+            state.turned = Some(Turned { turn: plan.turn, to: Ok(opened.session) });
+        }
         let (sender, mut outcomes) = session.split();
         let sending = tokio::spawn(send(
             sender,
@@ -74,18 +90,22 @@ impl Streaming {
             self.outbox.clone(),
             self.shared.clone(),
             self.unanswered.clone(),
-            self.ending.clone(),
+            stopping.clone(),
         ));
-        let taken = self.take(&mut outcomes).await;
+        let taken = self.take(&mut outcomes, stopping).await;
         sending.abort();
         taken
     }
 
-    async fn take(&mut self, outcomes: &mut Outcomes) -> Result<(), Error> {
+    async fn take(
+        &mut self,
+        outcomes: &mut Outcomes,
+        mut stopping: watch::Receiver<bool>,
+    ) -> Result<(), Error> {
         loop {
             let outcome = tokio::select! {
                 outcome = outcomes.next() => outcome?,
-                _ = self.ending.wait_for(|ends| *ends) => break,
+                _ = stopping.wait_for(|stops| *stops) => break,
             };
             let Some(outcome) = outcome else { return Ok(()) };
             self.outcome(outcome);
@@ -100,10 +120,16 @@ impl Streaming {
         last.await.unwrap_or_else(|_elapsed| {
             let count = unanswered.lock().unwrap_or_else(PoisonError::into_inner).len();
             tracing::warn!(
-                "{count} frames had no answer when the bridge ended; they may be in the map all the same"
+                "{count} frames had no answer when their session ended; they may be in the map all the same"
             );
             Ok(())
         })
+    }
+
+    /// What was known of the robot was of another map.
+    pub(crate) fn another_map(&mut self) {
+        self.shared.lock().placed = None;
+        self.telling.begin_anew();
     }
 
     fn outcome(&mut self, outcome: FrameOutcome) {
@@ -179,12 +205,12 @@ pub(crate) async fn camera(declared: &mut watch::Receiver<Declared>) -> Option<v
     }
 }
 
-fn options(settings: &Settings, camera: Option<v1::Camera>) -> SessionOptions {
-    let mut options = SessionOptions::new(&settings.map);
-    options.session_id.clone_from(&settings.session);
+fn options(plan: &Plan, camera: Option<v1::Camera>) -> SessionOptions {
+    let mut options = SessionOptions::new(plan.map.as_deref().unwrap_or_default());
+    options.session_id.clone_from(&plan.next_session);
     options.camera = camera;
     options.reconnection = reconnection();
-    match settings.mode {
+    match plan.mode {
         Mode::Map => options.mode = v1::SessionMode::Map,
         Mode::Localize | Mode::Drive => {
             options.mode = v1::SessionMode::Localize;
@@ -200,20 +226,20 @@ fn since_epoch_ms() -> u128 {
     std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_millis())
 }
 
-/// Sends frames one after another, until the bridge ends.
+/// Sends frames one after another, until the session is to stop.
 async fn send(
     mut sender: FrameSender,
     last_committed: u64,
     outbox: Arc<Outbox>,
     shared: Shared,
     unanswered: Arc<Mutex<VecDeque<(u64, i64)>>>,
-    mut ending: watch::Receiver<bool>,
+    mut stopping: watch::Receiver<bool>,
 ) {
     let mut sequence = last_committed;
     loop {
         let Frame { number: _, stamp_ns, image, pose } = tokio::select! {
             frame = outbox.take() => frame,
-            _ = ending.wait_for(|ends| *ends) => return,
+            _ = stopping.wait_for(|stops| *stops) => return,
         };
         sequence += 1;
         let frame = FrameInput {

@@ -43,9 +43,22 @@ pub(crate) struct Topics {
     pub(crate) path: String,
     pub(crate) markers: String,
     pub(crate) diagnostics: String,
+    /// The parameters of the bridge's node, and what else it is asked.
+    pub(crate) services: Services,
     pub(crate) new_place: String,
     pub(crate) most_probable_place: String,
     pub(crate) matched: String,
+}
+
+/// Full names of services.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Services {
+    pub(crate) localize: String,
+    pub(crate) start: String,
+    pub(crate) finish: String,
+    pub(crate) set_parameters: String,
+    pub(crate) get_parameters: String,
+    pub(crate) list_parameters: String,
 }
 
 /// What the bridge does, and how.
@@ -54,7 +67,8 @@ pub(crate) struct Settings {
     pub(crate) server: String,
     pub(crate) token: Option<String>,
     pub(crate) ca: Option<PathBuf>,
-    pub(crate) map: String,
+    /// None where services choose it.
+    pub(crate) map: Option<String>,
     /// Empty for the server to choose.
     pub(crate) session: String,
     pub(crate) mode: Mode,
@@ -70,9 +84,12 @@ pub(crate) struct Settings {
     pub(crate) map_frame: String,
     /// 0 for all.
     pub(crate) most_hz: f64,
-    pub(crate) buffer_frames: usize,
+    /// As the mode has it by itself, if nothing is said.
+    pub(crate) buffer_frames: Option<usize>,
     pub(crate) position_sigma_m: f64,
     pub(crate) heading_sigma_rad: f64,
+    /// Whether services choose map and mode.
+    pub(crate) is_served: bool,
     /// Where whoever looks on by Foxglove connects to.
     pub(crate) foxglove: Option<SocketAddr>,
 }

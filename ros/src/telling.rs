@@ -34,6 +34,11 @@ impl Telling {
         Self { pose, path, map_frame, covariance, track: Track::default(), path_told: None }
     }
 
+    /// The path begins anew.
+    pub(crate) fn begin_anew(&mut self) {
+        self.track = Track::default();
+    }
+
     /// The map has the robot there, at the stamp of a frame.
     pub(crate) fn placed(&mut self, placed: &Placed, stamp_ns: i64) {
         let header = Header::new(stamp_ns, &self.map_frame);

@@ -7,12 +7,17 @@ mod definitions;
 mod markers;
 mod messages;
 mod recording;
+mod services;
 
 pub use definitions::definition;
 pub use markers::{DrawnMap, Line, MarkerArray};
 pub use messages::{
     CompressedImage, Covariance, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue, Message,
     Odometry, Path, Pose, PoseStamped, PoseWithCovarianceStamped, Time, TransformStamped, Transforms, Twist,
-    Vector3, encoded,
+    Vector3, CdrError, decoded, encoded, laid_out,
 };
 pub use recording::{Recording, RecordingError};
+pub use services::{
+    Done, GetParameters, List, ListParameters, Listed, Names, Nothing, Parameter, ParameterValue, Results,
+    Service, Set, SetBool, SetParameters, Switch, Trigger, Values, Wanted,
+};

@@ -1,8 +1,11 @@
 //! The messages of ROS 2, laid out as CDR has them.
 
-use byteorder::LittleEndian;
+use byteorder::{BigEndian, LittleEndian};
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 use waypost_proto::v1;
+
+pub use cdr_encoding::Error as CdrError;
 
 /// What CDR in little endian begins with.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
@@ -17,10 +20,31 @@ pub trait Message: Serialize + Send + 'static {
 ///
 /// # Errors
 /// If it has something that CDR cannot say.
-pub fn encoded<M: Message>(message: &M) -> Result<Vec<u8>, cdr_encoding::Error> {
+pub fn encoded<M: Message>(message: &M) -> Result<Vec<u8>, CdrError> {
     let mut data = ENCAPSULATION.to_vec();
-    data.extend(cdr_encoding::to_vec::<M, LittleEndian>(message)?);
+    data.extend(laid_out(message)?);
     Ok(data)
+}
+
+/// Likewise of anything, without those bytes.
+///
+/// # Errors
+/// If it has something that CDR cannot say.
+pub fn laid_out<T: Serialize>(told: &T) -> Result<Vec<u8>, CdrError> {
+    cdr_encoding::to_vec::<T, LittleEndian>(told)
+}
+
+/// What CDR says behind its four bytes of encapsulation, in either byte order. What comes behind it is not looked at.
+///
+/// # Errors
+/// If it is something else.
+pub fn decoded<T: DeserializeOwned>(data: &[u8]) -> Result<T, CdrError> {
+    let (encapsulation, body) = data.split_at_checked(4).ok_or(CdrError::Eof)?;
+    let read = match encapsulation[1] {
+        0 => cdr_encoding::from_bytes::<T, BigEndian>(body),
+        _ => cdr_encoding::from_bytes::<T, LittleEndian>(body),
+    };
+    read.map(|(told, _)| told)
 }
 
 /// builtin_interfaces/Time
