@@ -19,6 +19,7 @@ use crate::failure::Failure;
 use crate::intake::Intake;
 use crate::markers::Markers;
 use crate::outbox::Outbox;
+use crate::peers::Peers;
 use crate::plan::Plan;
 use crate::session::Streaming;
 use crate::sessions::Sessions;
@@ -63,10 +64,14 @@ pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
         Some(address) => Some(Arc::new(Viewers::open(address, shared.clone()).await?)),
         None => None,
     };
+    let peers = Peers::find(settings.domain, &settings.peers).await?;
     let mut bus = Bus::join(settings.domain, &settings.networks, viewers.clone())?;
     let (end, ending) = watch::channel(false);
     let parts = parts(settings, client, shared, viewers.as_deref(), ending)?;
     let mut tasks = listen(&parts, &mut bus)?;
+    if let Some(peers) = peers {
+        tasks.push(tokio::spawn(peers.tell(bus.prefix())));
+    }
     let driving = match parts.settings.mode {
         Mode::Drive => Some(drive(&parts, &mut bus, &mut tasks)?),
         Mode::Map | Mode::Localize => None,

@@ -9,7 +9,7 @@ use rustdds::no_key::DataWriter;
 use rustdds::policy::{Durability, History, Reliability};
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, Duration, Publisher, QosPolicies, QosPolicyBuilder,
-    Subscriber, Topic, TopicKind,
+    RTPSEntity, Subscriber, Topic, TopicKind,
 };
 
 use crate::names::{in_dds, type_in_dds, type_in_ros};
@@ -109,6 +109,12 @@ impl Bus {
         let publisher = participant.create_publisher(&qos).map_err(failed("making a publisher"))?;
         let subscriber = participant.create_subscriber(&qos).map_err(failed("making a subscriber"))?;
         Ok(Self { participant, publisher, subscriber, wanted: Vec::new(), viewers })
+    }
+
+    /// What each of our messages begins with, behind RTPS's own words.
+    pub(crate) fn prefix(&self) -> [u8; 12] {
+        let whole = self.participant.guid().to_bytes();
+        std::array::from_fn(|at| whole[at])
     }
 
     fn topic(&self, topic: &str, type_name: &str, qos: Qos) -> Result<Topic, BusError> {

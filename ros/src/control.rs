@@ -142,7 +142,8 @@ impl Control {
             return Ok("no session was open yet, and none is opened".to_owned());
         }
         let name = self.known(turn, CLOSING_PATIENCE).await.unwrap_or_else(|| {
-            Err("the session has not ended yet: the server does not answer; what it has taken is safe".to_owned())
+            Err("the session has not ended yet: the server does not answer; what it has taken is safe"
+                .to_owned())
         })?;
         let frames = self.shared.lock().frames.clone();
         let lost = frames.dropped - answered_before.dropped;
@@ -164,9 +165,10 @@ impl Control {
             plan.is_wanted |= chooses;
             is_new && plan.is_wanted
         });
-        let chosen = parameters.iter().zip(&mut results).find(|(parameter, result)| {
-            result.is_ok() && [MAP, LOCALIZE].contains(&parameter.name.as_str())
-        });
+        let chosen = parameters
+            .iter()
+            .zip(&mut results)
+            .find(|(parameter, result)| result.is_ok() && [MAP, LOCALIZE].contains(&parameter.name.as_str()));
         if let Some((_, result)) = chosen
             && self.plans.borrow().wanted_map().is_some()
         {
@@ -183,13 +185,15 @@ impl Control {
         match name.as_str() {
             MAP => {
                 let map = value.text().filter(|map| !map.is_empty());
-                let map = map.ok_or_else(|| "map is a text: the name of a map that the server has".to_owned())?;
+                let map =
+                    map.ok_or_else(|| "map is a text: the name of a map that the server has".to_owned())?;
                 self.need_on_server(map).await?;
                 wanted.map = Some(map.to_owned());
             }
             SESSION => {
                 let session = value.text().ok_or_else(|| {
-                    "session is a text: the name of the next session, empty for the server to choose".to_owned()
+                    "session is a text: the name of the next session, empty for the server to choose"
+                        .to_owned()
                 })?;
                 session.clone_into(&mut wanted.next_session);
             }
@@ -197,7 +201,9 @@ impl Control {
                 let localizes = value.switch().ok_or_else(|| "localize is true or false".to_owned())?;
                 wanted.mode = self.mode(localizes)?;
             }
-            other => return Err(format!("there is no parameter `{other}`; there are {}", PARAMETERS.join(", "))),
+            other => {
+                return Err(format!("there is no parameter `{other}`; there are {}", PARAMETERS.join(", ")));
+            }
         }
         Ok(())
     }

@@ -8,6 +8,7 @@ use waypost_client::Error;
 
 use crate::bus::BusError;
 use crate::given::SettingsError;
+use crate::peers::PeersError;
 use crate::viewers::ViewersError;
 
 /// Why the bridge ended. The message says what to do about it.
@@ -19,6 +20,9 @@ pub(crate) enum Failure {
     /// DDS.
     #[error(transparent)]
     Bus(#[from] BusError),
+    /// Named peers.
+    #[error(transparent)]
+    Peers(#[from] PeersError),
     /// Foxglove's app cannot be let in.
     #[error(transparent)]
     Viewers(#[from] ViewersError),
@@ -45,10 +49,11 @@ impl Failure {
     /// 2 for wrong usage, 3 for a server that was lost, 4 for one that refuses, else 1: as `waypost` has them.
     pub(crate) fn exit_code(&self) -> ExitCode {
         let code = match self {
-            Failure::Settings(_) => 2,
+            Failure::Settings(_) | Failure::Peers(PeersError::Unknown { .. }) => 2,
             Failure::Server(Error::Connection { .. } | Error::SessionLost { .. }) => 3,
             Failure::Server(Error::Status { .. } | Error::SessionRewound { .. }) => 4,
             Failure::Server(_) | Failure::Bus(_) | Failure::Viewers(_) | Failure::Certificate { .. } => 1,
+            Failure::Peers(PeersError::NoPort { .. } | PeersError::System(_)) => 1,
             Failure::System(_) | Failure::Died => 1,
         };
         ExitCode::from(code)

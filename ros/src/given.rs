@@ -65,6 +65,9 @@ pub(crate) struct Given {
     /// Addresses of the network interfaces to use, as 127.0.0.1 to stay on this machine [default: all]
     #[arg(long, value_name = "ADDRESS")]
     network: Vec<IpAddr>,
+    /// A machine to find without multicast, by its name or IPv4 address; with a port, that one alone
+    #[arg(long, value_name = "HOST[:PORT]")]
+    peer: Vec<String>,
     /// sensor_msgs/Image, or CompressedImage if the name ends in `compressed` [default: camera/image_raw]
     #[arg(long, value_name = "TOPIC")]
     image_topic: Option<String>,
@@ -121,7 +124,9 @@ pub(crate) enum SettingsError {
         source: toml::de::Error,
     },
     /// No map is named.
-    #[error("no map is named; give --map, or `map` in the file of --params; or --services for a robot that chooses it")]
+    #[error(
+        "no map is named; give --map, or `map` in the file of --params; or --services for a robot that chooses it"
+    )]
     NoMap,
     /// A drive that would change the map.
     #[error("--drive follows a map that is there; give --localize with it")]
@@ -177,6 +182,7 @@ impl Given {
             namespace: self.namespace.or(file.namespace),
             domain: self.domain.or(file.domain),
             network: if self.network.is_empty() { file.network } else { self.network },
+            peer: if self.peer.is_empty() { file.peer } else { self.peer },
             image_topic: self.image_topic.or(file.image_topic),
             camera_info_topic: self.camera_info_topic.or(file.camera_info_topic),
             odometry_topic: self.odometry_topic.or(file.odometry_topic),
@@ -219,6 +225,7 @@ impl Given {
             is_served: self.services,
             session: self.session.unwrap_or_default(),
             networks: self.network,
+            peers: self.peer,
             namespace: self.namespace.unwrap_or_default().trim_matches('/').to_owned(),
             sensor_qos: self.sensor_qos.unwrap_or(SensorQos::BestEffort),
             map_frame: self.map_frame.unwrap_or_else(|| "map".to_owned()),

@@ -22,6 +22,7 @@ mod intake;
 mod markers;
 mod names;
 mod outbox;
+mod peers;
 mod plan;
 mod raw;
 mod session;

@@ -69,9 +69,6 @@ mod tests {
     fn types_are_told_as_ros_writes_them() {
         assert_eq!(type_in_ros("sensor_msgs::msg::dds_::Image_"), "sensor_msgs/Image");
         assert_eq!(type_in_dds("nav_msgs/msg/Path"), "nav_msgs::msg::dds_::Path_");
-        assert_eq!(
-            type_in_dds("std_srvs/srv/Trigger_Request"),
-            "std_srvs::srv::dds_::Trigger_Request_"
-        );
+        assert_eq!(type_in_dds("std_srvs/srv/Trigger_Request"), "std_srvs::srv::dds_::Trigger_Request_");
     }
 }

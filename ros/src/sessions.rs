@@ -93,8 +93,12 @@ impl Sessions {
             Some(ended) => ended,
             None => {
                 let is_sent = async {
-                    let waits = || outbox.len() > 0 || unanswered.lock().is_ok_and(|waiting| !waiting.is_empty());
-                    while shared.lock().session.is_some() && waits() {
+                    let waits =
+                        || outbox.len() > 0 || unanswered.lock().is_ok_and(|waiting| !waiting.is_empty());
+                    let mut idle = 0;
+                    // Twice, as a frame may just be on its way from one to the other.
+                    while shared.lock().session.is_some() && idle < 2 {
+                        idle = if waits() { 0 } else { idle + 1 };
                         tokio::time::sleep(LOOKING_PERIOD).await;
                     }
                 };

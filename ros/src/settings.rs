@@ -77,6 +77,8 @@ pub(crate) struct Settings {
     pub(crate) domain: u16,
     /// Empty for all.
     pub(crate) networks: Vec<IpAddr>,
+    /// Other machines to find, as `robot.local` or `10.0.0.5:7410`.
+    pub(crate) peers: Vec<String>,
     /// Without slashes at its ends; empty for none.
     pub(crate) namespace: String,
     pub(crate) topics: Topics,

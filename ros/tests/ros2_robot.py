@@ -33,7 +33,9 @@ class Robot(Node):
     def __init__(self, images: list[Path]) -> None:
         super().__init__("robot")
         self._images = images
-        self._image = self.create_publisher(CompressedImage, "camera/image_raw/compressed", qos_profile_sensor_data)
+        self._image = self.create_publisher(
+            CompressedImage, "camera/image_raw/compressed", qos_profile_sensor_data
+        )
         self._odometry = self.create_publisher(Odometry, "odom", qos_profile_sensor_data)
         self.heard: dict[str, list[Any]] = {"pose": [], "path": [], "new_place": []}
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -60,7 +62,9 @@ class Robot(Node):
 
     def set(self, name: str, value: str) -> Any:
         text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-        return self.call(SetParameters, "set_parameters", parameters=[Parameter(name=name, value=text)]).results[0]
+        return self.call(
+            SetParameters, "set_parameters", parameters=[Parameter(name=name, value=text)]
+        ).results[0]
 
     def drive(self, number: int) -> None:
         stamp = self.get_clock().now().to_msg()

@@ -12,9 +12,9 @@ mod services;
 pub use definitions::definition;
 pub use markers::{DrawnMap, Line, MarkerArray};
 pub use messages::{
-    CompressedImage, Covariance, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue, Message,
-    Odometry, Path, Pose, PoseStamped, PoseWithCovarianceStamped, Time, TransformStamped, Transforms, Twist,
-    Vector3, CdrError, decoded, encoded, laid_out,
+    CdrError, CompressedImage, Covariance, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue,
+    Message, Odometry, Path, Pose, PoseStamped, PoseWithCovarianceStamped, Time, TransformStamped,
+    Transforms, Twist, Vector3, decoded, encoded, laid_out,
 };
 pub use recording::{Recording, RecordingError};
 pub use services::{
