@@ -18,6 +18,7 @@ use crate::drive::{Drive, goals, wishes};
 use crate::failure::Failure;
 use crate::intake::Intake;
 use crate::markers::Markers;
+use crate::nav2::{Action, Nav2};
 use crate::outbox::Outbox;
 use crate::peers::Peers;
 use crate::plan::Plan;
@@ -165,10 +166,27 @@ fn listen(Parts { intake, settings, .. }: &Parts, bus: &mut Bus) -> Result<Vec<J
 fn drive(parts: &Parts, bus: &mut Bus, tasks: &mut Vec<JoinHandle<()>>) -> Result<JoinHandle<()>, Failure> {
     let Parts { settings, client, shared, intake, declared, plans, ending, .. } = parts;
     let topics = &settings.topics;
-    let poses = bus.read(&topics.goal_pose, "geometry_msgs::msg::dds_::PoseStamped_", Qos::Reliable)?;
+    // Nav2 takes goals in metres itself.
+    let poses = if settings.is_by_nav2 {
+        Box::pin(futures::stream::pending())
+    } else {
+        bus.read(&topics.goal_pose, "geometry_msgs::msg::dds_::PoseStamped_", Qos::Reliable)?
+    };
     let names = bus.read(&topics.goal, "std_msgs::msg::dds_::String_", Qos::Reliable)?;
     let (wished, wishes) = wishes();
     tasks.push(tokio::spawn(goals(poses, names, settings.map_frame.clone(), shared.clone(), wished)));
+    if settings.is_by_nav2 {
+        let nav2 = Nav2 {
+            client: client.clone(),
+            shared: shared.clone(),
+            plans: plans.subscribe(),
+            map_frame: settings.map_frame.clone(),
+            action: Action::of(bus, &topics.navigate_to_pose)?,
+            wishes,
+            ending: ending.clone(),
+        };
+        return Ok(tokio::spawn(nav2.run()));
+    }
     let drive = Drive {
         client: client.clone(),
         shared: shared.clone(),

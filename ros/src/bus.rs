@@ -8,7 +8,7 @@ use futures::{Stream, StreamExt};
 use rustdds::no_key::DataWriter;
 use rustdds::policy::{Durability, History, Reliability};
 use rustdds::{
-    DomainParticipant, DomainParticipantBuilder, Duration, Publisher, QosPolicies, QosPolicyBuilder,
+    DomainParticipant, DomainParticipantBuilder, Duration, GUID, Publisher, QosPolicies, QosPolicyBuilder,
     RTPSEntity, Subscriber, Topic, TopicKind,
 };
 
@@ -127,22 +127,24 @@ impl Bus {
         made.map_err(failed(name))
     }
 
-    /// Reads a topic by its name in DDS, with who wrote what.
+    /// Reads a topic by its name in DDS, with who wrote what, and by which reader.
     pub(crate) fn read_raw(
         &self,
         name: &str,
         type_name: &str,
-    ) -> Result<impl Stream<Item = Result<Sample, String>> + Send + use<>, BusError> {
+    ) -> Result<(impl Stream<Item = Result<Sample, String>> + Send + use<>, GUID), BusError> {
         let made = self.topic_in_dds(name, type_name, Qos::Reliable)?;
         let reader = self.subscriber.create_datareader_no_key::<Raw, AsItIs>(&made, None);
         let reader = reader.map_err(failed(name))?;
-        Ok(reader.async_sample_stream().map(|message| {
+        let guid = reader.guid();
+        let samples = reader.async_sample_stream().map(|message| {
             let message = message.map_err(|error| format!("{error:?}"))?;
             let info = message.sample_info();
             let (identity, related) = (info.sample_identity(), info.related_sample_identity());
             let Raw(data) = message.into_value();
             Ok(Sample { data, identity, related })
-        }))
+        });
+        Ok((samples, guid))
     }
 
     /// Writes a topic by its name in DDS.

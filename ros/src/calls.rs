@@ -51,7 +51,7 @@ impl<S: Service> Calls<S> {
     pub(crate) fn serve(bus: &Bus, name: &str) -> Result<Self, BusError> {
         let dds_type = |part: &str| type_in_dds(&format!("{}_{part}", S::TYPE));
         let answers = bus.write_raw(&format!("rr{name}Reply"), &dds_type("Response"))?;
-        let requests = bus.read_raw(&format!("rq{name}Request"), &dds_type("Request"))?;
+        let (requests, _) = bus.read_raw(&format!("rq{name}Request"), &dds_type("Request"))?;
         let requests = requests.map(|message| {
             let Sample { data, identity, related } = message?;
             let (asked, request) = read::<S>(&data, identity, related)?;

@@ -233,7 +233,7 @@ impl Control {
         match (self.plans.borrow().mode, localizes) {
             (Mode::Drive, true) => Ok(Mode::Drive),
             (Mode::Drive, false) => Err(
-                "the bridge drives the robot along the map, so it has to localize; start it without --drive to map"
+                "the bridge drives the robot along the map, so it has to localize; start it without --drive or --nav2 to map"
                     .to_owned(),
             ),
             (Mode::Map | Mode::Localize, true) => Ok(Mode::Localize),

@@ -92,7 +92,7 @@ pub(crate) async fn goals(
     }
 }
 
-fn no_goal(shared: &Shared, problem: String) {
+pub(crate) fn no_goal(shared: &Shared, problem: String) {
     tracing::error!("{problem}");
     shared.lock().goal_problem = Some(problem);
 }

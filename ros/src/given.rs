@@ -53,6 +53,9 @@ pub(crate) struct Given {
     /// Take goals, and drive by cmd_vel. Needs --localize.
     #[arg(long)]
     drive: bool,
+    /// Take goals by name, and hand them to Nav2, which drives. Needs --localize, and is in place of --drive
+    #[arg(long, conflicts_with = "drive")]
+    nav2: bool,
     /// Speed on straight ways while driving [default: the server's, 0.4]
     #[arg(long, value_name = "M_S")]
     speed_m_s: Option<f64>,
@@ -129,10 +132,13 @@ pub(crate) enum SettingsError {
     )]
     NoMap,
     /// A drive that would change the map.
-    #[error("--drive follows a map that is there; give --localize with it")]
+    #[error("--drive and --nav2 follow a map that is there; give --localize with either")]
     DriveWithoutLocalize,
+    /// Two who would drive.
+    #[error("--drive and --nav2 would both drive the robot; leave out one")]
+    TwoDrivers,
     /// A drive without wheels.
-    #[error("--drive needs odometry and a declared camera; leave out `none` for their topics")]
+    #[error("--drive and --nav2 need odometry and a declared camera; leave out `none` for their topics")]
     DriveBlind,
     /// DDS has no such domain.
     #[error("domain {0} does not exist; choose one from 0 to 232")]
@@ -178,6 +184,7 @@ impl Given {
             session: self.session.or(file.session),
             localize: self.localize || file.localize,
             drive: self.drive || file.drive,
+            nav2: self.nav2 || file.nav2,
             speed_m_s: self.speed_m_s.or(file.speed_m_s),
             namespace: self.namespace.or(file.namespace),
             domain: self.domain.or(file.domain),
@@ -215,6 +222,7 @@ impl Given {
         let heading_sigma_rad = self.heading_sigma_rad.unwrap_or(DEFAULT_HEADING_SIGMA_RAD);
         Ok(Settings {
             mode,
+            is_by_nav2: self.nav2,
             topics,
             domain,
             speed_m_s: self.speed_m_s.map(|speed| at_least_zero("speed_m_s", speed)).transpose()?,
@@ -238,11 +246,12 @@ impl Given {
     }
 
     fn mode(&self) -> Result<Mode, SettingsError> {
-        match (self.localize, self.drive) {
-            (false, false) => Ok(Mode::Map),
-            (true, false) => Ok(Mode::Localize),
-            (true, true) => Ok(Mode::Drive),
-            (false, true) => Err(SettingsError::DriveWithoutLocalize),
+        match (self.localize, self.drive, self.nav2) {
+            (_, true, true) => Err(SettingsError::TwoDrivers),
+            (false, false, false) => Ok(Mode::Map),
+            (true, false, false) => Ok(Mode::Localize),
+            (true, true, false) | (true, false, true) => Ok(Mode::Drive),
+            (false, true, false) | (false, false, true) => Err(SettingsError::DriveWithoutLocalize),
         }
     }
 
@@ -266,6 +275,7 @@ impl Given {
             goal_pose: name("goal_pose")?,
             goal: name("waypost/goal")?,
             cmd_vel: name("cmd_vel")?,
+            navigate_to_pose: name("navigate_to_pose")?,
             pose: name("waypost/pose")?,
             path: name("waypost/path")?,
             markers: name("waypost/markers")?,
@@ -346,7 +356,7 @@ mod tests {
         assert!(told(&[]).contains("--map"));
         assert!(told(&["--map", "a", "--drive"]).contains("--localize"));
         let blind = ["--map", "a", "--drive", "--localize", "--odometry-topic", "none"];
-        assert!(told(&blind).contains("needs odometry"));
+        assert!(told(&blind).contains("need odometry"));
         assert!(told(&["--map", "a", "--domain", "233"]).contains("0 to 232"));
         assert!(told(&["--map", "a", "--most-hz=-1"]).contains("0 or above"));
         let unknown = toml::from_str::<Given>("mapp = 'hall'").unwrap_err().to_string();

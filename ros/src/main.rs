@@ -9,6 +9,7 @@ use tracing_subscriber::EnvFilter;
 use failure::Failure;
 use given::Given;
 
+mod asks;
 mod bridge;
 mod bus;
 mod calls;
@@ -21,6 +22,7 @@ mod given;
 mod intake;
 mod markers;
 mod names;
+mod nav2;
 mod outbox;
 mod peers;
 mod plan;

@@ -87,6 +87,24 @@ impl RawWriter {
         written.inspect_err(|error| tracing::warn!("{} was not written: {error}", self.topic)).ok()
     }
 
+    /// The program that reads this, and writes a topic besides.
+    pub(crate) fn reader_with(&self, written: &str) -> Option<[u8; 12]> {
+        let readers = self.participant.discovered_readers();
+        let writers = self.participant.discovered_writers();
+        let prefix = |guid: GUID| {
+            let whole = guid.to_bytes();
+            std::array::from_fn(|at| whole[at])
+        };
+        let readers = readers.iter().filter(|reader| reader.subscription_topic_data.topic_name == self.topic);
+        let mut served = readers.map(|reader| reader.reader_proxy.remote_reader_guid).filter(|reader| {
+            writers.iter().any(|writer| {
+                writer.publication_topic_data.topic_name == written
+                    && writer.writer_proxy.remote_writer_guid.prefix == reader.prefix
+            })
+        });
+        served.next().map(prefix)
+    }
+
     /// Whether somebody reads this in the program of another reader or writer.
     pub(crate) fn is_read_beside(&self, of: GUID) -> bool {
         self.participant.discovered_readers().iter().any(|reader| {

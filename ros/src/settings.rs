@@ -23,7 +23,7 @@ pub(crate) enum Mode {
     Map,
     /// It stays as it is.
     Localize,
-    /// It stays as it is, and the robot is driven along it.
+    /// It stays as it is, and the robot is driven along it: by us, or by Nav2.
     Drive,
 }
 
@@ -39,6 +39,8 @@ pub(crate) struct Topics {
     pub(crate) goal_pose: String,
     pub(crate) goal: String,
     pub(crate) cmd_vel: String,
+    /// Nav2's action.
+    pub(crate) navigate_to_pose: String,
     pub(crate) pose: String,
     pub(crate) path: String,
     pub(crate) markers: String,
@@ -72,6 +74,8 @@ pub(crate) struct Settings {
     /// Empty for the server to choose.
     pub(crate) session: String,
     pub(crate) mode: Mode,
+    /// Whether Nav2 drives.
+    pub(crate) is_by_nav2: bool,
     /// As the server has it by itself, if nothing is said.
     pub(crate) speed_m_s: Option<f64>,
     pub(crate) domain: u16,

@@ -167,7 +167,7 @@ def test_a_driven_robot_is_not_told_to_map(stage: Stage) -> None:
     asking = Asking.of(robot)
     answer = asking.localize(False)
     assert not answer.success
-    assert "start it without --drive to map" in answer.message
+    assert "start it without --drive or --nav2 to map" in answer.message
 
 
 def test_without_the_flag_nothing_is_served(stage: Stage) -> None:

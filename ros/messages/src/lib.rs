@@ -6,6 +6,7 @@
 mod definitions;
 mod markers;
 mod messages;
+mod navigate;
 mod recording;
 mod services;
 
@@ -15,6 +16,10 @@ pub use messages::{
     CdrError, CompressedImage, Covariance, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue,
     Message, Odometry, Path, Pose, PoseStamped, PoseWithCovarianceStamped, Time, TransformStamped,
     Transforms, Twist, Vector3, decoded, encoded, laid_out,
+};
+pub use navigate::{
+    CancelGoal, CancelWanted, FEEDBACK, Feedback, GetResult, GoalId, GoalTaken, GoalWanted, Outcome,
+    ResultWanted, SendGoal,
 };
 pub use recording::{Recording, RecordingError};
 pub use services::{

@@ -1,8 +1,8 @@
 //! The messages of ROS 2, laid out as CDR has them.
 
 use byteorder::{BigEndian, LittleEndian};
-use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use waypost_proto::v1;
 
 pub use cdr_encoding::Error as CdrError;
@@ -48,7 +48,7 @@ pub fn decoded<T: DeserializeOwned>(data: &[u8]) -> Result<T, CdrError> {
 }
 
 /// builtin_interfaces/Time
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Time {
     sec: i32,
     nanosec: u32,
@@ -64,7 +64,7 @@ impl Time {
 }
 
 /// std_msgs/Header
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Header {
     /// When what is told was so.
     pub stamp: Time,
@@ -80,7 +80,7 @@ impl Header {
 }
 
 /// geometry_msgs/Vector3 and Point
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Vector3 {
     /// Metres, or metres a second, or radians a second.
     pub x: f64,
@@ -91,7 +91,7 @@ pub struct Vector3 {
 }
 
 /// geometry_msgs/Quaternion
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quaternion {
     x: f64,
     y: f64,
@@ -100,7 +100,7 @@ pub struct Quaternion {
 }
 
 /// geometry_msgs/Pose and Transform, which are laid out alike.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
     /// Metres.
     pub position: Vector3,
@@ -208,7 +208,7 @@ impl Message for Odometry {
 }
 
 /// geometry_msgs/PoseStamped
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct PoseStamped {
     /// When, and in which frame.
     pub header: Header,
