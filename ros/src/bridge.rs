@@ -22,6 +22,7 @@ use crate::nav2::{Action, Nav2};
 use crate::outbox::Outbox;
 use crate::peers::Peers;
 use crate::plan::Plan;
+use crate::robot_words::{ContentMaker, SessionError};
 use crate::session::Streaming;
 use crate::sessions::Sessions;
 use crate::settings::{Mode, Settings};
@@ -233,6 +234,8 @@ fn streaming(parts: &Parts, bus: &Bus) -> Result<Streaming, Failure> {
         outbox: outbox.clone(),
         telling: Telling::new(pose, path, settings.map_frame.clone(), covariance),
         sureness,
+        words: settings.words,
+        contents: ContentMaker::Images,
         unanswered: unanswered.clone(),
     })
 }
@@ -257,7 +260,7 @@ fn reporting(parts: &Parts, bus: Bus) -> Result<Reporting, Failure> {
 
 /// Streams until a signal comes, and then until the last answers have.
 async fn until_told(
-    streaming: impl Future<Output = Result<(), waypost_client::Error>>,
+    streaming: impl Future<Output = Result<(), SessionError>>,
     end: &watch::Sender<bool>,
     is_whole: impl Fn() -> bool,
 ) -> Result<(), Failure> {

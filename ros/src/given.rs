@@ -8,6 +8,7 @@ use serde::Deserialize;
 use waypost_bags::Kind;
 
 use crate::names::{NameError, full};
+use crate::robot_words::WordForm;
 use crate::settings::{Mode, SensorQos, Services, Settings, Topics};
 
 /// In place of a topic: there is none.
@@ -99,6 +100,9 @@ pub(crate) struct Given {
     /// Standard deviation of the heading to publish with poses [default: 0.1]
     #[arg(long, value_name = "RADIANS")]
     heading_sigma_rad: Option<f64>,
+    /// Send words in place of images, which stay on the robot; the map's model is downloaded at the start
+    #[arg(long, value_enum, value_name = "FORM", num_args = 0..=1, require_equals = true, default_missing_value = "keypoints")]
+    words: Option<WordForm>,
     /// Let ROS 2 services choose map and mode, and finish sessions. --map may be left out then
     #[arg(long)]
     services: bool,
@@ -134,6 +138,9 @@ pub(crate) enum SettingsError {
     /// A drive that would change the map.
     #[error("--drive and --nav2 follow a map that is there; give --localize with either")]
     DriveWithoutLocalize,
+    /// Driving sends images.
+    #[error("--words keeps images on the robot, and --drive sends them; leave out one, or let --nav2 drive")]
+    WordsWhileDriving,
     /// Two who would drive.
     #[error("--drive and --nav2 would both drive the robot; leave out one")]
     TwoDrivers,
@@ -199,6 +206,7 @@ impl Given {
             buffer_frames: self.buffer_frames.or(file.buffer_frames),
             position_sigma_m: self.position_sigma_m.or(file.position_sigma_m),
             heading_sigma_rad: self.heading_sigma_rad.or(file.heading_sigma_rad),
+            words: self.words.or(file.words),
             services: self.services || file.services,
             foxglove: self.foxglove.or(file.foxglove),
         }
@@ -209,6 +217,9 @@ impl Given {
         let topics = self.topics()?;
         if mode == Mode::Drive && (topics.odometry.is_none() || topics.camera_info.is_none()) {
             return Err(SettingsError::DriveBlind);
+        }
+        if self.words.is_some() && self.drive {
+            return Err(SettingsError::WordsWhileDriving);
         }
         let domain = self.domain.unwrap_or(0);
         if domain > LAST_DOMAIN {
@@ -230,6 +241,7 @@ impl Given {
             token: self.token.filter(|token| !token.is_empty()),
             ca: self.ca,
             map,
+            words: self.words,
             is_served: self.services,
             session: self.session.unwrap_or_default(),
             networks: self.network,

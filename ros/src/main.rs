@@ -27,6 +27,7 @@ mod outbox;
 mod peers;
 mod plan;
 mod raw;
+mod robot_words;
 mod session;
 mod sessions;
 mod settings;

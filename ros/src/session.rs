@@ -8,13 +8,13 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use waypost_bags::Frame;
 use waypost_client::{
-    Client, Error, FrameContent, FrameInput, FrameOutcome, FrameSender, Outcomes, Reconnection,
-    SessionOptions, v1,
+    Client, Error, FrameInput, FrameOutcome, FrameSender, Outcomes, Reconnection, SessionOptions, v1,
 };
 
 use crate::camera::odometry_message;
 use crate::outbox::Outbox;
 use crate::plan::Plan;
+use crate::robot_words::{ContentMaker, SessionError, WordForm};
 use crate::settings::{Mode, Settings};
 use crate::state::{Declared, Placed, Shared, Turned};
 use crate::telling::{Sureness, Telling};
@@ -24,6 +24,8 @@ use waypost_ros_messages::Pose;
 const GIVE_UP_AFTER: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
 /// Time for the last answers when the bridge ends.
 const LAST_ANSWERS: Duration = Duration::from_secs(3);
+/// A model is asked for again after this time.
+const MODEL_PAUSE: Duration = Duration::from_secs(1);
 /// While localizing, frames that wait for answers are soon too old to matter.
 const LOCALIZING_WINDOW: NonZeroUsize = NonZeroUsize::MIN.saturating_add(1);
 
@@ -40,6 +42,9 @@ pub(crate) struct Streaming {
     pub(crate) outbox: Arc<Outbox>,
     pub(crate) telling: Telling,
     pub(crate) sureness: Sureness,
+    pub(crate) words: Option<WordForm>,
+    /// Of the session before; the same model is not downloaded again.
+    pub(crate) contents: ContentMaker,
     /// Numbers and stamps of frames that have no answer yet.
     pub(crate) unanswered: Arc<Mutex<VecDeque<(u64, i64)>>>,
 }
@@ -57,14 +62,19 @@ impl Streaming {
         mut declared: watch::Receiver<Declared>,
         mut stopping: watch::Receiver<bool>,
         plans: &watch::Sender<Plan>,
-    ) -> Result<(), Error> {
+    ) -> Result<(), SessionError> {
         self.unanswered.lock().unwrap_or_else(PoisonError::into_inner).clear();
         let camera = tokio::select! {
             camera = camera(&mut declared) => camera,
             _ = stopping.wait_for(|stops| *stops) => return Ok(()),
         };
         tracing::info!("opening the session at {}", settings.server);
-        let opening = self.client.open_session(options(plan, camera));
+        let contents = tokio::select! {
+            contents = self.contents_for(plan) => contents?,
+            _ = stopping.wait_for(|stops| *stops) => return Ok(()),
+        };
+        let options = SessionOptions { words_hash: contents.words_hash(), ..options(plan, camera) };
+        let opening = self.client.open_session(options);
         let session = tokio::select! {
             session = opening => session?,
             _ = stopping.wait_for(|stops| *stops) => return Ok(()),
@@ -86,6 +96,7 @@ impl Streaming {
         let (sender, mut outcomes) = session.split();
         let sending = tokio::spawn(send(
             sender,
+            contents,
             opened.last_committed_sequence.unwrap_or(0),
             self.outbox.clone(),
             self.shared.clone(),
@@ -94,7 +105,22 @@ impl Streaming {
         ));
         let taken = self.take(&mut outcomes, stopping).await;
         sending.abort();
-        taken
+        Ok(taken?)
+    }
+
+    /// Waits for a server that is away.
+    async fn contents_for(&mut self, plan: &Plan) -> Result<ContentMaker, SessionError> {
+        let map = plan.map.as_deref().unwrap_or_default();
+        loop {
+            match self.contents.clone().for_map(&self.client, map, self.words).await {
+                Ok(contents) => {
+                    self.contents = contents.clone();
+                    return Ok(contents);
+                }
+                Err(SessionError::Server(Error::Connection { .. })) => tokio::time::sleep(MODEL_PAUSE).await,
+                Err(error) => return Err(error),
+            }
+        }
     }
 
     async fn take(
@@ -229,6 +255,7 @@ fn since_epoch_ms() -> u128 {
 /// Sends frames one after another, until the session is to stop.
 async fn send(
     mut sender: FrameSender,
+    contents: ContentMaker,
     last_committed: u64,
     outbox: Arc<Outbox>,
     shared: Shared,
@@ -242,11 +269,22 @@ async fn send(
             _ = stopping.wait_for(|stops| *stops) => return,
         };
         sequence += 1;
+        // Before words are made of it, which takes a while: whoever ends the session waits for it.
+        unanswered.lock().unwrap_or_else(PoisonError::into_inner).push_back((sequence, stamp_ns));
+        let content = match contents.content(image).await {
+            Ok(content) => content,
+            Err(problem) => {
+                unanswered.lock().unwrap_or_else(PoisonError::into_inner).pop_back();
+                sequence -= 1;
+                tracing::warn!("an image gives no words: {problem}");
+                shared.lock().images.bad(problem);
+                continue;
+            }
+        };
         let frame = FrameInput {
             odometry: pose.as_ref().map(odometry_message),
-            ..FrameInput::new(sequence, stamp_ns, FrameContent::Image(image))
+            ..FrameInput::new(sequence, stamp_ns, content)
         };
-        unanswered.lock().unwrap_or_else(PoisonError::into_inner).push_back((sequence, stamp_ns));
         // If the session is over, its outcomes say why.
         if sender.send(frame).await.is_err() {
             return;

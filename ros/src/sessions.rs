@@ -4,9 +4,9 @@ use std::pin::pin;
 use std::time::Duration;
 
 use tokio::sync::watch;
-use waypost_client::Error;
 
 use crate::plan::Plan;
+use crate::robot_words::SessionError;
 use crate::session::Streaming;
 use crate::settings::{Mode, Settings};
 use crate::state::{Declared, Turned};
@@ -32,7 +32,7 @@ impl Sessions {
     ///
     /// # Errors
     /// What the server refuses for good, as a map that it does not have. Where services choose, they tell it, and wait.
-    pub(crate) async fn run(mut self, settings: &Settings) -> Result<(), Error> {
+    pub(crate) async fn run(mut self, settings: &Settings) -> Result<(), SessionError> {
         let mut map = None;
         while let Some(plan) = self.wanted().await {
             if map.is_some() && map != plan.map {
@@ -67,7 +67,7 @@ impl Sessions {
         }
     }
 
-    async fn session(&mut self, settings: &Settings, plan: &Plan) -> Result<(), Error> {
+    async fn session(&mut self, settings: &Settings, plan: &Plan) -> Result<(), SessionError> {
         let own_frames = match plan.mode {
             Mode::Map => BUFFER_FRAMES,
             Mode::Localize | Mode::Drive => LOCALIZING_BUFFER_FRAMES,

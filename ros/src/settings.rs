@@ -6,6 +6,8 @@ use std::path::PathBuf;
 use serde::Deserialize;
 use waypost_bags::Kind;
 
+use crate::robot_words::WordForm;
+
 /// How readers of sensors ask for messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
@@ -94,6 +96,8 @@ pub(crate) struct Settings {
     pub(crate) buffer_frames: Option<usize>,
     pub(crate) position_sigma_m: f64,
     pub(crate) heading_sigma_rad: f64,
+    /// Images are sent where none are asked for.
+    pub(crate) words: Option<WordForm>,
     /// Whether services choose map and mode.
     pub(crate) is_served: bool,
     /// Where whoever looks on by Foxglove connects to.
