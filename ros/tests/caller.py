@@ -1,4 +1,7 @@
-"""Who calls services as `rmw_cyclonedds` does: requests and answers begin with who asked and which of theirs it is."""
+"""Who calls services as `rmw_cyclonedds` does.
+
+Requests and answers begin with who asked, and which of theirs it is.
+"""
 
 # No `from __future__ import annotations`: Cyclone reads the annotations when the classes are made.
 

@@ -1,4 +1,6 @@
-"""A robot of another machine: far_robot.py DOMAIN [alone]. It looks for the bridge by multicast, or alone for nobody.
+"""A robot of another machine: far_robot.py DOMAIN [alone].
+
+It looks for the bridge by multicast, or alone for nobody.
 
 It sends ten images with odometry, and prints how many the bridge says it received.
 """

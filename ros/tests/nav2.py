@@ -1,4 +1,7 @@
-"""A server of Nav2's action NavigateToPose, as `rmw_cyclonedds` has it: it takes, drives, is cancelled and gives up as told."""
+"""A server of Nav2's action NavigateToPose, as `rmw_cyclonedds` has it.
+
+It takes goals, drives, is cancelled and gives up as it is told.
+"""
 
 # No `from __future__ import annotations`: Cyclone reads the annotations when the classes are made.
 
@@ -126,6 +129,10 @@ class Nav2:
             self._cancel.answer(request, 0, [request.goal_info])
             self.end(goal, CANCELED)
         return self
+
+    def leave(self) -> None:
+        """Serves nothing any more."""
+        del self._send, self._result, self._cancel, self._feedback
 
     @property
     def latest(self) -> bytes:

@@ -1,4 +1,4 @@
-"""Foxglove's app looks on: what it is shown can be read, whoever comes late sees the map, and nobody holds up the robot."""
+"""Foxglove's app looks on: it reads what it is shown, also when it comes late, and holds up nobody."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import ros_types as ros
-from conftest import COMPRESSED, Bridge, Diagnostics, Stage, met
+from conftest import Bridge, Diagnostics, Stage, met
 from nav2 import ABORTED, SUCCEEDED, Nav2
 from robot import DEFAULT, Robot, until
 from test_bad_input import refused
@@ -114,7 +114,7 @@ def test_what_nav2_does_not_take_is_told(handed: tuple[Wheels, Diagnostics, Brid
     begun(robot, nav2, "desk")
     until(lambda: told.value("navigation", "status") == "following")
     assert told.level("navigation") == 0
-    del nav2
+    nav2.leave()
     until(lambda: "Nav2 has gone while it drove" in told.message("navigation"), what=f"{told()}")
 
 

@@ -1,4 +1,4 @@
-"""A real ROS 2, rclpy over Fast DDS, with the bridge: not the DDS of the other tests, and not its names for services."""
+"""A real ROS 2, rclpy over Fast DDS, with the bridge: not the DDS of the other tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A robot chooses its map, maps or localizes, and finishes sessions by ROS 2's services, without a package of Waypost's."""
+"""A robot chooses its map, maps or localizes, and finishes sessions by services that every ROS 2 has."""
 
 from __future__ import annotations
 
