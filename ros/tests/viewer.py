@@ -48,7 +48,10 @@ class Viewer:
 
     def __post_init__(self) -> None:
         protocol = Subprotocol("foxglove.sdk.v1")
-        self._socket = connect(self.address, subprotocols=[protocol], max_size=None, max_queue=4)
+        # Who reads nothing for long would end it by itself, missing answers to its pings.
+        self._socket = connect(
+            self.address, subprotocols=[protocol], max_size=None, max_queue=4, ping_interval=None
+        )
         assert self._socket.subprotocol == protocol
         self.info = json.loads(self._socket.recv(10))
         self._topics: dict[int, str] = {}
