@@ -6,6 +6,8 @@ DATA_DIR ?= waypost-data
 TARGET := $(or $(CARGO_TARGET_DIR),target)/release
 # Where the Python client is tested in, with every version pinned.
 PYTHON := $(abspath $(or $(CARGO_TARGET_DIR),target)/python)
+# Where a real ROS 2 is, which the bridge is tested with.
+ROS2 := $(abspath $(or $(CARGO_TARGET_DIR),target)/ros2)
 # Where the C++ client is built.
 CPP := $(abspath $(or $(CARGO_TARGET_DIR),target)/cpp)
 
@@ -40,9 +42,10 @@ test-python: build
 
 # The bridge between a server and a robot that another DDS plays. Once in thirteen runs Python itself crashed in the library
 # of that DDS: such an end, by a signal, says nothing of the bridge, and the tests run once more. A test that fails has failed.
-ROS_TESTS = WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest ros/tests
+ROS_TESTS = WAYPOST_ROS2=$(ROS2) WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest ros/tests
 test-ros: build
 	scripts/setup-python $(PYTHON)
+	scripts/setup-ros2 $(ROS2)
 	$(ROS_TESTS) || { ended=$$?; [ $$ended -ge 128 ] || exit $$ended; echo "ended by a signal: once more" >&2; $(ROS_TESTS); }
 
 # The page in a real browser, on a real server.

@@ -12,17 +12,25 @@ use waypost_bags::Kind;
 use waypost_client::{Client, ClientOptions};
 
 use crate::bus::{Bus, Outgoing, Qos};
+use crate::control::Control;
 use crate::diagnostics::Report;
 use crate::drive::{Drive, goals, wishes};
 use crate::failure::Failure;
 use crate::intake::Intake;
 use crate::markers::Markers;
+use crate::nav2::{Action, Nav2};
 use crate::outbox::Outbox;
+use crate::peers::Peers;
+use crate::plan::Plan;
+use crate::robot_words::{ContentMaker, SessionError};
 use crate::session::Streaming;
+use crate::sessions::Sessions;
 use crate::settings::{Mode, Settings};
+use crate::shown::Shown;
 use crate::state::{Declared, Shared};
-use crate::telling::Telling;
+use crate::telling::{Sureness, Telling};
 use crate::tf::TfThread;
+use crate::viewers::Viewers;
 use waypost_ros_messages::{Covariance, DiagnosticArray};
 
 const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
@@ -43,6 +51,7 @@ struct Parts {
     intake: Arc<Intake>,
     unanswered: Unanswered,
     declared: watch::Receiver<Declared>,
+    plans: watch::Sender<Plan>,
     ending: watch::Receiver<bool>,
 }
 
@@ -52,16 +61,28 @@ struct Parts {
 /// [`Failure`], by its kind.
 pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
     let client = Client::lazy(client_options(&settings).await?)?;
-    let mut bus = Bus::join(settings.domain, &settings.networks)?;
+    let shared = Shared::default();
+    let viewers = match settings.foxglove {
+        Some(address) => Some(Arc::new(Viewers::open(address, shared.clone()).await?)),
+        None => None,
+    };
+    let peers = Peers::find(settings.domain, &settings.peers).await?;
+    let mut bus = Bus::join(settings.domain, &settings.networks, viewers.clone())?;
     let (end, ending) = watch::channel(false);
-    let parts = parts(settings, client, ending);
+    let parts = parts(settings, client, shared, viewers.as_deref(), ending)?;
     let mut tasks = listen(&parts, &mut bus)?;
+    if let Some(peers) = peers {
+        tasks.push(tokio::spawn(peers.tell(bus.prefix())));
+    }
     let driving = match parts.settings.mode {
         Mode::Drive => Some(drive(&parts, &mut bus, &mut tasks)?),
         Mode::Map | Mode::Localize => None,
     };
-    let (settings, declared) = (parts.settings.clone(), parts.declared.clone());
-    let streaming = streaming(&parts, &bus)?;
+    if parts.settings.is_served {
+        tasks.extend(control(&parts).serve(&bus)?);
+    }
+    let settings = parts.settings.clone();
+    let sessions = sessions(&parts, &bus)?;
     let tf = bus.write(&settings.topics.tf, Qos::Reliable)?;
     let tf = TfThread::start(parts.shared.clone(), tf, settings.map_frame.clone())?;
     tasks.push(tokio::spawn(markers(&parts, &bus)?.run()));
@@ -69,14 +90,14 @@ pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
     drop(parts);
 
     tracing::info!(
-        "listening in domain {} for {}; map {} at {}",
+        "listening in domain {} for {}; {} at {}",
         settings.domain,
         settings.topics.image,
-        settings.map,
+        settings.map.as_ref().map_or_else(|| "no map is chosen yet".to_owned(), |map| format!("map {map}")),
         settings.server
     );
     let is_whole = || !tf.is_over() && driving.as_ref().is_none_or(|driving| !driving.is_finished());
-    let ended = until_told(streaming.run(&settings, declared), &end, is_whole).await;
+    let ended = until_told(sessions.run(&settings), &end, is_whole).await;
     end.send_replace(true);
     if let Some(driving) = driving {
         // It has told of its own panic.
@@ -84,17 +105,27 @@ pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
     }
     tasks.into_iter().for_each(|task| task.abort());
     tf.stop();
+    if let Some(viewers) = viewers {
+        viewers.close().await;
+    }
     ended
 }
 
-fn parts(settings: Settings, client: Client, ending: watch::Receiver<bool>) -> Parts {
-    let shared = Shared::default();
-    let outbox = Arc::new(Outbox::new(settings.buffer_frames));
+fn parts(
+    settings: Settings,
+    client: Client,
+    shared: Shared,
+    viewers: Option<&Viewers>,
+    ending: watch::Receiver<bool>,
+) -> Result<Parts, Failure> {
+    let outbox = Arc::new(Outbox::new());
     let (declaring, declared) = watch::channel(Declared::default());
     let topics = settings.topics.clone();
-    let intake = Intake::new(shared.clone(), topics, settings.most_hz, outbox.clone(), declaring);
+    let shown = viewers.map(|viewers| Shown::to(viewers, &topics)).transpose()?;
+    let intake = Intake::new(shared.clone(), topics, settings.most_hz, outbox.clone(), declaring, shown);
     let (intake, unanswered) = (Arc::new(intake), Unanswered::default());
-    Parts { settings, client, shared, outbox, intake, unanswered, declared, ending }
+    let (plans, _) = watch::channel(Plan::first(&settings));
+    Ok(Parts { settings, client, shared, outbox, intake, unanswered, declared, plans, ending })
 }
 
 async fn client_options(settings: &Settings) -> Result<ClientOptions, Failure> {
@@ -134,12 +165,29 @@ fn listen(Parts { intake, settings, .. }: &Parts, bus: &mut Bus) -> Result<Vec<J
 
 /// Subscribes to goals, and begins to drive.
 fn drive(parts: &Parts, bus: &mut Bus, tasks: &mut Vec<JoinHandle<()>>) -> Result<JoinHandle<()>, Failure> {
-    let Parts { settings, client, shared, intake, declared, ending, .. } = parts;
+    let Parts { settings, client, shared, intake, declared, plans, ending, .. } = parts;
     let topics = &settings.topics;
-    let poses = bus.read(&topics.goal_pose, "geometry_msgs::msg::dds_::PoseStamped_", Qos::Reliable)?;
+    // Nav2 takes goals in metres itself.
+    let poses = if settings.is_by_nav2 {
+        Box::pin(futures::stream::pending())
+    } else {
+        bus.read(&topics.goal_pose, "geometry_msgs::msg::dds_::PoseStamped_", Qos::Reliable)?
+    };
     let names = bus.read(&topics.goal, "std_msgs::msg::dds_::String_", Qos::Reliable)?;
     let (wished, wishes) = wishes();
     tasks.push(tokio::spawn(goals(poses, names, settings.map_frame.clone(), shared.clone(), wished)));
+    if settings.is_by_nav2 {
+        let nav2 = Nav2 {
+            client: client.clone(),
+            shared: shared.clone(),
+            plans: plans.subscribe(),
+            map_frame: settings.map_frame.clone(),
+            action: Action::of(bus, &topics.navigate_to_pose)?,
+            wishes,
+            ending: ending.clone(),
+        };
+        return Ok(tokio::spawn(nav2.run()));
+    }
     let drive = Drive {
         client: client.clone(),
         shared: shared.clone(),
@@ -148,31 +196,54 @@ fn drive(parts: &Parts, bus: &mut Bus, tasks: &mut Vec<JoinHandle<()>>) -> Resul
         seen: intake.seen.subscribe(),
         wishes,
         cmd_vel: bus.write(&topics.cmd_vel, Qos::Reliable)?,
+        plans: plans.subscribe(),
         ending: ending.clone(),
     };
     let settings = settings.clone();
     Ok(tokio::spawn(async move { drive.run(&settings).await }))
 }
 
+fn control(Parts { settings, client, shared, plans, .. }: &Parts) -> Control {
+    Control {
+        client: client.clone(),
+        shared: shared.clone(),
+        plans: plans.clone(),
+        services: settings.topics.services.clone(),
+    }
+}
+
+fn sessions(parts: &Parts, bus: &Bus) -> Result<Sessions, Failure> {
+    let Parts { declared, plans, ending, .. } = parts;
+    let streaming = streaming(parts, bus)?;
+    Ok(Sessions { streaming, plans: plans.clone(), declared: declared.clone(), ending: ending.clone() })
+}
+
 fn streaming(parts: &Parts, bus: &Bus) -> Result<Streaming, Failure> {
-    let Parts { settings, client, shared, outbox, unanswered, ending, .. } = parts;
+    let Parts { settings, client, shared, outbox, unanswered, .. } = parts;
     let pose = bus.write(&settings.topics.pose, Qos::Reliable)?;
     let path = bus.write(&settings.topics.path, Qos::Latest)?;
+    let sureness = Sureness {
+        new_place: bus.write(&settings.topics.new_place, Qos::Reliable)?,
+        most_probable_place: bus.write(&settings.topics.most_probable_place, Qos::Reliable)?,
+        matched: bus.write(&settings.topics.matched, Qos::Reliable)?,
+    };
     let covariance = Covariance::planar(settings.position_sigma_m, settings.heading_sigma_rad);
     Ok(Streaming {
         client: client.clone(),
         shared: shared.clone(),
         outbox: outbox.clone(),
-        ending: ending.clone(),
         telling: Telling::new(pose, path, settings.map_frame.clone(), covariance),
+        sureness,
+        words: settings.words,
+        contents: ContentMaker::Images,
         unanswered: unanswered.clone(),
     })
 }
 
-fn markers(Parts { settings, client, shared, .. }: &Parts, bus: &Bus) -> Result<Markers, Failure> {
+fn markers(Parts { settings, client, shared, plans, .. }: &Parts, bus: &Bus) -> Result<Markers, Failure> {
     Ok(Markers {
         client: client.clone(),
-        map: settings.map.clone(),
+        plans: plans.subscribe(),
         map_frame: settings.map_frame.clone(),
         shared: shared.clone(),
         out: bus.write(&settings.topics.markers, Qos::Latest)?,
@@ -180,15 +251,16 @@ fn markers(Parts { settings, client, shared, .. }: &Parts, bus: &Bus) -> Result<
 }
 
 fn reporting(parts: &Parts, bus: Bus) -> Result<Reporting, Failure> {
-    let Parts { settings, shared, outbox, unanswered, .. } = parts;
+    let Parts { settings, shared, outbox, unanswered, plans, .. } = parts;
+    let plans = plans.subscribe();
     let diagnostics = bus.write(&settings.topics.diagnostics, Qos::Reliable)?;
     let (settings, shared, outbox) = (settings.clone(), shared.clone(), outbox.clone());
-    Ok(Reporting { bus, settings, shared, outbox, unanswered: unanswered.clone(), diagnostics })
+    Ok(Reporting { bus, settings, shared, outbox, unanswered: unanswered.clone(), plans, diagnostics })
 }
 
 /// Streams until a signal comes, and then until the last answers have.
 async fn until_told(
-    streaming: impl Future<Output = Result<(), waypost_client::Error>>,
+    streaming: impl Future<Output = Result<(), SessionError>>,
     end: &watch::Sender<bool>,
     is_whole: impl Fn() -> bool,
 ) -> Result<(), Failure> {
@@ -216,6 +288,7 @@ struct Reporting {
     shared: Shared,
     outbox: Arc<Outbox>,
     unanswered: Unanswered,
+    plans: watch::Receiver<Plan>,
     diagnostics: Outgoing<DiagnosticArray>,
 }
 
@@ -237,10 +310,12 @@ impl Reporting {
 
     fn report(&self, mismatches: &[String]) -> DiagnosticArray {
         let unanswered = self.unanswered.lock().unwrap_or_else(PoisonError::into_inner).len();
+        let plan = self.plans.borrow().clone();
         let state = self.shared.lock();
         let report = Report {
             state: &state,
             topics: &self.settings.topics,
+            plan: &plan,
             robot: &self.settings.namespace,
             mismatches,
             waiting: self.outbox.len(),

@@ -1,19 +1,21 @@
 //! DDS: readers that hand out messages as bytes, and writers of the messages of ROS.
 
-use std::convert::Infallible;
 use std::net::IpAddr;
 use std::pin::Pin;
+use std::sync::Arc;
 
 use futures::{Stream, StreamExt};
-use rustdds::no_key::{DataWriter, Decode, DefaultDecoder, DeserializerAdapter};
+use rustdds::no_key::DataWriter;
 use rustdds::policy::{Durability, History, Reliability};
 use rustdds::{
-    DomainParticipant, DomainParticipantBuilder, Duration, Publisher, QosPolicies, QosPolicyBuilder,
-    RepresentationIdentifier, Subscriber, Topic, TopicKind,
+    DomainParticipant, DomainParticipantBuilder, Duration, GUID, Publisher, QosPolicies, QosPolicyBuilder,
+    RTPSEntity, Subscriber, Topic, TopicKind,
 };
 
 use crate::names::{in_dds, type_in_dds, type_in_ros};
+use crate::raw::{AsItIs, Raw, RawWriter, Sample};
 use crate::settings::SensorQos;
+use crate::viewers::{Screen, Viewers};
 use waypost_ros_messages::Message;
 
 /// Messages of a sensor that a busy machine may leave unread.
@@ -33,6 +35,15 @@ pub(crate) enum Qos {
 }
 
 impl Qos {
+    /// How many messages those get who come late.
+    pub(crate) fn kept(self) -> usize {
+        match self {
+            Qos::Sensor(_) | Qos::Reliable => 0,
+            Qos::Latched => 32,
+            Qos::Latest => 1,
+        }
+    }
+
     fn policies(self) -> QosPolicies {
         let reliable = Reliability::Reliable { max_blocking_time: Duration::from_millis(100) };
         let (reliability, durability, depth) = match self {
@@ -77,13 +88,18 @@ pub(crate) struct Bus {
     publisher: Publisher,
     subscriber: Subscriber,
     wanted: Vec<Wanted>,
+    viewers: Option<Arc<Viewers>>,
 }
 
 /// Messages of a topic, each behind its four bytes of encapsulation.
 pub(crate) type Incoming = Pin<Box<dyn Stream<Item = Vec<u8>> + Send>>;
 
 impl Bus {
-    pub(crate) fn join(domain: u16, networks: &[IpAddr]) -> Result<Self, BusError> {
+    pub(crate) fn join(
+        domain: u16,
+        networks: &[IpAddr],
+        viewers: Option<Arc<Viewers>>,
+    ) -> Result<Self, BusError> {
         let mut builder = DomainParticipantBuilder::new(domain);
         if !networks.is_empty() {
             builder = builder.with_only_networks(networks.iter().copied());
@@ -92,14 +108,50 @@ impl Bus {
         let qos = QosPolicies::qos_none();
         let publisher = participant.create_publisher(&qos).map_err(failed("making a publisher"))?;
         let subscriber = participant.create_subscriber(&qos).map_err(failed("making a subscriber"))?;
-        Ok(Self { participant, publisher, subscriber, wanted: Vec::new() })
+        Ok(Self { participant, publisher, subscriber, wanted: Vec::new(), viewers })
+    }
+
+    /// What each of our messages begins with, behind RTPS's own words.
+    pub(crate) fn prefix(&self) -> [u8; 12] {
+        let whole = self.participant.guid().to_bytes();
+        std::array::from_fn(|at| whole[at])
     }
 
     fn topic(&self, topic: &str, type_name: &str, qos: Qos) -> Result<Topic, BusError> {
-        let name = in_dds(topic);
-        let policies = qos.policies();
-        let made = self.participant.create_topic(name, type_name.to_owned(), &policies, TopicKind::NoKey);
-        made.map_err(failed(topic))
+        self.topic_in_dds(&in_dds(topic), type_name, qos)
+    }
+
+    fn topic_in_dds(&self, name: &str, type_name: &str, qos: Qos) -> Result<Topic, BusError> {
+        let (policies, type_name) = (qos.policies(), type_name.to_owned());
+        let made = self.participant.create_topic(name.to_owned(), type_name, &policies, TopicKind::NoKey);
+        made.map_err(failed(name))
+    }
+
+    /// Reads a topic by its name in DDS, with who wrote what, and by which reader.
+    pub(crate) fn read_raw(
+        &self,
+        name: &str,
+        type_name: &str,
+    ) -> Result<(impl Stream<Item = Result<Sample, String>> + Send + use<>, GUID), BusError> {
+        let made = self.topic_in_dds(name, type_name, Qos::Reliable)?;
+        let reader = self.subscriber.create_datareader_no_key::<Raw, AsItIs>(&made, None);
+        let reader = reader.map_err(failed(name))?;
+        let guid = reader.guid();
+        let samples = reader.async_sample_stream().map(|message| {
+            let message = message.map_err(|error| format!("{error:?}"))?;
+            let info = message.sample_info();
+            let (identity, related) = (info.sample_identity(), info.related_sample_identity());
+            let Raw(data) = message.into_value();
+            Ok(Sample { data, identity, related })
+        });
+        Ok((samples, guid))
+    }
+
+    /// Writes a topic by its name in DDS.
+    pub(crate) fn write_raw(&self, name: &str, type_name: &str) -> Result<RawWriter, BusError> {
+        let made = self.topic_in_dds(name, type_name, Qos::Reliable)?;
+        let writer = self.publisher.create_datawriter_no_key(&made, None).map_err(failed(name))?;
+        Ok(RawWriter::new(name, self.participant.clone(), writer))
     }
 
     pub(crate) fn read(
@@ -123,7 +175,11 @@ impl Bus {
     pub(crate) fn write<M: Message>(&self, topic: &str, qos: Qos) -> Result<Outgoing<M>, BusError> {
         let made = self.topic(topic, &type_in_dds(M::TYPE), qos)?;
         let writer = self.publisher.create_datawriter_no_key(&made, None).map_err(failed(topic))?;
-        Ok(Outgoing { topic: topic.to_owned(), writer })
+        let screen = match &self.viewers {
+            Some(viewers) => Some(viewers.screen::<M>(topic, qos.kept()).map_err(failed(topic))?),
+            None => None,
+        };
+        Ok(Outgoing { topic: topic.to_owned(), writer, screen })
     }
 
     /// Who publishes what is read here in a way that cannot be read, and how to mend it.
@@ -169,15 +225,19 @@ fn mismatch(
     Some(format!("{topic} is published with a quality of service that is not heard ({failure:?}): {mend}"))
 }
 
-/// A writer of one topic.
+/// A writer of one topic, which viewers see as well.
 pub(crate) struct Outgoing<M: Message> {
     topic: String,
     writer: DataWriter<M>,
+    screen: Option<Screen>,
 }
 
 impl<M: Message> Outgoing<M> {
     /// Publishes a message. One that DDS does not take is told in the log: the next one follows soon.
     pub(crate) fn publish(&self, message: M) {
+        if let Some(screen) = &self.screen {
+            screen.show(&message);
+        }
         if let Err(error) = self.writer.write(message, None) {
             tracing::warn!("{} was not published: {error}", self.topic);
         }
@@ -188,45 +248,6 @@ impl<M: Message> Outgoing<M> {
         if !matches!(self.writer.wait_for_acknowledgments(most), Ok(true)) {
             tracing::debug!("{} was not acknowledged by all", self.topic);
         }
-    }
-}
-
-/// A message as it came.
-struct Raw(Vec<u8>);
-
-/// Leaves messages as they came.
-struct AsItIs;
-
-impl DeserializerAdapter<Raw> for AsItIs {
-    type Error = Infallible;
-    type Decoded = Raw;
-
-    fn supported_encodings() -> &'static [RepresentationIdentifier] {
-        &[RepresentationIdentifier::CDR_LE, RepresentationIdentifier::CDR_BE]
-    }
-
-    fn transform_decoded(decoded: Raw) -> Raw {
-        decoded
-    }
-}
-
-impl DefaultDecoder<Raw> for AsItIs {
-    type Decoder = Copying;
-    const DECODER: Copying = Copying;
-}
-
-#[derive(Clone)]
-struct Copying;
-
-impl Decode<'_, Raw> for Copying {
-    type Error = Infallible;
-
-    fn decode_bytes(self, data: &[u8], encoding: RepresentationIdentifier) -> Result<Raw, Infallible> {
-        let order = u8::from(encoding == RepresentationIdentifier::CDR_LE);
-        let mut whole = Vec::with_capacity(data.len() + 4);
-        whole.extend([0, order, 0, 0]);
-        whole.extend_from_slice(data);
-        Ok(Raw(whole))
     }
 }
 

@@ -8,7 +8,7 @@ use waypost_client::v1;
 /// Latched transforms come with the first contact: after this time there are none.
 const MOUNTING_PATIENCE: Duration = Duration::from_secs(10);
 /// The base where odometry does not name it.
-const DEFAULT_BASE: &str = "base_link";
+pub(crate) const DEFAULT_BASE: &str = "base_link";
 
 /// What there is to declare a camera by.
 pub(crate) struct Known<'a> {
@@ -125,7 +125,7 @@ pub(crate) fn odometry_message(pose: &Pose) -> v1::Odometry {
     v1::Odometry { pose: Some(pose_message(pose)), covariance: Vec::new() }
 }
 
-fn pose_message(pose: &Pose) -> v1::Pose {
+pub(crate) fn pose_message(pose: &Pose) -> v1::Pose {
     let ([x, y, z], [qx, qy, qz, qw]) = (pose.position_m, pose.orientation);
     v1::Pose {
         position_m: Some(v1::Vector3 { x, y, z }),

@@ -4,8 +4,9 @@ use std::time::Duration;
 
 use waypost_client::v1;
 
-use crate::settings::Topics;
-use crate::state::{Received, State};
+use crate::plan::Plan;
+use crate::settings::{Services, Topics};
+use crate::state::{Received, State, Turned};
 use waypost_ros_messages::{DiagnosticArray, DiagnosticStatus, Header, KeyValue};
 
 /// A sensor that is silent for longer is missing.
@@ -25,6 +26,7 @@ enum Level {
 pub(crate) struct Report<'a> {
     pub(crate) state: &'a State,
     pub(crate) topics: &'a Topics,
+    pub(crate) plan: &'a Plan,
     /// The robot's name; empty for the only one.
     pub(crate) robot: &'a str,
     /// Topics that are published in a way that is not read.
@@ -66,7 +68,7 @@ impl Report<'_> {
         let silent = frames.last_heard.map(|heard| heard.elapsed());
         let is_late = self.unanswered > 0 && silent.is_none_or(|silent| silent > SERVER_PATIENCE);
         let verdict = match (&self.state.session, &frames.refusal) {
-            (None, _) => (Level::Warning, "no session is open yet".to_owned()),
+            (None, _) => self.without_session(),
             (Some(_), _) if is_late => (
                 Level::Error,
                 format!("frames are not answered{}: the server is away, or too slow", for_seconds(silent)),
@@ -80,12 +82,29 @@ impl Report<'_> {
             value("frames refused", frames.refused),
             value("latest refusal", frames.refusal.as_deref().unwrap_or("none")),
             value("frames dropped", frames.dropped),
+            value("frames while no session was wanted", frames.unwanted),
             value("frames waiting", self.waiting),
             value("frames unanswered", self.unanswered),
             value("frames without odometry", frames.without_odometry),
             value("loop closures", frames.closures),
         ];
         self.status("server", verdict, values)
+    }
+
+    fn without_session(&self) -> (Level, String) {
+        match (&self.plan.map, &self.state.turned) {
+            (None, _) => {
+                let told = format!("no map is chosen; {}", how_to_choose(&self.topics.services));
+                (Level::Warning, told)
+            }
+            (Some(_), Some(Turned { turn, to: Err(problem) })) if *turn == self.plan.turn => {
+                (Level::Error, problem.clone())
+            }
+            (Some(_), Some(Turned { turn, to: Ok(name) })) if *turn == self.plan.turn => {
+                (Level::Well, format!("{name} is finished; {} begins the next", self.topics.services.start))
+            }
+            (Some(_), _) => (Level::Warning, "no session is open yet".to_owned()),
+        }
     }
 
     fn images(&self) -> DiagnosticStatus {
@@ -177,6 +196,11 @@ impl Report<'_> {
     }
 }
 
+/// What a robot does that has no map.
+pub(crate) fn how_to_choose(services: &Services) -> String {
+    format!("set the parameter `map` by {}", services.set_parameters)
+}
+
 /// A status in a word.
 fn short(status: v1::NavigationStatus) -> &'static str {
     use v1::NavigationStatus::{Arrived, Blocked, Following, Idle, Lost, Searching, Unspecified};
@@ -208,15 +232,15 @@ mod tests {
     use super::*;
     use std::time::Instant;
 
-    use crate::settings::Given;
+    use crate::given::Given;
     use crate::state::Placed;
     use clap::Parser;
     use waypost_ros_messages::Pose;
 
     fn reported(state: &State, mismatches: &[String], unanswered: usize) -> Vec<(u8, String)> {
         let settings = Given::parse_from(["waypost-ros", "--map", "m"]).settings().unwrap();
-        let topics = &settings.topics;
-        let report = Report { state, topics, robot: "", mismatches, waiting: 0, unanswered };
+        let (topics, plan) = (&settings.topics, &Plan::first(&settings));
+        let report = Report { state, topics, plan, robot: "", mismatches, waiting: 0, unanswered };
         report.message().status.into_iter().map(|status| (status.level, status.message)).collect()
     }
 

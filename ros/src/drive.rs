@@ -14,6 +14,7 @@ use waypost_client::{
 use crate::bus::{Incoming, Outgoing};
 use crate::camera::odometry_message;
 use crate::intake::Wheels;
+use crate::plan::Plan;
 use crate::session::{camera, reconnection};
 use crate::settings::Settings;
 use crate::state::{Declared, Shared};
@@ -91,7 +92,7 @@ pub(crate) async fn goals(
     }
 }
 
-fn no_goal(shared: &Shared, problem: String) {
+pub(crate) fn no_goal(shared: &Shared, problem: String) {
     tracing::error!("{problem}");
     shared.lock().goal_problem = Some(problem);
 }
@@ -134,6 +135,7 @@ pub(crate) struct Drive {
     pub(crate) seen: broadcast::Receiver<Frame>,
     pub(crate) wishes: mpsc::Receiver<Wish>,
     pub(crate) cmd_vel: Outgoing<Twist>,
+    pub(crate) plans: watch::Receiver<Plan>,
     pub(crate) ending: watch::Receiver<bool>,
 }
 
@@ -162,14 +164,23 @@ impl Drive {
 
     async fn drive(&mut self, settings: &Settings) {
         let Some(camera) = camera(&mut self.declared).await else { return };
+        let mut plans = self.plans.clone();
         loop {
-            let mut options = NavigationOptions::new(&settings.map, camera.clone());
+            let Some(map) = chosen(&mut plans).await else { return };
+            let mut options = NavigationOptions::new(&map, camera.clone());
             options.reconnection = reconnection();
             options.driving.speed_m_s = settings.speed_m_s;
             options.navigation_id.clone_from(&settings.session);
-            let ended = match self.client.navigate(options).await {
-                Ok(navigation) => self.follow(navigation).await,
-                Err(error) => Err(error),
+            let client = self.client.clone();
+            let following = async {
+                match client.navigate(options).await {
+                    Ok(navigation) => self.follow(navigation).await,
+                    Err(error) => Err(error),
+                }
+            };
+            let ended = tokio::select! {
+                ended = following => ended,
+                _another = plans.wait_for(|plan| plan.map.as_ref() != Some(&map)) => Ok(()),
             };
             self.stop();
             self.shared.lock().navigation = None;
@@ -261,6 +272,11 @@ impl Drive {
             NavigationEvent::Seen(_) => {}
         }
     }
+}
+
+/// The map, once there is one; none when the bridge ends.
+async fn chosen(plans: &mut watch::Receiver<Plan>) -> Option<String> {
+    plans.wait_for(|plan| plan.map.is_some()).await.ok()?.map.clone()
 }
 
 fn frame_input(Frame { number, stamp_ns, image, pose }: Frame) -> FrameInput {

@@ -7,7 +7,10 @@ use std::process::ExitCode;
 use waypost_client::Error;
 
 use crate::bus::BusError;
-use crate::settings::SettingsError;
+use crate::given::SettingsError;
+use crate::peers::PeersError;
+use crate::robot_words::SessionError;
+use crate::viewers::ViewersError;
 
 /// Why the bridge ended. The message says what to do about it.
 #[derive(Debug, thiserror::Error)]
@@ -18,9 +21,18 @@ pub(crate) enum Failure {
     /// DDS.
     #[error(transparent)]
     Bus(#[from] BusError),
+    /// Named peers.
+    #[error(transparent)]
+    Peers(#[from] PeersError),
+    /// Foxglove's app cannot be let in.
+    #[error(transparent)]
+    Viewers(#[from] ViewersError),
     /// The server refuses for good.
     #[error(transparent)]
     Server(#[from] Error),
+    /// Words cannot be made.
+    #[error("{0}")]
+    Words(String),
     /// A certificate.
     #[error("cannot read {}: {source}", path.display())]
     Certificate {
@@ -37,14 +49,28 @@ pub(crate) enum Failure {
     Died,
 }
 
+impl From<SessionError> for Failure {
+    fn from(error: SessionError) -> Self {
+        match error {
+            SessionError::Server(error) => Self::Server(error),
+            SessionError::Words(_) => Self::Words(error.to_string()),
+        }
+    }
+}
+
 impl Failure {
     /// 2 for wrong usage, 3 for a server that was lost, 4 for one that refuses, else 1: as `waypost` has them.
     pub(crate) fn exit_code(&self) -> ExitCode {
         let code = match self {
-            Failure::Settings(_) => 2,
+            Failure::Settings(_) | Failure::Peers(PeersError::Unknown { .. }) => 2,
             Failure::Server(Error::Connection { .. } | Error::SessionLost { .. }) => 3,
             Failure::Server(Error::Status { .. } | Error::SessionRewound { .. }) => 4,
-            Failure::Server(_) | Failure::Bus(_) | Failure::Certificate { .. } => 1,
+            Failure::Server(_)
+            | Failure::Words(_)
+            | Failure::Bus(_)
+            | Failure::Viewers(_)
+            | Failure::Certificate { .. } => 1,
+            Failure::Peers(PeersError::NoPort { .. } | PeersError::System(_)) => 1,
             Failure::System(_) | Failure::Died => 1,
         };
         ExitCode::from(code)

@@ -9,9 +9,10 @@ use waypost_bags::live::{self, LiveImage};
 use waypost_bags::{Frame, Joining, Kind, Pose};
 
 use crate::bus::Incoming;
-use crate::camera::{Known, Verdict};
+use crate::camera::{DEFAULT_BASE, Known, Verdict};
 use crate::outbox::Outbox;
 use crate::settings::Topics;
+use crate::shown::Shown;
 use crate::state::{Declared, OdometryFrames, Shared};
 
 /// How often it is looked whether the camera can be declared, besides when something comes.
@@ -39,6 +40,7 @@ pub(crate) struct Intake {
     pub(crate) declared: watch::Sender<Declared>,
     pub(crate) wheels: broadcast::Sender<Wheels>,
     pub(crate) seen: broadcast::Sender<Frame>,
+    shown: Option<Shown>,
     joining: Mutex<Joining>,
     began: Instant,
 }
@@ -50,6 +52,7 @@ impl Intake {
         most_hz: f64,
         outbox: Arc<Outbox>,
         declared: watch::Sender<Declared>,
+        shown: Option<Shown>,
     ) -> Self {
         let mut joining = Joining::default();
         if topics.odometry.is_none() {
@@ -58,7 +61,8 @@ impl Intake {
         let (wheels, _) = broadcast::channel(DRIVING_AHEAD);
         let (seen, _) = broadcast::channel(DRIVING_AHEAD);
         let joining = Mutex::new(joining);
-        Self { shared, topics, most_hz, outbox, declared, wheels, seen, joining, began: Instant::now() }
+        let began = Instant::now();
+        Self { shared, topics, most_hz, outbox, declared, wheels, seen, shown, joining, began }
     }
 
     /// Images, until the topic ends.
@@ -103,6 +107,9 @@ impl Intake {
                 state.tick(image.stamp_ns);
             }
         }
+        if let Some(shown) = &self.shown {
+            shown.image(&image);
+        }
         let frame = Frame { number: taking.number, stamp_ns: image.stamp_ns, image: image.file, pose: None };
         self.join(|joining, now_ns| joining.add_image(now_ns, frame));
     }
@@ -128,15 +135,18 @@ impl Intake {
                     continue;
                 }
             };
+            let base = if read.child_frame.is_empty() { DEFAULT_BASE } else { &read.child_frame };
             {
                 let mut state = self.shared.lock();
                 state.odometry.good();
                 state.tick(read.stamp_ns);
                 if state.odometry_frames.is_none() {
-                    let base =
-                        if read.child_frame.is_empty() { "base_link".to_owned() } else { read.child_frame };
-                    state.odometry_frames = Some(OdometryFrames { odom: read.frame_id, base });
+                    let (odom, base) = (read.frame_id.clone(), base.to_owned());
+                    state.odometry_frames = Some(OdometryFrames { odom, base });
                 }
+            }
+            if let Some(shown) = &self.shown {
+                shown.odometry(&data, &read, base);
             }
             // Without anybody who drives, nobody listens.
             let _ = self.wheels.send(Wheels { stamp_ns: read.stamp_ns, pose: read.pose });
@@ -163,6 +173,10 @@ impl Intake {
             if self.seen.receiver_count() > 0 {
                 let _ = self.seen.send(frame.clone());
             }
+            if !self.outbox.is_open() {
+                self.shared.lock().frames.unwanted += 1;
+                continue;
+            }
             let dropped = self.outbox.put(frame);
             self.shared.lock().frames.dropped += dropped;
         }
@@ -172,6 +186,9 @@ impl Intake {
     pub(crate) async fn camera_infos(self: Arc<Self>, mut messages: Incoming) {
         while let Some(data) = messages.next().await {
             let read = live::camera_info(&data);
+            if let (Some(shown), Ok(_)) = (&self.shown, &read) {
+                shown.camera_info(&data);
+            }
             let mut state = self.shared.lock();
             match read {
                 Ok(info) => {
@@ -192,11 +209,17 @@ impl Intake {
     pub(crate) async fn mountings(self: Arc<Self>, mut messages: Incoming) {
         while let Some(data) = messages.next().await {
             let mut state = self.shared.lock();
-            match state.mountings.add(&data) {
+            let added = state.mountings.add(&data);
+            match added {
                 Ok(()) => state.tf_static.good(),
                 Err(problem) => {
                     state.tf_static.bad(problem.to_string());
+                    continue;
                 }
+            }
+            drop(state);
+            if let Some(shown) = &self.shown {
+                shown.mountings(&data);
             }
         }
     }

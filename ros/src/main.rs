@@ -7,23 +7,35 @@ use clap::Parser;
 use tracing_subscriber::EnvFilter;
 
 use failure::Failure;
-use settings::Given;
+use given::Given;
 
+mod asks;
 mod bridge;
 mod bus;
+mod calls;
 mod camera;
+mod control;
 mod diagnostics;
 mod drive;
 mod failure;
+mod given;
 mod intake;
 mod markers;
 mod names;
+mod nav2;
 mod outbox;
+mod peers;
+mod plan;
+mod raw;
+mod robot_words;
 mod session;
+mod sessions;
 mod settings;
+mod shown;
 mod state;
 mod telling;
 mod tf;
+mod viewers;
 
 /// RustDDS tells of what is everyday in a network, even at its end; `RUST_LOG=rustdds=warn` shows it.
 const DEFAULT_LOG: &str = "warn,waypost_ros=info,rustdds=off";

@@ -2,10 +2,12 @@
 
 use std::time::{Duration, Instant};
 
+use tokio::sync::watch;
 use waypost_client::{Client, Error};
 use waypost_ros_messages::{DrawnMap, Header, MarkerArray};
 
 use crate::bus::Outgoing;
+use crate::plan::Plan;
 use crate::state::Shared;
 
 /// At most this often; and a map that is fetched slowly is fetched seldom.
@@ -17,7 +19,7 @@ const ANYWAY: Duration = Duration::from_secs(30);
 /// Publishes a map as markers whenever it has grown.
 pub(crate) struct Markers {
     pub(crate) client: Client,
-    pub(crate) map: String,
+    pub(crate) plans: watch::Receiver<Plan>,
     pub(crate) map_frame: String,
     pub(crate) shared: Shared,
     pub(crate) out: Outgoing<MarkerArray>,
@@ -25,22 +27,23 @@ pub(crate) struct Markers {
 
 impl Markers {
     pub(crate) async fn run(self) {
-        let mut told: Option<(Instant, u64, u32)> = None;
+        let mut told: Option<(Instant, u64, u32, String)> = None;
         let mut pause = PERIOD;
         loop {
             tokio::time::sleep(pause).await;
+            let Some(map) = self.plans.borrow().map.clone() else { continue };
             let (answered, part) = self.known();
-            let is_due = told.is_none_or(|(at, told_answered, told_part)| {
-                (told_answered, told_part) != (answered, part) || at.elapsed() > ANYWAY
+            let is_due = told.as_ref().is_none_or(|(at, told_answered, told_part, told_map)| {
+                (*told_answered, *told_part, told_map) != (answered, part, &map) || at.elapsed() > ANYWAY
             });
             if !is_due {
                 continue;
             }
             let began = Instant::now();
-            match self.fetch(part).await {
+            match self.fetch(&map, part).await {
                 Ok(markers) => {
                     self.out.publish(markers);
-                    told = Some((began, answered, part));
+                    told = Some((began, answered, part, map));
                 }
                 // The session tells of a server that is away.
                 Err(error) => tracing::debug!("no markers: {error}"),
@@ -55,10 +58,10 @@ impl Markers {
         (state.frames.answered, state.placed.as_ref().map_or(0, |placed| placed.part))
     }
 
-    async fn fetch(&self, part: u32) -> Result<MarkerArray, Error> {
-        let places = self.client.places(&self.map).await?;
-        let labels = self.client.labels(&self.map).await?;
-        let closures = self.client.loop_closures(&self.map).await?;
+    async fn fetch(&self, map: &str, part: u32) -> Result<MarkerArray, Error> {
+        let places = self.client.places(map).await?;
+        let labels = self.client.labels(map).await?;
+        let closures = self.client.loop_closures(map).await?;
         let stamp_ns = self.shared.lock().robot_now_ns().unwrap_or(0);
         Ok(MarkerArray::of_map(
             &Header::new(stamp_ns, &self.map_frame),

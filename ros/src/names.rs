@@ -39,9 +39,10 @@ pub(crate) fn type_in_ros(type_name: &str) -> String {
     type_name.replace("::msg::dds_::", "/").trim_end_matches('_').to_owned()
 }
 
-/// A type's name in DDS, of one as in `nav_msgs/msg/Path`.
+/// A type's name in DDS, of one as in `nav_msgs/msg/Path` or `std_srvs/srv/Trigger_Request`.
 pub(crate) fn type_in_dds(ros_type: &str) -> String {
-    format!("{}_", ros_type.replace("/msg/", "::msg::dds_::"))
+    let of_kind = |name: String, kind: &str| name.replace(&format!("/{kind}/"), &format!("::{kind}::dds_::"));
+    format!("{}_", ["msg", "srv", "action"].into_iter().fold(ros_type.to_owned(), of_kind))
 }
 
 #[cfg(test)]
@@ -68,5 +69,6 @@ mod tests {
     fn types_are_told_as_ros_writes_them() {
         assert_eq!(type_in_ros("sensor_msgs::msg::dds_::Image_"), "sensor_msgs/Image");
         assert_eq!(type_in_dds("nav_msgs/msg/Path"), "nav_msgs::msg::dds_::Path_");
+        assert_eq!(type_in_dds("std_srvs/srv/Trigger_Request"), "std_srvs::srv::dds_::Trigger_Request_");
     }
 }

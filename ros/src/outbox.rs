@@ -13,27 +13,55 @@ const MOST_BYTES: usize = 256 << 20;
 pub(crate) struct Outbox {
     waiting: Mutex<Waiting>,
     came: Notify,
-    most_frames: usize,
 }
 
 #[derive(Default)]
 struct Waiting {
     frames: VecDeque<Frame>,
     bytes: usize,
+    /// 0 while no session is wanted.
+    most_frames: usize,
 }
 
 impl Outbox {
-    pub(crate) fn new(most_frames: usize) -> Self {
-        Self { waiting: Mutex::default(), came: Notify::new(), most_frames }
+    /// Takes nothing yet.
+    pub(crate) fn new() -> Self {
+        Self { waiting: Mutex::default(), came: Notify::new() }
     }
 
-    /// Takes a frame, and says how many it drove out.
+    /// Takes frames from now on; those that wait already have room.
+    pub(crate) fn open(&self, most_frames: usize) {
+        self.lock().most_frames = most_frames.max(1);
+    }
+
+    /// Takes none from now on. What waits already may still be taken out.
+    pub(crate) fn shut(&self) {
+        self.lock().most_frames = 0;
+    }
+
+    /// Forgets what waits, and says how many that were.
+    pub(crate) fn clear(&self) -> u64 {
+        let mut waiting = self.lock();
+        waiting.bytes = 0;
+        let count = waiting.frames.drain(..).count();
+        u64::try_from(count).unwrap_or(u64::MAX)
+    }
+
+    /// Whether frames are taken.
+    pub(crate) fn is_open(&self) -> bool {
+        self.lock().most_frames > 0
+    }
+
+    /// Takes a frame if any are taken, and says how many it drove out.
     pub(crate) fn put(&self, frame: Frame) -> u64 {
         let mut dropped = 0;
         let mut waiting = self.lock();
+        if waiting.most_frames == 0 {
+            return 0;
+        }
         waiting.bytes += frame.image.len();
         waiting.frames.push_back(frame);
-        while waiting.frames.len() > self.most_frames || waiting.bytes > MOST_BYTES {
+        while waiting.frames.len() > waiting.most_frames || waiting.bytes > MOST_BYTES {
             let Some(oldest) = waiting.frames.pop_front() else { break };
             waiting.bytes -= oldest.image.len();
             dropped += 1;
@@ -79,7 +107,8 @@ mod tests {
 
     #[tokio::test]
     async fn the_oldest_make_way_and_are_counted() {
-        let outbox = Outbox::new(2);
+        let outbox = Outbox::new();
+        outbox.open(2);
         let dropped: u64 = (1..=5).map(|number| outbox.put(frame(number))).sum();
         assert_eq!((dropped, outbox.len()), (3, 2));
         assert_eq!([outbox.take().await.number, outbox.take().await.number], [4, 5]);
@@ -87,8 +116,23 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn what_waits_is_taken_out_when_nothing_more_is_wanted() {
+        let outbox = Outbox::new();
+        assert_eq!((outbox.is_open(), outbox.put(frame(1)), outbox.len()), (false, 0, 0));
+        outbox.open(2);
+        assert_eq!(outbox.put(frame(2)), 0);
+        outbox.shut();
+        outbox.put(frame(3));
+        assert_eq!((outbox.len(), outbox.take().await.number), (1, 2));
+        outbox.open(2);
+        outbox.put(frame(4));
+        assert_eq!((outbox.clear(), outbox.len(), outbox.lock().bytes), (1, 0, 0));
+    }
+
+    #[tokio::test]
     async fn who_waits_is_woken() {
-        let outbox = std::sync::Arc::new(Outbox::new(2));
+        let outbox = std::sync::Arc::new(Outbox::new());
+        outbox.open(2);
         let taking = tokio::spawn({
             let outbox = outbox.clone();
             async move { outbox.take().await.number }

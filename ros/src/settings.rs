@@ -1,102 +1,12 @@
-//! What the bridge is told by flags, the environment and a file.
+//! What the bridge does, and how.
 
-use std::net::IpAddr;
-use std::path::{Path, PathBuf};
+use std::net::{IpAddr, SocketAddr};
+use std::path::PathBuf;
 
-use clap::Parser;
 use serde::Deserialize;
 use waypost_bags::Kind;
 
-use crate::names::{NameError, full};
-
-/// In place of a topic: there is none.
-const NONE: &str = "none";
-const DEFAULT_SERVER: &str = "http://127.0.0.1:7600";
-/// Frames that wait for a server while it is away: some minutes at two a second.
-const DEFAULT_BUFFER_FRAMES: usize = 512;
-/// While localizing, an old frame says little: the newest ones are worth most.
-const LOCALIZING_BUFFER_FRAMES: usize = 2;
-const DEFAULT_MOST_HZ: f64 = 10.0;
-const DEFAULT_POSITION_SIGMA_M: f64 = 0.5;
-const DEFAULT_HEADING_SIGMA_RAD: f64 = 0.1;
-
-/// Joins a ROS 2 robot to a Waypost server, over DDS: no ROS is needed where this runs.
-///
-/// Takes images, their camera, odometry and /tf_static; gives map -> odom on /tf, the pose, the path, markers of places
-/// and diagnostics, and with --drive it takes goals and drives by cmd_vel.
-///
-/// Every flag may be a parameter of the file, in the same words with _ for -. A flag wins over the environment, and that
-/// over the file.
-#[derive(Clone, Debug, Default, Parser, Deserialize)]
-#[command(name = "waypost-ros", version)]
-#[serde(deny_unknown_fields, default)]
-pub(crate) struct Given {
-    /// A TOML file with parameters.
-    #[arg(long, value_name = "FILE")]
-    #[serde(skip)]
-    params: Option<PathBuf>,
-    /// The Waypost server's address for robots [default: http://127.0.0.1:7600]
-    #[arg(long, env = "WAYPOST_SERVER", value_name = "URL")]
-    server: Option<String>,
-    /// Secret of a token, for servers that ask for one.
-    #[arg(long, env = "WAYPOST_TOKEN", hide_env_values = true, value_name = "SECRET")]
-    token: Option<String>,
-    /// Certificates of the authorities that the server's is trusted by, in PEM.
-    #[arg(long, env = "WAYPOST_CA", value_name = "FILE")]
-    ca: Option<PathBuf>,
-    /// The map, which must exist: `waypost map create` makes one.
-    #[arg(long, value_name = "MAP")]
-    map: Option<String>,
-    /// Name of the session; one that exists is gone on with [default: the server chooses]
-    #[arg(long, value_name = "NAME")]
-    session: Option<String>,
-    /// Find the robot on the map, and leave that as it is. Without this the map grows.
-    #[arg(long)]
-    localize: bool,
-    /// Take goals, and drive by cmd_vel. Needs --localize.
-    #[arg(long)]
-    drive: bool,
-    /// Speed on straight ways while driving [default: the server's, 0.4]
-    #[arg(long, value_name = "M_S")]
-    speed_m_s: Option<f64>,
-    /// The robot's namespace; topics without a slash at the front are within it, tf too.
-    #[arg(long, value_name = "NAME")]
-    namespace: Option<String>,
-    /// DDS domain, 0 to 232 [default: 0]
-    #[arg(long, env = "ROS_DOMAIN_ID", value_name = "NUMBER")]
-    domain: Option<u16>,
-    /// Addresses of the network interfaces to use, as 127.0.0.1 to stay on this machine [default: all]
-    #[arg(long, value_name = "ADDRESS")]
-    network: Vec<IpAddr>,
-    /// sensor_msgs/Image, or CompressedImage if the name ends in `compressed` [default: camera/image_raw]
-    #[arg(long, value_name = "TOPIC")]
-    image_topic: Option<String>,
-    /// sensor_msgs/CameraInfo; `none` for a camera that is not declared [default: camera_info beside the images]
-    #[arg(long, value_name = "TOPIC")]
-    camera_info_topic: Option<String>,
-    /// nav_msgs/Odometry; `none` for a robot without [default: odom]
-    #[arg(long, value_name = "TOPIC")]
-    odometry_topic: Option<String>,
-    /// Whether images, camera and odometry are asked for as best effort, which takes either, or as reliable
-    /// [default: best-effort]
-    #[arg(long, value_name = "QOS")]
-    sensor_qos: Option<SensorQos>,
-    /// Frame of the map [default: map]
-    #[arg(long, value_name = "FRAME")]
-    map_frame: Option<String>,
-    /// Most frames a second that are sent; the others are left out, 0 for all [default: 10]
-    #[arg(long, value_name = "HZ")]
-    most_hz: Option<f64>,
-    /// Frames that are kept while the server is away; the oldest make way [default: 512, 2 while localizing]
-    #[arg(long, value_name = "COUNT")]
-    buffer_frames: Option<usize>,
-    /// Standard deviation to publish with poses, as the server does not tell it [default: 0.5]
-    #[arg(long, value_name = "METRES")]
-    position_sigma_m: Option<f64>,
-    /// Standard deviation of the heading to publish with poses [default: 0.1]
-    #[arg(long, value_name = "RADIANS")]
-    heading_sigma_rad: Option<f64>,
-}
+use crate::robot_words::WordForm;
 
 /// How readers of sensors ask for messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, clap::ValueEnum)]
@@ -115,7 +25,7 @@ pub(crate) enum Mode {
     Map,
     /// It stays as it is.
     Localize,
-    /// It stays as it is, and the robot is driven along it.
+    /// It stays as it is, and the robot is driven along it: by us, or by Nav2.
     Drive,
 }
 
@@ -131,10 +41,28 @@ pub(crate) struct Topics {
     pub(crate) goal_pose: String,
     pub(crate) goal: String,
     pub(crate) cmd_vel: String,
+    /// Nav2's action.
+    pub(crate) navigate_to_pose: String,
     pub(crate) pose: String,
     pub(crate) path: String,
     pub(crate) markers: String,
     pub(crate) diagnostics: String,
+    /// The parameters of the bridge's node, and what else it is asked.
+    pub(crate) services: Services,
+    pub(crate) new_place: String,
+    pub(crate) most_probable_place: String,
+    pub(crate) matched: String,
+}
+
+/// Full names of services.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Services {
+    pub(crate) localize: String,
+    pub(crate) start: String,
+    pub(crate) finish: String,
+    pub(crate) set_parameters: String,
+    pub(crate) get_parameters: String,
+    pub(crate) list_parameters: String,
 }
 
 /// What the bridge does, and how.
@@ -143,15 +71,20 @@ pub(crate) struct Settings {
     pub(crate) server: String,
     pub(crate) token: Option<String>,
     pub(crate) ca: Option<PathBuf>,
-    pub(crate) map: String,
+    /// None where services choose it.
+    pub(crate) map: Option<String>,
     /// Empty for the server to choose.
     pub(crate) session: String,
     pub(crate) mode: Mode,
+    /// Whether Nav2 drives.
+    pub(crate) is_by_nav2: bool,
     /// As the server has it by itself, if nothing is said.
     pub(crate) speed_m_s: Option<f64>,
     pub(crate) domain: u16,
     /// Empty for all.
     pub(crate) networks: Vec<IpAddr>,
+    /// Other machines to find, as `robot.local` or `10.0.0.5:7410`.
+    pub(crate) peers: Vec<String>,
     /// Without slashes at its ends; empty for none.
     pub(crate) namespace: String,
     pub(crate) topics: Topics,
@@ -159,236 +92,14 @@ pub(crate) struct Settings {
     pub(crate) map_frame: String,
     /// 0 for all.
     pub(crate) most_hz: f64,
-    pub(crate) buffer_frames: usize,
+    /// As the mode has it by itself, if nothing is said.
+    pub(crate) buffer_frames: Option<usize>,
     pub(crate) position_sigma_m: f64,
     pub(crate) heading_sigma_rad: f64,
-}
-
-/// Why the bridge cannot begin.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum SettingsError {
-    /// The file is not there.
-    #[error("cannot read {}: {source}", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// The file is not as it should be.
-    #[error("{}: {source}", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// Where and what.
-        source: toml::de::Error,
-    },
-    /// No map is named.
-    #[error("no map is named; give --map, or `map` in the file of --params")]
-    NoMap,
-    /// A drive that would change the map.
-    #[error("--drive follows a map that is there; give --localize with it")]
-    DriveWithoutLocalize,
-    /// A drive without wheels.
-    #[error("--drive needs odometry and a declared camera; leave out `none` for their topics")]
-    DriveBlind,
-    /// DDS has no such domain.
-    #[error("domain {0} does not exist; choose one from 0 to 232")]
-    Domain(u16),
-    /// A number that is none, or below what it means.
-    #[error("{name} is {value}; it has to be a number of {least}")]
-    Number {
-        /// The parameter.
-        name: &'static str,
-        /// As given.
-        value: f64,
-        /// What it may be.
-        least: &'static str,
-    },
-    /// A frame or a topic.
-    #[error(transparent)]
-    Name(#[from] NameError),
-}
-
-/// The highest domain whose ports exist.
-const LAST_DOMAIN: u16 = 232;
-
-impl Given {
-    /// With what the file says, where there is one.
-    ///
-    /// # Errors
-    /// If that cannot be read, or what all of it says does not fit together.
-    pub(crate) fn settings(self) -> Result<Settings, SettingsError> {
-        match self.params.clone() {
-            Some(path) => self.over(read(&path)?).resolved(),
-            None => self.resolved(),
-        }
-    }
-
-    /// These, and where they say nothing the others.
-    fn over(self, file: Self) -> Self {
-        Self {
-            params: self.params,
-            server: self.server.or(file.server),
-            token: self.token.or(file.token),
-            ca: self.ca.or(file.ca),
-            map: self.map.or(file.map),
-            session: self.session.or(file.session),
-            localize: self.localize || file.localize,
-            drive: self.drive || file.drive,
-            speed_m_s: self.speed_m_s.or(file.speed_m_s),
-            namespace: self.namespace.or(file.namespace),
-            domain: self.domain.or(file.domain),
-            network: if self.network.is_empty() { file.network } else { self.network },
-            image_topic: self.image_topic.or(file.image_topic),
-            camera_info_topic: self.camera_info_topic.or(file.camera_info_topic),
-            odometry_topic: self.odometry_topic.or(file.odometry_topic),
-            sensor_qos: self.sensor_qos.or(file.sensor_qos),
-            map_frame: self.map_frame.or(file.map_frame),
-            most_hz: self.most_hz.or(file.most_hz),
-            buffer_frames: self.buffer_frames.or(file.buffer_frames),
-            position_sigma_m: self.position_sigma_m.or(file.position_sigma_m),
-            heading_sigma_rad: self.heading_sigma_rad.or(file.heading_sigma_rad),
-        }
-    }
-
-    fn resolved(self) -> Result<Settings, SettingsError> {
-        let mode = self.mode()?;
-        let topics = self.topics()?;
-        if mode == Mode::Drive && (topics.odometry.is_none() || topics.camera_info.is_none()) {
-            return Err(SettingsError::DriveBlind);
-        }
-        let domain = self.domain.unwrap_or(0);
-        if domain > LAST_DOMAIN {
-            return Err(SettingsError::Domain(domain));
-        }
-        let kept = if mode == Mode::Map { DEFAULT_BUFFER_FRAMES } else { LOCALIZING_BUFFER_FRAMES };
-        let position_sigma_m = self.position_sigma_m.unwrap_or(DEFAULT_POSITION_SIGMA_M);
-        let heading_sigma_rad = self.heading_sigma_rad.unwrap_or(DEFAULT_HEADING_SIGMA_RAD);
-        Ok(Settings {
-            mode,
-            topics,
-            domain,
-            speed_m_s: self.speed_m_s.map(|speed| at_least_zero("speed_m_s", speed)).transpose()?,
-            server: self.server.unwrap_or_else(|| DEFAULT_SERVER.to_owned()),
-            token: self.token.filter(|token| !token.is_empty()),
-            ca: self.ca,
-            map: self.map.filter(|map| !map.is_empty()).ok_or(SettingsError::NoMap)?,
-            session: self.session.unwrap_or_default(),
-            networks: self.network,
-            namespace: self.namespace.unwrap_or_default().trim_matches('/').to_owned(),
-            sensor_qos: self.sensor_qos.unwrap_or(SensorQos::BestEffort),
-            map_frame: self.map_frame.unwrap_or_else(|| "map".to_owned()),
-            most_hz: at_least_zero("most_hz", self.most_hz.unwrap_or(DEFAULT_MOST_HZ))?,
-            buffer_frames: self.buffer_frames.unwrap_or(kept).max(1),
-            position_sigma_m: at_least_zero("position_sigma_m", position_sigma_m)?,
-            heading_sigma_rad: at_least_zero("heading_sigma_rad", heading_sigma_rad)?,
-        })
-    }
-
-    fn mode(&self) -> Result<Mode, SettingsError> {
-        match (self.localize, self.drive) {
-            (false, false) => Ok(Mode::Map),
-            (true, false) => Ok(Mode::Localize),
-            (true, true) => Ok(Mode::Drive),
-            (false, true) => Err(SettingsError::DriveWithoutLocalize),
-        }
-    }
-
-    fn topics(&self) -> Result<Topics, NameError> {
-        let namespace = self.namespace.as_deref().unwrap_or_default();
-        let name = |topic: &str| full(namespace, topic);
-        let optional = |topic: &str| if topic == NONE { Ok(None) } else { name(topic).map(Some) };
-        let image = name(self.image_topic.as_deref().unwrap_or("camera/image_raw"))?;
-        let image_kind = if image.ends_with("compressed") { Kind::CompressedImage } else { Kind::Image };
-        let camera_info = match &self.camera_info_topic {
-            Some(topic) => optional(topic)?,
-            None => Some(beside(&image)),
-        };
-        Ok(Topics {
-            image,
-            image_kind,
-            camera_info,
-            odometry: optional(self.odometry_topic.as_deref().unwrap_or("odom"))?,
-            tf: name("tf")?,
-            tf_static: name("tf_static")?,
-            goal_pose: name("goal_pose")?,
-            goal: name("waypost/goal")?,
-            cmd_vel: name("cmd_vel")?,
-            pose: name("waypost/pose")?,
-            path: name("waypost/path")?,
-            markers: name("waypost/markers")?,
-            diagnostics: name("/diagnostics")?,
-        })
-    }
-}
-
-/// The topic `camera_info` of the camera whose images a topic has.
-fn beside(image: &str) -> String {
-    let image = image.strip_suffix("/compressed").unwrap_or(image);
-    let camera = image.rsplit_once('/').map_or("", |(camera, _)| camera);
-    format!("{camera}/camera_info")
-}
-
-fn read(path: &Path) -> Result<Given, SettingsError> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|source| SettingsError::Unreadable { path: path.to_owned(), source })?;
-    toml::from_str(&text).map_err(|source| SettingsError::File { path: path.to_owned(), source })
-}
-
-fn at_least_zero(name: &'static str, value: f64) -> Result<f64, SettingsError> {
-    if value.is_finite() && value >= 0.0 {
-        Ok(value)
-    } else {
-        Err(SettingsError::Number { name, value, least: "0 or above" })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn given(arguments: &[&str]) -> Given {
-        Given::try_parse_from(["waypost-ros"].iter().chain(arguments)).unwrap()
-    }
-
-    fn told(arguments: &[&str]) -> String {
-        given(arguments).resolved().unwrap_err().to_string()
-    }
-
-    #[test]
-    fn a_robot_of_many_has_its_topics_in_its_namespace() {
-        let settings = given(&["--map", "hall", "--namespace", "/robot1"]).resolved().unwrap();
-        let topics = settings.topics;
-        assert_eq!((topics.image.as_str(), topics.image_kind), ("/robot1/camera/image_raw", Kind::Image));
-        assert_eq!(topics.camera_info.as_deref(), Some("/robot1/camera/camera_info"));
-        assert_eq!((topics.tf.as_str(), topics.diagnostics.as_str()), ("/robot1/tf", "/diagnostics"));
-    }
-
-    #[test]
-    fn the_camera_info_is_beside_the_images() {
-        assert_eq!(beside("/camera/image_raw/compressed"), "/camera/camera_info");
-        assert_eq!(beside("/image"), "/camera_info");
-    }
-
-    #[test]
-    fn a_flag_wins_over_the_file() {
-        let file: Given = toml::from_str("map = 'hall'\nmost_hz = 2.5\nsensor_qos = 'reliable'").unwrap();
-        let settings = given(&["--map", "office", "--localize"]).over(file).resolved().unwrap();
-        assert_eq!((settings.map.as_str(), settings.most_hz), ("office", 2.5));
-        assert_eq!((settings.mode, settings.sensor_qos), (Mode::Localize, SensorQos::Reliable));
-        assert_eq!(settings.buffer_frames, LOCALIZING_BUFFER_FRAMES);
-    }
-
-    #[test]
-    fn what_does_not_fit_is_told_with_what_mends_it() {
-        assert!(told(&[]).contains("--map"));
-        assert!(told(&["--map", "a", "--drive"]).contains("--localize"));
-        let blind = ["--map", "a", "--drive", "--localize", "--odometry-topic", "none"];
-        assert!(told(&blind).contains("needs odometry"));
-        assert!(told(&["--map", "a", "--domain", "233"]).contains("0 to 232"));
-        assert!(told(&["--map", "a", "--most-hz=-1"]).contains("0 or above"));
-        let unknown = toml::from_str::<Given>("mapp = 'hall'").unwrap_err().to_string();
-        assert!(unknown.contains("unknown field `mapp`"), "{unknown}");
-    }
+    /// Images are sent where none are asked for.
+    pub(crate) words: Option<WordForm>,
+    /// Whether services choose map and mode.
+    pub(crate) is_served: bool,
+    /// Where whoever looks on by Foxglove connects to.
+    pub(crate) foxglove: Option<SocketAddr>,
 }

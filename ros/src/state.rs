@@ -79,6 +79,8 @@ pub(crate) struct Frames {
     pub(crate) refused: u64,
     /// They made way for newer ones while the server was away.
     pub(crate) dropped: u64,
+    /// They came while no session was wanted.
+    pub(crate) unwanted: u64,
     /// Left out, since there are more a second than wanted.
     pub(crate) thinned: u64,
     pub(crate) without_odometry: u64,
@@ -86,6 +88,14 @@ pub(crate) struct Frames {
     /// When the server last took or answered something while it had something to answer.
     pub(crate) last_heard: Option<Instant>,
     pub(crate) refusal: Option<String>,
+}
+
+/// What became of a turn of the plan.
+#[derive(Clone, Debug)]
+pub(crate) struct Turned {
+    pub(crate) turn: u64,
+    /// The name of the session that was opened, or of the one that was finished; or why there is none.
+    pub(crate) to: Result<String, String>,
 }
 
 /// What is known.
@@ -103,6 +113,8 @@ pub(crate) struct State {
     pub(crate) odometry_frames: Option<OdometryFrames>,
     pub(crate) frames: Frames,
     pub(crate) session: Option<String>,
+    /// What became of the session that was wanted at the plan's turn, once it is known.
+    pub(crate) turned: Option<Turned>,
     pub(crate) placed: Option<Placed>,
     pub(crate) navigation: Option<v1::Guidance>,
     pub(crate) goal_problem: Option<String>,

@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use crate::bus::Outgoing;
 use crate::state::Placed;
-use waypost_ros_messages::{Covariance, Header, Path, Pose, PoseStamped, PoseWithCovarianceStamped};
+use waypost_client::v1;
+use waypost_ros_messages::{Covariance, Float64, Header, Path, Pose, PoseStamped, PoseWithCovarianceStamped};
 
 /// Poses of a path; when there are more, every second one goes.
 const MOST_POSES: usize = 2000;
@@ -33,6 +34,11 @@ impl Telling {
         Self { pose, path, map_frame, covariance, track: Track::default(), path_told: None }
     }
 
+    /// The path begins anew.
+    pub(crate) fn begin_anew(&mut self) {
+        self.track = Track::default();
+    }
+
     /// The map has the robot there, at the stamp of a frame.
     pub(crate) fn placed(&mut self, placed: &Placed, stamp_ns: i64) {
         let header = Header::new(stamp_ns, &self.map_frame);
@@ -46,6 +52,26 @@ impl Telling {
                 pose: *pose,
             });
             self.path.publish(Path { header, poses: poses.collect() });
+        }
+    }
+}
+
+/// Publishes how sure each answer is: numbers to plot.
+pub(crate) struct Sureness {
+    pub(crate) new_place: Outgoing<Float64>,
+    pub(crate) most_probable_place: Outgoing<Float64>,
+    pub(crate) matched: Outgoing<Float64>,
+}
+
+impl Sureness {
+    pub(crate) fn answered(&self, answer: &v1::FrameAnswer) {
+        self.new_place.publish(Float64 { data: answer.new_place_posterior });
+        if let Some(likely) = answer.places.first() {
+            self.most_probable_place.publish(Float64 { data: likely.posterior });
+        }
+        let geometry = answer.r#match.as_ref().and_then(|matched| matched.geometry.as_ref());
+        if let Some(geometry) = geometry {
+            self.matched.publish(Float64 { data: geometry.probability });
         }
     }
 }

@@ -1,4 +1,6 @@
-"""A robot of another machine, which finds the bridge by multicast: far_robot.py DOMAIN.
+"""A robot of another machine: far_robot.py DOMAIN [alone].
+
+It looks for the bridge by multicast, or alone for nobody.
 
 It sends ten images with odometry, and prints how many the bridge says it received.
 """
@@ -12,8 +14,14 @@ import robot
 import ros_types as ros
 from conftest import COMPRESSED, Diagnostics, drive, met
 
+#: Neither multicast nor peers: whoever wants this one has to know where it is.
+ALONE = """<CycloneDDS><Domain>
+  <General><AllowMulticast>false</AllowMulticast></General>
+  <Discovery><ParticipantIndex>auto</ParticipantIndex></Discovery>
+</Domain></CycloneDDS>"""
+
 if __name__ == "__main__":
-    robot.CONFIGURATION = "<CycloneDDS/>"
+    robot.CONFIGURATION = "<CycloneDDS/>" if sys.argv[2:] != ["alone"] else ALONE
     far = robot.Robot(int(sys.argv[1]))
     told = Diagnostics(far)
     far.advertise(COMPRESSED, ros.CompressedImage, robot.LOSSLESS)

@@ -135,7 +135,8 @@ def refused(tmp_path: Path, *flags: str) -> tuple[int, str]:
 def test_what_does_not_fit_is_refused_at_the_start(tmp_path: Path) -> None:
     assert refused(tmp_path) == (
         2,
-        "waypost-ros: no map is named; give --map, or `map` in the file of --params\n",
+        "waypost-ros: no map is named; give --map, or `map` in the file of --params; or --services for a"
+        " robot that chooses it\n",
     )
     parameters = tmp_path / "robot.toml"
     parameters.write_text('map = "hall"\nimage_topics = "camera"\n')

@@ -105,11 +105,8 @@ def declare(robot: Robot) -> None:
     robot.camera_info(SIZE_PX, FOCAL_PX)
 
 
-@pytest.fixture
-def led(stage: Stage) -> Iterator[tuple[Wheels, Diagnostics]]:
-    """A robot on a way that it was taught over DDS, with a bridge that takes goals."""
-    robot = stage.robot()
-    told = Diagnostics(robot)
+def taught(stage: Stage, robot: Robot, told: Diagnostics) -> None:
+    """Drives the way once over DDS, with a bridge that ends, and names the dock."""
     teaching = stage.bridge(*FLAGS, "--session", "taught", "--most-hz", "0")
     declare(robot)
     for step in range(TAUGHT):
@@ -121,6 +118,14 @@ def led(stage: Stage) -> Iterator[tuple[Wheels, Diagnostics]]:
     assert stage.client.set_label("hall", DOCK, "dock", label_pb2.LABEL_SCOPE_PLACE) == [DOCK]
     until(lambda: not robot.is_heard("odom"))
     told.forget()
+
+
+@pytest.fixture
+def led(stage: Stage) -> Iterator[tuple[Wheels, Diagnostics]]:
+    """A robot on a way that it was taught over DDS, with a bridge that takes goals."""
+    robot = stage.robot()
+    told = Diagnostics(robot)
+    taught(stage, robot, told)
     bridge = stage.bridge(*FLAGS, "--localize", "--drive", "--speed-m-s", "0.5")
     wheels = Wheels(robot)
     declare(robot)

@@ -28,6 +28,7 @@ from conftest import (
     way,
 )
 from robot import LOSSLESS, SECOND_NS, until
+from test_bad_input import refused
 
 NEAR, FAR = "waypost-near", "waypost-far"
 FLAGS = ("--map", "hall", "--session", "drive", "--image-topic", COMPRESSED, "--camera-info-topic", "none")
@@ -64,24 +65,50 @@ def two_machines() -> Iterator[None]:
                 ip("netns", "delete", name)
 
 
-@pytest.mark.usefixtures("two_machines")
-def test_a_robot_on_another_machine_is_found_by_multicast(tmp_path: Path) -> None:
-    domain = str(next(DOMAINS))
+def seen_far(tmp_path: Path, domain: str, bridge_flags: tuple[str, ...], robot: tuple[str, ...] = ()) -> str:
+    """What a robot on the other machine prints of a bridge on this one."""
     # Nobody answers there: what is shown is that frames come to the bridge.
     command = ["ip", "netns", "exec", NEAR, binary("waypost-ros"), "--domain", domain, *FLAGS]
-    command += ["--server", "http://127.0.0.1:1"]
+    command += ["--server", "http://127.0.0.1:1", *bridge_flags]
     log = tmp_path / "bridge.log"
     with log.open("wb") as stderr:
         bridge = subprocess.Popen(command, env=environment(), stderr=stderr)
     try:
         far = ["ip", "netns", "exec", FAR, sys.executable, Path(__file__).with_name("far_robot.py"), domain]
+        far += robot
         ran = subprocess.run(
             far, env=environment(), capture_output=True, text=True, timeout=PATIENCE_S, check=False
         )
-        assert ran.stdout == "10\n", f"{ran.stderr}\n{log.read_text()}"
+        return ran.stdout or f"{ran.stderr}\n{log.read_text()}"
     finally:
         bridge.terminate()
         bridge.wait(PATIENCE_S)
+
+
+@pytest.mark.usefixtures("two_machines")
+def test_a_robot_on_another_machine_is_found_by_multicast(tmp_path: Path) -> None:
+    assert seen_far(tmp_path, str(next(DOMAINS)), ()) == "10\n"
+
+
+@pytest.mark.usefixtures("two_machines")
+@pytest.mark.parametrize("port", ["", ":first"])
+def test_a_robot_on_another_machine_is_found_by_its_name(tmp_path: Path, port: str) -> None:
+    domain = next(DOMAINS)
+    peer = "10.77.0.2" + port.replace("first", str(7400 + 250 * domain + 10))
+    assert seen_far(tmp_path, str(domain), ("--peer", "10.77.0.9", "--peer", peer), ("alone",)) == "10\n"
+
+
+@pytest.mark.usefixtures("two_machines")
+def test_a_robot_that_looks_for_nobody_is_not_found_unless_it_is_named(tmp_path: Path) -> None:
+    assert "nobody reads" in seen_far(tmp_path, str(next(DOMAINS)), (), ("alone",))
+
+
+def test_a_peer_that_cannot_be_found_is_told(tmp_path: Path) -> None:
+    for peer, why in (("no.such.host.invalid", ""), ("127.0.0.1:port", "`port` is no port")):
+        code, told = refused(tmp_path, "--map", "hall", "--peer", peer)
+        assert code == 2
+        assert f"the peer `{peer}` cannot be found: {why}" in told
+        assert "give a name or an IPv4 address" in told
 
 
 class Proxy:

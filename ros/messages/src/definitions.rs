@@ -1,11 +1,20 @@
-//! How ROS defines the messages that are recorded: what a reader needs that does not know them.
+//! How ROS defines the messages that are recorded or shown: what a reader needs that does not know them.
 
 use std::fmt::Write;
 
 /// The fields of a type, in their order. Constants and comments are left out: nothing on the wire depends on them.
-const FIELDS: [(&str, &str); 24] = [
+const FIELDS: [(&str, &str); 29] = [
     ("builtin_interfaces/Duration", "int32 sec\nuint32 nanosec\n"),
     ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec\n"),
+    (
+        "diagnostic_msgs/DiagnosticArray",
+        "std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status\n",
+    ),
+    (
+        "diagnostic_msgs/DiagnosticStatus",
+        "byte level\nstring name\nstring message\nstring hardware_id\ndiagnostic_msgs/KeyValue[] values\n",
+    ),
+    ("diagnostic_msgs/KeyValue", "string key\nstring value\n"),
     ("geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z\n"),
     ("geometry_msgs/Pose", "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"),
     ("geometry_msgs/PoseStamped", "std_msgs/Header header\ngeometry_msgs/Pose pose\n"),
@@ -29,7 +38,17 @@ const FIELDS: [(&str, &str); 24] = [
          geometry_msgs/TwistWithCovariance twist\n",
     ),
     ("nav_msgs/Path", "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses\n"),
+    (
+        "sensor_msgs/CameraInfo",
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\n\
+         float64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\n\
+         sensor_msgs/RegionOfInterest roi\n",
+    ),
     ("sensor_msgs/CompressedImage", "std_msgs/Header header\nstring format\nuint8[] data\n"),
+    (
+        "sensor_msgs/RegionOfInterest",
+        "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n",
+    ),
     ("std_msgs/ColorRGBA", "float32 r\nfloat32 g\nfloat32 b\nfloat32 a\n"),
     ("std_msgs/Float64", "float64 data\n"),
     ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id\n"),
@@ -48,8 +67,9 @@ const FIELDS: [(&str, &str); 24] = [
 ];
 
 /// The fields of a type, as in `nav_msgs/msg/Path`, and behind a line of `=` those of each type within it, as
-/// [`ros2msg`](https://mcap.dev/spec/registry#ros2msg) has them. Empty for a type that is not recorded.
-pub(crate) fn definition(ros_type: &str) -> String {
+/// [`ros2msg`](https://mcap.dev/spec/registry#ros2msg) has them. Empty for a type that is not among them.
+#[must_use]
+pub fn definition(ros_type: &str) -> String {
     let of = |wanted: &str| FIELDS.iter().find(|(name, _)| *name == wanted).map(|(_, fields)| *fields);
     let mut told = String::new();
     let mut names = vec![ros_type.replace("/msg/", "/")];

@@ -6,12 +6,23 @@
 mod definitions;
 mod markers;
 mod messages;
+mod navigate;
 mod recording;
+mod services;
 
+pub use definitions::definition;
 pub use markers::{DrawnMap, Line, MarkerArray};
 pub use messages::{
-    CompressedImage, Covariance, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue, Message,
-    Odometry, Path, Pose, PoseStamped, PoseWithCovarianceStamped, Time, TransformStamped, Transforms, Twist,
-    Vector3,
+    CdrError, CompressedImage, Covariance, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue,
+    Message, Odometry, Path, Pose, PoseStamped, PoseWithCovarianceStamped, Time, TransformStamped,
+    Transforms, Twist, Vector3, decoded, encoded, laid_out,
+};
+pub use navigate::{
+    CancelGoal, CancelWanted, FEEDBACK, Feedback, GetResult, GoalId, GoalTaken, GoalWanted, Outcome,
+    ResultWanted, SendGoal,
 };
 pub use recording::{Recording, RecordingError};
+pub use services::{
+    Done, GetParameters, List, ListParameters, Listed, Names, Nothing, Parameter, ParameterValue, Results,
+    Service, Set, SetBool, SetParameters, Switch, Trigger, Values, Wanted,
+};

@@ -1,7 +1,14 @@
 //! The messages of ROS 2, laid out as CDR has them.
 
-use serde::Serialize;
+use byteorder::{BigEndian, LittleEndian};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use waypost_proto::v1;
+
+pub use cdr_encoding::Error as CdrError;
+
+/// What CDR in little endian begins with.
+const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
 /// A message of ROS.
 pub trait Message: Serialize + Send + 'static {
@@ -9,8 +16,39 @@ pub trait Message: Serialize + Send + 'static {
     const TYPE: &'static str;
 }
 
+/// A message in CDR, behind its four bytes of encapsulation.
+///
+/// # Errors
+/// If it has something that CDR cannot say.
+pub fn encoded<M: Message>(message: &M) -> Result<Vec<u8>, CdrError> {
+    let mut data = ENCAPSULATION.to_vec();
+    data.extend(laid_out(message)?);
+    Ok(data)
+}
+
+/// Likewise of anything, without those bytes.
+///
+/// # Errors
+/// If it has something that CDR cannot say.
+pub fn laid_out<T: Serialize>(told: &T) -> Result<Vec<u8>, CdrError> {
+    cdr_encoding::to_vec::<T, LittleEndian>(told)
+}
+
+/// What CDR says behind its four bytes of encapsulation, in either byte order. What comes behind it is not looked at.
+///
+/// # Errors
+/// If it is something else.
+pub fn decoded<T: DeserializeOwned>(data: &[u8]) -> Result<T, CdrError> {
+    let (encapsulation, body) = data.split_at_checked(4).ok_or(CdrError::Eof)?;
+    let read = match encapsulation[1] {
+        0 => cdr_encoding::from_bytes::<T, BigEndian>(body),
+        _ => cdr_encoding::from_bytes::<T, LittleEndian>(body),
+    };
+    read.map(|(told, _)| told)
+}
+
 /// builtin_interfaces/Time
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Time {
     sec: i32,
     nanosec: u32,
@@ -26,7 +64,7 @@ impl Time {
 }
 
 /// std_msgs/Header
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Header {
     /// When what is told was so.
     pub stamp: Time,
@@ -42,7 +80,7 @@ impl Header {
 }
 
 /// geometry_msgs/Vector3 and Point
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Vector3 {
     /// Metres, or metres a second, or radians a second.
     pub x: f64,
@@ -53,7 +91,7 @@ pub struct Vector3 {
 }
 
 /// geometry_msgs/Quaternion
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quaternion {
     x: f64,
     y: f64,
@@ -62,7 +100,7 @@ pub struct Quaternion {
 }
 
 /// geometry_msgs/Pose and Transform, which are laid out alike.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
     /// Metres.
     pub position: Vector3,
@@ -170,7 +208,7 @@ impl Message for Odometry {
 }
 
 /// geometry_msgs/PoseStamped
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct PoseStamped {
     /// When, and in which frame.
     pub header: Header,

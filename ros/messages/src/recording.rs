@@ -4,15 +4,11 @@ use std::collections::HashMap;
 use std::collections::btree_map::BTreeMap;
 use std::io::{Seek, Write};
 
-use byteorder::LittleEndian;
 use mcap::records::MessageHeader;
 use mcap::{WriteOptions, Writer};
 
 use crate::definitions::definition;
-use crate::messages::Message;
-
-/// What CDR in little endian begins with.
-const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
+use crate::messages::{Message, encoded};
 
 /// Why a message was not recorded.
 #[derive(Debug, thiserror::Error)]
@@ -66,8 +62,7 @@ impl<W: Write + Seek> Recording<W> {
             None => (self.writer.add_channel(schema, topic, "cdr", &BTreeMap::new())?, 0),
         };
         self.channels.insert(topic.to_owned(), (channel, sequence + 1));
-        let mut data = ENCAPSULATION.to_vec();
-        data.extend(cdr_encoding::to_vec::<M, LittleEndian>(message)?);
+        let data = encoded(message)?;
         let time = u64::try_from(stamp_ns).unwrap_or(0);
         let header = MessageHeader { channel_id: channel, sequence, log_time: time, publish_time: time };
         Ok(self.writer.write_to_known_channel(&header, &data)?)
