@@ -36,6 +36,10 @@ sys.path.insert(0, str(REPOSITORY / "client" / "python" / "tests"))
 from conftest import IMAGES, MODEL, Server, binary, environment  # noqa: E402
 from test_bags import mcap  # noqa: E402
 
+sys.path.insert(0, str(DOCS))
+
+from rtabmap_file import rtabmap  # noqa: E402
+
 import waypost  # noqa: E402
 
 PAGES = [REPOSITORY / "README.md", *sorted(GUIDE.glob("*.md"))]
@@ -45,7 +49,7 @@ LINKING = sorted(
     | {REPOSITORY / "docker" / "README.md"}
 )
 #: Reasons for which blocks do not run, and how many there are: a new one is a line here.
-CANNOT_RUN = Counter({"build": 6, "damage": 1, "docker": 2, "packages": 1, "robot": 8, "terminal": 1})
+CANNOT_RUN = Counter({"build": 7, "damage": 1, "docker": 2, "packages": 1, "robot": 8, "terminal": 1})
 #: Methods of the Python client that are of the connection itself.
 NOT_CALLS = {"address", "channel", "close", "greet"}
 LANGUAGES = {"sh", "python", "text", "toml", "yaml", "cpp", "cmake"}
@@ -91,7 +95,7 @@ def blocks(page: Path) -> list[Block]:
 
 @pytest.fixture(scope="session")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the pages take for granted: `drive`, `drive.mcap` and `drive.mp4`, `photos`, `panoramas` and `demo`.
+    """What the pages take for granted: `drive`, `drive.mcap`, `drive.mp4` and `rtabmap.db`, `photos`, `panoramas` and `demo`.
 
     `drive` is a simulated robot's: images, odometry and the camera's calibration. `photos` are images of the
     demo, which come back to where they began, and `panoramas` the same, cut to the shape of panoramas.
@@ -114,6 +118,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
         server.terminate()
     shutil.rmtree(folder / "data")
     film(folder / "drive" / "images", folder / "drive.mp4")
+    rtabmap(folder / "drive", folder / "rtabmap.db")
     return folder
 
 
