@@ -32,7 +32,9 @@ APART = 30
 
 def rtabmap(drive: Path, path: Path) -> None:
     """Writes `drive`, which has images and odometry.tum, as a database at `path`."""
-    rows = [[float(part) for part in line.split()] for line in (drive / "odometry.tum").read_text().splitlines()]
+    rows = [
+        [float(part) for part in line.split()] for line in (drive / "odometry.tum").read_text().splitlines()
+    ]
     database = sqlite3.connect(path)
     database.executescript(TABLES)
     for node, (stamp_s, x, y, _, _, _, qz, qw) in enumerate(rows, 1):
@@ -41,7 +43,9 @@ def rtabmap(drive: Path, path: Path) -> None:
         database.execute(
             "INSERT INTO Node(id, map_id, stamp, pose) VALUES (?, 0, ?, ?)", (node, 1000 + stamp_s, pose)
         )
-        database.execute("INSERT INTO Data(id, image, calibration) VALUES (?, ?, ?)", (node, image, calibration()))
+        database.execute(
+            "INSERT INTO Data(id, image, calibration) VALUES (?, ?, ?)", (node, image, calibration())
+        )
         for earlier, row in enumerate(rows[: max(0, node - 1 - APART)], 1):
             if math.hypot(row[1] - x, row[2] - y) < NEAR_M:
                 database.execute("INSERT INTO Link VALUES (?, ?, 1, x'00', NULL, NULL)", (node, earlier))

@@ -64,6 +64,9 @@ pub struct RtabNode {
     pub image: Result<(u32, u32), Omitted>,
 }
 
+/// Takes images one after another: the node's number in its session, the node, and its image.
+pub type TakeImage<'t> = dyn FnMut(u64, &RtabNode, Vec<u8>) -> ControlFlow<()> + 't;
+
 impl RtabSession {
     /// The nodes that are frames.
     pub fn frames(&self) -> impl Iterator<Item = &RtabNode> {
@@ -151,7 +154,7 @@ impl RtabMap {
         &self,
         session: &RtabSession,
         after: u64,
-        take: &mut dyn FnMut(u64, &RtabNode, Vec<u8>) -> ControlFlow<()>,
+        take: &mut TakeImage<'_>,
     ) -> Result<(), RtabError> {
         let database = Database::open_again(&self.path)?;
         for (number, node) in (1..).zip(&session.nodes) {

@@ -61,7 +61,7 @@ pub(super) fn survey(
 fn images_by(parameters: &str) -> Images {
     let value = |name: &str| {
         let pairs = parameters.split(';').filter_map(|pair| pair.split_once(':'));
-        pairs.filter(|(key, _)| *key == name).map(|(_, value)| value == "true").last()
+        pairs.filter(|(key, _)| *key == name).map(|(_, value)| value == "true").next_back()
     };
     let already = value("Rtabmap/ImagesAlreadyRectified").unwrap_or(true);
     let features_only = value("Rtabmap/RectifyOnlyFeatures").unwrap_or(false);

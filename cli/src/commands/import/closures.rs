@@ -26,6 +26,8 @@ type Kind = Option<&'static str>;
 
 type Closed = BTreeMap<Pair, Kind>;
 
+type PairAndKind = (Pair, Kind);
+
 /// A closure by the ids of its nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Nodes {
@@ -114,11 +116,11 @@ pub(super) fn compare(map: &RtabMap, index: &Index, ours: &[v1::LoopClosure], ru
     }
     let (theirs_found, theirs_only) = split(&theirs, &ours, rule.within);
     let (ours_found, ours_only) = split(&ours, &theirs, rule.within);
-    let is_within_guard = |only: &&(Pair, Kind)| {
+    let is_within_guard = |only: &&PairAndKind| {
         let ((later, earlier), _) = only;
         later.0 == earlier.0 && later.1 - earlier.1 <= rule.guard_frames
     };
-    let told = |pairs: Vec<(Pair, Kind)>| -> Vec<Nodes> {
+    let told = |pairs: Vec<PairAndKind>| -> Vec<Nodes> {
         pairs.into_iter().map(|(pair, kind)| index.nodes(pair, kind)).collect()
     };
     Closures {
@@ -133,7 +135,7 @@ pub(super) fn compare(map: &RtabMap, index: &Index, ours: &[v1::LoopClosure], ru
 }
 
 /// Those of `these` that are among `those`, and the rest.
-fn split(these: &Closed, those: &Closed, within: u64) -> (Vec<(Pair, Kind)>, Vec<(Pair, Kind)>) {
+fn split(these: &Closed, those: &Closed, within: u64) -> (Vec<PairAndKind>, Vec<PairAndKind>) {
     these.iter().map(|(pair, kind)| (*pair, *kind)).partition(|(pair, _)| has_near(those, *pair, within))
 }
 

@@ -96,10 +96,9 @@ fn apart(ours: &HashMap<i64, Point3<f64>>, theirs: &[(i64, Point3<f64>)]) -> Opt
 /// The squared distances that are left by the rigid motion that leaves the smallest sum of them (Kabsch, 1976).
 fn squares_after_laying_over(pairs: &[(Point3<f64>, Point3<f64>)]) -> Vec<f64> {
     let count = pairs.len() as f64;
-    let middle = |of: fn(&(Point3<f64>, Point3<f64>)) -> Vector3<f64>| {
-        pairs.iter().map(of).sum::<Vector3<f64>>() / count
-    };
-    let (from, to) = (middle(|(ours, _)| ours.coords), middle(|(_, theirs)| theirs.coords));
+    let middle = |points: Vec<Vector3<f64>>| points.into_iter().sum::<Vector3<f64>>() / count;
+    let from = middle(pairs.iter().map(|(ours, _)| ours.coords).collect());
+    let to = middle(pairs.iter().map(|(_, theirs)| theirs.coords).collect());
     let products = pairs.iter().map(|(ours, theirs)| (theirs.coords - to) * (ours.coords - from).transpose());
     let svd = products.sum::<Matrix3<f64>>().svd(true, true);
     let rotation = match (svd.u, svd.v_t) {
