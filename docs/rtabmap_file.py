@@ -1,4 +1,4 @@
-"""A database of RTAB-Map, by its published schema of 0.21, of a drive as a folder: what the guide's commands import."""
+"""A database of RTAB-Map, by its published schema of 0.21, of a drive as a folder: what the guide imports."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from pathlib import Path
 #: The columns that matter; every other one is empty.
 TABLES = """
 CREATE TABLE Node(id INTEGER NOT NULL, map_id INTEGER NOT NULL, weight INTEGER, stamp FLOAT, pose BLOB,
-  ground_truth_pose BLOB, velocity BLOB, label TEXT, gps BLOB, env_sensors BLOB, time_enter DATE, PRIMARY KEY (id));
+  ground_truth_pose BLOB, velocity BLOB, label TEXT, gps BLOB, env_sensors BLOB, time_enter DATE,
+  PRIMARY KEY (id));
 CREATE TABLE Data(id INTEGER NOT NULL, image BLOB, depth BLOB, calibration BLOB, scan BLOB, scan_info BLOB,
-  ground_cells BLOB, obstacle_cells BLOB, empty_cells BLOB, user_data BLOB, time_enter DATE, PRIMARY KEY (id));
+  ground_cells BLOB, obstacle_cells BLOB, empty_cells BLOB, user_data BLOB, time_enter DATE,
+  PRIMARY KEY (id));
 CREATE TABLE Link(from_id INTEGER NOT NULL, to_id INTEGER NOT NULL, type INTEGER NOT NULL,
   information_matrix BLOB NOT NULL, transform BLOB, user_data BLOB);
 CREATE TABLE Word(id INTEGER NOT NULL, descriptor_size INTEGER NOT NULL, descriptor BLOB NOT NULL);

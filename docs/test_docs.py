@@ -31,14 +31,11 @@ from PIL import Image
 DOCS = Path(__file__).resolve().parent
 REPOSITORY = DOCS.parent
 GUIDE = DOCS / "guide" / "src"
-sys.path.insert(0, str(REPOSITORY / "client" / "python" / "tests"))
+sys.path[:0] = [str(REPOSITORY / "client" / "python" / "tests"), str(DOCS)]
 
 from conftest import IMAGES, MODEL, Server, binary, environment  # noqa: E402
-from test_bags import mcap  # noqa: E402
-
-sys.path.insert(0, str(DOCS))
-
 from rtabmap_file import rtabmap  # noqa: E402
+from test_bags import mcap  # noqa: E402
 
 import waypost  # noqa: E402
 
@@ -95,9 +92,10 @@ def blocks(page: Path) -> list[Block]:
 
 @pytest.fixture(scope="session")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the pages take for granted: `drive`, `drive.mcap`, `drive.mp4` and `rtabmap.db`, `photos`, `panoramas` and `demo`.
+    """What the pages take for granted: `drive` in four forms, `photos`, `panoramas` and `demo`.
 
-    `drive` is a simulated robot's: images, odometry and the camera's calibration. `photos` are images of the
+    `drive` is a simulated robot's: images, odometry and the camera's calibration. `drive.mcap`, `drive.mp4`
+    and `rtabmap.db` are other forms of a drive. `photos` are images of the
     demo, which come back to where they began, and `panoramas` the same, cut to the shape of panoramas.
     """
     folder = tmp_path_factory.mktemp("recordings")

@@ -3,8 +3,8 @@
     python eval/graphnav.py to-g2o FOLDER OUT.g2o
     python eval/graphnav.py compare FOLDER RELAXED.g2o
 
-FOLDER has waypoints.csv and edges.csv. Vertices are numbered by the waypoints' stamps. GraphNav's edges carry no
-covariance that is known: odometry is taken as good to 5 cm and 1 degree, all else to 10 cm and 2 degrees.
+FOLDER has waypoints.csv and edges.csv. Vertices are numbered by the waypoints' stamps. GraphNav's edges carry
+no covariance that is known: odometry is taken as good to 5 cm and 1 degree, all else to 10 cm and 2 degrees.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def rotation(quaternion: np.ndarray) -> np.ndarray:
 
 
 def laid_over(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-    """How far each position is from its counterpart, after the rigid motion that leaves least (Kabsch, 1976)."""
+    """How far each position is from its counterpart, after the best rigid motion (Kabsch, 1976)."""
     ours, theirs = ours - ours.mean(0), theirs - theirs.mean(0)
     left, _, right = np.linalg.svd(theirs.T @ ours)
     turn = left @ np.diag([1, 1, np.sign(np.linalg.det(left @ right))]) @ right
@@ -79,7 +79,7 @@ def compare(folder: Path, relaxed: Path) -> None:
     ours = np.array([vertices[number] for number in range(len(waypoints))])
     apart = laid_over(ours[:, :3], anchored[:, :3])
     print(
-        f"{folder.name}: {len(waypoints)} waypoints, ours is {np.sqrt((apart**2).mean()):.3f} m from anchored (RMSE), "
+        f"{folder.name}: {len(waypoints)} waypoints, {np.sqrt((apart**2).mean()):.3f} m apart (RMSE), "
         f"{apart.max():.3f} m at most"
     )
     for source in sorted({row["source"] for _, _, row in edges}):

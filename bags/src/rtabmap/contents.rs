@@ -4,16 +4,13 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 
 use super::calibration::{Calibration, Images, NoCamera, with_head, without_head};
-use super::database::{Database, NodeRow, Tables};
+use super::database::{Database, MOST_IMAGE_BYTES, NodeRow, Tables};
 use super::error::{Omitted, RtabError};
 use super::matrix::pose_of_bytes;
 use super::version::Version;
 use super::{RtabNode, RtabSession};
 use crate::camera::{Camera, Lens};
 use crate::messages::Pose;
-
-/// The longest image that is read: one of 16 megapixels in colour.
-pub(super) const MOST_IMAGE_BYTES: u64 = crate::input::MOST_MESSAGE_BYTES;
 
 /// How many of what a database has.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -7,12 +7,14 @@ use std::path::{Path, PathBuf};
 
 use rusqlite::{Connection, OpenFlags, OptionalExtension, Row};
 
-use super::contents::MOST_IMAGE_BYTES;
 use super::error::RtabError;
 use super::matrix::{NUMBERS, pose_of};
 use super::packed;
 use super::version::Version;
 use crate::messages::Pose;
+
+/// The longest image that is read: one of 16 megapixels in colour.
+pub(super) const MOST_IMAGE_BYTES: u64 = crate::input::MOST_MESSAGE_BYTES;
 
 const MAGIC: &[u8] = b"SQLite format 3\0";
 /// What of the head of a file says how long it is.
