@@ -31,9 +31,10 @@ from PIL import Image
 DOCS = Path(__file__).resolve().parent
 REPOSITORY = DOCS.parent
 GUIDE = DOCS / "guide" / "src"
-sys.path.insert(0, str(REPOSITORY / "client" / "python" / "tests"))
+sys.path[:0] = [str(REPOSITORY / "client" / "python" / "tests"), str(DOCS)]
 
 from conftest import IMAGES, MODEL, Server, binary, environment  # noqa: E402
+from rtabmap_file import rtabmap  # noqa: E402
 from test_bags import mcap  # noqa: E402
 
 import waypost  # noqa: E402
@@ -45,7 +46,7 @@ LINKING = sorted(
     | {REPOSITORY / "docker" / "README.md"}
 )
 #: Reasons for which blocks do not run, and how many there are: a new one is a line here.
-CANNOT_RUN = Counter({"build": 6, "damage": 1, "docker": 2, "packages": 1, "robot": 11, "terminal": 1})
+CANNOT_RUN = Counter({"build": 7, "damage": 1, "docker": 2, "packages": 1, "robot": 11, "terminal": 1})
 #: Methods of the Python client that are of the connection itself.
 NOT_CALLS = {"address", "channel", "close", "greet"}
 LANGUAGES = {"sh", "python", "text", "toml", "yaml", "cpp", "cmake"}
@@ -91,9 +92,10 @@ def blocks(page: Path) -> list[Block]:
 
 @pytest.fixture(scope="session")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the pages take for granted: `drive`, `drive.mcap` and `drive.mp4`, `photos`, `panoramas` and `demo`.
+    """What the pages take for granted: `drive` in four forms, `photos`, `panoramas` and `demo`.
 
-    `drive` is a simulated robot's: images, odometry and the camera's calibration. `photos` are images of the
+    `drive` is a simulated robot's: images, odometry and the camera's calibration. `drive.mcap`, `drive.mp4`
+    and `rtabmap.db` are other forms of a drive. `photos` are images of the
     demo, which come back to where they began, and `panoramas` the same, cut to the shape of panoramas.
     """
     folder = tmp_path_factory.mktemp("recordings")
@@ -114,6 +116,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
         server.terminate()
     shutil.rmtree(folder / "data")
     film(folder / "drive" / "images", folder / "drive.mp4")
+    rtabmap(folder / "drive", folder / "rtabmap.db")
     return folder
 
 

@@ -118,7 +118,7 @@ pub(crate) fn camera(info: &CameraInfo, rectification: Rectification) -> Result<
     Ok(Camera { lens, size_px: (width / across, height / down), base_to_camera: None })
 }
 
-fn lens(
+pub(crate) fn lens(
     model: &str,
     distortion: &[f64],
     intrinsics: impl Fn(&[f64]) -> Intrinsics,

@@ -5,6 +5,8 @@
 //! are used, and [`Bag::read_frames`] hands out the images with their odometry. Neither holds more of a bag than a
 //! chunk's buffers and the images that wait for odometry, whatever its length.
 //!
+//! [`rtabmap`] reads the databases of RTAB-Map likewise, session by session.
+//!
 //! [`live`] reads the same messages where a robot sends them, and [`Joining`] joins them.
 
 mod bag;
@@ -20,6 +22,7 @@ mod messages;
 mod odometry;
 mod pixels;
 mod poses;
+pub mod rtabmap;
 mod source;
 mod survey;
 mod transforms;

@@ -32,7 +32,7 @@ impl StaticTransforms {
     pub(crate) fn camera_in(&self, base: &str, optical: &str) -> Result<Option<Pose>, ChoiceError> {
         let (base_root, base_in_root) = self.in_root(base)?;
         let (root, optical_in_root) = self.in_root(optical)?;
-        let camera = || compose(compose(inverse(base_in_root), optical_in_root), CAMERA_IN_OPTICAL);
+        let camera = || in_optical_frame(compose(inverse(base_in_root), optical_in_root));
         Ok((base_root == root).then(camera))
     }
 
@@ -47,6 +47,11 @@ impl StaticTransforms {
         }
         Err(ChoiceError::TransformLoop { frame: at.to_owned() })
     }
+}
+
+/// Pose of a camera, x where it looks, by that of its optical frame.
+pub(crate) fn in_optical_frame(optical: Pose) -> Pose {
+    compose(optical, CAMERA_IN_OPTICAL)
 }
 
 /// The product of two quaternions: first the right one, then the left.

@@ -3,6 +3,7 @@
 pub(crate) mod closure;
 pub(crate) mod demo;
 pub(crate) mod explain;
+pub(crate) mod import;
 pub(crate) mod inspect;
 pub(crate) mod job;
 pub(crate) mod map;

@@ -4,6 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use waypost_bags::rtabmap::RtabError;
 use waypost_bags::{BagError, ChoiceError};
 use waypost_client::launch::LaunchError;
 use waypost_client::{Code, Error};
@@ -34,6 +35,8 @@ pub(crate) enum Failure {
     Video(#[from] VideoError),
     #[error(transparent)]
     Bag(#[from] BagError),
+    #[error(transparent)]
+    Database(#[from] RtabError),
     #[error(transparent)]
     Camera(#[from] CameraFileError),
     #[error("{}: {source}", path.display())]
@@ -94,6 +97,7 @@ impl Failure {
             Failure::Images(_)
             | Failure::Video(_)
             | Failure::Bag(_)
+            | Failure::Database(_)
             | Failure::Camera(_)
             | Failure::Topics { .. }
             | Failure::Odometry { .. }

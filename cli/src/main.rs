@@ -7,8 +7,8 @@ use std::process::ExitCode;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use commands::{
-    closure, demo, explain, inspect, job, map, merge, model, navigate, query, refusals, session, shell,
-    simulate, stream, token,
+    closure, demo, explain, import, inspect, job, map, merge, model, navigate, query, refusals, session,
+    shell, simulate, stream, token,
 };
 use failure::{EXIT_CODES, Failure};
 use output::Output;
@@ -32,6 +32,7 @@ mod panorama;
 mod progress;
 mod replay;
 mod robot_words;
+mod rtab_drive;
 mod shrinking;
 mod simulated;
 mod truth;
@@ -126,6 +127,7 @@ enum Command {
     #[command(subcommand, after_help = EXIT_CODES)]
     Token(token::Command),
     Stream(stream::Arguments),
+    Import(import::Arguments),
     Inspect(inspect::Arguments),
     Query(query::Arguments),
     Explain(explain::Arguments),
@@ -203,6 +205,7 @@ async fn run(Arguments { globals, command }: Arguments) -> Result<(), Failure> {
         Command::Refusals(arguments) => refusals::run(arguments, &server, output).await,
         Command::Token(command) => token::run(command, &server, output).await,
         Command::Stream(arguments) => stream::run(arguments, &server, output).await,
+        Command::Import(arguments) => import::run(arguments, &server, output).await,
         Command::Simulate(arguments) => simulate::run(arguments, &server, output).await,
         Command::Inspect(arguments) => inspect::run(arguments, output).await,
         Command::Demo(arguments) => demo::run(arguments, output).await,

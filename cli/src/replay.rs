@@ -13,6 +13,7 @@ use crate::frame_row::FrameRow;
 use crate::images::ImageFile;
 use crate::moments::Moment;
 use crate::robot_words::ContentMaker;
+use crate::rtab_drive::{RtabDrive, node_name};
 
 /// What to stream, and how.
 pub(crate) struct Replay {
@@ -23,7 +24,7 @@ pub(crate) struct Replay {
     pub(crate) contents: ContentMaker,
 }
 
-/// Where images are. Frame numbers are positions in the folder or on the topic, from 1.
+/// Where images are. Frame numbers are positions in the folder, on the topic or among the nodes, from 1.
 pub(crate) enum Recording {
     /// With a moment for each image.
     Folder {
@@ -31,6 +32,8 @@ pub(crate) enum Recording {
         moments: Vec<Moment>,
     },
     Bag(Arc<Drive>),
+    /// A session of RTAB-Map's.
+    Database(Arc<RtabDrive>),
 }
 
 /// What was sent.
@@ -87,6 +90,13 @@ impl Replay {
                 }
                 reading.end().await?;
             }
+            Recording::Database(drive) => {
+                let mut reading = Arc::clone(drive).read(after_sequence);
+                while let Some(shot) = reading.next().await {
+                    sending.send(shot).await?;
+                }
+                reading.end().await?;
+            }
         }
         Ok(sending.sent)
     }
@@ -117,6 +127,7 @@ impl Replay {
             Recording::Bag(drive) => {
                 drive.stamp_ns(sequence).map(|_| Cow::Owned(format!("image {sequence}")))
             }
+            Recording::Database(drive) => drive.node(sequence).map(|node| Cow::Owned(node_name(node.id))),
         }
     }
 }
@@ -127,6 +138,7 @@ impl Recording {
         match self {
             Recording::Folder { images, moments: _ } => images.len() as u64,
             Recording::Bag(drive) => drive.last_sequence(),
+            Recording::Database(drive) => drive.last_sequence(),
         }
     }
 
@@ -137,6 +149,7 @@ impl Recording {
                 images.len().saturating_sub(usize::try_from(after_sequence).unwrap_or(images.len()))
             }
             Recording::Bag(drive) => drive.count_after(after_sequence),
+            Recording::Database(drive) => drive.count_after(after_sequence),
         }
     }
 
@@ -146,6 +159,7 @@ impl Recording {
                 at(moments, sequence).map_or(0, |moment| moment.stamp_ns)
             }
             Recording::Bag(drive) => drive.stamp_ns(sequence).unwrap_or_default(),
+            Recording::Database(drive) => drive.node(sequence).map_or(0, |node| node.stamp_ns),
         }
     }
 }

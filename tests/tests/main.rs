@@ -16,6 +16,11 @@ mod fleet {
     mod owners;
 }
 
+/// Maps of other programs, and what they were made with.
+mod imports {
+    mod rtabmap;
+}
+
 /// Maps: what they keep, how they are told, restored, moved and explained.
 mod maps {
     mod bad_requests;

@@ -5,6 +5,7 @@ mod choosing;
 mod hostile;
 mod mutated;
 mod reading;
+mod rtabmap;
 mod samples;
 mod seeds;
 mod writing;

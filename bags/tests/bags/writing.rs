@@ -7,6 +7,7 @@ use tempfile::TempDir;
 pub mod mcap_file;
 pub mod messages;
 pub mod ros1_file;
+pub mod rtabmap_file;
 pub mod sqlite_file;
 
 /// A message to write.

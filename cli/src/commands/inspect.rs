@@ -1,23 +1,27 @@
-//! `waypost inspect`: what is in a bag, and what a stream of it would use.
+//! `waypost inspect`: what is in a bag, and what a stream of it would use; what is in a database of RTAB-Map.
+
+mod rtabmap;
 
 use std::io::{self, Write};
 use std::path::PathBuf;
 
 use serde::Serialize;
+use waypost_bags::rtabmap::RtabMap;
 use waypost_bags::{Bag, Choice, Topic};
 
 use crate::drive::{Topics, cut_off, open_bag, problems, used};
 use crate::failure::{EXIT_CODES, Failure};
 use crate::output::{Output, table};
 
-/// Show the topics of a robot's bag, and which of them `waypost stream` would use
+/// Show the topics of a robot's bag, and which of them `waypost stream` would use, or what is in a
+/// database of RTAB-Map
 ///
 /// Reads all of an MCAP file, a database of rosbag2 (.db3) or its folder, or a ROS 1 bag, with its
-/// checksums. No server is needed.
+/// checksums; or a database of RTAB-Map (.db), which `waypost import` takes. No server is needed.
 #[derive(clap::Args)]
 #[command(after_help = EXIT_CODES)]
 pub(crate) struct Arguments {
-    /// The bag
+    /// The bag, or the database
     bag: PathBuf,
     #[command(flatten)]
     topics: Topics,
@@ -64,6 +68,15 @@ struct Used {
 
 pub(crate) async fn run(arguments: Arguments, output: Output) -> Result<(), Failure> {
     let Arguments { bag, topics } = arguments;
+    if RtabMap::is_database(&bag) {
+        return match topics.first_flag() {
+            None => rtabmap::run(&bag, output).await,
+            Some(flag) => {
+                let bag = bag.display();
+                Err(Failure::Unfit(format!("{flag} is for bags, and {bag} is none; leave it out")))
+            }
+        };
+    }
     let bag = open_bag(&bag, output).await?;
     let choice = bag.choose(&topics.wanted());
     let told = match &choice {

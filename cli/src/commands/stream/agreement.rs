@@ -65,6 +65,7 @@ pub(super) fn has_odometry(replay: &Replay) -> bool {
     match &replay.recording {
         Recording::Folder { images: _, moments } => moments.iter().any(|moment| moment.odometry.is_some()),
         Recording::Bag(_) => true,
+        Recording::Database(drive) => drive.has_odometry(),
     }
 }
 

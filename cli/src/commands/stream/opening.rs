@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use tempfile::TempDir;
 use waypost_bags::Bag;
+use waypost_bags::rtabmap::RtabMap;
 use waypost_client::{Client, v1};
 
 use super::Seeing;
@@ -53,6 +54,12 @@ pub(super) async fn recording(
     output: Output,
 ) -> Result<Opened, Failure> {
     let Reading { odometry, rate_hz, video_rate_hz, topics } = reading;
+    if path.is_file() && RtabMap::is_database(path) {
+        return Err(Failure::Unfit(format!(
+            "{} is a database, as RTAB-Map writes; `waypost import` takes it",
+            path.display()
+        )));
+    }
     let is_video = is_video(path);
     if video_rate_hz.is_some() && !is_video {
         return Err(Failure::Unfit(format!(
@@ -145,6 +152,7 @@ pub(super) fn declared_camera(seeing: Seeing, recording: &Recording) -> Result<O
     Ok(match recording {
         Recording::Folder { images: _, moments: _ } => None,
         Recording::Bag(drive) => drive.camera(),
+        Recording::Database(drive) => drive.camera.clone(),
     })
 }
 
@@ -175,6 +183,7 @@ fn first_size_px(recording: &Recording) -> Result<(u32, u32), Failure> {
     match recording {
         Recording::Folder { images, moments: _ } => size_px(images.first().ok_or_else(unknown)?),
         Recording::Bag(drive) => drive.size_px().ok_or_else(unknown),
+        Recording::Database(drive) => drive.size_px().ok_or_else(unknown),
     }
 }
 
