@@ -27,11 +27,16 @@ test: setup
 	$(CARGO) test --release --locked --workspace --no-fail-fast
 	$(MAKE) --no-print-directory test-postgres test-python test-ros test-inspector test-cpp
 
-# Servers over a database of PostgreSQL that is made for the tests; and tests of SQLite, each on such a database.
-# All that can run there: make test-postgres ON_POSTGRES="fleet:: maps:: merging:: navigation:: rest:: robots::"
-ON_POSTGRES ?= fleet:: maps:: merging:: rest::parity operations::tokens
+# Servers over a database of PostgreSQL that is made for the tests; and a part of the other end-to-end tests, each on such a
+# database. More of them: make test-postgres ON_POSTGRES="fleet:: maps:: merging:: rest::parity operations::tokens"
+ON_POSTGRES ?= fleet:: maps::corrections maps::notes maps::snapshots merging::whole_maps rest::parity operations::tokens
+# What looks into SQLite's file, or has a server of its own there.
+OF_SQLITE = maps::restore maps::snapshots::a_stalled maps::snapshots::stalled maps::snapshots::interrupted::an_import_that_fails \
+	maps::snapshots::interrupted::an_import_that_is_cancelled_while maps::snapshots::removal merging::compaction::what_was_removed \
+	operations::tokens::older
 test-postgres: setup
-	scripts/with-postgres $(CARGO) test --release --locked --workspace --test end_to_end -- $(ON_POSTGRES)
+	scripts/with-postgres $(CARGO) test --release --locked --workspace --test end_to_end -- $(ON_POSTGRES) \
+		$(foreach test,$(OF_SQLITE),--skip $(test))
 
 # What the client's messages, arrays and calls go through, with the oldest and the newest packages that it works with.
 RANGE_TESTS = test_values.py test_decisions.py test_words.py test_calls.py

@@ -18,7 +18,7 @@ mod told;
 mod words;
 
 pub(crate) use command_line::{CommandLine, folder, json_object, path};
-pub(crate) use database::database_options;
+pub(crate) use database::{database_options, tables};
 pub(crate) use driving::{Drive, building, camera_ahead, driven, exported, frame_input, odometry, planar};
 pub(crate) use evo::evo_rmse_m;
 pub(crate) use models::{model_of_other_words, recalibrated_model, take_model};

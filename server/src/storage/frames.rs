@@ -73,6 +73,10 @@ const SESSION_COLUMNS: &str = "number, name, camera, opened_ns, owner, kept_byte
      (SELECT max(stamp_ns) FROM log WHERE map_id = s.map_id AND session = s.number AND sequence IS NOT NULL) AS last_stamp_ns \
      FROM sessions AS s";
 
+/// What a frame is called.
+const NOTE: &str =
+    "coalesce((SELECT note FROM frame_notes WHERE map_id = l.map_id AND position = l.position), '')";
+
 const FRAME_COLUMNS: &str = "position, event, checksum, chain, length(event) AS log, \
      coalesce((SELECT note FROM frame_notes WHERE map_id = l.map_id AND position = l.position), '') AS note, \
      coalesce((SELECT length(content) FROM frame_media WHERE map_id = l.map_id AND position = l.position AND kind = 'features'), 0) AS features, \
@@ -134,7 +138,7 @@ impl Storage {
         vocabulary_len: usize,
     ) -> Result<Vec<FrameRow>, StorageError> {
         let sql = format!(
-            "SELECT {FRAME_COLUMNS} WHERE map_id = $1 AND session = $2 AND sequence > $3 AND ($4 = '' OR note = $4) \
+            "SELECT {FRAME_COLUMNS} WHERE map_id = $1 AND session = $2 AND sequence > $3 AND ($4 = '' OR $4 = {NOTE}) \
              ORDER BY sequence LIMIT $5"
         );
         let query = sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(map).bind(i64::from(session));

@@ -1,18 +1,16 @@
 //! Jobs outlive the server as far as their fate goes.
 
 use std::io;
-use std::path::Path;
 use std::time::Duration;
 
 use futures::{Stream, stream};
-use sqlx::sqlite::SqliteConnection;
-use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
+use sqlx::{AssertSqlSafe, Connection};
 use waypost_client::{Client, Code, v1};
 use waypost_proto::v1::job_service_client::JobServiceClient;
 
 use crate::harness::{
-    Built, Server, ServerProcess, assert_status, channel, database_options, followed, images, in_time,
-    refused, run_to_its_end, said,
+    Built, Server, ServerProcess, assert_status, channel, followed, images, in_time,
+    refused, run_to_its_end, said, tables,
 };
 
 const TRAINING_IMAGES: usize = 40;
@@ -39,10 +37,6 @@ fn training_images() -> impl Stream<Item = io::Result<Vec<u8>>> + Send + 'static
 
 async fn train(client: &Client, settings: v1::TrainModelSettings) -> v1::Job {
     in_time(client.train_model(settings, training_images())).await.unwrap()
-}
-
-async fn database(directory: &Path) -> SqliteConnection {
-    database_options(directory).connect().await.unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -153,7 +147,7 @@ async fn jobs_that_ended_long_ago_are_forgotten() {
         followed(&client, &job).await;
     }
     server.stop().await;
-    let mut database = database(directory.path()).await;
+    let mut database = tables(directory.path()).await;
     for (number, days) in [(1, 31), (2, 29)] {
         let aged = format!("UPDATE jobs SET ended_ns = ended_ns - {days} * {DAY_NS} WHERE number = {number}");
         sqlx::query(AssertSqlSafe(aged)).execute(&mut database).await.unwrap();

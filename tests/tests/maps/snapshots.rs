@@ -10,8 +10,7 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use sqlx::sqlite::SqliteConnection;
-use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
+use sqlx::{AssertSqlSafe, Connection, Row};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Streaming;
@@ -19,9 +18,9 @@ use waypost_client::{Client, Code, FrameOutcome, v1};
 use waypost_proto::v1::map_service_client::MapServiceClient;
 
 use crate::harness::{
-    Built, RawStream, Server, ServerProcess, answers, assert_status, channel, database_options, first_return,
+    Built, RawStream, Server, ServerProcess, answers, assert_status, channel, first_return,
     followed, frame, images, import_model, in_time, map_request, open, reference, refused, run_to_its_end,
-    said, session_options, state_hash, wire, workspace,
+    said, session_options, state_hash, tables, wire, workspace,
 };
 
 /// Snapshots of the format's versions. From the second on they have labels.
@@ -59,13 +58,8 @@ async fn imported(client: &Client, name: &str, file: Vec<u8>) -> v1::Job {
     job
 }
 
-async fn database(directory: &Path) -> SqliteConnection {
-    let options = database_options(directory).foreign_keys(true);
-    options.busy_timeout(Duration::from_secs(30)).connect().await.unwrap()
-}
-
 async fn sql(directory: &Path, statement: &str) {
-    let mut database = database(directory).await;
+    let mut database = tables(directory).await;
     let done = sqlx::query(AssertSqlSafe(statement.to_owned())).execute(&mut database).await.unwrap();
     assert!(done.rows_affected() > 0, "{statement} changed nothing");
     database.close().await.unwrap();
@@ -73,7 +67,7 @@ async fn sql(directory: &Path, statement: &str) {
 
 /// Rows of all tables that maps fill, one after the other.
 async fn rows(directory: &Path) -> Vec<(&'static str, i64)> {
-    let mut database = database(directory).await;
+    let mut database = tables(directory).await;
     let mut rows = Vec::new();
     for table in [
         "maps",

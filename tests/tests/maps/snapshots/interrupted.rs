@@ -34,7 +34,7 @@ async fn an_import_that_is_cancelled_while_it_is_stored_leaves_nothing() {
     let client = server.client().await;
     let before = rows(server.directory()).await;
     let file = std::fs::read(workspace().join(VERSION_1)).unwrap();
-    let mut database = database(server.directory()).await;
+    let mut database = tables(server.directory()).await;
     // Sixteen events in the log, six times joined with itself: a second or so.
     let slow = "CREATE TRIGGER slow BEFORE INSERT ON frame_media WHEN NEW.position = 1 AND NEW.kind = 'features' \
                 BEGIN SELECT count(*) FROM log AS a, log AS b, log AS c, log AS d, log AS e, log AS f; END";
@@ -60,7 +60,7 @@ async fn an_import_that_fails_half_stored_leaves_nothing() {
     let client = server.client().await;
     let before = rows(server.directory()).await;
     let file = std::fs::read(workspace().join(VERSION_1)).unwrap();
-    let mut database = database(server.directory()).await;
+    let mut database = tables(server.directory()).await;
     let broken = "CREATE TRIGGER broken BEFORE INSERT ON frame_media WHEN NEW.position > 5 \
                   BEGIN SELECT RAISE(ABORT, 'a broken disk'); END";
     sqlx::query(broken).execute(&mut database).await.unwrap();
