@@ -9,8 +9,8 @@ use waypost_client::{Client, Code, v1};
 use waypost_proto::v1::job_service_client::JobServiceClient;
 
 use crate::harness::{
-    Built, Server, ServerProcess, assert_status, channel, followed, images, in_time,
-    refused, run_to_its_end, said, tables,
+    Built, Server, ServerProcess, assert_status, channel, followed, images, in_time, refused, run_to_its_end,
+    said, tables,
 };
 
 const TRAINING_IMAGES: usize = 40;

@@ -18,9 +18,9 @@ use waypost_client::{Client, Code, FrameOutcome, v1};
 use waypost_proto::v1::map_service_client::MapServiceClient;
 
 use crate::harness::{
-    Built, RawStream, Server, ServerProcess, answers, assert_status, channel, first_return,
-    followed, frame, images, import_model, in_time, map_request, open, reference, refused, run_to_its_end,
-    said, session_options, state_hash, tables, wire, workspace,
+    Built, RawStream, Server, ServerProcess, answers, assert_status, channel, first_return, followed, frame,
+    images, import_model, in_time, map_request, open, reference, refused, run_to_its_end, said,
+    session_options, state_hash, tables, wire, workspace,
 };
 
 /// Snapshots of the format's versions. From the second on they have labels.
