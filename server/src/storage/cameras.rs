@@ -46,7 +46,7 @@ impl Storage {
                 )
                 .bind(camera)
                 .bind(map)
-                .bind(i64::from(session))
+                .bind(session)
                 .execute(&mut **transaction)
                 .await?;
             }

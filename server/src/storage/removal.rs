@@ -120,7 +120,7 @@ impl Storage {
             .execute(&mut **transaction)
             .await?;
             sqlx::query("UPDATE jobs SET result = NULL WHERE number = $1")
-                .bind(i64::from(number))
+                .bind(number)
                 .execute(&mut **transaction)
                 .await?;
             Ok(true)
