@@ -120,7 +120,7 @@ fn what_is_wrong_is_named_with_its_source_and_its_form() {
     let environment = |key, value| refused(&[], "", &[(key, value)]);
     let cases = [
         (refused(&[], "grpc_adress = \"127.0.0.1:1\"", &[]), "FILE has the unknown key `grpc_adress`"),
-        (refused(&[], "grpc_adress = \"127.0.0.1:1\"", &[]), "known are data_dir, grpc_address"),
+        (refused(&[], "grpc_adress = \"127.0.0.1:1\"", &[]), "known are data_dir, storage, grpc_address"),
         (refused(&[], "grpc_address = \"here\"", &[]), "grpc_address (in FILE) cannot be used"),
         (refused(&[], "grpc_address = \"here\"", &[]), "as in \"127.0.0.1:7600\""),
         (refused(&[], "data_dir = 7", &[]), "data_dir (in FILE) cannot be used"),

@@ -133,12 +133,12 @@ mod tests {
             (0..20).map(|step| (step, turn * bend(step) + Vector3::new(3.0, -8.0, 1.0))).collect();
         let same = apart(&ours, &theirs).unwrap();
         assert!(same.frames == 20 && same.rmse_m < 1e-9 && same.largest_m < 1e-9, "{same:?}");
-        // A mirror is another drive.
+        // A screw that turns the other way is another drive.
+        let screw = |step: i64| bend(step) + Vector3::new(0.0, 0.0, (step as f64 * 0.7).cos());
         let mirrored: Vec<_> =
-            (0..20).map(|step| (step, Point3::new(bend(step).x, -bend(step).y, step as f64))).collect();
-        let straight: HashMap<i64, Point3<f64>> =
-            (0..20).map(|step| (step, Point3::new(bend(step).x, bend(step).y, step as f64))).collect();
-        assert!(apart(&straight, &mirrored).unwrap().rmse_m > 0.1);
+            (0..20).map(|step| (step, Point3::new(screw(step).x, -screw(step).y, screw(step).z))).collect();
+        let turning: HashMap<i64, Point3<f64>> = (0..20).map(|step| (step, screw(step))).collect();
+        assert!(apart(&turning, &mirrored).unwrap().rmse_m > 0.1);
         theirs[7].1 += Vector3::new(0.0, 0.0, 2.0);
         let other = apart(&ours, &theirs).unwrap();
         assert!((0.2..0.5).contains(&other.rmse_m) && other.largest_m > 1.5, "{other:?}");
