@@ -29,7 +29,7 @@ test: setup
 
 # Servers over a database of PostgreSQL that is made for the tests; and a part of the other end-to-end tests, each on such a
 # database. More of them: make test-postgres ON_POSTGRES="fleet:: maps:: merging:: rest::parity operations::tokens"
-ON_POSTGRES ?= fleet:: maps::corrections maps::notes maps::snapshots merging::whole_maps rest::parity operations::tokens
+ON_POSTGRES ?= fleet:: maps::corrections maps::notes maps::snapshots::a_map_comes merging::whole_maps rest::parity operations::tokens
 # What looks into SQLite's file, or has a server of its own there.
 OF_SQLITE = maps::restore maps::snapshots::a_stalled maps::snapshots::stalled maps::snapshots::interrupted::an_import_that_fails \
 	maps::snapshots::interrupted::an_import_that_is_cancelled_while maps::snapshots::removal merging::compaction::what_was_removed \
