@@ -227,8 +227,7 @@ impl From<StorageError> for ServiceError {
     fn from(error: StorageError) -> Self {
         match error {
             StorageError::DiskFull(_) => Self::disk_full(error),
-            StorageError::HeldUp(_) => Self::held_up(error),
-            StorageError::TakenOver => Self::held_up(error),
+            StorageError::HeldUp(_) | StorageError::TakenOver => Self::held_up(error),
             StorageError::Rot(found) => Self::damaged(&found),
             StorageError::ReadOnly(_) => Self::precondition(error),
             StorageError::OverQuota(over) => over.into(),

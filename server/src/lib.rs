@@ -76,8 +76,8 @@ pub struct Exposed {
 }
 
 impl Server {
-    /// Opens the database of `location`, a data directory or more, making it if it is missing. One of PostgreSQL is
-    /// waited for while another server owns it.
+    /// Opens the database of `location`, making it if it is missing. While another server owns a database of PostgreSQL,
+    /// this waits.
     ///
     /// # Errors
     /// If the directory cannot be written to, is used by another server, is of a newer version or is

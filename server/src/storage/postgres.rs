@@ -154,6 +154,7 @@ async fn check(connection: &mut PgConnection) -> Result<(), StorageError> {
         ("fsync", "off", "a power cut may lose acknowledged frames, or the database"),
         ("full_page_writes", "off", "a power cut may damage the database"),
         ("synchronous_commit", "off", "a crash of the database may lose acknowledged frames"),
+        ("synchronous_commit", "local", "a standby that takes over may lack acknowledged frames"),
         ("data_checksums", "off", "damage on the disk is found in logs alone; see `pg_checksums --enable`"),
     ] {
         if setting(connection, name).await? == bad {
