@@ -15,7 +15,7 @@ use tokio::task::AbortHandle;
 
 use super::sqlite::Inspection;
 use super::values::from_sql;
-use super::{EXPORTERS, Pools, READERS, StorageError};
+use super::{EXPORTERS, Pools, READERS, StorageError, engine};
 
 /// Who has not said for this long that it is there has given the database up.
 const LEASE: Duration = Duration::from_secs(6);
@@ -118,8 +118,7 @@ pub(crate) async fn inspect_postgres(address: &str) -> Result<Option<Inspection>
 }
 
 fn pool(connections: u32) -> AnyPoolOptions {
-    sqlx::any::install_default_drivers();
-    AnyPoolOptions::new().max_connections(connections).after_connect(|connection, _| {
+    engine::pool(connections).after_connect(|connection, _| {
         Box::pin(async move {
             let settings = format!(
                 "SET statement_timeout = {}; SET lock_timeout = {};",
