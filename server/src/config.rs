@@ -9,6 +9,7 @@ use std::time::Duration;
 use clap::ValueEnum;
 use figment::providers::{Format, Serialized, Toml};
 use figment::{Figment, Metadata, Source};
+use http::uri::Authority;
 use serde::{Deserialize, Serialize};
 use tracing_subscriber::EnvFilter;
 
@@ -18,45 +19,15 @@ use crate::net::tls::TlsFiles;
 use crate::quotas::ServerLimits;
 
 mod error;
+mod keys;
 mod layers;
 mod location;
 
 pub use error::ConfigError;
+pub use keys::unknown_variables;
+use keys::{KEYS, PREFIX, form};
 use layers::{CommandLine, Environment};
 pub use location::{DataLocation, NoStorage, StorageAddress};
-
-/// Begins the names of variables in the environment.
-const PREFIX: &str = "WAYPOST_";
-
-/// Every setting, with how it is written.
-const KEYS: [(&str, &str); 20] = [
-    ("data_dir", "a directory, as in \"waypost-data\""),
-    ("storage", "\"sqlite\", or a URL, as in \"postgres://waypost@db.example.org/waypost\""),
-    ("grpc_address", "an address and a port, as in \"127.0.0.1:7600\""),
-    ("http_address", "an address and a port, as in \"127.0.0.1:7601\""),
-    ("ready_file", "a file, as in \"/run/waypost/ready.json\""),
-    ("log", "a level, or levels by module, as in \"info\" or \"warn,waypost_server=debug\""),
-    ("log_format", "\"text\" or \"json\""),
-    ("allow_anonymous", "true or false"),
-    ("map_memory_mib", "a whole number of mebibytes, as in 1024"),
-    ("stranger_connections", "a whole number from 1 on, as in 128"),
-    ("stranger_connections_per_address", "a whole number from 1 on, as in 64"),
-    ("stranger_time_s", "a whole number of seconds from 1 on, as in 30"),
-    ("wrong_tokens_per_minute", "a whole number, as in 1000"),
-    ("max_maps", "a whole number from 1 on, as in 100; leave it out for any number"),
-    ("max_sessions", "a whole number from 1 on, as in 10000; leave it out for any number"),
-    (
-        "max_kept_mib",
-        "a whole number of mebibytes from 1 on, as in 500000; leave it out for as many as the disk has",
-    ),
-    ("cors_origins", "origins of pages, as in \"https://fleet.example\" or \"http://127.0.0.1:8080\""),
-    ("tls_certificate", "a file, as in \"/etc/waypost/server.crt\""),
-    ("tls_key", "a file, as in \"/etc/waypost/server.key\""),
-    ("tls_client_ca", "a file, as in \"/etc/waypost/clients.crt\""),
-];
-
-/// Variables that are not settings: the file itself, and what `waypost` reads.
-const OTHER_VARIABLES: [&str; 6] = ["CONFIG", "SERVER", "TOKEN", "CA", "CLIENT_CERT", "CLIENT_KEY"];
 
 /// All settings. [`Default`] has the defaults.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -70,6 +41,9 @@ pub struct Config {
     pub grpc_address: SocketAddr,
     /// Where people look (HTTP).
     pub http_address: SocketAddr,
+    /// By which name other servers of a fleet reach this one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub advertised_host: Option<String>,
     /// Where the addresses are written once the server listens.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ready_file: Option<PathBuf>,
@@ -109,6 +83,9 @@ pub struct Config {
     /// Authorities whose certificates clients must have, PEM.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tls_client_ca: Option<PathBuf>,
+    /// Authorities of the other servers of a fleet, PEM.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tls_fleet_ca: Option<PathBuf>,
 }
 
 impl Default for Config {
@@ -118,6 +95,7 @@ impl Default for Config {
             storage: StorageAddress::Sqlite,
             grpc_address: (Ipv4Addr::LOCALHOST, 7600).into(),
             http_address: (Ipv4Addr::LOCALHOST, 7601).into(),
+            advertised_host: None,
             ready_file: None,
             log: "info".to_owned(),
             log_format: LogFormat::Text,
@@ -134,6 +112,7 @@ impl Default for Config {
             tls_certificate: None,
             tls_key: None,
             tls_client_ca: None,
+            tls_fleet_ca: None,
         }
     }
 }
@@ -172,6 +151,11 @@ pub struct Flags {
     #[arg(long, value_name = "ADDRESS")]
     #[serde(skip_serializing_if = "Option::is_none")]
     http_address: Option<SocketAddr>,
+    /// By which name other servers on the same database reach this one [default: the address that it listens on, or
+    /// the machine's name if that is every address]
+    #[arg(long, value_name = "HOST")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    advertised_host: Option<String>,
     /// Once the server listens, its addresses are written to this file as JSON: {"grpc": …, "http": …}
     #[arg(long, value_name = "FILE")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -237,6 +221,10 @@ pub struct Flags {
     #[arg(long, value_name = "FILE")]
     #[serde(skip_serializing_if = "Option::is_none")]
     tls_client_ca: Option<PathBuf>,
+    /// Authorities whose certificates the other servers of a fleet have (PEM) [default: this server's own certificates]
+    #[arg(long, value_name = "FILE")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tls_fleet_ca: Option<PathBuf>,
 }
 
 impl Config {
@@ -303,7 +291,12 @@ impl Config {
     #[must_use]
     pub fn tls_files(&self) -> Option<TlsFiles> {
         let (certificate, key) = self.tls_certificate.clone().zip(self.tls_key.clone())?;
-        Some(TlsFiles { certificate, key, client_ca: self.tls_client_ca.clone() })
+        Some(TlsFiles {
+            certificate,
+            key,
+            client_ca: self.tls_client_ca.clone(),
+            fleet_ca: self.tls_fleet_ca.clone(),
+        })
     }
 
     fn check(&self, layers: &Figment) -> Result<(), ConfigError> {
@@ -318,6 +311,13 @@ impl Config {
                 form: form(key),
             });
         }
+        if let Some(host) = &self.advertised_host
+            && let Err(reason) = check_host(host)
+        {
+            let key = "advertised_host";
+            let (key, origin, form) = (key.to_owned(), origin_of(key), form(key));
+            return Err(ConfigError::Value { key, origin, reason, form });
+        }
         if self.grpc_address == self.http_address && self.http_address.port() != 0 {
             let origin = origin_of("http_address");
             return Err(ConfigError::SameAddress { origin, address: self.http_address });
@@ -325,25 +325,25 @@ impl Config {
         let certificate = self.tls_certificate.is_some();
         let key = self.tls_key.is_some();
         let lacks = |key, missing| Err(ConfigError::Lacks { key, origin: origin_of(key), missing });
-        match (certificate, key, self.tls_client_ca.is_some()) {
-            (true, false, _) => lacks("tls_certificate", "tls_key"),
-            (false, true, _) => lacks("tls_key", "tls_certificate"),
-            (false, false, true) => lacks("tls_client_ca", "tls_certificate"),
-            (true, true, _) | (false, false, false) => Ok(()),
+        match (certificate, key) {
+            (true, false) => lacks("tls_certificate", "tls_key"),
+            (false, true) => lacks("tls_key", "tls_certificate"),
+            (false, false) if self.tls_client_ca.is_some() => lacks("tls_client_ca", "tls_certificate"),
+            (false, false) if self.tls_fleet_ca.is_some() => lacks("tls_fleet_ca", "tls_certificate"),
+            (true, true) | (false, false) => Ok(()),
         }
     }
 }
 
-/// Variables that look like settings and are none, probably misspelt.
-pub fn unknown_variables(environment: impl IntoIterator<Item = (OsString, OsString)>) -> Vec<String> {
-    let names = environment.into_iter().filter_map(|(name, _)| name.into_string().ok());
-    let unknown = |name: &String| {
-        name.strip_prefix(PREFIX).is_some_and(|rest| {
-            let key = rest.to_lowercase();
-            !OTHER_VARIABLES.contains(&rest) && !KEYS.iter().any(|(known, _)| *known == key)
-        })
-    };
-    names.filter(unknown).collect()
+/// Whether a text is a host alone.
+fn check_host(host: &str) -> Result<(), String> {
+    let with_port = format!("{host}:1").parse::<Authority>();
+    match with_port {
+        Ok(authority) if !host.is_empty() && authority.host() == host => Ok(()),
+        Ok(_) | Err(_) => Err(format!(
+            "`{host}` is no host: it has neither scheme nor port, and an address of IPv6 stands in brackets"
+        )),
+    }
 }
 
 /// Reads the file once by itself, so that what is wrong with it is said of the file.
@@ -382,14 +382,6 @@ fn origin(metadata: Option<&Metadata>, key: &str) -> String {
         }
         Some(_) | None => "default".to_owned(),
     }
-}
-
-fn form(key: &str) -> &'static str {
-    KEYS.into_iter().find(|(known, _)| *known == key).map_or("it as --help says", |(_, form)| form)
-}
-
-fn names() -> String {
-    KEYS.map(|(key, _)| key).join(", ")
 }
 
 #[cfg(test)]

@@ -61,14 +61,15 @@ const MAX_RESPONSE_BYTES: usize = 16 << 20;
 const KEEPALIVE: Duration = Duration::from_secs(20);
 
 /// Calls that one connection may have open at a time: more than any robot needs, but not any number.
-const MAX_STREAMS_PER_CONNECTION: u32 = 256;
+pub(crate) const MAX_STREAMS_PER_CONNECTION: u32 = 256;
 
 /// All headers of a call together.
 const MAX_HEADER_BYTES: u32 = 16 << 10;
 
 /// Connections for all streams and as many robots that only ask now and then; with those of HTTP they stay below
 /// the 1024 files that most systems let a process have.
-const LIMITS: Limits = Limits { connections: 640, kept_for_strangers: 16, patience: Duration::from_secs(10) };
+pub(crate) const LIMITS: Limits =
+    Limits { connections: 640, kept_for_strangers: 16, patience: Duration::from_secs(10) };
 
 /// Within which the first message of a stream has to come.
 const FIRST_MESSAGE_TIMEOUT: Duration = Duration::from_secs(30);

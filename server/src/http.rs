@@ -69,7 +69,8 @@ const MAX_HEADER_BYTES: u32 = 16 << 10;
 const HEADER_TIMEOUT: Duration = Duration::from_secs(15);
 
 /// Browsers take six connections each.
-const LIMITS: Limits = Limits { connections: 256, kept_for_strangers: 16, patience: Duration::from_secs(10) };
+pub(crate) const LIMITS: Limits =
+    Limits { connections: 256, kept_for_strangers: 16, patience: Duration::from_secs(10) };
 
 /// Requests that one connection may have open at a time, with HTTP/2.
 const MAX_STREAMS_PER_CONNECTION: u32 = 64;
@@ -104,7 +105,8 @@ pub(crate) async fn serve(
     Ok(())
 }
 
-fn limit(connections: &mut auto::Builder<TokioExecutor>) {
+/// What a connection of HTTP may take.
+pub(crate) fn limit(connections: &mut auto::Builder<TokioExecutor>) {
     let timer = TokioTimer::new;
     connections
         .http1()

@@ -6,6 +6,7 @@ mod camera;
 mod clock;
 pub mod config;
 mod error;
+mod fleet;
 mod grpc;
 mod http;
 mod ingest;
@@ -31,7 +32,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
+use tokio::sync::watch;
 
+pub use crate::fleet::{Ports, open_beside_others};
 pub use crate::net::origin::{NoOrigin, Origin};
 pub use crate::net::standing::Strangers;
 pub use crate::net::tls::{Tls, TlsError, TlsFiles};
@@ -42,7 +45,7 @@ use crate::config::{Config, DataLocation, StorageAddress};
 use crate::metrics::{HISTORY_EVERY, Metrics};
 use crate::service::Service;
 use crate::service::tokens::{Anonymous, Tokens};
-use crate::storage::{Storage, WhileOwned};
+use crate::storage::{Addresses, Claim, Storage, WhileOwned};
 
 /// How long connections may take to end once the server stops.
 const GRACE: Duration = Duration::from_secs(5);
@@ -83,7 +86,13 @@ impl Server {
     /// If the directory cannot be written to, is used by another server, is of a newer version or is
     /// damaged, or the database cannot be reached; the message says which and how to mend it.
     pub async fn open(location: DataLocation) -> anyhow::Result<Self> {
-        let service = open(&location, WhileOwned::Wait).await?;
+        let (tell, _owner) = watch::channel(None);
+        let claim = Claim { addresses: Addresses::default(), while_owned: WhileOwned::Wait(tell) };
+        Self::open_with(&location, claim).await
+    }
+
+    async fn open_with(location: &DataLocation, claim: Claim) -> anyhow::Result<Self> {
+        let service = open(location, claim).await?;
         service.settle().await?;
         let defaults = Config::default();
         let map_memory_bytes = defaults.map_memory_bytes();
@@ -266,11 +275,11 @@ fn exposed(addresses: [SocketAddr; 2]) -> Option<SocketAddr> {
     addresses.into_iter().find(|address| !address.ip().to_canonical().is_loopback())
 }
 
-async fn open(location: &DataLocation, while_owned: WhileOwned) -> anyhow::Result<Arc<Service>> {
+async fn open(location: &DataLocation, claim: Claim) -> anyhow::Result<Arc<Service>> {
     let DataLocation { storage, data_dir } = location;
     let storage = match storage {
         StorageAddress::Sqlite => Storage::open(data_dir).await?,
-        StorageAddress::Postgres(url) => Storage::connect(url, data_dir, while_owned).await?,
+        StorageAddress::Postgres(url) => Storage::connect(url, data_dir, claim).await?,
     };
     let tokens = Tokens::load(&storage).await?;
     Ok(Arc::new(Service::new(storage, tokens, Metrics::new()?)))

@@ -1,6 +1,7 @@
 //! Wiring: configuration, logging, sockets, signals.
 
 use std::io::{IsTerminal, Write};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -8,11 +9,11 @@ use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
 use serde::Serialize;
 use tokio::net::TcpListener;
-use tokio::signal::unix::{SignalKind, signal};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tracing_subscriber::EnvFilter;
-use waypost_server::config::{Config, DataLocation, Flags, LogFormat, unknown_variables};
+use waypost_server::config::{Config, DataLocation, Flags, LogFormat, StorageAddress, unknown_variables};
 use waypost_server::offline::{self, Finding, ListedToken, TokenLimits};
-use waypost_server::{Role, Server, Tls};
+use waypost_server::{Ports, Role, Server, Tls, open_beside_others};
 
 mod shell;
 
@@ -176,6 +177,7 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
         storage: _,
         grpc_address,
         http_address,
+        advertised_host,
         ready_file,
         log,
         log_format,
@@ -192,14 +194,41 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
         tls_certificate: _,
         tls_key: _,
         tls_client_ca: _,
+        tls_fleet_ca: _,
     } = config;
     start_log(&log, log_format)?;
     for variable in unknown_variables(std::env::vars_os()) {
         tracing::warn!(variable, "no setting has this name; it is left alone");
     }
 
-    let mut server = Server::open(location.clone())
-        .await?
+    let mut asked =
+        Asked { terminate: signal(SignalKind::terminate())?, interrupt: signal(SignalKind::interrupt())? };
+    let encrypted = tls.is_some();
+    let (server, grpc, http) = match &location.storage {
+        StorageAddress::Sqlite => {
+            let server = Server::open(location.clone()).await?;
+            let server = if allow_anonymous { server.allow_anonymous() } else { server };
+            server.check_exposure([grpc_address, http_address])?;
+            (server, bind(grpc_address, "--grpc-address").await?, bind(http_address, "--http-address").await?)
+        }
+        StorageAddress::Postgres(_) => {
+            let ports = Ports {
+                grpc: bind(grpc_address, "--grpc-address").await?,
+                http: bind(http_address, "--http-address").await?,
+                tls: tls.clone(),
+                strangers,
+                advertised_host,
+                allow_anonymous,
+            };
+            // What is asked while another server owns the database is answered, too.
+            announce(ready_file.as_deref(), &ports.grpc, &ports.http)?;
+            let opened = open_beside_others(&location, &ports, asked.to_stop()).await?;
+            let Some(server) = opened else { return Ok(ExitCode::SUCCESS) };
+            let server = if allow_anonymous { server.allow_anonymous() } else { server };
+            (server, ports.grpc, ports.http)
+        }
+    };
+    let mut server = server
         .with_shipped_model()
         .await?
         .with_map_memory(map_memory_bytes)
@@ -207,43 +236,42 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
         .with_wrong_tokens_per_minute(wrong_tokens_per_minute)
         .with_limits(limits)
         .with_cors_origins(cors_origins);
-    let encrypted = tls.is_some();
     if let Some(tls) = tls {
         server = server.with_tls(tls);
     }
-    if allow_anonymous {
-        server = server.allow_anonymous();
+    if location.storage == StorageAddress::Sqlite {
+        announce(ready_file.as_deref(), &grpc, &http)?;
     }
-    server.check_exposure([grpc_address, http_address])?;
-    let grpc = bind(grpc_address, "--grpc-address").await?;
-    let http = bind(http_address, "--http-address").await?;
-    let grpc_at = grpc.local_addr()?;
-    let http_at = http.local_addr()?;
-    if let Some(file) = &ready_file {
-        announce(file, &grpc_at.to_string(), &http_at.to_string())?;
-    }
-    tracing::info!(grpc = %grpc_at, http = %http_at, tls = encrypted, data = %location, "serving");
+    tracing::info!(grpc = %grpc.local_addr()?, http = %http.local_addr()?, tls = encrypted, data = %location, "serving");
 
-    let mut terminate = signal(SignalKind::terminate())?;
-    let mut interrupt = signal(SignalKind::interrupt())?;
-    let mut asked_to_stop = async move || {
-        tokio::select! {
-            _ = terminate.recv() => {}
-            _ = interrupt.recv() => {}
-        }
-    };
     server
         .serve(grpc, http, async move {
-            asked_to_stop().await;
+            asked.to_stop().await;
             tracing::info!("stopping");
             tokio::spawn(async move {
-                asked_to_stop().await;
+                asked.to_stop().await;
                 tracing::warn!("asked to stop again: ending at once; what was acknowledged is on the disk");
                 std::process::exit(1);
             });
         })
         .await?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// What a process hears that is to stop.
+struct Asked {
+    terminate: Signal,
+    interrupt: Signal,
+}
+
+impl Asked {
+    /// Completes when it is asked to stop.
+    async fn to_stop(&mut self) {
+        tokio::select! {
+            _ = self.terminate.recv() => {}
+            _ = self.interrupt.recv() => {}
+        }
+    }
 }
 
 fn start_log(filter: &str, format: LogFormat) -> anyhow::Result<()> {
@@ -261,22 +289,25 @@ fn start_log(filter: &str, format: LogFormat) -> anyhow::Result<()> {
     Ok(())
 }
 
-async fn bind(address: std::net::SocketAddr, option: &str) -> anyhow::Result<TcpListener> {
+async fn bind(address: SocketAddr, option: &str) -> anyhow::Result<TcpListener> {
     TcpListener::bind(address).await.with_context(|| {
         format!("cannot listen on {address}; is a server running there? choose another with {option}")
     })
 }
 
-/// Written beside and renamed, so that a reader who waits for the file never reads half of it.
-fn announce(file: &Path, grpc: &str, http: &str) -> anyhow::Result<()> {
+/// Tells where the server listens, in a file if one is named. It is written beside and renamed, so that a reader who waits
+/// for it never reads half of it.
+fn announce(file: Option<&Path>, grpc: &TcpListener, http: &TcpListener) -> anyhow::Result<()> {
     #[derive(Serialize)]
-    struct Addresses<'a> {
-        grpc: &'a str,
-        http: &'a str,
+    struct Addresses {
+        grpc: SocketAddr,
+        http: SocketAddr,
     }
+    let Some(file) = file else { return Ok(()) };
+    let addresses = Addresses { grpc: grpc.local_addr()?, http: http.local_addr()? };
     let partial = file.with_extension("partial");
     let failed = || format!("cannot write the ready file {}", file.display());
-    std::fs::write(&partial, serde_json::to_string(&Addresses { grpc, http })?).with_context(failed)?;
+    std::fs::write(&partial, serde_json::to_string(&addresses)?).with_context(failed)?;
     std::fs::rename(&partial, file).with_context(failed)
 }
 

@@ -40,6 +40,9 @@ const QUOTA_REFUSALS: &str = "waypost_quota_refusals_total";
 const ROBOTS_LED: &str = "waypost_robots_led";
 const MEMORY_BYTES: &str = "waypost_process_resident_memory_bytes";
 const CPU_SECONDS: &str = "waypost_process_cpu_seconds";
+const FORWARDED: &str = "waypost_forwarded_requests_total";
+const FORWARDED_OPEN: &str = "waypost_forwarded_requests_open";
+const OWNS_DATABASE: &str = "waypost_owns_database";
 const BUILD: &str = "waypost_build_info";
 
 /// Upper bounds of what a stage of a frame takes, from an indexed likelihood to a queue that is full.
@@ -216,6 +219,29 @@ impl Metrics {
         self.commit_frames.record(frames as f64);
     }
 
+    /// Counts what is asked of the owner of the database for somebody else, for as long as what comes back lives.
+    pub(crate) fn forward(&self, port: &'static str) -> Forwarding {
+        self.local(|| counter!(FORWARDED, "port" => port)).increment(1);
+        let open = self.local(|| gauge!(FORWARDED_OPEN, "port" => port));
+        open.increment(1.0);
+        Forwarding(open)
+    }
+
+    /// The metrics of a server that does not own its database.
+    pub(crate) fn render_in_reserve(&self) -> String {
+        self.local(|| gauge!(OWNS_DATABASE).set(0.0));
+        self.set_process(crate::memory::process_levels());
+        self.recorder.handle().render()
+    }
+
+    fn set_process(&self, process: ProcessLevels) {
+        let ProcessLevels { resident_bytes, cpu_seconds } = process;
+        self.local(|| {
+            gauge!(MEMORY_BYTES).set(resident_bytes.map_or(f64::NAN, |bytes| bytes as f64));
+            gauge!(CPU_SECONDS).set(cpu_seconds.unwrap_or(f64::NAN));
+        });
+    }
+
     /// All metrics in Prometheus' text format.
     pub(crate) fn render(&self, levels: Levels) -> String {
         let Levels {
@@ -231,12 +257,11 @@ impl Metrics {
         } = levels;
         let Used { maps: maps_made, sessions, kept_bytes } = used;
         let QueueLengths { images, robots_in_line, maps } = queues;
-        let ProcessLevels { resident_bytes, cpu_seconds } = process;
+        self.set_process(process);
         let bytes = |bytes: Option<u64>| bytes.map_or(f64::NAN, |bytes| bytes as f64);
         self.local(|| {
             gauge!(DISK_FREE_BYTES).set(bytes(disk_free_bytes));
-            gauge!(MEMORY_BYTES).set(bytes(resident_bytes));
-            gauge!(CPU_SECONDS).set(cpu_seconds.unwrap_or(f64::NAN));
+            gauge!(OWNS_DATABASE).set(1.0);
             for (status, robots) in robots_led {
                 gauge!(ROBOTS_LED, "status" => status).set(robots as f64);
             }
@@ -279,6 +304,16 @@ impl fmt::Debug for Metrics {
 pub(crate) struct OpenStream(Gauge);
 
 impl Drop for OpenStream {
+    fn drop(&mut self) {
+        self.0.decrement(1.0);
+    }
+}
+
+/// See [`Metrics::forward`].
+#[derive(Debug)]
+pub(crate) struct Forwarding(Gauge);
+
+impl Drop for Forwarding {
     fn drop(&mut self) {
         self.0.decrement(1.0);
     }
@@ -337,6 +372,9 @@ fn describe() {
     describe_gauge!(ROBOTS_LED, "Robots that navigate, by their status.");
     describe_gauge!(MEMORY_BYTES, Unit::Bytes, "Memory of the process.");
     describe_gauge!(CPU_SECONDS, Unit::Seconds, "Processor time that the process has taken.");
+    describe_counter!(FORWARDED, "What was asked of the owner of the database for somebody else, by port.");
+    describe_gauge!(FORWARDED_OPEN, "What is being asked so, streams included, by port.");
+    describe_gauge!(OWNS_DATABASE, "1 if this server owns its database, 0 if it asks the server that does.");
     describe_gauge!(BUILD, "Always 1; the version is in the label.");
 }
 

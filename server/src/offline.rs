@@ -14,7 +14,7 @@ use crate::service::Service;
 use crate::service::maps::Detail;
 use crate::service::tokens::{NewToken, TokenRow};
 use crate::storage::{
-    DeepInspection, Inspection, Moved, Source, WhileOwned, back_up, inspect, inspect_all, inspect_postgres,
+    Claim, DeepInspection, Inspection, Moved, Source, back_up, inspect, inspect_all, inspect_postgres,
     restore,
 };
 use crate::wire::tokens::requested_limits;
@@ -58,7 +58,7 @@ pub async fn create_token(
     role: Role,
     limits: TokenLimits,
 ) -> anyhow::Result<String> {
-    let service = open(&location, WhileOwned::Refuse).await?;
+    let service = open(&location, Claim::at_once()).await?;
     let TokenLimits { abilities, maps, lifetime_s, quotas } = limits;
     let limits = requested_limits(quotas.into());
     let new = NewToken { name: name.to_owned(), role, abilities, maps, lifetime_s, limits };
@@ -72,7 +72,7 @@ pub async fn create_token(
 /// # Errors
 /// If the directory cannot be used.
 pub async fn list_tokens(location: DataLocation) -> anyhow::Result<Vec<ListedToken>> {
-    let service = open(&location, WhileOwned::Refuse).await?;
+    let service = open(&location, Claim::at_once()).await?;
     let listed = service.tokens.all();
     service.stop().await;
     Ok(listed.into_iter().map(listed_token).collect())
@@ -95,7 +95,7 @@ fn listed_token(token: TokenRow) -> ListedToken {
 /// # Errors
 /// If the directory cannot be used, or the token must stay; the message says how to mend it.
 pub async fn delete_token(location: DataLocation, name: &str) -> anyhow::Result<()> {
-    let service = open(&location, WhileOwned::Refuse).await?;
+    let service = open(&location, Claim::at_once()).await?;
     let deleted = service.tokens.delete(&format!("tokens/{name}")).await;
     service.stop().await;
     Ok(deleted?)
@@ -199,7 +199,7 @@ pub async fn migrate(from: &DataLocation, to: &DataLocation) -> anyhow::Result<V
         StorageAddress::Sqlite => Source::of_directory(&from.data_dir).await?,
         StorageAddress::Postgres(url) => Source::of_postgres(url).await?,
     };
-    let service = open(to, WhileOwned::Refuse).await?;
+    let service = open(to, Claim::at_once()).await?;
     let moved = move_into(&service, source).await;
     service.stop().await;
     moved

@@ -56,6 +56,7 @@ use self::tokens::Tokens;
 use self::trajectories::Trajectories;
 use crate::clock::now_ns;
 use crate::error::ServiceError;
+use crate::fleet::Neighbours;
 use crate::ingest::extraction::Extraction;
 use crate::metrics::{History, Levels, Metrics, QueueLengths};
 use crate::open_map::OpenMaps;
@@ -87,6 +88,7 @@ pub(crate) struct Service {
     pub(crate) snapshots: Snapshots,
     pub(crate) tokens: Tokens,
     pub(crate) trajectories: Trajectories,
+    pub(crate) neighbours: Neighbours,
     storage: Storage,
     open_maps: OpenMaps,
     extraction: Extraction,
@@ -118,6 +120,7 @@ impl Service {
             correcting: Correcting { frames: frames.clone() },
             measurements: Measurements { frames: frames.clone() },
             trajectories: Trajectories { frames: frames.clone() },
+            neighbours: Neighbours::of(storage.fleet_secret()),
             rebuilding: Rebuilding { maps: maps.clone(), sessions: sessions.clone(), jobs: jobs.clone() },
             appearance,
             frames,

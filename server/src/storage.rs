@@ -47,7 +47,9 @@ pub(crate) use merges::{JoinedLog, JoinedSession, MergeOutcome, MergeRow, MergeS
 pub(crate) use models::ModelRow;
 pub(crate) use moving::{Moved, Source};
 pub(crate) use notes::NoteRow;
-pub(crate) use postgres::{WhileOwned, inspect_postgres, parse_postgres_address};
+pub(crate) use postgres::{
+    Addresses, Claim, Owner, WhileOwned, host_name, inspect_postgres, parse_postgres_address,
+};
 pub(crate) use removal::Removal;
 pub(crate) use retelling::RetoldLog;
 pub(crate) use salvage::Salvaged;
@@ -104,14 +106,10 @@ impl Storage {
 
     /// Opens a database of PostgreSQL, making its tables where they are missing. In
     /// `directory`, which is made, lie files for a while.
-    pub(crate) async fn connect(
-        address: &str,
-        directory: &Path,
-        while_owned: WhileOwned,
-    ) -> Result<Self, StorageError> {
+    pub(crate) async fn connect(address: &str, directory: &Path, claim: Claim) -> Result<Self, StorageError> {
         sqlite::make_directory(directory)
             .map_err(|source| StorageError::Directory { directory: directory.to_owned(), source })?;
-        let (engine, pools) = postgres::open(address, while_owned).await?;
+        let (engine, pools) = postgres::open(address, claim).await?;
         Self::over(Engine::Postgres(engine), pools, directory).await
     }
 

@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use super::names;
+use super::keys::names;
 
 /// What is wrong with the settings.
 #[derive(Debug, thiserror::Error)]

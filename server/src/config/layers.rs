@@ -6,7 +6,8 @@ use figment::providers::Serialized;
 use figment::value::{Dict, Map, Value};
 use figment::{Metadata, Profile, Provider};
 
-use super::{ConfigError, Flags, KEYS, PREFIX, form};
+use super::keys::{KEYS, PREFIX, form};
+use super::{ConfigError, Flags};
 
 /// Settings that are whole numbers.
 const NUMBERS: [&str; 8] = [

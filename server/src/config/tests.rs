@@ -63,6 +63,7 @@ fn nothing_said_means_the_defaults() {
 #[test]
 fn every_key_is_known_and_every_setting_has_one() {
     let all = Config {
+        advertised_host: Some("waypost-2.example.org".to_owned()),
         ready_file: Some("ready".into()),
         max_maps: NonZeroU32::new(100),
         max_sessions: NonZeroU32::new(10_000),
@@ -71,6 +72,7 @@ fn every_key_is_known_and_every_setting_has_one() {
         tls_certificate: Some("crt".into()),
         tls_key: Some("key".into()),
         tls_client_ca: Some("ca".into()),
+        tls_fleet_ca: Some("servers".into()),
         ..Config::default()
     };
     let table: toml::Table = toml::from_str(&all.to_toml().unwrap()).unwrap();
@@ -148,6 +150,10 @@ fn what_is_wrong_is_named_with_its_source_and_its_form() {
             "tls_certificate (in FILE) needs tls_key, which is not set",
         ),
         (environment("WAYPOST_TLS_CLIENT_CA", "c"), "tls_client_ca (from the environment"),
+        (environment("WAYPOST_TLS_FLEET_CA", "c"), "tls_fleet_ca (from the environment"),
+        (environment("WAYPOST_ADVERTISED_HOST", "http://a"), "`http://a` is no host"),
+        (environment("WAYPOST_ADVERTISED_HOST", "a:7600"), "write a host's name or address"),
+        (environment("WAYPOST_ADVERTISED_HOST", "fe80::1"), "stands in brackets"),
         (
             refused(&["--http-address", "127.0.0.1:7600"], "", &[]),
             "http_address (from the command line, --http-address) is 127.0.0.1:7600, and so is grpc_address",

@@ -62,7 +62,13 @@ where
         self.inner.poll_ready(context)
     }
 
-    fn call(&mut self, request: Request<Body>) -> Self::Future {
+    fn call(&mut self, mut request: Request<Body>) -> Self::Future {
+        let standing = request.extensions().get::<Standing>();
+        let asker =
+            standing.and_then(|standing| self.service.neighbours.standing(request.headers(), standing));
+        if let Some(asker) = asker {
+            request.extensions_mut().insert(asker);
+        }
         let id = RequestId::of(request.headers());
         let span = id.span();
         let peer = request.extensions().get::<Standing>().map(Standing::peer);

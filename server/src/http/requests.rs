@@ -4,7 +4,7 @@ use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use axum::extract::{MatchedPath, Request, State};
+use axum::extract::{ConnectInfo, MatchedPath, Request, State};
 use axum::http::Method;
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -13,6 +13,7 @@ use tracing::Instrument;
 use super::access::standing;
 use super::{HttpError, Said};
 use crate::error::ServiceError;
+use crate::net::connections::Came;
 use crate::net::request_id::RequestId;
 use crate::service::Service;
 use crate::service::refusals::Refusal;
@@ -28,7 +29,12 @@ const UPLOADS: [&str; 2] = ["/v1/maps/{map}/import", "/v1/models"];
 const POLLED: [&str; 3] = ["/healthz", "/readyz", "/metrics"];
 
 /// Watches over a request; goes around everything else.
-pub(super) async fn watch(State(service): State<Arc<Service>>, request: Request, next: Next) -> Response {
+pub(super) async fn watch(State(service): State<Arc<Service>>, mut request: Request, next: Next) -> Response {
+    let asker =
+        standing(&request).and_then(|standing| service.neighbours.standing(request.headers(), &standing));
+    if let Some(asker) = asker {
+        request.extensions_mut().insert(ConnectInfo(Came(Some(asker))));
+    }
     let id = RequestId::of(request.headers());
     let since = Instant::now();
     let method = request.method().clone();

@@ -184,6 +184,11 @@ impl Standing {
         self.peer
     }
 
+    /// The same connection, over which a neighbour asks for somebody else.
+    pub(crate) fn on_behalf_of(&self, peer: IpAddr) -> Self {
+        Self { peer, ..self.clone() }
+    }
+
     /// Whether a call on this connection was ever admitted.
     pub(crate) fn is_admitted(&self) -> bool {
         self.all.held().connections.get(&self.number).is_some_and(Holder::is_admitted)

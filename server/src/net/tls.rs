@@ -8,7 +8,7 @@ use rustls::crypto::ring;
 use rustls::pki_types::pem::{Error as PemError, PemObject};
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::server::WebPkiClientVerifier;
-use rustls::{RootCertStore, ServerConfig};
+use rustls::{ClientConfig, RootCertStore, ServerConfig};
 
 /// Checked certificates, for both listeners.
 #[derive(Clone)]
@@ -19,6 +19,8 @@ pub struct Tls {
     pub(crate) grpc: Arc<ServerConfig>,
     /// For people: either version of HTTP.
     pub(crate) http: Arc<ServerConfig>,
+    /// For asking other servers of the same fleet.
+    pub(crate) neighbours: Arc<ClientConfig>,
 }
 
 /// Files that a server's certificates are in; all PEM.
@@ -30,6 +32,8 @@ pub struct TlsFiles {
     pub key: PathBuf,
     /// Authorities of clients. If there are any, a client without a certificate of theirs is refused.
     pub client_ca: Option<PathBuf>,
+    /// Authorities of the other servers of a fleet; `None` if their certificates are this one's, or lead to the same.
+    pub fleet_ca: Option<PathBuf>,
 }
 
 /// Why certificates cannot be used.
@@ -84,7 +88,7 @@ impl Tls {
     /// # Errors
     /// If a file is missing, is no PEM or does not fit with the others; the message says which.
     pub fn load(files: &TlsFiles) -> Result<Self, TlsError> {
-        let TlsFiles { certificate, key, client_ca } = files;
+        let TlsFiles { certificate, key, client_ca, fleet_ca } = files;
         let certificate_pem = read(certificate)?;
         let key_pem = read(key)?;
         let client_ca_pem = client_ca.as_deref().map(read).transpose()?;
@@ -99,27 +103,37 @@ impl Tls {
             .map_err(|error| unusable(certificate, error.to_string()))?;
         let builder = match (client_ca, &client_ca_pem) {
             (Some(path), Some(pem)) => {
-                let mut roots = RootCertStore::empty();
-                for authority in certificates(path, pem)? {
-                    roots.add(authority).map_err(|error| unusable(path, error.to_string()))?;
-                }
-                let verifier = WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider)
+                let roots = Arc::new(authorities(path, pem)?);
+                let verifier = WebPkiClientVerifier::builder_with_provider(roots, provider.clone())
                     .build()
                     .map_err(|error| unusable(path, error.to_string()))?;
                 builder.with_client_cert_verifier(verifier)
             }
             (_, _) => builder.with_no_client_auth(),
         };
-        let mut http = builder.with_single_cert(chain, private).map_err(|error| match error {
+        let wrong_pair = |error| match error {
             rustls::Error::InconsistentKeys(_) => {
                 TlsError::WrongKey { key: key.clone(), certificate: certificate.clone() }
             }
             other => unusable(certificate, other.to_string()),
-        })?;
+        };
+        let mut http = builder.with_single_cert(chain.clone(), private.clone_key()).map_err(wrong_pair)?;
+        let neighbours = match fleet_ca {
+            Some(path) => authorities(path, &read(path)?)?,
+            None => authorities(certificate, &certificate_pem)?,
+        };
+        let mut neighbours = ClientConfig::builder_with_provider(provider)
+            .with_safe_default_protocol_versions()
+            .map_err(|error| unusable(certificate, error.to_string()))?
+            .with_root_certificates(neighbours)
+            .with_client_auth_cert(chain, private)
+            .map_err(wrong_pair)?;
+        neighbours.alpn_protocols = vec![b"h2".to_vec()];
         let mut grpc = http.clone();
         grpc.alpn_protocols = vec![b"h2".to_vec()];
         http.alpn_protocols = vec![b"h2".to_vec(), b"http/1.1".to_vec()];
-        Ok(Self { client_ca: client_ca_pem, grpc: Arc::new(grpc), http: Arc::new(http) })
+        let neighbours = Arc::new(neighbours);
+        Ok(Self { client_ca: client_ca_pem, grpc: Arc::new(grpc), http: Arc::new(http), neighbours })
     }
 }
 
@@ -144,6 +158,17 @@ fn certificates(path: &Path, pem: &[u8]) -> Result<Vec<CertificateDer<'static>>,
         return Err(bad(&PemError::NoItemsFound));
     }
     Ok(chain)
+}
+
+/// The certificates of a file, as those that others must come from.
+fn authorities(path: &Path, pem: &[u8]) -> Result<RootCertStore, TlsError> {
+    let mut roots = RootCertStore::empty();
+    for authority in certificates(path, pem)? {
+        roots
+            .add(authority)
+            .map_err(|error| TlsError::Unusable { path: path.to_owned(), reason: error.to_string() })?;
+    }
+    Ok(roots)
 }
 
 fn not_pem(path: &Path, what: &'static str, label: &'static str, error: &PemError) -> TlsError {
@@ -176,6 +201,7 @@ mod tests {
             certificate: file("server.crt", certificate),
             key: file("server.key", key),
             client_ca: client_ca.map(|content| file("clients.crt", content)),
+            fleet_ca: None,
         };
         Tls::load(&files).map_err(|error| error.to_string())
     }
@@ -206,6 +232,7 @@ mod tests {
             certificate: PathBuf::from("/nowhere/server.crt"),
             key: PathBuf::from("/nowhere/server.key"),
             client_ca: None,
+            fleet_ca: None,
         };
         let message = Tls::load(&missing).unwrap_err().to_string();
         assert!(message.contains("cannot read /nowhere/server.crt"), "{message}");

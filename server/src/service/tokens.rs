@@ -115,7 +115,13 @@ impl Tokens {
         if access == Access::Open {
             return Ok(known.anybody(Ending::default()));
         }
-        if known.is_empty() && known.anonymous != Anonymous::Refused {
+        let may_be_anonymous = match known.anonymous {
+            // One that is asked of by a neighbour may come from anywhere.
+            Anonymous::Local => peer.is_none_or(|peer| peer.to_canonical().is_loopback()),
+            Anonymous::Everyone => true,
+            Anonymous::Refused => false,
+        };
+        if known.is_empty() && may_be_anonymous {
             return Ok(known.anybody(known.without_token.clone()));
         }
         let Some(secret) = secret else {

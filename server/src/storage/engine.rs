@@ -121,6 +121,14 @@ impl Storage {
         Ok(())
     }
 
+    /// By which the servers of a fleet know each other; `None` for SQLite.
+    pub(crate) fn fleet_secret(&self) -> Option<&str> {
+        match &self.engine {
+            Engine::Sqlite(_) => None,
+            Engine::Postgres(postgres) => Some(postgres.secret()),
+        }
+    }
+
     /// When another server owns the database; never for SQLite.
     pub(crate) fn taken_over(&self) -> TakenOver {
         match &self.engine {

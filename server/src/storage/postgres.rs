@@ -3,8 +3,10 @@
 //! One server at a time owns it. The owner is a row with an epoch, which every transaction that writes holds on to: one
 //! that was taken over writes nothing more. No clock decides about that, only about when somebody else may try.
 
+mod lease;
+
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use sqlx::any::AnyPoolOptions;
 use sqlx::migrate::{MigrateError, Migrator};
@@ -13,15 +15,11 @@ use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, ConnectOptions, Connectio
 use tokio::sync::watch;
 use tokio::task::AbortHandle;
 
+pub(crate) use self::lease::{Addresses, Claim, Owner, WhileOwned, host_name};
+use self::lease::{LEASE, renew, take};
 use super::sqlite::Inspection;
 use super::values::from_sql;
 use super::{EXPORTERS, Pools, READERS, StorageError, engine};
-
-/// Who has not said for this long that it is there has given the database up.
-const LEASE: Duration = Duration::from_secs(6);
-const RENEWALS_PER_LEASE: u32 = 4;
-/// How often one that waits looks whether the database is free.
-const PATIENCE: Duration = Duration::from_millis(250);
 
 /// Statements, and waits for locks, are bounded in time: who asks gets an answer.
 const STATEMENT_TIMEOUT: Duration = Duration::from_secs(60);
@@ -39,6 +37,8 @@ pub(super) const SIZE_BYTES: &str = "SELECT pg_database_size(current_database())
 #[derive(Clone, Debug)]
 pub(super) struct Postgres {
     epoch: i64,
+    /// By which the servers of a fleet know each other.
+    secret: Arc<str>,
     taken_over: watch::Receiver<bool>,
     renewal: Arc<Renewal>,
 }
@@ -53,20 +53,13 @@ impl Drop for Renewal {
     }
 }
 
-/// What to do while another server owns a database.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum WhileOwned {
-    Wait,
-    Refuse,
-}
-
 /// Why a text is no URL of a database, if it is none.
 pub(crate) fn parse_postgres_address(address: &str) -> Result<(), String> {
     address.parse::<PgConnectOptions>().map(drop).map_err(|error| error.to_string())
 }
 
 /// Opens the database at `address`, a URL as libpq has it.
-pub(super) async fn open(address: &str, while_owned: WhileOwned) -> Result<(Postgres, Pools), StorageError> {
+pub(super) async fn open(address: &str, claim: Claim) -> Result<(Postgres, Pools), StorageError> {
     let mut connection = connect(address).await?;
     check(&mut connection).await?;
     migrate(&mut connection).await?;
@@ -74,12 +67,13 @@ pub(super) async fn open(address: &str, while_owned: WhileOwned) -> Result<(Post
     let writer = pool(1).connect(address).await?;
     let readers = pool(READERS).connect(address).await?;
     let exporters = pool(EXPORTERS).connect_lazy(address)?;
-    let epoch = take(&writer, while_owned).await?;
+    let (epoch, secret) = take(&writer, claim).await?;
     let (tell, taken_over) = watch::channel(false);
     // A connection of its own: neither a long transaction nor readers hold it up.
     let renewing = tokio::spawn(renew(pool(1).connect_lazy(address)?, epoch, tell));
     let renewal = Arc::new(Renewal(renewing.abort_handle()));
-    Ok((Postgres { epoch, taken_over, renewal }, Pools { writer, readers, exporters }))
+    let postgres = Postgres { epoch, secret: secret.into(), taken_over, renewal };
+    Ok((postgres, Pools { writer, readers, exporters }))
 }
 
 async fn connect(address: &str) -> Result<PgConnection, StorageError> {
@@ -177,78 +171,6 @@ async fn migrate(connection: &mut PgConnection) -> Result<(), StorageError> {
     })
 }
 
-/// Becomes the owner, unless somebody else is.
-async fn take(writer: &AnyPool, while_owned: WhileOwned) -> Result<i64, StorageError> {
-    let holder = format!("{}, process {}", host_name(), std::process::id());
-    let mut told = false;
-    loop {
-        let taken = sqlx::query_scalar(
-            "INSERT INTO lease (id, epoch, holder, expires) VALUES (1, 1, $1, now() + $2 * interval '1 millisecond') \
-             ON CONFLICT (id) DO UPDATE SET epoch = lease.epoch + 1, holder = excluded.holder, \
-             expires = excluded.expires WHERE lease.expires <= now() RETURNING epoch",
-        )
-        .bind(&holder)
-        .bind(LEASE.as_millis() as i64)
-        .fetch_optional(writer)
-        .await?;
-        if let Some(epoch) = taken {
-            tracing::info!(epoch, "this server owns the database");
-            return Ok(epoch);
-        }
-        let other: Option<String> =
-            sqlx::query_scalar("SELECT holder FROM lease WHERE id = 1").fetch_optional(writer).await?;
-        let other = other.unwrap_or_default();
-        match while_owned {
-            WhileOwned::Refuse => return Err(StorageError::Owned { owner: other }),
-            WhileOwned::Wait if !told => {
-                tracing::info!(owner = other, "another server owns the database; waiting until it stops");
-                told = true;
-            }
-            WhileOwned::Wait => {}
-        }
-        tokio::time::sleep(PATIENCE).await;
-    }
-}
-
-/// Says again and again that the owner is there; tells when it no longer is, or may no longer be.
-async fn renew(pool: AnyPool, epoch: i64, taken_over: watch::Sender<bool>) {
-    let mut owned = Instant::now();
-    loop {
-        tokio::time::sleep(LEASE / RENEWALS_PER_LEASE).await;
-        let asked = Instant::now();
-        let renewal = sqlx::query(
-            "UPDATE lease SET expires = now() + $1 * interval '1 millisecond' WHERE id = 1 AND epoch = $2",
-        )
-        .bind(LEASE.as_millis() as i64)
-        .bind(epoch);
-        let renewed = tokio::time::timeout(LEASE / RENEWALS_PER_LEASE, renewal.execute(&pool)).await;
-        match renewed {
-            Ok(Ok(done)) if done.rows_affected() == 1 => owned = asked,
-            Ok(Ok(_none)) => {
-                tracing::error!(epoch, "another server has taken the database over");
-                taken_over.send_replace(true);
-                return;
-            }
-            Ok(Err(error)) => tracing::warn!(%error, "the database cannot be told that its owner is there"),
-            Err(_late) => tracing::warn!("the database does not answer its owner in time"),
-        }
-        if owned.elapsed() > LEASE {
-            tracing::error!(
-                epoch,
-                "the database was out of reach for too long; another server may own it by now"
-            );
-            taken_over.send_replace(true);
-            return;
-        }
-    }
-}
-
-/// As others know this machine.
-fn host_name() -> String {
-    std::fs::read_to_string("/proc/sys/kernel/hostname")
-        .map_or_else(|_| "?".to_owned(), |name| name.trim().to_owned())
-}
-
 impl Postgres {
     /// [`StorageError::TakenOver`] if this is no longer the owner. Nobody else becomes it before the transaction ends.
     pub(super) async fn fence(&self, transaction: &mut Transaction<'_, Any>) -> Result<(), StorageError> {
@@ -257,6 +179,10 @@ impl Postgres {
             .fetch_optional(&mut **transaction)
             .await?;
         if owned.is_some() { Ok(()) } else { Err(StorageError::TakenOver) }
+    }
+
+    pub(super) fn secret(&self) -> &str {
+        &self.secret
     }
 
     pub(super) fn taken_over(&self) -> watch::Receiver<bool> {

@@ -68,6 +68,7 @@ fn files(directory: &Path, authority: &Authority, clients: Option<&Authority>) -
         certificate: write(directory, "server.crt", &certificate),
         key: write(directory, "server.key", &key),
         client_ca: clients.map(|clients| write(directory, "clients.crt", &clients.pem())),
+        fleet_ca: None,
     }
 }
 
@@ -174,7 +175,8 @@ async fn a_client_without_the_certificate_that_is_asked_for_is_shut_out() {
 #[test]
 fn the_command_lines_take_certificates_from_files() {
     let (authority, clients, directory) = (Authority::new(), Authority::new(), tempfile::tempdir().unwrap());
-    let TlsFiles { certificate, key, client_ca } = files(directory.path(), &authority, Some(&clients));
+    let TlsFiles { certificate, key, client_ca, fleet_ca: _ } =
+        files(directory.path(), &authority, Some(&clients));
     let text = |path: &PathBuf| path.to_str().unwrap().to_owned();
     let (certificate, key, client_ca) = (text(&certificate), text(&key), text(&client_ca.unwrap()));
     let options = [

@@ -1,0 +1,162 @@
+//! Whose a database of PostgreSQL is: one row, which says until when, and where the owner is asked.
+
+use std::time::{Duration, Instant};
+
+use sqlx::AnyPool;
+use tokio::sync::watch;
+
+use crate::storage::StorageError;
+
+/// Who has not said for this long that it is there has given the database up.
+pub(super) const LEASE: Duration = Duration::from_secs(4);
+const RENEWALS_PER_LEASE: u32 = 4;
+/// How often one that waits looks whether the database is free.
+const PATIENCE: Duration = Duration::from_millis(250);
+
+/// How a server is to own a database.
+#[derive(Debug)]
+pub(crate) struct Claim {
+    /// Where others ask it then.
+    pub(crate) addresses: Addresses,
+    pub(crate) while_owned: WhileOwned,
+}
+
+impl Claim {
+    /// Without being asked anything, and refused while a server owns the database.
+    pub(crate) fn at_once() -> Self {
+        Self { addresses: Addresses::default(), while_owned: WhileOwned::Refuse }
+    }
+}
+
+/// What to do while another server owns a database.
+#[derive(Debug)]
+pub(crate) enum WhileOwned {
+    /// Wait, and tell meanwhile which that is.
+    Wait(watch::Sender<Option<Owner>>),
+    Refuse,
+}
+
+/// Host and port of a server's two listeners, as others reach them; empty where nothing listens.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Addresses {
+    pub(crate) grpc: String,
+    pub(crate) http: String,
+}
+
+/// The server that owns a database, as another one sees it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Owner {
+    pub(crate) epoch: i64,
+    /// For people.
+    pub(crate) holder: String,
+    pub(crate) addresses: Addresses,
+    /// By which it knows the other servers.
+    pub(crate) secret: String,
+}
+
+/// Becomes the owner, unless somebody else is; gives the epoch and the fleet's secret.
+pub(super) async fn take(writer: &AnyPool, claim: Claim) -> Result<(i64, String), StorageError> {
+    let Claim { addresses, while_owned } = claim;
+    loop {
+        match (try_to_take(writer, &addresses).await, &while_owned) {
+            (Ok(Taken::Yes { epoch, secret }), _) => {
+                tracing::info!(epoch, "this server owns the database");
+                return Ok((epoch, secret));
+            }
+            (Ok(Taken::No(owner)), WhileOwned::Refuse) => {
+                return Err(StorageError::Owned { owner: owner.holder });
+            }
+            (Ok(Taken::No(owner)), WhileOwned::Wait(tell)) => tell_of(owner, tell),
+            // Who has seen an owner goes on, as while a standby of PostgreSQL takes over.
+            (Err(error @ StorageError::HeldUp(_)), WhileOwned::Wait(tell)) if tell.borrow().is_some() => {
+                tracing::warn!(%error, "who owns the database cannot be seen");
+            }
+            (Err(error), _) => return Err(error),
+        }
+        tokio::time::sleep(PATIENCE).await;
+    }
+}
+
+fn tell_of(owner: Owner, tell: &watch::Sender<Option<Owner>>) {
+    tell.send_if_modified(|known| {
+        if known.as_ref() == Some(&owner) {
+            return false;
+        }
+        tracing::info!(
+            owner = owner.holder,
+            at = owner.addresses.grpc,
+            epoch = owner.epoch,
+            "another server owns the database; it is asked for this one until it stops"
+        );
+        *known = Some(owner);
+        true
+    });
+}
+
+enum Taken {
+    Yes { epoch: i64, secret: String },
+    No(Owner),
+}
+
+async fn try_to_take(writer: &AnyPool, addresses: &Addresses) -> Result<Taken, StorageError> {
+    let taken = sqlx::query_as(
+        "INSERT INTO lease (id, epoch, holder, expires, grpc_address, http_address) \
+         VALUES (1, 1, $1, now() + $2 * interval '1 millisecond', $3, $4) \
+         ON CONFLICT (id) DO UPDATE SET epoch = lease.epoch + 1, holder = excluded.holder, \
+         expires = excluded.expires, grpc_address = excluded.grpc_address, http_address = excluded.http_address \
+         WHERE lease.expires <= now() RETURNING epoch, secret",
+    )
+    .bind(format!("{}, process {}", host_name(), std::process::id()))
+    .bind(LEASE.as_millis() as i64)
+    .bind(&addresses.grpc)
+    .bind(&addresses.http)
+    .fetch_optional(writer)
+    .await?;
+    if let Some((epoch, secret)) = taken {
+        return Ok(Taken::Yes { epoch, secret });
+    }
+    let (epoch, holder, grpc, http, secret) =
+        sqlx::query_as("SELECT epoch, holder, grpc_address, http_address, secret FROM lease WHERE id = 1")
+            .fetch_one(writer)
+            .await?;
+    Ok(Taken::No(Owner { epoch, holder, addresses: Addresses { grpc, http }, secret }))
+}
+
+/// Says again and again that the owner is there; tells when it no longer is, or may no longer be.
+pub(super) async fn renew(pool: AnyPool, epoch: i64, taken_over: watch::Sender<bool>) {
+    let mut owned = Instant::now();
+    loop {
+        tokio::time::sleep(LEASE / RENEWALS_PER_LEASE).await;
+        let asked = Instant::now();
+        let renewal = sqlx::query(
+            "UPDATE lease SET expires = now() + $1 * interval '1 millisecond' WHERE id = 1 AND epoch = $2",
+        )
+        .bind(LEASE.as_millis() as i64)
+        .bind(epoch);
+        let renewed = tokio::time::timeout(LEASE / RENEWALS_PER_LEASE, renewal.execute(&pool)).await;
+        match renewed {
+            Ok(Ok(done)) if done.rows_affected() == 1 => owned = asked,
+            Ok(Ok(_none)) => {
+                tracing::error!(epoch, "another server has taken the database over");
+                taken_over.send_replace(true);
+                return;
+            }
+            Ok(Err(error)) => tracing::warn!(%error, "the database cannot be told that its owner is there"),
+            Err(_late) => tracing::warn!("the database does not answer its owner in time"),
+        }
+        if owned.elapsed() > LEASE {
+            tracing::error!(
+                epoch,
+                "the database was out of reach for too long; another server may own it by now"
+            );
+            taken_over.send_replace(true);
+            return;
+        }
+    }
+}
+
+/// As others know this machine.
+pub(crate) fn host_name() -> String {
+    std::fs::read_to_string("/proc/sys/kernel/hostname")
+        .map_or_else(|_| "?".to_owned(), |name| name.trim().to_owned())
+}
