@@ -30,6 +30,8 @@ test: setup
 # Servers over a database of PostgreSQL that is made for the tests; and a part of the other end-to-end tests, each on such a
 # database. More of them: make test-postgres ON_POSTGRES="fleet:: maps:: merging:: rest::parity operations::tokens"
 ON_POSTGRES ?= fleet:: maps::corrections maps::notes maps::snapshots::a_map_comes merging::whole_maps rest::parity operations::tokens
+# The same, where all is asked of a server that does not own the database.
+IN_RESERVE ?= rest::parity merging::whole_maps maps::snapshots::a_map_comes rest::events
 # What looks into SQLite's file, or has a server of its own there.
 OF_SQLITE = maps::restore maps::snapshots::a_stalled maps::snapshots::stalled maps::snapshots::interrupted::an_import_that_fails \
 	maps::snapshots::interrupted::an_import_that_is_cancelled_while maps::snapshots::removal merging::compaction::what_was_removed \
@@ -37,6 +39,8 @@ OF_SQLITE = maps::restore maps::snapshots::a_stalled maps::snapshots::stalled ma
 test-postgres: setup
 	scripts/with-postgres $(CARGO) test --release --locked --workspace --test end_to_end -- $(ON_POSTGRES) \
 		$(foreach test,$(OF_SQLITE),--skip $(test))
+	WAYPOST_TEST_ASKED_IN_RESERVE=1 scripts/with-postgres $(CARGO) test --release --locked --workspace --test end_to_end -- \
+		$(IN_RESERVE)
 
 # What the client's messages, arrays and calls go through, with the oldest and the newest packages that it works with.
 RANGE_TESTS = test_values.py test_decisions.py test_words.py test_calls.py

@@ -1,18 +1,17 @@
 //! Several servers over one database: one owns it, and the others ask that one whatever they are asked.
 
 mod carried;
-mod neighbours;
 mod relay;
 mod upstream;
 
 use std::future::Future;
 use std::net::SocketAddr;
 use std::os::fd::AsFd;
+use std::time::Duration;
 
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-pub(crate) use self::neighbours::Neighbours;
 use self::relay::Relay;
 use crate::config::{DataLocation, StorageAddress};
 use crate::metrics::Metrics;
@@ -55,6 +54,14 @@ impl Ports {
         }
     }
 
+    /// The same ports, for who serves there now: gRPC, then HTTP.
+    ///
+    /// # Errors
+    /// If the process has too many files open.
+    pub fn shared(&self) -> std::io::Result<(TcpListener, TcpListener)> {
+        Ok((shared(&self.grpc)?, shared(&self.http)?))
+    }
+
     /// The same as [`Server::check_exposure`] of a server that does not own its database yet.
     async fn check_exposure(&self, database: &str) -> anyhow::Result<()> {
         let addresses = [self.grpc.local_addr()?, self.http.local_addr()?];
@@ -69,9 +76,21 @@ impl Ports {
     }
 }
 
-/// A second handle of what listens, for who serves there first.
+/// A second handle of what listens.
 fn shared(listener: &TcpListener) -> std::io::Result<TcpListener> {
     TcpListener::from_std(listener.as_fd().try_clone_to_owned()?.into())
+}
+
+/// How often a database is tried that this server had owned.
+const OPEN_AGAIN: Duration = Duration::from_secs(1);
+
+/// Which time it is that a server opens its database.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Opening {
+    /// What is wrong is told to who starts the server.
+    First,
+    /// It had owned the database. What is wrong passes, as while another machine takes over for PostgreSQL.
+    Again,
 }
 
 /// Opens the database of `location` for a server with these ports. While another server owns the database, whatever is
@@ -82,21 +101,37 @@ fn shared(listener: &TcpListener) -> std::io::Result<TcpListener> {
 pub async fn open_beside_others(
     location: &DataLocation,
     ports: &Ports,
+    opening: Opening,
     shutdown: impl Future<Output = ()>,
 ) -> anyhow::Result<Option<Server>> {
     let StorageAddress::Postgres(database) = &location.storage else {
         return Server::open(location.clone()).await.map(Some);
     };
     let (tell, owner) = watch::channel(None);
-    let claim = Claim { addresses: ports.addresses()?, while_owned: WhileOwned::Wait(tell) };
-    let relay = Relay::new(owner, ports.tls.as_ref(), Metrics::new()?);
-    let (grpc, http) = (shared(&ports.grpc)?, shared(&ports.http)?);
+    let relay = Relay::new(owner, database, ports.tls.as_ref(), Metrics::new()?);
+    let (grpc, http) = ports.shared()?;
+    let addresses = ports.addresses()?;
+    let opened = async {
+        loop {
+            let claim = Claim { addresses: addresses.clone(), while_owned: WhileOwned::Wait(tell.clone()) };
+            match (Server::open_with(location, claim).await, opening) {
+                (Err(error), Opening::Again) => {
+                    tracing::warn!("the database cannot be opened again yet: {error:#}");
+                    tell.send_replace(None);
+                    tokio::time::sleep(OPEN_AGAIN).await;
+                }
+                (opened, Opening::First | Opening::Again) => return opened.map(Some),
+            }
+        }
+    };
     let relaying = async {
-        ports.check_exposure(database).await?;
+        if opening == Opening::First {
+            ports.check_exposure(database).await?;
+        }
         relay.serve(grpc, http, ports).await
     };
     tokio::select! {
-        opened = Server::open_with(location, claim) => opened.map(Some),
+        opened = opened => opened,
         failed = relaying => failed.map(|()| None),
         () = shutdown => Ok(None),
     }

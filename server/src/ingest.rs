@@ -4,8 +4,12 @@
 mod admission;
 pub(crate) mod content;
 pub(crate) mod extraction;
+pub(crate) mod helpers;
+pub(crate) mod helping;
 pub(crate) mod intrinsics;
+pub(crate) mod looking;
 pub(crate) mod model;
+pub(crate) mod observed;
 pub(crate) mod panoramic;
 
 pub(crate) use waypost_vision::feature_record::FeatureRecord;

@@ -34,7 +34,7 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-pub use crate::fleet::{Ports, open_beside_others};
+pub use crate::fleet::{Opening, Ports, open_beside_others};
 pub use crate::net::origin::{NoOrigin, Origin};
 pub use crate::net::standing::Strangers;
 pub use crate::net::tls::{Tls, TlsError, TlsFiles};
@@ -64,6 +64,15 @@ pub struct Server {
     map_memory_bytes: u64,
     strangers: Strangers,
     cors_origins: Vec<Origin>,
+}
+
+/// Why a server no longer serves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Served {
+    /// It was asked to stop.
+    UntilStopped,
+    /// Another server owns its database, or may.
+    UntilTakenOver,
 }
 
 /// A server without any token was to listen where others can reach it.
@@ -182,7 +191,7 @@ impl Server {
         grpc: TcpListener,
         http: TcpListener,
         shutdown: impl Future<Output = ()> + Send + 'static,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<Served> {
         let addresses = [grpc.local_addr()?, http.local_addr()?];
         self.check_exposure(addresses)?;
         if let Some(address) = exposed(addresses).filter(|_| self.tls.is_none()) {
@@ -194,6 +203,7 @@ impl Server {
         }
         let Self { service, tls, map_memory_bytes, strangers, cors_origins } = self;
         service.start_upkeep(map_memory_bytes);
+        service.use_helpers(tls.as_ref().map(|tls| tls.neighbours.clone()));
         let stopping = service.stopping().clone();
         let signal = stopping.clone();
         let taken_over = service.taken_over();
@@ -201,7 +211,7 @@ impl Server {
         let watch = tokio::spawn(async move {
             tokio::select! {
                 () = shutdown => {}
-                () = lost.happens() => tracing::error!("stopping: the database may be another server's by now"),
+                () = lost.happens() => tracing::error!("serving no more: the database may be another server's by now"),
             }
             signal.cancel();
         });
@@ -262,11 +272,7 @@ impl Server {
         trimming.abort();
         service.stop().await;
         served?;
-        anyhow::ensure!(
-            !taken_over.has_happened(),
-            "another server may own the database by now; start this one again, and it waits for its turn"
-        );
-        Ok(())
+        Ok(if taken_over.has_happened() { Served::UntilTakenOver } else { Served::UntilStopped })
     }
 }
 
@@ -294,7 +300,7 @@ pub async fn serve(
     grpc: TcpListener,
     http: TcpListener,
     shutdown: impl Future<Output = ()> + Send + 'static,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<Served> {
     Server::open(location).await?.serve(grpc, http, shutdown).await
 }
 

@@ -9,11 +9,12 @@ use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
 use serde::Serialize;
 use tokio::net::TcpListener;
-use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::signal::unix::{SignalKind, signal};
+use tokio_util::sync::CancellationToken;
 use tracing_subscriber::EnvFilter;
 use waypost_server::config::{Config, DataLocation, Flags, LogFormat, StorageAddress, unknown_variables};
 use waypost_server::offline::{self, Finding, ListedToken, TokenLimits};
-use waypost_server::{Ports, Role, Server, Tls, open_beside_others};
+use waypost_server::{Opening, Ports, Role, Served, Server, Tls, open_beside_others};
 
 mod shell;
 
@@ -168,19 +169,70 @@ async fn work_on_data(command: DataCommand, config: &Config) -> anyhow::Result<E
 
 async fn serve(config: Config) -> anyhow::Result<ExitCode> {
     let tls = config.tls_files().as_ref().map(Tls::load).transpose()?;
+    start_log(&config.log, config.log_format)?;
+    for variable in unknown_variables(std::env::vars_os()) {
+        tracing::warn!(variable, "no setting has this name; it is left alone");
+    }
+    let stop = stop_when_asked()?;
+    let location = config.location();
+    match &location.storage {
+        StorageAddress::Sqlite => {
+            let server = configured(Server::open(location.clone()).await?, &config, tls).await?;
+            server.check_exposure([config.grpc_address, config.http_address])?;
+            let (grpc, http) = bind_both(&config).await?;
+            announce(config.ready_file.as_deref(), &grpc, &http)?;
+            tell_of(&config, &grpc, &http)?;
+            server.serve(grpc, http, stop.cancelled_owned()).await?;
+        }
+        StorageAddress::Postgres(_) => serve_beside_others(&config, tls, stop).await?,
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Serves whenever this server owns the database, and asks the one that does at other times.
+async fn serve_beside_others(
+    config: &Config,
+    tls: Option<Tls>,
+    stop: CancellationToken,
+) -> anyhow::Result<()> {
+    let (grpc, http) = bind_both(config).await?;
+    let ports = Ports {
+        grpc,
+        http,
+        tls: tls.clone(),
+        strangers: config.strangers(),
+        advertised_host: config.advertised_host.clone(),
+        allow_anonymous: config.allow_anonymous,
+    };
+    announce(config.ready_file.as_deref(), &ports.grpc, &ports.http)?;
+    let mut opening = Opening::First;
+    loop {
+        let opened = open_beside_others(&config.location(), &ports, opening, stop.cancelled()).await?;
+        let Some(server) = opened else { return Ok(()) };
+        let server = configured(server, config, tls.clone()).await?;
+        tell_of(config, &ports.grpc, &ports.http)?;
+        let (grpc, http) = ports.shared()?;
+        match server.serve(grpc, http, stop.clone().cancelled_owned()).await? {
+            Served::UntilStopped => return Ok(()),
+            Served::UntilTakenOver => opening = Opening::Again,
+        }
+    }
+}
+
+/// A server as its settings have it.
+async fn configured(server: Server, config: &Config, tls: Option<Tls>) -> anyhow::Result<Server> {
     let map_memory_bytes = config.map_memory_bytes();
     let strangers = config.strangers();
     let limits = config.limits();
-    let location = config.location();
     let Config {
         data_dir: _,
         storage: _,
-        grpc_address,
-        http_address,
-        advertised_host,
-        ready_file,
-        log,
-        log_format,
+        grpc_address: _,
+        http_address: _,
+        advertised_host: _,
+        ready_file: _,
+        log: _,
+        log_format: _,
         allow_anonymous,
         map_memory_mib: _,
         stranger_connections: _,
@@ -196,82 +248,51 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
         tls_client_ca: _,
         tls_fleet_ca: _,
     } = config;
-    start_log(&log, log_format)?;
-    for variable in unknown_variables(std::env::vars_os()) {
-        tracing::warn!(variable, "no setting has this name; it is left alone");
-    }
-
-    let mut asked =
-        Asked { terminate: signal(SignalKind::terminate())?, interrupt: signal(SignalKind::interrupt())? };
-    let encrypted = tls.is_some();
-    let (server, grpc, http) = match &location.storage {
-        StorageAddress::Sqlite => {
-            let server = Server::open(location.clone()).await?;
-            let server = if allow_anonymous { server.allow_anonymous() } else { server };
-            server.check_exposure([grpc_address, http_address])?;
-            (server, bind(grpc_address, "--grpc-address").await?, bind(http_address, "--http-address").await?)
-        }
-        StorageAddress::Postgres(_) => {
-            let ports = Ports {
-                grpc: bind(grpc_address, "--grpc-address").await?,
-                http: bind(http_address, "--http-address").await?,
-                tls: tls.clone(),
-                strangers,
-                advertised_host,
-                allow_anonymous,
-            };
-            // What is asked while another server owns the database is answered, too.
-            announce(ready_file.as_deref(), &ports.grpc, &ports.http)?;
-            let opened = open_beside_others(&location, &ports, asked.to_stop()).await?;
-            let Some(server) = opened else { return Ok(ExitCode::SUCCESS) };
-            let server = if allow_anonymous { server.allow_anonymous() } else { server };
-            (server, ports.grpc, ports.http)
-        }
-    };
     let mut server = server
         .with_shipped_model()
         .await?
         .with_map_memory(map_memory_bytes)
         .with_strangers(strangers)
-        .with_wrong_tokens_per_minute(wrong_tokens_per_minute)
+        .with_wrong_tokens_per_minute(*wrong_tokens_per_minute)
         .with_limits(limits)
-        .with_cors_origins(cors_origins);
+        .with_cors_origins(cors_origins.clone());
     if let Some(tls) = tls {
         server = server.with_tls(tls);
     }
-    if location.storage == StorageAddress::Sqlite {
-        announce(ready_file.as_deref(), &grpc, &http)?;
+    if *allow_anonymous {
+        server = server.allow_anonymous();
     }
-    tracing::info!(grpc = %grpc.local_addr()?, http = %http.local_addr()?, tls = encrypted, data = %location, "serving");
-
-    server
-        .serve(grpc, http, async move {
-            asked.to_stop().await;
-            tracing::info!("stopping");
-            tokio::spawn(async move {
-                asked.to_stop().await;
-                tracing::warn!("asked to stop again: ending at once; what was acknowledged is on the disk");
-                std::process::exit(1);
-            });
-        })
-        .await?;
-    Ok(ExitCode::SUCCESS)
+    Ok(server)
 }
 
-/// What a process hears that is to stop.
-struct Asked {
-    terminate: Signal,
-    interrupt: Signal,
+fn tell_of(config: &Config, grpc: &TcpListener, http: &TcpListener) -> anyhow::Result<()> {
+    let encrypted = config.tls_certificate.is_some();
+    let (grpc, http) = (grpc.local_addr()?, http.local_addr()?);
+    tracing::info!(%grpc, %http, tls = encrypted, data = %config.location(), "serving");
+    Ok(())
 }
 
-impl Asked {
-    /// Completes when it is asked to stop.
-    async fn to_stop(&mut self) {
-        tokio::select! {
-            _ = self.terminate.recv() => {}
-            _ = self.interrupt.recv() => {}
-        }
-    }
+/// Cancelled once the process is asked to stop. Asked again, it ends.
+fn stop_when_asked() -> anyhow::Result<CancellationToken> {
+    let mut terminate = signal(SignalKind::terminate())?;
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    let stop = CancellationToken::new();
+    let stopping = stop.clone();
+    tokio::spawn(async move {
+        let mut asked = async || {
+            tokio::select! {
+                _ = terminate.recv() => {}
+                _ = interrupt.recv() => {}
+            }
+        };
+        asked().await;
+        tracing::info!("stopping");
+        stopping.cancel();
+        asked().await;
+        tracing::warn!("asked to stop again: ending at once; what was acknowledged is on the disk");
+        std::process::exit(1);
+    });
+    Ok(stop)
 }
 
 fn start_log(filter: &str, format: LogFormat) -> anyhow::Result<()> {
@@ -287,6 +308,12 @@ fn start_log(filter: &str, format: LogFormat) -> anyhow::Result<()> {
         LogFormat::Json => log.json().with_current_span(true).with_span_list(false).init(),
     }
     Ok(())
+}
+
+/// Where robots connect, and where people look.
+async fn bind_both(config: &Config) -> anyhow::Result<(TcpListener, TcpListener)> {
+    let grpc = bind(config.grpc_address, "--grpc-address").await?;
+    Ok((grpc, bind(config.http_address, "--http-address").await?))
 }
 
 async fn bind(address: SocketAddr, option: &str) -> anyhow::Result<TcpListener> {

@@ -17,6 +17,7 @@ use metrics_exporter_prometheus::{BuildError, Matcher, PrometheusBuilder, Promet
 use topomap::metric::AgreementVerdict;
 
 pub(crate) use self::history::{EVERY as HISTORY_EVERY, History, HistoryView, SeriesName};
+use crate::ingest::extraction::Help;
 use crate::quotas::{Refusals, Used};
 
 const GRPC_REQUESTS: &str = "waypost_grpc_requests_total";
@@ -43,6 +44,8 @@ const CPU_SECONDS: &str = "waypost_process_cpu_seconds";
 const FORWARDED: &str = "waypost_forwarded_requests_total";
 const FORWARDED_OPEN: &str = "waypost_forwarded_requests_open";
 const OWNS_DATABASE: &str = "waypost_owns_database";
+const HELPER_CORES: &str = "waypost_helper_cores";
+const HELPED_IMAGES: &str = "waypost_helped_images_total";
 const BUILD: &str = "waypost_build_info";
 
 /// Upper bounds of what a stage of a frame takes, from an indexed likelihood to a queue that is full.
@@ -109,6 +112,8 @@ pub(crate) struct Levels {
     /// Robots that are led, by their status.
     pub(crate) robots_led: Vec<(&'static str, usize)>,
     pub(crate) queues: QueueLengths,
+    /// What other servers do for this one.
+    pub(crate) help: Help,
     /// What there is of what quotas may limit, whosever it is.
     pub(crate) used: Used,
     pub(crate) refusals: Refusals,
@@ -251,6 +256,7 @@ impl Metrics {
             disk_free_bytes,
             robots_led,
             queues,
+            help,
             used,
             refusals,
             process,
@@ -262,6 +268,8 @@ impl Metrics {
         self.local(|| {
             gauge!(DISK_FREE_BYTES).set(bytes(disk_free_bytes));
             gauge!(OWNS_DATABASE).set(1.0);
+            gauge!(HELPER_CORES).set(help.cores as f64);
+            counter!(HELPED_IMAGES).absolute(help.images);
             for (status, robots) in robots_led {
                 gauge!(ROBOTS_LED, "status" => status).set(robots as f64);
             }
@@ -375,6 +383,8 @@ fn describe() {
     describe_counter!(FORWARDED, "What was asked of the owner of the database for somebody else, by port.");
     describe_gauge!(FORWARDED_OPEN, "What is being asked so, streams included, by port.");
     describe_gauge!(OWNS_DATABASE, "1 if this server owns its database, 0 if it asks the server that does.");
+    describe_gauge!(HELPER_CORES, "Cores of other servers that look at images for this one.");
+    describe_counter!(HELPED_IMAGES, "Images that other servers have looked at for this one.");
     describe_gauge!(BUILD, "Always 1; the version is in the label.");
 }
 

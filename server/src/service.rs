@@ -29,6 +29,10 @@ mod streams;
 pub(crate) mod tokens;
 pub(crate) mod trajectories;
 
+use std::sync::Arc;
+use std::time::Duration;
+
+use rustls::ClientConfig;
 use tokio_util::sync::CancellationToken;
 
 use self::appearance::AppearanceGraphs;
@@ -56,12 +60,15 @@ use self::tokens::Tokens;
 use self::trajectories::Trajectories;
 use crate::clock::now_ns;
 use crate::error::ServiceError;
-use crate::fleet::Neighbours;
 use crate::ingest::extraction::Extraction;
 use crate::metrics::{History, Levels, Metrics, QueueLengths};
+use crate::net::neighbours::Neighbours;
 use crate::open_map::OpenMaps;
 use crate::quotas::ServerLimits;
-use crate::storage::{Moved, Source, Storage, StorageError, TakenOver};
+use crate::storage::{Fleet, Moved, Source, Storage, StorageError, TakenOver};
+
+/// How often it is seen to who looks at images, if nothing changes.
+const LOOK_FOR_HELPERS: Duration = Duration::from_secs(5);
 
 /// All that the server can do, by subject. Shared by every adapter.
 #[derive(Debug)]
@@ -120,7 +127,7 @@ impl Service {
             correcting: Correcting { frames: frames.clone() },
             measurements: Measurements { frames: frames.clone() },
             trajectories: Trajectories { frames: frames.clone() },
-            neighbours: Neighbours::of(storage.fleet_secret()),
+            neighbours: Neighbours::of(storage.fleet().map(|fleet| fleet.secret).as_deref()),
             rebuilding: Rebuilding { maps: maps.clone(), sessions: sessions.clone(), jobs: jobs.clone() },
             appearance,
             frames,
@@ -151,6 +158,24 @@ impl Service {
         self.jobs.track(self.deleted_maps.clone().keep_deleting());
         self.jobs.track(self.open_maps.clone().keep_within(map_memory_bytes));
         self.jobs.track(self.tokens.clone().keep_ending(self.stopping.clone()));
+    }
+
+    /// Has the other servers of the same database look at images, until this one stops.
+    pub(crate) fn use_helpers(&self, tls: Option<Arc<ClientConfig>>) {
+        let Some(Fleet { secret, mut helpers }) = self.storage.fleet() else { return };
+        let (extraction, stopping) = (self.extraction.clone(), self.stopping.clone());
+        self.jobs.track(async move {
+            loop {
+                let there = helpers.borrow_and_update().clone();
+                extraction.set_helpers(&there, &secret, tls.as_ref());
+                tokio::select! {
+                    // One that was given up is tried again.
+                    () = tokio::time::sleep(LOOK_FOR_HELPERS) => {}
+                    changed = helpers.changed() => if changed.is_err() { return },
+                    () = stopping.cancelled() => return,
+                }
+            }
+        });
     }
 
     /// How much may be there from now on, whosever it is.
@@ -218,6 +243,7 @@ impl Service {
         let disk_free_bytes = self.storage.free_bytes();
         let robots_led = self.navigation.counts();
         let extraction = self.extraction.backlog();
+        let help = self.extraction.help();
         let queues = QueueLengths {
             images: extraction.on_hand,
             robots_in_line: extraction.in_line,
@@ -232,6 +258,7 @@ impl Service {
             disk_free_bytes,
             robots_led,
             queues,
+            help,
             used,
             refusals,
             process,

@@ -12,6 +12,7 @@ mod house {
 
 /// Servers over one database of PostgreSQL.
 mod fleet {
+    mod any_server;
     mod migrating;
     mod owners;
 }

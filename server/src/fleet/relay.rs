@@ -12,6 +12,7 @@ use axum::response::{IntoResponse, Response};
 use axum_server::Handle;
 use http::{Method, StatusCode, header};
 use hyper::body::Incoming;
+use prost::Message;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
@@ -19,12 +20,16 @@ use tonic::{Code, Status};
 
 use super::Ports;
 use super::carried::{CarriedAnswer, CarriedCall};
-use super::neighbours::{self, Neighbours};
-use super::upstream::{Unreachable, Upstream, Way};
+use super::upstream::{Upstream, Way};
 use crate::error::ServiceError;
 use crate::http::HttpError;
+use crate::ingest::helping::Helping;
+use crate::ingest::looking::{self, Look, Seen};
 use crate::metrics::{Forwarding, Metrics};
 use crate::net::connections::{Came, Connections, Port};
+use crate::net::messages::MAX_MESSAGE_BYTES;
+use crate::net::neighbours::{self, Neighbours};
+use crate::net::peer::Unreachable;
 use crate::net::standing::Standing;
 use crate::net::tls::Tls;
 use crate::storage::Owner;
@@ -36,6 +41,8 @@ const RETRY: Duration = Duration::from_secs(1);
 #[derive(Clone, Debug)]
 pub(super) struct Relay {
     way: Way,
+    /// What it does for the owner.
+    helping: Helping,
     metrics: Metrics,
     /// Cancelled when this ends, and with it all that came over it.
     over: CancellationToken,
@@ -78,9 +85,16 @@ impl Drop for CutAtEnd {
 }
 
 impl Relay {
-    pub(super) fn new(owner: watch::Receiver<Option<Owner>>, tls: Option<&Tls>, metrics: Metrics) -> Self {
+    /// `database` is the address that models are read from.
+    pub(super) fn new(
+        owner: watch::Receiver<Option<Owner>>,
+        database: &str,
+        tls: Option<&Tls>,
+        metrics: Metrics,
+    ) -> Self {
         let way = Way { owner, tls: tls.map(|tls| tls.neighbours.clone()) };
-        Self { way, metrics, over: CancellationToken::new() }
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Self { way, helping: Helping::new(database, cores), metrics, over: CancellationToken::new() }
     }
 
     /// Serves both ports until this is dropped.
@@ -125,6 +139,12 @@ async fn ask(
     if door.language == Language::Rest && path == "/healthz" {
         return "ok\n".into_response();
     }
+    if door.language == Language::Rest && path == looking::PATH {
+        return match door.look(&visitor, request).await {
+            Ok(seen) => seen.encode_to_vec().into_response(),
+            Err(error) => door.language.refusal(error),
+        };
+    }
     let own_metrics =
         door.language == Language::Rest && path == "/metrics" && request.method() == Method::GET;
     let forwarding = door.relay.metrics.forward(door.language.name());
@@ -149,6 +169,20 @@ async fn ask(
 }
 
 impl Door {
+    /// Looks at an image for the owner, and for nobody else.
+    async fn look(&self, visitor: &Visitor, request: Request) -> Result<Seen, ServiceError> {
+        let secret = self.relay.way.owner.borrow().as_ref().map(|owner| owner.secret.clone());
+        if Neighbours::of(secret.as_deref()).on_behalf_of(request.headers()).is_none() {
+            return Err(ServiceError::unauthenticated("this is for servers of the same database alone"));
+        }
+        if let Some(standing) = &visitor.standing {
+            standing.admit(&self.relay.over)?;
+        }
+        let body = axum::body::to_bytes(request.into_body(), MAX_MESSAGE_BYTES).await;
+        let look = Look::decode(body.map_err(ServiceError::invalid)?).map_err(ServiceError::invalid)?;
+        self.relay.helping.look(look).await
+    }
+
     async fn ask_owner(
         &self,
         visitor: &Visitor,

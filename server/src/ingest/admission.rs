@@ -68,6 +68,11 @@ impl Admission {
         Self { queue: Arc::new(Mutex::new(Queue { cores, on_hand: 0, last_done, interval, in_line })) }
     }
 
+    /// So many images can be worked on side by side from now on.
+    pub(super) fn set_cores(&self, cores: usize) {
+        lock(&self.queue).cores = cores;
+    }
+
     pub(super) fn backlog(&self, now: Instant) -> Backlog {
         let mut queue = lock(&self.queue);
         queue.in_line.retain(|turn| now < turn.due + GRACE);

@@ -9,8 +9,9 @@ use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::features::Keypoint;
 use waypost_vision::image::MAX_SIDE_PX;
 
-use super::extraction::{Extraction, Observed};
+use super::extraction::Extraction;
 use super::model::LoadedModel;
+use super::observed::Observed;
 use super::panoramic::PanoramicOptics;
 use crate::error::ServiceError;
 use crate::map_settings::Keep;

@@ -1,13 +1,14 @@
-//! Images to words, off the async threads.
+//! Images to words, off the async threads, or on another server.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use bytes::Bytes;
 use fabmap::observation::Observation;
-use tokio::sync::Semaphore;
+use rustls::ClientConfig;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_util::task::AbortOnDropHandle;
-use tracing::Span;
+use tracing::{Instrument, Span};
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::features::{ExtractError, Extractor, FeatureError, Features};
 use waypost_vision::image::{self, GreyImage, ImageError};
@@ -15,34 +16,43 @@ use waypost_vision::look_alikes::TrainingImage;
 use waypost_vision::panorama;
 
 use super::admission::{Admission, Backlog};
+use super::helpers::{Helpers, NotSeen};
 use super::model::LoadedModel;
+use super::observed::Observed;
 use super::panoramic::PanoramicOptics;
 use crate::error::ServiceError;
 use crate::map_settings::Keep;
-use crate::storage::{Medium, MediumKind};
+use crate::storage::{HelperRow, Medium, MediumKind};
 
 /// Bounds how many images are worked on at once, one a core, over all senders; and how many wait.
 #[derive(Clone, Debug)]
 pub(crate) struct Extraction {
     cores: Arc<Semaphore>,
+    /// How many cores there are here.
+    own: usize,
+    helpers: Helpers,
     admission: Admission,
-}
-
-/// What an image shows, and how long it took to see it.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Observed {
-    pub(crate) observation: Observation,
-    /// Where it shows that; none if only how often is known.
-    pub(crate) features: Option<Arc<FeatureRecord>>,
-    /// What is kept of it beside its words.
-    pub(crate) media: Vec<Medium>,
-    pub(crate) extract: Duration,
-    pub(crate) quantize: Duration,
 }
 
 impl Extraction {
     pub(crate) fn new(cores: usize) -> Self {
-        Self { cores: Arc::new(Semaphore::new(cores)), admission: Admission::new(cores) }
+        Self {
+            cores: Arc::new(Semaphore::new(cores)),
+            own: cores,
+            helpers: Helpers::default(),
+            admission: Admission::new(cores),
+        }
+    }
+
+    /// Which servers look at images for this one from now on.
+    pub(crate) fn set_helpers(&self, rows: &[HelperRow], secret: &Arc<str>, tls: Option<&Arc<ClientConfig>>) {
+        self.helpers.set(rows, secret, tls);
+        self.admission.set_cores(self.own + self.helpers.cores());
+    }
+
+    /// Cores of servers that look at images for this one, and how many they have looked at.
+    pub(crate) fn help(&self) -> Help {
+        Help { cores: self.helpers.cores(), images: self.helpers.helped() }
     }
 
     /// What waits just now.
@@ -61,12 +71,47 @@ impl Extraction {
         stream: Option<u64>,
     ) -> Result<Observed, ServiceError> {
         let admitted = self.admission.admit(stream, Instant::now()).map_err(ServiceError::overloaded)?;
-        self.run(move || {
-            let observed = observe(&model, image, keep, optics);
-            admitted.done(Instant::now());
-            observed
-        })
-        .await
+        let observed = match optics {
+            // It takes the camera to make a panorama, which helpers do not know.
+            Some(_) => self.run(move || observe(&model, image, keep, optics)).await,
+            None => self.observe_anywhere(model, image, keep).await,
+        };
+        admitted.done(Instant::now());
+        observed
+    }
+
+    /// On the first core that is free, here or at a helper.
+    async fn observe_anywhere(
+        &self,
+        model: Arc<LoadedModel>,
+        image: Bytes,
+        keep: Keep,
+    ) -> Result<Observed, ServiceError> {
+        let (extraction, span) = (self.clone(), Span::current());
+        // A task of its own, as in `run`.
+        let task = AbortOnDropHandle::new(tokio::spawn(
+            async move {
+                let place = tokio::select! {
+                    biased;
+                    core = extraction.cores.clone().acquire_owned() => {
+                        let core = core.map_err(|_closed| ServiceError::stopping())?;
+                        return on_core(core, move || observe(&model, image, keep, None)).await;
+                    }
+                    place = extraction.helpers.place() => place,
+                };
+                match place.observe(&model, &image, keep).await {
+                    Ok(observed) => Ok(observed),
+                    Err(NotSeen::Refused(error)) => Err(error),
+                    Err(not_seen) => {
+                        place.give_up(&not_seen);
+                        drop(place);
+                        extraction.run(move || observe(&model, image, keep, None)).await
+                    }
+                }
+            }
+            .instrument(span),
+        ));
+        task.await.map_err(ServiceError::internal)?
     }
 
     /// Decodes an image and describes its features.
@@ -89,25 +134,43 @@ impl Extraction {
         let cores = self.cores.clone();
         // A task of its own: a stream that is not polled, because its client does not read, must not
         // sit on a core that it was given.
-        let span = Span::current();
-        let task = AbortOnDropHandle::new(tokio::spawn(async move {
-            let core = cores.acquire_owned().await.map_err(|_| ServiceError::stopping())?;
-            let blocking = tokio::task::spawn_blocking(move || {
-                let result = span.in_scope(work);
-                drop(core);
-                result
-            });
-            blocking.await.map_err(ServiceError::internal)?
-        }));
+        let waiting = async move {
+            let core = cores.acquire_owned().await.map_err(|_closed| ServiceError::stopping())?;
+            on_core(core, work).await
+        };
+        let task = AbortOnDropHandle::new(tokio::spawn(waiting.instrument(Span::current())));
         task.await.map_err(ServiceError::internal)?
     }
+}
+
+async fn on_core<T: Send + 'static>(
+    core: OwnedSemaphorePermit,
+    work: impl FnOnce() -> Result<T, ServiceError> + Send + 'static,
+) -> Result<T, ServiceError> {
+    let span = Span::current();
+    let blocking = tokio::task::spawn_blocking(move || {
+        let result = span.in_scope(work);
+        drop(core);
+        result
+    });
+    blocking.await.map_err(ServiceError::internal)?
+}
+
+/// What other servers do for this one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Help {
+    /// Cores that they look at images with.
+    pub(crate) cores: usize,
+    /// Images that they have looked at.
+    pub(crate) images: u64,
 }
 
 /// Thumbnails are to be recognised by people, not by robots.
 const THUMBNAIL_WIDTH_PX: u32 = 160;
 const THUMBNAIL_QUALITY: u8 = 75;
 
-fn observe(
+/// What an image shows to a model, and what is to be kept of it.
+pub(super) fn observe(
     model: &LoadedModel,
     bytes: Bytes,
     keep: Keep,

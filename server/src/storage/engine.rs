@@ -4,7 +4,7 @@ use sqlx::any::AnyPoolOptions;
 use sqlx::{Any, AnyPool, Connection, Transaction};
 use tokio::sync::watch;
 
-use super::postgres::Postgres;
+use super::postgres::{Fleet, Postgres};
 use super::sqlite::Sqlite;
 use super::values::from_sql;
 use super::{Storage, StorageError, postgres, sqlite};
@@ -121,11 +121,11 @@ impl Storage {
         Ok(())
     }
 
-    /// By which the servers of a fleet know each other; `None` for SQLite.
-    pub(crate) fn fleet_secret(&self) -> Option<&str> {
+    /// The other servers of the same database; `None` for SQLite.
+    pub(crate) fn fleet(&self) -> Option<Fleet> {
         match &self.engine {
             Engine::Sqlite(_) => None,
-            Engine::Postgres(postgres) => Some(postgres.secret()),
+            Engine::Postgres(postgres) => Some(postgres.fleet()),
         }
     }
 

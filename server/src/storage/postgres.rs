@@ -3,6 +3,7 @@
 //! One server at a time owns it. The owner is a row with an epoch, which every transaction that writes holds on to: one
 //! that was taken over writes nothing more. No clock decides about that, only about when somebody else may try.
 
+mod helpers;
 mod lease;
 
 use std::sync::Arc;
@@ -15,6 +16,7 @@ use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, ConnectOptions, Connectio
 use tokio::sync::watch;
 use tokio::task::AbortHandle;
 
+pub(crate) use self::helpers::{HelperRow, model_file};
 pub(crate) use self::lease::{Addresses, Claim, Owner, WhileOwned, host_name};
 use self::lease::{LEASE, renew, take};
 use super::sqlite::Inspection;
@@ -40,7 +42,17 @@ pub(super) struct Postgres {
     /// By which the servers of a fleet know each other.
     secret: Arc<str>,
     taken_over: watch::Receiver<bool>,
+    helpers: watch::Receiver<Vec<HelperRow>>,
     renewal: Arc<Renewal>,
+}
+
+/// The other servers of this one's database, as it knows them while it owns it.
+#[derive(Clone, Debug)]
+pub(crate) struct Fleet {
+    /// By which they know each other.
+    pub(crate) secret: Arc<str>,
+    /// Those that look at images.
+    pub(crate) helpers: watch::Receiver<Vec<HelperRow>>,
 }
 
 /// Ends with the last that needs it.
@@ -69,10 +81,11 @@ pub(super) async fn open(address: &str, claim: Claim) -> Result<(Postgres, Pools
     let exporters = pool(EXPORTERS).connect_lazy(address)?;
     let (epoch, secret) = take(&writer, claim).await?;
     let (tell, taken_over) = watch::channel(false);
+    let (tell_helpers, helpers) = watch::channel(Vec::new());
     // A connection of its own: neither a long transaction nor readers hold it up.
-    let renewing = tokio::spawn(renew(pool(1).connect_lazy(address)?, epoch, tell));
+    let renewing = tokio::spawn(renew(pool(1).connect_lazy(address)?, epoch, tell, tell_helpers));
     let renewal = Arc::new(Renewal(renewing.abort_handle()));
-    let postgres = Postgres { epoch, secret: secret.into(), taken_over, renewal };
+    let postgres = Postgres { epoch, secret: secret.into(), taken_over, helpers, renewal };
     Ok((postgres, Pools { writer, readers, exporters }))
 }
 
@@ -181,8 +194,8 @@ impl Postgres {
         if owned.is_some() { Ok(()) } else { Err(StorageError::TakenOver) }
     }
 
-    pub(super) fn secret(&self) -> &str {
-        &self.secret
+    pub(super) fn fleet(&self) -> Fleet {
+        Fleet { secret: self.secret.clone(), helpers: self.helpers.clone() }
     }
 
     pub(super) fn taken_over(&self) -> watch::Receiver<bool> {
@@ -192,6 +205,9 @@ impl Postgres {
     /// The next server need not wait until the lease has run out.
     pub(super) async fn hand_over(&self, writer: &AnyPool) {
         self.renewal.0.abort();
+        if *self.taken_over.borrow() {
+            return;
+        }
         let expire =
             sqlx::query("UPDATE lease SET expires = now() WHERE id = 1 AND epoch = $1").bind(self.epoch);
         if let Err(error) = expire.execute(writer).await {

@@ -13,26 +13,47 @@ use crate::harness::{
     wire,
 };
 
-const FRAMES: u64 = 40;
+pub(super) const FRAMES: u64 = 40;
 
 /// Longer than who is gone is waited for.
-const LEASE: Duration = Duration::from_secs(8);
+const LEASE: Duration = Duration::from_secs(6);
+
+/// A server on a database that others may own.
+pub(super) fn beside_others(url: &str) -> (ServerProcess, tempfile::TempDir) {
+    beside_others_with(url, &[])
+}
+
+/// The same, with further options.
+pub(super) fn beside_others_with(url: &str, options: &[&str]) -> (ServerProcess, tempfile::TempDir) {
+    let directory = tempfile::tempdir().unwrap();
+    let options = [&["--storage", url], options].concat();
+    (ServerProcess::start_with(directory.path(), &options), directory)
+}
+
+pub(super) fn until_it_owns(server: &ServerProcess) {
+    let since = Instant::now();
+    while !server.log().contains("serving") {
+        assert!(since.elapsed() < 4 * LEASE, "{}", server.log());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
 
 /// Starts a server, and waits in the background until it owns the database.
 fn in_reserve(url: &str) -> JoinHandle<(ServerProcess, tempfile::TempDir)> {
     let url = url.to_owned();
     tokio::task::spawn_blocking(move || {
-        let directory = tempfile::tempdir().unwrap();
-        (ServerProcess::start_with(directory.path(), &["--storage", &url]), directory)
+        let (server, directory) = beside_others(&url);
+        until_it_owns(&server);
+        (server, directory)
     })
 }
 
-async fn owner(url: &str) -> (ServerProcess, tempfile::TempDir) {
+pub(super) async fn owner(url: &str) -> (ServerProcess, tempfile::TempDir) {
     in_reserve(url).await.unwrap()
 }
 
 /// A database with the map `drive`, whose server was stopped.
-async fn prepared(cluster: &Cluster, name: &str) -> TestDatabase {
+pub(super) async fn prepared(cluster: &Cluster, name: &str) -> TestDatabase {
     let database = cluster.database(name).await;
     let (server, _directory) = owner(&database.url()).await;
     let client = server.client().await;
@@ -43,14 +64,14 @@ async fn prepared(cluster: &Cluster, name: &str) -> TestDatabase {
 }
 
 /// The map holds the first `frames` of the drive, each once, and is what they make of it anywhere.
-async fn is_whole(client: &Client, frames: u64) {
+pub(super) async fn is_whole(client: &Client, frames: u64) {
     let map = client.map("drive", v1::MapView::Full).await.unwrap();
     assert_eq!(map.frames, frames);
     assert_eq!(map.state_hash, Some(reference().maps[frames as usize].state_hash.clone()));
 }
 
 /// Epochs in the order of owners, from the first on.
-async fn epoch(database: &TestDatabase) -> i64 {
+pub(super) async fn epoch(database: &TestDatabase) -> i64 {
     let mut connection = database.connect().await;
     sqlx::query_scalar("SELECT epoch FROM lease").fetch_one(&mut connection).await.unwrap()
 }
@@ -89,7 +110,7 @@ async fn owners_that_are_killed_are_followed() {
 }
 
 /// An owner that sleeps for longer than it is waited for wakes up to find another in its place. What it is sent then it
-/// does not store, and it ends.
+/// does not store; it asks the other, and is the next one in turn.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_owner_that_slept_writes_nothing_more() {
     let Some(cluster) = Cluster::running() else { return };
@@ -113,13 +134,26 @@ async fn an_owner_that_slept_writes_nothing_more() {
     kill_process(asleep, Signal::CONT).unwrap();
     let status = in_time(raw.next()).await.unwrap_err();
     assert_eq!(status.code(), tonic::Code::Unavailable, "{status:?}");
-    let ended = tokio::task::spawn_blocking(move || (first.wait(LEASE), first.log()));
-    let (ended, log) = ended.await.unwrap();
-    assert!(ended.is_some_and(|status| !status.success()), "{ended:?}:\n{log}");
-    assert!(log.contains("another server"), "{log}");
-    is_whole(&client, 10).await;
+    is_whole(&through(&first).await, 10).await;
     answers(&client, "drive", "robot", (11..=20).map(frame)).await;
-    is_whole(&client, 20).await;
+    is_whole(&through(&first).await, 20).await;
+    assert!(first.log().contains("another server has taken the database over"), "{}", first.log());
+    second.kill();
+    is_whole(&through(&first).await, 20).await;
+    assert!(first.is_running());
+    assert_eq!(epoch(&database).await, 4);
+}
+
+/// A client of a server that may be changing its part.
+async fn through(server: &ServerProcess) -> Client {
+    let client = server.client().await;
+    in_time(async {
+        while client.maps().await.is_err() {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    })
+    .await;
+    client
 }
 
 /// The way to the database is cut for a while that is shorter than the owner is waited for: frames wait.
@@ -146,9 +180,10 @@ async fn a_database_out_of_reach_is_waited_for() {
     assert_eq!(epoch(&database).await, 2);
 }
 
-/// The way is cut for longer: the owner ends, for another may have the database by now, and has.
+/// The way is cut for longer: another has the database by then. The one that was cut off serves nothing meanwhile, and asks
+/// the other when the way is there again.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_owner_that_is_cut_off_ends() {
+async fn an_owner_that_is_cut_off_is_followed_and_comes_back() {
     let Some(cluster) = Cluster::running() else { return };
     let database = prepared(&cluster, "long_cut").await;
     let way = Proxy::start().await;
@@ -161,10 +196,18 @@ async fn an_owner_that_is_cut_off_ends() {
     way.cut();
     let (second, _second_directory) = reserve.await.unwrap();
     is_whole(&second.client().await, acknowledged).await;
-    let ended = tokio::task::spawn_blocking(move || (first.wait(2 * LEASE), first.log()));
-    let (ended, log) = ended.await.unwrap();
-    assert!(ended.is_some_and(|status| !status.success()), "{ended:?}:\n{log}");
-    assert!(log.contains("out of reach"), "{log}");
+    in_time(async {
+        while !first.log().contains("cannot be opened again yet") {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    })
+    .await;
+    assert!(first.log().contains("out of reach"), "{}", first.log());
+    assert!(first.client().await.maps().await.is_err());
+    way.forward_to(Some(cluster.socket()));
+    is_whole(&through(&first).await, acknowledged).await;
+    assert!(first.is_running(), "{}", first.log());
+    assert_eq!(epoch(&database).await, 3);
 }
 
 /// A server that is told to stop need not be waited for.
@@ -196,8 +239,7 @@ async fn an_owner_that_stops_hands_over() {
 async fn somebody_waits(database: &TestDatabase) -> bool {
     let mut connection = database.connect().await;
     let asking = sqlx::query(
-        "SELECT 1 FROM pg_stat_activity WHERE datname = $1 \
-         AND (query LIKE 'SELECT holder FROM lease%' OR query LIKE 'INSERT INTO lease%')",
+        "SELECT 1 FROM pg_stat_activity WHERE datname = $1 AND query LIKE 'SELECT epoch, holder%'",
     );
     asking.bind(&database.name).fetch_optional(&mut connection).await.unwrap().is_some()
 }

@@ -5,12 +5,18 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 use tokio::net::TcpListener;
+use tokio::runtime::Handle;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use tonic::transport::{Channel, Endpoint};
 use waypost_client::{Client, v1};
+use waypost_server::config::{Config, DataLocation};
+use waypost_server::{Opening, Ports, open_beside_others};
 
 use super::{by_words_request, location, map_request, model_file};
+
+/// Set where all is to be asked of a server that does not own the database, on PostgreSQL.
+const ASKED_IN_RESERVE: &str = "WAYPOST_TEST_ASKED_IN_RESERVE";
 
 /// A server on ports and, unless told otherwise, on a directory of its own. Stops when dropped.
 pub(crate) struct Server {
@@ -19,8 +25,51 @@ pub(crate) struct Server {
     _own_directory: Option<TempDir>,
     grpc: SocketAddr,
     http: SocketAddr,
+    reserve: Option<Reserve>,
     stop: oneshot::Sender<()>,
     served: JoinHandle<()>,
+}
+
+/// A server in reserve, which is asked in place of the owner.
+struct Reserve {
+    stop: oneshot::Sender<()>,
+    waiting: JoinHandle<()>,
+}
+
+impl Reserve {
+    fn waiting(location: DataLocation, ports: Ports) -> Self {
+        let (stop, stopped) = oneshot::channel::<()>();
+        let waiting = tokio::task::spawn_blocking(move || {
+            let stopped = async {
+                let _ = stopped.await;
+            };
+            let opened =
+                Handle::current().block_on(open_beside_others(&location, &ports, Opening::First, stopped));
+            assert!(opened.expect("it serves").is_none(), "it is never its turn");
+        });
+        Self { stop, waiting }
+    }
+
+    async fn stop(self) {
+        let _ = self.stop.send(());
+        super::in_time(self.waiting).await.unwrap();
+    }
+}
+
+async fn ports() -> Ports {
+    let listener = async || TcpListener::bind("127.0.0.1:0").await.unwrap();
+    Ports {
+        grpc: listener().await,
+        http: listener().await,
+        tls: None,
+        strangers: Config::default().strangers(),
+        advertised_host: None,
+        allow_anonymous: false,
+    }
+}
+
+fn addresses(ports: &Ports) -> [SocketAddr; 2] {
+    [&ports.grpc, &ports.http].map(|listener| listener.local_addr().unwrap())
 }
 
 impl Server {
@@ -39,8 +88,7 @@ impl Server {
 
     /// A server on a directory that may be damaged: what it says if it does not start.
     pub(crate) async fn try_start_on(directory: &Path) -> Result<Self, String> {
-        let server = waypost_server::Server::open(location(directory).await).await;
-        Ok(Self::serving(directory, server.map_err(|error| error.to_string())?).await)
+        Self::try_start_as(directory, |server| server).await
     }
 
     /// A server on a directory, with what `configure` adds to it.
@@ -48,29 +96,34 @@ impl Server {
         directory: &Path,
         configure: impl FnOnce(waypost_server::Server) -> waypost_server::Server,
     ) -> Self {
-        let server =
-            waypost_server::Server::open(location(directory).await).await.expect("the directory opens");
-        Self::serving(directory, configure(server)).await
+        Self::try_start_as(directory, configure).await.expect("the directory opens")
     }
 
-    async fn serving(directory: &Path, server: waypost_server::Server) -> Self {
-        let listener = async || TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let (grpc, http) = (listener().await, listener().await);
-        let (grpc_at, http_at) = (grpc.local_addr().unwrap(), http.local_addr().unwrap());
+    async fn try_start_as(
+        directory: &Path,
+        configure: impl FnOnce(waypost_server::Server) -> waypost_server::Server,
+    ) -> Result<Self, String> {
+        let location = location(directory).await;
+        let ports = ports().await;
+        let opened = open_beside_others(&location, &ports, Opening::First, std::future::pending()).await;
+        let server = configure(opened.map_err(|error| error.to_string())?.expect("nobody stops it"));
+        let mut addresses = addresses(&ports);
         let (stop, stopped) = oneshot::channel();
-        let serving = server.serve(grpc, http, async move {
+        let serving = server.serve(ports.grpc, ports.http, async move {
             // Also when the sender is dropped.
             let _ = stopped.await;
         });
-        let served = tokio::spawn(async move { serving.await.expect("the server ends well") });
-        Self {
-            directory: directory.to_owned(),
-            _own_directory: None,
-            grpc: grpc_at,
-            http: http_at,
-            stop,
-            served,
+        let served = tokio::spawn(async move {
+            serving.await.expect("the server ends well");
+        });
+        let mut reserve = None;
+        if std::env::var_os(ASKED_IN_RESERVE).is_some() {
+            let ports = self::ports().await;
+            addresses = self::addresses(&ports);
+            reserve = Some(Reserve::waiting(location, ports));
         }
+        let [grpc, http] = addresses;
+        Ok(Self { directory: directory.to_owned(), _own_directory: None, grpc, http, reserve, stop, served })
     }
 
     /// A server with the shipped model, and a map `drive` made from it.
@@ -121,6 +174,9 @@ impl Server {
 
     /// Stops in good order, and waits for it.
     pub(crate) async fn stop(self) {
+        if let Some(reserve) = self.reserve {
+            reserve.stop().await;
+        }
         let _ = self.stop.send(());
         super::in_time(self.served).await.unwrap();
     }

@@ -26,7 +26,7 @@ use super::{
 use crate::camera::Camera;
 use crate::error::ServiceError;
 use crate::ingest::content::{Content, Words};
-use crate::ingest::extraction::Observed;
+use crate::ingest::observed::Observed;
 use crate::ingest::panoramic::PanoramicOptics;
 use crate::map_settings::Keep;
 use crate::names::navigation_name;

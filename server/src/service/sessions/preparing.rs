@@ -8,7 +8,7 @@ use topomap::mapper::{FrameInput, Localizer};
 use super::{Frame, ReceivedFrame, RefusedFrame, SessionStream};
 use crate::error::ServiceError;
 use crate::ingest::content::Content;
-use crate::ingest::extraction::Observed;
+use crate::ingest::observed::Observed;
 use crate::metrics::FrameTimings;
 use crate::open_map::{FrameSource, FrameWork};
 use crate::quotas::Quotas;

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use sqlx::AnyPool;
 use tokio::sync::watch;
 
+use super::helpers::{HelperRow, Registration, who_helps};
 use crate::storage::StorageError;
 
 /// Who has not said for this long that it is there has given the database up.
@@ -57,16 +58,23 @@ pub(crate) struct Owner {
 /// Becomes the owner, unless somebody else is; gives the epoch and the fleet's secret.
 pub(super) async fn take(writer: &AnyPool, claim: Claim) -> Result<(i64, String), StorageError> {
     let Claim { addresses, while_owned } = claim;
+    let mut registration = Registration::new(holder(), addresses.http.clone());
     loop {
         match (try_to_take(writer, &addresses).await, &while_owned) {
             (Ok(Taken::Yes { epoch, secret }), _) => {
+                registration.withdraw(writer).await?;
                 tracing::info!(epoch, "this server owns the database");
                 return Ok((epoch, secret));
             }
             (Ok(Taken::No(owner)), WhileOwned::Refuse) => {
                 return Err(StorageError::Owned { owner: owner.holder });
             }
-            (Ok(Taken::No(owner)), WhileOwned::Wait(tell)) => tell_of(owner, tell),
+            (Ok(Taken::No(owner)), WhileOwned::Wait(tell)) => {
+                tell_of(owner, tell);
+                if let Err(error) = registration.renew(writer).await {
+                    tracing::warn!(%error, "the owner of the database cannot be told that this server helps");
+                }
+            }
             // Who has seen an owner goes on, as while a standby of PostgreSQL takes over.
             (Err(error @ StorageError::HeldUp(_)), WhileOwned::Wait(tell)) if tell.borrow().is_some() => {
                 tracing::warn!(%error, "who owns the database cannot be seen");
@@ -106,7 +114,7 @@ async fn try_to_take(writer: &AnyPool, addresses: &Addresses) -> Result<Taken, S
          expires = excluded.expires, grpc_address = excluded.grpc_address, http_address = excluded.http_address \
          WHERE lease.expires <= now() RETURNING epoch, secret",
     )
-    .bind(format!("{}, process {}", host_name(), std::process::id()))
+    .bind(holder())
     .bind(LEASE.as_millis() as i64)
     .bind(&addresses.grpc)
     .bind(&addresses.http)
@@ -123,7 +131,14 @@ async fn try_to_take(writer: &AnyPool, addresses: &Addresses) -> Result<Taken, S
 }
 
 /// Says again and again that the owner is there; tells when it no longer is, or may no longer be.
-pub(super) async fn renew(pool: AnyPool, epoch: i64, taken_over: watch::Sender<bool>) {
+///
+/// Meanwhile it tells who helps.
+pub(super) async fn renew(
+    pool: AnyPool,
+    epoch: i64,
+    taken_over: watch::Sender<bool>,
+    helpers: watch::Sender<Vec<HelperRow>>,
+) {
     let mut owned = Instant::now();
     loop {
         tokio::time::sleep(LEASE / RENEWALS_PER_LEASE).await;
@@ -135,7 +150,12 @@ pub(super) async fn renew(pool: AnyPool, epoch: i64, taken_over: watch::Sender<b
         .bind(epoch);
         let renewed = tokio::time::timeout(LEASE / RENEWALS_PER_LEASE, renewal.execute(&pool)).await;
         match renewed {
-            Ok(Ok(done)) if done.rows_affected() == 1 => owned = asked,
+            Ok(Ok(done)) if done.rows_affected() == 1 => {
+                owned = asked;
+                let there = tokio::time::timeout(LEASE / RENEWALS_PER_LEASE, who_helps(&pool)).await;
+                let there = there.ok().and_then(Result::ok).unwrap_or_default();
+                helpers.send_if_modified(|known| std::mem::replace(known, there.clone()) != there);
+            }
             Ok(Ok(_none)) => {
                 tracing::error!(epoch, "another server has taken the database over");
                 taken_over.send_replace(true);
@@ -153,6 +173,11 @@ pub(super) async fn renew(pool: AnyPool, epoch: i64, taken_over: watch::Sender<b
             return;
         }
     }
+}
+
+/// This server, for people.
+fn holder() -> String {
+    format!("{}, process {}", host_name(), std::process::id())
 }
 
 /// As others know this machine.

@@ -33,7 +33,7 @@ impl Neighbours {
 }
 
 /// Says for whom is asked, whatever is said of that already.
-pub(super) fn tell(headers: &mut HeaderMap, peer: IpAddr, secret: &str) {
+pub(crate) fn tell(headers: &mut HeaderMap, peer: IpAddr, secret: &str) {
     headers.remove(&FORWARDED);
     if let Ok(mut value) = HeaderValue::from_str(&format!("{peer} {secret}")) {
         value.set_sensitive(true);
