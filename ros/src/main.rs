@@ -18,6 +18,7 @@ mod control;
 mod diagnostics;
 mod drive;
 mod failure;
+mod gate;
 mod given;
 mod intake;
 mod markers;
