@@ -20,6 +20,7 @@ mod drive;
 mod failure;
 mod gate;
 mod given;
+mod graph;
 mod intake;
 mod markers;
 mod names;
