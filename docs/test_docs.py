@@ -8,8 +8,10 @@ that cannot run says why (`sh needs=docker`), and `CANNOT_RUN` counts those.
 from __future__ import annotations
 
 import contextlib
+import gzip
 import json
 import os
+import random
 import re
 import shutil
 import signal
@@ -95,7 +97,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the pages take for granted: `drive` in four forms, `photos`, `panoramas` and `demo`.
 
     `drive` is a simulated robot's: images, odometry and the camera's calibration. `drive.mcap`, `drive.mp4`
-    and `rtabmap.db` are other forms of a drive. `photos` are images of the
+    and `rtabmap.db` are other forms of a drive, and `orb.yml.gz` is a vocabulary of DBoW2. `photos` are images of the
     demo, which come back to where they began, and `panoramas` the same, cut to the shape of panoramas.
     """
     folder = tmp_path_factory.mktemp("recordings")
@@ -117,7 +119,20 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.rmtree(folder / "data")
     film(folder / "drive" / "images", folder / "drive.mp4")
     rtabmap(folder / "drive", folder / "rtabmap.db")
+    (folder / "orb.yml.gz").write_bytes(gzip.compress(orb_vocabulary().encode()))
     return folder
+
+
+def orb_vocabulary() -> str:
+    """Twenty words, as DBoW2 writes them."""
+    head = "%YAML:1.0\nvocabulary:\n   k: 20\n   L: 1\n   scoringType: 0\n   weightingType: 0\n"
+    chance = random.Random(1)
+    nodes, words = "", ""
+    for word in range(20):
+        row = "".join(f"{byte} " for byte in chance.randbytes(32))
+        nodes += f'      - {{ nodeId:{word + 1}, parentId:0, weight:1.,\n          descriptor:"{row}" }}\n'
+        words += f"      - {{ wordId:{word}, nodeId:{word + 1} }}\n"
+    return f"{head}   nodes:\n{nodes}   words:\n{words}"
 
 
 def film(images: Path, video: Path) -> None:

@@ -22,6 +22,7 @@ mod progress;
 mod ranking;
 mod report;
 mod timing;
+mod vocabularies;
 mod weights;
 mod workload;
 

@@ -1,6 +1,9 @@
 //! The visual vocabulary: which word a descriptor is.
 
+mod dbow_yaml;
 mod error;
+mod fbow;
+mod import;
 mod orb_text;
 mod settings;
 mod training;
@@ -11,10 +14,16 @@ use crate::observation::{Observation, WordId};
 use crate::quantizer::{Centres, Quantizer};
 
 pub use crate::quantizer::TreeError;
+pub use dbow_yaml::DbowYamlError;
 pub use error::VocabularyError;
+pub use fbow::FbowError;
+pub use import::ImportError;
 pub use orb_text::OrbVocabularyError;
 pub use settings::VocabularySettings;
 pub use training::{TrainingProgress, TrainingStage};
+
+/// Bytes of an ORB descriptor.
+const ORB_BYTES: usize = 32;
 
 /// A visual vocabulary with its quantizer: each descriptor is the word it is nearest to.
 ///
@@ -39,7 +48,21 @@ impl Vocabulary {
     /// [`OrbVocabularyError`] with the line that is wrong.
     pub fn from_orb_text(text: &str) -> Result<Self, OrbVocabularyError> {
         let tree = orb_text::parse(text)?;
-        Ok(Self::new(DescriptorKind::Binary, orb_text::ORB_BYTES, Quantizer::Descent(tree)))
+        Ok(Self::new(DescriptorKind::Binary, ORB_BYTES, Quantizer::Descent(tree)))
+    }
+
+    /// Reads the file of another program's ORB vocabulary, whichever of these it is: the text format
+    /// (see [`Vocabulary::from_orb_text`]), YAML of DBoW2 or DBoW3, or the binary format of FBoW. Words
+    /// are the leaves and the tree is kept: descriptors get the words that those programs give them,
+    /// with the numbers that DBoW2 gives them in training.
+    ///
+    /// What gzip packed has to be unpacked before.
+    ///
+    /// # Errors
+    /// [`ImportError`], with what is wrong and where.
+    pub fn import(bytes: &[u8]) -> Result<Self, ImportError> {
+        let tree = import::parse(bytes)?;
+        Ok(Self::new(DescriptorKind::Binary, ORB_BYTES, Quantizer::Descent(tree)))
     }
 
     /// Number of words.

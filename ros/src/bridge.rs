@@ -86,7 +86,9 @@ pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
     let tf = bus.write(&settings.topics.tf, Qos::Reliable)?;
     let tf = TfThread::start(parts.shared.clone(), tf, settings.map_frame.clone())?;
     tasks.push(tokio::spawn(markers(&parts, &bus)?.run()));
-    tasks.push(tokio::spawn(reporting(&parts, bus)?.run()));
+    let reporting = reporting(&parts, bus)?;
+    tasks.push(tokio::spawn(reporting.bus.presence(&settings.namespace)?.tell()));
+    tasks.push(tokio::spawn(reporting.run()));
     drop(parts);
 
     tracing::info!(

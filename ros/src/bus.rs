@@ -1,22 +1,22 @@
 //! DDS: readers that hand out messages as bytes, and writers of the messages of ROS.
 
 use std::net::IpAddr;
-use std::pin::Pin;
 use std::sync::Arc;
 
 use futures::{Stream, StreamExt};
-use rustdds::no_key::DataWriter;
+use rustdds::no_key::{DataReader, DataWriter};
 use rustdds::policy::{Durability, History, Reliability};
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, Duration, GUID, Publisher, QosPolicies, QosPolicyBuilder,
     RTPSEntity, Subscriber, Topic, TopicKind,
 };
 
+use crate::graph::{Entities, Presence, TOPIC};
 use crate::names::{in_dds, type_in_dds, type_in_ros};
-use crate::raw::{AsItIs, Raw, RawWriter, Sample};
+use crate::raw::{AsItIs, Incoming, Raw, RawWriter, Sample};
 use crate::settings::SensorQos;
 use crate::viewers::{Screen, Viewers};
-use waypost_ros_messages::Message;
+use waypost_ros_messages::{Message, NODES, Participant};
 
 /// Messages of a sensor that a busy machine may leave unread.
 const SENSOR_DEPTH: i32 = 32;
@@ -88,11 +88,9 @@ pub(crate) struct Bus {
     publisher: Publisher,
     subscriber: Subscriber,
     wanted: Vec<Wanted>,
+    entities: Entities,
     viewers: Option<Arc<Viewers>>,
 }
-
-/// Messages of a topic, each behind its four bytes of encapsulation.
-pub(crate) type Incoming = Pin<Box<dyn Stream<Item = Vec<u8>> + Send>>;
 
 impl Bus {
     pub(crate) fn join(
@@ -108,7 +106,8 @@ impl Bus {
         let qos = QosPolicies::qos_none();
         let publisher = participant.create_publisher(&qos).map_err(failed("making a publisher"))?;
         let subscriber = participant.create_subscriber(&qos).map_err(failed("making a subscriber"))?;
-        Ok(Self { participant, publisher, subscriber, wanted: Vec::new(), viewers })
+        let (wanted, entities) = (Vec::new(), Entities::default());
+        Ok(Self { participant, publisher, subscriber, wanted, entities, viewers })
     }
 
     /// What each of our messages begins with, behind RTPS's own words.
@@ -137,6 +136,7 @@ impl Bus {
         let reader = self.subscriber.create_datareader_no_key::<Raw, AsItIs>(&made, None);
         let reader = reader.map_err(failed(name))?;
         let guid = reader.guid();
+        self.entities.add_reader(guid);
         let samples = reader.async_sample_stream().map(|message| {
             let message = message.map_err(|error| format!("{error:?}"))?;
             let info = message.sample_info();
@@ -151,6 +151,7 @@ impl Bus {
     pub(crate) fn write_raw(&self, name: &str, type_name: &str) -> Result<RawWriter, BusError> {
         let made = self.topic_in_dds(name, type_name, Qos::Reliable)?;
         let writer = self.publisher.create_datawriter_no_key(&made, None).map_err(failed(name))?;
+        self.entities.add_writer(writer.guid());
         Ok(RawWriter::new(name, self.participant.clone(), writer))
     }
 
@@ -163,23 +164,32 @@ impl Bus {
         let made = self.topic(topic, type_name, qos)?;
         let reader = self.subscriber.create_datareader_no_key::<Raw, AsItIs>(&made, None);
         let reader = reader.map_err(failed(topic))?;
+        self.entities.add_reader(reader.guid());
         self.wanted.push(Wanted { topic: topic.to_owned(), type_name, qos });
-        let told = topic.to_owned();
-        let messages = reader.async_bare_sample_stream().filter_map(move |message| {
-            let message = message.inspect_err(|error| tracing::warn!("{told}: {error:?}")).ok();
-            std::future::ready(message.map(|Raw(data)| data))
-        });
-        Ok(Box::pin(messages))
+        Ok(messages(reader, topic))
     }
 
     pub(crate) fn write<M: Message>(&self, topic: &str, qos: Qos) -> Result<Outgoing<M>, BusError> {
         let made = self.topic(topic, &type_in_dds(M::TYPE), qos)?;
         let writer = self.publisher.create_datawriter_no_key(&made, None).map_err(failed(topic))?;
+        self.entities.add_writer(writer.guid());
         let screen = match &self.viewers {
             Some(viewers) => Some(viewers.screen::<M>(topic, qos.kept()).map_err(failed(topic))?),
             None => None,
         };
         Ok(Outgoing { topic: topic.to_owned(), writer, screen })
+    }
+
+    /// This program as a node of ROS, with all that is read and written so far.
+    pub(crate) fn presence(&self, namespace: &str) -> Result<Presence, BusError> {
+        let made = self.topic_in_dds(TOPIC, &type_in_dds(NODES), Qos::Latest)?;
+        let reader = self.subscriber.create_datareader_no_key::<Raw, AsItIs>(&made, None);
+        let others = messages(reader.map_err(failed(TOPIC))?, TOPIC);
+        let writer = self.publisher.create_datawriter_no_key(&made, None).map_err(failed(TOPIC))?;
+        let writer = RawWriter::new(TOPIC, self.participant.clone(), writer);
+        let gid = self.participant.guid().to_bytes();
+        let bridge = Participant { gid, nodes: vec![self.entities.of_node(namespace)] };
+        Ok(Presence { others, writer, bridge })
     }
 
     /// Who publishes what is read here in a way that cannot be read, and how to mend it.
@@ -200,6 +210,15 @@ impl Bus {
         told.dedup();
         told
     }
+}
+
+/// What comes to a reader, but for what cannot be read.
+fn messages(reader: DataReader<Raw, AsItIs>, topic: &str) -> Incoming {
+    let told = topic.to_owned();
+    Box::pin(reader.async_bare_sample_stream().filter_map(move |message| {
+        let message = message.inspect_err(|error| tracing::warn!("{told}: {error:?}")).ok();
+        std::future::ready(message.map(|Raw(data)| data))
+    }))
 }
 
 fn mismatch(

@@ -11,10 +11,11 @@ use waypost_client::{
     Reading, v1,
 };
 
-use crate::bus::{Incoming, Outgoing};
+use crate::bus::Outgoing;
 use crate::camera::odometry_message;
 use crate::intake::Wheels;
 use crate::plan::Plan;
+use crate::raw::Incoming;
 use crate::session::{camera, reconnection};
 use crate::settings::Settings;
 use crate::state::{Declared, Shared};

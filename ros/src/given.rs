@@ -106,7 +106,8 @@ pub(crate) struct Given {
     /// Let ROS 2 services choose map and mode, and finish sessions. --map may be left out then
     #[arg(long)]
     services: bool,
-    /// Let Foxglove's app look on at this address, as 127.0.0.1:8765. Whoever reaches it sees the images
+    /// Let Foxglove's app look on at this address, as 127.0.0.1:8765: up to 8 at once. Whoever reaches it sees the
+    /// images
     #[arg(long, value_name = "ADDRESS:PORT")]
     foxglove: Option<SocketAddr>,
 }

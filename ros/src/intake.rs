@@ -8,9 +8,9 @@ use tokio::sync::{broadcast, watch};
 use waypost_bags::live::{self, LiveImage};
 use waypost_bags::{Frame, Joining, Kind, Pose};
 
-use crate::bus::Incoming;
 use crate::camera::{DEFAULT_BASE, Known, Verdict};
 use crate::outbox::Outbox;
+use crate::raw::Incoming;
 use crate::settings::Topics;
 use crate::shown::Shown;
 use crate::state::{Declared, OdometryFrames, Shared};

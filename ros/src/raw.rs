@@ -1,10 +1,15 @@
 //! Messages as DDS carries them, which others read and lay out.
 
 use std::convert::Infallible;
+use std::pin::Pin;
 
+use futures::Stream;
 use rustdds::no_key::{DataWriter, Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter};
 use rustdds::rpc::SampleIdentity;
 use rustdds::{DomainParticipant, GUID, RepresentationIdentifier, WriteOptions, bytes::Bytes};
+
+/// Messages of a topic, each behind its four bytes of encapsulation.
+pub(crate) type Incoming = Pin<Box<dyn Stream<Item = Vec<u8>> + Send>>;
 
 /// A message as it came, behind its four bytes of encapsulation.
 pub(crate) struct Raw(pub(crate) Vec<u8>);

@@ -1,7 +1,8 @@
 //! Whoever looks on by Foxglove's app: what is told to ROS, and what the robot says, by the protocol of that app.
 
 use std::collections::{HashMap, VecDeque};
-use std::net::SocketAddr;
+use std::io;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -12,8 +13,11 @@ use foxglove::{
 };
 use waypost_ros_messages::{Message, definition, encoded};
 
+use crate::gate::Gate;
 use crate::state::Shared;
 
+/// Viewers at once. Each may have as much waiting as the numbers below say.
+const MOST_VIEWERS: usize = 8;
 /// Messages that wait for one viewer: when there are more, the oldest make way, and the robot waits for nobody.
 const MOST_WAITING: usize = 64;
 /// A larger message is not shown, so that what waits for a viewer has bounds in bytes.
@@ -33,8 +37,11 @@ pub(crate) enum ViewersError {
         /// As given.
         address: SocketAddr,
         /// What the system said.
-        source: FoxgloveError,
+        source: io::Error,
     },
+    /// Their library does not begin.
+    #[error("Foxglove's app cannot be let in: {0}; please report it")]
+    Library(FoxgloveError),
     /// A topic.
     #[error("Foxglove's app cannot be shown {topic}: {source}; please report it")]
     Topic {
@@ -78,23 +85,24 @@ pub(crate) struct Viewers {
     context: Arc<Context>,
     shared: Shared,
     kept: KeptByChannel,
-    server: Mutex<Option<WebSocketServerHandle>>,
+    open: Mutex<Option<(Gate, WebSocketServerHandle)>>,
 }
 
 impl Viewers {
     pub(crate) async fn open(address: SocketAddr, shared: Shared) -> Result<Self, ViewersError> {
         let (context, kept) = (Context::new(), KeptByChannel::default());
-        let host = if address.is_ipv6() { format!("[{}]", address.ip()) } else { address.ip().to_string() };
         let server = WebSocketServer::new()
             .name("waypost-ros")
-            .bind(host, address.port())
+            .bind(Ipv4Addr::LOCALHOST.to_string(), 0)
             .context(&context)
             .message_backlog_size(MOST_WAITING)
             .listener(Arc::new(Welcome(kept.clone())));
-        let server = server.start().await.map_err(|source| ViewersError::Address { address, source })?;
-        let port = server.port();
-        tracing::info!("Foxglove's app may open ws://{}", SocketAddr::new(address.ip(), port));
-        Ok(Self { context, shared, kept, server: Mutex::new(Some(server)) })
+        let server = server.start().await.map_err(ViewersError::Library)?;
+        let behind = SocketAddr::from((Ipv4Addr::LOCALHOST, server.port()));
+        let gate = Gate::open(address, MOST_VIEWERS, behind).await;
+        let gate = gate.map_err(|source| ViewersError::Address { address, source })?;
+        tracing::info!("Foxglove's app may open ws://{}", gate.address());
+        Ok(Self { context, shared, kept, open: Mutex::new(Some((gate, server))) })
     }
 
     /// Shows a topic of messages that Waypost makes; a viewer who comes late gets as many of the latest as is said.
@@ -117,8 +125,9 @@ impl Viewers {
 
     /// Says goodbye to those who are there.
     pub(crate) async fn close(&self) {
-        let server = self.server.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(server) = server {
+        let open = self.open.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some((gate, server)) = open {
+            drop(gate);
             // Whoever does not listen any more is left.
             let _ = tokio::time::timeout(FAREWELL, server.stop().wait()).await;
         }

@@ -62,6 +62,7 @@ class Server:
 
     data_dir: Path
     address: str = "127.0.0.1:0"
+    http_address: str = ""
     process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
@@ -78,7 +79,8 @@ class Server:
                 self.kill()
                 pytest.fail(f"the server did not start:\n{log.read_text()}")
             time.sleep(0.005)
-        self.address = json.loads(ready.read_text())["grpc"]
+        told = json.loads(ready.read_text())
+        self.address, self.http_address = told["grpc"], told["http"]
 
     def kill(self) -> None:
         """`kill -9`."""
@@ -214,9 +216,9 @@ def way(second: int) -> tuple[float, float, float]:
 
 
 def drive(robot: Robot, seconds: range, topic: str = COMPRESSED, pause_s: float = 0.02) -> None:
-    """Sends images of the shipped sequence with the odometry of a made-up drive."""
+    """Sends images of the shipped sequence, again and again, with the odometry of a made-up drive."""
     for second in seconds:
-        robot.compressed(second * SECOND_NS, IMAGES[second - 1].read_bytes(), topic)
+        robot.compressed(second * SECOND_NS, IMAGES[(second - 1) % len(IMAGES)].read_bytes(), topic)
         robot.odometry(second * SECOND_NS, *way(second))
         time.sleep(pause_s)
 

@@ -48,6 +48,7 @@ class Robot:
         self.namespace = namespace
         self._domain = beside._domain if beside else Domain(domain, CONFIGURATION)
         self.participant = DomainParticipant(domain)
+        self._topics: dict[str, Topic[Any]] = {}
         self._writers: dict[str, DataWriter[Any]] = {}
         self._readers: dict[str, DataReader[Any]] = {}
         #: Ends those who read on threads of their own: what a failed test leaves must not read what is gone.
@@ -58,12 +59,18 @@ class Robot:
             end()
         self._writers.clear()
         self._readers.clear()
+        self._topics.clear()
         del self.participant
         del self._domain
 
     def topic(self, name: str, kind: type[T]) -> Topic[T]:
         full = name if name.startswith("/") else f"{self.namespace}/{name}"
-        return Topic(self.participant, f"rt{full}", kind)
+        # One for all writers of it that come and go: Cyclone's library crashes now and then where topics do.
+        if full not in self._topics:
+            self._topics[full] = Topic(self.participant, f"rt{full}", kind)
+        topic = self._topics[full]
+        assert topic.data_type is kind, f"{full} is of another type"
+        return topic
 
     def advertise(self, name: str, kind: type[Any], qos: Qos = SENSOR) -> None:
         """Says what will be published there. What is said already stays."""

@@ -95,6 +95,10 @@ def main() -> None:
     for number in range(FRAMES):
         robot.drive(number)
     robot.until(lambda: all(robot.heard.values()))
+    robot.until(lambda: ("waypost", "/") in robot.get_node_names_and_namespaces())
+    written = [name for name, _ in robot.get_publisher_names_and_types_by_node("waypost", "/")]
+    read = [name for name, _ in robot.get_subscriber_names_and_types_by_node("waypost", "/")]
+    served = [name for name, _ in robot.get_service_names_and_types_by_node("waypost", "/")]
     finished = robot.call(Trigger, "finish")
     map_value = robot.call(GetParameters, "get_parameters", names=["map"]).values[0]
     told = {
@@ -106,6 +110,10 @@ def main() -> None:
         "finished": [finished.success, finished.message],
         "map": map_value.string_value,
         "pose_frame": robot.heard["pose"][-1].header.frame_id,
+        "nodes": sorted(robot.get_node_names()),
+        "written": written,
+        "read": read,
+        "served": served,
         "path": len(robot.heard["path"][-1].poses),
         "new_place": robot.heard["new_place"][-1].data,
     }

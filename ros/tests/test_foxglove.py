@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import time
 from collections.abc import Iterator
@@ -24,6 +25,7 @@ from conftest import (
 from robot import LOSSLESS, SECOND_NS, Robot, until
 from test_bad_input import refused
 from viewer import Shown, Viewer, address_in, stamp_of
+from websockets.exceptions import ConnectionClosed, InvalidMessage, InvalidStatus
 
 FLAGS = ("--map", "hall", "--session", "drive", "--image-topic", COMPRESSED, "--sensor-qos", "reliable")
 SHOWN = {
@@ -40,6 +42,10 @@ SHOWN = {
     "/waypost/path": "nav_msgs/msg/Path",
     "/waypost/pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
 }
+
+
+#: As the bridge has it.
+MOST_VIEWERS = 8
 
 
 @pytest.fixture
@@ -157,6 +163,57 @@ def test_a_viewer_that_does_not_read_holds_up_nobody(
     print(f"{resident[100] / 1e6:.0f} MB after 100 images, {resident[last] / 1e6:.0f} MB after {last}")
     assert grown_bytes < 60e6, grown_bytes
     slow.until(lambda one: one.topic == "/diagnostics" and one.time_ns >= last * SECOND_NS)
+
+
+def test_no_more_viewers_are_let_in_than_the_bridge_has_room_for(
+    shown: tuple[Robot, Bridge, list[Viewer]],
+) -> None:
+    robot, bridge, viewers = shown
+    for _ in range(MOST_VIEWERS):
+        come(bridge, viewers, "/diagnostics")
+    for _ in range(3):
+        with pytest.raises(InvalidStatus) as refused:
+            come(bridge, viewers, "/diagnostics")
+        response = refused.value.response
+        assert response.status_code == 503
+        assert b"8 viewers look on already" in response.body
+        assert b"close one of them" in response.body
+    until(lambda: "is not let in to look on: 8 do already" in bridge.said())
+    # Those who are there are shown what comes.
+    for viewer in viewers:
+        viewer.until(lambda one: one.topic == "/diagnostics")
+    # Who leaves makes room for another.
+    viewers.pop().close()
+
+    def let_in() -> bool:
+        try:
+            come(bridge, viewers, "/diagnostics")
+        except InvalidStatus:
+            return False
+        return True
+
+    until(let_in, what="nobody is let in where one has left")
+
+
+def test_who_says_nothing_takes_nobodys_place(shown: tuple[Robot, Bridge, list[Viewer]]) -> None:
+    robot, bridge, viewers = shown
+    address = until(lambda: address_in(bridge.said()), what="no address is told")
+    host, _, port = address.removeprefix("ws://").rpartition(":")
+    with contextlib.ExitStack() as connections:
+        for first in (b"", b"GET / HTTP/1.1\r\nHost: a\r\n", b"A" * 100_000) * 3:
+            silent = connections.enter_context(socket.create_connection((host, int(port))))
+            with contextlib.suppress(OSError):
+                silent.sendall(first)
+
+        def let_in() -> bool:
+            try:
+                come(bridge, viewers, "/diagnostics")
+            except (InvalidStatus, InvalidMessage, ConnectionClosed, OSError):
+                return False
+            return True
+
+        until(let_in, what="those who say nothing have all places")
+        viewers[-1].until(lambda one: one.topic == "/diagnostics")
 
 
 def test_an_address_that_cannot_be_had_is_told(stage: Stage, tmp_path: Path) -> None:

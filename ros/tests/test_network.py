@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +18,6 @@ import ros_types as ros
 from conftest import (
     COMPRESSED,
     DOMAINS,
-    IMAGES,
     PATIENCE_S,
     Diagnostics,
     Server,
@@ -121,11 +122,14 @@ class Proxy:
         self._ends: list[socket.socket] = []
         threading.Thread(target=self._accept, daemon=True).start()
 
-    def cut(self) -> None:
-        """Breaks all connections; new ones are let through."""
+    def cut(self) -> bool:
+        """Breaks all connections, and says whether there were any; new ones are let through."""
+        broken = False
         while self._ends:
             with contextlib.suppress(OSError):
                 self._ends.pop().shutdown(socket.SHUT_RDWR)
+                broken = True
+        return broken
 
     def close(self) -> None:
         self._listener.shutdown(socket.SHUT_RDWR)
@@ -150,26 +154,37 @@ class Proxy:
             target.shutdown(socket.SHUT_RDWR)
 
 
+#: Half of them of DDS, half of gRPC; a thousand take a quarter of an hour.
+CUTS = int(os.environ.get("WAYPOST_CUTS", "40"))
+#: Between two cuts of DDS.
+FRAMES = 4
+
+
 def test_no_frame_is_lost_or_twice_however_often_connections_break(stage: Stage) -> None:
     proxy = Proxy(stage.server)
     robot = stage.robot()
     told = Diagnostics(robot)
     stage.bridge(*FLAGS, server=f"http://{proxy.address}")
-    last = len(IMAGES)
-    for first in range(1, last + 1, 40):
+    began, broken, last = time.monotonic(), 0, FRAMES * (CUTS // 2)
+    for first in range(1, last + 1, FRAMES):
         # The robot's own programs begin anew.
         robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
         robot.advertise("odom", ros.Odometry, LOSSLESS)
         met(robot, COMPRESSED, "odom")
-        upto = min(first + 39, last)
-        for second in range(first, upto + 1):
-            drive(robot, range(second, second + 1), pause_s=0.03)
-            if second % 3 == 0:
-                proxy.cut()
+        # Each time a cut meets the frames in another moment.
+        drive(robot, range(first, first + 2), pause_s=0.002 * (first % 20))
+        broken += proxy.cut()
+        drive(robot, range(first + 2, first + FRAMES), pause_s=0.01)
+        upto = first + FRAMES - 1
         until(lambda upto=upto: told.count("images", "received") == upto, what="frames did not come")
         robot.forget(COMPRESSED, "odom")
     until(lambda: told.count("server", "frames answered") == last, 120.0, "frames are missing")
     proxy.close()
+    print(
+        f"{last // FRAMES} cuts of DDS and {broken} of gRPC in {time.monotonic() - began:.0f} s, {last} frames"
+    )
+    # A cut while the bridge connects anew meets nothing.
+    assert broken >= 0.9 * (CUTS // 2)
     records = stage.client.frames("maps/hall/sessions/drive")
     assert [record.stamp_ns for record in records] == [second * SECOND_NS for second in range(1, last + 1)]
     assert [record.odometry.pose.position_m.x for record in records] == [

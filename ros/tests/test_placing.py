@@ -53,16 +53,17 @@ def taught(stage: Stage, robot: Robot, told: Diagnostics, seconds: range) -> Non
     until(lambda: told.count("server", "frames answered") == len(seconds), what="frames are missing")
 
 
-def test_map_to_odom_comes_20_times_a_second_while_the_server_is_away(
-    stage: Stage, record_property: pytest.FixtureRequest
-) -> None:
+def test_map_to_odom_comes_20_times_a_second_while_the_server_is_away(stage: Stage) -> None:
     robot = stage.robot()
     told = Diagnostics(robot)
     stage.bridge(*FLAGS)
     transforms = Transforms(robot)
-    taught(stage, robot, told, range(1, 21))
+    taught(stage, robot, told, range(1, 11))
     until(lambda: len(transforms.came) > 5)
     begin = time.monotonic()
+    # The server answers, as it does a robot at 5 Hz.
+    drive(robot, range(11, 21), pause_s=0.2)
+    until(lambda: told.count("server", "frames answered") == 20, what="frames are missing")
     stage.server.kill()
     lost = time.monotonic()
     # The robot drives on, and the frames wait.
@@ -77,15 +78,15 @@ def test_map_to_odom_comes_20_times_a_second_while_the_server_is_away(
     transforms.close()
 
     away = transforms.between(lost, end)
-    gaps_s = [after - before for (before, _), (after, _) in zip(away, away[1:])]
-    late_ms = sorted(1000 * abs(gap - 0.05) for gap in gaps_s)
-    p99 = late_ms[int(0.99 * len(late_ms))]
-    print(
-        f"{len(away)} in {end - lost:.2f} s, off by p50 {statistics.median(late_ms):.2f} ms, p99 {p99:.2f} ms"
-    )
-    assert len(away) == pytest.approx(20 * (end - lost), abs=4)
-    # The target is 10 ms; a machine that is shared has pauses of its own.
-    assert statistics.median(late_ms) < 10.0
+    for name, since, upto in (("there", begin, lost), ("away", lost, end)):
+        came = transforms.between(since, upto)
+        gaps_s = [after - before for (before, _), (after, _) in zip(came, came[1:])]
+        late_ms = sorted(1000 * abs(gap - 0.05) for gap in gaps_s)
+        p50, p99 = statistics.median(late_ms), late_ms[int(0.99 * len(late_ms))]
+        print(f"{name}: {len(came)} in {upto - since:.2f} s, off by p50 {p50:.2f} ms, p99 {p99:.2f} ms")
+        assert len(came) == pytest.approx(20 * (upto - since), abs=4)
+        # The target is 10 ms; a machine that is shared has pauses of its own.
+        assert p50 < 10.0
     stamps = [transform.header.stamp.ns for _, transform in transforms.came]
     assert stamps == sorted(set(stamps)), "stamps of transforms have to rise"
     frames = {(transform.header.frame_id, transform.child_frame_id) for _, transform in transforms.came}
@@ -93,7 +94,6 @@ def test_map_to_odom_comes_20_times_a_second_while_the_server_is_away(
     assert len({str(transform.transform) for _, transform in away}) == 1, "nobody told another"
     records = stage.client.frames("maps/hall/sessions/drive")
     assert [record.stamp_ns for record in records] == [second * SECOND_NS for second in range(1, 31)]
-    assert begin < lost
 
 
 def test_pose_and_path_are_where_map_and_odometry_say(stage: Stage) -> None:

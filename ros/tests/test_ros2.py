@@ -46,3 +46,8 @@ def test_a_robot_of_a_real_ros_2_is_served(stage: Stage) -> None:
     assert 15 <= len(frames) <= 20
     assert 1 <= told["path"] <= len(frames)
     assert 0.0 <= told["new_place"] <= 1.0
+    # `ros2 node list` and `ros2 node info` ask so.
+    assert told["nodes"] == ["robot", "waypost"]
+    assert {"/tf", "/waypost/pose", "/waypost/path", "/diagnostics"} <= set(told["written"])
+    assert {"/camera/image_raw/compressed", "/odom"} <= set(told["read"])
+    assert {"/waypost/finish", "/waypost/set_parameters"} <= set(told["served"])

@@ -20,6 +20,7 @@ mod fleet {
 /// Maps of other programs, and what they were made with.
 mod imports {
     mod rtabmap;
+    mod vocabularies;
 }
 
 /// Maps: what they keep, how they are told, restored, moved and explained.

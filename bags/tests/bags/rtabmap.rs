@@ -12,12 +12,12 @@ use waypost_bags::rtabmap::{ClosureKind, NoCamera, Omitted, RtabError, RtabMap};
 use crate::writing::rtabmap_file::{Drive, Node, calibration, on_the_floor, rtabmap};
 use crate::writing::{Folder, png};
 
-const INTRINSICS: [f64; 4] = [50.0, 51.0, 4.0, 3.0];
+pub(crate) const INTRINSICS: [f64; 4] = [50.0, 51.0, 4.0, 3.0];
 /// Of the images that are made here.
-const SIZE_PX: (u32, u32) = (8, 6);
+pub(crate) const SIZE_PX: (u32, u32) = (8, 6);
 
 /// Two drives: nodes 1 to 4 and 5 to 8, with a closure between them, and one nearby.
-fn drive(minor: u32) -> Drive {
+pub(crate) fn drive(minor: u32) -> Drive {
     let nodes = (1..=8).map(|id| Node {
         id,
         map_id: (id - 1) / 4,

@@ -2,11 +2,15 @@
 
 use std::path::PathBuf;
 
+use rusqlite::Connection;
+
+use crate::rtabmap::{INTRINSICS, SIZE_PX, drive as rtab_drive};
 use crate::writing::mcap_file::mcap;
 use crate::writing::messages::{
     Fields, Order, camera_info, cdr, compressed_image, odometry, pose_stamped, raw_image, transforms,
 };
 use crate::writing::ros1_file::{Chunks, ros1_bag};
+use crate::writing::rtabmap_file::{calibration, on_the_floor, packed, rtabmap};
 use crate::writing::sqlite_file::{Stored, sqlite};
 use crate::writing::{Folder, drive, png};
 
@@ -17,7 +21,7 @@ fn keep(target: &str, name: &str, kind: u8, content: &[u8]) {
     std::fs::write(root.join(format!("taken-{name}")), [&[kind], content].concat()).unwrap();
 }
 
-/// Kinds are numbered as the targets `bag` and `ros_message` have them.
+/// Kinds are numbered as the targets `bag`, `ros_message` and `rtabmap` have them.
 #[test]
 #[ignore = "writes the seeds for the fuzzer"]
 fn keep_seeds() {
@@ -54,4 +58,29 @@ fn keep_seeds() {
     keep("ros_message", "text", 6, &[0, 1, 0, 0, 2, 0, 0, 0, b'a', 0]);
     let big = cdr(&odometry(stamp_ns, "base_link", 1.0), Order::Big);
     keep("ros_message", "odometry-big-endian", 3, &big);
+}
+
+/// Kinds as above.
+#[test]
+#[ignore = "writes the seeds for the fuzzer"]
+fn keep_seeds_of_rtabmap() {
+    let folder = Folder::new();
+    for version in ["0.17.0", "0.23.0"] {
+        let path = folder.path().join(version);
+        let minor = version.split('.').nth(1).unwrap().parse().unwrap();
+        rtabmap(&path, version, &rtab_drive(minor));
+        // Small is fast.
+        Connection::open(&path).unwrap().execute_batch("PRAGMA page_size = 512; VACUUM").unwrap();
+        let name = if minor == 17 { "old.db" } else { "plain.db" };
+        keep("rtabmap", name, 0, &std::fs::read(path).unwrap());
+        keep("rtabmap", &format!("calibration-{minor}"), 1, &calibration(minor, INTRINSICS, SIZE_PX));
+    }
+    let ids: Vec<u8> = (1..=8).flat_map(i32::to_le_bytes).collect();
+    keep("rtabmap", "ids", 2, &packed(&ids, 8, 4));
+    let rows = (1..=8).flat_map(|id| on_the_floor(id as f32, 0.5, 0.0));
+    let poses: Vec<u8> = rows.flat_map(f32::to_le_bytes).collect();
+    keep("rtabmap", "poses", 3, &packed(&poses, 96, 5));
+    keep("rtabmap", "image", 4, &png(9));
+    let pose: Vec<u8> = on_the_floor(2.0, 1.0, 0.1).iter().flat_map(|value| value.to_le_bytes()).collect();
+    keep("rtabmap", "pose", 5, &pose);
 }

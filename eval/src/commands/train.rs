@@ -1,7 +1,7 @@
 //! `waypost-eval train`: a model from folders of images, or another detector for a model that there is.
 
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
@@ -10,7 +10,7 @@ use fabmap::calibration::{self, Calibration, EvidenceExponent, LearnError, Rates
 use fabmap::chow_liu::TreeTrainingSettings;
 use fabmap::detector::DetectorModel;
 use fabmap::model::{Model, ModelTrainingProgress, ModelTrainingSettings, TrainingStage};
-use fabmap::vocabulary::{Vocabulary, VocabularySettings};
+use fabmap::vocabulary::VocabularySettings;
 use indicatif::ProgressBar;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -20,7 +20,7 @@ use waypost_vision::look_alikes::{self, LearnError as LookAlikesError, TrainingI
 use crate::choices::features;
 use crate::dataset;
 use crate::error::refused;
-use crate::{files, progress};
+use crate::{files, progress, vocabularies};
 
 /// Train a model (vocabulary, Chow-Liu tree, sampling set) from folders of images.
 #[derive(Args)]
@@ -42,8 +42,8 @@ pub(crate) struct TrainOptions {
     /// Seed of the random choices; the same images and seed give the same model.
     #[arg(long, value_name = "S", default_value_t = VocabularySettings::default().seed)]
     seed: u64,
-    /// Take the words from an ORB vocabulary as text (ORBvoc.txt, as DBoW2 writes it) instead of the
-    /// images; needs --feature orb.
+    /// Take the words, with their tree, from an ORB vocabulary instead of the images; needs --feature orb. It may be
+    /// ORBvoc.txt, .yml of DBoW2 or DBoW3, or .fbow of FBoW, also packed as .gz.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["words", "seed"])]
     orb_vocabulary: Option<PathBuf>,
     /// How reliable words are: published rates, those with an exponent learnt that tempers likelihoods, or
@@ -199,7 +199,7 @@ impl TrainOptions {
                 Model::train(&extractor, images, &settings, &mut observer)
             }
             Some(path) => {
-                let vocabulary = orb_vocabulary(path)?;
+                let vocabulary = vocabularies::read(path)?;
                 Model::train_over(vocabulary, &extractor, images, tree, detector, &mut observer)
             }
         };
@@ -222,11 +222,6 @@ fn extract_all(folders: &[PathBuf], extractor: Extractor) -> Result<Vec<Training
     let extracted = extracted.collect();
     bar.finish_and_clear();
     extracted
-}
-
-fn orb_vocabulary(path: &Path) -> Result<Vocabulary> {
-    let text = String::from_utf8_lossy(&files::read(path)?).into_owned();
-    Vocabulary::from_orb_text(&text).with_context(|| path.display().to_string())
 }
 
 /// The model over the same words as `choice` has it, and what was learnt for it. It fails if only the exponent was to

@@ -65,7 +65,7 @@ pub enum TreeError {
         depth: usize,
     },
     /// An inner node has no children, so a search could end there without a word.
-    #[error("it is neither a leaf nor the parent of any node; mark it as a leaf or add its children")]
+    #[error("it is neither a leaf nor the parent of any node: the file was cut off, so fetch it again")]
     Childless,
     /// There is no node at all.
     #[error("there are no words; the file was cut short, so fetch it again")]

@@ -7,8 +7,7 @@ use crate::descriptor::DescriptorKind;
 use crate::quantizer::{DescentTree, DescentTreeBuilder, MAX_BRANCHING, MAX_DEPTH, TreeError};
 use std::str::{FromStr, SplitAsciiWhitespace};
 
-/// Bytes of an ORB descriptor.
-pub(super) const ORB_BYTES: usize = 32;
+use super::ORB_BYTES;
 
 /// Fields of a node: parent, leaf flag, descriptor, weight.
 const NODE_FIELDS: usize = 2 + ORB_BYTES + 1;

@@ -4,6 +4,7 @@
 //! Nothing here sends anything: `waypost-ros` publishes these messages over DDS, and `waypost` writes them to files.
 
 mod definitions;
+mod graph;
 mod markers;
 mod messages;
 mod navigate;
@@ -11,6 +12,7 @@ mod recording;
 mod services;
 
 pub use definitions::definition;
+pub use graph::{Era, Gid, NODES, NodeEntities, Participant};
 pub use markers::{DrawnMap, Line, MarkerArray};
 pub use messages::{
     CdrError, CompressedImage, Covariance, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue,

@@ -3,6 +3,7 @@
 mod calls;
 mod pictures;
 mod recordings;
+mod rtabmap;
 mod settings;
 mod stored;
 mod texts;
@@ -24,6 +25,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "orb_vocabulary", feed: texts::orb_vocabulary },
     Target { name: "rest", feed: calls::rest },
     Target { name: "ros_message", feed: recordings::ros_message },
+    Target { name: "rtabmap", feed: rtabmap::database },
     Target { name: "snapshot", feed: stored::snapshot },
     Target { name: "tum", feed: texts::tum },
 ];

@@ -39,7 +39,12 @@ const DOORS: &[Door] = &[
 ];
 
 /// Where SQL may stand: of our own database, and of those that robots recorded.
-const SQL: &[&str] = &["server/src/storage", "bags/src/source/sqlite", "bags/src/rtabmap/database"];
+const SQL: &[&str] = &[
+    "server/src/storage",
+    "bags/src/source/sqlite",
+    "bags/src/rtabmap/database",
+    "tests/fuzz/src/targets/rtabmap",
+];
 
 /// Lines of a file that need no reason.
 const MOST_LINES: usize = 400;

@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 use std::sync::LazyLock;
 
-use waypost_bags::{Bag, Kind, Wanted, live};
+use waypost_bags::{Bag, Kind, Pose, Wanted, live};
 
 use crate::Fed;
 
@@ -33,6 +33,10 @@ pub(super) fn bag(bytes: &[u8]) -> Fed {
     Fed::Taken
 }
 
+pub(super) fn is_finite_pose(pose: &Pose) -> bool {
+    pose.position_m.into_iter().chain(pose.orientation).all(f64::is_finite)
+}
+
 /// A message over DDS, with its kind in front.
 pub(super) fn ros_message(bytes: &[u8]) -> Fed {
     let Some((kind, data)) = bytes.split_first() else { return Fed::Refused };
@@ -56,7 +60,6 @@ pub(super) fn ros_message(bytes: &[u8]) -> Fed {
 }
 
 fn is_finite(stamped: &live::LivePose) -> bool {
-    let numbers = stamped.pose.position_m.into_iter().chain(stamped.pose.orientation);
-    assert!(numbers.into_iter().all(f64::is_finite), "{stamped:?}");
+    assert!(is_finite_pose(&stamped.pose), "{stamped:?}");
     true
 }

@@ -59,12 +59,15 @@ pub(super) fn camera_file(bytes: &[u8]) -> Fed {
     }
 }
 
-/// ORB-SLAM's vocabulary.
+/// ORB vocabularies of other programs, in each of their formats.
 pub(super) fn orb_vocabulary(bytes: &[u8]) -> Fed {
-    let Some(vocabulary) = std::str::from_utf8(bytes).ok().map(Vocabulary::from_orb_text) else {
-        return Fed::Refused;
+    let vocabulary = match Vocabulary::import(bytes) {
+        Ok(vocabulary) => vocabulary,
+        Err(error) => {
+            assert!(!error.to_string().is_empty());
+            return Fed::Refused;
+        }
     };
-    let Ok(vocabulary) = vocabulary else { return Fed::Refused };
     let encoded = |vocabulary: &Vocabulary| {
         let mut writer = Writer::default();
         vocabulary.encode(&mut writer);

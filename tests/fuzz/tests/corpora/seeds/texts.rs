@@ -1,6 +1,6 @@
 //! Of the formats that are text.
 
-use super::Seed;
+use super::{Seed, fixture};
 
 const G2O: [(&str, &str); 3] = [
     (
@@ -76,6 +76,24 @@ const CONFIGS: [(&str, &str); 4] = [
     ("of-another-type", "map_memory_mib = \"many\"\ncors_origins = [1, {a = []}]\n"),
 ];
 
+/// A vocabulary of DBoW2 or DBoW3: an inner node with two words, and one beside it.
+fn dbow_yaml(descriptor: impl Fn(&str) -> String) -> String {
+    let node = |(id, parent, byte): (u32, u32, u8)| {
+        let descriptor = descriptor(&format!("{byte} ").repeat(32));
+        format!(
+            "      - {{ nodeId:{id}, parentId:{parent}, weight:1.,\n          descriptor:{descriptor} }}\n"
+        )
+    };
+    let nodes: String = [(1, 0, 0), (2, 0, 255), (3, 1, 0), (4, 1, 1)].map(node).concat();
+    let words: String = [2, 3, 4]
+        .into_iter()
+        .zip(0..)
+        .map(|(node, id): (u32, u32)| format!("      - {{ wordId:{id}, nodeId:{node} }}\n"))
+        .collect();
+    let head = "   k: 9\n   L: 3\n   scoringType: 0\n   weightingType: 0\n";
+    format!("%YAML:1.0\n---\nvocabulary:\n{head}   nodes:\n{nodes}   words:\n{words}")
+}
+
 fn orb() -> String {
     let node = |parent: u32, leaf: u8, byte: u8| {
         let bytes: Vec<String> = (0..32).map(|index| byte.wrapping_mul(index).to_string()).collect();
@@ -96,5 +114,8 @@ pub(super) fn seeds() -> Vec<Seed> {
     seeds.extend(of("camera_file", &CAMERAS));
     seeds.extend(of("config", &CONFIGS));
     seeds.push(Seed::new("orb_vocabulary", "small", orb()));
+    seeds.push(Seed::new("orb_vocabulary", "small.fbow", fixture("fabmap/tests/fixtures/small.fbow")));
+    seeds.push(Seed::new("orb_vocabulary", "dbow2.yml", dbow_yaml(|bytes| format!("\"{bytes}\""))));
+    seeds.push(Seed::new("orb_vocabulary", "dbow3.yml", dbow_yaml(|bytes| format!("dbw3 0 32 {bytes}"))));
     seeds
 }
