@@ -32,6 +32,7 @@ mod odometry;
 mod output;
 mod panorama;
 mod progress;
+mod reasons;
 mod replay;
 mod robot_words;
 mod rtab_drive;
