@@ -4,6 +4,7 @@ mod dataset;
 mod video;
 
 use std::cmp::Ordering;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 pub(crate) use self::dataset::LAYOUTS;
@@ -28,8 +29,12 @@ pub(crate) enum ListingError {
     Missing(PathBuf),
     #[error("{} is a file; give the folder that the images are in", .0.display())]
     NotAFolder(PathBuf),
-    #[error("no images in {}; they have to end in .jpg, .jpeg or .png", .0.display())]
-    NoImages(PathBuf),
+    #[error("no images in {}; they have to end in .jpg, .jpeg or .png{}", folder.display(), converting(others))]
+    NoImages {
+        folder: PathBuf,
+        /// How many images of other formats there are, in words.
+        others: Option<String>,
+    },
     #[error(transparent)]
     Dataset(#[from] DatasetError),
     #[error("cannot list {}: {source}", path.display())]
@@ -54,7 +59,8 @@ pub(crate) fn images_of(folder: &Path) -> Result<Vec<ImageFile>, ListingError> {
     let unreadable = |source| ListingError::Unreadable { path: folder.clone(), source };
     let mut images = listed(&folder).map_err(unreadable)?;
     if images.is_empty() {
-        return Err(ListingError::NoImages(folder));
+        let others = of_other_formats(&folder).map_err(unreadable)?;
+        return Err(ListingError::NoImages { folder, others });
     }
     let names: Vec<&str> = images.iter().map(|image| image.name.as_str()).collect();
     if let Some(stamps) = stamps_of(&names) {
@@ -76,6 +82,40 @@ fn listed(folder: &Path) -> std::io::Result<Vec<ImageFile>> {
     }
     images.sort_by(|one, other| natural_order(&one.name, &other.name).then(one.path.cmp(&other.path)));
     Ok(images)
+}
+
+/// Endings of images that are not read.
+const OTHER_FORMATS: [&str; 12] =
+    ["avif", "bmp", "gif", "heic", "heif", "jp2", "pgm", "ppm", "raw", "tif", "tiff", "webp"];
+
+/// That beside the images lie others that are not read, if there are any.
+pub(crate) fn told_of_others(images: &[ImageFile]) -> Option<String> {
+    let folder = images.first()?.path.parent()?;
+    // The images themselves were listed.
+    let others = of_other_formats(folder).ok()??;
+    Some(format!("{others} beside the images, left out: convert them to JPEG or PNG to have them, too"))
+}
+
+/// How many images of formats that are not read there are in a folder, as in `2 files .bmp`.
+fn of_other_formats(folder: &Path) -> std::io::Result<Option<String>> {
+    let mut counts = BTreeMap::<String, usize>::new();
+    for entry in std::fs::read_dir(folder)? {
+        let path = entry?.path();
+        let ending = ending_of(&path);
+        if OTHER_FORMATS.contains(&ending.as_str()) && path.is_file() {
+            *counts.entry(ending).or_default() += 1;
+        }
+    }
+    let counted = counts.iter().map(|(ending, count)| {
+        let files = if *count == 1 { "file" } else { "files" };
+        format!("{count} {files} .{ending}")
+    });
+    Ok((!counts.is_empty()).then(|| counted.collect::<Vec<_>>().join(", ")))
+}
+
+fn converting(others: &Option<String>) -> String {
+    let convert = |others: &String| format!(" ({others}: convert them to JPEG or PNG)");
+    others.as_ref().map(convert).unwrap_or_default()
 }
 
 /// As people count: numbers by their value, all else byte by byte.
@@ -112,8 +152,11 @@ fn without_zeros(digits: &[u8]) -> &[u8] {
 }
 
 fn is_image(path: &Path) -> bool {
-    let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    matches!(ending.as_str(), "jpg" | "jpeg" | "png")
+    matches!(ending_of(path).as_str(), "jpg" | "jpeg" | "png")
+}
+
+fn ending_of(path: &Path) -> String {
+    path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
 }
 
 #[cfg(test)]
@@ -167,10 +210,22 @@ mod tests {
     }
 
     #[test]
+    fn images_of_formats_that_are_not_read_are_told() {
+        let folder = folder_of(&["a.bmp", "b.BMP", "c.webp", "notes.txt"]);
+        let said = images_of(folder.path()).unwrap_err().to_string();
+        assert!(said.ends_with("(2 files .bmp, 1 file .webp: convert them to JPEG or PNG)"), "{said}");
+        std::fs::write(folder.path().join("d.png"), b"x").unwrap();
+        let told = told_of_others(&images_of(folder.path()).unwrap()).unwrap();
+        assert!(told.starts_with("2 files .bmp, 1 file .webp beside the images, left out"), "{told}");
+        let plain = folder_of(&["d.png", "notes.txt"]);
+        assert_eq!(told_of_others(&images_of(plain.path()).unwrap()), None);
+    }
+
+    #[test]
     fn what_is_no_folder_of_images_is_refused() {
         let folder = folder_of(&["notes.txt"]);
         let file = folder.path().join("notes.txt");
-        assert!(matches!(images_of(folder.path()), Err(ListingError::NoImages(_))));
+        assert!(matches!(images_of(folder.path()), Err(ListingError::NoImages { others: None, .. })));
         assert!(matches!(images_of(&file), Err(ListingError::NotAFolder(_))));
         assert!(matches!(images_of(&folder.path().join("nowhere")), Err(ListingError::Missing(_))));
     }

@@ -4,7 +4,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::error::ErrorKind;
+use clap::parser::ValueSource;
+use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use commands::{
     closure, demo, explain, import, inspect, job, map, merge, model, navigate, query, refusals, session,
@@ -30,6 +32,7 @@ mod odometry;
 mod output;
 mod panorama;
 mod progress;
+mod reasons;
 mod replay;
 mod robot_words;
 mod rtab_drive;
@@ -139,9 +142,56 @@ enum Command {
     Man(shell::Manual),
 }
 
+impl Command {
+    /// Why it uses no server that is running; `None` if it does.
+    fn uses_no_server(&self) -> Option<&'static str> {
+        match self {
+            Self::Demo(_) => Some(
+                "a demo starts a server of its own; leave it out, or drive a simulated robot against that server with \
+                 `waypost simulate`",
+            ),
+            Self::Inspect(_) => Some("what is in a file is shown without a server; leave it out"),
+            Self::Completions(_) | Self::Man(_) => Some("this is written without a server; leave it out"),
+            Self::Model(_)
+            | Self::Job(_)
+            | Self::Map(_)
+            | Self::Merge(_)
+            | Self::Closure(_)
+            | Self::Session(_)
+            | Self::Token(_)
+            | Self::Stream(_)
+            | Self::Import(_)
+            | Self::Query(_)
+            | Self::Explain(_)
+            | Self::Navigate(_)
+            | Self::Refusals(_)
+            | Self::Simulate(_) => None,
+        }
+    }
+}
+
+/// Refuses options about a server where none is used: what people give is used, or they are told that it is not. What
+/// the environment says is meant for all commands; a demo alone says that it goes by other ways.
+fn check_server_options(matches: &ArgMatches, command: &Command) -> Result<(), clap::Error> {
+    let Some(why) = command.uses_no_server() else { return Ok(()) };
+    let from = |source| move |id: &&str| matches.value_source(id) == Some(source);
+    let options = || ["server", "token", "ca", "client_cert", "client_key"].into_iter();
+    if let Some(given) = options().find(from(ValueSource::CommandLine)) {
+        let option = given.replace('_', "-");
+        let refused = format!("--{option} is not used here: {why}");
+        return Err(plain_usage(Arguments::command()).error(ErrorKind::ArgumentConflict, refused));
+    }
+    if matches!(command, Command::Demo(_)) && options().any(|id| from(ValueSource::EnvVariable)(&id)) {
+        // If stderr is closed, the note is lost.
+        let _ = writeln!(std::io::stderr(), "the server of the environment is not used: {why}");
+    }
+    Ok(())
+}
+
 fn main() -> ExitCode {
     let matches = plain_usage(Arguments::command()).get_matches();
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
+    check_server_options(&matches, &arguments.command).unwrap_or_else(|error| error.exit());
     // The library warns of lost connections.
     tracing_subscriber::fmt()
         .with_writer(std::io::stderr)

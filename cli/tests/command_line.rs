@@ -145,6 +145,40 @@ fn a_demo_without_its_files_or_server_says_so() {
     assert!(stderr.contains("no/such/server cannot be started"), "{stderr}");
 }
 
+/// What somebody gives is used, or refused with the way to what they want.
+#[test]
+fn commands_that_use_no_server_refuse_options_about_one() {
+    let (server, _port) = nowhere();
+    for (command, option, fragment) in [
+        (&["demo"][..], &["--server", &server][..], "`waypost simulate`"),
+        (&["demo", "--world", "office"], &["--token", "secret"], "starts a server of its own"),
+        (&["inspect", "drive.mcap"], &["--ca", "ca.pem"], "shown without a server"),
+        (&["completions", "bash"], &["--server", &server], "without a server"),
+        (&["man", "pages"], &["--client-key", "key.pem"], "without a server"),
+    ] {
+        for arguments in [[option, command].concat(), [command, option].concat()] {
+            let (code, stderr) = failed(&arguments);
+            assert_eq!(code, 2, "{arguments:?}: {stderr}");
+            let named = format!("{} is not used here", option[0]);
+            assert!(stderr.contains(&named) && stderr.contains(fragment), "{arguments:?}: {stderr}");
+        }
+    }
+    // The environment is for all commands: they go their ways, and a demo says so.
+    let output = Command::new(env!("CARGO_BIN_EXE_waypost"))
+        .env("WAYPOST_SERVER", &server)
+        .args(["demo", "--data", "no/such/folder"])
+        .output()
+        .unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains("the server of the environment is not used: a demo starts"), "{stderr}");
+    let output = Command::new(env!("CARGO_BIN_EXE_waypost"))
+        .env("WAYPOST_SERVER", &server)
+        .args(["completions", "bash"])
+        .output();
+    assert!(output.unwrap().stderr.is_empty());
+}
+
 #[test]
 fn help_tells_exit_codes_and_formats() {
     let help = |arguments: &[&str]| {

@@ -185,8 +185,8 @@ impl Navigator {
                 self.lose(self.closed_at, because);
             }
         }
-        if let Some(closure) = closure {
-            self.watch_slip((look.stamp_ns, odometry), closure);
+        if let Some(sighting) = SlipWatch::sighting(look, &self.settings.localization) {
+            self.watch_slip((look.stamp_ns, odometry), sighting);
         }
         match seen {
             Seen::Corrected => self.closed(odometry),

@@ -202,6 +202,26 @@ fn a_robot_that_stays_held_is_left_in_peace_more_and_more() {
     assert!(matches!(world.status(), Status::Blocked | Status::Following | Status::Searching));
 }
 
+/// Once wheels have slipped further than places are apart, what the robot sees is taken for no place any more. What structure
+/// measures of it still says that it stays.
+#[test]
+fn wheels_that_slip_are_found_by_what_stays_in_view_and_is_taken_for_no_place() {
+    let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+    // Measured by structure.
+    world.along_m2 = 0.0025;
+    world.run(150);
+    let mut drives_on = world.clone();
+    (world.slips, world.doubts_what_it_sees) = (true, true);
+    until(&mut world, Status::Blocked, 3.0, true);
+    assert_eq!(world.last.unwrap().reason, Some(Reason::Held(Obstacle::WheelsSlip)));
+    // One that drives on sees it go by.
+    drives_on.doubts_what_it_sees = true;
+    for _ in 0..55 {
+        drives_on.advance(true, true);
+        assert_ne!(drives_on.status(), Status::Blocked);
+    }
+}
+
 #[test]
 fn wheels_that_slip_before_what_is_known_are_found_by_what_stays_in_view() {
     let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Noisy(0.08));

@@ -94,7 +94,7 @@ fn nothing_and_too_much_are_refused() {
 
 #[test]
 fn other_formats_are_called_by_their_name() {
-    let others: [(&[u8], &str); 9] = [
+    let others: [(&[u8], &str); 10] = [
         (b"GIF89a\x01\0\x01\0", "GIF"),
         (b"BM\x36\0\0\0", "BMP"),
         (b"RIFF\x24\0\0\0WEBPVP8 ", "WebP"),
@@ -103,6 +103,7 @@ fn other_formats_are_called_by_their_name() {
         (b"P5\n2 2\n255\n", "PGM"),
         (b"\0\0\0\x18ftypheic", "HEIF"),
         (b"/9j/4AAQSkZJRg==", "base64"),
+        (b"timestamp,x,y\r\n1,0,0\n", "but a text file"),
         (b"\x01\x02\x03", "01 02 03"),
     ];
     for (bytes, name) in others {

@@ -5,6 +5,7 @@ mod exports;
 mod labels;
 mod listing;
 mod matrix;
+mod rebuilding;
 mod recording;
 mod trimming;
 mod watching;
@@ -82,8 +83,8 @@ pub(crate) enum Command {
     },
     /// Merge maps: places that they have in common become one; Ctrl-C cancels
     Merge(merge::Merging),
-    /// Rebuild a map with a model of other words, from the images or descriptors that it keeps;
-    /// Ctrl-C cancels, and the same command continues
+    /// Rebuild a map with a model of other words, from the images or descriptors that it keeps, and
+    /// count why its frames were decided as they were; Ctrl-C cancels, and the same command continues
     Rebuild {
         /// Name of the map; it stays as it is
         name: String,
@@ -165,9 +166,7 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         }
         Command::Merge(merging) => merge::merge(&client, merging, output).await,
         Command::Rebuild { name, model, into } => {
-            let job = client.rebuild_map(&name, &model, &into).await?;
-            let job = job::follow(&client, &job.name, output).await?;
-            listing::show(&client.map(&job::result(job)?, v1::MapView::Basic).await?, output)
+            rebuilding::rebuild(&client, [&name, &model, &into], output).await
         }
         Command::Repair { name, into, copy } => {
             let job = client.repair_map(&name, &into, copy.as_deref()).await?;

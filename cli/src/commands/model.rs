@@ -14,7 +14,7 @@ use waypost_client::{Client, ClientOptions, v1};
 use super::job;
 use crate::failure::Failure;
 use crate::files::{Asking, Replacing};
-use crate::images::{ImageFile, images_of};
+use crate::images::{ImageFile, images_of, told_of_others};
 use crate::names::short;
 use crate::output::{Output, mebibytes, table};
 use crate::progress;
@@ -139,7 +139,12 @@ async fn train(training: Training, server: &ClientOptions, output: Output) -> Re
     let Training { images: folders, words, seed, extractor, name, detach } = training;
     let mut images = Vec::new();
     for folder in &folders {
-        images.append(&mut images_of(folder)?);
+        let mut found = images_of(folder)?;
+        if let Some(others) = told_of_others(&found) {
+            // If stderr is closed, the message is lost.
+            let _ = writeln!(io::stderr(), "{others}");
+        }
+        images.append(&mut found);
     }
     let client = Client::connect(server).await?;
     let image_count = u32::try_from(images.len()).ok();

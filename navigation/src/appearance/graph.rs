@@ -205,18 +205,19 @@ impl AppearanceGraph {
     }
 
     /// The images of the room that an image was taken in, ascending, that one included: those of its
-    /// space that can be matched from at least [`MIN_ROOM_SHARE`] of what can be matched from it there. A
-    /// space that is not cut at a door reaches some metres into the hall, from where little of the
-    /// room is seen. `spaces` is what [`convex_spaces`](Self::convex_spaces) gave; empty if there is
-    /// no such image.
+    /// space from which at least [`MIN_ROOM_SHARE`] of what can be matched from it can be matched, by
+    /// similarity, and the same the other way round. A space that is not cut at a door reaches some
+    /// metres into the hall, from where little of the room is seen, or much besides. `spaces` is what
+    /// [`convex_spaces`](Self::convex_spaces) gave; empty if there is no such image.
     #[must_use]
     pub fn room_around(&self, image: ImageId, spaces: &[u32]) -> Vec<ImageId> {
         spaces::room_around(self, image, spaces, MIN_ROOM_SHARE)
     }
 }
 
-/// Share of what is matched from an image in a room that must be matched from another for it to be in the room, too: a
-/// room is seen whole from within, and in part through its door.
+/// Share of what is matched from an image in a room that must be matched from another for it to be in the room, too, and
+/// of what is matched from that one: a room is seen whole from within and in part through its door, and whoever stands
+/// before the door sees the hall as well.
 pub const MIN_ROOM_SHARE: f64 = 0.7;
 
 /// Normalised cut, in [0, 2], below which a part of the graph is two spaces: a door lets through

@@ -5,8 +5,9 @@ use std::collections::VecDeque;
 use posegraph::{PlanarPose, Pose};
 
 use super::guidance::Obstacle;
-use super::localization::Closure;
-use super::settings::SupervisionSettings;
+use super::localization::{Closure, Look, Sight};
+use super::planning::MapPosition;
+use super::settings::{LocalizationSettings, SupervisionSettings};
 
 /// Whether the robot moves when it is told to all along.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -272,6 +273,10 @@ fn is_motion([forward_m_s, turn_rad_s]: [f64; 2]) -> bool {
     is_ahead(forward_m_s) || is_turn(turn_rad_s)
 }
 
+fn along_m(closure: &Closure) -> f64 {
+    closure.covariance[(0, 0)].max(0.0).sqrt()
+}
+
 fn apart_m(from: &PlanarPose, to: &PlanarPose) -> f64 {
     (to.x_m() - from.x_m()).hypot(to.y_m() - from.y_m())
 }
@@ -287,7 +292,7 @@ pub(super) struct SlipWatch {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct SeenAt {
     odometry: PlanarPose,
-    pose: PlanarPose,
+    at: MapPosition,
     /// Standard deviation along the way that it looks, in metres.
     along_m: f64,
 }
@@ -309,10 +314,25 @@ impl SlipWatch {
         self.seen.clear();
     }
 
-    /// A closure says where the robot was at `odometry`; whether its wheels have slipped.
+    /// Of what a frame shows, where it puts the robot whatever the wheels say: what structure has measured, or else what was
+    /// recognised. Once wheels have slipped by more than places are apart, what is before the camera is no longer taken for
+    /// the place that it is, since wheels speak against it; that it stays in view is what tells.
+    pub(super) fn sighting<'a>(look: &'a Look, settings: &LocalizationSettings) -> Option<&'a Closure> {
+        let closure = match &look.sight {
+            Sight::Closure(closure) => Some(closure),
+            Sight::Unknown | Sight::TooLittle => None,
+        };
+        let is_measured = |seen: &&Closure| along_m(seen) <= SLIP_M[0] / SLIP_SIGMAS;
+        let measured =
+            look.glimpses.iter().flatten().filter(is_measured).filter(|seen| seen.tells_where(settings));
+        let best = measured
+            .max_by(|one, other| one.evidence.unwrap_or(0.0).total_cmp(&other.evidence.unwrap_or(0.0)));
+        closure.filter(is_measured).or(best).or(closure)
+    }
+
+    /// A sighting says where the robot was at `odometry`; whether its wheels have slipped.
     pub(super) fn slips(&mut self, odometry: &PlanarPose, closure: &Closure) -> bool {
-        let along_m = closure.covariance[(0, 0)].max(0.0).sqrt();
-        self.seen.push_back(SeenAt { odometry: *odometry, pose: closure.at.pose, along_m });
+        self.seen.push_back(SeenAt { odometry: *odometry, at: closure.at, along_m: along_m(closure) });
         let unsure_m = self.seen.iter().map(|seen| seen.along_m).fold(0.0, f64::max);
         let [least_m, most_m] = SLIP_M;
         let wanted_m = (SLIP_SIGMAS * unsure_m).clamp(least_m, most_m);
@@ -322,7 +342,9 @@ impl SlipWatch {
         }
         let Some(first) = self.seen.front() else { return false };
         let turned_m = turned_m(first);
-        let stays = |seen: &SeenAt| apart_m(&first.pose, &seen.pose) < SLIP_SHARE * turned_m;
+        let stays = |seen: &SeenAt| {
+            first.at.part == seen.at.part && apart_m(&first.at.pose, &seen.at.pose) < SLIP_SHARE * turned_m
+        };
         let count = self.seen.len();
         let agreeing = self.seen.iter().filter(|seen| stays(seen)).count();
         count >= SLIP_CLOSURES

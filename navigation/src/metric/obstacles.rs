@@ -52,12 +52,12 @@ impl Navigator {
         }
     }
 
-    /// A closure says where the robot was; whether that goes by as the wheels say.
-    pub(super) fn watch_slip(&mut self, (stamp_ns, odometry): (i64, &PlanarPose), closure: &Closure) {
+    /// What is seen says where the robot was; whether that goes by as the wheels say.
+    pub(super) fn watch_slip(&mut self, (stamp_ns, odometry): (i64, &PlanarPose), seen: &Closure) {
         let is_driven = self.driver == Driver::Commands && matches!(self.task, Task::Follow(_));
         if !is_driven || self.watch.is_recovering() {
             self.slip.forget();
-        } else if self.slip.slips(odometry, closure) {
+        } else if self.slip.slips(odometry, seen) {
             self.slip.forget();
             self.watch.hold(Obstacle::WheelsSlip, (stamp_ns, odometry), &self.settings.supervision);
         }

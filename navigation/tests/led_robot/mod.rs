@@ -40,6 +40,10 @@ pub(crate) struct World {
     pub(crate) sees_bare_walls: bool,
     /// Whether its wheels turn and it stays where it is.
     pub(crate) slips: bool,
+    /// Whether what it sees is taken for no place, since its wheels speak against it.
+    pub(crate) doubts_what_it_sees: bool,
+    /// Variance along the way of what it sees.
+    pub(crate) along_m2: f64,
     pub(crate) driver: Driver,
     pub(crate) truth: PlanarPose,
     pub(crate) wheels: PlanarPose,
@@ -85,6 +89,8 @@ impl World {
             knows: true,
             sees_bare_walls: false,
             slips: false,
+            doubts_what_it_sees: false,
+            along_m2: 0.02,
             driver: Driver::Commands,
             truth: start,
             wheels: PlanarPose::identity(),
@@ -122,7 +128,7 @@ impl World {
             }
             Fixes::OfTheLine { depth_m } => PlanarPose::new(x_m, 0.0, heading_rad + (y_m / depth_m).atan()),
         };
-        let covariance = Matrix3::from_diagonal(&Vector3::new(0.02, 0.006, 0.0012));
+        let covariance = Matrix3::from_diagonal(&Vector3::new(self.along_m2, 0.3 * self.along_m2, 0.0012));
         let (at, from_view) = (MapPosition { part: PlaceId::new(0), pose }, PlanarPose::identity());
         let place = (2.0 * x_m).max(0.0) as u32;
         Closure {
@@ -168,17 +174,22 @@ impl World {
         };
         self.reports.push_back((self.step + self.delay_steps, report));
         if sees && self.step.is_multiple_of(STEPS_PER_FRAME) {
-            let sight = match (self.sees_bare_walls, self.knows) {
-                (true, _) => Sight::TooLittle,
-                (false, true) => Sight::Closure(self.closure()),
-                (false, false) => Sight::Unknown,
+            let mut glimpses = NOTHING;
+            let sight = match (self.sees_bare_walls, self.knows, self.doubts_what_it_sees) {
+                (true, _, _) => Sight::TooLittle,
+                (false, true, false) => Sight::Closure(self.closure()),
+                (false, true, true) => {
+                    glimpses[0] = Some(self.closure());
+                    Sight::Unknown
+                }
+                (false, false, _) => Sight::Unknown,
             };
             let evidence = if self.knows { 100.0 } else { 0.0 };
             let episode = self.navigator.episode();
             let (stamp_ns, odometry) = (self.stamp_ns(), Some(self.wheels));
             self.looks.push_back((
                 self.step + self.delay_steps,
-                Look { stamp_ns, odometry, sight, evidence, glimpses: NOTHING, episode },
+                Look { stamp_ns, odometry, sight, evidence, glimpses, episode },
             ));
         }
         self.serve();

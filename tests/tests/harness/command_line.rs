@@ -1,9 +1,11 @@
 //! The real command line against a real server.
 
+use std::fs::File;
 use std::path::Path;
 use std::process::Output;
 
 use serde_json::Value;
+use waypost_client::launch;
 
 use super::{BY_WORDS_THRESHOLD, Built, ServerProcess, images, model_file, run_to_its_end};
 
@@ -43,6 +45,23 @@ impl CommandLine {
         let mut command = Built::command("waypost");
         command.args(arguments).args(["--server", &self.endpoint()]).env("XDG_CACHE_HOME", self.cache());
         run_to_its_end(command)
+    }
+
+    /// Exit code of a command on a terminal at which somebody types this and hangs up, and all that is on its screen.
+    pub(crate) fn on_a_terminal(&self, arguments: &[&str], typed: &str) -> (i32, String) {
+        let program = Built::command("waypost");
+        let words = [program.get_program().to_str().unwrap()].into_iter();
+        let words = words.chain(arguments.iter().copied());
+        let quoted: Vec<String> = words.map(|word| format!("'{}'", word.replace('\'', r"'\''"))).collect();
+        let line = format!("{} --server {}", quoted.join(" "), self.endpoint());
+        let keys = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(keys.path(), typed).unwrap();
+        let mut script = launch::command("script");
+        // Gives what it runs a terminal, types what it reads into it, and ends with its exit code.
+        script.args(["--quiet", "--return", "--command", &line, "/dev/null"]);
+        script.stdin(File::open(keys.path()).unwrap()).env("XDG_CACHE_HOME", self.cache());
+        let Output { status, stdout, stderr: _ } = run_to_its_end(script);
+        (status.code().unwrap(), String::from_utf8(stdout).unwrap())
     }
 
     /// What a command that succeeds prints.

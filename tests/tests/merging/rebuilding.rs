@@ -3,8 +3,8 @@
 use waypost_client::{Code, v1};
 
 use crate::harness::{
-    Server, answers, assert_status, followed, frame, images, import_model, map_request, model_of_other_words,
-    refused, said, state_hash, take_model,
+    CommandLine, Server, answers, assert_status, folder, followed, frame, images, import_model, map_request,
+    model_of_other_words, path, refused, said, state_hash, take_model,
 };
 
 /// The words of a map can be made anew from the descriptors that it keeps, and are as if its robots had sent them there.
@@ -73,4 +73,40 @@ async fn a_map_is_made_anew_with_another_model() {
         assert_status(map, (answer.0, &answer.1), code, fragment);
     }
     server.stop().await;
+}
+
+/// Its summary counts every frame for one reason, and those of the map before beside them.
+#[test]
+fn what_a_rebuild_prints_adds_up() {
+    const FRAMES: usize = 30;
+    let waypost = CommandLine::new();
+    waypost.prepare();
+    let images = folder(FRAMES);
+    let streamed = waypost.json(&["stream", path(images.path()), "--map", "drive", "--session", "robot"]);
+    waypost.text(&["map", "label", "drive", "1", "kitchen"]);
+    let features = waypost.json(&["model", "show", "shipped"])["extractor"].as_str().unwrap().to_owned();
+    let train = ["model", "train", "--images", path(images.path()), "--words", "200", "--name", "other"];
+    waypost.text(&[&train[..], &["--extractor", &features]].concat());
+    let rebuild = ["map", "rebuild", "drive", "--model", "other", "--into", "anew"];
+    let rebuilt = waypost.json(&rebuild);
+    assert_eq!(rebuilt["map"]["name"], "maps/anew");
+    assert_eq!(rebuilt["reasons_before"], streamed["reasons"]);
+    let counts = rebuilt["reasons"].as_object().unwrap();
+    let counted: u64 = counts.values().map(|count| count.as_u64().unwrap()).sum();
+    assert_eq!((counts.len(), counted), (6, FRAMES as u64), "{rebuilt}");
+    assert_ne!(rebuilt["reasons"], rebuilt["reasons_before"]);
+    assert_eq!((&rebuilt["labels_left"], &rebuilt["corrections_left"]), (&1.into(), &0.into()));
+    // The same for people; the same command again finds all of it done.
+    let said = waypost.text(&rebuild);
+    let numbers = |row: &str| {
+        let row = said.lines().find(|line| line.trim_start().starts_with(row)).unwrap();
+        row.split_whitespace().filter_map(|cell| cell.parse::<usize>().ok()).collect::<Vec<_>>()
+    };
+    assert_eq!(numbers("frames"), [FRAMES, FRAMES], "{said}");
+    let rows =
+        ["somewhere new", "same place", "loop closures", "known place, not", "known place, ref", "too few"];
+    for column in [0, 1] {
+        assert_eq!(rows.iter().map(|row| numbers(row)[column]).sum::<usize>(), FRAMES, "{said}");
+    }
+    assert!(said.contains("labels 1, corrections by people 0"), "{said}");
 }

@@ -2,9 +2,10 @@
 //! (`tls.rs`, `tokens.rs`, `startup.rs`, `config.rs`), bad frames have `robots/bad_frames.rs`.
 
 mod asking;
+mod images;
 mod streaming;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use crate::harness::{Built, CommandLine, folder, images, path, run_to_its_end};
 
@@ -211,70 +212,6 @@ fn addresses_that_are_wrong() {
         assert_eq!(output.status.code(), Some(code), "{mistake}: {said}");
         assert!(said.contains(fragment), "{mistake}: {said}");
     }
-}
-
-#[test]
-fn folders_and_images_that_are_wrong() {
-    let beginner = Beginner::new();
-    let file = beginner.file("notes.txt", "x");
-    beginner.file("empty/notes.txt", "x");
-    let empty = beginner.files.path().join("empty");
-    let stream = |mistake: &str, folder: &Path, code, fragment: &str| {
-        let arguments = ["stream", path(folder), "--map", "hall", "--session", "new"];
-        beginner.says(mistake, &arguments, code, fragment);
-    };
-    stream("no folder", Path::new("/nope"), 1, "there is no folder /nope");
-    stream("no images", &empty, 1, "no images in");
-    stream("a file", &file, 1, "give the folder");
-    for (name, content, fragment) in [
-        ("truncated", &images()[0][..500], "refused"),
-        ("nothing", &[], "refused"),
-        ("text", b"no image", "refused"),
-        ("webp", b"RIFF\x24\0\0\0WEBPVP8 ", "convert it to JPEG or PNG"),
-    ] {
-        let bad = beginner.file(&format!("{name}/1.jpg"), content);
-        let arguments = ["stream", path(bad.parent().unwrap()), "--map", "hall", "--session", name];
-        beginner.says(name, &arguments, 5, fragment);
-    }
-    let folder = path(beginner.images.path());
-    beginner.says("photos for panoramas", &["stream", folder, "--map", "looks"], 4, "--panorama");
-    for projection in ["cylindrical", "equirectangular"] {
-        let arguments = ["stream", folder, "--map", "looks", "--panorama", projection];
-        beginner.says("photos called panoramas", &arguments, 1, "at least twice as wide as high");
-    }
-    let arguments = ["stream", folder, "--map", "hall", "--session", "new", "--camera", "500,500,320,240"];
-    beginner.says("the camera of other images", &arguments, 1, "give the calibration of these images");
-    let simulate = ["simulate", "--map", "looks", "--world", "office"];
-    beginner.says("a camera ahead for panoramas", &simulate, 1, "name a map of metres");
-    beginner.says(
-        "more words than images give",
-        &["model", "train", "--images", folder, "--words", "500000", "--name", "large"],
-        1,
-        "at most",
-    );
-
-    // Another folder into the session of this one, whatever its files are called.
-    let other = beginner.files.path().join("other");
-    std::fs::create_dir(&other).unwrap();
-    for (index, image) in images().iter().skip(50).take(8).enumerate() {
-        std::fs::write(other.join(format!("{index:06}.jpg")), image).unwrap();
-    }
-    let arguments = ["stream", path(&other), "--map", "hall", "--session", "monday"];
-    beginner.says("another folder", &arguments, 1, "was begun with other images");
-    for index in (0..8).rev() {
-        std::fs::rename(other.join(format!("{index:06}.jpg")), other.join(format!("{:06}.jpg", index + 100)))
-            .unwrap();
-    }
-    beginner.says(
-        "a folder of other names",
-        &arguments,
-        1,
-        "its frame 6 is 000005.jpg, and here it is 000105.jpg",
-    );
-    // The same one goes on.
-    std::fs::write(beginner.images.path().join("000006.jpg"), &images()[6]).unwrap();
-    let said = beginner.waypost.text(&["stream", folder, "--map", "hall", "--session", "monday"]);
-    assert!(said.contains("resumed after frame 6"), "{said}");
 }
 
 #[test]

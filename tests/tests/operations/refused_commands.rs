@@ -1,5 +1,7 @@
 //! What a mistaken command says; a command that is refused has done nothing.
 
+use std::process::Output;
+
 use crate::harness::{Built, CommandLine, folder, path, run_to_its_end};
 
 #[test]
@@ -56,17 +58,23 @@ fn a_server_without_tls_is_told_from_one_that_is_not_there() {
 
 #[test]
 fn shells_and_man_know_every_command() {
-    let waypost = CommandLine::new();
+    let run = |arguments: &[&str]| {
+        let mut command = Built::command("waypost");
+        command.args(arguments);
+        let Output { status, stdout, stderr } = run_to_its_end(command);
+        (status.code().unwrap(), [stdout, stderr].map(|said| String::from_utf8(said).unwrap()))
+    };
     for shell in ["bash", "zsh", "fish"] {
-        let script = waypost.text(&["completions", shell]);
+        let (code, [script, said]) = run(&["completions", shell]);
+        assert_eq!((code, said.as_str()), (0, ""));
         assert!(script.contains("navigate") && script.contains("to-label"), "{shell}");
     }
     let folder = tempfile::tempdir().unwrap();
     let pages = folder.path().join("man1");
-    waypost.text(&["man", path(&pages)]);
+    assert_eq!(run(&["man", path(&pages)]), (0, [String::new(), String::new()]));
     let page = std::fs::read_to_string(pages.join("waypost-map-create.1")).unwrap();
     assert!(page.contains("place\\-spacing\\-m"), "{page}");
     assert!(pages.join("waypost.1").is_file() && pages.join("waypost-stream.1").is_file());
-    let (code, said) = waypost.fails(&["man", path(&pages)]);
+    let (code, [_, said]) = run(&["man", path(&pages)]);
     assert!(code == 1 && said.contains("--force"), "{said}");
 }

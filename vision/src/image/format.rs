@@ -19,6 +19,14 @@ impl Format {
     }
 }
 
+/// Bytes at the beginning of a file by which text is told.
+const TEXT_BYTES: usize = 512;
+
+/// Whether this is ASCII text as far as it is looked at.
+fn is_text(bytes: &[u8]) -> bool {
+    bytes.iter().take(TEXT_BYTES).all(|byte| byte.is_ascii_graphic() || byte.is_ascii_whitespace())
+}
+
 /// Names what people and robots send by mistake.
 pub(super) fn describe_unknown(bytes: &[u8]) -> String {
     let known: [(&[u8], &str); 16] = [
@@ -46,6 +54,7 @@ pub(super) fn describe_unknown(bytes: &[u8]) -> String {
         [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => "WebP".to_owned(),
         [_, _, _, _, b'f', b't', b'y', b'p', ..] => "HEIF, AVIF or video".to_owned(),
         _ if bytes.iter().all(|&byte| byte == 0) => "all zero bytes".to_owned(),
+        _ if is_text(bytes) => "a text file".to_owned(),
         _ => {
             let start: Vec<String> = bytes.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
             format!("something unknown that starts with the bytes {}", start.join(" "))

@@ -16,7 +16,7 @@ use crate::drive::{Drive, Topics, camera_message};
 use crate::failure::Failure;
 use crate::files::Asking;
 use crate::images::{
-    DEFAULT_RATE_HZ as VIDEO_RATE_HZ, ImageFile, Video, images_of, images_of_video, is_video,
+    DEFAULT_RATE_HZ as VIDEO_RATE_HZ, ImageFile, Video, images_of, images_of_video, is_video, told_of_others,
 };
 use crate::moments::{Moments, moments};
 use crate::odometry::{self, StampedPose};
@@ -105,7 +105,7 @@ pub(super) async fn recording(
     let with_file = odometry.zip(poses.as_deref());
     let of_sizes = several_sizes(&images);
     let Moments { moments, told } = moments(&images, with_file, rate_hz.unwrap_or(DEFAULT_RATE_HZ))?;
-    for line in told.into_iter().chain(of_sizes) {
+    for line in told.into_iter().chain(of_sizes).chain(told_of_others(&images)) {
         // If stderr is closed, the message is lost.
         let _ = writeln!(std::io::stderr(), "{line}");
     }

@@ -9,6 +9,7 @@ use super::agreement;
 use crate::failure::Failure;
 use crate::frame_row::FrameRow;
 use crate::output::Output;
+use crate::reasons::Reasons;
 use crate::replay::Sent;
 
 /// What `--json` prints.
@@ -40,53 +41,6 @@ pub(super) struct Hints {
     pub(super) odometry_finding: Option<String>,
 }
 
-/// How many frames were decided for each reason.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-struct Reasons {
-    new_place: usize,
-    same_place: usize,
-    loop_closure: usize,
-    below_threshold: usize,
-    geometry_refused: usize,
-    too_few_words: usize,
-}
-
-impl Reasons {
-    fn of(frames: &[FrameRow]) -> Self {
-        let count = |reason| frames.iter().filter(|row| row.reason == Some(reason)).count();
-        Self {
-            new_place: count("new_place"),
-            same_place: count("same_place"),
-            loop_closure: count("loop_closure"),
-            below_threshold: count("below_threshold"),
-            geometry_refused: count("geometry_refused"),
-            too_few_words: count("too_few_words"),
-        }
-    }
-
-    /// A line for each reason; they add up to the frames that were answered.
-    fn write(self, mode: v1::SessionMode, out: &mut dyn Write) -> io::Result<()> {
-        let Reasons { new_place, same_place, loop_closure, below_threshold, geometry_refused, too_few_words } =
-            self;
-        // Nothing is closed where nothing is added.
-        let recognised = match mode {
-            v1::SessionMode::Localize => "another place, recognised",
-            v1::SessionMode::Map | v1::SessionMode::Unspecified => "loop closures",
-        };
-        for (what, frames) in [
-            ("somewhere new", new_place),
-            ("same place", same_place),
-            (recognised, loop_closure),
-            ("known place, not sure enough", below_threshold),
-            ("known place, refused by geometry", geometry_refused),
-            ("too few words", too_few_words),
-        ] {
-            writeln!(out, "  {what:<33}{frames:6}")?;
-        }
-        Ok(())
-    }
-}
-
 /// Prints what came of a stream, and the hints to stderr. Fails if frames were refused.
 pub(super) fn conclude(
     opened: v1::SessionOpened,
@@ -97,7 +51,7 @@ pub(super) fn conclude(
     output: Output,
 ) -> Result<(), Failure> {
     let v1::SessionOpened { session, last_committed_sequence, model, words_hash: _ } = opened;
-    let reasons = Reasons::of(&frames);
+    let reasons = Reasons::of(frames.iter().filter_map(|row| row.reason));
     let summary = Summary {
         map: session.split("/sessions/").next().unwrap_or_default().to_owned(),
         session,
@@ -136,7 +90,12 @@ pub(super) fn conclude(
 
 fn write(summary: &Summary, mode: v1::SessionMode, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "{:<35}{:6}", "frames", summary.frame_count)?;
-    summary.reasons.write(mode, out)?;
+    // Nothing is closed where nothing is added.
+    let recognised = match mode {
+        v1::SessionMode::Localize => "another place, recognised",
+        v1::SessionMode::Map | v1::SessionMode::Unspecified => "loop closures",
+    };
+    summary.reasons.write(recognised, out)?;
     writeln!(out, "  {:<33}{:6}", "refused", summary.refused)?;
     if mode != v1::SessionMode::Localize {
         writeln!(out, "{:<35}{:6}", "new places", summary.places_created)?;
@@ -154,29 +113,4 @@ fn write(summary: &Summary, mode: v1::SessionMode, out: &mut dyn Write) -> io::R
 fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len().saturating_sub(1) / 2).copied()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_frame_is_counted_once() {
-        let reasons = [
-            "new_place",
-            "same_place",
-            "same_place",
-            "loop_closure",
-            "below_threshold",
-            "geometry_refused",
-            "too_few_words",
-        ];
-        let frames: Vec<FrameRow> =
-            reasons.iter().map(|reason| FrameRow { reason: Some(reason), ..FrameRow::default() }).collect();
-        let mut text = Vec::new();
-        Reasons::of(&frames).write(v1::SessionMode::Map, &mut text).unwrap();
-        let text = String::from_utf8(text).unwrap();
-        let numbers = text.lines().map(|line| line.rsplit(' ').next().unwrap().parse::<usize>().unwrap());
-        assert_eq!(numbers.collect::<Vec<_>>(), [1, 2, 1, 1, 1, 1], "{text}");
-    }
 }

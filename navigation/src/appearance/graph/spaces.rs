@@ -1,6 +1,6 @@
 //! Rooms: where the graph hangs together by little.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
 use super::{AppearanceGraph, ImageId};
 
@@ -46,19 +46,32 @@ pub(super) fn room_around(
     min_share: f64,
 ) -> Vec<ImageId> {
     let Some(&space) = spaces.get(image as usize) else { return Vec::new() };
-    // Of the space, what is matched from an image, itself included.
+    // What is matched from an image, by similarity; itself as much as what is most similar to it.
     let seen_from = |image: ImageId| {
-        let links = graph.neighbours(image).iter().map(|link| link.to);
-        let within = links.filter(|&to| spaces.get(to as usize) == Some(&space));
-        within.chain([image]).collect::<BTreeSet<ImageId>>()
+        let links = graph.neighbours(image);
+        let most = links.iter().map(|link| link.similarity).fold(0.0, f64::max);
+        links.iter().map(|link| (link.to, link.similarity)).chain([(image, most)]).collect::<Sight>()
     };
     let here = seen_from(image);
     let is_inside = |&other: &ImageId| {
         other == image
-            || (spaces[other as usize] == space
-                && here.intersection(&seen_from(other)).count() as f64 >= min_share * here.len() as f64)
+            || (spaces[other as usize] == space && {
+                let there = seen_from(other);
+                share(&here, &there) >= min_share && share(&there, &here) >= min_share
+            })
     };
     (0..spaces.len() as ImageId).filter(is_inside).collect()
+}
+
+/// Images that are matched from one, with their similarity.
+type Sight = BTreeMap<ImageId, f64>;
+
+/// The share of what is matched from one image that is matched from another, too.
+fn share(of: &Sight, also_from: &Sight) -> f64 {
+    let all: f64 = of.values().sum();
+    let shared: f64 =
+        of.iter().filter(|(image, _)| also_from.contains_key(image)).map(|(_, part)| part).sum();
+    shared / all
 }
 
 impl Part {

@@ -90,6 +90,23 @@ fn rooms_are_found_and_corridors_are_not_cut_from_them_at_random() {
     assert_eq!(graph(10, &room).convex_spaces(), [0; 10]);
 }
 
+/// In a narrow hall before the door of a room all of it is matched, and the hall besides.
+#[test]
+fn who_sees_a_room_whole_from_before_its_door_is_not_in_it() {
+    const BEFORE_THE_DOOR: ImageId = 10;
+    let mut links = Vec::new();
+    for a in 0..10 {
+        links.extend((0..a).map(|b| (a, b, 0.3)));
+        links.push((a, BEFORE_THE_DOOR, 0.15));
+    }
+    links.extend((11..23).map(|hall| (BEFORE_THE_DOOR, hall, 0.3)));
+    let one_space = [0; 23];
+    assert_eq!(graph(23, &links).room_around(3, &one_space), (0..10).collect::<Vec<_>>());
+    // What sees little besides is in the room.
+    let niche = graph(23, &links[..links.len() - 10]);
+    assert_eq!(niche.room_around(3, &one_space), (0..11).collect::<Vec<_>>());
+}
+
 /// Bellman and Ford's relaxation of all links, as often as there are images.
 fn plain_distances(graph: &AppearanceGraph, goal: ImageId) -> Vec<f64> {
     let mut distances = vec![f64::INFINITY; graph.len()];

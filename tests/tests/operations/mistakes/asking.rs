@@ -1,4 +1,4 @@
-//! What is asked of a map or a job, and what is said where there is no answer.
+//! What is asked of a map, a job or a person, and what is said where there is no answer.
 
 use reqwest::StatusCode;
 
@@ -34,4 +34,40 @@ fn a_job_that_waits_for_nobody_says_so() {
     assert!(!stage.is_empty() && !stage.contains("another job"), "{job}");
     let number = job["name"].as_str().unwrap().trim_start_matches("jobs/").to_owned();
     assert_eq!(beginner.waypost.json(&["job", "watch", &number])["state"], "succeeded");
+}
+
+/// On a terminal, people are asked before something is lost. Only a yes is one.
+#[test]
+fn people_are_asked_before_something_is_lost() {
+    let beginner = Beginner::new();
+    let waypost = &beginner.waypost;
+    let hall = waypost.json(&["map", "show", "hall"]);
+    for (command, question) in [
+        (
+            &["session", "rm", "hall", "monday"][..],
+            "delete monday from the map hall? it cannot be undone [y/N]",
+        ),
+        (&["map", "trim", "hall", "--places", "2", "--apply"], "[y/N]"),
+        (&["map", "compact", "hall"], "so that no merge can be undone? [y/N]"),
+        (&["map", "rm", "hall"], "delete the map hall with all its sessions? [y/N]"),
+    ] {
+        // The last two are the end of the input, before any answer and within one.
+        for typed in ["n\n", "no\n", "\n", "yesterday\n", "", "n\u{4}\u{4}"] {
+            let (code, screen) = waypost.on_a_terminal(command, typed);
+            assert_eq!(code, 1, "{command:?}, {typed:?}: {screen}");
+            assert!(screen.contains(question), "{command:?}, {typed:?}: {screen}");
+            assert!(screen.contains("nothing was done; answer y, or give --yes"), "{typed:?}: {screen}");
+        }
+        assert_eq!(waypost.json(&["map", "show", "hall"]), hall, "{command:?}");
+    }
+    for (command, typed, done) in [
+        (&["session", "rm", "hall", "monday"][..], "y\n", "deleted maps/hall/sessions/monday"),
+        (&["map", "compact", "hall"], "Yes\n", "compacted hall"),
+        (&["map", "rm", "hall"], " y \n", "deleted hall"),
+    ] {
+        let (code, screen) = waypost.on_a_terminal(command, typed);
+        assert!(code == 0 && screen.contains("[y/N]") && screen.contains(done), "{command:?}: {screen}");
+    }
+    let (code, said) = waypost.fails(&["map", "show", "hall"]);
+    assert!(code == 4 && said.contains("there is no map hall"), "{said}");
 }
