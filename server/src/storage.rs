@@ -7,6 +7,7 @@ mod cameras;
 mod checkpoints;
 mod columns;
 mod commits;
+mod connections;
 mod corrections;
 mod damage;
 mod engine;

@@ -13,8 +13,13 @@ use crate::net::peer::{self, Unreachable};
 use crate::storage::Owner;
 
 /// What of a request is about its connection alone, RFC 9113 section 8.2.2.
-const OF_THE_CONNECTION: [header::HeaderName; 4] =
-    [header::CONNECTION, header::PROXY_AUTHENTICATE, header::TRANSFER_ENCODING, header::UPGRADE];
+const OF_THE_CONNECTION: [header::HeaderName; 5] = [
+    header::CONNECTION,
+    header::EXPECT,
+    header::PROXY_AUTHENTICATE,
+    header::TRANSFER_ENCODING,
+    header::UPGRADE,
+];
 
 /// One connection to the owner for each that comes in: what the owner grants to a connection, everyone has.
 #[derive(Debug, Default)]

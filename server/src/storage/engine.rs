@@ -1,7 +1,6 @@
 //! What keeps the tables, and what only one of the two can do.
 
-use sqlx::any::AnyPoolOptions;
-use sqlx::{Any, AnyPool, Connection, Transaction};
+use sqlx::{Any, AnyPool, Transaction};
 use tokio::sync::watch;
 
 use super::postgres::{Fleet, Postgres};
@@ -11,16 +10,6 @@ use super::{Storage, StorageError, postgres, sqlite};
 
 /// Begins a snapshot of PostgreSQL.
 pub(super) const POSTGRES_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
-
-/// So many connections at most. One whose transaction could not be rolled back, as on a disk that fails, is not used
-/// again: whatever was begun on it would be nested in that transaction.
-pub(super) fn pool(connections: u32) -> AnyPoolOptions {
-    sqlx::any::install_default_drivers();
-    AnyPoolOptions::new().max_connections(connections).before_acquire(|connection, _| {
-        let sound = !connection.is_in_transaction();
-        Box::pin(async move { Ok(sound) })
-    })
-}
 
 #[derive(Clone, Debug)]
 pub(super) enum Engine {

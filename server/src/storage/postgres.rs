@@ -21,7 +21,7 @@ pub(crate) use self::lease::{Addresses, Claim, Owner, WhileOwned, host_name};
 use self::lease::{LEASE, renew, take};
 use super::sqlite::Inspection;
 use super::values::from_sql;
-use super::{EXPORTERS, Pools, READERS, StorageError, engine};
+use super::{EXPORTERS, Pools, READERS, StorageError, connections};
 
 /// Statements, and waits for locks, are bounded in time: who asks gets an answer.
 const STATEMENT_TIMEOUT: Duration = Duration::from_secs(60);
@@ -125,7 +125,7 @@ pub(crate) async fn inspect_postgres(address: &str) -> Result<Option<Inspection>
 }
 
 fn pool(connections: u32) -> AnyPoolOptions {
-    engine::pool(connections).after_connect(|connection, _| {
+    connections::pool(connections).after_connect(|connection, _| {
         Box::pin(async move {
             let settings = format!(
                 "SET statement_timeout = {}; SET lock_timeout = {};",

@@ -26,7 +26,7 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{Any, AnyConnection, AnyPool, ConnectOptions, Connection, Transaction};
 
 use super::error::{SQLITE_NOTADB, is_rot, primary_code};
-use super::{EXPORTERS, Pools, READERS, StorageError, engine};
+use super::{EXPORTERS, Pools, READERS, StorageError, connections};
 
 const FILE_NAME: &str = "waypost.sqlite";
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
@@ -85,7 +85,7 @@ async fn migrate(directory: &Path) -> Result<(), StorageError> {
 }
 
 fn pool(connections: u32, access: Access) -> AnyPoolOptions {
-    engine::pool(connections).after_connect(move |connection, _| {
+    connections::pool(connections).after_connect(move |connection, _| {
         Box::pin(async move {
             let timeout_ms = BUSY_TIMEOUT.as_millis();
             let mut settings = format!("PRAGMA busy_timeout = {timeout_ms}; PRAGMA foreign_keys = ON;");
