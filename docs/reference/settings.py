@@ -10,12 +10,12 @@ from . import contract
 from .command_line import read, said
 from .text import REPOSITORY, code, page, prose, sentence, table
 
-SOURCE = REPOSITORY / "server" / "src" / "config.rs"
+SOURCE = REPOSITORY / "server" / "src" / "config" / "keys.rs"
 
 
 def forms() -> dict[str, str]:
     """Each setting of the server, and how it is written, from the list that its errors name."""
-    listed = re.search(r"^const KEYS: [^=]+= \[\n(.*?)^\];", SOURCE.read_text(), re.MULTILINE | re.DOTALL)
+    listed = re.search(r"^pub\(super\) const KEYS: [^=]+= \[\n(.*?)^\];", SOURCE.read_text(), re.MULTILINE | re.DOTALL)
     assert listed, f"{SOURCE} has no KEYS"
     found = re.findall(r'\(\s*"(\w+)",\s*"((?:[^"\\]|\\.)*)",?\s*\)', listed[1])
     return {key: form.replace('\\"', '"') for key, form in found}
@@ -50,7 +50,7 @@ def make(binary: Callable[[str], Path]) -> str:
         )
     return page(
         "Settings",
-        "server/src/config.rs, the help of waypost-server, and proto/waypost/v1/map.proto",
+        "server/src/config/keys.rs, the help of waypost-server, and proto/waypost/v1/map.proto",
         "## Of the server",
         "Each is a key of the TOML file that `--config` or `WAYPOST_CONFIG` names. It is a variable in "
         "the environment, too "
