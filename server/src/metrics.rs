@@ -233,9 +233,9 @@ impl Metrics {
     }
 
     /// The metrics of a server that does not own its database.
-    pub(crate) fn render_in_reserve(&self) -> String {
+    pub(crate) fn render_in_reserve(&self, process: ProcessLevels) -> String {
         self.local(|| gauge!(OWNS_DATABASE).set(0.0));
-        self.set_process(crate::memory::process_levels());
+        self.set_process(process);
         self.recorder.handle().render()
     }
 

@@ -25,6 +25,7 @@ use crate::error::ServiceError;
 use crate::http::HttpError;
 use crate::ingest::helping::Helping;
 use crate::ingest::looking::{self, Look, Seen};
+use crate::memory::process_levels;
 use crate::metrics::{Forwarding, Metrics};
 use crate::net::connections::{Came, Connections, Port};
 use crate::net::messages::MAX_MESSAGE_BYTES;
@@ -36,6 +37,9 @@ use crate::storage::Owner;
 
 /// After which a client tries again that nobody could serve.
 const RETRY: Duration = Duration::from_secs(1);
+
+/// How long is waited until it is known who owns the database: just after a start, for a moment.
+const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Both ports of a server in reserve.
 #[derive(Clone, Debug)]
@@ -160,7 +164,7 @@ async fn ask(
             // The owner has said that they may be read.
             if own_metrics && response.status() == StatusCode::OK {
                 let kind = [(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")];
-                return (kind, door.relay.metrics.render_in_reserve()).into_response();
+                return (kind, door.relay.metrics.render_in_reserve(process_levels())).into_response();
             }
             door.language.carried(response, forwarding)
         }
@@ -188,9 +192,10 @@ impl Door {
         visitor: &Visitor,
         mut request: Request,
     ) -> Result<Response<Incoming>, ServiceError> {
-        let owner = self.relay.way.owner.borrow().clone();
-        let Some(owner) = owner else {
-            return Err(not_now("who owns the database is not known yet".to_owned()));
+        let mut owner = self.relay.way.owner.clone();
+        let known = tokio::time::timeout(PATIENCE, owner.wait_for(Option::is_some)).await;
+        let Some(owner) = known.ok().and_then(Result::ok).and_then(|owner| owner.clone()) else {
+            return Err(not_now("who owns the database is not known".to_owned()));
         };
         let address = match self.language {
             Language::Grpc => &owner.addresses.grpc,
