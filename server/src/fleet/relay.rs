@@ -195,18 +195,18 @@ impl Door {
         let mut owner = self.relay.way.owner.clone();
         let known = tokio::time::timeout(PATIENCE, owner.wait_for(Option::is_some)).await;
         let Some(owner) = known.ok().and_then(Result::ok).and_then(|owner| owner.clone()) else {
-            return Err(not_now("who owns the database is not known".to_owned()));
+            return Err(not_now("who owns the database is not known"));
         };
         let address = match self.language {
             Language::Grpc => &owner.addresses.grpc,
             Language::Rest => &owner.addresses.http,
         };
         if address.is_empty() {
-            return Err(not_now(format!("the database is worked on by a command ({})", owner.holder)));
+            return Err(not_now(&format!("the database is worked on by a command ({})", owner.holder)));
         }
         // Two servers that take each other for the owner would ask each other for ever.
         if Neighbours::of(Some(&owner.secret)).on_behalf_of(request.headers()).is_some() {
-            return Err(not_now("the database has just changed hands".to_owned()));
+            return Err(not_now("the database has just changed hands"));
         }
         let peer = visitor.standing.as_ref().map_or(Ipv4Addr::UNSPECIFIED.into(), Standing::peer);
         neighbours::tell(request.headers_mut(), IpAddr::to_canonical(&peer), &owner.secret);
@@ -217,10 +217,10 @@ impl Door {
 
 fn unreachable(owner: &Owner, address: &str, error: &Unreachable) -> ServiceError {
     tracing::warn!(owner = owner.holder, address, %error, "the owner of the database was not reached");
-    not_now(format!("the server that owns the database ({}, at {address}) was not reached", owner.holder))
+    not_now(&format!("the server that owns the database ({}, at {address}) was not reached", owner.holder))
 }
 
-fn not_now(why: String) -> ServiceError {
+fn not_now(why: &str) -> ServiceError {
     let message = format!("{why}; send this again in a moment, here or to another server");
     ServiceError::Unavailable { message, retry_after: Some(RETRY) }
 }

@@ -247,3 +247,69 @@ fn observed(model: &LoadedModel, seen: Seen, image: &Bytes, keep: Keep) -> Resul
         quantize: seconds(quantize_s),
     })
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+mod tests {
+    use futures::FutureExt;
+
+    use super::*;
+
+    fn row(id: i64, cores: i64) -> HelperRow {
+        HelperRow { id, holder: format!("server {id}"), address: "127.0.0.1:1".to_owned(), cores }
+    }
+
+    fn set(helpers: &Helpers, rows: &[HelperRow]) {
+        helpers.set(rows, &Arc::from("word"), None);
+    }
+
+    /// Places that are free now.
+    fn all(helpers: &Helpers) -> Vec<Place> {
+        std::iter::from_fn(|| helpers.place().now_or_never()).collect()
+    }
+
+    #[tokio::test]
+    async fn there_is_a_place_for_each_core_of_those_that_are_there() {
+        let helpers = Helpers::default();
+        assert_eq!(all(&helpers).len(), 0);
+        set(&helpers, &[row(1, 2), row(2, 1)]);
+        let taken = all(&helpers);
+        assert_eq!((taken.len(), helpers.cores()), (3, 3));
+        // Told again, nothing is there twice.
+        set(&helpers, &[row(1, 2), row(2, 1)]);
+        assert_eq!(all(&helpers).len(), 0);
+        drop(taken);
+        assert_eq!(all(&helpers).len(), 3);
+    }
+
+    #[tokio::test]
+    async fn places_of_those_that_are_gone_are_given_to_nobody() {
+        let helpers = Helpers::default();
+        set(&helpers, &[row(1, 2), row(2, 1)]);
+        let mut taken = all(&helpers);
+        // One place of the first is free when it goes, the other is not.
+        let of_first = taken.iter().position(|place| place.helper.row.id == 1).unwrap();
+        drop(taken.remove(of_first));
+        set(&helpers, &[row(2, 1)]);
+        drop(taken);
+        let left = all(&helpers);
+        assert!(left.len() == 1 && left[0].helper.row.id == 2, "{left:?}");
+        drop(left);
+        set(&helpers, &[row(2, 1), row(3, 4)]);
+        assert_eq!((all(&helpers).len(), helpers.cores()), (5, 5));
+    }
+
+    #[tokio::test]
+    async fn one_that_is_given_up_is_left_alone_for_a_while() {
+        let helpers = Helpers::default();
+        set(&helpers, &[row(1, 3)]);
+        let mut taken = all(&helpers);
+        taken.pop().unwrap().give_up(&NotSeen::Late);
+        drop(taken);
+        set(&helpers, &[row(1, 3)]);
+        assert_eq!((all(&helpers).len(), helpers.cores()), (0, 0));
+        // Started anew, it is another.
+        set(&helpers, &[row(4, 3)]);
+        assert_eq!((all(&helpers).len(), helpers.cores()), (3, 3));
+    }
+}

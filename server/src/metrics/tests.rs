@@ -9,6 +9,7 @@ fn levels() -> Levels {
         disk_free_bytes: Some(8192),
         robots_led: vec![("lost", 3)],
         queues: QueueLengths { images: 17, robots_in_line: 4, maps: 2 },
+        help: Help { cores: 2, images: 9 },
         used: Used { maps: 5, sessions: 6, kept_bytes: 700 },
         refusals: Refusals::from([((Quota::Kept, Holder::Token), 8)]),
         process: ProcessLevels { resident_bytes: Some(512), cpu_seconds: Some(1.5) },
@@ -60,6 +61,26 @@ fn times_are_in_buckets_of_seconds_and_levels_as_they_are() {
         "waypost_kept_bytes 700",
         "waypost_quota_refusals_total{quota=\"max_kept_mib\",of=\"token\"} 8",
         "waypost_process_resident_memory_bytes 512",
+        "waypost_process_cpu_seconds 1.5",
+        "waypost_owns_database 1",
+        "waypost_helper_cores 2",
+        "waypost_helped_images_total 9",
+    ] {
+        assert!(text.lines().any(|there| there == line), "no {line} in\n{text}");
+    }
+}
+
+#[test]
+fn what_is_passed_on_is_counted_and_open_until_it_is_answered() {
+    let metrics = Metrics::new().unwrap();
+    let first = metrics.forward("grpc");
+    let _second = metrics.forward("grpc");
+    drop(first);
+    let text = metrics.render_in_reserve(levels().process);
+    for line in [
+        "waypost_forwarded_requests_total{port=\"grpc\"} 2",
+        "waypost_forwarded_requests_open{port=\"grpc\"} 1",
+        "waypost_owns_database 0",
         "waypost_process_cpu_seconds 1.5",
     ] {
         assert!(text.lines().any(|there| there == line), "no {line} in\n{text}");
