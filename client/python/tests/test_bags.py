@@ -111,8 +111,10 @@ BAGS: dict[str, Callable[[Path], Path]] = {
 
 
 def called(*arguments: str | Path, server: str) -> subprocess.CompletedProcess[str]:
-    command = [binary("waypost"), "--json", "--server", server, *arguments]
-    return subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+    command = [binary("waypost"), "--json", *arguments]
+    # As a variable: what needs no server refuses the flag.
+    variables = {**environment(), "WAYPOST_SERVER": server}
+    return subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
 
 
 def run(*arguments: str | Path, server: str = "http://127.0.0.1:1") -> dict[str, Any]:
