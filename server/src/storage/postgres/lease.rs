@@ -62,7 +62,9 @@ pub(super) async fn take(writer: &AnyPool, claim: Claim) -> Result<(i64, String)
     loop {
         match (try_to_take(writer, &addresses).await, &while_owned) {
             (Ok(Taken::Yes { epoch, secret }), _) => {
-                registration.withdraw(writer).await?;
+                if let Err(error) = registration.withdraw(writer).await {
+                    tracing::warn!(%error, "this server is still listed as one that helps the owner");
+                }
                 tracing::info!(epoch, "this server owns the database");
                 return Ok((epoch, secret));
             }
@@ -153,8 +155,10 @@ pub(super) async fn renew(
             Ok(Ok(done)) if done.rows_affected() == 1 => {
                 owned = asked;
                 let there = tokio::time::timeout(LEASE / RENEWALS_PER_LEASE, who_helps(&pool)).await;
-                let there = there.ok().and_then(Result::ok).unwrap_or_default();
-                helpers.send_if_modified(|known| std::mem::replace(known, there.clone()) != there);
+                // Those that were known stay where it cannot be seen.
+                if let Ok(Ok(there)) = there {
+                    helpers.send_if_modified(|known| std::mem::replace(known, there.clone()) != there);
+                }
             }
             Ok(Ok(_none)) => {
                 tracing::error!(epoch, "another server has taken the database over");
