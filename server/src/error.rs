@@ -230,6 +230,7 @@ impl From<StorageError> for ServiceError {
             StorageError::HeldUp(_) | StorageError::TakenOver => Self::held_up(error),
             StorageError::Rot(found) => Self::damaged(&found),
             StorageError::ReadOnly(_) => Self::precondition(error),
+            StorageError::Abandoned => Self::aborted(error),
             StorageError::OverQuota(over) => over.into(),
             StorageError::Exists
             | StorageError::InUse

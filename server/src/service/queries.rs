@@ -287,7 +287,7 @@ impl Replay {
         let mut before = VecDeque::new();
         let mut fold = |_: u64, event: MapEvent| {
             if abandoned.is_cancelled() {
-                return Err(StorageError::Damaged("a replay that nobody waits for".to_owned()));
+                return Err(StorageError::Abandoned);
             }
             mapper.apply(&event).map_err(|error| StorageError::Damaged(error.to_string()))?;
             if let MapEvent::Frame(frame) = event

@@ -40,6 +40,8 @@ pub(crate) enum StorageError {
     JobEnded,
     #[error("the log was rewritten, or deleted, since it was read")]
     Retold,
+    #[error("whoever asked for it has gone")]
+    Abandoned,
     #[error("the database holds what cannot be read: {0}; restore it from a copy")]
     Damaged(String),
     #[error("{0}")]

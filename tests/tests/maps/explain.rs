@@ -1,11 +1,13 @@
 //! Why frames were decided as they were: explanations fit what was decided, to the bit.
 
+use std::time::Duration;
+
 use waypost_client::{Client, Code, FrameContent, FrameInput, v1};
 
 use crate::harness::{
-    CommandLine, Server, answers_of, as_histogram, assert_status, by_words_request, first_return, folder,
-    frame, import_model, mapped, path, recalibrated_model, reference_by_words, refused, take_model,
-    words_options,
+    CommandLine, Server, ServerProcess, answers_of, as_histogram, assert_status, by_words_request,
+    first_return, folder, frame, import_model, mapped, path, recalibrated_model, reference_by_words, refused,
+    take_model, words_options,
 };
 
 const GATES: [&str; 4] = ["words", "known_place", "guard", "threshold"];
@@ -234,4 +236,30 @@ fn the_command_line_explains() {
         assert_eq!(code, 4, "{stderr}");
         assert!(stderr.contains(fragment), "{stderr}");
     }
+}
+
+/// A replay whose caller has gone ends, and is no fault of the server's.
+#[tokio::test(flavor = "multi_thread")]
+async fn who_does_not_wait_for_an_explanation_is_no_fault() {
+    const FRAMES: u64 = 150;
+    let directory = tempfile::tempdir().unwrap();
+    let server = ServerProcess::start(directory.path());
+    let client = server.client().await;
+    let model = import_model(&client).await;
+    client.create_map(by_words_request("drive", &model.name)).await.unwrap();
+    answers_of(&client, words_options("drive", "robot"), (1..=FRAMES).map(as_histogram)).await;
+    let last = frame_name("drive", "robot", FRAMES);
+    let explained = async || client.explain_frame(&last, None, Some(0)).await;
+    let began = std::time::Instant::now();
+    explained().await.unwrap();
+    let whole = began.elapsed();
+    let mut gone = 0;
+    for step in 1..20 {
+        gone += u32::from(tokio::time::timeout(whole * step / 20, explained()).await.is_err());
+    }
+    assert!(gone > 0, "all were explained within a part of {whole:?}");
+    explained().await.unwrap();
+    tokio::time::sleep(Duration::from_millis(100)).await;
+    let log = server.log();
+    assert!(log.contains(" INFO ") && !log.contains("ERROR"), "{log}");
 }

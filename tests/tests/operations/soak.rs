@@ -42,8 +42,11 @@ fn report(output: &Output) -> (Value, String) {
 async fn a_minute_in_a_servers_life_is_sound() {
     let output = soak(None).await;
     let (report, said) = report(&output);
-    assert_eq!(output.status.code(), Some(0), "{said}");
-    assert_eq!((&report["failures"], &report["seed"]), (&Value::from([""; 0]), &Value::from(1)), "{said}");
+    assert_eq!(
+        (output.status.code(), &report["failures"], &report["seed"]),
+        (Some(0), &Value::from([""; 0]), &Value::from(1)),
+        "{said}"
+    );
     let count = |what: &str| report["counts"][what].as_u64().unwrap_or(0);
     assert!(count("kill -9") + count("SIGTERM") >= 2, "{said}");
     assert_eq!(count("lives of the server"), 1 + count("kill -9") + count("SIGTERM"), "{said}");
