@@ -50,6 +50,9 @@ use crate::storage::{Addresses, Claim, Storage, WhileOwned};
 /// How long connections may take to end once the server stops.
 const GRACE: Duration = Duration::from_secs(5);
 
+/// The same where the database may be another server's, and for the maps to close: that one, or this one again, is waited for.
+const LOST_GRACE: Duration = Duration::from_millis(500);
+
 /// How often the metrics are summed up.
 const METRICS_UPKEEP: Duration = Duration::from_secs(5);
 
@@ -208,10 +211,14 @@ impl Server {
         let signal = stopping.clone();
         let taken_over = service.taken_over();
         let lost = taken_over.clone();
+        let losing = service.clone();
         let watch = tokio::spawn(async move {
             tokio::select! {
                 () = shutdown => {}
-                () = lost.happens() => tracing::error!("serving no more: the database may be another server's by now"),
+                () = lost.happens() => {
+                    tracing::error!("serving no more: the database may be another server's by now");
+                    losing.abandon();
+                }
             }
             signal.cancel();
         });
@@ -257,7 +264,7 @@ impl Server {
         };
         let patience = async {
             stopping.cancelled().await;
-            tokio::time::sleep(GRACE).await;
+            tokio::time::sleep(if taken_over.has_happened() { LOST_GRACE } else { GRACE }).await;
         };
         let served = tokio::select! {
             served = serving => served.map(drop),
@@ -270,9 +277,16 @@ impl Server {
         upkeep.abort();
         looking.abort();
         trimming.abort();
-        service.stop().await;
-        served?;
-        Ok(if taken_over.has_happened() { Served::UntilTakenOver } else { Served::UntilStopped })
+        if !taken_over.has_happened() {
+            service.stop().await;
+            return served.map(|()| Served::UntilStopped);
+        }
+        // A commit may wait for a database that is gone. Whatever comes of it, it is fenced, and nobody hears of it.
+        let stopping = tokio::spawn(async move { service.stop().await });
+        if tokio::time::timeout(LOST_GRACE, stopping).await.is_err() {
+            tracing::warn!("some maps wait for the database still, and close later");
+        }
+        served.map(|()| Served::UntilTakenOver)
     }
 }
 

@@ -208,6 +208,11 @@ impl Service {
         self.storage.take_over_from(source).await
     }
 
+    /// Asks the database for nothing more: it may be another server's.
+    pub(crate) fn abandon(&self) {
+        self.storage.abandon();
+    }
+
     /// When another server owns the database.
     pub(crate) fn taken_over(&self) -> TakenOver {
         self.storage.taken_over()

@@ -192,6 +192,14 @@ impl Storage {
         }
     }
 
+    /// Nothing more is asked of the database, which may be another server's by now; what waits for a connection fails.
+    pub(crate) fn abandon(&self) {
+        for pool in [&self.readers, &self.exporters, &self.writer] {
+            // It is closed by now. The rest would wait for connections that are in use.
+            drop(pool.close());
+        }
+    }
+
     /// Waits for what is being written; folds SQLite's write-ahead log into the file, and leaves PostgreSQL to the next
     /// server.
     pub(crate) async fn close(&self) {

@@ -13,8 +13,10 @@ mod house {
 /// Servers over one database of PostgreSQL.
 mod fleet {
     mod any_server;
+    mod handing_over;
     mod migrating;
     mod owners;
+    mod standbys;
 }
 
 /// Maps of other programs, and what they were made with.

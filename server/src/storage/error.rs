@@ -132,7 +132,8 @@ impl From<sqlx::Error> for StorageError {
         if let sqlx::Error::ColumnDecode { .. } = &error {
             return Self::Damaged(error.to_string());
         }
-        if let sqlx::Error::PoolTimedOut = &error {
+        // Closed, where the database may be another server's.
+        if let sqlx::Error::PoolTimedOut | sqlx::Error::PoolClosed = &error {
             return Self::HeldUp(error);
         }
         if let Some(database) = error.as_database_error() {

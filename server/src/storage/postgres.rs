@@ -1,24 +1,27 @@
 //! A database of PostgreSQL: how it is opened, and whose it is.
 //!
+//! It may be on several machines, which follow the one that takes writes.
 //! One server at a time owns it. The owner is a row with an epoch, which every transaction that writes holds on to: one
 //! that was taken over writes nothing more. No clock decides about that, only about when somebody else may try.
 
 mod helpers;
 mod lease;
+mod machines;
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use sqlx::any::AnyPoolOptions;
 use sqlx::migrate::{MigrateError, Migrator};
-use sqlx::postgres::{PgConnectOptions, PgConnection};
-use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, ConnectOptions, Connection, Transaction};
+use sqlx::postgres::PgConnection;
+use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Connection, Transaction};
 use tokio::sync::watch;
 use tokio::task::AbortHandle;
 
 pub(crate) use self::helpers::{HelperRow, model_file};
 pub(crate) use self::lease::{Addresses, Claim, Owner, WhileOwned, host_name};
 use self::lease::{LEASE, renew, take};
+use self::machines::{Machines, Primary};
 use super::sqlite::Inspection;
 use super::values::from_sql;
 use super::{EXPORTERS, Pools, READERS, StorageError, connections};
@@ -26,6 +29,15 @@ use super::{EXPORTERS, Pools, READERS, StorageError, connections};
 /// Statements, and waits for locks, are bounded in time: who asks gets an answer.
 const STATEMENT_TIMEOUT: Duration = Duration::from_secs(60);
 const LOCK_TIMEOUT: Duration = Duration::from_secs(10);
+/// So is the wait for a connection, as to a machine that is gone.
+const CONNECTION_TIMEOUT: Duration = Duration::from_secs(10);
+
+// PostgreSQL gives up waiting for its standbys when a statement's time is over, and then says that a transaction is committed
+// which no standby has. Who waits for so long no longer owns the database, and tells nobody.
+const _: () = assert!(STATEMENT_TIMEOUT.as_millis() > 4 * LEASE.as_millis());
+
+/// After which a database is looked for again that was there before.
+const LOOK_AGAIN: Duration = Duration::from_millis(500);
 
 /// The oldest that is tested.
 const OLDEST_VERSION: i32 = 150_000;
@@ -67,41 +79,48 @@ impl Drop for Renewal {
 
 /// Why a text is no URL of a database, if it is none.
 pub(crate) fn parse_postgres_address(address: &str) -> Result<(), String> {
-    address.parse::<PgConnectOptions>().map(drop).map_err(|error| error.to_string())
+    Machines::of(address).map(drop)
 }
 
-/// Opens the database at `address`, a URL as libpq has it.
+/// Opens the database at `address`, a URL as libpq has it: on the machine that takes writes, if it names several.
 pub(super) async fn open(address: &str, claim: Claim) -> Result<(Postgres, Pools), StorageError> {
-    let mut connection = connect(address).await?;
+    loop {
+        match open_where_written(address, &claim).await {
+            Err(error) if claim.waits_in_spite_of(&error) => {
+                tracing::warn!(%error, "the database is out of reach; it is looked for again");
+                tokio::time::sleep(LOOK_AGAIN).await;
+            }
+            opened => return opened,
+        }
+    }
+}
+
+async fn open_where_written(address: &str, claim: &Claim) -> Result<(Postgres, Pools), StorageError> {
+    let Primary { mut connection, address } = primary(address).await?;
     check(&mut connection).await?;
     migrate(&mut connection).await?;
     connection.close().await?;
-    let writer = pool(1).connect(address).await?;
-    let readers = pool(READERS).connect(address).await?;
-    let exporters = pool(EXPORTERS).connect_lazy(address)?;
+    let writer = pool(1).connect(&address).await?;
+    let readers = pool(READERS).connect(&address).await?;
+    let exporters = pool(EXPORTERS).connect_lazy(&address)?;
     let (epoch, secret) = take(&writer, claim).await?;
     let (tell, taken_over) = watch::channel(false);
     let (tell_helpers, helpers) = watch::channel(Vec::new());
     // A connection of its own: neither a long transaction nor readers hold it up.
-    let renewing = tokio::spawn(renew(pool(1).connect_lazy(address)?, epoch, tell, tell_helpers));
+    let renewing = tokio::spawn(renew(pool(1).connect_lazy(&address)?, epoch, tell, tell_helpers));
     let renewal = Arc::new(Renewal(renewing.abort_handle()));
     let postgres = Postgres { epoch, secret: secret.into(), taken_over, helpers, renewal };
     Ok((postgres, Pools { writer, readers, exporters }))
 }
 
-async fn connect(address: &str) -> Result<PgConnection, StorageError> {
-    let options: PgConnectOptions = address.parse()?;
-    options.connect().await.map_err(|error| {
-        StorageError::Unfit(format!(
-            "cannot connect to the database ({error}); see that PostgreSQL runs there, that the database exists, and \
-             that the user may use it"
-        ))
-    })
+/// The machine of a database that takes writes.
+async fn primary(address: &str) -> Result<Primary, StorageError> {
+    Machines::of(address).map_err(StorageError::Unfit)?.primary().await
 }
 
 /// Looks at a database and changes nothing in it. `None` if it has no tables yet.
 pub(crate) async fn inspect_postgres(address: &str) -> Result<Option<Inspection>, StorageError> {
-    let mut connection = connect(address).await?;
+    let Primary { mut connection, .. } = primary(address).await?;
     check(&mut connection).await?;
     let applied: Option<String> =
         sqlx::query_scalar("SELECT to_regclass('_sqlx_migrations')::text").fetch_one(&mut connection).await?;
@@ -125,7 +144,7 @@ pub(crate) async fn inspect_postgres(address: &str) -> Result<Option<Inspection>
 }
 
 fn pool(connections: u32) -> AnyPoolOptions {
-    connections::pool(connections).after_connect(|connection, _| {
+    connections::pool(connections).acquire_timeout(CONNECTION_TIMEOUT).after_connect(|connection, _| {
         Box::pin(async move {
             let settings = format!(
                 "SET statement_timeout = {}; SET lock_timeout = {};",
@@ -166,6 +185,13 @@ async fn check(connection: &mut PgConnection) -> Result<(), StorageError> {
         if setting(connection, name).await? == bad {
             tracing::warn!("PostgreSQL's {name} is {bad}: {then}");
         }
+    }
+    let standbys: i64 =
+        sqlx::query_scalar("SELECT count(*) FROM pg_stat_replication").fetch_one(&mut *connection).await?;
+    if standbys > 0 && setting(connection, "synchronous_standby_names").await?.is_empty() {
+        tracing::warn!(
+            "no standby is named in PostgreSQL's synchronous_standby_names: one that takes over may lack acknowledged frames"
+        );
     }
     Ok(())
 }
@@ -247,7 +273,9 @@ pub(super) async fn open_to_read(address: &str) -> Result<AnyConnection, Storage
         }
     }
     sqlx::any::install_default_drivers();
-    Ok(AnyConnection::connect(address).await?)
+    let Primary { connection, address } = primary(address).await?;
+    connection.close().await?;
+    Ok(AnyConnection::connect(&address).await?)
 }
 
 /// Old versions of rows are kept until a vacuum. PostgreSQL does that by itself, and it is asked to do it now.

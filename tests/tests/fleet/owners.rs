@@ -235,6 +235,25 @@ async fn an_owner_that_stops_hands_over() {
     assert_eq!(second.client().await.sessions("drive").await.unwrap().len(), 1);
 }
 
+/// The owner has died, and the database's clock says that it may own it for an hour: that clock was set back, or belongs to a
+/// machine that took over. It is followed all the same.
+#[tokio::test(flavor = "multi_thread")]
+async fn clocks_that_are_set_back_keep_nobody_out() {
+    let Some(cluster) = Cluster::running() else { return };
+    let database = prepared(&cluster, "clock_set_back").await;
+    let (first, _directory) = owner(&database.url()).await;
+    first.kill();
+    let later = "UPDATE lease SET expires = now() + interval '1 hour'";
+    sqlx::raw_sql(later).execute(&mut database.connect().await).await.unwrap();
+    let since = Instant::now();
+    let (second, _second_directory) = owner(&database.url()).await;
+    assert!(since.elapsed() < 2 * LEASE, "{:?}", since.elapsed());
+    let client = second.client().await;
+    answers(&client, "drive", "robot", (1..=5).map(frame)).await;
+    is_whole(&client, 5).await;
+    assert_eq!(epoch(&database).await, 3);
+}
+
 /// Whether a server asks who the owner is, or was the last to ask.
 async fn somebody_waits(database: &TestDatabase) -> bool {
     let mut connection = database.connect().await;
@@ -304,7 +323,7 @@ async fn what_cannot_be_used_is_said_with_what_to_do() {
 }
 
 /// What a server says that does not come to serve.
-async fn ends(url: &str, arguments: &[&str]) -> String {
+pub(super) async fn ends(url: &str, arguments: &[&str]) -> String {
     let directory = tempfile::tempdir().unwrap();
     let mut command = Built::command("waypost-server");
     command.arg("--storage").arg(url).arg("--data-dir").arg(directory.path()).args(arguments);

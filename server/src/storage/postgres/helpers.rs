@@ -2,8 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use sqlx::{AnyPool, Connection, PgConnection};
+use sqlx::{AnyPool, Connection};
 
+use super::machines::{Machines, Primary};
 use crate::storage::StorageError;
 
 /// How often a helper says that it is there.
@@ -79,7 +80,8 @@ pub(super) async fn who_helps(pool: &AnyPool) -> Result<Vec<HelperRow>, StorageE
 
 /// The file of a model, read by a server that does not own the database at `address`.
 pub(crate) async fn model_file(address: &str, hash: &str) -> Result<Option<Vec<u8>>, StorageError> {
-    let mut connection = PgConnection::connect(address).await?;
+    let machines = Machines::of(address).map_err(StorageError::Unfit)?;
+    let Primary { mut connection, address: _ } = machines.primary().await?;
     let file = sqlx::query_scalar("SELECT file FROM models WHERE hash = $1");
     let file = file.bind(hash).fetch_optional(&mut connection).await?;
     connection.close().await?;

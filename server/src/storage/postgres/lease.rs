@@ -27,6 +27,16 @@ impl Claim {
     pub(crate) fn at_once() -> Self {
         Self { addresses: Addresses::default(), while_owned: WhileOwned::Refuse }
     }
+
+    /// Whether it is waited for a database that failed so: by who has seen an owner, as while a standby of PostgreSQL takes
+    /// over.
+    pub(super) fn waits_in_spite_of(&self, error: &StorageError) -> bool {
+        let passes = matches!(error, StorageError::HeldUp(_) | StorageError::Unfit(_));
+        match &self.while_owned {
+            WhileOwned::Wait(tell) => passes && tell.borrow().is_some(),
+            WhileOwned::Refuse => false,
+        }
+    }
 }
 
 /// What to do while another server owns a database.
@@ -56,34 +66,54 @@ pub(crate) struct Owner {
 }
 
 /// Becomes the owner, unless somebody else is; gives the epoch and the fleet's secret.
-pub(super) async fn take(writer: &AnyPool, claim: Claim) -> Result<(i64, String), StorageError> {
+pub(super) async fn take(writer: &AnyPool, claim: &Claim) -> Result<(i64, String), StorageError> {
     let Claim { addresses, while_owned } = claim;
     let mut registration = Registration::new(holder(), addresses.http.clone());
+    let mut watched = Watched::default();
     loop {
-        match (try_to_take(writer, &addresses).await, &while_owned) {
-            (Ok(Taken::Yes { epoch, secret }), _) => {
+        // A machine that is gone is not waited for: another may be the primary by now.
+        let taken = tokio::time::timeout(LEASE, try_to_take(writer, addresses, &watched)).await;
+        match (taken.unwrap_or(Err(StorageError::HeldUp(sqlx::Error::PoolTimedOut)))?, while_owned) {
+            (Taken::Yes { epoch, secret }, _) => {
                 if let Err(error) = registration.withdraw(writer).await {
                     tracing::warn!(%error, "this server is still listed as one that helps the owner");
                 }
                 tracing::info!(epoch, "this server owns the database");
                 return Ok((epoch, secret));
             }
-            (Ok(Taken::No(owner)), WhileOwned::Refuse) => {
+            (Taken::No { owner, expires: _ }, WhileOwned::Refuse) => {
                 return Err(StorageError::Owned { owner: owner.holder });
             }
-            (Ok(Taken::No(owner)), WhileOwned::Wait(tell)) => {
+            (Taken::No { owner, expires }, WhileOwned::Wait(tell)) => {
+                watched.see(expires);
                 tell_of(owner, tell);
                 if let Err(error) = registration.renew(writer).await {
                     tracing::warn!(%error, "the owner of the database cannot be told that this server helps");
                 }
             }
-            // Who has seen an owner goes on, as while a standby of PostgreSQL takes over.
-            (Err(error @ StorageError::HeldUp(_)), WhileOwned::Wait(tell)) if tell.borrow().is_some() => {
-                tracing::warn!(%error, "who owns the database cannot be seen");
-            }
-            (Err(error), _) => return Err(error),
         }
         tokio::time::sleep(PATIENCE).await;
+    }
+}
+
+/// A lease as one who waits has seen it. When it runs out is a time of the database's clock, and another machine that
+/// takes over for PostgreSQL may have one that is hours behind: so it has run out, too, when nobody renewed it for as long as
+/// a lease by the clock of who waits.
+#[derive(Debug, Default)]
+struct Watched {
+    last: Option<(String, Instant)>,
+}
+
+impl Watched {
+    fn see(&mut self, expires: String) {
+        if self.last.as_ref().is_none_or(|(seen, _)| *seen != expires) {
+            self.last = Some((expires, Instant::now()));
+        }
+    }
+
+    /// What it said, if that was so for too long.
+    fn run_out(&self) -> Option<String> {
+        self.last.as_ref().filter(|(_, since)| since.elapsed() > LEASE).map(|(expires, _)| expires.clone())
     }
 }
 
@@ -104,32 +134,45 @@ fn tell_of(owner: Owner, tell: &watch::Sender<Option<Owner>>) {
 }
 
 enum Taken {
-    Yes { epoch: i64, secret: String },
-    No(Owner),
+    Yes {
+        epoch: i64,
+        secret: String,
+    },
+    /// `expires` is a text that changes with each renewal.
+    No {
+        owner: Owner,
+        expires: String,
+    },
 }
 
-async fn try_to_take(writer: &AnyPool, addresses: &Addresses) -> Result<Taken, StorageError> {
+async fn try_to_take(
+    writer: &AnyPool,
+    addresses: &Addresses,
+    watched: &Watched,
+) -> Result<Taken, StorageError> {
     let taken = sqlx::query_as(
         "INSERT INTO lease (id, epoch, holder, expires, grpc_address, http_address) \
          VALUES (1, 1, $1, now() + $2 * interval '1 millisecond', $3, $4) \
          ON CONFLICT (id) DO UPDATE SET epoch = lease.epoch + 1, holder = excluded.holder, \
          expires = excluded.expires, grpc_address = excluded.grpc_address, http_address = excluded.http_address \
-         WHERE lease.expires <= now() RETURNING epoch, secret",
+         WHERE lease.expires <= now() OR lease.expires::text = $5 RETURNING epoch, secret",
     )
     .bind(holder())
     .bind(LEASE.as_millis() as i64)
     .bind(&addresses.grpc)
     .bind(&addresses.http)
+    .bind(watched.run_out())
     .fetch_optional(writer)
     .await?;
     if let Some((epoch, secret)) = taken {
         return Ok(Taken::Yes { epoch, secret });
     }
-    let (epoch, holder, grpc, http, secret) =
-        sqlx::query_as("SELECT epoch, holder, grpc_address, http_address, secret FROM lease WHERE id = 1")
-            .fetch_one(writer)
-            .await?;
-    Ok(Taken::No(Owner { epoch, holder, addresses: Addresses { grpc, http }, secret }))
+    let (epoch, holder, grpc, http, secret, expires) = sqlx::query_as(
+        "SELECT epoch, holder, grpc_address, http_address, secret, expires::text FROM lease WHERE id = 1",
+    )
+    .fetch_one(writer)
+    .await?;
+    Ok(Taken::No { owner: Owner { epoch, holder, addresses: Addresses { grpc, http }, secret }, expires })
 }
 
 /// Says again and again that the owner is there; tells when it no longer is, or may no longer be.
