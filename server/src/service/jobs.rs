@@ -10,6 +10,7 @@ use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
+use tracing::Instrument;
 
 use super::deleted_maps::DeletedMaps;
 use super::tokens::Caller;
@@ -196,6 +197,21 @@ impl Jobs {
         &self,
         kind: JobKind,
         maps: &[&str],
+        work: impl FnOnce(JobReporter) -> Work + Send + 'static,
+    ) -> Result<JobStatus, ServiceError>
+    where
+        Work: Future<Output = JobOutcome> + Send + 'static,
+    {
+        let maps: Vec<String> = maps.iter().map(|&map| map.to_owned()).collect();
+        let jobs = self.clone();
+        // Half of it would be a job that is there, and that nobody runs.
+        to_its_end(async move { jobs.start_whole(kind, maps, work).await }).await
+    }
+
+    async fn start_whole<Work>(
+        &self,
+        kind: JobKind,
+        maps: Vec<String>,
         work: impl FnOnce(JobReporter) -> Work,
     ) -> Result<JobStatus, ServiceError>
     where
@@ -212,7 +228,7 @@ impl Jobs {
             fraction: 0.0,
             created_ns,
             ended_ns: None,
-            maps: Some(maps.iter().map(|&map| map.to_owned()).collect()),
+            maps: Some(maps),
         };
         let reporter = self.begin(&status);
         // Looked at after the job can be found: a stop that missed it is noticed here.
@@ -294,6 +310,13 @@ impl Jobs {
             }
         }
     }
+}
+
+/// Does what has several steps to its end, also where whoever asked for it has gone: half of it would be in the way.
+pub(super) async fn to_its_end<T: Send + 'static>(
+    work: impl Future<Output = Result<T, ServiceError>> + Send + 'static,
+) -> Result<T, ServiceError> {
+    tokio::spawn(work.in_current_span()).await.map_err(ServiceError::internal)?
 }
 
 fn status_of(row: JobRow) -> JobStatus {

@@ -19,7 +19,7 @@ use tokio_util::sync::CancellationToken;
 use topomap::merging::{MergePlan, MergeSettings};
 
 use super::deleted_maps::DeletedMaps;
-use super::jobs::{JobOutcome, JobReporter, Jobs};
+use super::jobs::{JobOutcome, JobReporter, Jobs, to_its_end};
 use super::map_names::{MapNames, Reservation};
 use super::rewriting::Rewriting;
 use super::tokens::Caller;
@@ -121,6 +121,11 @@ impl Merges {
         caller: &Caller,
         request: MergeRequest,
     ) -> Result<MergeView, ServiceError> {
+        let (merges, caller) = (self.clone(), caller.clone());
+        to_its_end(async move { merges.begin_whole(&caller, request).await }).await
+    }
+
+    async fn begin_whole(&self, caller: &Caller, request: MergeRequest) -> Result<MergeView, ServiceError> {
         let MergeRequest { sources, target, commit_policy, min_support } = request;
         for map in sources.iter().chain([&target]) {
             caller.check_resource(map)?;
@@ -196,6 +201,11 @@ impl Merges {
 
     /// Makes the maps one, as was proposed.
     pub(crate) async fn commit(&self, caller: &Caller, name: &str) -> Result<MergeView, ServiceError> {
+        let (merges, caller, name) = (self.clone(), caller.clone(), name.to_owned());
+        to_its_end(async move { merges.commit_whole(&caller, &name).await }).await
+    }
+
+    async fn commit_whole(&self, caller: &Caller, name: &str) -> Result<MergeView, ServiceError> {
         let view = self.get(caller, name).await?;
         let number = view.number;
         // Taken out: it is committed once.
@@ -229,6 +239,11 @@ impl Merges {
 
     /// Leaves the maps as they are.
     pub(crate) async fn discard(&self, caller: &Caller, name: &str) -> Result<MergeView, ServiceError> {
+        let (merges, caller, name) = (self.clone(), caller.clone(), name.to_owned());
+        to_its_end(async move { merges.discard_whole(&caller, &name).await }).await
+    }
+
+    async fn discard_whole(&self, caller: &Caller, name: &str) -> Result<MergeView, ServiceError> {
         let view = self.get(caller, name).await?;
         let proposed = self.proposals().contains_key(&view.number);
         if !proposed || !self.storage.discard_merge(view.number).await? {

@@ -9,8 +9,8 @@ use waypost_client::{Client, Code, v1};
 use waypost_proto::v1::job_service_client::JobServiceClient;
 
 use crate::harness::{
-    Built, Server, ServerProcess, assert_status, channel, followed, images, in_time, refused, run_to_its_end,
-    said, tables,
+    Built, Server, ServerProcess, assert_status, by_words_request, channel, followed, images, import_model,
+    in_time, refused, run_to_its_end, said, tables,
 };
 
 const TRAINING_IMAGES: usize = 40;
@@ -194,4 +194,32 @@ async fn jobs_are_listed_on_the_command_line() {
         "{text}"
     );
     server.stop();
+}
+
+/// Callers who go away while a job is being started leave none behind that says it runs and never ends.
+#[tokio::test(flavor = "multi_thread")]
+async fn jobs_whose_callers_go_away_end() {
+    const CALLERS: u32 = 150;
+    let directory = tempfile::tempdir().unwrap();
+    let server = ServerProcess::start(directory.path());
+    let client = server.client().await;
+    let model = import_model(&client).await;
+    client.create_map(by_words_request("drive", &model.name)).await.unwrap();
+    let mut gone = 0;
+    for caller in 0..CALLERS {
+        // Within and around the time that a commit takes.
+        let patience = Duration::from_micros(u64::from(100 * (caller % 50)));
+        gone += u32::from(tokio::time::timeout(patience, client.compact_map("drive")).await.is_err());
+    }
+    assert!(gone > CALLERS / 10, "{gone} of {CALLERS} callers went away");
+    let running = async || {
+        let jobs = client.jobs().await.unwrap();
+        jobs.iter().filter(|job| job.state() == v1::job::State::Running).count()
+    };
+    let since = std::time::Instant::now();
+    while running().await > 0 {
+        assert!(since.elapsed() < Duration::from_secs(60), "{} jobs do not end", running().await);
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    assert!(client.jobs().await.unwrap().len() > 1);
 }

@@ -4,7 +4,7 @@ use tokio::runtime::Handle;
 
 use super::{MergeView, Merges, undecidable};
 use crate::error::ServiceError;
-use crate::service::jobs::{JobOutcome, JobReporter};
+use crate::service::jobs::{JobOutcome, JobReporter, to_its_end};
 use crate::service::rewriting::changed;
 use crate::service::tokens::Caller;
 use crate::storage::{JobKind, MapRow, MergeOutcome, MergeState};
@@ -12,6 +12,11 @@ use crate::storage::{JobKind, MapRow, MergeOutcome, MergeState};
 impl Merges {
     /// Takes what a merge brought out of its target again.
     pub(crate) async fn undo(&self, caller: &Caller, name: &str) -> Result<MergeView, ServiceError> {
+        let (merges, caller, name) = (self.clone(), caller.clone(), name.to_owned());
+        to_its_end(async move { merges.undo_whole(&caller, &name).await }).await
+    }
+
+    async fn undo_whole(&self, caller: &Caller, name: &str) -> Result<MergeView, ServiceError> {
         let view = self.get(caller, name).await?;
         let number = view.number;
         if view.state != MergeState::Committed {
