@@ -85,6 +85,9 @@ impl Bag {
         let mut notes = Vec::new();
         let images = self.images(image_topic.as_deref())?;
         let odometry = self.odometry(odometry_topic.as_deref(), &mut notes)?;
+        if let (Some(source), Clock::Header) = (&odometry, clock) {
+            notes.extend(self.told_of_clock(source));
+        }
         let base_frame = odometry.as_ref().map_or(BASE_FRAME, |source| source.base_frame.as_str());
         let info = self.camera_infos(camera_info_topic.as_deref(), images)?;
         let camera = match info {
@@ -194,6 +197,15 @@ impl Bag {
             [only] => Ok(Some(source(only))),
             several => Err(ChoiceError::Several { what: "odometry", topics: names(several), flag: FLAG }),
         }
+    }
+
+    /// What does not follow in the stamps of odometry.
+    fn told_of_clock(&self, source: &OdometrySource) -> Option<String> {
+        let topic = self.topics().iter().find(|topic| topic.name == source.topic)?;
+        let astray = topic.astray();
+        (!astray.is_none()).then(|| {
+            format!("odometry of {}: {astray}; --stamps log takes the times of recording", topic.name)
+        })
     }
 
     /// The topic of a name, if it serves and has one type.

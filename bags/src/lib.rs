@@ -24,6 +24,7 @@ mod pixels;
 mod poses;
 pub mod rtabmap;
 mod source;
+mod succession;
 mod survey;
 mod transforms;
 
@@ -35,6 +36,7 @@ pub use error::{BagError, ChoiceError, LeftOut, Problem};
 pub use frames::{Joined, Take};
 pub use input::{MOST_MESSAGE_BYTES, Progress};
 pub use messages::{CameraInfo, Kind, Pose};
-pub use odometry::{Frame, Joining};
-pub use poses::{MOST_GAP_NS, Poses};
+pub use odometry::{Frame, Joining, LIVE, Lacks, Patience, RECORDED};
+pub use poses::{Lack, MOST_GAP_NS, Poses};
+pub use succession::{Astray, Step, Succession};
 pub use survey::Topic;

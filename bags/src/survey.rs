@@ -7,6 +7,7 @@ use crate::error::{LeftOut, Problem};
 use crate::images;
 use crate::messages::{CameraInfo, Header, Kind, StampedPose, Transform, reader};
 use crate::source::{Body, Channel, RawMessage};
+use crate::succession::{Astray, Succession};
 use crate::transforms::StaticTransforms;
 
 /// A topic of a bag.
@@ -36,6 +37,8 @@ pub struct Topic {
     pub frame_id: Option<String>,
     /// Of odometry: the frame whose pose it is.
     pub child_frame: Option<String>,
+    /// Of odometry: which of its stamps count.
+    pub(crate) order: Succession<()>,
     /// Of camera infos: the first.
     pub camera_info: Option<CameraInfo>,
     /// Of camera infos: how many differ from the first.
@@ -67,6 +70,7 @@ impl Topic {
             size_px: None,
             frame_id: None,
             child_frame: None,
+            order: Succession::default(),
             camera_info: None,
             changed_camera_infos: 0,
             images: Vec::new(),
@@ -83,6 +87,13 @@ impl Topic {
     /// Messages that can be read.
     pub fn readable(&self) -> u64 {
         self.count - self.left_out.as_ref().map_or(0, |left_out| left_out.count)
+    }
+
+    /// Of odometry: readable messages whose stamps do not follow those around them, and whether its clock was set back.
+    pub fn astray(&self) -> Astray {
+        let mut order = self.order.clone();
+        order.end();
+        order.astray()
     }
 
     fn leave_out(&mut self, log_ns: i64, problem: Problem) {
@@ -134,6 +145,7 @@ impl Topic {
             self.child_frame = Some(pose.child_frame.trim_start_matches('/').to_owned());
         }
         pose.pose.checked()?;
+        self.order.push(pose.stamp_ns, ());
         Ok(())
     }
 }

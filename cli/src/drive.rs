@@ -186,11 +186,10 @@ impl Reading {
 
     /// Says why reading ended early, if it did, and how many images have no odometry.
     pub(crate) async fn end(self) -> Result<(), Failure> {
-        let Joined { with_pose, without_pose } = joined(self.thread).await?;
-        if without_pose > 0 {
+        let Joined { with_pose, without_pose, astray } = joined(self.thread).await?;
+        if let Some(told) = without_odometry(without_pose, with_pose + without_pose.all(), astray) {
             // If stderr is closed, the message is lost.
-            let _ =
-                writeln!(std::io::stderr(), "{}", without_odometry(without_pose, with_pose + without_pose));
+            let _ = writeln!(std::io::stderr(), "{told}");
         }
         Ok(())
     }

@@ -1,0 +1,104 @@
+//! Stamps that are wrong, and clocks that are set while a robot drives.
+
+use waypost_bags::{Choice, Frame, Joined, Wanted};
+
+use crate::reading::{joined, open};
+use crate::writing::mcap_file::mcap;
+use crate::writing::messages::{Order, compressed_image, odometry};
+use crate::writing::{Folder, Message, png};
+
+const SECOND_NS: u64 = 1_000_000_000;
+const BEGIN_NS: u64 = 1_700_000_000 * SECOND_NS;
+
+/// A message's true time, and what is made of it: its stamp, and when it was recorded.
+#[derive(Clone, Copy)]
+struct Times {
+    stamp_ns: u64,
+    log_ns: u64,
+}
+
+/// 30 images at 1 Hz, odometry at 4 Hz at a metre a second.
+fn drive(image: impl Fn(u64, Times) -> Times, pose: impl Fn(u64, Times) -> Times) -> Vec<Message> {
+    let at = |quarter: u64, late_ns: u64| {
+        let stamp_ns = BEGIN_NS + quarter * SECOND_NS / 4;
+        Times { stamp_ns, log_ns: stamp_ns + late_ns }
+    };
+    let mut messages: Vec<Message> = (0..120)
+        .map(|quarter| {
+            let Times { stamp_ns, log_ns } = pose(quarter, at(quarter, 1));
+            let fields = odometry(stamp_ns, "base_link", quarter as f64 / 4.0);
+            Message { topic: "/odom", type_name: "nav_msgs/Odometry", log_ns, fields }
+        })
+        .collect();
+    messages.extend((0..30).map(|second| {
+        let Times { stamp_ns, log_ns } = image(second, at(4 * second, 5_000_000));
+        let fields = compressed_image(stamp_ns, "png", &png(1));
+        Message {
+            topic: "/camera/image/compressed",
+            type_name: "sensor_msgs/CompressedImage",
+            log_ns,
+            fields,
+        }
+    }));
+    messages.sort_by_key(|message| message.log_ns);
+    messages
+}
+
+fn right(_: u64, times: Times) -> Times {
+    times
+}
+
+fn read(messages: &[Message]) -> (Choice, Vec<Frame>, Joined) {
+    let folder = Folder::new();
+    let bag = open(&folder.file("drive.mcap", &mcap(messages, None, Order::Little)));
+    let choice = bag.choose(&Wanted::default()).unwrap();
+    let (frames, joined) = joined(&bag, &choice, 0);
+    (choice, frames, joined)
+}
+
+fn x_m(frame: &Frame) -> Option<f64> {
+    Some(frame.pose?.position_m[0])
+}
+
+#[test]
+fn one_wrong_stamp_of_odometry_costs_itself_alone() {
+    for wrong_ns in [BEGIN_NS + 1_000_000 * SECOND_NS, 5] {
+        let spike =
+            |quarter, times| if quarter == 11 { Times { stamp_ns: wrong_ns, ..times } } else { times };
+        let (choice, frames, joined) = read(&drive(right, spike));
+        for (second, frame) in frames.iter().enumerate() {
+            assert!((x_m(frame).unwrap() - second as f64).abs() < 1e-9, "{second}: {:?}", frame.pose);
+        }
+        assert_eq!((joined.with_pose, joined.without_pose.all()), (30, 0));
+        assert_eq!((joined.astray.left_out, joined.astray.set_back), (1, 0));
+        assert_eq!(joined.astray.first, Some((12, wrong_ns as i64)));
+        let told = &choice.notes[0];
+        assert!(
+            told.starts_with("odometry of /odom: 1 message is left out, number 12: its stamp "),
+            "{told}"
+        );
+    }
+}
+
+#[test]
+fn odometry_begins_anew_where_its_clock_was_set_back() {
+    let set_back = |quarter, times: Times| {
+        let back_ns = if quarter < 40 { 0 } else { 5 * SECOND_NS };
+        Times { stamp_ns: times.stamp_ns - back_ns, ..times }
+    };
+    let (choice, frames, joined) = read(&drive(right, set_back));
+    let told = &choice.notes[0];
+    assert!(told.contains("/odom: its clock was set back by 4.750 s, at message 41"), "{told}");
+    // Before, as it was; then nothing that mixes both; then what the new clock says.
+    assert!((0..=9).all(|second| x_m(&frames[second]) == Some(second as f64)), "{frames:?}");
+    for (second, frame) in frames.iter().enumerate().skip(11) {
+        assert!(
+            x_m(frame).is_none_or(|x_m| (x_m - (second as f64 + 5.0)).abs() < 1e-9),
+            "{second}: {frame:?}"
+        );
+    }
+    assert!(frames.iter().filter(|frame| frame.pose.is_some()).count() >= 24, "{frames:?}");
+    assert_eq!((joined.astray.left_out, joined.astray.set_back), (0, 1));
+    assert_eq!(joined.astray.first_set_back, Some((41, 5 * SECOND_NS as i64 - SECOND_NS as i64 / 4)));
+    assert_eq!(joined.without_pose.apart, 0);
+}
