@@ -183,6 +183,17 @@ pub enum Problem {
         /// The highest before.
         before_ns: i64,
     },
+    /// A single stamp far from those around it.
+    #[error(
+        "its stamp {stamp_ns} does not follow the {before_ns} of one before, as the next ones do; --stamps log takes the times of \
+         recording"
+    )]
+    Astray {
+        /// Of the message.
+        stamp_ns: i64,
+        /// Of the latest that is used.
+        before_ns: i64,
+    },
     /// A pose has numbers that are none, or no rotation.
     #[error("its pose is none: its numbers have to be finite and its quaternion of length 1")]
     NotAPose,

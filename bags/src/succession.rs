@@ -5,14 +5,14 @@ use std::fmt;
 /// A stamp at most this far above the last follows it, whatever the rate.
 const LEAST_STEP_NS: i64 = 1_000_000_000;
 /// So many times the last step follow, too, where stamps come more slowly.
-const STEPS: i64 = 4;
+const STEPS: i64 = 2;
 /// So many stamps that follow each other are believed against those before them.
 pub(crate) const AGREEING: usize = 3;
 
 /// Tells stamps that follow each other from single wrong ones and from a clock that was set, in the order in which
 /// they come.
 ///
-/// A stamp above the last follows it if it is at most a second, or four times the last step, above it. It counts at
+/// A stamp above the last follows it if it is at most a second, or twice the last step, above it. It counts at
 /// once. Any other is held, and what comes next decides:
 ///
 /// - A stamp that follows the last one leaves out all that is held: it was astray.

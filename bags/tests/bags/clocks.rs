@@ -102,3 +102,45 @@ fn odometry_begins_anew_where_its_clock_was_set_back() {
     assert_eq!(joined.astray.first_set_back, Some((41, 5 * SECOND_NS as i64 - SECOND_NS as i64 / 4)));
     assert_eq!(joined.without_pose.apart, 0);
 }
+
+#[test]
+fn one_wrong_stamp_of_an_image_costs_itself_alone() {
+    for (wrong, wrong_s) in [(3, 1_000_000), (0, 1_000_000), (10, 3)] {
+        let spike = |second, times: Times| {
+            let ahead_ns = if second == wrong { wrong_s * SECOND_NS } else { 0 };
+            Times { stamp_ns: times.stamp_ns + ahead_ns, ..times }
+        };
+        let (choice, frames, joined) = read(&drive(spike, right));
+        let numbers: Vec<u64> = frames.iter().map(|frame| frame.number).collect();
+        let others: Vec<u64> = (1..=30).filter(|number| *number != wrong + 1).collect();
+        assert_eq!((numbers, joined.with_pose), (others, 29));
+        let left_out = choice.left_out.unwrap();
+        assert_eq!((left_out.count, left_out.first_number), (1, wrong + 1));
+        let told = left_out.first_problem.to_string();
+        assert!(told.contains("does not follow the"), "{told}");
+    }
+}
+
+#[test]
+fn images_go_on_after_a_pause_and_after_a_clock_that_was_set_ahead() {
+    let later = |second, times: Times| {
+        let ahead_ns = if second >= 15 { 3600 * SECOND_NS } else { 0 };
+        Times { stamp_ns: times.stamp_ns + ahead_ns, ..times }
+    };
+    let (choice, frames, joined) = read(&drive(later, |quarter, times| later(quarter / 4, times)));
+    assert_eq!((frames.len(), choice.left_out, joined.with_pose), (30, None, 30));
+    assert!(joined.astray.is_none());
+}
+
+#[test]
+fn images_after_a_clock_that_was_set_back_are_left_out_and_why_is_told() {
+    let back = |second, times: Times| {
+        let back_ns = if second >= 15 { 3600 * SECOND_NS } else { 0 };
+        Times { stamp_ns: times.stamp_ns - back_ns, ..times }
+    };
+    let (choice, frames, joined) = read(&drive(back, |quarter, times| back(quarter / 4, times)));
+    assert_eq!((frames.len(), joined.with_pose, joined.astray.set_back), (15, 15, 1));
+    let left_out = choice.left_out.unwrap();
+    assert_eq!((left_out.count, left_out.first_number), (15, 16));
+    assert!(left_out.first_problem.to_string().contains("is not above the"), "{left_out:?}");
+}
