@@ -5,12 +5,14 @@ use crate::camera::{Camera, Rectification, camera};
 use crate::error::{ChoiceError, LeftOut, Problem};
 use crate::messages::Kind;
 use crate::succession::{Step, Succession};
-use crate::survey::Topic;
+use crate::survey::{ODOM_FRAME, Topic};
 
 /// In place of a topic: not to use one that is there.
 pub const NONE: &str = "none";
 /// The robot's base, if its odometry does not name it.
 const BASE_FRAME: &str = "base_link";
+/// What stands for the base where only its place on the floor is below `odom`, by REP-120.
+const FOOTPRINT_FRAME: &str = "base_footprint";
 
 /// What is wanted of a bag.
 #[derive(Clone, Debug, Default)]
@@ -170,32 +172,44 @@ impl Bag {
     ) -> Result<Option<OdometrySource>, ChoiceError> {
         const FLAG: &str = "--odometry-topic";
         const TYPES: &str = "nav_msgs/Odometry, geometry_msgs/PoseStamped or tf2_msgs/TFMessage";
-        let source = |topic: &Topic| OdometrySource {
-            topic: topic.name.clone(),
-            kind: topic.kind,
-            base_frame: topic.child_frame.clone().unwrap_or_else(|| BASE_FRAME.to_owned()),
+        let source = |topic: &Topic| {
+            let base_frame = match topic.kind {
+                Kind::Transforms => moving_base(topic)?.to_owned(),
+                _ => topic.child_frame.clone().unwrap_or_else(|| BASE_FRAME.to_owned()),
+            };
+            Ok(OdometrySource { topic: topic.name.clone(), kind: topic.kind, base_frame })
         };
         let has_poses =
             |topic: &&Topic| matches!(topic.kind, Kind::Odometry | Kind::PoseStamped | Kind::Transforms);
         match asked {
             Some(NONE) => return Ok(None),
-            Some(asked) => return self.asked(asked, FLAG, TYPES, has_poses).map(|topic| Some(source(topic))),
+            Some(asked) => return source(self.asked(asked, FLAG, TYPES, has_poses)?).map(Some),
             None => {}
         }
-        let is_odometry = |topic: &&Topic| topic.kind == Kind::Odometry && topic.readable() > 0;
-        let all: Vec<&Topic> = self.topics().iter().filter(is_odometry).collect();
-        match all.as_slice() {
+        let all: Vec<&Topic> = self.topics().iter().filter(|topic| topic.kind == Kind::Odometry).collect();
+        let usable: Vec<&Topic> = all.iter().copied().filter(|topic| topic.readable() > 0).collect();
+        match usable.as_slice() {
             [] => {
-                let others: Vec<&Topic> = self.topics().iter().filter(has_poses).collect();
+                let serves = |topic: &&Topic| match topic.kind {
+                    Kind::PoseStamped => topic.readable() > 0,
+                    Kind::Transforms => moving_base(topic).is_ok(),
+                    _ => false,
+                };
+                let others: Vec<&Topic> = self.topics().iter().filter(serves).collect();
                 let may = if others.is_empty() {
                     String::new()
                 } else {
                     format!("; {FLAG} also takes {}", names(&others).join(", "))
                 };
-                notes.push(format!("frames have no odometry: no topic is of type nav_msgs/Odometry{may}"));
+                let reason = if all.is_empty() {
+                    "no topic is of type nav_msgs/Odometry".to_owned()
+                } else {
+                    format!("no message of type nav_msgs/Odometry can be used: {}", first_problems(&all))
+                };
+                notes.push(format!("frames have no odometry: {reason}{may}"));
                 Ok(None)
             }
-            [only] => Ok(Some(source(only))),
+            [only] => source(only).map(Some),
             several => Err(ChoiceError::Several { what: "odometry", topics: names(several), flag: FLAG }),
         }
     }
@@ -203,7 +217,7 @@ impl Bag {
     /// What does not follow in the stamps of odometry.
     fn told_of_clock(&self, source: &OdometrySource) -> Option<String> {
         let topic = self.topics().iter().find(|topic| topic.name == source.topic)?;
-        let astray = topic.astray();
+        let astray = topic.astray(&source.base_frame);
         (!astray.is_none()).then(|| {
             format!("odometry of {}: {astray}; --stamps log takes the times of recording", topic.name)
         })
@@ -281,19 +295,50 @@ fn names(topics: &[&Topic]) -> Vec<String> {
     topics.iter().map(|topic| topic.name.clone()).collect()
 }
 
+/// The base that a topic of transforms moves in `odom`.
+fn moving_base(topic: &Topic) -> Result<&'static str, ChoiceError> {
+    let has = |base: &str| topic.joints.contains_key(&(ODOM_FRAME.to_owned(), base.to_owned()));
+    let base = [BASE_FRAME, FOOTPRINT_FRAME].into_iter().find(|base| has(base));
+    base.ok_or_else(|| {
+        let present: Vec<String> = topic
+            .joints
+            .keys()
+            .take(MOST_JOINTS_TOLD)
+            .map(|(parent, child)| format!("{parent} to {child}"))
+            .collect();
+        ChoiceError::NoMotion {
+            topic: topic.name.clone(),
+            present: match (topic.is_static(), present.is_empty()) {
+                (true, _) => "what never moves".to_owned(),
+                (false, true) => "none".to_owned(),
+                (false, false) => present.join(", "),
+            },
+        }
+    })
+}
+
+/// Enough to see what is there.
+const MOST_JOINTS_TOLD: usize = 20;
+
 fn why_no_images(all: &[&Topic]) -> String {
-    let reasons: Vec<String> = all
+    match first_problems(all) {
+        none if none.is_empty() => {
+            "none is of type sensor_msgs/CompressedImage or sensor_msgs/Image".to_owned()
+        }
+        reasons => reasons,
+    }
+}
+
+/// What is wrong with the first message that cannot be read of each topic.
+fn first_problems(topics: &[&Topic]) -> String {
+    let reasons: Vec<String> = topics
         .iter()
         .filter_map(|topic| {
             let left_out = topic.left_out.as_ref()?;
             Some(format!("{}: message {}: {}", topic.name, left_out.first_number, left_out.first_problem))
         })
         .collect();
-    if reasons.is_empty() {
-        "none is of type sensor_msgs/CompressedImage or sensor_msgs/Image".to_owned()
-    } else {
-        reasons.join("; ")
-    }
+    reasons.join("; ")
 }
 
 /// Stamps of the images that can be used: they follow each other ([`Succession`] has the rule), and rise, which maps ask

@@ -81,6 +81,17 @@ pub enum ChoiceError {
         /// Types that serve.
         wanted: &'static str,
     },
+    /// A topic of transforms does not say where the robot is by odometry.
+    #[error(
+        "{topic} has no transform from odom to base_link or base_footprint, which odometry is; it has {present}; name another \
+         topic with --odometry-topic, or none"
+    )]
+    NoMotion {
+        /// As it was asked for.
+        topic: String,
+        /// What transforms it has in place of that.
+        present: String,
+    },
     /// A topic has messages of two types.
     #[error("{topic} changes its type from {first} to {second}; a topic of one type is needed")]
     TypeChanges {

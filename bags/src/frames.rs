@@ -11,7 +11,7 @@ use crate::messages::{Kind, Pose, Transform, reader};
 use crate::odometry::{Frame, Joining, Lacks, RECORDED};
 use crate::source::RawMessage;
 use crate::succession::Astray;
-use crate::survey::{pose, readable};
+use crate::survey::{ODOM_FRAME, pose, readable};
 
 /// Takes frames one after another.
 pub type Take<'t> = dyn FnMut(Frame) -> ControlFlow<()> + 't;
@@ -126,6 +126,6 @@ fn stamped_pose(source: &OdometrySource, message: &RawMessage<'_>) -> Result<Opt
         return Ok(Some((stamped.stamp_ns, stamped.pose.checked()?)));
     }
     let transforms = Transform::read_all(&mut reader(encoding, data)?)?;
-    let base = transforms.iter().find(|joint| joint.parent == "odom" && joint.child == source.base_frame);
+    let base = transforms.iter().find(|joint| joint.parent == ODOM_FRAME && joint.child == source.base_frame);
     base.map(|joint| Ok((joint.stamp_ns, joint.pose.checked()?))).transpose()
 }

@@ -2,9 +2,11 @@
 
 use waypost_bags::{ChoiceError, Wanted};
 
-use crate::reading::open;
+use crate::reading::{joined, open};
 use crate::writing::mcap_file::mcap;
-use crate::writing::messages::{Order, camera_info, compressed_image, odometry, raw_image, transforms};
+use crate::writing::messages::{
+    Order, camera_info, compressed_image, odometry, raw_image, transforms, transforms_at,
+};
 use crate::writing::{Folder, Message, drive, png};
 
 const COMPRESSED: &str = "sensor_msgs/CompressedImage";
@@ -161,4 +163,73 @@ fn transforms_in_a_circle_are_refused() {
     assert!(told.contains("the transforms of tf_static go in a circle at"), "{told}");
     let wanted = Wanted { camera_info_topic: Some("none".to_owned()), ..Wanted::default() };
     assert!(chosen(&messages, &wanted).unwrap().camera.is_none());
+}
+
+const STILL: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
+
+/// The drive with its odometry as transforms, and no other.
+fn driven_by_transforms(parent: &str, child: &str) -> Vec<Message> {
+    let mut messages = drive();
+    for message in messages.iter_mut().filter(|message| message.topic == "/odom") {
+        let stamp_ns = message.log_ns - 25_000_002;
+        let x_m = stamp_ns as f64 / 1e9;
+        (message.topic, message.type_name) = ("/tf", "tf2_msgs/TFMessage");
+        message.fields = transforms_at(
+            stamp_ns,
+            &[(parent, child, [x_m, 0.0, 0.0], STILL), ("base", "wheel", [0.0; 3], STILL)],
+        );
+    }
+    messages
+}
+
+fn by_topic(topic: &str) -> Wanted {
+    Wanted { odometry_topic: Some(topic.to_owned()), ..Wanted::default() }
+}
+
+#[test]
+fn transforms_of_the_base_or_of_its_place_on_the_floor_are_odometry() {
+    for base in ["base_link", "base_footprint"] {
+        let folder = Folder::new();
+        let messages = driven_by_transforms("odom", base);
+        let bag = open(&folder.file("drive.mcap", &mcap(&messages, None, Order::Little)));
+        let choice = bag.choose(&by_topic("/tf")).unwrap();
+        assert_eq!(choice.odometry.as_ref().unwrap().base_frame, base);
+        assert_eq!(joined(&bag, &choice, 0).1.with_pose, 4);
+        let notes = bag.choose(&Wanted::default()).unwrap().notes;
+        assert_eq!(
+            notes[0],
+            "frames have no odometry: no topic is of type nav_msgs/Odometry; --odometry-topic also takes /tf"
+        );
+    }
+}
+
+#[test]
+fn transforms_that_are_no_odometry_are_refused_by_the_names_of_their_frames() {
+    let messages = driven_by_transforms("map", "odom");
+    assert_eq!(
+        refused(&messages, &by_topic("/tf")),
+        "/tf has no transform from odom to base_link or base_footprint, which odometry is; it has base to wheel, map to odom; name \
+         another topic with --odometry-topic, or none"
+    );
+    let told = refused(&messages, &by_topic("/tf_static"));
+    assert!(
+        told.starts_with("/tf_static has no transform from odom") && told.contains("it has what never moves")
+    );
+    // Neither is held out as one.
+    let notes = chosen(&messages, &Wanted::default()).unwrap().notes;
+    assert_eq!(notes[0], "frames have no odometry: no topic is of type nav_msgs/Odometry");
+}
+
+#[test]
+fn odometry_that_is_there_and_of_no_use_is_not_said_to_be_missing() {
+    let mut messages = drive();
+    let of_odometry = messages.iter_mut().filter(|message| message.topic == "/odom");
+    of_odometry.for_each(|message| message.fields = odometry(message.log_ns, "base_link", f64::NAN));
+    let notes = chosen(&messages, &Wanted::default()).unwrap().notes;
+    assert!(
+        notes[0].starts_with(
+            "frames have no odometry: no message of type nav_msgs/Odometry can be used: /odom: message 1: its pose is none"
+        ),
+        "{notes:?}"
+    );
 }

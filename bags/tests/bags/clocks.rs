@@ -144,3 +144,15 @@ fn images_after_a_clock_that_was_set_back_are_left_out_and_why_is_told() {
     assert_eq!((left_out.count, left_out.first_number), (15, 16));
     assert!(left_out.first_problem.to_string().contains("is not above the"), "{left_out:?}");
 }
+
+#[test]
+fn odometry_is_joined_by_its_stamps_however_late_it_was_recorded() {
+    let late = |late_s| move |_, times: Times| Times { log_ns: times.log_ns + late_s * SECOND_NS, ..times };
+    let (_, _, joined) = read(&drive(right, late(40)));
+    assert_eq!((joined.with_pose, joined.without_pose.all()), (30, 0));
+    // Beyond what is waited for it is said why. The first image is there still when the first pose is.
+    let (_, _, joined) = read(&drive(right, late(100)));
+    assert_eq!((joined.with_pose, joined.without_pose.apart, joined.without_pose.all()), (1, 29, 29));
+    let (_, _, joined) = read(&drive(late(20), right));
+    assert_eq!((joined.with_pose, joined.without_pose.all()), (30, 0));
+}
