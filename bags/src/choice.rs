@@ -25,6 +25,8 @@ pub struct Wanted {
     pub odometry_topic: Option<String>,
     /// Which times count.
     pub clock: Clock,
+    /// What the images are; by their topic's name if left out.
+    pub rectification: Option<Rectification>,
 }
 
 /// Which times count.
@@ -84,7 +86,7 @@ impl Bag {
     /// # Errors
     /// Where a topic that is asked for is not there or does not serve, or several do and none is asked for.
     pub fn choose(&self, wanted: &Wanted) -> Result<Choice, ChoiceError> {
-        let Wanted { image_topic, camera_info_topic, odometry_topic, clock } = wanted;
+        let Wanted { image_topic, camera_info_topic, odometry_topic, clock, rectification } = wanted;
         let mut notes = Vec::new();
         let images = self.images(image_topic.as_deref())?;
         let odometry = self.odometry(odometry_topic.as_deref(), &mut notes)?;
@@ -94,7 +96,10 @@ impl Bag {
         let base_frame = odometry.as_ref().map_or(BASE_FRAME, |source| source.base_frame.as_str());
         let info = self.camera_infos(camera_info_topic.as_deref(), images)?;
         let camera = match info {
-            Some(info) => self.camera(info, images, base_frame, &mut notes)?,
+            Some(info) => {
+                let rectification = rectification.unwrap_or_else(|| Rectification::of(&images.name));
+                self.camera((info, rectification), images, base_frame, &mut notes)?
+            }
             None => {
                 notes.push(format!("no camera is declared: no CameraInfo belongs to {}", images.name));
                 None
@@ -254,7 +259,7 @@ impl Bag {
 
     fn camera(
         &self,
-        info: &Topic,
+        (info, rectification): (&Topic, Rectification),
         images: &Topic,
         base_frame: &str,
         notes: &mut Vec<String>,
@@ -265,7 +270,7 @@ impl Bag {
             let changed = info.changed_camera_infos;
             notes.push(format!("{name} changes in {changed} of its messages; the first is declared"));
         }
-        let mut camera = match camera(described, Rectification::of(&images.name)) {
+        let mut camera = match camera(described, rectification) {
             Ok(camera) => camera,
             Err(reason) => {
                 notes.push(format!("no camera is declared of {}: {reason}", info.name));
@@ -279,6 +284,12 @@ impl Bag {
                 info.name
             ));
             return Ok(None);
+        }
+        if let (Rectification::Raw, Some(error_px)) = (rectification, described.approximation_px()) {
+            notes.push(format!(
+                "the rational_polynomial of {} is declared as the nearest plumb_bob, which is up to {error_px:.2} pixels from it",
+                info.name
+            ));
         }
         camera.base_to_camera = self.transforms.camera_in(base_frame, &described.frame_id)?;
         if camera.base_to_camera.is_none() {

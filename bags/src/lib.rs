@@ -22,6 +22,7 @@ mod messages;
 mod odometry;
 mod pixels;
 mod poses;
+mod rational;
 pub mod rtabmap;
 mod source;
 mod succession;
@@ -30,7 +31,7 @@ mod transforms;
 
 pub use bag::{Bag, CutOff};
 pub use bytes::{Encoding, Flaw, Malformed};
-pub use camera::{Camera, Intrinsics, Lens, Undeclared};
+pub use camera::{Camera, Intrinsics, Lens, Rectification, Undeclared};
 pub use choice::{Choice, Clock, NONE, OdometrySource, Wanted};
 pub use error::{BagError, ChoiceError, LeftOut, Problem};
 pub use frames::{Joined, Take};

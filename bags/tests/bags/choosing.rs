@@ -1,6 +1,6 @@
 //! Which topics are chosen, and what is said where none can be.
 
-use waypost_bags::{ChoiceError, Wanted};
+use waypost_bags::{ChoiceError, Lens, Rectification, Wanted};
 
 use crate::reading::{joined, open};
 use crate::writing::mcap_file::mcap;
@@ -147,8 +147,12 @@ fn what_is_missing_is_said_and_not_guessed() {
     assert_eq!((declared, notes.as_slice()), (true, [unplaced.to_owned()].as_slice()));
     let (declared, notes) = of((16, 12), "plumb_bob", &[]);
     assert!(!declared && notes[0].contains("the images are 8 x 6, and /camera/camera_info is for 16 x 12"));
-    let (declared, notes) = of((8, 6), "rational_polynomial", &[0.1; 8]);
+    let folding = [-90.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0];
+    let (declared, notes) = of((8, 6), "rational_polynomial", &folding);
     assert!(!declared && notes[0].contains("has k4, k5 or k6, which cannot be declared"), "{notes:?}");
+    let (declared, notes) = of((8, 6), "rational_polynomial", &[0.1; 8]);
+    let told = "the rational_polynomial of /camera/camera_info is declared as the nearest plumb_bob, which is up to 0.00 pixels";
+    assert!(declared && notes[0].starts_with(told), "{notes:?}");
 }
 
 #[test]
@@ -232,4 +236,18 @@ fn odometry_that_is_there_and_of_no_use_is_not_said_to_be_missing() {
         ),
         "{notes:?}"
     );
+}
+
+#[test]
+fn what_images_are_is_said_whatever_their_topic_is_called() {
+    let as_they_are = |rectification| {
+        let wanted = Wanted { rectification, ..Wanted::default() };
+        match chosen(&drive(), &wanted).unwrap().camera.unwrap().lens {
+            Lens::Pinhole(intrinsics) => (intrinsics.fx_px, intrinsics.distortion.len()),
+            Lens::Fisheye(intrinsics) => panic!("{intrinsics:?}"),
+        }
+    };
+    assert_eq!(as_they_are(None), (50.0, 5));
+    assert_eq!(as_they_are(Some(Rectification::Raw)), (50.0, 5));
+    assert_eq!(as_they_are(Some(Rectification::Rectified)), (40.0, 0));
 }

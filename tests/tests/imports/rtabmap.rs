@@ -195,11 +195,17 @@ fn a_database_goes_on_where_its_own_frames_are_and_not_where_they_lack() {
     };
     assert_eq!(of_sessions(&run(into(&holed_file, "holed")), "answered"), json!([11]));
     let told = refused(into(&whole_file, "holed"));
-    assert!(told.contains("holed-0 was begun with another database: it has no frame 7, which is node 7 at"), "{told}");
+    assert!(
+        told.contains("holed-0 was begun with another database: it has no frame 7, which is node 7 at"),
+        "{told}"
+    );
     assert_eq!(of_sessions(&run(into(&holed_file, "holed")), "answered"), json!([0]));
     assert_eq!(of_sessions(&run(into(&whole_file, "whole")), "answered"), json!([12]));
     let told = refused(into(&holed_file, "whole"));
-    assert!(told.contains("its frame 7 is node 7 at") && told.contains("here is none of that number"), "{told}");
+    assert!(
+        told.contains("its frame 7 is node 7 at") && told.contains("here is none of that number"),
+        "{told}"
+    );
 
     // One whose image the server refuses is lacking for that, and the rest goes on.
     let mut cut = whole.clone();
