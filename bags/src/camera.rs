@@ -38,6 +38,12 @@ pub struct Intrinsics {
     pub distortion: Vec<f64>,
 }
 
+impl Intrinsics {
+    fn matrix(&self) -> [f64; 4] {
+        [self.fx_px, self.fy_px, self.cx_px, self.cy_px]
+    }
+}
+
 /// Why a `CameraInfo` describes no camera that can be declared.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Undeclared {
@@ -103,9 +109,11 @@ impl CameraInfo {
     /// what is meant is declared, or nothing.
     #[must_use]
     pub fn approximation_px(&self) -> Option<f64> {
-        let Lens::Pinhole(declared) = self.declared().ok()?.lens else { return None };
         let meant = has_denominator(&self.distortion_model, &self.distortion)?;
-        fit(meant, &declared, self.declared().ok()?.size_px).map(|fit| fit.error_px)
+        let Camera { lens: Lens::Pinhole(declared), size_px, .. } = self.declared().ok()? else {
+            return None;
+        };
+        fit(meant, declared.matrix(), size_px).map(|fit| fit.error_px)
     }
 }
 
@@ -145,7 +153,7 @@ pub(crate) fn camera(info: &CameraInfo, rectification: Rectification) -> Result<
     let size_px = (width / across, height / down);
     let lens = match has_denominator(model, distortion) {
         None => lens(model, distortion, of)?,
-        Some(meant) => match fit(meant, &of(&[]), size_px) {
+        Some(meant) => match fit(meant, of(&[]).matrix(), size_px) {
             Some(fit) if fit.error_px < MOST_ERROR_PX => Lens::Pinhole(of(&fit.distortion)),
             far => return Err(Undeclared::Rational { error_px: far.map(|fit| fit.error_px) }),
         },

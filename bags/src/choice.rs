@@ -97,7 +97,14 @@ impl Bag {
         let info = self.camera_infos(camera_info_topic.as_deref(), images)?;
         let camera = match info {
             Some(info) => {
-                let rectification = rectification.unwrap_or_else(|| Rectification::of(&images.name));
+                let by_name = Rectification::of(&images.name);
+                if rectification.is_none() && by_name == Rectification::Raw && images.name.contains("rect") {
+                    notes.push(format!(
+                        "the images of {} are taken as raw; if they are rectified, give --rectification rectified",
+                        images.name
+                    ));
+                }
+                let rectification = rectification.unwrap_or(by_name);
                 self.camera((info, rectification), images, base_frame, &mut notes)?
             }
             None => {

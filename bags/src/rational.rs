@@ -1,7 +1,5 @@
 //! The rational distortion model as Brown and Conrady's, where both are as good as the same over an image.
 
-use crate::camera::Intrinsics;
-
 /// The largest error at which one stands for the other, in pixels: below what corners of a calibration are found to.
 pub(crate) const MOST_ERROR_PX: f64 = 0.5;
 /// Points along the longer and the shorter side.
@@ -55,8 +53,10 @@ fn undistorted(parameters: [f64; 8], wanted: [f64; 2]) -> Option<[f64; 2]> {
 
 /// The distortion of five parameters that is nearest over an image, by least squares; none where the model has no inverse in
 /// it. The five are linear in what they do to a point, so one solution of normal equations is the best.
-pub(crate) fn fit(parameters: [f64; 8], camera: &Intrinsics, (width, height): (u32, u32)) -> Option<Fit> {
-    let &Intrinsics { fx_px, fy_px, cx_px, cy_px, distortion: _ } = camera;
+///
+/// `camera` is its focal lengths and its middle: fx, fy, cx, cy.
+pub(crate) fn fit(parameters: [f64; 8], camera: [f64; 4], (width, height): (u32, u32)) -> Option<Fit> {
+    let [fx_px, fy_px, cx_px, cy_px] = camera;
     let (across, down) = if width >= height { GRID } else { (GRID.1, GRID.0) };
     let at =
         |index: u32, count: u32, length: u32| f64::from(index) / f64::from(count - 1) * f64::from(length);
@@ -112,13 +112,10 @@ fn solved(mut rows: [[f64; 6]; 5]) -> Option<[f64; 5]> {
         if rows[column][column] == 0.0 {
             return None;
         }
-        for row in 0..5 {
-            if row != column {
-                let factor = rows[row][column] / rows[column][column];
-                for cell in column..6 {
-                    rows[row][cell] -= factor * rows[column][cell];
-                }
-            }
+        let pivot = rows[column];
+        for (_, row) in rows.iter_mut().enumerate().filter(|(row, _)| *row != column) {
+            let factor = row[column] / pivot[column];
+            row.iter_mut().zip(pivot).for_each(|(cell, of_pivot)| *cell -= factor * of_pivot);
         }
     }
     Some(std::array::from_fn(|row| rows[row][5] / rows[row][row]))
@@ -128,15 +125,15 @@ fn solved(mut rows: [[f64; 6]; 5]) -> Option<[f64; 5]> {
 mod tests {
     use super::*;
 
-    fn camera(focal_px: f64) -> Intrinsics {
-        Intrinsics { fx_px: focal_px, fy_px: focal_px, cx_px: 322.0, cy_px: 238.0, distortion: Vec::new() }
+    fn camera(focal_px: f64) -> [f64; 4] {
+        [focal_px, focal_px, 322.0, 238.0]
     }
 
     #[test]
     fn five_parameters_fit_themselves() {
         let five = [0.1, -0.05, 0.001, -0.002, 0.01];
         let [k1, k2, p1, p2, k3] = five;
-        let fit = fit([k1, k2, p1, p2, k3, 0.0, 0.0, 0.0], &camera(500.0), (640, 480)).unwrap();
+        let fit = fit([k1, k2, p1, p2, k3, 0.0, 0.0, 0.0], camera(500.0), (640, 480)).unwrap();
         assert!(fit.error_px < 1e-6, "{fit:?}");
         assert!(fit.distortion.iter().zip(five).all(|(one, other)| (one - other).abs() < 1e-6), "{fit:?}");
     }
@@ -144,13 +141,13 @@ mod tests {
     #[test]
     fn a_denominator_is_fitted_as_far_as_it_can_be() {
         let parameters = [0.5, -0.2, 0.0005, -0.0003, 0.02, 0.45, -0.1, 0.01];
-        let near = fit(parameters, &camera(600.0), (640, 480)).unwrap();
+        let near = fit(parameters, camera(600.0), (640, 480)).unwrap();
         assert!(near.error_px < 0.05, "{near:?}");
         // A view of 130 degrees needs more than five.
         let wide = [8.0, 4.0, 0.0, 0.0, 0.2, 8.5, 7.0, 1.2];
-        let far = fit(wide, &camera(230.0), (640, 480));
+        let far = fit(wide, camera(230.0), (640, 480));
         assert!(far.as_ref().is_none_or(|fit| fit.error_px > MOST_ERROR_PX), "{far:?}");
         // One that folds has no inverse.
-        assert_eq!(fit([-3.0, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0], &camera(300.0), (640, 480)), None);
+        assert_eq!(fit([-3.0, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0], camera(300.0), (640, 480)), None);
     }
 }

@@ -250,4 +250,15 @@ fn what_images_are_is_said_whatever_their_topic_is_called() {
     assert_eq!(as_they_are(None), (50.0, 5));
     assert_eq!(as_they_are(Some(Rectification::Raw)), (50.0, 5));
     assert_eq!(as_they_are(Some(Rectification::Rectified)), (40.0, 0));
+    // A name that says so in another way is asked about.
+    let mut messages = drive();
+    let images = messages.iter_mut().filter(|message| message.topic == "/camera/image/compressed");
+    images.for_each(|message| message.topic = "/camera/color_rect");
+    let notes = chosen(&messages, &Wanted::default()).unwrap().notes;
+    assert!(
+        notes[0].contains("/camera/color_rect are taken as raw; if they are rectified, give"),
+        "{notes:?}"
+    );
+    let wanted = Wanted { rectification: Some(Rectification::Raw), ..Wanted::default() };
+    assert_eq!(chosen(&messages, &wanted).unwrap().notes, [""; 0]);
 }
