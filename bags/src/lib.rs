@@ -15,6 +15,7 @@ mod camera;
 mod choice;
 mod error;
 mod frames;
+mod image_stamps;
 mod images;
 mod input;
 pub mod live;
