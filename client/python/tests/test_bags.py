@@ -168,7 +168,9 @@ SIZE_PX = (640, 360)
 DRIVEN = 40
 
 
-def robots_bag(path: Path, seconds: range, begun_s: int = 0) -> Path:
+def robots_bag(
+    path: Path, seconds: range, begun_s: int = 0, wheels: Callable[[int], int] = lambda second: second
+) -> Path:
     """A drive of a robot with wheels and a calibrated camera, as ROS 2 records it."""
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     kinds = {kind.rsplit("/", 1)[-1]: value for kind, value in store.types.items()}
@@ -221,7 +223,7 @@ def robots_bag(path: Path, seconds: range, begun_s: int = 0) -> Path:
             pose = kinds["Pose"](kinds["Point"](x_m(second), 0.0, 0.0), still)
             zero = kinds["Twist"](vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0))
             odometry = kinds["Odometry"](
-                header(second, "odom"),
+                header(wheels(second), "odom"),
                 "base_link",
                 kinds["PoseWithCovariance"](pose, np.zeros(36)),
                 kinds["TwistWithCovariance"](zero, np.zeros(36)),
@@ -295,6 +297,29 @@ def test_odometry_and_camera_of_a_bag_are_what_a_robot_would_send(
         assert tracks["from-bag"] == tracks["from-robot"]
         # Frames that the map does not place are in neither.
         assert tracks["from-bag"].count("\n") > DRIVEN * 3 // 4
+
+
+def test_a_clock_of_odometry_that_goes_wrong_is_told(
+    tmp_path: Path, server: Server, client: waypost.Client
+) -> None:
+    client.create_map("clocks", "shipped")
+    at = f"http://{server.address}"
+
+    def told(name: str, wheels: Callable[[int], int]) -> tuple[str, str]:
+        bag = robots_bag(tmp_path / name, range(1, 11), begun_s=1000, wheels=wheels)
+        [problem] = run("inspect", bag)["problems"]
+        ran = called("stream", bag, "--map", "clocks", "--session", name, server=at)
+        assert ran.returncode == 0, ran.stderr
+        return problem, ran.stderr
+
+    problem, said = told("spike", lambda second: 10**6 if second == 4 else second)
+    assert "odometry of /odom: 1 message is left out, number 4: its stamp 1001000000000000" in problem
+    # The one before and the one after are two seconds apart.
+    assert "1 of 10 frames are sent without odometry: around 1 of them no two poses are at most 1 s apart" in said
+    problem, said = told("back", lambda second: second if second < 6 else second - 500)
+    assert "odometry of /odom: its clock was set back by 499.000 s, at message 6" in problem
+    assert "5 of 10 frames are sent without odometry: 5 have stamps before or after those of odometry" in said
+    assert "odometry, whose clock was set back; places" in said
 
 
 def test_another_bag_does_not_go_on_in_the_session_of_one(
