@@ -1,6 +1,7 @@
 //! What a `CameraInfo` says of the images that are sent.
 
 use crate::messages::{CameraInfo, Pose};
+use crate::rational::{MOST_ERROR_PX, fit};
 
 /// A calibrated camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,6 +38,12 @@ pub struct Intrinsics {
     pub distortion: Vec<f64>,
 }
 
+impl Intrinsics {
+    fn matrix(&self) -> [f64; 4] {
+        [self.fx_px, self.fy_px, self.cx_px, self.cy_px]
+    }
+}
+
 /// Why a `CameraInfo` describes no camera that can be declared.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Undeclared {
@@ -48,11 +55,12 @@ pub enum Undeclared {
         "its distortion model `{0}` cannot be declared; plumb_bob and equidistant can, and rectified images"
     )]
     Model(String),
-    /// The rational model with a denominator.
-    #[error(
-        "its rational_polynomial has k4, k5 or k6, which cannot be declared; stream the rectified images"
-    )]
-    Rational,
+    /// The rational model with a denominator, to which plumb_bob is not near enough.
+    #[error("its rational_polynomial has k4, k5 or k6, which cannot be declared{}; stream the rectified images", nearest(*.error_px))]
+    Rational {
+        /// How far the nearest plumb_bob is from it at most, in pixels; none where none was looked for or found.
+        error_px: Option<f64>,
+    },
     /// Too many or too few parameters.
     #[error("its distortion model `{model}` has {count} parameters")]
     Parameters {
@@ -63,10 +71,20 @@ pub enum Undeclared {
     },
 }
 
+fn nearest(error_px: Option<f64>) -> String {
+    error_px.map_or_else(String::new, |error_px| {
+        format!(
+            ": the nearest plumb_bob is up to {error_px:.2} pixels from it, and {MOST_ERROR_PX} are allowed"
+        )
+    })
+}
+
 /// What the images of a topic are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Rectification {
+pub enum Rectification {
+    /// As the camera took them.
     Raw,
+    /// Without distortion, by the `CameraInfo`'s projection.
     Rectified,
 }
 
@@ -86,6 +104,24 @@ impl CameraInfo {
     pub fn declared(&self) -> Result<Camera, Undeclared> {
         camera(self, Rectification::Raw)
     }
+
+    /// How far the plumb_bob that is declared of raw images is from the rational_polynomial that is meant, in pixels at most; none where
+    /// what is meant is declared, or nothing.
+    #[must_use]
+    pub fn approximation_px(&self) -> Option<f64> {
+        let meant = has_denominator(&self.distortion_model, &self.distortion)?;
+        let Camera { lens: Lens::Pinhole(declared), size_px, .. } = self.declared().ok()? else {
+            return None;
+        };
+        fit(meant, declared.matrix(), size_px).map(|fit| fit.error_px)
+    }
+}
+
+/// The parameters of a rational model that is no plumb_bob.
+fn has_denominator(model: &str, distortion: &[f64]) -> Option<[f64; 8]> {
+    let parameters: [f64; 8] = distortion.try_into().ok()?;
+    (model == "rational_polynomial" && parameters[5..].iter().any(|parameter| *parameter != 0.0))
+        .then_some(parameters)
 }
 
 /// The camera that took the images.
@@ -114,8 +150,15 @@ pub(crate) fn camera(info: &CameraInfo, rectification: Rectification) -> Result<
     if !is_calibrated || width == 0 || height == 0 {
         return Err(Undeclared::Uncalibrated);
     }
-    let lens = lens(model, distortion, of)?;
-    Ok(Camera { lens, size_px: (width / across, height / down), base_to_camera: None })
+    let size_px = (width / across, height / down);
+    let lens = match has_denominator(model, distortion) {
+        None => lens(model, distortion, of)?,
+        Some(meant) => match fit(meant, of(&[]).matrix(), size_px) {
+            Some(fit) if fit.error_px < MOST_ERROR_PX => Lens::Pinhole(of(&fit.distortion)),
+            far => return Err(Undeclared::Rational { error_px: far.map(|fit| fit.error_px) }),
+        },
+    };
+    Ok(Camera { lens, size_px, base_to_camera: None })
 }
 
 pub(crate) fn lens(
@@ -128,7 +171,11 @@ pub(crate) fn lens(
         ("plumb_bob", [_, _, _, _] | [_, _, _, _, _]) => Ok(Lens::Pinhole(intrinsics(distortion))),
         ("rational_polynomial", [numerator @ .., k4, k5, k6]) if numerator.len() == 5 => {
             let has_denominator = [k4, k5, k6].iter().any(|parameter| **parameter != 0.0);
-            if has_denominator { Err(Undeclared::Rational) } else { Ok(Lens::Pinhole(intrinsics(numerator))) }
+            if has_denominator {
+                Err(Undeclared::Rational { error_px: None })
+            } else {
+                Ok(Lens::Pinhole(intrinsics(numerator)))
+            }
         }
         ("equidistant" | "fisheye", [] | [_, _, _, _]) => Ok(Lens::Fisheye(intrinsics(distortion))),
         ("plumb_bob" | "rational_polynomial" | "equidistant" | "fisheye", _) => {
@@ -188,7 +235,15 @@ mod tests {
         assert!(matches!(of("equidistant", &[0.1; 4]).unwrap().lens, Lens::Fisheye(_)));
         let five = of("rational_polynomial", &[0.1, 0.1, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0]).unwrap();
         assert!(matches!(five.lens, Lens::Pinhole(intrinsics) if intrinsics.distortion.len() == 5));
-        assert_eq!(of("rational_polynomial", &[0.1; 8]), Err(Undeclared::Rational));
+        let near = of("rational_polynomial", &[0.3, -0.1, 0.0, 0.0, 0.01, 0.25, -0.05, 0.0]).unwrap();
+        assert!(matches!(near.lens, Lens::Pinhole(intrinsics) if intrinsics.distortion.len() == 5));
+        let folds = of("rational_polynomial", &[-3.0, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0]).unwrap_err();
+        assert_eq!(folds, Undeclared::Rational { error_px: None });
+        let far = Undeclared::Rational { error_px: Some(1.234) }.to_string();
+        assert!(
+            far.contains("the nearest plumb_bob is up to 1.23 pixels from it, and 0.5 are allowed"),
+            "{far}"
+        );
         assert_eq!(of("thin_prism", &[0.1; 8]), Err(Undeclared::Model("thin_prism".to_owned())));
         let count = Undeclared::Parameters { model: "plumb_bob".to_owned(), count: 3 };
         assert_eq!(of("plumb_bob", &[0.1; 3]), Err(count));

@@ -2,14 +2,17 @@
 
 use crate::bag::Bag;
 use crate::camera::{Camera, Rectification, camera};
-use crate::error::{ChoiceError, LeftOut, Problem};
+use crate::error::{ChoiceError, LeftOut};
+use crate::image_stamps::stamps;
 use crate::messages::Kind;
-use crate::survey::Topic;
+use crate::survey::{ImageStamps, ODOM_FRAME, Topic};
 
 /// In place of a topic: not to use one that is there.
 pub const NONE: &str = "none";
 /// The robot's base, if its odometry does not name it.
 const BASE_FRAME: &str = "base_link";
+/// What stands for the base where only its place on the floor is below `odom`, by REP-120.
+const FOOTPRINT_FRAME: &str = "base_footprint";
 
 /// What is wanted of a bag.
 #[derive(Clone, Debug, Default)]
@@ -22,6 +25,8 @@ pub struct Wanted {
     pub odometry_topic: Option<String>,
     /// Which times count.
     pub clock: Clock,
+    /// What the images are; by their topic's name if left out.
+    pub rectification: Option<Rectification>,
 }
 
 /// Which times count.
@@ -32,6 +37,19 @@ pub enum Clock {
     Header,
     /// When the messages were recorded.
     Log,
+}
+
+impl Clock {
+    /// Of each image; none where its header cannot be read.
+    fn stamps(self, images: &Topic) -> Vec<Option<i64>> {
+        let stamp_ns = |image: &ImageStamps| {
+            image.header_ns.map(|header_ns| match self {
+                Clock::Header => header_ns,
+                Clock::Log => image.log_ns,
+            })
+        };
+        images.images.iter().map(stamp_ns).collect()
+    }
 }
 
 /// What is used of a bag.
@@ -81,20 +99,33 @@ impl Bag {
     /// # Errors
     /// Where a topic that is asked for is not there or does not serve, or several do and none is asked for.
     pub fn choose(&self, wanted: &Wanted) -> Result<Choice, ChoiceError> {
-        let Wanted { image_topic, camera_info_topic, odometry_topic, clock } = wanted;
+        let Wanted { image_topic, camera_info_topic, odometry_topic, clock, rectification } = wanted;
         let mut notes = Vec::new();
         let images = self.images(image_topic.as_deref())?;
         let odometry = self.odometry(odometry_topic.as_deref(), &mut notes)?;
+        if let (Some(source), Clock::Header) = (&odometry, clock) {
+            notes.extend(self.told_of_clock(source));
+        }
         let base_frame = odometry.as_ref().map_or(BASE_FRAME, |source| source.base_frame.as_str());
         let info = self.camera_infos(camera_info_topic.as_deref(), images)?;
         let camera = match info {
-            Some(info) => self.camera(info, images, base_frame, &mut notes)?,
+            Some(info) => {
+                let by_name = Rectification::of(&images.name);
+                if rectification.is_none() && by_name == Rectification::Raw && images.name.contains("rect") {
+                    notes.push(format!(
+                        "the images of {} are taken as raw; if they are rectified, give --rectification rectified",
+                        images.name
+                    ));
+                }
+                let rectification = rectification.unwrap_or(by_name);
+                self.camera((info, rectification), images, base_frame, &mut notes)?
+            }
             None => {
                 notes.push(format!("no camera is declared: no CameraInfo belongs to {}", images.name));
                 None
             }
         };
-        let (stamps_ns, left_out) = stamps(images, *clock);
+        let (stamps_ns, left_out) = stamps(images, clock.stamps(images));
         if stamps_ns.iter().flatten().next().is_none() {
             let reason =
                 left_out.as_ref().map_or_else(String::new, |left_out| left_out.first_problem.to_string());
@@ -166,34 +197,55 @@ impl Bag {
     ) -> Result<Option<OdometrySource>, ChoiceError> {
         const FLAG: &str = "--odometry-topic";
         const TYPES: &str = "nav_msgs/Odometry, geometry_msgs/PoseStamped or tf2_msgs/TFMessage";
-        let source = |topic: &Topic| OdometrySource {
-            topic: topic.name.clone(),
-            kind: topic.kind,
-            base_frame: topic.child_frame.clone().unwrap_or_else(|| BASE_FRAME.to_owned()),
+        let source = |topic: &Topic| {
+            let base_frame = match topic.kind {
+                Kind::Transforms => moving_base(topic)?.to_owned(),
+                _ => topic.child_frame.clone().unwrap_or_else(|| BASE_FRAME.to_owned()),
+            };
+            Ok(OdometrySource { topic: topic.name.clone(), kind: topic.kind, base_frame })
         };
         let has_poses =
             |topic: &&Topic| matches!(topic.kind, Kind::Odometry | Kind::PoseStamped | Kind::Transforms);
         match asked {
             Some(NONE) => return Ok(None),
-            Some(asked) => return self.asked(asked, FLAG, TYPES, has_poses).map(|topic| Some(source(topic))),
+            Some(asked) => return source(self.asked(asked, FLAG, TYPES, has_poses)?).map(Some),
             None => {}
         }
-        let is_odometry = |topic: &&Topic| topic.kind == Kind::Odometry && topic.readable() > 0;
-        let all: Vec<&Topic> = self.topics().iter().filter(is_odometry).collect();
-        match all.as_slice() {
+        let all: Vec<&Topic> = self.topics().iter().filter(|topic| topic.kind == Kind::Odometry).collect();
+        let usable: Vec<&Topic> = all.iter().copied().filter(|topic| topic.readable() > 0).collect();
+        match usable.as_slice() {
             [] => {
-                let others: Vec<&Topic> = self.topics().iter().filter(has_poses).collect();
+                let serves = |topic: &&Topic| match topic.kind {
+                    Kind::PoseStamped => topic.readable() > 0,
+                    Kind::Transforms => moving_base(topic).is_ok(),
+                    _ => false,
+                };
+                let others: Vec<&Topic> = self.topics().iter().filter(serves).collect();
                 let may = if others.is_empty() {
                     String::new()
                 } else {
                     format!("; {FLAG} also takes {}", names(&others).join(", "))
                 };
-                notes.push(format!("frames have no odometry: no topic is of type nav_msgs/Odometry{may}"));
+                let reason = if all.is_empty() {
+                    "no topic is of type nav_msgs/Odometry".to_owned()
+                } else {
+                    format!("no message of type nav_msgs/Odometry can be used: {}", first_problems(&all))
+                };
+                notes.push(format!("frames have no odometry: {reason}{may}"));
                 Ok(None)
             }
-            [only] => Ok(Some(source(only))),
+            [only] => source(only).map(Some),
             several => Err(ChoiceError::Several { what: "odometry", topics: names(several), flag: FLAG }),
         }
+    }
+
+    /// What does not follow in the stamps of odometry.
+    fn told_of_clock(&self, source: &OdometrySource) -> Option<String> {
+        let topic = self.topics().iter().find(|topic| topic.name == source.topic)?;
+        let astray = topic.astray(&source.base_frame);
+        (!astray.is_none()).then(|| {
+            format!("odometry of {}: {astray}; --stamps log takes the times of recording", topic.name)
+        })
     }
 
     /// The topic of a name, if it serves and has one type.
@@ -227,7 +279,7 @@ impl Bag {
 
     fn camera(
         &self,
-        info: &Topic,
+        (info, rectification): (&Topic, Rectification),
         images: &Topic,
         base_frame: &str,
         notes: &mut Vec<String>,
@@ -238,7 +290,7 @@ impl Bag {
             let changed = info.changed_camera_infos;
             notes.push(format!("{name} changes in {changed} of its messages; the first is declared"));
         }
-        let mut camera = match camera(described, Rectification::of(&images.name)) {
+        let mut camera = match camera(described, rectification) {
             Ok(camera) => camera,
             Err(reason) => {
                 notes.push(format!("no camera is declared of {}: {reason}", info.name));
@@ -252,6 +304,12 @@ impl Bag {
                 info.name
             ));
             return Ok(None);
+        }
+        if let (Rectification::Raw, Some(error_px)) = (rectification, described.approximation_px()) {
+            notes.push(format!(
+                "the rational_polynomial of {} is declared as the nearest plumb_bob, which is up to {error_px:.2} pixels from it",
+                info.name
+            ));
         }
         camera.base_to_camera = self.transforms.camera_in(base_frame, &described.frame_id)?;
         if camera.base_to_camera.is_none() {
@@ -268,56 +326,48 @@ fn names(topics: &[&Topic]) -> Vec<String> {
     topics.iter().map(|topic| topic.name.clone()).collect()
 }
 
+/// The base that a topic of transforms moves in `odom`.
+fn moving_base(topic: &Topic) -> Result<&'static str, ChoiceError> {
+    let has = |base: &str| topic.joints.contains_key(&(ODOM_FRAME.to_owned(), base.to_owned()));
+    let base = [BASE_FRAME, FOOTPRINT_FRAME].into_iter().find(|base| has(base));
+    base.ok_or_else(|| {
+        let present: Vec<String> = topic
+            .joints
+            .keys()
+            .take(MOST_JOINTS_TOLD)
+            .map(|(parent, child)| format!("{parent} to {child}"))
+            .collect();
+        ChoiceError::NoMotion {
+            topic: topic.name.clone(),
+            present: match (topic.is_static(), present.is_empty()) {
+                (true, _) => "what never moves".to_owned(),
+                (false, true) => "none".to_owned(),
+                (false, false) => present.join(", "),
+            },
+        }
+    })
+}
+
+/// Enough to see what is there.
+const MOST_JOINTS_TOLD: usize = 20;
+
 fn why_no_images(all: &[&Topic]) -> String {
-    let reasons: Vec<String> = all
+    match first_problems(all) {
+        none if none.is_empty() => {
+            "none is of type sensor_msgs/CompressedImage or sensor_msgs/Image".to_owned()
+        }
+        reasons => reasons,
+    }
+}
+
+/// What is wrong with the first message that cannot be read of each topic.
+fn first_problems(topics: &[&Topic]) -> String {
+    let reasons: Vec<String> = topics
         .iter()
         .filter_map(|topic| {
             let left_out = topic.left_out.as_ref()?;
             Some(format!("{}: message {}: {}", topic.name, left_out.first_number, left_out.first_problem))
         })
         .collect();
-    if reasons.is_empty() {
-        "none is of type sensor_msgs/CompressedImage or sensor_msgs/Image".to_owned()
-    } else {
-        reasons.join("; ")
-    }
-}
-
-/// Stamps of the images that can be used: they rise.
-fn stamps(images: &Topic, clock: Clock) -> (Vec<Option<i64>>, Option<LeftOut>) {
-    let mut left_out = images.left_out.clone();
-    let mut before_ns = 0;
-    let mut stamps_ns = Vec::with_capacity(images.images.len());
-    for (number, image) in (1..).zip(&images.images) {
-        let stamp_ns = image.header_ns.map(|header_ns| match clock {
-            Clock::Header => header_ns,
-            Clock::Log => image.log_ns,
-        });
-        let problem = match stamp_ns {
-            Some(stamp_ns) if stamp_ns <= 0 => Some(Problem::NoStamp),
-            Some(stamp_ns) if stamp_ns <= before_ns => Some(Problem::NotRising { stamp_ns, before_ns }),
-            Some(stamp_ns) => {
-                before_ns = stamp_ns;
-                None
-            }
-            None => None,
-        };
-        stamps_ns.push(stamp_ns.filter(|_| problem.is_none()));
-        if let Some(problem) = problem {
-            leave_out(&mut left_out, number, image.log_ns, problem);
-        }
-    }
-    (stamps_ns, left_out)
-}
-
-fn leave_out(left_out: &mut Option<LeftOut>, number: u64, log_ns: i64, problem: Problem) {
-    let this = LeftOut { count: 1, first_number: number, first_log_ns: log_ns, first_problem: problem };
-    *left_out = Some(match left_out.take() {
-        None => this,
-        Some(other) => {
-            let count = other.count + 1;
-            let first = if other.first_number <= number { other } else { this };
-            LeftOut { count, ..first }
-        }
-    });
+    reasons.join("; ")
 }

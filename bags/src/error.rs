@@ -81,6 +81,17 @@ pub enum ChoiceError {
         /// Types that serve.
         wanted: &'static str,
     },
+    /// A topic of transforms does not say where the robot is by odometry.
+    #[error(
+        "{topic} has no transform from odom to base_link or base_footprint, which odometry is; it has {present}; name another \
+         topic with --odometry-topic, or none"
+    )]
+    NoMotion {
+        /// As it was asked for.
+        topic: String,
+        /// What transforms it has in place of that.
+        present: String,
+    },
     /// A topic has messages of two types.
     #[error("{topic} changes its type from {first} to {second}; a topic of one type is needed")]
     TypeChanges {
@@ -181,6 +192,17 @@ pub enum Problem {
         /// Of the message.
         stamp_ns: i64,
         /// The highest before.
+        before_ns: i64,
+    },
+    /// A single stamp far from those around it.
+    #[error(
+        "its stamp {stamp_ns} does not follow the {before_ns} of one before, as the next ones do; --stamps log takes the times of \
+         recording"
+    )]
+    Astray {
+        /// Of the message.
+        stamp_ns: i64,
+        /// Of the latest that is used.
         before_ns: i64,
     },
     /// A pose has numbers that are none, or no rotation.

@@ -8,9 +8,10 @@ use crate::error::{BagError, Problem};
 use crate::images;
 use crate::input::Progress;
 use crate::messages::{Kind, Pose, Transform, reader};
-use crate::odometry::{Frame, Joining};
+use crate::odometry::{Frame, Joining, Lacks, RECORDED};
 use crate::source::RawMessage;
-use crate::survey::{pose, readable};
+use crate::succession::Astray;
+use crate::survey::{ODOM_FRAME, pose, readable};
 
 /// Takes frames one after another.
 pub type Take<'t> = dyn FnMut(Frame) -> ControlFlow<()> + 't;
@@ -20,8 +21,10 @@ pub type Take<'t> = dyn FnMut(Frame) -> ControlFlow<()> + 't;
 pub struct Joined {
     /// Frames with a pose.
     pub with_pose: u64,
-    /// Frames without, though there is odometry.
-    pub without_pose: u64,
+    /// Frames without, though there is odometry, by reason.
+    pub without_pose: Lacks,
+    /// Poses that were left out, and whether their clock was set back.
+    pub astray: Astray,
 }
 
 impl Bag {
@@ -36,7 +39,7 @@ impl Bag {
         progress: &mut Progress<'_>,
         take: &mut Take<'_>,
     ) -> Result<Joined, BagError> {
-        let mut reading = Reading { bag: self, choice, after, number: 0, joining: Joining::default() };
+        let mut reading = Reading { bag: self, choice, after, number: 0, joining: Joining::new(RECORDED) };
         if choice.odometry.is_none() {
             reading.joining.end();
         }
@@ -50,6 +53,10 @@ impl Bag {
         if flow.is_continue() {
             reading.joining.end();
             let _ = reading.hand_out(&mut joined, take);
+        }
+        if choice.odometry.is_some() {
+            joined.without_pose = reading.joining.lacks();
+            joined.astray = reading.joining.astray();
         }
         Ok(joined)
     }
@@ -104,11 +111,7 @@ impl Reading<'_> {
 
     fn hand_out(&mut self, joined: &mut Joined, take: &mut Take<'_>) -> ControlFlow<()> {
         while let Some(frame) = self.joining.next() {
-            match (&frame.pose, &self.choice.odometry) {
-                (Some(_), _) => joined.with_pose += 1,
-                (None, Some(_)) => joined.without_pose += 1,
-                (None, None) => {}
-            }
+            joined.with_pose += u64::from(frame.pose.is_some());
             take(frame)?;
         }
         ControlFlow::Continue(())
@@ -123,6 +126,6 @@ fn stamped_pose(source: &OdometrySource, message: &RawMessage<'_>) -> Result<Opt
         return Ok(Some((stamped.stamp_ns, stamped.pose.checked()?)));
     }
     let transforms = Transform::read_all(&mut reader(encoding, data)?)?;
-    let base = transforms.iter().find(|joint| joint.parent == "odom" && joint.child == source.base_frame);
+    let base = transforms.iter().find(|joint| joint.parent == ODOM_FRAME && joint.child == source.base_frame);
     base.map(|joint| Ok((joint.stamp_ns, joint.pose.checked()?))).transpose()
 }

@@ -3,16 +3,29 @@
 use std::collections::VecDeque;
 
 use crate::messages::Pose;
-use crate::poses::Poses;
+use crate::poses::{Lack, Poses};
+use crate::succession::Astray;
 
-/// An image that waited for poses as long as this, by the times of recording, has none.
-const LONGEST_WAIT_NS: i64 = 5_000_000_000;
-/// Poses are kept as long as this, by their stamps, for images that come late.
+/// How long images wait for the poses around them, and poses for images that come late.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Patience {
+    /// The longest wait of an image, by the times of recording; and how long poses are kept, by their stamps.
+    pub most_ns: i64,
+    /// The most images that wait.
+    pub most_images: usize,
+    /// The most bytes of images that wait.
+    pub most_bytes: usize,
+}
+
+/// Where a robot waits for answers, odometry that comes later is of no use.
+pub const LIVE: Patience = Patience { most_ns: 5_000_000_000, most_images: 64, most_bytes: 64 << 20 };
+/// Recordings are joined by stamps, however late odometry was recorded, in bounded memory.
+pub const RECORDED: Patience = Patience { most_ns: 60_000_000_000, most_images: 4096, most_bytes: 128 << 20 };
+
+/// Poses are kept at least as long as this, by their stamps, for images that come late.
 const KEPT_NS: i64 = 30_000_000_000;
-/// Bounds of what waits.
+/// Bounds the poses.
 const MOST_POSES: usize = 100_000;
-const MOST_WAITING: usize = 64;
-const MOST_WAITING_BYTES: usize = 64 << 20;
 
 /// An image with the pose of the robot that took it.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,52 +41,145 @@ pub struct Frame {
 }
 
 /// Images that wait for the poses around them, in bounded memory.
-#[derive(Default)]
 pub struct Joining {
+    patience: Patience,
     poses: Poses,
-    /// In their order, each with the time of its recording.
-    waiting: VecDeque<(i64, Frame)>,
+    waiting: VecDeque<Waiting>,
     waiting_bytes: usize,
+    /// How many of those that wait came before poses did that lie behind others.
+    before_doubt: usize,
     log_ns: i64,
     is_over: bool,
+    lacks: Lacks,
+}
+
+/// In their order, each with the time of its recording.
+struct Waiting {
+    log_ns: i64,
+    frame: Frame,
+    /// The clock of the poses was set back since: none comes any more.
+    is_vain: bool,
+}
+
+/// How many images had no pose, by reason.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Lacks {
+    /// See [`Lack::Gap`].
+    pub gap: u64,
+    /// See [`Lack::Outside`].
+    pub outside: u64,
+    /// See [`Lack::Apart`].
+    pub apart: u64,
+}
+
+impl Lacks {
+    /// Counts one more.
+    pub fn add(&mut self, lack: Lack) {
+        *match lack {
+            Lack::Gap => &mut self.gap,
+            Lack::Outside => &mut self.outside,
+            Lack::Apart => &mut self.apart,
+        } += 1;
+    }
+
+    /// How many there are of all reasons.
+    #[must_use]
+    pub fn all(&self) -> u64 {
+        self.gap + self.outside + self.apart
+    }
+}
+
+impl Default for Joining {
+    /// As a robot does that runs.
+    fn default() -> Self {
+        Self::new(LIVE)
+    }
 }
 
 impl Joining {
+    /// Nothing waits yet.
+    #[must_use]
+    pub fn new(patience: Patience) -> Self {
+        Self {
+            patience,
+            poses: Poses::default(),
+            waiting: VecDeque::new(),
+            waiting_bytes: 0,
+            before_doubt: 0,
+            log_ns: 0,
+            is_over: false,
+            lacks: Lacks::default(),
+        }
+    }
+
     /// Takes an image, with the time at which it was recorded or came.
     pub fn add_image(&mut self, log_ns: i64, frame: Frame) {
         self.log_ns = self.log_ns.max(log_ns);
         self.waiting_bytes += frame.image.len();
-        self.waiting.push_back((log_ns, frame));
+        self.waiting.push_back(Waiting { log_ns, frame, is_vain: false });
     }
 
-    /// Takes a pose, with the time at which it was recorded or came. One whose stamp is not above the last is not taken.
+    /// Takes a pose, with the time at which it was recorded or came. Of a clock that goes wrong, [`Joining::astray`] tells.
     pub fn add_pose(&mut self, log_ns: i64, stamp_ns: i64, pose: Pose) {
         self.log_ns = self.log_ns.max(log_ns);
-        if !self.poses.push(stamp_ns, pose) {
-            return;
+        let was_behind = self.poses.is_behind();
+        let set_back = self.poses.astray().set_back;
+        self.poses.push(stamp_ns, pose);
+        if self.poses.is_behind() && !was_behind {
+            self.before_doubt = self.waiting.len();
         }
-        let needed_ns = self.waiting.front().map_or(i64::MAX, |(_, frame)| frame.stamp_ns);
-        self.poses.forget_before(needed_ns.min(stamp_ns.saturating_sub(KEPT_NS)), MOST_POSES);
+        if self.poses.astray().set_back > set_back {
+            for waiting in self.waiting.iter_mut().take(self.before_doubt) {
+                waiting.is_vain |= waiting.frame.stamp_ns > stamp_ns;
+            }
+        }
+        let needed_ns = self.waiting.front().map_or(i64::MAX, |waiting| waiting.frame.stamp_ns);
+        let kept_ns = self.patience.most_ns.max(KEPT_NS);
+        self.poses.forget_before(needed_ns.min(stamp_ns.saturating_sub(kept_ns)), MOST_POSES);
     }
 
     /// No more poses come.
     pub fn end(&mut self) {
         self.is_over = true;
+        self.poses.end();
+    }
+
+    /// Poses that were left out so far, and whether their clock was set back.
+    #[must_use]
+    pub fn astray(&self) -> Astray {
+        self.poses.astray()
+    }
+
+    /// Images that were handed out without a pose so far.
+    #[must_use]
+    pub fn lacks(&self) -> Lacks {
+        self.lacks
     }
 
     /// The next image that need not wait any longer.
     #[expect(clippy::should_implement_trait, reason = "none now does not mean none later")]
     pub fn next(&mut self) -> Option<Frame> {
-        let (log_ns, frame) = self.waiting.front()?;
+        let Waiting { log_ns, frame, is_vain } = self.waiting.front()?;
+        let found = self.poses.at(frame.stamp_ns);
         let is_passed = self.poses.last_ns().is_some_and(|last_ns| last_ns >= frame.stamp_ns);
-        let is_late = self.log_ns.saturating_sub(*log_ns) > LONGEST_WAIT_NS;
-        let is_much = self.waiting.len() > MOST_WAITING || self.waiting_bytes > MOST_WAITING_BYTES;
-        if !(is_passed || is_late || is_much || self.is_over) {
+        // Of images that come while poses lie behind others, it is not known yet which of both they belong to.
+        let is_doubtful = self.poses.is_behind() && self.before_doubt == 0;
+        let is_answered = !is_doubtful && is_passed && (found.is_ok() || !self.poses.is_brief());
+        let is_late = self.log_ns.saturating_sub(*log_ns) > self.patience.most_ns;
+        let is_much =
+            self.waiting.len() > self.patience.most_images || self.waiting_bytes > self.patience.most_bytes;
+        if !(is_answered || is_late || is_much || *is_vain || self.is_over) {
             return None;
         }
-        let (_, mut frame) = self.waiting.pop_front()?;
+        let is_awaited = !(is_passed || *is_vain || self.is_over);
+        let Waiting { mut frame, .. } = self.waiting.pop_front()?;
         self.waiting_bytes -= frame.image.len();
-        frame.pose = self.poses.at(frame.stamp_ns);
+        self.before_doubt = self.before_doubt.saturating_sub(1);
+        match found {
+            Ok(pose) => frame.pose = Some(pose),
+            Err(_) if is_awaited => self.lacks.add(Lack::Apart),
+            Err(lack) => self.lacks.add(lack),
+        }
         Some(frame)
     }
 }
@@ -114,7 +220,12 @@ mod tests {
         joining.add_image(0, image(1, 50));
         joining.add_image(0, image(2, 150));
         joining.add_pose(0, 100 + MOST_GAP_NS + 1, heading(2.0, 0.0));
+        assert_eq!(joining.next(), None);
+        // A third speaks for the first: it is no single wrong stamp.
+        joining.add_pose(0, 100 + MOST_GAP_NS + 2, heading(2.0, 0.0));
+        joining.add_pose(0, 100 + MOST_GAP_NS + 3, heading(2.0, 0.0));
         assert_eq!([joining.next().unwrap().pose, joining.next().unwrap().pose], [None, None]);
+        assert_eq!(joining.lacks(), Lacks { gap: 1, outside: 1, apart: 0 });
     }
 
     #[test]
@@ -124,10 +235,10 @@ mod tests {
             joining.add_image(0, image(number, number as i64));
             while joining.next().is_some() {}
         }
-        assert_eq!(joining.waiting.len(), MOST_WAITING);
-        joining.add_image(LONGEST_WAIT_NS + 1, image(201, 201));
+        assert_eq!(joining.waiting.len(), LIVE.most_images);
+        joining.add_image(LIVE.most_ns + 1, image(201, 201));
         let released = std::iter::from_fn(|| joining.next()).count();
-        assert_eq!((released, joining.waiting.len()), (MOST_WAITING, 1));
+        assert_eq!((released, joining.waiting.len()), (LIVE.most_images, 1));
         joining.end();
         assert_eq!(joining.next().unwrap().number, 201);
         for stamp_ns in 0..300_000 {

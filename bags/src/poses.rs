@@ -3,30 +3,83 @@
 use std::collections::VecDeque;
 
 use crate::messages::Pose;
+use crate::succession::{AGREEING, Astray, Step, Succession};
 
 /// The two poses around a time are at most this far apart.
 pub const MOST_GAP_NS: i64 = 1_000_000_000;
 
-/// Poses in the order of their stamps.
+/// Poses in the order of their stamps. [`Succession`] decides which of them count.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Poses {
     poses: VecDeque<(i64, Pose)>,
+    /// Stamp of the first pose that counts, which may be forgotten.
+    first_ns: Option<i64>,
+    order: Succession<Pose>,
+}
+
+/// Why there is no pose at a time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lack {
+    /// The two poses around it are more than [`MOST_GAP_NS`] apart.
+    Gap,
+    /// It is before the first pose, or after the last.
+    Outside,
+    /// Poses of that time were there, or were to come, but not together with what needs one.
+    Apart,
 }
 
 impl Poses {
-    /// Adds a pose. One whose stamp is not above the last is not taken, and false comes back.
-    pub fn push(&mut self, stamp_ns: i64, pose: Pose) -> bool {
-        let rises = self.last_ns().is_none_or(|last_ns| stamp_ns > last_ns);
-        if rises {
-            self.poses.push_back((stamp_ns, pose));
-        }
-        rises
+    /// Adds a pose. One that follows the last is used at once. A single one that does not is left out and counted; where the
+    /// clock was set back, all begins anew, and poses from before are gone ([`Succession`] has the rule).
+    pub fn push(&mut self, stamp_ns: i64, pose: Pose) {
+        let items = match self.order.push(stamp_ns, pose) {
+            Step::Follows(pose) => vec![(stamp_ns, pose)],
+            Step::Held | Step::Repeats => return,
+            Step::GoOn(items) => items,
+            Step::InPlaceOfLast(items) => {
+                self.poses.pop_back();
+                items
+            }
+            Step::InPlaceOfAll(items) | Step::Anew(items) => {
+                self.poses.clear();
+                self.first_ns = None;
+                items
+            }
+        };
+        self.extend(items);
+    }
+
+    /// No more poses come.
+    pub fn end(&mut self) {
+        let items = self.order.end();
+        self.extend(items);
+    }
+
+    fn extend(&mut self, items: Vec<(i64, Pose)>) {
+        self.first_ns = self.first_ns.or(items.first().map(|(stamp_ns, _)| *stamp_ns));
+        self.poses.extend(items);
     }
 
     /// Stamp of the last pose.
     #[must_use]
     pub fn last_ns(&self) -> Option<i64> {
         self.poses.back().map(|(last_ns, _)| *last_ns)
+    }
+
+    /// What was left out so far, and whether the clock was set back.
+    #[must_use]
+    pub fn astray(&self) -> Astray {
+        self.order.astray()
+    }
+
+    /// Whether the latest poses lie behind the last that counts, and it is not decided yet whether the clock was set back.
+    pub(crate) fn is_behind(&self) -> bool {
+        self.order.is_behind()
+    }
+
+    /// Whether nothing speaks for the first poses but themselves.
+    pub(crate) fn is_brief(&self) -> bool {
+        self.order.length() < AGREEING
     }
 
     /// Drops what no time from `needed_ns` on can want, and the oldest beyond `most`.
@@ -39,17 +92,22 @@ impl Poses {
 
     /// The pose at a time: the one of that stamp, or else between the two around it, if those are at most
     /// [`MOST_GAP_NS`] apart.
-    #[must_use]
-    pub fn at(&self, stamp_ns: i64) -> Option<Pose> {
+    ///
+    /// # Errors
+    /// Why there is none.
+    pub fn at(&self, stamp_ns: i64) -> Result<Pose, Lack> {
         let after = self.poses.partition_point(|(pose_ns, _)| *pose_ns < stamp_ns);
-        let &(after_ns, after_pose) = self.poses.get(after)?;
+        let &(after_ns, after_pose) = self.poses.get(after).ok_or(Lack::Outside)?;
         if after_ns == stamp_ns {
-            return Some(after_pose);
+            return Ok(after_pose);
         }
-        let &(before_ns, before_pose) = self.poses.get(after.checked_sub(1)?)?;
-        let gap_ns = after_ns.checked_sub(before_ns).filter(|gap_ns| *gap_ns <= MOST_GAP_NS)?;
-        let share = (stamp_ns - before_ns) as f64 / gap_ns as f64;
-        Some(between(before_pose, after_pose, share))
+        let before = after.checked_sub(1).and_then(|before| self.poses.get(before));
+        let is_forgotten = self.first_ns.is_some_and(|first_ns| first_ns <= stamp_ns);
+        let &(before_ns, before_pose) =
+            before.ok_or(if is_forgotten { Lack::Apart } else { Lack::Outside })?;
+        let gap_ns = after_ns.checked_sub(before_ns).filter(|gap_ns| *gap_ns <= MOST_GAP_NS);
+        let share = (stamp_ns - before_ns) as f64 / gap_ns.ok_or(Lack::Gap)? as f64;
+        Ok(between(before_pose, after_pose, share))
     }
 
     #[cfg(test)]
@@ -87,11 +145,16 @@ mod tests {
     }
 
     #[test]
-    fn stamps_rise() {
+    fn a_clock_that_is_set_back_leaves_no_pose_from_before() {
         let mut poses = Poses::default();
-        assert!(poses.push(5, heading(0.0, 0.0)));
-        assert!(!poses.push(5, heading(1.0, 0.0)) && !poses.push(4, heading(1.0, 0.0)));
-        assert_eq!((poses.at(5), poses.at(4), poses.last_ns()), (Some(heading(0.0, 0.0)), None, Some(5)));
+        (5..10).for_each(|stamp_ns| poses.push(stamp_ns, heading(1.0, 0.0)));
+        poses.push(9, heading(3.0, 0.0));
+        assert_eq!((poses.at(9), poses.last_ns()), (Ok(heading(1.0, 0.0)), Some(9)));
+        [1, 2].into_iter().for_each(|stamp_ns| poses.push(stamp_ns, heading(2.0, 0.0)));
+        assert!(poses.is_behind() && poses.at(6).is_ok() && poses.at(1) == Err(Lack::Outside));
+        poses.push(3, heading(2.0, 0.0));
+        assert_eq!((poses.at(2), poses.at(6)), (Ok(heading(2.0, 0.0)), Err(Lack::Outside)));
+        assert_eq!((poses.astray().left_out, poses.astray().set_back), (1, 1));
     }
 
     #[test]

@@ -1,13 +1,17 @@
 //! The first reading of a bag: which topics there are, and whether what they hold can be used.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use crate::bytes::Encoding;
 use crate::error::{LeftOut, Problem};
 use crate::images;
 use crate::messages::{CameraInfo, Header, Kind, StampedPose, Transform, reader};
 use crate::source::{Body, Channel, RawMessage};
+use crate::succession::{Astray, Succession};
 use crate::transforms::StaticTransforms;
+
+/// The frame that odometry is in, among transforms.
+pub(crate) const ODOM_FRAME: &str = "odom";
 
 /// A topic of a bag.
 #[derive(Clone, Debug)]
@@ -36,12 +40,28 @@ pub struct Topic {
     pub frame_id: Option<String>,
     /// Of odometry: the frame whose pose it is.
     pub child_frame: Option<String>,
+    /// Of odometry: which of its stamps count.
+    pub(crate) order: Succession<()>,
+    /// Of transforms that may move: each pair of parent and child.
+    pub(crate) joints: BTreeMap<(String, String), Joint>,
     /// Of camera infos: the first.
     pub camera_info: Option<CameraInfo>,
     /// Of camera infos: how many differ from the first.
     pub changed_camera_infos: u64,
     /// Of images: header and recording of each; no header where it cannot be read.
     pub(crate) images: Vec<ImageStamps>,
+}
+
+/// More pairs of frames than any robot has.
+const MOST_JOINTS: usize = 1000;
+
+/// A frame's transforms to its parent, while a bag is read.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Joint {
+    /// Transforms that are poses.
+    pub(crate) count: u64,
+    /// Which of their stamps count.
+    pub(crate) order: Succession<()>,
 }
 
 /// When an image was taken and recorded.
@@ -67,6 +87,8 @@ impl Topic {
             size_px: None,
             frame_id: None,
             child_frame: None,
+            order: Succession::default(),
+            joints: BTreeMap::new(),
             camera_info: None,
             changed_camera_infos: 0,
             images: Vec::new(),
@@ -83,6 +105,30 @@ impl Topic {
     /// Messages that can be read.
     pub fn readable(&self) -> u64 {
         self.count - self.left_out.as_ref().map_or(0, |left_out| left_out.count)
+    }
+
+    /// Of odometry, of a base: readable messages whose stamps do not follow those around them, and whether its clock was
+    /// set back.
+    pub(crate) fn astray(&self, base_frame: &str) -> Astray {
+        let joint = self.joints.get(&(ODOM_FRAME.to_owned(), base_frame.to_owned()));
+        let mut order = joint.map_or(&self.order, |joint| &joint.order).clone();
+        order.end();
+        order.astray()
+    }
+
+    /// Whether what it holds never moves.
+    pub(crate) fn is_static(&self) -> bool {
+        self.name.ends_with("tf_static")
+    }
+
+    fn add_joint(&mut self, transform: Transform) {
+        let Transform { stamp_ns, parent, child, pose } = transform;
+        let key = (parent, child);
+        if pose.checked().is_ok() && (self.joints.len() < MOST_JOINTS || self.joints.contains_key(&key)) {
+            let joint = self.joints.entry(key).or_default();
+            joint.count += 1;
+            joint.order.push(stamp_ns, ());
+        }
     }
 
     fn leave_out(&mut self, log_ns: i64, problem: Problem) {
@@ -134,6 +180,7 @@ impl Topic {
             self.child_frame = Some(pose.child_frame.trim_start_matches('/').to_owned());
         }
         pose.pose.checked()?;
+        self.order.push(pose.stamp_ns, ());
         Ok(())
     }
 }
@@ -173,8 +220,10 @@ impl Survey {
                 if let Some(first) = transforms.first() {
                     topic.stamped(first.stamp_ns, &first.parent);
                 }
-                if topic.name.ends_with("tf_static") {
+                if topic.is_static() {
                     transforms.into_iter().for_each(|transform| self.transforms.add(transform));
+                } else {
+                    transforms.into_iter().for_each(|transform| topic.add_joint(transform));
                 }
                 Ok(None)
             }

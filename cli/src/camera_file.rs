@@ -1,5 +1,6 @@
 //! Cameras as calibration tools write them down, or as numbers.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use serde_norway::Value;
@@ -139,7 +140,17 @@ fn read(path: &Path, size_px: (u32, u32)) -> Result<Camera, CameraFileError> {
     let document = first.ok_or_else(unknown)?;
     let document: Value = serde::Deserialize::deserialize(document).map_err(no_yaml)?;
     let info = Sheet { path, yaml: &document }.camera_info()?.ok_or_else(unknown)?;
-    info.declared().map_err(|source| CameraFileError::Undeclared { path: path.to_owned(), source })
+    let camera =
+        info.declared().map_err(|source| CameraFileError::Undeclared { path: path.to_owned(), source })?;
+    if let Some(error_px) = info.approximation_px() {
+        // If stderr is closed, the note is lost.
+        let _ = writeln!(
+            std::io::stderr(),
+            "{}: its rational_polynomial is declared as the nearest plumb_bob, which is up to {error_px:.2} pixels from it",
+            path.display()
+        );
+    }
+    Ok(camera)
 }
 
 /// The camera of KITTI's calib.txt, whose lines are 3 x 4 projections of rectified cameras, row by row; `None` if it is

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use clap::ValueEnum;
 use tokio::sync::mpsc::{Receiver, channel};
 use tokio::task::JoinHandle;
-use waypost_bags::{Bag, BagError, Camera, Choice, Clock, Joined, Lens, Pose, Wanted};
+use waypost_bags::{Bag, BagError, Camera, Choice, Clock, Joined, Lens, Pose, Rectification, Wanted};
 use waypost_client::v1::{self, Odometry};
 
 use crate::failure::Failure;
@@ -30,13 +30,26 @@ pub(crate) struct Topics {
     /// Topic of the camera's CameraInfo, or `none`; if left out, the one beside the images
     #[arg(long, value_name = "TOPIC")]
     camera_info_topic: Option<String>,
-    /// Topic of odometry (Odometry, PoseStamped, or TFMessage with odom to base_link), or `none`;
-    /// if left out, the only one of type nav_msgs/Odometry
+    /// Topic of odometry (Odometry, PoseStamped, or TFMessage with odom to base_link or
+    /// base_footprint), or `none`; if left out, the only one of type nav_msgs/Odometry
     #[arg(long, value_name = "TOPIC")]
     odometry_topic: Option<String>,
     /// Which times count: those in the messages' headers, which is the default, or those of recording
     #[arg(long, value_enum, value_name = "CLOCK")]
     stamps: Option<StampsOf>,
+    /// What the images are, whatever their topic is called; if left out, those of image_rect… topics
+    /// are rectified
+    #[arg(long, value_enum, value_name = "IMAGES")]
+    rectification: Option<ImagesAre>,
+}
+
+/// What the images are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ImagesAre {
+    /// As the camera took them
+    Raw,
+    /// Without distortion, by the CameraInfo's projection
+    Rectified,
 }
 
 /// Which times count.
@@ -51,23 +64,28 @@ enum StampsOf {
 impl Topics {
     /// A flag that was given.
     pub(crate) fn first_flag(&self) -> Option<&'static str> {
-        let Topics { image_topic, camera_info_topic, odometry_topic, stamps } = self;
+        let Topics { image_topic, camera_info_topic, odometry_topic, stamps, rectification } = self;
         let flags = [
             ("--image-topic", image_topic.is_some()),
             ("--camera-info-topic", camera_info_topic.is_some()),
             ("--odometry-topic", odometry_topic.is_some()),
             ("--stamps", stamps.is_some()),
+            ("--rectification", rectification.is_some()),
         ];
         flags.into_iter().find_map(|(flag, is_given)| is_given.then_some(flag))
     }
 
     pub(crate) fn wanted(self) -> Wanted {
-        let Topics { image_topic, camera_info_topic, odometry_topic, stamps } = self;
+        let Topics { image_topic, camera_info_topic, odometry_topic, stamps, rectification } = self;
         let clock = match stamps {
             None | Some(StampsOf::Header) => Clock::Header,
             Some(StampsOf::Log) => Clock::Log,
         };
-        Wanted { image_topic, camera_info_topic, odometry_topic, clock }
+        let rectification = rectification.map(|images| match images {
+            ImagesAre::Raw => Rectification::Raw,
+            ImagesAre::Rectified => Rectification::Rectified,
+        });
+        Wanted { image_topic, camera_info_topic, odometry_topic, clock, rectification }
     }
 }
 
@@ -186,11 +204,10 @@ impl Reading {
 
     /// Says why reading ended early, if it did, and how many images have no odometry.
     pub(crate) async fn end(self) -> Result<(), Failure> {
-        let Joined { with_pose, without_pose } = joined(self.thread).await?;
-        if without_pose > 0 {
+        let Joined { with_pose, without_pose, astray } = joined(self.thread).await?;
+        if let Some(told) = without_odometry(without_pose, with_pose + without_pose.all(), astray) {
             // If stderr is closed, the message is lost.
-            let _ =
-                writeln!(std::io::stderr(), "{}", without_odometry(without_pose, with_pose + without_pose));
+            let _ = writeln!(std::io::stderr(), "{told}");
         }
         Ok(())
     }

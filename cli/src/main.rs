@@ -34,6 +34,7 @@ mod panorama;
 mod progress;
 mod reasons;
 mod replay;
+mod resumed;
 mod robot_words;
 mod rtab_drive;
 mod shrinking;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use waypost_bags::{MOST_GAP_NS, Poses};
+use waypost_bags::{Astray, Lacks, MOST_GAP_NS, Poses, RECORDED};
 use waypost_client::v1::Odometry;
 
 use crate::failure::Failure;
@@ -78,7 +78,12 @@ fn joined(stamps: &[i64], path: &Path, rows: &[StampedPose]) -> Result<Moments, 
     for row in rows {
         poses.push(row.stamp_ns, row.pose);
     }
-    let at = |&stamp_ns: &i64| Moment { stamp_ns, odometry: poses.at(stamp_ns).as_ref().map(message) };
+    poses.end();
+    let mut lacks = Lacks::default();
+    let at = |&stamp_ns: &i64| {
+        let pose = poses.at(stamp_ns).map_err(|lack| lacks.add(lack)).ok();
+        Moment { stamp_ns, odometry: pose.as_ref().map(message) }
+    };
     let moments: Vec<Moment> = stamps.iter().map(at).collect();
     let without = moments.iter().filter(|moment| moment.odometry.is_none()).count();
     let name = path.display();
@@ -105,19 +110,37 @@ fn joined(stamps: &[i64], path: &Path, rows: &[StampedPose]) -> Result<Moments, 
         )));
     }
     let mut told = vec![format!("{name}: {} poses, joined to {count} images by time", rows.len())];
-    if without > 0 {
-        told.push(without_odometry(without as u64, count as u64));
-    }
+    told.extend(without_odometry(lacks, count as u64, poses.astray()));
     Ok(Moments { moments, told })
 }
 
-/// How many frames go without odometry, and why.
-pub(crate) fn without_odometry(without: u64, all: u64) -> String {
+/// How many frames go without odometry, and why; none if all have it.
+pub(crate) fn without_odometry(lacks: Lacks, all: u64, astray: Astray) -> Option<String> {
+    let Lacks { gap, outside, apart } = lacks;
     let gap_s = MOST_GAP_NS / 1_000_000_000;
-    format!(
-        "{without} of {all} frames are sent without odometry: none was recorded within {gap_s} s around them; places that they \
-         make are not measured, and the map may be in parts until a loop closes"
-    )
+    let wait_s = RECORDED.most_ns / 1_000_000_000;
+    let (most_images, most_mib) = (RECORDED.most_images, RECORDED.most_bytes >> 20);
+    let set_back = if astray.set_back > 0 { ", whose clock was set back" } else { "" };
+    let reasons = [
+        (gap, format!("around {gap} of them no two poses are at most {gap_s} s apart")),
+        (outside, format!("{outside} have stamps before or after those of odometry{set_back}")),
+        (
+            apart,
+            format!(
+                "{apart} were recorded too far from odometry of their stamps: by {wait_s} s, {most_images} images or                  {most_mib} MiB of them"
+            ),
+        ),
+    ];
+    let reasons: Vec<String> =
+        reasons.into_iter().filter_map(|(count, reason)| (count > 0).then_some(reason)).collect();
+    (lacks.all() > 0).then(|| {
+        format!(
+            "{} of {all} frames are sent without odometry: {}; places that they make are not measured, and the map may be in \
+             parts until a loop closes",
+            lacks.all(),
+            reasons.join("; ")
+        )
+    })
 }
 
 /// No stamp may be 0 or below: all rise by as much.

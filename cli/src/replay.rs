@@ -153,6 +153,61 @@ impl Recording {
         }
     }
 
+    /// Stamp and note of a frame of a bag or a database, if there is one of that number.
+    pub(crate) fn named(&self, sequence: u64) -> Option<(i64, String)> {
+        match self {
+            Recording::Folder { images: _, moments: _ } => None,
+            Recording::Bag(drive) => Some((drive.stamp_ns(sequence)?, String::new())),
+            Recording::Database(drive) => {
+                drive.node(sequence).map(|node| (node.stamp_ns, node_name(node.id)))
+            }
+        }
+    }
+
+    /// Width and height of the first image of a bag or a database.
+    pub(crate) fn size_px(&self) -> Option<(u32, u32)> {
+        match self {
+            Recording::Folder { images: _, moments: _ } => None,
+            Recording::Bag(drive) => drive.size_px(),
+            Recording::Database(drive) => drive.size_px(),
+        }
+    }
+
+    /// Some frames of a bag or a database, by their numbers, which rise. What cannot be read is left out here, and told where all
+    /// is streamed.
+    pub(crate) async fn shots(&self, wanted: &[u64]) -> Vec<Shot> {
+        let mut shots = Vec::new();
+        let (Some(first), Some(last)) = (wanted.first(), wanted.last()) else { return shots };
+        let after = first.saturating_sub(1);
+        let mut take = |shot: Shot| {
+            let is_last = shot.sequence >= *last;
+            if wanted.contains(&shot.sequence) {
+                shots.push(shot);
+            }
+            is_last
+        };
+        match self {
+            Recording::Folder { images: _, moments: _ } => {}
+            Recording::Bag(drive) => {
+                let mut reading = Arc::clone(drive).read(after);
+                while let Some(shot) = reading.next().await {
+                    if take(shot) {
+                        break;
+                    }
+                }
+            }
+            Recording::Database(drive) => {
+                let mut reading = Arc::clone(drive).read(after);
+                while let Some(shot) = reading.next().await {
+                    if take(shot) {
+                        break;
+                    }
+                }
+            }
+        }
+        shots
+    }
+
     fn stamp_ns(&self, sequence: u64) -> i64 {
         match self {
             Recording::Folder { images: _, moments } => {

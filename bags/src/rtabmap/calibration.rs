@@ -306,7 +306,7 @@ mod tests {
         };
         let fisheye = lens(&[0.1, 0.2, 0.0, 0.0, 0.3, 0.4]).unwrap().lens;
         assert!(matches!(fisheye, Lens::Fisheye(found) if found.distortion == [0.1, 0.2, 0.3, 0.4]));
-        assert_eq!(lens(&[0.1; 8]), Err(Undeclared::Rational.into()));
+        assert_eq!(lens(&[0.1; 8]), Err(Undeclared::Rational { error_px: None }.into()));
         assert!(lens(&[0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]).is_ok());
         assert!(matches!(lens(&[0.1; 14]), Err(NoCamera::Undeclared(Undeclared::Model(_)))));
         assert!(lens(&[0.0; 14]).is_ok());

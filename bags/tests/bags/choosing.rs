@@ -1,10 +1,12 @@
 //! Which topics are chosen, and what is said where none can be.
 
-use waypost_bags::{ChoiceError, Wanted};
+use waypost_bags::{ChoiceError, Lens, Rectification, Wanted};
 
-use crate::reading::open;
+use crate::reading::{joined, open};
 use crate::writing::mcap_file::mcap;
-use crate::writing::messages::{Order, camera_info, compressed_image, odometry, raw_image, transforms};
+use crate::writing::messages::{
+    Order, camera_info, compressed_image, odometry, raw_image, transforms, transforms_at,
+};
 use crate::writing::{Folder, Message, drive, png};
 
 const COMPRESSED: &str = "sensor_msgs/CompressedImage";
@@ -145,8 +147,12 @@ fn what_is_missing_is_said_and_not_guessed() {
     assert_eq!((declared, notes.as_slice()), (true, [unplaced.to_owned()].as_slice()));
     let (declared, notes) = of((16, 12), "plumb_bob", &[]);
     assert!(!declared && notes[0].contains("the images are 8 x 6, and /camera/camera_info is for 16 x 12"));
-    let (declared, notes) = of((8, 6), "rational_polynomial", &[0.1; 8]);
+    let folding = [-90.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0];
+    let (declared, notes) = of((8, 6), "rational_polynomial", &folding);
     assert!(!declared && notes[0].contains("has k4, k5 or k6, which cannot be declared"), "{notes:?}");
+    let (declared, notes) = of((8, 6), "rational_polynomial", &[0.1; 8]);
+    let told = "the rational_polynomial of /camera/camera_info is declared as the nearest plumb_bob, which is up to 0.00 pixels";
+    assert!(declared && notes[0].starts_with(told), "{notes:?}");
 }
 
 #[test]
@@ -161,4 +167,98 @@ fn transforms_in_a_circle_are_refused() {
     assert!(told.contains("the transforms of tf_static go in a circle at"), "{told}");
     let wanted = Wanted { camera_info_topic: Some("none".to_owned()), ..Wanted::default() };
     assert!(chosen(&messages, &wanted).unwrap().camera.is_none());
+}
+
+const STILL: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
+
+/// The drive with its odometry as transforms, and no other.
+fn driven_by_transforms(parent: &str, child: &str) -> Vec<Message> {
+    let mut messages = drive();
+    for message in messages.iter_mut().filter(|message| message.topic == "/odom") {
+        let stamp_ns = message.log_ns - 25_000_002;
+        let x_m = stamp_ns as f64 / 1e9;
+        (message.topic, message.type_name) = ("/tf", "tf2_msgs/TFMessage");
+        message.fields = transforms_at(
+            stamp_ns,
+            &[(parent, child, [x_m, 0.0, 0.0], STILL), ("base", "wheel", [0.0; 3], STILL)],
+        );
+    }
+    messages
+}
+
+fn by_topic(topic: &str) -> Wanted {
+    Wanted { odometry_topic: Some(topic.to_owned()), ..Wanted::default() }
+}
+
+#[test]
+fn transforms_of_the_base_or_of_its_place_on_the_floor_are_odometry() {
+    for base in ["base_link", "base_footprint"] {
+        let folder = Folder::new();
+        let messages = driven_by_transforms("odom", base);
+        let bag = open(&folder.file("drive.mcap", &mcap(&messages, None, Order::Little)));
+        let choice = bag.choose(&by_topic("/tf")).unwrap();
+        assert_eq!(choice.odometry.as_ref().unwrap().base_frame, base);
+        assert_eq!(joined(&bag, &choice, 0).1.with_pose, 4);
+        let notes = bag.choose(&Wanted::default()).unwrap().notes;
+        assert_eq!(
+            notes[0],
+            "frames have no odometry: no topic is of type nav_msgs/Odometry; --odometry-topic also takes /tf"
+        );
+    }
+}
+
+#[test]
+fn transforms_that_are_no_odometry_are_refused_by_the_names_of_their_frames() {
+    let messages = driven_by_transforms("map", "odom");
+    assert_eq!(
+        refused(&messages, &by_topic("/tf")),
+        "/tf has no transform from odom to base_link or base_footprint, which odometry is; it has base to wheel, map to odom; name \
+         another topic with --odometry-topic, or none"
+    );
+    let told = refused(&messages, &by_topic("/tf_static"));
+    assert!(
+        told.starts_with("/tf_static has no transform from odom") && told.contains("it has what never moves")
+    );
+    // Neither is held out as one.
+    let notes = chosen(&messages, &Wanted::default()).unwrap().notes;
+    assert_eq!(notes[0], "frames have no odometry: no topic is of type nav_msgs/Odometry");
+}
+
+#[test]
+fn odometry_that_is_there_and_of_no_use_is_not_said_to_be_missing() {
+    let mut messages = drive();
+    let of_odometry = messages.iter_mut().filter(|message| message.topic == "/odom");
+    of_odometry.for_each(|message| message.fields = odometry(message.log_ns, "base_link", f64::NAN));
+    let notes = chosen(&messages, &Wanted::default()).unwrap().notes;
+    assert!(
+        notes[0].starts_with(
+            "frames have no odometry: no message of type nav_msgs/Odometry can be used: /odom: message 1: its pose is none"
+        ),
+        "{notes:?}"
+    );
+}
+
+#[test]
+fn what_images_are_is_said_whatever_their_topic_is_called() {
+    let as_they_are = |rectification| {
+        let wanted = Wanted { rectification, ..Wanted::default() };
+        match chosen(&drive(), &wanted).unwrap().camera.unwrap().lens {
+            Lens::Pinhole(intrinsics) => (intrinsics.fx_px, intrinsics.distortion.len()),
+            Lens::Fisheye(intrinsics) => panic!("{intrinsics:?}"),
+        }
+    };
+    assert_eq!(as_they_are(None), (50.0, 5));
+    assert_eq!(as_they_are(Some(Rectification::Raw)), (50.0, 5));
+    assert_eq!(as_they_are(Some(Rectification::Rectified)), (40.0, 0));
+    // A name that says so in another way is asked about.
+    let mut messages = drive();
+    let images = messages.iter_mut().filter(|message| message.topic == "/camera/image/compressed");
+    images.for_each(|message| message.topic = "/camera/color_rect");
+    let notes = chosen(&messages, &Wanted::default()).unwrap().notes;
+    assert!(
+        notes[0].contains("/camera/color_rect are taken as raw; if they are rectified, give"),
+        "{notes:?}"
+    );
+    let wanted = Wanted { rectification: Some(Rectification::Raw), ..Wanted::default() };
+    assert_eq!(chosen(&messages, &wanted).unwrap().notes, [""; 0]);
 }

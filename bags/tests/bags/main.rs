@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, missing_docs, unreachable_pub)]
 
 mod choosing;
+mod clocks;
 mod hostile;
 mod mutated;
 mod reading;

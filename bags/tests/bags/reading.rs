@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use waypost_bags::{Bag, Choice, Clock, Frame, Lens, Wanted};
+use waypost_bags::{Bag, Choice, Clock, Frame, Joined, Lens, Wanted};
 
 use crate::writing::mcap_file::mcap;
 use crate::writing::messages::{Order, pose_stamped, raw_image};
@@ -16,6 +16,10 @@ pub fn open(path: &Path) -> Bag {
 }
 
 pub fn frames(bag: &Bag, choice: &Choice, after: u64) -> Vec<Frame> {
+    joined(bag, choice, after).0
+}
+
+pub fn joined(bag: &Bag, choice: &Choice, after: u64) -> (Vec<Frame>, Joined) {
     let mut frames = Vec::new();
     let joined = bag.read_frames(choice, after, &mut |_, _| {}, &mut |frame| {
         frames.push(frame);
@@ -23,9 +27,9 @@ pub fn frames(bag: &Bag, choice: &Choice, after: u64) -> Vec<Frame> {
     });
     let joined = joined.unwrap();
     if choice.odometry.is_some() {
-        assert_eq!(joined.with_pose + joined.without_pose, frames.len() as u64);
+        assert_eq!(joined.with_pose + joined.without_pose.all(), frames.len() as u64);
     }
-    frames
+    (frames, joined)
 }
 
 /// What [`drive`] holds, whatever it was written as.

@@ -8,12 +8,14 @@ mod trajectory;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use waypost_bags::Bag;
 use waypost_bags::rtabmap::RtabMap;
 use waypost_client::{Client, ClientOptions, v1};
 
 use self::report::Report;
 use self::sessions::{Importing, drives};
 use crate::failure::{EXIT_CODES, Failure};
+use crate::images::images_of;
 use crate::output::Output;
 use crate::rtab_drive::{open_database, remarks, tell};
 
@@ -46,6 +48,7 @@ pub(crate) struct Arguments {
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
     let Arguments { database, map, session, camera, within } = arguments;
+    check_database(&database, &map)?;
     let prefix = session.map_or_else(|| prefix_of(&database), Ok)?;
     let rtabmap = Arc::new(open_database(&database, output).await?);
     tell(&database, &remarks(&rtabmap));
@@ -64,6 +67,21 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         0 => Ok(()),
         refused => Err(Failure::FramesRefused { refused, frames: frames_of(&rtabmap) }),
     }
+}
+
+/// Says which command takes what is no database.
+fn check_database(path: &Path, map: &str) -> Result<(), Failure> {
+    let shown = path.display();
+    let stream = format!("`waypost stream {shown} --map {map}`");
+    if Bag::is_bag(path) && (!path.is_dir() || images_of(path).is_err()) {
+        return Err(Failure::Unfit(format!("{shown} is a bag, and bags are streamed: {stream}")));
+    }
+    if path.is_dir() {
+        return Err(Failure::Unfit(format!(
+            "{shown} is a folder; give RTAB-Map's database, a file as ~/.ros/rtabmap.db. Folders of images are streamed: {stream}"
+        )));
+    }
+    Ok(())
 }
 
 fn frames_of(rtabmap: &RtabMap) -> usize {
@@ -100,6 +118,25 @@ const MOST_PREFIX_LETTERS: usize = 40;
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_no_database_is_sent_to_the_command_that_takes_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let told = |path: &Path| check_database(path, "hall").map_err(|failure| failure.to_string());
+        let stream = |path: &Path| format!("`waypost stream {} --map hall`", path.display());
+        let plain = told(folder.path()).unwrap_err();
+        assert!(
+            plain.contains("is a folder; give RTAB-Map's database") && plain.contains(&stream(folder.path()))
+        );
+        for name in ["drive.mcap", "drive.bag", "drive.db3", "drive.mcap.zstd"] {
+            let bag = folder.path().join(name);
+            std::fs::write(&bag, b"").unwrap();
+            let told = told(&bag).unwrap_err();
+            assert!(told.ends_with(&format!("is a bag, and bags are streamed: {}", stream(&bag))), "{told}");
+        }
+        assert!(told(folder.path()).unwrap_err().contains("is a bag"));
+        assert_eq!(told(&folder.path().join("rtabmap.db")), Ok(()));
+    }
 
     #[test]
     fn sessions_are_called_by_the_file() {

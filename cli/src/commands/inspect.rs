@@ -18,6 +18,7 @@ use crate::output::{Output, table};
 ///
 /// Reads all of an MCAP file, a database of rosbag2 (.db3) or its folder, or a ROS 1 bag, with its
 /// checksums; or a database of RTAB-Map (.db), which `waypost import` takes. No server is needed.
+/// It fails where a stream would refuse the bag, after it has shown what is in it.
 #[derive(clap::Args)]
 #[command(after_help = EXIT_CODES)]
 pub(crate) struct Arguments {
@@ -77,7 +78,8 @@ pub(crate) async fn run(arguments: Arguments, output: Output) -> Result<(), Fail
             }
         };
     }
-    let bag = open_bag(&bag, output).await?;
+    let path = bag;
+    let bag = open_bag(&path, output).await?;
     let choice = bag.choose(&topics.wanted());
     let told = match &choice {
         Ok(choice) => problems(&bag, choice),
@@ -90,7 +92,8 @@ pub(crate) async fn run(arguments: Arguments, output: Output) -> Result<(), Fail
         stream_refused: choice.as_ref().err().map(ToString::to_string),
         problems: told,
     };
-    output.result(&inspected, |out| write(&inspected, &bag, choice.as_ref().ok(), out))
+    output.result(&inspected, |out| write(&inspected, &bag, choice.as_ref().ok(), out))?;
+    choice.map(|_| ()).map_err(|source| Failure::Topics { path, source })
 }
 
 fn write(inspected: &Inspected, bag: &Bag, choice: Option<&Choice>, out: &mut dyn Write) -> io::Result<()> {

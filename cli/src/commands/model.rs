@@ -8,6 +8,7 @@ use futures::{Stream, StreamExt};
 use indicatif::ProgressBar;
 use serde_json::json;
 use tokio::fs::File;
+use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio::sync::watch;
 use waypost_client::{Client, ClientOptions, v1};
 
@@ -248,6 +249,22 @@ async fn export(name: &str, path: &Path, server: &ClientOptions, output: Output)
     })
 }
 
+/// Enough to know a vocabulary by.
+const HEAD_BYTES: u64 = 256;
+
+/// Whether a file is a vocabulary of DBoW2 (a line of four numbers), DBoW3 (YAML) or FBoW, packed or not.
+fn is_vocabulary(path: &Path, head: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(head);
+    let first = text.lines().next().unwrap_or_default();
+    let is_orb_text = first.split_whitespace().count() == 4
+        && first.split_whitespace().all(|number| number.parse::<u32>().is_ok());
+    let is_yaml = text.starts_with("%YAML") && text.contains("vocabulary:");
+    let name = path.to_string_lossy().to_lowercase();
+    let is_named_so =
+        [".yml.gz", ".yaml.gz", ".txt.gz", ".tar.gz", ".fbow"].iter().any(|ending| name.ends_with(ending));
+    !head.starts_with(b"WPMODEL") && (is_orb_text || is_yaml || is_named_so)
+}
+
 /// Uploads a model file.
 pub(crate) async fn import(
     client: &Client,
@@ -255,9 +272,35 @@ pub(crate) async fn import(
     display_name: &str,
     output: Output,
 ) -> Result<v1::Model, Failure> {
-    let file = File::open(path).await.map_err(Failure::file("read", path))?;
+    let mut file = File::open(path).await.map_err(Failure::file("read", path))?;
+    let mut head = Vec::new();
+    let read = (&mut file).take(HEAD_BYTES).read_to_end(&mut head).await;
+    read.map_err(Failure::file("read", path))?;
+    if is_vocabulary(path, &head) {
+        let path = path.display();
+        return Err(Failure::Unfit(format!(
+            "{path} is a vocabulary, and no model: train one with it, by `waypost-eval train --images DIR --feature orb \
+             --orb-vocabulary {path} --out orb.waypost`, and import that"
+        )));
+    }
+    file.rewind().await.map_err(Failure::file("read", path))?;
     let spinner = progress::spinner(output, format!("importing {}", path.display()));
     let model = client.import_model(display_name, file).await?;
     spinner.finish_and_clear();
     Ok(model)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn vocabularies_are_known_by_their_heads_and_names() {
+        let is = |name: &str, head: &[u8]| is_vocabulary(Path::new(name), head);
+        assert!(is("ORBvoc.txt", b"10 6 0 0\n0 0 252 188 188 242 169 109"));
+        assert!(is("orb", b"%YAML:1.0\nvocabulary:\n   k: 10\n"));
+        assert!(is("orb.yml.gz", b"\x1f\x8b\x08") && is("ORB.fbow", b"\x8a\xb8"));
+        assert!(!is("shipped.waypost", b"WPMODEL\0") && !is("orb.fbow", b"WPMODEL\0"));
+        assert!(!is("notes.txt", b"10 6 0 zero\n") && !is("camera.yaml", b"%YAML:1.0\ncamera_name: x\n"));
+    }
 }

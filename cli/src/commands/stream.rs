@@ -26,6 +26,7 @@ use crate::output::Output;
 use crate::panorama::Projection;
 use crate::progress;
 use crate::replay::Replay;
+use crate::resumed::{Compared, check_begun_with};
 use crate::robot_words::{ContentMaker, Words};
 use crate::{camera_file, images, odometry};
 
@@ -134,6 +135,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let contents = ContentMaker::new(&client, &map, words.words).await?;
     let mode = if localize { v1::SessionMode::Localize } else { v1::SessionMode::Map };
     let words_hash = contents.words_hash();
+    let compared = Compared::of(camera.as_ref());
     let run_id = format!("{:016x}", RandomState::new().hash_one(()));
     let options =
         SessionOptions { session_id: session, mode, words_hash, run_id, camera, ..SessionOptions::new(&map) };
@@ -148,6 +150,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     if let (Some(committed), v1::SessionMode::Map) = (committed, mode) {
         let asking = Asking::unless(yes);
         check_resumed(&client, (&map, &opened.session), &replay, committed, asking).await?;
+        check_begun_with(&client, (&map, &opened.session), &replay, committed, compared).await?;
     }
     match committed {
         Some(sequence) => output.line(format_args!("{} resumed after frame {sequence}", opened.session))?,

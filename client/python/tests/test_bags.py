@@ -168,14 +168,17 @@ SIZE_PX = (640, 360)
 DRIVEN = 40
 
 
-def robots_bag(path: Path, seconds: range) -> Path:
+def robots_bag(
+    path: Path, seconds: range, begun_s: int = 0, wheels: Callable[[int], int] = lambda second: second
+) -> Path:
     """A drive of a robot with wheels and a calibrated camera, as ROS 2 records it."""
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     kinds = {kind.rsplit("/", 1)[-1]: value for kind, value in store.types.items()}
     vector, quaternion = kinds["Vector3"], kinds["Quaternion"]
 
     def header(second: int, frame: str) -> Any:
-        return kinds["Header"](stamp=kinds["Time"](sec=second, nanosec=0), frame_id=frame)
+        stamp = kinds["Time"](sec=begun_s + second, nanosec=0)
+        return kinds["Header"](stamp=stamp, frame_id=frame)
 
     def joint(parent: str, child: str, moved: Any, turned: Any) -> Any:
         transform = kinds["Transform"](translation=moved, rotation=turned)
@@ -220,7 +223,7 @@ def robots_bag(path: Path, seconds: range) -> Path:
             pose = kinds["Pose"](kinds["Point"](x_m(second), 0.0, 0.0), still)
             zero = kinds["Twist"](vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0))
             odometry = kinds["Odometry"](
-                header(second, "odom"),
+                header(wheels(second), "odom"),
                 "base_link",
                 kinds["PoseWithCovariance"](pose, np.zeros(36)),
                 kinds["TwistWithCovariance"](zero, np.zeros(36)),
@@ -296,6 +299,54 @@ def test_odometry_and_camera_of_a_bag_are_what_a_robot_would_send(
         assert tracks["from-bag"].count("\n") > DRIVEN * 3 // 4
 
 
+def test_a_clock_of_odometry_that_goes_wrong_is_told(
+    tmp_path: Path, server: Server, client: waypost.Client
+) -> None:
+    client.create_map("clocks", "shipped")
+    at = f"http://{server.address}"
+
+    def told(name: str, wheels: Callable[[int], int]) -> tuple[str, str]:
+        bag = robots_bag(tmp_path / name, range(1, 11), begun_s=1000, wheels=wheels)
+        [problem] = run("inspect", bag)["problems"]
+        ran = called("stream", bag, "--map", "clocks", "--session", name, server=at)
+        assert ran.returncode == 0, ran.stderr
+        return problem, ran.stderr
+
+    problem, said = told("spike", lambda second: 10**6 if second == 4 else second)
+    assert "odometry of /odom: 1 message is left out, number 4: its stamp 1001000000000000" in problem
+    # The one before and the one after are two seconds apart.
+    assert "1 of 10 frames are sent without odometry: around 1 of them no two poses are at most 1 s" in said
+    problem, said = told("back", lambda second: second if second < 6 else second - 500)
+    assert "odometry of /odom: its clock was set back by 499.000 s, at message 6" in problem
+    assert "5 of 10 frames are sent without odometry: 5 have stamps before or after those of odometry" in said
+    assert "odometry, whose clock was set back; places" in said
+
+
+def test_another_bag_does_not_go_on_in_the_session_of_one(
+    tmp_path: Path, server: Server, client: waypost.Client
+) -> None:
+    client.create_map("resumed", "shipped")
+    into = ["--map", "resumed", "--session", "drive"]
+    at = f"http://{server.address}"
+    first = robots_bag(tmp_path / "first", range(1, 8))
+    assert run("stream", first, *into, server=at)["refused"] == 0
+    # Another day.
+    other = robots_bag(tmp_path / "other", range(1, 12), begun_s=86_400)
+    told = refused("stream", other, *into, server=at)
+    assert "was begun with another bag: its frame 1 is of 1000000000 ns" in told
+    assert "here it is of 86401000000000 ns; give the bag that it was begun with" in told
+    # The same times, and other images: as of the other camera of a pair.
+    shifted = IMAGES[20:]
+    images, IMAGES[:] = list(IMAGES), [*shifted, *IMAGES[:20]]
+    try:
+        camera = robots_bag(tmp_path / "camera", range(1, 12))
+    finally:
+        IMAGES[:] = images
+    told = refused("stream", camera, *into, server=at)
+    assert "was begun with another bag: its frame 7 shows something else" in told
+    assert len(list(client.frames("maps/resumed/sessions/drive"))) == 7
+
+
 def test_what_does_not_fit_is_refused_with_a_way_out(tmp_path: Path, server: Server) -> None:
     bag = robots_bag(tmp_path / "drive", range(1, 4))
     at = f"http://{server.address}"
@@ -306,6 +357,10 @@ def test_what_does_not_fit_is_refused_with_a_way_out(tmp_path: Path, server: Ser
     assert "--image-topic is for bags" in told
     told = refused("stream", bag, "--map", "m", "--image-topic", "/cam", server=at)
     assert "there is no topic /cam; the bag has /camera/camera_info, /camera/image/compressed" in told
+    told = refused("inspect", bag, "--image-topic", "/cam", server=at)
+    assert "there is no topic /cam" in told
+    told = refused("import", bag, "--map", "m", server=at)
+    assert f"is a bag, and bags are streamed: `waypost stream {bag} --map m`" in told
     cut = tmp_path / "cut.mcap"
     # These have CRCs.
     whole = mcap(tmp_path / "whole", "NONE").read_bytes()

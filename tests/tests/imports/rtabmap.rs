@@ -161,12 +161,63 @@ fn an_import_goes_on_where_it_stopped_and_is_taken_out_session_by_session() {
     other.nodes[53].stamp_s += 0.5;
     let other = Written::new("0.21.4", &other);
     let (code, told) = waypost.fails(&["import", path(&other.path()), "--map", "drive"]);
-    assert!(code == 1 && told.contains("begun with something else") && told.contains("node 53"), "{told}");
+    assert!(code == 1 && told.contains("begun with another database") && told.contains("node 53"), "{told}");
 
     waypost.text(&["session", "rm", "drive", "walk-3", "--yes"]);
     let again = import(&waypost, &database.path());
     assert_eq!(of_sessions(&again, "answered"), json!([0, 53]));
     assert_eq!(again["closures"], whole["closures"]);
+}
+
+/// The last node is the same in both: what tells them apart is which nodes have images.
+#[test]
+fn a_database_goes_on_where_its_own_frames_are_and_not_where_they_lack() {
+    let waypost = CommandLine::new();
+    waypost.prepare();
+    let mut whole = walk(21);
+    (whole.nodes, whole.links) = (whole.nodes[..12].to_vec(), Vec::new());
+    let mut holed = whole.clone();
+    holed.nodes[6].image = None;
+    let (whole_file, holed_file) = (Written::new("0.21.4", &whole), Written::new("0.21.4", &holed));
+    let into = |database: &Written, session: &str| {
+        let database = database.path();
+        ["import", path(&database), "--map", "drive", "--session", session].map(str::to_owned)
+    };
+    let run = |arguments: [String; 6]| {
+        let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+        waypost.json(&arguments)
+    };
+    let refused = |arguments: [String; 6]| {
+        let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+        let (code, told) = waypost.fails(&arguments);
+        assert_eq!(code, 1, "{told}");
+        told
+    };
+    assert_eq!(of_sessions(&run(into(&holed_file, "holed")), "answered"), json!([11]));
+    let told = refused(into(&whole_file, "holed"));
+    assert!(
+        told.contains("holed-0 was begun with another database: it has no frame 7, which is node 7 at"),
+        "{told}"
+    );
+    assert_eq!(of_sessions(&run(into(&holed_file, "holed")), "answered"), json!([0]));
+    assert_eq!(of_sessions(&run(into(&whole_file, "whole")), "answered"), json!([12]));
+    let told = refused(into(&holed_file, "whole"));
+    assert!(
+        told.contains("its frame 7 is node 7 at") && told.contains("here is none of that number"),
+        "{told}"
+    );
+
+    // One whose image the server refuses is lacking for that, and the rest goes on.
+    let mut cut = whole.clone();
+    if let Some(image) = &mut cut.nodes[6].image {
+        image.truncate(image.len() / 8);
+    }
+    let cut_file = Written::new("0.21.4", &cut);
+    let arguments = into(&cut_file, "cut");
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let (code, told) = waypost.fails(&arguments);
+    assert!(code == 5 && told.contains("node 7: refused"), "{code}: {told}");
+    assert_eq!(of_sessions(&run(into(&cut_file, "cut")), "answered"), json!([0]));
 }
 
 #[test]

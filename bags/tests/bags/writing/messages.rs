@@ -147,9 +147,14 @@ pub fn pose_stamped(stamp_ns: u64, x_m: f64) -> Fields {
 
 /// Parent, child, position and orientation of each.
 pub fn transforms(all: &[(&str, &str, [f64; 3], [f64; 4])]) -> Fields {
+    transforms_at(1, all)
+}
+
+/// The same with a stamp.
+pub fn transforms_at(stamp_ns: u64, all: &[(&str, &str, [f64; 3], [f64; 4])]) -> Fields {
     let mut fields = vec![Field::U32(all.len() as u32)];
     for (parent, child, position_m, orientation) in all {
-        fields.extend(header(1, parent));
+        fields.extend(header(stamp_ns, parent));
         fields.push(Field::Text((*child).to_owned()));
         fields.extend(numbers(position_m));
         fields.extend(numbers(orientation));

@@ -18,8 +18,9 @@ use crate::names::short_map;
 use crate::output::Output;
 use crate::progress;
 use crate::replay::{Recording, Replay};
+use crate::resumed::{Compared, check_begun_with};
 use crate::robot_words::ContentMaker;
-use crate::rtab_drive::{RtabDrive, node_name};
+use crate::rtab_drive::RtabDrive;
 
 /// What stands for no camera.
 const NONE: &str = "none";
@@ -92,8 +93,14 @@ impl Importing<'_> {
         let session = self.client.open_session(options).await?;
         let v1::SessionOpened { session: name, last_committed_sequence: committed, .. } =
             session.opened().clone();
+        let replay = Replay {
+            recording: Recording::Database(Arc::clone(&drive)),
+            pace_hz: None,
+            contents: ContentMaker::Images,
+        };
         if let Some(committed) = committed {
-            self.check_resumed(&name, &drive, committed).await?;
+            let compared = Compared::of(drive.camera.as_ref());
+            check_begun_with(self.client, (self.map, &name), &replay, committed, compared).await?;
         }
         let after_sequence = committed.unwrap_or(0);
         let to_stream = drive.count_after(after_sequence);
@@ -102,11 +109,6 @@ impl Importing<'_> {
             Some(sequence) => self.output.line(format_args!("{name} resumed after frame {sequence}"))?,
             None => self.output.line(format_args!("{name} begun: {to_stream} frames of map_id {map_id}"))?,
         }
-        let replay = Replay {
-            recording: Recording::Database(Arc::clone(&drive)),
-            pace_hz: None,
-            contents: ContentMaker::Images,
-        };
         let bar = progress::counter(self.output, "frames answered", to_stream);
         let mut imported = Imported {
             map_id,
@@ -154,22 +156,5 @@ impl Importing<'_> {
         format!(
             "stopped in {id}; the same command goes on there, and `waypost session rm {map} {id}` takes it out"
         )
-    }
-
-    /// Refuses to go on in a session of another database: its last frame has to be the node that it is here.
-    async fn check_resumed(&self, session: &str, drive: &RtabDrive, committed: u64) -> Result<(), Failure> {
-        let record = self.client.frame(&format!("{session}/frames/{committed}")).await?;
-        let is_same = drive
-            .node(committed)
-            .is_some_and(|node| node.stamp_ns == record.stamp_ns && node_name(node.id) == record.note);
-        if is_same {
-            return Ok(());
-        }
-        let there = if record.note.is_empty() { "unnamed" } else { record.note.as_str() };
-        Err(Failure::Unfit(format!(
-            "{session} was begun with something else: its frame {committed} is {there} at {} ns, which this database does not have \
-             there; give the database that it was begun with, or another --session",
-            record.stamp_ns
-        )))
     }
 }
