@@ -143,7 +143,7 @@ impl Merges {
         let name = target.name().to_owned();
         let number = self.storage.insert_merge(&name, &report.to_json()?, now_ns()).await?;
         let merges = self.clone();
-        let work = |reporter: JobReporter| async move {
+        let work = move |reporter: JobReporter| async move {
             let outcome = merges.search(number, target, sources, &settings, commit_policy, &reporter).await;
             merges.note_failure(number, &outcome).await;
             outcome
@@ -212,7 +212,7 @@ impl Merges {
         let proposal = self.proposals().remove(&number).ok_or_else(|| undecidable(&view, "committed"))?;
         let kept = proposal.clone();
         let merges = self.clone();
-        let work = |reporter: JobReporter| async move {
+        let work = move |reporter: JobReporter| async move {
             let kept = proposal.clone();
             let outcome = merges.join(number, proposal, &reporter).await;
             match &outcome {

@@ -148,7 +148,7 @@ impl Models {
         }
         self.check_name_is_free(&upload.display_name, None).await?;
         let models = self.clone();
-        let work = |reporter: JobReporter| async move { models.train(upload, &reporter).await };
+        let work = move |reporter: JobReporter| async move { models.train(upload, &reporter).await };
         self.jobs.start(JobKind::TrainModel, &[], work).await
     }
 

@@ -64,7 +64,7 @@ impl Rebuilding {
         let resending = Resending::new(source, sessions, into, WithoutContent::Refuse);
         let rebuild = Rebuild { resending, words: before.model.vocabulary().len() };
         let rebuilding = self.clone();
-        let work = |reporter: JobReporter| async move { rebuilding.rebuild(rebuild, &reporter).await };
+        let work = move |reporter: JobReporter| async move { rebuilding.rebuild(rebuild, &reporter).await };
         self.jobs.start(JobKind::RebuildMap, &[from, &made], work).await
     }
 

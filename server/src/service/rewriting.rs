@@ -35,7 +35,7 @@ impl Rewriting {
         let map = self.open_maps.row(map_in(name)?).await?;
         let rewriting = self.clone();
         let of = map.name.clone();
-        let work = |reporter: JobReporter| async move {
+        let work = move |reporter: JobReporter| async move {
             let Some(_turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
             // The last moment to stop.
             if Stopped::unless(reporter.progress("rewriting the database", 0.0)).is_err() {

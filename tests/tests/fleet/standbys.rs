@@ -10,8 +10,9 @@ use waypost_client::{Client, FrameInput, FrameOutcome, SessionOptions, v1};
 
 use super::owners::{beside_others, ends, is_whole, until_it_owns};
 use crate::harness::{
-    Answer, Machines, Reference, ServerProcess, answers, as_histogram, by_words_request, frame, import_model,
-    in_time, map_request, reference, reference_by_words, session_options, state_hash, words_options,
+    Answer, Machines, Reference, ServerProcess, answers, as_histogram, by_words_request, frame, http,
+    import_model, in_time, map_request, reference, reference_by_words, session_options, state_hash,
+    words_options,
 };
 
 /// Of each robot in one round.

@@ -41,7 +41,7 @@ impl Merges {
         }
         let sessions = self.storage.sessions_of_merge(map.id, number).await?;
         let rewriting = self.rewriting.clone();
-        let work = |reporter: JobReporter| async move {
+        let work = move |reporter: JobReporter| async move {
             rewriting.take_out(map, sessions, Some(outcome), &reporter).await
         };
         let job = self.jobs.start(JobKind::RemoveSessions, &view.maps(), work).await?;
@@ -59,7 +59,7 @@ impl Merges {
     ) -> Result<MergeView, ServiceError> {
         let number = outcome.number;
         let merges = self.clone();
-        let work = |reporter: JobReporter| async move {
+        let work = move |reporter: JobReporter| async move {
             let end = reporter.succeeded(format!("merges/{number}"));
             let storage = merges.storage.clone();
             let stored_end = end.clone();

@@ -91,7 +91,7 @@ impl Rebuilding {
         let words = model.model.vocabulary().len();
         let repair = Repair { caller: caller.clone(), resending, copy, words };
         let rebuilding = self.clone();
-        let work = |reporter: JobReporter| async move { rebuilding.repair(repair, &reporter).await };
+        let work = move |reporter: JobReporter| async move { rebuilding.repair(repair, &reporter).await };
         self.jobs.start(JobKind::RepairMap, &maps.iter().map(String::as_str).collect::<Vec<_>>(), work).await
     }
 

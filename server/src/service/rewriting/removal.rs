@@ -23,7 +23,7 @@ impl Rewriting {
         let number = number.ok_or_else(|| no_such_session(map, session))?;
         self.check_nobody_is_led(&row)?;
         let rewriting = self.clone();
-        let work = |reporter: JobReporter| async move {
+        let work = move |reporter: JobReporter| async move {
             rewriting.take_out(row, vec![number], None, &reporter).await
         };
         self.jobs.start(JobKind::RemoveSessions, &[map], work).await

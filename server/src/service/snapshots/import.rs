@@ -129,7 +129,7 @@ impl Snapshots {
         let name = reservation.name().to_owned();
         let import = Import { reservation, spool, bytes, _room: room };
         let snapshots = self.clone();
-        let work = |reporter: JobReporter| async move { snapshots.import(import, &reporter).await };
+        let work = move |reporter: JobReporter| async move { snapshots.import(import, &reporter).await };
         self.jobs.start(JobKind::ImportMap, &[&name], work).await
     }
 
