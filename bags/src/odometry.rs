@@ -49,6 +49,8 @@ pub struct Joining {
     /// How many of those that wait came before poses did that lie behind others.
     before_doubt: usize,
     log_ns: i64,
+    /// When the last pose was recorded.
+    pose_log_ns: Option<i64>,
     is_over: bool,
     lacks: Lacks,
 }
@@ -107,6 +109,7 @@ impl Joining {
             waiting_bytes: 0,
             before_doubt: 0,
             log_ns: 0,
+            pose_log_ns: None,
             is_over: false,
             lacks: Lacks::default(),
         }
@@ -124,7 +127,9 @@ impl Joining {
         self.log_ns = self.log_ns.max(log_ns);
         let was_behind = self.poses.is_behind();
         let set_back = self.poses.astray().set_back;
-        self.poses.push(stamp_ns, pose);
+        let passed_ns = self.pose_log_ns.map_or(0, |before_ns| log_ns.saturating_sub(before_ns));
+        self.pose_log_ns = Some(log_ns);
+        self.poses.push_after(passed_ns, stamp_ns, pose);
         if self.poses.is_behind() && !was_behind {
             self.before_doubt = self.waiting.len();
         }

@@ -32,7 +32,12 @@ impl Poses {
     /// Adds a pose. One that follows the last is used at once. A single one that does not is left out and counted; where the
     /// clock was set back, all begins anew, and poses from before are gone ([`Succession`] has the rule).
     pub fn push(&mut self, stamp_ns: i64, pose: Pose) {
-        let items = match self.order.push(stamp_ns, pose) {
+        self.push_after(0, stamp_ns, pose);
+    }
+
+    /// The same of one that came so long after the one before it by another clock.
+    pub(crate) fn push_after(&mut self, passed_ns: i64, stamp_ns: i64, pose: Pose) {
+        let items = match self.order.push_after(passed_ns, stamp_ns, pose) {
             Step::Follows(pose) => vec![(stamp_ns, pose)],
             Step::Held | Step::Repeats => return,
             Step::GoOn(items) => items,

@@ -130,8 +130,13 @@ impl<T> Default for Succession<T> {
 impl<T> Succession<T> {
     /// Takes the next stamp, with what it is of.
     pub fn push(&mut self, stamp_ns: i64, item: T) -> Step<T> {
+        self.push_after(0, stamp_ns, item)
+    }
+
+    /// Takes the next stamp, which came so long after the one before it by another clock.
+    pub fn push_after(&mut self, passed_ns: i64, stamp_ns: i64, item: T) -> Step<T> {
         self.came += 1;
-        if self.last_ns.is_none_or(|last_ns| self.follows(last_ns, stamp_ns)) {
+        if self.last_ns.is_none_or(|last_ns| self.follows(last_ns, stamp_ns, passed_ns)) {
             self.drop_held();
             self.count(stamp_ns);
             return Step::Follows(item);
@@ -176,9 +181,9 @@ impl<T> Succession<T> {
         self.length
     }
 
-    fn follows(&self, last_ns: i64, stamp_ns: i64) -> bool {
+    fn follows(&self, last_ns: i64, stamp_ns: i64, passed_ns: i64) -> bool {
         let step_ns = self.before_last_ns.map_or(0, |before_ns| last_ns.saturating_sub(before_ns));
-        let most_ns = step_ns.saturating_mul(STEPS).max(LEAST_STEP_NS);
+        let most_ns = step_ns.saturating_mul(STEPS).max(passed_ns.saturating_add(LEAST_STEP_NS));
         stamp_ns > last_ns && stamp_ns.saturating_sub(last_ns) <= most_ns
     }
 
@@ -288,6 +293,15 @@ mod tests {
         assert_eq!((counted.as_slice(), astray.left_out), ([1, 2, 3, 4].as_slice(), 0));
         assert_eq!((astray.set_back, astray.first_set_back), (1, Some((5, 100 * SECOND_NS + 300_000_000))));
         assert_eq!(astray.to_string(), "its clock was set back by 100.300 s, at message 5");
+    }
+
+    #[test]
+    fn after_a_pause_a_stamp_follows_that_another_clock_agrees_with() {
+        let mut succession = Succession::default();
+        assert_eq!(succession.push_after(0, SECOND_NS, ()), Step::Follows(()));
+        assert_eq!(succession.push_after(9 * SECOND_NS, 10 * SECOND_NS, ()), Step::Follows(()));
+        assert_eq!(succession.push_after(9 * SECOND_NS, 9000 * SECOND_NS, ()), Step::Held);
+        assert_eq!(succession.push_after(SECOND_NS, 11 * SECOND_NS, ()), Step::Follows(()));
     }
 
     #[test]

@@ -127,7 +127,8 @@ pub(crate) fn without_odometry(lacks: Lacks, all: u64, astray: Astray) -> Option
         (
             apart,
             format!(
-                "{apart} were recorded too far from odometry of their stamps: by {wait_s} s, {most_images} images or                  {most_mib} MiB of them"
+                "{apart} were recorded too far from odometry of their stamps: by {wait_s} s, {most_images} images or \
+                 {most_mib} MiB of them"
             ),
         ),
     ];
