@@ -16,6 +16,7 @@ import charts  # noqa: E402
 
 README, FIGURES, NUMBERS = "README.md", "docs/guide/src/figures.md", "docs/guide/src/numbers.md"
 FLEET, METRES = "docs/guide/src/fleet.md", "docs/guide/src/metres.md"
+QUESTIONS = "docs/guide/src/faq.md"
 
 
 def said(page: str) -> str:
@@ -98,7 +99,9 @@ def test_simulated_figures_are_those_of_accuracy() -> None:
 
 
 def test_times_are_those_of_performance() -> None:
-    """What README, the guide's figures and its page on fleets repeat of PERFORMANCE.md."""
+    """What README and the guide repeat of PERFORMANCE.md, and of ACCURACY.md's times per frame."""
+    totals = [float(row[6]) for row in charts.table("ACCURACY.md", "sequence | decode")]
+    assert f"One image takes {min(totals):.0f} to {max(totals):.0f} ms" in said(QUESTIONS)
     for row in ("filter update", "50 robots"):
         assert cell(README, "what | figure", row, 1) == cell("PERFORMANCE.md", "what | figure", row, 1)
     for row in ("50 robots", "… their data in memory"):
