@@ -125,3 +125,16 @@ def test_ratios_to_others_are_those_of_the_times() -> None:
         ratios = sorted(int(row[column].removesuffix(" times")) for row in rows)
         told = cell("PERFORMANCE.md", "what | figure", f"… faster than {name}", 1)
         assert told == f"{ratios[0]} to {ratios[-1]} times"
+
+
+@pytest.mark.parametrize("page", ["ACCURACY.md", "PERFORMANCE.md"])
+def test_each_section_with_a_table_names_a_commit(page: str) -> None:
+    sections = re.split(r"^(?=#+ )", (REPOSITORY / page).read_text(), flags=re.MULTILINE)
+    tables = [section for section in sections if "\n|" in section]
+    assert len(tables) > 8
+    without = [
+        section.splitlines()[0]
+        for section in tables
+        if not re.search(r"\b(?=\d*[a-f])[0-9a-f]{7}\b", section)
+    ]
+    assert not without
