@@ -4,8 +4,10 @@
     python3 -m venv venv && venv/bin/pip install gtsam numpy
     taskset -c 0 venv/bin/python eval/gtsam_posegraph.py FILE.g2o ...
 
-Levenberg-Marquardt with default parameters, `optimize()` alone, median of ten. The cost is twice GTSAM's error;
-in three dimensions its error has the whole angle where g2o's has the sine of half of it, so only times compare.
+Levenberg-Marquardt with default parameters, `optimize()` alone, median of ten. `cost` is what GTSAM minimises, twice
+its error. `cost_g2o` is what the poses that it ends at cost by g2o's definition, which `waypost-eval posegraph`
+minimises: in the plane an error's translation is that of the pose itself and not of its logarithm; in space its
+angle is the sine of half the angle.
 """
 
 import statistics
@@ -13,6 +15,7 @@ import sys
 import time
 
 import gtsam
+import numpy
 
 REPEATS = 10
 
@@ -34,8 +37,29 @@ def along_odometry(graph, spatial):
     return keys[0], poses
 
 
+def cost_g2o(graph, poses, spatial):
+    """The sum of eᵀΩe in g2o's convention."""
+    at = poses.atPose3 if spatial else poses.atPose2
+    total = 0.0
+    for i in range(graph.size()):
+        factor = graph.at(i)
+        if not hasattr(factor, "measured"):
+            continue  # what holds the first pose
+        first, second = factor.keys()
+        off = factor.measured().inverse().compose(at(first).between(at(second)))
+        if spatial:
+            turn = off.rotation().toQuaternion()
+            sign = 1.0 if turn.w() >= 0 else -1.0
+            # GTSAM has rotations before translations.
+            error = numpy.array([sign * turn.x(), sign * turn.y(), sign * turn.z(), *off.translation()])
+        else:
+            error = numpy.array([off.x(), off.y(), off.theta()])
+        total += error @ factor.noiseModel().information() @ error
+    return total
+
+
 def main():
-    print("graph,poses,edges,cost,iterations,ms")
+    print("graph,poses,edges,cost,cost_g2o,iterations,ms")
     for path in sys.argv[1:]:
         with open(path, encoding="utf-8") as lines:
             spatial = any(line.startswith("EDGE_SE3:QUAT") for line in lines)
@@ -54,7 +78,9 @@ def main():
             times.append(1e3 * (time.perf_counter() - began))
         cost, name = 2 * graph.error(poses), path.rsplit("/", 1)[-1]
         ms = statistics.median(times)
-        print(f"{name},{start.size()},{edges},{cost:.6f},{optimizer.iterations()},{ms:.1f}", flush=True)
+        ends_at = cost_g2o(graph, poses, spatial)
+        steps = optimizer.iterations()
+        print(f"{name},{start.size()},{edges},{cost:.6f},{ends_at:.6f},{steps},{ms:.1f}", flush=True)
 
 
 if __name__ == "__main__":

@@ -74,7 +74,8 @@ def make() -> str:
     return page(
         "Python",
         "client/python/src/waypost",
-        "`pip install waypost-*.whl` of a release, or `pip install client/python` in the repository. "
+        "In a virtual environment (`python3 -m venv env`): `pip install waypost-*.whl` of a release, or "
+        "`pip install client/python` in the repository. "
         "What is exported by `waypost` is here; `waypost.v1` has the messages of the "
         "[contract](messages.md).",
         *parts,
