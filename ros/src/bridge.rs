@@ -82,6 +82,7 @@ pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
         tasks.extend(control(&parts).serve(&bus)?);
     }
     let settings = parts.settings.clone();
+    let outbox = parts.outbox.clone();
     let sessions = sessions(&parts, &bus)?;
     let tf = bus.write(&settings.topics.tf, Qos::Reliable)?;
     let tf = TfThread::start(parts.shared.clone(), tf, settings.map_frame.clone())?;
@@ -101,6 +102,10 @@ pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
     let is_whole = || !tf.is_over() && driving.as_ref().is_none_or(|driving| !driving.is_finished());
     let ended = until_told(sessions.run(&settings), &end, is_whole).await;
     end.send_replace(true);
+    let left = outbox.clear();
+    if left > 0 {
+        tracing::warn!("{left} frames that were not sent are lost");
+    }
     if let Some(driving) = driving {
         // It has told of its own panic.
         let _ = tokio::time::timeout(LAST_STOP, driving).await;
@@ -124,9 +129,17 @@ fn parts(
     let (declaring, declared) = watch::channel(Declared::default());
     let topics = settings.topics.clone();
     let shown = viewers.map(|viewers| Shown::to(viewers, &topics)).transpose()?;
-    let intake = Intake::new(shared.clone(), topics, settings.most_hz, outbox.clone(), declaring, shown);
-    let (intake, unanswered) = (Arc::new(intake), Unanswered::default());
     let (plans, _) = watch::channel(Plan::first(&settings));
+    let intake = Intake::new(
+        shared.clone(),
+        topics,
+        settings.most_hz,
+        outbox.clone(),
+        declaring,
+        plans.clone(),
+        shown,
+    );
+    let (intake, unanswered) = (Arc::new(intake), Unanswered::default());
     Ok(Parts { settings, client, shared, outbox, intake, unanswered, declared, plans, ending })
 }
 
@@ -278,9 +291,13 @@ async fn until_told(
             _ = looking.tick() => if !is_whole() { return Err(Failure::Died) },
         }
     }
-    tracing::info!("ending");
+    tracing::info!("ending, once what was taken is sent; a second signal ends at once");
     end.send_replace(true);
-    Ok(streaming.await?)
+    tokio::select! {
+        ended = streaming => Ok(ended?),
+        _ = interrupted.recv() => Ok(()),
+        _ = terminated.recv() => Ok(()),
+    }
 }
 
 /// Tells of the bridge itself.

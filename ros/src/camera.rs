@@ -15,6 +15,8 @@ pub(crate) struct Known<'a> {
     pub(crate) image_topic: &'a str,
     pub(crate) info: &'a CameraInfo,
     pub(crate) mountings: &'a Mountings,
+    /// Where those come.
+    pub(crate) tf_static: &'a str,
     /// As odometry names it, if it has come.
     pub(crate) base: Option<&'a str>,
     /// When the first `CameraInfo` came.
@@ -39,10 +41,12 @@ pub(crate) enum Verdict {
 pub(crate) enum Unmounted {
     /// No transforms lead there.
     #[error(
-        "nothing on tf_static joins {base} and {camera}, so the camera is taken to be in the middle of the robot, \
-         looking ahead; publish that transform, and start the bridge again"
+        "nothing on {topic} joins {base} and {camera}, so the camera is taken to be in the middle of the robot, \
+         looking ahead; publish that transform there, or name another topic by tf_static_topic, and start the bridge again"
     )]
     Apart {
+        /// What was listened to.
+        topic: String,
         /// Frame of the base.
         base: String,
         /// Frame of the camera.
@@ -76,7 +80,11 @@ impl Known<'_> {
             }
             Ok(None) if !is_late => Verdict::Waiting,
             Ok(None) => {
-                let apart = Unmounted::Apart { base: base.to_owned(), camera: optical.to_owned() };
+                let apart = Unmounted::Apart {
+                    topic: self.tf_static.to_owned(),
+                    base: base.to_owned(),
+                    camera: optical.to_owned(),
+                };
                 Verdict::Unmounted(message(&camera), apart)
             }
             Err(error) => Verdict::Unmounted(message(&camera), Unmounted::Circle(circle_at(error))),
@@ -153,7 +161,8 @@ mod tests {
     fn verdict(info: &CameraInfo, base: Option<&str>, waited: Duration) -> Verdict {
         let since = Instant::now().checked_sub(waited).unwrap();
         let mountings = Mountings::default();
-        Known { image_topic: "/image_raw", info, mountings: &mountings, base, since }.verdict()
+        Known { image_topic: "/image_raw", info, mountings: &mountings, tf_static: "/tf_static", base, since }
+            .verdict()
     }
 
     #[test]

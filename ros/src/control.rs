@@ -142,7 +142,8 @@ impl Control {
             return Ok("no session was open yet, and none is opened".to_owned());
         }
         let name = self.known(turn, CLOSING_PATIENCE).await.unwrap_or_else(|| {
-            Err("the session has not ended yet: the server does not answer; what it has taken is safe"
+            Err("the session has not ended yet: frames are still being sent, or the server does not answer; what it \
+                 has taken is safe"
                 .to_owned())
         })?;
         let frames = self.shared.lock().frames.clone();

@@ -116,7 +116,16 @@ impl Report<'_> {
 
     fn odometry(&self) -> DiagnosticStatus {
         let topic = self.topics.odometry.as_deref().unwrap_or_default();
-        let verdict = self.sensor(&self.state.odometry, topic);
+        let verdict = match self.sensor(&self.state.odometry, topic) {
+            (Level::Well, _) if self.state.frames.lacks_odometry => {
+                let told = format!(
+                    "frames go without odometry: {topic} has none within 1 s around the stamps of the images; see that both have \
+                     one clock"
+                );
+                (Level::Warning, told)
+            }
+            verdict => verdict,
+        };
         let mut values = counts(&self.state.odometry);
         if let Some(frames) = &self.state.odometry_frames {
             values.push(value("odometry frame", &frames.odom));

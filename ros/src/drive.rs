@@ -168,6 +168,7 @@ impl Drive {
         let mut plans = self.plans.clone();
         loop {
             let Some(map) = chosen(&mut plans).await else { return };
+            let clock = plans.borrow().clock;
             let mut options = NavigationOptions::new(&map, camera.clone());
             options.reconnection = reconnection();
             options.driving.speed_m_s = settings.speed_m_s;
@@ -181,7 +182,7 @@ impl Drive {
             };
             let ended = tokio::select! {
                 ended = following => ended,
-                _another = plans.wait_for(|plan| plan.map.as_ref() != Some(&map)) => Ok(()),
+                _another = plans.wait_for(|plan| plan.map.as_ref() != Some(&map) || plan.clock != clock) => Ok(()),
             };
             self.stop();
             self.shared.lock().navigation = None;

@@ -81,6 +81,12 @@ pub(crate) struct Given {
     /// nav_msgs/Odometry; `none` for a robot without [default: odom]
     #[arg(long, value_name = "TOPIC")]
     odometry_topic: Option<String>,
+    /// tf2_msgs/TFMessage, where map -> odom is published [default: tf, within the namespace]
+    #[arg(long, value_name = "TOPIC")]
+    tf_topic: Option<String>,
+    /// tf2_msgs/TFMessage, which says where the camera is on the robot [default: tf_static, within the namespace]
+    #[arg(long, value_name = "TOPIC")]
+    tf_static_topic: Option<String>,
     /// Whether images, camera and odometry are asked for as best effort, which takes either, or as reliable
     /// [default: best-effort]
     #[arg(long, value_name = "QOS")]
@@ -201,6 +207,8 @@ impl Given {
             image_topic: self.image_topic.or(file.image_topic),
             camera_info_topic: self.camera_info_topic.or(file.camera_info_topic),
             odometry_topic: self.odometry_topic.or(file.odometry_topic),
+            tf_topic: self.tf_topic.or(file.tf_topic),
+            tf_static_topic: self.tf_static_topic.or(file.tf_static_topic),
             sensor_qos: self.sensor_qos.or(file.sensor_qos),
             map_frame: self.map_frame.or(file.map_frame),
             most_hz: self.most_hz.or(file.most_hz),
@@ -283,8 +291,8 @@ impl Given {
             image_kind,
             camera_info,
             odometry: optional(self.odometry_topic.as_deref().unwrap_or("odom"))?,
-            tf: name("tf")?,
-            tf_static: name("tf_static")?,
+            tf: name(self.tf_topic.as_deref().unwrap_or("tf"))?,
+            tf_static: name(self.tf_static_topic.as_deref().unwrap_or("tf_static"))?,
             goal_pose: name("goal_pose")?,
             goal: name("waypost/goal")?,
             cmd_vel: name("cmd_vel")?,

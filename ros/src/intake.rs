@@ -5,11 +5,12 @@ use std::time::{Duration, Instant};
 
 use futures::StreamExt;
 use tokio::sync::{broadcast, watch};
-use waypost_bags::live::{self, LiveImage};
-use waypost_bags::{Frame, Joining, Kind, Pose};
+use waypost_bags::live::{self, LiveImage, LivePose};
+use waypost_bags::{Frame, Joining, Kind, Pose, Step, Succession};
 
 use crate::camera::{DEFAULT_BASE, Known, Verdict};
 use crate::outbox::Outbox;
+use crate::plan::Plan;
 use crate::raw::Incoming;
 use crate::settings::Topics;
 use crate::shown::Shown;
@@ -19,6 +20,8 @@ use crate::state::{Declared, OdometryFrames, Shared};
 const DECLARING_PERIOD: Duration = Duration::from_secs(1);
 /// The bridge says so when nothing was there after this time.
 const QUIET: Duration = Duration::from_secs(10);
+/// Images and odometry are of one clock, and it is set back once for both.
+const ONE_RESET: Duration = Duration::from_secs(10);
 /// Rates are met although stamps jitter.
 const THINNING_SLACK: f64 = 0.9;
 /// Readings and frames that wait for the one who drives; old ones are of no use to it.
@@ -40,8 +43,11 @@ pub(crate) struct Intake {
     pub(crate) declared: watch::Sender<Declared>,
     pub(crate) wheels: broadcast::Sender<Wheels>,
     pub(crate) seen: broadcast::Sender<Frame>,
+    plans: watch::Sender<Plan>,
     shown: Option<Shown>,
     joining: Mutex<Joining>,
+    /// When the robot's clock was set back last.
+    reset: Mutex<Option<Instant>>,
     began: Instant,
 }
 
@@ -52,6 +58,7 @@ impl Intake {
         most_hz: f64,
         outbox: Arc<Outbox>,
         declared: watch::Sender<Declared>,
+        plans: watch::Sender<Plan>,
         shown: Option<Shown>,
     ) -> Self {
         let mut joining = Joining::default();
@@ -60,15 +67,16 @@ impl Intake {
         }
         let (wheels, _) = broadcast::channel(DRIVING_AHEAD);
         let (seen, _) = broadcast::channel(DRIVING_AHEAD);
-        let joining = Mutex::new(joining);
+        let (joining, reset) = (Mutex::new(joining), Mutex::default());
         let began = Instant::now();
-        Self { shared, topics, most_hz, outbox, declared, wheels, seen, shown, joining, began }
+        Self { shared, topics, most_hz, outbox, declared, wheels, seen, plans, shown, joining, reset, began }
     }
 
     /// Images, until the topic ends.
     pub(crate) async fn images(self: Arc<Self>, mut messages: Incoming) {
         let kind = self.topics.image_kind;
         let mut taking = Taking { least_ns: least_ns(self.most_hz), number: 0, last_ns: i64::MIN };
+        let mut stamps = Stamps::default();
         while let Some(data) = messages.next().await {
             // Raw pixels become a PNG, which is work.
             let read = match kind {
@@ -76,29 +84,36 @@ impl Intake {
                 _ => Ok(live::image(kind, &data)),
             };
             match read {
-                Ok(Ok(image)) => self.image(&mut taking, image),
+                Ok(Ok(image)) => self.image(&mut taking, &mut stamps, image),
                 Ok(Err(problem)) => self.bad_image(problem.to_string()),
                 Err(_ended) => return,
             }
         }
     }
 
-    fn image(&self, taking: &mut Taking, image: LiveImage) {
-        match taking.take(image.stamp_ns) {
-            Taken::Yes => {}
-            Taken::TooSoon => {
-                let mut state = self.shared.lock();
-                state.images.good();
-                state.frames.thinned += 1;
-                return;
+    fn image(&self, taking: &mut Taking, stamps: &mut Stamps<LiveImage>, image: LiveImage) {
+        let (stamp_ns, left_out) = (image.stamp_ns, stamps.left_out());
+        match stamps.push(stamp_ns, image) {
+            Step::Follows(image) => self.take(taking, image),
+            Step::Held | Step::Repeats => {}
+            Step::GoOn(images) => images.into_iter().for_each(|(_, image)| self.take(taking, image)),
+            // The session that is open takes none of them: their stamps are below those that it has.
+            Step::InPlaceOfLast(_) | Step::InPlaceOfAll(_) | Step::Anew(_) => {
+                taking.last_ns = i64::MIN;
+                self.clock_was_set_back(&self.topics.image);
             }
-            Taken::NotRising { before_ns } => {
-                let stamp_ns = image.stamp_ns;
-                return self.bad_image(format!(
-                    "its stamp {stamp_ns} is not above the {before_ns} of one before; after a clock was set back, \
-                     start the bridge again"
-                ));
-            }
+        }
+        for _ in left_out..stamps.left_out() {
+            self.bad_image(format!("its stamp does not follow those around it; the latest is {stamp_ns}"));
+        }
+    }
+
+    fn take(&self, taking: &mut Taking, image: LiveImage) {
+        if !taking.take(image.stamp_ns) {
+            let mut state = self.shared.lock();
+            state.images.good();
+            state.frames.thinned += 1;
+            return;
         }
         {
             let mut state = self.shared.lock();
@@ -114,6 +129,22 @@ impl Intake {
         self.join(|joining, now_ns| joining.add_image(now_ns, frame));
     }
 
+    /// What is open has stamps of another time. It ends, and the next begins.
+    fn clock_was_set_back(&self, topic: &str) {
+        let mut reset = self.reset.lock().unwrap_or_else(PoisonError::into_inner);
+        if reset.is_some_and(|reset| reset.elapsed() < ONE_RESET) {
+            return;
+        }
+        *reset = Some(Instant::now());
+        tracing::warn!(
+            "the robot's clock was set back, by the stamps of {topic}: a new session begins, and a goal has to be given again"
+        );
+        self.plans.send_modify(|plan| {
+            plan.turn += 1;
+            plan.clock += 1;
+        });
+    }
+
     fn bad_image(&self, problem: String) {
         let line = format!("{}: an image is left out: {problem}", self.topics.image);
         if self.shared.lock().images.bad(problem) {
@@ -123,35 +154,54 @@ impl Intake {
 
     /// Odometry, until the topic ends.
     pub(crate) async fn odometry(self: Arc<Self>, mut messages: Incoming) {
+        let mut stamps = Stamps::default();
         while let Some(data) = messages.next().await {
-            let read = match live::pose(Kind::Odometry, &data) {
-                Ok(read) if read.stamp_ns > 0 => read,
-                Ok(_) => {
-                    self.bad_odometry("its header has no stamp above 0".to_owned());
-                    continue;
-                }
-                Err(problem) => {
-                    self.bad_odometry(problem.to_string());
-                    continue;
-                }
-            };
-            let base = if read.child_frame.is_empty() { DEFAULT_BASE } else { &read.child_frame };
-            {
-                let mut state = self.shared.lock();
-                state.odometry.good();
-                state.tick(read.stamp_ns);
-                if state.odometry_frames.is_none() {
-                    let (odom, base) = (read.frame_id.clone(), base.to_owned());
-                    state.odometry_frames = Some(OdometryFrames { odom, base });
-                }
+            match live::pose(Kind::Odometry, &data) {
+                Ok(read) if read.stamp_ns > 0 => self.pose(&mut stamps, read, &data),
+                Ok(_) => self.bad_odometry("its header has no stamp above 0".to_owned()),
+                Err(problem) => self.bad_odometry(problem.to_string()),
             }
-            if let Some(shown) = &self.shown {
-                shown.odometry(&data, &read, base);
-            }
-            // Without anybody who drives, nobody listens.
-            let _ = self.wheels.send(Wheels { stamp_ns: read.stamp_ns, pose: read.pose });
-            self.join(|joining, now_ns| joining.add_pose(now_ns, read.stamp_ns, read.pose));
         }
+    }
+
+    fn pose(&self, stamps: &mut Stamps<Pose>, read: LivePose, data: &[u8]) {
+        let base = if read.child_frame.is_empty() { DEFAULT_BASE } else { &read.child_frame };
+        if let Some(shown) = &self.shown {
+            shown.odometry(data, &read, base);
+        }
+        {
+            let mut state = self.shared.lock();
+            state.odometry.good();
+            if state.odometry_frames.is_none() {
+                let (odom, base) = (read.frame_id.clone(), base.to_owned());
+                state.odometry_frames = Some(OdometryFrames { odom, base });
+            }
+        }
+        let LivePose { stamp_ns, pose, .. } = read;
+        let left_out = stamps.left_out();
+        match stamps.push(stamp_ns, pose) {
+            Step::Follows(pose) => self.moved(stamp_ns, pose),
+            Step::Held | Step::Repeats => {}
+            Step::GoOn(poses) => poses.into_iter().for_each(|(stamp_ns, pose)| self.moved(stamp_ns, pose)),
+            Step::InPlaceOfLast(_) | Step::InPlaceOfAll(_) | Step::Anew(_) => {
+                self.shared.lock().tick(stamp_ns);
+                if let Some(topic) = &self.topics.odometry {
+                    self.clock_was_set_back(topic);
+                }
+            }
+        }
+        for _ in left_out..stamps.left_out() {
+            self.bad_odometry(format!("a stamp does not follow those around it; the latest is {stamp_ns}"));
+        }
+        // That one decides for itself which stamps follow.
+        self.join(|joining, now_ns| joining.add_pose(now_ns, stamp_ns, pose));
+    }
+
+    /// The robot was there at that time.
+    fn moved(&self, stamp_ns: i64, pose: Pose) {
+        self.shared.lock().tick(stamp_ns);
+        // Without anybody who drives, nobody listens.
+        let _ = self.wheels.send(Wheels { stamp_ns, pose });
     }
 
     fn bad_odometry(&self, problem: String) {
@@ -167,8 +217,10 @@ impl Intake {
         let mut joining = self.joining.lock().unwrap_or_else(PoisonError::into_inner);
         add(&mut joining, now_ns);
         while let Some(frame) = joining.next() {
-            if frame.pose.is_none() && self.topics.odometry.is_some() {
-                self.shared.lock().frames.without_odometry += 1;
+            if self.topics.odometry.is_some() {
+                let mut state = self.shared.lock();
+                state.frames.without_odometry = joining.lacks().all();
+                state.frames.lacks_odometry = frame.pose.is_none();
             }
             if self.seen.receiver_count() > 0 {
                 let _ = self.seen.send(frame.clone());
@@ -266,6 +318,7 @@ impl Intake {
             image_topic: &self.topics.image,
             info,
             mountings: &state.mountings,
+            tf_static: &self.topics.tf_static,
             base,
             since: *since.get_or_insert_with(Instant::now),
         };
@@ -284,6 +337,29 @@ impl Intake {
     }
 }
 
+/// Which stamps of a topic follow each other, beside the time that passes here.
+struct Stamps<T> {
+    order: Succession<T>,
+    last_came: Option<Instant>,
+}
+
+impl<T> Default for Stamps<T> {
+    fn default() -> Self {
+        Self { order: Succession::default(), last_came: None }
+    }
+}
+
+impl<T> Stamps<T> {
+    fn push(&mut self, stamp_ns: i64, item: T) -> Step<T> {
+        let passed = self.last_came.replace(Instant::now()).map_or(Duration::ZERO, |last| last.elapsed());
+        self.order.push_after(i64::try_from(passed.as_nanos()).unwrap_or(i64::MAX), stamp_ns, item)
+    }
+
+    fn left_out(&self) -> u64 {
+        self.order.astray().left_out
+    }
+}
+
 fn least_ns(most_hz: f64) -> i64 {
     // Rounded down to nothing where every frame is wanted.
     if most_hz > 0.0 { (THINNING_SLACK * 1e9 / most_hz) as i64 } else { 0 }
@@ -297,24 +373,15 @@ struct Taking {
     last_ns: i64,
 }
 
-#[derive(Debug, PartialEq, Eq)]
-enum Taken {
-    Yes,
-    TooSoon,
-    NotRising { before_ns: i64 },
-}
-
 impl Taking {
-    fn take(&mut self, stamp_ns: i64) -> Taken {
-        if stamp_ns <= self.last_ns {
-            return Taken::NotRising { before_ns: self.last_ns };
+    /// Whether an image with that stamp is wanted. Stamps rise.
+    fn take(&mut self, stamp_ns: i64) -> bool {
+        let is_wanted = stamp_ns.saturating_sub(self.last_ns) >= self.least_ns;
+        if is_wanted {
+            self.last_ns = stamp_ns;
+            self.number += 1;
         }
-        if stamp_ns.saturating_sub(self.last_ns) < self.least_ns {
-            return Taken::TooSoon;
-        }
-        self.last_ns = stamp_ns;
-        self.number += 1;
-        Taken::Yes
+        is_wanted
     }
 }
 
@@ -323,14 +390,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn images_are_thinned_by_their_stamps_and_have_to_rise() {
+    fn images_are_thinned_by_their_stamps() {
         let mut taking = Taking { least_ns: least_ns(10.0), number: 0, last_ns: i64::MIN };
-        assert_eq!(taking.take(1_000_000_000), Taken::Yes);
-        assert_eq!(taking.take(1_033_000_000), Taken::TooSoon);
-        assert_eq!(taking.take(1_095_000_000), Taken::Yes);
-        assert_eq!(taking.take(1_095_000_000), Taken::NotRising { before_ns: 1_095_000_000 });
-        assert_eq!(taking.number, 2);
+        let taken = [1_000_000_000, 1_033_000_000, 1_095_000_000].map(|stamp_ns| taking.take(stamp_ns));
+        assert_eq!((taken, taking.number), ([true, false, true], 2));
         let mut all = Taking { least_ns: least_ns(0.0), number: 0, last_ns: i64::MIN };
-        assert_eq!([all.take(1), all.take(2)], [Taken::Yes, Taken::Yes]);
+        assert_eq!([all.take(1), all.take(2)], [true, true]);
     }
 }

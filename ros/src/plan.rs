@@ -14,12 +14,14 @@ pub(crate) struct Plan {
     pub(crate) is_wanted: bool,
     /// Rises whenever the session that is open is to end: then, if one is wanted, the next begins.
     pub(crate) turn: u64,
+    /// Rises whenever the robot's clock was set back: what knows its stamps begins anew.
+    pub(crate) clock: u64,
 }
 
 impl Plan {
     pub(crate) fn first(settings: &Settings) -> Self {
         let (map, next_session) = (settings.map.clone(), settings.session.clone());
-        Self { is_wanted: map.is_some(), map, next_session, mode: settings.mode, turn: 0 }
+        Self { is_wanted: map.is_some(), map, next_session, mode: settings.mode, turn: 0, clock: 0 }
     }
 
     /// The map to open a session of, if one is wanted.

@@ -1,21 +1,26 @@
 //! One session after another, as they are planned.
 
+use std::collections::VecDeque;
 use std::pin::pin;
+use std::sync::Mutex;
 use std::time::Duration;
 
 use tokio::sync::watch;
+use tokio::time::Instant;
+use waypost_client::{Code, Error};
 
+use crate::outbox::Outbox;
 use crate::plan::Plan;
 use crate::robot_words::SessionError;
 use crate::session::Streaming;
 use crate::settings::{Mode, Settings};
-use crate::state::{Declared, Turned};
+use crate::state::{Declared, Shared, Turned};
 
 /// Frames that wait for a server while it is away: some minutes at two a second.
 const BUFFER_FRAMES: usize = 512;
 /// While localizing, an old frame says little: the newest ones are worth most.
 const LOCALIZING_BUFFER_FRAMES: usize = 2;
-/// For frames that were taken before a session was to end.
+/// For the next answer to frames that were taken before a session was to end.
 pub(crate) const LAST_FRAMES: Duration = Duration::from_secs(10);
 const LOOKING_PERIOD: Duration = Duration::from_millis(20);
 
@@ -41,7 +46,8 @@ impl Sessions {
             map.clone_from(&plan.map);
             let ended = self.session(settings, &plan).await;
             self.streaming.shared.lock().session = None;
-            if !settings.is_served || *self.ending.borrow() {
+            let is_next_planned = ended.is_ok() && self.plans.borrow().turn != plan.turn;
+            if *self.ending.borrow() || !(settings.is_served || is_next_planned) {
                 return ended;
             }
             if let Err(error) = ended {
@@ -49,6 +55,15 @@ impl Sessions {
                 self.plans.send_if_modified(|now| {
                     let is_same = now.turn == plan.turn;
                     now.is_wanted &= !is_same;
+                    // A name that was refused would be refused again.
+                    if is_same
+                        && matches!(
+                            &error,
+                            SessionError::Server(Error::Status { code: Code::InvalidArgument, .. })
+                        )
+                    {
+                        now.next_session.clear();
+                    }
                     is_same
                 });
                 let turned = Turned { turn: plan.turn, to: Err(error.to_string()) };
@@ -83,35 +98,23 @@ impl Sessions {
         let is_over = tokio::select! {
             ended = &mut session => Some(ended),
             _ = plans.wait_for(|now| now.turn != plan.turn) => None,
-            _ = ending.wait_for(|ends| *ends) => {
-                stop.send_replace(true);
-                return session.await;
-            }
+            _ = ending.wait_for(|ends| *ends) => None,
         };
         outbox.shut();
         let ended = match is_over {
             Some(ended) => ended,
-            None => {
-                let is_sent = async {
-                    let waits =
-                        || outbox.len() > 0 || unanswered.lock().is_ok_and(|waiting| !waiting.is_empty());
-                    let mut idle = 0;
-                    // Twice, as a frame may just be on its way from one to the other.
-                    while shared.lock().session.is_some() && idle < 2 {
-                        idle = if waits() { 0 } else { idle + 1 };
-                        tokio::time::sleep(LOOKING_PERIOD).await;
-                    }
-                };
-                tokio::select! {
-                    ended = &mut session => ended,
-                    _sent_or_late = tokio::time::timeout(LAST_FRAMES, is_sent) => {
-                        stop.send_replace(true);
-                        session.await
-                    }
+            None => tokio::select! {
+                ended = &mut session => ended,
+                () = sent_or_late(&shared, &outbox, &unanswered) => {
+                    stop.send_replace(true);
+                    session.await
                 }
-            }
+            },
         };
         let left = outbox.clear();
+        if left > 0 {
+            tracing::warn!("{left} frames were not sent before their session ended, and are lost");
+        }
         let finished = {
             let mut state = shared.lock();
             state.frames.dropped += left;
@@ -125,5 +128,25 @@ impl Sessions {
             }
         }
         ended
+    }
+}
+
+/// Waits until all that was taken for a session is answered, or no answer has come for long. At once if none is open.
+async fn sent_or_late(shared: &Shared, outbox: &Outbox, unanswered: &Mutex<VecDeque<(u64, i64)>>) {
+    let waits = || outbox.len() > 0 || unanswered.lock().is_ok_and(|waiting| !waiting.is_empty());
+    let (mut idle, mut answered, mut late) = (0, 0, Instant::now() + LAST_FRAMES);
+    // Twice, as a frame may just be on its way from one to the other.
+    while idle < 2 && Instant::now() < late {
+        let state = shared.lock();
+        if state.session.is_none() {
+            return;
+        }
+        let now = state.frames.answered + state.frames.refused;
+        drop(state);
+        if now != answered {
+            (answered, late) = (now, Instant::now() + LAST_FRAMES);
+        }
+        idle = if waits() { 0 } else { idle + 1 };
+        tokio::time::sleep(LOOKING_PERIOD).await;
     }
 }

@@ -84,6 +84,8 @@ pub(crate) struct Frames {
     /// Left out, since there are more a second than wanted.
     pub(crate) thinned: u64,
     pub(crate) without_odometry: u64,
+    /// Whether the latest is one of these.
+    pub(crate) lacks_odometry: bool,
     pub(crate) closures: u64,
     /// When the server last took or answered something while it had something to answer.
     pub(crate) last_heard: Option<Instant>,

@@ -18,6 +18,9 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from robot import DEFAULT, Robot, until
 
+#: After this time a call is made again.
+AGAIN_S = 8.0
+
 
 @dataclass
 class TriggerRequest(IdlStruct, typename="std_srvs::srv::dds_::Trigger_Request_"):
@@ -149,17 +152,23 @@ class Caller:
         self.others: list[Any] = []
 
     def __call__(self, *fields: Any, timeout_s: float = 30.0) -> Any:
-        """Calls once somebody serves it, as `wait_for_service` does, and gives the answer to that call."""
+        """Calls once somebody serves it, as `wait_for_service` does, and gives the answer to that call.
+
+        Where both have just met, a request may come before its reader knows the writer, and is lost. So the call is made
+        again after a while.
+        """
         until(lambda: self._writer.get_matched_subscriptions(), what="nobody serves it")
         until(lambda: self._reader.get_matched_publications(), what="nobody answers")
-        number = next(self._numbers)
-        self._writer.write(self._request(self._guid, number, *fields))
+        numbers: list[int] = []
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
+            if time.monotonic() > deadline - timeout_s + AGAIN_S * len(numbers):
+                numbers.append(next(self._numbers))
+                self._writer.write(self._request(self._guid, numbers[-1], *fields))
             for answer in self._reader.take(N=100):
                 if not isinstance(answer, self._response):
                     continue
-                if (answer.guid, answer.number) == (self._guid, number):
+                if answer.guid == self._guid and answer.number in numbers:
                     return answer
                 self.others.append(answer)
             time.sleep(0.005)

@@ -103,7 +103,7 @@ class Robot:
         header = ros.Header(ros.Time.of(stamp_ns), "camera_optical")
         self.publish(topic, ros.CompressedImage(header, "jpeg", list(image)), LOSSLESS)
 
-    def odometry(self, stamp_ns: int, x: float, y: float, yaw: float) -> None:
+    def odometry(self, stamp_ns: int, x: float, y: float, yaw: float, topic: str = "odom") -> None:
         pose = ros.Pose(ros.Point(x, y, 0.0), turned(yaw))
         unknown = [0.0] * 36
         message = ros.Odometry(
@@ -112,9 +112,11 @@ class Robot:
             ros.PoseWithCovariance(pose, unknown),
             ros.TwistWithCovariance(ros.Twist(), unknown),
         )
-        self.publish("odom", message, LOSSLESS)
+        self.publish(topic, message, LOSSLESS)
 
-    def camera_info(self, size_px: tuple[int, int], focal_px: float) -> None:
+    def camera_info(
+        self, size_px: tuple[int, int], focal_px: float, topic: str = "camera/camera_info"
+    ) -> None:
         width, height = size_px
         matrix = [focal_px, 0.0, width / 2, 0.0, focal_px, height / 2, 0.0, 0.0, 1.0]
         header = ros.Header(ros.Time.of(SECOND_NS), "camera_optical")
@@ -122,7 +124,7 @@ class Robot:
         message = ros.CameraInfo(
             header, height, width, "plumb_bob", [0.0] * 5, matrix, turned_not, [0.0] * 12
         )
-        self.publish("camera/camera_info", message, LOSSLESS)
+        self.publish(topic, message, LOSSLESS)
 
     def mounting(self) -> None:
         """The camera is ahead of the base and looks ahead."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -19,7 +21,7 @@ from conftest import (
     environment,
     met,
 )
-from robot import DEFAULT, LOSSLESS, SECOND_NS, SENSOR, until
+from robot import DEFAULT, LATCHED, LOSSLESS, OPTICAL, SECOND_NS, SENSOR, until
 
 FLAGS = ("--map", "hall", "--session", "drive", "--image-topic", COMPRESSED, "--sensor-qos", "reliable")
 
@@ -58,7 +60,7 @@ def test_without_tf_the_camera_is_declared_without_its_place(stage: Stage) -> No
     drive(robot, range(1, 6))
     until(lambda: told.count("server", "frames answered") == 5)
     assert told.level("camera") == 1
-    assert "nothing on tf_static joins base_link and camera_optical" in told.message("camera")
+    assert "nothing on /tf_static joins base_link and camera_optical" in told.message("camera")
     [session] = stage.client.sessions("hall")
     assert session.camera.pinhole.fx_px == FOCAL_PX
     assert not session.camera.HasField("base_to_camera")
@@ -74,7 +76,9 @@ def test_a_gap_in_odometry_makes_frames_without_and_no_poses_up(stage: Stage) ->
     robot.odometry(1 * SECOND_NS, 0.0, 0.0, 0.0)
     for second in (2, 3):
         robot.compressed(second * SECOND_NS, IMAGES[second - 1].read_bytes())
-    robot.odometry(4 * SECOND_NS, 1.0, 0.0, 0.0)
+    # Three that agree are believed to come after a pause.
+    for tenth in range(40, 43):
+        robot.odometry(tenth * SECOND_NS // 10, 1.0, 0.0, 0.0)
     robot.compressed(4 * SECOND_NS, IMAGES[3].read_bytes())
     until(lambda: told.count("server", "frames answered") == 3)
     assert told.count("server", "frames without odometry") == 2
@@ -113,11 +117,130 @@ def test_images_that_are_none_are_left_out_and_counted(stage: Stage) -> None:
     robot.compressed(1 * SECOND_NS, image)
     robot.compressed(0, image)
     robot.compressed(2 * SECOND_NS, b"GIF89a")
-    robot.compressed(3 * SECOND_NS, image)
+    robot.compressed(2 * SECOND_NS, image)
     until(lambda: told.count("server", "frames answered") == 2)
     until(lambda: told.count("images", "left out") == 3)
     assert told.level("images") == 1
     assert "neither JPEG nor PNG" in told.message("images")
+
+
+def test_one_wrong_stamp_costs_itself_alone(stage: Stage) -> None:
+    robot = stage.robot()
+    told = Diagnostics(robot)
+    stage.bridge(*FLAGS, "--camera-info-topic", "none", "--most-hz", "0")
+    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
+    robot.advertise("odom", ros.Odometry, LOSSLESS)
+    met(robot, COMPRESSED, "odom")
+    drive(robot, range(1, 9))
+    robot.odometry(1_000_000 * SECOND_NS, 0.0, 0.0, 0.0)
+    robot.compressed(1_000_000 * SECOND_NS, IMAGES[0].read_bytes())
+    drive(robot, range(9, 19))
+    until(lambda: told.count("server", "frames answered") == 18, what=f"{told()}")
+    records = stage.client.frames("maps/hall/sessions/drive")
+    assert [record.stamp_ns // SECOND_NS for record in records] == [*range(1, 19)]
+    assert all(record.HasField("odometry") for record in records)
+    for part in ("odometry", "images"):
+        until(lambda part=part: told.count(part, "left out") == 1)
+        assert told.level(part) == 1
+        assert "does not follow those around it" in told.message(part)
+
+
+def test_a_clock_that_is_set_back_begins_a_new_session(stage: Stage) -> None:
+    robot = stage.robot()
+    told = Diagnostics(robot)
+    bridge = stage.bridge(*FLAGS, "--camera-info-topic", "none", "--most-hz", "0")
+    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
+    robot.advertise("odom", ros.Odometry, LOSSLESS)
+    met(robot, COMPRESSED, "odom")
+    drive(robot, range(101, 111))
+    until(lambda: told.count("server", "frames answered") == 10, what=f"{told()}")
+    # A simulation that begins again. Three stamps show that it has; those images are of no session.
+    drive(robot, range(1, 4))
+    until(lambda: "the robot's clock was set back" in bridge.said())
+    until(lambda: bridge.said().count("is open") == 2, what=bridge.said())
+    drive(robot, range(4, 14))
+    until(lambda: told.count("server", "frames answered") == 20, what=f"{told()} {bridge.said()}")
+    sessions = {session.name: session for session in stage.client.sessions("hall")}
+    assert len(sessions) == 2
+    [second] = set(sessions) - {"maps/hall/sessions/drive"}
+    stamps = [record.stamp_ns // SECOND_NS for record in stage.client.frames(second)]
+    assert stamps == [*range(4, 14)]
+    assert all(record.HasField("odometry") for record in stage.client.frames(second))
+    assert told.count("server", "frames refused") == 0
+
+
+def test_odometry_of_another_clock_is_told(stage: Stage) -> None:
+    robot = stage.robot()
+    told = Diagnostics(robot)
+    stage.bridge(*FLAGS, "--camera-info-topic", "none", "--most-hz", "0")
+    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
+    robot.advertise("odom", ros.Odometry, LOSSLESS)
+    met(robot, COMPRESSED, "odom")
+    for second in range(1, 6):
+        robot.odometry((100 + second) * SECOND_NS, 0.0, 0.0, 0.0)
+        robot.compressed(second * SECOND_NS, IMAGES[second].read_bytes())
+        time.sleep(0.05)
+    until(lambda: told.count("server", "frames answered") == 5)
+    assert told.level("odometry") == 1
+    assert "frames go without odometry: /odom has none within 1 s" in told.message("odometry")
+
+
+def test_what_waits_is_sent_before_the_bridge_ends(stage: Stage) -> None:
+    robot = stage.robot()
+    told = Diagnostics(robot)
+    bridge = stage.bridge(*FLAGS, "--camera-info-topic", "none", "--odometry-topic", "none", "--most-hz", "0")
+    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
+    met(robot, COMPRESSED)
+    for second in range(1, 61):
+        robot.compressed(second * SECOND_NS, IMAGES[second - 1].read_bytes())
+        time.sleep(0.01)
+    until(lambda: told.count("images", "received") == 60)
+    assert bridge.end(signal.SIGINT) == 0
+    assert len(stage.client.frames("maps/hall/sessions/drive")) == 60
+    assert "are lost" not in bridge.said()
+
+
+def test_what_cannot_be_sent_before_the_bridge_ends_is_counted(stage: Stage) -> None:
+    robot = stage.robot()
+    told = Diagnostics(robot)
+    bridge = stage.bridge(*FLAGS, "--camera-info-topic", "none", "--odometry-topic", "none", "--most-hz", "0")
+    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
+    met(robot, COMPRESSED)
+    robot.compressed(1 * SECOND_NS, IMAGES[0].read_bytes())
+    until(lambda: told.count("server", "frames answered") == 1)
+    stage.server.kill()
+    for second in range(2, 102):
+        robot.compressed(second * SECOND_NS, IMAGES[second - 1].read_bytes())
+        time.sleep(0.01)
+    until(lambda: told.count("images", "received") == 101)
+    waiting = told.count("server", "frames waiting")
+    assert waiting > 0
+    # Nobody answers: a second signal does not wait until that is given up.
+    bridge.process.send_signal(signal.SIGTERM)
+    until(lambda: "a second signal ends at once" in bridge.said())
+    assert bridge.end(signal.SIGTERM) == 0
+    assert f"{waiting} frames that were not sent are lost" in bridge.said()
+
+
+def test_transforms_may_have_a_topic_outside_the_namespace(stage: Stage) -> None:
+    robot = stage.robot("/robot1")
+    told = Diagnostics(robot)
+    flags = (*FLAGS, "--namespace", "robot1", "--tf-static-topic", "/tf_static", "--tf-topic", "/tf")
+    stage.bridge(*flags)
+    robot.camera_info(SIZE_PX, FOCAL_PX)
+    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
+    robot.advertise("odom", ros.Odometry, LOSSLESS)
+    at = ros.Header(ros.Time.of(SECOND_NS), "base_link")
+    mounted = ros.TransformStamped(at, "camera_optical", ros.Transform(ros.Vector3(0.2, 0.0, 0.4), OPTICAL))
+    robot.publish("/tf_static", ros.TFMessage([mounted]), LATCHED)
+    met(robot, COMPRESSED, "odom", "camera/camera_info", "/tf_static")
+    robot.camera_info(SIZE_PX, FOCAL_PX)
+    transforms = robot.listen("/tf", ros.TFMessage)
+    drive(robot, range(1, 6))
+    until(lambda: told.message("camera") == "declared", what=f"{told()}")
+    until(transforms)
+    [session] = stage.client.sessions("hall")
+    assert session.camera.base_to_camera.position_m.z == pytest.approx(0.4)
 
 
 def refused(tmp_path: Path, *flags: str) -> tuple[int, str]:

@@ -205,3 +205,14 @@ def test_the_robot_stands_when_anything_is_missing(stage: Stage, led: tuple[Whee
     assert bridge.end(signal.SIGINT) == 0
     until(wheels.stands, 1.0, "it drives on without the bridge")
     print(f"stood {without_odometry_s:.2f} s after odometry, {without_server_s:.2f} s after the server")
+
+
+def test_one_wrong_stamp_does_not_stop_a_drive(stage: Stage, led: tuple[Wheels, Diagnostics]) -> None:
+    wheels, told = led
+    go_to(wheels, "dock")
+    until(wheels.drives, DRIVE_S, f"{told()}")
+    wheels.robot.odometry(time.monotonic_ns() + 1_000_000 * SECOND_NS, 0.0, 0.0, 0.0)
+    until(lambda: told.value("navigation", "status") == "arrived", DRIVE_S, f"{told()} {wheels.x_m}")
+    assert wheels.x_m == pytest.approx(DOCK_M, abs=1.0)
+    assert told.count("odometry", "left out") == 1
+    assert "odometry is refused" not in stage.bridges[-1].said()
