@@ -19,7 +19,7 @@ pub(crate) enum WordForm {
 }
 
 /// Whether words are sent.
-#[derive(clap::Args)]
+#[derive(clap::Args, Default)]
 pub(crate) struct Words {
     /// Send words instead of images; the map's model is downloaded once into the cache directory
     #[arg(

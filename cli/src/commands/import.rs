@@ -1,4 +1,4 @@
-//! `waypost import`: the drives of an RTAB-Map database as sessions of a map, and how both maps compare.
+//! `waypost import`: the drives of an RTAB-Map database as sessions of a map, and how both maps compare; or a bag's drive.
 
 mod closures;
 mod report;
@@ -14,14 +14,17 @@ use waypost_client::{Client, ClientOptions, v1};
 
 use self::report::Report;
 use self::sessions::{Importing, drives};
+use super::stream;
+use crate::drive::Topics;
 use crate::failure::{EXIT_CODES, Failure};
 use crate::images::images_of;
 use crate::output::Output;
 use crate::rtab_drive::{open_database, remarks, tell};
 
-/// Stream the drives of an RTAB-Map database into a map, and compare both maps
+/// Stream the drives of an RTAB-Map database into a map, and compare both maps; or a robot's bag
 ///
-/// Each map_id of the database becomes a session: images, stamps, odometry as it was before any
+/// A bag is streamed as `waypost stream` does, into a session that is named after the file. Each
+/// map_id of a database becomes a session: images, stamps, odometry as it was before any
 /// optimisation, and the camera. Places and loop closures are recognised anew; those of RTAB-Map
 /// are held against them at the end. A frame's note is its node, as `node 17`. Called again, it
 /// goes on where it stopped; `waypost session rm` takes a session out again. Databases of
@@ -29,12 +32,13 @@ use crate::rtab_drive::{open_database, remarks, tell};
 #[derive(clap::Args)]
 #[command(after_help = EXIT_CODES)]
 pub(crate) struct Arguments {
-    /// RTAB-Map's database, as ~/.ros/rtabmap.db
+    /// RTAB-Map's database, as ~/.ros/rtabmap.db, or a bag
     database: PathBuf,
     /// Map to stream into
     #[arg(long)]
     map: String,
-    /// Begin of the sessions' names, before `-` and their map_id; if left out, by the file's name
+    /// Begin of the sessions' names, before `-` and their map_id, or the name of a bag's session; if
+    /// left out, by the file's name
     #[arg(long, value_name = "NAME")]
     session: Option<String>,
     /// How the camera sees, in place of RTAB-Map's calibration: as for `waypost stream`, or `none`
@@ -44,12 +48,21 @@ pub(crate) struct Arguments {
     /// Two closures are the same if both their ends are at most so many nodes apart
     #[arg(long, value_name = "NODES", default_value_t = 5)]
     within: u64,
+    #[command(flatten)]
+    topics: Topics,
 }
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
-    let Arguments { database, map, session, camera, within } = arguments;
-    check_database(&database, &map)?;
+    let Arguments { database, map, session, camera, within, topics } = arguments;
     let prefix = session.map_or_else(|| prefix_of(&database), Ok)?;
+    if is_bag(&database) {
+        let arguments = stream::Arguments::of_bag(database, map, prefix, camera, topics);
+        return stream::run(arguments, server, output).await;
+    }
+    if let Some(flag) = topics.first_flag() {
+        return Err(Failure::Unfit(format!("{flag} is about bags, and {} is none", database.display())));
+    }
+    check_database(&database, &map)?;
     let rtabmap = Arc::new(open_database(&database, output).await?);
     tell(&database, &remarks(&rtabmap));
     let drives = drives(&rtabmap, camera.as_deref())?;
@@ -69,19 +82,21 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     }
 }
 
-/// Says which command takes what is no database.
+/// Whether it is a bag and no folder of images.
+fn is_bag(path: &Path) -> bool {
+    Bag::is_bag(path) && (!path.is_dir() || images_of(path).is_err())
+}
+
+/// Says which command takes a folder of images.
 fn check_database(path: &Path, map: &str) -> Result<(), Failure> {
+    if !path.is_dir() {
+        return Ok(());
+    }
     let shown = path.display();
-    let stream = format!("`waypost stream {shown} --map {map}`");
-    if Bag::is_bag(path) && (!path.is_dir() || images_of(path).is_err()) {
-        return Err(Failure::Unfit(format!("{shown} is a bag, and bags are streamed: {stream}")));
-    }
-    if path.is_dir() {
-        return Err(Failure::Unfit(format!(
-            "{shown} is a folder; give RTAB-Map's database, a file as ~/.ros/rtabmap.db. Folders of images are streamed: {stream}"
-        )));
-    }
-    Ok(())
+    Err(Failure::Unfit(format!(
+        "{shown} is a folder; give RTAB-Map's database, a file as ~/.ros/rtabmap.db, or a bag. Folders of images are streamed: \
+         `waypost stream {shown} --map {map}`"
+    )))
 }
 
 fn frames_of(rtabmap: &RtabMap) -> usize {
@@ -120,22 +135,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_no_database_is_sent_to_the_command_that_takes_it() {
+    fn a_folder_of_images_is_sent_to_the_command_that_takes_it_and_a_bag_is_one() {
         let folder = tempfile::tempdir().unwrap();
         let told = |path: &Path| check_database(path, "hall").map_err(|failure| failure.to_string());
-        let stream = |path: &Path| format!("`waypost stream {} --map hall`", path.display());
         let plain = told(folder.path()).unwrap_err();
+        let stream = format!("`waypost stream {} --map hall`", folder.path().display());
         assert!(
-            plain.contains("is a folder; give RTAB-Map's database") && plain.contains(&stream(folder.path()))
+            plain.contains("is a folder; give RTAB-Map's database") && plain.contains(&stream),
+            "{plain}"
         );
+        assert!(!is_bag(folder.path()));
         for name in ["drive.mcap", "drive.bag", "drive.db3", "drive.mcap.zstd"] {
             let bag = folder.path().join(name);
             std::fs::write(&bag, b"").unwrap();
-            let told = told(&bag).unwrap_err();
-            assert!(told.ends_with(&format!("is a bag, and bags are streamed: {}", stream(&bag))), "{told}");
+            assert!(is_bag(&bag), "{name}");
         }
-        assert!(told(folder.path()).unwrap_err().contains("is a bag"));
-        assert_eq!(told(&folder.path().join("rtabmap.db")), Ok(()));
+        assert!(is_bag(folder.path()));
+        let database = folder.path().join("rtabmap.db");
+        assert!(!is_bag(&database) && told(&database).is_ok());
     }
 
     #[test]

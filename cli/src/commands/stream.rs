@@ -106,6 +106,33 @@ struct Seeing {
     camera: Option<String>,
 }
 
+impl Arguments {
+    /// All of a bag.
+    pub(crate) fn of_bag(
+        dir: PathBuf,
+        map: String,
+        session: String,
+        camera: Option<String>,
+        topics: Topics,
+    ) -> Self {
+        Self {
+            dir,
+            map,
+            session,
+            odometry: None,
+            rate: None,
+            video_rate: None,
+            topics,
+            words: Words::default(),
+            seeing: Seeing { panorama: None, mirror: None, camera },
+            localize: false,
+            csv: None,
+            force: false,
+            yes: false,
+        }
+    }
+}
+
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
     let Arguments {
         dir,

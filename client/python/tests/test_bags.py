@@ -347,6 +347,20 @@ def test_another_bag_does_not_go_on_in_the_session_of_one(
     assert len(list(client.frames("maps/resumed/sessions/drive"))) == 7
 
 
+def test_a_bag_is_imported_into_a_session_of_its_name(
+    tmp_path: Path, server: Server, client: waypost.Client
+) -> None:
+    client.create_map("imported", "shipped")
+    at = f"http://{server.address}"
+    bag = robots_bag(tmp_path / "drive", range(1, 8))
+    # Twice: it is there once.
+    for _ in range(2):
+        assert run("import", bag, "--map", "imported", server=at)["refused"] == 0
+    [session] = client.sessions("imported")
+    assert session.name == f"maps/imported/sessions/{bag.stem.lower()}"
+    assert len(list(client.frames(session.name))) == 7
+
+
 def test_what_does_not_fit_is_refused_with_a_way_out(tmp_path: Path, server: Server) -> None:
     bag = robots_bag(tmp_path / "drive", range(1, 4))
     at = f"http://{server.address}"
@@ -359,8 +373,8 @@ def test_what_does_not_fit_is_refused_with_a_way_out(tmp_path: Path, server: Ser
     assert "there is no topic /cam; the bag has /camera/camera_info, /camera/image/compressed" in told
     told = refused("inspect", bag, "--image-topic", "/cam", server=at)
     assert "there is no topic /cam" in told
-    told = refused("import", bag, "--map", "m", server=at)
-    assert f"is a bag, and bags are streamed: `waypost stream {bag} --map m`" in told
+    told = refused("import", images, "--map", "m", server=at)
+    assert f"`waypost stream {images} --map m`" in told
     cut = tmp_path / "cut.mcap"
     # These have CRCs.
     whole = mcap(tmp_path / "whole", "NONE").read_bytes()
