@@ -157,17 +157,17 @@ impl Intake {
         let mut stamps = Stamps::default();
         while let Some(data) = messages.next().await {
             match live::pose(Kind::Odometry, &data) {
-                Ok(read) if read.stamp_ns > 0 => self.pose(&mut stamps, read, &data),
+                Ok(read) if read.stamp_ns > 0 => self.pose(&mut stamps, &read, &data),
                 Ok(_) => self.bad_odometry("its header has no stamp above 0".to_owned()),
                 Err(problem) => self.bad_odometry(problem.to_string()),
             }
         }
     }
 
-    fn pose(&self, stamps: &mut Stamps<Pose>, read: LivePose, data: &[u8]) {
+    fn pose(&self, stamps: &mut Stamps<Pose>, read: &LivePose, data: &[u8]) {
         let base = if read.child_frame.is_empty() { DEFAULT_BASE } else { &read.child_frame };
         if let Some(shown) = &self.shown {
-            shown.odometry(data, &read, base);
+            shown.odometry(data, read, base);
         }
         {
             let mut state = self.shared.lock();
@@ -177,7 +177,7 @@ impl Intake {
                 state.odometry_frames = Some(OdometryFrames { odom, base });
             }
         }
-        let LivePose { stamp_ns, pose, .. } = read;
+        let &LivePose { stamp_ns, pose, .. } = read;
         let left_out = stamps.left_out();
         match stamps.push(stamp_ns, pose) {
             Step::Follows(pose) => self.moved(stamp_ns, pose),

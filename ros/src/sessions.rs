@@ -137,12 +137,11 @@ async fn sent_or_late(shared: &Shared, outbox: &Outbox, unanswered: &Mutex<VecDe
     let (mut idle, mut answered, mut late) = (0, 0, Instant::now() + LAST_FRAMES);
     // Twice, as a frame may just be on its way from one to the other.
     while idle < 2 && Instant::now() < late {
-        let state = shared.lock();
-        if state.session.is_none() {
-            return;
-        }
-        let now = state.frames.answered + state.frames.refused;
-        drop(state);
+        let heard = {
+            let state = shared.lock();
+            state.session.as_ref().map(|_open| state.frames.answered + state.frames.refused)
+        };
+        let Some(now) = heard else { return };
         if now != answered {
             (answered, late) = (now, Instant::now() + LAST_FRAMES);
         }
