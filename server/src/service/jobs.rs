@@ -1,17 +1,20 @@
 //! Work that takes longer than a call. What became of a job is kept in the database; how far one that
 //! runs has come is kept in memory.
 
+mod reporter;
+
 use std::collections::HashMap;
 use std::future::Future;
-use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+use tokio::sync::{Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tracing::Instrument;
 
+pub(in crate::service) use self::reporter::Stopped;
+pub(crate) use self::reporter::{JobOutcome, JobReporter};
 use super::deleted_maps::DeletedMaps;
 use super::tokens::Caller;
 use crate::clock::now_ns;
@@ -63,50 +66,6 @@ pub(crate) struct Jobs {
 struct RunningJob {
     status: watch::Receiver<JobStatus>,
     cancel: CancellationToken,
-}
-
-/// What a running job tells the world by.
-#[derive(Clone, Debug)]
-pub(crate) struct JobReporter {
-    number: u64,
-    status: watch::Sender<JobStatus>,
-    cancel: CancellationToken,
-    turn: Arc<Semaphore>,
-}
-
-/// How a job came to its end.
-pub(crate) enum JobOutcome {
-    /// It succeeded, and the database knows it: in the same transaction as what the job made.
-    Stored(JobEnd),
-    Failed(ServiceError),
-    Cancelled,
-}
-
-/// Why the work of a job did not come to its end.
-pub(super) enum Stopped {
-    Cancelled,
-    Failed(ServiceError),
-}
-
-impl Stopped {
-    pub(super) fn unless(goes_on: ControlFlow<()>) -> Result<(), Self> {
-        if goes_on.is_continue() { Ok(()) } else { Err(Self::Cancelled) }
-    }
-}
-
-impl From<ServiceError> for Stopped {
-    fn from(error: ServiceError) -> Self {
-        Self::Failed(error)
-    }
-}
-
-impl From<Stopped> for JobOutcome {
-    fn from(stopped: Stopped) -> Self {
-        match stopped {
-            Stopped::Cancelled => Self::Cancelled,
-            Stopped::Failed(error) => Self::Failed(error),
-        }
-    }
 }
 
 /// How long jobs that have ended are kept.
@@ -367,48 +326,6 @@ impl Jobs {
 
     fn lock(&self) -> MutexGuard<'_, HashMap<u64, RunningJob>> {
         self.running.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl JobReporter {
-    pub(crate) fn number(&self) -> u64 {
-        self.number
-    }
-
-    /// Waits until no other heavy job runs, or this one is cancelled.
-    pub(crate) async fn wait_for_turn(&self) -> Option<OwnedSemaphorePermit> {
-        tokio::select! {
-            permit = self.turn.clone().acquire_owned() => permit.ok(),
-            () = self.cancel.cancelled() => None,
-        }
-    }
-
-    /// Reports progress and hears whether to go on.
-    pub(crate) fn progress(&self, stage: &'static str, fraction: f64) -> ControlFlow<()> {
-        self.status.send_if_modified(|status| {
-            // A percent at a time is enough for a progress bar.
-            let moved = status.stage != stage || (fraction - status.fraction).abs() >= 0.01;
-            if moved {
-                (status.stage, status.fraction) = (stage.to_owned(), fraction);
-            }
-            moved
-        });
-        if self.cancel.is_cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    }
-
-    /// Says in words that are its own how it ended.
-    pub(super) fn told(&self, stage: String) {
-        self.status.send_modify(|status| (status.stage, status.fraction) = (stage, 1.0));
-    }
-
-    /// The job's end, for the transaction that stores what it made.
-    pub(super) fn succeeded(&self, result: String) -> JobEnd {
-        JobEnd { result: Some(result), ..self.end(StoredJobState::Succeeded) }
-    }
-
-    fn end(&self, state: StoredJobState) -> JobEnd {
-        let stage = self.status.borrow().stage.clone();
-        JobEnd { number: self.number, state, stage, result: None, error: None, ended_ns: now_ns() }
     }
 }
 
