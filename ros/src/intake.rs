@@ -166,9 +166,6 @@ impl Intake {
 
     fn pose(&self, stamps: &mut Stamps<Pose>, read: &LivePose, data: &[u8]) {
         let base = if read.child_frame.is_empty() { DEFAULT_BASE } else { &read.child_frame };
-        if let Some(shown) = &self.shown {
-            shown.odometry(data, read, base);
-        }
         {
             let mut state = self.shared.lock();
             state.odometry.good();
@@ -192,6 +189,9 @@ impl Intake {
         }
         for _ in left_out..stamps.left_out() {
             self.bad_odometry(format!("a stamp does not follow those around it; the latest is {stamp_ns}"));
+        }
+        if let Some(shown) = &self.shown {
+            shown.odometry(data, read, base);
         }
         // That one decides for itself which stamps follow.
         self.join(|joining, now_ns| joining.add_pose(now_ns, stamp_ns, pose));
