@@ -112,10 +112,10 @@ async fn tokens_hold_at_every_server() {
     assert_eq!(refused.status.as_u16(), 401, "{}", refused.text());
     // Its own, and not the owner's; read by who may read the owner's.
     let metrics = Answer::to(http().get(&url).bearer_auth(&secret)).await;
-    assert!(metrics.text().contains("waypost_owns_database 0"), "{}", metrics.text());
+    assert!(metrics.text().contains("\nwaypost_owns_database 0\n"), "{}", metrics.text());
     let url = format!("http://{}/metrics", first.http());
     let metrics = Answer::to(http().get(&url).bearer_auth(&secret)).await;
-    assert!(metrics.text().contains("waypost_owns_database 1"), "{}", metrics.text());
+    assert!(metrics.text().contains("\nwaypost_owns_database 1\n"), "{}", metrics.text());
 
     // Whoever does not know the fleet's secret is who it is.
     let url = format!("http://{}/v1/maps", first.http());

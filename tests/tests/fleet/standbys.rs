@@ -67,7 +67,7 @@ impl Fleet {
                 for (server, url) in urls.iter().enumerate() {
                     // One that changes its part, or has ended, does not answer.
                     let Ok(answer) = http().get(url).send().await else { continue };
-                    if answer.text().await.is_ok_and(|text| text.contains("waypost_owns_database 1")) {
+                    if answer.text().await.is_ok_and(|text| text.contains("\nwaypost_owns_database 1\n")) {
                         return server;
                     }
                 }
