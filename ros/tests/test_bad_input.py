@@ -14,6 +14,7 @@ from conftest import (
     FOCAL_PX,
     IMAGES,
     SIZE_PX,
+    Bridge,
     Diagnostics,
     Stage,
     binary,
@@ -21,9 +22,32 @@ from conftest import (
     environment,
     met,
 )
-from robot import DEFAULT, LATCHED, LOSSLESS, OPTICAL, SECOND_NS, SENSOR, until
+from robot import DEFAULT, LATCHED, LOSSLESS, OPTICAL, SECOND_NS, SENSOR, Robot, until
 
 FLAGS = ("--map", "hall", "--session", "drive", "--image-topic", COMPRESSED, "--sensor-qos", "reliable")
+
+
+def heard(stage: Stage, *flags: str) -> tuple[Robot, Diagnostics, Bridge]:
+    """A robot each of whose images is heard, of a camera that is not declared."""
+    robot = stage.robot()
+    told = Diagnostics(robot)
+    bridge = stage.bridge(*FLAGS, "--camera-info-topic", "none", "--most-hz", "0", *flags)
+    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
+    met(robot, COMPRESSED)
+    return robot, told, bridge
+
+
+def with_images(stage: Stage) -> tuple[Robot, Diagnostics, Bridge]:
+    """One without odometry."""
+    return heard(stage, "--odometry-topic", "none")
+
+
+def with_wheels(stage: Stage) -> tuple[Robot, Diagnostics, Bridge]:
+    """One with odometry."""
+    robot, told, bridge = heard(stage)
+    robot.advertise("odom", ros.Odometry, LOSSLESS)
+    met(robot, "odom")
+    return robot, told, bridge
 
 
 def test_without_camera_info_nothing_is_sent_and_it_is_said(stage: Stage) -> None:
@@ -67,12 +91,7 @@ def test_without_tf_the_camera_is_declared_without_its_place(stage: Stage) -> No
 
 
 def test_a_gap_in_odometry_makes_frames_without_and_no_poses_up(stage: Stage) -> None:
-    robot = stage.robot()
-    told = Diagnostics(robot)
-    stage.bridge(*FLAGS, "--camera-info-topic", "none", "--most-hz", "0")
-    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
-    robot.advertise("odom", ros.Odometry, LOSSLESS)
-    met(robot, COMPRESSED, "odom")
+    robot, told, _ = with_wheels(stage)
     robot.odometry(1 * SECOND_NS, 0.0, 0.0, 0.0)
     for second in (2, 3):
         robot.compressed(second * SECOND_NS, IMAGES[second - 1].read_bytes())
@@ -107,11 +126,7 @@ def test_what_cannot_be_heard_is_named(stage: Stage, kind: str) -> None:
 
 
 def test_images_that_are_none_are_left_out_and_counted(stage: Stage) -> None:
-    robot = stage.robot()
-    told = Diagnostics(robot)
-    stage.bridge(*FLAGS, "--camera-info-topic", "none", "--odometry-topic", "none", "--most-hz", "0")
-    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
-    met(robot, COMPRESSED)
+    robot, told, _ = with_images(stage)
     image = IMAGES[0].read_bytes()
     robot.compressed(1 * SECOND_NS, image)
     robot.compressed(1 * SECOND_NS, image)
@@ -125,12 +140,7 @@ def test_images_that_are_none_are_left_out_and_counted(stage: Stage) -> None:
 
 
 def test_one_wrong_stamp_costs_itself_alone(stage: Stage) -> None:
-    robot = stage.robot()
-    told = Diagnostics(robot)
-    stage.bridge(*FLAGS, "--camera-info-topic", "none", "--most-hz", "0")
-    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
-    robot.advertise("odom", ros.Odometry, LOSSLESS)
-    met(robot, COMPRESSED, "odom")
+    robot, told, _ = with_wheels(stage)
     drive(robot, range(1, 9))
     robot.odometry(1_000_000 * SECOND_NS, 0.0, 0.0, 0.0)
     robot.compressed(1_000_000 * SECOND_NS, IMAGES[0].read_bytes())
@@ -146,12 +156,7 @@ def test_one_wrong_stamp_costs_itself_alone(stage: Stage) -> None:
 
 
 def test_a_clock_that_is_set_back_begins_a_new_session(stage: Stage) -> None:
-    robot = stage.robot()
-    told = Diagnostics(robot)
-    bridge = stage.bridge(*FLAGS, "--camera-info-topic", "none", "--most-hz", "0")
-    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
-    robot.advertise("odom", ros.Odometry, LOSSLESS)
-    met(robot, COMPRESSED, "odom")
+    robot, told, bridge = with_wheels(stage)
     drive(robot, range(101, 111))
     until(lambda: told.count("server", "frames answered") == 10, what=f"{told()}")
     # A simulation that begins again. Three stamps show that it has; those images are of no session.
@@ -170,12 +175,7 @@ def test_a_clock_that_is_set_back_begins_a_new_session(stage: Stage) -> None:
 
 
 def test_odometry_of_another_clock_is_told(stage: Stage) -> None:
-    robot = stage.robot()
-    told = Diagnostics(robot)
-    stage.bridge(*FLAGS, "--camera-info-topic", "none", "--most-hz", "0")
-    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
-    robot.advertise("odom", ros.Odometry, LOSSLESS)
-    met(robot, COMPRESSED, "odom")
+    robot, told, _ = with_wheels(stage)
     for second in range(1, 6):
         robot.odometry((100 + second) * SECOND_NS, 0.0, 0.0, 0.0)
         robot.compressed(second * SECOND_NS, IMAGES[second].read_bytes())
@@ -186,11 +186,7 @@ def test_odometry_of_another_clock_is_told(stage: Stage) -> None:
 
 
 def test_what_waits_is_sent_before_the_bridge_ends(stage: Stage) -> None:
-    robot = stage.robot()
-    told = Diagnostics(robot)
-    bridge = stage.bridge(*FLAGS, "--camera-info-topic", "none", "--odometry-topic", "none", "--most-hz", "0")
-    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
-    met(robot, COMPRESSED)
+    robot, told, bridge = with_images(stage)
     for second in range(1, 61):
         robot.compressed(second * SECOND_NS, IMAGES[second - 1].read_bytes())
         time.sleep(0.01)
@@ -201,11 +197,7 @@ def test_what_waits_is_sent_before_the_bridge_ends(stage: Stage) -> None:
 
 
 def test_what_cannot_be_sent_before_the_bridge_ends_is_counted(stage: Stage) -> None:
-    robot = stage.robot()
-    told = Diagnostics(robot)
-    bridge = stage.bridge(*FLAGS, "--camera-info-topic", "none", "--odometry-topic", "none", "--most-hz", "0")
-    robot.advertise(COMPRESSED, ros.CompressedImage, LOSSLESS)
-    met(robot, COMPRESSED)
+    robot, told, bridge = with_images(stage)
     robot.compressed(1 * SECOND_NS, IMAGES[0].read_bytes())
     until(lambda: told.count("server", "frames answered") == 1)
     stage.server.kill()
