@@ -20,7 +20,7 @@ use crate::state::{Declared, OdometryFrames, Shared};
 const DECLARING_PERIOD: Duration = Duration::from_secs(1);
 /// The bridge says so when nothing was there after this time.
 const QUIET: Duration = Duration::from_secs(10);
-/// Images and odometry are of one clock, and it is set back once for both.
+/// Images and odometry are of one clock: what one topic shows, the other shows within this time.
 const ONE_RESET: Duration = Duration::from_secs(10);
 /// Rates are met although stamps jitter.
 const THINNING_SLACK: f64 = 0.9;
@@ -46,8 +46,8 @@ pub(crate) struct Intake {
     plans: watch::Sender<Plan>,
     shown: Option<Shown>,
     joining: Mutex<Joining>,
-    /// When the robot's clock was set back last.
-    reset: Mutex<Option<Instant>>,
+    /// When the robot's clock was set back last, and by which topic.
+    reset: Mutex<Option<(Instant, String)>>,
     began: Instant,
 }
 
@@ -132,10 +132,10 @@ impl Intake {
     /// What is open has stamps of another time. It ends, and the next begins.
     fn clock_was_set_back(&self, topic: &str) {
         let mut reset = self.reset.lock().unwrap_or_else(PoisonError::into_inner);
-        if reset.is_some_and(|reset| reset.elapsed() < ONE_RESET) {
+        if reset.as_ref().is_some_and(|(at, by)| by != topic && at.elapsed() < ONE_RESET) {
             return;
         }
-        *reset = Some(Instant::now());
+        *reset = Some((Instant::now(), topic.to_owned()));
         tracing::warn!(
             "the robot's clock was set back, by the stamps of {topic}: a new session begins, and a goal has to be given again"
         );

@@ -159,18 +159,19 @@ def test_a_clock_that_is_set_back_begins_a_new_session(stage: Stage) -> None:
     robot, told, bridge = with_wheels(stage)
     drive(robot, range(101, 111))
     until(lambda: told.count("server", "frames answered") == 10, what=f"{told()}")
-    # A simulation that begins again. Three stamps show that it has; those images are of no session.
-    drive(robot, range(1, 4))
-    until(lambda: "the robot's clock was set back" in bridge.said())
-    until(lambda: bridge.said().count("is open") == 2, what=bridge.said())
-    drive(robot, range(4, 14))
-    until(lambda: told.count("server", "frames answered") == 20, what=f"{told()} {bridge.said()}")
-    sessions = {session.name: session for session in stage.client.sessions("hall")}
+    # A simulation that begins again, twice. Three stamps show that it has; those images are of no session.
+    for run in (2, 3):
+        drive(robot, range(1, 4))
+        until(lambda run=run: bridge.said().count("is open") == run, what=bridge.said())
+        drive(robot, range(4, 14))
+        until(lambda run=run: told.count("server", "frames answered") == 10 * run, what=f"{told()}")
+    assert bridge.said().count("the robot's clock was set back") == 2
+    sessions = {session.name for session in stage.client.sessions("hall")} - {"maps/hall/sessions/drive"}
     assert len(sessions) == 2
-    [second] = set(sessions) - {"maps/hall/sessions/drive"}
-    stamps = [record.stamp_ns // SECOND_NS for record in stage.client.frames(second)]
-    assert stamps == [*range(4, 14)]
-    assert all(record.HasField("odometry") for record in stage.client.frames(second))
+    for session in sessions:
+        records = list(stage.client.frames(session))
+        assert [record.stamp_ns // SECOND_NS for record in records] == [*range(4, 14)]
+        assert all(record.HasField("odometry") for record in records)
     assert told.count("server", "frames refused") == 0
 
 
