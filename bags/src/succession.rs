@@ -12,8 +12,9 @@ pub(crate) const AGREEING: usize = 3;
 /// Tells stamps that follow each other from single wrong ones and from a clock that was set, in the order in which
 /// they come.
 ///
-/// A stamp above the last follows it if it is at most a second, or twice the last step, above it. It counts at
-/// once. Any other is held, and what comes next decides:
+/// A stamp above the last follows it if it is at most a second, or twice the last step, above it; or a second more than has
+/// passed since the one before by another clock, as that of recording. It counts at once. Any other is held, and what comes
+/// next decides:
 ///
 /// - A stamp that follows the last one leaves out all that is held: it was astray.
 /// - Three stamps that rise, the held ones among them, are believed. Above the last, they go on after it, as after a
