@@ -85,8 +85,14 @@ impl Machines {
         let machine = &self.machines[self.primary];
         let pid = std::fs::read_to_string(machine.data.join("postmaster.pid")).unwrap();
         let pid = pid.lines().next().unwrap().trim().parse().unwrap();
-        kill_process(Pid::from_raw(pid).unwrap(), Signal::KILL).unwrap();
-        until(|| TcpStream::connect(machine.socket()).is_err());
+        let first = Pid::from_raw(pid).unwrap();
+        // What is stopped makes no more processes.
+        kill_process(first, Signal::STOP).unwrap();
+        let processes: Vec<i32> = children(pid).into_iter().chain([pid]).collect();
+        kill_process(first, Signal::KILL).unwrap();
+        // One that still writes, on a slow disk, would keep the machine from being started again.
+        until(|| processes.iter().all(|pid| !Path::new(&format!("/proc/{pid}")).exists()));
+        assert!(TcpStream::connect(machine.socket()).is_err(), "{} still answers", machine.name);
         self.primary
     }
 
@@ -170,7 +176,11 @@ impl Machines {
     fn run(&self, program: &str, arguments: &[&str], data: &Path) {
         let output = self.command(program).args(arguments).arg(data).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
-        let log = || std::fs::read_to_string(format!("{}.log", data.display())).unwrap_or_default();
+        let log = || {
+            let log = std::fs::read_to_string(format!("{}.log", data.display())).unwrap_or_default();
+            let lines: Vec<&str> = log.lines().collect();
+            lines[lines.len().saturating_sub(20)..].join("\n")
+        };
         assert!(output.status.success(), "{program} {arguments:?}: {said}\n{}", log());
     }
 
@@ -203,6 +213,19 @@ impl Machine {
     fn socket(&self) -> SocketAddr {
         SocketAddr::from(([127, 0, 0, 1], self.port))
     }
+}
+
+/// The processes that a process began.
+fn children(pid: i32) -> Vec<i32> {
+    let all = std::fs::read_dir("/proc")
+        .unwrap()
+        .filter_map(|entry| entry.ok()?.file_name().to_str()?.parse().ok());
+    let parent = format!("PPid:\t{pid}\n");
+    // One that ends meanwhile has no status.
+    let is_child = |child: &i32| {
+        std::fs::read_to_string(format!("/proc/{child}/status")).is_ok_and(|status| status.contains(&parent))
+    };
+    all.filter(is_child).collect()
 }
 
 /// Not one that the system gives to who connects: a machine that comes back has the same port, whoever came meanwhile.
