@@ -5,10 +5,10 @@ mod centres;
 mod descent_tree;
 mod float_panels;
 mod float_search;
+mod kernels;
 mod lane_best;
 mod nearest;
 mod search_tree;
-mod x86;
 
 use rayon::prelude::*;
 

@@ -1,7 +1,7 @@
 //! Asking for memory before it is needed.
 #![cfg_attr(
-    target_arch = "x86_64",
-    expect(unsafe_code, reason = "a prefetch is an intrinsic on an address; it reads nothing")
+    any(target_arch = "x86_64", target_arch = "aarch64"),
+    expect(unsafe_code, reason = "a prefetch is an instruction on an address; it reads nothing")
 )]
 
 /// Bytes that come from memory together.
@@ -11,12 +11,32 @@ const LINE_BYTES: usize = 64;
 /// cannot be asked for, nothing happens.
 #[inline(always)]
 pub(super) fn prefetch<T>(values: &[T]) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        let first = values.as_ptr().cast::<i8>();
-        let lines = (0..size_of_val(values)).step_by(LINE_BYTES);
-        // SAFETY: the addresses lie within the slice, and prefetching reads none of them.
-        lines.for_each(|offset| unsafe { _mm_prefetch::<_MM_HINT_T0>(first.add(offset)) });
+    let first = values.as_ptr().cast::<i8>();
+    let lines = (0..size_of_val(values)).step_by(LINE_BYTES);
+    lines.for_each(|offset| prefetch_line(first.wrapping_add(offset)));
+}
+
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn prefetch_line(address: *const i8) {
+    use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+    // SAFETY: prefetching reads nothing.
+    unsafe { _mm_prefetch::<_MM_HINT_T0>(address) };
+}
+
+#[cfg(target_arch = "aarch64")]
+#[inline(always)]
+fn prefetch_line(address: *const i8) {
+    // SAFETY: prefetching reads nothing. The intrinsic for it is not stable.
+    unsafe {
+        std::arch::asm!(
+            "prfm pldl1keep, [{address}]",
+            address = in(reg) address,
+            options(nostack, preserves_flags, readonly),
+        );
     }
 }
+
+#[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
+#[inline(always)]
+fn prefetch_line(_address: *const i8) {}

@@ -1,9 +1,9 @@
 //! The search for the nearest float centre, by the fastest instructions of this processor.
 
 use super::float_panels::{FloatPanels, LANES, PanelStep, Queries, STEP_DIMENSIONS, squared_norm};
+use super::kernels;
 use super::lane_best::LaneBest;
 use super::nearest::Nearest;
-use super::x86;
 
 /// Inner products of one row, less 128 in each dimension, with the sixteen centres of a panel.
 type Dots = [i32; LANES];
@@ -15,7 +15,7 @@ impl FloatPanels {
     /// The nearest centre of each row, the lowest number among equals.
     pub(super) fn nearest(&self, rows: &[u8], nearest: &mut [Nearest]) {
         let mut best = vec![LaneBest::NONE; nearest.len()];
-        if !x86::float_search(self, rows, &mut best) {
+        if !kernels::float_search(self, rows, &mut best) {
             self.search_plainly(rows, &mut best);
         }
         for ((nearest, best), row) in nearest.iter_mut().zip(&best).zip(rows.chunks_exact(self.width())) {
@@ -28,7 +28,7 @@ impl FloatPanels {
     pub(super) fn distances(&self, rows: &[u8]) -> Vec<u32> {
         let padded = self.panels() * LANES;
         let mut values = vec![0; rows.len() / self.width() * padded];
-        if !x86::float_values(self, rows, &mut values) {
+        if !kernels::float_values(self, rows, &mut values) {
             self.values_plainly(rows, &mut values);
         }
         let mut distances = Vec::with_capacity(rows.len() / self.width() * self.len());
@@ -95,7 +95,7 @@ mod tests {
             let mut plain_values = vec![0; plain.len() * panels.panels() * LANES];
             panels.search_plainly(&rows, &mut plain);
             panels.values_plainly(&rows, &mut plain_values);
-            for kernel in x86::FLOAT_KERNELS {
+            for kernel in kernels::FLOAT_KERNELS {
                 let mut vector = vec![LaneBest::NONE; plain.len()];
                 if (kernel.search)(&panels, &rows, &mut vector) {
                     prop_assert_eq!(&vector, &plain);

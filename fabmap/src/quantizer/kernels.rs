@@ -1,18 +1,19 @@
-//! Searches of float centres with the vector instructions of x86-64 processors.
+//! Searches of float centres with the vector instructions of x86-64 and of ARM processors of 64 bits.
 //!
 //! Each function says whether the processor could do it; if not, the caller takes the plain loop.
-//! Everything is integer arithmetic without overflow, so both give the same result by construction
+//! Everything is integer arithmetic without overflow, so all give the same result by construction
 //! (and by property test).
 #![cfg_attr(
-    target_arch = "x86_64",
-    expect(
-        unsafe_code,
-        reason = "code compiled for AVX2 or AVX-512 is called after asking the processor for it"
-    )
+    any(target_arch = "x86_64", target_arch = "aarch64"),
+    expect(unsafe_code, reason = "code compiled for some processors is called after asking this one")
 )]
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
+#[cfg(target_arch = "aarch64")]
+mod dotprod;
+#[cfg(target_arch = "aarch64")]
+mod neon;
 #[cfg(target_arch = "x86_64")]
 mod vnni;
 
@@ -27,12 +28,6 @@ pub(super) struct FloatKernel {
     pub(super) values: fn(&FloatPanels, &[u8], &mut [i32]) -> bool,
 }
 
-/// The fastest first.
-pub(super) const FLOAT_KERNELS: [FloatKernel; 2] = [
-    FloatKernel { search: vnni_search, values: vnni_values },
-    FloatKernel { search: avx2_search, values: avx2_values },
-];
-
 /// [`FloatKernel::search`] with the fastest instructions that there are.
 pub(super) fn float_search(panels: &FloatPanels, rows: &[u8], best: &mut [LaneBest]) -> bool {
     FLOAT_KERNELS.iter().any(|kernel| (kernel.search)(panels, rows, best))
@@ -43,35 +38,45 @@ pub(super) fn float_values(panels: &FloatPanels, rows: &[u8], values: &mut [i32]
     FLOAT_KERNELS.iter().any(|kernel| (kernel.values)(panels, rows, values))
 }
 
-/// Defines functions that run a kernel where the processor has what it needs.
+/// A kernel, run where the processor has what it needs.
 macro_rules! where_possible {
-    ($($name:ident($values:ty) = $kernel:path, if $possible:ident;)+) => {
-        $(
-            fn $name(panels: &FloatPanels, rows: &[u8], values: &mut [$values]) -> bool {
-                #[cfg(target_arch = "x86_64")]
-                if $possible() {
+    ($kernel:ident, if $possible:expr) => {
+        FloatKernel {
+            search: |panels, rows, best| {
+                let possible = $possible;
+                if possible {
                     // SAFETY: this processor has all that the kernel needs.
-                    unsafe { $kernel(panels, rows, values) };
-                    return true;
+                    unsafe { $kernel::search(panels, rows, best) };
                 }
-                let _ = (panels, rows, values);
-                false
-            }
-        )+
+                possible
+            },
+            values: |panels, rows, values| {
+                let possible = $possible;
+                if possible {
+                    // SAFETY: as above.
+                    unsafe { $kernel::values(panels, rows, values) };
+                }
+                possible
+            },
+        }
     };
 }
 
-where_possible!(
-    avx2_search(LaneBest) = avx2::search, if has_avx2;
-    avx2_values(i32) = avx2::values, if has_avx2;
-    vnni_search(LaneBest) = vnni::search, if has_vnni;
-    vnni_values(i32) = vnni::values, if has_vnni;
-);
-
+/// The fastest first.
 #[cfg(target_arch = "x86_64")]
-fn has_avx2() -> bool {
-    is_x86_feature_detected!("avx2")
-}
+pub(super) const FLOAT_KERNELS: &[FloatKernel] =
+    &[where_possible!(vnni, if has_vnni()), where_possible!(avx2, if is_x86_feature_detected!("avx2"))];
+
+/// The fastest first.
+#[cfg(target_arch = "aarch64")]
+pub(super) const FLOAT_KERNELS: &[FloatKernel] = &[
+    where_possible!(dotprod, if std::arch::is_aarch64_feature_detected!("dotprod")),
+    where_possible!(neon, if std::arch::is_aarch64_feature_detected!("neon")),
+];
+
+/// None is known of other processors.
+#[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
+pub(super) const FLOAT_KERNELS: &[FloatKernel] = &[];
 
 #[cfg(target_arch = "x86_64")]
 fn has_vnni() -> bool {
