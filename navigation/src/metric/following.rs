@@ -315,19 +315,22 @@ impl SlipWatch {
     }
 
     /// Of what a frame shows, where it puts the robot whatever the wheels say: what structure has measured, or else what was
-    /// recognised. Once wheels have slipped by more than places are apart, what is before the camera is no longer taken for
-    /// the place that it is, since wheels speak against it; that it stays in view is what tells.
+    /// recognised, or else what looks like one place by itself. Once wheels have slipped by more than places are apart,
+    /// what is before the camera is no longer taken for the place that it is, since wheels speak against it; that it stays
+    /// in view is what tells.
     pub(super) fn sighting<'a>(look: &'a Look, settings: &LocalizationSettings) -> Option<&'a Closure> {
         let closure = match &look.sight {
             Sight::Closure(closure) => Some(closure),
             Sight::Unknown | Sight::TooLittle => None,
         };
         let is_measured = |seen: &&Closure| along_m(seen) <= SLIP_M[0] / SLIP_SIGMAS;
-        let measured =
-            look.glimpses.iter().flatten().filter(is_measured).filter(|seen| seen.tells_where(settings));
-        let best = measured
-            .max_by(|one, other| one.evidence.unwrap_or(0.0).total_cmp(&other.evidence.unwrap_or(0.0)));
-        closure.filter(is_measured).or(best).or(closure)
+        let telling = || look.glimpses.iter().flatten().filter(|seen| seen.tells_where(settings));
+        let by_evidence = |one: &&Closure, other: &&Closure| {
+            one.evidence.unwrap_or(0.0).total_cmp(&other.evidence.unwrap_or(0.0))
+        };
+        let measured = || telling().filter(is_measured).max_by(by_evidence);
+        let likely = || telling().max_by(by_evidence);
+        closure.filter(is_measured).or_else(measured).or(closure).or_else(likely)
     }
 
     /// A sighting says where the robot was at `odometry`; whether its wheels have slipped.
