@@ -5,6 +5,7 @@ mod encoding;
 mod milestones;
 mod place_poses;
 mod session;
+mod ways;
 
 pub use corrections::Corrections;
 pub(crate) use encoding::SESSION_VERSION;

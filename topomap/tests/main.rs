@@ -14,6 +14,7 @@ mod metric;
 mod metric_logs;
 mod one_motion;
 mod one_threshold;
+mod past_closures;
 mod rewriting;
 mod rounds;
 mod sight;

@@ -226,12 +226,13 @@ impl<'a> Graph<'a> {
     fn new(map: &Map, poses: &'a PlacePoses, settings: &'a PlanningSettings) -> Self {
         let contradicted: BTreeSet<usize> = poses.contradicted().collect();
         let mut ways = vec![Vec::new(); poses.poses().len()];
-        for (number, link) in map.standing_links() {
-            if contradicted.contains(&number) || poses.part(link.from) != poses.part(link.to) {
-                continue;
-            }
-            ways[link.from.index()].push((link.to, Travel::Along));
-            ways[link.to.index()].push((link.from, Travel::Against));
+        let standing = map.standing_links().filter(|(number, link)| {
+            !contradicted.contains(number) && poses.part(link.from) == poses.part(link.to)
+        });
+        let standing = standing.map(|(_, link)| (link.from, link.to));
+        for (from, to) in standing.chain(poses.past_contradicted()) {
+            ways[from.index()].push((to, Travel::Along));
+            ways[to.index()].push((from, Travel::Against));
         }
         Self { poses, settings, ways }
     }

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use fabmap::appearance::PlaceId;
 
+use super::ways::Ways;
 use crate::ids::SessionId;
 use crate::log::{Link, LinkKind};
 use crate::metric::OdometryNoise;
@@ -35,17 +36,9 @@ pub struct PlacePoses {
     drifts: BTreeMap<SessionId, f64>,
     by_position: HashMap<Cell, Vec<PlaceId>>,
     settled: Settled,
-}
-
-/// The links that measured something, as they did.
-#[derive(Clone, Debug, Default, PartialEq)]
-struct Ways {
-    /// The session that made each place.
-    makers: Vec<SessionId>,
-    driven: Vec<(Way, SessionId)>,
-    closed: Vec<Way>,
-    /// Of each edge, which of the two lists it is in, and where.
-    of_edges: Vec<(EdgeKind, usize)>,
+    /// Closures that contradicted others when they were last judged past all of them; they are again
+    /// when that many have become twice as many.
+    judged_with: usize,
 }
 
 /// Whether a loop was closed since the last relaxation.
@@ -77,6 +70,7 @@ impl Default for PlacePoses {
             drifts: BTreeMap::new(),
             by_position: HashMap::new(),
             settled: Settled::Yes,
+            judged_with: 0,
         }
     }
 }
@@ -127,27 +121,17 @@ impl PlacePoses {
     /// The session that made a place; `None` if there is no such place.
     #[must_use]
     pub fn maker(&self, place: PlaceId) -> Option<SessionId> {
-        self.ways.makers.get(place.index()).copied()
+        self.ways.makers().get(place.index()).copied()
     }
 
     /// The sessions that made the places, in the order of places.
     pub(crate) fn makers(&self) -> &[SessionId] {
-        &self.ways.makers
+        self.ways.makers()
     }
 
     /// The links that measured something, as they did.
     pub fn measured_links(&self) -> impl Iterator<Item = Link> + '_ {
-        self.ways.of_edges.iter().map(|&(kind, index)| {
-            let (way, kind) = match kind {
-                EdgeKind::Odometry => (&self.ways.driven[index].0, LinkKind::Driven as fn(_) -> _),
-                EdgeKind::Closure => (&self.ways.closed[index], LinkKind::Closed as fn(_) -> _),
-            };
-            Link {
-                from: PlaceId::from_index(way.from),
-                to: PlaceId::from_index(way.to),
-                kind: kind(way.measured),
-            }
-        })
+        self.ways.links()
     }
 
     /// Ends of all links, measured or not: a session went from the one to the other.
@@ -199,13 +183,20 @@ impl PlacePoses {
         })
     }
 
-    /// Positions among the map's links of closures that contradict what most agree on.
+    /// Positions among the map's links of closures that contradict what most agree on, and of what was
+    /// driven from the places that those took for known.
     pub fn contradicted(&self) -> impl Iterator<Item = usize> {
-        self.links
-            .iter()
-            .zip(&self.relaxed.weights)
-            .filter(|(_, weight)| **weight == 0.0)
-            .map(|(&link, _)| link)
+        let led_past = self.ways.led_past().map(|(edge, _)| edge);
+        self.contradicted_edges().chain(led_past).map(|edge| self.links[edge])
+    }
+
+    /// Ends of what was driven past closures that are contradicted.
+    pub fn past_contradicted(&self) -> impl Iterator<Item = (PlaceId, PlaceId)> {
+        self.ways.led_past().map(|(_, ends)| ends)
+    }
+
+    fn is_contradicted(&self, edge: usize) -> bool {
+        self.relaxed.weights.get(edge) == Some(&0.0)
     }
 
     /// Sum of eᵀΩe over the links, without those that are contradicted.
@@ -229,7 +220,7 @@ impl PlacePoses {
     /// Adds the next place, which a session has made, a part of its own until a link leads to it.
     pub(crate) fn add_place(&mut self, session: SessionId) {
         let place = PlaceId::from_index(self.graph.add_pose());
-        self.ways.makers.push(session);
+        self.ways.add_place(session);
         self.poses.push(PlanarPose::identity());
         self.parts.push(place);
         self.index(place);
@@ -274,7 +265,9 @@ impl PlacePoses {
     fn edge(&self, way: &Way, kind: EdgeKind) -> Option<Edge<PlanarPose, 3>> {
         let Way { from, to, measured } = way;
         let pose = match kind {
-            EdgeKind::Odometry => without_drift(measured.pose(), self.drift_rad_per_m(self.ways.makers[*to])),
+            EdgeKind::Odometry => {
+                without_drift(measured.pose(), self.drift_rad_per_m(self.ways.makers()[*to]))
+            }
             EdgeKind::Closure => *measured.pose(),
         };
         Edge::new(*from, *to, pose, measured.information(), kind).ok()
@@ -292,15 +285,54 @@ impl PlacePoses {
             self.relaxed.poses.clone_from(&self.poses);
         }
         self.relaxed = relax(&self.graph, Start::Earlier(&self.relaxed), &RelaxationSettings::default());
+        // It takes as long as to relax a map that was not relaxed before.
+        if self.contradicted_edges().count() >= (2 * self.judged_with).max(1) {
+            self.judge_past_closures(noise);
+            self.judged_with = self.contradicted_edges().count();
+        }
         self.poses.clone_from(&self.relaxed.poses);
         self.by_position.clear();
         PlaceId::first(self.poses.len()).for_each(|place| self.index(place));
         self.settled = Settled::Yes;
     }
 
+    /// Closures contradict each other: they are judged again, by wheels that lead past all of them. What
+    /// was driven after one that is wrong then leads past it, if all in all that fits better.
+    fn judge_past_closures(&mut self, noise: &OdometryNoise) {
+        let mut judged = self.clone();
+        if !judged.ways.lead_past(|_closure| true) {
+            return;
+        }
+        judged.relax_all(noise);
+        let mut other = judged.clone();
+        other.ways.lead_past(|closure| judged.is_contradicted(closure));
+        other.relax_all(noise);
+        if other.misfit() < self.misfit() {
+            *self = other;
+        }
+    }
+
+    /// As if nothing was known of drifts or poses.
+    fn relax_all(&mut self, noise: &OdometryNoise) {
+        let (driven, closed) = (self.ways.driven(), self.ways.closed());
+        self.drifts = drifts(self.poses.len(), driven, closed, noise.heading_rad_per_m);
+        self.build_graph();
+        self.relaxed = relax(&self.graph, Start::Odometry, &RelaxationSettings::default());
+    }
+
+    /// How badly all fits, where a closure that is left out costs as much as one may that is kept.
+    fn misfit(&self) -> f64 {
+        let left_out = self.contradicted_edges().count();
+        self.relaxed.cost + PlanarPose::CHI_SQUARED_MILLION * left_out as f64
+    }
+
+    fn contradicted_edges(&self) -> impl Iterator<Item = usize> {
+        (0..self.links.len()).filter(|&edge| self.is_contradicted(edge))
+    }
+
     /// Learns what wheels drift by. If the drift has changed, the graph is built again.
     fn learn_drifts(&mut self, expected_rad_per_m: f64) -> bool {
-        let learnt = drifts(self.poses.len(), &self.ways.driven, &self.ways.closed, expected_rad_per_m);
+        let learnt = drifts(self.poses.len(), self.ways.driven(), self.ways.closed(), expected_rad_per_m);
         let known = |session| self.drift_rad_per_m(session);
         let sessions = self.drifts.keys().chain(learnt.keys());
         let mut changed =
@@ -309,19 +341,19 @@ impl PlacePoses {
             return false;
         }
         self.drifts = learnt;
+        self.build_graph();
+        true
+    }
+
+    fn build_graph(&mut self) {
         let mut graph = PlanarGraph::new(self.poses.len());
-        for &(kind, index) in &self.ways.of_edges {
-            let way = match kind {
-                EdgeKind::Odometry => &self.ways.driven[index].0,
-                EdgeKind::Closure => &self.ways.closed[index],
-            };
+        for (way, kind) in self.ways.of_edges() {
             // Each was an edge before.
             if let Some(edge) = self.edge(way, kind) {
                 let _ = graph.add_edge(edge);
             }
         }
         self.graph = graph;
-        true
     }
 
     /// Moves the places of one part into the frame of another.
@@ -347,22 +379,6 @@ impl PlacePoses {
 
 fn nothing_relaxed() -> Relaxed<PlanarPose> {
     Relaxed { poses: Vec::new(), cost: 0.0, iterations: 0, weights: Vec::new() }
-}
-
-impl Ways {
-    fn push(&mut self, way: Way, kind: EdgeKind) {
-        let index = match kind {
-            EdgeKind::Odometry => {
-                self.driven.push((way, self.makers[way.to]));
-                self.driven.len() - 1
-            }
-            EdgeKind::Closure => {
-                self.closed.push(way);
-                self.closed.len() - 1
-            }
-        };
-        self.of_edges.push((kind, index));
-    }
 }
 
 fn cell(position_m: f64) -> i64 {

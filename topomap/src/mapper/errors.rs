@@ -115,8 +115,9 @@ pub enum MeasureError {
 pub enum CorrectError {
     /// There is nothing to take back.
     #[error(
-        "the frame closed no loop ({reason:?}), so that there is nothing to withdraw; list the map's loop closures to see \
-         which did"
+        "the frame closed no loop ({}), so that there is nothing to withdraw; list the map's loop closures to see \
+         which did",
+        decided(*reason)
     )]
     NoClosure {
         /// What was decided.
@@ -276,4 +277,16 @@ pub enum RestoreError {
         /// How many there should be.
         expected: u64,
     },
+}
+
+/// What a frame was decided to be, in words.
+fn decided(reason: Reason) -> &'static str {
+    match reason {
+        Reason::NewPlace => "it was at a new place",
+        Reason::SamePlace => "it was at the same place as before",
+        Reason::LoopClosure => "it closed one",
+        Reason::BelowThreshold => "what it looked like stayed below the threshold",
+        Reason::TooFewWords => "it showed too few words",
+        Reason::GeometryRefused => "geometry refused what it looked like",
+    }
 }
