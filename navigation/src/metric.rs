@@ -65,6 +65,8 @@ pub struct Navigator {
     commands: CommandsOnTheWay,
     watch: MotionWatch,
     slip: SlipWatch,
+    /// Stamp of the latest frame; of the first report, until one came.
+    seen_ns: Option<i64>,
 }
 
 /// Wheels that turn slower than this stand, in m/s.
@@ -99,6 +101,7 @@ impl Navigator {
             commands: CommandsOnTheWay::default(),
             watch: MotionWatch::default(),
             slip: SlipWatch::default(),
+            seen_ns: None,
         })
     }
 
@@ -166,6 +169,7 @@ impl Navigator {
 
     /// Takes in what a frame showed. Looks may come late, in any order, or not at all.
     pub fn see(&mut self, look: &Look) -> Seen {
+        self.seen_ns = self.seen_ns.max(Some(look.stamp_ns));
         if look.episode != self.episode {
             return Seen::Stale;
         }

@@ -71,7 +71,7 @@ fn the_same_calls_give_the_same_commands() {
 }
 
 #[test]
-fn without_vision_it_goes_on_is_less_and_less_sure_and_at_last_looks_around() {
+fn without_frames_it_goes_on_is_less_and_less_sure_and_at_last_stands_until_one_comes() {
     let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
     world.run(80);
     assert_eq!(world.status(), Status::Following);
@@ -88,14 +88,37 @@ fn without_vision_it_goes_on_is_less_and_less_sure_and_at_last_looks_around() {
     }
     assert_eq!(world.status(), Status::Searching);
     assert!(world.truth.y_m().abs() < 0.05);
+    (0..22).for_each(|_| world.advance(false, true));
+    let stood = world.truth;
+    for _ in 0..2000 {
+        world.advance(false, true);
+        assert_eq!((world.status(), speed(&world)), (Status::Blocked, [0.0; 2]));
+        assert!(
+            matches!(world.last.unwrap().reason, Some(Reason::NoFrames { for_ns }) if for_ns >= 6_000_000_000)
+        );
+    }
+    // It is where it was, and knows that.
+    assert_eq!(world.truth, stood);
+    assert!(world.last.unwrap().localization.is_some());
+    world.run(1500);
+    assert_eq!(world.status(), Status::Arrived);
+}
+
+#[test]
+fn by_few_frames_that_show_too_little_it_is_lost_after_so_many_metres_and_looks_around() {
+    let mut world = World::new(PlanarPose::new(0.0, 0.0, 0.0), Fixes::Perfect);
+    world.run(80);
+    world.sees_bare_walls = true;
     let lost_m = NavigationSettings::default().supervision.lost_m;
-    let steps = (lost_m / 0.4 / 0.05) as usize;
-    (0..steps).for_each(|_| world.advance(false, true));
+    let steps = (lost_m / 0.4 / 0.05) as usize + 30;
+    (0..steps).for_each(|step| world.advance(step % 80 == 0, true));
     assert_eq!(world.status(), Status::Lost);
+    assert!(matches!(world.last.unwrap().reason, Some(Reason::Lost(LostBecause::Far { .. }))));
     assert_eq!(world.last.unwrap().localization, None);
     // It stands, and then turns on the spot, until it sees again.
     let stood = world.truth;
-    (0..60).for_each(|_| world.advance(false, true));
+    (0..60).for_each(|step| world.advance(step % 20 == 0, true));
+    world.sees_bare_walls = false;
     assert!(
         (world.truth.x_m() - stood.x_m()).abs() < 0.1 && world.truth.heading_rad() != stood.heading_rad()
     );

@@ -269,7 +269,8 @@ fn is_turn(turn_rad_s: f64) -> bool {
     turn_rad_s.abs() > 1e-2
 }
 
-fn is_motion([forward_m_s, turn_rad_s]: [f64; 2]) -> bool {
+/// Whether that is more than standing.
+pub(super) fn is_motion([forward_m_s, turn_rad_s]: [f64; 2]) -> bool {
     is_ahead(forward_m_s) || is_turn(turn_rad_s)
 }
 

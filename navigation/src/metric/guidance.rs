@@ -64,6 +64,11 @@ pub enum Reason {
         /// Driven since then, in metres.
         since_closure_m: f64,
     },
+    /// No frame comes, and nobody sees where it goes.
+    NoFrames {
+        /// For how long, by the robot's clock, in nanoseconds.
+        for_ns: i64,
+    },
     /// It stands before something, or is held.
     Held(Obstacle),
     /// The same, and it goes back a little the way that it came.
@@ -119,6 +124,12 @@ impl fmt::Display for Reason {
                 f,
                 "nothing was recognised for {:.1} s and {since_closure_m:.1} m: it goes on by its wheels",
                 *since_closure_ns as f64 * 1e-9
+            ),
+            Self::NoFrames { for_ns } => write!(
+                f,
+                "no frame came for {:.1} s, by their stamps and those of the wheels: it stands until one comes; see that \
+                 the camera delivers and that its frames are sent",
+                *for_ns as f64 * 1e-9
             ),
             Self::Held(obstacle) => write!(f, "{obstacle}: it stands, and then goes back a little and tries again"),
             Self::BackingOff(obstacle) => {

@@ -3,7 +3,7 @@
 use posegraph::PlanarPose;
 
 use super::Navigator;
-use super::following::Motion;
+use super::following::{Motion, is_motion};
 use super::guidance::{Driver, Obstacle, Reason};
 use super::localization::{Closure, Sight};
 use super::settings::NavigationSettings;
@@ -19,8 +19,15 @@ impl Navigator {
         elapsed_s: f64,
     ) -> Option<([f64; 2], Reason)> {
         let NavigationSettings { supervision, steering, .. } = self.settings;
-        match self.watch.judge(motions, now, &supervision, steering.valid_ns) {
-            Motion::Free => None,
+        let (obeyed, wanted) = motions;
+        let blind = self.blind_for_ns(now.0).filter(|_| is_motion(wanted));
+        let wanted = if blind.is_some() { [0.0; 2] } else { wanted };
+        match self.watch.judge((obeyed, wanted), now, &supervision, steering.valid_ns) {
+            Motion::Free => blind.map(|for_ns| {
+                self.slip.forget();
+                self.steering.reset();
+                ([0.0; 2], Reason::NoFrames { for_ns })
+            }),
             Motion::Waiting(obstacle) => {
                 self.slip.forget();
                 self.steering.reset();
@@ -36,6 +43,12 @@ impl Navigator {
                 backwards.map(|motion| (motion, Reason::BackingOff(obstacle)))
             }
         }
+    }
+
+    /// How long no frame came, if that is too long to drive on by wheels alone.
+    fn blind_for_ns(&mut self, stamp_ns: i64) -> Option<i64> {
+        let for_ns = stamp_ns.saturating_sub(*self.seen_ns.get_or_insert(stamp_ns));
+        (for_ns >= self.settings.supervision.blind_ns).then_some(for_ns)
     }
 
     /// What a frame without a closure counts as. One that shows too little counts while the robot is on its way: one that

@@ -145,7 +145,9 @@ pub struct SupervisionSettings {
     pub lost_m: f64,
     /// Time without a closure at which it is lost, of that in which its wheels turned, in nanoseconds.
     pub lost_ns: i64,
-    /// Frames without a closure that it needs for that, those that show too little among them; at least 1.
+    /// Time without any frame, while it should drive, from which it stands until one comes, in nanoseconds.
+    pub blind_ns: i64,
+    /// Frames without a closure that it needs to be lost by time, those that show too little among them; at least 1.
     pub lost_looks: u32,
     /// Frames without a closure at which it is lost that show something, and nothing known, where
     /// it should be known, as it drives on; at least 1.
@@ -242,6 +244,7 @@ impl Default for SupervisionSettings {
             lost_sigma_m: 0.8,
             lost_m: 6.0,
             lost_ns: 6_000_000_000,
+            blind_ns: 6_000_000_000,
             lost_looks: 8,
             unknown_looks: 6,
             unknown_looks_standing: 24,
@@ -378,6 +381,7 @@ impl SupervisionSettings {
             ("lost_sigma_m", self.lost_sigma_m, 0.01, 1000.0),
             ("lost_m", self.lost_m, 0.01, 1e6),
             ("lost_ns", self.lost_ns as f64, 1e6, 1e12),
+            ("blind_ns", self.blind_ns as f64, 1e6, 1e12),
             ("lost_looks", f64::from(self.lost_looks), 1.0, 1e6),
             ("unknown_looks", f64::from(self.unknown_looks), 1.0, 1e6),
             ("unknown_looks_standing", f64::from(self.unknown_looks_standing), 1.0, 1e6),
