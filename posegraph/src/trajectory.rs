@@ -78,7 +78,8 @@ pub fn to_tum(poses: &[StampedPose]) -> Vec<u8> {
 pub fn to_kitti(poses: &[StampedPose]) -> Vec<u8> {
     let mut text = String::new();
     for StampedPose { pose, .. } in poses {
-        let matrix = pose.to_homogeneous();
+        // Where something is 0 it has no sign.
+        let matrix = pose.to_homogeneous().map(|value| value + 0.0);
         let rows = matrix.fixed_rows::<3>(0).transpose();
         let mut numbers = rows.iter();
         if let Some(first) = numbers.next() {

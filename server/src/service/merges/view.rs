@@ -49,11 +49,11 @@ pub(super) fn undecidable(merge: &MergeView, what: &str) -> ServiceError {
             format!("merges/{number} is still being looked for; wait for jobs/{}", merge.job)
         }
         MergeState::Proposed => format!("merges/{number} is being committed by jobs/{}", merge.job),
-        MergeState::NoOverlap
-        | MergeState::Committed
-        | MergeState::Discarded
-        | MergeState::Undone
-        | MergeState::Failed => format!(
+        MergeState::NoOverlap => format!(
+            "merges/{number} found no overlap between the maps, and cannot be {what}; its report says what was looked for: \
+             ask for a new one once the maps share places"
+        ),
+        MergeState::Committed | MergeState::Discarded | MergeState::Undone | MergeState::Failed => format!(
             "merges/{number} is {} and cannot be {what}; ask for a new one if you want the maps merged",
             state.word()
         ),

@@ -205,9 +205,9 @@ impl Panel {
         html! {
             rect x=(left) y=(top) width=(number(width)) height=(number(height)) fill="#d0d0d0" {}
             @if let Some(StillImage { content_type, bytes }) = &self.image {
-                // As the camera delivered it: keypoints are in those rows.
+                // As the camera stood, which the file may say beside its rows: keypoints are of that.
                 image x=(left) y=(top) width=(number(width)) height=(number(height)) preserveAspectRatio=(fit)
-                    style="image-orientation:none"
+                    style="image-orientation:from-image"
                     href={ "data:" (content_type) ";base64," (STANDARD.encode(bytes)) } {}
             }
             (circles(OTHER, others.iter().take(others_drawn).map(|(mark, _)| *mark), frame))
