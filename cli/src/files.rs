@@ -105,21 +105,23 @@ impl Replacing {
     /// that is refused has done nothing.
     ///
     /// # Errors
-    /// [`Failure`] if it may not be written, or there is no folder for it.
+    /// [`Failure`] if it may not or cannot be written, or there is no folder for it.
     pub(crate) fn check_wanted(self, path: Option<&Path>) -> Result<(), Failure> {
         let Some(path) = path else { return Ok(()) };
         self.check(path)?;
         if path.is_dir() {
             return Err(Failure::Unfit(format!("{} is a folder; name a file", path.display())));
         }
-        match path.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir()) {
-            Some(folder) => Err(Failure::Unfit(format!(
+        if let Some(folder) =
+            path.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir())
+        {
+            return Err(Failure::Unfit(format!(
                 "there is no folder {} for {}; create it, or choose another",
                 folder.display(),
                 path.display()
-            ))),
-            None => Ok(()),
+            )));
         }
+        try_to_write(path)
     }
 
     /// Writes a file that appears under its name only when it is complete.
@@ -128,17 +130,52 @@ impl Replacing {
     /// [`Failure`] if it may not be replaced, or cannot be written.
     pub(crate) fn write(self, path: &Path, content: &[u8]) -> Result<(), Failure> {
         self.check(path)?;
-        let mut partial = path.as_os_str().to_owned();
-        partial.push(".partial");
-        let partial = PathBuf::from(partial);
+        let partial = partial(path);
         std::fs::write(&partial, content).map_err(Failure::file("write", &partial))?;
         std::fs::rename(&partial, path).map_err(Failure::file("write", path))
     }
 }
 
+/// What a file is called while it is not complete.
+fn partial(path: &Path) -> PathBuf {
+    let mut partial = path.as_os_str().to_owned();
+    partial.push(".partial");
+    PathBuf::from(partial)
+}
+
+/// Whether a file could be written, by what it will be written as first.
+fn try_to_write(path: &Path) -> Result<(), Failure> {
+    let partial = partial(path);
+    let was_there = partial.exists();
+    std::fs::OpenOptions::new().append(true).create(true).open(&partial).map_err(|error| {
+        Failure::Unfit(format!("{} cannot be written: {error}; choose another file", path.display()))
+    })?;
+    if !was_there {
+        std::fs::remove_file(&partial).map_err(Failure::file("remove", &partial))?;
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_cannot_be_written_is_refused_before_and_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let name = "n".repeat(300);
+        for (path, says) in [
+            (folder.path().join(&name), "cannot be written: "),
+            (PathBuf::from("/proc/x.svg"), "cannot be written: "),
+        ] {
+            let Err(refused) = Replacing::Allowed.check_wanted(Some(&path)) else {
+                panic!("{path:?} was taken")
+            };
+            assert!(refused.to_string().contains(says), "{refused}");
+        }
+        assert!(Replacing::Allowed.check_wanted(Some(&folder.path().join("a.svg"))).is_ok());
+        assert_eq!(folder.path().read_dir().unwrap().count(), 0);
+    }
 
     #[test]
     fn silence_is_no_yes() {

@@ -1,6 +1,8 @@
 //! Cameras of panoramas, described by their images or by a file.
 
 use std::f64::consts::PI;
+use std::fs::File;
+use std::io::BufReader;
 use std::path::Path;
 
 use serde::Deserialize;
@@ -9,6 +11,7 @@ use waypost_sim::camera::Panorama;
 
 use crate::failure::Failure;
 use crate::images::ImageFile;
+use crate::shrinking::upright_size_px;
 
 /// The projection of a panorama. It covers 360 degrees, its pixels are square, and the horizon is
 /// in the middle.
@@ -69,9 +72,10 @@ pub(crate) fn mirror_camera(file: &Path, size_px: (u32, u32)) -> Result<v1::Came
     Ok(camera_of_mirror(mirror, size_px))
 }
 
-/// Width and height of an image.
+/// Width and height of an image as its camera stood.
 pub(crate) fn size_px(first: &ImageFile) -> Result<(u32, u32), Failure> {
-    image::image_dimensions(&first.path).map_err(|error| {
+    let file = File::open(&first.path).map_err(Failure::file("read", &first.path))?;
+    upright_size_px(BufReader::new(file)).map_err(|error| {
         Failure::Unfit(format!(
             "{} is no image that can be read: {error}; send JPEG or PNG",
             first.path.display()

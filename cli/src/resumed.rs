@@ -1,12 +1,14 @@
 //! Whether a session that goes on was begun with the recording that is streamed into it.
 
 use std::collections::BTreeMap;
+use std::io::Cursor;
 
 use waypost_client::{Client, v1};
 
 use crate::drive::Shot;
 use crate::failure::Failure;
 use crate::replay::{Recording, Replay};
+use crate::shrinking::upright_size_px;
 
 /// Frames that are in the recording and not in the session, of which the images are looked at.
 const MOST_ABSENT: usize = 8;
@@ -63,7 +65,8 @@ pub(crate) async fn check_begun_with(
     }
     for shot in recording.shots(&wanted).await {
         let Shot { sequence, stamp_ns, image, odometry, note } = shot;
-        let is_of_size = image_size_px(&image).is_some_and(|size_px| recording.size_px() == Some(size_px));
+        let is_of_size =
+            upright_size_px(Cursor::new(&image)).is_ok_and(|size_px| recording.size_px() == Some(size_px));
         let content = replay.contents.content(image).await;
         let Ok(seen) = client.query(map, content, &words_hash, None).await else { continue };
         match records.get(&sequence) {
@@ -109,11 +112,6 @@ fn sequence_of(record: &v1::FrameRecord) -> Option<u64> {
 
 fn told(note: &str, stamp_ns: i64) -> String {
     if note.is_empty() { format!("of {stamp_ns} ns") } else { format!("{note} at {stamp_ns} ns") }
-}
-
-fn image_size_px(image: &[u8]) -> Option<(u32, u32)> {
-    let file = image::ImageReader::new(std::io::Cursor::new(image)).with_guessed_format().ok()?;
-    file.into_dimensions().ok()
 }
 
 /// Whether no map refuses a frame for its odometry, after one that it has.

@@ -1,10 +1,11 @@
-//! Photos that are larger than a server takes are made smaller here.
+//! Photos as a server takes them: larger ones are made smaller here.
 
-use std::io::Cursor;
+use std::io::{BufRead, Cursor, Seek};
 
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::FilterType;
-use image::{DynamicImage, ImageDecoder, ImageReader};
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageDecoder, ImageReader, ImageResult};
 use waypost_client::MAX_IMAGE_BYTES;
 
 /// Pixels that a server takes at most.
@@ -23,6 +24,25 @@ pub(crate) fn fitting(image: Vec<u8>) -> Vec<u8> {
         return image;
     }
     shrunk(&image).unwrap_or(image)
+}
+
+/// Width and height of an image as its camera stood: the file of a phone's upright photo may lie on its side, and say so.
+///
+/// # Errors
+/// What is wrong with an image that cannot be read.
+pub(crate) fn upright_size_px(image: impl BufRead + Seek) -> ImageResult<(u32, u32)> {
+    let mut decoder = ImageReader::new(image).with_guessed_format()?.into_decoder()?;
+    let (width, height) = decoder.dimensions();
+    Ok(match decoder.orientation()? {
+        Orientation::NoTransforms
+        | Orientation::Rotate180
+        | Orientation::FlipHorizontal
+        | Orientation::FlipVertical => (width, height),
+        Orientation::Rotate90
+        | Orientation::Rotate270
+        | Orientation::Rotate90FlipH
+        | Orientation::Rotate270FlipH => (height, width),
+    })
 }
 
 fn pixels(image: &[u8]) -> Option<u64> {
@@ -70,6 +90,26 @@ mod tests {
             pixel.0 = [(state >> 8) as u8, (state >> 16) as u8, (state >> 24) as u8];
         }
         DynamicImage::ImageRgb8(image)
+    }
+
+    #[test]
+    fn sizes_are_those_of_cameras_as_they_stood() {
+        let mut plain = Vec::new();
+        noise(30, 20).write_with_encoder(JpegEncoder::new(&mut plain)).unwrap();
+        assert_eq!(upright_size_px(Cursor::new(&plain)).unwrap(), (30, 20));
+        for (orientation, size_px) in [(1, (30, 20)), (3, (30, 20)), (6, (20, 30)), (8, (20, 30))] {
+            let turned = turned(&plain, orientation);
+            assert_eq!(upright_size_px(Cursor::new(&turned)).unwrap(), size_px, "{orientation}");
+        }
+        assert!(upright_size_px(Cursor::new(b"no image")).is_err());
+    }
+
+    /// A JPEG that says how its camera stood: EXIF of one entry, after the two bytes that it begins with.
+    fn turned(jpeg: &[u8], orientation: u8) -> Vec<u8> {
+        let entry = [b"\x01\x12\0\x03\0\0\0\x01\0", &[orientation][..], b"\0\0"].concat();
+        let exif = [b"Exif\0\0MM\0*\0\0\0\x08\0\x01", &entry[..], b"\0\0\0\0"].concat();
+        let length = (exif.len() as u16 + 2).to_be_bytes();
+        [&jpeg[..2], b"\xff\xe1", &length, &exif, &jpeg[2..]].concat()
     }
 
     fn png(image: &DynamicImage) -> Vec<u8> {

@@ -10,6 +10,7 @@ use waypost_client::{Client, ClientOptions};
 use crate::failure::{EXIT_CODES, Failure};
 use crate::output::{Output, rounded, table};
 use crate::progress;
+use crate::shrinking::fitting;
 
 /// How often the live view polls the server.
 const POLL_INTERVAL: Duration = Duration::from_millis(200);
@@ -60,7 +61,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     if cancel {
         return show(&client.cancel_goal(&name).await?, output);
     }
-    let image = to_image.map(|file| std::fs::read(&file).map_err(Failure::file("read", &file)));
+    let image = to_image.map(|file| std::fs::read(&file).map(fitting).map_err(Failure::file("read", &file)));
     let position = to_position.map(|[x_m, y_m]| v1::PositionGoal {
         part: 0,
         x_m: Some(x_m),

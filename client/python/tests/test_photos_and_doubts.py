@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from PIL import Image
 
 import waypost
 from waypost.doubts import OdometryDoubts, OdometryWarning
+from waypost.goals import goal_message
 
 
 def large_photo() -> bytes:
@@ -40,6 +42,20 @@ def test_pixels_are_shrunk_by_their_mean() -> None:
     sent = np.asarray(Image.open(io.BytesIO(frame(1, image=pixels).to_proto().image)))
     assert sent.shape == (2000, 3000, 3)
     assert (sent == 50).all()
+
+
+def test_the_photo_of_a_goal_is_shrunk() -> None:
+    sent = Image.open(io.BytesIO(goal_message(large_photo()).image))
+    assert sent.width * sent.height <= 16_000_000
+    assert sent.height > sent.width
+
+
+def test_files_are_in_the_order_that_people_count_in(tmp_path: Path) -> None:
+    wanted = ["a-3.png", "a2.jpg", "a02b.JPG", "a10.jpeg", "b1.jpg"]
+    for name in [*wanted, "a1.txt", "z.webp"]:
+        (tmp_path / name).write_bytes(b"")
+    (tmp_path / "a3.jpg").mkdir()
+    assert [file.name for file in waypost.image_files(tmp_path)] == wanted
 
 
 def test_what_a_server_takes_is_sent_as_it_is() -> None:

@@ -61,6 +61,7 @@ from waypost.guidance import (
     WheelsRefused,
 )
 from waypost.navigation import Navigation
+from waypost.photos import image_files
 from waypost.png import png
 from waypost.poses import Pose2, Pose3
 from waypost.sender import Sender
@@ -123,6 +124,7 @@ __all__ = [
     "WordHistogram",
     "WordList",
     "connect",
+    "image_files",
     "lazy",
     "png",
 ]

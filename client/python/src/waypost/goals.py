@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Union
 
 from waypost.frames import MAX_IMAGE_BYTES
+from waypost.photos import fitting_file
 from waypost.poses import Pose2
 from waypost.v1 import navigation_pb2
 
@@ -34,9 +35,10 @@ def goal_message(goal: GoalLike) -> navigation_pb2.Goal:
     if isinstance(goal, str):
         return navigation_pb2.Goal(label=goal)
     if isinstance(goal, bytes):
-        if len(goal) > MAX_IMAGE_BYTES:
-            raise ValueError(f"the goal's image has {len(goal)} bytes, more than {MAX_IMAGE_BYTES}")
-        return navigation_pb2.Goal(image=goal)
+        image = fitting_file(goal, MAX_IMAGE_BYTES)
+        if len(image) > MAX_IMAGE_BYTES:
+            raise ValueError(f"the goal's image has {len(image)} bytes, more than {MAX_IMAGE_BYTES}")
+        return navigation_pb2.Goal(image=image)
     numbers = (goal.x_m, goal.y_m, goal.heading_rad) if isinstance(goal, Pose2) else tuple(goal)
     if len(numbers) not in (2, 3):
         raise ValueError(f"a position is (x, y) or (x, y, heading), not {len(numbers)} numbers")

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import math
+import os
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +20,32 @@ _MAYBE_LARGE_BYTES = 200_000
 _QUALITY = 92
 #: What is left of each side when an image is still too long.
 _STEP = 0.8
+
+
+def image_files(folder: str | os.PathLike[str]) -> list[Path]:
+    """The JPEG and PNG files of a folder in the order in which people count: `frame2` before `frame10`.
+
+    That is the order in which `waypost stream` sends a folder.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as drive:
+    ...     for name in ("frame10.jpg", "frame2.jpg", "notes.txt"):
+    ...         _ = Path(drive, name).write_bytes(b"")
+    ...     [file.name for file in image_files(drive)]
+    ['frame2.jpg', 'frame10.jpg']
+
+    Raises:
+        OSError: If the folder cannot be read.
+    """
+    paths = (path for path in Path(folder).iterdir() if path.suffix.lower() in (".jpg", ".jpeg", ".png"))
+    named = sorted((os.fsencode(path.name), path) for path in paths if path.is_file())
+    return [path for name, path in sorted(named, key=lambda one: _counted(one[0]))]
+
+
+def _counted(name: bytes) -> list[tuple[int, int]]:
+    # Numbers by their value, all else byte by byte.
+    parts = re.findall(rb"\d+|\D", name, re.DOTALL)
+    return [(ord("0"), int(part)) if part.isdigit() else (part[0], 0) for part in parts]
 
 
 def fitting_pixels(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
