@@ -19,7 +19,17 @@ from .text import code, flowing, page, prose, sentence, table
 #: What stands together, by how each begins; a test holds it against what the package exports.
 CHAPTERS: dict[str, tuple[str, ...]] = {
     "Connecting": ("connect", "lazy", "Client"),
-    "Sessions": ("Session", "Mode", "Sender", "Frame", "WordHistogram", "WordList", "MAX_IMAGE_BYTES", "png"),
+    "Sessions": (
+        "Session",
+        "Mode",
+        "Sender",
+        "Frame",
+        "WordHistogram",
+        "WordList",
+        "MAX_IMAGE_BYTES",
+        "png",
+        "image_files",
+    ),
     "Answers": (
         *(
             "Outcome",
