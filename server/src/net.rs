@@ -1,5 +1,6 @@
 //! Connections, and what is known of them before anything is asked.
 
+pub(crate) mod calls;
 mod complaint;
 pub(crate) mod connections;
 pub(crate) mod messages;

@@ -31,7 +31,7 @@ use crate::net::connections::{Came, Connections, Port};
 use crate::net::messages::MAX_MESSAGE_BYTES;
 use crate::net::neighbours::{self, Neighbours};
 use crate::net::peer::Unreachable;
-use crate::net::standing::Standing;
+use crate::net::standing::{Admission, Standing};
 use crate::net::tls::Tls;
 use crate::storage::Owner;
 
@@ -157,7 +157,7 @@ async fn ask(
             if !is_refused(&response)
                 && door.language.admits(&path)
                 && let Some(standing) = &visitor.standing
-                && let Err(full) = standing.admit(&door.relay.over)
+                && let Err(full) = standing.admit(door.relay.admission())
             {
                 return door.language.refusal(full);
             }
@@ -172,6 +172,13 @@ async fn ask(
     }
 }
 
+impl Relay {
+    /// Which token it was the owner knows.
+    fn admission(&self) -> Admission {
+        Admission { token: None, deleted: self.over.clone() }
+    }
+}
+
 impl Door {
     /// Looks at an image for the owner, and for nobody else.
     async fn look(&self, visitor: &Visitor, request: Request) -> Result<Seen, ServiceError> {
@@ -180,7 +187,7 @@ impl Door {
             return Err(ServiceError::unauthenticated("this is for servers of the same database alone"));
         }
         if let Some(standing) = &visitor.standing {
-            standing.admit(&self.relay.over)?;
+            standing.admit(self.relay.admission())?;
         }
         let body = axum::body::to_bytes(request.into_body(), MAX_MESSAGE_BYTES).await;
         let look = Look::decode(body.map_err(ServiceError::invalid)?).map_err(ServiceError::invalid)?;

@@ -15,6 +15,7 @@ use tonic::body::Body;
 use tower::{Layer, Service as TowerService};
 
 use crate::error::ServiceError;
+use crate::net::calls::{CallKind, UntilRead};
 use crate::net::messages::Metered;
 use crate::net::standing::Standing;
 use crate::service::Service;
@@ -102,6 +103,24 @@ const METHODS: [(&str, Access); 75] = [
     ("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", Access::Token),
 ];
 
+/// Methods whose calls last for as long as their callers like, or send long: their answers do not wait in memory.
+const LASTING: [&str; 10] = [
+    "/waypost.v1.SessionService/Stream",
+    "/waypost.v1.NavigationService/Navigate",
+    "/waypost.v1.EventService/Watch",
+    "/waypost.v1.JobService/WatchJob",
+    "/waypost.v1.MapService/ImportMap",
+    "/waypost.v1.ModelService/ImportModel",
+    "/waypost.v1.ModelService/TrainModel",
+    "/grpc.health.v1.Health/Watch",
+    "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
+    "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
+];
+
+fn call_kind(path: &str) -> CallKind {
+    if LASTING.contains(&path) { CallKind::Lasting } else { CallKind::Answered }
+}
+
 /// Its calls change who may call, and are not ended by what they change themselves.
 const TOKEN_SERVICE: &str = "/waypost.v1.TokenService/";
 
@@ -133,7 +152,7 @@ pub(super) struct Guarded<S> {
 
 impl<S> TowerService<Request<Body>> for Guarded<S>
 where
-    S: TowerService<Request<Body>, Response = Response<Body>>,
+    S: TowerService<Request<Body>, Response = Response<Body>> + Clone + Send + 'static,
     S::Future: Send + 'static,
     S::Error: Send + 'static,
 {
@@ -163,12 +182,23 @@ where
         let of_tokens = request.uri().path().starts_with(TOKEN_SERVICE);
         let ending = if of_tokens { Ending::default() } else { ending };
         request.extensions_mut().insert(caller.clone());
-        let answering = self.inner.call(request.map(|body| Body::new(Metered::new(body, room))));
+        // The routes take calls at any time.
+        let mut inner = self.inner.clone();
+        let kind = call_kind(request.uri().path());
         async move {
+            let call = match access {
+                Access::Open => None,
+                Access::Token | Access::May(_) | Access::Server => match room.calls().open(kind).await {
+                    Ok(call) => Some(call),
+                    Err(error) => return Ok(Status::from(error).into_http()),
+                },
+            };
+            let answering = inner.call(request.map(|body| Body::new(Metered::new(body, room))));
             tokio::select! {
                 biased;
                 response = answering => {
-                    let mut response = response?.map(|body| Body::new(UntilOver::new(body, ending)));
+                    let body = |body| Body::new(UntilRead::new(UntilOver::new(body, ending), call));
+                    let mut response = response?.map(body);
                     // Whoever watches over the call hears who it was.
                     response.extensions_mut().insert(caller);
                     Ok(response)
@@ -188,7 +218,7 @@ impl<S> Guarded<S> {
         let admitted = self.service.tokens.admit(standing.map(Standing::peer), secret, access)?;
         match (access, standing) {
             (Access::Token | Access::May(_) | Access::Server, Some(standing)) => {
-                standing.admit(admitted.ending.over())?;
+                standing.admit(admitted.admission())?;
             }
             (Access::Open, _) | (_, None) => {}
         }
@@ -284,6 +314,13 @@ mod tests {
         let listed: BTreeSet<String> = METHODS.iter().map(|(path, _)| (*path).to_owned()).collect();
         assert_eq!(listed.len(), METHODS.len(), "a method is listed twice");
         assert_eq!(listed, served());
+    }
+
+    #[test]
+    fn methods_that_last_are_streams_that_are_served() {
+        for path in LASTING {
+            assert!(served().contains(path), "{path}");
+        }
     }
 
     #[test]

@@ -19,6 +19,7 @@ use super::HttpError;
 use super::cross_origin;
 use super::inspector;
 use crate::error::ServiceError;
+use crate::net::calls::{CallKind, UntilRead};
 use crate::net::connections::Came;
 use crate::net::messages::{MAX_MESSAGE_BYTES, Room};
 use crate::net::origin::Origin;
@@ -84,7 +85,7 @@ pub(super) async fn guard(State(asked): State<Asked>, mut request: Request, next
     let admitted = service.tokens.admit(peer, secret.as_deref(), access).and_then(|admitted| {
         match (access, standing) {
             (Access::Token | Access::May(_) | Access::Server, Some(standing)) => {
-                standing.admit(admitted.ending.over())?;
+                standing.admit(admitted.admission())?;
             }
             (Access::Open, _) | (_, None) => {}
         }
@@ -96,13 +97,13 @@ pub(super) async fn guard(State(asked): State<Asked>, mut request: Request, next
     let of_tokens = route.is_some_and(|route| route.starts_with(TOKENS));
     match admitted {
         Ok(Admitted { caller, ending: _, room }) if of_tokens => {
-            by(caller, with_room(&room, request, next).await)
+            by(caller, with_room(&room, access, request, next).await)
         }
         Ok(Admitted { caller, ending, room }) => by(
             caller,
             tokio::select! {
                 biased;
-                response = with_room(&room, request, next) => response.map(|body| until_over(body, ending.clone())),
+                response = with_room(&room, access, request, next) => response.map(|body| until_over(body, ending.clone())),
                 () = ending.over().cancelled() => refusal(ending.why()),
             },
         ),
@@ -125,14 +126,27 @@ pub(super) fn standing(request: &Request) -> Option<Standing> {
 }
 
 /// Answers a request while there is room for its body.
-async fn with_room(room: &Room, request: Request, next: Next) -> Response {
+async fn with_room(room: &Room, access: Access, request: Request, next: Next) -> Response {
     let body = request.body().size_hint();
     let most =
         body.upper().map_or(MAX_MESSAGE_BYTES, |bytes| usize::try_from(bytes).unwrap_or(MAX_MESSAGE_BYTES));
+    let kind = if is_stream(&request) { CallKind::Lasting } else { CallKind::Answered };
+    let call = match access {
+        Access::Open => None,
+        Access::Token | Access::May(_) | Access::Server => match room.calls().open(kind).await {
+            Ok(call) => Some(call),
+            Err(error) => return refusal(error),
+        },
+    };
     match room.reserve(most).await {
-        Ok(_reserved) => next.run(request).await,
+        Ok(_reserved) => next.run(request).await.map(|body| Body::new(UntilRead::new(body, call))),
         Err(error) => refusal(error),
     }
+}
+
+/// Whether what happens is told for as long as somebody listens, or a file is sent.
+fn is_stream(request: &Request) -> bool {
+    !request.method().is_safe() || request.uri().path().ends_with("/events")
 }
 
 fn access(method: &Method, path: &str, route: Option<&str>) -> Access {

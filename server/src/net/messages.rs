@@ -14,6 +14,7 @@ use tokio::time::{Instant, Sleep};
 use tonic::body::Body;
 use tonic::{Code, Status};
 
+use super::calls::Calls;
 use crate::error::ServiceError;
 
 /// What all messages together may take that are under way.
@@ -35,11 +36,12 @@ const RETRY: Duration = Duration::from_secs(2);
 /// gRPC: a byte that says whether what follows is compressed, and its length.
 const PREFIX_LEN: usize = 5;
 
-/// Room for the messages of one token. Cheap to clone.
+/// Room for the messages and calls of one token. Cheap to clone.
 #[derive(Clone, Debug)]
 pub(crate) struct Room {
     all: Arc<Semaphore>,
     of_token: Arc<Semaphore>,
+    calls: Calls,
     patience: Duration,
 }
 
@@ -53,13 +55,18 @@ impl Room {
     /// All the room there is.
     pub(crate) fn whole() -> Self {
         let all = Arc::new(Semaphore::new(ALL_BYTES));
-        Self { of_token: all.clone(), all, patience: PATIENCE }
+        Self { of_token: all.clone(), all, calls: Calls::none(), patience: PATIENCE }
     }
 
     /// A token's part of it.
     pub(crate) fn for_token(&self) -> Self {
         let of_token = Arc::new(Semaphore::new(TOKEN_BYTES));
-        Self { all: self.all.clone(), of_token, patience: self.patience }
+        Self { all: self.all.clone(), of_token, calls: Calls::none(), patience: self.patience }
+    }
+
+    /// The calls that are open.
+    pub(crate) fn calls(&self) -> &Calls {
+        &self.calls
     }
 
     /// Waits until there is room for a message of so many bytes.
@@ -68,7 +75,7 @@ impl Room {
     /// UNAVAILABLE if there is none for a while.
     pub(crate) async fn reserve(&self, bytes: usize) -> Result<Reserved, ServiceError> {
         let bytes = bytes.min(MAX_MESSAGE_BYTES) as u32;
-        let Self { all, of_token, patience } = self.clone();
+        let Self { all, of_token, calls: _, patience } = self.clone();
         let reserving = async {
             let of_token_bytes = if Arc::ptr_eq(&all, &of_token) { 0 } else { bytes };
             let of_token = of_token.acquire_many_owned(of_token_bytes).await?;

@@ -55,15 +55,28 @@ struct Holder {
     peer: IpAddr,
     /// Since when it is what it is.
     since: Instant,
-    /// The token that its last admitted call showed; cancelled when that is deleted.
-    admitted_by: Option<CancellationToken>,
+    admitted_by: Option<Admission>,
     /// Cancelled when it is to be closed.
     cut: CancellationToken,
+}
+
+/// By what a connection's last admitted call was let in.
+#[derive(Clone, Debug)]
+pub(crate) struct Admission {
+    /// Name of the token that it showed; `None` where the server has none.
+    pub(crate) token: Option<String>,
+    /// Cancelled when that is deleted.
+    pub(crate) deleted: CancellationToken,
 }
 
 impl Holder {
     fn is_admitted(&self) -> bool {
         self.admitted_by.is_some()
+    }
+
+    /// The token that it was admitted by, unless it is to be closed.
+    fn stays_by(&self) -> Option<&Option<String>> {
+        self.admitted_by.as_ref().filter(|_| !self.cut.is_cancelled()).map(|admission| &admission.token)
     }
 
     fn is_stranger(&self) -> bool {
@@ -120,6 +133,21 @@ impl Held {
         by_address
     }
 
+    /// Cuts the first connection of the token that holds by far the most; `None` if that is not much more than the token has
+    /// for which room is made.
+    fn cut_for(&mut self, token: &Option<String>) -> Option<()> {
+        let mut by_token: BTreeMap<&Option<String>, usize> = BTreeMap::new();
+        for token in self.connections.values().filter_map(Holder::stays_by) {
+            *by_token.entry(token).or_default() += 1;
+        }
+        let mine = by_token.get(token).copied().unwrap_or(0) + 1;
+        let (most, _) =
+            by_token.into_iter().filter(|(_, those)| *those > 2 * mine).max_by_key(|(_, those)| *those)?;
+        let first = self.connections.values().find(|holder| holder.stays_by() == Some(most))?;
+        first.cut.cancel();
+        Some(())
+    }
+
     /// Cuts the stranger from `peer` that came first; `None` if each has come just now.
     fn cut_oldest(&mut self, peer: IpAddr) -> Option<()> {
         let mut strangers = self.connections.values().filter(|holder| holder.is_stranger());
@@ -152,7 +180,7 @@ impl Place {
         let mut held = all.held();
         let holder = held.connections.get_mut(number)?;
         match &holder.admitted_by {
-            Some(deleted) if deleted.is_cancelled() => {
+            Some(admission) if admission.deleted.is_cancelled() => {
                 holder.admitted_by = None;
                 holder.since = Instant::now();
                 Some(time)
@@ -194,19 +222,20 @@ impl Standing {
         self.all.held().connections.get(&self.number).is_some_and(Holder::is_admitted)
     }
 
-    /// A call on this connection was admitted by a token that is cancelled when that is deleted: it may stay.
+    /// A call on this connection was admitted: it may stay. Where there is no room, a token that holds by far the most
+    /// connections has to make some.
     ///
     /// # Errors
     /// UNAVAILABLE if as many connections of such are open as may be.
-    pub(crate) fn admit(&self, deleted: &CancellationToken) -> Result<(), ServiceError> {
+    pub(crate) fn admit(&self, admission: Admission) -> Result<(), ServiceError> {
         let mut held = self.all.held();
         let Some(holder) = held.connections.get(&self.number) else { return Ok(()) };
-        if holder.admitted_by.as_ref().is_some_and(|deleted| !deleted.is_cancelled()) {
+        if holder.admitted_by.as_ref().is_some_and(|admission| !admission.deleted.is_cancelled()) {
             return Ok(());
         }
-        let admitted = held.connections.values().filter(|holder| holder.is_admitted()).count();
+        let admitted = held.connections.values().filter(|holder| holder.stays_by().is_some()).count();
         let was_admitted = held.connections.get(&self.number).is_some_and(Holder::is_admitted);
-        if !was_admitted && admitted >= self.all.0.admitted {
+        if !was_admitted && admitted >= self.all.0.admitted && held.cut_for(&admission.token).is_none() {
             return Err(ServiceError::Unavailable {
                 message: format!(
                     "{admitted} connections are open, and no more are served; close some that are not needed, or \
@@ -217,7 +246,7 @@ impl Standing {
             });
         }
         if let Some(holder) = held.connections.get_mut(&self.number) {
-            holder.admitted_by = Some(deleted.clone());
+            holder.admitted_by = Some(admission);
         }
         Ok(())
     }
@@ -232,6 +261,29 @@ mod tests {
 
     fn address(last: u8) -> IpAddr {
         [10, 0, 0, last].into()
+    }
+
+    fn by(token: &str, deleted: &CancellationToken) -> Admission {
+        Admission { token: Some(token.to_owned()), deleted: deleted.clone() }
+    }
+
+    #[test]
+    fn a_token_that_holds_by_far_the_most_makes_room_for_others() {
+        let standings =
+            Standings::new(6, 1, Strangers { connections: 6, connections_per_address: 6, ..MANY });
+        let token = CancellationToken::new();
+        let enter = || standings.enter(address(1)).unwrap();
+        let greedy: Vec<Place> = (0..5).map(|_| enter()).collect();
+        greedy.iter().for_each(|place| place.standing().admit(by("greedy", &token)).unwrap());
+        let admin = enter();
+        admin.standing().admit(by("admin", &token)).unwrap();
+        let cut = |places: &[Place]| places.iter().filter(|place| place.cut().is_cancelled()).count();
+        assert!(greedy[0].cut().is_cancelled() && cut(&greedy) == 1);
+        // Four are not more than twice two.
+        let second = enter();
+        let refused = second.standing().admit(by("admin", &token));
+        assert!(matches!(refused, Err(ServiceError::Unavailable { .. })));
+        assert!(!admin.cut().is_cancelled());
     }
 
     /// As if all had come a while ago.
@@ -274,11 +326,12 @@ mod tests {
         let token = CancellationToken::new();
         let admitted = [standings.enter(address(1)).unwrap(), standings.enter(address(1)).unwrap()];
         for place in &admitted {
-            place.standing().admit(&token).unwrap();
+            place.standing().admit(by("robots", &token)).unwrap();
         }
         let health = standings.enter(address(1)).unwrap();
-        assert!(matches!(health.standing().admit(&token), Err(ServiceError::Unavailable { .. })));
-        assert!(admitted[0].standing().admit(&token).is_ok(), "it has its place already");
+        let refused = health.standing().admit(by("robots", &token));
+        assert!(matches!(refused, Err(ServiceError::Unavailable { .. })));
+        assert!(admitted[0].standing().admit(by("robots", &token)).is_ok(), "it has its place already");
         let_time_pass(&standings);
         let _next = standings.enter(address(1)).unwrap();
         assert!(health.cut().is_cancelled() && admitted.iter().all(|place| !place.cut().is_cancelled()));
@@ -290,7 +343,7 @@ mod tests {
         let standings = Standings::new(3, 1, brief);
         let place = standings.enter(address(1)).unwrap();
         let token = CancellationToken::new();
-        place.standing().admit(&token).unwrap();
+        place.standing().admit(by("robots", &token)).unwrap();
         let_time_pass(&standings);
         assert!(place.review().is_some());
         token.cancel();

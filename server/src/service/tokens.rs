@@ -11,6 +11,7 @@ use tokio_util::sync::CancellationToken;
 use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::net::messages::Room;
+use crate::net::standing::Admission;
 use crate::pages::{Page, named_page, page_after, page_size};
 use crate::quotas::Used;
 pub(crate) use crate::storage::TokenRow;
@@ -61,6 +62,13 @@ pub(crate) struct Admitted {
     pub(crate) ending: Ending,
     /// For the messages that come in.
     pub(crate) room: Room,
+}
+
+impl Admitted {
+    /// What lets the connection stay over which the call came.
+    pub(crate) fn admission(&self) -> Admission {
+        Admission { token: self.caller.token.clone(), deleted: self.ending.over().clone() }
+    }
 }
 
 impl Tokens {

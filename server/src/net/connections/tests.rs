@@ -3,6 +3,7 @@ use tokio::io::AsyncWriteExt;
 use tokio_util::sync::CancellationToken;
 
 use super::*;
+use crate::net::standing::Admission;
 
 const PATIENT: Limits = Limits { connections: 2, kept_for_strangers: 1, patience: Duration::from_secs(60) };
 const HASTY: Limits = Limits { patience: Duration::from_millis(50), ..PATIENT };
@@ -80,7 +81,11 @@ async fn there_are_only_so_many() {
     let first = connections.next().await.unwrap().unwrap();
     let second = connections.next().await.unwrap().unwrap();
     for connection in [&first, &second] {
-        connection.place.standing().admit(&CancellationToken::new()).unwrap();
+        connection
+            .place
+            .standing()
+            .admit(Admission { token: None, deleted: CancellationToken::new() })
+            .unwrap();
     }
     // It may be closed before it has said anything.
     assert!(is_closed(TcpStream::connect(connections.at).await.unwrap()).await);

@@ -1,4 +1,4 @@
-//! Messages that are begun and not ended: what they may take of the memory.
+//! Messages that are begun and not ended, and answers that nobody reads: what they may take of the memory.
 
 use std::io::Write;
 use std::time::Duration;
@@ -7,6 +7,7 @@ use waypost_client::{Client, ClientOptions, v1};
 
 use super::wire::{Wire, block, data, frame, kind, opened};
 use super::{Attacked, MOST_GROWTH};
+use crate::harness::import_model;
 
 /// What half-sent messages of one token may take, as the server has it, and what is around them.
 const MOST_HOARDED: u64 = (64 << 20) + MOST_GROWTH;
@@ -61,4 +62,42 @@ async fn a_robots_half_sent_messages_have_a_bound() {
     assert!(growth <= MOST_HOARDED, "the memory grew by {} MiB", growth >> 20);
     drop(wire);
     attacked.ends(MOST_HOARDED);
+}
+
+/// What answers of one token may take that nobody reads.
+const MOST_UNREAD: u64 = 64 << 20;
+
+/// Calls for a file of almost a megabyte, on a connection that gives their answers no room.
+const UNREAD: u32 = 200;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn unread_answers_of_a_token_have_a_bound() {
+    let attacked = Attacked::start().await;
+    let options = ClientOptions::new(attacked.server.endpoint()).with_token(&attacked.secret);
+    let admin = Client::connect(options).await.unwrap();
+    let model = import_model(&admin).await.name;
+    let bearer = format!("Bearer {}", robot(&attacked).await);
+    let port = attacked.server.grpc();
+    let wire = tokio::task::spawn_blocking(move || {
+        let mut wire = Wire::to(port).unwrap();
+        let call = block("/waypost.v1.ModelService/ExportModel", &[("authorization", &bearer)]);
+        let name = [&[0x0a, model.len() as u8], model.as_bytes()].concat();
+        let message = [&[0][..], &(name.len() as u32).to_be_bytes(), &name].concat();
+        // An initial window of no bytes.
+        let mut said = [opened(), frame(kind::SETTINGS, 0, 0, &[0, 4, 0, 0, 0, 0])].concat();
+        for stream in (1..).step_by(2).take(UNREAD as usize) {
+            said.extend(frame(kind::HEADERS, kind::END_HEADERS, stream, &call));
+            said.extend(frame(kind::DATA, kind::END_STREAM, stream, &message));
+        }
+        wire.write_all(&said).unwrap();
+        wire
+    });
+    let wire = wire.await.unwrap();
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    attacked.others_are_served().await;
+    let growth = attacked.server.rss_bytes().saturating_sub(attacked.rss_before);
+    println!("{} MiB of answers were not read", growth >> 20);
+    assert!(growth <= MOST_UNREAD, "the memory grew by {} MiB", growth >> 20);
+    drop(wire);
+    attacked.ends(MOST_UNREAD);
 }
