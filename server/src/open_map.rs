@@ -364,7 +364,9 @@ impl MapWriter {
             Some(stored) => Some(stored),
             None => self.runtime.block_on(self.storage.frames_at(self.map.id, &[found.frame]))?.pop(),
         };
-        let stored = stored.ok_or_else(|| ServiceError::internal("a matched frame is not in the log"))?;
+        let Some(stored) = stored else {
+            return Err(self.runtime.block_on(self.storage.event_is_gone(self.map.id, found.frame)).into());
+        };
         let frame = reference(&self.map.name, &self.sessions, &stored);
         let Match { place, posterior, log_odds, frame: _ } = found;
         Ok(MatchView { place, posterior, log_odds, frame, geometry: GeometryView::of(found, candidates) })
@@ -480,14 +482,11 @@ impl MapWriter {
             return Ok(Some(of_event(event)));
         }
         match runtime.block_on(storage.noted_event_at(map.id, frame, model.model.vocabulary().len())) {
-            Ok(Some((MapEvent::Frame(event), note))) => {
+            Ok((MapEvent::Frame(event), note)) => {
                 recent.borrow_mut().keep(frame, RecentFrame::of(&event, note));
                 Ok(Some(of_event(&event)))
             }
-            Ok(
-                Some((MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_), _))
-                | None,
-            )
+            Ok((MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_), _))
             | Err(StorageError::Damaged(_)) => {
                 tracing::error!(
                     map = map.name,

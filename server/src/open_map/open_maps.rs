@@ -281,6 +281,7 @@ fn read(
 ) -> Result<(Mapper, Checkpoints), ServiceError> {
     let (mut mapper, layout) = restore(runtime, storage, map, model)?;
     let checkpoint_events = mapper.map().events();
+    runtime.block_on(storage.check_log_reaches(map.id, checkpoint_events))?;
     let mut changes = Changes::since(mapper.map());
     let mut fold = |_: u64, event| {
         changes.follow(&event);

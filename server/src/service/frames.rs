@@ -231,9 +231,15 @@ impl Known<'_> {
 
     fn matched(&self, found: Match, candidates: &[Candidate]) -> Result<MatchView, ServiceError> {
         let geometry = GeometryView::of(found, candidates);
-        let Match { place, posterior, log_odds, frame } = found;
-        let frame = self.matched.get(&frame);
-        let frame = frame.ok_or_else(|| ServiceError::internal("a matched frame is not in the log"))?;
+        let Match { place, posterior, log_odds, frame: _ } = found;
+        let frame = self.matched.get(&found.frame);
+        let frame = frame.ok_or_else(|| {
+            let gone = format!(
+                "map {}: event {} of the log, with which a frame was matched, is gone",
+                self.map, found.frame
+            );
+            ServiceError::damaged(&gone)
+        })?;
         let frame = reference(self.map, self.sessions, frame);
         Ok(MatchView { place, posterior, log_odds, frame, geometry })
     }

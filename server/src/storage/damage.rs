@@ -21,6 +21,11 @@ pub(super) enum Where {
     Event(FrameId),
 }
 
+/// An event that the log had.
+pub(super) fn gone(position: FrameId) -> StorageError {
+    StorageError::Rot(format!("event {position} of the log is gone"))
+}
+
 impl Storage {
     pub(super) async fn load_damages(&self) -> Result<(), StorageError> {
         let rows: Vec<(MapId, String)> =
@@ -50,6 +55,25 @@ impl Storage {
             Err(StorageError::Rot(what)) => Err(StorageError::Rot(self.note_rot(map, place, &what).await)),
             other => other,
         }
+    }
+
+    /// Notes that a map's log has lost an event that it had.
+    pub(crate) async fn event_is_gone(&self, map: MapId, position: FrameId) -> StorageError {
+        let lost: Result<(), _> = self.noting_rot(map, Where::Event(position), Err(gone(position))).await;
+        lost.err().unwrap_or_else(|| gone(position))
+    }
+
+    /// Notes it if a map's log has lost events of the first `events`, which a checkpoint has folded in. Those between are
+    /// seen by who reads them.
+    pub(crate) async fn check_log_reaches(&self, map: MapId, events: u64) -> Result<(), StorageError> {
+        let Some(last) = events.checked_sub(1) else { return Ok(()) };
+        let there = sqlx::query_scalar("SELECT count(*) FROM log WHERE map_id = $1 AND position = $2");
+        let there: i64 = there.bind(map).bind(to_sql(last)).fetch_one(&self.readers).await?;
+        if there == 0 {
+            // It is noted, and said to who adds to the map; what there is can be read.
+            let _ = self.event_is_gone(map, last).await;
+        }
+        Ok(())
     }
 
     /// Notes that a map is damaged; says where.

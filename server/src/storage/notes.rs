@@ -6,7 +6,7 @@ use sqlx::{Any, Transaction};
 use topomap::ids::FrameId;
 use topomap::log::MapEvent;
 
-use super::damage::Where;
+use super::damage::{Where, gone};
 use super::row_sums::StoredEvent;
 use super::values::to_sql;
 use super::{MapId, Storage, StorageError};
@@ -29,13 +29,16 @@ struct NotedEvent {
 }
 
 impl Storage {
-    /// The event at a position of a map's log, and what its robot calls the frame; empty if nothing.
+    /// The event at a position of a map's log, which has it, and what its robot calls the frame; empty if nothing.
+    ///
+    /// # Errors
+    /// [`StorageError::Rot`] if it is damaged or gone; the map is noted as such.
     pub(crate) async fn noted_event_at(
         &self,
         map: MapId,
         position: FrameId,
         vocabulary_len: usize,
-    ) -> Result<Option<(MapEvent, String)>, StorageError> {
+    ) -> Result<(MapEvent, String), StorageError> {
         let row = sqlx::query_as(
             "SELECT position, event, checksum, chain, coalesce(note, '') AS note \
              FROM log LEFT JOIN frame_notes USING (map_id, position) WHERE map_id = $1 AND position = $2",
@@ -46,7 +49,8 @@ impl Storage {
         .await;
         let row: Result<Option<NotedEvent>, _> = row;
         let read = row.map_err(StorageError::from).and_then(|row| {
-            row.map(|NotedEvent { event, note }| Ok((event.decode(vocabulary_len)?, note))).transpose()
+            let NotedEvent { event, note } = row.ok_or_else(|| gone(position))?;
+            Ok((event.decode(vocabulary_len)?, note))
         });
         self.noting_rot(map, Where::Event(position), read).await
     }

@@ -195,6 +195,32 @@ async fn events_that_are_gone_or_changed_places_show() {
     }
 }
 
+/// Nobody exports it: who goes on with the map hears of it, and nothing is added to what rests on a gap.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_map_whose_log_has_lost_an_event_takes_nothing_more() {
+    for position in ["10", "(SELECT max(position) FROM log AS l WHERE l.map_id = log.map_id)"] {
+        let directory = two_maps().await;
+        let drive = "map_id = (SELECT id FROM maps WHERE name = 'drive')";
+        sql(directory.path(), &format!("DELETE FROM log WHERE {drive} AND position = {position}")).await;
+        let server = Server::start_on(directory.path()).await;
+        let client = server.client().await;
+        let found = in_time(async {
+            let (mut sender, mut outcomes) =
+                client.open_session(session_options("drive", "third")).await?.split();
+            for sequence in 1..=20 {
+                sender.send(frame(sequence)).await?;
+                outcomes.next().await?;
+            }
+            Ok(())
+        });
+        let (code, message) = refused(found.await);
+        assert!(matches!(code, Code::DataLoss | Code::FailedPrecondition), "{position}: {code:?} {message}");
+        assert!(message.contains("of the log is gone"), "{position}: {message}");
+        answers(&client, "spare", "only", (6..=8).map(frame)).await;
+        server.stop().await;
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_kept_of_a_frame_is_named() {
     let directory = two_maps().await;

@@ -41,14 +41,30 @@ pub(super) async fn prepare(directory: &Path) -> Result<(), StorageError> {
 }
 
 /// What the file is, by its first page.
+///
+/// When the power fails while that is written, it is nothing, and the write-ahead log has it whole: SQLite takes it from
+/// there.
 pub(super) fn file_kind(file: &Path) -> Result<FileKind, StorageError> {
     let failed = |source| StorageError::Directory { directory: file.to_owned(), source };
     let mut page = Vec::new();
     let opened = File::open(file).map_err(failed)?;
     opened.take(PAGE_BYTES as u64).read_to_end(&mut page).map_err(failed)?;
-    if page.is_empty() {
-        return Ok(FileKind::Empty);
+    let mut log = file.as_os_str().to_owned();
+    log.push("-wal");
+    let has_log = Path::new(&log).metadata().is_ok_and(|log| log.len() > 0);
+    match (page.is_empty(), has_log) {
+        (true, false) => Ok(FileKind::Empty),
+        // SQLite would throw the log away.
+        (true, true) => {
+            let reason = "it is empty, and the write-ahead log beside it is not".to_owned();
+            Err(StorageError::Broken { path: file.to_owned(), reason })
+        }
+        (false, false) => kind_of_page(file, page),
+        (false, true) => kind_of_page(file, page).or(Ok(FileKind::WithChecksums)),
     }
+}
+
+fn kind_of_page(file: &Path, mut page: Vec<u8>) -> Result<FileKind, StorageError> {
     let Some(reserved) = page.get_mut(RESERVED_AT) else {
         return Err(StorageError::NoDatabase { path: file.to_owned() });
     };
@@ -132,4 +148,56 @@ pub(super) fn percent_encoded(path: &Path) -> String {
         }
     }
     encoded
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A database that is in use: all of it is in the write-ahead log.
+    async fn copied(change: impl FnOnce(&mut Vec<u8>)) -> (tempfile::TempDir, SqliteConnectOptions) {
+        let directory = tempfile::tempdir().unwrap();
+        let (used, copy) = (directory.path().join("used"), directory.path().join("copy"));
+        [&used, &copy].map(|directory| std::fs::create_dir(directory).unwrap());
+        let file = used.join(FILE_NAME);
+        File::create(&file).unwrap();
+        prepare(&used).await.unwrap();
+        let options = |directory: &Path| {
+            SqliteConnectOptions::new().filename(directory.join(FILE_NAME)).vfs(page_sums::VFS)
+        };
+        let mut connection = options(&used).connect().await.unwrap();
+        sqlx::query("CREATE TABLE kept (number INTEGER)").execute(&mut connection).await.unwrap();
+        sqlx::query("INSERT INTO kept VALUES (7)").execute(&mut connection).await.unwrap();
+        let mut content = std::fs::read(&file).unwrap();
+        change(&mut content);
+        std::fs::write(copy.join(FILE_NAME), content).unwrap();
+        let log = format!("{FILE_NAME}-wal");
+        std::fs::copy(used.join(&log), copy.join(&log)).unwrap();
+        connection.close().await.unwrap();
+        (directory, options(&copy))
+    }
+
+    #[tokio::test]
+    async fn a_first_page_that_was_not_written_whole_is_taken_from_the_log() {
+        let garbage = |content: &mut Vec<u8>| (0..PAGE_BYTES).for_each(|at| content[at] = at as u8 ^ 0x5a);
+        let zeros = |content: &mut Vec<u8>| content[..PAGE_BYTES].fill(0);
+        let torn = |content: &mut Vec<u8>| content[512..PAGE_BYTES].fill(0xff);
+        for change in [garbage as fn(&mut Vec<u8>), zeros, torn] {
+            let (directory, options) = copied(change).await;
+            let copy = directory.path().join("copy");
+            prepare(&copy).await.unwrap();
+            let mut connection = options.connect().await.unwrap();
+            let kept: i64 =
+                sqlx::query_scalar("SELECT number FROM kept").fetch_one(&mut connection).await.unwrap();
+            assert_eq!(kept, 7);
+            connection.close().await.unwrap();
+        }
+    }
+
+    #[tokio::test]
+    async fn an_empty_file_beside_a_log_is_no_new_database() {
+        let (directory, _options) = copied(Vec::clear).await;
+        let refused = prepare(&directory.path().join("copy")).await.unwrap_err().to_string();
+        assert!(refused.contains("it is empty, and the write-ahead log beside it is not"), "{refused}");
+    }
 }
