@@ -118,6 +118,7 @@ impl Demo {
         let data_dir = make_data_dir(self.keep_data.as_deref(), Path::new(DATA_DIR))?;
         output.line(format_args!("starting {} in {}", program.display(), data_dir.display()))?;
         let server = ServerProcess::start(launch::command(&program), &data_dir, &data_dir)?;
+        output.line(format_args!("meanwhile it shows its maps at http://{}/", server.http()))?;
         let done = tokio::select! {
             done = work(&server, &data_dir) => done,
             interrupt = tokio::signal::ctrl_c() => {

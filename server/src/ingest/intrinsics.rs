@@ -79,7 +79,23 @@ impl Intrinsics {
                  that the session's camera was declared with; send its images whole, or open a session with the camera \
                  that takes these"
             ))),
-            (Some(_), _) | (None, None) => Ok(()),
+            (Some(_), None) => self.check_centre((width, height)),
+            (Some(_), Some(_)) | (None, None) => Ok(()),
+        }
+    }
+
+    /// A camera whose images' size was not declared is of those that it sends, unless it looks past them.
+    fn check_centre(&self, (width, height): (u32, u32)) -> Result<(), ServiceError> {
+        match self.lens {
+            Lens::Calibrated(Pinhole { center_px: [x, y], .. })
+                if !(0.0..=f64::from(width)).contains(&x) || !(0.0..=f64::from(height)).contains(&y) =>
+            {
+                Err(ServiceError::invalid(format_args!(
+                    "the centre of the session's camera, ({x}, {y}) pixels, lies outside of its images of {width} x {height}; \
+                     declare it with image_width_px and image_height_px of the images that it was calibrated with"
+                )))
+            }
+            Lens::Calibrated(_) | Lens::FieldOfView { .. } => Ok(()),
         }
     }
 }
@@ -107,6 +123,10 @@ mod tests {
         assert!(found.check((213, 160)).is_ok());
         let refused = found.check((640, 360)).unwrap_err().to_string();
         assert!(refused.contains("640 x 360") && refused.contains("640 x 480"), "{refused}");
+        let elsewhere = Intrinsics { image_size_px: None, ..found };
+        assert!(elsewhere.check((640, 480)).is_ok());
+        let refused = elsewhere.check((320, 200)).unwrap_err().to_string();
+        assert!(refused.contains("(319.5, 239.5)") && refused.contains("image_width_px"), "{refused}");
         let view = CameraModel::FieldOfView { horizontal_rad: std::f64::consts::FRAC_PI_2 };
         let wide = intrinsics(view, None).unwrap().of_image((200, 100)).unwrap().pinhole;
         assert!((wide.focal_px[0] - 100.0).abs() < 1e-9 && wide.center_px == [99.5, 49.5]);

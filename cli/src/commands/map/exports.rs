@@ -69,7 +69,16 @@ pub(super) async fn trajectory(client: &Client, asked: Trajectory, output: Outpu
         body: body.into(),
         every: 0,
     };
-    poses(client, request, &out, Replacing::of(force), output).await
+    let session = request.name.clone();
+    let lines = poses(client, request, &out, Replacing::of(force)).await?;
+    let left_out = client.session(&session).await?.frames.saturating_sub(lines);
+    output.result(&json!({ "file": out, "lines": lines, "frames_left_out": left_out }), |text| {
+        writeln!(text, "{lines} lines in {}", out.display())?;
+        if left_out > 0 {
+            writeln!(text, "{left_out} frames have no odometry, and are left out")?;
+        }
+        Ok(())
+    })
 }
 
 pub(super) async fn graph(client: &Client, asked: Graph, output: Output) -> Result<(), Failure> {
@@ -79,23 +88,22 @@ pub(super) async fn graph(client: &Client, asked: Graph, output: Output) -> Resu
         format: request::Format::G2o.into(),
         ..v1::ExportPosesRequest::default()
     };
-    poses(client, request, &out, Replacing::of(force), output).await
+    let lines = poses(client, request, &out, Replacing::of(force)).await?;
+    output.result(&json!({ "file": out, "lines": lines }), |text| {
+        writeln!(text, "{lines} lines in {}", out.display())
+    })
 }
 
-/// Writes poses to a file, which appears only when it is complete.
+/// Writes poses to a file, which appears only when it is complete. How many lines that are.
 async fn poses(
     client: &Client,
     request: v1::ExportPosesRequest,
     path: &Path,
     replacing: Replacing,
-    output: Output,
-) -> Result<(), Failure> {
+) -> Result<u64, Failure> {
     replacing.check_wanted(Some(path))?;
     let mut text = Vec::new();
     client.export_poses(request, &mut text).await?;
     replacing.write(path, &text)?;
-    let lines = text.iter().filter(|&&byte| byte == b'\n').count();
-    output.result(&json!({ "file": path, "lines": lines }), |out| {
-        writeln!(out, "{lines} lines in {}", path.display())
-    })
+    Ok(text.iter().filter(|&&byte| byte == b'\n').count() as u64)
 }
