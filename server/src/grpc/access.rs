@@ -103,9 +103,11 @@ const METHODS: [(&str, Access); 75] = [
     ("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", Access::Token),
 ];
 
-/// Methods whose calls last for as long as their callers like, or send long: their answers do not wait in memory.
-const LASTING: [&str; 10] = [
+/// Methods whose calls last for as long as their callers like, or send much and are answered in little: their answers take no
+/// memory. Queries that are too many are refused by who looks at images.
+const LASTING: [&str; 11] = [
     "/waypost.v1.SessionService/Stream",
+    "/waypost.v1.RecognitionService/Query",
     "/waypost.v1.NavigationService/Navigate",
     "/waypost.v1.EventService/Watch",
     "/waypost.v1.JobService/WatchJob",

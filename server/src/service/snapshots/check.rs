@@ -18,14 +18,13 @@ use topomap::mapper::Mapper;
 
 use super::format::{MapRecord, Record, SnapshotError, SnapshotReader};
 use crate::error::ServiceError;
-use crate::ingest::FeatureRecord;
 use crate::ingest::model::LoadedModel;
 use crate::map_settings;
 use crate::names::check_id;
 use crate::service::labels::check_label;
 use crate::service::models::{check_display_name, row_of};
 use crate::service::sessions::check_note;
-use crate::storage::{FormerModelRow, ImportedMap, LabelRow, MediaRow, MediumKind, NoteRow, StoredSession};
+use crate::storage::{FormerModelRow, ImportedMap, LabelRow, MediaRow, NoteRow, StoredSession};
 
 /// Why a snapshot was not taken.
 #[derive(Debug)]
@@ -238,15 +237,6 @@ impl Log {
     }
 
     fn check_medium(&mut self, medium: &MediaRow) -> Result<(), NotTaken> {
-        // Images are shown and no more; features are what later frames are compared with.
-        if medium.kind == MediumKind::Features
-            && let Err(error) = FeatureRecord::from_bytes(&medium.content)
-        {
-            return Err(refused(format_args!(
-                "the features of frame {} cannot be read: {error}",
-                medium.position
-            )));
-        }
         if let Some(session) = self.session_of(medium.position) {
             *self.kept.entry(session).or_default() += medium.content.len() as u64;
             return Ok(());
