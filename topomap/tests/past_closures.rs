@@ -11,7 +11,6 @@ use topomap::map::PlacePoses;
 use topomap::metric::{OdometryNoise, RelativePose};
 
 /// A drive that makes places a metre apart, and what it links.
-
 struct Drive {
     truth: Vec<PlanarPose>,
     links: Vec<Link>,

@@ -158,7 +158,9 @@ mod tests {
     async fn copied(change: impl FnOnce(&mut Vec<u8>)) -> (tempfile::TempDir, SqliteConnectOptions) {
         let directory = tempfile::tempdir().unwrap();
         let (used, copy) = (directory.path().join("used"), directory.path().join("copy"));
-        [&used, &copy].map(|directory| std::fs::create_dir(directory).unwrap());
+        for directory in [&used, &copy] {
+            std::fs::create_dir(directory).unwrap();
+        }
         let file = used.join(FILE_NAME);
         File::create(&file).unwrap();
         prepare(&used).await.unwrap();
