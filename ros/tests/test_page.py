@@ -64,12 +64,13 @@ def drives(robot: Robot, topics: tuple[str, str, str], told: Diagnostics) -> Non
     robot.camera_info(SIZE_PX, FOCAL_PX, camera)
     robot.mounting()
     met(robot, image, odometry, camera)
-    robot.camera_info(SIZE_PX, FOCAL_PX, camera)
     second = 0
 
     def answered() -> bool:
         nonlocal second
         second += 1
+        # With each image, as cameras do: the first one may come before the bridge knows who sends it.
+        robot.camera_info(SIZE_PX, FOCAL_PX, camera)
         robot.odometry(second * SECOND_NS, *way(second), odometry)
         shown = IMAGES[second % TAUGHT]
         if packed:

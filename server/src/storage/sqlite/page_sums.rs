@@ -25,6 +25,9 @@ pub(super) const PAGE_BYTES: usize = 4096;
 /// What of them is the checksum's.
 pub(super) const SUM_BYTES: usize = 8;
 
+/// Where the first page says how large pages are.
+const PAGE_BYTES_AT: usize = 16;
+
 /// Where the first page says how much of each page SQLite leaves alone.
 pub(super) const RESERVED_AT: usize = 20;
 
@@ -60,21 +63,27 @@ fn page_number(offset: i64, bytes: usize) -> Option<u32> {
 
 /// Whether what was read of the file may be used.
 fn may_be_used(offset: i64, bytes: &[u8]) -> bool {
-    if let Some(number) = page_number(offset, bytes.len()) {
-        let sound = is_sound(number, bytes);
-        if !sound && bytes.ends_with(&NO_SUM) {
-            tracing::error!(
-                page = number,
-                "a page of the database has no checksum: another program wrote it, or it was lost"
-            );
-        } else if !sound {
-            tracing::error!(page = number, "a page of the database is not as it was written");
-        }
-        return sound;
+    let Some(number) = page_number(offset, bytes.len()) else { return true };
+    let sound = is_sound(number, bytes);
+    if !sound && bytes.ends_with(&NO_SUM) {
+        tracing::error!(
+            page = number,
+            "a page of the database has no checksum: another program wrote it, or it was lost"
+        );
+    } else if !sound {
+        tracing::error!(page = number, "a page of the database is not as it was written");
     }
-    // A header that speaks of other pages would have them read without their checksums.
-    let header = offset == 0 && bytes.len() >= HEADER_BYTES;
-    !header || usize::from(bytes[RESERVED_AT]) == SUM_BYTES
+    sound
+}
+
+/// What SQLite reads alone of the first page says how large pages are, and no checksum is there to hold it to. All that have
+/// checksums are alike: so it is told that, whatever is there. The page itself is read later, whole, or is in the
+/// write-ahead log where it was not written whole.
+fn say_how_pages_are(offset: i64, bytes: &mut [u8]) {
+    if offset == 0 && (HEADER_BYTES..PAGE_BYTES).contains(&bytes.len()) {
+        bytes[PAGE_BYTES_AT..PAGE_BYTES_AT + 2].copy_from_slice(&(PAGE_BYTES as u16).to_be_bytes());
+        bytes[RESERVED_AT] = SUM_BYTES as u8;
+    }
 }
 
 /// The file system beneath.
@@ -193,6 +202,7 @@ unsafe extern "C" fn read(file: *mut sqlite3_file, bytes: *mut c_void, count: c_
         if !may_be_used(offset, read) {
             return sqlite::SQLITE_IOERR_DATA;
         }
+        say_how_pages_are(offset, read);
         // In SQLite's memory and in its write-ahead log pages have no checksum: one that another program folds into the
         // file is told apart from one that has rotted.
         if page_number(offset, read.len()).is_some()
