@@ -69,9 +69,10 @@ pub(super) async fn trajectory(client: &Client, asked: Trajectory, output: Outpu
         body: body.into(),
         every: 0,
     };
-    let session = request.name.clone();
+    // Before the poses: frames that come meanwhile are none that were left out.
+    let frames = client.session(&request.name).await?.frames;
     let lines = poses(client, request, &out, Replacing::of(force)).await?;
-    let left_out = client.session(&session).await?.frames.saturating_sub(lines);
+    let left_out = frames.saturating_sub(lines);
     output.result(&json!({ "file": out, "lines": lines, "frames_left_out": left_out }), |text| {
         writeln!(text, "{lines} lines in {}", out.display())?;
         if left_out > 0 {
