@@ -1,9 +1,10 @@
 //! What is asked of a map, a job or a person, and what is said where there is no answer.
 
 use reqwest::StatusCode;
+use waypost_client::{Client, NavigationOptions, v1};
 
 use super::Beginner;
-use crate::harness::{Answer, http, path};
+use crate::harness::{Answer, camera_ahead, http, path};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn routes_that_nobody_drove() {
@@ -22,6 +23,28 @@ async fn routes_that_nobody_drove() {
         assert_eq!(unknown.status, StatusCode::NOT_FOUND, "{}", unknown.text());
         assert!(unknown.text().contains("no place 9999"), "{}", unknown.text());
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_goal_that_the_map_lacks_is_refused_and_the_robot_keeps_its_own() {
+    let beginner = Beginner::new();
+    let client = Client::connect(&beginner.waypost.endpoint()).await.unwrap();
+    let goal = v1::Goal { target: Some(v1::goal::Target::PlaceNumber(1)) };
+    let options = NavigationOptions {
+        navigation_id: "robot".to_owned(),
+        goal: Some(goal.clone()),
+        ..NavigationOptions::new("hall", camera_ahead())
+    };
+    let navigation = client.navigate(options).await.unwrap();
+    let nowhere = ["navigate", "hall", "robot", "--to", "9999"];
+    for output in [&[][..], &["--json"]] {
+        let (code, said) = beginner.waypost.fails(&[&nowhere[..], output].concat());
+        assert_eq!(code, 4, "{said}");
+        assert!(said.contains("the map has no place 9999; list its places"), "{said}");
+    }
+    let led = client.navigation("maps/hall/navigations/robot").await.unwrap();
+    assert_eq!(led.goal, Some(goal));
+    drop(navigation);
 }
 
 #[test]

@@ -7,6 +7,63 @@ use waypost_sim::worlds::NamedWorld;
 use super::Beginner;
 use crate::harness::{CommandLine, Drive, building, folder, images, json_object, path};
 
+/// Frames that came into the map.
+fn frames(beginner: &Beginner, map: &str) -> Option<u64> {
+    beginner.waypost.json(&["map", "show", map])["frames"].as_u64()
+}
+
+#[test]
+fn odometry_of_more_rows_than_images_streams_nothing() {
+    let beginner = Beginner::new();
+    let rows: Vec<String> =
+        (1..=8).map(|second| format!("{second}000000000,{},0,0", 0.5 * f64::from(second))).collect();
+    let rows = format!("stamp_ns,x_m,y_m,yaw_rad\n{}\n", rows.join("\n"));
+    let odometry = beginner.file("odometry.csv", rows);
+    let arguments = ["stream", path(beginner.images.path()), "--map", "drive", "--odometry", path(&odometry)];
+    // It is no matter of opinion: a yes makes no poses fit.
+    for yes in [&[][..], &["--yes"]] {
+        let (code, said) = beginner.waypost.fails(&[&arguments[..], yes].concat());
+        assert_eq!(code, 1, "{said}");
+        let expected = "odometry.csv has 8 poses for 6 images that have no stamps to join them by";
+        assert!(said.contains(expected), "{said}");
+        assert!(said.contains("write one row per image, in the order of the images"), "{said}");
+    }
+    let sessions = beginner.waypost.json(&["session", "ls", "drive"]);
+    assert_eq!(sessions["sessions"].as_array().unwrap().len(), 0, "{sessions}");
+    assert_eq!(frames(&beginner, "drive"), Some(0));
+}
+
+#[test]
+fn millimetres_are_noticed_before_anything_is_streamed() {
+    let beginner = Beginner::new();
+    let images = path(beginner.images.path());
+    // Half a metre a second.
+    let csv = |per_metre: f64| {
+        let rows: Vec<String> =
+            (1..=6).map(|n| format!("{n}000000000,{},0,0", per_metre * 0.5 * f64::from(n))).collect();
+        format!("stamp_ns,x_m,y_m,yaw_rad\n{}\n", rows.join("\n"))
+    };
+    let tum: Vec<String> = (1..=6).map(|n| format!("{n} {} 0 0 0 0 0 1", 500 * n)).collect();
+    for (name, rows) in [("odometry.csv", csv(1000.0)), ("odometry.tum", tum.join("\n"))] {
+        let odometry = beginner.file(name, rows);
+        let stream = ["stream", images, "--map", "drive", "--odometry", path(&odometry)];
+        let (code, said) = beginner.waypost.fails(&stream);
+        assert_eq!(code, 1, "{name}: {said}");
+        for expected in [
+            "by its odometry the robot drives 500 m/s, 1800 km/h: are positions in centimetres or millimetres",
+            "and not in metres",
+            "nothing was sent; mend that, or give --yes if it is right",
+        ] {
+            assert!(said.contains(expected), "{name}: {said}");
+        }
+    }
+    assert_eq!(frames(&beginner, "drive"), Some(0));
+    // The same in metres.
+    let odometry = beginner.file("metres.csv", csv(1.0));
+    beginner.waypost.text(&["stream", images, "--map", "drive", "--odometry", path(&odometry)]);
+    assert_eq!(frames(&beginner, "drive"), Some(6));
+}
+
 #[test]
 fn images_are_streamed_by_the_numbers_in_their_names() {
     let beginner = Beginner::new();
