@@ -57,6 +57,41 @@ fn a_server_without_tls_is_told_from_one_that_is_not_there() {
 }
 
 #[test]
+fn a_wrong_token_is_refused_with_the_way_to_a_right_one() {
+    let waypost = CommandLine::new();
+    waypost.prepare();
+    let images = folder(1);
+    let created = waypost.json(&["token", "create", "operator", "--role", "admin"]);
+    let admin = created["secret"].as_str().unwrap();
+    for wrong in ["nonsense", &admin[..admin.len() - 1]] {
+        for command in [
+            &["map", "create", "hall"][..],
+            &["stream", path(images.path()), "--map", "drive"],
+            &["token", "rm", "operator", "--yes"],
+        ] {
+            let (code, said) = waypost.fails(&[command, &["--token", wrong]].concat());
+            assert_eq!(code, 4, "{command:?}: {said}");
+            let known = "this token is not known here: it was deleted, or is of another server, or not whole";
+            assert!(said.contains(known), "{command:?}: {said}");
+            assert!(said.contains("ask who runs the server for a new one"), "{command:?}: {said}");
+            assert!(!said.contains(wrong), "a secret is told: {said}");
+        }
+    }
+    // One that was copied with the line after it.
+    let (code, said) = waypost.fails(&["map", "ls", "--token", "non\nsense"]);
+    assert_eq!(code, 2, "{said}");
+    assert!(said.contains("the token has characters that no token has; copy it again"), "{said}");
+    for (list, of, there) in [
+        (&["map", "ls"][..], "maps", 1),
+        (&["session", "ls", "drive"], "sessions", 0),
+        (&["token", "ls"], "tokens", 1),
+    ] {
+        let listed = waypost.json(&[list, &["--token", admin]].concat());
+        assert_eq!(listed[of].as_array().unwrap().len(), there, "{listed}");
+    }
+}
+
+#[test]
 fn shells_and_man_know_every_command() {
     let run = |arguments: &[&str]| {
         let mut command = Built::command("waypost");

@@ -16,7 +16,8 @@ use waypost_client::{Client, ClientOptions, Error};
 use waypost_server::{Tls, TlsFiles};
 
 use crate::harness::{
-    Built, Server, ServerProcess, answers, frame, import_model, in_time, map_request, run_to_its_end,
+    Built, CommandLine, Server, ServerProcess, answers, frame, import_model, in_time, map_request,
+    run_to_its_end,
 };
 
 /// A certificate and its key, PEM.
@@ -228,4 +229,29 @@ fn the_command_lines_take_certificates_from_files() {
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1));
     assert!(stderr.contains("other.key is not the one of the certificate"), "{stderr}");
+}
+
+/// Certificates protect nothing on a way that is not encrypted: who gives some is told so.
+#[test]
+fn certificates_for_an_address_that_is_not_encrypted_are_refused() {
+    let (authority, directory) = (Authority::new(), tempfile::tempdir().unwrap());
+    let file = |name: &str, content: &str| {
+        let path = write(directory.path(), name, content);
+        path.to_str().unwrap().to_owned()
+    };
+    let ca = file("ca.crt", &authority.pem());
+    let mine = authority.client();
+    let (certificate, key) = (file("robot.crt", &mine.certificate), file("robot.key", &mine.key));
+    let waypost = CommandLine::new();
+    let expected = format!(
+        "certificates are given, but {} is not encrypted; write https:// or leave them out",
+        waypost.endpoint()
+    );
+    for given in [&["--ca", &ca][..], &["--client-cert", &certificate, "--client-key", &key]] {
+        let (code, said) = waypost.fails(&[&["map", "create", "hall"][..], given].concat());
+        assert_eq!(code, 2, "{said}");
+        assert!(said.contains(&expected), "{said}");
+    }
+    let maps = waypost.json(&["map", "ls"]);
+    assert_eq!(maps["maps"].as_array().unwrap().len(), 0, "{maps}");
 }
