@@ -74,6 +74,7 @@ mod operations {
     mod command_line;
     mod config;
     mod connections;
+    mod datasets;
     mod disk;
     mod disk_full;
     mod first_minute;
@@ -82,6 +83,7 @@ mod operations {
     mod mistakes;
     mod model;
     mod operating;
+    mod photographs;
     mod refusals;
     mod refused_commands;
     mod rot;

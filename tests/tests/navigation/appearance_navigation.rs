@@ -18,6 +18,7 @@ use waypost_sim::simulation::{CameraTrigger, Obedience, Simulation, SimulationSe
 use crate::harness::{
     Answer, CommandLine, Panoramas, Server, TaughtPlace, assert_status, by_looks_request, found, get, http,
     import_model, in_time, map_request, path, refused, said, session_options, state_hash, taught_at,
+    taught_hall,
 };
 
 /// From room b through the hall, into room c; and through room c.
@@ -281,4 +282,51 @@ async fn the_command_line_names_places_and_sends_robots_there() {
     let removed = waypost.json(&["map", "label", "looks", &place, "--remove"]);
     assert!(removed["unlabelled"].as_str().unwrap().ends_with(&place), "{removed}");
     assert!(client.labels("looks").await.unwrap().is_empty());
+}
+
+/// Cameras make larger panoramas than a server takes: what somebody sends as a goal is made smaller before.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_large_panorama_of_a_goal_is_made_smaller_and_taken() {
+    let panoramas = Panoramas::new();
+    let waypost = CommandLine::new();
+    let client = Client::connect(&waypost.endpoint()).await.unwrap();
+    let model = import_model(&client).await;
+    let taught = taught_hall(&client, &model.name).await;
+    let there = taught[2];
+    // 21 megapixels.
+    let small = image::load_from_memory(&panoramas.taken_at(there.pose, 99)).unwrap();
+    let large = small.resize_exact(9216, 2304, image::imageops::FilterType::Triangle);
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("there.jpg");
+    large.save(&file).unwrap();
+    let navigation = client.navigate(options(&panoramas, "robot")).await.unwrap();
+    let name = "maps/looks/navigations/robot";
+    let as_it_is = v1::goal::Target::Image(std::fs::read(&file).unwrap());
+    let (code, message) = refused(client.set_goal(name, to(as_it_is)).await);
+    assert_status("as it is", (code, &message), Code::InvalidArgument, "the 16 megapixels allowed");
+    assert_eq!(client.navigation(name).await.unwrap().goal, None);
+
+    let sent = tokio::task::spawn_blocking(move || {
+        let led = waypost.json(&["navigate", "looks", "robot", "--to-image", path(&file)]);
+        (waypost, led)
+    });
+    let taken = async {
+        loop {
+            let goal = client.navigation(name).await.unwrap().goal;
+            if goal.is_some() || sent.is_finished() {
+                return goal;
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    let taken = in_time(taken).await;
+    let Some(v1::Goal { target: Some(v1::goal::Target::PlaceNumber(place)) }) = taken else {
+        panic!("{taken:?}");
+    };
+    assert!(taught[place as usize].pose.distance_m(&there.pose) < 0.6, "place {place}");
+    // Nobody drives there: it ends where the goal is given up.
+    client.cancel_goal(name).await.unwrap();
+    let (_waypost, led) = in_time(sent).await.unwrap();
+    assert!(led["goal"].is_null(), "{led}");
+    drop(navigation);
 }
