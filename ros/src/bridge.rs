@@ -36,6 +36,8 @@ use waypost_ros_messages::{Covariance, DiagnosticArray};
 const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
 /// For the robot to stand when the bridge ends.
 const LAST_STOP: Duration = Duration::from_secs(2);
+/// For what is still at work to end.
+const LAST_WORK: Duration = Duration::from_secs(2);
 const ODOMETRY: &str = "nav_msgs::msg::dds_::Odometry_";
 const CAMERA_INFO: &str = "sensor_msgs::msg::dds_::CameraInfo_";
 const TRANSFORMS: &str = "tf2_msgs::msg::dds_::TFMessage_";
@@ -83,6 +85,7 @@ pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
     }
     let settings = parts.settings.clone();
     let outbox = parts.outbox.clone();
+    let membership = bus.membership();
     let sessions = sessions(&parts, &bus)?;
     let tf = bus.write(&settings.topics.tf, Qos::Reliable)?;
     let tf = TfThread::start(parts.shared.clone(), tf, settings.map_frame.clone())?;
@@ -106,16 +109,27 @@ pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
     if left > 0 {
         tracing::warn!("{left} frames that were not sent are lost");
     }
-    if let Some(driving) = driving {
+    if let Some(mut driving) = driving {
         // It has told of its own panic.
-        let _ = tokio::time::timeout(LAST_STOP, driving).await;
+        if tokio::time::timeout(LAST_STOP, &mut driving).await.is_err() {
+            tasks.push(driving);
+        }
     }
-    tasks.into_iter().for_each(|task| task.abort());
+    end_all(tasks).await;
     tf.stop();
     if let Some(viewers) = viewers {
         viewers.close().await;
     }
+    membership.farewell().await;
     ended
+}
+
+/// Ends tasks, and waits until they have ended: each has readers or writers, which say farewell when they are dropped.
+async fn end_all(tasks: Vec<JoinHandle<()>>) {
+    tasks.iter().for_each(JoinHandle::abort);
+    if tokio::time::timeout(LAST_WORK, futures::future::join_all(tasks)).await.is_err() {
+        tracing::debug!("some work does not end");
+    }
 }
 
 fn parts(

@@ -18,6 +18,9 @@ use crate::settings::SensorQos;
 use crate::viewers::{Screen, Viewers};
 use waypost_ros_messages::{Message, NODES, Participant};
 
+/// For farewells of readers and writers to go out before the participant's own: RustDDS sends nothing more once that is dropped.
+const FAREWELLS: std::time::Duration = std::time::Duration::from_millis(200);
+
 /// Messages of a sensor that a busy machine may leave unread.
 const SENSOR_DEPTH: i32 = 32;
 
@@ -108,6 +111,11 @@ impl Bus {
         let subscriber = participant.create_subscriber(&qos).map_err(failed("making a subscriber"))?;
         let (wanted, entities) = (Vec::new(), Entities::default());
         Ok(Self { participant, publisher, subscriber, wanted, entities, viewers })
+    }
+
+    /// Keeps this program in the domain until it says farewell.
+    pub(crate) fn membership(&self) -> Membership {
+        Membership(self.participant.clone())
     }
 
     /// What each of our messages begins with, behind RTPS's own words.
@@ -209,6 +217,18 @@ impl Bus {
         told.sort();
         told.dedup();
         told
+    }
+}
+
+/// This program's being in the domain. Others hear that it leaves only if this ends last, and before the process does.
+pub(crate) struct Membership(DomainParticipant);
+
+impl Membership {
+    /// Leaves the domain, once all readers and writers are dropped.
+    pub(crate) async fn farewell(self) {
+        tokio::time::sleep(FAREWELLS).await;
+        // Waits for threads of RustDDS, which send it.
+        drop(self.0);
     }
 }
 

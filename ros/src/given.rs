@@ -4,6 +4,7 @@ use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use serde::Deserialize;
 use waypost_bags::Kind;
 
@@ -40,7 +41,7 @@ pub(crate) struct Given {
     #[arg(long, env = "WAYPOST_TOKEN", hide_env_values = true, value_name = "SECRET")]
     token: Option<String>,
     /// Certificates of the authorities that the server's is trusted by, in PEM.
-    #[arg(long, env = "WAYPOST_CA", value_name = "FILE")]
+    #[arg(long, env = "WAYPOST_CA", value_name = "FILE", value_parser = any_path())]
     ca: Option<PathBuf>,
     /// The map, which must exist: `waypost map create` makes one.
     #[arg(long, value_name = "MAP")]
@@ -175,15 +176,32 @@ pub(crate) enum SettingsError {
 /// The highest domain whose ports exist.
 const LAST_DOMAIN: u16 = 232;
 
+/// A path, or nothing: a variable of the environment may be set to that.
+fn any_path() -> impl TypedValueParser<Value = PathBuf> {
+    OsStringValueParser::new().map(PathBuf::from)
+}
+
 impl Given {
     /// With what the file says, where there is one.
     ///
     /// # Errors
     /// If that cannot be read, or what all of it says does not fit together.
     pub(crate) fn settings(self) -> Result<Settings, SettingsError> {
-        match self.params.clone() {
-            Some(path) => self.over(read(&path)?).resolved(),
-            None => self.resolved(),
+        let given = self.without_what_is_empty();
+        match given.params.clone() {
+            Some(path) => given.over(read(&path)?).resolved(),
+            None => given.resolved(),
+        }
+    }
+
+    /// An empty variable of the environment counts as unset.
+    fn without_what_is_empty(self) -> Self {
+        let text = |text: Option<String>| text.filter(|text| !text.is_empty());
+        Self {
+            server: text(self.server),
+            token: text(self.token),
+            ca: self.ca.filter(|path| !path.as_os_str().is_empty()),
+            ..self
         }
     }
 
@@ -338,49 +356,4 @@ fn at_least_zero(name: &'static str, value: f64) -> Result<f64, SettingsError> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn given(arguments: &[&str]) -> Given {
-        Given::try_parse_from(["waypost-ros"].iter().chain(arguments)).unwrap()
-    }
-
-    fn told(arguments: &[&str]) -> String {
-        given(arguments).resolved().unwrap_err().to_string()
-    }
-
-    #[test]
-    fn a_robot_of_many_has_its_topics_in_its_namespace() {
-        let settings = given(&["--map", "hall", "--namespace", "/robot1"]).resolved().unwrap();
-        let topics = settings.topics;
-        assert_eq!((topics.image.as_str(), topics.image_kind), ("/robot1/camera/image_raw", Kind::Image));
-        assert_eq!(topics.camera_info.as_deref(), Some("/robot1/camera/camera_info"));
-        assert_eq!((topics.tf.as_str(), topics.diagnostics.as_str()), ("/robot1/tf", "/diagnostics"));
-    }
-
-    #[test]
-    fn the_camera_info_is_beside_the_images() {
-        assert_eq!(beside("/camera/image_raw/compressed"), "/camera/camera_info");
-        assert_eq!(beside("/image"), "/camera_info");
-    }
-
-    #[test]
-    fn a_flag_wins_over_the_file() {
-        let file: Given = toml::from_str("map = 'hall'\nmost_hz = 2.5\nsensor_qos = 'reliable'").unwrap();
-        let settings = given(&["--map", "office", "--localize"]).over(file).resolved().unwrap();
-        assert_eq!((settings.map.as_deref(), settings.most_hz), (Some("office"), 2.5));
-        assert_eq!((settings.mode, settings.sensor_qos), (Mode::Localize, SensorQos::Reliable));
-    }
-
-    #[test]
-    fn what_does_not_fit_is_told_with_what_mends_it() {
-        assert!(told(&[]).contains("--map"));
-        assert!(told(&["--map", "a", "--drive"]).contains("--localize"));
-        let blind = ["--map", "a", "--drive", "--localize", "--odometry-topic", "none"];
-        assert!(told(&blind).contains("need odometry"));
-        assert!(told(&["--map", "a", "--domain", "233"]).contains("0 to 232"));
-        assert!(told(&["--map", "a", "--most-hz=-1"]).contains("0 or above"));
-        let unknown = toml::from_str::<Given>("mapp = 'hall'").unwrap_err().to_string();
-        assert!(unknown.contains("unknown field `mapp`"), "{unknown}");
-    }
-}
+mod tests;
