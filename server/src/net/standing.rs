@@ -9,8 +9,9 @@ use tokio_util::sync::CancellationToken;
 
 use crate::error::ServiceError;
 
-/// A stranger is not cut for another within this time of coming: it may be about to show its token.
-const GRACE: Duration = Duration::from_secs(1);
+/// A stranger is not cut within this time of coming for another from an address with as many: it may be about to show its
+/// token. So short that who comes and goes hundreds of times a second leaves places for others.
+const GRACE: Duration = Duration::from_millis(100);
 
 /// Connections that were cut and are not yet closed, beyond those that may be open.
 const CLOSING: usize = 32;
@@ -100,15 +101,17 @@ impl Standings {
             return None;
         }
         let by_address = held.strangers_by_address();
-        if by_address.get(&peer).is_some_and(|those| *those >= strangers.connections_per_address) {
-            held.cut_oldest(peer)?;
+        let mine = by_address.get(&peer).copied().unwrap_or(0);
+        if mine >= strangers.connections_per_address {
+            held.cut_oldest(peer, GRACE)?;
         } else {
             let all: usize = by_address.values().sum();
             let open = held.connections.values().filter(|holder| !holder.cut.is_cancelled()).count();
             if all >= strangers.connections || open >= *connections {
                 // The address with the most has to make room.
-                let (most, _) = by_address.into_iter().max_by_key(|(_, those)| *those)?;
-                held.cut_oldest(most)?;
+                let (most, those) = by_address.into_iter().max_by_key(|(_, those)| *those)?;
+                let grace = if those > 2 * (mine + 1) { Duration::ZERO } else { GRACE };
+                held.cut_oldest(most, grace)?;
             }
         }
         held.last += 1;
@@ -148,11 +151,11 @@ impl Held {
         Some(())
     }
 
-    /// Cuts the stranger from `peer` that came first; `None` if each has come just now.
-    fn cut_oldest(&mut self, peer: IpAddr) -> Option<()> {
+    /// Cuts the stranger from `peer` that came first; `None` if each has come within the time of grace.
+    fn cut_oldest(&mut self, peer: IpAddr, grace: Duration) -> Option<()> {
         let mut strangers = self.connections.values().filter(|holder| holder.is_stranger());
         let oldest = strangers.find(|holder| holder.peer == peer)?;
-        (oldest.since.elapsed() >= GRACE).then(|| oldest.cut.cancel())
+        (oldest.since.elapsed() >= grace).then(|| oldest.cut.cancel())
     }
 }
 
@@ -318,6 +321,23 @@ mod tests {
         let_time_pass(&standings);
         let _three = standings.enter(address(3)).unwrap();
         assert!(two[0].cut().is_cancelled() && !two[1].cut().is_cancelled() && !one.cut().is_cancelled());
+    }
+
+    /// However fast they come.
+    #[test]
+    fn an_address_with_many_makes_room_at_once_for_one_with_few() {
+        let eight = Strangers { connections: 8, connections_per_address: 8, time: Duration::from_secs(60) };
+        let standings = Standings::new(100, 1, eight);
+        let many: Vec<Place> = (0..8).map(|_| standings.enter(address(1)).unwrap()).collect();
+        let far_ahead = Instant::now() + Duration::from_secs(3600);
+        standings.held().connections.values_mut().for_each(|holder| holder.since = far_ahead);
+        let few = [standings.enter(address(2)).unwrap(), standings.enter(address(2)).unwrap()];
+        assert!(few.iter().all(|place| !place.cut().is_cancelled()));
+        assert!(
+            many[0].cut().is_cancelled() && many[1].cut().is_cancelled() && !many[2].cut().is_cancelled()
+        );
+        // Six are not more than twice three.
+        assert!(standings.enter(address(2)).is_none());
     }
 
     #[test]

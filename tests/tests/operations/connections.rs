@@ -1,7 +1,7 @@
 //! Connections that say nothing, and more of them than there is room for.
 
 use std::io::Read;
-use std::net::{SocketAddr, TcpStream};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpStream};
 use std::path::Path;
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -61,11 +61,18 @@ fn who_connects_and_says_nothing_is_cut() {
 
 /// Speaks HTTP/2, answers PINGs, calls nothing, and ends when the server closes the connection.
 async fn hold(port: SocketAddr) {
+    hold_from(IpAddr::V4(Ipv4Addr::LOCALHOST), port).await;
+}
+
+/// The same, from one of this machine's addresses.
+async fn hold_from(address: IpAddr, port: SocketAddr) {
     const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
     const SETTINGS: [u8; 9] = [0, 0, 0, 4, 0, 0, 0, 0, 0];
     const PING: u8 = 6;
     const ACK: u8 = 1;
-    let Ok(mut stream) = tokio::net::TcpStream::connect(port).await else { return };
+    let socket = tokio::net::TcpSocket::new_v4().unwrap();
+    socket.bind((address, 0).into()).unwrap();
+    let Ok(mut stream) = socket.connect(port).await else { return };
     let held = async {
         stream.write_all(&[PREFACE, &SETTINGS].concat()).await?;
         loop {
@@ -144,6 +151,39 @@ async fn strangers_keep_nobody_out() {
     })
     .await;
     strangers.iter().for_each(tokio::task::JoinHandle::abort);
+    server.stop().await;
+}
+
+/// Strangers that come and go as fast as they can, from several addresses, each holding its connection until it is cut.
+#[tokio::test(flavor = "multi_thread")]
+async fn strangers_that_come_and_go_keep_nobody_out() {
+    const CALLS: usize = 20;
+    let directory = tempfile::tempdir().unwrap();
+    let secret = admin(directory.path()).await;
+    let some = Strangers { connections: 64, connections_per_address: 32, time: Duration::from_secs(3600) };
+    let server = Server::start_as(directory.path(), |server| server.with_strangers(some)).await;
+    let at = server.grpc();
+    let come_and_go = |last: u8| async move {
+        let mut coming = tokio::time::interval(Duration::from_millis(10));
+        let mut held = tokio::task::JoinSet::new();
+        loop {
+            coming.tick().await;
+            held.spawn(hold_from([127, 0, 0, last].into(), at));
+            while held.try_join_next().is_some() {}
+        }
+    };
+    let strangers: Vec<_> = (2..=4).map(|last| tokio::spawn(come_and_go(last))).collect();
+    // As many as have places are there.
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    let mut refused = 0;
+    for _ in 0..CALLS {
+        let options = ClientOptions::new(server.endpoint()).with_token(&secret);
+        let call = async { Client::connect(options).await?.maps().await };
+        refused += usize::from(in_time(call).await.is_err());
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    strangers.iter().for_each(tokio::task::JoinHandle::abort);
+    assert_eq!(refused, 0, "of {CALLS} calls");
     server.stop().await;
 }
 
