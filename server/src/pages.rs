@@ -1,5 +1,8 @@
 //! Lists, a page at a time.
 
+use base64::Engine;
+use base64::prelude::BASE64_URL_SAFE_NO_PAD;
+
 use crate::error::ServiceError;
 use crate::names::number;
 
@@ -26,17 +29,43 @@ pub(crate) fn numbered_page<T: TryFrom<u64>>(token: &str) -> Result<Option<T>, S
     if token.is_empty() {
         return Ok(None);
     }
-    let page = token.strip_prefix(FROM).and_then(number).and_then(|number| T::try_from(number).ok());
+    let wanted = opened(token, FROM).ok_or_else(bad_page_token)?;
+    let page = number(&wanted).and_then(|number| T::try_from(number).ok());
     page.map(Some).ok_or_else(bad_page_token)
 }
 
 /// The token of a page that a number stands for.
 pub(crate) fn page_from(number: impl std::fmt::Display) -> String {
-    format!("{FROM}{number}")
+    sealed(FROM, number)
 }
 
-/// Begins the token of a page that a number stands for, so that nobody takes a place's number for one.
-const FROM: &str = "from-";
+/// The token of a page that begins after a name.
+pub(crate) fn page_after(name: &str) -> String {
+    sealed(AFTER, name)
+}
+
+/// The name that a page begins after; empty for the first page.
+pub(crate) fn named_page(token: &str) -> Result<String, ServiceError> {
+    if token.is_empty() {
+        return Ok(String::new());
+    }
+    opened(token, AFTER).filter(|name| !name.is_empty()).ok_or_else(bad_page_token)
+}
+
+/// Begins what the token of a page that a number stands for holds.
+const FROM: &str = "from ";
+/// Begins what the token of a page after a name holds.
+const AFTER: &str = "after ";
+
+/// A token that nobody reads or makes up, so that what it holds may change.
+fn sealed(kind: &str, what: impl std::fmt::Display) -> String {
+    BASE64_URL_SAFE_NO_PAD.encode(format!("{kind}{what}"))
+}
+
+fn opened(token: &str, kind: &str) -> Option<String> {
+    let held = String::from_utf8(BASE64_URL_SAFE_NO_PAD.decode(token).ok()?).ok()?;
+    held.strip_prefix(kind).map(str::to_owned)
+}
 
 /// As many rows as a page of `size` has and one more, if there are so many that are wanted: `read` gives so many rows after
 /// a key, wanted or not.
@@ -65,29 +94,6 @@ where
     }
 }
 
-/// The token of a page that begins after a name: bytes in hex, so that nobody takes a name for one.
-pub(crate) fn page_after(name: &str) -> String {
-    name.bytes().fold(AFTER.to_owned(), |token, byte| format!("{token}{byte:02x}"))
-}
-
-/// The name that a page begins after; empty for the first page.
-pub(crate) fn named_page(token: &str) -> Result<String, ServiceError> {
-    if token.is_empty() {
-        return Ok(String::new());
-    }
-    let digits = token.strip_prefix(AFTER).filter(|digits| !digits.is_empty()).ok_or_else(bad_page_token)?;
-    let byte = |pair: &[u8]| {
-        let pair = std::str::from_utf8(pair).ok().filter(|pair| pair.len() == 2)?;
-        u8::from_str_radix(pair, 16).ok()
-    };
-    let bytes: Option<Vec<u8>> = digits.as_bytes().chunks(2).map(byte).collect();
-    let name = bytes.and_then(|bytes| String::from_utf8(bytes).ok()).ok_or_else(bad_page_token)?;
-    if page_after(&name) == token { Ok(name) } else { Err(bad_page_token()) }
-}
-
-/// Begins the token of a page after a name.
-const AFTER: &str = "after-";
-
 pub(crate) fn bad_page_token() -> ServiceError {
     ServiceError::invalid("the page token is not one that this server gave; begin again without one")
 }
@@ -99,19 +105,24 @@ mod tests {
     #[test]
     fn page_tokens_are_written_in_one_way() {
         assert_eq!((numbered_page::<u32>(""), numbered_page(&page_from(7))), (Ok(None), Ok(Some(7_u32))));
-        for bad in ["7", "from-", "from-+7", "from-07", "from--1", "from- 7", "from-4294967296", "maps/a"] {
+        for held in ["", "+7", "07", "-1", " 7", "4294967296", "maps/a"] {
+            assert!(numbered_page::<u32>(&sealed(FROM, held)).is_err(), "{held}");
+        }
+        for bad in ["7", "from 7", "from-7", &page_after("7"), &format!("{}=", page_from(7))] {
             assert!(numbered_page::<u32>(bad).is_err(), "{bad}");
         }
     }
 
     #[test]
     fn a_name_is_no_page_token() {
-        for name in ["a", "drive-7", "maps/hall/navigations/robot"] {
-            assert_eq!(named_page(&page_after(name)), Ok(name.to_owned()));
+        for name in ["a", "drive-7", "maps/hall/navigations/robot", "Flur süd"] {
+            let token = page_after(name);
+            assert!(!token.contains(name), "{token} can be read");
+            assert_eq!(named_page(&token), Ok(name.to_owned()));
             assert_eq!(named_page(name), Err(bad_page_token()));
         }
         assert_eq!(named_page(""), Ok(String::new()));
-        for bad in ["junk", "after-", "after-6", "after-zz", "after-6A", "after-+1", "7"] {
+        for bad in ["junk", "after a", &sealed(AFTER, ""), &page_from(7)] {
             assert!(named_page(bad).is_err(), "{bad}");
         }
     }

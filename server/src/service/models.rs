@@ -20,7 +20,7 @@ use crate::error::ServiceError;
 use crate::ingest::extraction::Extraction;
 use crate::ingest::model::{LoadedModel, LoadedModels, extractor};
 use crate::names::{id_in, model_name};
-use crate::pages::{Page, bad_page_token, page_size};
+use crate::pages::{Page, bad_page_token, named_page, page_after, page_size};
 pub(crate) use crate::storage::ModelRow;
 use crate::storage::{JobKind, Storage, StorageError};
 
@@ -272,18 +272,20 @@ impl Models {
 
     pub(crate) async fn list(&self, size: u32, token: &str) -> Result<Page<ModelRow>, ServiceError> {
         let size = page_size(size)?;
-        let after = match token.split_once('.') {
+        let last = named_page(token)?;
+        let after = match last.split_once('.') {
             Some((created_ns, hash)) if is_full_hash(hash) => {
                 Some((created_ns.parse().map_err(|_| bad_page_token())?, hash))
             }
-            None if token.is_empty() => None,
+            None if last.is_empty() => None,
             Some(_) | None => return Err(bad_page_token()),
         };
         let mut items = self.storage.models(after, size + 1).await?;
         let more = items.len() > size as usize;
         items.truncate(size as usize);
         let last = items.last().filter(|_| more);
-        let next = last.map_or_else(String::new, |model| format!("{}.{}", model.created_ns, model.hash));
+        let next = last
+            .map_or_else(String::new, |model| page_after(&format!("{}.{}", model.created_ns, model.hash)));
         Ok(Page { items, next })
     }
 
