@@ -80,6 +80,7 @@ mod operations {
     mod first_minute;
     mod held_up;
     mod kill;
+    mod long_runs;
     mod mistakes;
     mod model;
     mod operating;

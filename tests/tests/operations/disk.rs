@@ -14,11 +14,6 @@ mod script;
 mod simulated;
 pub(super) mod watched;
 
-/// A number from the environment, for runs that are longer than those of every day.
-pub(super) fn number(variable: &str, otherwise: u64) -> u64 {
-    std::env::var(variable).map_or(otherwise, |number| number.parse().expect("a whole number"))
-}
-
 /// A folder for many files that nobody keeps: in memory, where there is room for them.
 fn scratch() -> tempfile::TempDir {
     const ROOM_BYTES: u64 = 2 << 30;

@@ -26,7 +26,8 @@ use futures::StreamExt;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::disk::{number, on_a_thread};
+use super::disk::on_a_thread;
+use super::long_runs::number;
 use operations::{Step, steps};
 use runner::{Counts, Runner};
 use sabotage::Sabotage;

@@ -1,7 +1,8 @@
 //! Calls of the disk that fail while a server serves, starts and stops: frames are refused or taken, never lost, and the
 //! server goes on when the disk is well.
 //!
-//! `WAYPOST_DISK_FAULTS` is how many calls fail, from the seed `WAYPOST_DISK_FAULTS_SEED`.
+//! `WAYPOST_DISK_FAULTS` is how many calls fail, and `WAYPOST_DISK_START_FAULTS` how many while a server starts or stops: see
+//! `long_runs`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,13 +12,13 @@ use rand_chacha::ChaCha8Rng;
 use waypost_client::{Code, Error, v1};
 use waypost_proto::v1::stream_response::Content as Response;
 
-use super::number;
 use super::script::kept;
 use super::watched::{Calls, Fault, How, WatchedDisk, copy_below};
 use crate::harness::{
     RawStream, Server, as_histogram, by_words_request, frame_count, import_model, in_time, open,
     reference_by_words, state_hash, wire, word_maker,
 };
+use crate::operations::long_runs::Tries;
 
 /// Calls that fail in every run of the tests.
 const FAULTS: u64 = 80;
@@ -136,16 +137,24 @@ async fn holds(data: &Path, answered: &BTreeMap<u64, v1::FrameAnswer>, case: &st
 #[tokio::test(flavor = "multi_thread")]
 async fn calls_that_fail_lose_nothing_and_the_server_goes_on() {
     let template = one_map().await;
-    let (faults, seed) = (number("WAYPOST_DISK_FAULTS", FAULTS), number("WAYPOST_DISK_FAULTS_SEED", 1));
-    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let tries = Tries::asked("DISK_FAULTS", FAULTS);
+    let seed = tries.seed;
     let (mut fired, mut refusals) = (0, 0);
-    for first in (0..faults).step_by(FAULTS_OF_A_SERVER as usize) {
+    let of_servers = tries.parts().flat_map(|part| {
+        (part.start..part.end)
+            .step_by(FAULTS_OF_A_SERVER as usize)
+            .map(move |first| first..part.end.min(first + FAULTS_OF_A_SERVER))
+    });
+    for part in of_servers {
+        let first = part.start;
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        random.set_stream(first);
         let disk = WatchedDisk::new();
         copy_below(template.path(), &disk.data());
         let mut server = disk.start();
         let mut robot = Robot::of(server.endpoint());
         let mut sequence = 0;
-        for number in first..faults.min(first + FAULTS_OF_A_SERVER) {
+        for number in part.clone() {
             let fault = a_fault(&mut random);
             let case = format!("fault {number} of seed {seed}, {fault:?}");
             disk.arm(fault);
@@ -174,9 +183,9 @@ async fn calls_that_fail_lose_nothing_and_the_server_goes_on() {
             &format!("after fault {first} of seed {seed} and those that follow"),
         )
         .await;
+        tries.told(&part, format_args!("{fired} met a call so far, with {refusals} refusals"));
     }
-    println!("{faults} faults of seed {seed}, {fired} of them met a call, {refusals} refusals");
-    assert!(fired * 4 > faults && refusals > 0, "{fired} faults met a call");
+    assert!(fired * 4 > tries.count() && refusals > 0, "{fired} faults met a call");
     assert!(FAULTS_OF_A_SERVER * FRAMES_OF_A_FAULT < frame_count());
 }
 
@@ -232,11 +241,13 @@ const STARTS: u64 = 12;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn calls_that_fail_at_a_start_or_a_stop_lose_nothing() {
-    let (faults, seed) = (number("WAYPOST_DISK_START_FAULTS", STARTS), number("WAYPOST_DISK_FAULTS_SEED", 1));
-    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let tries = Tries::asked("DISK_START_FAULTS", STARTS);
+    let seed = tries.seed;
     let (left, answered) = left_by_a_kill().await;
     let (mut refused, mut started) = (0, 0);
-    for number in 0..faults {
+    for number in tries.parts().flatten() {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        random.set_stream(number);
         let disk = WatchedDisk::new();
         copy_below(&left.data(), &disk.data());
         let fault = Fault { nth: random.random_range(1..=60), ..a_fault(&mut random) };
@@ -262,6 +273,9 @@ async fn calls_that_fail_at_a_start_or_a_stop_lose_nothing() {
         disk.mend();
         holds(&disk.data(), &answered, &case).await;
     }
-    println!("{faults} faults of seed {seed}: {started} starts, {refused} were refused with a reason");
+    println!(
+        "{} faults of seed {seed}: {started} starts, {refused} were refused with a reason",
+        tries.count()
+    );
     assert!(refused > 0 && started > 0);
 }

@@ -1,6 +1,6 @@
 //! `kill -9` at a call of the disk, before it or in the middle of a write, during everything that a server writes.
 //!
-//! `WAYPOST_KILLS` is how many kills there are, from the seed `WAYPOST_KILLS_SEED`.
+//! `WAYPOST_KILLS` is how many kills there are: see `long_runs`.
 
 mod operations;
 mod programs;
@@ -15,8 +15,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use waypost_client::v1::job;
 
+use super::on_a_thread;
 use super::watched::{Calls, Fault, How, WatchedDisk, copy_below};
-use super::{number, on_a_thread};
+use crate::operations::long_runs::Tries;
 use operations::{Broken, OPERATIONS, Operation};
 use template::{OTHER, State, Template, rot, state};
 
@@ -209,7 +210,8 @@ fn differences(now: &State, states: &[State]) -> String {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn whatever_is_cut_off_is_there_whole_or_not_at_all() {
-    let (kills, seed) = (number("WAYPOST_KILLS", KILLS), number("WAYPOST_KILLS_SEED", 1));
+    let tries = Tries::asked("KILLS", KILLS);
+    let seed = tries.seed;
     let at_once = std::thread::available_parallelism().map_or(2, usize::from);
     let template = Arc::new(Template::new().await);
     let wholes = futures::stream::iter(OPERATIONS).map(|operation| {
@@ -219,34 +221,38 @@ async fn whatever_is_cut_off_is_there_whole_or_not_at_all() {
     let wholes: BTreeMap<Operation, Whole> =
         wholes.buffer_unordered(at_once).map(|whole| whole.unwrap()).collect().await;
     let wholes = Arc::new(wholes);
-    let came = futures::stream::iter(0..kills).map(|number| {
-        let (template, wholes) = (template.clone(), wholes.clone());
-        on_a_thread(async move || {
-            let mut random = ChaCha8Rng::seed_from_u64(seed);
-            random.set_stream(number);
-            let operation = OPERATIONS[number as usize % OPERATIONS.len()];
-            let whole = &wholes[&operation];
-            let how = [How::Kill, How::KillHalfway][random.random_range(0..2)];
-            let nth = random.random_range(1..=whole.calls.max(1));
-            let fault = Fault { nth, calls: Calls::CHANGES, how, error: 0 };
-            let came = killed(&template, operation, whole, fault).await;
-            let case = |error| format!("kill {number} of seed {seed}, {operation:?}, {fault:?}: {error}");
-            (operation, came.map_err(case))
-        })
-    });
-    let came: Vec<_> = came.buffer_unordered(at_once).map(|came| came.unwrap()).collect().await;
     let mut counts: BTreeMap<Operation, BTreeMap<Came, u64>> = BTreeMap::new();
-    for (operation, came) in &came {
-        if let Ok(came) = came {
-            *counts.entry(*operation).or_default().entry(*came).or_default() += 1;
+    for part in tries.parts() {
+        let came = futures::stream::iter(part.clone()).map(|number| {
+            let (template, wholes) = (template.clone(), wholes.clone());
+            on_a_thread(async move || {
+                let mut random = ChaCha8Rng::seed_from_u64(seed);
+                random.set_stream(number);
+                let operation = OPERATIONS[number as usize % OPERATIONS.len()];
+                let whole = &wholes[&operation];
+                let how = [How::Kill, How::KillHalfway][random.random_range(0..2)];
+                let nth = random.random_range(1..=whole.calls.max(1));
+                let fault = Fault { nth, calls: Calls::CHANGES, how, error: 0 };
+                let came = killed(&template, operation, whole, fault).await;
+                let case = |error| format!("kill {number} of seed {seed}, {operation:?}, {fault:?}: {error}");
+                (operation, came.map_err(case))
+            })
+        });
+        let came: Vec<_> = came.buffer_unordered(at_once).map(|came| came.unwrap()).collect().await;
+        let mut wrong = Vec::new();
+        for (operation, came) in came {
+            match came {
+                Ok(came) => *counts.entry(operation).or_default().entry(came).or_default() += 1,
+                Err(case) => wrong.push(case),
+            }
         }
+        tries.told(&part, format_args!("{} are wrong", wrong.len()));
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     }
-    println!("{kills} kills of seed {seed}:");
     for (operation, counts) in &counts {
         println!("{operation:?}, {} calls: {counts:?}", wholes[operation].calls);
     }
-    let wrong: Vec<String> = came.into_iter().filter_map(|(_, came)| came.err()).collect();
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    let kills = tries.count();
     let met = counts
         .values()
         .flatten()

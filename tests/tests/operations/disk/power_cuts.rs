@@ -1,6 +1,6 @@
 //! Power that goes away at any moment of a server's work.
 //!
-//! `WAYPOST_CRASH_IMAGES` is how many disks are made and opened, from the seed `WAYPOST_CRASH_SEED`.
+//! `WAYPOST_CRASH_IMAGES` is how many disks are made and opened: see `long_runs`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,11 +15,12 @@ use waypost_client::{Client, ClientOptions, v1};
 use super::contents::contents;
 use super::history::History;
 use super::record::{Call, Record};
+use super::scratch;
 use super::script::{DRIVE, Said, work};
 use super::simulated::{Image, Lie, SimulatedDisk, write_image};
 use super::watched::{WatchedDisk, files_below};
-use super::{number, scratch};
 use crate::harness::{Server, answers_of, as_histogram, reference_by_words, words_options};
+use crate::operations::long_runs::Tries;
 
 /// Disks that every run of the tests opens.
 const IMAGES: u64 = 40;
@@ -220,11 +221,12 @@ async fn judged(
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_acknowledged_is_lost_when_the_power_goes() {
     let recorded = RECORDED.get_or_init(Recorded::new).await;
-    let images = number("WAYPOST_CRASH_IMAGES", IMAGES);
-    let seed = number("WAYPOST_CRASH_SEED", 1);
-    let wrong = judged(recorded, 0..images, seed, Lie::Nothing).await;
-    println!("{images} images of seed {seed}: {} are wrong", wrong.len());
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    let tries = Tries::asked("CRASH_IMAGES", IMAGES);
+    for part in tries.parts() {
+        let wrong = judged(recorded, part.clone(), tries.seed, Lie::Nothing).await;
+        tries.told(&part, format_args!("{} are wrong", wrong.len()));
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    }
 }
 
 /// The same disks, if they did not do what they say they did.

@@ -1,6 +1,6 @@
 //! Bits that flip, one at a time, anywhere: each is found or harmless, and nothing is served changed in silence.
 //!
-//! `WAYPOST_FLIPS` is how many are tried, from the seed `WAYPOST_FLIPS_SEED`.
+//! `WAYPOST_FLIPS` is how many are tried: see `long_runs`.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -13,16 +13,13 @@ use waypost_client::{Client, Code, Error, v1};
 
 use super::{note as frame_note, two_maps};
 use crate::harness::{Server, database_options, in_time};
+use crate::operations::long_runs::Tries;
 
 /// Those that every run of the tests tries.
 const FLIPS: u64 = 60;
 
 /// Bytes of a page of the file.
 const PAGE_BYTES: usize = 4096;
-
-fn number(variable: &str, otherwise: u64) -> u64 {
-    std::env::var(variable).map_or(otherwise, |number| number.parse().expect("a whole number"))
-}
 
 /// What was served: each answer as text, or the error that was told.
 type Served = BTreeMap<String, Result<String, Code>>;
@@ -143,26 +140,36 @@ async fn flip_in_the_log(directory: &Path, random: &mut ChaCha8Rng) -> String {
 async fn no_flip_is_served_in_silence() {
     let directory = two_maps().await;
     let whole = served_by(directory.path()).await;
-    let mut random = ChaCha8Rng::seed_from_u64(number("WAYPOST_FLIPS_SEED", 1));
+    let tries = Tries::asked("FLIPS", FLIPS);
     let mut counts = BTreeMap::new();
-    for flip in 0..number("WAYPOST_FLIPS", FLIPS) {
-        let copy = copied(directory.path());
-        let file = copy.path().join("waypost.sqlite");
-        let flipped = if flip % 3 == 0 {
-            flip_in_the_log(copy.path(), &mut random).await
-        } else {
-            let mut bytes = std::fs::read(&file).unwrap();
-            let bit = random.random_range(0..bytes.len() * 8);
-            bytes[bit / 8] ^= 1 << (bit % 8);
-            std::fs::write(&file, bytes).unwrap();
-            format!("bit {} of page {}", bit % (PAGE_BYTES * 8), bit / (PAGE_BYTES * 8) + 1)
-        };
-        let (came, what) = what_comes_of(copy.path(), &whole).await;
-        assert_ne!(came, Flip::Silent, "{flipped}: {what} is another");
-        *counts.entry(came).or_insert(0) += 1;
+    for part in tries.parts() {
+        for flip in part.clone() {
+            let (came, what) = flipped(directory.path(), &whole, tries.seed, flip).await;
+            assert_ne!(came, Flip::Silent, "{what} is another, flip {flip} of seed {}", tries.seed);
+            *counts.entry(came).or_insert(0) += 1;
+        }
+        tries.told(&part, format_args!("{counts:?} so far"));
     }
-    println!("{counts:?}");
     assert!(counts[&Flip::Found] > 0);
+}
+
+/// What comes of one flip, and where it is.
+async fn flipped(directory: &Path, whole: &Served, seed: u64, flip: u64) -> (Flip, String) {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    random.set_stream(flip);
+    let copy = copied(directory);
+    let file = copy.path().join("waypost.sqlite");
+    let place = if flip % 3 == 0 {
+        flip_in_the_log(copy.path(), &mut random).await
+    } else {
+        let mut bytes = std::fs::read(&file).unwrap();
+        let bit = random.random_range(0..bytes.len() * 8);
+        bytes[bit / 8] ^= 1 << (bit % 8);
+        std::fs::write(&file, bytes).unwrap();
+        format!("bit {} of page {}", bit % (PAGE_BYTES * 8), bit / (PAGE_BYTES * 8) + 1)
+    };
+    let (came, what) = what_comes_of(copy.path(), whole).await;
+    (came, format!("{place}: {what}"))
 }
 
 /// The same flips in the log with checksums made for what they left, as if there were none.

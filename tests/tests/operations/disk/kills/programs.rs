@@ -14,8 +14,9 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
 use super::super::watched::{Calls, Fault, How, WatchedDisk, copy_below};
 use super::template::{State, Template, state};
-use super::{NO_FAULT, differences, number};
+use super::{NO_FAULT, differences};
 use crate::harness::{Server, database_options, run_to_its_end, workspace};
+use crate::operations::long_runs::number;
 
 /// Kills of each kind in every run of the tests.
 const KILLS: u64 = 1;
