@@ -237,6 +237,7 @@ impl From<StorageError> for ServiceError {
             | StorageError::JobEnded
             | StorageError::Retold
             | StorageError::Directory { .. }
+            | StorageError::NothingThere { .. }
             | StorageError::Locked { .. }
             | StorageError::Newer { .. }
             | StorageError::NoDatabase { .. }

@@ -145,6 +145,7 @@ async fn work_on_data(command: DataCommand, config: &Config) -> anyhow::Result<E
         DataCommand::Check { deep: false } => report(&offline::check(config).await),
         DataCommand::Check { deep: true } => {
             offline::need_sqlite(&config.storage, "check --deep")?;
+            offline::need_directory(&config.data_dir)?;
             let mut findings = offline::check(config).await;
             findings.extend(offline::check_all(&config.data_dir).await?);
             report(&findings)

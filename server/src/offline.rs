@@ -141,6 +141,17 @@ pub fn need_sqlite(storage: &StorageAddress, what: &str) -> anyhow::Result<()> {
     }
 }
 
+/// That a data directory is there: who mistyped its name is not told that nothing is wrong.
+///
+/// # Errors
+/// If it is not; the message says how to mend it.
+pub fn need_directory(data_dir: &Path) -> anyhow::Result<()> {
+    if data_dir.is_dir() {
+        return Ok(());
+    }
+    bail!("there is no data directory {}; name the one of a server with --data-dir", data_dir.display())
+}
+
 /// Reads all that `data_dir` holds, whole pages and every row, and says what is not as it was written. Changes nothing.
 ///
 /// # Errors

@@ -109,8 +109,7 @@ impl Storage {
     /// Opens a database of PostgreSQL, making its tables where they are missing. In
     /// `directory`, which is made, lie files for a while.
     pub(crate) async fn connect(address: &str, directory: &Path, claim: Claim) -> Result<Self, StorageError> {
-        sqlite::make_directory(directory)
-            .map_err(|source| StorageError::Directory { directory: directory.to_owned(), source })?;
+        sqlite::make_directory(directory).map_err(|source| StorageError::of_directory(directory, source))?;
         let (engine, pools) = postgres::open(address, claim).await?;
         Self::over(Engine::Postgres(engine), pools, directory).await
     }

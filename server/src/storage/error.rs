@@ -1,6 +1,6 @@
 //! What goes wrong with a database, and what its own codes mean.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use sqlx::error::DatabaseError;
 use sqlx::migrate::MigrateError;
@@ -13,9 +13,11 @@ use crate::quotas::OverQuota;
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum StorageError {
     #[error(
-        "cannot use the data directory {directory}: {source}; give a directory that this user may write to"
+        "cannot use the data directory {directory}: {reason}; give a directory that this user may write to"
     )]
-    Directory { directory: PathBuf, source: std::io::Error },
+    Directory { directory: PathBuf, reason: std::io::Error },
+    #[error("{directory} holds no database; name the data directory of a server with --data-dir")]
+    NothingThere { directory: PathBuf },
     #[error(
         "the data directory {directory} is used by another waypost-server; stop that one, or give another directory"
     )]
@@ -70,6 +72,16 @@ pub(crate) enum StorageError {
         "the database could not be brought up to date: {0}; use the version that wrote it, or restore it from a backup"
     )]
     Migration(MigrateError),
+}
+
+impl StorageError {
+    /// What went wrong with a directory, or a file in it.
+    pub(super) fn of_directory(directory: &Path, error: std::io::Error) -> Self {
+        match error.kind() {
+            std::io::ErrorKind::StorageFull => Self::DiskFull(sqlx::Error::Io(error)),
+            _ => Self::Directory { directory: directory.to_owned(), reason: error },
+        }
+    }
 }
 
 /// SQLite's primary result codes.

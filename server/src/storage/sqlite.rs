@@ -55,7 +55,7 @@ pub(super) async fn open(directory: &Path) -> Result<(Sqlite, Pools), StorageErr
     opening::prepare(directory).await?;
     migrate(directory).await?;
     let file = std::path::absolute(directory.join(FILE_NAME))
-        .map_err(|source| StorageError::Directory { directory: directory.to_owned(), source })?;
+        .map_err(|source| StorageError::of_directory(directory, source))?;
     let writer = pool(1, Access::Write).connect(&address(&file, Access::Write)).await;
     let writer = writer.map_err(|error| or_no_database(error, directory))?;
     let read = address(&file, Access::Read);
@@ -161,7 +161,7 @@ pub(super) async fn give_no_number_up_to(
 /// The database of a directory, to read all of it; a server may run on it.
 pub(super) async fn open_to_read(directory: &Path) -> Result<AnyConnection, StorageError> {
     let file = directory.join(FILE_NAME);
-    let missing = |source| StorageError::Directory { directory: directory.to_owned(), source };
+    let missing = |source| StorageError::of_directory(directory, source);
     let outdated =
         || StorageError::Unfit(format!("{}: start this version's server on it once", directory.display()));
     file.metadata().map_err(missing)?;

@@ -103,6 +103,17 @@ async fn a_damaged_backup_is_not_restored() {
     let (code, said) = run(&backup, &["backup", of_it.to_str().unwrap()]);
     assert!(code != 0 && said.contains("`waypost-server check --deep` tells which"), "{said}");
     assert_eq!(std::fs::read_dir(&of_it).unwrap().count(), 0);
+    // A name with a typo: it is told, and nothing is made of it.
+    let typo = target.path().join("munday");
+    for arguments in [&["check", "--deep"][..], &["backup", of_it.to_str().unwrap()]] {
+        let (code, said) = run(&typo, arguments);
+        let expected =
+            ["there is no data directory ", " holds no database; name the data directory of a server"];
+        assert!(code == 1 && expected.iter().any(|expected| said.contains(expected)), "{said}");
+        assert!(!typo.exists(), "{arguments:?} made it");
+    }
+    let (code, said) = run(restored.path(), &["restore", typo.to_str().unwrap()]);
+    assert!(code == 1 && said.contains("holds no backup") && !typo.exists(), "{said}");
     // A directory without one.
     let (code, said) = run(restored.path(), &["restore", data.path().join("nothing").to_str().unwrap()]);
     assert!(code != 0 && said.contains("holds no backup"), "{said}");

@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
 use std::time::Duration;
 
 use waypost_client::{Client, Code, FrameOutcome, v1};
@@ -11,8 +11,8 @@ use waypost_client::{Client, Code, FrameOutcome, v1};
 use waypost_proto::v1::stream_response::Content as Response;
 
 use crate::harness::{
-    RawStream, ServerProcess, assert_status, first_return, frame, import_model, in_time, map_request, open,
-    reference, refused, session_options, state_hash, stream, wire,
+    Built, RawStream, ServerProcess, assert_status, first_return, frame, import_model, in_time, map_request,
+    open, path, reference, refused, run_to_its_end, session_options, state_hash, stream, wire,
 };
 
 /// A small disk of its own. Unmounted when dropped.
@@ -191,4 +191,29 @@ async fn an_import_is_refused_before_the_disk_is_full() {
 /// How the trouble began.
 fn first_lines(log: &str) -> String {
     log.lines().take(20).collect::<Vec<_>>().join("\n")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_backup_that_finds_no_room_leaves_nothing_and_says_why() {
+    let Some(disk) = SmallDisk::mount() else { return };
+    let (data, target) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    serving(data.path()).await.0.stop();
+    let backup = target.path().join("backup");
+    let run = |data: &Path, arguments: [&str; 2]| {
+        let mut command = Built::command("waypost-server");
+        command.arg("--data-dir").arg(data).args(arguments);
+        let Output { status, stderr, .. } = run_to_its_end(command);
+        (status.code(), String::from_utf8(stderr).unwrap())
+    };
+    let (code, said) = run(data.path(), ["backup", path(&backup)]);
+    assert_eq!(code, Some(0), "{said}");
+    std::fs::create_dir(disk.data_dir()).unwrap();
+    disk.fill();
+    let restore = ["restore", path(&backup)];
+    let (code, said) = run(&disk.data_dir(), restore);
+    assert!(code == Some(1) && said.contains("the disk is full; free some space"), "{said}");
+    assert!(!disk.data_dir().join("waypost.sqlite.partial").exists(), "a part of it is left");
+    disk.free();
+    let (code, said) = run(&disk.data_dir(), restore);
+    assert_eq!(code, Some(0), "{said}");
 }

@@ -20,15 +20,17 @@ const PARTIAL_NAME: &str = "waypost.sqlite.partial";
 pub(crate) async fn back_up(data_dir: &Path, directory: &Path) -> Result<(), StorageError> {
     page_sums::register()?;
     let source = data_dir.join(FILE_NAME);
-    let no_source = |source| StorageError::Directory { directory: data_dir.to_owned(), source };
-    match source.metadata().map_err(no_source).and_then(|_| file_kind(&source))? {
+    if !source.exists() {
+        return Err(StorageError::NothingThere { directory: data_dir.to_owned() });
+    }
+    match file_kind(&source)? {
         FileKind::WithChecksums => {}
         FileKind::Empty | FileKind::WithoutChecksums => {
             let reason = "it has no checksums yet: start this version's server on it once".to_owned();
             return Err(StorageError::Broken { path: source, reason });
         }
     }
-    let failed = |source| StorageError::Directory { directory: directory.to_owned(), source };
+    let failed = |source| StorageError::of_directory(directory, source);
     make_for(directory, FILE_NAME).map_err(failed)?;
     let partial = directory.join(PARTIAL_NAME);
     if partial.exists() {
@@ -53,14 +55,17 @@ pub(crate) async fn back_up(data_dir: &Path, directory: &Path) -> Result<(), Sto
 /// Makes `data_dir`, which must hold no database, what a backup in `directory` is.
 pub(crate) async fn restore(directory: &Path, data_dir: &Path) -> Result<(), StorageError> {
     let _lock = DirectoryLock::take(data_dir)?;
-    let failed = |source| StorageError::Directory { directory: data_dir.to_owned(), source };
+    let failed = |source| StorageError::of_directory(data_dir, source);
     make_for(data_dir, FILE_NAME).map_err(failed)?;
     // SQLite would take the write-ahead log of a database that was moved away for that of this one.
     make_for(data_dir, &format!("{FILE_NAME}-wal")).map_err(failed)?;
     let partial = data_dir.join(PARTIAL_NAME);
     make_private(&partial);
-    std::fs::copy(directory.join(FILE_NAME), &partial)
-        .map_err(|source| StorageError::Directory { directory: directory.to_owned(), source })?;
+    if let Err(error) = std::fs::copy(directory.join(FILE_NAME), &partial) {
+        // What there is of it is of no use, and may have filled the disk.
+        std::fs::remove_file(&partial).map_err(failed)?;
+        return Err(failed(error));
+    }
     put_in_place(data_dir, &partial).map_err(failed)
 }
 

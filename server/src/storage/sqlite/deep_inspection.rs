@@ -83,12 +83,13 @@ struct WholeEvent {
 ///
 /// Takes the directory's lock meanwhile: a server that runs on it is an error.
 pub(crate) async fn inspect_all(directory: &Path) -> Result<Option<DeepInspection>, StorageError> {
-    let _lock = DirectoryLock::take(directory)?;
-    page_sums::register()?;
     let file = directory.join(FILE_NAME);
+    // Before the lock, which makes the directory.
     if !file.exists() {
         return Ok(None);
     }
+    let _lock = DirectoryLock::take(directory)?;
+    page_sums::register()?;
     match file_kind(&file)? {
         FileKind::Empty => return Ok(None),
         FileKind::WithChecksums => {}

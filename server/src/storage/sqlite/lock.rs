@@ -25,7 +25,7 @@ pub(super) struct DirectoryLock {
 impl DirectoryLock {
     /// Makes the directory if it is missing.
     pub(super) fn take(directory: &Path) -> Result<Self, StorageError> {
-        let failed = |source| StorageError::Directory { directory: directory.to_owned(), source };
+        let failed = |source| StorageError::of_directory(directory, source);
         let locked = |error| match error {
             TryLockError::WouldBlock => StorageError::Locked { directory: directory.to_owned() },
             TryLockError::Error(source) => failed(source),

@@ -45,7 +45,7 @@ pub(super) async fn prepare(directory: &Path) -> Result<(), StorageError> {
 /// When the power fails while that is written, it is nothing, and the write-ahead log has it whole: SQLite takes it from
 /// there.
 pub(super) fn file_kind(file: &Path) -> Result<FileKind, StorageError> {
-    let failed = |source| StorageError::Directory { directory: file.to_owned(), source };
+    let failed = |source| StorageError::of_directory(file, source);
     let mut page = Vec::new();
     let opened = File::open(file).map_err(failed)?;
     opened.take(PAGE_BYTES as u64).read_to_end(&mut page).map_err(failed)?;
@@ -97,7 +97,7 @@ async fn create(file: &Path) -> Result<(), StorageError> {
 /// The old file is there until the new one is whole.
 async fn write_anew(directory: &Path) -> Result<(), StorageError> {
     let (old, new) = (directory.join(FILE_NAME), directory.join(WRITTEN_ANEW));
-    let failed = |source| StorageError::Directory { directory: directory.to_owned(), source };
+    let failed = |source| StorageError::of_directory(directory, source);
     tracing::info!(
         "the database is written anew, with checksums; this is done once and takes its size again on the disk"
     );
