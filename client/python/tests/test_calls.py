@@ -248,6 +248,13 @@ def test_poses_are_measured_and_exported(client: waypost.Client, tmp_path: Path)
     assert client.map("measured", full=True).state_hash == after
     with pytest.raises(ValueError, match="6 x 6"):
         client.add_relative_pose(f"{session}/frames/8", f"{session}/frames/1", (3.0, 0.0, 0.0), [1.0])
+    by_name = io.BytesIO()
+    client.export_poses(session, by_name, "tum", frame="map", body="base")
+    frames = [row[1:] for row in np.loadtxt(io.BytesIO(by_name.getvalue()))]
+    assert len(frames) == len(rows)
+    for wrong in ({"format": "tmu"}, {"format": "tum", "frame": "world"}, {"format": "tum", "body": "wheel"}):
+        with pytest.raises(ValueError, match="; give one of "):
+            client.export_poses(session, io.BytesIO(), **wrong)
     graph = tmp_path / "map.g2o"
     client.export_poses("maps/measured", graph, map_pb2.ExportPosesRequest.FORMAT_G2O)
     assert "EDGE_SE2" in graph.read_text()
@@ -279,7 +286,9 @@ def test_snapshots_go_out_and_in_again(client: waypost.Client, hall: str, tmp_pa
 
 
 def test_models_are_trained_followed_and_copied(client: waypost.Client, tmp_path: Path) -> None:
-    job = client.train_model([*IMAGES[:10], *(file.read_bytes() for file in IMAGES[10:20])], 40, seed=7)
+    images: list[bytes | Path] = [*IMAGES[:10], *(file.read_bytes() for file in IMAGES[10:20])]
+    with pytest.warns(UserWarning, match="trained on 20 images"):
+        job = client.train_model(images, 40, seed=7)
     assert job.kind == job_pb2.Job.KIND_TRAIN_MODEL
     with client.watch_job(job.name) as progress:
         states = list(progress)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 from waypost import answers
 from waypost.answers import LoopClosure
@@ -179,26 +180,46 @@ class MapCalls:
         self,
         name: str,
         file: File,
-        format: map_pb2.ExportPosesRequest.Format,  # noqa: A002
+        format: map_pb2.ExportPosesRequest.Format | str,  # noqa: A002
         *,
-        frame: map_pb2.ExportPosesRequest.Frame = map_pb2.ExportPosesRequest.FRAME_UNSPECIFIED,
-        body: map_pb2.ExportPosesRequest.Body = map_pb2.ExportPosesRequest.BODY_UNSPECIFIED,
+        frame: map_pb2.ExportPosesRequest.Frame | str = map_pb2.ExportPosesRequest.FRAME_UNSPECIFIED,
+        body: map_pb2.ExportPosesRequest.Body | str = map_pb2.ExportPosesRequest.BODY_UNSPECIFIED,
     ) -> int:
         """Writes poses as text: a session's trajectory or a map's pose graph; gives the length in bytes.
 
         Args:
-            name: maps/{map}/sessions/{session}; maps/{map} for `FORMAT_G2O`.
+            name: maps/{map}/sessions/{session}; maps/{map} for "g2o".
             file: As in `export_map`.
-            format: `FORMAT_TUM`, `FORMAT_KITTI` or `FORMAT_G2O` of `map_pb2.ExportPosesRequest`.
-            frame: `FRAME_MAP`, corrected by loop closures (the default), or `FRAME_ODOM`.
-            body: `BODY_BASE` (the default) or `BODY_CAMERA`.
+            format: "tum", "kitti" or "g2o"; or a `Format` of `map_pb2.ExportPosesRequest`.
+            frame: "map", corrected by loop closures (the default), or "odom"; or a `Frame`.
+            body: "base" (the default) or "camera"; or a `Body`.
 
         Raises:
+            ValueError: If there is no such format, frame or body.
             NotFound: If there is no such session or map.
             FailedPrecondition: If it has no such poses.
         """
-        request = map_pb2.ExportPosesRequest(name=name, format=format, frame=frame, body=body)
+        kinds = map_pb2.ExportPosesRequest
+        request = map_pb2.ExportPosesRequest(
+            name=name,
+            format=_choice("format", kinds.Format, format),
+            frame=_choice("frame", kinds.Frame, frame),
+            body=_choice("body", kinds.Body, body),
+        )
         return self._connection.download(self._connection.maps.ExportPoses, request, file)
+
+
+def _choice(of: str, choices: Any, chosen: int | str) -> Any:
+    """The number of a choice that is given by its name in the contract or the end of it, as in "tum"."""
+    if not isinstance(chosen, str):
+        return chosen
+    prefix = f"{of}_".upper()
+    name = prefix + chosen.upper().removeprefix(prefix)
+    names = [known for known in choices.keys() if not known.endswith("_UNSPECIFIED")]  # noqa: SIM118
+    if name not in names:
+        known = ", ".join(known.removeprefix(prefix).lower() for known in names)
+        raise ValueError(f"there is no {of} {chosen!r}; give one of {known}")
+    return choices.Value(name)
 
 
 def _bare(map_id: str) -> str:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator, Sized
 from pathlib import Path
 
 from waypost.connection import Connection, File, chunks
 from waypost.v1 import job_pb2, model_pb2
+
+#: Training images that are too few: see the guide's page on models.
+_FEW_IMAGES = 100
 
 
 class ModelCalls:
@@ -34,6 +38,9 @@ class ModelCalls:
             extractor: As in `rootsift features=500 width=640`; the server's default if left out.
             seed: The same images, settings and seed give the same model.
 
+        Warns:
+            UserWarning: If there are fewer than 100 images: they tell little about what is new.
+
         Raises:
             InvalidArgument: If the server refuses the settings or an image.
         """
@@ -45,13 +52,23 @@ class ModelCalls:
             image_count=len(images) if isinstance(images, Sized) else None,
         )
 
+        sent = 0
+
         def requests() -> Iterator[model_pb2.TrainModelRequest]:
+            nonlocal sent
             yield model_pb2.TrainModelRequest(settings=settings)
             for image in images:
                 content = image if isinstance(image, bytes) else Path(image).read_bytes()
                 yield model_pb2.TrainModelRequest(image=content)
+                sent += 1
 
         job: job_pb2.Job = self._connection.upload(self._connection.models.TrainModel, requests())
+        if sent < _FEW_IMAGES:
+            warnings.warn(
+                f"the model is trained on {sent} images: that tells little about what is new, and nothing "
+                f"about look-alikes; {_FEW_IMAGES} and more, in the order of a drive, tell both",
+                stacklevel=2,
+            )
         return job
 
     def models(self) -> list[model_pb2.Model]:
