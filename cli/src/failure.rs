@@ -50,6 +50,9 @@ pub(crate) enum Failure {
     /// An argument does not fit the files, the map or the other arguments.
     #[error("{0}")]
     Unfit(String),
+    /// The server has no such thing.
+    #[error("{0}")]
+    NotThere(String),
     /// The server refused a goal after it had been set: no way leads there from where the robot is.
     #[error("{0}")]
     GoalRefused(String),
@@ -92,7 +95,7 @@ impl Failure {
     pub(crate) fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Failure::Client(error) => client_exit_code(error),
-            Failure::GoalRefused(_) => 4,
+            Failure::NotThere(_) | Failure::GoalRefused(_) => 4,
             Failure::FramesRefused { .. } => 5,
             Failure::Images(_)
             | Failure::Video(_)
@@ -125,7 +128,9 @@ const BROKEN_OFF: [&str; 5] = [
 ];
 
 fn connection_hint(endpoint: &str, reason: &str) -> &'static str {
-    if reason.to_lowercase().contains("certificate") {
+    if reason.contains("received fatal alert") {
+        "\nthe server refused how this program presents itself: give --client-cert and --client-key that its authority issued"
+    } else if reason.to_lowercase().contains("certificate") {
         "\nname the authority of the server's certificate with --ca or WAYPOST_CA; \
          if the server asks for one of yours, give --client-cert and --client-key"
     } else if reason.contains("InvalidContentType") {
@@ -135,7 +140,7 @@ fn connection_hint(endpoint: &str, reason: &str) -> &'static str {
     } else if BROKEN_OFF.iter().any(|said| reason.to_lowercase().contains(said)) {
         "\nthat server may speak TLS: name it with https://"
     } else {
-        "\nstart a server with `make serve`, or name another with --server or WAYPOST_SERVER"
+        "\nstart a server with `waypost-server`, or name another with --server or WAYPOST_SERVER"
     }
 }
 
@@ -179,7 +184,13 @@ mod tests {
             assert!(connection_hint("http://h:1", reason).contains("may speak TLS"), "{reason}");
             assert!(connection_hint("https://h:1", reason).contains("--client-cert"), "{reason}");
         }
-        assert!(connection_hint("http://h:1", "Connection refused (os error 111)").contains("make serve"));
+        assert!(
+            connection_hint("http://h:1", "Connection refused (os error 111)").contains("`waypost-server`")
+        );
+        for alert in ["UnknownCA", "CertificateRequired", "BadCertificate"] {
+            let hint = connection_hint("https://h:1", &format!("received fatal alert: {alert}"));
+            assert!(hint.contains("--client-cert") && !hint.contains("--ca"), "{hint}");
+        }
         assert!(connection_hint("https://h:1", "invalid peer certificate").contains("--ca"));
         assert!(connection_hint("https://h:1", "InvalidContentType").contains("http://"));
     }

@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use clap::error::ErrorKind;
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -60,7 +61,7 @@ struct Globals {
         long,
         global = true,
         env = "WAYPOST_SERVER",
-        default_value = "http://127.0.0.1:7600",
+        default_value = DEFAULT_SERVER,
         value_name = "URL"
     )]
     server: String,
@@ -69,23 +70,33 @@ struct Globals {
     token: Option<String>,
     /// Authority that issued the server's certificate (PEM); if left out, those that the system
     /// trusts
-    #[arg(long, global = true, env = "WAYPOST_CA", value_name = "FILE")]
+    #[arg(long, global = true, env = "WAYPOST_CA", value_name = "FILE", value_parser = any_path())]
     ca: Option<PathBuf>,
     /// Client certificate, if the server requires one (PEM)
-    #[arg(long, global = true, env = "WAYPOST_CLIENT_CERT", value_name = "FILE")]
+    #[arg(long, global = true, env = "WAYPOST_CLIENT_CERT", value_name = "FILE", value_parser = any_path())]
     client_cert: Option<PathBuf>,
     /// Private key of that certificate (PEM)
-    #[arg(long, global = true, env = "WAYPOST_CLIENT_KEY", value_name = "FILE")]
+    #[arg(long, global = true, env = "WAYPOST_CLIENT_KEY", value_name = "FILE", value_parser = any_path())]
     client_key: Option<PathBuf>,
     /// Print one JSON object on stdout at the end, and nothing else there
     #[arg(long, global = true)]
     json: bool,
 }
 
+const DEFAULT_SERVER: &str = "http://127.0.0.1:7600";
+
+/// A path, or nothing: a variable of the environment may be set to that.
+fn any_path() -> impl TypedValueParser<Value = PathBuf> {
+    OsStringValueParser::new().map(PathBuf::from)
+}
+
 impl Globals {
     /// How to reach the server. An empty environment variable counts as unset.
     fn options(self) -> Result<ClientOptions, Failure> {
         let Globals { server, token, ca, client_cert, client_key, json: _ } = self;
+        let server = if server.is_empty() { DEFAULT_SERVER.to_owned() } else { server };
+        let [ca, client_cert, client_key] =
+            [ca, client_cert, client_key].map(|path| path.filter(|path| !path.as_os_str().is_empty()));
         let mut options = ClientOptions::new(server);
         if let Some(token) = token.filter(|token| !token.is_empty()) {
             options = options.with_token(token);
@@ -176,7 +187,7 @@ impl Command {
 fn check_server_options(matches: &ArgMatches, command: &Command) -> Result<(), clap::Error> {
     let Some(why) = command.uses_no_server() else { return Ok(()) };
     let from = |source| move |id: &&str| matches.value_source(id) == Some(source);
-    let options = || ["server", "token", "ca", "client_cert", "client_key"].into_iter();
+    let options = || SERVER_OPTIONS.into_iter();
     if let Some(given) = options().find(from(ValueSource::CommandLine)) {
         let option = given.replace('_', "-");
         let refused = format!("--{option} is not used here: {why}");
@@ -220,9 +231,25 @@ fn main() -> ExitCode {
     }
 }
 
+/// Options about a server.
+const SERVER_OPTIONS: [&str; 5] = ["server", "token", "ca", "client_cert", "client_key"];
+
+/// The help of commands that use no server does not offer what they refuse.
+fn without_server_options(command: clap::Command) -> clap::Command {
+    let hidden: Vec<clap::Arg> = command
+        .get_arguments()
+        .filter(|argument| SERVER_OPTIONS.contains(&argument.get_id().as_str()))
+        .map(|argument| argument.clone().hide(true))
+        .collect();
+    ["demo", "inspect", "completions", "man"]
+        .into_iter()
+        .fold(command, |command, name| command.mut_subcommand(name, |within| within.args(hidden.clone())))
+}
+
 /// The command with the usage lines that its help has in errors too: there clap would add what was given, the server's
 /// address in the environment among it, as if that were needed.
 fn plain_usage(command: clap::Command) -> clap::Command {
+    let command = without_server_options(command);
     let mut whole = command.clone();
     whole.build();
     as_in_help(command, &mut whole)
@@ -282,6 +309,48 @@ mod tests {
         let refused = plain_usage(Arguments::command()).try_get_matches_from(given).unwrap_err().to_string();
         let line = refused.lines().find_map(|line| line.strip_prefix("Usage: "));
         line.unwrap_or_else(|| panic!("{refused}")).to_owned()
+    }
+
+    #[test]
+    fn help_offers_a_server_where_one_is_used() {
+        let whole = plain_usage(Arguments::command());
+        for command in whole.clone().get_subcommands() {
+            let name = command.get_name();
+            let help = plain_usage(Arguments::command())
+                .try_get_matches_from(["waypost", name, "--help"])
+                .unwrap_err()
+                .to_string();
+            let uses_none = ["demo", "inspect", "completions", "man"].contains(&name);
+            assert_eq!(help.contains("--server <URL>"), !uses_none, "{name}: {help}");
+            assert!(help.contains("--json"), "{name}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_offered_is_refused_with_its_reason() {
+        let matches = |given: &[&str]| plain_usage(Arguments::command()).try_get_matches_from(given).unwrap();
+        let given = matches(&["waypost", "demo", "--server", "http://h:1"]);
+        let arguments = Arguments::from_arg_matches(&given).unwrap();
+        let refused = check_server_options(&given, &arguments.command).unwrap_err().to_string();
+        assert!(refused.contains("--server is not used here: a demo starts a server"), "{refused}");
+    }
+
+    #[test]
+    fn what_the_environment_leaves_empty_is_unset() {
+        let empty = ["", "", ""].map(|path| Some(PathBuf::from(path)));
+        let [ca, client_cert, client_key] = empty;
+        let globals = Globals {
+            server: String::new(),
+            token: Some(String::new()),
+            ca,
+            client_cert,
+            client_key,
+            json: false,
+        };
+        let options = format!("{:?}", globals.options().unwrap());
+        assert!(options.contains(DEFAULT_SERVER), "{options}");
+        let given = ["waypost", "--ca", "", "--client-cert", "", "map", "ls"];
+        assert!(plain_usage(Arguments::command()).try_get_matches_from(given).is_ok());
     }
 
     #[test]

@@ -35,7 +35,7 @@ pub(crate) async fn frame_name(
     let called = client.frames_called(&session_name, frame).await?;
     match called.as_slice() {
         [only] => Ok(only.name.clone()),
-        [] => Err(Failure::Unfit(format!(
+        [] => Err(Failure::NotThere(format!(
             "no frame of {session_name} is called {frame:?}; list what there is: \
              `waypost session frames {map} {session}`"
         ))),

@@ -48,8 +48,13 @@ pub(crate) enum OdometryError {
     Empty,
     #[error("line {line}: the header is `{found}`; write `stamp_ns,x_m,y_m,yaw_rad`")]
     Header { line: usize, found: String },
-    #[error("line {line}: {found} columns in place of {}; write `{}`", columns.len(), columns.join(" "))]
-    Columns { line: usize, found: usize, columns: &'static [&'static str] },
+    #[error(
+        "line {line}: {found} columns parted by commas, and no header; write `stamp_ns,x_m,y_m,yaw_rad` above them (the ground \
+         truth of EuRoC has other columns: take columns 1 to 8 as `stamp_s x y z qx qy qz qw`, with qw last)"
+    )]
+    NoHeader { line: usize, found: usize },
+    #[error("line {line}: {found} columns in place of {wanted}; write `{columns}`")]
+    Columns { line: usize, found: usize, wanted: usize, columns: String },
     #[error("line {line}: `{text}` is no number for {column}; write a finite number")]
     Number { line: usize, column: &'static str, text: String },
     #[error(
@@ -77,6 +82,9 @@ pub(crate) fn parse(text: &str) -> Result<Vec<StampedPose>, OdometryError> {
     let poses = match rows.peek() {
         None => return Err(OdometryError::Empty),
         Some((line, row)) if row.contains(';') => return Err(OdometryError::Semicolons { line: *line }),
+        Some((line, row)) if row.contains(',') && row.starts_with(|first: char| first.is_ascii_digit()) => {
+            return Err(OdometryError::NoHeader { line: *line, found: row.split(',').count() });
+        }
         Some((line, header)) if header.contains(',') => {
             if !header.split(',').map(str::trim).eq(CSV_HEADER) {
                 return Err(OdometryError::Header { line: *line, found: (*header).to_owned() });
@@ -104,7 +112,7 @@ pub(crate) fn parse(text: &str) -> Result<Vec<StampedPose>, OdometryError> {
 }
 
 fn csv_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
-    let [stamp_ns, x, y, yaw] = fields(line, row.split(','), &CSV_HEADER)?;
+    let [stamp_ns, x, y, yaw] = fields(line, row.split(','), CSV_HEADER, ",")?;
     let stamp_ns =
         stamp_ns.parse().map_err(|_| OdometryError::WholeNanoseconds { line, text: stamp_ns.to_owned() })?;
     let [x, y, yaw] = numbers(line, [x, y, yaw], [CSV_HEADER[1], CSV_HEADER[2], CSV_HEADER[3]])?;
@@ -114,7 +122,7 @@ fn csv_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
 }
 
 fn tum_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
-    let [stamp_s, position_and_rotation @ ..] = fields(line, row.split_whitespace(), &TUM_COLUMNS)?;
+    let [stamp_s, position_and_rotation @ ..] = fields(line, row.split_whitespace(), TUM_COLUMNS, " ")?;
     let stamp_ns = nanoseconds_with_exponent(stamp_s);
     let stamp_ns = stamp_ns.ok_or_else(|| not_a_number(line, TUM_COLUMNS[0], stamp_s))?;
     let [_, columns @ ..] = TUM_COLUMNS;
@@ -130,11 +138,13 @@ fn tum_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
 fn fields<'a, const COLUMNS: usize>(
     line: usize,
     row: impl Iterator<Item = &'a str>,
-    columns: &'static [&'static str; COLUMNS],
+    columns: [&'static str; COLUMNS],
+    parted_by: &str,
 ) -> Result<[&'a str; COLUMNS], OdometryError> {
     let row: Vec<&str> = row.map(str::trim).collect();
     let found = row.len();
-    row.try_into().map_err(|_| OdometryError::Columns { line, found, columns })
+    let wrong = |_| OdometryError::Columns { line, found, wanted: COLUMNS, columns: columns.join(parted_by) };
+    row.try_into().map_err(wrong)
 }
 
 fn numbers<const COLUMNS: usize>(
@@ -199,6 +209,9 @@ mod tests {
         assert_eq!(parse("\n# nothing\n").unwrap_err(), OdometryError::Empty);
         assert_eq!(csv(""), OdometryError::Empty);
         assert!(matches!(parse("\nt,x,y,yaw\n").unwrap_err(), OdometryError::Header { line: 2, .. }));
+        let euroc =
+            "#timestamp, p_RS_R_x [m], q_RS_w []\n1403636580838555648,4.6,-1.7,0.5,0.5,-0.1,-0.8,-0.1\n";
+        assert_eq!(parse(euroc).unwrap_err(), OdometryError::NoHeader { line: 2, found: 8 });
         assert!(matches!(csv("1,0,0,0\n2,0,0\n"), OdometryError::Columns { line: 3, found: 3, .. }));
         assert!(matches!(csv("1,nan,0,0"), OdometryError::Number { line: 2, column: "x_m", .. }));
         assert!(csv("1.5,0,0,0").to_string().contains("whole number of nanoseconds"));
@@ -213,7 +226,9 @@ mod tests {
     #[test]
     fn messages_say_how_to_mend_it() {
         let missing = parse("stamp_ns,x_m,y_m,yaw_rad\n1,2\n").unwrap_err().to_string();
-        assert_eq!(missing, "line 2: 2 columns in place of 4; write `stamp_ns x_m y_m yaw_rad`");
+        assert_eq!(missing, "line 2: 2 columns in place of 4; write `stamp_ns,x_m,y_m,yaw_rad`");
+        let missing = parse("1.5 0 0 0 0 0 1").unwrap_err().to_string();
+        assert_eq!(missing, "line 1: 7 columns in place of 8; write `stamp_s x y z qx qy qz qw`");
     }
 
     /// As numpy writes them.

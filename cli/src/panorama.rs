@@ -11,7 +11,7 @@ use waypost_sim::camera::Panorama;
 
 use crate::failure::Failure;
 use crate::images::ImageFile;
-use crate::shrinking::upright_size_px;
+use crate::shrinking::{MOST_PIXELS, upright_size_px};
 
 /// The projection of a panorama. It covers 360 degrees, its pixels are square, and the horizon is
 /// in the middle.
@@ -59,6 +59,14 @@ struct Mirror {
 /// The camera of images of a size that a file of JSON describes.
 pub(crate) fn mirror_camera(file: &Path, size_px: (u32, u32)) -> Result<v1::Camera, Failure> {
     let name = file.display();
+    let (width_px, height_px) = size_px;
+    if u64::from(width_px) * u64::from(height_px) > MOST_PIXELS {
+        return Err(Failure::Unfit(format!(
+            "images of {width_px} x {height_px} pixels are larger than the {} megapixels that a server takes, and made smaller \
+             they would not be those that {name} describes: make them smaller, and its numbers with them",
+            MOST_PIXELS / 1_000_000
+        )));
+    }
     let text = std::fs::read_to_string(file).map_err(|error| {
         Failure::Unfit(format!("{name} cannot be read: {error}; check the path and its permissions"))
     })?;
@@ -148,6 +156,19 @@ fn camera_of_mirror(mirror: Mirror, (image_width_px, image_height_px): (u32, u32
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A server holds the numbers against the whole image.
+    #[test]
+    fn a_mirror_too_large_for_a_server_is_not_made_smaller() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("mirror.json");
+        let mirror = r#"{"center_x_px": 2400, "center_y_px": 1800, "inner_radius_px": 200, "outer_radius_px": 1700,
+            "eccentricity": 1.2, "horizon_radius_px": 1100}"#;
+        std::fs::write(&file, mirror).unwrap();
+        assert!(mirror_camera(&file, (4600, 3400)).is_ok());
+        let refused = mirror_camera(&file, (4800, 3600)).unwrap_err().to_string();
+        assert!(refused.contains("16 megapixels") && refused.contains("make them smaller"), "{refused}");
+    }
 
     #[test]
     fn square_pixels_say_how_far_up_a_panorama_looks() {

@@ -249,6 +249,17 @@ pub(crate) fn note(name: &str) -> String {
     if fits { name.to_owned() } else { String::new() }
 }
 
+/// That frames have no note, since the names of their images cannot be one.
+pub(crate) fn told_of_no_notes(images: &[ImageFile]) -> Option<String> {
+    let unfit = images.iter().filter(|image| note(&image.name).is_empty()).count();
+    (unfit > 0).then(|| {
+        format!(
+            "{unfit} images have names of more than {MOST_NOTE_BYTES} bytes, or with line breaks: their frames have no note \
+             and are found by their numbers alone"
+        )
+    })
+}
+
 /// The element that belongs to frame `sequence`.
 fn at<T>(things: &[T], sequence: u64) -> Option<&T> {
     things.get(usize::try_from(sequence.checked_sub(1)?).ok()?)
@@ -280,5 +291,9 @@ mod tests {
         assert_eq!(note("000147.jpg"), "000147.jpg");
         assert_eq!(note("two\nlines.jpg"), "");
         assert_eq!(note(&"x".repeat(MOST_NOTE_BYTES + 1)), "");
+        let image = |name: String| ImageFile { path: PathBuf::from(&name), name, stamp_ns: None };
+        let [short, long] = [1, MOST_NOTE_BYTES + 1].map(|length| image("x".repeat(length)));
+        assert_eq!(told_of_no_notes(std::slice::from_ref(&short)), None);
+        assert!(told_of_no_notes(&[short, long]).unwrap().starts_with("1 images have names"));
     }
 }

@@ -9,7 +9,7 @@ use image::{DynamicImage, ImageDecoder, ImageReader, ImageResult};
 use waypost_client::MAX_IMAGE_BYTES;
 
 /// Pixels that a server takes at most.
-const MOST_PIXELS: u64 = 16_000_000;
+pub(crate) const MOST_PIXELS: u64 = 16_000_000;
 
 /// Of what is encoded anew: features lose nothing that counts.
 const QUALITY: u8 = 92;

@@ -8,6 +8,7 @@ use std::fmt::Display;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use tokio::task::JoinHandle;
 use tokio::time::MissedTickBehavior;
 use waypost_client::{FrameContent, FrameInput, Navigation, NavigationEvent, Reading, v1};
@@ -34,26 +35,27 @@ const STEPS_PER_REPORT: usize = 2;
 
 /// The world of that name with a way of that name, or its first; and the way's name.
 pub(crate) fn building(
-    world: &str,
+    world: NamedWorld,
     route: Option<&str>,
     seed: u64,
 ) -> Result<(Building, &'static str), Failure> {
-    let names = |names: Vec<&str>| names.join(", ");
-    let world = NamedWorld::from_name(world).ok_or_else(|| {
-        let worlds = names(NamedWorld::ALL.map(NamedWorld::name).to_vec());
-        Failure::Unfit(format!("there is no world {world}; there are {worlds}"))
-    })?;
     let routes = world.routes();
     let wanted = match route {
         Some(name) => routes.iter().find(|route| route.name == name),
         None => routes.first(),
     };
     let named = wanted.ok_or_else(|| {
-        let routes = names(routes.iter().map(|route| route.name).collect());
+        let routes = routes.iter().map(|route| route.name).collect::<Vec<_>>().join(", ");
         Failure::Unfit(format!("{} has no such route; there are {routes}", world.name()))
     })?;
     let building = Building::named(world, seed, named).map_err(unfit)?;
     Ok((building, named.name))
+}
+
+/// Names of buildings on the command line.
+pub(crate) fn worlds() -> impl TypedValueParser<Value = NamedWorld> {
+    let names = PossibleValuesParser::new(NamedWorld::ALL.map(NamedWorld::name));
+    names.try_map(|name| NamedWorld::from_name(&name).ok_or("there is no such building"))
 }
 
 /// A robot at the way's start, whose wheels are as bad as the building's seed and another number say.

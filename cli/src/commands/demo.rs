@@ -10,11 +10,13 @@ use std::path::{Path, PathBuf};
 
 use waypost_client::launch::{self, ServerProcess};
 use waypost_client::{Client, v1};
+use waypost_sim::worlds::NamedWorld;
 
 use self::folders::{beside_program, make_data_dir};
 use super::model;
 use crate::failure::{EXIT_CODES, Failure};
 use crate::output::Output;
+use crate::simulated::worlds;
 
 /// Where a demo keeps its data; later demos that find a folder there take the next number.
 const DATA_DIR: &str = "demo-data";
@@ -56,10 +58,9 @@ struct Demo {
 
 #[derive(clap::Args)]
 struct WorldArguments {
-    /// Drive through a simulated building: office, corridors, booij-office, loop, building-a,
-    /// building-b, gallery or foyer
-    #[arg(long, value_name = "NAME")]
-    world: Option<String>,
+    /// Drive through a simulated building
+    #[arg(long, value_name = "NAME", value_parser = worlds())]
+    world: Option<NamedWorld>,
     /// Route through the building; if left out, its first. An unknown name lists all
     #[arg(long, value_name = "NAME", requires = "world")]
     route: Option<String>,
@@ -72,7 +73,7 @@ pub(crate) async fn run(arguments: Arguments, output: Output) -> Result<(), Fail
     let Arguments { demo, world: WorldArguments { world, route, seed } } = arguments;
     match world {
         None => sequence::run(&demo, output).await,
-        Some(world) => world::run(&demo, &world, route.as_deref(), seed, output).await,
+        Some(world) => world::run(&demo, world, route.as_deref(), seed, output).await,
     }
 }
 
@@ -113,7 +114,16 @@ impl Demo {
         output: Output,
         work: impl AsyncFnOnce(&ServerProcess, &Path) -> Result<T, Failure>,
     ) -> Result<(T, Kept), Failure> {
-        let program = self.server_binary.clone().map_or_else(sibling_server, Ok)?;
+        let program = match &self.server_binary {
+            Some(named) if named.is_file() => named.clone(),
+            Some(named) => {
+                return Err(Failure::Unfit(format!(
+                    "there is no server {}; name the program with --server-binary, or leave that out",
+                    named.display()
+                )));
+            }
+            None => sibling_server()?,
+        };
         self.check_model()?;
         let data_dir = make_data_dir(self.keep_data.as_deref(), Path::new(DATA_DIR))?;
         output.line(format_args!("starting {} in {}", program.display(), data_dir.display()))?;

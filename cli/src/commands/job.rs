@@ -47,9 +47,21 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         Command::Ls => return list(&client.jobs().await?, output),
         Command::Show { name } => client.job(&full(&name)).await?,
         Command::Watch { name } => follow(&client, &full(&name), output).await?,
-        Command::Cancel { name } => client.cancel_job(&full(&name)).await?,
+        Command::Cancel { name } => cancelled(client.cancel_job(&full(&name)).await?)?,
     };
     show(&job, output)
+}
+
+/// A job that was told to end; an error if it had ended before.
+fn cancelled(job: v1::Job) -> Result<v1::Job, Failure> {
+    match job.state() {
+        v1::job::State::Succeeded | v1::job::State::Failed => Err(Failure::JobFailed(format!(
+            "{} has ended already ({}); nothing was cancelled",
+            job.name,
+            job.state().json_name()
+        ))),
+        v1::job::State::Running | v1::job::State::Cancelled | v1::job::State::Unspecified => Ok(job),
+    }
 }
 
 /// The job that an upload begins. The upload fails once `stop` is set, which Ctrl-C does; `undone` tells the user what

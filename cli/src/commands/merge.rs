@@ -60,7 +60,7 @@ pub(crate) struct Merging {
     /// Only show what would change; `waypost merge commit` or `discard` decides later
     #[arg(long)]
     preview: bool,
-    /// Fewest matches that must agree with each other, at least 3
+    /// Fewest matches that must agree with each other, at least 3; 5 by default
     #[arg(long, value_name = "N")]
     min_support: Option<u32>,
     /// Write the maps before and after to this file, as SVG

@@ -54,6 +54,8 @@ fn position(text: &str) -> Result<[f64; 2], String> {
 
 pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Output) -> Result<(), Failure> {
     let Arguments { map, robot, to, to_label, to_image, to_position, facing, cancel } = arguments;
+    let image = to_image.map(|file| std::fs::read(&file).map(fitting).map_err(Failure::file("read", &file)));
+    let image = image.transpose()?;
     let client = Client::connect(server).await?;
     let Some(robot) = robot else { return list(&client, &map, output).await };
     let map = map.strip_prefix("maps/").unwrap_or(&map);
@@ -61,7 +63,6 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     if cancel {
         return show(&client.cancel_goal(&name).await?, output);
     }
-    let image = to_image.map(|file| std::fs::read(&file).map(fitting).map_err(Failure::file("read", &file)));
     let position = to_position.map(|[x_m, y_m]| v1::PositionGoal {
         part: 0,
         x_m: Some(x_m),
@@ -72,7 +73,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         .map(v1::goal::Target::PlaceNumber)
         .or(position.map(v1::goal::Target::Position))
         .or(to_label.map(v1::goal::Target::Label))
-        .or(image.transpose()?.map(v1::goal::Target::Image));
+        .or(image.map(v1::goal::Target::Image));
     if let Some(target) = target {
         client.set_goal(&name, v1::Goal { target: Some(target) }).await?;
     }

@@ -8,7 +8,7 @@ use super::job;
 use crate::failure::Failure;
 use crate::files::Asking;
 use crate::names::session_name;
-use crate::output::{Output, in_words, table};
+use crate::output::{Output, in_words, mebibytes, table};
 
 #[derive(Subcommand)]
 pub(crate) enum Command {
@@ -17,6 +17,14 @@ pub(crate) enum Command {
     Ls {
         /// Name of the map
         map: String,
+    },
+    /// Show a session: its frames, its camera, what it keeps
+    #[command(visible_alias = "get")]
+    Show {
+        /// Name of the map
+        map: String,
+        /// Name of the session
+        session: String,
     },
     /// List the streams that robots have open now, with how fast their frames are decided
     Streams {
@@ -48,6 +56,7 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
     let client = Client::connect(server).await?;
     match command {
         Command::Ls { map } => list(&client.sessions(&map).await?, output),
+        Command::Show { map, session } => show(&client.session(&session_name(&map, &session)).await?, output),
         Command::Streams { map } => streams(&client.open_streams(map.as_deref()).await?, output),
         Command::Frames { map, session } => {
             frames(&client.frames(&session_name(&map, &session)).await?, output)
@@ -77,6 +86,55 @@ fn list(sessions: &[v1::Session], output: Output) -> Result<(), Failure> {
         });
         table(out, ["SESSION", "FRAMES", "CLOSURES", "FIRST", "LAST"], rows)
     })
+}
+
+fn show(session: &v1::Session, output: Output) -> Result<(), Failure> {
+    output.result(session, |out| {
+        let v1::Session {
+            name,
+            create_time_ns,
+            camera,
+            frames,
+            loop_closures,
+            first_sequence,
+            last_sequence,
+            first_stamp_ns,
+            last_stamp_ns,
+            owner,
+            kept_bytes,
+        } = session;
+        writeln!(out, "{name}")?;
+        writeln!(out, "begun           {}", in_words(*create_time_ns))?;
+        writeln!(out, "owner           {}", if owner.is_empty() { "nobody" } else { owner })?;
+        writeln!(out, "camera          {}", camera.as_ref().map_or("not declared".to_owned(), in_short))?;
+        writeln!(out, "frames          {frames}")?;
+        if let (Some(first), Some(last)) = (first_sequence, last_sequence) {
+            writeln!(out, "numbers         {first} to {last}")?;
+        }
+        if let (Some(first), Some(last)) = (first_stamp_ns, last_stamp_ns) {
+            // As stamps are compared: the robot's clock may have begun anywhere.
+            writeln!(out, "stamps          {first} to {last} ns")?;
+        }
+        writeln!(out, "loop closures   {loop_closures}")?;
+        writeln!(out, "kept            {}", mebibytes(*kept_bytes))
+    })
+}
+
+/// What kind of camera it is, and of what size its images are.
+fn in_short(camera: &v1::Camera) -> String {
+    use v1::camera::Model;
+    let kind = match &camera.model {
+        Some(Model::Pinhole(_)) => "pinhole",
+        Some(Model::FieldOfView(_)) => "pinhole by its field of view",
+        Some(Model::Fisheye(_)) => "fisheye",
+        Some(Model::Panorama(_)) => "panorama",
+        Some(Model::HyperbolicMirror(_)) => "hyperbolic mirror",
+        None => "of unknown optics",
+    };
+    match (camera.image_width_px, camera.image_height_px) {
+        (Some(width), Some(height)) => format!("{kind}, {width} x {height} px"),
+        (Some(_), None) | (None, _) => format!("{kind}, of images of any size"),
+    }
 }
 
 fn streams(streams: &[v1::OpenStream], output: Output) -> Result<(), Failure> {

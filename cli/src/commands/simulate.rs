@@ -11,6 +11,7 @@ use waypost_client::{Client, ClientOptions, NavigationOptions, v1};
 use waypost_sim::drawing::{Layer, Marks, plan_svg};
 use waypost_sim::drive::{Building, EVERY_HALF_METRE, FOUR_A_SECOND, SPEED_M_S, TWICE_A_SECOND, WHEN_MOVED};
 use waypost_sim::pose::Pose;
+use waypost_sim::worlds::NamedWorld;
 
 use super::navigate::status_name;
 use crate::failure::{EXIT_CODES, Failure};
@@ -20,7 +21,7 @@ use crate::output::Output;
 use crate::panorama::Projection;
 use crate::simulated::by_looks::map_by_looks;
 use crate::simulated::mapping::{SeenAgain, error_m, layers, map_along};
-use crate::simulated::{Ending, LedDrive, building, camera, drive, robot, unfit};
+use crate::simulated::{Ending, LedDrive, building, camera, drive, robot, unfit, worlds};
 
 /// Longest drive to a goal.
 const PATIENCE: Duration = Duration::from_secs(600);
@@ -43,9 +44,9 @@ pub(crate) struct Arguments {
     /// Map to drive in; `waypost map create` makes one
     #[arg(long)]
     map: String,
-    /// Building: office, corridors, booij-office, loop, building-a, building-b, gallery or foyer
-    #[arg(long, value_name = "NAME", default_value = "office")]
-    world: String,
+    /// Building to drive in
+    #[arg(long, value_name = "NAME", value_parser = worlds(), default_value = "office")]
+    world: NamedWorld,
     /// Route through the building; if left out, its first. An unknown name lists all
     #[arg(long, value_name = "NAME")]
     route: Option<String>,
@@ -144,7 +145,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     } = arguments;
     let replacing = Replacing::of(force);
     replacing.check_wanted(picture.as_deref())?;
-    let (building, route) = building(&world, route.as_deref(), seed)?;
+    let (building, route) = building(world, route.as_deref(), seed)?;
     let building = match panorama {
         Some(projection) => building.seen_all_around(projection.into()),
         None => building,

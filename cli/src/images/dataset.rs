@@ -119,6 +119,7 @@ fn read(path: &Path) -> Result<String, DatasetError> {
 }
 
 fn lines(text: &str) -> impl Iterator<Item = Line<'_>> {
+    let text = text.trim_start_matches('\u{feff}');
     let lines = text.lines().zip(1..).map(|(text, number)| Line { number, text: text.trim() });
     lines.filter(|line| !line.text.is_empty() && !line.text.starts_with('#'))
 }

@@ -354,7 +354,7 @@ fn the_demo_drives_through_a_building() {
     let words: Vec<&str> = drawn.descendants().filter_map(|node| node.text()).collect();
     assert!(["truth", "wheels alone", "map"].iter().all(|layer| words.contains(layer)), "{words:?}");
     for (arguments, fragment) in [
-        (&["--world", "garden"][..], "there are office, corridors"),
+        (&["--world", "garden"][..], "possible values: office, corridors"),
         (&["--world", "loop", "--route", "thrice"], "there are once, twice"),
     ] {
         let refused = demo(arguments);

@@ -26,7 +26,7 @@ fn a_simulated_robot_makes_a_map_and_is_led_along_it() {
     let nowhere = waypost.fails(&[&in_the_loop[..], &["--navigate", "--to", "9999"]].concat());
     assert!(nowhere.1.contains("9999"), "{nowhere:?}");
     let unknown = waypost.fails(&["simulate", "--map", "drive", "--world", "moon"]);
-    assert!(unknown.0 == 1 && unknown.1.contains("office"), "{unknown:?}");
+    assert!(unknown.0 == 2 && unknown.1.contains("possible values: office"), "{unknown:?}");
 }
 
 /// The same for a robot that sees all around and has no odometry: its map has links by looks, and it is led by headings.

@@ -131,6 +131,22 @@ fn a_folder_is_streamed_and_told_frame_by_frame() {
     }
     let first = check_csv(&csv, FRAMES);
 
+    let session = waypost.json(&["session", "show", "drive", "robot"]);
+    assert_eq!(
+        (session["name"].as_str(), session["frames"].as_u64()),
+        (summary["session"].as_str(), Some(FRAMES as u64))
+    );
+    let shown = waypost.text(&["session", "get", "drive", "robot"]);
+    for line in ["maps/drive/sessions/robot", "frames          12", "numbers         1 to 12", "not declared"]
+    {
+        assert!(shown.contains(line), "no {line:?} in {shown}");
+    }
+    // Where nothing is added, nothing is closed.
+    assert!(summary["recognised"].is_null() && summary["loop_closures"].is_u64(), "{summary}");
+    let localized =
+        waypost.json(&["stream", path(folder.path()), "--map", "drive", "--session", "seen", "--localize"]);
+    assert!(localized["loop_closures"].is_null() && localized["recognised"].is_u64(), "{localized}");
+
     // Again: the session is complete, and its rows come from the store.
     let (code, refused) = waypost.fails(&stream);
     assert!(code == 1 && refused.contains("--force"), "{refused}");
@@ -281,6 +297,13 @@ fn the_help_has_the_numbers_of_the_defaults() {
         let default = format!("{}{unit} by default", settings[setting]);
         assert!(help.contains(&default), "{setting}: no {default:?} in {help}");
     }
+    let merge = waypost.text(&["map", "merge", "--help"]);
+    let least = topomap::merging::MergeSettings::default().min_support;
+    assert!(merge.contains(&format!("at least 3; {least} by default")), "{merge}");
+    let train = waypost.text(&["model", "train", "--help"]);
+    let extractor = waypost_vision::features::FeatureSettings::default();
+    let train = train.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(train.contains(&format!("\"{extractor}\" by default")), "{train}");
     let degrees = settings["place_spacing_rad"].as_f64().unwrap().to_degrees().round();
     assert!(help.contains(&format!("{degrees} degrees by default")), "{degrees}");
 }

@@ -78,10 +78,12 @@ fn names_and_verbs_that_are_wrong() {
         (
             "a frame by a wrong file name",
             &["explain", "hall", "monday", "99.jpg"],
-            1,
+            4,
             "waypost session frames hall monday",
         ),
         ("a job that is not there", &["job", "show", "7"], 4, "jobs/7"),
+        ("a session that is not there", &["session", "show", "hall", "sunday"], 4, "sunday"),
+        ("a building that is not there", &["simulate", "--map", "hall", "--world", "ofice"], 2, "office"),
         ("a map without metres", &["map", "graph", "hall", "--out", out], 4, "it takes frames with odometry"),
         (
             "a trajectory of none",
@@ -200,7 +202,7 @@ fn addresses_that_are_wrong() {
     let waypost = CommandLine::new();
     let (grpc, http) = (waypost.endpoint(), waypost.http());
     for (mistake, address, code, fragment) in [
-        ("no server", "http://127.0.0.1:1", 3, "start a server with `make serve`"),
+        ("no server", "http://127.0.0.1:1", 3, "start a server with `waypost-server`"),
         ("no scheme", "127.0.0.1:7600", 2, "http://"),
         ("the HTTP port", &http, 1, "HTTP port"),
         ("https against plain", &grpc.replace("http://", "https://"), 3, "speaks no TLS"),

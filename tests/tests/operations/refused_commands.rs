@@ -43,6 +43,21 @@ fn a_command_that_cannot_write_its_file_asks_the_server_for_nothing() {
 }
 
 #[test]
+fn a_demo_without_a_server_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Built::command("waypost");
+    command.args(["demo", "--server-binary", "no-such-server"]).current_dir(folder.path());
+    let output = run_to_its_end(command);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(
+        said.contains("there is no server no-such-server; name the program with --server-binary"),
+        "{said}"
+    );
+    assert_eq!(folder.path().read_dir().unwrap().count(), 0, "a folder is left");
+}
+
+#[test]
 fn a_server_without_tls_is_told_from_one_that_is_not_there() {
     let waypost = CommandLine::new();
     let encrypted = waypost.endpoint().replace("http://", "https://");

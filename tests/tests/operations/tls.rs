@@ -209,6 +209,12 @@ fn the_command_lines_take_certificates_from_files() {
     assert!(code == 3 && stderr.contains("--ca or WAYPOST_CA"), "{stderr}");
     let (code, stderr) = waypost(&right[..2]);
     assert!(code == 3 && stderr.contains("--client-cert and --client-key"), "{stderr}");
+    let foreign = authority.client();
+    let foreign_certificate = text(&write(directory.path(), "foreign.crt", &foreign.certificate));
+    let foreign_key = text(&write(directory.path(), "foreign.key", &foreign.key));
+    let (code, stderr) =
+        waypost(&["--ca", &ca, "--client-cert", &foreign_certificate, "--client-key", &foreign_key]);
+    assert!(code == 3 && stderr.contains("--client-cert and --client-key"), "{stderr}");
     let mut plain = Built::command("waypost");
     plain.args(["map", "ls", "--server", &server.endpoint()]);
     let output = run_to_its_end(plain);

@@ -11,13 +11,14 @@ use waypost_sim::drawing::{Layer, Marks, plan_svg};
 use waypost_sim::drive::{Building, SPEED_M_S as TEACHING_SPEED_M_S, TWICE_A_SECOND, WHEN_MOVED};
 use waypost_sim::pose::Pose;
 use waypost_sim::simulation::Recording;
+use waypost_sim::worlds::NamedWorld;
 
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::simulated::mapping::map_along;
 use crate::simulated::{Ending, LedDrive, building, camera, drive, new_map, robot, unfit};
 
-const WORLD: &str = "office";
+const WORLD: NamedWorld = NamedWorld::Office;
 const ROUTE: &str = "teach";
 const SEED: u64 = 1;
 const MAP: &str = "taught";
@@ -63,7 +64,8 @@ pub(super) async fn run(
 ) -> Result<Repeated, Failure> {
     let (building, _) = building(WORLD, Some(ROUTE), SEED)?;
     let building = Arc::new(building);
-    output.line(format_args!("\na simulated robot is taught the way {ROUTE} through the {WORLD}"))?;
+    output
+        .line(format_args!("\na simulated robot is taught the way {ROUTE} through the {}", WORLD.name()))?;
     let mut teacher = robot(&building, SEED, 0, WHEN_MOVED)?;
     let taught = teacher.drive_along(&building.route, TEACHING_SPEED_M_S).map_err(unfit)?;
     client.create_map(new_map(MAP, model)).await?;

@@ -9,6 +9,7 @@ use waypost_sim::drawing::plan_svg;
 use waypost_sim::drive::{Building, SPEED_M_S, WHEN_MOVED};
 use waypost_sim::pose::Pose;
 use waypost_sim::simulation::Recording;
+use waypost_sim::worlds::NamedWorld;
 
 use super::{Demo, Kept};
 use crate::failure::Failure;
@@ -37,7 +38,7 @@ struct Report {
 
 pub(super) async fn run(
     demo: &Demo,
-    world: &str,
+    world: NamedWorld,
     route: Option<&str>,
     seed: u64,
     output: Output,
@@ -53,7 +54,7 @@ pub(super) async fn run(
     std::fs::write(&picture, svg).map_err(Failure::file("write", &picture))?;
     let by_wheels: Vec<Pose> = recording.frames().map(|frame| frame.odometry.pose).collect();
     let report = Report {
-        world: world.to_owned(),
+        world: world.name().to_owned(),
         route: route_name,
         seed,
         driven_m: recording.length_m(),

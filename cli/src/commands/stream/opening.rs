@@ -23,7 +23,7 @@ use crate::odometry::{self, StampedPose};
 use crate::output::Output;
 use crate::panorama::{mirror_camera, panorama_camera, size_px};
 use crate::progress;
-use crate::replay::{Recording, Replay, note};
+use crate::replay::{Recording, Replay, note, told_of_no_notes};
 use crate::units::doubts;
 
 /// Rate of generated stamps.
@@ -105,7 +105,8 @@ pub(super) async fn recording(
     let with_file = odometry.zip(poses.as_deref());
     let of_sizes = several_sizes(&images);
     let Moments { moments, told } = moments(&images, with_file, rate_hz.unwrap_or(DEFAULT_RATE_HZ))?;
-    for line in told.into_iter().chain(of_sizes).chain(told_of_others(&images)) {
+    let of_names = told_of_no_notes(&images);
+    for line in told.into_iter().chain(of_sizes).chain(told_of_others(&images)).chain(of_names) {
         // If stderr is closed, the message is lost.
         let _ = writeln!(std::io::stderr(), "{line}");
     }

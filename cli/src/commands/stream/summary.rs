@@ -23,7 +23,10 @@ struct Summary {
     frame_count: usize,
     refused: usize,
     places_created: usize,
-    loop_closures: usize,
+    /// Null where the robot only localizes: nothing is closed where nothing is added.
+    loop_closures: Option<usize>,
+    /// Frames that were recognised at another place than the one before, where the robot only localizes; else null.
+    recognised: Option<usize>,
     /// Of the frames that were answered: each has one.
     reasons: Reasons,
     /// Mean length of an image or its words, in bytes; null if nothing was sent.
@@ -51,6 +54,7 @@ pub(super) fn conclude(
     output: Output,
 ) -> Result<(), Failure> {
     let v1::SessionOpened { session, last_committed_sequence, model, words_hash: _ } = opened;
+    let localizes = mode == v1::SessionMode::Localize;
     let reasons = Reasons::of(frames.iter().filter_map(|row| row.reason));
     let summary = Summary {
         map: session.split("/sessions/").next().unwrap_or_default().to_owned(),
@@ -67,7 +71,8 @@ pub(super) fn conclude(
                     && matches!(row.reason, Some("new_place" | "below_threshold" | "geometry_refused"))
             })
             .count(),
-        loop_closures: reasons.loop_closure,
+        loop_closures: (!localizes).then_some(reasons.loop_closure),
+        recognised: localizes.then_some(reasons.loop_closure),
         reasons,
         bytes_per_frame: sent.bytes_per_frame(),
         ms_p50: median(frames.iter().filter_map(|row| row.total_ms).collect()),

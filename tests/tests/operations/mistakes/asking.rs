@@ -57,6 +57,9 @@ fn a_job_that_waits_for_nobody_says_so() {
     assert!(!stage.is_empty() && !stage.contains("another job"), "{job}");
     let number = job["name"].as_str().unwrap().trim_start_matches("jobs/").to_owned();
     assert_eq!(beginner.waypost.json(&["job", "watch", &number])["state"], "succeeded");
+    // Too late: nobody is to believe that it was cancelled.
+    let (code, said) = beginner.waypost.fails(&["job", "cancel", &number]);
+    assert!(code == 1 && said.contains("has ended already (succeeded); nothing was cancelled"), "{said}");
 }
 
 /// On a terminal, people are asked before something is lost. Only a yes is one.
