@@ -46,7 +46,7 @@ impl Parameters for Naming {
     const TAKES: &str = "display_name=NAME";
 }
 
-/// Takes in a model file. One that is there already stays as it is. For administrators.
+/// Takes in a model file. One that is there already stays as it is, its display name among it. For administrators.
 #[utoipa::path(post, path = "/v1/models", tag = "models", params(Naming),
     request_body(content = BinaryFile, content_type = "application/octet-stream", description = "The file, of at most 512 MiB."),
     responses((status = 200, description = "The model.", body = v1::Model), Refusals))]
