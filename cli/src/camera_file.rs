@@ -46,7 +46,8 @@ pub(crate) enum CameraFileError {
     #[error("{}: {source}", path.display())]
     Undeclared { path: PathBuf, source: Undeclared },
     #[error(
-        "`{0}` are no numbers of a camera; write fx,fy,cx,cy, then k1,k2,p1,p2[,k3] if there is distortion"
+        "`{0}` are no numbers of a camera; write fx,fy,cx,cy, then k1,k2,p1,p2[,k3] if there is distortion; or \
+         fisheye:fx,fy,cx,cy, then k1,k2,k3,k4 if there is distortion"
     )]
     Arguments(String),
     #[error(

@@ -107,15 +107,7 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
         Command::Import { file, name } => {
             let client = Client::connect(server).await?;
             let model = import(&client, &file, &name, output).await?;
-            if !name.is_empty() && model.display_name != name {
-                // If stderr is closed, the hint is lost.
-                let _ = writeln!(
-                    io::stderr(),
-                    "the server has this model already, as {:?}; `waypost model rename {} {name:?}` changes that",
-                    model.display_name,
-                    short(&model.name)
-                );
-            }
+            tell_of_another_name(&model, &name);
             show(&model, output)
         }
         Command::Rename { name, display_name } => {
@@ -149,7 +141,7 @@ async fn train(training: Training, server: &ClientOptions, output: Output) -> Re
     }
     let client = Client::connect(server).await?;
     let image_count = u32::try_from(images.len()).ok();
-    let settings = v1::TrainModelSettings { display_name: name, extractor, words, seed, image_count };
+    let settings = v1::TrainModelSettings { display_name: name.clone(), extractor, words, seed, image_count };
     let bar = progress::counter(output, "uploading images", images.len());
     let (stop, stopped) = watch::channel(false);
     let upload = client.train_model(settings, read_each(images, bar.clone(), stopped));
@@ -159,7 +151,22 @@ async fn train(training: Training, server: &ClientOptions, output: Output) -> Re
         return job::show(&job, output);
     }
     let job = job::follow(&client, &job.name, output).await?;
-    show(&client.model(&job::result(job)?).await?, output)
+    let model = client.model(&job::result(job)?).await?;
+    tell_of_another_name(&model, &name);
+    show(&model, output)
+}
+
+/// That a model was there already, and is not called as it was asked for.
+fn tell_of_another_name(model: &v1::Model, asked: &str) {
+    if !asked.is_empty() && model.display_name != asked {
+        // If stderr is closed, the hint is lost.
+        let _ = writeln!(
+            io::stderr(),
+            "the server has this model already, as {:?}; `waypost model rename {} {asked:?}` changes that",
+            model.display_name,
+            short(&model.name)
+        );
+    }
 }
 
 /// The bytes of each image, or an error once `stopped` is set.

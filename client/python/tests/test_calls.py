@@ -369,7 +369,7 @@ def test_maps_are_merged_and_taken_apart_again(client: waypost.Client) -> None:
         with client.session(name, "robot") as session:
             answers(session, sequences)
     merge = client.merge_maps(["west"], "east", min_support=3)
-    client.wait_for_job(merge.job)
+    client.wait_for_job(merge)
     proposed = client.merge(merge.name)
     assert proposed.state == merge_pb2.Merge.STATE_PROPOSED, proposed
     assert b"<svg" in client.merge_picture(merge.name)

@@ -147,6 +147,12 @@ fn models_of_few_images_and_of_one_name_are_told() {
     let few = run(&train("few"));
     let said = String::from_utf8(few.stdout).unwrap();
     assert!(few.status.success() && said.contains("it was trained on 4 images"), "{said}");
+    let again = run(&train("fewer"));
+    let said = String::from_utf8(again.stderr).unwrap();
+    assert!(
+        again.status.success() && said.contains("the server has this model already, as \"few\""),
+        "{said}"
+    );
     // A name stands for one model: one that two had would be no name in any command.
     let taken = "is called \"shipped\" already; choose another name";
     for arguments in

@@ -159,7 +159,7 @@ async fn flipped(directory: &Path, whole: &Served, seed: u64, flip: u64) -> (Fli
     random.set_stream(flip);
     let copy = copied(directory);
     let file = copy.path().join("waypost.sqlite");
-    let place = if flip % 3 == 0 {
+    let place = if flip.is_multiple_of(3) {
         flip_in_the_log(copy.path(), &mut random).await
     } else {
         let mut bytes = std::fs::read(&file).unwrap();

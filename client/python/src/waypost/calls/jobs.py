@@ -10,7 +10,7 @@ import grpc
 
 from waypost import errors
 from waypost.connection import Connection, resource
-from waypost.v1 import job_pb2
+from waypost.v1 import job_pb2, merge_pb2
 
 
 class JobCalls:
@@ -42,18 +42,17 @@ class JobCalls:
         request = job_pb2.WatchJobRequest(name=resource("jobs", name))
         return JobProgress(self._connection.jobs.WatchJob(request), self._connection.address)
 
-    def wait_for_job(self, job: str | job_pb2.Job) -> job_pb2.Job:
-        """Waits until a job has ended, and gives it.
+    def wait_for_job(self, job: str | job_pb2.Job | merge_pb2.Merge) -> job_pb2.Job:
+        """Waits until a job, or that of a merge, has ended, and gives it.
 
         Raises:
             ServerError: The job's own error, if it failed.
             Cancelled: If somebody cancelled it.
         """
-        name = job if isinstance(job, str) else job.name
+        name = job if isinstance(job, str) else job.job if isinstance(job, merge_pb2.Merge) else job.name
         with self.watch_job(name) as progress:
-            for last in progress:
-                job = last
-        ended = self.job(name) if isinstance(job, str) else job
+            states = list(progress)
+        ended = states[-1] if states else self.job(name)
         if ended.state == job_pb2.Job.STATE_FAILED:
             raise errors.from_status(ended.error)
         if ended.state == job_pb2.Job.STATE_CANCELLED:
