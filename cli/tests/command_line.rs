@@ -142,7 +142,7 @@ fn a_demo_without_its_files_or_server_says_so() {
     std::fs::write(folder.path().join("model.waypost"), b"").unwrap();
     let (code, stderr) = failed(&[&arguments[..], &["--server-binary", "no/such/server", "--json"]].concat());
     assert_eq!(code, 1);
-    assert!(stderr.contains("no/such/server cannot be started"), "{stderr}");
+    assert!(stderr.contains("there is no server no/such/server; name the program"), "{stderr}");
 }
 
 /// What somebody gives is used, or refused with the way to what they want.
