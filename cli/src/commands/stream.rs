@@ -14,7 +14,9 @@ use tokio::sync::oneshot;
 use waypost_client::{Client, ClientOptions, SessionOptions, v1};
 
 use self::agreement::{FRAMES_AT_FIRST, Streamed, has_odometry};
-use self::opening::{Opened, Reading, check_resumed, declared_camera, panoramas_for_metres, recording};
+use self::opening::{
+    Opened, Reading, check_resumed, declared_camera, metres_left_out, panoramas_for_metres, recording,
+};
 use self::summary::{Hints, conclude};
 pub(crate) use self::telling::closure_line;
 use self::telling::{short_sequence_hint, tell};
@@ -178,6 +180,11 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         let asking = Asking::unless(yes);
         check_resumed(&client, (&map, &opened.session), &replay, committed, asking).await?;
         check_begun_with(&client, (&map, &opened.session), &replay, committed, compared).await?;
+    }
+    if let (None, v1::SessionMode::Map, false) = (committed, mode, has_odometry(&replay))
+        && let Some(doubt) = metres_left_out(&client, &map).await
+    {
+        Asking::unless(yes).confirm_going_on(&doubt)?;
     }
     match committed {
         Some(sequence) => output.line(format_args!("{} resumed after frame {sequence}", opened.session))?,

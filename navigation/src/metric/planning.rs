@@ -81,6 +81,12 @@ pub enum PlanError {
         /// As given.
         part: PlaceId,
     },
+    /// A map whose places no odometry joins.
+    #[error(
+        "the map has no metres, and a robot is led by them: no two of its places are joined by odometry; drive the way while \
+         frames bring odometry, or make a map with the navigation strategy appearance of panoramas"
+    )]
+    NoMetres,
     /// A position that no way leads to.
     #[error(
         "the goal is {distance_m:.1} m from the nearest place, {place}, and a robot goes only where it was driven; name \
@@ -159,13 +165,16 @@ pub fn plan(
 /// # Errors
 /// [`PlanError`] if the map has none there.
 pub fn goal_place(poses: &PlacePoses, goal: Goal, settings: &PlanningSettings) -> Result<PlaceId, PlanError> {
+    // No way is needed to the only place.
+    let has_ways = poses.has_metres() || poses.poses().len() <= 1;
     match goal {
-        Goal::Place(place) if poses.pose(place).is_some() => Ok(place),
-        Goal::Place(place) => Err(PlanError::UnknownPlace { place }),
+        Goal::Place(place) if poses.pose(place).is_none() => Err(PlanError::UnknownPlace { place }),
+        Goal::Position { position_m, .. } if position_m.iter().any(|value| !value.is_finite()) => {
+            Err(PlanError::NotFinite)
+        }
+        Goal::Place(_) | Goal::Position { .. } if !has_ways => Err(PlanError::NoMetres),
+        Goal::Place(place) => Ok(place),
         Goal::Position { part, position_m } => {
-            if position_m.iter().any(|value| !value.is_finite()) {
-                return Err(PlanError::NotFinite);
-            }
             let apart = of_part(poses, part).map(|(place, pose)| (place, distance_m(pose, position_m)));
             let nearest = apart.min_by(|(_, a), (_, b)| a.total_cmp(b));
             let (place, distance_m) = nearest.ok_or(PlanError::UnknownPart { part })?;

@@ -44,6 +44,17 @@ impl Beginner {
         file
     }
 
+    /// The same with a map `ways` that has metres: its session `monday` drove two metres from image to image.
+    fn with_metres() -> Self {
+        let beginner = Self::new();
+        let rows: String = (0..6).map(|n| format!("{},{},0,0\n", 1 + n * 1_000_000_000_u64, 2 * n)).collect();
+        let odometry = beginner.file("ways.csv", format!("stamp_ns,x_m,y_m,yaw_rad\n{rows}"));
+        beginner.waypost.text(&["map", "create", "ways", "--model", "shipped"]);
+        let drive = ["stream", path(beginner.images.path()), "--map", "ways", "--session", "monday"];
+        beginner.waypost.text(&[&drive[..], &["--odometry", path(&odometry)]].concat());
+        beginner
+    }
+
     fn says(&self, mistake: &str, arguments: &[&str], code: i32, fragment: &str) {
         let output = self.waypost.run(arguments);
         let said = String::from_utf8(output.stderr).unwrap();
@@ -210,7 +221,7 @@ fn addresses_that_are_wrong() {
     for (mistake, address, code, fragment) in [
         ("no server", "http://127.0.0.1:1", 3, "start a server with `waypost-server`"),
         ("no scheme", "127.0.0.1:7600", 2, "http://"),
-        ("the HTTP port", &http, 1, "HTTP port"),
+        ("the HTTP port", &http, 3, "HTTP port"),
         ("https against plain", &grpc.replace("http://", "https://"), 3, "speaks no TLS"),
     ] {
         let mut command = Built::command("waypost");

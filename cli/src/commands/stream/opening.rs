@@ -19,6 +19,7 @@ use crate::images::{
     DEFAULT_RATE_HZ as VIDEO_RATE_HZ, ImageFile, Video, images_of, images_of_video, is_video, told_of_others,
 };
 use crate::moments::{Moments, moments};
+use crate::names::short_map;
 use crate::odometry::{self, StampedPose};
 use crate::output::Output;
 use crate::panorama::{mirror_camera, panorama_camera, size_px};
@@ -177,6 +178,19 @@ pub(super) async fn panoramas_for_metres(
             )
         }),
     }
+}
+
+/// What is said of images without odometry that are to go into a map with metres.
+pub(super) async fn metres_left_out(client: &Client, map: &str) -> Option<String> {
+    let map = short_map(map);
+    // A map that has metres begins with some, as a rule.
+    let first = client.place(&format!("maps/{map}/places/0")).await.ok()?;
+    first.pose.is_some().then(|| {
+        format!(
+            "the map {map} has metres, and these images bring no odometry: was --odometry left out? no way to the places that \
+             they add is measured, and no robot is led there"
+        )
+    })
 }
 
 fn first_size_px(recording: &Recording) -> Result<(u32, u32), Failure> {

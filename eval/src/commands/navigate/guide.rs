@@ -146,6 +146,7 @@ impl<'a> Guide<'a> {
             Err(
                 reason @ (PlanError::UnknownPlace { .. }
                 | PlanError::UnknownPart { .. }
+                | PlanError::NoMetres
                 | PlanError::GoalTooFar { .. }
                 | PlanError::NotFinite),
             ) => return Err(reason.into()),

@@ -105,6 +105,27 @@ fn what_cannot_be_planned_says_why() {
     assert!(stays.length_m == 0.0 && stays.length_m.is_sign_positive());
 }
 
+#[test]
+fn a_map_without_metres_has_no_goals_and_its_only_place_is_one() {
+    let settings = PlanningSettings::default();
+    let position = |x_m| Goal::Position { part: PlaceId::new(0), position_m: [x_m, 0.0] };
+    let (_, apart) = map(&corridor(2), &[], &[]);
+    for goal in [Goal::Place(PlaceId::new(0)), Goal::Place(PlaceId::new(1)), position(0.0)] {
+        assert_eq!(goal_place(&apart, goal, &settings), Err(PlanError::NoMetres), "{goal:?}");
+    }
+    // What is wrong whatever the map is like is said first.
+    let nowhere = PlaceId::new(9);
+    assert_eq!(
+        goal_place(&apart, Goal::Place(nowhere), &settings),
+        Err(PlanError::UnknownPlace { place: nowhere })
+    );
+    assert_eq!(goal_place(&apart, position(f64::NAN), &settings), Err(PlanError::NotFinite));
+    let (_, alone) = map(&corridor(1), &[], &[]);
+    for goal in [Goal::Place(PlaceId::new(0)), position(0.0)] {
+        assert_eq!(goal_place(&alone, goal, &settings), Ok(PlaceId::new(0)), "{goal:?}");
+    }
+}
+
 /// Metres that a way costs, from the definition.
 fn cost_m(poses: &[PlanarPose], nodes: &[Node], settings: &PlanningSettings) -> f64 {
     let step = |pair: &[Node]| {
@@ -175,6 +196,7 @@ proptest! {
                 prop_assert!((cost_m(&poses, &nodes, &settings) - least_m).abs() < 1e-6, "{} m, not {least_m} m", cost_m(&poses, &nodes, &settings));
             }
             Err(PlanError::OneWay { .. } | PlanError::OtherPart { .. }) => prop_assert!(least_m.is_infinite()),
+            Err(PlanError::NoMetres) => prop_assert!(links.is_empty()),
             Err(error) => prop_assert!(false, "{error}"),
         }
     }

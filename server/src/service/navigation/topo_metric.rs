@@ -177,7 +177,8 @@ pub(super) fn not_planned(error: PlanError) -> ServiceError {
     match error {
         PlanError::UnknownPlace { .. } | PlanError::UnknownPart { .. } => ServiceError::not_found(error),
         PlanError::NotFinite => ServiceError::invalid(error),
-        PlanError::GoalTooFar { .. }
+        PlanError::NoMetres
+        | PlanError::GoalTooFar { .. }
         | PlanError::OtherPart { .. }
         | PlanError::OneWay { .. }
         | PlanError::TooFar { .. } => ServiceError::precondition(error),

@@ -17,7 +17,7 @@ async fn routes_that_nobody_drove() {
     let apart = route(0, 1).await;
     assert_eq!(apart.status, StatusCode::CONFLICT, "{}", apart.text());
     let said = apart.text();
-    assert!(said.contains("no way that was driven joins place 1 with the start"), "{said}");
+    assert!(said.contains("the map has no metres, and a robot is led by them"), "{said}");
     for (from, to) in [(0, 9999), (9999, 0)] {
         let unknown = route(from, to).await;
         assert_eq!(unknown.status, StatusCode::NOT_FOUND, "{}", unknown.text());
@@ -27,23 +27,51 @@ async fn routes_that_nobody_drove() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_goal_that_the_map_lacks_is_refused_and_the_robot_keeps_its_own() {
-    let beginner = Beginner::new();
+    let beginner = Beginner::with_metres();
     let client = Client::connect(&beginner.waypost.endpoint()).await.unwrap();
     let goal = v1::Goal { target: Some(v1::goal::Target::PlaceNumber(1)) };
     let options = NavigationOptions {
         navigation_id: "robot".to_owned(),
         goal: Some(goal.clone()),
-        ..NavigationOptions::new("hall", camera_ahead())
+        ..NavigationOptions::new("ways", camera_ahead())
     };
     let navigation = client.navigate(options).await.unwrap();
-    let nowhere = ["navigate", "hall", "robot", "--to", "9999"];
+    let nowhere = ["navigate", "ways", "robot", "--to", "9999"];
     for output in [&[][..], &["--json"]] {
         let (code, said) = beginner.waypost.fails(&[&nowhere[..], output].concat());
         assert_eq!(code, 4, "{said}");
         assert!(said.contains("the map has no place 9999; list its places"), "{said}");
     }
-    let led = client.navigation("maps/hall/navigations/robot").await.unwrap();
+    let led = client.navigation("maps/ways/navigations/robot").await.unwrap();
     assert_eq!(led.goal, Some(goal));
+    drop(navigation);
+}
+
+/// It would search for its way until somebody stops it.
+#[tokio::test(flavor = "multi_thread")]
+async fn nobody_is_led_through_a_map_without_metres() {
+    let beginner = Beginner::new();
+    let client = Client::connect(&beginner.waypost.endpoint()).await.unwrap();
+    let options = |goal| NavigationOptions {
+        navigation_id: "robot".to_owned(),
+        goal,
+        ..NavigationOptions::new("hall", camera_ahead())
+    };
+    let goal = v1::Goal { target: Some(v1::goal::Target::PlaceNumber(1)) };
+    let refused = client.navigate(options(Some(goal))).await.err().unwrap().to_string();
+    assert!(refused.contains("the map has no metres, and a robot is led by them"), "{refused}");
+
+    let navigation = client.navigate(options(None)).await.unwrap();
+    let name = "maps/hall/navigations/robot";
+    for goal in [["--to", "1"], ["--to-position", "0,0"]] {
+        let (code, said) = beginner.waypost.fails(&[&["navigate", "hall", "robot"][..], &goal].concat());
+        assert!(code == 4 && said.contains("drive the way while frames bring odometry"), "{said}");
+    }
+    let url = format!("{}/v1/{name}/goal", beginner.waypost.http());
+    let put = http().put(url).json(&serde_json::json!({ "place_number": 1 }));
+    let answer = Answer::to(put).await;
+    assert_eq!(answer.status, StatusCode::CONFLICT, "{}", answer.text());
+    assert_eq!(client.navigation(name).await.unwrap().goal, None);
     drop(navigation);
 }
 

@@ -158,3 +158,23 @@ fn centimetres_of_a_slow_robot_are_told_while_it_streams() {
         }
     }
 }
+
+/// Somebody who is there is asked; a script goes on.
+#[test]
+fn images_without_odometry_are_asked_about_where_a_map_has_metres() {
+    let beginner = Beginner::with_metres();
+    let folder = path(beginner.images.path());
+    let into = |map, session| ["stream", folder, "--map", map, "--session", session];
+    let doubt = "the map ways has metres, and these images bring no odometry: was --odometry left out?";
+    let (code, screen) = beginner.waypost.on_a_terminal(&into("ways", "tuesday"), "n\n");
+    assert!(code == 1 && screen.contains(doubt) && screen.contains("go on? [y/N]"), "{screen}");
+    let sessions = beginner.waypost.json(&["session", "ls", "ways"]);
+    assert_eq!(sessions["sessions"].as_array().unwrap().len(), 1, "{sessions}");
+    beginner.says("without odometry", &into("ways", "tuesday"), 0, doubt);
+    for arguments in
+        [into("hall", "tuesday").to_vec(), [&into("ways", "localized")[..], &["--localize"]].concat()]
+    {
+        let said = String::from_utf8(beginner.waypost.run(&arguments).stderr).unwrap();
+        assert!(!said.contains("bring no odometry"), "{said}");
+    }
+}
