@@ -174,7 +174,10 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(sessions::list_open_streams))
         .routes(routes!(sessions::get_session, sessions::delete_session))
         .routes(routes!(sessions::list_frames))
-        .routes(routes!(frames::get_frame))
+        .routes(
+            routes!(frames::get_frame, frames::put_frame)
+                .layer(DefaultBodyLimit::max(queries::MAX_BODY_BYTES)),
+        )
         .routes(routes!(frames::get_frame_image))
         .routes(routes!(explanations::explain_frame))
         .routes(routes!(pictures::get_frame_picture))

@@ -44,6 +44,9 @@ const ROUTES: [(&str, Access); 6] = [
     ("/v1/refusals", Access::Server),
 ];
 
+/// What robots send to, and people read.
+const FRAME: &str = "/v1/maps/{map}/sessions/{session}/frames/{sequence}";
+
 /// What is about the whole server: tokens, and all that changes models.
 const TOKENS: &str = "/v1/tokens";
 const MODELS: &str = "/v1/models";
@@ -161,7 +164,11 @@ fn access(method: &Method, path: &str, route: Option<&str>) -> Access {
     if route.starts_with(TOKENS) || (route.starts_with(MODELS) && !method.is_safe()) {
         return Access::Server;
     }
-    if method.is_safe() { Access::READ } else { Access::ADMIN }
+    match route {
+        _ if method.is_safe() => Access::READ,
+        FRAME => Access::STREAM,
+        _ => Access::ADMIN,
+    }
 }
 
 /// The map that a path names, as its route reads it.

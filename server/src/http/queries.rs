@@ -60,7 +60,7 @@ pub(super) async fn query(
 }
 
 /// What a body shows, and of which words it is.
-async fn shown(
+pub(super) async fn shown(
     headers: &HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Result<(Content, String), QueryError> {
@@ -80,7 +80,7 @@ async fn shown(
     let parsed = tokio::task::spawn_blocking(move || serde_json::from_slice(&body)).await;
     let query: WordQuery = parsed.map_err(ServiceError::internal)?.map_err(|error| {
         ServiceError::invalid(format_args!(
-            "the body is no query in JSON: {error}; send words_hash with either histogram or words"
+            "the body holds no words in JSON: {error}; send words_hash with either histogram or words"
         ))
     })?;
     Ok(query.content()?)
@@ -147,7 +147,7 @@ impl WordQuery {
             }
             (None, Some(list)) => Content::Words(list.into()),
             (None, None) => {
-                return Err(ServiceError::invalid("the query shows nothing; send a histogram or words"));
+                return Err(ServiceError::invalid("the body shows nothing; send a histogram or words"));
             }
             (Some(_), Some(_)) => {
                 return Err(ServiceError::invalid("send a histogram or words, not both"));
@@ -165,7 +165,7 @@ impl From<WordList> for content::WordList {
     }
 }
 
-/// Why a query is not answered.
+/// Why a query, or a frame, is not answered.
 #[derive(Debug)]
 pub(super) enum QueryError {
     Service(ServiceError),
@@ -194,13 +194,13 @@ impl IntoResponse for QueryError {
             QueryError::Service(error) => HttpError(error).into_response(),
             QueryError::TooLarge => {
                 let message = format!(
-                    "a query has at most {MAX_BODY_BYTES} bytes, and an image 4 MiB of them; send a smaller image"
+                    "a body has at most {MAX_BODY_BYTES} bytes here, and an image 4 MiB of them; send a smaller image"
                 );
                 error_response(StatusCode::PAYLOAD_TOO_LARGE, "payload_too_large", message)
             }
             QueryError::UnsupportedMediaType { declared } => {
                 let message = format!(
-                    "the Content-Type {declared:?} is none that a query takes; send image/jpeg, image/png or \
+                    "the Content-Type {declared:?} is none that is taken here; send image/jpeg, image/png or \
                      application/json"
                 );
                 error_response(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", message)

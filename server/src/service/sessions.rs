@@ -4,6 +4,7 @@ mod frame;
 mod order;
 mod pipeline;
 mod preparing;
+mod single;
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;

@@ -2,10 +2,11 @@
 
 use reqwest::{Method, RequestBuilder, StatusCode};
 use serde_json::{Value, json};
-use waypost_client::v1;
+use waypost_client::{FrameContent, FrameInput, v1};
 
 use crate::harness::{
-    Answer, Server, Surveyed, followed, found, get, http, images, model_file, refused, state_hash,
+    Answer, Server, Surveyed, answers_of, followed, found, frame, get, http, images, map_request, model_file,
+    refused, session_options, state_hash,
 };
 
 /// The JSON that a request is answered with.
@@ -258,5 +259,59 @@ async fn pages_of_other_sites_change_nothing() {
     let preflight = asked.header("access-control-request-method", "DELETE").bearer_auth(secret);
     let preflight = Answer::to(preflight).await;
     assert!(!preflight.status.is_success() && preflight.header("access-control-allow-origin").is_empty());
+    server.stop().await;
+}
+
+/// As `curl -T` does, for a script that holds no stream open.
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_one_by_one_make_the_session_that_a_stream_makes() {
+    const FRAMES: u64 = 20;
+    let (server, client) = Server::with_map().await;
+    client.create_map(map_request("single", "shipped")).await.unwrap();
+    let put = |map: &str, number: u64, more: &str| {
+        let FrameInput { sequence, stamp_ns, content, .. } = frame(number);
+        let FrameContent::Image(image) = content else { panic!("no image") };
+        let path = format!("/v1/maps/{map}/sessions/robot/frames/{sequence}?stamp_ns={stamp_ns}{more}");
+        http().put(server.url(&path)).header("content-type", "image/jpeg").body(image)
+    };
+    let streamed = answers_of(&client, session_options("drive", "robot"), (1..=FRAMES).map(frame)).await;
+    for answer in &streamed {
+        let told = done(put("single", answer.sequence, "&note=one.jpg")).await;
+        let reason = answer.reason().as_str_name().trim_start_matches("REASON_").to_lowercase();
+        assert_eq!((&told["reason"], &told["place_number"]), (&json!(reason), &json!(answer.place_number)));
+    }
+    assert_eq!(state_hash(&client, "single").await, state_hash(&client, "drive").await);
+    let last = done(put("single", FRAMES, "")).await;
+    assert_eq!((&last["resent"], &last["last_committed_sequence"]), (&json!(true), &json!(FRAMES)));
+    let record = found(&server, "/v1/maps/single/sessions/robot/frames/1").await;
+    assert_eq!(record["note"], "one.jpg");
+    let moved = done(put("single", FRAMES + 1, "&x_m=1&y_m=-2&heading_rad=0.5")).await;
+    assert_eq!(moved["resent"], false, "{moved}");
+    let record = found(&server, &format!("/v1/maps/single/sessions/robot/frames/{}", FRAMES + 1)).await;
+    assert_eq!(record["odometry"]["pose"]["position_m"], json!({ "x": 1.0, "y": -2.0, "z": 0.0 }));
+
+    let bad = StatusCode::BAD_REQUEST;
+    let without_stamp = http().put(server.url("/v1/maps/single/sessions/robot/frames/30"));
+    assert_refused("no stamp", without_stamp, bad, "this route takes stamp_ns=NUMBER").await;
+    assert_refused("half a pose", put("single", 30, "&x_m=1"), bad, "give all three, or none").await;
+    assert_refused("no map", put("nowhere", 30, ""), StatusCode::NOT_FOUND, "there is no map").await;
+    let no_number = http().put(server.url("/v1/maps/single/sessions/robot/frames/one?stamp_ns=1"));
+    assert_refused("no number", no_number, bad, "with the frame's sequence number").await;
+
+    // It takes what a stream takes.
+    let token = async |name: &str, role: &str, by: Option<&str>| {
+        let request = http().post(server.url("/v1/tokens")).json(&json!({ "token_id": name, "role": role }));
+        let request = by.into_iter().fold(request, RequestBuilder::bearer_auth);
+        done(request).await["secret"].as_str().unwrap().to_owned()
+    };
+    let admin = token("boss", "admin", None).await;
+    let reader = token("guest", "reader", Some(&admin)).await;
+    let robot = token("cart", "robot", Some(&admin)).await;
+    let own = || {
+        let url = server.url("/v1/maps/drive/sessions/cart/frames/1?stamp_ns=1");
+        http().put(url).header("content-type", "image/jpeg").body(images()[0].clone())
+    };
+    assert_refused("a reader", own().bearer_auth(reader), StatusCode::FORBIDDEN, "stream").await;
+    assert_eq!(done(own().bearer_auth(robot)).await["sequence"], 1);
     server.stop().await;
 }

@@ -9,6 +9,8 @@ impl Call {
     }
 }
 
+const FRAME: &str = "/v1/maps/{map}/sessions/{session}/frames/{sequence}";
+
 fn json_body(text: &str) -> Option<(&'static str, Vec<u8>)> {
     Some(("application/json", text.as_bytes().to_vec()))
 }
@@ -27,6 +29,7 @@ pub(super) fn good_writes(surveyed: &Surveyed, snapshot: Vec<u8>) -> Vec<Call> {
     let (corrections, undo) = ("/v1/maps/{map}/corrections", "/v1/maps/{map}/corrections/{correction}/undo");
     let (closed, correction) = &surveyed.closed;
     let withdraw = format!(r#"{{"withdraw": {{"frame": "{closed}"}}}}"#);
+    let words = json!({ "words_hash": surveyed.words_hash, "histogram": { "words": [0, 1, 2] } }).to_string();
     let undone = format!("/v1/maps/drive/corrections/{correction}/undo");
     vec![
         Call::write("post", "/v1/maps", "/v1/maps", json_body(create)),
@@ -37,6 +40,13 @@ pub(super) fn good_writes(surveyed: &Surveyed, snapshot: Vec<u8>) -> Vec<Call> {
         Call::write("post", corrections, "/v1/maps/drive/corrections", json_body(&withdraw)),
         Call::write("post", undo, &undone, None),
         Call::write("delete", session, "/v1/maps/twin/sessions/second", None),
+        Call::write(
+            "put",
+            FRAME,
+            "/v1/maps/drive/sessions/put/frames/1?stamp_ns=5&x_m=1&y_m=-2.5&heading_rad=0.5&note=a.jpg",
+            Some(("image/jpeg", images()[3].clone())),
+        ),
+        Call::write("put", FRAME, "/v1/maps/drive/sessions/words/frames/1?stamp_ns=5", json_body(&words)),
         Call::write("post", "/v1/models", "/v1/models?display_name=again", file(model)),
         Call::write("delete", "/v1/models/{model}", "/v1/models/small", None),
         Call::write(
@@ -77,6 +87,20 @@ pub(super) fn bad_writes(method: &'static str, path: &str, nowhere: &str) -> Opt
         ]),
         ("post", "/v1/maps/{map}/import" | "/v1/models") => {
             Some(vec![refused(bad, file(Vec::new())), refused(bad, file(vec![7; 4000]))])
+        }
+        ("put", FRAME) => {
+            let stamped = format!("{nowhere}?stamp_ns=1");
+            let image =
+                |asked: &str| Call::write(method, path, asked, Some(("image/jpeg", images()[0].clone())));
+            let of_a_kind = |kind, body| Call::write(method, path, &stamped, Some((kind, body)));
+            Some(vec![
+                (bad, image(nowhere)),
+                (bad, image(&format!("{stamped}&x_m=1&y_m=2"))),
+                (bad, image(&format!("{stamped}&x_m=1&y_m=2&heading_rad=NaN"))),
+                (StatusCode::UNSUPPORTED_MEDIA_TYPE, of_a_kind("text/plain", Vec::new())),
+                (StatusCode::PAYLOAD_TOO_LARGE, of_a_kind("image/png", vec![0; (16 << 20) + 1])),
+                (missing, image(&stamped)),
+            ])
         }
         ("put", "/v1/models/{model}/display-name") => Some(vec![
             refused(bad, json_body("")),
