@@ -238,10 +238,19 @@ async fn who_was_refused_is_in_the_log_and_has_only_so_many_guesses() {
     let server = ServerProcess::start_with(directory.path(), &["--wrong-tokens-per-minute", "2"]);
     let guess = async || {
         let url = format!("http://{}/v1/maps", server.http());
-        Answer::to(http().get(url).bearer_auth("waypost_wrong")).await.status
+        Answer::to(http().get(url).bearer_auth("waypost_wrong")).await
     };
     // A minute may end in between.
-    in_time(async { while guess().await != StatusCode::TOO_MANY_REQUESTS {} }).await;
+    let refused = in_time(async {
+        loop {
+            let answer = guess().await;
+            if answer.status == StatusCode::TOO_MANY_REQUESTS {
+                break answer;
+            }
+        }
+    });
+    let retry_after_s: u64 = refused.await.header("retry-after").parse().unwrap();
+    assert!((1..=60).contains(&retry_after_s), "{retry_after_s} s");
     let log = server.log();
     assert!(log.contains("peer=\"127.0.0.1\"") && log.contains("too many wrong tokens"), "{log}");
     server.stop();

@@ -57,7 +57,10 @@ impl Guesses {
             "more than {} wrong tokens came from {peer} within a minute; wait for a minute, then send the right one",
             self.per_minute
         );
-        Err(ServiceError::ResourceExhausted { message })
+        Err(ServiceError::QuotaUsedUp {
+            message,
+            retry_after: WINDOW.saturating_sub(counted.since.elapsed()),
+        })
     }
 }
 
@@ -70,7 +73,10 @@ mod tests {
         let mut guesses = Guesses { per_minute: 2, ..Guesses::default() };
         let (one, other) = (Some([10, 0, 0, 1].into()), Some([10, 0, 0, 2].into()));
         assert_eq!([guesses.count(one), guesses.count(one)], [Ok(()), Ok(())]);
-        assert!(matches!(guesses.count(one), Err(ServiceError::ResourceExhausted { .. })));
+        let Err(ServiceError::QuotaUsedUp { retry_after, .. }) = guesses.count(one) else {
+            panic!("a third guess")
+        };
+        assert!(retry_after > WINDOW / 2 && retry_after <= WINDOW);
         assert_eq!(guesses.count(other), Ok(()));
         guesses.by_address.values_mut().for_each(|counted| {
             counted.since = Instant::now().checked_sub(WINDOW).unwrap();
