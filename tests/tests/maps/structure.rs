@@ -80,6 +80,7 @@ async fn closures_say_how_far_the_robot_is_from_what_it_sees_again() {
     let gate = |name: &str| explained.gates.iter().find(|gate| gate.name == name).unwrap();
     assert!(gate("distance").passed && gate("heading").passed && gate("placed_inliers").passed);
     assert_eq!(gate("distance").required, 1.0);
+    assert!(explained.gates.iter().all(|gate| gate.passed), "{explained:?}");
     server.stop().await;
 }
 

@@ -130,6 +130,8 @@ async fn what_geometry_decided_is_in_the_log() {
     assert!(gate("inliers").passed && gate("translation").passed && gate("rotation").passed);
     assert_eq!(gate("probability").value, geometry.probability);
     assert!(gate("probability").passed && geometry.look_alike_inliers > 0.0);
+    // What decides nothing is no condition.
+    assert!(explained.gates.iter().all(|gate| gate.passed && gate.name != "known_place"), "{explained:?}");
 
     let looked = answers(&client, "hall", "lookout", (closed.sequence..=closed.sequence).map(frame)).await;
     assert!(looked[0].best_candidate.as_ref().unwrap().geometry.is_some());

@@ -21,8 +21,12 @@ pub(super) fn gate_views(gates: &Gates, candidate: Option<&Candidate>) -> Vec<Ga
             format!("the session was not at place {place} within the last {} frames", guard.required)
         }
         (false, 0.0) => format!("the session is at place {place}: staying closes no loop"),
+        (false, 1.0) => {
+            format!("the session left place {place} 1 frame ago; a loop takes {} or more", guard.required)
+        }
         (false, frames) => format!(
-            "the session left place {place} {frames} frames ago; a loop takes {} or more",
+            "the session left place {place} {} frames ago; a loop takes {} or more",
+            (10.0 * frames).round() / 10.0,
             guard.required
         ),
     };
@@ -33,16 +37,13 @@ pub(super) fn gate_views(gates: &Gates, candidate: Option<&Candidate>) -> Vec<Ga
         probability(threshold.required)
     );
     let view = |name, gate, description| GateView { name, gate, description };
-    let mut views = vec![
-        view("words", words, words_text),
-        view("known_place", known_place, known_place_text),
-        view("guard", guard, guard_text),
-    ];
-    // Where views were compared, words are a part of the probability that the threshold is for.
-    if candidate.is_none_or(|candidate| candidate.view.is_none()) {
-        views.push(view("threshold", threshold, threshold_text));
+    let [words, guard] = [view("words", words, words_text), view("guard", guard, guard_text)];
+    // Where views were compared, words are a part of the probability that the threshold is for: they decide nothing alone.
+    if candidate.is_some_and(|candidate| candidate.view.is_some()) {
+        return vec![words, guard];
     }
-    views
+    let known_place = view("known_place", known_place, known_place_text);
+    vec![words, known_place, guard, view("threshold", threshold, threshold_text)]
 }
 
 pub(in crate::service) fn verdict_views(settings: &MapperSettings, candidate: &Candidate) -> Vec<GateView> {
