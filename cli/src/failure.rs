@@ -147,7 +147,7 @@ fn connection_hint(endpoint: &str, reason: &str) -> &'static str {
 fn client_exit_code(error: &Error) -> u8 {
     match error {
         Error::Endpoint { .. } | Error::Options(_) => 2,
-        Error::Connection { .. } | Error::SessionLost { .. } => 3,
+        Error::Connection { .. } | Error::NotGrpc | Error::SessionLost { .. } => 3,
         Error::Status { code, .. } => match code {
             Code::Unavailable | Code::DeadlineExceeded => 3,
             Code::Internal | Code::Unknown | Code::DataLoss | Code::Cancelled | Code::Ok => 1,

@@ -154,38 +154,26 @@ enum Command {
     Man(shell::Manual),
 }
 
-impl Command {
-    /// Why it uses no server that is running; `None` if it does.
-    fn uses_no_server(&self) -> Option<&'static str> {
-        match self {
-            Self::Demo(_) => Some(
-                "a demo starts a server of its own; leave it out, or drive a simulated robot against that server with \
-                 `waypost simulate`",
-            ),
-            Self::Inspect(_) => Some("what is in a file is shown without a server; leave it out"),
-            Self::Completions(_) | Self::Man(_) => Some("this is written without a server; leave it out"),
-            Self::Model(_)
-            | Self::Job(_)
-            | Self::Map(_)
-            | Self::Merge(_)
-            | Self::Closure(_)
-            | Self::Session(_)
-            | Self::Token(_)
-            | Self::Stream(_)
-            | Self::Import(_)
-            | Self::Query(_)
-            | Self::Explain(_)
-            | Self::Navigate(_)
-            | Self::Refusals(_)
-            | Self::Simulate(_) => None,
-        }
+/// Why a command uses no server that is running; `None` if it does.
+fn why_no_server(command: &str) -> Option<&'static str> {
+    match command {
+        "demo" => Some(
+            "a demo starts a server of its own; leave it out, or drive a simulated robot against that server with \
+             `waypost simulate`",
+        ),
+        "inspect" => Some("what is in a file is shown without a server; leave it out"),
+        "completions" | "man" => Some("this is written without a server; leave it out"),
+        _ => None,
     }
 }
 
 /// Refuses options about a server where none is used: what people give is used, or they are told that it is not. What
 /// the environment says is meant for all commands; a demo alone says that it goes by other ways.
-fn check_server_options(matches: &ArgMatches, command: &Command) -> Result<(), clap::Error> {
-    let Some(why) = command.uses_no_server() else { return Ok(()) };
+fn check_server_options(matches: &ArgMatches) -> Result<(), clap::Error> {
+    let Some((command, why)) = matches.subcommand_name().and_then(|name| Some((name, why_no_server(name)?)))
+    else {
+        return Ok(());
+    };
     let from = |source| move |id: &&str| matches.value_source(id) == Some(source);
     let options = || SERVER_OPTIONS.into_iter();
     if let Some(given) = options().find(from(ValueSource::CommandLine)) {
@@ -193,7 +181,7 @@ fn check_server_options(matches: &ArgMatches, command: &Command) -> Result<(), c
         let refused = format!("--{option} is not used here: {why}");
         return Err(plain_usage(Arguments::command()).error(ErrorKind::ArgumentConflict, refused));
     }
-    if matches!(command, Command::Demo(_)) && options().any(|id| from(ValueSource::EnvVariable)(&id)) {
+    if command == "demo" && options().any(|id| from(ValueSource::EnvVariable)(&id)) {
         // If stderr is closed, the note is lost.
         let _ = writeln!(std::io::stderr(), "the server of the environment is not used: {why}");
     }
@@ -203,7 +191,7 @@ fn check_server_options(matches: &ArgMatches, command: &Command) -> Result<(), c
 fn main() -> ExitCode {
     let matches = plain_usage(Arguments::command()).get_matches();
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
-    check_server_options(&matches, &arguments.command).unwrap_or_else(|error| error.exit());
+    check_server_options(&matches).unwrap_or_else(|error| error.exit());
     // The library warns of lost connections.
     tracing_subscriber::fmt()
         .with_writer(std::io::stderr)
@@ -241,9 +229,10 @@ fn without_server_options(command: clap::Command) -> clap::Command {
         .filter(|argument| SERVER_OPTIONS.contains(&argument.get_id().as_str()))
         .map(|argument| argument.clone().hide(true))
         .collect();
-    ["demo", "inspect", "completions", "man"]
-        .into_iter()
-        .fold(command, |command, name| command.mut_subcommand(name, |within| within.args(hidden.clone())))
+    command.mut_subcommands(|within| match why_no_server(within.get_name()) {
+        Some(_) => within.args(hidden.clone()),
+        None => within,
+    })
 }
 
 /// The command with the usage lines that its help has in errors too: there clap would add what was given, the server's
@@ -330,8 +319,7 @@ mod tests {
     fn what_is_not_offered_is_refused_with_its_reason() {
         let matches = |given: &[&str]| plain_usage(Arguments::command()).try_get_matches_from(given).unwrap();
         let given = matches(&["waypost", "demo", "--server", "http://h:1"]);
-        let arguments = Arguments::from_arg_matches(&given).unwrap();
-        let refused = check_server_options(&given, &arguments.command).unwrap_err().to_string();
+        let refused = check_server_options(&given).unwrap_err().to_string();
         assert!(refused.contains("--server is not used here: a demo starts a server"), "{refused}");
     }
 

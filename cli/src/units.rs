@@ -17,6 +17,9 @@ const LEAST_SPAN_OF_DEGREES: f64 = 20.0;
 /// Headings that jump by so much between two poses go around in degrees: radians jump by a whole turn, which is 6.3.
 const JUMP_OF_DEGREES: std::ops::RangeInclusive<f64> = 330.0..=360.0;
 
+/// Headings that are all whole multiples of this were written by people, in degrees.
+const ROUND_DEGREES: f64 = 15.0;
+
 /// Steps that are too few to compare headings with.
 const LEAST_STEPS: usize = 20;
 
@@ -82,7 +85,19 @@ fn centimetres(poses: &[StampedPose]) -> Option<String> {
 
 /// Degrees, by how fast the robot would turn, or by where it drives.
 fn degrees(poses: &[StampedPose]) -> Option<String> {
-    turns_too_fast(poses).or_else(|| goes_around_in_degrees(poses)).or_else(|| drives_by_degrees(poses))
+    turns_too_fast(poses)
+        .or_else(|| goes_around_in_degrees(poses))
+        .or_else(|| drives_by_degrees(poses))
+        .or_else(|| looks_along_axes(poses))
+}
+
+/// A robot that turns by 90 at a time is written down in degrees.
+fn looks_along_axes(poses: &[StampedPose]) -> Option<String> {
+    let yaws = || poses.iter().filter_map(|pose| pose.yaw_rad);
+    let largest = yaws().find(|yaw| *yaw != 0.0)?;
+    yaws().all(|yaw| yaw % ROUND_DEGREES == 0.0).then(|| {
+        format!("the odometry's headings are whole multiples of {ROUND_DEGREES}, as {largest} is: is yaw_rad in degrees?")
+    })
 }
 
 /// Also of a robot that turns slowly, and on the spot: from 180 to -180, or from 360 to 0.
@@ -221,6 +236,25 @@ mod tests {
         assert!(doubted.len() == 1 && doubted[0].contains("point to where the robot drives"), "{doubted:?}");
         for seconds in [8.0, 30.0, 72.0, 500.0] {
             assert_eq!(doubts(&circle(seconds, 1.0)), Vec::<String>::new(), "{seconds}");
+        }
+    }
+
+    #[test]
+    fn degrees_of_a_robot_that_turns_by_quarters_are_noticed() {
+        let headed = |yaws: &[f64]| {
+            let row = |(second, yaw): (usize, &f64)| format!("{},0,0,{yaw}", (second + 1) * 1_000_000_000);
+            let rows: Vec<String> = yaws.iter().enumerate().map(row).collect();
+            doubts(&parse(&format!("stamp_ns,x_m,y_m,yaw_rad\n{}\n", rows.join("\n"))).unwrap())
+        };
+        for yaws in [&[0.0, 0.0, 90.0, 90.0][..], &[0.0, 90.0, 180.0], &[-45.0, -45.0], &[30.0, 15.0, 0.0]] {
+            let doubted = headed(yaws);
+            assert!(
+                doubted.len() == 1 && doubted[0].contains("is yaw_rad in degrees"),
+                "{yaws:?}: {doubted:?}"
+            );
+        }
+        for yaws in [&[0.0, 0.0][..], &[0.0, 1.5], &[0.0, 90.0_f64.to_radians(), 3.0], &[15.0, 16.5]] {
+            assert_eq!(headed(yaws), Vec::<String>::new(), "{yaws:?}");
         }
     }
 

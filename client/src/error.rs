@@ -31,6 +31,12 @@ pub enum Error {
         /// What the network said.
         reason: String,
     },
+    /// What answered is no server for robots.
+    #[error(
+        "what answers at this address does not speak gRPC; it may be the server's HTTP port, 7601 unless set otherwise: \
+         give the one for robots, 7600 unless set otherwise"
+    )]
+    NotGrpc,
     /// The server refused. Its message says how to correct the request.
     #[error("{message}")]
     Status {
@@ -101,17 +107,13 @@ impl Error {
 
     /// The error of a status that the server sent.
     pub(crate) fn refused(status: &Status) -> Self {
-        let message = match status.message() {
+        match status.message() {
             // The first byte of a message is a flag in gRPC, and `{` in the JSON of the other port.
-            garbled if garbled.contains("invalid compression flag") => NOT_GRPC,
-            said => said,
-        };
-        Error::Status { code: status.code(), message: message.to_owned() }
+            garbled if garbled.contains("invalid compression flag") => Error::NotGrpc,
+            said => Error::Status { code: status.code(), message: said.to_owned() },
+        }
     }
 }
-
-const NOT_GRPC: &str = "what answers at this address does not speak gRPC; it may be the server's HTTP port, 7601 unless \
-                        set otherwise: give the one for robots, 7600 unless set otherwise";
 
 /// The reason, if the status was made here because the connection broke.
 pub(crate) fn broken_connection(status: &Status) -> Option<String> {
@@ -137,6 +139,13 @@ mod tests {
         let error = Error::from_status(&Status::not_found("no map `a`; create it"), "http://h:1");
         let Error::Status { code, message } = error else { panic!("{error:?}") };
         assert_eq!((code, message.as_str()), (Code::NotFound, "no map `a`; create it"));
+    }
+
+    #[test]
+    fn the_port_for_people_is_no_server_for_robots() {
+        let garbled =
+            Status::internal("protocol error: received message with invalid compression flag: 123 …");
+        assert!(matches!(Error::from_status(&garbled, "http://h:1"), Error::NotGrpc));
     }
 
     #[test]

@@ -63,7 +63,7 @@ impl Failure {
     pub(crate) fn exit_code(&self) -> ExitCode {
         let code = match self {
             Failure::Settings(_) | Failure::Peers(PeersError::Unknown { .. }) => 2,
-            Failure::Server(Error::Connection { .. } | Error::SessionLost { .. }) => 3,
+            Failure::Server(Error::Connection { .. } | Error::NotGrpc | Error::SessionLost { .. }) => 3,
             Failure::Server(Error::Status { .. } | Error::SessionRewound { .. }) => 4,
             Failure::Server(_)
             | Failure::Words(_)

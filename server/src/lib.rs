@@ -90,6 +90,16 @@ pub struct Exposed {
     pub address: SocketAddr,
 }
 
+impl Exposed {
+    /// Refuses `addresses` for a server whose database is yet to be made, and has no token in it.
+    ///
+    /// # Errors
+    /// [`Exposed`].
+    pub fn check_new(addresses: [SocketAddr; 2]) -> Result<(), Self> {
+        exposed(addresses).map_or(Ok(()), |address| Err(Self { address }))
+    }
+}
+
 impl Server {
     /// Opens the database of `location`, making it if it is missing. While another server owns a database of PostgreSQL,
     /// this waits.

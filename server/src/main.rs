@@ -14,7 +14,7 @@ use tokio_util::sync::CancellationToken;
 use tracing_subscriber::EnvFilter;
 use waypost_server::config::{Config, DataLocation, Flags, LogFormat, StorageAddress, unknown_variables};
 use waypost_server::offline::{self, Finding, ListedToken, TokenLimits};
-use waypost_server::{Opening, Ports, Role, Served, Server, Tls, open_beside_others};
+use waypost_server::{Exposed, Opening, Ports, Role, Served, Server, Tls, open_beside_others};
 
 mod shell;
 
@@ -178,6 +178,10 @@ async fn serve(config: Config) -> anyhow::Result<ExitCode> {
     let location = config.location();
     match &location.storage {
         StorageAddress::Sqlite => {
+            // One that will not listen makes no directory.
+            if !config.allow_anonymous && !location.data_dir.exists() {
+                Exposed::check_new([config.grpc_address, config.http_address])?;
+            }
             let server = configured(Server::open(location.clone()).await?, &config, tls).await?;
             server.check_exposure([config.grpc_address, config.http_address])?;
             let (grpc, http) = bind_both(&config).await?;

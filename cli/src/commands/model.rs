@@ -83,8 +83,8 @@ pub(crate) struct Training {
     /// Seed of the training: the same images, settings and seed give the same model
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Feature extractor: rootsift, upright-rootsift or orb, with its settings; "rootsift features=500
-    /// width=640" by default
+    /// Feature extractor: rootsift, upright-rootsift, sift, orb or akaze, with its settings; "rootsift
+    /// features=500 width=640" by default
     #[arg(long)]
     extractor: Option<String>,
     /// Name for people

@@ -84,6 +84,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
 async fn watch(client: &Client, name: &str, output: Output) -> Result<v1::Navigation, Failure> {
     let view = progress::spinner(output, "");
     let mut before = None;
+    let mut place_before = None;
     loop {
         let navigation = client.navigation(name).await?;
         if let Some(refusal) = navigation.goal_refusal {
@@ -94,6 +95,12 @@ async fn watch(client: &Client, name: &str, output: Output) -> Result<v1::Naviga
         if before.replace(status) != Some(status) {
             tell(&view, output, &navigation)?;
         }
+        if let Some(place) =
+            place_of_position(&navigation).filter(|place| place_before.as_ref() != Some(place))
+        {
+            view.suspend(|| output.line(&place))?;
+            place_before = Some(place);
+        }
         if let Some(why) = nowhere_to_go(&navigation) {
             return Err(Failure::Unfit(why));
         }
@@ -103,6 +110,15 @@ async fn watch(client: &Client, name: &str, output: Output) -> Result<v1::Naviga
         }
         tokio::time::sleep(POLL_INTERVAL).await;
     }
+}
+
+/// Which place stands for a position, and how far that is from it, once a way there is planned.
+fn place_of_position(navigation: &v1::Navigation) -> Option<String> {
+    let v1::goal::Target::Position(goal) = navigation.goal.as_ref()?.target.as_ref()? else { return None };
+    let v1::Waypoint { place_number, pose, reverse: _ } = navigation.route.as_ref()?.waypoints.last()?;
+    let at = pose.as_ref()?.position_m?;
+    let apart_m = (at.x - goal.x_m?).hypot(at.y - goal.y_m?);
+    Some(format!("it goes to place {place_number}, {apart_m:.2} m from the position"))
 }
 
 /// Why no way leads to the goal, if that is so: the robot stands until people do something.
@@ -214,6 +230,21 @@ pub(crate) fn status_name(status: NavigationStatus) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_position_says_which_place_stands_for_it() {
+        let position = v1::PositionGoal { part: 0, x_m: Some(3.0), y_m: Some(4.0), heading_rad: None };
+        let at = v1::Pose { position_m: Some(v1::Vector3 { x: 3.3, y: 4.4, z: 0.0 }), orientation: None };
+        let last = v1::Waypoint { place_number: 7, pose: Some(at), reverse: false };
+        let led = |target| v1::Navigation {
+            goal: Some(v1::Goal { target: Some(target) }),
+            route: Some(v1::Route { waypoints: vec![v1::Waypoint::default(), last], ..v1::Route::default() }),
+            ..v1::Navigation::default()
+        };
+        let told = place_of_position(&led(v1::goal::Target::Position(position)));
+        assert_eq!(told.as_deref(), Some("it goes to place 7, 0.50 m from the position"));
+        assert_eq!(place_of_position(&led(v1::goal::Target::PlaceNumber(7))), None);
+    }
 
     #[test]
     fn positions_are_two_numbers() {

@@ -40,13 +40,18 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let contents = ContentMaker::new(&client, &map, words.words).await?;
     let content = contents.content(bytes).await;
     let answer = client.query(&map, content, &contents.words_hash(), explain).await?;
+    let settings = client.map(&map, v1::MapView::Basic).await?.settings.unwrap_or_default();
+    let asked_for =
+        settings.closure_threshold.map_or_else(String::new, |least| format!(", {least} asked for"));
     output.result(&answer, |out| {
         let v1::QueryResponse { places, new_place_posterior, r#match: matched, accepted, words, place_explanation } =
             &answer;
         match matched {
             Some(v1::Match { place_number, posterior, log_odds: _, frame, geometry }) => {
                 let verdict = if *accepted { "seen before" } else { "not sure" };
-                writeln!(out, "{verdict}: place {place_number}, posterior {posterior:.6}")?;
+                // Without views to compare, the posterior decides.
+                let of_posterior = if geometry.is_none() { asked_for.as_str() } else { "" };
+                writeln!(out, "{verdict}: place {place_number}, posterior {posterior:.6}{of_posterior}")?;
                 if let Some(frame) = frame {
                     writeln!(out, "best match: frame {} of {}", frame.sequence, frame.session)?;
                 }
@@ -57,7 +62,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
                         out,
                         "geometry: {inliers} of {matches} matches agree, evidence {evidence_inliers:.1} inliers, \
                          look-alikes show {look_alike_inliers:.1}; \
-                         probability {probability:.3}"
+                         probability {probability:.3}{asked_for}"
                     )?;
                 }
             }

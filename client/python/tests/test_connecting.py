@@ -164,5 +164,5 @@ def test_a_certificate_lets_a_client_in(guarded: Guarded, monkeypatch: pytest.Mo
         waypost.connect("http://127.0.0.1:7600")
     with pytest.raises(ValueError, match="not in PEM"):
         waypost.connect(ca=b"nonsense")
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(FileNotFoundError, match=r"ca cannot be read \(No such file.*absent\.pem"):
         waypost.connect(ca="absent.pem")

@@ -75,6 +75,7 @@ def frames(step_m: float, step_rad: float, second_ns: int = 1_000_000_000) -> It
     [
         (0.5, 0.1, 1_000_000_000, None),
         (0.5, 20.0, 1_000_000_000, "in degrees"),
+        (0.5, 90.0, 1_000_000_000, "whole multiples of 15, as 90 is"),
         (50.0, 0.1, 1_000_000_000, "centimetres"),
         (0.5, 0.0, 1, "stamps not in nanoseconds"),
     ],

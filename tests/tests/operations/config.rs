@@ -148,6 +148,12 @@ fn a_check_tells_what_would_go_wrong() {
             "wrong  addresses: cannot listen on",
         ],
     );
+    // What is refused before it begins leaves nothing behind.
+    let missing = directory.path().join("missing");
+    let everywhere = ["--grpc-address", "127.0.0.1:0", "--http-address", "0.0.0.0:0"];
+    let (code, _, stderr) = run(&[&everywhere[..], &["--data-dir", missing.to_str().unwrap()]].concat(), &[]);
+    assert!(code == 1 && stderr.contains("0.0.0.0:0 can be reached from other machines"), "{stderr}");
+    assert!(!missing.exists());
     std::fs::write(&file, vec![7; 20_000]).unwrap();
     let (code, found) = check(directory.path(), &[]);
     assert_eq!(code, 1);

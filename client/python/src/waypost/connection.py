@@ -107,14 +107,14 @@ class Options:
         return channel if self.token is None else grpc.intercept_channel(channel, _Bearer(self.token))
 
     def _credentials(self) -> grpc.ChannelCredentials:
-        authorities = _system_authorities() if self.ca is None else _read(self.ca)
+        authorities = _system_authorities() if self.ca is None else _read("ca", self.ca)
         if self.ca is not None and _BEGIN_CERTIFICATE not in (authorities or b""):
             raise ValueError(
                 "the authority's certificate (ca) is not in PEM; it must have a part that begins with "
                 f"{_BEGIN_CERTIFICATE.decode()}"
             )
-        key = None if self.client_key is None else _read(self.client_key)
-        chain = None if self.client_cert is None else _read(self.client_cert)
+        key = None if self.client_key is None else _read("client_key", self.client_key)
+        chain = None if self.client_cert is None else _read("client_cert", self.client_cert)
         return grpc.ssl_channel_credentials(authorities, key, chain)
 
 
@@ -255,8 +255,15 @@ def _not_an_address(address: str, reason: str) -> ValueError:
     )
 
 
-def _read(pem: Pem) -> bytes:
-    return pem if isinstance(pem, bytes) else Path(pem).read_bytes()
+def _read(option: str, pem: Pem) -> bytes:
+    """The PEM that an option names, or is."""
+    if isinstance(pem, bytes):
+        return pem
+    try:
+        return Path(pem).read_bytes()
+    except OSError as error:
+        reason = f"{option} cannot be read ({error.strerror}); name a file in PEM"
+        raise OSError(error.errno, reason, str(pem)) from error
 
 
 def _system_authorities() -> bytes | None:

@@ -19,6 +19,8 @@ _DOUBTFUL_SPEED_M_S = 20.0
 _DOUBTFUL_TURN_RAD_S = math.tau
 #: Turns as fast as that before anything is said: one alone may be a jump.
 _DOUBTFUL_TURNS = 3
+#: Headings that are all whole multiples of this were written by people, in degrees.
+_ROUND_DEGREES = 15.0
 #: Steps whose median speed is judged.
 _STEPS = 5
 
@@ -35,6 +37,7 @@ class OdometryDoubts:
         self._speeds_m_s: deque[float] = deque(maxlen=_STEPS)
         self._fast_turns = 0
         self._is_wide = False
+        self._all_round = True
         self._said: set[str] = set()
 
     def look(self, frame: Frame) -> None:
@@ -45,6 +48,7 @@ class OdometryDoubts:
         heading_rad = _plain_heading_rad(frame)
         now = (frame.stamp_ns, position.x, position.y, heading_rad)
         before, self._before = self._before, now
+        self._look_along_axes(heading_rad)
         if before is None or frame.stamp_ns <= before[0]:
             return
         seconds = (frame.stamp_ns - before[0]) * 1e-9
@@ -68,6 +72,18 @@ class OdometryDoubts:
                 "headings",
                 "by its odometry the robot turns faster than once around in a second: are headings in "
                 "degrees, and not in radians?",
+            )
+
+    def _look_along_axes(self, heading_rad: float | None) -> None:
+        """A robot that turns by 90 at a time is written down in degrees."""
+        if heading_rad is None:
+            return
+        self._all_round &= heading_rad % _ROUND_DEGREES == 0
+        if self._all_round and heading_rad != 0:
+            self._say(
+                "headings",
+                f"the odometry's headings are whole multiples of {_ROUND_DEGREES:g}, as {heading_rad:g} is: are "
+                "they in degrees, and not in radians?",
             )
 
     def _say(self, what: str, message: str) -> None:
