@@ -82,8 +82,8 @@ class OdometryDoubts:
         if self._all_round and heading_rad != 0:
             self._say(
                 "headings",
-                f"the odometry's headings are whole multiples of {_ROUND_DEGREES:g}, as {heading_rad:g} is: are "
-                "they in degrees, and not in radians?",
+                f"the odometry's headings are whole multiples of {_ROUND_DEGREES:g}, as {heading_rad:g} is: "
+                "are they in degrees, and not in radians?",
             )
 
     def _say(self, what: str, message: str) -> None:

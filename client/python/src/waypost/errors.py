@@ -126,14 +126,14 @@ def from_call(error: grpc.RpcError, address: str) -> WaypostError:
     if any(said in message for said in _OTHER_TLS):
         return ServerUnreachable(
             f"no connection to {address} ({message}); that server may speak TLS where this is plain, or none "
-            "where this is TLS, or ask for a certificate of yours: write https:// or http://, and give ca= for "
-            "an authority of your own, client_cert= and client_key= for a certificate of yours"
+            "where this is TLS, or ask for a certificate of yours: write https:// or http://, and give ca= "
+            "for an authority of your own, client_cert= and client_key= for a certificate of yours"
         )
     # A status that grpcio made up itself has not come with anything over the wire.
     if code == grpc.StatusCode.UNAVAILABLE and not metadata and not _begun(error):
         return ServerUnreachable(
             f"no connection to {address} ({message}); check that waypost-server runs there and that the "
-            "address is right: http:// without TLS, https:// with it, and then ca= for an authority of your own"
+            "address is right: http:// without TLS, https:// with it, and ca= for an authority of your own"
         )
     status = status_pb2.Status()
     details = metadata.get("grpc-status-details-bin")
