@@ -23,6 +23,7 @@ mod pictures;
 mod places;
 mod queries;
 mod requests;
+mod sent_frames;
 mod server;
 mod sessions;
 mod snapshots;
@@ -175,7 +176,7 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(sessions::get_session, sessions::delete_session))
         .routes(routes!(sessions::list_frames))
         .routes(
-            routes!(frames::get_frame, frames::put_frame)
+            routes!(frames::get_frame, sent_frames::put_frame)
                 .layer(DefaultBodyLimit::max(queries::MAX_BODY_BYTES)),
         )
         .routes(routes!(frames::get_frame_image))
@@ -241,7 +242,7 @@ fn nothing_here() -> HttpError {
 /// The router itself adds which methods are allowed.
 async fn wrong_method() -> Response {
     let message = "this route does not take that method: the header Allow says which it takes, and /docs what \
-                   each does; what lets a map grow goes over gRPC";
+                   each does; frames go by PUT, and a robot's stream over gRPC";
     error_response(StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed", message.to_owned())
 }
 

@@ -36,7 +36,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "FILE", requires = "robot", conflicts_with_all = ["to_position", "cancel"])]
     to_image: Option<PathBuf>,
     /// Position on the map in metres; the goal is the place nearest to it
-    #[arg(long, value_name = "X,Y", value_parser = position, requires = "robot", conflicts_with = "cancel")]
+    #[arg(long, value_name = "X,Y", value_parser = position, allow_hyphen_values = true, requires = "robot", conflicts_with = "cancel")]
     to_position: Option<[f64; 2]>,
     /// Heading of the robot there, in radians on the map
     #[arg(long, value_name = "RAD", requires = "to_position", allow_negative_numbers = true)]
@@ -244,6 +244,18 @@ mod tests {
         let told = place_of_position(&led(v1::goal::Target::Position(position)));
         assert_eq!(told.as_deref(), Some("it goes to place 7, 0.50 m from the position"));
         assert_eq!(place_of_position(&led(v1::goal::Target::PlaceNumber(7))), None);
+    }
+
+    #[test]
+    fn a_position_may_begin_with_a_minus() {
+        #[derive(clap::Parser)]
+        struct Given {
+            #[command(flatten)]
+            arguments: Arguments,
+        }
+        let given = ["navigate", "hall", "robot", "--to-position", "-3.5,-2", "--facing", "-1.5"];
+        let Given { arguments } = clap::Parser::parse_from(given);
+        assert_eq!((arguments.to_position, arguments.facing), (Some([-3.5, -2.0]), Some(-1.5)));
     }
 
     #[test]

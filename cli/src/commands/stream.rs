@@ -169,6 +169,11 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let options =
         SessionOptions { session_id: session, mode, words_hash, run_id, camera, ..SessionOptions::new(&map) };
     let replay = Replay { recording, pace_hz: rate, contents };
+    if let (v1::SessionMode::Map, false) = (mode, has_odometry(&replay))
+        && let Some(doubt) = metres_left_out(&client, &map, &options.session_id).await
+    {
+        Asking::unless(yes).confirm_going_on(&doubt)?;
+    }
     let session = client.open_session(options).await?;
     let mut table = csv.as_deref().map(Table::create).transpose()?;
     let opened = session.opened().clone();
@@ -180,11 +185,6 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         let asking = Asking::unless(yes);
         check_resumed(&client, (&map, &opened.session), &replay, committed, asking).await?;
         check_begun_with(&client, (&map, &opened.session), &replay, committed, compared).await?;
-    }
-    if let (None, v1::SessionMode::Map, false) = (committed, mode, has_odometry(&replay))
-        && let Some(doubt) = metres_left_out(&client, &map).await
-    {
-        Asking::unless(yes).confirm_going_on(&doubt)?;
     }
     match committed {
         Some(sequence) => output.line(format_args!("{} resumed after frame {sequence}", opened.session))?,

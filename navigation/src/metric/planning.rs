@@ -87,6 +87,15 @@ pub enum PlanError {
          frames bring odometry, or make a map with the navigation strategy appearance of panoramas"
     )]
     NoMetres,
+    /// A place that no odometry joins with another, on a map that has metres elsewhere.
+    #[error(
+        "no way to place {place} was measured, so no robot is led there: drive there while frames bring odometry, or name \
+         another place"
+    )]
+    Unmeasured {
+        /// As given, or the nearest to the position.
+        place: PlaceId,
+    },
     /// A position that no way leads to.
     #[error(
         "the goal is {distance_m:.1} m from the nearest place, {place}, and a robot goes only where it was driven; name \
@@ -165,27 +174,36 @@ pub fn plan(
 /// # Errors
 /// [`PlanError`] if the map has none there.
 pub fn goal_place(poses: &PlacePoses, goal: Goal, settings: &PlanningSettings) -> Result<PlaceId, PlanError> {
+    let place = match goal {
+        Goal::Place(place) if poses.pose(place).is_some() => place,
+        Goal::Place(place) => return Err(PlanError::UnknownPlace { place }),
+        Goal::Position { part, position_m } => nearest(poses, part, position_m, settings)?,
+    };
     // No way is needed to the only place.
-    let has_ways = poses.has_metres() || poses.poses().len() <= 1;
-    match goal {
-        Goal::Place(place) if poses.pose(place).is_none() => Err(PlanError::UnknownPlace { place }),
-        Goal::Position { position_m, .. } if position_m.iter().any(|value| !value.is_finite()) => {
-            Err(PlanError::NotFinite)
-        }
-        Goal::Place(_) | Goal::Position { .. } if !has_ways => Err(PlanError::NoMetres),
-        Goal::Place(place) => Ok(place),
-        Goal::Position { part, position_m } => {
-            let apart = of_part(poses, part).map(|(place, pose)| (place, distance_m(pose, position_m)));
-            let nearest = apart.min_by(|(_, a), (_, b)| a.total_cmp(b));
-            let (place, distance_m) = nearest.ok_or(PlanError::UnknownPart { part })?;
-            let reach_m = settings.reach_m;
-            if distance_m <= reach_m {
-                Ok(place)
-            } else {
-                Err(PlanError::GoalTooFar { place, distance_m, reach_m })
-            }
-        }
+    if poses.is_joined(place) || poses.poses().len() == 1 {
+        Ok(place)
+    } else if poses.has_metres() {
+        Err(PlanError::Unmeasured { place })
+    } else {
+        Err(PlanError::NoMetres)
     }
+}
+
+/// The place of a part that is nearest to a position, if it is near.
+fn nearest(
+    poses: &PlacePoses,
+    part: PlaceId,
+    position_m: [f64; 2],
+    settings: &PlanningSettings,
+) -> Result<PlaceId, PlanError> {
+    if position_m.iter().any(|value| !value.is_finite()) {
+        return Err(PlanError::NotFinite);
+    }
+    let apart = of_part(poses, part).map(|(place, pose)| (place, distance_m(pose, position_m)));
+    let nearest = apart.min_by(|(_, a), (_, b)| a.total_cmp(b));
+    let (place, distance_m) = nearest.ok_or(PlanError::UnknownPart { part })?;
+    let reach_m = settings.reach_m;
+    if distance_m <= reach_m { Ok(place) } else { Err(PlanError::GoalTooFar { place, distance_m, reach_m }) }
 }
 
 fn of_part(poses: &PlacePoses, part: PlaceId) -> impl Iterator<Item = (PlaceId, &PlanarPose)> {

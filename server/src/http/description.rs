@@ -34,8 +34,8 @@ const PAGE_POLICY: HeaderValue = HeaderValue::from_static(
     info(
         title = "Waypost REST",
         description = "What Waypost's maps hold, for people, scripts and other languages; maps, models and tokens are \
-            made and removed here, too. It answers what gRPC (`waypost.v1`) answers, field by field; what lets a map \
-            grow goes over gRPC alone.\n\n\
+            made and removed here, too. It answers what gRPC (`waypost.v1`) answers, field by field. Frames go one by \
+            one here; a robot streams them over gRPC.\n\n\
             - **Names** are paths, as in gRPC: `maps/demo/sessions/monday/frames/7`.\n\
             - **Fields** are always there; one that has no value is `null`. New ones may come: ignore what you \
             do not know.\n\

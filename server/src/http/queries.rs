@@ -199,10 +199,15 @@ impl IntoResponse for QueryError {
                 error_response(StatusCode::PAYLOAD_TOO_LARGE, "payload_too_large", message)
             }
             QueryError::UnsupportedMediaType { declared } => {
-                let message = format!(
-                    "the Content-Type {declared:?} is none that is taken here; send image/jpeg, image/png or \
+                let message = if declared.is_empty() {
+                    "there is no Content-Type; send image/jpeg, image/png or application/json as it"
+                        .to_owned()
+                } else {
+                    format!(
+                        "the Content-Type {declared:?} is none that is taken here; send image/jpeg, image/png or \
                      application/json"
-                );
+                    )
+                };
                 error_response(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", message)
             }
         }

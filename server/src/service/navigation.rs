@@ -384,7 +384,8 @@ impl Navigation {
                 return Ok(PlannedWay::ByLooks(self.plan_by_looks(&row, PlaceId::new(from), &goal).await?));
             }
         }
-        let goal = self.measured_goal(&row, GoalRequest::Goal(goal)).await?.goal;
+        // Planning says what is not there: the start first.
+        let goal = self.meant_goal(&row, GoalRequest::Goal(goal)).await?.goal;
         let map = self.open_maps.open_of(&row).await?;
         let settings = Driving { reverse_travel, ..Driving::default() }.settings()?.planning;
         let route = map.plan(PlanFrom::Place(PlaceId::new(from)), goal, settings).await?;

@@ -13,11 +13,12 @@ use tokio::sync::{OwnedSemaphorePermit, oneshot};
 use tokio_util::sync::CancellationToken;
 
 pub(super) use self::frame::check_note;
-pub(crate) use self::frame::{Frame, Robot};
+pub(crate) use self::frame::{Frame, FrameOutcome, Robot};
 use self::order::Order;
 pub(super) use self::pipeline::run;
 pub(crate) use self::pipeline::{ReceivedFrame, RefusedFrame, Windows};
 use self::preparing::PreparedFrame;
+pub(super) use self::single::Turns;
 use super::appearance::AppearanceGraphs;
 use super::refusals::{Refusal, RefusalLog};
 pub(crate) use super::streams::StreamView;
@@ -31,7 +32,7 @@ use crate::ingest::intrinsics::Intrinsics;
 use crate::ingest::model::{LoadedModel, LoadedModels};
 use crate::ingest::panoramic::PanoramicOptics;
 use crate::map_settings::{self, Keep, MapSettings, NavigationStrategy};
-use crate::metrics::{FrameTimings, Metrics};
+use crate::metrics::Metrics;
 use crate::names::{check_id, map_in, session_name};
 pub(crate) use crate::open_map::SessionMode;
 use crate::open_map::answers::FrameAnswer;
@@ -39,7 +40,7 @@ use crate::open_map::{
     FrameFailure, FrameRequest, FrameSource, MapHandle, OpenMaps, Opener, SessionOpening, StreamOpening,
     WriterGone,
 };
-use crate::storage::{MapEdition, Storage, reason_name};
+use crate::storage::{MapEdition, Storage};
 
 /// The call that frames come by.
 const STREAM: &str = "/waypost.v1.SessionService/Stream";
@@ -63,6 +64,8 @@ pub(crate) struct SessionStream {
     source: FrameSource,
     session_name: String,
     stream: u64,
+    /// Whose place in line it is where there is more than can be done; none of a frame by itself.
+    in_line: Option<u64>,
     /// Name of the token that it came with, if there was one: its frames count for that.
     token: Option<String>,
     /// Name of the token that the session is of: what is kept counts for that.
@@ -76,30 +79,6 @@ pub(crate) struct SessionStream {
     _room: Arc<OwnedSemaphorePermit>,
 }
 
-/// What became of a frame.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum FrameOutcome {
-    Answered(Box<FrameAnswer>),
-    Refused {
-        sequence: u64,
-        last_committed: Option<u64>,
-        error: ServiceError,
-    },
-    /// The stream is over.
-    Ended(ServiceError),
-}
-
-impl FrameOutcome {
-    /// What became of the frame, as the metrics call it, and where its time went if it was decided.
-    fn counted(&self) -> (&'static str, Option<FrameTimings>) {
-        match self {
-            FrameOutcome::Answered(answer) if answer.timings.is_none() => ("resent", None),
-            FrameOutcome::Answered(answer) => (reason_name(answer.reason), answer.timings),
-            FrameOutcome::Refused { error, .. } | FrameOutcome::Ended(error) => (error.code_name(), None),
-        }
-    }
-}
-
 /// Opens robots' streams into maps. Cheap to clone.
 #[derive(Clone, Debug)]
 pub(crate) struct Sessions {
@@ -111,6 +90,7 @@ pub(crate) struct Sessions {
     pub(super) streams: Streams,
     pub(super) metrics: Metrics,
     pub(super) refusals: RefusalLog,
+    pub(super) turns: Turns,
     pub(super) stopping: CancellationToken,
 }
 
@@ -198,6 +178,7 @@ impl Sessions {
             intrinsics,
             source: session.source,
             stream,
+            in_line: Some(stream),
             token,
             owner: session.owner,
             last_committed,
@@ -221,7 +202,9 @@ impl SessionStream {
                 self.shown.iter().for_each(|shown| shown.frame(Became::Answered(answer)));
             }
             FrameOutcome::Refused { error, .. } => {
-                self.shown.iter().for_each(|shown| shown.frame(Became::Refused));
+                // A frame by itself is noted by what it came with.
+                let Some(shown) = &self.shown else { return };
+                shown.frame(Became::Refused);
                 let refusal = Refusal::on_stream(STREAM, &self.session_name, self.token.as_ref(), error);
                 self.sessions.refusals.note(refusal);
             }

@@ -16,7 +16,7 @@ use super::models::Models;
 use super::navigation::{Navigation, Registry};
 use super::refusals::RefusalLog;
 use super::rewriting::Rewriting;
-use super::sessions::Sessions;
+use super::sessions::{Sessions, Turns};
 use super::snapshots::Snapshots;
 use super::streams::Streams;
 use crate::ingest::extraction::Extraction;
@@ -92,7 +92,19 @@ impl Shared {
         let Self { storage, loaded: models, open_maps, extraction, streams, .. } = self.clone();
         let Self { metrics, refusals, stopping, .. } = self.clone();
         let graphs = graphs.clone();
-        Sessions { storage, models, open_maps, extraction, graphs, streams, metrics, refusals, stopping }
+        let turns = Turns::default();
+        Sessions {
+            storage,
+            models,
+            open_maps,
+            extraction,
+            graphs,
+            streams,
+            metrics,
+            refusals,
+            turns,
+            stopping,
+        }
     }
 
     pub(super) fn labels(&self, maps: &Maps, graphs: &AppearanceGraphs) -> Labels {

@@ -290,6 +290,24 @@ async fn frames_one_by_one_make_the_session_that_a_stream_makes() {
     let record = found(&server, &format!("/v1/maps/single/sessions/robot/frames/{}", FRAMES + 1)).await;
     assert_eq!(record["odometry"]["pose"]["position_m"], json!({ "x": 1.0, "y": -2.0, "z": 0.0 }));
 
+    // A number that is taken is no other frame's, and who sends one twice at once hears one answer.
+    let other = format!("/v1/maps/single/sessions/robot/frames/{FRAMES}?stamp_ns=7");
+    let other =
+        || http().put(server.url(&other)).header("content-type", "image/jpeg").body(images()[0].clone());
+    assert_refused("another frame", other(), StatusCode::CONFLICT, "begin another session").await;
+    let (one, two) = tokio::join!(done(put("single", FRAMES + 2, "")), done(put("single", FRAMES + 2, "")));
+    assert_eq!(one["place_number"], two["place_number"]);
+    assert!(one["resent"].as_bool().unwrap() != two["resent"].as_bool().unwrap(), "{one}, {two}");
+
+    // What is refused begins no session, and is noted once.
+    let unread = http().put(server.url("/v1/maps/single/sessions/none/frames/1?stamp_ns=1"));
+    let unread = unread.header("content-type", "image/jpeg").body("hello");
+    assert_refused("no image", unread, StatusCode::BAD_REQUEST, "neither JPEG nor PNG").await;
+    let sessions = found(&server, "/v1/maps/single/sessions").await;
+    assert_eq!(sessions["sessions"].as_array().unwrap().len(), 1, "{sessions}");
+    let refusals = found(&server, "/v1/refusals").await.to_string();
+    assert_eq!(refusals.matches("neither JPEG nor PNG").count(), 1, "{refusals}");
+
     let bad = StatusCode::BAD_REQUEST;
     let without_stamp = http().put(server.url("/v1/maps/single/sessions/robot/frames/30"));
     assert_refused("no stamp", without_stamp, bad, "this route takes stamp_ns=NUMBER").await;

@@ -180,9 +180,13 @@ pub(super) async fn panoramas_for_metres(
     }
 }
 
-/// What is said of images without odometry that are to go into a map with metres.
-pub(super) async fn metres_left_out(client: &Client, map: &str) -> Option<String> {
+/// What is said of images without odometry that are to begin a session of a map with metres.
+pub(super) async fn metres_left_out(client: &Client, map: &str, session: &str) -> Option<String> {
     let map = short_map(map);
+    // One that goes on is asked about by what it had.
+    if !session.is_empty() && client.session(&format!("maps/{map}/sessions/{session}")).await.is_ok() {
+        return None;
+    }
     // A map that has metres begins with some, as a rule.
     let first = client.place(&format!("maps/{map}/places/0")).await.ok()?;
     first.pose.is_some().then(|| {

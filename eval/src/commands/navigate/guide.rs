@@ -147,6 +147,7 @@ impl<'a> Guide<'a> {
                 reason @ (PlanError::UnknownPlace { .. }
                 | PlanError::UnknownPart { .. }
                 | PlanError::NoMetres
+                | PlanError::Unmeasured { .. }
                 | PlanError::GoalTooFar { .. }
                 | PlanError::NotFinite),
             ) => return Err(reason.into()),

@@ -120,6 +120,14 @@ fn a_map_without_metres_has_no_goals_and_its_only_place_is_one() {
         Err(PlanError::UnknownPlace { place: nowhere })
     );
     assert_eq!(goal_place(&apart, position(f64::NAN), &settings), Err(PlanError::NotFinite));
+    // The third place was never joined with the others.
+    let (_, mixed) = map(&corridor(3), &[(0, 1)], &[]);
+    let third = PlaceId::new(2);
+    assert_eq!(
+        goal_place(&mixed, Goal::Place(third), &settings),
+        Err(PlanError::Unmeasured { place: third })
+    );
+    assert_eq!(goal_place(&mixed, Goal::Place(PlaceId::new(1)), &settings), Ok(PlaceId::new(1)));
     let (_, alone) = map(&corridor(1), &[], &[]);
     for goal in [Goal::Place(PlaceId::new(0)), position(0.0)] {
         assert_eq!(goal_place(&alone, goal, &settings), Ok(PlaceId::new(0)), "{goal:?}");
@@ -197,6 +205,9 @@ proptest! {
             }
             Err(PlanError::OneWay { .. } | PlanError::OtherPart { .. }) => prop_assert!(least_m.is_infinite()),
             Err(PlanError::NoMetres) => prop_assert!(links.is_empty()),
+            Err(PlanError::Unmeasured { place }) => {
+                prop_assert!(place == goal && of_places.iter().all(|&(from, to)| ![from, to].contains(&goal)));
+            }
             Err(error) => prop_assert!(false, "{error}"),
         }
     }

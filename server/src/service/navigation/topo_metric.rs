@@ -133,8 +133,16 @@ fn intrinsics(camera: Option<&Camera>) -> Result<Intrinsics, ServiceError> {
 }
 
 impl Navigation {
-    /// A goal on a map with metres.
-    pub(super) async fn measured_goal(
+    /// A goal on a map with metres, which a robot may be sent to.
+    async fn measured_goal(&self, row: &MapRow, goal: GoalRequest) -> Result<MeasuredGoal, ServiceError> {
+        let goal = self.meant_goal(row, goal).await?;
+        let map = self.open_maps.open_of(row).await?;
+        map.check_goal(goal.goal, PlanningSettings::default()).await?.map_err(not_planned)?;
+        Ok(goal)
+    }
+
+    /// The place or the position that is meant, whether there is one or not.
+    pub(super) async fn meant_goal(
         &self,
         row: &MapRow,
         goal: GoalRequest,
@@ -166,8 +174,6 @@ impl Navigation {
                 )));
             }
         };
-        let map = self.open_maps.open_of(row).await?;
-        map.check_goal(goal.goal, PlanningSettings::default()).await?.map_err(not_planned)?;
         Ok(goal)
     }
 }
@@ -178,6 +184,7 @@ pub(super) fn not_planned(error: PlanError) -> ServiceError {
         PlanError::UnknownPlace { .. } | PlanError::UnknownPart { .. } => ServiceError::not_found(error),
         PlanError::NotFinite => ServiceError::invalid(error),
         PlanError::NoMetres
+        | PlanError::Unmeasured { .. }
         | PlanError::GoalTooFar { .. }
         | PlanError::OtherPart { .. }
         | PlanError::OneWay { .. }

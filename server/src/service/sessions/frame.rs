@@ -4,7 +4,10 @@ use topomap::metric::Odometry;
 
 use crate::error::ServiceError;
 use crate::ingest::content::Content;
+use crate::metrics::FrameTimings;
 use crate::open_map::Opener;
+use crate::open_map::answers::FrameAnswer;
+use crate::storage::reason_name;
 
 /// A frame as a robot sends it.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,6 +18,30 @@ pub(crate) struct Frame {
     pub(crate) odometry: Option<Odometry>,
     /// What the robot calls it; empty if nothing.
     pub(crate) note: String,
+}
+
+/// What became of a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum FrameOutcome {
+    Answered(Box<FrameAnswer>),
+    Refused {
+        sequence: u64,
+        last_committed: Option<u64>,
+        error: ServiceError,
+    },
+    /// The stream is over.
+    Ended(ServiceError),
+}
+
+impl FrameOutcome {
+    /// What became of the frame, as the metrics call it, and where its time went if it was decided.
+    pub(super) fn counted(&self) -> (&'static str, Option<FrameTimings>) {
+        match self {
+            FrameOutcome::Answered(answer) if answer.timings.is_none() => ("resent", None),
+            FrameOutcome::Answered(answer) => (reason_name(answer.reason), answer.timings),
+            FrameOutcome::Refused { error, .. } | FrameOutcome::Ended(error) => (error.code_name(), None),
+        }
+    }
 }
 
 /// Longest note, in bytes: a file's name, or a short path.

@@ -81,7 +81,7 @@ impl SessionStream {
         if matches!(self.source, FrameSource::Session(_)) {
             self.quotas().check_room(self.owner.as_deref())?;
         }
-        let stream = Some(self.stream);
+        let stream = self.in_line;
         let turn = self.quotas().frame(self.token.as_deref(), stream, Instant::now())?;
         let model = self.model.clone();
         let observing =

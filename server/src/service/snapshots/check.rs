@@ -18,14 +18,13 @@ use topomap::mapper::Mapper;
 
 use super::format::{MapRecord, Record, SnapshotError, SnapshotReader};
 use crate::error::ServiceError;
-use crate::ingest::FeatureRecord;
 use crate::ingest::model::LoadedModel;
 use crate::map_settings;
 use crate::names::check_id;
 use crate::service::labels::check_label;
 use crate::service::models::{check_display_name, row_of};
 use crate::service::sessions::check_note;
-use crate::storage::{FormerModelRow, ImportedMap, LabelRow, MediaRow, MediumKind, NoteRow, StoredSession};
+use crate::storage::{FormerModelRow, ImportedMap, LabelRow, MediaRow, NoteRow, StoredSession};
 
 /// Why a snapshot was not taken.
 #[derive(Debug)]
@@ -238,18 +237,11 @@ impl Log {
     }
 
     fn check_medium(&mut self, medium: &MediaRow) -> Result<(), NotTaken> {
-        let MediaRow { position, kind, content } = medium;
-        let Some(session) = self.session_of(*position) else {
-            return Err(refused(format_args!("it holds an image of frame {position}, which does not exist")));
-        };
-        // Geometry reads them, whenever a robot comes by. Images are shown as they are, and looked at when asked for.
-        if *kind == MediumKind::Features
-            && let Err(error) = FeatureRecord::from_bytes(content)
-        {
-            return Err(refused(format_args!("the features of frame {position}: {error}")));
+        if let Some(session) = self.session_of(medium.position) {
+            *self.kept.entry(session).or_default() += medium.content.len() as u64;
+            return Ok(());
         }
-        *self.kept.entry(session).or_default() += content.len() as u64;
-        Ok(())
+        Err(refused(format_args!("it holds an image of frame {}, which does not exist", medium.position)))
     }
 
     fn check_label(&self, row: &LabelRow) -> Result<(), NotTaken> {
