@@ -18,7 +18,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use fabmap::appearance::PlaceId;
 
 use crate::ids::{FrameId, SessionId};
-use crate::log::{Correction, MapEvent, Undoing};
+use crate::log::{Correction, MapEvent, Undoing, Withdrawal};
 use crate::settings::MapperSettings;
 use teller::{Left, Teller};
 
@@ -141,14 +141,14 @@ fn told<'a>(
     Ok(teller.end())
 }
 
-/// Frames that are at no place because somebody said so.
-fn withdrawn(log: &[&MapEvent]) -> BTreeSet<FrameId> {
-    let mut standing: BTreeMap<u64, &[FrameId]> = BTreeMap::new();
+/// Frames that are at no place because somebody said so, each with the closure that was withdrawn.
+fn withdrawn(log: &[&MapEvent]) -> BTreeMap<FrameId, FrameId> {
+    let mut standing: BTreeMap<u64, &Withdrawal> = BTreeMap::new();
     for event in log {
         let MapEvent::Corrected(event) = event else { continue };
         match &event.correction {
             Correction::Withdrawn(withdrawal) => {
-                standing.insert(event.position, &withdrawal.frames);
+                standing.insert(event.position, withdrawal);
             }
             Correction::Undone(Undoing { correction, .. }) => {
                 standing.remove(correction);
@@ -156,5 +156,9 @@ fn withdrawn(log: &[&MapEvent]) -> BTreeSet<FrameId> {
             Correction::Confirmed(_) => {}
         }
     }
-    standing.into_values().flatten().copied().collect()
+    let of_closure = |withdrawal: &Withdrawal| {
+        let closure = withdrawal.frame;
+        withdrawal.frames.iter().map(move |&frame| (frame, closure)).collect::<Vec<_>>()
+    };
+    standing.into_values().flat_map(of_closure).collect()
 }

@@ -20,8 +20,9 @@ use corrected::Withdrawn;
 pub(super) struct Left<'a> {
     pub(super) sessions: &'a BTreeSet<SessionId>,
     pub(super) places: &'a BTreeSet<PlaceId>,
-    /// Frames that people say are not at the places where the log has them: none makes one.
-    pub(super) withdrawn: &'a BTreeSet<FrameId>,
+    /// Frames that people say are not at the places where the log has them, and the closure by which each came there:
+    /// none makes a place, nor stays where its closure is gone.
+    pub(super) withdrawn: &'a BTreeMap<FrameId, FrameId>,
 }
 
 pub(super) struct Teller<'a> {
@@ -212,10 +213,15 @@ impl<'a> Teller<'a> {
         if self.left.places.contains(&place) {
             return Ok(Here::Dropped);
         }
+        let closure = self.left.withdrawn.get(&event.frame);
+        // Another session may have made the place between a closure that is gone and a frame that stayed there.
+        if closure.is_some_and(|&closure| closure != event.frame && !self.closes(closure)) {
+            return Ok(Here::Dropped);
+        }
         if let Some(rebased) = known {
             return Ok(Here::Known(rebased));
         }
-        if self.left.withdrawn.contains(&event.frame) {
+        if closure.is_some() {
             return Ok(Here::Dropped);
         }
         // The new place's frame is that of the robot here.
@@ -224,6 +230,12 @@ impl<'a> Teller<'a> {
         self.places[place.index()] = Some(rebased);
         self.makers.push(self.now());
         Ok(if creates { Here::Makes(rebased) } else { Here::MakesInstead(rebased) })
+    }
+
+    /// Whether a closure of the old log is one in the new.
+    fn closes(&self, closure: FrameId) -> bool {
+        let told = self.frames.get(&closure).and_then(|&frame| self.told(frame));
+        told.is_some_and(|told| told.decision.reason == Reason::LoopClosure)
     }
 
     /// The same decision; a closure onto a place that nothing told has seen before is a new place.

@@ -159,7 +159,7 @@ impl Teller<'_> {
         Some((Stood { place: told.place, odometry: odometry.clone(), at }, stands))
     }
 
-    fn told(&self, frame: FrameId) -> Option<&FrameEvent> {
+    pub(super) fn told(&self, frame: FrameId) -> Option<&FrameEvent> {
         match self.events.get(usize::try_from(frame).ok()?)? {
             MapEvent::Frame(event) => Some(event),
             MapEvent::SessionOpened { .. } | MapEvent::Measured(_) | MapEvent::Corrected(_) => None,
