@@ -213,7 +213,7 @@ fn the_port_for_people_is_told_from_the_one_for_robots() {
         command.args(arguments).args(["--server", &waypost.http()]);
         let output = run_to_its_end(command);
         let stderr = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(1), "{stderr}");
+        assert_eq!(output.status.code(), Some(3), "{stderr}");
         assert!(stderr.contains("may be the server's HTTP port") && !stderr.contains("flag"), "{stderr}");
     }
 }
