@@ -65,6 +65,16 @@ impl Machines {
     /// A database with that name: its URL names all machines.
     pub(crate) async fn database(&self, name: &str) -> String {
         self.tell(self.primary, &format!("CREATE DATABASE {name}")).await;
+        // Standbys have it when they have replayed that.
+        let there = format!("SELECT count(*)::text FROM pg_database WHERE datname = '{name}'");
+        let runs = |standby: &usize| TcpStream::connect(self.machines[*standby].socket()).is_ok();
+        for standby in self.standbys().into_iter().filter(runs) {
+            let since = Instant::now();
+            while self.ask(standby, &there).await != "1" {
+                assert!(since.elapsed() < PATIENCE, "a standby does not get the database {name}");
+                tokio::time::sleep(Duration::from_millis(50)).await;
+            }
+        }
         format!("{}?target_session_attrs=read-write", self.url(&[0, 1, 2], name))
     }
 
