@@ -40,7 +40,9 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let contents = ContentMaker::new(&client, &map, words.words).await?;
     let content = contents.content(bytes).await;
     let answer = client.query(&map, content, &contents.words_hash(), explain).await?;
-    let settings = client.map(&map, v1::MapView::Basic).await?.settings.unwrap_or_default();
+    // Whoever may only localize hears the answer all the same.
+    let settings =
+        client.map(&map, v1::MapView::Basic).await.ok().and_then(|map| map.settings).unwrap_or_default();
     let asked_for =
         settings.closure_threshold.map_or_else(String::new, |least| format!(", {least} asked for"));
     output.result(&answer, |out| {
