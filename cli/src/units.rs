@@ -94,9 +94,9 @@ fn degrees(poses: &[StampedPose]) -> Option<String> {
 /// A robot that turns by 90 at a time is written down in degrees.
 fn looks_along_axes(poses: &[StampedPose]) -> Option<String> {
     let yaws = || poses.iter().filter_map(|pose| pose.yaw_rad);
-    let largest = yaws().find(|yaw| *yaw != 0.0)?;
+    let first = yaws().find(|yaw| *yaw != 0.0)?;
     yaws().all(|yaw| yaw % ROUND_DEGREES == 0.0).then(|| {
-        format!("the odometry's headings are whole multiples of {ROUND_DEGREES}, as {largest} is: is yaw_rad in degrees?")
+        format!("the odometry's headings are whole multiples of {ROUND_DEGREES}, as {first} is: is yaw_rad in degrees?")
     })
 }
 

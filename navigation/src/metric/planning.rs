@@ -172,7 +172,7 @@ pub fn plan(
 /// The place that a goal means, wherever the robot is.
 ///
 /// # Errors
-/// [`PlanError`] if the map has none there.
+/// [`PlanError`] if the map has none there, or no way to it was measured.
 pub fn goal_place(poses: &PlacePoses, goal: Goal, settings: &PlanningSettings) -> Result<PlaceId, PlanError> {
     let place = match goal {
         Goal::Place(place) if poses.pose(place).is_some() => place,

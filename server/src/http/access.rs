@@ -164,10 +164,10 @@ fn access(method: &Method, path: &str, route: Option<&str>) -> Access {
     if route.starts_with(TOKENS) || (route.starts_with(MODELS) && !method.is_safe()) {
         return Access::Server;
     }
-    match route {
-        _ if method.is_safe() => Access::READ,
-        FRAME => Access::STREAM,
-        _ => Access::ADMIN,
+    match (method.is_safe(), route) {
+        (true, _) => Access::READ,
+        (false, FRAME) => Access::STREAM,
+        (false, _) => Access::ADMIN,
     }
 }
 

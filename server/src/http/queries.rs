@@ -205,7 +205,7 @@ impl IntoResponse for QueryError {
                 } else {
                     format!(
                         "the Content-Type {declared:?} is none that is taken here; send image/jpeg, image/png or \
-                     application/json"
+                         application/json"
                     )
                 };
                 error_response(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", message)

@@ -202,7 +202,7 @@ impl SessionStream {
                 self.shown.iter().for_each(|shown| shown.frame(Became::Answered(answer)));
             }
             FrameOutcome::Refused { error, .. } => {
-                // A frame by itself is noted by what it came with.
+                // A frame by itself is noted with the request that brought it.
                 let Some(shown) = &self.shown else { return };
                 shown.frame(Became::Refused);
                 let refusal = Refusal::on_stream(STREAM, &self.session_name, self.token.as_ref(), error);

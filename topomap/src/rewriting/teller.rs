@@ -213,16 +213,15 @@ impl<'a> Teller<'a> {
         if self.left.places.contains(&place) {
             return Ok(Here::Dropped);
         }
-        let closure = self.left.withdrawn.get(&event.frame);
-        // Another session may have made the place between a closure that is gone and a frame that stayed there.
-        if closure.is_some_and(|&closure| closure != event.frame && !self.closes(closure)) {
+        // One that stayed goes with its closure: another session may have made the place between the two.
+        let is_gone = |&closure: &FrameId| {
+            if closure == event.frame { known.is_none() } else { !self.closes(closure) }
+        };
+        if self.left.withdrawn.get(&event.frame).is_some_and(is_gone) {
             return Ok(Here::Dropped);
         }
         if let Some(rebased) = known {
             return Ok(Here::Known(rebased));
-        }
-        if closure.is_some() {
-            return Ok(Here::Dropped);
         }
         // The new place's frame is that of the robot here.
         let at = event.at.filter(|_| !creates).map(|at| at.back());
