@@ -304,6 +304,8 @@ def test_every_command_and_flag_exists() -> None:
     assert len(said) > 100
     assert unknown("waypost map shwo hall")
     assert "['--nosuch']" in unknown("waypost map ls --nosuch")
+    assert "['--nosuch']" in unknown("waypost-ros --map hall --nosuch")
+    assert any(command.startswith("waypost-ros ") for command in said)
     with ThreadPoolExecutor(2) as pool:
         assert not sorted(filter(None, pool.map(unknown, said)))
 
@@ -312,10 +314,10 @@ def commands(page: Path) -> Iterator[str]:
     """Calls of our programs, without comments, pipes and redirections."""
     text = page.read_text()
     shell = "\n".join(code for _, language, _, code in fences(page) if language == "sh")
-    inline = re.findall(r"`(waypost(?:-eval|-server)?(?: [^`\n]+)?)`", FENCE.sub("", text))
+    inline = re.findall(r"`(waypost(?:-eval|-server|-ros)?(?: [^`\n]+)?)`", FENCE.sub("", text))
     for line in [*inline, *shell.replace("\\\n", " ").splitlines()]:
-        found = re.search(r"\b(waypost(?:-eval|-server)? [^#|;>&<]+)", line)
-        if found and line.startswith("waypost"):
+        found = re.search(r"\b(waypost(?:-eval|-server|-ros)? [^#|;>&<]+)", line)
+        if found and re.match(r"(?:target/release/)?waypost", line):
             yield " ".join(found[1].split())
 
 
@@ -324,7 +326,7 @@ def unknown(command: str) -> str:
     program, *words = command.split()
     names = list(takewhile(lambda word: re.fullmatch("[a-z][a-z-]*", word), words))
     shown = subprocess.run([binary(program), *names, "--help"], capture_output=True, text=True)
-    flags = re.findall(r"(?<=\s)--[a-z][a-z-]*", f" {command}")
+    flags = re.findall(r"(?<=\s)--[a-z][a-z0-9-]*", f" {command}")
     missing = [flag for flag in flags if not re.search(rf"{flag}\b(?!-)", shown.stdout)]
     return f"{command}: {missing or shown.stderr}" if missing or shown.returncode else ""
 

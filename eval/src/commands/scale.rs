@@ -29,7 +29,7 @@ use self::report::{GrowthPoint, ScaleReport};
 use self::source::Source;
 use crate::choices::{NEW_PLACE_METHODS, choice, name_of};
 use crate::error::refused;
-use crate::timing::{FrameWatch, median, milliseconds};
+use crate::timing::{FrameWatch, mean, median, milliseconds};
 use crate::workload::WorkloadSettings;
 use crate::{files, memory, progress};
 
@@ -156,6 +156,7 @@ impl Measurement {
             whole: growth.last().cloned().unwrap_or_else(|| GrowthPoint::new(0, &[])),
             words,
             threads,
+            add_place_us_mean: mean(&adding_us),
             add_place_us_p50: median(adding_us).unwrap_or(0.0),
             update_place_us_p50: median(updating_us).unwrap_or(0.0),
             postings,

@@ -9,12 +9,13 @@ use crate::tool::{waypost_eval, waypost_eval_on_threads};
 const SMALL: [&str; 9] =
     ["scale", "--places", "5000", "--words", "2000", "--samples", "100", "--queries", "40"];
 
-const MEASURES: [&str; 9] = [
+const MEASURES: [&str; 10] = [
     "filter_update_ms_p50",
     "filter_update_ms_p95",
     "likelihood_ms_p50",
     "new_place_ms_p50",
     "add_place_us_p50",
+    "add_place_us_mean",
     "update_place_us_p50",
     "bytes_per_posting",
     "checkpoint_bytes_per_posting",

@@ -18,6 +18,8 @@ pub(crate) struct ScaleReport {
     pub threads: u16,
     /// Median time to add a place, in microseconds.
     pub add_place_us_p50: f64,
+    /// Mean of the same: now and then a place is merged into its block with those before it, which medians do not show.
+    pub add_place_us_mean: f64,
     /// Median time of one more look at a place, half of it words that the place did not have, in microseconds.
     pub update_place_us_p50: f64,
     /// (word, place) pairs in the index.
