@@ -23,8 +23,9 @@ pub enum Start<'a, P> {
     /// Rotations first, then positions: both are linear, so nothing is lost however odometry
     /// drifts.
     Chordal,
-    /// Both of these; the lower minimum counts. Odometry is given up after 20 steps if it costs twice
-    /// as much then.
+    /// Both of these; the lower minimum counts. Odometry is not tried where rotations first leave no more
+    /// than noise, which no start gets below but by chance; and it is given up after 20 steps if it costs
+    /// twice as much then.
     Best,
     /// From these poses; those that are not among them follow along odometry.
     Poses(&'a [P]),
@@ -112,6 +113,10 @@ pub fn relax<P: Pose<D>, const D: usize>(
                 Start::Chordal => equations.minimize(chordal(), &weights, stop),
                 Start::Best => {
                     let one = equations.minimize(chordal(), &weights, stop);
+                    if is_noise(graph, &one) {
+                        let Minimum { poses, cost, iterations } = one;
+                        return Relaxed { poses, cost, iterations, weights };
+                    }
                     let other = equations.minimize(first, &weights, Stop { rival_cost: one.cost, ..stop });
                     let iterations = one.iterations + other.iterations;
                     let lower = if other.cost < one.cost { other } else { one };
@@ -121,6 +126,21 @@ pub fn relax<P: Pose<D>, const D: usize>(
             Relaxed { poses, cost, iterations, weights }
         }
     }
+}
+
+/// Whether what a minimum leaves over is noise as the edges state it, or less, and spread over them as noise is. A map that
+/// is bent or folded keeps large errors at a few edges, also where all information is understated.
+fn is_noise<P: Pose<D>, const D: usize>(graph: &PoseGraph<P, D>, minimum: &Minimum<P>) -> bool {
+    let unknowns = graph.poses() - graph.anchors().len();
+    let freedom = (D * graph.edges().len().saturating_sub(unknowns)) as f64;
+    // In a smaller graph one edge could hold all that is left over.
+    if freedom <= P::CHI_SQUARED_MILLION {
+        return false;
+    }
+    // Chi squared has this mean, and twice that as its variance.
+    let most = freedom + 3.0 * (2.0 * freedom).sqrt();
+    let most_at_an_edge = P::CHI_SQUARED_MILLION * (minimum.cost / freedom).min(1.0);
+    minimum.cost <= most && graph.edges().iter().all(|edge| edge.cost(&minimum.poses) <= most_at_an_edge)
 }
 
 /// A pose for each of the graph's, before anything is relaxed: along odometry from what is known.
