@@ -127,26 +127,44 @@ fn pure_crates_stay_pure_however_deep() {
     assert!(server.contains("opencv") && server.contains("sqlx"), "this test does not see deep");
 }
 
+/// What only tests need may not switch on what programs are then built without: they would be compiled twice, and those
+/// that are tested would not be those that ship. The end-to-end tests' Cargo.toml says how that is so.
+#[test]
+fn programs_are_built_with_the_features_that_tests_have() {
+    let shipped = features("normal,build");
+    let tested = features("normal,build,dev");
+    assert!(shipped.len() > 300 && tested.len() > shipped.len(), "this test sees no dependencies");
+    let apart: Vec<&String> = shipped.difference(&tested).collect();
+    assert!(
+        apart.is_empty(),
+        "name among the dependencies of tests/Cargo.toml what gives these more: {apart:#?}"
+    );
+}
+
+/// Each package of the workspace and of what it depends on by these edges, with its version and features.
+fn features(edges: &str) -> BTreeSet<String> {
+    tree(&["--workspace", "--edges", edges, "--format", "{p} {f}"])
+}
+
 /// Names of all packages that a member needs when it is built for itself, its own among them.
 fn normal_closure(member: &str) -> BTreeSet<String> {
+    tree(&["--no-default-features", "--edges", "normal", "--format", "{p}", "--package", member])
+        .iter()
+        .filter_map(|line| line.split_whitespace().next())
+        .map(str::to_owned)
+        .collect()
+}
+
+/// The lines of `cargo tree`, each once.
+fn tree(arguments: &[&str]) -> BTreeSet<String> {
     let output = Command::new(env!("CARGO"))
         .current_dir(workspace())
-        .args([
-            "tree",
-            "--locked",
-            "--no-default-features",
-            "--edges",
-            "normal",
-            "--prefix",
-            "none",
-            "--format",
-            "{p}",
-            "--package",
-            member,
-        ])
+        .args(["tree", "--locked", "--prefix", "none"])
+        .args(arguments)
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let lines = String::from_utf8(output.stdout).unwrap();
-    lines.lines().filter_map(|line| line.split_whitespace().next()).map(str::to_owned).collect()
+    // What was there already is marked.
+    lines.lines().map(|line| line.trim_end_matches(" (*)").to_owned()).collect()
 }
