@@ -87,6 +87,39 @@ async fn a_frame_above_the_rate_hears_when_to_come_and_those_behind_it_wait() {
     guarded.server.stop().await;
 }
 
+/// Who holds no stream open keeps no place in line: each frame that comes when the quota has room is taken.
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_one_by_one_of_two_sessions_are_all_taken() {
+    const FRAMES: u64 = 4;
+    let guarded = Guarded::start().await;
+    let admin = guarded.client(&guarded.admin).await;
+    let quotas = v1::Quotas { max_frames_per_second: Some(2.0), ..Default::default() };
+    let (_, secret) = admin.create_limited_token(limited("robot-7", quotas)).await.unwrap();
+    let drive = async |session: &str| {
+        let mut refusals = 0;
+        for number in 1..=FRAMES {
+            loop {
+                let path = format!("/v1/maps/drive/sessions/{session}/frames/{number}?stamp_ns={number}");
+                let put = http().put(guarded.server.url(&path)).bearer_auth(&secret);
+                let image = images()[number as usize].clone();
+                let answer = Answer::to(put.header("content-type", "image/jpeg").body(image)).await;
+                if answer.status == StatusCode::OK {
+                    break;
+                }
+                assert_eq!(answer.status, StatusCode::TOO_MANY_REQUESTS, "{}", answer.text());
+                refusals += 1;
+                let seconds: u64 = answer.header("retry-after").parse().unwrap();
+                tokio::time::sleep(Duration::from_secs(seconds)).await;
+            }
+        }
+        refusals
+    };
+    let (one, two) = in_time(async { tokio::join!(drive("one"), drive("two")) }).await;
+    let refusals = one + two;
+    assert!((1..=4 * FRAMES).contains(&refusals), "{one} and {two} were refused, of {FRAMES} frames each");
+    guarded.server.stop().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_robot_waits_for_room_and_goes_on_without_loss_once_its_quota_is_lifted() {
     const FRAMES: u64 = 24;
