@@ -11,11 +11,13 @@ ROS2 := $(abspath $(or $(CARGO_TARGET_DIR),target)/ros2)
 # Where the C++ client is built.
 CPP := $(abspath $(or $(CARGO_TARGET_DIR),target)/cpp)
 
+# How many of the tests that are not Rust's run at once: they wait for much, for robots as for browsers.
+JOBS ?= 2
 # What is fuzzed, and for how long: make fuzz FUZZ=model SECONDS=600
 FUZZ ?= all
 SECONDS ?= 60
 
-.PHONY: demo fuzz test test-postgres test-python test-cpp test-ros test-inspector test-image inspector docs serve build setup check deny bench
+.PHONY: demo fuzz test test-postgres test-python test-cpp test-ros test-inspector test-image inspector docs serve build setup setup-tests check deny bench
 
 # Drive a real recorded sequence through a real server, and compare the loop closures with the truth.
 demo: build
@@ -25,7 +27,9 @@ demo: build
 # packaging/, of ros/, of the page and of the C++ client.
 test: setup
 	$(CARGO) test --release --locked --workspace --no-fail-fast
-	$(MAKE) --no-print-directory test-postgres test-python test-ros test-inspector test-cpp
+	$(MAKE) --no-print-directory setup-tests
+	$(MAKE) --no-print-directory --jobs=$(JOBS) --output-sync=target --keep-going \
+		test-postgres test-python test-ros test-inspector test-cpp
 
 # Servers over a database of PostgreSQL that is made for the tests; and a part of the other end-to-end tests, each on such a
 # database. More of them: make test-postgres ON_POSTGRES="fleet:: maps:: merging:: rest::parity operations::tokens"
@@ -97,6 +101,13 @@ build: setup
 
 setup:
 	scripts/setup
+
+# What all tests need, one after the other: two package managers at once get into each other's way.
+setup-tests: setup
+	scripts/setup-python $(PYTHON)
+	scripts/setup-ros2 $(ROS2)
+	scripts/setup-inspector
+	scripts/setup-cpp
 
 # What must be clean before a change lands, besides the tests.
 check: setup
