@@ -17,7 +17,7 @@ JOBS ?= 2
 FUZZ ?= all
 SECONDS ?= 60
 
-.PHONY: demo fuzz test test-postgres test-python test-cpp test-ros test-inspector test-image inspector docs serve build setup setup-tests check deny bench
+.PHONY: demo fuzz test test-postgres test-python test-cpp test-ros test-inspector test-image inspector docs serve build setup setup-python setup-tests check deny bench
 
 # Drive a real recorded sequence through a real server, and compare the loop closures with the truth.
 demo: build
@@ -48,16 +48,14 @@ test-postgres: build
 
 # What the client's messages, arrays and calls go through, with the oldest and the newest packages that it works with.
 RANGE_TESTS = test_values.py test_decisions.py test_words.py test_calls.py
-test-python: build
-	scripts/setup-python $(PYTHON)
+test-python: build setup-python
 	WAYPOST_BINARIES=$(abspath $(TARGET)) scripts/with-postgres $(PYTHON)/bin/python -m pytest client/python docker docs packaging
 	WAYPOST_BINARIES=$(abspath $(TARGET)) WAYPOST_PYTHON=$(PYTHON) scripts/test-python-range $(PYTHON)-range $(RANGE_TESTS)
 
 # The bridge between a server and a robot that another DDS plays. Once in thirteen runs Python itself crashed in the library
 # of that DDS: such an end, by a signal, says nothing of the bridge, and the tests run once more. A test that fails has failed.
 ROS_TESTS = WAYPOST_ROS2=$(ROS2) WAYPOST_BINARIES=$(abspath $(TARGET)) $(PYTHON)/bin/python -m pytest ros/tests
-test-ros: build
-	scripts/setup-python $(PYTHON)
+test-ros: build setup-python
 	scripts/setup-ros2 $(ROS2)
 	$(ROS_TESTS) || { ended=$$?; [ $$ended -ge 128 ] || exit $$ended; echo "ended by a signal: once more" >&2; $(ROS_TESTS); }
 
@@ -102,9 +100,12 @@ build: setup
 setup:
 	scripts/setup
 
-# What all tests need, one after the other: two package managers at once get into each other's way.
-setup-tests: setup
+# Once for all that use it: it installs the client anew.
+setup-python: setup
 	scripts/setup-python $(PYTHON)
+
+# What the tests after Rust's need, one after the other: two package managers at once get into each other's way.
+setup-tests: setup-python
 	scripts/setup-ros2 $(ROS2)
 	scripts/setup-inspector
 	scripts/setup-cpp
