@@ -18,13 +18,14 @@ use topomap::mapper::Mapper;
 
 use super::format::{MapRecord, Record, SnapshotError, SnapshotReader};
 use crate::error::ServiceError;
+use crate::ingest::FeatureRecord;
 use crate::ingest::model::LoadedModel;
 use crate::map_settings;
 use crate::names::check_id;
 use crate::service::labels::check_label;
 use crate::service::models::{check_display_name, row_of};
 use crate::service::sessions::check_note;
-use crate::storage::{FormerModelRow, ImportedMap, LabelRow, MediaRow, NoteRow, StoredSession};
+use crate::storage::{FormerModelRow, ImportedMap, LabelRow, MediaRow, MediumKind, NoteRow, StoredSession};
 
 /// Why a snapshot was not taken.
 #[derive(Debug)]
@@ -237,11 +238,17 @@ impl Log {
     }
 
     fn check_medium(&mut self, medium: &MediaRow) -> Result<(), NotTaken> {
-        if let Some(session) = self.session_of(medium.position) {
-            *self.kept.entry(session).or_default() += medium.content.len() as u64;
-            return Ok(());
-        }
-        Err(refused(format_args!("it holds an image of frame {}, which does not exist", medium.position)))
+        let MediaRow { position, kind, content } = medium;
+        let Some(session) = self.session_of(*position) else {
+            return Err(refused(format_args!("it holds an image of frame {position}, which does not exist")));
+        };
+        let features = match kind {
+            MediumKind::Features => FeatureRecord::from_bytes(content).map(drop),
+            MediumKind::Image | MediumKind::Thumbnail => Ok(()),
+        };
+        features.map_err(|error| refused(format_args!("the features of frame {position}: {error}")))?;
+        *self.kept.entry(session).or_default() += content.len() as u64;
+        Ok(())
     }
 
     fn check_label(&self, row: &LabelRow) -> Result<(), NotTaken> {

@@ -83,7 +83,7 @@ fn replace(content: &mut [u8], from: &str, to: &str) {
 /// Right by their checksum, and wrong all the same.
 #[tokio::test(flavor = "multi_thread")]
 async fn forged_files_are_refused_and_leave_nothing() {
-    let cases: [(&str, Edit, &str); 28] = [
+    let cases: [(&str, Edit, &str); 29] = [
         ("no map", |r| drop(r.remove(0)), "out of order"),
         ("no model", |r| drop(r.remove(1)), "out of order"),
         ("two maps", |r| r.insert(1, r[0].clone()), "there twice"),
@@ -158,6 +158,14 @@ async fn forged_files_are_refused_and_leave_nothing() {
                 r[m].1[1] = 9;
             },
             "a medium of kind 9",
+        ),
+        (
+            "features that are none",
+            |r| {
+                let m = first(r, MEDIUM);
+                r[m].1.pop();
+            },
+            "the features of frame 1: ",
         ),
         (
             "label of no place",
