@@ -9,7 +9,7 @@ use std::path::PathBuf;
 
 use prost::Message;
 
-const FILES: [&str; 12] = [
+const FILES: [&str; 13] = [
     "waypost/v1/job.proto",
     "waypost/v1/model.proto",
     "waypost/v1/map.proto",
@@ -22,6 +22,7 @@ const FILES: [&str; 12] = [
     "waypost/v1/appearance.proto",
     "waypost/v1/event.proto",
     "waypost/v1/token.proto",
+    "waypost/v1/cluster.proto",
 ];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

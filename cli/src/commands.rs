@@ -1,6 +1,7 @@
 //! One file per command.
 
 pub(crate) mod closure;
+pub(crate) mod cluster;
 pub(crate) mod demo;
 pub(crate) mod explain;
 pub(crate) mod import;

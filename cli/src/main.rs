@@ -10,8 +10,8 @@ use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use commands::{
-    closure, demo, explain, import, inspect, job, map, merge, model, navigate, query, refusals, session,
-    shell, simulate, stream, token,
+    closure, cluster, demo, explain, import, inspect, job, map, merge, model, navigate, query, refusals,
+    session, shell, simulate, stream, token,
 };
 use failure::{EXIT_CODES, Failure};
 use output::Output;
@@ -148,6 +148,7 @@ enum Command {
     Explain(explain::Arguments),
     Navigate(navigate::Arguments),
     Refusals(refusals::Arguments),
+    Cluster(cluster::Arguments),
     Simulate(simulate::Arguments),
     Demo(demo::Arguments),
     Completions(shell::Completions),
@@ -270,6 +271,7 @@ async fn run(Arguments { globals, command }: Arguments) -> Result<(), Failure> {
         Command::Explain(arguments) => explain::run(arguments, &server, output).await,
         Command::Navigate(arguments) => navigate::run(arguments, &server, output).await,
         Command::Refusals(arguments) => refusals::run(arguments, &server, output).await,
+        Command::Cluster(arguments) => cluster::run(arguments, &server, output).await,
         Command::Token(command) => token::run(command, &server, output).await,
         Command::Stream(arguments) => stream::run(arguments, &server, output).await,
         Command::Import(arguments) => import::run(arguments, &server, output).await,

@@ -1,6 +1,7 @@
 //! Every call of the contract, by what it is about. All are methods of [`Client`](crate::Client).
 
 mod appearance;
+mod cluster;
 mod corrections;
 pub(crate) mod events;
 pub(crate) mod jobs;

@@ -6,6 +6,7 @@ use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Response, Status};
 use waypost_proto::v1::appearance_service_client::AppearanceServiceClient;
+use waypost_proto::v1::cluster_service_client::ClusterServiceClient;
 use waypost_proto::v1::correction_service_client::CorrectionServiceClient;
 use waypost_proto::v1::event_service_client::EventServiceClient;
 use waypost_proto::v1::job_service_client::JobServiceClient;
@@ -121,6 +122,7 @@ macro_rules! stubs {
 
 stubs! {
     appearance_client: AppearanceServiceClient,
+    cluster_client: ClusterServiceClient,
     corrections_client: CorrectionServiceClient,
     events_client: EventServiceClient,
     jobs_client: JobServiceClient,

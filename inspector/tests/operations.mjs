@@ -33,7 +33,36 @@ test("jobs and models are those of REST", async () => {
     const row = page.getByRole("region", { name: "Jobs" }).locator("tbody tr").first();
     const words = await row.textContent();
     assert.ok(words.includes("import map") && words.includes(jobs[0].state), words);
+    const { servers } = await rest("cluster");
+    const owner = page.getByRole("region", { name: "Servers" }).locator("tbody tr");
+    assert.equal(servers.length, 1);
+    const told = await owner.textContent();
+    assert.ok(told.includes(servers[0].holder) && told.includes("owner") && told.includes("just now"), told);
+    await page.getByText("SQLite, which has one server").waitFor();
     await accessible(page, "operations");
+    await close();
+});
+
+// How several servers come to be is tested where a database of PostgreSQL is; here, how they are shown.
+test("servers in reserve, standbys and warnings are shown", async () => {
+    const { page, close } = await open("#/");
+    const server = (role, holder, more) => ({
+        role, holder, version: "0.1.0", grpc_address: `${holder}:7600`, http_address: `${holder}:7601`, cores: 4, images: 12, silent_s: 0.4, ...more,
+    });
+    const cluster = {
+        database: "postgres", epoch: 3, servers: [server("owner", "one"), server("reserve", HOSTILE, { images: null, silent_s: 21.4 })],
+        standbys: [{ name: "two", state: "streaming", sync_state: "quorum", lag_bytes: 2048 }], warnings: ["PostgreSQL's fsync is off: …"],
+        load: { open_maps: 1, open_streams: 2, robots_led: 0, images_waiting: 5, robots_in_line: 0, requests_waiting: 1, jobs_running: 0 },
+    };
+    await page.route("**/v1/cluster", (route) => route.fulfill({ json: cluster }));
+    await page.getByRole("link", { name: "Operations" }).click();
+    const region = page.getByRole("region", { name: "Servers" });
+    await region.getByText("PostgreSQL, whose owner is the 3rd. Waiting: 5 images, 1 request").waitFor();
+    const gone = await region.getByRole("row").filter({ hasText: HOSTILE }).textContent();
+    assert.ok(gone.includes("not asked") && gone.includes("21 s ago"), gone);
+    await region.getByRole("row").filter({ hasText: "quorum" }).getByText("2.0 kB").waitFor();
+    await region.getByText("fsync is off").waitFor();
+    await accessible(page, "servers");
     await close();
 });
 

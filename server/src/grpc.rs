@@ -2,6 +2,7 @@
 
 mod access;
 mod appearance;
+mod cluster;
 mod corrections;
 mod events;
 mod jobs;
@@ -29,6 +30,7 @@ use tonic::{Status, Streaming};
 use tower::{Layer, Service as _};
 use waypost_proto::FILE_DESCRIPTOR_SET;
 use waypost_proto::v1::appearance_service_server::AppearanceServiceServer;
+use waypost_proto::v1::cluster_service_server::ClusterServiceServer;
 use waypost_proto::v1::correction_service_server::CorrectionServiceServer;
 use waypost_proto::v1::event_service_server::EventServiceServer;
 use waypost_proto::v1::job_service_server::JobServiceServer;
@@ -138,7 +140,8 @@ pub(crate) async fn routes(service: &Arc<Service>) -> anyhow::Result<Routes> {
         .add_service(limited!(LabelServiceServer::new(adapter())))
         .add_service(limited!(AppearanceServiceServer::new(adapter())))
         .add_service(limited!(EventServiceServer::new(adapter())))
-        .add_service(limited!(TokenServiceServer::new(adapter()))))
+        .add_service(limited!(TokenServiceServer::new(adapter())))
+        .add_service(limited!(ClusterServiceServer::new(adapter()))))
 }
 
 /// Answers one call at [`routes`], guarded, as if it had come over a connection.

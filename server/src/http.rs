@@ -205,6 +205,7 @@ fn api() -> OpenApiRouter<Arc<Service>> {
         .routes(routes!(models::export_model))
         .routes(routes!(server::list_refusals))
         .routes(routes!(server::get_metrics_history))
+        .routes(routes!(server::get_cluster))
         .routes(routes!(jobs::list_jobs))
         .routes(routes!(jobs::get_job))
         .routes(routes!(jobs::cancel_job))

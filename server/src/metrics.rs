@@ -4,6 +4,7 @@
 //! then count apart, and there is no second installation that could fail.
 
 mod history;
+mod levels;
 
 use std::fmt;
 use std::sync::Arc;
@@ -17,8 +18,9 @@ use metrics_exporter_prometheus::{BuildError, Matcher, PrometheusBuilder, Promet
 use topomap::metric::AgreementVerdict;
 
 pub(crate) use self::history::{EVERY as HISTORY_EVERY, History, HistoryView, SeriesName};
-use crate::ingest::extraction::Help;
-use crate::quotas::{Refusals, Used};
+pub(crate) use self::levels::{Levels, ProcessLevels, QueueLengths};
+use crate::quotas::Used;
+use crate::storage::FleetLevels;
 
 const GRPC_REQUESTS: &str = "waypost_grpc_requests_total";
 const GRPC_SECONDS: &str = "waypost_grpc_request_duration_seconds";
@@ -46,6 +48,9 @@ const FORWARDED_OPEN: &str = "waypost_forwarded_requests_open";
 const OWNS_DATABASE: &str = "waypost_owns_database";
 const HELPER_CORES: &str = "waypost_helper_cores";
 const HELPED_IMAGES: &str = "waypost_helped_images_total";
+const DATABASE_EPOCH: &str = "waypost_database_epoch";
+const STANDBYS: &str = "waypost_standbys";
+const STANDBY_LAG_BYTES: &str = "waypost_standby_lag_bytes";
 const BUILD: &str = "waypost_build_info";
 
 /// Upper bounds of what a stage of a frame takes, from an indexed likelihood to a queue that is full.
@@ -98,44 +103,6 @@ struct Stages {
     verification: Histogram,
     commit: Histogram,
     total: Histogram,
-}
-
-/// What is looked at when the metrics are read, rather than counted.
-#[derive(Clone, Debug)]
-pub(crate) struct Levels {
-    pub(crate) open_maps: usize,
-    pub(crate) jobs_running: usize,
-    /// `None` if the database does not answer.
-    pub(crate) database_bytes: Option<u64>,
-    /// What is left of the disk that the database is on; `None` if that cannot be told.
-    pub(crate) disk_free_bytes: Option<u64>,
-    /// Robots that are led, by their status.
-    pub(crate) robots_led: Vec<(&'static str, usize)>,
-    pub(crate) queues: QueueLengths,
-    /// What other servers do for this one.
-    pub(crate) help: Help,
-    /// What there is of what quotas may limit, whosever it is.
-    pub(crate) used: Used,
-    pub(crate) refusals: Refusals,
-    pub(crate) process: ProcessLevels,
-}
-
-/// What waits.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct QueueLengths {
-    /// Images that wait for a core, or are on one.
-    pub(crate) images: usize,
-    /// Robots that were refused for want of room, and have a time at which to come again.
-    pub(crate) robots_in_line: usize,
-    /// Requests that wait for the writers of the open maps.
-    pub(crate) maps: usize,
-}
-
-/// What the process takes; `None` where the system does not tell.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct ProcessLevels {
-    pub(crate) resident_bytes: Option<u64>,
-    pub(crate) cpu_seconds: Option<f64>,
 }
 
 impl Metrics {
@@ -257,6 +224,7 @@ impl Metrics {
             robots_led,
             queues,
             help,
+            fleet,
             used,
             refusals,
             process,
@@ -270,6 +238,11 @@ impl Metrics {
             gauge!(OWNS_DATABASE).set(1.0);
             gauge!(HELPER_CORES).set(help.cores as f64);
             counter!(HELPED_IMAGES).absolute(help.images);
+            if let Some(FleetLevels { epoch, standbys, lag_bytes }) = fleet {
+                gauge!(DATABASE_EPOCH).set(epoch as f64);
+                gauge!(STANDBYS).set(standbys.map_or(f64::NAN, |standbys| standbys as f64));
+                gauge!(STANDBY_LAG_BYTES).set(lag_bytes.map_or(f64::NAN, |bytes| bytes as f64));
+            }
             for (status, robots) in robots_led {
                 gauge!(ROBOTS_LED, "status" => status).set(robots as f64);
             }
@@ -385,6 +358,9 @@ fn describe() {
     describe_gauge!(OWNS_DATABASE, "1 if this server owns its database, 0 if it asks the server that does.");
     describe_gauge!(HELPER_CORES, "Cores of other servers that look at images for this one.");
     describe_counter!(HELPED_IMAGES, "Images that other servers have looked at for this one.");
+    describe_gauge!(DATABASE_EPOCH, "Owners that the database of PostgreSQL has had, this server the last.");
+    describe_gauge!(STANDBYS, "Machines of PostgreSQL that follow the one that takes writes.");
+    describe_gauge!(STANDBY_LAG_BYTES, Unit::Bytes, "What the standby that lacks most has not stored yet.");
     describe_gauge!(BUILD, "Always 1; the version is in the label.");
 }
 

@@ -253,7 +253,7 @@ impl MapWriter {
             .unzip();
         clock.tracked();
         let intrinsics = self.intrinsics.get(&input.session);
-        let around = self.around.get(&input.session).copied();
+        let around = self.around.get(&input.session).cloned();
         let features = features.map(|features| SeenFeatures::new(features, intrinsics).all_around(around));
         let recognized = self.mapper.recognize(input, clock)?;
         let (proposed, comparisons) = compared(recognized, self, features.as_ref(), &self.verifier)?;

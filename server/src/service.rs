@@ -2,6 +2,7 @@
 //! adapters over this.
 
 pub(crate) mod appearance;
+pub(crate) mod cluster;
 pub(crate) mod correcting;
 pub(crate) mod corrections;
 mod deleted_maps;
@@ -36,6 +37,7 @@ use rustls::ClientConfig;
 use tokio_util::sync::CancellationToken;
 
 use self::appearance::AppearanceGraphs;
+use self::cluster::Cluster;
 use self::correcting::Correcting;
 use self::deleted_maps::DeletedMaps;
 use self::events::Events;
@@ -74,6 +76,7 @@ const LOOK_FOR_HELPERS: Duration = Duration::from_secs(5);
 #[derive(Debug)]
 pub(crate) struct Service {
     pub(crate) appearance: AppearanceGraphs,
+    pub(crate) cluster: Cluster,
     pub(crate) correcting: Correcting,
     pub(crate) events: Events,
     pub(crate) frames: Frames,
@@ -115,6 +118,7 @@ impl Service {
         let labels = shared.labels(&maps, &appearance);
         let rewriting = shared.rewriting();
         let navigation = shared.navigation(&appearance, &labels);
+        let cluster = shared.cluster(&navigation);
         let snapshots = shared.snapshots();
         let match_matrices = shared.match_matrices();
         let Shared { storage, open_maps, extraction, jobs, names, deleted_maps, .. } = shared;
@@ -130,6 +134,7 @@ impl Service {
             neighbours: Neighbours::of(storage.fleet().map(|fleet| fleet.secret).as_deref()),
             rebuilding: Rebuilding { maps: maps.clone(), sessions: sessions.clone(), jobs: jobs.clone() },
             appearance,
+            cluster,
             frames,
             history: History::default(),
             jobs,
@@ -244,7 +249,8 @@ impl Service {
     pub(crate) async fn rendered_metrics(&self) -> String {
         let open_maps = self.open_maps.count();
         let jobs_running = self.jobs.count();
-        let database_bytes = self.storage.size_bytes().await.ok();
+        let (database_bytes, fleet) = tokio::join!(self.storage.size_bytes(), self.storage.fleet_levels());
+        let database_bytes = database_bytes.ok();
         let disk_free_bytes = self.storage.free_bytes();
         let robots_led = self.navigation.counts();
         let extraction = self.extraction.backlog();
@@ -264,6 +270,7 @@ impl Service {
             robots_led,
             queues,
             help,
+            fleet,
             used,
             refusals,
             process,

@@ -49,8 +49,8 @@ pub(crate) use models::ModelRow;
 pub(crate) use moving::{Moved, Source};
 pub(crate) use notes::NoteRow;
 pub(crate) use postgres::{
-    Addresses, Claim, Fleet, HelperRow, Owner, WhileOwned, host_name, inspect_postgres, model_file,
-    parse_postgres_address,
+    Addresses, Claim, ClusterRows, Fleet, FleetLevels, HelperRow, Owner, ServerRow, StandbyRow, VERSION,
+    WhileOwned, cores, holder, host_name, inspect_postgres, model_file, parse_postgres_address,
 };
 pub(crate) use removal::Removal;
 pub(crate) use retelling::RetoldLog;

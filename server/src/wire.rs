@@ -1,6 +1,7 @@
 //! The service's values as messages of the contract, and back. gRPC sends the messages, REST their
 //! JSON. Every field is named, so that none is forgotten.
 
+pub(crate) mod cluster;
 pub(crate) mod corrections;
 pub(crate) mod events;
 pub(crate) mod geometry;

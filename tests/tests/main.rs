@@ -14,9 +14,11 @@ mod house {
 mod fleet {
     mod any_server;
     mod handing_over;
+    mod helping;
     mod migrating;
     mod owners;
     mod standbys;
+    mod told;
 }
 
 /// Maps of other programs, and what they were made with.

@@ -16,6 +16,7 @@ import waypost
 from waypost import aio
 from waypost.v1 import (
     appearance_pb2,
+    cluster_pb2,
     correction_pb2,
     event_pb2,
     job_pb2,
@@ -31,6 +32,7 @@ from waypost.v1 import (
 
 CONTRACT = [
     appearance_pb2,
+    cluster_pb2,
     correction_pb2,
     event_pb2,
     job_pb2,
@@ -331,6 +333,9 @@ def test_open_streams_and_refusals_are_listed(client: waypost.Client) -> None:
         assert (stream.session, stream.answered_frames) == ("maps/watched/sessions/robot", 3)
         assert stream.last_delay_ns > 0
         assert stream in client.open_streams()
+        cluster = client.cluster()
+        assert (len(cluster.servers), cluster.load.open_streams) == (1, 1)
+        assert cluster.database == cluster_pb2.Cluster.DATABASE_SQLITE
     with pytest.raises(waypost.NotFound):
         client.open_streams("nowhere")
     newest = client.refusals()[0]

@@ -4,6 +4,7 @@ import { all, at, change, download, send, short, type Job, type Model } from "..
 import { bytes, count, Deletion, Dialog, moment, Outcome, Refused, Shown, useAsked, useAttempt, useMayAll, usePolled } from "../parts";
 import { Metrics } from "./metrics";
 import { Refusals } from "./refusals";
+import { Servers } from "./servers";
 import { Tokens } from "./tokens";
 
 export function Operations({ onTokens }: { onTokens: () => void }) {
@@ -12,6 +13,7 @@ export function Operations({ onTokens }: { onTokens: () => void }) {
         <main class="operations" id="content">
             <h1>Operations</h1>
             <Metrics />
+            {may && <Servers />}
             <Refusals />
             <Jobs />
             <Models />

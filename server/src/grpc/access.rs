@@ -22,7 +22,7 @@ use crate::service::Service;
 use crate::service::tokens::{Access, Admitted, Ending};
 
 /// Every method, and what it asks of who calls it.
-const METHODS: [(&str, Access); 75] = [
+const METHODS: [(&str, Access); 76] = [
     ("/waypost.v1.SessionService/Stream", Access::OPEN_SESSION),
     ("/waypost.v1.RecognitionService/Query", Access::LOCALIZE),
     ("/waypost.v1.SessionService/ListSessions", Access::READ),
@@ -49,6 +49,8 @@ const METHODS: [(&str, Access); 75] = [
     ("/waypost.v1.EventService/GetMetricsHistory", Access::READ),
     // Messages name maps and what is in them, of whichever token.
     ("/waypost.v1.EventService/ListRefusals", Access::Server),
+    // Names machines and addresses.
+    ("/waypost.v1.ClusterService/GetCluster", Access::Server),
     ("/waypost.v1.MapService/ListMaps", Access::READ),
     ("/waypost.v1.MapService/GetMap", Access::READ),
     ("/waypost.v1.MapService/ListPlaces", Access::READ),

@@ -34,7 +34,7 @@ const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 const OPEN: [&str; 2] = ["/healthz", "/readyz"];
 
 /// What asks for something else than reads do by GET, and changes for administrators do by other methods.
-const ROUTES: [(&str, Access); 6] = [
+const ROUTES: [(&str, Access); 7] = [
     ("/v1/maps/{map}/query", Access::LOCALIZE),
     ("/v1/maps/{map}/navigations/{navigation}/goal", Access::NAVIGATE),
     ("/v1/maps/{map}/places/{place}/label", Access::NAVIGATE),
@@ -42,6 +42,8 @@ const ROUTES: [(&str, Access); 6] = [
     ("/v1/whoami", Access::Token),
     // Messages name maps and what is in them, of whichever token.
     ("/v1/refusals", Access::Server),
+    // Names machines and addresses.
+    ("/v1/cluster", Access::Server),
 ];
 
 /// What robots send to, and people read.

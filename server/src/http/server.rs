@@ -1,4 +1,4 @@
-//! What the server has to say of itself: what it refused, and how it fared.
+//! What the server has to say of itself: what it refused, how it fared, and which servers there are beside it.
 
 use std::sync::Arc;
 
@@ -11,6 +11,7 @@ use super::description::Refusals;
 use super::parameters::{InQuery, Nothing, Paging};
 use crate::pages::Page;
 use crate::service::Service;
+use crate::wire::cluster::cluster;
 use crate::wire::events::{metrics_history, refusal};
 
 /// What was refused since the server began, newest first: requests of both ports, and frames, wheel reports and goals on
@@ -24,6 +25,17 @@ pub(super) async fn list_refusals(
     let Page { items, next } = service.refusals.list(page_size, &page_token)?;
     let refusals = items.into_iter().map(refusal).collect();
     Ok(Json(v1::ListRefusalsResponse { refusals, next_page_token: next }))
+}
+
+/// The servers of the database, and how they and it do. Whichever server is asked, the one that owns the database answers.
+/// For administrators of the whole server.
+#[utoipa::path(get, path = "/v1/cluster", tag = "server",
+    responses((status = 200, description = "The servers and their database.", body = v1::Cluster), Refusals))]
+pub(super) async fn get_cluster(
+    State(service): State<Arc<Service>>,
+    InQuery(Nothing {}): InQuery<Nothing>,
+) -> Result<Json<v1::Cluster>, HttpError> {
+    Ok(Json(cluster(service.cluster.view().await?)))
 }
 
 /// How the server fared over the last hour: its metrics, every 15 seconds. `/metrics` has them as they are now, for

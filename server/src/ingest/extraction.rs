@@ -1,6 +1,7 @@
 //! Images to words, off the async threads, or on another server.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use bytes::Bytes;
@@ -32,6 +33,8 @@ pub(crate) struct Extraction {
     own: usize,
     helpers: Helpers,
     admission: Admission,
+    /// Robots' images that were looked at here.
+    looked_at: Arc<AtomicU64>,
 }
 
 impl Extraction {
@@ -41,6 +44,7 @@ impl Extraction {
             own: cores,
             helpers: Helpers::default(),
             admission: Admission::new(cores),
+            looked_at: Arc::default(),
         }
     }
 
@@ -53,6 +57,16 @@ impl Extraction {
     /// Cores of servers that look at images for this one, and how many they have looked at.
     pub(crate) fn help(&self) -> Help {
         Help { cores: self.helpers.cores(), images: self.helpers.helped() }
+    }
+
+    /// Robots' images that were looked at here.
+    pub(crate) fn looked_at(&self) -> u64 {
+        self.looked_at.load(Ordering::Relaxed)
+    }
+
+    /// Images that the helper of that number has looked at; `None` if it is not asked.
+    pub(crate) fn helped_by(&self, id: i64) -> Option<u64> {
+        self.helpers.helped_by(id)
     }
 
     /// What waits just now.
@@ -71,11 +85,7 @@ impl Extraction {
         stream: Option<u64>,
     ) -> Result<Observed, ServiceError> {
         let admitted = self.admission.admit(stream, Instant::now()).map_err(ServiceError::overloaded)?;
-        let observed = match optics {
-            // It takes the camera to make a panorama, which helpers do not know.
-            Some(_) => self.run(move || observe(&model, image, keep, optics)).await,
-            None => self.observe_anywhere(model, image, keep).await,
-        };
+        let observed = self.observe_anywhere(model, image, keep, optics).await;
         admitted.done(Instant::now());
         observed
     }
@@ -86,6 +96,7 @@ impl Extraction {
         model: Arc<LoadedModel>,
         image: Bytes,
         keep: Keep,
+        optics: Option<PanoramicOptics>,
     ) -> Result<Observed, ServiceError> {
         let (extraction, span) = (self.clone(), Span::current());
         // A task of its own, as in `run`.
@@ -95,23 +106,33 @@ impl Extraction {
                     biased;
                     core = extraction.cores.clone().acquire_owned() => {
                         let core = core.map_err(|_closed| ServiceError::stopping())?;
-                        return on_core(core, move || observe(&model, image, keep, None)).await;
+                        let look = move || observe(&model, image, keep, optics.as_ref());
+                        return extraction.counted(on_core(core, look).await);
                     }
                     place = extraction.helpers.place() => place,
                 };
-                match place.observe(&model, &image, keep).await {
+                match place.observe(&model, &image, keep, optics.as_ref()).await {
                     Ok(observed) => Ok(observed),
                     Err(NotSeen::Refused(error)) => Err(error),
                     Err(not_seen) => {
                         place.give_up(&not_seen);
                         drop(place);
-                        extraction.run(move || observe(&model, image, keep, None)).await
+                        let look = move || observe(&model, image, keep, optics.as_ref());
+                        extraction.counted(extraction.run(look).await)
                     }
                 }
             }
             .instrument(span),
         ));
         task.await.map_err(ServiceError::internal)?
+    }
+
+    /// Counts an image that was looked at here.
+    fn counted(&self, observed: Result<Observed, ServiceError>) -> Result<Observed, ServiceError> {
+        if observed.is_ok() {
+            self.looked_at.fetch_add(1, Ordering::Relaxed);
+        }
+        observed
     }
 
     /// Decodes an image and describes its features.
@@ -174,11 +195,11 @@ pub(super) fn observe(
     model: &LoadedModel,
     bytes: Bytes,
     keep: Keep,
-    optics: Option<PanoramicOptics>,
+    optics: Option<&PanoramicOptics>,
 ) -> Result<Observed, ServiceError> {
     let start = Instant::now();
     let (image, features) = match optics {
-        Some(optics) => extract_around(&model.extractor, &bytes, &optics)?,
+        Some(optics) => extract_around(&model.extractor, &bytes, optics)?,
         None => extract(&model.extractor, &bytes)?,
     };
     let extracted = start.elapsed();

@@ -1,6 +1,6 @@
 //! Servers that look at images for this one.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
@@ -17,6 +17,7 @@ use waypost_vision::feature_record::FeatureRecord;
 use super::looking::{Look, PATH, Seen};
 use super::model::LoadedModel;
 use super::observed::Observed;
+use super::panoramic::PanoramicOptics;
 use crate::error::ServiceError;
 use crate::map_settings::Keep;
 use crate::net::neighbours;
@@ -45,6 +46,8 @@ struct Places {
     /// Free ones; there are as many as `free` has permits, or more.
     free: VecDeque<Arc<Helper>>,
     known: Vec<Arc<Helper>>,
+    /// Images that each has looked at, by its number; one that was given up and comes back goes on.
+    helped: BTreeMap<i64, Arc<AtomicU64>>,
 }
 
 /// Another server, as this one asks it.
@@ -54,6 +57,8 @@ pub(super) struct Helper {
     secret: Arc<str>,
     tls: Option<Arc<ClientConfig>>,
     connection: tokio::sync::Mutex<Option<SendRequest<Body>>>,
+    /// Images that it has looked at.
+    helped: Arc<AtomicU64>,
     /// Since when it is not asked any more.
     gone: OnceLock<Instant>,
 }
@@ -110,6 +115,7 @@ impl Helpers {
                 secret: secret.clone(),
                 tls: tls.cloned(),
                 connection: tokio::sync::Mutex::default(),
+                helped: places.helped.entry(row.id).or_default().clone(),
                 gone: OnceLock::new(),
             });
             let cores = row.cores as usize;
@@ -129,6 +135,13 @@ impl Helpers {
     /// Images that helpers have looked at.
     pub(crate) fn helped(&self) -> u64 {
         self.helped.load(Ordering::Relaxed)
+    }
+
+    /// Images that the helper of that number has looked at; `None` if it is not asked now.
+    pub(crate) fn helped_by(&self, id: i64) -> Option<u64> {
+        let places = self.places();
+        let helper = places.known.iter().find(|helper| helper.row.id == id && !helper.is_gone())?;
+        Some(helper.helped.load(Ordering::Relaxed))
     }
 
     /// A helper's core, once one is free.
@@ -157,12 +170,15 @@ impl Place {
         model: &LoadedModel,
         image: &Bytes,
         keep: Keep,
+        optics: Option<&PanoramicOptics>,
     ) -> Result<Observed, NotSeen> {
         let thumbnail = keep >= Keep::Features;
-        let look = Look { model: model.hash.clone(), thumbnail, image: image.clone() };
+        let panoramic_camera = optics.map(|optics| optics.camera().to_bytes()).unwrap_or_default();
+        let look = Look { model: model.hash.clone(), thumbnail, image: image.clone(), panoramic_camera };
         let seen = tokio::time::timeout(PATIENCE, self.helper.look(&look)).await;
         let seen = seen.map_err(|_elapsed| NotSeen::Late)??;
         let observed = observed(model, seen, image, keep)?;
+        self.helper.helped.fetch_add(1, Ordering::Relaxed);
         self.helpers.helped.fetch_add(1, Ordering::Relaxed);
         Ok(observed)
     }
@@ -275,6 +291,7 @@ mod tests {
         set(&helpers, &[row(1, 2), row(2, 1)]);
         let taken = all(&helpers);
         assert_eq!((taken.len(), helpers.cores()), (3, 3));
+        assert_eq!([1, 2, 3].map(|id| helpers.helped_by(id)), [Some(0), Some(0), None]);
         // Told again, nothing is there twice.
         set(&helpers, &[row(1, 2), row(2, 1)]);
         assert_eq!(all(&helpers).len(), 0);
@@ -300,11 +317,25 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn one_that_comes_back_goes_on_counting() {
+        let helpers = Helpers::default();
+        set(&helpers, &[row(1, 1), row(2, 1)]);
+        let place = helpers.place().await;
+        place.helper.helped.fetch_add(3, Ordering::Relaxed);
+        drop(place);
+        set(&helpers, &[row(2, 1)]);
+        assert_eq!(helpers.helped_by(1), None);
+        set(&helpers, &[row(1, 1), row(2, 1)]);
+        assert_eq!([1, 2].map(|id| helpers.helped_by(id)), [Some(3), Some(0)]);
+    }
+
+    #[tokio::test]
     async fn one_that_is_given_up_is_left_alone_for_a_while() {
         let helpers = Helpers::default();
         set(&helpers, &[row(1, 3)]);
         let mut taken = all(&helpers);
         taken.pop().unwrap().give_up(&NotSeen::Late);
+        assert_eq!(helpers.helped_by(1), None);
         drop(taken);
         set(&helpers, &[row(1, 3)]);
         assert_eq!((all(&helpers).len(), helpers.cores()), (0, 0));

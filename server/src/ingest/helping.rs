@@ -36,7 +36,7 @@ impl Helping {
         let core = self.cores.clone().acquire_owned().await.map_err(|_closed| ServiceError::stopping())?;
         let looking = tokio::task::spawn_blocking(move || {
             let _core = core;
-            extraction::observe(&model, look.image.clone(), look.keep(), None)
+            extraction::observe(&model, look.image.clone(), look.keep(), look.optics()?.as_ref())
         });
         match looking.await.map_err(ServiceError::internal)? {
             Ok(observed) => Ok(seen(observed)),

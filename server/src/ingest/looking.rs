@@ -2,6 +2,9 @@
 
 use prost::Message;
 
+use super::panoramic::PanoramicOptics;
+use crate::camera::Camera;
+use crate::error::ServiceError;
 use crate::map_settings::Keep;
 
 /// Where a server is asked to look at an image.
@@ -18,6 +21,9 @@ pub(crate) struct Look {
     pub(crate) thumbnail: bool,
     #[prost(bytes = "bytes", tag = "3")]
     pub(crate) image: bytes::Bytes,
+    /// The camera, as it is stored with sessions, if it sees all around; else empty.
+    #[prost(bytes = "vec", tag = "4")]
+    pub(crate) panoramic_camera: Vec<u8>,
 }
 
 /// What was seen; or why not, which is the image's fault.
@@ -39,6 +45,19 @@ pub(crate) struct Seen {
 }
 
 impl Look {
+    /// What is to be known to make a panorama of the image; `None` if it is none.
+    ///
+    /// # Errors
+    /// Internal, if the camera is none that sees all around.
+    pub(crate) fn optics(&self) -> Result<Option<PanoramicOptics>, ServiceError> {
+        if self.panoramic_camera.is_empty() {
+            return Ok(None);
+        }
+        let camera = Camera::from_bytes(&self.panoramic_camera).map_err(ServiceError::internal)?;
+        let optics = PanoramicOptics::of_camera(&camera);
+        optics.map(Some).ok_or_else(|| ServiceError::internal("a camera that sees all around is none"))
+    }
+
     /// What is to be kept of an image at the one that looks at it for another: the owner has the image itself.
     pub(crate) fn keep(&self) -> Keep {
         if self.thumbnail { Keep::Features } else { Keep::Words }

@@ -1,6 +1,7 @@
 //! Cameras that see all around: from their images to panoramas, and from features to rays.
 
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use waypost_vision::feature_record::FeatureRecord;
 use waypost_vision::features::{Features, Keypoint};
@@ -13,11 +14,11 @@ use crate::camera::{Camera, CameraModel, Mirror};
 use crate::error::ServiceError;
 
 /// What is to be known of a camera to make panoramas of its images.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PanoramicOptics {
     surround: Surround,
-    /// As it was declared, if it was.
-    image_size_px: Option<(u32, u32)>,
+    /// What all of this is of.
+    camera: Arc<Camera>,
     /// By which the camera is turned to the left on the robot.
     yaw_rad: f64,
 }
@@ -46,7 +47,12 @@ impl PanoramicOptics {
                 return None;
             }
         };
-        Some(Self { surround, image_size_px: camera.image_size_px, yaw_rad })
+        Some(Self { surround, camera: Arc::new(camera.clone()), yaw_rad })
+    }
+
+    /// The camera that they are of.
+    pub(crate) fn camera(&self) -> &Camera {
+        &self.camera
     }
 
     /// A heading of the camera's as one of the robot's.
@@ -58,7 +64,7 @@ impl PanoramicOptics {
     /// Refuses an image that the declared camera does not take.
     fn check(&self, image: &GreyImage) -> Result<(), ServiceError> {
         let (width, height) = (image.width(), image.height());
-        if let Some((declared_width, declared_height)) = self.image_size_px {
+        if let Some((declared_width, declared_height)) = self.camera.image_size_px {
             let fits = match self.surround {
                 Surround::Panorama { .. } => alike(
                     f64::from(width) / f64::from(height),

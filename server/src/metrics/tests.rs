@@ -1,5 +1,6 @@
 use super::*;
-use crate::quotas::{Holder, Quota};
+use crate::ingest::extraction::Help;
+use crate::quotas::{Holder, Quota, Refusals};
 
 fn levels() -> Levels {
     Levels {
@@ -10,6 +11,7 @@ fn levels() -> Levels {
         robots_led: vec![("lost", 3)],
         queues: QueueLengths { images: 17, robots_in_line: 4, maps: 2 },
         help: Help { cores: 2, images: 9 },
+        fleet: Some(FleetLevels { epoch: 3, standbys: Some(2), lag_bytes: Some(160) }),
         used: Used { maps: 5, sessions: 6, kept_bytes: 700 },
         refusals: Refusals::from([((Quota::Kept, Holder::Token), 8)]),
         process: ProcessLevels { resident_bytes: Some(512), cpu_seconds: Some(1.5) },
@@ -65,6 +67,9 @@ fn times_are_in_buckets_of_seconds_and_levels_as_they_are() {
         "waypost_owns_database 1",
         "waypost_helper_cores 2",
         "waypost_helped_images_total 9",
+        "waypost_database_epoch 3",
+        "waypost_standbys 2",
+        "waypost_standby_lag_bytes 160",
     ] {
         assert!(text.lines().any(|there| there == line), "no {line} in\n{text}");
     }

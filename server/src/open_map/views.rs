@@ -65,7 +65,7 @@ impl SeenFeatures {
 
     /// What both have in common if the camera has at most turned on the spot; `None` if one does not see all around.
     pub(crate) fn turned(&self, earlier: &SeenFeatures) -> Option<TurnedView> {
-        let [current, earlier] = [self, earlier].map(|seen| seen.around?.view(&seen.features));
+        let [current, earlier] = [self, earlier].map(|seen| seen.around.as_ref()?.view(&seen.features));
         Some(current?.turned(&earlier?, SearchSettings::default().tolerance_rad))
     }
 

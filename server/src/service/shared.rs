@@ -5,6 +5,7 @@ use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
 
 use super::appearance::AppearanceGraphs;
+use super::cluster::Cluster;
 use super::deleted_maps::DeletedMaps;
 use super::frames::Frames;
 use super::jobs::Jobs;
@@ -23,7 +24,7 @@ use crate::ingest::extraction::Extraction;
 use crate::ingest::model::LoadedModels;
 use crate::metrics::Metrics;
 use crate::open_map::OpenMaps;
-use crate::storage::Storage;
+use crate::storage::{Storage, cores};
 
 /// Each is cheap to clone, and all clones are one.
 #[derive(Clone)]
@@ -49,7 +50,7 @@ impl Shared {
         let deleted_maps = DeletedMaps::new(storage.clone(), stopping.clone());
         Self {
             open_maps: OpenMaps::new(storage.clone(), loaded.clone(), metrics.clone(), stopping.clone()),
-            extraction: Extraction::new(std::thread::available_parallelism().map_or(1, usize::from)),
+            extraction: Extraction::new(cores()),
             jobs: Jobs::new(storage.clone(), deleted_maps.clone(), stopping.clone()),
             names: MapNames::new(storage.clone()),
             streams: Streams::new(),
@@ -123,6 +124,11 @@ impl Shared {
         let labels = labels.clone();
         let quotas = storage.quotas().clone();
         Navigation { models, open_maps, extraction, graphs, labels, streams, led, refusals, quotas, stopping }
+    }
+
+    pub(super) fn cluster(&self, navigation: &Navigation) -> Cluster {
+        let Self { storage, open_maps, extraction, streams, jobs, .. } = self.clone();
+        Cluster { storage, open_maps, extraction, streams, navigation: navigation.clone(), jobs }
     }
 
     pub(super) fn snapshots(&self) -> Snapshots {

@@ -98,6 +98,11 @@ impl Streams {
         self.open().values().filter(is_wanted).cloned().collect()
     }
 
+    /// How many are open.
+    pub(super) fn count(&self) -> usize {
+        self.open().len()
+    }
+
     fn open(&self) -> MutexGuard<'_, BTreeMap<u64, StreamView>> {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }

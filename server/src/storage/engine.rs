@@ -3,7 +3,7 @@
 use sqlx::{Any, AnyPool, Transaction};
 use tokio::sync::watch;
 
-use super::postgres::{Fleet, Postgres};
+use super::postgres::{ClusterRows, Fleet, FleetLevels, Postgres};
 use super::sqlite::Sqlite;
 use super::values::from_sql;
 use super::{Storage, StorageError, postgres, sqlite};
@@ -116,6 +116,26 @@ impl Storage {
             Engine::Sqlite(_) => None,
             Engine::Postgres(postgres) => Some(postgres.fleet()),
         }
+    }
+
+    /// What the database knows of its servers and of itself; `None` for SQLite, which has this server alone.
+    pub(crate) async fn cluster(&self) -> Result<Option<ClusterRows>, StorageError> {
+        match &self.engine {
+            Engine::Sqlite(_) => Ok(None),
+            Engine::Postgres(postgres) => Ok(Some(postgres::cluster(&self.readers, postgres.epoch()).await?)),
+        }
+    }
+
+    /// How the database does that several servers have; `None` for SQLite.
+    pub(crate) async fn fleet_levels(&self) -> Option<FleetLevels> {
+        let Engine::Postgres(postgres) = &self.engine else { return None };
+        let standbys = postgres::standbys(&self.readers).await.ok();
+        let lag_bytes = standbys.iter().flatten().filter_map(|standby| standby.lag_bytes).max();
+        Some(FleetLevels {
+            epoch: postgres.epoch(),
+            standbys: standbys.map(|standbys| standbys.len()),
+            lag_bytes,
+        })
     }
 
     /// When another server owns the database; never for SQLite.

@@ -4,9 +4,12 @@
 //! One server at a time owns it. The owner is a row with an epoch, which every transaction that writes holds on to: one
 //! that was taken over writes nothing more. No clock decides about that, only about when somebody else may try.
 
+mod cluster;
+mod fitness;
 mod helpers;
 mod lease;
 mod machines;
+mod this_server;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -18,10 +21,14 @@ use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Connection, Transaction};
 use tokio::sync::watch;
 use tokio::task::AbortHandle;
 
+pub(crate) use self::cluster::{ClusterRows, FleetLevels, ServerRow, StandbyRow};
+pub(super) use self::cluster::{cluster, standbys};
+use self::fitness::check;
 pub(crate) use self::helpers::{HelperRow, model_file};
-pub(crate) use self::lease::{Addresses, Claim, Owner, WhileOwned, host_name};
+pub(crate) use self::lease::{Claim, Owner, WhileOwned};
 use self::lease::{LEASE, renew, take};
 use self::machines::{Machines, Primary};
+pub(crate) use self::this_server::{Addresses, VERSION, cores, holder, host_name};
 use super::sqlite::Inspection;
 use super::values::from_sql;
 use super::{EXPORTERS, Pools, READERS, StorageError, connections};
@@ -38,9 +45,6 @@ const _: () = assert!(STATEMENT_TIMEOUT.as_millis() > 4 * LEASE.as_millis());
 
 /// After which a database is looked for again that was there before.
 const LOOK_AGAIN: Duration = Duration::from_millis(500);
-
-/// The oldest that is tested.
-const OLDEST_VERSION: i32 = 150_000;
 
 static MIGRATIONS: Migrator = sqlx::migrate!("../migrations/postgres");
 
@@ -157,49 +161,6 @@ fn pool(connections: u32) -> AnyPoolOptions {
     })
 }
 
-/// Whether acknowledged frames survive on this database; what may not be is an error, what should not be a warning.
-async fn check(connection: &mut PgConnection) -> Result<(), StorageError> {
-    let version: i32 = sqlx::query_scalar("SELECT current_setting('server_version_num')::int4")
-        .fetch_one(&mut *connection)
-        .await?;
-    if version < OLDEST_VERSION {
-        return Err(StorageError::Unfit(format!(
-            "the database is PostgreSQL {}; use {} or a later one",
-            version / 10_000,
-            OLDEST_VERSION / 10_000
-        )));
-    }
-    let encoding = setting(connection, "server_encoding").await?;
-    if encoding != "UTF8" {
-        return Err(StorageError::Unfit(format!(
-            "the database has the encoding {encoding}; make one with UTF8, as by `createdb -E UTF8 -T template0 waypost`"
-        )));
-    }
-    for (name, bad, then) in [
-        ("fsync", "off", "a power cut may lose acknowledged frames, or the database"),
-        ("full_page_writes", "off", "a power cut may damage the database"),
-        ("synchronous_commit", "off", "a crash of the database may lose acknowledged frames"),
-        ("synchronous_commit", "local", "a standby that takes over may lack acknowledged frames"),
-        ("data_checksums", "off", "damage on the disk is found in logs alone; see `pg_checksums --enable`"),
-    ] {
-        if setting(connection, name).await? == bad {
-            tracing::warn!("PostgreSQL's {name} is {bad}: {then}");
-        }
-    }
-    let standbys: i64 =
-        sqlx::query_scalar("SELECT count(*) FROM pg_stat_replication").fetch_one(&mut *connection).await?;
-    if standbys > 0 && setting(connection, "synchronous_standby_names").await?.is_empty() {
-        tracing::warn!(
-            "no standby is named in PostgreSQL's synchronous_standby_names: one that takes over may lack acknowledged frames"
-        );
-    }
-    Ok(())
-}
-
-async fn setting(connection: &mut PgConnection, name: &str) -> Result<String, StorageError> {
-    Ok(sqlx::query_scalar("SELECT current_setting($1)").bind(name).fetch_one(&mut *connection).await?)
-}
-
 /// Brings the tables up to date; several servers that start together wait for each other.
 async fn migrate(connection: &mut PgConnection) -> Result<(), StorageError> {
     let migrated = MIGRATIONS.run(connection).await;
@@ -222,6 +183,11 @@ impl Postgres {
 
     pub(super) fn fleet(&self) -> Fleet {
         Fleet { secret: self.secret.clone(), helpers: self.helpers.clone() }
+    }
+
+    /// How often the database had changed hands when this server got it.
+    pub(super) fn epoch(&self) -> i64 {
+        self.epoch
     }
 
     pub(super) fn taken_over(&self) -> watch::Receiver<bool> {

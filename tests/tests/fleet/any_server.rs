@@ -12,7 +12,7 @@ use super::owners::{
     FRAMES, beside_others, beside_others_with, epoch, is_whole, owner, prepared, until_it_owns,
 };
 use crate::harness::{
-    Answer, Cluster, ServerProcess, answers, assert_status, frame, http, in_time, map_request, reference,
+    Answer, Cluster, ServerProcess, answers, assert_status, frame, http, in_time, map_request,
     session_options, stream, stream_through, told,
 };
 
@@ -156,65 +156,6 @@ async fn without_an_owner_it_is_said_when_to_try_again() {
     assert!(second.log().contains("serving"), "{}", second.log());
 }
 
-/// Robots send more images than the owner has cores for: another server looks at some of them, and nothing is decided
-/// otherwise. That server dies under its work.
-#[tokio::test(flavor = "multi_thread")]
-async fn servers_in_reserve_look_at_images_and_may_die() {
-    const ROBOTS: usize = 4;
-    let Some(cluster) = Cluster::running() else { return };
-    let database = prepared(&cluster, "helped").await;
-    let (first, _first_directory) = owner(&database.url()).await;
-    let client = first.client().await;
-    let model = client.map("drive", v1::MapView::Basic).await.unwrap().model;
-    let (helper, _helper_directory) = beside_others(&database.url());
-    let until_helped = async |cores: bool| {
-        let expected = |metrics: &str| metrics.contains("waypost_helper_cores 0") != cores;
-        in_time(async {
-            while !expected(&metrics_of(&first).await) {
-                tokio::time::sleep(Duration::from_millis(50)).await;
-            }
-        })
-        .await;
-    };
-    until_helped(true).await;
-    let mut helped = Vec::new();
-    for (round, helper) in [None, Some(helper)].into_iter().enumerate() {
-        let robots = (0..ROBOTS).map(async |robot| {
-            let map = format!("round-{round}-{robot}");
-            client.create_map(map_request(&map, &model)).await.unwrap();
-            answers(&client, &map, "robot", (1..=FRAMES).map(frame)).await;
-            let there = client.map(&map, v1::MapView::Full).await.unwrap();
-            assert_eq!(there.state_hash, Some(reference().maps[FRAMES as usize].state_hash.clone()));
-        });
-        let dying = async {
-            tokio::time::sleep(Duration::from_millis(500)).await;
-            if let Some(helper) = helper {
-                helper.kill();
-            }
-        };
-        tokio::join!(futures::future::join_all(robots), dying);
-        helped.push(helped_images(&metrics_of(&first).await));
-    }
-    assert!(helped[0] > 10 && helped[1] >= helped[0], "{helped:?} images were looked at elsewhere");
-    until_helped(false).await;
-    // It is asked nothing more from the first failure on, and gone once it has been silent for a while.
-    in_time(async {
-        while !first.log().contains("looks at no more images") {
-            tokio::time::sleep(Duration::from_millis(50)).await;
-        }
-    })
-    .await;
-}
-
-async fn metrics_of(server: &ServerProcess) -> String {
-    Answer::to(http().get(format!("http://{}/metrics", server.http()))).await.text().to_owned()
-}
-
-fn helped_images(metrics: &str) -> u64 {
-    let line = metrics.lines().find_map(|line| line.strip_prefix("waypost_helped_images_total "));
-    line.and_then(|count| count.parse().ok()).expect("it is counted")
-}
-
 /// Servers show each other their certificates, and trust those of one authority alone.
 #[tokio::test(flavor = "multi_thread")]
 async fn servers_ask_each_other_over_tls() {
@@ -265,7 +206,7 @@ fn authority() -> CertifiedIssuer<'static, KeyPair> {
     CertifiedIssuer::self_signed(params, KeyPair::generate().unwrap()).unwrap()
 }
 
-fn is_refused<T: std::fmt::Debug>(answer: Result<T, Error>, code: Code, says: &str) {
+pub(super) fn is_refused<T: std::fmt::Debug>(answer: Result<T, Error>, code: Code, says: &str) {
     match answer {
         Err(Error::Status { code: said, message, .. }) => assert_status("", (said, &message), code, says),
         other => panic!("{other:?}"),

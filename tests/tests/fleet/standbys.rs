@@ -135,6 +135,18 @@ async fn a_machine_that_takes_over_has_what_was_acknowledged() {
         let [seer, reader] = [fleet.client_in_time(1).await, fleet.client_in_time(2).await];
         let seeing = tokio::spawn(paced(seer, session_options(&images, "robot"), frame));
         let reading = tokio::spawn(paced(reader, words_options(&words, "robot"), as_histogram));
+        let cluster = operator.cluster().await.unwrap();
+        let standby = |standby: &v1::Standby| (standby.sync_state.clone(), standby.lag_bytes.is_some());
+        let standbys: Vec<_> = cluster.standbys.iter().map(standby).collect();
+        assert_eq!(standbys, [("quorum".to_owned(), true), ("quorum".to_owned(), true)], "{cluster:?}");
+        in_time(async {
+            // Each that lives is there once; one that was killed is listed for a while.
+            let lives = |server: &&v1::ClusterServer| server.silent_s < 3.0;
+            while operator.cluster().await.unwrap().servers.iter().filter(lives).count() != 3 {
+                tokio::time::sleep(Duration::from_millis(50)).await;
+            }
+        })
+        .await;
         tokio::time::sleep(BETWEEN_FRAMES * random.random_range(1..FRAMES as u32)).await;
         let dead = machines.kill_primary();
         let with_a_server = round % 2 == 1;

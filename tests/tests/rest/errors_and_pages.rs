@@ -356,6 +356,7 @@ async fn health_and_reflection_answer() {
     names.sort();
     let expected = [
         "AppearanceService",
+        "ClusterService",
         "CorrectionService",
         "EventService",
         "JobService",

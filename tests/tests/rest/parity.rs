@@ -12,6 +12,7 @@ use tonic::transport::Channel;
 use tonic::{Code, Response, Status};
 use waypost_proto::v1;
 use waypost_proto::v1::appearance_service_client::AppearanceServiceClient;
+use waypost_proto::v1::cluster_service_client::ClusterServiceClient;
 use waypost_proto::v1::correction_service_client::CorrectionServiceClient;
 use waypost_proto::v1::event_service_client::EventServiceClient;
 use waypost_proto::v1::job_service_client::JobServiceClient;
@@ -552,6 +553,19 @@ async fn models_jobs_and_what_the_server_says_of_itself_are_the_same() {
         let listed = told["streams"].as_array().map_or(0, Vec::len);
         assert_eq!(listed, usize::from(["", "maps/drive"].contains(&map)), "{told}");
     }
+    let clusters = ClusterServiceClient::new(channel(&both.server.endpoint()).await);
+    let over_grpc = clusters.clone().get_cluster(v1::GetClusterRequest {}).await.unwrap().into_inner();
+    let mut told = [json_of("waypost.v1.Cluster", &over_grpc), get(&both.server, "/v1/cluster").await.json()];
+    for cluster in &mut told {
+        for server in cluster["servers"].as_array_mut().unwrap() {
+            // Time goes on between the two.
+            assert!(server["silent_s"].as_f64().unwrap() < 10.0, "{server}");
+            server["silent_s"] = json!(0.0);
+        }
+    }
+    assert_eq!(told[0], told[1]);
+    assert_eq!(told[0]["servers"][0]["role"], "owner");
+    assert_eq!(told[0]["load"]["open_streams"], 1, "{}", told[0]);
     let path = "/v1/metrics-history";
     let history = async || events.clone().get_metrics_history(v1::GetMetricsHistoryRequest {}).await;
     let (before, answer, after) = (history().await, get(&both.server, path).await, history().await);

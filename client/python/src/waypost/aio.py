@@ -72,6 +72,7 @@ class AsyncClient:
     # Jobs.
     jobs = _awaited(Client.jobs)
     refusals = _awaited(Client.refusals)
+    cluster = _awaited(Client.cluster)
     metrics_history = _awaited(Client.metrics_history)
     job = _awaited(Client.job)
     wait_for_job = _awaited(Client.wait_for_job)

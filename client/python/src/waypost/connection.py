@@ -16,6 +16,7 @@ import grpc
 from waypost import errors
 from waypost.v1 import (
     appearance_pb2_grpc,
+    cluster_pb2_grpc,
     correction_pb2_grpc,
     event_pb2_grpc,
     job_pb2_grpc,
@@ -125,6 +126,7 @@ class Connection:
         self.channel = options.channel()
         self.address = options.address
         self.appearance = appearance_pb2_grpc.AppearanceServiceStub(self.channel)
+        self.cluster = cluster_pb2_grpc.ClusterServiceStub(self.channel)
         self.events = event_pb2_grpc.EventServiceStub(self.channel)
         self.jobs = job_pb2_grpc.JobServiceStub(self.channel)
         self.labels = label_pb2_grpc.LabelServiceStub(self.channel)

@@ -248,10 +248,10 @@ impl AppearanceGuide {
         stream: Option<u64>,
     ) -> Result<Shown, ServiceError> {
         let model = self.identity.model.clone();
-        let optics = self.optics;
+        let optics = self.optics.clone();
         let observed = navigation
             .extraction
-            .observe(model.clone(), content, words, Keep::Words, Some(optics), stream)
+            .observe(model.clone(), content, words, Keep::Words, Some(optics.clone()), stream)
             .await?;
         let Observed { observation: _, features, media: _, extract: _, quantize: _ } = observed;
         let shown = match features {

@@ -84,8 +84,14 @@ impl SessionStream {
         let stream = self.in_line;
         let turn = self.quotas().frame(self.token.as_deref(), stream, Instant::now())?;
         let model = self.model.clone();
-        let observing =
-            self.sessions.extraction.observe(model, content, self.words, self.keep, self.optics, stream);
+        let observing = self.sessions.extraction.observe(
+            model,
+            content,
+            self.words,
+            self.keep,
+            self.optics.clone(),
+            stream,
+        );
         let observed = observing.await;
         // One that comes again because there were too many was not looked at.
         if !matches!(observed, Err(ServiceError::Unavailable { .. })) {

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use sqlx::{AnyPool, Connection};
 
 use super::machines::{Machines, Primary};
+use super::this_server::{Addresses, VERSION, cores};
 use crate::storage::StorageError;
 
 /// How often a helper says that it is there.
@@ -25,22 +26,23 @@ pub(crate) struct HelperRow {
 /// Of this server, among those that help.
 pub(super) struct Registration {
     /// Empty if it is not asked anything.
-    address: String,
+    addresses: Addresses,
     holder: String,
     id: Option<i64>,
     renewed: Option<Instant>,
 }
 
 impl Registration {
-    /// `holder`, asked at `address` over HTTP.
-    pub(super) fn new(holder: String, address: String) -> Self {
-        Self { address, holder, id: None, renewed: None }
+    /// `holder`, asked at `addresses`.
+    pub(super) fn new(holder: String, addresses: Addresses) -> Self {
+        Self { addresses, holder, id: None, renewed: None }
     }
 
     /// Says that this server is there, now and then.
     pub(super) async fn renew(&mut self, pool: &AnyPool) -> Result<(), StorageError> {
         let is_early = self.renewed.is_some_and(|at| at.elapsed() < INTERVAL);
-        if self.address.is_empty() || is_early {
+        let Addresses { grpc, http } = &self.addresses;
+        if http.is_empty() || is_early {
             return Ok(());
         }
         self.renewed = Some(Instant::now());
@@ -51,20 +53,21 @@ impl Registration {
                 return Ok(());
             }
         }
-        let cores = std::thread::available_parallelism().map_or(1, usize::from) as i64;
+        // Before it lost sight of the database, or was started anew, it was there under another number.
+        sqlx::query("DELETE FROM helpers WHERE address = $1").bind(http).execute(pool).await?;
         let inserted = sqlx::query_scalar(
-            "INSERT INTO helpers (holder, version, address, cores, seen) VALUES ($1, $2, $3, $4, now()) RETURNING id",
+            "INSERT INTO helpers (holder, version, address, grpc_address, cores, seen) \
+             VALUES ($1, $2, $3, $4, $5, now()) RETURNING id",
         );
-        let inserted =
-            inserted.bind(&self.holder).bind(env!("CARGO_PKG_VERSION")).bind(&self.address).bind(cores);
+        let inserted = inserted.bind(&self.holder).bind(VERSION).bind(http).bind(grpc).bind(cores() as i64);
         self.id = Some(inserted.fetch_one(pool).await?);
         Ok(())
     }
 
     /// It helps no more, since it owns the database. Those that have gone without a word are forgotten.
     pub(super) async fn withdraw(&mut self, pool: &AnyPool) -> Result<(), StorageError> {
-        let gone = "DELETE FROM helpers WHERE id = $1 OR seen < now() - interval '1 minute'";
-        sqlx::query(gone).bind(self.id.unwrap_or_default()).execute(pool).await?;
+        let gone = "DELETE FROM helpers WHERE address = $1 OR seen < now() - interval '1 minute'";
+        sqlx::query(gone).bind(&self.addresses.http).execute(pool).await?;
         Ok(())
     }
 }
@@ -75,7 +78,7 @@ pub(super) async fn who_helps(pool: &AnyPool) -> Result<Vec<HelperRow>, StorageE
         "SELECT id, holder, address, cores FROM helpers \
          WHERE version = $1 AND seen > now() - interval '3 seconds' ORDER BY id",
     );
-    Ok(rows.bind(env!("CARGO_PKG_VERSION")).fetch_all(pool).await?)
+    Ok(rows.bind(VERSION).fetch_all(pool).await?)
 }
 
 /// The file of a model, read by a server that does not own the database at `address`.

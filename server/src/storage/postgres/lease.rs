@@ -6,6 +6,7 @@ use sqlx::AnyPool;
 use tokio::sync::watch;
 
 use super::helpers::{HelperRow, Registration, who_helps};
+use super::this_server::{Addresses, VERSION, cores, holder};
 use crate::storage::StorageError;
 
 /// Who has not said for this long that it is there has given the database up.
@@ -47,13 +48,6 @@ pub(crate) enum WhileOwned {
     Refuse,
 }
 
-/// Host and port of a server's two listeners, as others reach them; empty where nothing listens.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Addresses {
-    pub(crate) grpc: String,
-    pub(crate) http: String,
-}
-
 /// The server that owns a database, as another one sees it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Owner {
@@ -68,7 +62,7 @@ pub(crate) struct Owner {
 /// Becomes the owner, unless somebody else is; gives the epoch and the fleet's secret.
 pub(super) async fn take(writer: &AnyPool, claim: &Claim) -> Result<(i64, String), StorageError> {
     let Claim { addresses, while_owned } = claim;
-    let mut registration = Registration::new(holder(), addresses.http.clone());
+    let mut registration = Registration::new(holder(), addresses.clone());
     let mut watched = Watched::default();
     loop {
         // A machine that is gone is not waited for: another may be the primary by now.
@@ -151,17 +145,19 @@ async fn try_to_take(
     watched: &Watched,
 ) -> Result<Taken, StorageError> {
     let taken = sqlx::query_as(
-        "INSERT INTO lease (id, epoch, holder, expires, grpc_address, http_address) \
-         VALUES (1, 1, $1, now() + $2 * interval '1 millisecond', $3, $4) \
+        "INSERT INTO lease (id, epoch, holder, expires, grpc_address, http_address, version, cores) \
+         VALUES (1, 1, $1, now() + $2 * interval '1 millisecond', $3, $4, $6, $7) \
          ON CONFLICT (id) DO UPDATE SET epoch = lease.epoch + 1, holder = excluded.holder, \
-         expires = excluded.expires, grpc_address = excluded.grpc_address, http_address = excluded.http_address \
-         WHERE lease.expires <= now() OR lease.expires::text = $5 RETURNING epoch, secret",
+         expires = excluded.expires, grpc_address = excluded.grpc_address, http_address = excluded.http_address, \
+         version = excluded.version, cores = excluded.cores WHERE lease.expires <= now() OR lease.expires::text = $5 RETURNING epoch, secret",
     )
     .bind(holder())
     .bind(LEASE.as_millis() as i64)
     .bind(&addresses.grpc)
     .bind(&addresses.http)
     .bind(watched.run_out())
+    .bind(VERSION)
+    .bind(cores() as i64)
     .fetch_optional(writer)
     .await?;
     if let Some((epoch, secret)) = taken {
@@ -220,15 +216,4 @@ pub(super) async fn renew(
             return;
         }
     }
-}
-
-/// This server, for people.
-fn holder() -> String {
-    format!("{}, process {}", host_name(), std::process::id())
-}
-
-/// As others know this machine.
-pub(crate) fn host_name() -> String {
-    std::fs::read_to_string("/proc/sys/kernel/hostname")
-        .map_or_else(|_| "?".to_owned(), |name| name.trim().to_owned())
 }

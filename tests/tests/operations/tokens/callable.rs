@@ -14,7 +14,7 @@ use tonic_prost::ProstDecoder;
 use crate::harness::{in_time, workspace};
 
 /// Methods that a robot may not call.
-pub(super) const FOR_ADMINS: [&str; 28] = [
+pub(super) const FOR_ADMINS: [&str; 29] = [
     "/waypost.v1.MapService/CreateMap",
     "/waypost.v1.MapService/DeleteMap",
     "/waypost.v1.MapService/RebindMap",
@@ -38,6 +38,7 @@ pub(super) const FOR_ADMINS: [&str; 28] = [
     "/waypost.v1.ModelService/DeleteModel",
     "/waypost.v1.JobService/CancelJob",
     "/waypost.v1.EventService/ListRefusals",
+    "/waypost.v1.ClusterService/GetCluster",
     "/waypost.v1.TokenService/CreateToken",
     "/waypost.v1.TokenService/RotateToken",
     "/waypost.v1.TokenService/UpdateToken",
@@ -46,7 +47,7 @@ pub(super) const FOR_ADMINS: [&str; 28] = [
 ];
 
 /// Routes over HTTP that a robot may not ask for.
-pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 19] = [
+pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 20] = [
     (Method::POST, "/v1/maps"),
     (Method::DELETE, "/v1/maps/{map}"),
     (Method::GET, "/v1/maps/{map}/export"),
@@ -61,6 +62,7 @@ pub(super) const ROUTES_FOR_ADMINS: [(Method, &str); 19] = [
     (Method::PUT, "/v1/models/{model}/display-name"),
     (Method::POST, "/v1/jobs/{job}/cancel"),
     (Method::GET, "/v1/refusals"),
+    (Method::GET, "/v1/cluster"),
     (Method::GET, "/v1/tokens"),
     (Method::POST, "/v1/tokens"),
     (Method::DELETE, "/v1/tokens/{token}"),

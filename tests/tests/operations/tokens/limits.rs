@@ -62,8 +62,9 @@ const NAMING_A_MAP: [(&str, &str); 44] = [
 ];
 
 /// Methods about the whole server.
-const SERVER: [&str; 10] = [
+const SERVER: [&str; 11] = [
     "EventService/ListRefusals",
+    "ClusterService/GetCluster",
     "ModelService/TrainModel",
     "ModelService/ImportModel",
     "ModelService/RenameModel",

@@ -174,6 +174,7 @@ pub(super) fn good_calls(surveyed: &Surveyed) -> Vec<Call> {
         Call::get("/v1/streams", "/v1/streams?map=drive"),
         Call::get("/v1/refusals", "/v1/refusals"),
         Call::get("/v1/metrics-history", "/v1/metrics-history"),
+        Call::get("/v1/cluster", "/v1/cluster"),
         Call::get("/v1/jobs", "/v1/jobs"),
         Call::get("/v1/jobs/{job}", format!("/v1/jobs/{job}")),
     ]
