@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import shutil
+import signal
 import socket
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,11 +18,13 @@ from typing import Any
 import pytest
 import yaml
 
+import waypost
+
 DOCKER = Path(__file__).resolve().parent
 REPOSITORY = DOCKER.parent
 sys.path.insert(0, str(REPOSITORY / "client" / "python" / "tests"))
 
-from conftest import Server, binary, environment  # noqa: E402
+from conftest import Server, binary, environment, eventually  # noqa: E402
 
 Instruction = tuple[str, str]
 
@@ -70,7 +76,11 @@ def test_user_volume_ports_and_signal() -> None:
     assert 'CMD ["health-check"]' in arguments("HEALTHCHECK")[0]
     # The server's own ports, and every address of the container.
     helped = subprocess.run(
-        [binary("waypost-server"), "--help"], env=environment(), stdout=subprocess.PIPE, text=True, check=True
+        [binary("waypost-server"), "--help"],
+        env=environment(),
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
     )
     ports = re.findall(r"\[default: 127\.0\.0\.1:(\d+)\]", helped.stdout)
     assert len(ports) == 2
@@ -124,7 +134,13 @@ def server(tmp_path: Path) -> Iterator[Server]:
 
 def health(http_address: str, **further: str) -> subprocess.CompletedProcess[str]:
     env = {**environment(), "WAYPOST_HTTP_ADDRESS": http_address, **further}
-    return subprocess.run([DOCKER / "health-check"], env=env, stderr=subprocess.PIPE, text=True, timeout=10)
+    return subprocess.run(
+        [DOCKER / "health-check"],
+        env=env,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=10,
+    )
 
 
 def test_the_health_check_tells_a_living_server_from_a_dead_one(server: Server) -> None:
@@ -185,6 +201,211 @@ def test_the_board_and_the_alerts_ask_for_metrics_that_there_are() -> None:
     # What the server counts, somebody sees.
     shown = {re.sub(r"_(bucket|sum|count)$", "", name) for name in asked}
     assert known - shown <= {"waypost_build_info"}, known - shown
+
+
+def fleet() -> dict[str, Any]:
+    return yaml.safe_load((DOCKER / "fleet.yaml").read_text())
+
+
+def test_the_fleet_is_of_the_same_image_and_settings() -> None:
+    services = fleet()["services"]
+    servers = [service for name, service in services.items() if name.startswith("waypost-")]
+    machines = [service for name, service in services.items() if name.startswith("db-")]
+    assert (len(servers), len(machines)) == (3, 3)
+    keys = re.findall(
+        r'\("(\w+)", ',
+        (REPOSITORY / "server" / "src" / "config" / "keys.rs").read_text(),
+    )
+    single = compose()["services"]["waypost"]
+    [volume] = arguments("VOLUME")
+    published = []
+    for name, service in services.items():
+        assert service["restart"] == "unless-stopped"
+        assert {mount.split(":")[0] for mount in service["volumes"]} <= fleet()["volumes"].keys() | {
+            "./postgres-machine"
+        }
+        if service in machines:
+            assert service["environment"]["MACHINE"] == name
+            assert service["environment"]["MACHINES"].split() == [
+                "db-1",
+                "db-2",
+                "db-3",
+            ]
+            continue
+        for confined in (
+            "image",
+            "read_only",
+            "cap_drop",
+            "security_opt",
+            "stop_grace_period",
+        ):
+            assert service[confined] == single[confined]
+        assert service["environment"]["WAYPOST_ADVERTISED_HOST"] == name
+        assert {variable.removeprefix("WAYPOST_").lower() for variable in service["environment"]} <= set(keys)
+        assert service["environment"]["WAYPOST_STORAGE"].endswith("@db-1,db-2,db-3/maps")
+        assert service["volumes"][0].endswith(f":{volume}")
+        published += service["ports"]
+    assert len(set(published)) == 6
+    assert all(port.startswith("127.0.0.1:") for port in published)
+
+
+def test_the_manifests_are_of_the_same_image_and_settings() -> None:
+    documents = list(yaml.safe_load_all((DOCKER / "kubernetes.yaml").read_text()))
+    deployment, service, budget = documents
+    assert [document["kind"] for document in documents] == [
+        "Deployment",
+        "Service",
+        "PodDisruptionBudget",
+    ]
+    labels = deployment["spec"]["template"]["metadata"]["labels"]
+    for selector in (
+        deployment["spec"]["selector"]["matchLabels"],
+        service["spec"]["selector"],
+        budget["spec"]["selector"]["matchLabels"],
+    ):
+        assert selector == labels
+    pod = deployment["spec"]["template"]["spec"]
+    [container] = pod["containers"]
+    [user] = arguments("USER")
+    security = pod["securityContext"]
+    assert [security["runAsUser"], security["runAsGroup"], security["fsGroup"]] == [
+        int(user[:4]),
+        int(user[5:]),
+        7600,
+    ]
+    assert container["securityContext"]["readOnlyRootFilesystem"]
+    keys = re.findall(
+        r'\("(\w+)", ',
+        (REPOSITORY / "server" / "src" / "config" / "keys.rs").read_text(),
+    )
+    assert {variable["name"].removeprefix("WAYPOST_").lower() for variable in container["env"]} <= set(keys)
+    [exposed] = arguments("EXPOSE")
+    assert [str(port["containerPort"]) for port in container["ports"]] == exposed.split()
+    assert [str(port["port"]) for port in service["spec"]["ports"]] == exposed.split()
+    [volume] = arguments("VOLUME")
+    assert container["volumeMounts"] == [{"name": "scratch", "mountPath": volume}]
+
+
+class Machines:
+    """Three machines of PostgreSQL, as `postgres-machine` makes them, at addresses of loopback."""
+
+    NAMES = ("127.0.0.1", "127.0.0.2", "127.0.0.3")
+
+    def __init__(self, folder: Path, programs: Path) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            self.port = listener.getsockname()[1]
+        self.folder, self.programs = folder, programs
+        # PostgreSQL's user may not look into this repository.
+        self.script = shutil.copy(DOCKER / "postgres-machine", folder)
+        # PostgreSQL does not run as root.
+        self.user = {"user": "postgres", "group": "postgres", "extra_groups": []} if os.getuid() == 0 else {}
+        self.running = {name: self.start(name) for name in self.NAMES}
+
+    def environment(self, name: str) -> dict[str, str]:
+        home = self.folder / name
+        if not home.is_dir():
+            home.mkdir()
+            if self.user:
+                shutil.chown(home, "postgres", "postgres")
+        return {
+            "PATH": f"{self.programs}:{os.environ['PATH']}",
+            "MACHINES": " ".join(self.NAMES),
+            "MACHINE": name,
+            "PASSWORD": "it's",
+            "PGDATA": str(home / "data"),
+            "LISTEN": name,
+            "SOCKETS": str(home),
+            "PGPORT": str(self.port),
+        }
+
+    def start(self, name: str) -> subprocess.Popen[bytes]:
+        env = self.environment(name)
+        with (self.folder / f"{name}.log").open("ab") as log:
+            return subprocess.Popen(
+                [self.script], env=env, stderr=log, cwd=env["SOCKETS"], start_new_session=True, **self.user
+            )
+
+    def run(self, name: str, *command: str | Path) -> str:
+        env = self.environment(name)
+        done = subprocess.run(
+            command, env=env, cwd=env["SOCKETS"], stdout=subprocess.PIPE, text=True, timeout=60, **self.user
+        )
+        assert done.returncode == 0, f"{command}: {done.stdout}"
+        return done.stdout.strip()
+
+    def ask(self, name: str, statement: str) -> str:
+        """What a machine's own administrator hears."""
+        where = ["--host", self.environment(name)["SOCKETS"], "--port", str(self.port)]
+        return self.run(name, "psql", "--no-psqlrc", "--username=postgres", *where, "-Atqc", statement)
+
+    def url(self) -> str:
+        hosts = ",".join(f"{name}:{self.port}" for name in self.NAMES)
+        return f"postgres://waypost:it%27s@{hosts}/maps"
+
+    def stop(self) -> None:
+        for machine in self.running.values():
+            machine.send_signal(signal.SIGQUIT)
+        for machine in self.running.values():
+            try:
+                machine.wait(timeout=10)
+            except subprocess.TimeoutExpired:
+                # One that waits for another to copy has no PostgreSQL that would listen.
+                os.killpg(machine.pid, signal.SIGKILL)
+                machine.wait()
+
+
+@pytest.fixture
+def machines() -> Iterator[Machines]:
+    programs = sorted(
+        Path("/usr/lib/postgresql").glob("*/bin"),
+        key=lambda path: int(path.parent.name),
+    )
+    if not programs:
+        pytest.skip("PostgreSQL is not installed: scripts/setup postgres")
+    # Where its own user may go.
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder).chmod(0o711)
+        machines = Machines(Path(folder), programs[-1])
+        yield machines
+        machines.stop()
+
+
+def test_machines_follow_the_first_and_one_takes_over(machines: Machines, tmp_path: Path) -> None:
+    def standbys() -> list[tuple[str, str]]:
+        try:
+            return [(standby.name, standby.sync_state) for standby in client.cluster().standbys]
+        except waypost.WaypostError:
+            return []
+
+    first, second, third = machines.NAMES
+    server = Server(tmp_path / "scratch", flags=("--storage", machines.url()))
+    eventually(lambda: (Path(machines.environment(third)["PGDATA"]) / "PG_VERSION").is_file())
+    server.start()
+    try:
+        with waypost.client.lazy(server.address) as client:
+            eventually(lambda: standbys() == [(second, "quorum"), (third, "quorum")])
+            assert not client.cluster().warnings
+            eventually(lambda: all(standby.HasField("lag_bytes") for standby in client.cluster().standbys))
+            client.create_map("before", "shipped")
+            machines.running[first].kill()
+            machines.running[first].wait()
+            received = "SELECT pg_last_wal_receive_lsn() - '0/0'"
+            other, chosen = sorted((second, third), key=lambda name: int(machines.ask(name, received)))
+            machines.run(chosen, "pg_ctl", "promote", "--silent")
+            machines.run(other, machines.script, "follow", chosen)
+            eventually(lambda: standbys() == [(other, "quorum")])
+            client.create_map("after", "shipped")
+            # The first comes back as a copy.
+            machines.run(first, machines.script, "copy", chosen)
+            machines.running[first] = machines.start(first)
+            eventually(lambda: standbys() == [(first, "quorum"), (other, "quorum")])
+            assert [found.name for found in client.maps()] == ["maps/after", "maps/before"]
+            # Whoever may not see it says so.
+            machines.ask(chosen, "REVOKE pg_monitor FROM waypost")
+            eventually(lambda: standbys() == [(first, "unknown"), (other, "unknown")])
+            assert not any(standby.HasField("lag_bytes") for standby in client.cluster().standbys)
+    finally:
+        server.kill()
 
 
 def test_each_alert_says_what_it_means() -> None:
