@@ -76,11 +76,7 @@ def test_user_volume_ports_and_signal() -> None:
     assert 'CMD ["health-check"]' in arguments("HEALTHCHECK")[0]
     # The server's own ports, and every address of the container.
     helped = subprocess.run(
-        [binary("waypost-server"), "--help"],
-        env=environment(),
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
+        [binary("waypost-server"), "--help"], env=environment(), stdout=subprocess.PIPE, text=True, check=True
     )
     ports = re.findall(r"\[default: 127\.0\.0\.1:(\d+)\]", helped.stdout)
     assert len(ports) == 2
@@ -134,13 +130,7 @@ def server(tmp_path: Path) -> Iterator[Server]:
 
 def health(http_address: str, **further: str) -> subprocess.CompletedProcess[str]:
     env = {**environment(), "WAYPOST_HTTP_ADDRESS": http_address, **further}
-    return subprocess.run(
-        [DOCKER / "health-check"],
-        env=env,
-        stderr=subprocess.PIPE,
-        text=True,
-        timeout=10,
-    )
+    return subprocess.run([DOCKER / "health-check"], env=env, stderr=subprocess.PIPE, text=True, timeout=10)
 
 
 def test_the_health_check_tells_a_living_server_from_a_dead_one(server: Server) -> None:
@@ -203,6 +193,11 @@ def test_the_board_and_the_alerts_ask_for_metrics_that_there_are() -> None:
     assert known - shown <= {"waypost_build_info"}, known - shown
 
 
+def server_settings() -> set[str]:
+    source = (REPOSITORY / "server" / "src" / "config" / "keys.rs").read_text()
+    return set(re.findall(r'\("(\w+)", "', source))
+
+
 def fleet() -> dict[str, Any]:
     return yaml.safe_load((DOCKER / "fleet.yaml").read_text())
 
@@ -212,10 +207,6 @@ def test_the_fleet_is_of_the_same_image_and_settings() -> None:
     servers = [service for name, service in services.items() if name.startswith("waypost-")]
     machines = [service for name, service in services.items() if name.startswith("db-")]
     assert (len(servers), len(machines)) == (3, 3)
-    keys = re.findall(
-        r'\("(\w+)", ',
-        (REPOSITORY / "server" / "src" / "config" / "keys.rs").read_text(),
-    )
     single = compose()["services"]["waypost"]
     [volume] = arguments("VOLUME")
     published = []
@@ -226,22 +217,14 @@ def test_the_fleet_is_of_the_same_image_and_settings() -> None:
         }
         if service in machines:
             assert service["environment"]["MACHINE"] == name
-            assert service["environment"]["MACHINES"].split() == [
-                "db-1",
-                "db-2",
-                "db-3",
-            ]
+            assert service["environment"]["MACHINES"].split() == ["db-1", "db-2", "db-3"]
             continue
-        for confined in (
-            "image",
-            "read_only",
-            "cap_drop",
-            "security_opt",
-            "stop_grace_period",
-        ):
+        for confined in ("image", "read_only", "cap_drop", "security_opt", "stop_grace_period"):
             assert service[confined] == single[confined]
         assert service["environment"]["WAYPOST_ADVERTISED_HOST"] == name
-        assert {variable.removeprefix("WAYPOST_").lower() for variable in service["environment"]} <= set(keys)
+        assert {
+            variable.removeprefix("WAYPOST_").lower() for variable in service["environment"]
+        } <= server_settings()
         assert service["environment"]["WAYPOST_STORAGE"].endswith("@db-1,db-2,db-3/maps")
         assert service["volumes"][0].endswith(f":{volume}")
         published += service["ports"]
@@ -252,11 +235,7 @@ def test_the_fleet_is_of_the_same_image_and_settings() -> None:
 def test_the_manifests_are_of_the_same_image_and_settings() -> None:
     documents = list(yaml.safe_load_all((DOCKER / "kubernetes.yaml").read_text()))
     deployment, service, budget = documents
-    assert [document["kind"] for document in documents] == [
-        "Deployment",
-        "Service",
-        "PodDisruptionBudget",
-    ]
+    assert [document["kind"] for document in documents] == ["Deployment", "Service", "PodDisruptionBudget"]
     labels = deployment["spec"]["template"]["metadata"]["labels"]
     for selector in (
         deployment["spec"]["selector"]["matchLabels"],
@@ -274,11 +253,9 @@ def test_the_manifests_are_of_the_same_image_and_settings() -> None:
         7600,
     ]
     assert container["securityContext"]["readOnlyRootFilesystem"]
-    keys = re.findall(
-        r'\("(\w+)", ',
-        (REPOSITORY / "server" / "src" / "config" / "keys.rs").read_text(),
-    )
-    assert {variable["name"].removeprefix("WAYPOST_").lower() for variable in container["env"]} <= set(keys)
+    assert {
+        variable["name"].removeprefix("WAYPOST_").lower() for variable in container["env"]
+    } <= server_settings()
     [exposed] = arguments("EXPOSE")
     assert [str(port["containerPort"]) for port in container["ports"]] == exposed.split()
     assert [str(port["port"]) for port in service["spec"]["ports"]] == exposed.split()
@@ -356,10 +333,7 @@ class Machines:
 
 @pytest.fixture
 def machines() -> Iterator[Machines]:
-    programs = sorted(
-        Path("/usr/lib/postgresql").glob("*/bin"),
-        key=lambda path: int(path.parent.name),
-    )
+    programs = sorted(Path("/usr/lib/postgresql").glob("*/bin"), key=lambda path: int(path.parent.name))
     if not programs:
         pytest.skip("PostgreSQL is not installed: scripts/setup postgres")
     # Where its own user may go.

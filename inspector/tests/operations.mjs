@@ -57,7 +57,7 @@ test("servers in reserve, standbys and warnings are shown", async () => {
     await page.route("**/v1/cluster", (route) => route.fulfill({ json: cluster }));
     await page.getByRole("link", { name: "Operations" }).click();
     const region = page.getByRole("region", { name: "Servers" });
-    await region.getByText("PostgreSQL, whose owner is the 3rd. Waiting: 5 images, 1 request").waitFor();
+    await region.getByText("PostgreSQL, epoch 3. Waiting: 5 images, 1 request").waitFor();
     const gone = await region.getByRole("row").filter({ hasText: HOSTILE }).textContent();
     assert.ok(gone.includes("not asked") && gone.includes("21 s ago"), gone);
     await region.getByRole("row").filter({ hasText: "quorum" }).getByText("2.0 kB").waitFor();

@@ -22,14 +22,9 @@ export function Servers() {
 }
 
 function owned({ database, epoch, load }: Cluster): string {
-    const kept = database === "postgres" ? `PostgreSQL, whose owner is the ${epoch}${ordinal(epoch ?? 0)}` : "SQLite, which has one server";
+    const kept = database === "postgres" ? `PostgreSQL, epoch ${epoch}` : "SQLite, which has one server";
     const waits = load ? `. Waiting: ${plural(load.images_waiting, "image")}, ${plural(load.requests_waiting, "request")}` : "";
     return `${kept}${waits}`;
-}
-
-function ordinal(value: number): string {
-    const ending = { one: "st", two: "nd", few: "rd" } as Record<string, string>;
-    return ending[new Intl.PluralRules("en", { type: "ordinal" }).select(value)] ?? "th";
 }
 
 function Table({ cluster: { servers } }: { cluster: Cluster }) {

@@ -8,6 +8,7 @@ from typing import Callable
 import grpc
 
 from waypost.calls import (
+    ClusterCalls,
     CorrectionCalls,
     EventCalls,
     JobCalls,
@@ -87,6 +88,7 @@ def lazy(
 
 
 class Client(
+    ClusterCalls,
     CorrectionCalls,
     EventCalls,
     JobCalls,

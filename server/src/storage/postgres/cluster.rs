@@ -2,7 +2,7 @@
 
 use sqlx::AnyPool;
 
-use super::fitness::{SETTINGS, doubts};
+use super::fitness::{FOLLOWERS, SETTINGS, doubts};
 use super::lease::LEASE;
 use crate::storage::StorageError;
 
@@ -60,13 +60,6 @@ const RESERVE: &str = "SELECT id, holder, version, grpc_address, address AS http
 
 const OWNER: &str = "SELECT epoch AS id, holder, version, grpc_address, http_address, cores, \
      greatest(extract(epoch FROM now() - expires)::float8 + $1, 0) AS silent_s FROM lease WHERE id = 1";
-
-/// What a server may not see of a standby is NULL.
-const FOLLOWERS: &str = "SELECT coalesce(nullif(application_name, ''), host(client_addr), 'unknown') AS name, \
-     coalesce(state, 'unknown') AS state, coalesce(sync_state, 'unknown') AS sync_state, \
-     CASE WHEN flush_lsn IS NOT NULL THEN greatest(pg_wal_lsn_diff(pg_current_wal_lsn(), flush_lsn), 0)::int8 END \
-     AS lag_bytes FROM pg_stat_replication WHERE state IS DISTINCT FROM 'backup' \
-     AND coalesce(application_name, '') NOT IN ('pg_basebackup', 'pg_receivewal') ORDER BY 1";
 
 /// [`StorageError::TakenOver`] if the owner is no longer the one of `epoch`.
 pub(in crate::storage) async fn cluster(readers: &AnyPool, epoch: i64) -> Result<ClusterRows, StorageError> {

@@ -11,9 +11,12 @@ const OLDEST_VERSION: i32 = 150_000;
 pub(super) const SETTINGS: &str = "SELECT name, setting FROM pg_settings WHERE name IN \
      ('fsync', 'full_page_writes', 'synchronous_commit', 'data_checksums', 'synchronous_standby_names')";
 
-/// How many machines follow this one; not who copies it.
-const STANDBYS: &str = "SELECT count(*) FROM pg_stat_replication WHERE state IS DISTINCT FROM 'backup' \
-     AND coalesce(application_name, '') NOT IN ('pg_basebackup', 'pg_receivewal')";
+/// The machines that follow this one, and not who copies it. What a server may not see of them is NULL.
+pub(super) const FOLLOWERS: &str = "SELECT coalesce(nullif(application_name, ''), host(client_addr), 'unknown') AS name, \
+     coalesce(state, 'unknown') AS state, coalesce(sync_state, 'unknown') AS sync_state, \
+     CASE WHEN flush_lsn IS NOT NULL THEN greatest(pg_wal_lsn_diff(pg_current_wal_lsn(), flush_lsn), 0)::int8 END \
+     AS lag_bytes FROM pg_stat_replication WHERE state IS DISTINCT FROM 'backup' \
+     AND coalesce(application_name, '') NOT IN ('pg_basebackup', 'pg_receivewal') ORDER BY 1";
 
 /// Refuses a database that cannot be used, and warns of one that may lose what is acknowledged.
 pub(super) async fn check(connection: &mut PgConnection) -> Result<(), StorageError> {
@@ -35,8 +38,8 @@ pub(super) async fn check(connection: &mut PgConnection) -> Result<(), StorageEr
         )));
     }
     let settings = sqlx::query_as(SETTINGS).fetch_all(&mut *connection).await?;
-    let standbys: i64 = sqlx::query_scalar(STANDBYS).fetch_one(&mut *connection).await?;
-    for doubt in doubts(&settings, usize::try_from(standbys).unwrap_or_default()) {
+    let standbys = sqlx::query(FOLLOWERS).fetch_all(&mut *connection).await?.len();
+    for doubt in doubts(&settings, standbys) {
         tracing::warn!("{doubt}");
     }
     Ok(())

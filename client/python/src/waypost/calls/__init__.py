@@ -1,5 +1,6 @@
 """Calls of one request, by their nouns; `waypost.Client` has them all."""
 
+from waypost.calls.cluster import ClusterCalls
 from waypost.calls.corrections import CorrectionCalls
 from waypost.calls.events import EventCalls, MapEvents
 from waypost.calls.jobs import JobCalls, JobProgress
@@ -12,6 +13,7 @@ from waypost.calls.sessions import SessionCalls
 from waypost.calls.tokens import TokenCalls
 
 __all__ = [
+    "ClusterCalls",
     "CorrectionCalls",
     "EventCalls",
     "JobCalls",

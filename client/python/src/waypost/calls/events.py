@@ -1,4 +1,4 @@
-"""What happens in maps, while it happens, what the server refused, and which servers there are beside it."""
+"""What happens in maps, while it happens, and what the server refused."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import grpc
 from waypost import errors
 from waypost.connection import Connection, resource
 from waypost.reconnection import PASSING, Patience
-from waypost.v1 import cluster_pb2, event_pb2
+from waypost.v1 import event_pb2
 
 
 class EventCalls:
@@ -33,19 +33,6 @@ class EventCalls:
         return list(
             self._connection.pages(self._connection.events.ListRefusals, request, lambda page: page.refusals)
         )
-
-    def cluster(self) -> cluster_pb2.Cluster:
-        """The servers of the database, which of them owns it, and how they and the database's standbys do.
-
-        Whichever server is asked, the owner answers. For administrators of the whole server.
-
-        Raises:
-            PermissionDenied: If the token is for less than that.
-        """
-        cluster: cluster_pb2.Cluster = self._connection.call(
-            self._connection.cluster.GetCluster, cluster_pb2.GetClusterRequest()
-        )
-        return cluster
 
     def metrics_history(self) -> event_pb2.MetricsHistory:
         """How the server fared over the last hour: its metrics, every 15 seconds."""
