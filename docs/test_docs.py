@@ -45,10 +45,10 @@ PAGES = [REPOSITORY / "README.md", *sorted(GUIDE.glob("*.md"))]
 #: What else is held to short sentences.
 SHORT = [
     *PAGES,
-    *(
-        REPOSITORY / f"{name}.md"
-        for name in ("ACCURACY", "ARCHITECTURE", "CONTRIBUTING", "PERFORMANCE", "RELIABILITY", "SECURITY")
-    ),
+    *(page for page in sorted(REPOSITORY.glob("*.md")) if page.name != "README.md"),
+    *sorted((DOCS / "adr").glob("*.md")),
+    *sorted(REPOSITORY.glob("*/README.md")),
+    *sorted(REPOSITORY.glob("client/*/README.md")),
 ]
 #: Every page of the repository, for its links.
 LINKING = sorted(
@@ -412,7 +412,7 @@ def test_the_readme_is_short() -> None:
     assert len((REPOSITORY / "README.md").read_text().split()) <= 700
 
 
-@pytest.mark.parametrize("page", SHORT, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", SHORT, ids=lambda page: str(page.relative_to(REPOSITORY)))
 def test_sentences_are_short(page: Path) -> None:
     long = [sentence for sentence in sentences(page) if len(sentence.split()) > MOST_WORDS_IN_A_SENTENCE]
     assert not long
