@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ REPOSITORY = DOCS.parent
 sys.path[:0] = [str(DOCS)]
 
 import charts  # noqa: E402
+import tables  # noqa: E402
 
 README, FIGURES, NUMBERS = "README.md", "docs/guide/src/figures.md", "docs/guide/src/numbers.md"
 FLEET, METRES = "docs/guide/src/fleet.md", "docs/guide/src/metres.md"
@@ -138,3 +140,46 @@ def test_each_section_with_a_table_names_a_commit(page: str) -> None:
         if not re.search(r"\b(?=\d*[a-f])[0-9a-f]{7}\b", section)
     ]
     assert not without
+
+
+@pytest.mark.parametrize("page", tables.PAGES, ids=lambda page: page.name)
+def test_a_table_says_what_was_reported(page: Path) -> None:
+    if tables.page_with_tables(page.read_text()) != page.read_text():
+        pytest.fail(f"{page.name} shows other figures: run docs/tables.py and commit", pytrace=False)
+
+
+@pytest.mark.parametrize("page", tables.PAGES, ids=lambda page: page.name)
+def test_a_section_names_the_commit_of_each_report(page: Path) -> None:
+    sections = re.split(r"^(?=#+ )", page.read_text(), flags=re.MULTILINE)
+    for section in sections:
+        for made in tables.TABLE.finditer(section):
+            for name in made["names"].split():
+                commit = tables.Measured.read(name).commit
+                assert commit in section, f"{name} was measured at {commit}: {section.splitlines()[0]}"
+
+
+def test_each_report_is_of_a_known_command_and_shown() -> None:
+    commands = tomllib.loads((DOCS / "measurements.toml").read_text())
+    shown = {
+        name
+        for page in tables.PAGES
+        for made in tables.TABLE.finditer(page.read_text())
+        for name in made["names"].split()
+    }
+    assert shown == {report.stem for report in tables.MEASURED.glob("*.json")}
+    for name in shown:
+        assert tables.Measured.read(name).command == commands[name]["command"]
+
+
+def test_rows_are_written_from_reports(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(tables, "MEASURED", tmp_path)
+    runs = [{"seed": 1, "error_m": -0.0004, "frames": 1200}, {"seed": 2, "error_m": -1.5, "frames": None}]
+    tables.Measured("a command", "0123456", "a machine", {"share": 0.1234, "runs": runs}).write("some")
+    head = "<!-- rows of some\n{}\n-->\n\n| a | b |\n|---|---|\n"
+    for template, rows in (
+        ("runs[*] | {seed} | {error_m:.2} |", "| 1 | 0.00 |\n| 2 | −1.50 |\n"),
+        ("report | {share:%1} % | {total(runs, 'error_m'):.1} |\nkept | as | before |", "| 12.3 % | −1.5 |\n| as | before |\n"),
+        ("runs[1] | {frames} | {frames} |\nsome.runs[0] | {frames:,} | {seed} |", "| – | – |\n| 1,200 | 1 |\n"),
+    ):
+        page = head.format(template)
+        assert tables.page_with_tables(page + "| old | row |\n\nNext.") == page + rows + "\nNext."

@@ -1,0 +1,184 @@
+"""Makes tables of ACCURACY.md and PERFORMANCE.md from what `waypost-eval` reported.
+
+`measurements.toml` has a name and a command for each report. `python docs/tables.py measure NAME...` runs the command
+and keeps its report, with commit and machine, in `measured/NAME.json`. `python docs/tables.py` then writes the rows
+anew. What a row says stands in a comment before its table:
+
+    <!-- rows of NAME
+    left_out[0] | `ietower`: offices, {frames} frames | {recognised} of {queries_with_loop} |
+    -->
+
+The first cell says which part of the report a row is of: `report` for all of it, `[*]` for a row for each of a list,
+`kept` for a row that an earlier program measured, and that stays. Of several reports it begins with the name of one.
+In braces stands an expression of that part's fields, and after a colon how it is written: `:.2` with two decimals,
+`:%1` in percent with one, `:,` with commas. A test holds the pages against the reports.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+DOCS = Path(__file__).resolve().parent
+REPOSITORY = DOCS.parent
+MEASURED = DOCS / "measured"
+PAGES = [REPOSITORY / "ACCURACY.md", REPOSITORY / "PERFORMANCE.md"]
+
+#: A comment with templates, what stands between it and its table, the table's two first lines, and its rows.
+TABLE = re.compile(
+    r"(?P<head><!-- rows of (?P<names>[^\n]+)\n(?P<rows>.*?)-->\n+\|[^\n]*\n\|[-| ]+\|\n)(?P<body>(?:\|[^\n]*\n)*)",
+    re.DOTALL,
+)
+HOLE = re.compile(r"\{(?P<expression>[^{}]+?)(?::(?P<how>[.%,]\d*))?\}")
+
+
+@dataclass
+class Measured:
+    """A report of `waypost-eval`, and how it came about."""
+
+    command: str
+    commit: str
+    machine: str
+    report: Any
+
+    @classmethod
+    def read(cls, name: str) -> Measured:
+        """The one that was kept last."""
+        return cls(**json.loads((MEASURED / f"{name}.json").read_text(), object_hook=as_fields))
+
+    def write(self, name: str) -> None:
+        """Keeps it."""
+        MEASURED.mkdir(exist_ok=True)
+        (MEASURED / f"{name}.json").write_text(json.dumps(vars(self), indent=1) + "\n")
+
+
+def as_fields(record: dict[str, Any]) -> Any:
+    """A record whose fields have names; the outermost one stays as it is."""
+    return record if "report" in record else SimpleNamespace(**record)
+
+
+def page_with_tables(text: str) -> str:
+    """The page with the rows of its tables as the reports have them."""
+    return TABLE.sub(lambda found: found["head"] + "".join(rows(found["names"], found["rows"])), text)
+
+
+def rows(names: str, templates: str) -> Iterator[str]:
+    """Rows of one table."""
+    reports = {name: Measured.read(name).report for name in names.split()}
+    for template in filter(None, (line.strip() for line in templates.splitlines())):
+        path, cells = (part.strip() for part in template.split("|", 1))
+        for part in [SimpleNamespace()] if path == "kept" else parts(reports, path):
+            written = HOLE.sub(lambda hole, part=part: cell(part, hole["expression"], hole["how"]), cells)
+            yield f"| {written}\n"
+
+
+def parts(reports: dict[str, Any], path: str) -> list[Any]:
+    """What a template's rows are of."""
+    name = next((name for name in reports if path == name or path.startswith((f"{name}.", f"{name}["))), None)
+    if name is None:
+        [name] = reports
+        path = f"{name}.{path}" if path != "report" else name
+    every = path.endswith("[*]")
+    steps = path.removeprefix(name).removesuffix("[*]")
+    # Ours alone: paths and expressions are of this repository's pages.
+    found = eval(f"report{steps}", {"__builtins__": {}}, {"report": reports[name]})  # noqa: S307
+    return list(found) if every else [found]
+
+
+def total(parts: list[Any], field: str) -> float:
+    """A field of all parts, added up."""
+    return sum(getattr(part, field) for part in parts)
+
+
+#: What expressions may use besides a report's fields.
+HELPERS = {"__builtins__": {}, "sum": sum, "total": total, "max": max, "round": round}
+
+
+def cell(part: Any, expression: str, how: str | None) -> str:
+    """One figure as it is written."""
+    value = eval(expression, dict(HELPERS, **vars(part)))  # noqa: S307
+    if how is None:
+        return "–" if value is None else str(value)
+    if how.startswith("%"):
+        return decimals(100 * value, how[1:])
+    if how.startswith("."):
+        return decimals(value, how[1:])
+    return f"{value:,.0f}"
+
+
+def decimals(value: float, count: str) -> str:
+    """With a minus that is one, and none before a zero."""
+    written = f"{value:.{int(count)}f}"
+    return written.replace("-", "−" if float(written) else "")
+
+
+def measure(name: str, data: Path, programs: Path, out: Path) -> None:
+    """Runs a command of `measurements.toml`, and keeps what it reports."""
+    command = tomllib.loads((DOCS / "measurements.toml").read_text())[name]["command"]
+    places = {"DATA": str(data), "OUT": str(out)}
+    out.mkdir(parents=True, exist_ok=True)
+    words = [re.sub(r"\b(DATA|OUT)\b", lambda word: places[word[0]], word) for word in shlex.split(command)]
+    environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
+    ended = subprocess.run(
+        [*words, "--json"], stdout=subprocess.PIPE, check=True, env=environment, cwd=REPOSITORY
+    )
+    commit = subprocess.run(
+        ["git", "rev-parse", "--short=7", "HEAD"],
+        stdout=subprocess.PIPE,
+        check=True,
+        text=True,
+        cwd=REPOSITORY,
+    ).stdout.strip()
+    Measured(command, commit, machine(), kept(json.loads(ended.stdout))).write(name)
+
+
+def kept(figure: Any, *, is_item: bool = False) -> Any:
+    """A report without what is of single frames and closures: lists of records that are below a list."""
+    if isinstance(figure, dict):
+        return {
+            name: kept(value)
+            for name, value in figure.items()
+            if not (is_item and isinstance(value, list) and value and isinstance(value[0], dict))
+        }
+    return [kept(value, is_item=True) for value in figure] if isinstance(figure, list) else figure
+
+
+def machine() -> str:
+    """What the figures were measured on, and how busy it was."""
+    processor = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
+    name = processor[1] if processor else platform.machine()
+    return f"{os.cpu_count()} cores of {name}, load {os.getloadavg()[0]:.1f} at the end"
+
+
+def main() -> None:
+    """Measures what is named, and writes the pages."""
+    parser = argparse.ArgumentParser(description="Make the tables of ACCURACY.md and PERFORMANCE.md anew.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="of measurements.toml: measured first")
+    parser.add_argument(
+        "--data", type=Path, default=Path("data"), help="folder of the data, DATA in commands"
+    )
+    parser.add_argument(
+        "--programs", type=Path, default=REPOSITORY / "target/release", help="with waypost-eval"
+    )
+    parser.add_argument("--out", type=Path, default=REPOSITORY / "target/measured", help="OUT in commands")
+    options = parser.parse_args()
+    for name in options.names:
+        measure(name, options.data.resolve(), options.programs.resolve(), options.out.resolve())
+    for page in PAGES:
+        page.write_text(page_with_tables(page.read_text()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
