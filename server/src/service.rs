@@ -27,6 +27,7 @@ pub(crate) mod sessions;
 mod shared;
 pub(crate) mod snapshots;
 mod streams;
+mod taking_up;
 pub(crate) mod tokens;
 pub(crate) mod trajectories;
 

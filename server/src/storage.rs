@@ -39,7 +39,7 @@ pub(crate) use columns::reason_name;
 pub(crate) use engine::TakenOver;
 pub(crate) use error::StorageError;
 pub(crate) use frames::{FrameBytes, FrameRow, SessionSummary};
-pub(crate) use jobs::{JobEnd, JobKind, JobRow, StoredError, StoredJobState};
+pub(crate) use jobs::{JobEnd, JobKind, JobRow, NewJob, StoredError, StoredJobState};
 pub(crate) use labels::LabelRow;
 pub(crate) use log::{ClosureRow, LogEntry, StoredFrame};
 pub(crate) use maps::{MapCounts, MapEdition, MapId, MapRow, SessionRow};

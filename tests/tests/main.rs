@@ -15,6 +15,7 @@ mod fleet {
     mod any_server;
     mod handing_over;
     mod helping;
+    mod jobs;
     mod migrating;
     mod owners;
     mod standbys;
@@ -34,6 +35,7 @@ mod maps {
     mod corrections;
     mod explain;
     mod jobs;
+    mod jobs_that_go_on;
     mod mapping;
     mod matrix;
     mod notes;

@@ -6,8 +6,8 @@ use std::time::Duration;
 use clap::Subcommand;
 use serde_json::json;
 use tokio::sync::watch;
-use tokio::time::timeout;
-use waypost_client::{Client, ClientOptions, Error, v1};
+use tokio::time::{Instant, sleep, timeout};
+use waypost_client::{Client, ClientOptions, Code, Error, JobProgress, v1};
 
 use crate::failure::Failure;
 use crate::names::numbered;
@@ -16,6 +16,10 @@ use crate::progress;
 
 /// How long an interrupted upload may take to end.
 const STOPPING_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// How long a server that is away is waited for while a job is followed, and how often it is tried.
+const PATIENCE: Duration = Duration::from_secs(60);
+const AGAIN: Duration = Duration::from_millis(500);
 
 #[derive(Subcommand)]
 pub(crate) enum Command {
@@ -119,7 +123,7 @@ pub(crate) fn result(job: v1::Job) -> Result<String, Failure> {
 
 /// Shows a job's progress until it has succeeded.
 pub(crate) async fn follow(client: &Client, name: &str, output: Output) -> Result<v1::Job, Failure> {
-    let mut steps = client.watch_job(name).await?;
+    let mut steps = Steps::watch(client, name).await?;
     let bar = progress::percentage(output);
     let mut cancelled_here = false;
     loop {
@@ -151,4 +155,48 @@ pub(crate) async fn follow(client: &Client, name: &str, output: Output) -> Resul
             }
         }
     }
+}
+
+/// The progress of a job, also of one with which a server goes on that was restarted meanwhile.
+struct Steps<'a> {
+    client: &'a Client,
+    name: &'a str,
+    /// None while the server is away.
+    progress: Option<JobProgress>,
+    heard: Instant,
+}
+
+impl<'a> Steps<'a> {
+    async fn watch(client: &'a Client, name: &'a str) -> Result<Self, Error> {
+        let progress = Some(client.watch_job(name).await?);
+        Ok(Self { client, name, progress, heard: Instant::now() })
+    }
+
+    async fn next(&mut self) -> Result<Option<v1::Job>, Error> {
+        loop {
+            match self.step().await {
+                Err(error) if is_away(&error) && self.heard.elapsed() < PATIENCE => {
+                    self.progress = None;
+                    sleep(AGAIN).await;
+                }
+                step => {
+                    self.heard = Instant::now();
+                    return step;
+                }
+            }
+        }
+    }
+
+    async fn step(&mut self) -> Result<Option<v1::Job>, Error> {
+        let progress = match &mut self.progress {
+            Some(progress) => progress,
+            progress @ None => progress.insert(self.client.watch_job(self.name).await?),
+        };
+        progress.next().await
+    }
+}
+
+/// Whether the server may be back in a moment.
+fn is_away(error: &Error) -> bool {
+    matches!(error, Error::Connection { .. } | Error::Status { code: Code::Unavailable, .. })
 }

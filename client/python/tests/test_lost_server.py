@@ -10,7 +10,7 @@ from typing import Any, Callable
 
 import grpc
 import pytest
-from conftest import MODEL, SECOND_NS, Server, answers, decided, frame
+from conftest import IMAGES, MODEL, SECOND_NS, Server, answers, decided, frame
 from google.rpc import code_pb2, error_details_pb2
 
 import waypost
@@ -76,6 +76,24 @@ def test_a_server_that_stays_away_is_said_so(mortal: Server) -> None:
         answers(session, range(3, 5))
         session.close()
         assert client.map("hall").frames == 4
+
+
+def test_a_job_is_waited_for_until_the_next_server_has_done_it(mortal: Server) -> None:
+    with waypost.connect(mortal.address) as client:
+        # Others wait for their turn behind it.
+        training = client.train_model(IMAGES[:60], 2000, display_name="never")
+        compacting = client.compact_map("hall")
+        with futures.ThreadPoolExecutor(1) as waiting:
+            ended = waiting.submit(client.wait_for_job, compacting)
+            with pytest.raises(futures.TimeoutError):
+                ended.result(timeout=0.5)
+            mortal.kill()
+            with pytest.raises(waypost.ServerUnreachable):
+                client.wait_for_job(compacting, patience_s=0.3)
+            mortal.start()
+            assert ended.result(timeout=30.0).name == compacting.name
+        with pytest.raises(waypost.Aborted, match="start it again"):
+            client.wait_for_job(training)
 
 
 def test_a_watch_goes_on_with_the_next_server(mortal: Server) -> None:

@@ -1,6 +1,7 @@
 //! Work that takes longer than a call. What became of a job is kept in the database; how far one that
 //! runs has come is kept in memory.
 
+mod order;
 mod reporter;
 
 use std::collections::HashMap;
@@ -13,6 +14,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tracing::Instrument;
 
+pub(in crate::service) use self::order::{AskedBy, Begun, Order, Task};
 pub(in crate::service) use self::reporter::Stopped;
 pub(crate) use self::reporter::{JobOutcome, JobReporter};
 use super::deleted_maps::DeletedMaps;
@@ -23,7 +25,7 @@ use crate::names::id_in;
 use crate::pages::{Page, numbered_page, page_from, page_size, rows_of_page};
 use crate::role::Reach;
 pub(crate) use crate::storage::JobKind;
-use crate::storage::{JobEnd, JobRow, Storage, StoredError, StoredJobState};
+use crate::storage::{JobEnd, JobRow, NewJob, Storage, StorageError, StoredError, StoredJobState};
 
 /// A job as it stands.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,11 +76,22 @@ const KEPT: Duration = Duration::from_secs(30 * 24 * 60 * 60);
 /// How long a stop of the server waits for jobs to notice.
 const STOPPING: Duration = Duration::from_secs(5);
 
+/// A job that so many servers have begun is not begun again: it may be what ends them.
+const MOST_BEGINNINGS: u32 = 5;
+
 /// Why a job failed that still ran when the server stopped.
 fn interrupted() -> ServiceError {
     ServiceError::aborted(
         "the server was stopped or restarted while this job ran; start it again: nothing will be there twice",
     )
+}
+
+/// Why a job failed that no server has come to the end of.
+fn given_up() -> ServiceError {
+    ServiceError::aborted(format_args!(
+        "{MOST_BEGINNINGS} servers have begun this job, and none has come to its end before it was stopped or killed; see \
+         in their logs why, then start it again: nothing will be there twice"
+    ))
 }
 
 impl Jobs {
@@ -119,7 +132,10 @@ impl Jobs {
     /// Asks a job to stop; one that has ended stays as it is.
     pub(crate) async fn cancel(&self, caller: &Caller, name: &str) -> Result<JobStatus, ServiceError> {
         self.get(caller, name).await?;
-        if let Some(job) = self.running(job_number(name)?) {
+        let number = job_number(name)?;
+        if let Some(job) = self.running(number) {
+            // Should the server end before the job has noticed, no other one is to go on with it.
+            self.storage.forget_task(number).await?;
             job.cancel.cancel();
         }
         self.get(caller, name).await
@@ -151,34 +167,39 @@ impl Jobs {
         Ok(Page { items, next })
     }
 
-    /// Starts a job about some maps, by name, and leaves it to itself. `work` reports to what it is given.
+    /// Starts a job, and leaves it to itself. `work` reports to what it is given.
     pub(super) async fn start<Work>(
         &self,
-        kind: JobKind,
-        maps: &[&str],
+        order: Order,
         work: impl FnOnce(JobReporter) -> Work + Send + 'static,
     ) -> Result<JobStatus, ServiceError>
     where
         Work: Future<Output = JobOutcome> + Send + 'static,
     {
-        let maps: Vec<String> = maps.iter().map(|&map| map.to_owned()).collect();
         let jobs = self.clone();
         // Half of it would be a job that is there, and that nobody runs.
-        to_its_end(async move { jobs.start_whole(kind, maps, work).await }).await
+        to_its_end(async move { jobs.start_whole(order, work).await }).await
     }
 
     async fn start_whole<Work>(
         &self,
-        kind: JobKind,
-        maps: Vec<String>,
+        order: Order,
         work: impl FnOnce(JobReporter) -> Work,
     ) -> Result<JobStatus, ServiceError>
     where
         Work: Future<Output = JobOutcome> + Send + 'static,
     {
-        let stage = "waiting to start";
-        let created_ns = now_ns();
-        let number = self.storage.insert_job(kind, &maps.join(","), stage, created_ns).await?;
+        let Order { kind, maps, task, begun } = order;
+        let stage = begun.stage();
+        let task = task.as_ref().map(Task::to_json);
+        let survives = task.is_some();
+        let (number, created_ns) = match begun {
+            Begun::Before(JobRow { number, created_ns, .. }) => (number, created_ns),
+            Begun::Now => {
+                let job = NewJob { kind, maps: maps.join(","), task, stage, created_ns: now_ns() };
+                (self.storage.insert_job(&job).await?, job.created_ns)
+            }
+        };
         let status = JobStatus {
             number,
             kind,
@@ -201,9 +222,24 @@ impl Jobs {
                 Ok(outcome) => outcome,
                 Err(panic) => JobOutcome::Failed(ServiceError::internal(panic)),
             };
+            let is_stored = matches!(outcome, JobOutcome::Stored(_));
+            if survives && !is_stored && jobs.stopping.is_cancelled() {
+                // Whatever ended it, the next server goes on with it.
+                jobs.lock().remove(&reporter.number);
+                return;
+            }
             jobs.end(&reporter, outcome).await;
         });
         Ok(status)
+    }
+
+    /// A job of an earlier server with which this one cannot go on has failed.
+    pub(super) async fn fail(&self, job: JobRow, error: ServiceError) -> Result<(), StorageError> {
+        let JobRow { number, stage, .. } = job;
+        tracing::warn!(job = number, %error, "a job of an earlier server cannot go on");
+        let error = Some(error.into());
+        let state = StoredJobState::Failed;
+        self.storage.end_job(&JobEnd { number, state, stage, result: None, error, ended_ns: now_ns() }).await
     }
 
     async fn end(&self, reporter: &JobReporter, outcome: JobOutcome) {
@@ -247,11 +283,15 @@ impl Jobs {
         }
     }
 
-    /// At the start of a server: jobs of an earlier one that still ran were cut off.
+    /// At the start of a server: jobs of an earlier one that still ran, and with which this one cannot go on, were cut off.
     pub(crate) async fn settle(&self) -> Result<(), ServiceError> {
-        let cut_off = self.storage.fail_running_jobs(&interrupted().into(), now_ns()).await?;
+        let cut_off = self.storage.fail_jobs_cut_off(&interrupted().into(), now_ns()).await?;
         if cut_off > 0 {
             tracing::warn!(jobs = cut_off, "jobs were cut off when the server went down");
+        }
+        let given_up = self.storage.fail_jobs_begun(MOST_BEGINNINGS, &given_up().into(), now_ns()).await?;
+        if given_up > 0 {
+            tracing::error!(jobs = given_up, "jobs are given up: no server has come to their ends");
         }
         let kept_ns = i64::try_from(KEPT.as_nanos()).unwrap_or(i64::MAX);
         self.storage.delete_jobs_ended_before(now_ns().saturating_sub(kept_ns)).await?;
@@ -264,7 +304,7 @@ impl Jobs {
         self.tasks.close();
         if tokio::time::timeout(STOPPING, self.tasks.wait()).await.is_err() {
             tracing::warn!("some jobs did not end in time and were cut off");
-            if let Err(error) = self.storage.fail_running_jobs(&interrupted().into(), now_ns()).await {
+            if let Err(error) = self.storage.fail_jobs_cut_off(&interrupted().into(), now_ns()).await {
                 tracing::warn!(%error, "that they were cut off could not be stored");
             }
         }
@@ -279,7 +319,7 @@ pub(super) async fn to_its_end<T: Send + 'static>(
 }
 
 fn status_of(row: JobRow) -> JobStatus {
-    let JobRow { number, kind, state, stage, result, error, created_ns, ended_ns, maps } = row;
+    let JobRow { number, kind, state, stage, result, error, created_ns, ended_ns, maps, task: _ } = row;
     let (state, fraction) = match state {
         // Not in memory yet: it has only just begun.
         StoredJobState::Running => (JobState::Running, 0.0),

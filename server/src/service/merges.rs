@@ -1,5 +1,6 @@
 //! Maps that become one: looked for, proposed, and then committed, discarded or undone.
 
+mod asking;
 mod commit;
 mod picture;
 mod report;
@@ -12,21 +13,20 @@ use self::view::{merge_in, no_such_merge, undecidable, view};
 pub(crate) use report::{MapOverlap, MatchedPlaces, MergeReport, MergedSource, SourceOutcome};
 pub(crate) use view::MergeView;
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use serde::{Deserialize, Serialize};
 use tokio_util::sync::CancellationToken;
-use topomap::merging::{MergePlan, MergeSettings};
+use topomap::merging::MergePlan;
 
 use super::deleted_maps::DeletedMaps;
-use super::jobs::{JobOutcome, JobReporter, Jobs, to_its_end};
+use super::jobs::{JobOutcome, JobReporter, Jobs, Order, to_its_end};
 use super::map_names::{MapNames, Reservation};
 use super::rewriting::Rewriting;
 use super::tokens::Caller;
-use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::ingest::model::LoadedModels;
-use crate::names::{check_id, map_in};
 use crate::open_map::OpenMaps;
 use crate::pages::{Page, numbered_page, page_from, page_size, rows_of_page};
 pub(crate) use crate::storage::MergeState;
@@ -39,7 +39,8 @@ const MAX_SOURCES: usize = 16;
 const MAX_PROPOSALS: usize = 32;
 
 /// When a merge whose overlap was found is committed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub(crate) enum CommitPolicy {
     /// It is proposed, and a person decides.
     OnRequest,
@@ -47,7 +48,7 @@ pub(crate) enum CommitPolicy {
 }
 
 /// Maps that are to become one.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct MergeRequest {
     /// `maps/{map}` each.
     pub(crate) sources: Vec<String>,
@@ -125,41 +126,6 @@ impl Merges {
         to_its_end(async move { merges.begin_whole(&caller, request).await }).await
     }
 
-    async fn begin_whole(&self, caller: &Caller, request: MergeRequest) -> Result<MergeView, ServiceError> {
-        let MergeRequest { sources, target, commit_policy, min_support } = request;
-        for map in sources.iter().chain([&target]) {
-            caller.check_resource(map)?;
-        }
-        let settings = merge_settings(min_support)?;
-        let (target, sources) = self.to_merge(&sources, &target, caller.token.as_deref()).await?;
-        if self.proposals().len() >= MAX_PROPOSALS {
-            return Err(ServiceError::ResourceExhausted {
-                message: format!(
-                    "{MAX_PROPOSALS} merges wait for a decision; commit or discard some of them first"
-                ),
-            });
-        }
-        let report = MergeReport::asked(target.new_base(), &sources);
-        let name = target.name().to_owned();
-        let number = self.storage.insert_merge(&name, &report.to_json()?, now_ns()).await?;
-        let merges = self.clone();
-        let work = move |reporter: JobReporter| async move {
-            let outcome = merges.search(number, target, sources, &settings, commit_policy, &reporter).await;
-            merges.note_failure(number, &outcome).await;
-            outcome
-        };
-        let maps: Vec<&str> = report.maps().chain([name.as_str()]).collect();
-        let job = match self.jobs.start(JobKind::MergeMaps, &maps, work).await {
-            Ok(job) => job,
-            Err(error) => {
-                self.note_failure(number, &JobOutcome::Failed(error.clone())).await;
-                return Err(error);
-            }
-        };
-        self.storage.set_merge_job(number, job.number).await?;
-        self.merge_of_number(number).await
-    }
-
     /// A merge by `merges/{number}`.
     pub(crate) async fn get(&self, caller: &Caller, name: &str) -> Result<MergeView, ServiceError> {
         let view = self.merge_of_number(merge_in(name)?).await?;
@@ -226,7 +192,8 @@ impl Merges {
             }
             outcome
         };
-        let job = match self.jobs.start(JobKind::MergeMaps, &view.maps(), work).await {
+        let order = Order::of_this_server(JobKind::MergeMaps, &view.maps());
+        let job = match self.jobs.start(order, work).await {
             Ok(job) => job,
             Err(error) => {
                 self.proposals().insert(number, kept);
@@ -253,7 +220,8 @@ impl Merges {
         self.merge_of_number(view.number).await
     }
 
-    /// At the start of a server: what an earlier one looked for or proposed is forgotten.
+    /// At the start of a server: what an earlier one proposed is forgotten, and what it looked for if this one cannot go on
+    /// with that.
     pub(crate) async fn settle(&self) -> Result<(), ServiceError> {
         Ok(self.storage.fail_open_merges(&forgotten().into()).await?)
     }
@@ -261,80 +229,6 @@ impl Merges {
     async fn merge_of_number(&self, number: u64) -> Result<MergeView, ServiceError> {
         let row = self.storage.merge(number).await?;
         view(row.ok_or_else(|| no_such_merge(&format!("merges/{number}")))?)
-    }
-
-    /// The target and the sources of a request, as rows.
-    async fn to_merge(
-        &self,
-        sources: &[String],
-        target: &str,
-        owner: Option<&str>,
-    ) -> Result<(MergeTarget, Vec<MapRow>), ServiceError> {
-        let target = check_id("map name", map_in(target)?)?;
-        let mut names = BTreeSet::new();
-        let mut rows = Vec::new();
-        for source in sources {
-            let source = map_in(source)?;
-            if !names.insert(source) {
-                return Err(ServiceError::invalid(format_args!(
-                    "the map {source} is named twice; a map overlaps with itself everywhere, so name each once"
-                )));
-            }
-            let row = self.open_maps.row(source).await?;
-            // Named among the sources, the target is what the others go into all the same.
-            if source != target {
-                rows.push(row);
-            }
-        }
-        let existing = self.storage.map(target).await?;
-        let target = match existing {
-            Some(row) => MergeTarget { base: row, new: None },
-            None if rows.len() < 2 => {
-                return Err(ServiceError::invalid(format_args!(
-                    "there is no map {target} yet: name two maps or more that it is to be made of, or a target that \
-                     there is"
-                )));
-            }
-            None => {
-                let new = self.names.reserve(target, owner).await?;
-                MergeTarget { base: rows.remove(0), new: Some(Arc::new(new)) }
-            }
-        };
-        if rows.is_empty() {
-            return Err(ServiceError::invalid(format_args!(
-                "nothing is to go into the map {}; name the maps that are",
-                target.base.name
-            )));
-        }
-        if rows.len() > MAX_SOURCES {
-            return Err(ServiceError::invalid(format_args!(
-                "at most {MAX_SOURCES} maps go into another at a time, not {}; merge them in several steps",
-                rows.len()
-            )));
-        }
-        self.check_words(&target.base, &rows).await?;
-        Ok((target, rows))
-    }
-
-    /// Words mean the same only if they are of one vocabulary.
-    async fn check_words(&self, base: &MapRow, sources: &[MapRow]) -> Result<(), ServiceError> {
-        let model = self.models.get(&base.model).await?;
-        for source in sources {
-            let other = self.models.get(&source.model).await?;
-            if other.words_hash != model.words_hash {
-                return Err(ServiceError::precondition(format_args!(
-                    "the maps {} and {} have models of different words (words_hash {} and {}), which cannot be compared; \
-                     make one of them anew with the other's model: `waypost map rebuild {} --model {} --into NEW-NAME`",
-                    base.name,
-                    source.name,
-                    model.words_hash,
-                    other.words_hash,
-                    source.name,
-                    &base.model[..12]
-                )));
-            }
-        }
-        Ok(())
     }
 
     /// The merge says why its job failed, too.
@@ -358,6 +252,7 @@ impl Merges {
 }
 
 /// Where the sources are to go.
+#[derive(Debug)]
 struct MergeTarget {
     /// The target, or the source that it is to begin with.
     base: MapRow,
@@ -380,13 +275,4 @@ impl Target {
     fn existing(&self) -> Option<MapId> {
         self.new.is_none().then_some(self.base.id)
     }
-}
-
-fn merge_settings(min_support: Option<u32>) -> Result<MergeSettings, ServiceError> {
-    let mut settings = MergeSettings::default();
-    if let Some(min_support) = min_support {
-        settings.min_support = min_support as usize;
-    }
-    settings.check().map_err(ServiceError::invalid)?;
-    Ok(settings)
 }

@@ -1,5 +1,6 @@
 //! A map made anew from what another keeps of its frames: with another model, or because that one is damaged.
 
+mod left;
 mod losses;
 mod repairing;
 mod resending;
@@ -10,7 +11,7 @@ use topomap::ids::FrameId;
 use topomap::log::MapEvent;
 
 use self::resending::{KeptFrame, Resending, Streams, WithoutContent};
-use super::jobs::{JobOutcome, JobReporter, JobStatus, Jobs, Stopped};
+use super::jobs::{AskedBy, Begun, JobOutcome, JobReporter, JobStatus, Jobs, Order, Stopped, Task};
 use super::map_names::map_exists;
 use super::maps::{Maps, check_recognizer};
 use super::sessions::Sessions;
@@ -19,7 +20,7 @@ use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::ingest::model::LoadedModel;
 use crate::map_settings::{self, Keep};
-use crate::names::{check_id, map_in, map_name};
+use crate::names::{check_id, map_in, map_name, model_name};
 use crate::storage::{JobKind, MapRow, NoteRow, StorageError};
 
 /// Log events that are read at a time.
@@ -48,6 +49,17 @@ impl Rebuilding {
         model: &str,
         into: &str,
     ) -> Result<JobStatus, ServiceError> {
+        self.start_rebuilding(caller, name, model, into, Begun::Now).await
+    }
+
+    pub(super) async fn start_rebuilding(
+        &self,
+        caller: &Caller,
+        name: &str,
+        model: &str,
+        into: &str,
+        begun: Begun,
+    ) -> Result<JobStatus, ServiceError> {
         let (from, into) = (map_in(name)?, check_id("map name", into)?.to_owned());
         caller.check_map(from)?;
         caller.check_map(&into)?;
@@ -60,12 +72,19 @@ impl Rebuilding {
         check_recognizer(loaded, settings.mapper).await?;
         self.make(JobKind::RebuildMap, caller, &source, &model.hash, &into).await?;
         let sessions = self.maps.storage.stored_sessions(source.id).await?;
-        let made = into.clone();
+        let task = Task::RebuildMap {
+            map: name.to_owned(),
+            model: model_name(&model.hash),
+            into: into.clone(),
+            asked_by: AskedBy(caller.token.clone()),
+        };
+        let maps = vec![from.to_owned(), into.clone()];
+        let order = Order { kind: JobKind::RebuildMap, maps, task: Some(task), begun };
         let resending = Resending::new(source, sessions, into, WithoutContent::Refuse);
         let rebuild = Rebuild { resending, words: before.model.vocabulary().len() };
         let rebuilding = self.clone();
         let work = move |reporter: JobReporter| async move { rebuilding.rebuild(rebuild, &reporter).await };
-        self.jobs.start(JobKind::RebuildMap, &[from, &made], work).await
+        self.jobs.start(order, work).await
     }
 
     /// Makes the new map, with the settings of the other; one that was begun before is gone on with.

@@ -8,7 +8,7 @@ mod trimming;
 use std::sync::Arc;
 
 use super::deleted_maps::DeletedMaps;
-use super::jobs::{JobOutcome, JobReporter, JobStatus, Jobs, Stopped};
+use super::jobs::{Begun, JobOutcome, JobReporter, JobStatus, Jobs, Order, Stopped, Task};
 use super::navigation::Registry;
 use crate::error::ServiceError;
 use crate::ingest::model::LoadedModels;
@@ -32,9 +32,18 @@ pub(crate) struct Rewriting {
 impl Rewriting {
     /// Makes what a map holds now its new beginning, and wipes from the disk what was removed.
     pub(crate) async fn compact(&self, name: &str) -> Result<JobStatus, ServiceError> {
+        self.start_compacting(name, Begun::Now).await
+    }
+
+    pub(super) async fn start_compacting(&self, name: &str, begun: Begun) -> Result<JobStatus, ServiceError> {
         let map = self.open_maps.row(map_in(name)?).await?;
         let rewriting = self.clone();
-        let of = map.name.clone();
+        let order = Order {
+            kind: JobKind::CompactMap,
+            maps: vec![map.name.clone()],
+            task: Some(Task::CompactMap { map: name.to_owned() }),
+            begun,
+        };
         let work = move |reporter: JobReporter| async move {
             let Some(_turn) = reporter.wait_for_turn().await else { return JobOutcome::Cancelled };
             // The last moment to stop.
@@ -57,7 +66,7 @@ impl Rewriting {
                 Err(error) => JobOutcome::Failed(error.into()),
             }
         };
-        self.jobs.start(JobKind::CompactMap, &[&of], work).await
+        self.jobs.start(order, work).await
     }
 
     /// Places may have other numbers afterwards: a robot must not end up at another place than it was sent to.

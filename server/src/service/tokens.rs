@@ -87,6 +87,11 @@ impl Tokens {
         self.lock().tokens().cloned().collect()
     }
 
+    /// Who shows the secret of a token that there is.
+    pub(crate) fn caller_named(&self, name: &str) -> Option<Caller> {
+        self.lock().token(name).ok().map(|token| Caller::of(token, token.expires_ns))
+    }
+
     pub(crate) fn anonymous(&self) -> Anonymous {
         self.lock().anonymous
     }

@@ -21,6 +21,8 @@ pub(crate) struct JobRow {
     pub(crate) ended_ns: Option<i64>,
     /// The maps that it reads or writes, with commas between them; `None` if that is not known.
     pub(crate) maps: Option<String>,
+    /// What it was asked for, if another server can go on with it.
+    pub(crate) task: Option<String>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,6 +61,17 @@ words!(StoredJobState {
     Cancelled = "cancelled",
 });
 
+/// A job that is to be noted.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct NewJob {
+    pub(crate) kind: JobKind,
+    /// As in [`JobRow`].
+    pub(crate) maps: String,
+    pub(crate) task: Option<String>,
+    pub(crate) stage: &'static str,
+    pub(crate) created_ns: i64,
+}
+
 /// How a job ended.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct JobEnd {
@@ -91,25 +104,22 @@ impl From<ErrorColumns> for Option<StoredError> {
     }
 }
 
-const COLUMNS: &str = "number, kind, state, stage, result, error, error_code, created_ns, ended_ns, maps";
+const COLUMNS: &str =
+    "number, kind, state, stage, result, error, error_code, created_ns, ended_ns, maps, task";
 
 impl Storage {
-    /// Adds a job that runs, about `maps` with commas between them; gives its number.
-    pub(crate) async fn insert_job(
-        &self,
-        kind: JobKind,
-        maps: &str,
-        stage: &str,
-        created_ns: i64,
-    ) -> Result<u64, StorageError> {
+    /// Adds a job that runs; gives its number.
+    pub(crate) async fn insert_job(&self, job: &NewJob) -> Result<u64, StorageError> {
+        let NewJob { kind, maps, task, stage, created_ns } = job;
         self.write(async |transaction| {
             let number = sqlx::query_scalar(
-                "INSERT INTO jobs (kind, maps, state, stage, created_ns) VALUES ($1, $2, 'running', $3, $4) \
-                 RETURNING number",
+                "INSERT INTO jobs (kind, maps, task, state, stage, created_ns) \
+                 VALUES ($1, $2, $3, 'running', $4, $5) RETURNING number",
             )
             .bind(kind)
             .bind(maps)
-            .bind(stage)
+            .bind(task)
+            .bind(*stage)
             .bind(created_ns)
             .fetch_one(&mut **transaction)
             .await?;
@@ -152,23 +162,68 @@ impl Storage {
             .await?)
     }
 
-    /// Every job that still runs has failed. What such a job brought in on the way stays noted in its
-    /// row; see [`Storage::drop_unfinished_model`].
-    pub(crate) async fn fail_running_jobs(
+    /// Every job that still runs, and with which no server can go on, has failed. What such a job brought in on the way stays
+    /// noted in its row; see [`Storage::drop_unfinished_model`].
+    pub(crate) async fn fail_jobs_cut_off(
         &self,
         error: &StoredError,
         ended_ns: i64,
     ) -> Result<u64, StorageError> {
+        self.fail_running_jobs("task IS NULL", error, ended_ns).await
+    }
+
+    /// Every job that still runs, and that so many servers have begun, has failed.
+    pub(crate) async fn fail_jobs_begun(
+        &self,
+        times: u32,
+        error: &StoredError,
+        ended_ns: i64,
+    ) -> Result<u64, StorageError> {
+        self.fail_running_jobs(&format!("begun >= {times}"), error, ended_ns).await
+    }
+
+    async fn fail_running_jobs(
+        &self,
+        which: &str,
+        error: &StoredError,
+        ended_ns: i64,
+    ) -> Result<u64, StorageError> {
+        let query = format!(
+            "UPDATE jobs SET state = 'failed', error = $1, error_code = $2, ended_ns = $3 \
+             WHERE state = 'running' AND {which}"
+        );
         self.write(async |transaction| {
-            let done = sqlx::query(
-                "UPDATE jobs SET state = 'failed', error = $1, error_code = $2, ended_ns = $3 WHERE state = 'running'",
-            )
-            .bind(&error.message)
-            .bind(&error.code)
-            .bind(ended_ns)
-            .execute(&mut **transaction)
-            .await?;
+            let done = sqlx::query(sqlx::AssertSqlSafe(query))
+                .bind(&error.message)
+                .bind(&error.code)
+                .bind(ended_ns)
+                .execute(&mut **transaction)
+                .await?;
             Ok(done.rows_affected())
+        })
+        .await
+    }
+
+    /// The jobs that still run and that another server began, oldest first: this one begins them now.
+    pub(crate) async fn begin_jobs_again(&self) -> Result<Vec<JobRow>, StorageError> {
+        self.write(async |transaction| {
+            sqlx::query("UPDATE jobs SET begun = begun + 1 WHERE state = 'running'")
+                .execute(&mut **transaction)
+                .await?;
+            let query = format!("SELECT {COLUMNS} FROM jobs WHERE state = 'running' ORDER BY number");
+            Ok(sqlx::query_as(sqlx::AssertSqlSafe(query)).fetch_all(&mut **transaction).await?)
+        })
+        .await
+    }
+
+    /// No other server goes on with the job.
+    pub(crate) async fn forget_task(&self, number: u64) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            sqlx::query("UPDATE jobs SET task = NULL WHERE number = $1")
+                .bind(to_sql(number))
+                .execute(&mut **transaction)
+                .await?;
+            Ok(())
         })
         .await
     }

@@ -216,7 +216,9 @@ impl Storage {
     pub(crate) async fn fail_open_merges(&self, error: &StoredError) -> Result<(), StorageError> {
         self.write(async |transaction| {
             sqlx::query(
-                "UPDATE merges SET state = 'failed', error = $1, error_code = $2 WHERE state IN ('searching', 'proposed')",
+                "UPDATE merges SET state = 'failed', error = $1, error_code = $2 \
+                 WHERE state IN ('searching', 'proposed') \
+                 AND job NOT IN (SELECT number FROM jobs WHERE state = 'running' AND task IS NOT NULL)",
             )
             .bind(&error.message)
             .bind(&error.code)

@@ -8,15 +8,16 @@ use topomap::ids::FrameId;
 use topomap::log::{Confirmation, Correction, CorrectionEvent, MapEvent, Undoing};
 use topomap::mapper::Said;
 
+use super::left::{Left, is_said_again, unless_damaged};
 use super::losses::Losses;
 use super::resending::{KeptFrame, Resending, Streams, WithoutContent};
 use super::{EVENTS_PAGE, Rebuilding, by_position};
 use crate::error::ServiceError;
 use crate::names::{check_id, map_in};
 use crate::open_map::{CorrectionRequest, Verdict};
-use crate::service::jobs::{JobOutcome, JobReporter, JobStatus, Stopped};
+use crate::service::jobs::{AskedBy, Begun, JobOutcome, JobReporter, JobStatus, Order, Stopped, Task};
 use crate::service::tokens::Caller;
-use crate::storage::{JobKind, LabelRow, MapId, MapRow, Salvaged, StorageError};
+use crate::storage::{JobKind, LabelRow, MapId, MapRow, Salvaged};
 
 /// Frames of a place that are asked where it is now.
 const WITNESSES: u32 = 16;
@@ -50,6 +51,23 @@ impl Rebuilding {
         into: &str,
         copy: &str,
     ) -> Result<JobStatus, ServiceError> {
+        self.start_repairing(caller, name, into, copy, Begun::Now).await
+    }
+
+    pub(in crate::service) async fn start_repairing(
+        &self,
+        caller: &Caller,
+        name: &str,
+        into: &str,
+        copy: &str,
+        begun: Begun,
+    ) -> Result<JobStatus, ServiceError> {
+        let task = Task::RepairMap {
+            map: name.to_owned(),
+            into: into.to_owned(),
+            copy: copy.to_owned(),
+            asked_by: AskedBy(caller.token.clone()),
+        };
         let (damaged, into) = (map_in(name)?, check_id("map name", into)?.to_owned());
         caller.check_map(damaged)?;
         caller.check_map(&into)?;
@@ -92,7 +110,8 @@ impl Rebuilding {
         let repair = Repair { caller: caller.clone(), resending, copy, words };
         let rebuilding = self.clone();
         let work = move |reporter: JobReporter| async move { rebuilding.repair(repair, &reporter).await };
-        self.jobs.start(JobKind::RepairMap, &maps.iter().map(String::as_str).collect::<Vec<_>>(), work).await
+        let order = Order { kind: JobKind::RepairMap, maps, task: Some(task), begun };
+        self.jobs.start(order, work).await
     }
 
     async fn repair(&self, repair: Repair, reporter: &JobReporter) -> JobOutcome {
@@ -356,43 +375,5 @@ impl Rebuilding {
         }
         let most = votes.into_iter().max_by_key(|&(place, votes)| (votes, std::cmp::Reverse(place)));
         Ok(most.map(|(place, _)| place))
-    }
-}
-
-/// Whether one of the corrections is the other, said of the frames of another map.
-fn is_said_again(said: &CorrectionEvent, again: &CorrectionEvent) -> bool {
-    let kind = std::mem::discriminant::<Correction>;
-    (&said.by, said.said_ns, kind(&said.correction)) == (&again.by, again.said_ns, kind(&again.correction))
-}
-
-/// What was read; none if it is damaged.
-fn unless_damaged<T>(read: Result<T, StorageError>) -> Result<Option<T>, StorageError> {
-    match read {
-        Ok(read) => Ok(Some(read)),
-        Err(StorageError::Rot(_)) => Ok(None),
-        Err(error) => Err(error),
-    }
-}
-
-/// An event that can be brought back, and the map that keeps what belongs to it; or what is lost.
-enum Left {
-    Event(MapId, MapEvent),
-    Nothing(String),
-}
-
-impl Left {
-    /// Whether the damaged map does not have it.
-    fn is_not_of(&self, damaged: MapId) -> bool {
-        match self {
-            Self::Event(map, _) => *map != damaged,
-            Self::Nothing(_) => true,
-        }
-    }
-
-    fn of(map: MapId, salvaged: Salvaged) -> Self {
-        match salvaged {
-            Salvaged::Whole(event) => Self::Event(map, event),
-            Salvaged::Lost(what) => Self::Nothing(what),
-        }
     }
 }

@@ -69,6 +69,8 @@ pub(super) const JOBS: Table = Table {
         ("created_ns", Whole),
         ("ended_ns", Whole),
         ("maps", Text),
+        ("task", Text),
+        ("begun", Whole),
     ],
     page: 500,
 };

@@ -14,7 +14,7 @@ use super::plain::{World, token_name};
 use super::sabotage::Sabotage;
 use super::seen::model;
 use super::serving::Server;
-use crate::harness::{Built, ServerProcess, run_to_its_end};
+use crate::harness::{Built, ServerProcess, followed, run_to_its_end};
 use crate::operations::disk::watched::{Calls, Fault, How, WatchedDisk};
 
 /// Steps after which all that the server tells is looked at.
@@ -208,6 +208,10 @@ impl Runner {
         };
         self.begin_again().await?;
         let client = self.operator().await?;
+        // What was begun goes on.
+        for job in client.jobs().await.map_err(|error| error.to_string())? {
+            followed(&client, &job).await;
+        }
         let told = observed(&client).await.map_err(|error| error.to_string())?;
         for world in &mut worlds {
             said_unheard(world, &client).await.map_err(|error| error.to_string())?;

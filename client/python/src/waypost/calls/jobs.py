@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from types import TracebackType
 from typing import Any
@@ -10,6 +11,7 @@ import grpc
 
 from waypost import errors
 from waypost.connection import Connection, resource
+from waypost.reconnection import Patience
 from waypost.v1 import job_pb2, merge_pb2
 
 
@@ -42,22 +44,42 @@ class JobCalls:
         request = job_pb2.WatchJobRequest(name=resource("jobs", name))
         return JobProgress(self._connection.jobs.WatchJob(request), self._connection.address)
 
-    def wait_for_job(self, job: str | job_pb2.Job | merge_pb2.Merge) -> job_pb2.Job:
-        """Waits until a job, or that of a merge, has ended, and gives it.
+    def wait_for_job(
+        self, job: str | job_pb2.Job | merge_pb2.Merge, *, patience_s: float = 60.0
+    ) -> job_pb2.Job:
+        """Waits until a job, or that of a merge, has ended, and gives it. A server that is restarted is waited for.
+
+        Args:
+            patience_s: Time without a connection after which it is given up.
 
         Raises:
             ServerError: The job's own error, if it failed.
             Cancelled: If somebody cancelled it.
+            ServerUnreachable: If the server stays away.
         """
         name = job if isinstance(job, str) else job.job if isinstance(job, merge_pb2.Merge) else job.name
-        with self.watch_job(name) as progress:
-            states = list(progress)
-        ended = states[-1] if states else self.job(name)
+        patience = Patience(patience_s)
+        ended = None
+        while ended is None:
+            try:
+                ended = self._last_state(name, patience)
+            except (errors.ServerUnreachable, errors.Unavailable):
+                delay_s = patience.next_delay_s()
+                if delay_s is None:
+                    raise
+                time.sleep(delay_s)
         if ended.state == job_pb2.Job.STATE_FAILED:
             raise errors.from_status(ended.error)
         if ended.state == job_pb2.Job.STATE_CANCELLED:
             raise errors.Cancelled(grpc.StatusCode.CANCELLED, f"{ended.name} was cancelled; request it again")
         return ended
+
+    def _last_state(self, name: str, patience: Patience) -> job_pb2.Job:
+        last = None
+        with self.watch_job(name) as progress:
+            for last in progress:
+                patience.progress()
+        return last or self.job(name)
 
     def cancel_job(self, name: str) -> job_pb2.Job:
         """Cancels a job; it stops at its next step.

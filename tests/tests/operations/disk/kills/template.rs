@@ -10,8 +10,8 @@ use waypost_server::Role;
 use waypost_server::offline::{TokenLimits, create_token};
 
 use crate::harness::{
-    Server, answers, answers_of, as_histogram, by_words_request, database_options, frame, import_model,
-    map_request, recalibrated_model, take_model, words_options,
+    Server, answers, answers_of, as_histogram, by_words_request, database_options, followed, frame,
+    import_model, map_request, recalibrated_model, take_model, words_options,
 };
 
 /// A map of images, of two sessions.
@@ -72,10 +72,13 @@ impl Template {
         Client::connect(ClientOptions::new(endpoint).with_token(&self.secret)).await.unwrap()
     }
 
-    /// What a directory holds, as a server tells it that takes a frame, too.
+    /// What a directory holds, as a server tells it that takes a frame, too, once it has come to the end of what was begun.
     pub(super) async fn told(&self, data: &Path) -> (State, BTreeMap<String, v1::job::State>) {
         let server = Server::start_on(data).await;
         let client = self.client(&server.endpoint()).await;
+        for job in client.jobs().await.unwrap() {
+            followed(&client, &job).await;
+        }
         let state = state(&client).await;
         let jobs = client.jobs().await.unwrap();
         let jobs = jobs.into_iter().map(|job| (job.name.clone(), job.state())).collect();

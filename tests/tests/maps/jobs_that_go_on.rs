@@ -1,0 +1,259 @@
+//! Jobs that a server did not come to the end of: the next one does.
+
+use std::path::Path;
+
+use futures::stream;
+use tempfile::TempDir;
+use waypost_client::{Client, ClientOptions, v1};
+use waypost_server::Role;
+use waypost_server::offline::{TokenLimits, create_token};
+
+use crate::harness::{
+    Built, Proxy, Server, ServerProcess, answers, followed, frame, images, import_model, in_time,
+    map_request, recalibrated_model, run_to_its_end, said, state_hash, tables, take_model,
+};
+
+const FRAMES: u64 = 60;
+
+/// How a server goes down.
+#[derive(Clone, Copy, Debug)]
+enum Down {
+    Killed,
+    Stopped,
+}
+
+impl Down {
+    async fn happens(self, server: ServerProcess) {
+        let end = move || match self {
+            Self::Killed => server.kill(),
+            Self::Stopped => server.stop(),
+        };
+        tokio::task::spawn_blocking(end).await.unwrap();
+    }
+}
+
+/// A data directory with two maps that overlap, and a second model with their words.
+struct Prepared {
+    directory: TempDir,
+    second: String,
+}
+
+impl Prepared {
+    async fn new() -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let server = Server::start_on(directory.path()).await;
+        let client = server.client().await;
+        let model = import_model(&client).await;
+        let second = take_model(&client, "second", &recalibrated_model(0.5)).await.name;
+        for map in ["drive", "other"] {
+            client.create_map(map_request(map, &model.name)).await.unwrap();
+        }
+        answers(&client, "drive", "robot", (1..=FRAMES).map(frame)).await;
+        answers(&client, "drive", "second", (60..=64).map(frame)).await;
+        answers(&client, "other", "robot", (1..=22).map(frame)).await;
+        let whole = client.rebuild_map("drive", &second, "whole").await.unwrap();
+        succeeded(&client, &whole).await;
+        server.stop().await;
+        Self { directory, second }
+    }
+
+    fn start(&self) -> ServerProcess {
+        ServerProcess::start(self.directory.path())
+    }
+}
+
+/// Waits for a job, which does what it was asked for.
+async fn succeeded(client: &Client, job: &v1::Job) {
+    let ended = followed(client, job).await.pop().unwrap();
+    assert_eq!(ended.state(), v1::job::State::Succeeded, "{ended:?}");
+    assert_eq!((&ended.name, ended.create_time_ns), (&job.name, job.create_time_ns));
+}
+
+/// A training of many seconds, behind which other jobs wait.
+async fn long_training(client: &Client) -> v1::Job {
+    let settings = v1::TrainModelSettings {
+        display_name: String::new(),
+        extractor: Some(String::new()),
+        words: 4000,
+        seed: 7,
+        image_count: Some(40),
+    };
+    let images = stream::iter(images()[..40].iter().cloned().map(Ok));
+    in_time(client.train_model(settings, images)).await.unwrap()
+}
+
+fn to_merge() -> v1::MergeMapsRequest {
+    v1::MergeMapsRequest {
+        sources: vec!["maps/drive".to_owned(), "maps/other".to_owned()],
+        target: "maps/both".to_owned(),
+        auto_commit: true,
+        min_support: Some(3),
+    }
+}
+
+/// Those that had not begun, in the order in which they were asked for.
+#[tokio::test(flavor = "multi_thread")]
+async fn jobs_that_waited_for_their_turn_are_done_by_the_next_server() {
+    for down in [Down::Killed, Down::Stopped] {
+        let prepared = Prepared::new().await;
+        let server = prepared.start();
+        let client = server.client().await;
+        let training = long_training(&client).await;
+        let rebuilding = client.rebuild_map("drive", &prepared.second, "anew").await.unwrap();
+        let merge = client.merge_maps(to_merge()).await.unwrap();
+        let merging = client.job(&merge.job).await.unwrap();
+        let removing = client.delete_session("maps/drive/sessions/second").await.unwrap();
+        let compacting = client.compact_map("drive").await.unwrap();
+        assert_eq!(client.job(&training.name).await.unwrap().state(), v1::job::State::Running, "{down:?}");
+        down.happens(server).await;
+
+        let server = prepared.start();
+        let client = server.client().await;
+        for job in [&rebuilding, &merging, &removing, &compacting] {
+            succeeded(&client, job).await;
+        }
+        // What came in a stream is gone, and with it what was to be made of it.
+        let cut_off = client.job(&training.name).await.unwrap();
+        assert_eq!(cut_off.state(), v1::job::State::Failed, "{down:?}: {cut_off:?}");
+        // Before the session was removed.
+        assert_eq!(state_hash(&client, "anew").await, state_hash(&client, "whole").await, "{down:?}");
+        let merge = client.merge(&merge.name).await.unwrap();
+        assert_eq!(merge.state(), v1::merge::State::Committed, "{down:?}: {merge:?}");
+        let both = client.map("both", v1::MapView::Full).await.unwrap();
+        assert_eq!(both.frames, FRAMES + 5 + 22, "{down:?}");
+        let left = client.sessions("drive").await.unwrap();
+        assert_eq!(left.len(), 1, "{down:?}: {left:?}");
+
+        // What it took to undo a merge, too.
+        let training = long_training(&client).await;
+        let undoing = client.undo_merge(&merge.name).await.unwrap();
+        let undoing = client.job(&undoing.job).await.unwrap();
+        // Somebody thinks again, and the next server does not do it all the same.
+        let unwanted = client.compact_map("drive").await.unwrap();
+        client.cancel_job(&unwanted.name).await.unwrap();
+        assert_eq!(client.job(&training.name).await.unwrap().state(), v1::job::State::Running, "{down:?}");
+        down.happens(server).await;
+        let server = prepared.start();
+        let client = server.client().await;
+        followed(&client, &undoing).await;
+        let undone = client.merge(&merge.name).await.unwrap();
+        assert_eq!(undone.state(), v1::merge::State::Undone, "{down:?}: {undone:?}");
+        let ended = followed(&client, &unwanted).await.pop().unwrap();
+        assert_ne!(ended.state(), v1::job::State::Succeeded, "{down:?}: {ended:?}");
+        server.stop();
+    }
+}
+
+/// One that has begun goes on where it was; whoever follows it on the command line hears of its end.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_in_the_middle_goes_on_and_is_followed() {
+    for down in [Down::Killed, Down::Stopped] {
+        let prepared = Prepared::new().await;
+        let server = prepared.start();
+        let proxy = Proxy::start().await;
+        proxy.forward_to(Some(server.grpc()));
+        let mut rebuild = Built::command("waypost");
+        let arguments = ["map", "rebuild", "drive", "--model", "second", "--into", "anew", "--json"];
+        rebuild.args(arguments).args(["--server", &proxy.endpoint()]);
+        let rebuild = tokio::task::spawn_blocking(move || run_to_its_end(rebuild));
+        let client = server.client().await;
+        let frames = async || client.map("anew", v1::MapView::Basic).await.map_or(0, |map| map.frames);
+        in_time(async {
+            while frames().await < 3 {
+                tokio::time::sleep(std::time::Duration::from_millis(2)).await;
+            }
+        })
+        .await;
+        let there = frames().await;
+        assert!(there < FRAMES, "{down:?}: it was over before the server went down");
+        proxy.forward_to(None);
+        proxy.cut();
+        down.happens(server).await;
+
+        let server = prepared.start();
+        proxy.forward_to(Some(server.grpc()));
+        let ended = in_time(rebuild).await.unwrap();
+        assert!(ended.status.success(), "{down:?}: {}", String::from_utf8_lossy(&ended.stderr));
+        let told: serde_json::Value = serde_json::from_slice(&ended.stdout).unwrap();
+        assert_eq!(told["map"]["name"], "maps/anew", "{down:?}: {told}");
+        let client = server.client().await;
+        assert_eq!(client.jobs().await.unwrap().len(), 2, "{down:?}: it was started again by hand");
+        assert_eq!(state_hash(&client, "anew").await, state_hash(&client, "whole").await, "{down:?}");
+        server.stop();
+    }
+}
+
+/// As if the server had ended in the middle of the last job.
+async fn cut_off(directory: &Path, change: &str) {
+    let mut database = tables(directory).await;
+    let last = format!(
+        "UPDATE jobs SET state = 'running', ended_ns = NULL, result = NULL{change} \
+         WHERE number = (SELECT max(number) FROM jobs)"
+    );
+    sqlx::query(sqlx::AssertSqlSafe(last)).execute(&mut database).await.unwrap();
+}
+
+/// Those with which nobody can go on say why.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_that_cannot_go_on_has_failed_and_says_why() {
+    let prepared = Prepared::new().await;
+    let secrets = {
+        let mut secrets = Vec::new();
+        for name in ["operator", "fleet"] {
+            let directory = prepared.directory.path().into();
+            secrets.push(create_token(directory, name, Role::Admin, TokenLimits::default()).await.unwrap());
+        }
+        secrets
+    };
+    let started = async |secret: &str| {
+        let server = Server::start_on(prepared.directory.path()).await;
+        let options = ClientOptions::new(server.endpoint()).with_token(secret);
+        let client = Client::connect(options).await.unwrap();
+        (server, client)
+    };
+    let (server, client) = started(&secrets[1]).await;
+    let job = client.rebuild_map("drive", &prepared.second, "anew").await.unwrap();
+    succeeded(&client, &job).await;
+    server.stop().await;
+    for (change, why) in [
+        (", begun = 5", "5 servers have begun this job"),
+        (", task = '{\"of_a_later_server\":{}}', begun = 1", "does not know what it was asked for"),
+        (", task = NULL", "the server was stopped or restarted"),
+    ] {
+        cut_off(prepared.directory.path(), change).await;
+        let (server, client) = started(&secrets[0]).await;
+        let ended = client.job(&job.name).await.unwrap();
+        assert_eq!(ended.state(), v1::job::State::Failed, "{why}: {ended:?}");
+        assert!(
+            said(&ended.error).contains(why) && said(&ended.error).contains("start it again"),
+            "{ended:?}"
+        );
+        server.stop().await;
+    }
+
+    // Who asked for it is gone, or what it is about.
+    let (server, client) = started(&secrets[1]).await;
+    let job = client.rebuild_map("drive", &prepared.second, "anew").await.unwrap();
+    succeeded(&client, &job).await;
+    drop(client);
+    server.stop().await;
+    let (server, client) = started(&secrets[0]).await;
+    client.delete_token("fleet").await.unwrap();
+    server.stop().await;
+    cut_off(prepared.directory.path(), "").await;
+    let (server, client) = started(&secrets[0]).await;
+    let ended = client.job(&job.name).await.unwrap();
+    assert!(
+        said(&ended.error).contains("the token fleet, by which this job was asked for, is gone"),
+        "{ended:?}"
+    );
+    let job = client.compact_map("anew").await.unwrap();
+    succeeded(&client, &job).await;
+    client.delete_map("anew").await.unwrap();
+    server.stop().await;
+    cut_off(prepared.directory.path(), "").await;
+    let (server, client) = started(&secrets[0]).await;
+    let ended = client.job(&job.name).await.unwrap();
+    assert!(said(&ended.error).contains("there is no map anew"), "{ended:?}");
+    server.stop().await;
+}
