@@ -178,8 +178,14 @@ def test_rows_are_written_from_reports(monkeypatch: pytest.MonkeyPatch, tmp_path
     head = "<!-- rows of some\n{}\n-->\n\n| a | b |\n|---|---|\n"
     for template, rows in (
         ("runs[*] | {seed} | {error_m:.2} |", "| 1 | 0.00 |\n| 2 | −1.50 |\n"),
-        ("report | {share:%1} % | {total(runs, 'error_m'):.1} |\nkept | as | before |", "| 12.3 % | −1.5 |\n| as | before |\n"),
-        ("runs[1] | {frames} | {frames} |\nsome.runs[0] | {frames:,} | {seed} |", "| – | – |\n| 1,200 | 1 |\n"),
+        (
+            "report | {share:%1} % | {total(runs, 'error_m'):.1} |\nkept | as | before |",
+            "| 12.3 % | −1.5 |\n| as | before |\n",
+        ),
+        (
+            "runs[1] | {frames} | {frames} |\nsome.runs[0] | {frames:,} | {seed} |",
+            "| – | – |\n| 1,200 | 1 |\n",
+        ),
     ):
         page = head.format(template)
         assert tables.page_with_tables(page + "| old | row |\n\nNext.") == page + rows + "\nNext."

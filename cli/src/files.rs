@@ -1,7 +1,7 @@
 //! Files that a command writes, and what it removes.
 
+use std::ffi::OsStr;
 use std::io::{self, IsTerminal, Write};
-
 use std::path::{Path, PathBuf};
 
 use crate::failure::Failure;
@@ -11,6 +11,17 @@ use crate::failure::Failure;
 pub(crate) enum Replacing {
     Allowed,
     Refused,
+}
+
+/// Refuses a name under which nobody finds what is drawn.
+pub(crate) fn check_drawn(file: Option<&Path>) -> Result<(), Failure> {
+    let extension = file.and_then(Path::extension).and_then(OsStr::to_str).unwrap_or("svg");
+    if extension.eq_ignore_ascii_case("svg") {
+        return Ok(());
+    }
+    Err(Failure::Unfit(format!(
+        "the picture is SVG, and .{extension} is not; give a name that ends with .svg"
+    )))
 }
 
 /// Whether people are asked before something is lost for good.

@@ -55,6 +55,11 @@ pub(crate) enum OdometryError {
     NoHeader { line: usize, found: usize },
     #[error("line {line}: {found} columns in place of {wanted}; write `{columns}`")]
     Columns { line: usize, found: usize, wanted: usize, columns: String },
+    #[error(
+        "line {line}: `{text}` are too many seconds for a stamp, and look like nanoseconds; divide them by 1000000000, or write them \
+         without a point into a CSV file with the header `stamp_ns,x_m,y_m,yaw_rad`"
+    )]
+    Nanoseconds { line: usize, text: String },
     #[error("line {line}: `{text}` is no number for {column}; write a finite number")]
     Number { line: usize, column: &'static str, text: String },
     #[error(
@@ -123,8 +128,12 @@ fn csv_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
 
 fn tum_row(line: usize, row: &str) -> Result<StampedPose, OdometryError> {
     let [stamp_s, position_and_rotation @ ..] = fields(line, row.split_whitespace(), TUM_COLUMNS, " ")?;
-    let stamp_ns = nanoseconds_with_exponent(stamp_s);
-    let stamp_ns = stamp_ns.ok_or_else(|| not_a_number(line, TUM_COLUMNS[0], stamp_s))?;
+    let stamp_ns = nanoseconds_with_exponent(stamp_s).ok_or_else(|| match stamp_s.parse::<f64>() {
+        Ok(stamp) if stamp.is_finite() && stamp > 0.0 => {
+            OdometryError::Nanoseconds { line, text: stamp_s.to_owned() }
+        }
+        Ok(_) | Err(_) => not_a_number(line, TUM_COLUMNS[0], stamp_s),
+    })?;
     let [_, columns @ ..] = TUM_COLUMNS;
     let [x, y, z, qx, qy, qz, qw] = numbers(line, position_and_rotation, columns)?;
     let length = [qx, qy, qz, qw].map(|part| part * part).iter().sum::<f64>().sqrt();

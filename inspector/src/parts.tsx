@@ -137,14 +137,24 @@ export function Outcome({ told }: { told: Told }) {
 }
 
 const JOB_POLL_MS = 500;
+/** How long a server is waited for that does not answer: another one may go on with the job. */
+const PATIENCE_MS = 60_000;
+const AWAY = [0, 502, 503, 504];
 
 /** Until a job has ended; says how far it is. What did not go well is an error. */
 export async function ended(begun: Job, tell: (doing: string) => void): Promise<Job> {
     let job = begun;
+    let heard = Date.now();
     while (job.state === "running") {
         tell(`${job.stage || "waiting"}, ${Math.round(job.fraction * 100)} %`);
         await new Promise((later) => setTimeout(later, JOB_POLL_MS));
-        job = await get<Job>(at(begun.name));
+        try {
+            job = await get<Job>(at(begun.name));
+            heard = Date.now();
+        } catch (error) {
+            const away = error instanceof Refusal && AWAY.includes(error.status);
+            if (!away || Date.now() - heard > PATIENCE_MS) throw error;
+        }
     }
     if (job.state !== "succeeded") throw new Error(job.error?.message ?? `The job was ${job.state}.`);
     return job;

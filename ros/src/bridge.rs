@@ -9,7 +9,8 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio::time::{MissedTickBehavior, interval};
 use waypost_bags::Kind;
-use waypost_client::{Client, ClientOptions};
+use waypost_client::v1::MapView;
+use waypost_client::{Client, ClientOptions, Code, Error};
 
 use crate::bus::{Bus, Outgoing, Qos};
 use crate::control::Control;
@@ -85,6 +86,7 @@ pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
     }
     let settings = parts.settings.clone();
     let outbox = parts.outbox.clone();
+    let client = parts.client.clone();
     let membership = bus.membership();
     let sessions = sessions(&parts, &bus)?;
     let tf = bus.write(&settings.topics.tf, Qos::Reliable)?;
@@ -95,6 +97,7 @@ pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
     tasks.push(tokio::spawn(reporting.run()));
     drop(parts);
 
+    tasks.push(tokio::spawn(first_look(client, settings.clone())));
     tracing::info!(
         "listening in domain {} for {}; {} at {}",
         settings.domain,
@@ -122,6 +125,17 @@ pub(crate) async fn run(settings: Settings) -> Result<(), Failure> {
     }
     membership.farewell().await;
     ended
+}
+
+/// Says at once what is wrong with the server or the map, which would be heard only when the first session is opened. The bridge
+/// goes on: either may be there by then.
+async fn first_look(client: Client, settings: Settings) {
+    let Some(map) = &settings.map else { return };
+    match client.map(map, MapView::Basic).await {
+        // A token may be good for streams and not for looking.
+        Ok(_) | Err(Error::Status { code: Code::PermissionDenied, .. }) => {}
+        Err(error) => tracing::warn!("{error}; images wait until that is mended"),
+    }
 }
 
 /// Ends tasks, and waits until they have ended: each has readers or writers, which say farewell when they are dropped.

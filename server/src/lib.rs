@@ -217,7 +217,9 @@ impl Server {
         let Self { service, tls, map_memory_bytes, strangers, cors_origins } = self;
         service.start_upkeep(map_memory_bytes);
         service.use_helpers(tls.as_ref().map(|tls| tls.neighbours.clone()));
-        service.take_up_jobs().await?;
+        if let Err(error) = service.take_up_jobs().await {
+            tracing::error!(%error, "jobs of an earlier server wait for the next start");
+        }
         let stopping = service.stopping().clone();
         let signal = stopping.clone();
         let taken_over = service.taken_over();

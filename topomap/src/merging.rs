@@ -243,9 +243,15 @@ impl Overlap {
 /// Why two maps stay two.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Apart {
-    /// One of the maps has no two places that are linked.
-    #[error("one of the maps has no two places that are linked; drive on until it has some")]
+    /// The map that is to go into the other has no two places that are linked.
+    #[error("it has no two places that are linked yet; drive on until it has some")]
     NothingMeasured,
+    /// The map that others are to go into has none.
+    #[error(
+        "the map that it is to go into has no two places that are linked yet; drive in that one first, or name a target that \
+         there is not yet: it is made of the maps"
+    )]
+    NothingToGoInto,
     /// Nothing looks alike.
     #[error("no place of the one looks like one of the other")]
     NoMatches,

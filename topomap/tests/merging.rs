@@ -347,6 +347,7 @@ fn what_cannot_be_searched_says_why() {
     let empty = Robot::new(unique, PlanarPose::identity(), [0.0; 2]);
     assert_eq!(matches(&empty, &target), []);
     assert_eq!(judged(&empty, &target, &[]), Verdict::Apart(Apart::NothingMeasured));
+    assert_eq!(judged(&source, &empty, &[]), Verdict::Apart(Apart::NothingToGoInto));
     assert_eq!(judged(&source, &target, &[]), Verdict::Apart(Apart::NoMatches));
 }
 

@@ -163,11 +163,21 @@ impl Kept {
     fn tell(&self, out: &mut dyn io::Write, map: &str) -> io::Result<()> {
         let Self { data_dir, server } = self;
         let (data_dir, server) = (data_dir.display(), server.display());
+        let (ports, http) = if is_free(7600) && is_free(7601) {
+            ("", 7601)
+        } else {
+            // A server runs here already.
+            (" --grpc-address 127.0.0.1:7610 --http-address 127.0.0.1:7611", 7611)
+        };
         writeln!(
             out,
-            "The map is kept in {data_dir}. To look at it: `{server} --data-dir {data_dir}`, then"
+            "The map is kept in {data_dir}. To look at it: `{server} --data-dir {data_dir}{ports}`, then"
         )?;
-        writeln!(out, "  http://127.0.0.1:7601/#/maps/{map}")?;
+        writeln!(out, "  http://127.0.0.1:{http}/#/maps/{map}")?;
         writeln!(out, "No demo removes {data_dir}: remove it when you do not need it any more.")
     }
+}
+
+fn is_free(port: u16) -> bool {
+    std::net::TcpListener::bind(("127.0.0.1", port)).is_ok()
 }

@@ -8,7 +8,7 @@ use waypost_client::{Client, ClientOptions, v1};
 use crate::corrections::told;
 use crate::explanations::show_place;
 use crate::failure::{EXIT_CODES, Failure};
-use crate::files::Replacing;
+use crate::files::{Replacing, check_drawn};
 use crate::names::{frame_name, short_map};
 use crate::output::Output;
 
@@ -48,6 +48,7 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let Arguments { map, session, frame, place, words, picture: file, beside, force } = arguments;
     let replacing = Replacing::of(force);
     replacing.check_wanted(file.as_deref())?;
+    check_drawn(file.as_deref())?;
     let client = Client::connect(server).await?;
     let name = frame_name(&client, short_map(&map), &session, &frame).await?;
     let explained = client.explain_frame(&name, place, Some(words)).await?;

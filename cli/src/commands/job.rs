@@ -133,7 +133,7 @@ pub(crate) async fn follow(client: &Client, name: &str, output: Output) -> Resul
                 interrupt.map_err(Failure::Runtime)?;
                 bar.set_message("cancelling");
                 cancelled_here = true;
-                client.cancel_job(name).await?;
+                cancel(client, name).await?;
                 continue;
             }
         };
@@ -157,30 +157,43 @@ pub(crate) async fn follow(client: &Client, name: &str, output: Output) -> Resul
     }
 }
 
-/// The progress of a job, also of one with which a server goes on that was restarted meanwhile.
+/// Cancels a job that is followed.
+async fn cancel(client: &Client, name: &str) -> Result<(), Failure> {
+    match client.cancel_job(name).await {
+        Err(error) if is_away(&error) => Err(Failure::Interrupted(format!(
+            "the server is away; {name} goes on when it is back: cancel it then by `waypost job cancel {name}`"
+        ))),
+        cancelled => Ok(cancelled.map(drop)?),
+    }
+}
+
+/// The progress of a job, also of one with which another server goes on meanwhile.
 struct Steps<'a> {
     client: &'a Client,
     name: &'a str,
     /// None while the server is away.
     progress: Option<JobProgress>,
-    heard: Instant,
+    away_since: Option<Instant>,
 }
 
 impl<'a> Steps<'a> {
     async fn watch(client: &'a Client, name: &'a str) -> Result<Self, Error> {
         let progress = Some(client.watch_job(name).await?);
-        Ok(Self { client, name, progress, heard: Instant::now() })
+        Ok(Self { client, name, progress, away_since: None })
     }
 
     async fn next(&mut self) -> Result<Option<v1::Job>, Error> {
         loop {
             match self.step().await {
-                Err(error) if is_away(&error) && self.heard.elapsed() < PATIENCE => {
+                Err(error) if is_away(&error) => {
                     self.progress = None;
+                    if self.away_since.get_or_insert_with(Instant::now).elapsed() > PATIENCE {
+                        return Err(error);
+                    }
                     sleep(AGAIN).await;
                 }
                 step => {
-                    self.heard = Instant::now();
+                    self.away_since = None;
                     return step;
                 }
             }
@@ -196,7 +209,7 @@ impl<'a> Steps<'a> {
     }
 }
 
-/// Whether the server may be back in a moment.
+/// Whether the server may be back in a moment. UNKNOWN stands for a stream that was cut off without a status.
 fn is_away(error: &Error) -> bool {
-    matches!(error, Error::Connection { .. } | Error::Status { code: Code::Unavailable, .. })
+    matches!(error, Error::Connection { .. } | Error::Status { code: Code::Unavailable | Code::Unknown, .. })
 }

@@ -10,7 +10,7 @@ use waypost_client::{Client, ClientOptions, v1};
 
 use super::job;
 use crate::failure::Failure;
-use crate::files::Replacing;
+use crate::files::{Replacing, check_drawn};
 use crate::names::{numbered, short_map as short};
 use crate::output::{Output, rounded, table};
 
@@ -74,6 +74,7 @@ pub(crate) struct Merging {
 pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output) -> Result<(), Failure> {
     if let Command::Show { picture, force, .. } = &command {
         Replacing::of(*force).check_wanted(picture.as_deref())?;
+        check_drawn(picture.as_deref())?;
     }
     let client = Client::connect(server).await?;
     let full = |name: &str| numbered("merges", name);
@@ -97,6 +98,7 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
 pub(crate) async fn merge(client: &Client, merging: Merging, output: Output) -> Result<(), Failure> {
     let Merging { maps, into, preview, min_support, picture, force } = merging;
     Replacing::of(force).check_wanted(picture.as_deref())?;
+    check_drawn(picture.as_deref())?;
     let request = v1::MergeMapsRequest {
         sources: maps.iter().map(String::as_str).map(named).collect(),
         target: named(&into),
@@ -124,9 +126,16 @@ pub(crate) async fn merge(client: &Client, merging: Merging, output: Output) -> 
 /// `waypost map diff`: what each of two maps has that the other lacks.
 pub(crate) async fn diff(client: &Client, [first, second]: [&str; 2], output: Output) -> Result<(), Failure> {
     let maps = [
-        client.map(short(first), v1::MapView::Basic).await?,
-        client.map(short(second), v1::MapView::Basic).await?,
+        client.map(short(first), v1::MapView::Full).await?,
+        client.map(short(second), v1::MapView::Full).await?,
     ];
+    let names = [short(first), short(second)];
+    if maps[0].state_hash.is_some() && maps[0].state_hash == maps[1].state_hash {
+        let object = json!({ "maps": names, "same_state": true });
+        return output.result(&object, |out| {
+            writeln!(out, "{} and {} hold the same: their state hashes are one", names[0], names[1])
+        });
+    }
     let request = v1::MergeMapsRequest {
         sources: vec![named(second)],
         target: named(first),
@@ -147,11 +156,10 @@ pub(crate) async fn diff(client: &Client, [first, second]: [&str; 2], output: Ou
         None => (None, None),
     };
     let both = overlap.as_ref().map_or(0, |overlap| overlap.fused_places);
-    let names = [short(first), short(second)];
     let object = json!({
         "maps": names, "places": places, "places_of_second_in_first": both,
         "places_of_second_alone": places[1].saturating_sub(both),
-        "same_model": same_model, "same_settings": same_settings, "overlap": overlap,
+        "same_model": same_model, "same_settings": same_settings, "same_state": false, "overlap": overlap,
         "no_overlap_reason": no_overlap_reason,
     });
     output.result(&object, |out| {
@@ -226,8 +234,14 @@ fn show(merge: &v1::Merge, output: Output) -> Result<(), Failure> {
         }
         if let Some(base) = &merge.base {
             writeln!(out, "{}, {} places", base.map, base.places)?;
-            if merge.state() == v1::merge::State::Committed {
-                writeln!(out, "  {} is a copy of it, with the others on it", merge.target)?;
+            match merge.state() {
+                v1::merge::State::Committed => {
+                    writeln!(out, "  {} is a copy of it, with the others on it", merge.target)?;
+                }
+                v1::merge::State::Undone => {
+                    writeln!(out, "  {}, which was a copy of it, is gone", merge.target)?;
+                }
+                _ => {}
             }
             show_sessions(base, out)?;
         }
@@ -275,7 +289,7 @@ fn show_overlap(overlap: &v1::MapOverlap, out: &mut dyn Write) -> io::Result<()>
             let [x_m, y_m] = [position.x, position.y].map(|metres| rounded(metres, 2));
             writeln!(out, "  lies at              x {x_m} m, y {y_m} m, turned by {degrees} degrees")?;
         }
-        None => writeln!(out, "  lies at              not known: one of the maps has no odometry")?,
+        None => writeln!(out, "  lies at              not known: not both maps have odometry")?,
     }
     writeln!(out, "  matches              {agreeing_matches} agree, {rejected_matches} do not")?;
     writeln!(out, "  next best way        {rival_matches} matches")?;

@@ -52,20 +52,23 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
             Some(v1::Match { place_number, posterior, log_odds: _, frame, geometry }) => {
                 let verdict = if *accepted { "seen before" } else { "not sure" };
                 // Without views to compare, the posterior decides.
-                let of_posterior = if geometry.is_none() { asked_for.as_str() } else { "" };
-                writeln!(out, "{verdict}: place {place_number}, posterior {posterior:.6}{of_posterior}")?;
-                if let Some(frame) = frame {
-                    writeln!(out, "best match: frame {} of {}", frame.sequence, frame.session)?;
+                match geometry {
+                    Some(v1::Geometry { probability, .. }) => {
+                        writeln!(out, "{verdict}: place {place_number}, probability {probability:.3}{asked_for}")?;
+                    }
+                    None => writeln!(out, "{verdict}: place {place_number}, posterior {posterior:.6}{asked_for}")?,
                 }
-                if let Some(v1::Geometry { matches, inliers, evidence_inliers, look_alike_inliers, probability, .. }) =
-                    geometry
-                {
+                if let Some(frame) = frame {
+                    let note = if frame.note.is_empty() { String::new() } else { format!(", {}", frame.note) };
+                    writeln!(out, "best match: frame {} of {}{note}", frame.sequence, frame.session)?;
+                }
+                if let Some(v1::Geometry { matches, inliers, evidence_inliers, look_alike_inliers, .. }) = geometry {
                     writeln!(
                         out,
                         "geometry: {inliers} of {matches} matches agree, evidence {evidence_inliers:.1} inliers, \
-                         look-alikes show {look_alike_inliers:.1}; \
-                         probability {probability:.3}{asked_for}"
+                         look-alikes show {look_alike_inliers:.1}"
                     )?;
+                    writeln!(out, "words alone: posterior {posterior:.6}")?;
                 }
             }
             None => {

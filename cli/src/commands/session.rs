@@ -161,18 +161,23 @@ fn frames(frames: &[v1::FrameRecord], output: Output) -> Result<(), Failure> {
         let rows = frames.iter().map(|frame| {
             let v1::FrameStorage { log_bytes, features_bytes, thumbnail_bytes, image_bytes } =
                 frame.storage.unwrap_or_default();
-            let (sequence, reason, place, posterior) = match &frame.answer {
+            let (sequence, reason, place, posterior, probability) = match &frame.answer {
                 Some(answer) => (
                     answer.sequence.to_string(),
                     answer.reason().json_name().to_owned(),
                     answer.place_number.map_or("-".to_owned(), |place| place.to_string()),
                     format!("{:.6}", answer.posterior),
+                    answer
+                        .r#match
+                        .as_ref()
+                        .and_then(|matched| matched.geometry.as_ref())
+                        .map_or_else(|| "-".to_owned(), |geometry| format!("{:.3}", geometry.probability)),
                 ),
                 None => Default::default(),
             };
             let bytes = log_bytes + features_bytes + thumbnail_bytes + image_bytes;
-            [sequence, reason, place, posterior, bytes.to_string(), frame.note.clone()]
+            [sequence, reason, place, probability, posterior, bytes.to_string(), frame.note.clone()]
         });
-        table(out, ["FRAME", "REASON", "PLACE", "POSTERIOR", "BYTES", "NOTE"], rows)
+        table(out, ["FRAME", "REASON", "PLACE", "PROBABILITY", "POSTERIOR", "BYTES", "NOTE"], rows)
     })
 }

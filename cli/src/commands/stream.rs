@@ -16,6 +16,7 @@ use waypost_client::{Client, ClientOptions, SessionOptions, v1};
 use self::agreement::{FRAMES_AT_FIRST, Streamed, has_odometry};
 use self::opening::{
     Opened, Reading, check_resumed, declared_camera, metres_left_out, panoramas_for_metres, recording,
+    smaller_than_the_models,
 };
 use self::summary::{Hints, conclude};
 pub(crate) use self::telling::closure_line;
@@ -157,7 +158,9 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let Opened { recording, folder: _folder } = recording(&dir, reading, Asking::unless(yes), output).await?;
     let camera = declared_camera(seeing, &recording)?;
     let client = Client::connect(server).await?;
-    if let Some(line) = panoramas_for_metres(&client, &map, camera.as_ref()).await {
+    let of_panoramas = panoramas_for_metres(&client, &map, camera.as_ref()).await;
+    let of_size = smaller_than_the_models(&client, &map, &recording).await;
+    for line in of_panoramas.into_iter().chain(of_size) {
         // If stderr is closed, the hint is lost.
         let _ = writeln!(std::io::stderr(), "{line}");
     }

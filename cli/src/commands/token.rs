@@ -120,7 +120,15 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
             Asking::unless(yes)
                 .confirm_loss(&format!("delete the token {name}? calls and streams that use it end"))?;
             client.delete_token(&name).await?;
-            output.result(&json!({ "deleted": name }), |out| writeln!(out, "deleted {name}"))
+            // With the last one, whoever asks is heard without.
+            let none_left = client.tokens().await.is_ok_and(|left| left.is_empty());
+            output.result(&json!({ "deleted": name }), |out| {
+                writeln!(out, "deleted {name}")?;
+                if none_left {
+                    writeln!(out, "no token is left: who reaches the server may do everything; `waypost token create` makes one")?;
+                }
+                Ok(())
+            })
         }
     }
 }

@@ -28,7 +28,7 @@ impl Client {
         self.taken(self.jobs_client().get_job(v1::GetJobRequest { name: name.to_owned() }).await)
     }
 
-    /// Follows a job until it has ended. A job that a restart of the server interrupted has failed.
+    /// Follows a job until it has ended. Where the server ends first, follow it again: many jobs go on with the next one.
     ///
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND.

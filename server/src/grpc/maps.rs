@@ -221,8 +221,8 @@ impl MapService for Adapter {
         &self,
         request: Request<v1::CompactMapRequest>,
     ) -> Result<Response<v1::Job>, Status> {
-        let v1::CompactMapRequest { name } = within(request)?;
-        Ok(Response::new(job(self.service.rewriting.compact(&name).await?)))
+        let (caller, v1::CompactMapRequest { name }) = with_caller(request)?;
+        Ok(Response::new(job(self.service.rewriting.compact(&caller, &name).await?)))
     }
 
     async fn repair_map(&self, request: Request<v1::RepairMapRequest>) -> Result<Response<v1::Job>, Status> {

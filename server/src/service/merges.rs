@@ -21,7 +21,7 @@ use tokio_util::sync::CancellationToken;
 use topomap::merging::MergePlan;
 
 use super::deleted_maps::DeletedMaps;
-use super::jobs::{JobOutcome, JobReporter, Jobs, Order, to_its_end};
+use super::jobs::{JobOutcome, JobReporter, JobRequest, Jobs, to_its_end};
 use super::map_names::{MapNames, Reservation};
 use super::rewriting::Rewriting;
 use super::tokens::Caller;
@@ -49,6 +49,7 @@ pub(crate) enum CommitPolicy {
 
 /// Maps that are to become one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct MergeRequest {
     /// `maps/{map}` each.
     pub(crate) sources: Vec<String>,
@@ -192,8 +193,8 @@ impl Merges {
             }
             outcome
         };
-        let order = Order::of_this_server(JobKind::MergeMaps, &view.maps());
-        let job = match self.jobs.start(order, work).await {
+        let request = JobRequest::of_this_server(JobKind::MergeMaps, &view.maps());
+        let job = match self.jobs.start(request, work).await {
             Ok(job) => job,
             Err(error) => {
                 self.proposals().insert(number, kept);

@@ -14,7 +14,7 @@ use fabmap::model::{Model, ModelTrainingError, ModelTrainingSettings, TrainingSt
 use fabmap::vocabulary::VocabularySettings;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-use super::jobs::{JobOutcome, JobReporter, JobStatus, Jobs, Order};
+use super::jobs::{JobOutcome, JobReporter, JobRequest, JobStatus, Jobs};
 use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::ingest::extraction::Extraction;
@@ -149,7 +149,7 @@ impl Models {
         self.check_name_is_free(&upload.display_name, None).await?;
         let models = self.clone();
         let work = move |reporter: JobReporter| async move { models.train(upload, &reporter).await };
-        self.jobs.start(Order::of_this_server(JobKind::TrainModel, &[]), work).await
+        self.jobs.start(JobRequest::of_this_server(JobKind::TrainModel, &[]), work).await
     }
 
     async fn train(&self, upload: TrainingUpload, reporter: &JobReporter) -> JobOutcome {

@@ -11,7 +11,7 @@ use topomap::ids::FrameId;
 use topomap::log::MapEvent;
 
 use self::resending::{KeptFrame, Resending, Streams, WithoutContent};
-use super::jobs::{AskedBy, Begun, JobOutcome, JobReporter, JobStatus, Jobs, Order, Stopped, Task};
+use super::jobs::{Begun, JobOutcome, JobReporter, JobRequest, JobStatus, Jobs, Stopped, Task};
 use super::map_names::map_exists;
 use super::maps::{Maps, check_recognizer};
 use super::sessions::Sessions;
@@ -70,21 +70,27 @@ impl Rebuilding {
         let settings = map_settings::from_json(&source.settings)?;
         check_kept(&source, settings.keep, &before, &loaded)?;
         check_recognizer(loaded, settings.mapper).await?;
+        // It was made before the job was noted.
+        if matches!(begun, Begun::Before(_)) && self.maps.storage.map(&into).await?.is_none() {
+            return Err(ServiceError::aborted(format_args!(
+                "the map {into}, which was being made, was deleted; start it again if you want it all the same"
+            )));
+        }
         self.make(JobKind::RebuildMap, caller, &source, &model.hash, &into).await?;
         let sessions = self.maps.storage.stored_sessions(source.id).await?;
         let task = Task::RebuildMap {
             map: name.to_owned(),
             model: model_name(&model.hash),
             into: into.clone(),
-            asked_by: AskedBy(caller.token.clone()),
+            asked_by: caller.token.clone(),
         };
         let maps = vec![from.to_owned(), into.clone()];
-        let order = Order { kind: JobKind::RebuildMap, maps, task: Some(task), begun };
+        let request = JobRequest { kind: JobKind::RebuildMap, maps, task: Some(task), begun };
         let resending = Resending::new(source, sessions, into, WithoutContent::Refuse);
         let rebuild = Rebuild { resending, words: before.model.vocabulary().len() };
         let rebuilding = self.clone();
         let work = move |reporter: JobReporter| async move { rebuilding.rebuild(rebuild, &reporter).await };
-        self.jobs.start(order, work).await
+        self.jobs.start(request, work).await
     }
 
     /// Makes the new map, with the settings of the other; one that was begun before is gone on with.

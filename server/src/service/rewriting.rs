@@ -8,8 +8,9 @@ mod trimming;
 use std::sync::Arc;
 
 use super::deleted_maps::DeletedMaps;
-use super::jobs::{Begun, JobOutcome, JobReporter, JobStatus, Jobs, Order, Stopped, Task};
+use super::jobs::{Begun, JobOutcome, JobReporter, JobRequest, JobStatus, Jobs, Stopped, Task};
 use super::navigation::Registry;
+use super::tokens::Caller;
 use crate::error::ServiceError;
 use crate::ingest::model::LoadedModels;
 use crate::names::{map_in, map_name};
@@ -31,17 +32,22 @@ pub(crate) struct Rewriting {
 
 impl Rewriting {
     /// Makes what a map holds now its new beginning, and wipes from the disk what was removed.
-    pub(crate) async fn compact(&self, name: &str) -> Result<JobStatus, ServiceError> {
-        self.start_compacting(name, Begun::Now).await
+    pub(crate) async fn compact(&self, caller: &Caller, name: &str) -> Result<JobStatus, ServiceError> {
+        self.start_compacting(caller, name, Begun::Now).await
     }
 
-    pub(super) async fn start_compacting(&self, name: &str, begun: Begun) -> Result<JobStatus, ServiceError> {
+    pub(super) async fn start_compacting(
+        &self,
+        caller: &Caller,
+        name: &str,
+        begun: Begun,
+    ) -> Result<JobStatus, ServiceError> {
         let map = self.open_maps.row(map_in(name)?).await?;
         let rewriting = self.clone();
-        let order = Order {
+        let request = JobRequest {
             kind: JobKind::CompactMap,
             maps: vec![map.name.clone()],
-            task: Some(Task::CompactMap { map: name.to_owned() }),
+            task: Some(Task::CompactMap { map: name.to_owned(), asked_by: caller.token.clone() }),
             begun,
         };
         let work = move |reporter: JobReporter| async move {
@@ -66,7 +72,7 @@ impl Rewriting {
                 Err(error) => JobOutcome::Failed(error.into()),
             }
         };
-        self.jobs.start(order, work).await
+        self.jobs.start(request, work).await
     }
 
     /// Places may have other numbers afterwards: a robot must not end up at another place than it was sent to.

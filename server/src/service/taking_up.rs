@@ -1,62 +1,89 @@
 //! Jobs that an earlier server began, and this one goes on with.
 
+use std::sync::Arc;
+use std::time::Duration;
+
 use super::Service;
-use super::jobs::{AskedBy, Begun, JobStatus, Task};
-use super::merges::MergeView;
-use super::tokens::Caller;
+use super::jobs::{Begun, JobOutcome, JobReporter, Task};
+use super::tokens::{Access, Caller};
 use crate::error::ServiceError;
-use crate::storage::JobRow;
+
+/// How often it is tried where the database is held up.
+const AGAIN: Duration = Duration::from_secs(5);
 
 impl Service {
-    /// Goes on with what earlier servers did not come to the end of, in the order in which it was asked for.
-    pub(crate) async fn take_up_jobs(&self) -> Result<(), ServiceError> {
-        for job in self.storage.begin_jobs_again().await? {
-            let number = job.number;
-            match self.take_up(job.clone()).await {
-                Ok(()) => tracing::info!(job = number, "a job of an earlier server goes on"),
-                Err(error) => self.jobs.fail(job, error).await?,
+    /// Goes on in the background with what earlier servers did not come to the end of, the oldest first.
+    pub(crate) async fn take_up_jobs(self: &Arc<Self>) -> Result<(), ServiceError> {
+        let left_over = self.jobs.left_over().await?;
+        let service = self.clone();
+        self.jobs.track(async move {
+            for (job, task) in left_over {
+                service.take_up(job, task).await;
             }
-        }
+        });
         Ok(())
     }
 
-    async fn take_up(&self, job: JobRow) -> Result<(), ServiceError> {
-        let Some(task) = job.task.as_deref().and_then(Task::from_json) else {
-            return Err(ServiceError::aborted(
-                "the server that began this job ended, and this one does not know what it was asked for; start it again",
-            ));
+    async fn take_up(&self, job: JobReporter, task: Option<Task>) {
+        let number = job.number();
+        let taken_up = loop {
+            match self.begin_again(&job, task.clone()).await {
+                Err(ServiceError::Unavailable { .. }) => {
+                    tokio::select! {
+                        () = tokio::time::sleep(AGAIN) => {}
+                        // The next one goes on with it.
+                        () = self.stopping.cancelled() => return,
+                    }
+                }
+                taken_up => break taken_up,
+            }
         };
+        match taken_up {
+            Ok(()) => tracing::info!(job = number, "a job of an earlier server goes on"),
+            Err(error) => {
+                tracing::warn!(job = number, %error, "a job of an earlier server cannot go on");
+                self.merges.fail_with_job(number, &error).await;
+                self.jobs.end(&job, JobOutcome::Failed(error)).await;
+            }
+        }
+    }
+
+    async fn begin_again(&self, job: &JobReporter, task: Option<Task>) -> Result<(), ServiceError> {
+        let task = task.ok_or_else(|| {
+            ServiceError::aborted(
+                "the server that began this job ended, and this one does not know what it was asked for; start it again",
+            )
+        })?;
+        let caller = self.caller(task.asked_by())?;
         let begun = Begun::Before(job.clone());
-        let job_goes_on = |_: JobStatus| ();
-        let merge_goes_on = |_: MergeView| ();
         match task {
-            Task::CompactMap { map } => self.rewriting.start_compacting(&map, begun).await.map(job_goes_on),
-            Task::DeleteSession { session } => {
-                self.rewriting.start_deleting_session(&session, begun).await.map(job_goes_on)
+            Task::CompactMap { map, asked_by: _ } => {
+                caller.check_resource(&map)?;
+                self.rewriting.start_compacting(&caller, &map, begun).await.map(drop)
             }
-            Task::RebuildMap { map, model, into, asked_by } => {
-                let caller = self.caller(asked_by)?;
-                self.rebuilding.start_rebuilding(&caller, &map, &model, &into, begun).await.map(job_goes_on)
+            Task::RebuildMap { map, model, into, asked_by: _ } => {
+                self.rebuilding.start_rebuilding(&caller, &map, &model, &into, begun).await.map(drop)
             }
-            Task::RepairMap { map, into, copy, asked_by } => {
-                let caller = self.caller(asked_by)?;
-                self.rebuilding.start_repairing(&caller, &map, &into, &copy, begun).await.map(job_goes_on)
+            Task::RepairMap { map, into, copy, asked_by: _ } => {
+                self.rebuilding.start_repairing(&caller, &map, &into, &copy, begun).await.map(drop)
             }
-            Task::SearchMerge { merge, request, asked_by } => {
-                let caller = self.caller(asked_by)?;
-                self.merges.search_again(merge, request, &caller, job).await.map(merge_goes_on)
+            Task::SearchMerge { merge, request, asked_by: _ } => {
+                self.merges.search_again(merge, request, &caller, begun).await
             }
-            Task::UndoMerge { merge } => self.merges.undo_again(merge, job).await.map(merge_goes_on),
         }
     }
 
     /// Who asked for a job, as they are known now.
-    fn caller(&self, AskedBy(token): AskedBy) -> Result<Caller, ServiceError> {
+    fn caller(&self, token: Option<&str>) -> Result<Caller, ServiceError> {
         let Some(name) = token else { return Ok(Caller::anybody()) };
-        self.tokens.caller_named(&name).ok_or_else(|| {
-            ServiceError::precondition(format_args!(
-                "the token {name}, by which this job was asked for, is gone; start it again with another"
-            ))
+        let caller = self.tokens.caller_named(name);
+        let caller = caller.filter(|caller| caller.check(Access::ADMIN).is_ok());
+        // Others than who asked read what became of the job.
+        caller.ok_or_else(|| {
+            tracing::warn!(token = name, "a job is not gone on with, since the token by which it was asked for is gone");
+            ServiceError::precondition(
+                "the token by which this job was asked for is gone, or good for less by now; start it again with another",
+            )
         })
     }
 }

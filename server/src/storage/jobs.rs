@@ -164,15 +164,16 @@ impl Storage {
 
     /// Every job that still runs, and with which no server can go on, has failed. What such a job brought in on the way stays
     /// noted in its row; see [`Storage::drop_unfinished_model`].
-    pub(crate) async fn fail_jobs_cut_off(
+    pub(crate) async fn fail_jobs_without_task(
         &self,
         error: &StoredError,
         ended_ns: i64,
     ) -> Result<u64, StorageError> {
-        self.fail_running_jobs("task IS NULL", error, ended_ns).await
+        let which = "task IS NULL";
+        self.fail_running_jobs(which, error, ended_ns).await
     }
 
-    /// Every job that still runs, and that so many servers have begun, has failed.
+    /// Every job that still runs, and on which so many servers have ended, has failed.
     pub(crate) async fn fail_jobs_begun(
         &self,
         times: u32,
@@ -204,25 +205,33 @@ impl Storage {
         .await
     }
 
-    /// The jobs that still run and that another server began, oldest first: this one begins them now.
-    pub(crate) async fn begin_jobs_again(&self) -> Result<Vec<JobRow>, StorageError> {
-        self.write(async |transaction| {
-            sqlx::query("UPDATE jobs SET begun = begun + 1 WHERE state = 'running'")
-                .execute(&mut **transaction)
+    /// The numbers of the jobs that still run, oldest first.
+    pub(crate) async fn running_jobs(&self) -> Result<Vec<u64>, StorageError> {
+        let numbers: Vec<i64> =
+            sqlx::query_scalar("SELECT number FROM jobs WHERE state = 'running' ORDER BY number")
+                .fetch_all(&self.readers)
                 .await?;
-            let query = format!("SELECT {COLUMNS} FROM jobs WHERE state = 'running' ORDER BY number");
-            Ok(sqlx::query_as(sqlx::AssertSqlSafe(query)).fetch_all(&mut **transaction).await?)
-        })
-        .await
+        numbers.into_iter().map(from_sql).collect()
+    }
+
+    /// A server works on the job from now on; it is taken back if that server stops in good order.
+    pub(crate) async fn count_beginning(&self, number: u64) -> Result<(), StorageError> {
+        self.change_job(number, "begun = begun + 1").await
+    }
+
+    pub(crate) async fn take_back_beginning(&self, number: u64) -> Result<(), StorageError> {
+        self.change_job(number, "begun = begun - 1").await
     }
 
     /// No other server goes on with the job.
     pub(crate) async fn forget_task(&self, number: u64) -> Result<(), StorageError> {
+        self.change_job(number, "task = NULL").await
+    }
+
+    async fn change_job(&self, number: u64, change: &str) -> Result<(), StorageError> {
+        let query = format!("UPDATE jobs SET {change} WHERE number = $1");
         self.write(async |transaction| {
-            sqlx::query("UPDATE jobs SET task = NULL WHERE number = $1")
-                .bind(to_sql(number))
-                .execute(&mut **transaction)
-                .await?;
+            sqlx::query(sqlx::AssertSqlSafe(query)).bind(to_sql(number)).execute(&mut **transaction).await?;
             Ok(())
         })
         .await

@@ -74,6 +74,14 @@ impl Storage {
         self.noting_rot(map, Where::Event(frame), medium.map_err(StorageError::from)).await
     }
 
+    /// Reads all that is kept of a frame beside its words; damage is noted, and given as an error.
+    pub(crate) async fn read_media(&self, map: MapId, frame: FrameId) -> Result<(), StorageError> {
+        let select = "SELECT content FROM frame_media WHERE map_id = $1 AND position = $2";
+        let query = sqlx::query_scalar(select).bind(map).bind(to_sql(frame));
+        let media: Result<Vec<Vec<u8>>, _> = query.fetch_all(&self.readers).await;
+        self.noting_rot(map, Where::Event(frame), media.map(drop).map_err(StorageError::from)).await
+    }
+
     /// Where a frame's features are, if that is kept, with the camera that its session declared.
     pub(crate) async fn features(
         &self,

@@ -212,7 +212,41 @@ impl Storage {
         .await
     }
 
-    /// All that are looked for or wait for a decision have failed: for the start of a server, which knows nothing of them.
+    /// A search that another server began, and perhaps came to an end of, is begun again.
+    pub(crate) async fn begin_search_again(&self, number: u64, report: &str) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            sqlx::query(
+                "UPDATE merges SET state = 'searching', report = $1, picture = NULL \
+                 WHERE number = $2 AND state IN ('searching', 'proposed')",
+            )
+            .bind(report)
+            .bind(to_sql(number))
+            .execute(&mut **transaction)
+            .await?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// What a job looked for, or was to commit, has failed with it.
+    pub(crate) async fn fail_merge_of_job(&self, job: u64, error: &StoredError) -> Result<(), StorageError> {
+        self.write(async |transaction| {
+            sqlx::query(
+                "UPDATE merges SET state = 'failed', error = $1, error_code = $2 \
+                 WHERE job = $3 AND state IN ('searching', 'proposed')",
+            )
+            .bind(&error.message)
+            .bind(&error.code)
+            .bind(to_sql(job))
+            .execute(&mut **transaction)
+            .await?;
+            Ok(())
+        })
+        .await
+    }
+
+    /// All that are looked for or wait for a decision have failed, but for those with whose job this server goes on: for its
+    /// start, when it knows nothing of them.
     pub(crate) async fn fail_open_merges(&self, error: &StoredError) -> Result<(), StorageError> {
         self.write(async |transaction| {
             sqlx::query(

@@ -33,13 +33,23 @@ async fn a_job_goes_on_with_the_next_owner() {
             }
         })
         .await;
+        let before = client.job(&job.name).await.unwrap();
+        assert_eq!(before.state(), v1::job::State::Running, "{name}: it was over before the owner went");
         fleet.signal(owner, signal);
         let ended = in_time(async {
             loop {
-                match client.job(&job.name).await {
-                    Ok(job) if job.state() != v1::job::State::Running => return job,
-                    // The database has no owner for a moment.
-                    Ok(_) | Err(_) => tokio::time::sleep(std::time::Duration::from_millis(50)).await,
+                // The database has no owner for a moment.
+                let last = async {
+                    let mut steps = client.watch_job(&job.name).await.ok()?;
+                    let mut last = None;
+                    while let Ok(Some(step)) = steps.next().await {
+                        last = Some(step);
+                    }
+                    last
+                };
+                match last.await {
+                    Some(job) if job.state() != v1::job::State::Running => return job,
+                    Some(_) | None => tokio::time::sleep(std::time::Duration::from_millis(50)).await,
                 }
             }
         })

@@ -82,16 +82,22 @@ async fn long_training(client: &Client) -> v1::Job {
     in_time(client.train_model(settings, images)).await.unwrap()
 }
 
-fn to_merge() -> v1::MergeMapsRequest {
+#[derive(Clone, Copy, PartialEq)]
+enum OnceFound {
+    Propose,
+    Commit,
+}
+
+fn to_merge(target: &str, once_found: OnceFound) -> v1::MergeMapsRequest {
     v1::MergeMapsRequest {
         sources: vec!["maps/drive".to_owned(), "maps/other".to_owned()],
-        target: "maps/both".to_owned(),
-        auto_commit: true,
+        target: format!("maps/{target}"),
+        auto_commit: once_found == OnceFound::Commit,
         min_support: Some(3),
     }
 }
 
-/// Those that had not begun, in the order in which they were asked for.
+/// Those that had not begun.
 #[tokio::test(flavor = "multi_thread")]
 async fn jobs_that_waited_for_their_turn_are_done_by_the_next_server() {
     for down in [Down::Killed, Down::Stopped] {
@@ -100,46 +106,41 @@ async fn jobs_that_waited_for_their_turn_are_done_by_the_next_server() {
         let client = server.client().await;
         let training = long_training(&client).await;
         let rebuilding = client.rebuild_map("drive", &prepared.second, "anew").await.unwrap();
-        let merge = client.merge_maps(to_merge()).await.unwrap();
+        let merge = client.merge_maps(to_merge("both", OnceFound::Commit)).await.unwrap();
         let merging = client.job(&merge.job).await.unwrap();
-        let removing = client.delete_session("maps/drive/sessions/second").await.unwrap();
+        let looked_for = client.merge_maps(to_merge("perhaps", OnceFound::Propose)).await.unwrap();
+        let searching = client.job(&looked_for.job).await.unwrap();
         let compacting = client.compact_map("drive").await.unwrap();
+        let unwanted = client.compact_map("other").await.unwrap();
+        let removing = client.delete_session("maps/drive/sessions/second").await.unwrap();
         assert_eq!(client.job(&training.name).await.unwrap().state(), v1::job::State::Running, "{down:?}");
+        // Somebody thinks again, and the next server does not do it all the same.
+        client.cancel_job(&unwanted.name).await.unwrap();
         down.happens(server).await;
 
         let server = prepared.start();
         let client = server.client().await;
-        for job in [&rebuilding, &merging, &removing, &compacting] {
+        for job in [&rebuilding, &merging, &searching, &compacting] {
             succeeded(&client, job).await;
         }
-        // What came in a stream is gone, and with it what was to be made of it.
-        let cut_off = client.job(&training.name).await.unwrap();
-        assert_eq!(cut_off.state(), v1::job::State::Failed, "{down:?}: {cut_off:?}");
-        // Before the session was removed.
+        assert_eq!(client.job(&unwanted.name).await.unwrap().state(), v1::job::State::Cancelled, "{down:?}");
+        // What came in a stream is gone, and with it what was to be made of it. What gives places other numbers is asked
+        // for again by who knows that no robot is on its way to one of them.
+        for job in [&training, &removing] {
+            let cut_off = client.job(&job.name).await.unwrap();
+            assert_eq!(cut_off.state(), v1::job::State::Failed, "{down:?}: {cut_off:?}");
+            assert!(said(&cut_off.error).contains("start it again"), "{down:?}: {cut_off:?}");
+        }
+        assert_eq!(client.sessions("drive").await.unwrap().len(), 2, "{down:?}");
         assert_eq!(state_hash(&client, "anew").await, state_hash(&client, "whole").await, "{down:?}");
         let merge = client.merge(&merge.name).await.unwrap();
         assert_eq!(merge.state(), v1::merge::State::Committed, "{down:?}: {merge:?}");
         let both = client.map("both", v1::MapView::Full).await.unwrap();
         assert_eq!(both.frames, FRAMES + 5 + 22, "{down:?}");
-        let left = client.sessions("drive").await.unwrap();
-        assert_eq!(left.len(), 1, "{down:?}: {left:?}");
-
-        // What it took to undo a merge, too.
-        let training = long_training(&client).await;
-        let undoing = client.undo_merge(&merge.name).await.unwrap();
-        let undoing = client.job(&undoing.job).await.unwrap();
-        // Somebody thinks again, and the next server does not do it all the same.
-        let unwanted = client.compact_map("drive").await.unwrap();
-        client.cancel_job(&unwanted.name).await.unwrap();
-        assert_eq!(client.job(&training.name).await.unwrap().state(), v1::job::State::Running, "{down:?}");
-        down.happens(server).await;
-        let server = prepared.start();
-        let client = server.client().await;
-        followed(&client, &undoing).await;
-        let undone = client.merge(&merge.name).await.unwrap();
-        assert_eq!(undone.state(), v1::merge::State::Undone, "{down:?}: {undone:?}");
-        let ended = followed(&client, &unwanted).await.pop().unwrap();
-        assert_ne!(ended.state(), v1::job::State::Succeeded, "{down:?}: {ended:?}");
+        // A proposal of this server's, which can be committed.
+        let committed = client.commit_merge(&looked_for.name).await.unwrap();
+        succeeded(&client, &client.job(&committed.job).await.unwrap()).await;
+        assert_eq!(state_hash(&client, "perhaps").await, state_hash(&client, "both").await, "{down:?}");
         server.stop();
     }
 }
@@ -164,8 +165,8 @@ async fn a_job_in_the_middle_goes_on_and_is_followed() {
             }
         })
         .await;
-        let there = frames().await;
-        assert!(there < FRAMES, "{down:?}: it was over before the server went down");
+        let job = client.jobs().await.unwrap().remove(0);
+        assert_eq!(job.state(), v1::job::State::Running, "{down:?}: it was over before the server went down");
         proxy.forward_to(None);
         proxy.cut();
         down.happens(server).await;
@@ -216,13 +217,13 @@ async fn a_job_that_cannot_go_on_has_failed_and_says_why() {
     succeeded(&client, &job).await;
     server.stop().await;
     for (change, why) in [
-        (", begun = 5", "5 servers have begun this job"),
-        (", task = '{\"of_a_later_server\":{}}', begun = 1", "does not know what it was asked for"),
+        (", begun = 5", "5 servers were killed, or crashed, while they worked on this job"),
+        (", task = '{\"of_a_later_server\":{}}', begun = 0", "does not know what it was asked for"),
         (", task = NULL", "the server was stopped or restarted"),
     ] {
         cut_off(prepared.directory.path(), change).await;
         let (server, client) = started(&secrets[0]).await;
-        let ended = client.job(&job.name).await.unwrap();
+        let ended = followed(&client, &job).await.pop().unwrap();
         assert_eq!(ended.state(), v1::job::State::Failed, "{why}: {ended:?}");
         assert!(
             said(&ended.error).contains(why) && said(&ended.error).contains("start it again"),
@@ -242,18 +243,82 @@ async fn a_job_that_cannot_go_on_has_failed_and_says_why() {
     server.stop().await;
     cut_off(prepared.directory.path(), "").await;
     let (server, client) = started(&secrets[0]).await;
-    let ended = client.job(&job.name).await.unwrap();
-    assert!(
-        said(&ended.error).contains("the token fleet, by which this job was asked for, is gone"),
-        "{ended:?}"
-    );
+    let ended = followed(&client, &job).await.pop().unwrap();
+    assert!(said(&ended.error).contains("the token by which this job was asked for is gone"), "{ended:?}");
     let job = client.compact_map("anew").await.unwrap();
     succeeded(&client, &job).await;
     client.delete_map("anew").await.unwrap();
     server.stop().await;
     cut_off(prepared.directory.path(), "").await;
     let (server, client) = started(&secrets[0]).await;
-    let ended = client.job(&job.name).await.unwrap();
+    let ended = followed(&client, &job).await.pop().unwrap();
     assert!(said(&ended.error).contains("there is no map anew"), "{ended:?}");
     server.stop().await;
+}
+
+/// A job that takes its servers with it does not do so for ever; one that only waits, or whose servers are stopped, is not
+/// taken for such.
+#[tokio::test(flavor = "multi_thread")]
+async fn servers_that_are_killed_at_a_job_are_counted() {
+    let prepared = Prepared::new().await;
+    let beginnings = async || {
+        let mut database = tables(prepared.directory.path()).await;
+        sqlx::query_scalar::<_, i64>("SELECT begun FROM jobs ORDER BY number")
+            .fetch_all(&mut database)
+            .await
+            .unwrap()
+    };
+    let server = prepared.start();
+    let client = server.client().await;
+    let rebuilding = client.rebuild_map("drive", &prepared.second, "anew").await.unwrap();
+    let waiting = client.compact_map("other").await.unwrap();
+    in_time(async {
+        while client.map("anew", v1::MapView::Basic).await.map_or(0, |map| map.frames) < 3 {
+            tokio::time::sleep(std::time::Duration::from_millis(2)).await;
+        }
+    })
+    .await;
+    assert_eq!(client.job(&rebuilding.name).await.unwrap().state(), v1::job::State::Running);
+    Down::Stopped.happens(server).await;
+    assert_eq!(beginnings().await[1..], [0, 0]);
+    let server = prepared.start();
+    in_time(async {
+        while beginnings().await[1] == 0 {
+            tokio::time::sleep(std::time::Duration::from_millis(2)).await;
+        }
+    })
+    .await;
+    Down::Killed.happens(server).await;
+    assert_eq!(beginnings().await[1..], [1, 0]);
+    let server = prepared.start();
+    let client = server.client().await;
+    for job in [&rebuilding, &waiting] {
+        succeeded(&client, job).await;
+    }
+    server.stop();
+}
+
+/// A copy of a data directory is what there was then; nothing that was being done goes on in it.
+#[tokio::test(flavor = "multi_thread")]
+async fn jobs_do_not_go_on_in_a_backup() {
+    let prepared = Prepared::new().await;
+    let server = prepared.start();
+    let client = server.client().await;
+    long_training(&client).await;
+    let compacting = client.compact_map("drive").await.unwrap();
+    let copies = tempfile::tempdir().unwrap();
+    let (copy, restored) = (copies.path().join("copy"), copies.path().join("restored"));
+    for [verb, directory, data_dir] in [
+        ["backup", copy.to_str().unwrap(), prepared.directory.path().to_str().unwrap()],
+        ["restore", copy.to_str().unwrap(), restored.to_str().unwrap()],
+    ] {
+        let mut command = Built::command("waypost-server");
+        command.args([verb, directory, "--data-dir", data_dir]);
+        let ended = tokio::task::spawn_blocking(move || run_to_its_end(command)).await.unwrap();
+        assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+    }
+    let other = ServerProcess::start(&restored);
+    let ended = other.client().await.job(&compacting.name).await.unwrap();
+    assert_eq!(ended.state(), v1::job::State::Failed, "{ended:?}");
+    server.kill();
 }

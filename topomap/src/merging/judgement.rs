@@ -56,8 +56,11 @@ fn agreed(
     matches: &[PlaceMatch],
     settings: &MergeSettings,
 ) -> Result<MergePlan, Apart> {
-    if source.poses.linked().next().is_none() || target.poses.linked().next().is_none() {
+    if source.poses.linked().next().is_none() {
         return Err(Apart::NothingMeasured);
+    }
+    if target.poses.linked().next().is_none() {
+        return Err(Apart::NothingToGoInto);
     }
     if !source.poses.has_metres() || !target.poses.has_metres() {
         return in_step(source, target, matches, settings);

@@ -76,7 +76,13 @@ pub(super) async fn trajectory(client: &Client, asked: Trajectory, output: Outpu
     output.result(&json!({ "file": out, "lines": lines, "frames_left_out": left_out }), |text| {
         writeln!(text, "{lines} lines in {}", out.display())?;
         if left_out > 0 {
-            writeln!(text, "{left_out} frames have no odometry, and are left out")?;
+            let why = match frame {
+                request::Frame::Odom => "have no odometry",
+                request::Frame::Map | request::Frame::Unspecified => {
+                    "have no pose in the map, being without odometry or at places that nothing measured joins to it"
+                }
+            };
+            writeln!(text, "{left_out} frames {why}, and are left out")?;
         }
         Ok(())
     })

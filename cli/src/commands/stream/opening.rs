@@ -180,6 +180,27 @@ pub(super) async fn panoramas_for_metres(
     }
 }
 
+/// What is said of images that are much smaller than those that the map's model was made of: what look-alikes show in these
+/// is not known then, and wrong places are taken for right ones.
+pub(super) async fn smaller_than_the_models(
+    client: &Client,
+    map: &str,
+    recording: &Recording,
+) -> Option<String> {
+    let (width_px, _) = first_size_px(recording).ok()?;
+    let map = client.map(map, v1::MapView::Basic).await.ok()?;
+    let extractor = client.model(&map.model).await.ok()?.extractor;
+    let (_, model_width_px) = extractor.split_once(" width=")?;
+    let model_width_px: u32 = model_width_px.parse().ok()?;
+    (2 * width_px <= model_width_px).then(|| {
+        let fitting = extractor.replace(&format!(" width={model_width_px}"), &format!(" width={width_px}"));
+        format!(
+            "the images are {width_px} pixels wide, and the map's model is made for {model_width_px}: wrong places may be taken for \
+             right ones; train a model of such images (`waypost model train --extractor \"{fitting}\"`), and make the map with it"
+        )
+    })
+}
+
 /// What is said of images without odometry that are to begin a session of a map with metres.
 pub(super) async fn metres_left_out(client: &Client, map: &str, session: &str) -> Option<String> {
     let map = short_map(map);

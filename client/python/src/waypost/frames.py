@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Any, Union
 
 import numpy as np
@@ -106,6 +107,12 @@ class Frame:
         """
         if (self.image is None) == (self.words is None):
             raise ValueError(f"frame {self.sequence}: give either an image or words")
+        for name, number in (("sequence", self.sequence), ("stamp_ns", self.stamp_ns)):
+            if not isinstance(number, Integral):
+                raise ValueError(
+                    f"frame {self.sequence}: {name} is {number!r}, and has to be a whole number"
+                    + (": of nanoseconds, as time.time_ns() gives" if name == "stamp_ns" else "")
+                )
         if not 0 <= self.sequence < 1 << 63 or not 0 <= self.stamp_ns < 1 << 63:
             raise ValueError(f"frame {self.sequence}: sequence and stamp_ns must be from 0 to 2^63 - 1")
         if self.odometry is None and self.odometry_covariance is not None:

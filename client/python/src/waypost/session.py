@@ -51,6 +51,11 @@ class SessionOptions:
         """Raises `ValueError` if nothing could be under way."""
         if self.window_frames < 1:
             raise ValueError("window_frames must be at least 1")
+        if self.camera is not None and not isinstance(self.camera, geometry_pb2.Camera):
+            raise TypeError(
+                f"camera is a {type(self.camera).__name__}, and has to be a waypost.v1.geometry_pb2.Camera, as "
+                "Camera(field_of_view=FieldOfView(horizontal_rad=1.2)); `waypost stream --camera` reads files"
+            )
 
 
 class Session:

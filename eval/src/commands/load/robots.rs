@@ -62,7 +62,7 @@ pub(super) async fn run(server: &ServerOptions, options: &RobotsOptions) -> Resu
     let server = ServerUnderLoad::start(server).await?;
     let fleet = |prefix| Fleet { prefix, robots: ROBOTS, rate_hz: *rate_hz, duration: *duration };
     let measure = async |fleet: Fleet| {
-        let robots = fleet.open(&server.endpoint(), &contents).await?;
+        let robots = fleet.open(&[server.endpoint()], &contents).await?;
         let record = fleet.drive(robots).await?;
         Ok::<_, anyhow::Error>(figures(&record, server.rss_mib()?))
     };

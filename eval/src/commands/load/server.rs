@@ -26,6 +26,9 @@ pub(in crate::commands) struct ServerOptions {
     /// The server [default: waypost-server beside this program].
     #[arg(long, global = true, value_name = "FILE")]
     pub(super) server_binary: Option<PathBuf>,
+    /// Where it keeps maps, as postgres://USER@HOST/DATABASE: an empty database [default: a file of SQLite].
+    #[arg(long, global = true, value_name = "URL")]
+    pub(in crate::commands) storage: Option<String>,
     /// Where the server's data are kept; a temporary directory if `None`.
     #[arg(skip)]
     pub(super) kept: Option<PathBuf>,
@@ -71,6 +74,9 @@ impl ServerOptions {
         let program = self.server_binary.clone().map_or_else(beside_this_program, Ok)?;
         let mut command = launch::command(program);
         command.env("WAYPOST_LOG", log);
+        if let Some(storage) = &self.storage {
+            command.args(["--storage", storage]);
+        }
         Ok(command)
     }
 
@@ -92,6 +98,13 @@ impl ServerUnderLoad {
         let request = v1::CreateMapRequest { map_id: MAP.to_owned(), model: model.name, settings: None };
         client.create_map(request).await?;
         Ok(Self { server, directory })
+    }
+
+    /// Starts another one on the same storage, on a directory of its own.
+    pub(super) fn another(&self, options: &ServerOptions, number: u32) -> Result<Self> {
+        let directory = Directory::Kept(self.directory.path().join(format!("server-{number}")));
+        std::fs::create_dir_all(directory.path()).map_err(files::not_written(directory.path()))?;
+        Ok(Self { server: options.start_on(directory.path())?, directory })
     }
 
     /// Lets it finish, and starts another on its directory.

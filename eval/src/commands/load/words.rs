@@ -15,6 +15,7 @@ use super::report::{LatencyReport, ServerUse};
 use super::robot::{Answered, AtTheEnd, Camera, Record, Robot, drive_all};
 use super::server::{ServerOptions, ServerUnderLoad};
 use super::{positive, seconds};
+use crate::error::refused;
 
 /// What beyond computing may take, in milliseconds: half of the frames, and 99 of 100.
 const TARGET_MS: [f64; 2] = [5.0, 20.0];
@@ -36,6 +37,9 @@ pub(super) struct WordsOptions {
     /// How long.
     #[arg(long = "seconds", value_name = "S", default_value = "60", value_parser = seconds)]
     duration: Duration,
+    /// Servers over one database, over which robots are spread; the first one owns the database.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
+    servers: u32,
 }
 
 /// What the robots saw of the server.
@@ -62,25 +66,47 @@ pub(crate) struct WordsReport {
     pub send_late: LatencyReport,
     /// Frames that share a commit, on average; null if the server does not log it.
     pub frames_per_commit: Option<f64>,
-    /// What the server took meanwhile.
+    /// What the server took meanwhile; of several, the one that owns the database.
     pub server: ServerUse,
+    /// What each of the others took.
+    pub others: Vec<ServerUse>,
+    /// Processor time of all servers, for each answered frame.
+    pub cpu_ms_per_frame: f64,
     /// Whether half of the frames take at most 5 ms beyond computing, and 99 of 100 at most 20 ms.
     pub target_met: bool,
 }
 
 pub(super) async fn run(server: &ServerOptions, options: &WordsOptions) -> Result<WordsReport> {
-    let WordsOptions { source, streams, rate_hz, duration } = options;
+    let WordsOptions { source, streams, rate_hz, duration, servers } = options;
     let contents = Arc::new(Contents::words(&server.model, source)?);
-    let server = ServerUnderLoad::start(server).await?;
+    if *servers > 1 && server.storage.is_none() {
+        return Err(refused("several servers need a database that they can share; give --storage"));
+    }
+    let owner = ServerUnderLoad::start(server).await?;
+    let mut all = vec![owner];
+    for number in 1..*servers {
+        all.push(all[0].another(server, number)?);
+    }
+    let endpoints: Vec<String> = all.iter().map(ServerUnderLoad::endpoint).collect();
     let fleet = Fleet { prefix: "robot", robots: *streams, rate_hz: *rate_hz, duration: *duration };
-    let robots = fleet.open(&server.endpoint(), &contents).await?;
+    let robots = fleet.open(&endpoints, &contents).await?;
     let began = Instant::now();
-    let cpu_s = server.cpu_s()?;
+    let cpu_before_s = all.iter().map(ServerUnderLoad::cpu_s).collect::<Result<Vec<f64>>>()?;
     let record = fleet.drive(robots).await?;
-    let cpu_cores = (server.cpu_s()? - cpu_s) / began.elapsed().as_secs_f64();
-    let server_use = ServerUse { cpu_cores, rss_mib: server.rss_mib()? };
-    let frames_per_commit = server.commits().frames_per_commit();
-    server.stop()?;
+    let elapsed_s = began.elapsed().as_secs_f64();
+    let used = |(server, before_s): (&ServerUnderLoad, &f64)| {
+        let cpu_cores = (server.cpu_s()? - before_s) / elapsed_s;
+        Ok(ServerUse { cpu_cores, rss_mib: server.rss_mib()? })
+    };
+    let mut uses = all.iter().zip(&cpu_before_s).map(used).collect::<Result<Vec<ServerUse>>>()?;
+    let frames_per_commit = all[0].commits().frames_per_commit();
+    // The owner last: nobody is to take its place.
+    for server in all.into_iter().rev() {
+        server.stop()?;
+    }
+    let cpu_cores: f64 = uses.iter().map(|server| server.cpu_cores).sum();
+    let others = uses.split_off(1);
+    let server = uses[0];
 
     let latency = |of: fn(&Answered) -> Duration| LatencyReport::of(record.answered.iter().map(of));
     let beyond_computing = latency(Answered::beyond_computing);
@@ -96,7 +122,9 @@ pub(super) async fn run(server: &ServerOptions, options: &WordsOptions) -> Resul
         computing: latency(|answered| answered.computing),
         send_late: latency(|answered| answered.send_late),
         frames_per_commit,
-        server: server_use,
+        server,
+        others,
+        cpu_ms_per_frame: 1e3 * cpu_cores * elapsed_s / record.answered.len().max(1) as f64,
         target_met: beyond_computing.is_within(TARGET_MS),
         beyond_computing,
     })
@@ -111,12 +139,13 @@ pub(super) struct Fleet {
 }
 
 impl Fleet {
-    pub(super) async fn open(&self, endpoint: &str, contents: &Arc<Contents>) -> Result<Vec<Robot>> {
+    pub(super) async fn open(&self, endpoints: &[String], contents: &Arc<Contents>) -> Result<Vec<Robot>> {
         let mut opened = Vec::new();
         for robot in 0..self.robots {
             // Spread over what there is to see.
             let first_content = contents.frames.len() * robot as usize / self.robots as usize;
             let session = format!("{}-{robot}", self.prefix);
+            let endpoint = &endpoints[robot as usize % endpoints.len()];
             opened.push(Robot::open(endpoint, &session, contents.clone(), first_content).await?);
         }
         Ok(opened)

@@ -2,14 +2,15 @@
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 
-use super::JobStatus;
+use super::{JobStatus, Jobs};
 use crate::clock::now_ns;
 use crate::error::ServiceError;
-use crate::storage::{JobEnd, StoredJobState};
+use crate::storage::{JobEnd, Storage, StoredJobState};
 
 /// What a running job tells the world by.
 #[derive(Clone, Debug)]
@@ -17,20 +18,60 @@ pub(crate) struct JobReporter {
     pub(super) number: u64,
     pub(super) status: watch::Sender<JobStatus>,
     pub(super) cancel: CancellationToken,
-    pub(super) turn: Arc<Semaphore>,
+    /// Whether another server goes on with it if this one ends first.
+    pub(super) survives: bool,
+    /// Whether somebody cancelled it, and not the end of the server.
+    given_up: Arc<AtomicBool>,
+    had_its_turn: Arc<AtomicBool>,
+    turn: Arc<Semaphore>,
+    storage: Storage,
 }
 
 impl JobReporter {
+    pub(super) fn new(status: JobStatus, jobs: &Jobs, survives: bool) -> Self {
+        Self {
+            number: status.number,
+            status: watch::Sender::new(status),
+            cancel: CancellationToken::new(),
+            survives,
+            given_up: Arc::default(),
+            had_its_turn: Arc::default(),
+            turn: jobs.turn.clone(),
+            storage: jobs.storage.clone(),
+        }
+    }
+
     pub(crate) fn number(&self) -> u64 {
         self.number
     }
 
     /// Waits until no other heavy job runs, or this one is cancelled.
     pub(crate) async fn wait_for_turn(&self) -> Option<OwnedSemaphorePermit> {
-        tokio::select! {
+        let permit = tokio::select! {
             permit = self.turn.clone().acquire_owned() => permit.ok(),
             () = self.cancel.cancelled() => None,
+        }?;
+        if self.survives {
+            self.had_its_turn.store(true, Ordering::Relaxed);
+            if let Err(error) = self.storage.count_beginning(self.number).await {
+                tracing::warn!(job = self.number, %error, "it is not noted that this server began a job");
+            }
         }
+        Some(permit)
+    }
+
+    /// Somebody no longer wants it.
+    pub(super) fn give_up(&self) {
+        self.given_up.store(true, Ordering::Relaxed);
+        self.cancel.cancel();
+    }
+
+    pub(super) fn is_given_up(&self) -> bool {
+        self.given_up.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn had_its_turn(&self) -> bool {
+        self.had_its_turn.load(Ordering::Relaxed)
     }
 
     /// Reports progress and hears whether to go on.

@@ -12,9 +12,9 @@ use super::{
 use crate::clock::now_ns;
 use crate::error::ServiceError;
 use crate::names::{check_id, map_in};
-use crate::service::jobs::{AskedBy, Begun, JobOutcome, JobReporter, Order, Task};
+use crate::service::jobs::{Begun, JobOutcome, JobReporter, JobRequest, Task};
 use crate::service::tokens::Caller;
-use crate::storage::{JobKind, JobRow, MapRow};
+use crate::storage::{JobKind, MapRow};
 
 /// What is to be looked for, and is asked for rightly.
 #[derive(Debug)]
@@ -44,7 +44,9 @@ impl Merges {
         let search = self.search_of(caller, &request).await?;
         let report = search.report.to_json()?;
         let number = self.storage.insert_merge(search.target.name(), &report, now_ns()).await?;
-        self.start_search(number, search, request, caller, Begun::Now).await
+        let job = self.start_search(number, search, request, caller, Begun::Now).await?;
+        self.storage.set_merge_job(number, job).await?;
+        self.merge_of_number(number).await
     }
 
     /// What is to be looked for.
@@ -56,6 +58,7 @@ impl Merges {
         Ok(Search { target, sources, settings, report })
     }
 
+    /// Gives the number of the job.
     async fn start_search(
         &self,
         number: u64,
@@ -63,11 +66,11 @@ impl Merges {
         request: MergeRequest,
         caller: &Caller,
         begun: Begun,
-    ) -> Result<MergeView, ServiceError> {
+    ) -> Result<u64, ServiceError> {
         let Search { target, sources, settings, report } = search;
         let commit_policy = request.commit_policy;
-        let asked_by = AskedBy(caller.token.clone());
-        let order = Order {
+        let asked_by = caller.token.clone();
+        let job = JobRequest {
             kind: JobKind::MergeMaps,
             maps: report.maps().chain([target.name()]).map(str::to_owned).collect(),
             task: Some(Task::SearchMerge { merge: number, request, asked_by }),
@@ -82,36 +85,36 @@ impl Merges {
             }
             outcome
         };
-        let job = match self.jobs.start(order, work).await {
-            Ok(job) => job,
+        match self.jobs.start(job, work).await {
+            Ok(job) => Ok(job.number),
             Err(error) => {
                 self.note_failure(number, &JobOutcome::Failed(error.clone())).await;
-                return Err(error);
+                Err(error)
             }
-        };
-        self.storage.set_merge_job(number, job.number).await?;
-        self.merge_of_number(number).await
+        }
     }
 
-    /// Looks once more for what an earlier server was looking for.
+    /// Looks once more for what an earlier server was looking for, or had found and was to commit.
     pub(in crate::service) async fn search_again(
         &self,
         number: u64,
         request: MergeRequest,
         caller: &Caller,
-        job: JobRow,
-    ) -> Result<MergeView, ServiceError> {
+        begun: Begun,
+    ) -> Result<(), ServiceError> {
+        let search = self.search_of(caller, &request).await?;
+        self.storage.begin_search_again(number, &search.report.to_json()?).await?;
         if self.merge_of_number(number).await?.state != MergeState::Searching {
             return Err(forgotten());
         }
-        let searching = match self.search_of(caller, &request).await {
-            Ok(search) => self.start_search(number, search, request, caller, Begun::Before(job)).await,
-            Err(error) => Err(error),
-        };
-        if let Err(error) = &searching {
-            self.note_failure(number, &JobOutcome::Failed(error.clone())).await;
+        self.start_search(number, search, request, caller, begun).await.map(drop)
+    }
+
+    /// A merge says why its job failed, too.
+    pub(in crate::service) async fn fail_with_job(&self, job: u64, error: &ServiceError) {
+        if let Err(error) = self.storage.fail_merge_of_job(job, &error.clone().into()).await {
+            tracing::warn!(job, %error, "the end of a merge could not be stored");
         }
-        searching
     }
 
     /// The target and the sources of a request, as rows.

@@ -4,10 +4,10 @@ use tokio::runtime::Handle;
 
 use super::{MergeView, Merges, undecidable};
 use crate::error::ServiceError;
-use crate::service::jobs::{Begun, JobOutcome, JobReporter, Order, Task, to_its_end};
+use crate::service::jobs::{JobOutcome, JobReporter, JobRequest, to_its_end};
 use crate::service::rewriting::changed;
 use crate::service::tokens::Caller;
-use crate::storage::{JobKind, JobRow, MapRow, MergeOutcome, MergeState};
+use crate::storage::{JobKind, MapRow, MergeOutcome, MergeState};
 
 impl Merges {
     /// Takes what a merge brought out of its target again.
@@ -18,20 +18,6 @@ impl Merges {
 
     async fn undo_whole(&self, caller: &Caller, name: &str) -> Result<MergeView, ServiceError> {
         let view = self.get(caller, name).await?;
-        self.start_undoing(view, Begun::Now).await
-    }
-
-    /// Goes on with what an earlier server began to undo.
-    pub(in crate::service) async fn undo_again(
-        &self,
-        number: u64,
-        job: JobRow,
-    ) -> Result<MergeView, ServiceError> {
-        let view = self.merge_of_number(number).await?;
-        self.start_undoing(view, Begun::Before(job)).await
-    }
-
-    async fn start_undoing(&self, view: MergeView, begun: Begun) -> Result<MergeView, ServiceError> {
         let number = view.number;
         if view.state != MergeState::Committed {
             return Err(undecidable(&view, "undone"));
@@ -49,22 +35,17 @@ impl Merges {
             ))
         })?;
         self.rewriting.check_nobody_is_led(&map)?;
-        let order = Order {
-            kind: JobKind::RemoveSessions,
-            maps: view.maps().into_iter().map(str::to_owned).collect(),
-            task: Some(Task::UndoMerge { merge: number }),
-            begun,
-        };
         let outcome = MergeOutcome { number, state: MergeState::Undone, report: view.report.to_json()? };
         if let Some(made_events) = view.report.made_events {
-            return self.undo_made(order, map, made_events, outcome).await;
+            return self.undo_made(view, map, made_events, outcome).await;
         }
         let sessions = self.storage.sessions_of_merge(map.id, number).await?;
         let rewriting = self.rewriting.clone();
         let work = move |reporter: JobReporter| async move {
             rewriting.take_out(map, sessions, Some(outcome), &reporter).await
         };
-        let job = self.jobs.start(order, work).await?;
+        let job =
+            self.jobs.start(JobRequest::of_this_server(JobKind::RemoveSessions, &view.maps()), work).await?;
         self.storage.set_merge_job(number, job.number).await?;
         self.merge_of_number(number).await
     }
@@ -72,7 +53,7 @@ impl Merges {
     /// A map that a merge has made goes as a whole, as long as nothing has come to it since.
     async fn undo_made(
         &self,
-        order: Order,
+        view: MergeView,
         map: MapRow,
         made_events: u64,
         outcome: MergeOutcome,
@@ -105,7 +86,8 @@ impl Merges {
                 Err(error) => JobOutcome::Failed(error),
             }
         };
-        let job = self.jobs.start(order, work).await?;
+        let job =
+            self.jobs.start(JobRequest::of_this_server(JobKind::RemoveSessions, &view.maps()), work).await?;
         self.storage.set_merge_job(number, job.number).await?;
         self.merge_of_number(number).await
     }

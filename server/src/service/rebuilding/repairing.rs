@@ -15,7 +15,7 @@ use super::{EVENTS_PAGE, Rebuilding, by_position};
 use crate::error::ServiceError;
 use crate::names::{check_id, map_in};
 use crate::open_map::{CorrectionRequest, Verdict};
-use crate::service::jobs::{AskedBy, Begun, JobOutcome, JobReporter, JobStatus, Order, Stopped, Task};
+use crate::service::jobs::{Begun, JobOutcome, JobReporter, JobRequest, JobStatus, Stopped, Task};
 use crate::service::tokens::Caller;
 use crate::storage::{JobKind, LabelRow, MapId, MapRow, Salvaged};
 
@@ -66,7 +66,7 @@ impl Rebuilding {
             map: name.to_owned(),
             into: into.to_owned(),
             copy: copy.to_owned(),
-            asked_by: AskedBy(caller.token.clone()),
+            asked_by: caller.token.clone(),
         };
         let (damaged, into) = (map_in(name)?, check_id("map name", into)?.to_owned());
         caller.check_map(damaged)?;
@@ -110,8 +110,8 @@ impl Rebuilding {
         let repair = Repair { caller: caller.clone(), resending, copy, words };
         let rebuilding = self.clone();
         let work = move |reporter: JobReporter| async move { rebuilding.repair(repair, &reporter).await };
-        let order = Order { kind: JobKind::RepairMap, maps, task: Some(task), begun };
-        self.jobs.start(order, work).await
+        let request = JobRequest { kind: JobKind::RepairMap, maps, task: Some(task), begun };
+        self.jobs.start(request, work).await
     }
 
     async fn repair(&self, repair: Repair, reporter: &JobReporter) -> JobOutcome {
@@ -135,7 +135,11 @@ impl Rebuilding {
         let mut damaged = self.maps.storage.damage(source.id).is_some();
         for positions in pages() {
             Stopped::unless(reporter.progress("looking for damage", fraction(&positions)))?;
-            damaged |= self.left(repair, positions).await?.iter().any(|left| left.is_not_of(source.id));
+            let left = self.left(repair, positions.clone()).await?;
+            damaged |= left.iter().any(|left| left.is_not_of(source.id));
+            if !damaged {
+                damaged = !self.is_whole_beside(source.id, positions).await?;
+            }
         }
         if !damaged {
             return Err(Stopped::Failed(ServiceError::precondition(format_args!(
@@ -182,6 +186,20 @@ impl Rebuilding {
         losses.labels = self.carry_labels(repair).await?;
         losses.beside = repair.resending.lost();
         Ok(losses)
+    }
+
+    /// Whether all can be read that a map keeps of frames beside its log. Nobody may have met that damage yet.
+    async fn is_whole_beside(&self, map: MapId, positions: Range<u64>) -> Result<bool, ServiceError> {
+        let storage = &self.maps.storage;
+        if unless_damaged(storage.notes(map, positions.clone()).await)?.is_none() {
+            return Ok(false);
+        }
+        for frame in positions {
+            if unless_damaged(storage.read_media(map, frame).await)?.is_none() {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 
     /// What there is of the events at `positions`, of the damaged map or of its copy.

@@ -131,7 +131,13 @@ impl Rebuilding {
             let FrameEvent { sequence, stamp_ns, odometry, .. } = event;
             Ok::<_, ServiceError>((stream.clone(), Ok(Frame { sequence, stamp_ns, content, odometry, note })))
         };
-        let left = frames.into_iter().filter(|frame| !committed(frame));
+        let (there, left): (Vec<KeptFrame>, Vec<KeptFrame>) = frames.into_iter().partition(committed);
+        if let WithoutContent::SendWords { .. } = resending.without_content {
+            // What was lost of them is told, too, by a repair that goes on.
+            for frame in &there {
+                self.content(resending, frame).await?;
+            }
+        }
         let frames = stream::iter(left).map(read).buffered(WINDOWS.prepared);
         let mut outcomes = pin!(sessions::run(frames, WINDOWS));
         while let Some(outcome) = outcomes.next().await {

@@ -10,37 +10,24 @@ use super::{Rewriting, changed};
 use crate::error::ServiceError;
 use crate::names::{map_name, session_in};
 use crate::service::frames::no_such_session;
-use crate::service::jobs::{Begun, JobOutcome, JobReporter, JobStatus, Order, Stopped, Task};
+use crate::service::jobs::{JobOutcome, JobReporter, JobRequest, JobStatus, Stopped};
 use crate::service::read_map::{Disk, ReadMap};
 use crate::storage::{JobKind, MapRow, MergeOutcome, RetoldLog, StorageError};
 
 impl Rewriting {
     /// Takes a session out of a map, by `maps/{map}/sessions/{session}`.
     pub(crate) async fn delete_session(&self, name: &str) -> Result<JobStatus, ServiceError> {
-        self.start_deleting_session(name, Begun::Now).await
-    }
-
-    pub(in crate::service) async fn start_deleting_session(
-        &self,
-        name: &str,
-        begun: Begun,
-    ) -> Result<JobStatus, ServiceError> {
         let (map, session) = session_in(name)?;
         let row = self.open_maps.row(map).await?;
         let number = self.storage.session_number(row.id, session).await?;
         let number = number.ok_or_else(|| no_such_session(map, session))?;
         self.check_nobody_is_led(&row)?;
-        let order = Order {
-            kind: JobKind::RemoveSessions,
-            maps: vec![map.to_owned()],
-            task: Some(Task::DeleteSession { session: name.to_owned() }),
-            begun,
-        };
+        let request = JobRequest::of_this_server(JobKind::RemoveSessions, &[map]);
         let rewriting = self.clone();
         let work = move |reporter: JobReporter| async move {
             rewriting.take_out(row, vec![number], None, &reporter).await
         };
-        self.jobs.start(order, work).await
+        self.jobs.start(request, work).await
     }
 
     /// Takes sessions out of a map, as a job that is undoing a merge if `undone` says so.

@@ -16,7 +16,7 @@ use super::format::{Record, SnapshotReader};
 use crate::error::ServiceError;
 use crate::names::{check_id, map_name};
 use crate::role::Reach;
-use crate::service::jobs::{JobOutcome, JobReporter, JobStatus, Order};
+use crate::service::jobs::{JobOutcome, JobReporter, JobRequest, JobStatus};
 use crate::service::map_names::{Reservation, map_exists};
 use crate::service::tokens::Caller;
 use crate::storage::{ImportedMap, JobKind, LabelRow, MapId, MediaRow, NoteRow, Storage, StorageError};
@@ -130,7 +130,7 @@ impl Snapshots {
         let import = Import { reservation, spool, bytes, _room: room };
         let snapshots = self.clone();
         let work = move |reporter: JobReporter| async move { snapshots.import(import, &reporter).await };
-        self.jobs.start(Order::of_this_server(JobKind::ImportMap, &[&name]), work).await
+        self.jobs.start(JobRequest::of_this_server(JobKind::ImportMap, &[&name]), work).await
     }
 
     async fn import(&self, import: Import, reporter: &JobReporter) -> JobOutcome {

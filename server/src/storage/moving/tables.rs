@@ -56,6 +56,7 @@ pub(super) const TOKENS: Table = Table {
     page: 500,
 };
 
+/// Without what a server goes on by: the other database's may be doing it.
 pub(super) const JOBS: Table = Table {
     name: "jobs",
     key: &[("number", Whole)],
@@ -69,8 +70,6 @@ pub(super) const JOBS: Table = Table {
         ("created_ns", Whole),
         ("ended_ns", Whole),
         ("maps", Text),
-        ("task", Text),
-        ("begun", Whole),
     ],
     page: 500,
 };

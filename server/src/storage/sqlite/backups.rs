@@ -49,7 +49,19 @@ pub(crate) async fn back_up(data_dir: &Path, directory: &Path) -> Result<(), Sto
         std::fs::remove_file(&partial).map_err(failed)?;
         return Err(or_no_database(error, data_dir));
     }
+    forget_tasks(&partial).await?;
     put_in_place(directory, &partial).map_err(failed)
+}
+
+/// Jobs that run do not go on in the copy: who brings it back wants what was there then.
+async fn forget_tasks(copy: &Path) -> Result<(), StorageError> {
+    let mut database = SqliteConnectOptions::new().filename(copy).vfs(page_sums::VFS).connect().await?;
+    // A database of an earlier version has none.
+    let there = sqlx::query("SELECT 1 FROM pragma_table_info('jobs') WHERE name = 'task'");
+    if there.fetch_optional(&mut database).await?.is_some() {
+        sqlx::query("UPDATE jobs SET task = NULL WHERE state = 'running'").execute(&mut database).await?;
+    }
+    Ok(database.close().await?)
 }
 
 /// Makes `data_dir`, which must hold no database, what a backup in `directory` is.

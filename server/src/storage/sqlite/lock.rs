@@ -2,7 +2,7 @@
 
 use std::fs::{DirBuilder, File, OpenOptions, TryLockError};
 use std::io;
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt, chown};
 use std::path::Path;
 
 use crate::storage::StorageError;
@@ -41,6 +41,7 @@ impl DirectoryLock {
         let options =
             OpenOptions::new().write(true).create(true).truncate(false).mode(FILE_OF_THE_OWNER).open(path);
         let file = options.map_err(failed)?;
+        give_to_owner_of_directory(&directory.join(LOCK_NAME)).map_err(failed)?;
         file.try_lock().map_err(locked)?;
         Ok(Self { directory: itself, file })
     }
@@ -79,12 +80,25 @@ pub(in crate::storage) fn make_directory(directory: &Path) -> io::Result<()> {
     }
 }
 
+/// What the superuser makes in another user's directory is that user's: a service is to open it, which is not the superuser's.
+fn give_to_owner_of_directory(path: &Path) -> io::Result<()> {
+    let Some(directory) = path.parent() else { return Ok(()) };
+    let (file, directory) = (path.metadata()?, directory.metadata()?);
+    if file.uid() != 0 || directory.uid() == 0 {
+        return Ok(());
+    }
+    chown(path, Some(directory.uid()), Some(directory.gid()))
+}
+
 /// Sees to it that a file, if it is made now, is for its owner alone; SQLite makes its other files like this one.
 pub(super) fn make_private(path: &Path) {
     let opened =
         OpenOptions::new().write(true).create(true).truncate(false).mode(FILE_OF_THE_OWNER).open(path);
     // Opening the database says what is wrong with it.
     let Ok(metadata) = opened.and_then(|file| file.metadata()) else { return };
+    if let Err(error) = give_to_owner_of_directory(path) {
+        tracing::warn!(%error, file = %path.display(), "the file stays that of the superuser");
+    }
     if metadata.permissions().mode() & !FILE_OF_THE_OWNER & 0o777 != 0 {
         tracing::warn!(
             file = %path.display(),

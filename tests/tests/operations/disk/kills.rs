@@ -96,7 +96,7 @@ enum Came {
     After,
     /// It was over before the call came that was to be the last.
     Over,
-    /// A part of it, which goes on when it is asked for again.
+    /// A part of it: the map that was to be made, and nothing of its job. It goes on when it is asked for again.
     Part,
 }
 
@@ -163,7 +163,7 @@ async fn killed(
     if came == Came::Before && last > acknowledged {
         came = Came::After;
     }
-    told_of_jobs(&jobs, prepared.job.as_deref(), came, whole)?;
+    told_of_jobs(&jobs, (operation, prepared.job.as_deref()), came, whole)?;
     // Also what the server has noted of it since.
     let is_known =
         |found: &String| known.contains(found) || found.contains(&format!("map {OTHER}, session o, frame 8"));
@@ -172,10 +172,11 @@ async fn killed(
     unknown.map_or(Ok(came), Err)
 }
 
-/// Jobs say what became of them: none runs, and one has succeeded whose map is there.
+/// Jobs say what became of them: none runs, and one has succeeded whose map is there. One with which another server goes on
+/// has succeeded if it was noted at all.
 fn told_of_jobs(
     jobs: &BTreeMap<String, job::State>,
-    own: Option<&str>,
+    (operation, own): (Operation, Option<&str>),
     came: Came,
     whole: &Whole,
 ) -> Result<(), String> {
@@ -185,6 +186,9 @@ fn told_of_jobs(
     let Some(state) = own.and_then(|own| jobs.get(own)) else { return Ok(()) };
     let changes = whole.states.first() != whole.states.last();
     let succeeded = *state == job::State::Succeeded;
+    if matches!(operation, Operation::Compact | Operation::Rebuild | Operation::Repair) && !succeeded {
+        return Err(format!("its job says {state:?}, and the next server was to do it"));
+    }
     match came {
         Came::Before | Came::Part if changes && succeeded => {
             Err(format!("its job says {state:?}, and it was cut off"))

@@ -15,6 +15,10 @@ from waypost.reconnection import Patience
 from waypost.v1 import job_pb2, merge_pb2
 
 
+#: A server that may be back in a moment. UNKNOWN stands for a stream that was cut off without a status.
+_AWAY = frozenset({grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.UNKNOWN})
+
+
 class JobCalls:
     """Trainings, imports, merges and other work that takes longer than a call."""
 
@@ -63,7 +67,9 @@ class JobCalls:
         while ended is None:
             try:
                 ended = self._last_state(name, patience)
-            except (errors.ServerUnreachable, errors.Unavailable):
+            except (errors.ServerUnreachable, errors.ServerError) as error:
+                if isinstance(error, errors.ServerError) and error.code not in _AWAY:
+                    raise
                 delay_s = patience.next_delay_s()
                 if delay_s is None:
                     raise

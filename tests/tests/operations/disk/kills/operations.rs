@@ -102,8 +102,7 @@ impl Operation {
         }
     }
 
-    /// What may be there without having been acknowledged as a whole: a map that is made anew goes on when it is asked for
-    /// again.
+    /// What may be there without having been acknowledged as a whole: a map that was made for a job that nobody had noted yet.
     pub(super) fn partial_map(self) -> Option<&'static str> {
         match self {
             Self::Rebuild => Some("rebuilt"),

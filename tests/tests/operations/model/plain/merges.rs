@@ -100,7 +100,7 @@ impl World {
             PlainMerge { target: target.clone(), maps, state: State::Failed, map: None, made_events: None };
         self.merges.push(asked);
         let number = self.merges.len() as u64;
-        // One that is cut off has failed.
+        // One of which no job is noted yet has failed, if it is cut off.
         passed(self);
         let joined = joining(&base, &rows);
         let Some(joined) = joined else {

@@ -2,16 +2,18 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::JobReporter;
 use crate::service::merges::MergeRequest;
-use crate::storage::{JobKind, JobRow};
+use crate::storage::JobKind;
 
 /// A job that is to run.
 #[derive(Clone, Debug)]
-pub(in crate::service) struct Order {
+pub(in crate::service) struct JobRequest {
     pub(in crate::service) kind: JobKind,
     /// Names of the maps that it reads or writes.
     pub(in crate::service) maps: Vec<String>,
-    /// What another server goes on with if this one ends first. None of what came in a stream, which is gone then.
+    /// What another server goes on with if this one ends first. None of what came in a stream, which is gone then; none
+    /// either of what gives places other numbers, by which robots may have been sent to them meanwhile.
     pub(in crate::service) task: Option<Task>,
     pub(in crate::service) begun: Begun,
 }
@@ -21,27 +23,20 @@ pub(in crate::service) struct Order {
 pub(in crate::service) enum Begun {
     Now,
     /// By a server that ended before the job did.
-    Before(JobRow),
+    Before(JobReporter),
 }
 
-/// What was asked for. Names are those of the request.
+/// What was asked for, and by which token; none where the server has none. Names are those of the request.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(in crate::service) enum Task {
-    CompactMap { map: String },
-    DeleteSession { session: String },
-    RebuildMap { map: String, model: String, into: String, asked_by: AskedBy },
-    RepairMap { map: String, into: String, copy: String, asked_by: AskedBy },
-    SearchMerge { merge: u64, request: MergeRequest, asked_by: AskedBy },
-    UndoMerge { merge: u64 },
+    CompactMap { map: String, asked_by: Option<String> },
+    RebuildMap { map: String, model: String, into: String, asked_by: Option<String> },
+    RepairMap { map: String, into: String, copy: String, asked_by: Option<String> },
+    SearchMerge { merge: u64, request: MergeRequest, asked_by: Option<String> },
 }
 
-/// The token by which a job was asked for; none where the server has none.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(transparent)]
-pub(in crate::service) struct AskedBy(pub(in crate::service) Option<String>);
-
-impl Order {
+impl JobRequest {
     /// A job that ends with the server on which it began.
     pub(in crate::service) fn of_this_server(kind: JobKind, maps: &[&str]) -> Self {
         let maps = maps.iter().map(|&map| map.to_owned()).collect();
@@ -49,20 +44,19 @@ impl Order {
     }
 }
 
-impl Begun {
-    /// What is said of it until it is its turn.
-    pub(super) fn stage(&self) -> &'static str {
-        match self {
-            Self::Now => "waiting to start",
-            Self::Before(_) => "waiting to go on: the server was restarted",
-        }
-    }
-}
-
 impl Task {
     /// `None` if it is of a later server.
     pub(in crate::service) fn from_json(json: &str) -> Option<Self> {
         serde_json::from_str(json).ok()
+    }
+
+    pub(in crate::service) fn asked_by(&self) -> Option<&str> {
+        match self {
+            Self::CompactMap { asked_by, .. }
+            | Self::RebuildMap { asked_by, .. }
+            | Self::RepairMap { asked_by, .. }
+            | Self::SearchMerge { asked_by, .. } => asked_by.as_deref(),
+        }
     }
 
     pub(super) fn to_json(&self) -> String {
@@ -78,21 +72,24 @@ mod tests {
     /// What is in databases is read by later servers.
     #[test]
     fn tasks_are_written_as_they_were() {
-        let asked_by = AskedBy(Some("fleet".to_owned()));
         let request = MergeRequest {
             sources: vec!["maps/a".to_owned(), "maps/b".to_owned()],
             target: "maps/c".to_owned(),
             commit_policy: CommitPolicy::Automatic,
             min_support: Some(3),
         };
+        let asked_by = Some("fleet".to_owned());
         for (task, json) in [
-            (Task::CompactMap { map: "maps/a".to_owned() }, r#"{"compact_map":{"map":"maps/a"}}"#),
+            (
+                Task::CompactMap { map: "maps/a".to_owned(), asked_by: None },
+                r#"{"compact_map":{"map":"maps/a","asked_by":null}}"#,
+            ),
             (
                 Task::RebuildMap {
                     map: "maps/a".to_owned(),
                     model: "models/7".to_owned(),
                     into: "b".to_owned(),
-                    asked_by: AskedBy(None),
+                    asked_by: None,
                 },
                 r#"{"rebuild_map":{"map":"maps/a","model":"models/7","into":"b","asked_by":null}}"#,
             ),
@@ -104,6 +101,11 @@ mod tests {
             assert_eq!(task.to_json(), json);
             assert_eq!(Task::from_json(json), Some(task));
         }
-        assert_eq!(Task::from_json(r#"{"of_a_later_server":{}}"#), None);
+        for other in [
+            r#"{"of_a_later_server":{}}"#,
+            r#"{"compact_map":{"map":"maps/a","asked_by":null,"twice":true}}"#,
+        ] {
+            assert_eq!(Task::from_json(other), None);
+        }
     }
 }
