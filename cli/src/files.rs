@@ -189,6 +189,15 @@ mod tests {
     }
 
     #[test]
+    fn what_is_drawn_has_the_name_of_what_it_is() {
+        for taken in [None, Some("closure.svg"), Some("closure.SVG"), Some("closure")] {
+            assert!(check_drawn(taken.map(Path::new)).is_ok(), "{taken:?}");
+        }
+        let refused = check_drawn(Some(Path::new("closure.png"))).unwrap_err().to_string();
+        assert!(refused.contains("ends with .svg"), "{refused}");
+    }
+
+    #[test]
     fn silence_is_no_yes() {
         for (answer, yes) in
             [("y\n", true), ("YES\n", true), ("", false), ("\n", false), ("n\n", false), ("yell", false)]

@@ -230,6 +230,8 @@ mod tests {
         let skewed = parse("1 0 0 0 0 0 0 2").unwrap_err();
         assert_eq!(skewed, OdometryError::NotARotation { line: 1, length: 2.0 });
         assert!(matches!(parse("1e9s 0 0 0 0 0 0 1").unwrap_err(), OdometryError::Number { line: 1, .. }));
+        let nanoseconds = parse("1700000000000000000 0 0 0 0 0 0 1").unwrap_err();
+        assert!(matches!(nanoseconds, OdometryError::Nanoseconds { line: 1, .. }), "{nanoseconds}");
     }
 
     #[test]

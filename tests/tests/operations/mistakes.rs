@@ -197,6 +197,25 @@ fn images_of_several_sizes_are_told() {
     );
 }
 
+/// What look-alikes show in small images is not known to a model of large ones.
+#[test]
+fn images_that_are_small_for_the_model_are_told() {
+    let beginner = Beginner::new();
+    let folder = tempfile::tempdir().unwrap();
+    for width_px in [160, 360] {
+        for (number, file) in (1..=3).zip(images()) {
+            let small = image::load_from_memory(file).unwrap().thumbnail(width_px, width_px);
+            small.save(folder.path().join(format!("{number}.png"))).unwrap();
+        }
+        let session = format!("of-{width_px}");
+        let stream = ["stream", path(folder.path()), "--map", "hall", "--session", &session];
+        let said = String::from_utf8(beginner.waypost.run(&stream).stderr).unwrap();
+        let told = said.contains("the images are 160 pixels wide, and the map's model is made for 640")
+            && said.contains("--extractor \"rootsift features=500 width=160\"");
+        assert_eq!(told, width_px == 160, "{said}");
+    }
+}
+
 #[test]
 fn an_orb_model_for_panoramas_is_doubted() {
     let waypost = CommandLine::new();

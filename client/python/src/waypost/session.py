@@ -53,8 +53,8 @@ class SessionOptions:
             raise ValueError("window_frames must be at least 1")
         if self.camera is not None and not isinstance(self.camera, geometry_pb2.Camera):
             raise TypeError(
-                f"camera is a {type(self.camera).__name__}, and has to be a waypost.v1.geometry_pb2.Camera, as "
-                "Camera(field_of_view=FieldOfView(horizontal_rad=1.2)); `waypost stream --camera` reads files"
+                f"camera is a {type(self.camera).__name__}, and must be a Camera of waypost.v1.geometry_pb2, "
+                "as Camera(field_of_view=FieldOfView(horizontal_rad=1.2)); `waypost stream` reads files"
             )
 
 

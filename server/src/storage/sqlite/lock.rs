@@ -106,3 +106,26 @@ pub(super) fn make_private(path: &Path) {
         );
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As the data directory of a service, in which its administrator makes the first token or restores a backup.
+    #[test]
+    fn what_the_superuser_makes_in_anothers_directory_is_that_ones() {
+        let directory = tempfile::tempdir().unwrap();
+        let user = 7600;
+        if chown(directory.path(), Some(user), Some(user)).is_err() {
+            eprintln!("skipped: only the superuser gives directories to others");
+            return;
+        }
+        let file = directory.path().join("waypost.sqlite");
+        make_private(&file);
+        let lock = DirectoryLock::take(directory.path()).unwrap();
+        for made in [file, directory.path().join(LOCK_NAME)] {
+            assert_eq!(made.metadata().unwrap().uid(), user, "{}", made.display());
+        }
+        drop(lock);
+    }
+}

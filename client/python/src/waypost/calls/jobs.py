@@ -14,7 +14,6 @@ from waypost.connection import Connection, resource
 from waypost.reconnection import Patience
 from waypost.v1 import job_pb2, merge_pb2
 
-
 #: A server that may be back in a moment. UNKNOWN stands for a stream that was cut off without a status.
 _AWAY = frozenset({grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.UNKNOWN})
 
@@ -51,9 +50,12 @@ class JobCalls:
     def wait_for_job(
         self, job: str | job_pb2.Job | merge_pb2.Merge, *, patience_s: float = 60.0
     ) -> job_pb2.Job:
-        """Waits until a job, or that of a merge, has ended, and gives it. A server that is restarted is waited for.
+        """Waits until a job, or that of a merge, has ended, and gives it.
+
+        A server that is restarted is waited for: it goes on with many kinds of jobs.
 
         Args:
+            job: A job by itself or by its name, or a merge.
             patience_s: Time without a connection after which it is given up.
 
         Raises:
@@ -83,7 +85,8 @@ class JobCalls:
     def _last_state(self, name: str, patience: Patience) -> job_pb2.Job:
         last = None
         with self.watch_job(name) as progress:
-            for last in progress:
+            for state in progress:
+                last = state
                 patience.progress()
         return last or self.job(name)
 
