@@ -6,6 +6,7 @@ mod repairing;
 mod resending;
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use topomap::ids::FrameId;
 use topomap::log::MapEvent;
@@ -28,7 +29,7 @@ const EVENTS_PAGE: u64 = 256;
 
 /// A map, and what it is to be rebuilt with.
 struct Rebuild {
-    resending: Resending,
+    resending: Arc<Resending>,
     words: usize,
 }
 
@@ -86,7 +87,7 @@ impl Rebuilding {
         };
         let maps = vec![from.to_owned(), into.clone()];
         let request = JobRequest { kind: JobKind::RebuildMap, maps, task: Some(task), begun };
-        let resending = Resending::new(source, sessions, into, WithoutContent::Refuse);
+        let resending = Arc::new(Resending::new(source, sessions, into, WithoutContent::Refuse));
         let rebuild = Rebuild { resending, words: before.model.vocabulary().len() };
         let rebuilding = self.clone();
         let work = move |reporter: JobReporter| async move { rebuilding.rebuild(rebuild, &reporter).await };

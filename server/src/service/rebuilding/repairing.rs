@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::ops::Range;
+use std::sync::Arc;
 
 use fabmap::appearance::PlaceId;
 use topomap::ids::FrameId;
@@ -29,7 +30,7 @@ const END_OF_LOG: FrameId = i64::MAX as FrameId;
 struct Repair {
     /// Whose the new map is.
     caller: Caller,
-    resending: Resending,
+    resending: Arc<Resending>,
     copy: Option<Copy>,
     /// Of the model that both have.
     words: usize,
@@ -105,7 +106,7 @@ impl Rebuilding {
             words_hash: model.words_hash.clone(),
             copy: copy.as_ref().map(|copy| copy.row.id),
         };
-        let resending = Resending::new(source, sessions, into, without_content);
+        let resending = Arc::new(Resending::new(source, sessions, into, without_content));
         let words = model.model.vocabulary().len();
         let repair = Repair { caller: caller.clone(), resending, copy, words };
         let rebuilding = self.clone();
@@ -204,7 +205,8 @@ impl Rebuilding {
 
     /// What there is of the events at `positions`, of the damaged map or of its copy.
     async fn left(&self, repair: &Repair, positions: Range<u64>) -> Result<Vec<Left>, ServiceError> {
-        let Repair { resending: Resending { source, .. }, copy, words, caller: _ } = repair;
+        let Repair { resending, copy, words, caller: _ } = repair;
+        let source = &resending.source;
         let storage = &self.maps.storage;
         let salvaged = storage.salvage(source.id, positions.clone(), *words).await?;
         let Some(copy) = copy else {
@@ -369,7 +371,8 @@ impl Rebuilding {
         now: &MapRow,
         place: PlaceId,
     ) -> Result<Option<PlaceId>, ServiceError> {
-        let Repair { resending: Resending { source, sessions, .. }, words, .. } = repair;
+        let Repair { resending, words, .. } = repair;
+        let Resending { source, sessions, .. } = &**resending;
         let storage = &self.maps.storage;
         let witnesses = match storage.frames_of_place(source.id, place, END_OF_LOG, WITNESSES).await {
             Ok(positions) => storage.frames_at(source.id, &positions).await,

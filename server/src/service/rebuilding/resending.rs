@@ -115,21 +115,13 @@ impl Rebuilding {
     /// Sends frames of sessions that are open, but for those that the new map has already.
     pub(super) async fn send(
         &self,
-        resending: &Resending,
+        resending: &Arc<Resending>,
         streams: &Streams,
         frames: Vec<KeptFrame>,
     ) -> Result<(), ServiceError> {
         let committed = |frame: &KeptFrame| {
             let last = streams.get(&frame.event.session).and_then(|stream| stream.last_committed());
             last.is_some_and(|last| frame.event.sequence <= last)
-        };
-        let read = |frame: KeptFrame| async move {
-            let stream = streams.get(&frame.event.session);
-            let stream = stream.ok_or_else(|| ServiceError::internal("a frame of no session"))?;
-            let content = self.content(resending, &frame).await?;
-            let KeptFrame { event, note, map: _ } = frame;
-            let FrameEvent { sequence, stamp_ns, odometry, .. } = event;
-            Ok::<_, ServiceError>((stream.clone(), Ok(Frame { sequence, stamp_ns, content, odometry, note })))
         };
         let (there, left): (Vec<KeptFrame>, Vec<KeptFrame>) = frames.into_iter().partition(committed);
         if let WithoutContent::SendWords { .. } = resending.without_content {
@@ -138,6 +130,23 @@ impl Rebuilding {
                 self.content(resending, frame).await?;
             }
         }
+        let read = |frame: KeptFrame| {
+            let stream = streams.get(&frame.event.session).cloned();
+            let (rebuilding, resending) = (self.clone(), resending.clone());
+            // By itself: what is half read holds a connection to the database, and nobody reads on here while the map's own
+            // thread waits for one.
+            let reading = tokio::spawn(async move {
+                let content = rebuilding.content(&resending, &frame).await?;
+                Ok::<_, ServiceError>((frame, content))
+            });
+            async {
+                let stream = stream.ok_or_else(|| ServiceError::internal("a frame of no session"))?;
+                let (frame, content) = reading.await.map_err(ServiceError::internal)??;
+                let KeptFrame { event, note, map: _ } = frame;
+                let FrameEvent { sequence, stamp_ns, odometry, .. } = event;
+                Ok::<_, ServiceError>((stream, Ok(Frame { sequence, stamp_ns, content, odometry, note })))
+            }
+        };
         let frames = stream::iter(left).map(read).buffered(WINDOWS.prepared);
         let mut outcomes = pin!(sessions::run(frames, WINDOWS));
         while let Some(outcome) = outcomes.next().await {
