@@ -14,6 +14,7 @@ mod map_names;
 pub(crate) mod maps;
 pub(crate) mod match_matrix;
 mod measurements;
+mod merge_request;
 pub(crate) mod merges;
 pub(crate) mod models;
 pub(crate) mod navigation;

@@ -10,13 +10,13 @@ mod view;
 
 use self::report::forgotten;
 use self::view::{merge_in, no_such_merge, undecidable, view};
+pub(crate) use super::merge_request::{CommitPolicy, MergeRequest};
 pub(crate) use report::{MapOverlap, MatchedPlaces, MergeReport, MergedSource, SourceOutcome};
 pub(crate) use view::MergeView;
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use serde::{Deserialize, Serialize};
 use tokio_util::sync::CancellationToken;
 use topomap::merging::MergePlan;
 
@@ -37,28 +37,6 @@ const MAX_SOURCES: usize = 16;
 
 /// Proposals that may wait for a decision at a time.
 const MAX_PROPOSALS: usize = 32;
-
-/// When a merge whose overlap was found is committed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(crate) enum CommitPolicy {
-    /// It is proposed, and a person decides.
-    OnRequest,
-    Automatic,
-}
-
-/// Maps that are to become one.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct MergeRequest {
-    /// `maps/{map}` each.
-    pub(crate) sources: Vec<String>,
-    /// `maps/{map}`; made of the first source if there is no such map.
-    pub(crate) target: String,
-    pub(crate) commit_policy: CommitPolicy,
-    /// Least matches that agree with each other; the default if `None`.
-    pub(crate) min_support: Option<u32>,
-}
 
 /// Merges of maps. Cheap to clone.
 #[derive(Clone, Debug)]

@@ -123,7 +123,9 @@ async fn jobs_that_waited_for_their_turn_are_done_by_the_next_server() {
         for job in [&rebuilding, &merging, &searching, &compacting] {
             succeeded(&client, job).await;
         }
-        assert_eq!(client.job(&unwanted.name).await.unwrap().state(), v1::job::State::Cancelled, "{down:?}");
+        // A server that is killed may not have noted yet that it was cancelled.
+        let state = client.job(&unwanted.name).await.unwrap().state();
+        assert!(matches!(state, v1::job::State::Cancelled | v1::job::State::Failed), "{down:?}: {state:?}");
         // What came in a stream is gone, and with it what was to be made of it. What gives places other numbers is asked
         // for again by who knows that no robot is on its way to one of them.
         for job in [&training, &removing] {

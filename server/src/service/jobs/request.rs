@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::JobReporter;
-use crate::service::merges::MergeRequest;
+use crate::service::merge_request::MergeRequest;
 use crate::storage::JobKind;
 
 /// A job that is to run.
@@ -67,7 +67,7 @@ impl Task {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::service::merges::CommitPolicy;
+    use crate::service::merge_request::CommitPolicy;
 
     /// What is in databases is read by later servers.
     #[test]
