@@ -103,7 +103,7 @@ impl Jobs {
         self.get(caller, name).await?;
         let number = job_number(name)?;
         if let Some(job) = self.running(number) {
-            job.give_up();
+            job.no_longer_wanted();
             // Should the server be killed before the job has noticed, no other one is to go on with it.
             if let Err(error) = self.storage.forget_task(number).await {
                 tracing::warn!(job = number, %error, "a server that comes next may go on with a job that was cancelled");

@@ -21,7 +21,7 @@ pub(crate) struct JobReporter {
     /// Whether another server goes on with it if this one ends first.
     pub(super) survives: bool,
     /// Whether somebody cancelled it, and not the end of the server.
-    given_up: Arc<AtomicBool>,
+    unwanted: Arc<AtomicBool>,
     had_its_turn: Arc<AtomicBool>,
     turn: Arc<Semaphore>,
     storage: Storage,
@@ -34,7 +34,7 @@ impl JobReporter {
             status: watch::Sender::new(status),
             cancel: CancellationToken::new(),
             survives,
-            given_up: Arc::default(),
+            unwanted: Arc::default(),
             had_its_turn: Arc::default(),
             turn: jobs.turn.clone(),
             storage: jobs.storage.clone(),
@@ -61,13 +61,13 @@ impl JobReporter {
     }
 
     /// Somebody no longer wants it.
-    pub(super) fn give_up(&self) {
-        self.given_up.store(true, Ordering::Relaxed);
+    pub(super) fn no_longer_wanted(&self) {
+        self.unwanted.store(true, Ordering::Relaxed);
         self.cancel.cancel();
     }
 
-    pub(super) fn is_given_up(&self) -> bool {
-        self.given_up.load(Ordering::Relaxed)
+    pub(super) fn is_unwanted(&self) -> bool {
+        self.unwanted.load(Ordering::Relaxed)
     }
 
     pub(super) fn had_its_turn(&self) -> bool {

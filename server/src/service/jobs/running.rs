@@ -127,8 +127,9 @@ impl Jobs {
     /// The job has ended, and says how; unless the next server goes on with it.
     pub(in crate::service) async fn end(&self, reporter: &JobReporter, outcome: JobOutcome) {
         let stopping = self.stopping.is_cancelled();
-        let goes_on = reporter.survives && !reporter.is_given_up();
-        if goes_on && stopping && !matches!(outcome, JobOutcome::Stored(_)) {
+        let goes_on = reporter.survives && !reporter.is_unwanted();
+        let is_stored = matches!(outcome, JobOutcome::Stored(_));
+        if goes_on && stopping && !is_stored {
             // Whatever ended it. A server that stops in good order is not ended by its job.
             if reporter.had_its_turn()
                 && let Err(error) = self.storage.take_back_beginning(reporter.number).await
@@ -142,12 +143,10 @@ impl Jobs {
         let (end, state) = match outcome {
             JobOutcome::Stored(end) => {
                 let result = end.result.clone().unwrap_or_default();
-                self.tell(reporter, end, JobState::Succeeded(result));
-                self.lock().remove(&reporter.number);
-                return;
+                (end, JobState::Succeeded(result))
             }
             // Nobody else cancels jobs when the server stops.
-            JobOutcome::Cancelled if stopping && !reporter.is_given_up() => {
+            JobOutcome::Cancelled if stopping && !reporter.is_unwanted() => {
                 (ended(StoredJobState::Failed, Some(interrupted().into())), JobState::Failed(interrupted()))
             }
             JobOutcome::Cancelled => (ended(StoredJobState::Cancelled, None), JobState::Cancelled),
@@ -156,7 +155,8 @@ impl Jobs {
                 (ended(StoredJobState::Failed, stored), JobState::Failed(error))
             }
         };
-        match self.storage.end_job(&end).await {
+        let stored = if is_stored { Ok(()) } else { self.storage.end_job(&end).await };
+        match stored {
             Ok(()) => {
                 self.tell(reporter, end, state);
                 self.lock().remove(&reporter.number);
