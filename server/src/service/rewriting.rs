@@ -42,6 +42,7 @@ impl Rewriting {
         name: &str,
         begun: Begun,
     ) -> Result<JobStatus, ServiceError> {
+        caller.check_resource(name)?;
         let map = self.open_maps.row(map_in(name)?).await?;
         let rewriting = self.clone();
         let request = JobRequest {

@@ -58,7 +58,6 @@ impl Service {
         let begun = Begun::Before(job.clone());
         match task {
             Task::CompactMap { map, asked_by: _ } => {
-                caller.check_resource(&map)?;
                 self.rewriting.start_compacting(&caller, &map, begun).await.map(drop)
             }
             Task::RebuildMap { map, model, into, asked_by: _ } => {
