@@ -192,7 +192,7 @@ pub(super) async fn smaller_than_the_models(
     let extractor = client.model(&map.model).await.ok()?.extractor;
     let (_, model_width_px) = extractor.split_once(" width=")?;
     let model_width_px: u32 = model_width_px.parse().ok()?;
-    (2 * width_px <= model_width_px).then(|| {
+    (2 * width_px < model_width_px).then(|| {
         let fitting = extractor.replace(&format!(" width={model_width_px}"), &format!(" width={width_px}"));
         format!(
             "the images are {width_px} pixels wide, and the map's model is made for {model_width_px}: wrong places may be taken for \
