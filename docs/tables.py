@@ -1,8 +1,8 @@
 """Makes tables of ACCURACY.md and PERFORMANCE.md from what `waypost-eval` reported.
 
-`measurements.toml` has a name and a command for each report. `python docs/tables.py measure NAME...` runs the command
-and keeps its report, with commit and machine, in `measured/NAME.json`. `python docs/tables.py` then writes the rows
-anew. What a row says stands in a comment before its table:
+`measurements.toml` has a name and a command for each report. `python docs/tables.py NAME... --data DATA` runs the commands,
+keeps their reports, with commit and machine, in `measured/NAME.json`, and writes the rows anew; without a name it only
+writes the rows. The commit is that of the repository: build there before. What a row says stands in a comment before its table:
 
     <!-- rows of NAME
     left_out[0] | `ietower`: offices, {frames} frames | {recognised} of {queries_with_loop} |

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
 use clap::Args;
@@ -92,7 +93,7 @@ impl ServerUnderLoad {
     pub(super) async fn start(options: &ServerOptions) -> Result<Self> {
         let directory = Directory::of(options)?;
         let server = options.start_on(directory.path())?;
-        let client = Client::connect(&server.endpoint()).await?;
+        let client = answering(&server).await?;
         let file = tokio::fs::File::open(&options.model).await.map_err(files::not_read(&options.model))?;
         let model = client.import_model(MAP, file).await?;
         let request = v1::CreateMapRequest { map_id: MAP.to_owned(), model: model.name, settings: None };
@@ -101,10 +102,12 @@ impl ServerUnderLoad {
     }
 
     /// Starts another one on the same storage, on a directory of its own.
-    pub(super) fn another(&self, options: &ServerOptions, number: u32) -> Result<Self> {
+    pub(super) async fn another(&self, options: &ServerOptions, number: u32) -> Result<Self> {
         let directory = Directory::Kept(self.directory.path().join(format!("server-{number}")));
         std::fs::create_dir_all(directory.path()).map_err(files::not_written(directory.path()))?;
-        Ok(Self { server: options.start_on(directory.path())?, directory })
+        let server = options.start_on(directory.path())?;
+        answering(&server).await?;
+        Ok(Self { server, directory })
     }
 
     /// Lets it finish, and starts another on its directory.
@@ -147,6 +150,28 @@ impl ServerUnderLoad {
     /// Commits so far, and the frames in them, by its log.
     pub(super) fn commits(&self) -> Commits {
         Commits::of(&self.server.log())
+    }
+}
+
+/// How long a server may take until it owns its database, and how often it is asked.
+const OWNING: Duration = Duration::from_secs(20);
+const ASKED_EVERY: Duration = Duration::from_millis(100);
+
+/// A client of a server that answers: one over a database that others may own listens before it owns it, and cuts connections
+/// when it does.
+async fn answering(server: &ServerProcess) -> Result<Client> {
+    let since = Instant::now();
+    loop {
+        let asked = async {
+            let client = Client::connect(&server.endpoint()).await?;
+            client.models().await?;
+            Ok::<_, waypost_client::Error>(client)
+        };
+        match asked.await {
+            Ok(client) => return Ok(client),
+            Err(error) if since.elapsed() > OWNING => return Err(error.into()),
+            Err(_not_yet) => tokio::time::sleep(ASKED_EVERY).await,
+        }
     }
 }
 

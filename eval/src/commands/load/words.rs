@@ -85,7 +85,7 @@ pub(super) async fn run(server: &ServerOptions, options: &WordsOptions) -> Resul
     let owner = ServerUnderLoad::start(server).await?;
     let mut all = vec![owner];
     for number in 1..*servers {
-        all.push(all[0].another(server, number)?);
+        all.push(all[0].another(server, number).await?);
     }
     let endpoints: Vec<String> = all.iter().map(ServerUnderLoad::endpoint).collect();
     let fleet = Fleet { prefix: "robot", robots: *streams, rate_hz: *rate_hz, duration: *duration };
