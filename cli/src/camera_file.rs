@@ -14,6 +14,7 @@ A --camera is one of
   KITTI's calib.txt     of rectified images, where all its cameras see alike
   numbers               fx,fy,cx,cy in pixels, then the distortion k1,k2,p1,p2[,k3], if there is any
   fisheye: numbers      fisheye:fx,fy,cx,cy[,k1,k2,k3,k4], equidistant
+  fov: degrees          fov:62, its horizontal field of view, where nobody calibrated it
 It is taken to be in the middle of the robot, looking ahead.";
 
 /// Begin of the lines of KITTI's calib.txt that are projections of cameras; some files leave it out.
@@ -23,7 +24,7 @@ const KITTI_CAMERAS: [&str; 8] =
 /// Why no camera was read.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum CameraFileError {
-    #[error("cannot read {}: {source}; name a YAML file, or write fx,fy,cx,cy", path.display())]
+    #[error("cannot read {}: {source}; name a YAML file, or write fx,fy,cx,cy or fov:DEGREES", path.display())]
     Unreadable { path: PathBuf, source: std::io::Error },
     #[error(
         "{}: its cameras see differently, and it does not say which took these images; give fx,fy,cx,cy of that one: {}",
@@ -50,6 +51,8 @@ pub(crate) enum CameraFileError {
          fisheye:fx,fy,cx,cy, then k1,k2,k3,k4 if there is distortion"
     )]
     Arguments(String),
+    #[error("`fov:{0}` is no horizontal field of view; write degrees from 1 to 170, as fov:62")]
+    FieldOfView(String),
     #[error(
         "the middle of the camera's image, ({cx_px}, {cy_px}) pixels, is far from that of the first image, which has {image_width} x \
          {image_height}; give the calibration of these images"
@@ -66,6 +69,9 @@ pub(crate) enum CameraFileError {
 pub(crate) fn described_camera(argument: &str, size_px: (u32, u32)) -> Result<Camera, CameraFileError> {
     if let Some(numbers) = argument.strip_prefix("fisheye:") {
         return by_numbers(numbers, size_px, Lens::Fisheye, &[0, 4]);
+    }
+    if let Some(degrees) = argument.strip_prefix("fov:") {
+        return by_field_of_view(degrees, size_px);
     }
     let first = argument.split(',').next().unwrap_or_default();
     if argument.contains(',') && first.trim().parse::<f64>().is_ok() {
@@ -108,6 +114,26 @@ fn by_numbers(
         distortion: distortion.to_vec(),
     };
     Ok(Camera { lens: lens(intrinsics), size_px, base_to_camera: None })
+}
+
+/// Widest fields of view that a camera without a fisheye's lens has, and narrowest ones, in degrees.
+const FIELDS_OF_VIEW_DEG: std::ops::RangeInclusive<f64> = 1.0..=170.0;
+
+/// A camera of square pixels that looks through the middle of its images.
+fn by_field_of_view(degrees: &str, size_px: (u32, u32)) -> Result<Camera, CameraFileError> {
+    let horizontal_deg = degrees.trim().parse().ok().filter(|degrees| FIELDS_OF_VIEW_DEG.contains(degrees));
+    let horizontal_deg: f64 =
+        horizontal_deg.ok_or_else(|| CameraFileError::FieldOfView(degrees.to_owned()))?;
+    let (width, height) = (f64::from(size_px.0), f64::from(size_px.1));
+    let focal_px = width / 2.0 / (horizontal_deg / 2.0).to_radians().tan();
+    let intrinsics = Intrinsics {
+        fx_px: focal_px,
+        fy_px: focal_px,
+        cx_px: width / 2.0,
+        cy_px: height / 2.0,
+        distortion: Vec::new(),
+    };
+    Ok(Camera { lens: Lens::Pinhole(intrinsics), size_px, base_to_camera: None })
 }
 
 /// Numbers do not say of which images they are; those of others show by their middle, which is within an eighth of the
@@ -371,6 +397,19 @@ mod tests {
         {
             let error = described_camera(wrong, (640, 480)).unwrap_err();
             assert!(matches!(error, CameraFileError::Arguments(_)), "{wrong}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_field_of_view_is_a_camera() {
+        let camera = described_camera("fov:90", (640, 480)).unwrap();
+        assert_eq!(camera.size_px, (640, 480));
+        let lens = pinhole(camera);
+        assert!((lens.fx_px - 320.0).abs() < 1e-9 && lens.fy_px == lens.fx_px, "{lens:?}");
+        assert_eq!((lens.cx_px, lens.cy_px), (320.0, 240.0));
+        for wrong in ["fov:", "fov:0", "fov:180", "fov:1.2rad", "fov:nan"] {
+            let error = described_camera(wrong, (640, 480)).unwrap_err();
+            assert!(matches!(error, CameraFileError::FieldOfView(_)), "{wrong}: {error}");
         }
     }
 

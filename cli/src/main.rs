@@ -19,6 +19,7 @@ use waypost_client::ClientOptions;
 
 mod camera_file;
 mod commands;
+mod conventions;
 mod corrections;
 mod drive;
 mod explanations;

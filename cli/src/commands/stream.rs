@@ -103,8 +103,8 @@ struct Seeing {
     /// (counter-clockwise from the right)
     #[arg(long, value_name = "FILE", conflicts_with_all = ["words", "panorama"])]
     mirror: Option<PathBuf>,
-    /// How the camera sees, so that closures measure metres: a calibration of ROS or Kalibr, or
-    /// fx,fy,cx,cy and distortion; --help describes the formats
+    /// How the camera sees, so that closures measure metres: a calibration of ROS or Kalibr,
+    /// fx,fy,cx,cy and distortion, or fov:DEGREES; --help describes the formats
     #[arg(long, value_name = "FILE_OR_NUMBERS", conflicts_with_all = ["panorama", "mirror"])]
     camera: Option<String>,
 }

@@ -12,6 +12,7 @@ use waypost_client::{Client, v1};
 
 use super::Seeing;
 use crate::camera_file::described_camera;
+use crate::conventions;
 use crate::drive::{Drive, Topics, camera_message};
 use crate::failure::Failure;
 use crate::files::Asking;
@@ -25,7 +26,7 @@ use crate::output::Output;
 use crate::panorama::{mirror_camera, panorama_camera, size_px};
 use crate::progress;
 use crate::replay::{Recording, Replay, note, told_of_no_notes};
-use crate::units::doubts;
+use crate::units;
 
 /// Rate of generated stamps.
 const DEFAULT_RATE_HZ: f64 = 1.0;
@@ -130,9 +131,9 @@ fn poses_of(path: &Path) -> Result<Vec<StampedPose>, Failure> {
     odometry::parse(&text).map_err(|source| Failure::Odometry { path: path.to_owned(), source })
 }
 
-/// Asks about odometry that seems to be in other units.
+/// Asks about odometry that seems to be in other units, axes or conventions.
 fn check_units(poses: &[StampedPose], asking: Asking) -> Result<(), Failure> {
-    match doubts(poses).join("\n").as_str() {
+    match [units::doubts(poses), conventions::doubts(poses)].concat().join("\n").as_str() {
         "" => Ok(()),
         doubts => asking.confirm_doubt(doubts),
     }
