@@ -14,6 +14,7 @@ mod reference;
 mod rest;
 mod sequence;
 mod server;
+mod small_disk;
 mod stream;
 mod told;
 mod words;
@@ -32,6 +33,7 @@ pub(crate) use reference::{BY_WORDS_THRESHOLD, Reference, reference, reference_b
 pub(crate) use rest::{Answer, Surveyed, found, get, http, led};
 pub(crate) use sequence::{SECOND_NS, first_return, frame, frame_count, images, model_file, workspace};
 pub(crate) use server::{Server, channel, channel_with_window, import_model, said, state_hash};
+pub(crate) use small_disk::SmallDisk;
 pub(crate) use stream::{
     RawStream, answers, answers_of, open, session_options, stream, stream_through, wire,
 };

@@ -13,6 +13,7 @@ mod house {
 /// Servers over one database of PostgreSQL.
 mod fleet {
     mod any_server;
+    mod full_disk;
     mod handing_over;
     mod helping;
     mod jobs;

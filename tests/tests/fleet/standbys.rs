@@ -42,7 +42,7 @@ impl Fleet {
         self.servers.lock().unwrap()[server].0.endpoint()
     }
 
-    fn log(&self, server: usize) -> String {
+    pub(super) fn log(&self, server: usize) -> String {
         self.servers.lock().unwrap()[server].0.log()
     }
 

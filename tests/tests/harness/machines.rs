@@ -1,4 +1,5 @@
-//! A database of PostgreSQL on three machines: one takes writes, and a transaction counts once another has it.
+//! A database of PostgreSQL on three machines: one takes writes, and a transaction counts once another has it. Or on one
+//! machine of its own.
 
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -19,7 +20,7 @@ const NAMES: [&str; 3] = ["one", "two", "three"];
 /// Far more than a machine takes to start, to follow, or to end.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Three machines. Ended when dropped.
+/// Three machines, or one. Ended when dropped.
 pub(crate) struct Machines {
     programs: PathBuf,
     machines: Vec<Machine>,
@@ -37,21 +38,10 @@ struct Machine {
 impl Machines {
     /// A primary and its two standbys; `None` with a word why where PostgreSQL is not there.
     pub(crate) async fn start() -> Option<Self> {
-        Cluster::running()?;
         let directory = tempfile::tempdir().unwrap();
-        if getuid().is_root() {
-            assert!(Command::new("chown").arg("postgres").arg(directory.path()).status().unwrap().success());
-        }
-        let machine = |name| Machine { name, data: directory.path().join(name), port: free_port() };
-        let machines = NAMES.map(machine).into();
-        let machines = Self { programs: programs(), machines, primary: 0, directory };
+        let data = directory.path().to_owned();
+        let machines = Self::with_a_primary(&NAMES, &data, directory)?;
         let first = &machines.machines[0];
-        machines.run(
-            "initdb",
-            &["--username=waypost", "--auth=trust", "--encoding=UTF8", "--locale=C", "--no-sync", "--pgdata"],
-            &first.data,
-        );
-        machines.start_again(0);
         // After the start: what is made first has no standby to wait for.
         let mut settings = OpenOptions::new().append(true).open(first.data.join("postgresql.conf")).unwrap();
         writeln!(settings, "synchronous_standby_names = 'ANY 1 ({})'", NAMES.join(", ")).unwrap();
@@ -62,20 +52,45 @@ impl Machines {
         Some(machines)
     }
 
+    /// One machine, with all that it keeps in that folder; `None` likewise.
+    pub(crate) fn alone(data: &Path) -> Option<Self> {
+        Self::with_a_primary(&NAMES[..1], data, tempfile::tempdir().unwrap())
+    }
+
+    /// The first of the machines runs, the others are names.
+    fn with_a_primary(names: &[&'static str], data: &Path, directory: TempDir) -> Option<Self> {
+        Cluster::running()?;
+        if getuid().is_root() {
+            let folders = [directory.path(), data];
+            assert!(Command::new("chown").arg("postgres").args(folders).status().unwrap().success());
+        }
+        let machine = |&name| Machine { name, data: data.join(name), port: free_port() };
+        let machines = names.iter().map(machine).collect();
+        let machines = Self { programs: programs(), machines, primary: 0, directory };
+        machines.run(
+            "initdb",
+            &["--username=waypost", "--auth=trust", "--encoding=UTF8", "--locale=C", "--no-sync", "--pgdata"],
+            &machines.machines[0].data,
+        );
+        machines.start_again(0);
+        Some(machines)
+    }
+
     /// A database with that name: its URL names all machines.
     pub(crate) async fn database(&self, name: &str) -> String {
         self.tell(self.primary, &format!("CREATE DATABASE {name}")).await;
         // Standbys have it when they have replayed that.
         let there = format!("SELECT count(*)::text FROM pg_database WHERE datname = '{name}'");
-        let runs = |standby: &usize| TcpStream::connect(self.machines[*standby].socket()).is_ok();
-        for standby in self.standbys().into_iter().filter(runs) {
+        let runs = |standby: &usize| self.answers(*standby);
+        let all = 0..self.machines.len();
+        for standby in all.clone().filter(|machine| *machine != self.primary).filter(runs) {
             let since = Instant::now();
             while self.ask(standby, &there).await != "1" {
                 assert!(since.elapsed() < PATIENCE, "a standby does not get the database {name}");
                 tokio::time::sleep(Duration::from_millis(50)).await;
             }
         }
-        format!("{}?target_session_attrs=read-write", self.url(&[0, 1, 2], name))
+        format!("{}?target_session_attrs=read-write", self.url(&all.collect::<Vec<_>>(), name))
     }
 
     /// The URL of a database on some of the machines.
@@ -102,7 +117,7 @@ impl Machines {
         kill_process(first, Signal::KILL).unwrap();
         // One that still writes, on a slow disk, would keep the machine from being started again.
         until(|| processes.iter().all(|pid| !Path::new(&format!("/proc/{pid}")).exists()));
-        assert!(TcpStream::connect(machine.socket()).is_err(), "{} still answers", machine.name);
+        assert!(!self.answers(self.primary), "{} still answers", machine.name);
         self.primary
     }
 
@@ -134,6 +149,11 @@ impl Machines {
     pub(crate) fn stop(&self, machine: usize) {
         let stop = ["stop", "--silent", "--wait", "--mode=fast", "--pgdata"];
         self.run("pg_ctl", &stop, &self.machines[machine].data);
+    }
+
+    /// Whether a machine answers.
+    pub(crate) fn answers(&self, machine: usize) -> bool {
+        TcpStream::connect(self.machines[machine].socket()).is_ok()
     }
 
     /// Starts a machine with what it has.

@@ -1,9 +1,7 @@
 //! A full disk: frames are refused with the reason, nothing is lost, and space heals it.
 
-use std::fs::File;
-use std::io::{ErrorKind, Write};
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
+use std::process::Output;
 use std::time::Duration;
 
 use waypost_client::{Client, Code, FrameOutcome, v1};
@@ -11,64 +9,12 @@ use waypost_client::{Client, Code, FrameOutcome, v1};
 use waypost_proto::v1::stream_response::Content as Response;
 
 use crate::harness::{
-    Built, RawStream, ServerProcess, assert_status, first_return, frame, import_model, in_time, map_request,
-    open, path, reference, refused, run_to_its_end, session_options, state_hash, stream, wire,
+    Built, RawStream, ServerProcess, SmallDisk, assert_status, first_return, frame, import_model, in_time,
+    map_request, open, path, reference, refused, run_to_its_end, session_options, state_hash, stream, wire,
 };
 
-/// A small disk of its own. Unmounted when dropped.
-struct SmallDisk {
-    mount_point: tempfile::TempDir,
-}
-
-impl SmallDisk {
-    /// `None` where this process may not mount.
-    fn mount() -> Option<Self> {
-        let mount_point = tempfile::tempdir().unwrap();
-        let mounted = Command::new("mount")
-            .args(["-t", "tmpfs", "-o", "size=24m", "tmpfs"])
-            .arg(mount_point.path())
-            .output()
-            .is_ok_and(|output| output.status.success());
-        if !mounted {
-            // No other way fills a disk without harm to the machine.
-            eprintln!("SKIPPED: this user may not mount a disk to fill");
-            return None;
-        }
-        Some(Self { mount_point })
-    }
-
-    fn data_dir(&self) -> PathBuf {
-        self.mount_point.path().join("data")
-    }
-
-    fn ballast(&self) -> PathBuf {
-        self.mount_point.path().join("ballast")
-    }
-
-    /// Takes the last byte.
-    fn fill(&self) {
-        let mut ballast = File::options().append(true).create(true).open(self.ballast()).unwrap();
-        for piece in [1 << 16, 1 << 12, 1 << 8, 1] {
-            loop {
-                match ballast.write_all(&vec![0; piece]) {
-                    Ok(()) => {}
-                    Err(error) if error.kind() == ErrorKind::StorageFull => break,
-                    Err(error) => panic!("{error}"),
-                }
-            }
-        }
-    }
-
-    fn free(&self) {
-        std::fs::remove_file(self.ballast()).unwrap();
-    }
-}
-
-impl Drop for SmallDisk {
-    fn drop(&mut self) {
-        let _ = Command::new("umount").arg("--lazy").arg(self.mount_point.path()).status();
-    }
-}
+/// Of a disk for a server and its map.
+const DISK_MIB: u32 = 24;
 
 async fn serving(data_dir: &Path) -> (ServerProcess, Client) {
     let server = ServerProcess::start(data_dir);
@@ -81,8 +27,8 @@ async fn serving(data_dir: &Path) -> (ServerProcess, Client) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_disk_refuses_frames_and_loses_none() {
     const BEFORE: u64 = 6;
-    let Some(disk) = SmallDisk::mount() else { return };
-    let (mut server, client) = serving(&disk.data_dir()).await;
+    let Some(disk) = SmallDisk::mount(DISK_MIB) else { return };
+    let (mut server, client) = serving(&disk.folder()).await;
     let (mut raw, _) = RawStream::open(&server.endpoint(), open("drive", "robot")).await.unwrap();
     for sequence in 1..=BEFORE {
         raw.answered(wire(frame(sequence))).await;
@@ -116,8 +62,8 @@ async fn a_full_disk_refuses_frames_and_loses_none() {
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_acknowledged_on_a_full_disk_survives_a_kill() {
     const BEFORE: u64 = 6;
-    let Some(disk) = SmallDisk::mount() else { return };
-    let (server, client) = serving(&disk.data_dir()).await;
+    let Some(disk) = SmallDisk::mount(DISK_MIB) else { return };
+    let (server, client) = serving(&disk.folder()).await;
     let (mut raw, _) = RawStream::open(&server.endpoint(), open("drive", "robot")).await.unwrap();
     for sequence in 1..=BEFORE {
         raw.answered(wire(frame(sequence))).await;
@@ -133,7 +79,7 @@ async fn what_is_acknowledged_on_a_full_disk_survives_a_kill() {
     }
     server.kill();
     disk.free();
-    let server = ServerProcess::start(&disk.data_dir());
+    let server = ServerProcess::start(&disk.folder());
     let (_, opened) = RawStream::open(&server.endpoint(), open("drive", "robot")).await.unwrap();
     assert_eq!(opened.last_committed_sequence, Some(acknowledged), "acknowledged frames are gone");
     server.stop();
@@ -143,8 +89,8 @@ async fn what_is_acknowledged_on_a_full_disk_survives_a_kill() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_session_of_the_client_outlives_a_full_disk() {
     const ROUNDS: u32 = 6;
-    let Some(disk) = SmallDisk::mount() else { return };
-    let (server, client) = serving(&disk.data_dir()).await;
+    let Some(disk) = SmallDisk::mount(DISK_MIB) else { return };
+    let (server, client) = serving(&disk.folder()).await;
     let frames = first_return() + 20;
     let mut options = session_options("drive", "robot");
     options.reconnection.longest_delay = Duration::from_millis(400);
@@ -175,8 +121,8 @@ async fn a_session_of_the_client_outlives_a_full_disk() {
 /// What is left of a disk is the robots'.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_import_is_refused_before_the_disk_is_full() {
-    let Some(disk) = SmallDisk::mount() else { return };
-    let (server, client) = serving(&disk.data_dir()).await;
+    let Some(disk) = SmallDisk::mount(DISK_MIB) else { return };
+    let (server, client) = serving(&disk.folder()).await;
     let mut snapshot = Vec::new();
     client.export_map("drive", &mut snapshot).await.unwrap();
     let refusal = client.import_map("copy", std::io::Cursor::new(snapshot)).await;
@@ -195,7 +141,7 @@ fn first_lines(log: &str) -> String {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_backup_that_finds_no_room_leaves_nothing_and_says_why() {
-    let Some(disk) = SmallDisk::mount() else { return };
+    let Some(disk) = SmallDisk::mount(DISK_MIB) else { return };
     let (data, target) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     serving(data.path()).await.0.stop();
     let backup = target.path().join("backup");
@@ -207,13 +153,13 @@ async fn a_backup_that_finds_no_room_leaves_nothing_and_says_why() {
     };
     let (code, said) = run(data.path(), ["backup", path(&backup)]);
     assert_eq!(code, Some(0), "{said}");
-    std::fs::create_dir(disk.data_dir()).unwrap();
+    std::fs::create_dir(disk.folder()).unwrap();
     disk.fill();
     let restore = ["restore", path(&backup)];
-    let (code, said) = run(&disk.data_dir(), restore);
+    let (code, said) = run(&disk.folder(), restore);
     assert!(code == Some(1) && said.contains("the disk is full; free some space"), "{said}");
-    assert!(!disk.data_dir().join("waypost.sqlite.partial").exists(), "a part of it is left");
+    assert!(!disk.folder().join("waypost.sqlite.partial").exists(), "a part of it is left");
     disk.free();
-    let (code, said) = run(&disk.data_dir(), restore);
+    let (code, said) = run(&disk.folder(), restore);
     assert_eq!(code, Some(0), "{said}");
 }
