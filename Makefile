@@ -11,8 +11,10 @@ ROS2 := $(abspath $(or $(CARGO_TARGET_DIR),target)/ros2)
 # Where the C++ client is built.
 CPP := $(abspath $(or $(CARGO_TARGET_DIR),target)/cpp)
 
-# How many of the tests that are not Rust's run at once: they wait for much, for robots as for browsers.
-JOBS ?= 2
+# How many of the tests that are not Rust's run at once, and how many of Rust's: they wait for much, for robots as for browsers,
+# so that one more than there are cores keeps two of them busy.
+JOBS ?= 3
+TEST_THREADS ?= $(shell expr $$(nproc) + 1)
 # What is fuzzed, and for how long: make fuzz FUZZ=model SECONDS=600
 FUZZ ?= all
 SECONDS ?= 60
@@ -26,7 +28,7 @@ demo: build
 # All unit, property and end-to-end tests, a part of these on PostgreSQL, and then those of the Python client, of docker/, docs/ and
 # packaging/, of ros/, of the page and of the C++ client.
 test: setup
-	$(CARGO) test --release --locked --workspace --no-fail-fast
+	RUST_TEST_THREADS=$(TEST_THREADS) $(CARGO) test --release --locked --workspace --no-fail-fast
 	$(MAKE) --no-print-directory setup-tests
 	$(MAKE) --no-print-directory --jobs=$(JOBS) --output-sync=target --keep-going \
 		test-postgres test-python test-ros test-inspector test-cpp
