@@ -286,7 +286,8 @@ impl MapWriter {
                 (entry, (reply, timings, map_pose, since, room))
             })
             .unzip();
-        if let Err(error) = self.runtime.block_on(self.storage.append(self.map.id, &entries)) {
+        let entries: Arc<[LogEntry]> = entries.into();
+        if let Err(error) = self.runtime.block_on(self.storage.append(self.map.id, entries.clone())) {
             tracing::error!(map = self.map.name, %error, "commit failed");
             let error = match ServiceError::from(error) {
                 ServiceError::Internal => {
@@ -299,12 +300,12 @@ impl MapWriter {
         }
         self.metrics.committed(entries.len());
         tracing::debug!(map = self.map.name, frames_committed = entries.len(), "committed");
-        for (entry, (reply, mut timings, map_pose, since, _room)) in entries.into_iter().zip(waiting) {
+        for (entry, (reply, mut timings, map_pose, since, _room)) in entries.iter().zip(waiting) {
             timings.total = since.elapsed();
             timings.commit = timings.total.saturating_sub(timings.work());
-            if let MapEvent::Frame(event) = entry.event {
-                self.recent.get_mut().keep(event.frame, RecentFrame::of(&event, entry.note));
-                let answer = self.answer(&event, Some(timings));
+            if let MapEvent::Frame(event) = &entry.event {
+                self.recent.get_mut().keep(event.frame, RecentFrame::of(event, entry.note.clone()));
+                let answer = self.answer(event, Some(timings));
                 let answer = answer.map(|answer| FrameAnswer { map_pose, ..answer });
                 let _ = reply.send(answer.map_err(|_| answer_unreadable()));
             }

@@ -3,6 +3,7 @@
 //! Both databases get the same statements, through `sqlx::Any`; what only one of them knows is in `engine`.
 
 mod appearance;
+mod appending;
 mod cameras;
 mod checkpoints;
 mod columns;
@@ -83,6 +84,8 @@ pub(crate) struct Storage {
     directory: PathBuf,
     engine: Engine,
     damages: Arc<Damages>,
+    /// Events that are to be appended.
+    waiting: Arc<appending::Waiting>,
     /// Whoever watches maps.
     commits: Arc<commits::Commits>,
     quotas: Quotas,
@@ -123,6 +126,7 @@ impl Storage {
             directory: directory.to_owned(),
             engine,
             damages: Arc::default(),
+            waiting: Arc::default(),
             commits: Arc::default(),
             quotas: Quotas::default(),
         };

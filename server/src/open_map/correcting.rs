@@ -1,5 +1,7 @@
 //! What people say of loop closures goes into the log.
 
+use std::sync::Arc;
+
 use topomap::evidence::VerificationMethod;
 use topomap::ids::FrameId;
 use topomap::log::{CorrectionEvent, FrameEvent, MapEvent, MeasuredEvent};
@@ -32,7 +34,7 @@ impl MapWriter {
 
     /// Stores and applies what is no frame.
     pub(super) fn take_in(&mut self, entry: &LogEntry) -> Result<(), CommitFailed> {
-        let entries = std::slice::from_ref(entry);
+        let entries = Arc::from([entry.clone()]);
         if let Err(error) = self.runtime.block_on(self.storage.append(self.map.id, entries)) {
             tracing::error!(map = self.map.name, %error, "an event could not be stored");
             return Err(CommitFailed::default());

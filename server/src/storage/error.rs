@@ -84,6 +84,43 @@ impl StorageError {
     }
 }
 
+impl StorageError {
+    /// That the database is held up, for want of a better word.
+    pub(super) fn held_up(cause: &Self) -> Self {
+        Self::HeldUp(sqlx::Error::Io(std::io::Error::other(cause.to_string())))
+    }
+
+    /// The same for somebody else, where it befalls whoever writes; `None` where it may be of one transaction alone.
+    pub(super) fn befalls_all(&self) -> Option<Self> {
+        // What the database said cannot be copied: its words can.
+        let again = |source: &sqlx::Error| sqlx::Error::Io(std::io::Error::other(source.to_string()));
+        match self {
+            Self::DiskFull(source) => Some(Self::DiskFull(again(source))),
+            Self::HeldUp(source) => Some(Self::HeldUp(again(source))),
+            Self::TakenOver => Some(Self::TakenOver),
+            Self::Directory { .. }
+            | Self::NothingThere { .. }
+            | Self::Locked { .. }
+            | Self::Newer { .. }
+            | Self::NoDatabase { .. }
+            | Self::Broken { .. }
+            | Self::Exists
+            | Self::InUse
+            | Self::JobEnded
+            | Self::Retold
+            | Self::Abandoned
+            | Self::Damaged(_)
+            | Self::Rot(_)
+            | Self::ReadOnly(_)
+            | Self::OverQuota(_)
+            | Self::Failed(_)
+            | Self::Owned { .. }
+            | Self::Unfit(_)
+            | Self::Migration(_) => None,
+        }
+    }
+}
+
 /// SQLite's primary result codes.
 const SQLITE_BUSY: u32 = 5;
 const SQLITE_LOCKED: u32 = 6;

@@ -2,19 +2,13 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use fabmap::appearance::PlaceId;
-use sqlx::{Any, Transaction};
 use topomap::ids::{FrameId, SessionId};
 use topomap::log::{FrameEvent, MapEvent, MeasuredEvent};
 
-use super::columns::insert_event;
 use super::damage::Where;
-use super::kept::{KeptBySession, add_kept};
-use super::media::{insert_media, kept_bytes};
-use super::notes::insert_note;
 use super::row_sums::{CHAIN_START, StoredEvent};
 use super::values::{from_sql, json_list, to_sql};
 use super::{MapId, Medium, Storage, StorageError};
-use crate::quotas::Used;
 
 /// Events read at a time when a log is replayed.
 const REPLAY_PAGE: u32 = 1000;
@@ -90,30 +84,6 @@ impl From<MatchedColumns> for StoredFrame {
 }
 
 impl Storage {
-    /// Appends events to a map's log, all or none, and returns when they are on the disk.
-    pub(crate) async fn append(&self, map: MapId, entries: &[LogEntry]) -> Result<(), StorageError> {
-        self.check_sound(map)?;
-        let append = async |transaction: &mut Transaction<'_, Any>| {
-            let mut kept = KeptBySession::new();
-            for LogEntry { position, event, media, note } in entries {
-                let bytes = insert_event(transaction, map, to_sql(*position), event).await?;
-                insert_media(transaction, map, to_sql(*position), media).await?;
-                insert_note(transaction, map, to_sql(*position), note).await?;
-                *kept.entry(event.session()).or_default() += bytes + kept_bytes(media);
-            }
-            add_kept(transaction, map, &kept).await
-        };
-        let appended = self.write_and(append, async |_, kept| {
-            for (owner, kept_bytes) in kept {
-                self.quotas.add(owner.as_deref(), Used { kept_bytes: *kept_bytes, ..Used::default() });
-            }
-        });
-        let appended = appended.await;
-        self.noting_rot(map, Where::Somewhere, appended).await?;
-        self.commits.tell(map);
-        Ok(())
-    }
-
     /// Hands the events at `positions` to `fold`, in order, without what is kept beside them.
     pub(crate) async fn replay(
         &self,

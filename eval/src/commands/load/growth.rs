@@ -114,7 +114,7 @@ pub(super) async fn run(server: &ServerOptions, options: &GrowthOptions) -> Resu
         .map(|look| workload.revisit_to_one_of(look, *places).observation)
         .collect();
     let contents = Arc::new(Contents { frames: looks.iter().map(histogram).collect(), words_hash });
-    let fleet = Fleet { prefix: "looker", robots: 1, rate_hz: *rate_hz, duration: *duration };
+    let fleet = Fleet { prefix: "looker", robots: 1, maps: 1, rate_hz: *rate_hz, duration: *duration };
     let robots = fleet.open(&[server.endpoint()], &contents).await?;
     let record = fleet.drive(robots).await?;
     let latency = |of: fn(&Answered) -> Duration| LatencyReport::of(record.answered.iter().map(of));

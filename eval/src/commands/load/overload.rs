@@ -12,7 +12,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 use super::contents::Contents;
 use super::report::{LatencyReport, ServerUse};
 use super::robot::{AtTheEnd, Camera, Record, Robot, drive_all};
-use super::server::{ServerOptions, ServerUnderLoad, cpu_s_of};
+use super::server::{MAP, ServerOptions, ServerUnderLoad, cpu_s_of};
 use super::words::LEAD;
 use super::{positive, seconds};
 use crate::timing::median;
@@ -232,7 +232,7 @@ impl Load<'_> {
     }
 
     async fn robot(&self, session: &str, first_content: usize) -> Result<Robot> {
-        Robot::open(&self.server.endpoint(), session, self.contents.clone(), first_content).await
+        Robot::open(&self.server.endpoint(), (MAP, session), self.contents.clone(), first_content).await
     }
 }
 

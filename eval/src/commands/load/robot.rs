@@ -25,7 +25,7 @@ use waypost_proto::v1::stream_request::Content as Request;
 use waypost_proto::v1::stream_response::Content as Response;
 
 use super::contents::Contents;
-use super::server::{MAP, breach};
+use super::server::breach;
 
 /// Frames that a robot has on their way at once, as many as the client library by default.
 const WINDOW: usize = 8;
@@ -141,11 +141,12 @@ impl Robot {
     /// Opens a session over a connection of its own.
     pub(super) async fn open(
         endpoint: &str,
-        session: &str,
+        (map, session): (&str, &str),
         contents: Arc<Contents>,
         first_content: usize,
     ) -> Result<Self> {
-        let (requests, responses) = open_stream(connection(endpoint)?, session, &contents.words_hash).await?;
+        let connection = connection(endpoint)?;
+        let (requests, responses) = open_stream(connection, (map, session), &contents.words_hash).await?;
         Ok(Self {
             requests,
             responses,
@@ -334,13 +335,13 @@ fn ended(status: &Status) -> anyhow::Error {
 /// A stream with an open session.
 pub(super) async fn open_stream(
     connection: Endpoint,
-    session: &str,
+    (map, session): (&str, &str),
     words_hash: &str,
 ) -> Result<(mpsc::Sender<v1::StreamRequest>, Streaming<v1::StreamResponse>)> {
     let channel = connection.connect().await?;
     let (requests, receiver) = mpsc::channel(WINDOW + 1);
     let opening = v1::OpenSession {
-        map: format!("maps/{MAP}"),
+        map: format!("maps/{map}"),
         session_id: session.to_owned(),
         mode: v1::SessionMode::Map.into(),
         camera: None,

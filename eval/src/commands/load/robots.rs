@@ -60,7 +60,7 @@ pub(super) async fn run(server: &ServerOptions, options: &RobotsOptions) -> Resu
     let RobotsOptions { source, rate_hz, duration } = options;
     let contents = Arc::new(Contents::words(&server.model, source)?);
     let server = ServerUnderLoad::start(server).await?;
-    let fleet = |prefix| Fleet { prefix, robots: ROBOTS, rate_hz: *rate_hz, duration: *duration };
+    let fleet = |prefix| Fleet { prefix, robots: ROBOTS, maps: 1, rate_hz: *rate_hz, duration: *duration };
     let measure = async |fleet: Fleet| {
         let robots = fleet.open(&[server.endpoint()], &contents).await?;
         let record = fleet.drive(robots).await?;

@@ -12,8 +12,13 @@ use waypost_client::{Client, v1};
 
 use crate::files;
 
-/// The map that all robots stream into.
+/// The map that all robots stream into, unless there are several.
 pub(super) const MAP: &str = "load";
+
+/// The name of one of several maps; of the first, [`MAP`].
+pub(super) fn map_name(number: u32) -> String {
+    if number == 0 { MAP.to_owned() } else { format!("{MAP}-{number}") }
+}
 
 /// The kernel counts processor time in hundredths of a second on every platform that Rust runs on.
 const TICKS_PER_SECOND: f64 = 100.0;
@@ -99,6 +104,21 @@ impl ServerUnderLoad {
         let request = v1::CreateMapRequest { map_id: MAP.to_owned(), model: model.name, settings: None };
         client.create_map(request).await?;
         Ok(Self { server, directory })
+    }
+
+    /// Makes maps beside the first, so that there are so many.
+    pub(super) async fn make_maps(&self, maps: u32) -> Result<()> {
+        let client = answering(&self.server).await?;
+        let first = client.map(MAP, v1::MapView::Basic).await?;
+        for number in 1..maps {
+            let request = v1::CreateMapRequest {
+                map_id: map_name(number),
+                model: first.model.clone(),
+                settings: first.settings.clone(),
+            };
+            client.create_map(request).await?;
+        }
+        Ok(())
     }
 
     /// Starts another one on the same storage, on a directory of its own.

@@ -15,6 +15,7 @@ use waypost_proto::v1::stream_request::Content as Request;
 
 use super::contents::Contents;
 use super::robot::{connection, open_stream, wire};
+use super::server::MAP;
 
 /// Bytes of answers that a stalled client takes all the same: a few answers.
 const WINDOW_BYTES: u32 = 1 << 10;
@@ -35,7 +36,7 @@ impl StalledStream {
         rate_hz: f64,
     ) -> Result<Self> {
         let connection = connection(endpoint)?.initial_stream_window_size(WINDOW_BYTES);
-        let (requests, responses) = open_stream(connection, session, &contents.words_hash).await?;
+        let (requests, responses) = open_stream(connection, (MAP, session), &contents.words_hash).await?;
         let contents = contents.clone();
         let mut pace = interval(Duration::from_secs_f64(1.0 / rate_hz));
         let sending = tokio::spawn(async move {

@@ -1,4 +1,4 @@
-//! Many word streams into one map.
+//! Many word streams into one map, or into several.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,7 +13,7 @@ use tokio::time::Instant;
 use super::contents::{Contents, WordSource};
 use super::report::{LatencyReport, ServerUse};
 use super::robot::{Answered, AtTheEnd, Camera, Record, Robot, drive_all};
-use super::server::{ServerOptions, ServerUnderLoad};
+use super::server::{ServerOptions, ServerUnderLoad, map_name};
 use super::{positive, seconds};
 use crate::error::refused;
 
@@ -23,7 +23,7 @@ const TARGET_MS: [f64; 2] = [5.0, 20.0];
 /// All streams are open by then.
 pub(super) const LEAD: Duration = Duration::from_millis(200);
 
-/// Many word streams into one map: what a frame takes beyond computing.
+/// Many word streams into one map, or several: what a frame takes beyond computing.
 #[derive(Args)]
 pub(super) struct WordsOptions {
     #[command(flatten)]
@@ -40,12 +40,16 @@ pub(super) struct WordsOptions {
     /// Servers over one database, over which robots are spread; the first one owns the database.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
     servers: u32,
+    /// Maps over which robots are spread.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    maps: u32,
 }
 
 /// What the robots saw of the server.
 #[derive(Serialize)]
 pub(crate) struct WordsReport {
     pub streams: u32,
+    pub maps: u32,
     pub rate_hz: f64,
     pub seconds: f64,
     /// Mean size of a frame's words on the wire.
@@ -64,7 +68,7 @@ pub(crate) struct WordsReport {
     pub computing: LatencyReport,
     /// How late robots were with sending: the load generator's own share, within the round trip.
     pub send_late: LatencyReport,
-    /// Frames that share a commit, on average; null if the server does not log it.
+    /// Frames of a map that share a commit, on average; null if the server does not log it.
     pub frames_per_commit: Option<f64>,
     /// What the server took meanwhile; of several, the one that owns the database.
     pub server: ServerUse,
@@ -77,18 +81,20 @@ pub(crate) struct WordsReport {
 }
 
 pub(super) async fn run(server: &ServerOptions, options: &WordsOptions) -> Result<WordsReport> {
-    let WordsOptions { source, streams, rate_hz, duration, servers } = options;
+    let WordsOptions { source, streams, rate_hz, duration, servers, maps } = options;
     let contents = Arc::new(Contents::words(&server.model, source)?);
     if *servers > 1 && server.storage.is_none() {
         return Err(refused("several servers need a database that they can share; give --storage"));
     }
     let owner = ServerUnderLoad::start(server).await?;
+    owner.make_maps(*maps).await?;
     let mut all = vec![owner];
     for number in 1..*servers {
         all.push(all[0].another(server, number).await?);
     }
     let endpoints: Vec<String> = all.iter().map(ServerUnderLoad::endpoint).collect();
-    let fleet = Fleet { prefix: "robot", robots: *streams, rate_hz: *rate_hz, duration: *duration };
+    let fleet =
+        Fleet { prefix: "robot", robots: *streams, maps: *maps, rate_hz: *rate_hz, duration: *duration };
     let robots = fleet.open(&endpoints, &contents).await?;
     let began = Instant::now();
     let cpu_before_s = all.iter().map(ServerUnderLoad::cpu_s).collect::<Result<Vec<f64>>>()?;
@@ -112,6 +118,7 @@ pub(super) async fn run(server: &ServerOptions, options: &WordsOptions) -> Resul
     let beyond_computing = latency(Answered::beyond_computing);
     Ok(WordsReport {
         streams: *streams,
+        maps: *maps,
         rate_hz: *rate_hz,
         seconds: duration.as_secs_f64(),
         bytes_per_frame: contents.bytes_per_frame(),
@@ -134,6 +141,8 @@ pub(super) async fn run(server: &ServerOptions, options: &WordsOptions) -> Resul
 pub(super) struct Fleet {
     pub(super) prefix: &'static str,
     pub(super) robots: u32,
+    /// Over which they are spread.
+    pub(super) maps: u32,
     pub(super) rate_hz: f64,
     pub(super) duration: Duration,
 }
@@ -146,7 +155,8 @@ impl Fleet {
             let first_content = contents.frames.len() * robot as usize / self.robots as usize;
             let session = format!("{}-{robot}", self.prefix);
             let endpoint = &endpoints[robot as usize % endpoints.len()];
-            opened.push(Robot::open(endpoint, &session, contents.clone(), first_content).await?);
+            let map = map_name(robot % self.maps);
+            opened.push(Robot::open(endpoint, (&map, &session), contents.clone(), first_content).await?);
         }
         Ok(opened)
     }
