@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 import re
 import subprocess
+import sys
 from pathlib import Path
+
+import pytest
 
 HERE = Path(__file__).parent
 BINARIES = Path(os.environ.get("WAYPOST_BINARIES", HERE.parent / "target/release"))
@@ -28,3 +31,23 @@ def test_every_line_of_the_bridges_parameters_is_one_that_it_takes(tmp_path: Pat
     )
     assert ended.returncode == 2, ended.stderr
     assert "9 lives" in ended.stderr
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_every_link_in_what_is_installed_leads_somewhere(tmp_path: Path, alone: bool) -> None:
+    subprocess.run(
+        [sys.executable, HERE / "documents.py", tmp_path, *(["--alone"] if alone else [])], check=True
+    )
+    pages = list(tmp_path.rglob("*.md"))
+    links = [
+        (page, target)
+        for page in pages
+        for target in re.findall(r"\]\(([^)\s#]+)[^)\s]*\)", page.read_text())
+        if "://" not in target
+    ]
+    assert (len(pages), links) == (1, []) if alone else len(links) > 300
+    assert [(page, target) for page, target in links if not (page.parent / target).exists()] == []
+    # Nobody has built anything.
+    said = (tmp_path / "README.md").read_text()
+    assert "make serve" not in said and "target/release" not in said and "are published yet" not in said
+    assert alone or "target/release" not in (tmp_path / "guide/ros2.md").read_text()

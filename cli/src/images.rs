@@ -29,9 +29,13 @@ pub(crate) enum ListingError {
     Missing(PathBuf),
     #[error("{} is a file; give the folder that the images are in", .0.display())]
     NotAFolder(PathBuf),
-    #[error("no images in {}; they have to end in .jpg, .jpeg or .png{}", folder.display(), converting(others))]
+    #[error(
+        "no images in {}; they have to end in .jpg, .jpeg or .png{}{}", folder.display(), converting(others), deeper(inner)
+    )]
     NoImages {
         folder: PathBuf,
+        /// A folder in it that has images.
+        inner: Option<PathBuf>,
         /// How many images of other formats there are, in words.
         others: Option<String>,
     },
@@ -60,7 +64,8 @@ pub(crate) fn images_of(folder: &Path) -> Result<Vec<ImageFile>, ListingError> {
     let mut images = listed(&folder).map_err(unreadable)?;
     if images.is_empty() {
         let others = of_other_formats(&folder).map_err(unreadable)?;
-        return Err(ListingError::NoImages { folder, others });
+        let inner = folder_of_images(&folder).map_err(unreadable)?;
+        return Err(ListingError::NoImages { folder, inner, others });
     }
     let names: Vec<&str> = images.iter().map(|image| image.name.as_str()).collect();
     if let Some(stamps) = stamps_of(&names) {
@@ -111,6 +116,21 @@ fn of_other_formats(folder: &Path) -> std::io::Result<Option<String>> {
         format!("{count} {files} .{ending}")
     });
     Ok((!counts.is_empty()).then(|| counted.collect::<Vec<_>>().join(", ")))
+}
+
+/// The first folder in this one that has images, by name.
+fn folder_of_images(folder: &Path) -> std::io::Result<Option<PathBuf>> {
+    let entries: Vec<_> = std::fs::read_dir(folder)?.collect::<Result<_, _>>()?;
+    let mut folders: Vec<PathBuf> =
+        entries.into_iter().map(|entry| entry.path()).filter(|path| path.is_dir()).collect();
+    folders.sort();
+    // One that may not be read is passed over.
+    let has_images = |folder: &PathBuf| listed(folder).is_ok_and(|images| !images.is_empty());
+    Ok(folders.into_iter().find(has_images))
+}
+
+fn deeper(inner: &Option<PathBuf>) -> String {
+    inner.as_ref().map(|inner| format!("; {} has some", inner.display())).unwrap_or_default()
 }
 
 fn converting(others: &Option<String>) -> String {

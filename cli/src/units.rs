@@ -5,6 +5,10 @@ use crate::odometry::StampedPose;
 /// Faster than robots and most cars drive, in m/s: 72 km/h.
 const DOUBTFUL_SPEED_M_S: f64 = 20.0;
 
+/// Further apart than a robot's poses are, in seconds, where it drives slower than a snail: stamps in milliseconds.
+const DOUBTFUL_PAUSE_S: f64 = 20.0;
+const SNAIL_M_S: f64 = 0.01;
+
 /// Faster than robots turn: once around in a second.
 const DOUBTFUL_TURN_RAD_S: f64 = std::f64::consts::TAU;
 
@@ -35,7 +39,10 @@ const LEAST_WAY_M: f64 = 2.0;
 
 /// What seems to be in other units or axes, a sentence each.
 pub(crate) fn doubts(poses: &[StampedPose]) -> Vec<String> {
-    [centimetres(poses), degrees(poses), optical_axes(poses)].into_iter().flatten().collect()
+    [centimetres(poses), milliseconds(poses), degrees(poses), optical_axes(poses)]
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 /// Axes of a camera, where z is ahead and not up.
@@ -60,20 +67,42 @@ fn steps(poses: &[StampedPose]) -> impl Iterator<Item = (&StampedPose, &StampedP
     poses.windows(2).map(|pair| (&pair[0], &pair[1], (pair[1].stamp_ns - pair[0].stamp_ns) as f64 * 1e-9))
 }
 
+/// Of the steps in which the robot moved: speeds in m/s.
+fn median_speed(poses: &[StampedPose]) -> Option<f64> {
+    let speed = |(one, other, seconds): (&StampedPose, &StampedPose, f64)| way_m(one, other) / seconds;
+    median(steps(poses).map(speed).filter(|speed| *speed > 0.0).collect())
+}
+
+fn way_m(one: &StampedPose, other: &StampedPose) -> f64 {
+    let squares = one
+        .pose
+        .position_m
+        .iter()
+        .zip(other.pose.position_m)
+        .map(|(one, other)| (other - one) * (other - one));
+    squares.sum::<f64>().sqrt()
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+fn milliseconds(poses: &[StampedPose]) -> Option<String> {
+    let way_m: f64 = poses.windows(2).map(|pair| way_m(&pair[0], &pair[1])).sum();
+    let pause_s = median(steps(poses).map(|(_, _, seconds)| seconds).collect())?;
+    let speed = median_speed(poses)?;
+    (way_m > LEAST_WAY_M && pause_s > DOUBTFUL_PAUSE_S && speed < SNAIL_M_S).then(|| {
+        format!(
+            "by its odometry the robot drives {:.1} mm/s, and its poses are {pause_s:.0} s apart: are stamps in milliseconds or \
+             microseconds, and not in their unit?",
+            1e3 * speed
+        )
+    })
+}
+
 fn centimetres(poses: &[StampedPose]) -> Option<String> {
-    let speed = |(one, other, seconds): (&StampedPose, &StampedPose, f64)| {
-        let squares: f64 = one
-            .pose
-            .position_m
-            .iter()
-            .zip(other.pose.position_m)
-            .map(|(one, other)| (other - one) * (other - one))
-            .sum();
-        squares.sqrt() / seconds
-    };
-    let mut speeds: Vec<f64> = steps(poses).map(speed).filter(|speed| *speed > 0.0).collect();
-    speeds.sort_by(f64::total_cmp);
-    let median = *speeds.get(speeds.len() / 2)?;
+    let median = median_speed(poses)?;
     (median > DOUBTFUL_SPEED_M_S).then(|| {
         format!(
             "by its odometry the robot drives {median:.0} m/s, {:.0} km/h: are positions in centimetres or millimetres, and \
@@ -192,6 +221,18 @@ mod tests {
         let in_centimetres = doubts(&curve(100.0, 1.0));
         assert!(in_centimetres.len() == 1 && in_centimetres[0].contains("180 km/h"), "{in_centimetres:?}");
         assert_eq!(doubts(&curve(1000.0, 57.3)).len(), 2);
+    }
+
+    #[test]
+    fn stamps_in_milliseconds_are_noticed() {
+        let slower = |times: i64| {
+            let slower = |pose: StampedPose| StampedPose { stamp_ns: pose.stamp_ns * times, ..pose };
+            curve(1.0, 1.0).into_iter().map(slower).collect::<Vec<_>>()
+        };
+        let in_milliseconds = doubts(&slower(1000));
+        assert!(in_milliseconds.len() == 1 && in_milliseconds[0].contains("0.5 mm/s"), "{in_milliseconds:?}");
+        // An image in three seconds.
+        assert_eq!(doubts(&slower(30)), Vec::<String>::new());
     }
 
     /// A round of 30 m by axes that are given from ahead and to the left.

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
@@ -35,6 +35,8 @@ use crate::viewers::Viewers;
 use waypost_ros_messages::{Covariance, DiagnosticArray};
 
 const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
+/// Without an image for so long it is said which topics have some.
+const IMAGES_PATIENCE: Duration = Duration::from_secs(8);
 /// For the robot to stand when the bridge ends.
 const LAST_STOP: Duration = Duration::from_secs(2);
 /// For what is still at work to end.
@@ -344,8 +346,14 @@ impl Reporting {
         let mut due = interval(DIAGNOSTICS_PERIOD);
         due.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut told = Vec::new();
+        let began = Instant::now();
+        let mut waits_for_images = true;
         loop {
             due.tick().await;
+            if waits_for_images && began.elapsed() > IMAGES_PATIENCE {
+                waits_for_images = false;
+                self.tell_of_missing_images();
+            }
             let mismatches = self.bus.mismatches();
             for mismatch in mismatches.iter().filter(|mismatch| !told.contains(*mismatch)) {
                 tracing::error!("{mismatch}");
@@ -353,6 +361,19 @@ impl Reporting {
             self.diagnostics.publish(self.report(&mismatches));
             told = mismatches;
         }
+    }
+
+    /// Nothing is wrong with a robot that is switched on later; a topic's name may be.
+    fn tell_of_missing_images(&self) {
+        if self.shared.lock().images.last.is_some() {
+            return;
+        }
+        let topic = &self.settings.topics.image;
+        let others = match self.bus.topics_of_images().join(", ") {
+            others if others.is_empty() => "no images are published in this domain".to_owned(),
+            others => format!("images are published on {others}: name one by image_topic"),
+        };
+        tracing::warn!("nothing has come on {topic} so far; {others}");
     }
 
     fn report(&self, mismatches: &[String]) -> DiagnosticArray {

@@ -21,6 +21,9 @@ use waypost_ros_messages::{Message, NODES, Participant};
 /// For farewells of readers and writers to go out before the participant's own: RustDDS sends nothing more once that is dropped.
 const FAREWELLS: std::time::Duration = std::time::Duration::from_millis(200);
 
+/// Messages that are images, as ROS writes their types.
+const IMAGES: [&str; 2] = ["sensor_msgs/Image", "sensor_msgs/CompressedImage"];
+
 /// Messages of a sensor that a busy machine may leave unread.
 const SENSOR_DEPTH: i32 = 32;
 
@@ -198,6 +201,19 @@ impl Bus {
         let gid = self.participant.guid().to_bytes();
         let bridge = Participant { gid, nodes: vec![self.entities.of_node(namespace)] };
         Ok(Presence { others, writer, bridge })
+    }
+
+    /// Topics on which somebody publishes images, by their names in ROS.
+    pub(crate) fn topics_of_images(&self) -> Vec<String> {
+        let writers = self.participant.discovered_writers();
+        let topics = writers.iter().map(|writer| &writer.publication_topic_data).filter_map(|writer| {
+            let is_image = IMAGES.contains(&type_in_ros(&writer.type_name).as_str());
+            is_image.then(|| writer.topic_name.strip_prefix("rt").unwrap_or(&writer.topic_name).to_owned())
+        });
+        let mut topics: Vec<String> = topics.collect();
+        topics.sort();
+        topics.dedup();
+        topics
     }
 
     /// Who publishes what is read here in a way that cannot be read, and how to mend it.

@@ -82,7 +82,8 @@ pub enum Served {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "{address} can be reached from other machines, and there is no token, so everyone who reaches it could do \
-     everything; create a token first (waypost-server token create NAME --role admin), or listen on 127.0.0.1, \
+     everything; create a token first (waypost-server token create operator --role admin, with this server's --data-dir or --config), or \
+     listen on 127.0.0.1, \
      or say --allow-anonymous (WAYPOST_ALLOW_ANONYMOUS=true) if all that can reach it may do so"
 )]
 pub struct Exposed {

@@ -141,7 +141,10 @@ async fn run(arguments: Arguments) -> anyhow::Result<ExitCode> {
 
 async fn work_on_data(command: DataCommand, config: &Config) -> anyhow::Result<ExitCode> {
     match command {
-        DataCommand::Token(command) => look_after_tokens(command, config.location()).await,
+        DataCommand::Token(command) => {
+            offline::need_named_directory(config)?;
+            look_after_tokens(command, config.location()).await
+        }
         DataCommand::Check { deep: false } => report(&offline::check(config).await),
         DataCommand::Check { deep: true } => {
             offline::need_sqlite(&config.storage, "check --deep")?;
@@ -364,8 +367,11 @@ async fn look_after_tokens(command: TokenCommand, location: DataLocation) -> any
     let mut stdout = std::io::stdout().lock();
     match command {
         TokenCommand::Create { name, role, limits } => {
+            let place = location.to_string();
             let secret = offline::create_token(location, &name, role, limits).await?;
-            eprintln!("this is the secret of {name}; it is not kept here, so note it now:");
+            eprintln!(
+                "this is the secret of {name} for the server of {place}; it is not kept there, so note it now:"
+            );
             writeln!(stdout, "{secret}")?;
         }
         TokenCommand::Ls => {
@@ -374,7 +380,13 @@ async fn look_after_tokens(command: TokenCommand, location: DataLocation) -> any
                 writeln!(stdout, "{}", row.trim_end())?;
             }
         }
-        TokenCommand::Rm { name } => offline::delete_token(location, &name).await?,
+        TokenCommand::Rm { name } => {
+            let left = offline::delete_token(location, &name).await?;
+            eprintln!("deleted {name}");
+            if left == 0 {
+                eprintln!("no token is left: who reaches the server may do everything");
+            }
+        }
     }
     Ok(ExitCode::SUCCESS)
 }

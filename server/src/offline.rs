@@ -90,15 +90,32 @@ fn listed_token(token: TokenRow) -> ListedToken {
     }
 }
 
-/// Deletes a token in `location`.
+/// Deletes a token in `location`; gives how many are left.
 ///
 /// # Errors
 /// If the directory cannot be used, or the token must stay; the message says how to mend it.
-pub async fn delete_token(location: DataLocation, name: &str) -> anyhow::Result<()> {
+pub async fn delete_token(location: DataLocation, name: &str) -> anyhow::Result<usize> {
     let service = open(&location, Claim::at_once()).await?;
     let deleted = service.tokens.delete(&format!("tokens/{name}")).await;
+    let left = service.tokens.all().len();
     service.stop().await;
-    Ok(deleted?)
+    deleted.map(|()| left).map_err(Into::into)
+}
+
+/// Refuses to make a database where nobody said that one is to be: a server that has another would not know of it.
+///
+/// # Errors
+/// If the data directory is the default one, and has no database.
+pub fn need_named_directory(config: &Config) -> anyhow::Result<()> {
+    let is_default =
+        config.storage == StorageAddress::Sqlite && config.data_dir == Config::default().data_dir;
+    anyhow::ensure!(
+        !is_default || config.data_dir.exists(),
+        "no server has its data in {}, where this would make a database; say which server it is for: --data-dir DIRECTORY, or \
+         --config FILE, as that one has it",
+        config.data_dir.display()
+    );
+    Ok(())
 }
 
 /// One thing that was looked at, and what is wrong with it, if anything is.

@@ -56,8 +56,11 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         let drawn = client.frame_pair_picture(pictured(&explained, beside)).await?;
         replacing.write(file, &drawn)?;
     }
+    // People know frames by the names of their images.
+    let note = client.frame(&name).await.map(|record| record.note).unwrap_or_default();
     output.result(&explained, |out| {
-        writeln!(out, "{}: {}", explained.name, explained.reason().json_name())?;
+        let noted = if note.is_empty() { String::new() } else { format!(" ({note})") };
+        writeln!(out, "{}{noted}: {}", explained.name, explained.reason().json_name())?;
         for correction in &explained.corrections {
             writeln!(out, "  {}", told(correction))?;
         }

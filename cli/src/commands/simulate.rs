@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use waypost_client::v1::map_settings::NavigationStrategy;
@@ -323,6 +323,9 @@ async fn lead(
     finish(name, building, &led, output)
 }
 
+/// A robot that is lost for longer does not find out: it has turned around more than three times.
+const LOST_FOR: Duration = Duration::from_secs(60);
+
 /// A line for each state of the navigation, until stdout is closed.
 async fn tell_states(
     mut guidance: tokio::sync::watch::Receiver<Option<v1::Guidance>>,
@@ -330,6 +333,7 @@ async fn tell_states(
 ) -> Failure {
     let mut before = None;
     let mut was_lost = false;
+    let mut lost_since = None;
     loop {
         let told = guidance.borrow_and_update().clone().unwrap_or_default();
         let state = (told.status(), told.detail.clone());
@@ -346,11 +350,21 @@ async fn tell_states(
                     "if it stays lost: was the map made with another --world, --route or --seed?"
                 );
             }
+            lost_since =
+                (state.0 == v1::NavigationStatus::Lost).then(|| lost_since.unwrap_or_else(Instant::now));
             before = Some(state);
         }
-        if guidance.changed().await.is_err() {
+        let patience =
+            lost_since.map_or(Duration::MAX, |since: Instant| LOST_FOR.saturating_sub(since.elapsed()));
+        match tokio::time::timeout(patience, guidance.changed()).await {
+            Ok(Ok(())) => {}
             // The drive says why.
-            std::future::pending::<()>().await;
+            Ok(Err(_)) => std::future::pending().await,
+            Err(_) => {
+                let told = "the robot has been lost for a minute, and knows nothing of what it sees: give the --world, --route and --seed \
+                            of the map";
+                return Failure::Unfit(told.to_owned());
+            }
         }
     }
 }

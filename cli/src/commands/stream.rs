@@ -13,10 +13,10 @@ use std::path::{Path, PathBuf};
 use tokio::sync::oneshot;
 use waypost_client::{Client, ClientOptions, SessionOptions, v1};
 
-use self::agreement::{FRAMES_AT_FIRST, Streamed, has_odometry};
+use self::agreement::{FRAMES_AT_FIRST, Found, Streamed, has_odometry};
 use self::opening::{
-    Opened, Reading, check_resumed, declared_camera, metres_left_out, panoramas_for_metres, recording,
-    smaller_than_the_models,
+    Opened, Reading, camera_left_out, check_resumed, declared_camera, metres_left_out, panoramas_for_metres,
+    recording, smaller_than_the_models,
 };
 use self::summary::{Hints, conclude};
 pub(crate) use self::telling::closure_line;
@@ -169,9 +169,19 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let words_hash = contents.words_hash();
     let compared = Compared::of(camera.as_ref());
     let run_id = format!("{:016x}", RandomState::new().hash_one(()));
-    let options =
-        SessionOptions { session_id: session, mode, words_hash, run_id, camera, ..SessionOptions::new(&map) };
+    let options = SessionOptions {
+        session_id: session,
+        mode,
+        words_hash,
+        run_id,
+        camera: camera.clone(),
+        ..SessionOptions::new(&map)
+    };
     let replay = Replay { recording, pace_hz: rate, contents };
+    if let Some(hint) = camera_left_out(&replay, camera.as_ref()).filter(|_| mode == v1::SessionMode::Map) {
+        // If stderr is closed, the hint is lost.
+        let _ = writeln!(std::io::stderr(), "{hint}");
+    }
     if let (v1::SessionMode::Map, false) = (mode, has_odometry(&replay))
         && let Some(doubt) = metres_left_out(&client, &map, &options.session_id).await
     {
@@ -186,10 +196,14 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
     let to_stream = unstreamed(&replay, committed, after_sequence, &opened.session)?;
     if let (Some(committed), v1::SessionMode::Map) = (committed, mode) {
         let asking = Asking::unless(yes);
-        check_resumed(&client, (&map, &opened.session), &replay, committed, asking).await?;
+        let what = (&replay, camera.as_ref());
+        check_resumed(&client, (&map, &opened.session), what, committed, asking).await?;
         check_begun_with(&client, (&map, &opened.session), &replay, committed, compared).await?;
     }
     match committed {
+        Some(sequence) if to_stream == 0 => {
+            output.line(format_args!("{}: all {sequence} frames were sent before", opened.session))?;
+        }
         Some(sequence) => output.line(format_args!("{} resumed after frame {sequence}", opened.session))?,
         None => output.line(format_args!("{} begun", opened.session))?,
     }
@@ -236,11 +250,13 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         }
     };
     let last = rows.iter().filter(|row| row.reason.is_some()).map(|row| row.sequence).max();
-    let odometry_finding = match last.filter(|_| is_agreement_told) {
-        Some(last) => streamed.finding(last).await,
+    let found = match last.filter(|_| is_agreement_told) {
+        Some(last) => streamed.found(last).await,
         None => None,
     };
-    conclude(opened, rows, sent, mode, Hints { short_sequence, odometry_finding }, output)
+    let unchecked = found.as_ref().filter(|_| camera.is_some()).and_then(Found::unchecked);
+    let odometry_finding = found.and_then(|found| found.finding);
+    conclude(opened, rows, sent, mode, Hints { short_sequence, unchecked, odometry_finding }, output)
 }
 
 /// Returns the number of frames to stream.

@@ -89,8 +89,16 @@ pub(crate) async fn run(command: Command, server: &ClientOptions, output: Output
                 lifetime_s: expires_in,
                 quotas: Some(quotas.into()),
             };
+            // Who may not list them has one.
+            let is_first = client.tokens().await.is_ok_and(|tokens| tokens.is_empty());
             let (token, secret) = client.create_limited_token(request).await?;
-            output.result(&json!({ "token": token, "secret": secret }), |out| tell(out, &token, &secret))
+            output.result(&json!({ "token": token, "secret": secret }), |out| {
+                tell(out, &token, &secret)?;
+                if is_first {
+                    writeln!(out, "  it is the first: from now on the server hears nobody without a token")?;
+                }
+                Ok(())
+            })
         }
         Command::Rotate { name, overlap, expires_in } => {
             let request = v1::RotateTokenRequest { name, overlap_s: overlap, lifetime_s: expires_in };

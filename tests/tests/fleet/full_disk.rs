@@ -18,7 +18,7 @@ async fn a_full_disk_of_the_database_loses_nothing() {
     let Some(disk) = SmallDisk::mount(DISK_MIB) else { return };
     std::fs::create_dir(disk.folder()).unwrap();
     let Some(machines) = Machines::alone(&disk.folder()) else { return };
-    let fleet = Fleet::start(&machines.database("full").await, 2);
+    let fleet = Fleet::start(&machines.database("on_a_small_disk").await, 2);
     let owner = fleet.owner().await;
     let client = fleet.client_in_time(1 - owner).await;
     let model = import_model(&client).await.name;

@@ -28,6 +28,11 @@ pub(crate) struct Labelling {
 pub(super) async fn label(client: &Client, labelling: Labelling, output: Output) -> Result<(), Failure> {
     let Labelling { name, place, label, space, remove: _ } = labelling;
     let place = format!("maps/{}/places/{place}", short_map(&name));
+    if label.as_deref() == Some("") {
+        return Err(Failure::Unfit(
+            "a label is no empty text; --remove takes the place's label away".to_owned(),
+        ));
+    }
     let Some(label) = label else {
         client.delete_label(&place).await?;
         return output.result(&json!({ "unlabelled": place }), |out| writeln!(out, "{place} has no label"));

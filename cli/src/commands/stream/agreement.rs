@@ -47,16 +47,39 @@ impl Streamed<'_> {
         }
     }
 
-    /// What seems to be wrong with the odometry up to a frame, in a sentence. None where nothing does, and where a server does
-    /// not tell: it is no reason to fail.
-    pub(super) async fn finding(&self, sequence: u64) -> Option<String> {
+    /// What seems to be wrong with the odometry up to a frame, in a sentence.
+    async fn finding(&self, sequence: u64) -> Option<String> {
+        self.found(sequence).await?.finding
+    }
+
+    /// What is known of the odometry up to a frame. None where a server does not tell: it is no reason to fail.
+    pub(super) async fn found(&self, sequence: u64) -> Option<Found> {
         let map = self.client.map(self.map, v1::MapView::Basic).await.ok()?;
         if map.frames > MOST_FRAMES {
             return None;
         }
         let frame = format!("{}/frames/{sequence}", self.session);
         let explained = self.client.explain_frame(&frame, None, Some(0)).await.ok()?;
-        explained.odometry_agreement.map(|agreement| agreement.finding).filter(|finding| !finding.is_empty())
+        let v1::OdometryAgreement { turns, ways: _, finding } =
+            explained.odometry_agreement.unwrap_or_default();
+        Some(Found { turned: turns.is_some(), finding: Some(finding).filter(|finding| !finding.is_empty()) })
+    }
+}
+
+/// What a server knows of how odometry goes with images.
+pub(super) struct Found {
+    /// Whether the robot turned often enough to tell.
+    turned: bool,
+    /// What seems to be wrong, if anything does.
+    pub(super) finding: Option<String>,
+}
+
+impl Found {
+    /// That a declared camera was not held against anything.
+    pub(super) fn unchecked(&self) -> Option<String> {
+        (!self.turned && self.finding.is_none()).then(|| {
+            "the camera's field of view was not checked: that takes five turns of 5 degrees or more within 33 frames".to_owned()
+        })
     }
 }
 

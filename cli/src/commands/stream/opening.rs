@@ -228,6 +228,44 @@ fn first_size_px(recording: &Recording) -> Result<(u32, u32), Failure> {
     }
 }
 
+/// Positions that are further apart are not the same, in metres.
+const SAME_POSITION_M: f64 = 1e-3;
+
+/// Refuses a camera that the session does not have: it keeps what it was begun with.
+async fn check_camera(client: &Client, session: &str, camera: Option<&v1::Camera>) -> Result<(), Failure> {
+    let Some(camera) = camera else { return Ok(()) };
+    match client.session(session).await?.camera {
+        None => Err(keeps(session, "without a camera")),
+        Some(there) if there.model != camera.model => Err(keeps(session, "with another camera")),
+        Some(_) => Ok(()),
+    }
+}
+
+fn keeps(session: &str, how: &str) -> Failure {
+    Failure::Unfit(format!(
+        "{session} was begun {how}, and stays so; give what it was begun with, or another --session; or take it out with \
+         `waypost session rm`, and stream all of it again"
+    ))
+}
+
+fn apart_m(one: &v1::Odometry, other: &v1::Odometry) -> f64 {
+    let position =
+        |odometry: &v1::Odometry| odometry.pose.as_ref().and_then(|pose| pose.position_m).unwrap_or_default();
+    let (one, other) = (position(one), position(other));
+    (one.x - other.x).hypot(one.y - other.y).hypot(one.z - other.z)
+}
+
+/// That closures measure no metres, where they could.
+pub(super) fn camera_left_out(replay: &Replay, camera: Option<&v1::Camera>) -> Option<String> {
+    let Recording::Folder { images: _, moments } = &replay.recording else { return None };
+    let lacks_camera = camera.is_none() && moments.iter().any(|moment| moment.odometry.is_some());
+    lacks_camera.then(|| {
+        "no --camera: closures say which place it is, and do not measure where the robot is at it; --camera fov:DEGREES is a \
+         beginning"
+            .to_owned()
+    })
+}
+
 /// Refuses to go on in a session that was begun with other images: what is at its last frame here must be what was there.
 /// Doubts that it goes on without odometry if it had some.
 ///
@@ -237,10 +275,11 @@ fn first_size_px(recording: &Recording) -> Result<(u32, u32), Failure> {
 pub(super) async fn check_resumed(
     client: &Client,
     (map, session): (&str, &str),
-    replay: &Replay,
+    (replay, camera): (&Replay, Option<&v1::Camera>),
     committed: u64,
     asking: Asking,
 ) -> Result<(), Failure> {
+    check_camera(client, session, camera).await?;
     let Recording::Folder { images, moments } = &replay.recording else { return Ok(()) };
     let index = committed.checked_sub(1).and_then(|index| usize::try_from(index).ok());
     let Some(ImageFile { name, path, .. }) = index.and_then(|index| images.get(index)) else { return Ok(()) };
@@ -264,6 +303,14 @@ pub(super) async fn check_resumed(
     let words = record.answer.as_ref().map_or(0, |answer| answer.words);
     if seen.words != words {
         return Err(other("an image of other content"));
+    }
+    let moment = index.and_then(|index| moments.get(index)).and_then(|moment| moment.odometry.as_ref());
+    match (&record.odometry, moment) {
+        (None, Some(_)) => return Err(keeps(session, "without odometry")),
+        (Some(there), Some(here)) if apart_m(there, here) > SAME_POSITION_M => {
+            return Err(keeps(session, "with other odometry"));
+        }
+        (None, None) | (Some(_), None | Some(_)) => {}
     }
     let is_over = committed >= images.len() as u64;
     if !is_over && record.odometry.is_some() && moments.iter().all(|moment| moment.odometry.is_none()) {

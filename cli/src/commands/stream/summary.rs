@@ -41,6 +41,7 @@ struct Summary {
 /// What may help, in the end.
 pub(super) struct Hints {
     pub(super) short_sequence: Option<String>,
+    pub(super) unchecked: Option<String>,
     pub(super) odometry_finding: Option<String>,
 }
 
@@ -50,7 +51,7 @@ pub(super) fn conclude(
     frames: Vec<FrameRow>,
     sent: Sent,
     mode: v1::SessionMode,
-    Hints { short_sequence, odometry_finding }: Hints,
+    Hints { short_sequence, unchecked, odometry_finding }: Hints,
     output: Output,
 ) -> Result<(), Failure> {
     let v1::SessionOpened { session, last_committed_sequence, model, words_hash: _ } = opened;
@@ -80,7 +81,18 @@ pub(super) fn conclude(
         frames,
     };
     output.result(&summary, |out| write(&summary, mode, out))?;
-    if let (Some(hint), Output::Text) = (short_sequence, output) {
+    let nothing_recognised =
+        summary.recognised == Some(0) && summary.frame_count > 0 && reasons.same_place == 0;
+    let elsewhere = nothing_recognised.then(|| {
+        format!(
+            "no frame was recognised: is {} the map of this place, and made with this camera? its model may be of other images: \
+             `waypost explain` and the guide's troubleshooting tell more",
+            summary.map
+        )
+    });
+    for hint in
+        [short_sequence, unchecked, elsewhere].into_iter().flatten().filter(|_| output == Output::Text)
+    {
         // If stderr is closed, the hint is lost.
         let _ = writeln!(io::stderr(), "{hint}");
     }
@@ -109,7 +121,9 @@ fn write(summary: &Summary, mode: v1::SessionMode, out: &mut dyn Write) -> io::R
         writeln!(out, "{:<35}{bytes:6.0} (mean, sent)", "bytes a frame")?;
     }
     match summary.ms_p50 {
-        Some(ms_p50) => writeln!(out, "{:<35}{ms_p50:6.1} (median, at the server)", "ms per frame"),
+        Some(ms_p50) => {
+            writeln!(out, "{:<35}{ms_p50:6.1} (median, at the server, with waiting there)", "ms per frame")
+        }
         None => Ok(()),
     }
 }

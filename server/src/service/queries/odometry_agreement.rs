@@ -117,7 +117,8 @@ fn turns_finding(turns: &Agreement, field_of_view_rad: Option<f64>) -> Option<St
         }
         AgreementVerdict::OutOfStep => Some(format!(
             "at the last {compared} turns images turned now further than odometry and now less far: send with \
-             each image the odometry of the moment at which it was taken, and headings in radians"
+             each image the odometry of the moment at which it was taken, and headings in radians; or the declared field of \
+             view is far off"
         )),
     }
 }
