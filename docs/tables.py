@@ -2,7 +2,9 @@
 
 `measurements.toml` has a name and a command for each report. `python docs/tables.py NAME... --data DATA` runs the commands,
 keeps their reports, with commit and machine, in `measured/NAME.json`, and writes the rows anew; without a name it only
-writes the rows. The commit is that of the repository: build there before. What a row says stands in a comment before its table:
+writes the rows. The commit is that of the repository: build there before. A command that has a list `each` beside it runs once
+for each of its texts, in place of EACH, and its report is the list of these reports. What a row says stands in a comment before
+its table:
 
     <!-- rows of NAME
     left_out[0] | `ietower`: offices, {frames} frames | {recognised} of {queries_with_loop} |
@@ -10,8 +12,9 @@ writes the rows. The commit is that of the repository: build there before. What 
 
 The first cell says which part of the report a row is of: `report` for all of it, `[*]` for a row for each of a list,
 `kept` for a row that an earlier program measured, and that stays. Of several reports it begins with the name of one.
-In braces stands an expression of that part's fields, and after a colon how it is written: `:.2` with two decimals,
-`:%1` in percent with one, `:,` with commas. A test holds the pages against the reports.
+In braces stands an expression of that part's fields, of `each`, of `commit`, and of the table's reports by their names (`_` for
+`-`). After a colon follows how it is written: `:.2` with two decimals, `:%1` in percent with one, `:,` with commas. A test holds
+the pages against the reports.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ import shlex
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -76,25 +79,34 @@ def page_with_tables(text: str) -> str:
 
 def rows(names: str, templates: str) -> Iterator[str]:
     """Rows of one table."""
-    reports = {name: Measured.read(name).report for name in names.split()}
+    measured = {name: Measured.read(name) for name in names.split()}
+    reports = {name: of.report for name, of in measured.items()}
+    by_name = {name.replace("-", "_"): report for name, report in reports.items()}
     for template in filter(None, (line.strip() for line in templates.splitlines())):
         path, cells = (part.strip() for part in template.split("|", 1))
-        for part in [SimpleNamespace()] if path == "kept" else parts(reports, path):
-            written = HOLE.sub(lambda hole, part=part: cell(part, hole["expression"], hole["how"]), cells)
-            yield f"| {written}\n"
+        if path == "kept":
+            yield f"| {cells}\n"
+            continue
+        name, path = of_report(reports, path)
+        for number, part in enumerate(parts(reports[name], path)):
+            known = by_name | {"commit": measured[name].commit, "number": number} | vars(part)
+            yield f"| {HOLE.sub(lambda hole, known=known: cell(known, hole['expression'], hole['how']), cells)}\n"
 
 
-def parts(reports: dict[str, Any], path: str) -> list[Any]:
+def of_report(reports: dict[str, Any], path: str) -> tuple[str, str]:
+    """Which report a template's rows are of, and what part of it."""
+    for name in reports:
+        if path == name or path.startswith((f"{name}.", f"{name}[")):
+            return name, path.removeprefix(name)
+    [name] = reports
+    return name, "" if path == "report" else f".{path}"
+
+
+def parts(report: Any, path: str) -> list[Any]:
     """What a template's rows are of."""
-    name = next((name for name in reports if path == name or path.startswith((f"{name}.", f"{name}["))), None)
-    if name is None:
-        [name] = reports
-        path = f"{name}.{path}" if path != "report" else name
-    every = path.endswith("[*]")
-    steps = path.removeprefix(name).removesuffix("[*]")
     # Ours alone: paths and expressions are of this repository's pages.
-    found = eval(f"report{steps}", {"__builtins__": {}}, {"report": reports[name]})  # noqa: S307
-    return list(found) if every else [found]
+    found = eval(f"report{path.removesuffix('[*]')}", {"__builtins__": {}}, {"report": report})  # noqa: S307
+    return list(found) if path.endswith("[*]") else [found]
 
 
 def total(parts: list[Any], field: str) -> float:
@@ -106,9 +118,9 @@ def total(parts: list[Any], field: str) -> float:
 HELPERS = {"__builtins__": {}, "sum": sum, "total": total, "max": max, "round": round}
 
 
-def cell(part: Any, expression: str, how: str | None) -> str:
+def cell(known: dict[str, Any], expression: str, how: str | None) -> str:
     """One figure as it is written."""
-    value = eval(expression, dict(HELPERS, **vars(part)))  # noqa: S307
+    value = eval(expression, dict(HELPERS, **known))  # noqa: S307
     if how is None:
         return "–" if value is None else str(value)
     if how.startswith("%"):
@@ -126,22 +138,30 @@ def decimals(value: float, count: str) -> str:
 
 def measure(name: str, data: Path, programs: Path, out: Path) -> None:
     """Runs a command of `measurements.toml`, and keeps what it reports."""
-    command = tomllib.loads((DOCS / "measurements.toml").read_text())[name]["command"]
-    places = {"DATA": str(data), "OUT": str(out)}
+    measurement = tomllib.loads((DOCS / "measurements.toml").read_text())[name]
+    command = measurement["command"]
     out.mkdir(parents=True, exist_ok=True)
-    words = [re.sub(r"\b(DATA|OUT)\b", lambda word: places[word[0]], word) for word in shlex.split(command)]
-    environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
-    ended = subprocess.run(
-        [*words, "--json"], stdout=subprocess.PIPE, check=True, env=environment, cwd=REPOSITORY
-    )
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short=7", "HEAD"],
-        stdout=subprocess.PIPE,
-        check=True,
-        text=True,
-        cwd=REPOSITORY,
-    ).stdout.strip()
-    Measured(command, commit, machine(), kept(json.loads(ended.stdout))).write(name)
+
+    def reported(command: str) -> Any:
+        places = {"DATA": str(data), "OUT": str(out)}
+        words = [
+            re.sub(r"\b(DATA|OUT)\b", lambda word: places[word[0]], word) for word in shlex.split(command)
+        ]
+        environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
+        return json.loads(run([*words, "--json"], environment))
+
+    if "each" in measurement:
+        report = [{"each": each} | reported(command.replace("EACH", each)) for each in measurement["each"]]
+    else:
+        report = reported(command)
+    commit = run(["git", "rev-parse", "--short=7", "HEAD"], os.environ).decode().strip()
+    Measured(command, commit, machine(), kept(report)).write(name)
+
+
+def run(words: list[str], environment: Mapping[str, str]) -> bytes:
+    """What a command prints."""
+    ended = subprocess.run(words, stdout=subprocess.PIPE, check=True, env=environment, cwd=REPOSITORY)
+    return ended.stdout
 
 
 def kept(figure: Any, *, is_item: bool = False) -> Any:

@@ -2,7 +2,7 @@
 """Times GTSAM on pose graphs, from the start that `waypost-eval posegraph --start odometry` has.
 
     python3 -m venv venv && venv/bin/pip install gtsam numpy
-    taskset -c 0 venv/bin/python eval/gtsam_posegraph.py FILE.g2o ...
+    taskset -c 0 venv/bin/python eval/gtsam_posegraph.py FILE.g2o ...          # with --json: a line of JSON
 
 Levenberg-Marquardt with default parameters, `optimize()` alone, median of ten. `cost` is what GTSAM minimises, twice
 its error. `cost_g2o` is what the poses that it ends at cost by g2o's definition, which `waypost-eval posegraph`
@@ -10,6 +10,8 @@ minimises: in the plane an error's translation is that of the pose itself and no
 angle is the sine of half the angle.
 """
 
+import importlib.metadata
+import json
 import statistics
 import sys
 import time
@@ -59,28 +61,44 @@ def cost_g2o(graph, poses, spatial):
 
 
 def main():
+    paths = [argument for argument in sys.argv[1:] if argument != "--json"]
+    reports = [of_graph(path) for path in paths]
+    if len(paths) < len(sys.argv) - 1:
+        print(json.dumps({"version": importlib.metadata.version("gtsam"), "graphs": reports}))
+        return
     print("graph,poses,edges,cost,cost_g2o,iterations,ms")
-    for path in sys.argv[1:]:
-        with open(path, encoding="utf-8") as lines:
-            spatial = any(line.startswith("EDGE_SE3:QUAT") for line in lines)
-        graph, _ = gtsam.readG2o(path, spatial)
-        lowest, start = along_odometry(graph, spatial)
-        edges = graph.size()
-        if spatial:
-            graph.add(gtsam.NonlinearEqualityPose3(lowest, start.atPose3(lowest)))
-        else:
-            graph.add(gtsam.NonlinearEqualityPose2(lowest, start.atPose2(lowest)))
-        times = []
-        for _ in range(REPEATS):
-            optimizer = gtsam.LevenbergMarquardtOptimizer(graph, start, gtsam.LevenbergMarquardtParams())
-            began = time.perf_counter()
-            poses = optimizer.optimize()
-            times.append(1e3 * (time.perf_counter() - began))
-        cost, name = 2 * graph.error(poses), path.rsplit("/", 1)[-1]
-        ms = statistics.median(times)
-        ends_at = cost_g2o(graph, poses, spatial)
-        steps = optimizer.iterations()
-        print(f"{name},{start.size()},{edges},{cost:.6f},{ends_at:.6f},{steps},{ms:.1f}", flush=True)
+    for report in reports:
+        print(
+            "{graph},{poses},{edges},{cost:.6f},{cost_g2o:.6f},{iterations},{ms:.1f}".format(**report)
+        )
+
+
+def of_graph(path):
+    """What became of one file's graph."""
+    with open(path, encoding="utf-8") as lines:
+        spatial = any(line.startswith("EDGE_SE3:QUAT") for line in lines)
+    graph, _ = gtsam.readG2o(path, spatial)
+    lowest, start = along_odometry(graph, spatial)
+    edges = graph.size()
+    if spatial:
+        graph.add(gtsam.NonlinearEqualityPose3(lowest, start.atPose3(lowest)))
+    else:
+        graph.add(gtsam.NonlinearEqualityPose2(lowest, start.atPose2(lowest)))
+    times = []
+    for _ in range(REPEATS):
+        optimizer = gtsam.LevenbergMarquardtOptimizer(graph, start, gtsam.LevenbergMarquardtParams())
+        began = time.perf_counter()
+        poses = optimizer.optimize()
+        times.append(1e3 * (time.perf_counter() - began))
+    return {
+        "graph": path.rsplit("/", 1)[-1],
+        "poses": start.size(),
+        "edges": edges,
+        "cost": 2 * graph.error(poses),
+        "cost_g2o": cost_g2o(graph, poses, spatial),
+        "iterations": optimizer.iterations(),
+        "ms": statistics.median(times),
+    }
 
 
 if __name__ == "__main__":
