@@ -142,7 +142,7 @@ fn names_and_verbs_that_are_wrong() {
     assert_eq!(words["settings"]["verification"], "none", "{words}");
     // By the name of its file, a frame is found; nothing was removed.
     let explained = beginner.waypost.text(&["explain", "hall", "monday", "000003.jpg"]);
-    assert!(explained.starts_with("maps/hall/sessions/monday/frames/4: "), "{explained}");
+    assert!(explained.starts_with("maps/hall/sessions/monday/frames/4 (000003.jpg): "), "{explained}");
 }
 
 #[test]

@@ -45,7 +45,7 @@ fn a_video_is_streamed_by_its_images() {
     assert_eq!((frames.len(), frames[5]["image"].as_str().unwrap()), (6, "drive.avi 2.500 s"));
     assert_eq!(frames[5]["stamp_ns"], 2_500_000_000_i64);
     let explained = waypost.text(&["explain", "drive", "half", "drive.avi 2.500 s"]);
-    assert!(explained.starts_with("maps/drive/sessions/half/frames/6: "), "{explained}");
+    assert!(explained.starts_with("maps/drive/sessions/half/frames/6 (drive.avi 2.500 s): "), "{explained}");
     // A run that was stopped goes on.
     let again = stream(&[], "half");
     assert_eq!(again["resumed_after_sequence"], 6);

@@ -64,6 +64,52 @@ fn millimetres_are_noticed_before_anything_is_streamed() {
     assert_eq!(frames(&beginner, "drive"), Some(6));
 }
 
+/// A session keeps the camera and the odometry that it was begun with: to give others later changes nothing, and is refused.
+#[test]
+fn a_session_that_goes_on_keeps_its_camera_and_odometry() {
+    let beginner = Beginner::new();
+    let images = path(beginner.images.path());
+    let csv = |step_m: f64| {
+        let rows: Vec<String> =
+            (1..=6).map(|n| format!("{n}000000000,{},0,0", step_m * f64::from(n))).collect();
+        format!("stamp_ns,x_m,y_m,yaw_rad\n{}\n", rows.join("\n"))
+    };
+    let (odometry, other) = (beginner.file("odometry.csv", csv(0.5)), beginner.file("other.csv", csv(0.4)));
+    let with = |session: &'static str, more: &[&str]| {
+        let arguments = ["stream", images, "--map", "drive", "--yes", "--session", session];
+        [&arguments[..], more].concat().into_iter().map(str::to_owned).collect::<Vec<String>>()
+    };
+    let stream = |arguments: Vec<String>| {
+        let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+        let output = beginner.waypost.run(&arguments);
+        let said = String::from_utf8([output.stdout, output.stderr].concat()).unwrap();
+        (output.status.success(), said)
+    };
+    let measured = ["--odometry", path(&odometry)];
+    let (done, said) = stream(with("bare", &[]));
+    assert!(done, "{said}");
+    let (done, said) = stream(with("wheels", &measured));
+    assert!(done && said.contains("no --camera: closures say which place it is"), "{said}");
+    let (done, said) = stream(with("seeing", &[&measured[..], &["--camera", "fov:65"]].concat()));
+    assert!(done && !said.contains("no --camera"), "{said}");
+    assert!(said.contains("the camera's field of view was not checked"), "{said}");
+    for (session, more, says) in [
+        ("bare", &measured[..], "was begun without odometry, and stays so"),
+        ("bare", &["--camera", "fov:65"], "was begun without a camera, and stays so"),
+        ("wheels", &["--odometry", path(&other)], "was begun with other odometry, and stays so"),
+        ("seeing", &[&measured[..], &["--camera", "fov:80"]].concat(), "was begun with another camera"),
+    ] {
+        let (done, said) = stream(with(session, more));
+        assert!(!done && said.contains(says) && said.contains("waypost session rm"), "{session}: {said}");
+    }
+    for (session, more) in [("bare", &[][..]), ("seeing", &[&measured[..], &["--camera", "fov:65"]].concat())]
+    {
+        let (done, said) = stream(with(session, more));
+        assert!(done && said.contains("all 6 frames were sent before"), "{session}: {said}");
+    }
+    assert_eq!(frames(&beginner, "drive"), Some(18));
+}
+
 #[test]
 fn images_are_streamed_by_the_numbers_in_their_names() {
     let beginner = Beginner::new();
