@@ -72,8 +72,7 @@ fn heads_elsewhere(poses: &[StampedPose]) -> Option<String> {
     if chords.len() < LEAST_CHORDS {
         return None;
     }
-    let concentrated =
-        |angle_rad: fn(&Chord) -> f64| concentration(chords.iter().map(|chord| angle_rad(chord)));
+    let concentrated = |angle_rad: fn(&Chord) -> f64| concentration(chords.iter().map(angle_rad));
     let first_rad = chords[0].heading_rad;
     let turns = chords.iter().map(|chord| wrapped(chord.heading_rad - first_rad));
     let (right_rad, left_rad) =

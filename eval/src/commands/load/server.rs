@@ -114,7 +114,7 @@ impl ServerUnderLoad {
             let request = v1::CreateMapRequest {
                 map_id: map_name(number),
                 model: first.model.clone(),
-                settings: first.settings.clone(),
+                settings: first.settings,
             };
             client.create_map(request).await?;
         }
