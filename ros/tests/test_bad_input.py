@@ -151,7 +151,10 @@ def test_one_wrong_stamp_costs_itself_alone(stage: Stage) -> None:
     assert all(record.HasField("odometry") for record in records)
     for part in ("odometry", "images"):
         until(lambda part=part: told.count(part, "left out") == 1)
-        assert told.level(part) == 1
+    # On a slow machine the sensors have been silent for long by now, which is an error of its own.
+    drive(robot, range(19, 29), pause_s=0.2)
+    for part in ("odometry", "images"):
+        until(lambda part=part: told.level(part) == 1, what=f"{told()}")
         assert "does not follow those around it" in told.message(part)
 
 
