@@ -12,7 +12,7 @@ ROS2 := $(abspath $(or $(CARGO_TARGET_DIR),target)/ros2)
 CPP := $(abspath $(or $(CARGO_TARGET_DIR),target)/cpp)
 
 # How many of the tests that are not Rust's run at once, and how many of Rust's: they wait for much, for robots as for browsers,
-# so that one more than there are cores keeps two of them busy.
+# so that one more than there are cores keeps these busy.
 JOBS ?= 3
 TEST_THREADS ?= $(shell expr $$(nproc) + 1)
 # What is fuzzed, and for how long: make fuzz FUZZ=model SECONDS=600

@@ -361,7 +361,7 @@ async fn tell_states(
             // The drive says why.
             Ok(Err(_)) => std::future::pending().await,
             Err(_) => {
-                let told = "the robot is lost for a minute: give the --world, --route and --seed of the map";
+                let told = "the robot stays lost: give the --world, --route and --seed of the map";
                 return Failure::Unfit(told.to_owned());
             }
         }

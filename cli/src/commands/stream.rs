@@ -254,7 +254,9 @@ pub(crate) async fn run(arguments: Arguments, server: &ClientOptions, output: Ou
         Some(last) => streamed.found(last).await,
         None => None,
     };
-    let unchecked = found.as_ref().filter(|_| camera.is_some()).and_then(Found::unchecked);
+    // A panorama has none.
+    let has_field_of_view = camera.is_some() && compared == Compared::Images;
+    let unchecked = found.as_ref().filter(|_| has_field_of_view).and_then(Found::unchecked);
     let odometry_finding = found.and_then(|found| found.finding);
     conclude(opened, rows, sent, mode, Hints { short_sequence, unchecked, odometry_finding }, output)
 }
