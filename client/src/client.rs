@@ -53,10 +53,10 @@ impl Client {
     pub async fn connect(options: impl Into<ClientOptions>) -> Result<Self, Error> {
         let options = options.into();
         let endpoint = configured(&options)?;
-        let channel = endpoint.connect().await.map_err(|error| Error::Connection {
-            endpoint: options.endpoint.clone(),
-            reason: innermost(&error),
-        })?;
+        let channel = endpoint
+            .connect()
+            .await
+            .map_err(|error| Error::Connection { endpoint: options.address(), reason: innermost(&error) })?;
         Self::over(channel, options)
     }
 
@@ -74,7 +74,7 @@ impl Client {
 
     fn over(channel: Channel, options: ClientOptions) -> Result<Self, Error> {
         let transport = InterceptedService::new(channel, options.bearer()?);
-        Ok(Self { transport, endpoint: options.endpoint })
+        Ok(Self { transport, endpoint: options.address() })
     }
 
     /// Fetches all pages of a list. `page` is no `AsyncFn`, so that calls can be spawned.
@@ -142,10 +142,9 @@ pub(crate) fn map_name(map: &str) -> String {
 }
 
 fn configured(options: &ClientOptions) -> Result<Endpoint, Error> {
-    let endpoint = options.endpoint.as_str();
-    let refused = |reason: String| Error::Endpoint { endpoint: endpoint.to_owned(), reason };
+    let refused = |reason: String| Error::Endpoint { endpoint: options.endpoint.clone(), reason };
     let mut configured =
-        Endpoint::from_shared(endpoint.to_owned()).map_err(|error| refused(innermost(&error)))?;
+        Endpoint::from_shared(options.address()).map_err(|error| refused(innermost(&error)))?;
     match configured.uri().scheme_str() {
         Some("http") => options.check_plain()?,
         Some("https") => {
@@ -154,7 +153,7 @@ fn configured(options: &ClientOptions) -> Result<Endpoint, Error> {
             configured = configured.tls_config(options.tls()?).map_err(unusable)?;
         }
         Some(other) => return Err(refused(format!("the scheme `{other}` is not served"))),
-        None => return Err(refused("it lacks http://".to_owned())),
+        None => return Err(refused("it lacks a scheme".to_owned())),
     }
     configured
         .connect_timeout(CONNECT_TIMEOUT)
@@ -177,10 +176,19 @@ mod tests {
 
     #[test]
     fn addresses_that_no_client_can_use_are_refused() {
-        for endpoint in ["", "127.0.0.1:7600", "ftp://127.0.0.1:7600", "http://", "http://a b"] {
+        for endpoint in ["", "a b:7600", "ftp://127.0.0.1:7600", "http://", "http://a b"] {
             let refused = configured(&endpoint.into());
             assert!(matches!(refused, Err(Error::Endpoint { .. })), "{endpoint:?}: {refused:?}");
         }
         assert!(configured(&"http://127.0.0.1:7600".into()).is_ok());
+    }
+
+    /// Encrypted if anything for it is given, as in Python.
+    #[test]
+    fn an_address_without_a_scheme_is_one() {
+        let configured = |options: ClientOptions| configured(&options).unwrap().uri().to_string();
+        assert_eq!(configured("127.0.0.1:7600".into()), "http://127.0.0.1:7600/");
+        let with_ca = ClientOptions::new("robots.example:7600").with_ca("-----BEGIN CERTIFICATE-----");
+        assert_eq!(configured(with_ca), "https://robots.example:7600/");
     }
 }

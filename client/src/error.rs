@@ -10,7 +10,7 @@ use tonic::{Code, Status};
 pub enum Error {
     /// The server's address is invalid.
     #[error(
-        "`{endpoint}` is not the address of a server ({reason}); write it as http://HOST:PORT or https://HOST:PORT"
+        "`{endpoint}` is not the address of a server ({reason}); write it as HOST:PORT, http://HOST:PORT or https://HOST:PORT"
     )]
     Endpoint {
         /// The address as given.

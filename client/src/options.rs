@@ -21,7 +21,7 @@ pub struct ClientOptions {
 }
 
 impl ClientOptions {
-    /// A server at `http://HOST:PORT` or `https://HOST:PORT`.
+    /// A server at `http://HOST:PORT`, `https://HOST:PORT`, or `HOST:PORT`, which is encrypted if certificates are given.
     pub fn new(endpoint: impl Into<String>) -> Self {
         Self { endpoint: endpoint.into(), token: None, ca: None, identity: None }
     }
@@ -43,6 +43,17 @@ impl ClientOptions {
     #[must_use]
     pub fn with_identity(self, certificate: impl AsRef<[u8]>, key: impl AsRef<[u8]>) -> Self {
         Self { identity: Some(Identity::from_pem(certificate, key)), ..self }
+    }
+
+    /// The server's address, with its scheme.
+    pub(crate) fn address(&self) -> String {
+        let Self { endpoint, token: _, ca, identity } = self;
+        let scheme = match (ca, identity) {
+            _ if endpoint.contains("://") => "",
+            (None, None) => "http://",
+            (Some(_), _) | (_, Some(_)) => "https://",
+        };
+        format!("{scheme}{endpoint}")
     }
 
     /// The header of every call.
