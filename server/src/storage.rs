@@ -4,6 +4,7 @@
 
 mod appearance;
 mod appending;
+mod batches;
 mod cameras;
 mod checkpoints;
 mod columns;
@@ -23,6 +24,7 @@ mod media;
 mod merges;
 mod models;
 mod moving;
+mod new_events;
 mod notes;
 mod postgres;
 mod removal;

@@ -9,11 +9,11 @@ use sqlx::pool::PoolConnection;
 use sqlx::{Any, Connection, Transaction};
 use tokio::sync::oneshot;
 
-use super::columns::insert_event;
 use super::damage::Where;
-use super::kept::{KeptBySession, add_kept};
+use super::kept::{KeptByOwner, KeptBySession, add_kept};
 use super::log::LogEntry;
 use super::media::{insert_media, kept_bytes};
+use super::new_events::{NewEvent, insert_events};
 use super::notes::insert_note;
 use super::values::to_sql;
 use super::{MapId, Storage, StorageError};
@@ -49,9 +49,6 @@ enum Shared {
     /// Nothing of it is stored, and it need not be the fault of this one.
     TryAlone,
 }
-
-/// What each owner of sessions keeps more by it.
-type KeptByOwner = Vec<(Option<String>, u64)>;
 
 /// Where a transaction failed.
 enum Failure {
@@ -121,22 +118,23 @@ impl Storage {
     ) -> Result<(), Failure> {
         let before = |error: sqlx::Error| Failure::Before(error.into());
         let mut transaction = connection.begin().await.map_err(before)?;
-        let mut kept = KeptByOwner::new();
+        let entries: Vec<(MapId, &LogEntry)> = appends
+            .iter()
+            .flat_map(|append| append.entries.iter().map(|entry| (append.map, entry)))
+            .collect();
         let inserted = async {
             self.engine.fence(&mut transaction).await?;
-            for Append { map, entries, .. } in appends {
-                kept.extend(insert(&mut transaction, *map, entries).await?);
-            }
-            Ok(())
+            insert(&mut transaction, &entries).await
         };
-        inserted.await.map_err(Failure::Before)?;
+        let kept = inserted.await.map_err(Failure::Before)?;
         transaction.commit().await.map_err(|error| Failure::AtTheEnd(error.into()))?;
         self.count(&kept);
         Ok(())
     }
 
     async fn append_alone(&self, map: MapId, entries: &[LogEntry]) -> Result<(), StorageError> {
-        let insert = async |transaction: &mut Transaction<'_, Any>| insert(transaction, map, entries).await;
+        let entries: Vec<(MapId, &LogEntry)> = entries.iter().map(|entry| (map, entry)).collect();
+        let insert = async |transaction: &mut Transaction<'_, Any>| insert(transaction, &entries).await;
         self.write_and(insert, async |_, kept| self.count(kept)).await.map(drop)
     }
 
@@ -190,19 +188,23 @@ impl Append {
     }
 }
 
+/// Stores events with what is kept beside them; what each owner of sessions keeps more by it.
 async fn insert(
     transaction: &mut Transaction<'_, Any>,
-    map: MapId,
-    entries: &[LogEntry],
+    entries: &[(MapId, &LogEntry)],
 ) -> Result<KeptByOwner, StorageError> {
+    let events: Vec<NewEvent<'_>> = entries
+        .iter()
+        .map(|(map, entry)| NewEvent { map: *map, position: entry.position, event: &entry.event })
+        .collect();
+    let lengths = insert_events(transaction, &events).await?;
     let mut kept = KeptBySession::new();
-    for LogEntry { position, event, media, note } in entries {
-        let bytes = insert_event(transaction, map, to_sql(*position), event).await?;
-        insert_media(transaction, map, to_sql(*position), media).await?;
-        insert_note(transaction, map, to_sql(*position), note).await?;
-        *kept.entry(event.session()).or_default() += bytes + kept_bytes(media);
+    for ((map, LogEntry { position, event, media, note }), bytes) in entries.iter().zip(lengths) {
+        insert_media(transaction, *map, to_sql(*position), media).await?;
+        insert_note(transaction, *map, to_sql(*position), note).await?;
+        *kept.entry((*map, event.session())).or_default() += bytes + kept_bytes(media);
     }
-    add_kept(transaction, map, &kept).await
+    add_kept(transaction, &kept).await
 }
 
 #[cfg(test)]

@@ -1,14 +1,11 @@
 //! What the log's columns tell of an event, beside its bytes.
 
 use fabmap::appearance::PlaceId;
-use sqlx::{Any, Transaction};
 use topomap::evidence::Candidate;
 use topomap::ids::SessionId;
 use topomap::log::{Confirmation, Correction, CorrectionEvent, Link, MapEvent, Reason, Undoing};
 
-use super::row_sums::checksum;
-use super::values::{MaybeReal, MaybeWhole, to_sql};
-use super::{MapId, StorageError};
+use super::values::{MaybeWhole, to_sql};
 
 /// What the column of reasons says of corrections.
 const WITHDRAWN: &str = "closure_withdrawn";
@@ -19,20 +16,21 @@ const UNDONE: &str = "correction_undone";
 #[derive(Clone, Debug, PartialEq, sqlx::FromRow)]
 pub(super) struct EventColumns {
     #[sqlx(try_from = "i64")]
-    session: SessionId,
-    sequence: Option<i64>,
-    stamp_ns: Option<i64>,
-    reason: Option<String>,
+    pub(super) session: SessionId,
+    /// Of a frame.
+    pub(super) sequence: Option<i64>,
+    pub(super) stamp_ns: Option<i64>,
+    pub(super) reason: Option<String>,
     #[sqlx(try_from = "MaybeWhole")]
-    place: Option<u32>,
-    posterior: Option<f64>,
-    matched_frame: Option<i64>,
+    pub(super) place: Option<u32>,
+    pub(super) posterior: Option<f64>,
+    pub(super) matched_frame: Option<i64>,
     /// `None` in what the first servers wrote.
-    probability: Option<f64>,
+    pub(super) probability: Option<f64>,
     #[sqlx(try_from = "MaybeWhole")]
-    link_from: Option<u32>,
+    pub(super) link_from: Option<u32>,
     #[sqlx(try_from = "MaybeWhole")]
-    link_to: Option<u32>,
+    pub(super) link_to: Option<u32>,
 }
 
 impl EventColumns {
@@ -81,68 +79,12 @@ impl EventColumns {
         }
     }
 
-    pub(super) fn session(&self) -> SessionId {
-        self.session
-    }
-
-    /// Of a frame.
-    pub(super) fn sequence(&self) -> Option<i64> {
-        self.sequence
-    }
-
     /// Whether these are the columns of that event.
     pub(super) fn are_of(&self, event: &MapEvent) -> bool {
         let columns = Self::of(event);
         let probability = self.probability.and(columns.probability);
         *self == Self { probability, ..columns }
     }
-}
-
-/// Stores an event; how many bytes it takes.
-pub(super) async fn insert_event(
-    transaction: &mut Transaction<'_, Any>,
-    map: MapId,
-    position: i64,
-    event: &MapEvent,
-) -> Result<u64, StorageError> {
-    let EventColumns {
-        session,
-        sequence,
-        stamp_ns,
-        reason,
-        place,
-        posterior,
-        matched_frame,
-        probability,
-        link_from,
-        link_to,
-    } = EventColumns::of(event);
-    let bytes = event.to_bytes();
-    let length = bytes.len() as u64;
-    // The chain goes on as in `row_sums::chained`.
-    sqlx::query(
-        "INSERT INTO log (map_id, position, checksum, chain, session, sequence, stamp_ns, reason, place, posterior, \
-         matched_frame, probability, link_from, link_to, event) VALUES ($1, $2, $3, \
-         (coalesce((SELECT chain FROM log WHERE map_id = $1 AND position = $2 - 1), 0) * 48271 + $3) % 2147483647, \
-         $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14)",
-    )
-    .bind(map)
-    .bind(position)
-    .bind(checksum(position, &bytes))
-    .bind(i64::from(session))
-    .bind(sequence)
-    .bind(stamp_ns)
-    .bind(reason)
-    .bind(place.map(i64::from))
-    .bind(MaybeReal(posterior))
-    .bind(matched_frame)
-    .bind(MaybeReal(probability))
-    .bind(link_from.map(i64::from))
-    .bind(link_to.map(i64::from))
-    .bind(bytes)
-    .execute(&mut **transaction)
-    .await?;
-    Ok(length)
 }
 
 /// A reason as the log, the metrics and people have it.

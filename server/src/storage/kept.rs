@@ -1,10 +1,12 @@
 //! What sessions keep, and whose they are: noted beside each session, and added up for quotas.
 
 use std::collections::BTreeMap;
+use std::sync::LazyLock;
 
 use sqlx::{Any, AnyConnection, Transaction};
 use topomap::ids::SessionId;
 
+use super::batches::Statements;
 use super::values::{from_sql, json_list, to_sql};
 use super::{MapId, Storage, StorageError};
 use crate::quotas::{Quotas, Used, UsedByOwner};
@@ -15,8 +17,20 @@ const COUNTED: &str = "SELECT session, CAST(sum(bytes) AS BIGINT) AS bytes FROM 
      UNION ALL SELECT session, length(content) AS bytes FROM log JOIN frame_media USING (map_id, position) \
      WHERE map_id = $1) AS kept GROUP BY session";
 
-/// Bytes that sessions of a map have come to keep.
-pub(super) type KeptBySession = BTreeMap<SessionId, u64>;
+/// Bytes that sessions of maps have come to keep.
+pub(super) type KeptBySession = BTreeMap<(MapId, SessionId), u64>;
+
+/// What each owner of sessions keeps.
+pub(super) type KeptByOwner = Vec<(Option<String>, u64)>;
+
+static ADD: LazyLock<Statements> = LazyLock::new(|| {
+    Statements::new(3, |rows| {
+        format!(
+            "UPDATE sessions SET kept_bytes = kept_bytes + more.column3 FROM {rows} AS more \
+             WHERE map_id = more.column1 AND number = more.column2 RETURNING owner, map_id, number"
+        )
+    })
+});
 
 impl Storage {
     /// The quotas, with what there is.
@@ -93,20 +107,21 @@ pub(super) fn wrongly_noted() -> String {
 /// Notes what sessions have come to keep; what that is by owner.
 pub(super) async fn add_kept(
     transaction: &mut Transaction<'_, Any>,
-    map: MapId,
     kept: &KeptBySession,
-) -> Result<Vec<(Option<String>, u64)>, StorageError> {
-    let mut by_owner = Vec::with_capacity(kept.len());
-    for (session, bytes) in kept {
-        let owner = sqlx::query_scalar(
-            "UPDATE sessions SET kept_bytes = kept_bytes + $1 WHERE map_id = $2 AND number = $3 RETURNING owner",
-        )
-        .bind(to_sql(*bytes))
-        .bind(map)
-        .bind(i64::from(*session))
-        .fetch_optional(&mut **transaction)
-        .await?;
-        by_owner.extend(owner.map(|owner| (owner, *bytes)));
+) -> Result<KeptByOwner, StorageError> {
+    let mut by_owner = KeptByOwner::with_capacity(kept.len());
+    let mut left = kept.iter();
+    while left.len() > 0 {
+        let (statement, rows) = ADD.for_first(left.len());
+        let mut query = sqlx::query_as(statement);
+        for ((map, session), bytes) in left.by_ref().take(rows) {
+            query = query.bind(*map).bind(i64::from(*session)).bind(to_sql(*bytes));
+        }
+        let updated: Vec<(Option<String>, MapId, i64)> = query.fetch_all(&mut **transaction).await?;
+        for (owner, map, session) in updated {
+            let bytes = kept.get(&(map, from_sql(session)?)).copied().unwrap_or_default();
+            by_owner.push((owner, bytes));
+        }
     }
     Ok(by_owner)
 }

@@ -2,7 +2,7 @@ use sqlx::{Any, Transaction};
 use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 
-use super::columns::insert_event;
+use super::new_events::{NewEvent, insert_events};
 use super::values::{from_sql, to_sql};
 use super::{Storage, StorageError};
 use crate::camera::Camera;
@@ -214,7 +214,8 @@ impl Storage {
             // Once more: another may have been opened meanwhile.
             self.quotas.check_session(owner)?;
             let event = MapEvent::SessionOpened { session: session.number };
-            let kept_bytes = insert_event(transaction, map, to_sql(position), &event).await?;
+            let opened = insert_events(transaction, &[NewEvent { map, position, event: &event }]).await?;
+            let kept_bytes: u64 = opened.iter().sum();
             sqlx::query(
                 "INSERT INTO sessions (map_id, number, name, camera, opened_ns, owner, kept_bytes) \
                  VALUES ($1, $2, $3, $4, $5, $6, $7)",

@@ -8,10 +8,10 @@ use sqlx::{Any, Transaction};
 use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 
-use super::columns::insert_event;
 use super::jobs::{ErrorColumns, end_job};
 use super::kept::{count_sessions, kept_by_maps};
 use super::maps::check_edition;
+use super::new_events::{NewEvent, insert_events};
 use super::notes::copy_notes;
 use super::values::{from_sql, to_sql, words};
 use super::{JobEnd, LabelRow, MapEdition, MapId, MapRow, Storage, StorageError, StoredError, StoredSession};
@@ -300,9 +300,9 @@ impl Storage {
             for log in joined {
                 check_edition(transaction, log.source).await?;
                 insert_sessions_and_labels(transaction, target, log, outcome.number).await?;
-                for (position, event) in (log.from..).zip(&log.events) {
-                    insert_event(transaction, target, to_sql(position), event).await?;
-                }
+                let new = |(position, event)| NewEvent { map: target, position, event };
+                insert_events(transaction, &(log.from..).zip(&log.events).map(new).collect::<Vec<_>>())
+                    .await?;
                 let events = log.events.len() as u64;
                 copy_media(transaction, log.source.map, target, 0..events, log.from).await?;
             }

@@ -10,10 +10,10 @@ use topomap::rewriting::Retold;
 
 use super::appearance::forget_links;
 use super::checkpoints::CHECKPOINT_PIECES;
-use super::columns::insert_event;
 use super::jobs::end_job;
 use super::kept::count_sessions;
 use super::merges::set_outcome;
+use super::new_events::{NewEvent, insert_events};
 use super::values::{from_sql, json_list, to_sql};
 use super::{
     FormerModelRow, JobEnd, LabelRow, MapEdition, MapId, MergeOutcome, MergeState, Storage, StorageError,
@@ -192,10 +192,9 @@ async fn replace_events(transaction: &mut Transaction<'_, Any>, log: &RetoldLog)
         .bind(to_sql(log.from))
         .execute(&mut **transaction)
         .await?;
-    for (position, event) in (log.from..).zip(&log.events) {
-        insert_event(transaction, map, to_sql(position), event).await?;
-    }
-    Ok(())
+    let events: Vec<NewEvent<'_>> =
+        (log.from..).zip(&log.events).map(|(position, event)| NewEvent { map, position, event }).collect();
+    insert_events(transaction, &events).await.map(drop)
 }
 
 async fn move_sessions(transaction: &mut Transaction<'_, Any>, log: &RetoldLog) -> Result<(), StorageError> {

@@ -29,6 +29,23 @@ pub(super) fn chained(before: i64, checksum: i64) -> i64 {
     (before * FACTOR + checksum) % MODULUS
 }
 
+/// How the link of an event follows from that of one that stands further back: (back * factor + sum) % 2147483647.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ChainStep {
+    pub(super) factor: i64,
+    pub(super) sum: i64,
+}
+
+impl ChainStep {
+    /// The link itself.
+    pub(super) const NONE: Self = Self { factor: 1, sum: 0 };
+
+    /// By one event more.
+    pub(super) fn then(self, checksum: i64) -> Self {
+        Self { factor: self.factor * FACTOR % MODULUS, sum: chained(self.sum, checksum) }
+    }
+}
+
 /// An event as it is stored. Read with its `position`, `event`, `checksum` and `chain`.
 #[derive(Clone, Debug, sqlx::FromRow)]
 pub(super) struct StoredEvent {
@@ -130,6 +147,18 @@ async fn sum_piece(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn many_steps_lead_where_one_by_one_leads() {
+        let checksums = [u32::MAX, 0, 1, 2_147_483_647, 2_147_483_648, 77].map(i64::from);
+        for start in [CHAIN_START, 1, MODULUS - 1] {
+            let (mut link, mut step) = (start, ChainStep::NONE);
+            for checksum in checksums {
+                (link, step) = (chained(link, checksum), step.then(checksum));
+                assert_eq!((start * step.factor + step.sum) % MODULUS, link);
+            }
+        }
+    }
 
     #[test]
     fn an_event_that_is_another_gone_or_elsewhere_shows() {

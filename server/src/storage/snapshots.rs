@@ -7,10 +7,10 @@ use sqlx::{Any, Transaction};
 use topomap::ids::SessionId;
 use topomap::log::MapEvent;
 
-use super::columns::insert_event;
 use super::damage::Where;
 use super::jobs::end_job;
 use super::labels::insert_label;
+use super::new_events::{NewEvent, insert_events};
 use super::notes::insert_note;
 use super::row_sums::{CHAIN_START, StoredEvent};
 use super::values::to_sql;
@@ -168,9 +168,9 @@ impl Storage {
         notes: &[NoteRow],
     ) -> Result<(), StorageError> {
         self.write(async |transaction| {
-            for (position, event) in events {
-                insert_event(transaction, map, to_sql(*position), event).await?;
-            }
+            let events: Vec<NewEvent<'_>> =
+                events.iter().map(|(position, event)| NewEvent { map, position: *position, event }).collect();
+            insert_events(transaction, &events).await?;
             for MediaRow { position, kind, content } in media {
                 sqlx::query(
                     "INSERT INTO frame_media (map_id, position, kind, content) VALUES ($1, $2, $3, $4)",

@@ -268,7 +268,7 @@ impl Reading {
             }
         };
         let WholeEvent { stored, columns } = row;
-        let named = named(sessions, Some(columns.session()), columns.sequence(), position);
+        let named = named(sessions, Some(columns.session), columns.sequence, position);
         let before = std::mem::replace(chain, stored.chain());
         let followed = stored.follow(u64::try_from(position).unwrap_or(0), before);
         let decoded = followed.and_then(|_| stored.decode(usize::try_from(words).unwrap_or(0)));
