@@ -281,6 +281,49 @@ mod tests {
         storage.close().await;
     }
 
+    /// Each log's chain goes on over statements of all sizes, which maps share.
+    #[tokio::test]
+    async fn logs_are_whole_however_many_events_share_a_statement() {
+        const MAPS: i64 = 3;
+        let directory = tempfile::tempdir().unwrap();
+        let storage = with_maps(directory.path(), MAPS).await;
+        let mut next = 0;
+        for events in [1, 7, 64, 9, 75] {
+            let writing = storage.writer.acquire().await.unwrap();
+            let entries: Arc<[LogEntry]> =
+                (next..next + events).map(|position| opened(position)[0].clone()).collect();
+            let appends: Vec<_> = (1..=MAPS)
+                .map(|map| {
+                    let (storage, entries) = (storage.clone(), entries.clone());
+                    tokio::spawn(async move { storage.append(map, entries).await })
+                })
+                .collect();
+            while storage.waiting.queue().appends.len() < MAPS as usize {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+            drop(writing);
+            for append in appends {
+                append.await.unwrap().unwrap();
+            }
+            next += events;
+        }
+        for map in 1..=MAPS {
+            let mut replayed = 0;
+            let mut count = |position, _| {
+                assert_eq!(position, replayed);
+                replayed += 1;
+                Ok(())
+            };
+            storage.replay(map, 0..next, 1, &mut count).await.unwrap();
+            assert_eq!(replayed, next);
+        }
+        let wrong = "SELECT count(*) FROM sessions WHERE kept_bytes != \
+             (SELECT sum(length(event)) FROM log WHERE log.map_id = sessions.map_id)";
+        let wrong: i64 = sqlx::query_scalar(wrong).fetch_one(&storage.readers).await.unwrap();
+        assert_eq!(wrong, 0);
+        storage.close().await;
+    }
+
     #[test]
     fn the_first_are_taken_as_far_as_they_fit() {
         let waiting = Waiting::default();
