@@ -3,8 +3,9 @@
 `measurements.toml` has a name and a command for each report. `python docs/tables.py NAME... --data DATA` runs the commands,
 keeps their reports, with commit and machine, in `measured/NAME.json`, and writes the rows anew; without a name it only
 writes the rows. The commit is that of the repository: build there before. A command that has a list `each` beside it runs once
-for each of its texts, in place of EACH, and its report is the list of these reports. What a row says stands in a comment before
-its table:
+for each of its texts, in place of EACH, and its report is the list of these reports. Where it has `seeds`, too, it runs so often
+for each text, with 0 and so on in place of SEED, and the reports are each text's `runs`. A word with a `*` stands for the files
+of such names. What a row says stands in a comment before its table:
 
     <!-- rows of NAME
     left_out[0] | `ietower`: offices, {frames} frames | {recognised} of {queries_with_loop} |
@@ -20,11 +21,13 @@ the pages against the reports.
 from __future__ import annotations
 
 import argparse
+import glob
 import json
 import os
 import platform
 import re
 import shlex
+import statistics
 import subprocess
 import sys
 import tomllib
@@ -115,7 +118,19 @@ def total(parts: list[Any], field: str) -> float:
 
 
 #: What expressions may use besides a report's fields.
-HELPERS = {"__builtins__": {}, "sum": sum, "total": total, "max": max, "round": round}
+HELPERS = {
+    "__builtins__": {},
+    "sum": sum,
+    "total": total,
+    "max": max,
+    "min": min,
+    "round": round,
+    "len": len,
+    "str": str,
+    "sorted": sorted,
+    "zip": zip,
+    "median": statistics.median,
+}
 
 
 def cell(known: dict[str, Any], expression: str, how: str | None) -> str:
@@ -147,15 +162,20 @@ def measure(name: str, data: Path, programs: Path, out: Path) -> None:
         words = [
             re.sub(r"\b(DATA|OUT)\b", lambda word: places[word[0]], word) for word in shlex.split(command)
         ]
+        words = [name for word in words for name in (sorted(glob.glob(word)) if "*" in word else [word])]
         environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
         return json.loads(run([*words, "--json"], environment))
 
-    if "each" in measurement:
-        report = [{"each": each} | reported(command.replace("EACH", each)) for each in measurement["each"]]
-    else:
-        report = reported(command)
+    def reported_for(each: str) -> Any:
+        of_each = command.replace("EACH", each)
+        if "seeds" not in measurement:
+            return kept({"each": each} | reported(of_each), is_item=True)
+        runs = [reported(of_each.replace("SEED", str(seed))) for seed in range(measurement["seeds"])]
+        return {"each": each, "runs": kept(runs)}
+
+    report = [reported_for(each) for each in measurement["each"]] if "each" in measurement else kept(reported(command))
     commit = run(["git", "rev-parse", "--short=7", "HEAD"], os.environ).decode().strip()
-    Measured(command, commit, machine(), kept(report)).write(name)
+    Measured(command, commit, machine(), report).write(name)
 
 
 def run(words: list[str], environment: Mapping[str, str]) -> bytes:

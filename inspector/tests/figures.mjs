@@ -1,4 +1,5 @@
-// Figures of PERFORMANCE.md: how soon a map is drawn, and how smoothly it is dragged. Not a test: no figure fails it.
+// Figures of PERFORMANCE.md: how soon a map is drawn, how smoothly it is dragged, and what a tile of its match matrix costs.
+// Not a test: no figure fails it.
 //     npm run figures -- 1000 10000
 // makes maps of so many places by the programs of WAYPOST_BINARIES. FIGURES_DATA is a folder with maps that
 // `waypost-eval load growth --keep-data FOLDER/PLACES` has left; they are made there where they are missing.
@@ -9,8 +10,11 @@ import { chromium } from "playwright-core";
 import { colours, panned } from "./looking.mjs";
 import { bring, clean, grown, rest, until } from "./server.mjs";
 
-const SIZES = process.argv.slice(2).map(Number);
+// It prints JSON without being asked to.
+const SIZES = process.argv.slice(2).filter((word) => word !== "--json").map(Number);
 const TIMES = 5;
+/** Pairs along a side of a tile's coarsest cells, for maps that have so many places. */
+const TILE_LEVELS = [{ level: 0, pairs: 256 }, { level: 5, pairs: 8192 }];
 const kept = process.env.FIGURES_DATA;
 
 const median = (values) => [...values].sort((a, b) => a - b)[Math.floor(values.length / 2)];
@@ -24,6 +28,21 @@ const drawnAt = (page) => page.evaluate(() => new Promise((drawn) => {
     };
     look();
 }));
+
+/** What the server's processor did so far, in seconds. */
+async function processor_s(url) {
+    const metrics = await (await fetch(`${url}/metrics`)).text();
+    return Number(/^waypost_process_cpu_seconds (\S+)$/m.exec(metrics)[1]);
+}
+
+/** What an answer takes the server's processor, in seconds, and how large it is. */
+async function cost(url, path) {
+    const before = await processor_s(url);
+    const answer = await fetch(`${url}/v1/maps/load/${path}`);
+    if (!answer.ok) throw new Error(`${path}: ${answer.status}`);
+    const { byteLength: bytes } = await answer.arrayBuffer();
+    return { processor_s: Number((await processor_s(url) - before).toFixed(2)), bytes };
+}
 
 async function measure(browser, places) {
     if (kept) mkdirSync(kept, { recursive: true });
@@ -48,7 +67,13 @@ async function measure(browser, places) {
     for (let time = 0; time < TIMES; time++) fps.push(await panned(page, canvas));
     const drawn = Number(await canvas.getAttribute("data-drawn"));
     await context.close();
+    const tiles = [];
+    const matrix = await cost(url, "matrix");
+    for (const { level, pairs } of TILE_LEVELS.filter(({ pairs }) => pairs <= there)) {
+        tiles.push({ pairs, ...await cost(url, `matrix/tiles/${level}/0/0`) });
+    }
     return {
+        matrix, tiles,
         places: there, drawn, first_ms: Math.round(first_ms), drawn_ms: Math.round(median(others_ms)),
         worst_ms: Math.round(Math.max(...others_ms)), fps: Number(median(fps).toFixed(1)), least_fps: Number(Math.min(...fps).toFixed(1)),
         load: Number(loadavg()[0].toFixed(1)),
@@ -61,7 +86,9 @@ if (!SIZES.length || !SIZES.every((places) => Number.isInteger(places) && places
 }
 const browser = await chromium.launch({ executablePath: "/usr/bin/chromium", args: ["--no-sandbox", "--disable-dev-shm-usage"] });
 try {
-    for (const places of SIZES) console.log(JSON.stringify(await measure(browser, places)));
+    const figures = [];
+    for (const places of SIZES) figures.push(await measure(browser, places));
+    console.log(JSON.stringify(figures));
 } finally {
     await browser.close();
     await clean();
