@@ -173,7 +173,11 @@ def measure(name: str, data: Path, programs: Path, out: Path) -> None:
         runs = [reported(of_each.replace("SEED", str(seed))) for seed in range(measurement["seeds"])]
         return {"each": each, "runs": kept(runs)}
 
-    report = [reported_for(each) for each in measurement["each"]] if "each" in measurement else kept(reported(command))
+    report = (
+        [reported_for(each) for each in measurement["each"]]
+        if "each" in measurement
+        else kept(reported(command))
+    )
     commit = run(["git", "rev-parse", "--short=7", "HEAD"], os.environ).decode().strip()
     Measured(command, commit, machine(), report).write(name)
 

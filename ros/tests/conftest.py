@@ -7,6 +7,7 @@ import itertools
 import json
 import os
 import signal
+import statistics
 import subprocess
 import time
 from collections.abc import Iterator
@@ -32,8 +33,9 @@ FOCAL_PX = 520.0
 #: Far more than a start or a stop takes.
 PATIENCE_S = 60.0
 COMPRESSED = "camera/image_raw/compressed"
-#: Each test has a domain of its own, apart from those of other runs and of robots nearby.
-DOMAINS = itertools.count(100 + os.getpid() % 60)
+#: Each test has a domain of its own, apart from those of other runs and of robots nearby; not above 101, where a domain's
+#: ports are those that Linux gives to anybody.
+DOMAINS = (1 + (os.getpid() + number) % 101 for number in itertools.count())
 
 
 def binary(name: str) -> Path:
@@ -48,6 +50,18 @@ def binary(name: str) -> Path:
         if (folder / name).is_file():
             return folder / name
     pytest.exit(f"{name} is missing: run `make build`, or say in WAYPOST_BINARIES where it is", 3)
+
+
+def tell(figures: dict[str, Any]) -> None:
+    """Prints what was measured, and keeps it for who asks for it by a file of theirs, in WAYPOST_FIGURES."""
+    print(json.dumps(figures))
+    if kept := os.environ.get("WAYPOST_FIGURES"):
+        with Path(kept).open("a") as file:
+            file.write(f"{json.dumps(figures)}\n")
+
+
+def p50_and_p99(values: list[float]) -> list[float]:
+    return [statistics.median(values), sorted(values)[int(0.99 * len(values))]]
 
 
 def environment() -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""From an image on DDS to its pose on DDS, beside the client library's own answers; `pytest -rP` shows."""
+"""From an image on DDS to its pose on DDS, beside the client library's own answers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from urllib.request import urlopen
 
 import ros_types as ros
 import waypost
-from conftest import COMPRESSED, IMAGES, PATIENCE_S, Diagnostics, Server, Stage, met, way
+from conftest import COMPRESSED, IMAGES, PATIENCE_S, Diagnostics, Server, Stage, met, p50_and_p99, tell, way
 from robot import LOSSLESS, SECOND_NS, Robot, turned, until
 
 TAUGHT = range(1, 61)
@@ -93,8 +93,7 @@ def test_the_bridge_adds_little_to_the_server(stage: Stage) -> None:
     robot.odometry(SECOND_NS, *way(1))
     robot.compressed(SECOND_NS, IMAGES[0].read_bytes())
     until(lambda: told.count("server", "frames answered") == 1)
-    over_dds, directly = [], []
-    beyond: dict[str, list[float]] = {"DDS to DDS": [], "the client library": []}
+    took: dict[str, list[float]] = {name: [] for name in ("dds", "dds_beyond", "client", "client_beyond")}
     robots = OverDds(robot)
     # One after the other, so that a machine that is shared is as busy for both.
     with stage.client.session("hall", "direct", mode=waypost.Mode.LOCALIZE) as session:
@@ -102,14 +101,11 @@ def test_the_bridge_adds_little_to_the_server(stage: Stage) -> None:
         directly_ms(session, 1)
         computing = Computing(stage.server)
         for second in MEASURED:
-            over_dds.append(robots.ms(second))
-            beyond["DDS to DDS"].append(over_dds[-1] - computing.of_the_next_ms())
-            directly.append(directly_ms(session, second))
-            beyond["the client library"].append(directly[-1] - computing.of_the_next_ms())
+            took["dds"].append(robots.ms(second))
+            took["dds_beyond"].append(took["dds"][-1] - computing.of_the_next_ms())
+            took["client"].append(directly_ms(session, second))
+            took["client_beyond"].append(took["client"][-1] - computing.of_the_next_ms())
             time.sleep(PERIOD_S)
-    for name, took in (("DDS to DDS", over_dds), ("the client library", directly)):
-        for what, took_ms in (("", took), (" beyond the server's computing", beyond[name])):
-            p50, p99 = statistics.median(took_ms), sorted(took_ms)[int(0.99 * len(took_ms))]
-            print(f"{name}{what}: {len(took_ms)} frames, p50 {p50:.1f} ms, p99 {p99:.1f} ms")
+    tell({"frames": len(MEASURED)} | {f"{name}_ms": p50_and_p99(each) for name, each in took.items()})
     # The target is 5 ms, on a machine that has nothing else to do.
-    assert statistics.median(beyond["DDS to DDS"]) < 30.0
+    assert statistics.median(took["dds_beyond"]) < 30.0
