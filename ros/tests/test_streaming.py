@@ -142,9 +142,18 @@ def test_a_bridge_that_is_started_again_goes_on(stage: Stage) -> None:
         robot.advertise("odom", ros.Odometry, LOSSLESS)
         met(robot, COMPRESSED, "odom")
         drive(robot, range(first, last + 1))
-        until(lambda: told.count("server", "frames answered") == 10, what="frames are missing")
+        until(
+            lambda: told.count("server", "frames answered") == 10,
+            timeout_s=90.0,
+            what="frames are missing",
+        )
         assert bridge.end() == 0, bridge.said()
-        until(lambda: not robot.is_heard(COMPRESSED), what="the bridge did not say farewell")
+        # A farewell that is lost, as on a busy machine, is made up for by the end of its lease.
+        until(
+            lambda: not robot.is_heard(COMPRESSED),
+            timeout_s=150.0,
+            what="the bridge is not believed to be gone",
+        )
         robot.forget(COMPRESSED, "odom")
         told.forget()
     records = stage.client.frames("maps/hall/sessions/drive")
