@@ -57,7 +57,7 @@ impl Client {
             .connect()
             .await
             .map_err(|error| Error::Connection { endpoint: options.address(), reason: innermost(&error) })?;
-        Self::over(channel, options)
+        Self::over(channel, &options)
     }
 
     /// A client that connects at its first call, for robots that may start before the server.
@@ -69,10 +69,10 @@ impl Client {
     pub fn lazy(options: impl Into<ClientOptions>) -> Result<Self, Error> {
         let options = options.into();
         let channel = configured(&options)?.connect_lazy();
-        Self::over(channel, options)
+        Self::over(channel, &options)
     }
 
-    fn over(channel: Channel, options: ClientOptions) -> Result<Self, Error> {
+    fn over(channel: Channel, options: &ClientOptions) -> Result<Self, Error> {
         let transport = InterceptedService::new(channel, options.bearer()?);
         Ok(Self { transport, endpoint: options.address() })
     }
