@@ -1,7 +1,10 @@
 //! Many rows in one statement: each statement is a round trip to the database.
 
 /// Numbers of rows that a statement may have: few, since the database prepares a statement for each.
-const SIZES: [usize; 3] = [64, 8, 1];
+const SIZES: [usize; 3] = [MOST_ROWS, 8, 1];
+
+/// Rows that one statement has at most.
+pub(super) const MOST_ROWS: usize = 64;
 
 /// A statement for each number of rows.
 #[derive(Debug)]

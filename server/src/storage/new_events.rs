@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 use sqlx::{Any, Transaction};
 use topomap::log::MapEvent;
 
-use super::batches::Statements;
+use super::batches::{MOST_ROWS, Statements};
 use super::columns::EventColumns;
 use super::row_sums::{ChainStep, checksum};
 use super::values::{MaybeReal, to_sql};
@@ -55,7 +55,7 @@ pub(super) async fn insert_events(
 fn insertable_at_once(events: &[NewEvent<'_>]) -> usize {
     let mut maps = BTreeSet::new();
     let mut last = None;
-    let fit = events.iter().take_while(|NewEvent { map, position, .. }| {
+    let fit = events.iter().take(MOST_ROWS).take_while(|NewEvent { map, position, .. }| {
         let is_next = last.replace((*map, position + 1)) == Some((*map, *position));
         is_next || maps.insert(*map)
     });
