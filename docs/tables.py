@@ -189,12 +189,12 @@ def run(words: list[str], environment: Mapping[str, str]) -> bytes:
 
 
 def kept(figure: Any, *, is_item: bool = False) -> Any:
-    """A report without what is of single frames and closures: lists of records that are below a list."""
+    """A report without what is of single frames and closures: lists of records, or of lists, that are below a list."""
     if isinstance(figure, dict):
         return {
             name: kept(value)
             for name, value in figure.items()
-            if not (is_item and isinstance(value, list) and value and isinstance(value[0], dict))
+            if not (is_item and isinstance(value, list) and value and isinstance(value[0], dict | list))
         }
     return [kept(value, is_item=True) for value in figure] if isinstance(figure, list) else figure
 
