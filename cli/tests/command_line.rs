@@ -74,7 +74,7 @@ fn wrong_usage_is_code_2() {
         &["model", "train", "--images", "x", "--words", "1"],
         &["stream", "x", "--map", "office", "--rate", "0"],
         &["stream", "x", "--map", "office", "--rate", "nan"],
-        &["map", "ls", "--server", "127.0.0.1:7600"],
+        &["map", "ls", "--server", "ftp://127.0.0.1:7600"],
     ];
     for command in commands {
         let (code, stderr) = failed(command);

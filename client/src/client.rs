@@ -186,9 +186,8 @@ mod tests {
     /// Encrypted if anything for it is given, as in Python.
     #[test]
     fn an_address_without_a_scheme_is_one() {
-        let configured = |options: ClientOptions| configured(&options).unwrap().uri().to_string();
-        assert_eq!(configured("127.0.0.1:7600".into()), "http://127.0.0.1:7600/");
-        let with_ca = ClientOptions::new("robots.example:7600").with_ca("-----BEGIN CERTIFICATE-----");
-        assert_eq!(configured(with_ca), "https://robots.example:7600/");
+        let plain = ClientOptions::new("127.0.0.1:7600");
+        assert_eq!(configured(&plain).unwrap().uri().to_string(), "http://127.0.0.1:7600/");
+        assert_eq!(plain.with_ca("of ours").address(), "https://127.0.0.1:7600");
     }
 }
