@@ -46,13 +46,20 @@ impl DirectoryLock {
         Ok(Self { directory: itself, file })
     }
 
-    /// Before this is dropped: a connection that is still being closed may hold a copy for a moment more.
+    /// Before all that shares this is dropped: a connection that is still being closed may hold a copy for a moment more.
     pub(super) fn release(&self) {
         for held in self.directory.iter().chain([&self.file]) {
             if let Err(error) = held.unlock() {
                 tracing::warn!(%error, "the data directory stays locked until this program ends");
             }
         }
+    }
+}
+
+impl Drop for DirectoryLock {
+    /// To close the files would not do: a program that this one is just starting has them open for a moment, too.
+    fn drop(&mut self) {
+        self.release();
     }
 }
 
