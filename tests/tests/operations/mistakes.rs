@@ -239,7 +239,7 @@ fn addresses_that_are_wrong() {
     let (grpc, http) = (waypost.endpoint(), waypost.http());
     for (mistake, address, code, fragment) in [
         ("no server", "http://127.0.0.1:1", 3, "start a server with `waypost-server`"),
-        ("no scheme", "127.0.0.1:7600", 2, "http://"),
+        ("no scheme of ours", "ftp://127.0.0.1:7600", 2, "http://"),
         ("the HTTP port", &http, 3, "HTTP port"),
         ("https against plain", &grpc.replace("http://", "https://"), 3, "speaks no TLS"),
     ] {
