@@ -241,3 +241,5 @@ def met(robot: Robot, *topics: str) -> None:
     """Waits until the bridge hears these topics."""
     for topic in topics:
         until(lambda topic=topic: robot.is_heard(topic), what=f"nobody reads {topic}")
+    # The robot knows of the bridge before that knows of the robot's topics, and drops what comes until it does.
+    time.sleep(1.0)
