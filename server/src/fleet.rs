@@ -9,6 +9,7 @@ use std::net::SocketAddr;
 use std::os::fd::AsFd;
 use std::time::Duration;
 
+use futures::future::{BoxFuture, LocalBoxFuture};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
@@ -98,41 +99,54 @@ pub enum Opening {
 ///
 /// # Errors
 /// As [`Server::open`] and [`Server::check_exposure`], or if a port cannot be served.
-pub async fn open_beside_others(
-    location: &DataLocation,
-    ports: &Ports,
+pub fn open_beside_others<'a>(
+    location: &'a DataLocation,
+    ports: &'a Ports,
     opening: Opening,
-    shutdown: impl Future<Output = ()>,
-) -> anyhow::Result<Option<Server>> {
-    let StorageAddress::Postgres(database) = &location.storage else {
-        return Server::open(location.clone()).await.map(Some);
-    };
-    let (tell, owner) = watch::channel(None);
-    let relay = Relay::new(owner, database, ports.tls.as_ref(), Metrics::new()?);
-    let (grpc, http) = ports.shared()?;
-    let addresses = ports.addresses()?;
-    let opened = async {
-        loop {
-            let claim = Claim { addresses: addresses.clone(), while_owned: WhileOwned::Wait(tell.clone()) };
-            match (Server::open_with(location, claim).await, opening) {
-                (Err(error), Opening::Again) => {
-                    tracing::warn!("the database cannot be opened again yet: {error:#}");
-                    tell.send_replace(None);
-                    tokio::time::sleep(OPEN_AGAIN).await;
+    shutdown: impl Future<Output = ()> + Send + 'a,
+) -> LocalBoxFuture<'a, anyhow::Result<Option<Server>>> {
+    open_or_relay(location, ports, opening, Box::pin(shutdown))
+}
+
+/// [`open_beside_others`] for one kind of `shutdown`: what is generic would be compiled where it is called.
+fn open_or_relay<'a>(
+    location: &'a DataLocation,
+    ports: &'a Ports,
+    opening: Opening,
+    shutdown: BoxFuture<'a, ()>,
+) -> LocalBoxFuture<'a, anyhow::Result<Option<Server>>> {
+    Box::pin(async move {
+        let StorageAddress::Postgres(database) = &location.storage else {
+            return Server::open(location.clone()).await.map(Some);
+        };
+        let (tell, owner) = watch::channel(None);
+        let relay = Relay::new(owner, database, ports.tls.as_ref(), Metrics::new()?);
+        let (grpc, http) = ports.shared()?;
+        let addresses = ports.addresses()?;
+        let opened = async {
+            loop {
+                let claim =
+                    Claim { addresses: addresses.clone(), while_owned: WhileOwned::Wait(tell.clone()) };
+                match (Server::open_with(location, claim).await, opening) {
+                    (Err(error), Opening::Again) => {
+                        tracing::warn!("the database cannot be opened again yet: {error:#}");
+                        tell.send_replace(None);
+                        tokio::time::sleep(OPEN_AGAIN).await;
+                    }
+                    (opened, Opening::First | Opening::Again) => return opened.map(Some),
                 }
-                (opened, Opening::First | Opening::Again) => return opened.map(Some),
             }
+        };
+        let relaying = async {
+            if opening == Opening::First {
+                ports.check_exposure(database).await?;
+            }
+            relay.serve(grpc, http, ports).await
+        };
+        tokio::select! {
+            opened = opened => opened,
+            failed = relaying => failed.map(|()| None),
+            () = shutdown => Ok(None),
         }
-    };
-    let relaying = async {
-        if opening == Opening::First {
-            ports.check_exposure(database).await?;
-        }
-        relay.serve(grpc, http, ports).await
-    };
-    tokio::select! {
-        opened = opened => opened,
-        failed = relaying => failed.map(|()| None),
-        () = shutdown => Ok(None),
-    }
+    })
 }

@@ -1,6 +1,9 @@
 //! The Waypost server: gRPC for robots, REST for people, one service layer under both.
 //!
 //! [`serve`] runs a server on sockets that the caller has bound, until the caller says stop.
+//!
+//! What may be awaited from outside comes boxed: the work of an `async fn` is compiled in whatever awaits it, and all of a
+//! server took each program nine minutes of a processor.
 
 mod camera;
 mod clock;
@@ -31,6 +34,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
+use futures::future::{BoxFuture, LocalBoxFuture};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
@@ -108,10 +112,12 @@ impl Server {
     /// # Errors
     /// If the directory cannot be written to, is used by another server, is of a newer version or is
     /// damaged, or the database cannot be reached; the message says which and how to mend it.
-    pub async fn open(location: DataLocation) -> anyhow::Result<Self> {
-        let (tell, _owner) = watch::channel(None);
-        let claim = Claim { addresses: Addresses::default(), while_owned: WhileOwned::Wait(tell) };
-        Self::open_with(&location, claim).await
+    pub fn open(location: DataLocation) -> LocalBoxFuture<'static, anyhow::Result<Self>> {
+        Box::pin(async move {
+            let (tell, _owner) = watch::channel(None);
+            let claim = Claim { addresses: Addresses::default(), while_owned: WhileOwned::Wait(tell) };
+            Self::open_with(&location, claim).await
+        })
     }
 
     async fn open_with(location: &DataLocation, claim: Claim) -> anyhow::Result<Self> {
@@ -127,9 +133,11 @@ impl Server {
     ///
     /// # Errors
     /// If the database cannot be read or written.
-    pub async fn with_shipped_model(self) -> anyhow::Result<Self> {
-        self.service.models.take_in_shipped().await?;
-        Ok(self)
+    pub fn with_shipped_model(self) -> BoxFuture<'static, anyhow::Result<Self>> {
+        Box::pin(async move {
+            self.service.models.take_in_shipped().await?;
+            Ok(self)
+        })
     }
 
     /// Both listeners speak TLS.
@@ -200,107 +208,119 @@ impl Server {
     ///
     /// # Errors
     /// [`Exposed`], or if a listener fails.
-    pub async fn serve(
+    pub fn serve(
         self,
         grpc: TcpListener,
         http: TcpListener,
         shutdown: impl Future<Output = ()> + Send + 'static,
-    ) -> anyhow::Result<Served> {
-        let addresses = [grpc.local_addr()?, http.local_addr()?];
-        self.check_exposure(addresses)?;
-        if let Some(address) = exposed(addresses).filter(|_| self.tls.is_none()) {
-            tracing::warn!(
-                %address,
-                "without TLS, tokens and images can be read on the way; set tls_certificate and tls_key, or keep \
-                 the network to yourself"
-            );
-        }
-        let Self { service, tls, map_memory_bytes, strangers, cors_origins } = self;
-        service.start_upkeep(map_memory_bytes);
-        service.use_helpers(tls.as_ref().map(|tls| tls.neighbours.clone()));
-        if let Err(error) = service.take_up_jobs().await {
-            tracing::error!(%error, "jobs of an earlier server wait for the next start");
-        }
-        let stopping = service.stopping().clone();
-        let signal = stopping.clone();
-        let taken_over = service.taken_over();
-        let lost = taken_over.clone();
-        let losing = service.clone();
-        let watch = tokio::spawn(async move {
-            tokio::select! {
-                () = shutdown => {}
-                () = lost.happens() => {
-                    tracing::error!("serving no more: the database may be another server's by now");
-                    losing.abandon();
+    ) -> BoxFuture<'static, anyhow::Result<Served>> {
+        self.serve_until(grpc, http, Box::pin(shutdown))
+    }
+
+    /// [`Server::serve`] for one kind of `shutdown`: what is generic would be compiled where it is called.
+    fn serve_until(
+        self,
+        grpc: TcpListener,
+        http: TcpListener,
+        shutdown: BoxFuture<'static, ()>,
+    ) -> BoxFuture<'static, anyhow::Result<Served>> {
+        Box::pin(async move {
+            let addresses = [grpc.local_addr()?, http.local_addr()?];
+            self.check_exposure(addresses)?;
+            if let Some(address) = exposed(addresses).filter(|_| self.tls.is_none()) {
+                tracing::warn!(
+                    %address,
+                    "without TLS, tokens and images can be read on the way; set tls_certificate and tls_key, or keep \
+                     the network to yourself"
+                );
+            }
+            let Self { service, tls, map_memory_bytes, strangers, cors_origins } = self;
+            service.start_upkeep(map_memory_bytes);
+            service.use_helpers(tls.as_ref().map(|tls| tls.neighbours.clone()));
+            if let Err(error) = service.take_up_jobs().await {
+                tracing::error!(%error, "jobs of an earlier server wait for the next start");
+            }
+            let stopping = service.stopping().clone();
+            let signal = stopping.clone();
+            let taken_over = service.taken_over();
+            let lost = taken_over.clone();
+            let losing = service.clone();
+            let watch = tokio::spawn(async move {
+                tokio::select! {
+                    () = shutdown => {}
+                    () = lost.happens() => {
+                        tracing::error!("serving no more: the database may be another server's by now");
+                        losing.abandon();
+                    }
                 }
+                signal.cancel();
+            });
+            let metrics = service.metrics().clone();
+            let upkeep = tokio::spawn(async move {
+                loop {
+                    tokio::time::sleep(METRICS_UPKEEP).await;
+                    metrics.sum_up();
+                }
+            });
+            let looked_at = service.clone();
+            let looking = tokio::spawn(async move {
+                loop {
+                    looked_at.keep_metrics().await;
+                    tokio::time::sleep(HISTORY_EVERY).await;
+                }
+            });
+            let trimming = tokio::spawn(async {
+                loop {
+                    tokio::time::sleep(MEMORY_UPKEEP).await;
+                    // It takes the allocator's locks for a moment.
+                    drop(tokio::task::spawn_blocking(memory::give_back).await);
+                }
+            });
+            let serving = async {
+                tokio::try_join!(
+                    grpc::serve(
+                        service.clone(),
+                        grpc,
+                        tls.as_ref(),
+                        strangers,
+                        stopping.clone().cancelled_owned()
+                    ),
+                    http::serve(
+                        service.clone(),
+                        http,
+                        tls.as_ref(),
+                        strangers,
+                        cors_origins,
+                        stopping.clone().cancelled_owned()
+                    ),
+                )
+            };
+            let patience = async {
+                stopping.cancelled().await;
+                tokio::time::sleep(if taken_over.has_happened() { LOST_GRACE } else { GRACE }).await;
+            };
+            let served = tokio::select! {
+                served = serving => served.map(drop),
+                () = patience => {
+                    tracing::warn!("some connections did not end in time and were cut");
+                    Ok(())
+                }
+            };
+            watch.abort();
+            upkeep.abort();
+            looking.abort();
+            trimming.abort();
+            if !taken_over.has_happened() {
+                service.stop().await;
+                return served.map(|()| Served::UntilStopped);
             }
-            signal.cancel();
-        });
-        let metrics = service.metrics().clone();
-        let upkeep = tokio::spawn(async move {
-            loop {
-                tokio::time::sleep(METRICS_UPKEEP).await;
-                metrics.sum_up();
+            // A commit may wait for a database that is gone. Whatever comes of it, it is fenced, and nobody hears of it.
+            let stopping = tokio::spawn(async move { service.stop().await });
+            if tokio::time::timeout(LOST_GRACE, stopping).await.is_err() {
+                tracing::warn!("some maps wait for the database still, and close later");
             }
-        });
-        let looked_at = service.clone();
-        let looking = tokio::spawn(async move {
-            loop {
-                looked_at.keep_metrics().await;
-                tokio::time::sleep(HISTORY_EVERY).await;
-            }
-        });
-        let trimming = tokio::spawn(async {
-            loop {
-                tokio::time::sleep(MEMORY_UPKEEP).await;
-                // It takes the allocator's locks for a moment.
-                drop(tokio::task::spawn_blocking(memory::give_back).await);
-            }
-        });
-        let serving = async {
-            tokio::try_join!(
-                grpc::serve(
-                    service.clone(),
-                    grpc,
-                    tls.as_ref(),
-                    strangers,
-                    stopping.clone().cancelled_owned()
-                ),
-                http::serve(
-                    service.clone(),
-                    http,
-                    tls.as_ref(),
-                    strangers,
-                    cors_origins,
-                    stopping.clone().cancelled_owned()
-                ),
-            )
-        };
-        let patience = async {
-            stopping.cancelled().await;
-            tokio::time::sleep(if taken_over.has_happened() { LOST_GRACE } else { GRACE }).await;
-        };
-        let served = tokio::select! {
-            served = serving => served.map(drop),
-            () = patience => {
-                tracing::warn!("some connections did not end in time and were cut");
-                Ok(())
-            }
-        };
-        watch.abort();
-        upkeep.abort();
-        looking.abort();
-        trimming.abort();
-        if !taken_over.has_happened() {
-            service.stop().await;
-            return served.map(|()| Served::UntilStopped);
-        }
-        // A commit may wait for a database that is gone. Whatever comes of it, it is fenced, and nobody hears of it.
-        let stopping = tokio::spawn(async move { service.stop().await });
-        if tokio::time::timeout(LOST_GRACE, stopping).await.is_err() {
-            tracing::warn!("some maps wait for the database still, and close later");
-        }
-        served.map(|()| Served::UntilTakenOver)
+            served.map(|()| Served::UntilTakenOver)
+        })
     }
 }
 

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::bail;
+use futures::future::LocalBoxFuture;
 use tokio::net::TcpListener;
 use waypost_proto::flags::{QuotasFlags, seconds};
 
@@ -52,30 +53,34 @@ pub struct TokenLimits {
 ///
 /// # Errors
 /// If the directory cannot be used, or the token cannot be; the message says how to mend it.
-pub async fn create_token(
+pub fn create_token(
     location: DataLocation,
     name: &str,
     role: Role,
     limits: TokenLimits,
-) -> anyhow::Result<String> {
-    let service = open(&location, Claim::at_once()).await?;
-    let TokenLimits { abilities, maps, lifetime_s, quotas } = limits;
-    let limits = requested_limits(quotas.into());
-    let new = NewToken { name: name.to_owned(), role, abilities, maps, lifetime_s, limits };
-    let created = service.tokens.create(new).await;
-    service.stop().await;
-    Ok(created?.1)
+) -> LocalBoxFuture<'_, anyhow::Result<String>> {
+    Box::pin(async move {
+        let service = open(&location, Claim::at_once()).await?;
+        let TokenLimits { abilities, maps, lifetime_s, quotas } = limits;
+        let limits = requested_limits(quotas.into());
+        let new = NewToken { name: name.to_owned(), role, abilities, maps, lifetime_s, limits };
+        let created = service.tokens.create(new).await;
+        service.stop().await;
+        Ok(created?.1)
+    })
 }
 
 /// All tokens in `location`, by name.
 ///
 /// # Errors
 /// If the directory cannot be used.
-pub async fn list_tokens(location: DataLocation) -> anyhow::Result<Vec<ListedToken>> {
-    let service = open(&location, Claim::at_once()).await?;
-    let listed = service.tokens.all();
-    service.stop().await;
-    Ok(listed.into_iter().map(listed_token).collect())
+pub fn list_tokens(location: DataLocation) -> LocalBoxFuture<'static, anyhow::Result<Vec<ListedToken>>> {
+    Box::pin(async move {
+        let service = open(&location, Claim::at_once()).await?;
+        let listed = service.tokens.all();
+        service.stop().await;
+        Ok(listed.into_iter().map(listed_token).collect())
+    })
 }
 
 fn listed_token(token: TokenRow) -> ListedToken {
@@ -94,12 +99,14 @@ fn listed_token(token: TokenRow) -> ListedToken {
 ///
 /// # Errors
 /// If the directory cannot be used, or the token must stay; the message says how to mend it.
-pub async fn delete_token(location: DataLocation, name: &str) -> anyhow::Result<usize> {
-    let service = open(&location, Claim::at_once()).await?;
-    let deleted = service.tokens.delete(&format!("tokens/{name}")).await;
-    let left = service.tokens.all().len();
-    service.stop().await;
-    deleted.map(|()| left).map_err(Into::into)
+pub fn delete_token(location: DataLocation, name: &str) -> LocalBoxFuture<'_, anyhow::Result<usize>> {
+    Box::pin(async move {
+        let service = open(&location, Claim::at_once()).await?;
+        let deleted = service.tokens.delete(&format!("tokens/{name}")).await;
+        let left = service.tokens.all().len();
+        service.stop().await;
+        deleted.map(|()| left).map_err(Into::into)
+    })
 }
 
 /// Refuses to make a database where nobody said that one is to be: a server that has another would not know of it.
@@ -129,19 +136,21 @@ pub struct Finding {
 
 /// Looks whether a server could serve with `config`, and serves nothing. All is looked at, whatever is
 /// wrong. The data directory is made if it is missing, nothing in it is changed.
-pub async fn check(config: &Config) -> Vec<Finding> {
-    let tls = check_tls(config);
-    let (data, tokens) = check_data(&config.location()).await;
-    let mut findings = vec![
-        Finding { subject: "certificates", result: tls },
-        Finding { subject: config.location().subject(), result: data },
-    ];
-    if let Some(tokens) = tokens {
-        findings.push(Finding { subject: "access", result: check_access(config, tokens) });
-        // While a server runs on the directory, the addresses are its own.
-        findings.push(Finding { subject: "addresses", result: check_addresses(config).await });
-    }
-    findings
+pub fn check(config: &Config) -> LocalBoxFuture<'_, Vec<Finding>> {
+    Box::pin(async move {
+        let tls = check_tls(config);
+        let (data, tokens) = check_data(&config.location()).await;
+        let mut findings = vec![
+            Finding { subject: "certificates", result: tls },
+            Finding { subject: config.location().subject(), result: data },
+        ];
+        if let Some(tokens) = tokens {
+            findings.push(Finding { subject: "access", result: check_access(config, tokens) });
+            // While a server runs on the directory, the addresses are its own.
+            findings.push(Finding { subject: "addresses", result: check_addresses(config).await });
+        }
+        findings
+    })
 }
 
 /// That something is about a data directory, which a database of PostgreSQL has not got.
@@ -173,46 +182,55 @@ pub fn need_directory(data_dir: &Path) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If the directory cannot be used, or a server runs on it; the message says how to mend it.
-pub async fn check_all(data_dir: &Path) -> anyhow::Result<Vec<Finding>> {
-    let finding = |result| Finding { subject: "contents", result };
-    let Some(inspected) = inspect_all(data_dir).await? else {
-        return Ok(vec![finding(Ok(format!("{} holds no database yet", data_dir.display())))]);
-    };
-    let DeepInspection { models, maps, events, notes, media, problems } = inspected;
-    if !problems.is_empty() {
-        return Ok(problems.into_iter().map(|problem| finding(Err(problem))).collect());
-    }
-    Ok(vec![finding(Ok(format!(
-        "{models} models and {maps} maps with {events} events, {notes} notes and {media} images and features are as they \
+pub fn check_all(data_dir: &Path) -> LocalBoxFuture<'_, anyhow::Result<Vec<Finding>>> {
+    Box::pin(async move {
+        let finding = |result| Finding { subject: "contents", result };
+        let Some(inspected) = inspect_all(data_dir).await? else {
+            return Ok(vec![finding(Ok(format!("{} holds no database yet", data_dir.display())))]);
+        };
+        let DeepInspection { models, maps, events, notes, media, problems } = inspected;
+        if !problems.is_empty() {
+            return Ok(problems.into_iter().map(|problem| finding(Err(problem))).collect());
+        }
+        Ok(vec![finding(Ok(format!(
+            "{models} models and {maps} maps with {events} events, {notes} notes and {media} images and features are as they \
          were written"
-    )))])
+        )))])
+    })
 }
 
 /// Writes a copy of all that `data_dir` holds into `directory`, also while a server runs, and reads all of the copy.
 ///
 /// # Errors
 /// If the copy cannot be made; the message says how to mend it. What is damaged in the copy is a finding.
-pub async fn make_backup(data_dir: &Path, directory: &Path) -> anyhow::Result<Vec<Finding>> {
-    back_up(data_dir, directory).await?;
-    check_all(directory).await
+pub fn make_backup<'a>(
+    data_dir: &'a Path,
+    directory: &'a Path,
+) -> LocalBoxFuture<'a, anyhow::Result<Vec<Finding>>> {
+    Box::pin(async move {
+        back_up(data_dir, directory).await?;
+        check_all(directory).await
+    })
 }
 
 /// Makes `data_dir`, which holds no database, what the backup in `directory` is. Reads all of the backup before.
 ///
 /// # Errors
 /// If the backup is damaged, or the directory holds a database already; the message says how to mend it.
-pub async fn restore_backup(directory: &Path, data_dir: &Path) -> anyhow::Result<()> {
-    let Some(DeepInspection { problems, .. }) = inspect_all(directory).await? else {
-        anyhow::bail!("{} holds no backup; name the directory that one was made in", directory.display());
-    };
-    if let Some(first) = problems.first() {
-        anyhow::bail!(
-            "the backup in {} is damaged ({first}); take another, or see `waypost-server check --deep --data-dir {}`",
-            directory.display(),
-            directory.display()
-        );
-    }
-    Ok(restore(directory, data_dir).await?)
+pub fn restore_backup<'a>(directory: &'a Path, data_dir: &'a Path) -> LocalBoxFuture<'a, anyhow::Result<()>> {
+    Box::pin(async move {
+        let Some(DeepInspection { problems, .. }) = inspect_all(directory).await? else {
+            anyhow::bail!("{} holds no backup; name the directory that one was made in", directory.display());
+        };
+        if let Some(first) = problems.first() {
+            anyhow::bail!(
+                "the backup in {} is damaged ({first}); take another, or see `waypost-server check --deep --data-dir {}`",
+                directory.display(),
+                directory.display()
+            );
+        }
+        Ok(restore(directory, data_dir).await?)
+    })
 }
 
 /// Brings all that `from` holds, and may be serving, into `to`, which holds nothing, or what an earlier run that was cut off
@@ -221,16 +239,21 @@ pub async fn restore_backup(directory: &Path, data_dir: &Path) -> anyhow::Result
 /// # Errors
 /// If something cannot be read or written, `to` holds something else, or a server runs on it; the message says how to mend
 /// it.
-pub async fn migrate(from: &DataLocation, to: &DataLocation) -> anyhow::Result<Vec<Finding>> {
-    anyhow::ensure!(from != to, "the source and the target are the same; name another target");
-    let source = match &from.storage {
-        StorageAddress::Sqlite => Source::of_directory(&from.data_dir).await?,
-        StorageAddress::Postgres(url) => Source::of_postgres(url).await?,
-    };
-    let service = open(to, Claim::at_once()).await?;
-    let moved = move_into(&service, source).await;
-    service.stop().await;
-    moved
+pub fn migrate<'a>(
+    from: &'a DataLocation,
+    to: &'a DataLocation,
+) -> LocalBoxFuture<'a, anyhow::Result<Vec<Finding>>> {
+    Box::pin(async move {
+        anyhow::ensure!(from != to, "the source and the target are the same; name another target");
+        let source = match &from.storage {
+            StorageAddress::Sqlite => Source::of_directory(&from.data_dir).await?,
+            StorageAddress::Postgres(url) => Source::of_postgres(url).await?,
+        };
+        let service = open(to, Claim::at_once()).await?;
+        let moved = move_into(&service, source).await;
+        service.stop().await;
+        moved
+    })
 }
 
 async fn move_into(service: &Service, source: Source) -> anyhow::Result<Vec<Finding>> {

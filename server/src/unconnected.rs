@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use axum::Router;
 use fabmap::model::Model;
+use futures::future::BoxFuture;
 use http::{Request, Response};
 use tonic::service::Routes;
 use tower::Service as _;
@@ -27,34 +28,40 @@ impl Unconnected {
     ///
     /// # Errors
     /// If the description of its routes cannot be made.
-    pub async fn of(server: Server) -> anyhow::Result<Self> {
-        let Server { service, tls: _, map_memory_bytes, strangers: _, cors_origins } = server;
-        service.start_upkeep(map_memory_bytes);
-        let grpc = crate::grpc::routes(&service).await?;
-        Ok(Self { grpc, rest: crate::http::router(service.clone(), cors_origins)?, service })
+    pub fn of(server: Server) -> BoxFuture<'static, anyhow::Result<Self>> {
+        Box::pin(async move {
+            let Server { service, tls: _, map_memory_bytes, strangers: _, cors_origins } = server;
+            service.start_upkeep(map_memory_bytes);
+            let grpc = crate::grpc::routes(&service).await?;
+            Ok(Self { grpc, rest: crate::http::router(service.clone(), cors_origins)?, service })
+        })
     }
 
     /// The answer to a call of gRPC.
     ///
     /// # Errors
     /// If there is none.
-    pub async fn grpc(
+    pub fn grpc(
         &self,
         call: Request<tonic::body::Body>,
-    ) -> anyhow::Result<Response<tonic::body::Body>> {
-        crate::grpc::answer(&self.service, self.grpc.clone(), call).await
+    ) -> BoxFuture<'_, anyhow::Result<Response<tonic::body::Body>>> {
+        Box::pin(async move { crate::grpc::answer(&self.service, self.grpc.clone(), call).await })
     }
 
     /// The answer to a request of REST.
-    pub async fn rest(&self, request: Request<axum::body::Body>) -> Response<axum::body::Body> {
-        let answered: Result<_, std::convert::Infallible> = self.rest.clone().call(request).await;
-        let Ok(response) = answered;
-        response
+    pub fn rest(&self, request: Request<axum::body::Body>) -> BoxFuture<'_, Response<axum::body::Body>> {
+        Box::pin(async move {
+            let answered: Result<_, std::convert::Infallible> = self.rest.clone().call(request).await;
+            let Ok(response) = answered;
+            response
+        })
     }
 
     /// Stops in good order.
-    pub async fn stop(self) {
-        self.service.stop().await;
+    pub fn stop(self) -> BoxFuture<'static, ()> {
+        Box::pin(async move {
+            self.service.stop().await;
+        })
     }
 }
 
