@@ -1,18 +1,35 @@
 //! A simulated robot with wheels and a camera ahead: where it drives, what it sends, and where it truly was.
 
+use std::collections::HashMap;
+use std::sync::{Arc, LazyLock, Mutex};
+
 use posegraph::trajectory::StampedPose;
 use posegraph::{PlanarPose, Pose as _};
 use waypost_client::v1::export_poses_request::{Body, Format, Frame};
 use waypost_client::{Client, FrameContent, FrameInput, v1};
 use waypost_sim::drive::{Building, FIELD_OF_VIEW_RAD, IMAGE_SIZE_PX, SPEED_M_S, WHEN_MOVED};
-use waypost_sim::render::Mount;
+use waypost_sim::render::{Mount, Shot};
 use waypost_sim::robot::{OdometryReading, WheelErrors};
+use waypost_sim::scene::Scene;
 use waypost_sim::simulation::{CameraFrame, Recording};
 use waypost_sim::worlds::NamedWorld;
 
+/// Buildings that were painted, and what was seen in them: many tests drive the same ways.
+static SCENES: LazyLock<Mutex<Scenes>> = LazyLock::new(Mutex::default);
+static IMAGES: LazyLock<Mutex<Images>> = LazyLock::new(Mutex::default);
+
+/// By building, and its seed.
+type Scenes = HashMap<(NamedWorld, u64), Arc<Scene>>;
+
+/// PNGs by building, its seed and how the shot is written, in which is all that an image depends on beside the building.
+type Images = HashMap<(NamedWorld, u64, String), Vec<u8>>;
+
 /// A way through a building.
 pub(crate) fn building(world: NamedWorld, seed: u64, route: &str) -> Building {
-    Building::named(world, seed, &world.route(route).unwrap()).unwrap()
+    let paint = || Arc::new(Scene::new(world.plan(seed)));
+    let scene = SCENES.lock().unwrap().entry((world, seed)).or_insert_with(paint).clone();
+    let building = Building::new(scene, &world.route(route).unwrap()).unwrap();
+    Building { rig: world.camera_rig(), ..building }
 }
 
 /// The way, driven with an image every 50 cm or 10 degrees.
@@ -23,14 +40,18 @@ pub(crate) fn driven(building: &Building, wheels: WheelErrors, seed: u64) -> Rec
 
 /// A drive along a building's way.
 pub(crate) struct Drive {
+    world: NamedWorld,
+    seed: u64,
     building: Building,
     pub(crate) frames: Vec<CameraFrame>,
 }
 
 impl Drive {
-    pub(crate) fn new(building: Building, wheels: WheelErrors, seed: u64) -> Self {
+    /// `seed` is that of the building and of the robot's noise.
+    pub(crate) fn new(world: NamedWorld, seed: u64, route: &str, wheels: WheelErrors) -> Self {
+        let building = building(world, seed, route);
         let frames = driven(&building, wheels, seed).frames().cloned().collect();
-        Self { building, frames }
+        Self { world, seed, building, frames }
     }
 
     /// What the robot sends.
@@ -43,7 +64,17 @@ impl Drive {
         &'a self,
         frames: &'a [CameraFrame],
     ) -> impl Iterator<Item = FrameInput> + 'a {
-        frames.iter().map(|frame| frame_input(frame, self.building.image(&frame.shot).to_png().unwrap()))
+        frames.iter().map(|frame| frame_input(frame, self.image(&frame.shot)))
+    }
+
+    fn image(&self, shot: &Shot) -> Vec<u8> {
+        let seen = (self.world, self.seed, format!("{shot:?}"));
+        if let Some(image) = IMAGES.lock().unwrap().get(&seen) {
+            return image.clone();
+        }
+        let image = self.building.image(shot).to_png().unwrap();
+        IMAGES.lock().unwrap().insert(seen, image.clone());
+        image
     }
 
     /// What its session declares of the camera.

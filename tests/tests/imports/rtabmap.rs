@@ -13,7 +13,7 @@ use waypost_sim::worlds::NamedWorld;
 
 use self::rtabmap_file::{Drive, Node, Rows, calibration, on_the_floor, rtabmap};
 use crate::harness::{
-    Built, CommandLine, building, images, json_object, odometry, path, planar, run_to_its_end, workspace,
+    Built, CommandLine, images, json_object, odometry, path, planar, run_to_its_end, workspace,
 };
 
 /// The photos of the first way and of the way back over the same floor: nodes 1 to 53 of map_id 0, nodes 100 to 152 of
@@ -283,7 +283,7 @@ fn a_database_is_inspected_without_a_server() {
 #[test]
 fn the_map_is_nearer_to_optimised_poses_than_odometry_is() {
     let wheels = WheelErrors { scale: 0.05, drift_rad_per_m: 2_f64.to_radians(), ..WheelErrors::NONE };
-    let driven = crate::harness::Drive::new(building(NamedWorld::Loop, 3, "twice"), wheels, 3);
+    let driven = crate::harness::Drive::new(NamedWorld::Loop, 3, "twice", wheels);
     let (width, height) = IMAGE_SIZE_PX;
     let focal_px = f64::from(width) / 2.0 / (FIELD_OF_VIEW_RAD / 2.0).tan();
     let intrinsics = [focal_px, focal_px, f64::from(width) / 2.0, f64::from(height) / 2.0];

@@ -11,15 +11,15 @@ use waypost_sim::robot::WheelErrors;
 use waypost_sim::worlds::NamedWorld;
 
 use crate::harness::{
-    Built, CommandLine, Drive, Server, assert_status, building, camera_ahead, evo_rmse_m, exported, followed,
-    frame, get, import_model, json_object, map_request, model_file, odometry, path, planar, refused,
-    run_to_its_end, session_options, state_hash, stream,
+    Built, CommandLine, Drive, Server, assert_status, camera_ahead, evo_rmse_m, exported, followed, frame,
+    get, import_model, json_object, map_request, model_file, odometry, path, planar, refused, run_to_its_end,
+    session_options, state_hash, stream,
 };
 
 /// Round a ring of corridors with wheels that are five percent and two degrees a metre off.
 fn drive_round(seed: u64, route: &str) -> Drive {
     let wheels = WheelErrors { scale: 0.05, drift_rad_per_m: 2_f64.to_radians(), ..WheelErrors::NONE };
-    Drive::new(building(NamedWorld::Loop, seed, route), wheels, seed)
+    Drive::new(NamedWorld::Loop, seed, route, wheels)
 }
 
 fn camera() -> v1::Camera {

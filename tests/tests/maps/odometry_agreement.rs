@@ -4,12 +4,12 @@ use waypost_client::{Client, FrameInput, SessionOptions, v1};
 use waypost_sim::robot::WheelErrors;
 use waypost_sim::worlds::NamedWorld;
 
-use crate::harness::{Drive, Server, building, http, import_model, map_request, session_options, stream};
+use crate::harness::{Drive, Server, http, import_model, map_request, session_options, stream};
 
 /// A drive that comes back, by good wheels.
 fn drive() -> Drive {
     let wheels = WheelErrors { scale: 0.01, ..WheelErrors::NONE };
-    Drive::new(building(NamedWorld::Gallery, 12, "rooms"), wheels, 12)
+    Drive::new(NamedWorld::Gallery, 12, "rooms", wheels)
 }
 
 /// The drive with positions that are so many times as long.

@@ -6,14 +6,13 @@ use waypost_sim::robot::WheelErrors;
 use waypost_sim::worlds::NamedWorld;
 
 use crate::harness::{
-    Drive, Server, ServerProcess, building, import_model, map_request, planar, session_options, state_hash,
-    stream,
+    Drive, Server, ServerProcess, import_model, map_request, planar, session_options, state_hash, stream,
 };
 
 /// A drive through the gallery, whose halls end in far walls, by wheels that are 2 % and 2 degrees a metre off.
 fn drive_gallery(route: &str) -> Drive {
     let wheels = WheelErrors { scale: 0.02, drift_rad_per_m: 2_f64.to_radians(), ..WheelErrors::NONE };
-    Drive::new(building(NamedWorld::Gallery, 11, route), wheels, 11)
+    Drive::new(NamedWorld::Gallery, 11, route, wheels)
 }
 
 async fn answers(

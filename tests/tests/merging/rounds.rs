@@ -8,9 +8,7 @@ use waypost_sim::robot::WheelErrors;
 use waypost_sim::simulation::CameraFrame;
 use waypost_sim::worlds::NamedWorld;
 
-use crate::harness::{
-    Drive, building, camera_ahead, exported, followed, map_request, session_options, stream,
-};
+use crate::harness::{Drive, camera_ahead, exported, followed, map_request, session_options, stream};
 
 /// Twice round a ring of corridors: a round each day.
 pub(super) struct Rounds(pub(super) Drive);
@@ -18,7 +16,7 @@ pub(super) struct Rounds(pub(super) Drive);
 impl Rounds {
     pub(super) fn new() -> Self {
         let wheels = WheelErrors { scale: 0.01, drift_rad_per_m: 0.2_f64.to_radians(), ..WheelErrors::NONE };
-        Self(Drive::new(building(NamedWorld::Loop, 3, "twice"), wheels, 3))
+        Self(Drive::new(NamedWorld::Loop, 3, "twice", wheels))
     }
 
     /// A round, the first or the second.

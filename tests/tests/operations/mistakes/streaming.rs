@@ -5,7 +5,7 @@ use waypost_sim::robot::WheelErrors;
 use waypost_sim::worlds::NamedWorld;
 
 use super::Beginner;
-use crate::harness::{CommandLine, Drive, building, folder, images, json_object, path};
+use crate::harness::{CommandLine, Drive, folder, images, json_object, path};
 
 /// Frames that came into the map.
 fn frames(beginner: &Beginner, map: &str) -> Option<u64> {
@@ -166,7 +166,7 @@ fn panoramas_for_a_map_of_metres_are_told() {
 #[test]
 fn centimetres_of_a_slow_robot_are_told_while_it_streams() {
     let wheels = WheelErrors { scale: 0.01, ..WheelErrors::NONE };
-    let drive = Drive::new(building(NamedWorld::Gallery, 12, "rooms"), wheels, 12);
+    let drive = Drive::new(NamedWorld::Gallery, 12, "rooms", wheels);
     let folder = tempfile::tempdir().unwrap();
     let images = folder.path().join("images");
     std::fs::create_dir(&images).unwrap();
