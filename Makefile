@@ -19,22 +19,28 @@ TEST_THREADS ?= $(shell expr $$(nproc) + 1)
 FUZZ ?= all
 SECONDS ?= 60
 
-.PHONY: demo fuzz test test-rust test-postgres test-python test-cpp test-ros test-inspector test-image inspector docs serve build setup setup-python setup-tests check deny bench
+.PHONY: demo fuzz test build-tests test-rust test-postgres test-python test-cpp test-ros test-inspector test-image inspector docs serve build setup setup-python setup-tests check deny bench
 
 # Drive a real recorded sequence through a real server, and compare the loop closures with the truth.
 demo: build
 	$(TARGET)/waypost demo
 
-# All unit, property and end-to-end tests, a part of these on PostgreSQL, and then those of the Python client, of docker/, docs/ and
+# All unit, property and end-to-end tests, a part of these on PostgreSQL, and those of the Python client, of docker/, docs/ and
 # packaging/, of ros/, of the page and of the C++ client.
-# What the others need is fetched while Rust compiles.
+# What the others need is fetched while Rust compiles. Rust's tests keep all cores busy, and those of ros/ wait for most of
+# their ten minutes: they run at once.
 test: setup
-	$(MAKE) --no-print-directory --jobs=2 --keep-going test-rust setup-tests
+	$(MAKE) --no-print-directory --jobs=2 build-tests setup-tests
+	$(MAKE) --no-print-directory --jobs=2 --output-sync=target --keep-going test-rust test-ros
 	$(MAKE) --no-print-directory --jobs=$(JOBS) --output-sync=target --keep-going \
-		test-postgres test-python test-ros test-inspector test-cpp
+		test-postgres test-python test-inspector test-cpp
 
-test-rust: setup
-	RUST_TEST_THREADS=$(TEST_THREADS) $(CARGO) test --release --locked --workspace --no-fail-fast
+build-tests: setup
+	$(CARGO) test --release --locked --workspace --no-run
+
+test-rust: build
+	WAYPOST_BINARIES=$(abspath $(TARGET)) RUST_TEST_THREADS=$(TEST_THREADS) \
+		$(CARGO) test --release --locked --workspace --no-fail-fast
 
 # Servers over a database of PostgreSQL that is made for the tests; and a part of the other end-to-end tests, each on such a
 # database. More of them: make test-postgres ON_POSTGRES="fleet:: maps:: merging:: rest::parity operations::tokens"
