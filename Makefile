@@ -31,7 +31,7 @@ demo: build
 # their ten minutes: they run at once.
 test: setup
 	$(MAKE) --no-print-directory --jobs=2 build-tests setup-tests
-	$(MAKE) --no-print-directory --jobs=2 --output-sync=target --keep-going test-rust test-ros
+	$(MAKE) --no-print-directory --jobs=2 --keep-going test-rust test-ros
 	$(MAKE) --no-print-directory --jobs=$(JOBS) --output-sync=target --keep-going \
 		test-postgres test-python test-inspector test-cpp
 

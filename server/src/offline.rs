@@ -194,7 +194,7 @@ pub fn check_all(data_dir: &Path) -> LocalBoxFuture<'_, anyhow::Result<Vec<Findi
         }
         Ok(vec![finding(Ok(format!(
             "{models} models and {maps} maps with {events} events, {notes} notes and {media} images and features are as they \
-         were written"
+             were written"
         )))])
     })
 }
