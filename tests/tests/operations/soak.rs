@@ -45,7 +45,8 @@ async fn a_minute_in_a_servers_life_is_sound() {
     assert_eq!(
         (output.status.code(), &report["failures"], &report["seed"]),
         (Some(0), &Value::from([""; 0]), &Value::from(1)),
-        "{said}"
+        "{}\n{said}",
+        report["failures"]
     );
     let count = |what: &str| report["counts"][what].as_u64().unwrap_or(0);
     assert!(count("kill -9") + count("SIGTERM") >= 2, "{said}");

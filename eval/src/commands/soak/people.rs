@@ -137,7 +137,7 @@ async fn merged(caller: &Caller, map: &str, other: &str, random: &mut ChaCha8Rng
     };
     let lives = caller.stage.lives();
     let begun = caller.ask("merges begun", async |client| client.merge_maps(request.clone()).await).await?;
-    let Some(begun) = begun else { return Ok(()) };
+    let Some(begun) = begun else { return caller.at_rest().await };
     let found = caller.job("merges searched", async |_| Ok(begun.job.clone())).await?;
     let merge = caller.read("merges looked at", async |client| client.merge(&begun.name).await).await?;
     // A proposal is forgotten when the server restarts.

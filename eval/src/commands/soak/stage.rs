@@ -194,7 +194,7 @@ impl Caller {
     }
 
     /// Waits until no job runs.
-    async fn at_rest(&self) -> Result<()> {
+    pub(super) async fn at_rest(&self) -> Result<()> {
         loop {
             let jobs = self.read("jobs listed", async |client| client.jobs().await).await?;
             if !jobs.iter().any(|job| job.state() == v1::job::State::Running) {
