@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use futures::future::BoxFuture;
 use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Response, Status};
@@ -35,6 +36,11 @@ pub(crate) const PAGE_SIZE: u32 = 100;
 
 /// A connection with the token that goes with every call.
 pub(crate) type Transport = InterceptedService<Channel, Bearer>;
+
+/// A call that is made when it is awaited: what the server answers, or why there is no answer.
+///
+/// It comes boxed: the work of an `async fn` would be compiled in each program that awaits it.
+pub type Call<'a, T> = BoxFuture<'a, Result<T, Error>>;
 
 /// A connection to a server. Cheap to clone: clones share the connection. After it broke, the next
 /// call connects again.

@@ -2,7 +2,7 @@
 
 pub use calls::events::{MapEvents, Watched};
 pub use calls::jobs::JobProgress;
-pub use client::Client;
+pub use client::{Call, Client};
 pub use error::Error;
 pub use frame::{FrameContent, FrameInput, FrameOutcome};
 pub use navigation::{Command, Navigation, NavigationEvent, NavigationOptions, Reading};

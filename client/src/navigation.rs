@@ -14,7 +14,7 @@ pub use command::Command;
 pub use event::NavigationEvent;
 pub use options::NavigationOptions;
 
-use crate::client::Client;
+use crate::client::{Call, Client};
 use crate::error::Error;
 use crate::frame::FrameInput;
 use crate::reconnection::{Backoff, Task, random_seed};
@@ -57,26 +57,28 @@ impl Client {
     /// # Errors
     /// [`Error::Status`]: NOT_FOUND, INVALID_ARGUMENT without a camera, FAILED_PRECONDITION if
     /// another stream steers the robot or robots cannot navigate in this map.
-    pub async fn navigate(&self, options: NavigationOptions) -> Result<Navigation, Error> {
-        let (messages, to_send) = mpsc::channel(MESSAGES_AHEAD);
-        let (told, events) = mpsc::channel(EVENTS_AHEAD);
-        let (guided, guidance) = watch::channel(None);
-        let last_command = Arc::new(Mutex::new(LastCommand::default()));
-        let (on_opened, opened) = oneshot::channel();
-        let mut exchange = Task::spawn(NavigationExchange {
-            service: self.navigations_client(),
-            // By this the server tells a robot that reconnects from another one of the same name.
-            run_id: format!("run-{:016x}", random_seed()),
-            backoff: Backoff::new(options.reconnection.clone()),
-            options,
-            opened: Some(on_opened),
-            to_send,
-            told,
-            guided,
-            last_command: last_command.clone(),
-        });
-        let opened = exchange.opened(opened).await?;
-        Ok(Navigation { opened, messages, events, guidance, last_command, exchange })
+    pub fn navigate(&self, options: NavigationOptions) -> Call<'_, Navigation> {
+        Box::pin(async move {
+            let (messages, to_send) = mpsc::channel(MESSAGES_AHEAD);
+            let (told, events) = mpsc::channel(EVENTS_AHEAD);
+            let (guided, guidance) = watch::channel(None);
+            let last_command = Arc::new(Mutex::new(LastCommand::default()));
+            let (on_opened, opened) = oneshot::channel();
+            let mut exchange = Task::spawn(NavigationExchange {
+                service: self.navigations_client(),
+                // By this the server tells a robot that reconnects from another one of the same name.
+                run_id: format!("run-{:016x}", random_seed()),
+                backoff: Backoff::new(options.reconnection.clone()),
+                options,
+                opened: Some(on_opened),
+                to_send,
+                told,
+                guided,
+                last_command: last_command.clone(),
+            });
+            let opened = exchange.opened(opened).await?;
+            Ok(Navigation { opened, messages, events, guidance, last_command, exchange })
+        })
     }
 }
 

@@ -11,7 +11,7 @@ use waypost_proto::v1;
 pub use halves::{FrameSender, Outcomes};
 pub use options::SessionOptions;
 
-use crate::client::Client;
+use crate::client::{Call, Client};
 use crate::error::Error;
 use crate::frame::{FrameInput, FrameOutcome};
 use crate::reconnection::Task;
@@ -40,21 +40,23 @@ impl Client {
     ///
     /// # Errors
     /// [`Error::Status`] if the server refuses, [`Error::SessionLost`] if it could not be reached.
-    pub async fn open_session(&self, options: SessionOptions) -> Result<Session, Error> {
-        let slots = Arc::new(Semaphore::new(options.window_frames.get()));
-        let (frames, frames_to_send) = mpsc::unbounded_channel();
-        let (outcomes_found, outcomes) = mpsc::unbounded_channel();
-        let (exchange, opened) = SessionExchange::new(
-            self.sessions_client(),
-            options,
-            Arc::clone(&slots),
-            frames_to_send,
-            outcomes_found,
-        );
-        // From here on, a caller that gives up waiting ends the task.
-        let mut outcomes = Outcomes::new(outcomes, Task::spawn(exchange));
-        let opened = outcomes.opened(opened).await?;
-        Ok(Session { sender: FrameSender::new(frames, slots), outcomes, opened })
+    pub fn open_session(&self, options: SessionOptions) -> Call<'_, Session> {
+        Box::pin(async move {
+            let slots = Arc::new(Semaphore::new(options.window_frames.get()));
+            let (frames, frames_to_send) = mpsc::unbounded_channel();
+            let (outcomes_found, outcomes) = mpsc::unbounded_channel();
+            let (exchange, opened) = SessionExchange::new(
+                self.sessions_client(),
+                options,
+                Arc::clone(&slots),
+                frames_to_send,
+                outcomes_found,
+            );
+            // From here on, a caller that gives up waiting ends the task.
+            let mut outcomes = Outcomes::new(outcomes, Task::spawn(exchange));
+            let opened = outcomes.opened(opened).await?;
+            Ok(Session { sender: FrameSender::new(frames, slots), outcomes, opened })
+        })
     }
 }
 

@@ -2,7 +2,8 @@
 
 use waypost_proto::v1;
 
-use crate::client::{Client, map_name};
+use crate::client::{Call, Client, map_name};
+#[cfg(doc)]
 use crate::error::Error;
 
 impl Client {
@@ -10,8 +11,10 @@ impl Client {
     ///
     /// # Errors
     /// [`Error::Status`]: NOT_FOUND, FAILED_PRECONDITION if the map is not navigated by appearance.
-    pub async fn appearance_graph(&self, map: &str) -> Result<v1::AppearanceGraph, Error> {
-        let request = v1::GetAppearanceGraphRequest { map: map_name(map) };
-        self.taken(self.appearance_client().get_appearance_graph(request).await)
+    pub fn appearance_graph<'a>(&'a self, map: &'a str) -> Call<'a, v1::AppearanceGraph> {
+        Box::pin(async move {
+            let request = v1::GetAppearanceGraphRequest { map: map_name(map) };
+            self.taken(self.appearance_client().get_appearance_graph(request).await)
+        })
     }
 }

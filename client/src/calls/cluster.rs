@@ -2,7 +2,8 @@
 
 use waypost_proto::v1;
 
-use crate::client::Client;
+use crate::client::{Call, Client};
+#[cfg(doc)]
 use crate::error::Error;
 
 impl Client {
@@ -10,7 +11,7 @@ impl Client {
     ///
     /// # Errors
     /// As every call: [`Error::Connection`] or [`Error::Status`].
-    pub async fn cluster(&self) -> Result<v1::Cluster, Error> {
-        self.taken(self.cluster_client().get_cluster(v1::GetClusterRequest {}).await)
+    pub fn cluster(&self) -> Call<'_, v1::Cluster> {
+        Box::pin(async move { self.taken(self.cluster_client().get_cluster(v1::GetClusterRequest {}).await) })
     }
 }

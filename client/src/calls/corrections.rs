@@ -2,7 +2,8 @@
 
 use waypost_proto::v1;
 
-use crate::client::{Client, PAGE_SIZE, map_name};
+use crate::client::{Call, Client, PAGE_SIZE, map_name};
+#[cfg(doc)]
 use crate::error::Error;
 
 impl Client {
@@ -12,9 +13,11 @@ impl Client {
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND, or FAILED_PRECONDITION if the frame closed no loop, or it
     /// was withdrawn.
-    pub async fn withdraw_loop_closure(&self, frame: &str) -> Result<v1::Correction, Error> {
-        let request = v1::WithdrawLoopClosureRequest { frame: frame.to_owned() };
-        self.taken(self.corrections_client().withdraw_loop_closure(request).await)
+    pub fn withdraw_loop_closure<'a>(&'a self, frame: &'a str) -> Call<'a, v1::Correction> {
+        Box::pin(async move {
+            let request = v1::WithdrawLoopClosureRequest { frame: frame.to_owned() };
+            self.taken(self.corrections_client().withdraw_loop_closure(request).await)
+        })
     }
 
     /// Says that a frame and an earlier one were taken at the same place: their places are linked.
@@ -23,14 +26,16 @@ impl Client {
     /// [`Error::Status`] with NOT_FOUND, INVALID_ARGUMENT (frames the wrong way round), or
     /// FAILED_PRECONDITION if the map has them at one place, or has metres and nothing to measure
     /// the link by.
-    pub async fn confirm_loop_closure(
-        &self,
-        frame: &str,
-        matched_frame: &str,
-    ) -> Result<v1::Correction, Error> {
-        let frame = frame.to_owned();
-        let request = v1::ConfirmLoopClosureRequest { frame, matched_frame: matched_frame.to_owned() };
-        self.taken(self.corrections_client().confirm_loop_closure(request).await)
+    pub fn confirm_loop_closure<'a>(
+        &'a self,
+        frame: &'a str,
+        matched_frame: &'a str,
+    ) -> Call<'a, v1::Correction> {
+        Box::pin(async move {
+            let frame = frame.to_owned();
+            let request = v1::ConfirmLoopClosureRequest { frame, matched_frame: matched_frame.to_owned() };
+            self.taken(self.corrections_client().confirm_loop_closure(request).await)
+        })
     }
 
     /// Undoes a correction (`maps/{map}/corrections/{correction}`).
@@ -38,21 +43,26 @@ impl Client {
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND if there is none that stands, or FAILED_PRECONDITION if a
     /// later one is about the same session.
-    pub async fn undo_correction(&self, name: &str) -> Result<v1::Correction, Error> {
-        let request = v1::UndoCorrectionRequest { name: name.to_owned() };
-        self.taken(self.corrections_client().undo_correction(request).await)
+    pub fn undo_correction<'a>(&'a self, name: &'a str) -> Call<'a, v1::Correction> {
+        Box::pin(async move {
+            let request = v1::UndoCorrectionRequest { name: name.to_owned() };
+            self.taken(self.corrections_client().undo_correction(request).await)
+        })
     }
 
     /// What people said of the loop closures of a map, oldest first, undone or not.
     ///
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND.
-    pub async fn corrections(&self, map: &str) -> Result<Vec<v1::Correction>, Error> {
-        self.all_pages(|page_token| async move {
-            let request = v1::ListCorrectionsRequest { map: map_name(map), page_size: PAGE_SIZE, page_token };
-            let page = self.corrections_client().list_corrections(request).await?.into_inner();
-            Ok((page.corrections, page.next_page_token))
+    pub fn corrections<'a>(&'a self, map: &'a str) -> Call<'a, Vec<v1::Correction>> {
+        Box::pin(async move {
+            self.all_pages(|page_token| async move {
+                let request =
+                    v1::ListCorrectionsRequest { map: map_name(map), page_size: PAGE_SIZE, page_token };
+                let page = self.corrections_client().list_corrections(request).await?.into_inner();
+                Ok((page.corrections, page.next_page_token))
+            })
+            .await
         })
-        .await
     }
 }

@@ -7,7 +7,7 @@ use tonic::Streaming;
 use waypost_proto::v1;
 use waypost_proto::v1::map_event::Event;
 
-use crate::client::{Client, PAGE_SIZE, map_name};
+use crate::client::{Call, Client, PAGE_SIZE, map_name};
 use crate::error::Error;
 use crate::reconnection::{Backoff, LinkEnd, Reconnection};
 
@@ -17,21 +17,25 @@ impl Client {
     ///
     /// # Errors
     /// [`Error::Status`] with PERMISSION_DENIED.
-    pub async fn refusals(&self) -> Result<Vec<v1::Refusal>, Error> {
-        self.all_pages(|page_token| async move {
-            let request = v1::ListRefusalsRequest { page_size: PAGE_SIZE, page_token };
-            let page = self.events_client().list_refusals(request).await?.into_inner();
-            Ok((page.refusals, page.next_page_token))
+    pub fn refusals(&self) -> Call<'_, Vec<v1::Refusal>> {
+        Box::pin(async move {
+            self.all_pages(|page_token| async move {
+                let request = v1::ListRefusalsRequest { page_size: PAGE_SIZE, page_token };
+                let page = self.events_client().list_refusals(request).await?.into_inner();
+                Ok((page.refusals, page.next_page_token))
+            })
+            .await
         })
-        .await
     }
 
     /// How the server fared over the last hour: its metrics, every 15 seconds.
     ///
     /// # Errors
     /// As every call: [`Error::Connection`] or [`Error::Status`].
-    pub async fn metrics_history(&self) -> Result<v1::MetricsHistory, Error> {
-        self.taken(self.events_client().get_metrics_history(v1::GetMetricsHistoryRequest {}).await)
+    pub fn metrics_history(&self) -> Call<'_, v1::MetricsHistory> {
+        Box::pin(async move {
+            self.taken(self.events_client().get_metrics_history(v1::GetMetricsHistoryRequest {}).await)
+        })
     }
 
     /// Watches a map: its frames from log position `from_position` on (0 for all), or those that are
@@ -40,18 +44,20 @@ impl Client {
     /// # Errors
     /// [`Error::Status`]: NOT_FOUND, FAILED_PRECONDITION if the log has no such position,
     /// UNAVAILABLE if too many watch.
-    pub async fn watch_map(&self, map: &str, from_position: Option<u64>) -> Result<MapEvents, Error> {
-        let mut events = MapEvents {
-            client: self.clone(),
-            map: map_name(map),
-            next_position: from_position,
-            log: String::new(),
-            open: None,
-            pause: None,
-            backoff: Backoff::new(Reconnection::default()),
-        };
-        events.open = Some(self.taken(self.events_client().watch(events.request()).await)?);
-        Ok(events)
+    pub fn watch_map<'a>(&'a self, map: &'a str, from_position: Option<u64>) -> Call<'a, MapEvents> {
+        Box::pin(async move {
+            let mut events = MapEvents {
+                client: self.clone(),
+                map: map_name(map),
+                next_position: from_position,
+                log: String::new(),
+                open: None,
+                pause: None,
+                backoff: Backoff::new(Reconnection::default()),
+            };
+            events.open = Some(self.taken(self.events_client().watch(events.request()).await)?);
+            Ok(events)
+        })
     }
 }
 

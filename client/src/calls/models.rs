@@ -8,7 +8,7 @@ use waypost_proto::v1;
 use waypost_proto::v1::train_model_request::Content;
 
 use super::transfer::{chunks, download, upload};
-use crate::client::{Client, MAX_REQUEST_BYTES, PAGE_SIZE};
+use crate::client::{Call, Client, MAX_REQUEST_BYTES, PAGE_SIZE};
 use crate::error::Error;
 
 impl Client {
@@ -40,21 +40,25 @@ impl Client {
     ///
     /// # Errors
     /// As every call: [`Error::Connection`] or [`Error::Status`].
-    pub async fn models(&self) -> Result<Vec<v1::Model>, Error> {
-        self.all_pages(|page_token| async move {
-            let request = v1::ListModelsRequest { page_size: PAGE_SIZE, page_token };
-            let page = self.models_client().list_models(request).await?.into_inner();
-            Ok((page.models, page.next_page_token))
+    pub fn models(&self) -> Call<'_, Vec<v1::Model>> {
+        Box::pin(async move {
+            self.all_pages(|page_token| async move {
+                let request = v1::ListModelsRequest { page_size: PAGE_SIZE, page_token };
+                let page = self.models_client().list_models(request).await?.into_inner();
+                Ok((page.models, page.next_page_token))
+            })
+            .await
         })
-        .await
     }
 
     /// A model by its hash, by the beginning of it, or by a display name that only one model has.
     ///
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND.
-    pub async fn model(&self, name: &str) -> Result<v1::Model, Error> {
-        self.taken(self.models_client().get_model(v1::GetModelRequest { name: name.to_owned() }).await)
+    pub fn model<'a>(&'a self, name: &'a str) -> Call<'a, v1::Model> {
+        Box::pin(async move {
+            self.taken(self.models_client().get_model(v1::GetModelRequest { name: name.to_owned() }).await)
+        })
     }
 
     /// Writes a model file; returns its length in bytes.
@@ -90,18 +94,23 @@ impl Client {
     ///
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND, or INVALID_ARGUMENT for what is no name.
-    pub async fn rename_model(&self, name: &str, display_name: &str) -> Result<v1::Model, Error> {
-        let request = v1::RenameModelRequest { name: name.to_owned(), display_name: display_name.to_owned() };
-        self.taken(self.models_client().rename_model(request).await)
+    pub fn rename_model<'a>(&'a self, name: &'a str, display_name: &'a str) -> Call<'a, v1::Model> {
+        Box::pin(async move {
+            let request =
+                v1::RenameModelRequest { name: name.to_owned(), display_name: display_name.to_owned() };
+            self.taken(self.models_client().rename_model(request).await)
+        })
     }
 
     /// Deletes a model that no map uses.
     ///
     /// # Errors
     /// [`Error::Status`] with FAILED_PRECONDITION while a map uses it.
-    pub async fn delete_model(&self, name: &str) -> Result<(), Error> {
-        let request = v1::DeleteModelRequest { name: name.to_owned() };
-        let v1::DeleteModelResponse {} = self.taken(self.models_client().delete_model(request).await)?;
-        Ok(())
+    pub fn delete_model<'a>(&'a self, name: &'a str) -> Call<'a, ()> {
+        Box::pin(async move {
+            let request = v1::DeleteModelRequest { name: name.to_owned() };
+            let v1::DeleteModelResponse {} = self.taken(self.models_client().delete_model(request).await)?;
+            Ok(())
+        })
     }
 }

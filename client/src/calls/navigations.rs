@@ -2,7 +2,7 @@
 
 use waypost_proto::v1;
 
-use crate::client::{Client, map_name};
+use crate::client::{Call, Client, map_name};
 use crate::error::Error;
 
 impl Client {
@@ -11,50 +11,60 @@ impl Client {
     /// # Errors
     /// [`Error::Status`]: NOT_FOUND if there is no such navigation or the image of the goal matches
     /// no place, FAILED_PRECONDITION if the goal does not suit the map.
-    pub async fn set_goal(&self, name: &str, goal: v1::Goal) -> Result<v1::Navigation, Error> {
-        let request = v1::SetGoalRequest { name: name.to_owned(), goal: Some(goal) };
-        let response = self.taken(self.navigations_client().set_goal(request).await)?;
-        response.navigation.ok_or(Error::Protocol("it answered without the navigation"))
+    pub fn set_goal<'a>(&'a self, name: &'a str, goal: v1::Goal) -> Call<'a, v1::Navigation> {
+        Box::pin(async move {
+            let request = v1::SetGoalRequest { name: name.to_owned(), goal: Some(goal) };
+            let response = self.taken(self.navigations_client().set_goal(request).await)?;
+            response.navigation.ok_or(Error::Protocol("it answered without the navigation"))
+        })
     }
 
     /// Cancels the goal of a robot: it stops.
     ///
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND if there is no such navigation.
-    pub async fn cancel_goal(&self, name: &str) -> Result<v1::Navigation, Error> {
-        let request = v1::CancelGoalRequest { name: name.to_owned() };
-        let response = self.taken(self.navigations_client().cancel_goal(request).await)?;
-        response.navigation.ok_or(Error::Protocol("it answered without the navigation"))
+    pub fn cancel_goal<'a>(&'a self, name: &'a str) -> Call<'a, v1::Navigation> {
+        Box::pin(async move {
+            let request = v1::CancelGoalRequest { name: name.to_owned() };
+            let response = self.taken(self.navigations_client().cancel_goal(request).await)?;
+            response.navigation.ok_or(Error::Protocol("it answered without the navigation"))
+        })
     }
 
     /// A navigation, at present or until a moment ago.
     ///
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND.
-    pub async fn navigation(&self, name: &str) -> Result<v1::Navigation, Error> {
-        let request = v1::GetNavigationRequest { name: name.to_owned() };
-        self.taken(self.navigations_client().get_navigation(request).await)
+    pub fn navigation<'a>(&'a self, name: &'a str) -> Call<'a, v1::Navigation> {
+        Box::pin(async move {
+            let request = v1::GetNavigationRequest { name: name.to_owned() };
+            self.taken(self.navigations_client().get_navigation(request).await)
+        })
     }
 
     /// All navigations in a map, by name.
     ///
     /// # Errors
     /// [`Error::Status`] with NOT_FOUND.
-    pub async fn navigations(&self, map: &str) -> Result<Vec<v1::Navigation>, Error> {
-        self.all_pages(|page_token| async move {
-            let request = v1::ListNavigationsRequest { map: map_name(map), page_size: 0, page_token };
-            let page = self.navigations_client().list_navigations(request).await?.into_inner();
-            Ok((page.navigations, page.next_page_token))
+    pub fn navigations<'a>(&'a self, map: &'a str) -> Call<'a, Vec<v1::Navigation>> {
+        Box::pin(async move {
+            self.all_pages(|page_token| async move {
+                let request = v1::ListNavigationsRequest { map: map_name(map), page_size: 0, page_token };
+                let page = self.navigations_client().list_navigations(request).await?.into_inner();
+                Ok((page.navigations, page.next_page_token))
+            })
+            .await
         })
-        .await
     }
 
     /// The route from a place to a goal.
     ///
     /// # Errors
     /// [`Error::Status`]: NOT_FOUND, FAILED_PRECONDITION if there is none.
-    pub async fn plan_route(&self, request: v1::PlanRouteRequest) -> Result<v1::Route, Error> {
-        let response = self.taken(self.navigations_client().plan_route(request).await)?;
-        response.route.ok_or(Error::Protocol("it answered without a route"))
+    pub fn plan_route(&self, request: v1::PlanRouteRequest) -> Call<'_, v1::Route> {
+        Box::pin(async move {
+            let response = self.taken(self.navigations_client().plan_route(request).await)?;
+            response.route.ok_or(Error::Protocol("it answered without a route"))
+        })
     }
 }
