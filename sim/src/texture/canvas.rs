@@ -80,9 +80,13 @@ impl Canvas {
     }
 
     pub(super) fn to_bytes_by_columns(&self) -> Vec<u8> {
-        let column = |column: usize| self.texels[column..].iter().step_by(self.width);
-        let grey = |texel: &f32| (texel + 0.5).clamp(0.0, 255.0) as u8;
-        (0..self.width).flat_map(|index| column(index).map(grey)).collect()
+        let mut bytes = vec![0; self.texels.len()];
+        for (row, texels) in self.texels.chunks(self.width).enumerate() {
+            for (texel, byte) in texels.iter().zip(bytes[row..].iter_mut().step_by(self.height)) {
+                *byte = (texel + 0.5).clamp(0.0, 255.0) as u8;
+            }
+        }
+        bytes
     }
 
     /// Adds value noise: independent numbers at the points of a lattice, `between` which it is
@@ -98,6 +102,13 @@ impl Canvas {
             (0..columns).map(number).collect()
         };
         let smooth = |share: f32| share * share * (3.0 - 2.0 * share);
+        // The number to the left of each column, and how far the column is from it.
+        let columns_between: Vec<(usize, f32)> = (0..self.width)
+            .map(|column| {
+                let x = (column as f64 / texels_per_cell) as f32;
+                (x as usize, smooth(x.fract()))
+            })
+            .collect();
         let mut above = usize::MAX;
         let mut upper = Vec::new();
         let mut lower = Vec::new();
@@ -108,10 +119,7 @@ impl Canvas {
                 (upper, lower) = (lattice_row(above), lattice_row(above + 1));
             }
             let down = smooth((y - above as f64) as f32);
-            for (column, texel) in texels.iter_mut().enumerate() {
-                let x = (column as f64 / texels_per_cell) as f32;
-                let left = x as usize;
-                let across = smooth(x.fract());
+            for (texel, &(left, across)) in texels.iter_mut().zip(&columns_between) {
                 let blend = |row: &[f32]| row[left] + across * (row[left + 1] - row[left]);
                 *texel += amplitude * (blend(&upper) + down * (blend(&lower) - blend(&upper)));
             }
