@@ -16,6 +16,7 @@ mod sequence;
 mod server;
 mod small_disk;
 mod stream;
+mod template;
 mod told;
 mod words;
 
@@ -37,6 +38,7 @@ pub(crate) use small_disk::SmallDisk;
 pub(crate) use stream::{
     RawStream, answers, answers_of, open, session_options, stream, stream_through, wire,
 };
+pub(crate) use template::Template;
 pub(crate) use told::{Told, ToldMatch, decided, decided_match, told, told_match};
 pub(crate) use words::{as_histogram, as_words, histogram, mapped, word_maker, words_options};
 

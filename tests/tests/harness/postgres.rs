@@ -84,6 +84,11 @@ impl TestDatabase {
     }
 }
 
+/// Whether servers are to keep their maps there.
+pub(super) fn is_asked_for() -> bool {
+    std::env::var_os(POSTGRES).is_some()
+}
+
 /// The database of a directory: its file of SQLite, or one of its own where a cluster runs.
 pub(crate) async fn location(directory: &Path) -> DataLocation {
     let Ok(address) = std::env::var(POSTGRES) else { return directory.into() };

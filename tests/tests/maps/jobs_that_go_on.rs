@@ -9,11 +9,14 @@ use waypost_server::Role;
 use waypost_server::offline::{TokenLimits, create_token};
 
 use crate::harness::{
-    Built, Proxy, Server, ServerProcess, answers, followed, frame, images, import_model, in_time,
+    Built, Proxy, Server, ServerProcess, Template, answers, followed, frame, images, import_model, in_time,
     map_request, recalibrated_model, run_to_its_end, said, state_hash, tables, take_model,
 };
 
 const FRAMES: u64 = 60;
+
+/// The second model's name.
+const SECOND: &str = "second";
 
 /// How a server goes down.
 #[derive(Clone, Copy, Debug)]
@@ -32,29 +35,32 @@ impl Down {
     }
 }
 
-/// A data directory with two maps that overlap, and a second model with their words.
+/// Two maps that overlap, and a second model with their words.
+static PREPARED: Template = Template::new();
+
+/// A data directory with them.
 struct Prepared {
     directory: TempDir,
-    second: String,
 }
 
 impl Prepared {
     async fn new() -> Self {
-        let directory = tempfile::tempdir().unwrap();
-        let server = Server::start_on(directory.path()).await;
-        let client = server.client().await;
-        let model = import_model(&client).await;
-        let second = take_model(&client, "second", &recalibrated_model(0.5)).await.name;
-        for map in ["drive", "other"] {
-            client.create_map(map_request(map, &model.name)).await.unwrap();
-        }
-        answers(&client, "drive", "robot", (1..=FRAMES).map(frame)).await;
-        answers(&client, "drive", "second", (60..=64).map(frame)).await;
-        answers(&client, "other", "robot", (1..=22).map(frame)).await;
-        let whole = client.rebuild_map("drive", &second, "whole").await.unwrap();
-        succeeded(&client, &whole).await;
-        server.stop().await;
-        Self { directory, second }
+        let make = async |directory: &Path| {
+            let server = Server::start_on(directory).await;
+            let client = server.client().await;
+            let model = import_model(&client).await;
+            take_model(&client, SECOND, &recalibrated_model(0.5)).await;
+            for map in ["drive", "other"] {
+                client.create_map(map_request(map, &model.name)).await.unwrap();
+            }
+            answers(&client, "drive", "robot", (1..=FRAMES).map(frame)).await;
+            answers(&client, "drive", "second", (60..=64).map(frame)).await;
+            answers(&client, "other", "robot", (1..=22).map(frame)).await;
+            let whole = client.rebuild_map("drive", SECOND, "whole").await.unwrap();
+            succeeded(&client, &whole).await;
+            server.stop().await;
+        };
+        Self { directory: PREPARED.directory(make).await }
     }
 
     fn start(&self) -> ServerProcess {
@@ -105,7 +111,7 @@ async fn jobs_that_waited_for_their_turn_are_done_by_the_next_server() {
         let server = prepared.start();
         let client = server.client().await;
         let training = long_training(&client).await;
-        let rebuilding = client.rebuild_map("drive", &prepared.second, "anew").await.unwrap();
+        let rebuilding = client.rebuild_map("drive", SECOND, "anew").await.unwrap();
         let merge = client.merge_maps(to_merge("both", OnceFound::Commit)).await.unwrap();
         let merging = client.job(&merge.job).await.unwrap();
         let looked_for = client.merge_maps(to_merge("perhaps", OnceFound::Propose)).await.unwrap();
@@ -215,7 +221,7 @@ async fn a_job_that_cannot_go_on_has_failed_and_says_why() {
         (server, client)
     };
     let (server, client) = started(&secrets[1]).await;
-    let job = client.rebuild_map("drive", &prepared.second, "anew").await.unwrap();
+    let job = client.rebuild_map("drive", SECOND, "anew").await.unwrap();
     succeeded(&client, &job).await;
     server.stop().await;
     for (change, why) in [
@@ -236,7 +242,7 @@ async fn a_job_that_cannot_go_on_has_failed_and_says_why() {
 
     // Who asked for it is gone, or what it is about.
     let (server, client) = started(&secrets[1]).await;
-    let job = client.rebuild_map("drive", &prepared.second, "anew").await.unwrap();
+    let job = client.rebuild_map("drive", SECOND, "anew").await.unwrap();
     succeeded(&client, &job).await;
     drop(client);
     server.stop().await;
@@ -272,7 +278,7 @@ async fn servers_that_are_killed_at_a_job_are_counted() {
     };
     let server = prepared.start();
     let client = server.client().await;
-    let rebuilding = client.rebuild_map("drive", &prepared.second, "anew").await.unwrap();
+    let rebuilding = client.rebuild_map("drive", SECOND, "anew").await.unwrap();
     let waiting = client.compact_map("other").await.unwrap();
     in_time(async {
         while client.map("anew", v1::MapView::Basic).await.map_or(0, |map| map.frames) < 3 {

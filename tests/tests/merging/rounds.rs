@@ -1,6 +1,9 @@
 //! A simulated robot that goes twice round a building, and what merges are asked with.
 
+use std::path::Path;
+
 use posegraph::trajectory::from_tum;
+use tempfile::TempDir;
 use waypost_client::v1::export_poses_request::{Body, Format, Frame};
 use waypost_client::v1::merge_source::Outcome;
 use waypost_client::{Client, FrameInput, FrameOutcome, SessionOptions, v1};
@@ -8,7 +11,12 @@ use waypost_sim::robot::WheelErrors;
 use waypost_sim::simulation::CameraFrame;
 use waypost_sim::worlds::NamedWorld;
 
-use crate::harness::{Drive, camera_ahead, exported, followed, map_request, session_options, stream};
+use crate::harness::{
+    Drive, Server, ServerProcess, Template, camera_ahead, exported, followed, import_model, map_request,
+    session_options, stream,
+};
+
+static MAPPED: Template = Template::new();
 
 /// Twice round a ring of corridors: a round each day.
 pub(super) struct Rounds(pub(super) Drive);
@@ -25,11 +33,33 @@ impl Rounds {
         if day == 0 { first } else { second }
     }
 
-    /// Makes a map of a day.
-    pub(super) async fn map(&self, client: &Client, model: &v1::Model, map: &str, day: usize) {
-        client.create_map(map_request(map, &model.name)).await.unwrap();
-        let outcomes = self.drive(client, map, "robot", self.day(day)).await;
-        assert_eq!(outcomes.len(), self.day(day).len());
+    /// A directory with a map of each day, "monday" and "tuesday".
+    pub(super) async fn mapped(&self) -> TempDir {
+        let make = async |directory: &Path| {
+            let server = Server::start_on(directory).await;
+            self.map(&server.client().await).await;
+            server.stop().await;
+        };
+        MAPPED.directory(make).await
+    }
+
+    /// The same for servers that are processes of their own.
+    pub(super) async fn mapped_in_sqlite(&self) -> TempDir {
+        let make = async |directory: &Path| {
+            let server = ServerProcess::start(directory);
+            self.map(&server.client().await).await;
+            server.stop();
+        };
+        MAPPED.in_sqlite(make).await
+    }
+
+    async fn map(&self, client: &Client) {
+        let model = import_model(client).await;
+        for (day, map) in ["monday", "tuesday"].into_iter().enumerate() {
+            client.create_map(map_request(map, &model.name)).await.unwrap();
+            let outcomes = self.drive(client, map, "robot", self.day(day)).await;
+            assert_eq!(outcomes.len(), self.day(day).len());
+        }
     }
 
     pub(super) async fn drive(

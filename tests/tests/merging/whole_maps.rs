@@ -11,7 +11,7 @@ use waypost_client::{Code, v1};
 
 use crate::harness::{
     Server, ServerProcess, answers, assert_status, evo_rmse_m, followed, frame, frame_count, get,
-    import_model, map_request, planar, refused, said, state_hash,
+    map_request, planar, refused, said, state_hash,
 };
 
 use super::rounds::{OnceFound, Rounds, done, note, overlap, request};
@@ -19,12 +19,9 @@ use super::rounds::{OnceFound, Rounds, done, note, overlap, request};
 #[tokio::test(flavor = "multi_thread")]
 async fn two_maps_become_one_and_two_again() {
     let rounds = Rounds::new();
-    let directory = tempfile::tempdir().unwrap();
+    let directory = rounds.mapped().await;
     let server = Server::start_on(directory.path()).await;
     let client = server.client().await;
-    let model = import_model(&client).await;
-    rounds.map(&client, &model, "monday", 0).await;
-    rounds.map(&client, &model, "tuesday", 1).await;
     let before = [state_hash(&client, "monday").await, state_hash(&client, "tuesday").await];
 
     // A preview changes nothing, and says how the maps lie to each other.
@@ -50,7 +47,7 @@ async fn two_maps_become_one_and_two_again() {
     assert_eq!([state_hash(&client, "monday").await, state_hash(&client, "tuesday").await], before);
     assert_eq!(refused(client.map("week", v1::MapView::Full).await).0, Code::NotFound);
     // The name is kept for it meanwhile.
-    let taken = refused(client.create_map(map_request("week", &model.name)).await);
+    let taken = refused(client.create_map(map_request("week", "")).await);
     assert_eq!(taken.0, Code::AlreadyExists, "{taken:?}");
 
     let committed = done(&client, &client.commit_merge(&proposed.name).await.unwrap()).await;
@@ -119,14 +116,11 @@ async fn two_maps_become_one_and_two_again() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_merge_into_a_map_is_there_whole_or_not_at_all_and_can_be_undone() {
-    const KILLS: u64 = 6;
+    const KILLS: u64 = 4;
     let rounds = Rounds::new();
-    let directory = tempfile::tempdir().unwrap();
+    let directory = rounds.mapped_in_sqlite().await;
     let mut server = ServerProcess::start(directory.path());
     let client = server.client().await;
-    let model = import_model(&client).await;
-    rounds.map(&client, &model, "monday", 0).await;
-    rounds.map(&client, &model, "tuesday", 1).await;
     let monday = client.map("monday", v1::MapView::Full).await.unwrap();
     let tuesday = client.map("tuesday", v1::MapView::Full).await.unwrap();
 

@@ -1,9 +1,12 @@
 //! What people say of the loop closures of a map with metres.
 
+use std::path::Path;
+
 use serde_json::{Value, json};
+use tempfile::TempDir;
 
 use super::*;
-use crate::harness::{Answer, http};
+use crate::harness::{Answer, Template, http};
 
 const SESSION: &str = "maps/drive/sessions/robot";
 
@@ -17,16 +20,25 @@ fn name_of(frame: &v1::FrameReference) -> String {
     format!("{}/frames/{}", frame.session, frame.sequence)
 }
 
-/// Twice round a building, mapped on a server at a directory.
-async fn mapped(directory: &std::path::Path) -> (Server, Client, Drive) {
+/// Twice round a building.
+static MAPPED: Template = Template::new();
+
+/// The drive, and a directory with its map.
+async fn mapped() -> (TempDir, Server, Client, Drive) {
     let drive = drive_round(5, "twice");
-    let server = Server::start_on(directory).await;
+    let make = async |directory: &Path| {
+        let server = Server::start_on(directory).await;
+        let client = server.client().await;
+        let model = import_model(&client).await;
+        client.create_map(map_request("drive", &model.name)).await.unwrap();
+        let options = SessionOptions { camera: Some(camera()), ..session_options("drive", "robot") };
+        stream(client.open_session(options).await.unwrap(), drive.inputs()).await;
+        server.stop().await;
+    };
+    let directory = MAPPED.directory(make).await;
+    let server = Server::start_on(directory.path()).await;
     let client = server.client().await;
-    let model = import_model(&client).await;
-    client.create_map(map_request("drive", &model.name)).await.unwrap();
-    let options = SessionOptions { camera: Some(camera()), ..session_options("drive", "robot") };
-    stream(client.open_session(options).await.unwrap(), drive.inputs()).await;
-    (server, client, drive)
+    (directory, server, client, drive)
 }
 
 async fn tum_lines(client: &Client) -> usize {
@@ -38,8 +50,7 @@ async fn tum_lines(client: &Client) -> usize {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_withdrawn_closure_is_told_everywhere_and_undone_to_the_bit() {
     use v1::export_poses_request::{Body, Format, Frame};
-    let directory = tempfile::tempdir().unwrap();
-    let (server, client, drive) = mapped(directory.path()).await;
+    let (directory, server, client, drive) = mapped().await;
     let before = client.map("drive", v1::MapView::Full).await.unwrap();
     let closures = client.loop_closures("drive").await.unwrap();
     assert!(closures.len() >= 10, "{} closures", closures.len());
@@ -143,8 +154,7 @@ fn furthest_m(before: &[PlanarPose], after: &[PlanarPose]) -> f64 {
 /// Each closure of this drive is right: without any the map is as bent as the wheels have it.
 #[tokio::test(flavor = "multi_thread")]
 async fn places_are_laid_out_anew_by_the_links_that_stand() {
-    let directory = tempfile::tempdir().unwrap();
-    let (server, client, drive) = mapped(directory.path()).await;
+    let (directory, server, client, drive) = mapped().await;
     let before = client.map("drive", v1::MapView::Full).await.unwrap();
     let (places, rmse_m) = relaxed(&client, &drive).await;
     assert!(rmse_m < 1.0, "{rmse_m} m");
@@ -198,8 +208,7 @@ async fn pairs(client: &Client, drive: &Drive) -> Vec<[String; 2]> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn frames_of_one_place_are_linked_by_what_their_features_measure() {
-    let directory = tempfile::tempdir().unwrap();
-    let (server, client, drive) = mapped(directory.path()).await;
+    let (directory, server, client, drive) = mapped().await;
     let before = client.map("drive", v1::MapView::Full).await.unwrap();
     // Across the building.
     let far =
