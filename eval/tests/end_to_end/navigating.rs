@@ -4,6 +4,7 @@ use std::fs;
 
 use serde_json::Value;
 
+use crate::mapping::LOOP;
 use crate::tool::{waypost_eval, waypost_eval_on_threads};
 
 fn number(report: &Value, figure: &str) -> f64 {
@@ -14,12 +15,9 @@ fn number(report: &Value, figure: &str) -> f64 {
 fn what_was_taught_is_driven_again_and_wheels_alone_fail() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
-    let (model, out) = (path("model"), path("out"));
-    let training = ["map", "--world", "loop", "--route", "once", "--words", "500", "--training-drives", "2"];
-    waypost_eval_on_threads(3, &[&training[..], &["--model-out", &model, "--json"]].concat()).json();
-
+    let (model, out) = (&LOOP.model, path("out"));
     let bad_link = ["--drop", "0.3", "--blind", "5", "--delay", "0.3", "--jitter", "0.2"];
-    let drive = [&["navigate", "--model", &model, "--json"][..], &bad_link].concat();
+    let drive = [&["navigate", "--model", model, "--json"][..], &bad_link].concat();
     let report = waypost_eval_on_threads(3, &[&drive[..], &["--trials", "2", "--out", &out]].concat()).json();
     assert_eq!((number(&report, "trials"), number(&report, "arrived")), (2.0, 2.0), "{report}");
     assert_eq!(number(&report, "odometry_only_arrived"), 0.0, "{report}");
@@ -38,7 +36,7 @@ fn what_was_taught_is_driven_again_and_wheels_alone_fail() {
     let again = waypost_eval_on_threads(1, &drive).json();
     assert_eq!(again["runs"][0], report["runs"][0], "two runs of the same seed differ");
 
-    let shortcut = ["navigate", "--trial", "shortcut", "--model", &model, "--json"];
+    let shortcut = ["navigate", "--trial", "shortcut", "--model", model, "--json"];
     let report = waypost_eval_on_threads(3, &shortcut).json();
     assert_eq!(number(&report, "arrived"), 1.0, "{report}");
     assert!(number(&report, "driven_m_median") < 0.4 * number(&report, "taught_m_median"), "{report}");
