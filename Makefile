@@ -28,7 +28,7 @@ demo: build
 # All unit, property and end-to-end tests, a part of these on PostgreSQL, and those of the Python client, of docker/, docs/ and
 # packaging/, of ros/, of the page and of the C++ client.
 # What the others need is fetched while Rust compiles. Rust's tests keep all cores busy, and those of ros/ wait for most of
-# their ten minutes: they run at once, and go first where both want to, since a robot does not wait for a bridge that is late.
+# their ten minutes: both run at once. Those of ros/ go first where both want to: a robot does not wait for a bridge that is late.
 test: setup
 	$(MAKE) --no-print-directory --jobs=2 build-tests setup-tests
 	$(MAKE) --no-print-directory --jobs=2 --keep-going test-rust test-ros

@@ -24,6 +24,10 @@ const DRIVE: [&str; 9] = [
 /// The loop as the first test that asks for it maps it, with a model that is trained on it.
 pub(crate) static LOOP: LazyLock<Mapped> = LazyLock::new(|| {
     let folder = concat!(env!("CARGO_TARGET_TMPDIR"), "/loop");
+    // What an earlier run wrote is no picture of this one.
+    if Path::new(folder).exists() {
+        fs::remove_dir_all(folder).unwrap();
+    }
     fs::create_dir_all(folder).unwrap();
     let model = format!("{folder}/model");
     let training = ["--words", "500", "--training-drives", "2", "--model-out", &model, "--out", folder];
