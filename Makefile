@@ -46,7 +46,8 @@ test-rust: build
 # database. More of them: make test-postgres ON_POSTGRES="fleet:: maps:: merging:: rest::parity operations::tokens"
 ON_POSTGRES ?= fleet:: maps::corrections maps::notes maps::snapshots::a_map_comes merging::whole_maps rest::parity operations::tokens
 # The same, where all is asked of a server that does not own the database.
-IN_RESERVE ?= rest::parity merging::whole_maps maps::snapshots::a_map_comes navigation::goals
+IN_RESERVE ?= rest::parity merging::whole_maps::two_maps merging::whole_maps::a_merge_without maps::snapshots::a_map_comes \
+	navigation::goals
 # What looks into SQLite's file, or has a server of its own there.
 OF_SQLITE = maps::restore maps::snapshots::a_stalled maps::snapshots::stalled maps::snapshots::interrupted::an_import_that_fails \
 	maps::snapshots::interrupted::an_import_that_is_cancelled_while maps::snapshots::removal merging::compaction::what_was_removed \

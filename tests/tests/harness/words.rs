@@ -1,6 +1,6 @@
 //! The frames of the shipped drive as a robot sends them that makes its words itself.
 
-use std::sync::LazyLock;
+use std::sync::{LazyLock, OnceLock};
 
 use waypost_client::words::WordMaker;
 use waypost_client::{Client, FrameContent, FrameInput, SessionOptions, v1};
@@ -10,6 +10,9 @@ use super::{answers_of, frame, images, model_file, reference, session_options};
 static WORD_MAKER: LazyLock<WordMaker> =
     LazyLock::new(|| WordMaker::new(&std::fs::read(model_file()).unwrap()).unwrap());
 
+/// Words of each image, once a test has asked for them.
+static WORDS: LazyLock<Vec<OnceLock<v1::WordList>>> = LazyLock::new(|| vec![OnceLock::new(); images().len()]);
+
 /// Makes words by the shipped model.
 pub(crate) fn word_maker() -> &'static WordMaker {
     &WORD_MAKER
@@ -17,8 +20,9 @@ pub(crate) fn word_maker() -> &'static WordMaker {
 
 /// The frame numbered `sequence` as a list of words with keypoints, made as a robot would.
 pub(crate) fn as_words(sequence: u64) -> FrameInput {
-    let words = word_maker().words(&images()[sequence as usize - 1]).unwrap();
-    FrameInput { content: FrameContent::Words(words), ..frame(sequence) }
+    let index = sequence as usize - 1;
+    let words = WORDS[index].get_or_init(|| word_maker().words(&images()[index]).unwrap());
+    FrameInput { content: FrameContent::Words(words.clone()), ..frame(sequence) }
 }
 
 /// The frame numbered `sequence` as counts of words: cheap, for its words are known in process.

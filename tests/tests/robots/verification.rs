@@ -61,10 +61,10 @@ fn decided(answer: &v1::FrameAnswer) -> v1::FrameAnswer {
 #[tokio::test(flavor = "multi_thread")]
 async fn geometry_finds_more_loops_and_none_that_is_wrong() {
     let (server, client) = Server::with_map_of_words().await;
-    let drive = || (1..=frame_count()).map(frame);
-    let by_words = answers(&client, "drive", "robot", drive()).await;
+    let of_histograms = (1..=frame_count()).map(as_histogram);
+    let by_words = answers_of(&client, words_options("drive", "robot"), of_histograms).await;
     verified_map(&client, "verified", v1::map_settings::Keep::Features).await;
-    let verified = answers(&client, "verified", "robot", drive()).await;
+    let verified = answers(&client, "verified", "robot", (1..=frame_count()).map(frame)).await;
 
     let (right_by_words, _) = judged(&by_words);
     let (right, wrong) = judged(&verified);
