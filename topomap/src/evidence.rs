@@ -18,7 +18,7 @@ mod verification;
 pub use candidate::{Candidate, Match};
 pub use closure_noise::ClosureNoise;
 pub use look_alikes::LookAlikesSeen;
-pub(crate) use look_alikes::{Compared, over_frames, unknown_over_frames};
+pub(crate) use look_alikes::{Compared, of_kind, of_unknown_kind, over_frames, unknown_over_frames};
 pub use placement::Placement;
 pub use probability::{Contributions, ProbabilityWeights};
 pub use turned_view::TurnedView;

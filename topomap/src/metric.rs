@@ -7,6 +7,7 @@ mod odometry_noise;
 mod place_spacing;
 mod relative_pose;
 pub(crate) mod wheel_drift;
+mod wheel_reach;
 
 pub use agreement::{Agreement, AgreementVerdict, median};
 pub use odometry::{Odometry, OdometryError};
@@ -14,3 +15,4 @@ pub(crate) use odometry::{decode_pose, encode_pose};
 pub use odometry_noise::OdometryNoise;
 pub use place_spacing::PlaceSpacing;
 pub use relative_pose::{RelativePose, RelativePoseError};
+pub(crate) use wheel_reach::WheelReach;

@@ -16,12 +16,12 @@ use topomap::settings::MapperSettings;
 const SIGHT_M: f64 = 45.0;
 const STEP_M: f64 = 1.2;
 
-/// What is seen from so far along the street: two words of each metre ahead.
+/// What is seen from so far along the street: six words of each metre ahead.
 fn seen_from(metres: f64, noise: &mut ChaCha8Rng) -> Observation {
     let mut words = Vec::new();
     for metre in 0..SIGHT_M as u64 {
         let mut own = ChaCha8Rng::seed_from_u64(metres as u64 + metre);
-        words.extend((0..2).map(|_| own.random_range(0..WORDS)));
+        words.extend((0..6).map(|_| own.random_range(0..WORDS)));
     }
     words.retain(|_| noise.random_bool(0.7));
     words.extend((0..6).map(|_| noise.random_range(0..WORDS)));

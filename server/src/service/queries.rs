@@ -17,7 +17,7 @@ use topomap::ids::FrameId;
 use topomap::log::{FrameEvent, MapEvent, Reason};
 use topomap::mapper::{Decided, EarlierFrame, FrameInput, Gate, Mapper};
 
-use self::gates::{gate_views, outdone_view};
+use self::gates::{gate_views, out_of_reach_view, outdone_view};
 pub(super) use self::gates::{probability, verdict_views};
 pub(crate) use self::odometry_agreement::OdometryAgreement;
 use self::odometry_agreement::SeenAgain;
@@ -219,6 +219,8 @@ impl Replay {
             gates.extend(verdict_views(&settings, candidate));
             let stronger = mapper.outdone_by(candidate, &event.candidates);
             gates.extend(stronger.map(|stronger| outdone_view(candidate, stronger)));
+            let out_of_reach = mapper.out_of_reach(&input, candidate.matched.place);
+            gates.extend(out_of_reach.map(|out_of_reach| out_of_reach_view(&out_of_reach)));
         }
         let words = explained.and_then(|place| mapper.explain(&input.observation, recognition, place, words));
         Ok(FrameExplanation {

@@ -118,6 +118,10 @@ impl PlacePoses {
         self.parts.get(place.index()).copied()
     }
 
+    pub(crate) fn ways(&self) -> &Ways {
+        &self.ways
+    }
+
     /// The session that made a place; `None` if there is no such place.
     #[must_use]
     pub fn maker(&self, place: PlaceId) -> Option<SessionId> {

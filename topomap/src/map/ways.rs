@@ -18,7 +18,7 @@ use crate::metric::wheel_drift::Way;
 
 /// The links that measured something, as they did.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Ways {
+pub(crate) struct Ways {
     /// The session that made each place.
     makers: Vec<SessionId>,
     /// Of each place, the one that its session made before it.
@@ -71,6 +71,36 @@ impl Ways {
     /// What wheels measured, with the session that drove.
     pub(super) fn driven(&self) -> &[(Way, SessionId)] {
         &self.driven
+    }
+
+    /// What wheels measured from place to place on the way of a session from one that it made to the
+    /// last that it made, if it came to new places alone in between, over `longest_m` at most.
+    pub(crate) fn on_new_ground(
+        &self,
+        session: SessionId,
+        from: PlaceId,
+        last: PlaceId,
+        longest_m: f64,
+    ) -> Option<Vec<RelativePose>> {
+        let (from, last) = (from.index(), last.index());
+        if self.last_made.get(&session) != Some(&last) {
+            return None;
+        }
+        let mut steps = Vec::new();
+        let mut place = last;
+        let mut length_m = 0.0;
+        while place > from {
+            let (step, _) = &self.driven[self.reached_by[place]?];
+            let before = self.made_before[place].filter(|&before| before == step.from)?;
+            length_m += step.measured.pose().x_m().hypot(step.measured.pose().y_m());
+            if length_m > longest_m {
+                return None;
+            }
+            steps.push(step.measured);
+            place = before;
+        }
+        steps.reverse();
+        (place == from).then_some(steps)
     }
 
     /// What closures measured.

@@ -4,11 +4,11 @@ use std::cmp::Ordering;
 
 use fabmap::appearance::PlaceId;
 
+use super::frame::FrameInHand;
 use super::state::Mapper;
 use crate::evidence::{
     Candidate, Check, Placement, Quantity, TwoView, Verdict, VerificationSettings, ViewMotion,
 };
-use crate::map::Session;
 use crate::settings::MapperSettings;
 
 /// Candidates with this share of the strongest evidence are as good as it: the nearest of them is
@@ -39,16 +39,17 @@ impl Mapper {
     }
 
     /// The candidate that is the same place by `settings`, of places that the session has not just
-    /// been at.
+    /// been at, and that its wheels do not rule out.
     pub(super) fn verified<'a>(
         &self,
         settings: &MapperSettings,
-        session: &Session,
+        frame: &FrameInHand<'_>,
         candidates: &'a [Candidate],
     ) -> Option<&'a Candidate> {
         let accepted = self
             .accepted(settings, candidates)
-            .filter(|candidate| !session.is_near(candidate.matched.place, settings));
+            .filter(|candidate| !frame.session.is_near(candidate.matched.place, settings))
+            .filter(|candidate| self.out_of_reach(&frame.input, candidate.matched.place).is_none());
         taken_nearest(accepted, self.strongest(candidates))
     }
 

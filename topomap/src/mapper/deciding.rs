@@ -77,7 +77,7 @@ impl Proposed<'_> {
         let candidates = self.candidates(comparisons);
         let mapper = self.frame.mapper;
         let settings = self.settings(comparisons);
-        let verified = mapper.verified(&settings, &self.frame.session, &candidates);
+        let verified = mapper.verified(&settings, &self.frame, &candidates);
         let candidate = verified.or_else(|| most_likely(&candidates)).map(|candidate| candidate.matched);
         let best = self.frame.recognition.posterior.best_place();
         let matched = candidate.or_else(|| best.and_then(|(place, _)| self.match_at(place)));
@@ -142,7 +142,7 @@ impl Proposed<'_> {
         if let Some(place) = place_to_stay_at {
             return frame.same_place(place);
         }
-        let verified = frame.mapper.verified(&settings, &frame.session, candidates);
+        let verified = frame.mapper.verified(&settings, frame, candidates);
         if let Some(Candidate { matched, .. }) = verified {
             return closure_with(matched);
         }

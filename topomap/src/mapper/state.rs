@@ -10,6 +10,7 @@ use fabmap::observation::Observation;
 use fabmap::recognizer::{Recognition, Recognizer};
 
 use super::FoldError;
+use crate::evidence;
 use crate::log::{FrameEvent, Link, MapEvent, MeasuredEvent};
 use crate::map::{Map, Place, PlacePoses, Session};
 use crate::settings::{MapperError, MapperSettings};
@@ -28,8 +29,15 @@ pub struct Mapper {
     links_followed: Followed,
     settings: MapperSettings,
     vocabulary_len: usize,
-    /// Of the model; `None` if it does not know look-alikes.
-    kinds: Option<Arc<Kinds>>,
+    look_alikes: LookAlikes,
+}
+
+/// What the model says of them.
+#[derive(Clone, Debug)]
+enum LookAlikes {
+    Known(Arc<Kinds>),
+    /// What the best one of any image is expected to show, in inliers.
+    Unknown(f64),
 }
 
 /// Whether poses know of all links.
@@ -58,6 +66,8 @@ impl Mapper {
         }
         settings.verification.check()?;
         settings.check_metric()?;
+        let unknown = || LookAlikes::Unknown(evidence::of_unknown_kind(model.sampling_set()));
+        let look_alikes = model.kinds().map_or_else(unknown, |kinds| LookAlikes::Known(Arc::new(kinds)));
         Ok(Self {
             recognizer: Recognizer::new(model, settings.recognizer)?,
             map: Map::default(),
@@ -65,7 +75,7 @@ impl Mapper {
             links_followed: Followed::Yes,
             settings,
             vocabulary_len: model.vocabulary().len(),
-            kinds: model.kinds().map(Arc::new),
+            look_alikes,
         })
     }
 
@@ -158,8 +168,13 @@ impl Mapper {
 
     /// What the best look-alike of a frame of `session` is expected to show by itself, in inliers.
     pub(super) fn expected_look_alike_inliers(&self, session: &Session, observation: &Observation) -> f64 {
-        let kind = self.kinds.as_ref().map(|kinds| kinds.of(observation));
-        session.look_alikes.expected_inliers(kind, observation.len(), self.map.look_alikes())
+        let of_image = match &self.look_alikes {
+            LookAlikes::Unknown(inliers) => *inliers,
+            LookAlikes::Known(kinds) => {
+                evidence::of_kind(kinds.of(observation), observation.len(), self.map.look_alikes())
+            }
+        };
+        session.look_alikes.expected_inliers(of_image)
     }
 
     /// Memory that the map takes, in bytes, roughly.

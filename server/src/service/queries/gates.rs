@@ -1,7 +1,7 @@
 //! What a frame has to pass to close a loop, number by number and in sentences.
 
 use topomap::evidence::{Bound, Candidate, Check, Contributions, Quantity, Verdict};
-use topomap::mapper::{AS_GOOD, Gate, Gates};
+use topomap::mapper::{AS_GOOD, Gate, Gates, OutOfReach};
 use topomap::settings::MapperSettings;
 
 use super::GateView;
@@ -83,6 +83,20 @@ pub(super) fn outdone_view(candidate: &Candidate, stronger: &Candidate) -> GateV
         stronger.evidence()
     );
     GateView { name: "strongest", gate: Gate { passed: false, value, required }, description }
+}
+
+/// That the robot has driven away from the place, and not back.
+pub(super) fn out_of_reach_view(out_of_reach: &OutOfReach) -> GateView {
+    let OutOfReach { least_m, allowed_m } = *out_of_reach;
+    let description = format!(
+        "wheels: the place is {least_m:.1} m off at least, {allowed_m:.1} m would be allowed: since it was there the robot has \
+         driven away, and no drift of its wheels makes a loop of that"
+    );
+    GateView {
+        name: "wheels",
+        gate: Gate { passed: false, value: least_m, required: allowed_m },
+        description,
+    }
 }
 
 /// What a candidate's probability is made of, and what would have been enough.
