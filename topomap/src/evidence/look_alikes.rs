@@ -135,7 +135,7 @@ mod tests {
 
     #[test]
     fn without_kinds_as_much_is_asked_as_in_a_tower_of_images_as_small() {
-        let image = |words: u32| Observation::from_words((0..words).collect(), 1000).unwrap();
+        let image = |words: u32| Observation::from_words(0..words, 1000).unwrap();
         assert_eq!(of_unknown_kind(&[]), UNKNOWN_INLIERS);
         assert_eq!(of_unknown_kind(&[image(400), image(500)]), UNKNOWN_INLIERS);
         assert!((of_unknown_kind(&[image(40), image(60)]) - 3.5).abs() < 1e-9);
