@@ -118,8 +118,8 @@ impl Robot {
         self.see();
     }
 
-    pub(crate) fn see(&mut self) {
-        self.sequence += 1;
+    /// What it sees next.
+    pub(crate) fn input(&self) -> FrameInput {
         let Run { pose, odometry, .. } = self.runs[&self.session].clone();
         let on_the_ground = |odometry: PlanarPose| {
             let ground = odometry.on_the_ground();
@@ -127,13 +127,20 @@ impl Robot {
             let orientation = [rotation.x, rotation.y, rotation.z, rotation.w];
             Odometry::new([position.x, position.y, 0.0], orientation, None).unwrap()
         };
-        let input = FrameInput {
+        let sequence = self.sequence + 1;
+        FrameInput {
             session: self.session,
-            sequence: self.sequence,
-            stamp_ns: self.sequence as i64 * 1_000_000_000,
+            sequence,
+            stamp_ns: sequence as i64 * 1_000_000_000,
             odometry: odometry.map(on_the_ground),
-            observation: view(&(self.looks)(&pose), self.sequence),
-        };
+            observation: view(&(self.looks)(&pose), sequence),
+        }
+    }
+
+    pub(crate) fn see(&mut self) {
+        let pose = self.runs[&self.session].pose;
+        let input = self.input();
+        self.sequence = input.sequence;
         let event = in_memory::decide(&self.mapper, &self.log, input, self, &mut ()).unwrap().event;
         self.take(MapEvent::Frame(Box::new(event)), pose);
     }

@@ -15,6 +15,7 @@ mod metric_logs;
 mod one_motion;
 mod one_threshold;
 mod past_closures;
+mod reach;
 mod rewriting;
 mod rounds;
 mod sight;
