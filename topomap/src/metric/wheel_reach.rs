@@ -76,7 +76,7 @@ mod tests {
         /// Round a square, with wheels that drift: the way closes, whatever they say.
         #[test]
         fn a_loop_is_one_with_any_drift(side in 3..8usize, drift in -0.14..0.14f64) {
-            let turn = |step: usize| if step % side == 0 { std::f64::consts::FRAC_PI_2 } else { 0.0 };
+            let turn = |step: usize| if step.is_multiple_of(side) { std::f64::consts::FRAC_PI_2 } else { 0.0 };
             let steps = (1..=4 * side).map(|step| without_drift(&PlanarPose::new(1.0, 0.0, turn(step)), -drift));
             let reach = reach(&steps.collect::<Vec<_>>());
             prop_assert!(reach.least_m <= reach.error_m + 0.8, "{:?}", reach);
