@@ -128,3 +128,13 @@ test("a map is compared with another of its model, on a phone too, and an empty 
     await close();
     await server.call(null, "map", "rm", "bare", "--yes");
 });
+
+test("a tile that was refused is asked for again, without a hand on the page", async () => {
+    const { page, close } = await open("#/maps");
+    let asked = 0;
+    await page.route("**/matrix/tiles/**", (route) => (asked++ === 0 ? route.fulfill({ status: 503, body: "" }) : route.continue()));
+    await page.goto(`${server.url}/#/maps/demo?matrix=.`);
+    await complete(matrixOf(page).locator("canvas"));
+    assert.ok(asked > 1, `${asked} tiles were asked for`);
+    await close();
+});

@@ -32,7 +32,7 @@ export class Tiles {
     private readonly known = new Map<string, Tile>();
     private readonly asked = new Map<string, AbortController>();
     private wanted: TileAt[] = [];
-    /** When a tile was refused: it is not asked for at once again. */
+    /** When a tile was refused: it is asked for again, and not at once. */
     private readonly refused = new Map<string, number>();
     error: Error | null = null;
 
@@ -89,6 +89,7 @@ export class Tiles {
                 if (gone.signal.aborted) return;
                 this.error = error;
                 this.refused.set(name, performance.now());
+                setTimeout(() => this.go(), REFUSED_MS + 100);
             }).finally(() => {
                 this.asked.delete(name);
                 this.changed();
