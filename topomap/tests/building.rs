@@ -33,6 +33,13 @@ pub(crate) fn unique(pose: &PlanarPose) -> PlanarPose {
     *pose
 }
 
+/// A corridor that looks like its first metre once more, so many metres further on.
+pub(crate) fn again_after<const METRES: u32>(pose: &PlanarPose) -> PlanarPose {
+    let metres = f64::from(METRES);
+    let there = (metres - 0.1..metres + 1.5).contains(&pose.x_m()) && pose.y_m().abs() < 0.5;
+    PlanarPose::new(pose.x_m() - if there { metres } else { 0.0 }, pose.y_m(), pose.heading_rad())
+}
+
 /// A map, and where the robots that made it truly were.
 #[derive(Clone)]
 pub(crate) struct Robot {

@@ -16,7 +16,8 @@ use topomap::metric::RelativePose;
 use topomap::settings::MapperSettings;
 
 use crate::building::{
-    FOCAL_LENGTH_WIDTHS, Robot, WORDS, ahead, apart_m, first, model, plan, second, seen, turn_left, unique,
+    FOCAL_LENGTH_WIDTHS, Robot, WORDS, again_after, ahead, apart_m, first, model, plan, second, seen,
+    turn_left, unique,
 };
 use crate::rewriting::{Wheels, folded, frames, take_turns, without};
 
@@ -103,15 +104,9 @@ impl Robot {
     }
 }
 
-/// A corridor whose 46th metre looks like its first: so long that drifting wheels could have led round to it.
-fn twice(pose: &PlanarPose) -> PlanarPose {
-    let moved_m = if (44.9..46.5).contains(&pose.x_m()) && pose.y_m().abs() < 0.5 { 45.0 } else { 0.0 };
-    PlanarPose::new(pose.x_m() - moved_m, pose.y_m(), pose.heading_rad())
-}
-
-/// A robot that takes the 46th metre for the first.
+/// A robot that takes the 46th metre for the first: so far on that drifting wheels could have led round to it.
 fn deceived() -> (Robot, FrameId) {
-    let mut robot = Robot::new(twice, PlanarPose::new(0.0, 0.0, 0.0), [0.0; 2]);
+    let mut robot = Robot::new(again_after::<45>, PlanarPose::new(0.0, 0.0, 0.0), [0.0; 2]);
     robot.see();
     ahead(&mut robot, 90);
     let closure = robot.closures()[0];
@@ -180,7 +175,7 @@ fn a_wrong_closure_is_taken_out_of_the_map() {
 
 #[test]
 fn a_robot_that_is_still_there_goes_on_from_where_it_was_before() {
-    let mut robot = Robot::new(twice, PlanarPose::new(0.0, 0.0, 0.0), [0.0; 2]);
+    let mut robot = Robot::new(again_after::<45>, PlanarPose::new(0.0, 0.0, 0.0), [0.0; 2]);
     robot.see();
     while robot.closures().is_empty() {
         ahead(&mut robot, 1);

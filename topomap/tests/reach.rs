@@ -5,15 +5,8 @@ use posegraph::{PlanarPose, Pose};
 use topomap::log::Reason;
 use topomap::mapper::OutOfReach;
 
-use crate::building::{Looks, Robot, STEP_M, ahead};
+use crate::building::{Looks, Robot, STEP_M, again_after, ahead, turn_left, unique};
 use crate::rewriting::frames;
-
-/// A corridor that looks like its first metre once more, so many metres further on.
-fn again_after<const METRES: u32>(pose: &PlanarPose) -> PlanarPose {
-    let metres = f64::from(METRES);
-    let there = (metres - 0.1..metres + 1.5).contains(&pose.x_m());
-    PlanarPose::new(pose.x_m() - if there { metres } else { 0.0 }, pose.y_m(), pose.heading_rad())
-}
 
 /// Straight along the corridor, by wheels that are wrong by some share of the way and radians a metre.
 fn along(looks: Looks, metres: f64, bias: [f64; 2]) -> Robot {
@@ -39,7 +32,7 @@ fn no_loop_is_closed_onto_a_place_that_the_robot_drove_away_from() {
 
 #[test]
 fn what_is_ruled_out_is_said_in_metres() {
-    let [start] = PlaceId::first(1).collect::<Vec<_>>()[..] else { panic!("no place") };
+    let start = PlaceId::first(1).next().unwrap();
     let robot = along(again_after::<15>, 15.0, [0.0, 0.0]);
     let OutOfReach { least_m, allowed_m } = robot.mapper.out_of_reach(&robot.input(), start).unwrap();
     // The chord of an arc of 15 m that turns by 0.15 rad a metre.
@@ -51,10 +44,10 @@ fn what_is_ruled_out_is_said_in_metres() {
 
 #[test]
 fn who_drives_a_loop_may_be_back() {
-    let [start] = PlaceId::first(1).collect::<Vec<_>>()[..] else { panic!("no place") };
-    let mut robot = along(again_after::<40>, 6.0, [0.05, 0.03]);
+    let start = PlaceId::first(1).next().unwrap();
+    let mut robot = along(unique, 6.0, [0.05, 0.03]);
     for _ in 0..3 {
-        (0..6).for_each(|_| robot.go(0.0, std::f64::consts::FRAC_PI_2 / 6.0));
+        turn_left(&mut robot);
         ahead(&mut robot, 10);
     }
     assert_eq!(robot.mapper.out_of_reach(&robot.input(), start), None);
