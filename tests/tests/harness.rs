@@ -40,7 +40,7 @@ pub(crate) use stream::{
 };
 pub(crate) use template::Template;
 pub(crate) use told::{Told, ToldMatch, decided, decided_match, told, told_match};
-pub(crate) use words::{as_histogram, as_words, histogram, mapped, word_maker, words_options};
+pub(crate) use words::{as_histogram, as_words, histogram, in_words, mapped, word_maker, words_options};
 
 use std::time::Duration;
 

@@ -10,8 +10,9 @@ use waypost_client::{Client, FrameInput, FrameOutcome, SessionOptions, v1};
 
 use super::owners::{beside_others, ends, is_whole, until_it_owns};
 use crate::harness::{
-    Machines, Reference, ServerProcess, answers, as_histogram, by_words_request, frame, http, import_model,
-    in_time, map_request, reference, reference_by_words, session_options, state_hash, words_options,
+    Machines, Reference, ServerProcess, answers, as_histogram, as_words, by_words_request, frame, http,
+    import_model, in_time, map_request, reference, reference_by_words, session_options, state_hash,
+    words_options,
 };
 
 /// Of each robot in one round.
@@ -177,13 +178,13 @@ async fn without_a_standby_nothing_is_acknowledged() {
     let client = fleet.client_in_time(0).await;
     let model = import_model(&client).await.name;
     client.create_map(map_request("drive", &model)).await.unwrap();
-    answers(&client, "drive", "robot", (1..=5).map(frame)).await;
+    answers(&client, "drive", "robot", (1..=5).map(as_words)).await;
     for standby in machines.standbys() {
         machines.stop(standby);
     }
     let waiting = tokio::spawn({
         let client = client.clone();
-        async move { answers(&client, "drive", "robot", (6..=10).map(frame)).await.len() }
+        async move { answers(&client, "drive", "robot", (6..=10).map(as_words)).await.len() }
     });
     tokio::time::sleep(2 * LEASE).await;
     assert!(!waiting.is_finished(), "a frame was acknowledged that one machine has");
@@ -206,16 +207,16 @@ async fn a_primary_of_yesterday_is_not_written_to() {
     let client = fleet.client_in_time(0).await;
     let model = import_model(&client).await.name;
     client.create_map(map_request("drive", &model)).await.unwrap();
-    answers(&client, "drive", "robot", (1..=5).map(frame)).await;
+    answers(&client, "drive", "robot", (1..=5).map(as_words)).await;
     let dead = machines.kill_primary();
     machines.promote().await;
-    answers(&fleet.client_in_time(0).await, "drive", "robot", (6..=10).map(frame)).await;
+    answers(&fleet.client_in_time(0).await, "drive", "robot", (6..=10).map(as_words)).await;
     machines.start_again(dead);
     fleet.replace(0);
     let client = fleet.client_in_time(0).await;
     is_whole(&client, 10).await;
     assert!(fleet.log(0).contains("two machines of the database take writes"), "{}", fleet.log(0));
-    answers(&client, "drive", "robot", (11..=15).map(frame)).await;
+    answers(&client, "drive", "robot", (11..=15).map(as_words)).await;
     assert_eq!(state_hash(&client, "drive").await, reference().maps[15].state_hash);
 }
 

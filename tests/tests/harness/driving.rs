@@ -14,6 +14,8 @@ use waypost_sim::scene::Scene;
 use waypost_sim::simulation::{CameraFrame, Recording};
 use waypost_sim::worlds::NamedWorld;
 
+use super::in_words;
+
 /// Buildings that were painted, and what was seen in them: many tests drive the same ways.
 static SCENES: LazyLock<Mutex<Scenes>> = LazyLock::new(Mutex::default);
 static IMAGES: LazyLock<Mutex<Images>> = LazyLock::new(Mutex::default);
@@ -57,6 +59,11 @@ impl Drive {
     /// What the robot sends.
     pub(crate) fn inputs(&self) -> impl Iterator<Item = FrameInput> + '_ {
         self.inputs_of(&self.frames)
+    }
+
+    /// What a robot sends that makes its words itself: cheaper for tests, which see the same drives again and again.
+    pub(crate) fn words(&self) -> impl Iterator<Item = FrameInput> + '_ {
+        self.inputs().map(in_words)
     }
 
     /// What it sends of some frames of the drive, whole images.

@@ -11,7 +11,7 @@ use waypost_proto::v1::session_service_client::SessionServiceClient;
 use waypost_proto::v1::stream_request::Content as Request;
 use waypost_proto::v1::stream_response::Content as Response;
 
-use super::{ServerProcess, channel, in_time};
+use super::{ServerProcess, channel, in_time, words_options};
 
 /// A session of that name.
 pub(crate) fn session_options(map: &str, session: &str) -> SessionOptions {
@@ -66,14 +66,17 @@ pub(crate) async fn stream_through(
     server
 }
 
-/// Streams frames into a session that takes them all.
+/// Streams frames, images or words by the shipped model, into a session that takes them all.
 pub(crate) async fn answers(
     client: &Client,
     map: &str,
     session: &str,
     frames: impl IntoIterator<Item = FrameInput>,
 ) -> Vec<v1::FrameAnswer> {
-    answers_of(client, session_options(map, session), frames).await
+    let frames: Vec<FrameInput> = frames.into_iter().collect();
+    let has_words = frames.iter().any(|frame| !matches!(frame.content, FrameContent::Image(_)));
+    let options = if has_words { words_options(map, session) } else { session_options(map, session) };
+    answers_of(client, options, frames).await
 }
 
 /// Streams frames into a session, opened as `options` say, that takes them all.

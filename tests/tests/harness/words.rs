@@ -1,17 +1,18 @@
 //! The frames of the shipped drive as a robot sends them that makes its words itself.
 
-use std::sync::{LazyLock, OnceLock};
+use std::collections::HashMap;
+use std::sync::{LazyLock, Mutex};
 
 use waypost_client::words::WordMaker;
 use waypost_client::{Client, FrameContent, FrameInput, SessionOptions, v1};
 
-use super::{answers_of, frame, images, model_file, reference, session_options};
+use super::{answers_of, frame, model_file, reference, session_options};
 
 static WORD_MAKER: LazyLock<WordMaker> =
     LazyLock::new(|| WordMaker::new(&std::fs::read(model_file()).unwrap()).unwrap());
 
-/// Words of each image, once a test has asked for them.
-static WORDS: LazyLock<Vec<OnceLock<v1::WordList>>> = LazyLock::new(|| vec![OnceLock::new(); images().len()]);
+/// Words by image, of those that a test has asked for: to make them is what takes the time of most tests.
+static WORDS: LazyLock<Mutex<HashMap<Vec<u8>, v1::WordList>>> = LazyLock::new(Mutex::default);
 
 /// Makes words by the shipped model.
 pub(crate) fn word_maker() -> &'static WordMaker {
@@ -20,9 +21,16 @@ pub(crate) fn word_maker() -> &'static WordMaker {
 
 /// The frame numbered `sequence` as a list of words with keypoints, made as a robot would.
 pub(crate) fn as_words(sequence: u64) -> FrameInput {
-    let index = sequence as usize - 1;
-    let words = WORDS[index].get_or_init(|| word_maker().words(&images()[index]).unwrap());
-    FrameInput { content: FrameContent::Words(words.clone()), ..frame(sequence) }
+    in_words(frame(sequence))
+}
+
+/// A frame with the words of its image in place of the image.
+pub(crate) fn in_words(frame: FrameInput) -> FrameInput {
+    let FrameContent::Image(image) = frame.content else { panic!("not an image: {frame:?}") };
+    let made = WORDS.lock().unwrap().get(&image).cloned();
+    let words = made.unwrap_or_else(|| word_maker().words(&image).unwrap());
+    WORDS.lock().unwrap().insert(image, words.clone());
+    FrameInput { content: FrameContent::Words(words), ..frame }
 }
 
 /// The frame numbered `sequence` as counts of words: cheap, for its words are known in process.

@@ -11,7 +11,7 @@ use waypost_proto::v1::model_service_client::ModelServiceClient;
 use waypost_proto::v1::train_model_request::Content;
 
 use crate::harness::{
-    Server, answers, assert_status, channel, frame, images, in_time, map_request, model_file, refused,
+    Server, answers, as_words, assert_status, channel, images, in_time, map_request, model_file, refused,
 };
 
 #[track_caller]
@@ -224,7 +224,7 @@ async fn pages_have_sizes_and_tokens() {
     for map in ["a", "b", "c"] {
         client.create_map(map_request(map, "shipped")).await.unwrap();
     }
-    answers(&client, "drive", "robot", (1..=4).map(frame)).await;
+    answers(&client, "drive", "robot", (1..=4).map(as_words)).await;
     let mut maps = MapServiceClient::new(channel(&server.endpoint()).await);
     let mut models = ModelServiceClient::new(channel(&server.endpoint()).await);
     let map = || "maps/drive".to_owned();

@@ -11,9 +11,9 @@ use waypost_sim::robot::WheelErrors;
 use waypost_sim::worlds::NamedWorld;
 
 use crate::harness::{
-    Built, CommandLine, Drive, Server, assert_status, camera_ahead, evo_rmse_m, exported, followed, frame,
+    Built, CommandLine, Drive, Server, as_words, assert_status, camera_ahead, evo_rmse_m, exported, followed,
     get, import_model, json_object, map_request, model_file, odometry, path, planar, refused, run_to_its_end,
-    session_options, state_hash, stream,
+    session_options, state_hash, stream, words_options,
 };
 
 /// Round a ring of corridors with wheels that are five percent and two degrees a metre off.
@@ -127,7 +127,7 @@ async fn odometry_may_be_missing_for_a_while() {
     let blind = |input: FrameInput| {
         if BLIND.contains(&input.sequence) { FrameInput { odometry: None, ..input } } else { input }
     };
-    let inputs: Vec<FrameInput> = drive.inputs().map(blind).collect();
+    let inputs: Vec<FrameInput> = drive.words().map(blind).collect();
     let server = Server::start().await;
     let client = server.client().await;
     let model = import_model(&client).await;
@@ -142,7 +142,7 @@ async fn odometry_may_be_missing_for_a_while() {
             parts.collect::<std::collections::BTreeSet<u32>>()
         })
     };
-    let options = || SessionOptions { camera: Some(camera()), ..session_options("drive", "robot") };
+    let options = || SessionOptions { camera: Some(camera()), ..words_options("drive", "robot") };
     let (begin, end) = inputs.split_at(60);
     stream(client.open_session(options()).await.unwrap(), begin.to_vec()).await;
     let [before, later] = parts().await;
@@ -162,21 +162,21 @@ async fn a_session_without_odometry_leaves_the_metres_of_others_alone() {
     let client = server.client().await;
     let model = import_model(&client).await;
     client.create_map(map_request("drive", &model.name)).await.unwrap();
-    let options = SessionOptions { camera: Some(camera()), ..session_options("drive", "wheels") };
-    stream(client.open_session(options).await.unwrap(), drive.inputs()).await;
+    let options = SessionOptions { camera: Some(camera()), ..words_options("drive", "wheels") };
+    stream(client.open_session(options).await.unwrap(), drive.words()).await;
     let before = client.places("drive").await.unwrap();
     assert!(before.iter().all(|place| place.pose.is_some()));
 
     let other = drive_round(4, "once");
     let blind = |input| FrameInput { odometry: None, ..input };
-    let inputs: Vec<FrameInput> = drive.inputs().map(blind).collect();
-    let elsewhere = other.inputs().take(8).map(|input| FrameInput {
+    let inputs: Vec<FrameInput> = drive.words().map(blind).collect();
+    let elsewhere = other.words().take(8).map(|input| FrameInput {
         odometry: None,
         sequence: input.sequence + 1_000,
         stamp_ns: input.stamp_ns + 3_600_000_000_000,
         ..input
     });
-    let session = client.open_session(session_options("drive", "eyes")).await.unwrap();
+    let session = client.open_session(words_options("drive", "eyes")).await.unwrap();
     let outcomes = stream(session, inputs.into_iter().chain(elsewhere)).await;
     let answers: Vec<_> = outcomes
         .into_iter()
@@ -206,8 +206,8 @@ async fn evo_reads_what_is_exported() {
     let client = server.client().await;
     let model = import_model(&client).await;
     client.create_map(map_request("drive", &model.name)).await.unwrap();
-    let options = SessionOptions { camera: Some(camera()), ..session_options("drive", "robot") };
-    stream(client.open_session(options).await.unwrap(), drive.inputs()).await;
+    let options = SessionOptions { camera: Some(camera()), ..words_options("drive", "robot") };
+    stream(client.open_session(options).await.unwrap(), drive.words()).await;
     let truth = drive.true_poses();
     for (format, name, truth) in
         [(Format::Tum, "tum", to_tum(&truth)), (Format::Kitti, "kitti", to_kitti(&truth))]
@@ -226,7 +226,7 @@ async fn evo_reads_what_is_exported() {
 async fn poses_that_nobody_measured_are_refused_with_the_way_out() {
     use v1::export_poses_request::{Body, Format, Frame};
     let (server, client) = Server::with_map().await;
-    crate::harness::answers(&client, "drive", "robot", (1..=3).map(frame)).await;
+    crate::harness::answers(&client, "drive", "robot", (1..=3).map(as_words)).await;
     let session = "maps/drive/sessions/robot";
     let ask = async |name: &str, format: Format, frame: Frame, body: Body| {
         let request = v1::ExportPosesRequest {

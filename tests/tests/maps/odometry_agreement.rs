@@ -4,7 +4,7 @@ use waypost_client::{Client, FrameInput, SessionOptions, v1};
 use waypost_sim::robot::WheelErrors;
 use waypost_sim::worlds::NamedWorld;
 
-use crate::harness::{Drive, Server, http, import_model, map_request, session_options, stream};
+use crate::harness::{Drive, Server, http, import_model, map_request, stream, words_options};
 
 /// A drive that comes back, by good wheels.
 fn drive() -> Drive {
@@ -14,7 +14,7 @@ fn drive() -> Drive {
 
 /// The drive with positions that are so many times as long.
 fn scaled(drive: &Drive, scale: f64) -> Vec<FrameInput> {
-    let scaled = drive.inputs().map(|mut frame| {
+    let scaled = drive.words().map(|mut frame| {
         let pose = frame.odometry.as_mut().and_then(|odometry| odometry.pose.as_mut()).unwrap();
         let position = pose.position_m.as_mut().unwrap();
         (position.x, position.y) = (scale * position.x, scale * position.y);
@@ -30,7 +30,7 @@ async fn agreements(
     camera: v1::Camera,
     frames: Vec<FrameInput>,
 ) -> Vec<v1::OdometryAgreement> {
-    let options = SessionOptions { camera: Some(camera), ..session_options("gallery", session) };
+    let options = SessionOptions { camera: Some(camera), ..words_options("gallery", session) };
     let asked: Vec<u64> = frames.iter().skip(9).step_by(10).map(|frame| frame.sequence).collect();
     stream(client.open_session(options).await.unwrap(), frames).await;
     let mut agreements = Vec::new();
@@ -64,7 +64,7 @@ async fn map_server() -> (Server, Client) {
 async fn what_was_declared_well_is_found_well_and_another_scale_later_is_seen() {
     let drive = drive();
     let (server, client) = map_server().await;
-    let well = agreements(&client, "first", drive.camera(), drive.inputs().collect()).await;
+    let well = agreements(&client, "first", drive.camera(), drive.words().collect()).await;
     assert_eq!(findings(&well), Vec::<&str>::new());
     let turns: Vec<f64> = well.iter().flat_map(|found| found.turns).map(|turns| turns.ratio).collect();
     assert!(!turns.is_empty() && turns.iter().all(|ratio| (ratio - 1.0).abs() < 0.1), "{turns:?}");
@@ -103,7 +103,7 @@ async fn another_field_of_view_than_the_declared_one_is_named() {
     let (server, client) = map_server().await;
     let narrow = v1::FieldOfView { horizontal_rad: 60_f64.to_radians() };
     let camera = v1::Camera { model: Some(v1::camera::Model::FieldOfView(narrow)), ..drive.camera() };
-    let found = agreements(&client, "robot", camera, drive.inputs().take(60).collect()).await;
+    let found = agreements(&client, "robot", camera, drive.words().take(60).collect()).await;
     let said = findings(&found);
     let named =
         |finding: &&&str| finding.contains("declared as 60 degrees (8") && finding.contains("field of view");
@@ -116,7 +116,7 @@ async fn another_field_of_view_than_the_declared_one_is_named() {
 async fn odometry_of_other_moments_than_the_images_is_named() {
     let drive = drive();
     let (server, client) = map_server().await;
-    let frames: Vec<FrameInput> = drive.inputs().take(60).collect();
+    let frames: Vec<FrameInput> = drive.words().take(60).collect();
     let late = frames.iter().enumerate().map(|(index, frame)| FrameInput {
         odometry: frames[index.saturating_sub(3)].odometry.clone(),
         ..frame.clone()
@@ -132,7 +132,7 @@ async fn odometry_of_other_moments_than_the_images_is_named() {
 async fn odometry_that_turns_the_other_way_is_named() {
     let drive = drive();
     let (server, client) = map_server().await;
-    let mirrored = drive.inputs().take(40).map(|mut frame| {
+    let mirrored = drive.words().take(40).map(|mut frame| {
         let pose = frame.odometry.as_mut().and_then(|odometry| odometry.pose.as_mut()).unwrap();
         pose.orientation.as_mut().unwrap().z *= -1.0;
         pose.position_m.as_mut().unwrap().y *= -1.0;

@@ -9,7 +9,7 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
 use waypost_client::{FrameInput, v1};
 
 use crate::harness::{
-    Server, ServerProcess, answers, database_options, first_return, frame, import_model, map_request,
+    Server, ServerProcess, answers, as_words, database_options, first_return, import_model, map_request,
     state_hash,
 };
 
@@ -30,7 +30,7 @@ impl Stored {
         client.create_map(map_request("drive", &model.name)).await.unwrap();
         answers(&client, "drive", "first", (1..=25).map(with_odometry)).await;
         let again = first_return();
-        answers(&client, "drive", "second", (again..again + 20).map(frame)).await;
+        answers(&client, "drive", "second", (again..again + 20).map(as_words)).await;
         let map = client.map("drive", v1::MapView::Full).await.unwrap();
         assert!(map.links > 0 && map.loop_closures > 0, "{map:?}");
         let places = client.places("drive").await.unwrap();
@@ -91,7 +91,7 @@ fn with_odometry(sequence: u64) -> FrameInput {
         }),
         covariance: Vec::new(),
     };
-    FrameInput { odometry: Some(odometry), ..frame(sequence) }
+    FrameInput { odometry: Some(odometry), ..as_words(sequence) }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -193,7 +193,7 @@ async fn a_map_is_the_same_from_checkpoint_and_the_rest_of_the_log() {
     let server = ServerProcess::start(stored.path());
     let client = server.client().await;
     answers(&client, "drive", "first", (26..=32).map(with_odometry)).await;
-    answers(&client, "drive", "third", (60..=66).map(frame)).await;
+    answers(&client, "drive", "third", (60..=66).map(as_words)).await;
     let hash = state_hash(&client, "drive").await;
     assert_ne!(Some(&hash), stored.map.state_hash.as_ref());
     server.kill();

@@ -10,7 +10,7 @@ use waypost_client::v1::merge::State;
 use waypost_client::{Code, v1};
 
 use crate::harness::{
-    Server, ServerProcess, answers, assert_status, evo_rmse_m, followed, frame, frame_count, get,
+    Server, ServerProcess, answers, as_words, assert_status, evo_rmse_m, followed, frame_count, get,
     map_request, planar, refused, said, state_hash,
 };
 
@@ -116,7 +116,7 @@ async fn two_maps_become_one_and_two_again() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_merge_into_a_map_is_there_whole_or_not_at_all_and_can_be_undone() {
-    const KILLS: u64 = 4;
+    const KILLS: u64 = 3;
     let rounds = Rounds::new();
     let directory = rounds.mapped_in_sqlite().await;
     let mut server = ServerProcess::start(directory.path());
@@ -215,8 +215,8 @@ async fn a_merge_without_metres_has_a_picture_too() {
     client.create_map(map_request("again", &model)).await.unwrap();
     // The second drive begins where the first one's second round does.
     let half = frame_count() / 2;
-    answers(&client, "drive", "robot", (1..=half).map(frame)).await;
-    answers(&client, "again", "robot", (half..=frame_count()).map(frame)).await;
+    answers(&client, "drive", "robot", (1..=half).map(as_words)).await;
+    answers(&client, "again", "robot", (half..=frame_count()).map(as_words)).await;
     let proposed =
         done(&client, &client.merge_maps(request(&["again"], "drive", OnceFound::Propose)).await.unwrap())
             .await;

@@ -16,7 +16,7 @@ use waypost_client::{Client, ClientOptions, Error};
 use waypost_server::{Tls, TlsFiles};
 
 use crate::harness::{
-    Built, CommandLine, Server, ServerProcess, answers, frame, import_model, in_time, map_request,
+    Built, CommandLine, Server, ServerProcess, answers, as_words, import_model, in_time, map_request,
     run_to_its_end,
 };
 
@@ -139,7 +139,7 @@ async fn robots_and_people_are_served_encrypted() {
     let client = Client::connect(encrypted(&server).with_ca(authority.pem())).await.unwrap();
     let model = import_model(&client).await;
     client.create_map(map_request("drive", &model.name)).await.unwrap();
-    assert_eq!(answers(&client, "drive", "robot", (1..=3).map(frame)).await.len(), 3);
+    assert_eq!(answers(&client, "drive", "robot", (1..=3).map(as_words)).await.len(), 3);
     assert_eq!(get(server.http(), "/healthz", &authority, None).await.unwrap(), "HTTP/1.1 200 OK");
 
     no_connection(call(encrypted(&server).with_ca(other.pem())).await, "certificate");

@@ -6,8 +6,8 @@ use waypost_client::{Client, ClientOptions, Code, Error, FrameOutcome, SessionOp
 
 use self::callable::{FOR_ADMINS, OPEN_ROUTES, call, guarded_routes, methods};
 use crate::harness::{
-    Built, Proxy, RawStream, Server, ServerProcess, answers, assert_status, channel, frame, import_model,
-    in_time, map_request, open, refused, run_to_its_end, session_options, wire,
+    Built, Proxy, RawStream, Server, ServerProcess, answers, as_words, assert_status, channel, frame,
+    import_model, in_time, map_request, open, refused, run_to_its_end, session_options, wire,
 };
 
 mod callable;
@@ -82,7 +82,7 @@ async fn a_session_belongs_to_the_token_that_opened_it() {
     let other = guarded.client(&secret).await;
     let looking =
         |name: &str| SessionOptions { mode: v1::SessionMode::Localize, ..session_options("drive", name) };
-    answers(&robot, "drive", "tour", (1..=3).map(frame)).await;
+    answers(&robot, "drive", "tour", (1..=3).map(as_words)).await;
     let (mut sender, mut outcomes) =
         robot.open_session(session_options("drive", "tour")).await.unwrap().split();
     let localizing = robot.open_session(looking("watch")).await.unwrap();
@@ -96,13 +96,13 @@ async fn a_session_belongs_to_the_token_that_opened_it() {
         other => panic!("{other:?}"),
     }
     drop((sender, outcomes, localizing));
-    answers(&other, "drive", "round", (1..=2).map(frame)).await;
+    answers(&other, "drive", "round", (1..=2).map(as_words)).await;
 
     // The robot's next secret goes by the same name, and an admin may go on with all.
     admin.delete_token("robot").await.unwrap();
     let (_, secret) = admin.create_token("robot", v1::token::Role::Robot).await.unwrap();
-    answers(&guarded.client(&secret).await, "drive", "tour", (5..=6).map(frame)).await;
-    answers(&admin, "drive", "tour", (7..=8).map(frame)).await;
+    answers(&guarded.client(&secret).await, "drive", "tour", (5..=6).map(as_words)).await;
+    answers(&admin, "drive", "tour", (7..=8).map(as_words)).await;
     guarded.server.stop().await;
 }
 

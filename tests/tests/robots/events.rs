@@ -8,7 +8,7 @@ use waypost_client::{
 };
 
 use crate::harness::{
-    Answer, Proxy, Server, answers, assert_status, by_words_request, followed, frame, get, http,
+    Answer, Proxy, Server, answers, as_words, assert_status, by_words_request, followed, frame, get, http,
     import_model, in_time, refused,
 };
 
@@ -99,7 +99,7 @@ async fn who_does_not_read_misses_nothing_and_holds_up_nobody() {
     const FRAMES: u64 = 90;
     let (server, client) = Server::with_map_of_words().await;
     let mut slow = client.watch_map("drive", Some(0)).await.unwrap();
-    answers(&client, "drive", "robot", (1..=FRAMES).map(frame)).await;
+    answers(&client, "drive", "robot", (1..=FRAMES).map(as_words)).await;
     let told = frames(&mut slow, FRAMES as usize).await;
     assert_eq!(numbers(&told), (1..=FRAMES).collect::<Vec<_>>());
     // Without odometry nobody knows where.
@@ -124,14 +124,14 @@ async fn a_watch_goes_on_over_another_connection() {
     let started = tokio::time::timeout(Duration::from_millis(500), new.next()).await;
     assert!(started.is_err(), "{started:?}");
     proxy.cut();
-    answers(&client, "drive", "robot", (1..=3).map(frame)).await;
+    answers(&client, "drive", "robot", (1..=3).map(as_words)).await;
     for watch in [&mut new, &mut all] {
         assert_eq!(numbers(&frames(watch, 3).await), [1, 2, 3]);
     }
     proxy.forward_to(None);
     server.stop().await;
     let server = Server::start_on(directory.path()).await;
-    answers(&server.client().await, "drive", "robot", (4..=5).map(frame)).await;
+    answers(&server.client().await, "drive", "robot", (4..=5).map(as_words)).await;
     proxy.forward_to(Some(server.grpc()));
     for watch in [&mut new, &mut all] {
         assert_eq!(numbers(&frames(watch, 2).await), [4, 5]);
@@ -148,7 +148,7 @@ async fn a_watch_goes_on_over_another_connection() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_watch_does_not_go_on_in_another_log() {
     let (server, client) = Server::with_map_of_words().await;
-    answers(&client, "drive", "first", (1..=4).map(frame)).await;
+    answers(&client, "drive", "first", (1..=4).map(as_words)).await;
     let proxy = Proxy::start().await;
     proxy.forward_to(Some(server.grpc()));
     let watching = Client::connect(&ClientOptions::new(proxy.endpoint())).await.unwrap();
@@ -158,7 +158,7 @@ async fn a_watch_does_not_go_on_in_another_log() {
     proxy.cut();
     let broken = in_time(events.next_or_break()).await.unwrap();
     assert!(matches!(broken, Watched::Disconnected { .. }), "{broken:?}");
-    answers(&client, "drive", "second", (5..=9).map(frame)).await;
+    answers(&client, "drive", "second", (5..=9).map(as_words)).await;
     let job = client.delete_session("maps/drive/sessions/first").await.unwrap();
     followed(&client, &job).await;
     proxy.forward_to(Some(server.grpc()));

@@ -13,8 +13,8 @@ use waypost_proto::v1::stream_request::Content as Request;
 use waypost_proto::v1::stream_response::Content as Response;
 
 use crate::harness::{
-    RawStream, SECOND_NS, Server, ServerProcess, answers, channel_with_window, frame, frame_count, images,
-    import_model, in_time, map_request, model_file, open, session_options, state_hash,
+    RawStream, SECOND_NS, Server, ServerProcess, answers, as_words, channel_with_window, frame, frame_count,
+    images, import_model, in_time, map_request, model_file, open, session_options, state_hash,
     stream as stream_to_end, wire,
 };
 
@@ -70,7 +70,7 @@ async fn four_robots(server: &ServerProcess) -> Vec<Vec<v1::FrameAnswer>> {
         let endpoint = server.endpoint();
         tokio::spawn(async move {
             let client = Client::connect(&endpoint).await.unwrap();
-            answers(&client, "drive", session, seen_by(robot).map(frame)).await
+            answers(&client, "drive", session, seen_by(robot).map(as_words)).await
         })
     });
     try_join_all(robots).await.unwrap()
@@ -206,10 +206,13 @@ async fn what_is_refused_under_overload_is_answered_later() {
             by_the_contract(stream, FRAMES).await
         }
     });
-    let library = stream::iter(0..library_robots).map(|robot| {
-        let client = &client;
-        async move { answers(client, "drive", &format!("library-{robot}"), (1..=2 * FRAMES).map(frame)).await }
-    });
+    let library =
+        stream::iter(0..library_robots).map(|robot| {
+            let client = &client;
+            async move {
+                answers(client, "drive", &format!("library-{robot}"), (1..=2 * FRAMES).map(as_words)).await
+            }
+        });
     let (raw, library): (Vec<_>, Vec<_>) = tokio::join!(
         raw.buffer_unordered(raw_robots).collect(),
         library.buffer_unordered(library_robots).collect()

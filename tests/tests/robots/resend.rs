@@ -2,7 +2,7 @@
 
 use waypost_client::{Code, v1};
 
-use crate::harness::{RawStream, Server, answers, assert_status, frame, open, state_hash, wire};
+use crate::harness::{RawStream, Server, answers, as_words, assert_status, frame, open, state_hash, wire};
 
 fn stored(answer: &v1::FrameAnswer, last_committed: u64) -> v1::FrameAnswer {
     v1::FrameAnswer { last_committed_sequence: last_committed, timings: None, resent: true, ..answer.clone() }
@@ -12,10 +12,10 @@ fn stored(answer: &v1::FrameAnswer, last_committed: u64) -> v1::FrameAnswer {
 async fn a_frame_sent_again_gets_the_stored_answer_and_changes_nothing() {
     const FRAMES: u64 = 12;
     let (server, client) = Server::with_map().await;
-    let first = answers(&client, "drive", "robot", (1..=FRAMES).map(frame)).await;
+    let first = answers(&client, "drive", "robot", (1..=FRAMES).map(as_words)).await;
     let hash = state_hash(&client, "drive").await;
 
-    let again = answers(&client, "drive", "robot", (1..=FRAMES).map(frame)).await;
+    let again = answers(&client, "drive", "robot", (1..=FRAMES).map(as_words)).await;
     let expected: Vec<v1::FrameAnswer> = first.iter().map(|answer| stored(answer, FRAMES)).collect();
     assert_eq!(again, expected);
     assert_eq!(state_hash(&client, "drive").await, hash);

@@ -97,19 +97,19 @@ async fn what_geometry_decided_is_in_the_log() {
     import_model(&client).await;
     verified_map(&client, "hall", v1::map_settings::Keep::Features).await;
     let half = frame_count() * 3 / 4;
-    let first = answers(&client, "hall", "robot", (1..=half).map(frame)).await;
+    let first = answers(&client, "hall", "robot", (1..=half).map(as_words)).await;
     let before = state_hash(&client, "hall").await;
     server.kill();
     let server = ServerProcess::start(directory.path());
     let client = server.client().await;
     assert_eq!(state_hash(&client, "hall").await, before);
-    let resent = answers(&client, "hall", "robot", (1..=half).map(frame)).await;
+    let resent = answers(&client, "hall", "robot", (1..=half).map(as_words)).await;
     assert!(resent.iter().zip(&first).all(|(resent, first)| decided(resent) == decided(first)));
-    let rest = answers(&client, "hall", "robot", (half + 1..=frame_count()).map(frame)).await;
+    let rest = answers(&client, "hall", "robot", (half + 1..=frame_count()).map(as_words)).await;
 
     // A server that was never stopped decides the same.
     verified_map(&client, "whole", v1::map_settings::Keep::Features).await;
-    let whole = answers(&client, "whole", "robot", (1..=frame_count()).map(frame)).await;
+    let whole = answers(&client, "whole", "robot", (1..=frame_count()).map(as_words)).await;
     let unnamed = |answer: &v1::FrameAnswer| {
         let place = |found: &Option<v1::Match>| {
             found.as_ref().map(|found| (found.place_number, found.geometry.clone()))
@@ -133,7 +133,7 @@ async fn what_geometry_decided_is_in_the_log() {
     // What decides nothing is no condition.
     assert!(explained.gates.iter().all(|gate| gate.passed && gate.name != "known_place"), "{explained:?}");
 
-    let looked = answers(&client, "hall", "lookout", (closed.sequence..=closed.sequence).map(frame)).await;
+    let looked = answers(&client, "hall", "lookout", (closed.sequence..=closed.sequence).map(as_words)).await;
     assert!(looked[0].best_candidate.as_ref().unwrap().geometry.is_some());
     drop(server);
 }

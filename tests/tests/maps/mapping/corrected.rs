@@ -31,8 +31,8 @@ async fn mapped() -> (TempDir, Server, Client, Drive) {
         let client = server.client().await;
         let model = import_model(&client).await;
         client.create_map(map_request("drive", &model.name)).await.unwrap();
-        let options = SessionOptions { camera: Some(camera()), ..session_options("drive", "robot") };
-        stream(client.open_session(options).await.unwrap(), drive.inputs()).await;
+        let options = SessionOptions { camera: Some(camera()), ..words_options("drive", "robot") };
+        stream(client.open_session(options).await.unwrap(), drive.words()).await;
         server.stop().await;
     };
     let directory = MAPPED.directory(make).await;

@@ -37,10 +37,10 @@ async fn closures_that_a_robot_measures_make_its_map_true() {
     let client = server.client().await;
     let model = import_model(&client).await;
     client.create_map(map_request("drive", &model.name)).await.unwrap();
-    let options = SessionOptions { camera: Some(camera()), ..session_options("drive", "robot") };
+    let options = SessionOptions { camera: Some(camera()), ..words_options("drive", "robot") };
     let mut session = client.open_session(options).await.unwrap();
     let mut measured = Vec::new();
-    for (number, input) in drive.inputs().enumerate() {
+    for (number, input) in drive.words().enumerate() {
         session.send(input).await.unwrap();
         let Some(FrameOutcome::Answer(answer)) = session.next().await.unwrap() else { panic!("refused") };
         let Some(closure) = answer.r#match.clone().filter(|_| answer.reason() == v1::Reason::LoopClosure)

@@ -10,8 +10,8 @@ use waypost_proto::v1::stream_request::Content as Request;
 use super::quotas::{limited, robot, told, used};
 use super::{Guarded, run};
 use crate::harness::{
-    Answer, RawStream, answers, assert_status, camera_ahead, folder, frame, http, images, in_time, open,
-    path, refused, wire,
+    Answer, RawStream, answers, as_words, assert_status, camera_ahead, folder, frame, http, images, in_time,
+    open, path, refused, wire,
 };
 
 #[tokio::test(flavor = "multi_thread")]
@@ -153,7 +153,7 @@ async fn tokens_get_quotas_over_rest_and_refusals_are_counted() {
         assert!(refused.status == StatusCode::BAD_REQUEST && text.contains(says), "{quotas}: {text}");
     }
     let robot = guarded.client(made["secret"].as_str().unwrap()).await;
-    answers(&robot, "drive", "one", (1..=2).map(frame)).await;
+    answers(&robot, "drive", "one", (1..=2).map(as_words)).await;
     let second = robot.open_session(crate::harness::session_options("drive", "two"));
     assert_eq!(refused(in_time(second).await.map(drop)).0, Code::FailedPrecondition);
     let metrics = http().get(guarded.server.url("/metrics")).bearer_auth(&guarded.admin);

@@ -9,7 +9,7 @@ use waypost_client::{Code, SessionOptions, v1};
 use super::callable::{FOR_ADMINS, ROUTES_FOR_ADMINS, call_with, guarded_routes, methods};
 use super::{Guarded, assert_let_in};
 use crate::harness::{
-    Answer, answers, assert_status, channel, followed, frame, http, in_time, map_request, refused,
+    Answer, answers, as_words, assert_status, channel, followed, frame, http, in_time, map_request, refused,
     session_options,
 };
 
@@ -355,7 +355,7 @@ async fn a_reader_changes_nothing() {
 async fn a_robot_may_be_allowed_to_look_alone() {
     let guarded = Guarded::start().await;
     let admin = guarded.client(&guarded.admin).await;
-    answers(&admin, "drive", "tour", (1..=3).map(frame)).await;
+    answers(&admin, "drive", "tour", (1..=3).map(as_words)).await;
     let request = v1::CreateTokenRequest {
         token_id: "scout".to_owned(),
         role: Role::Robot.into(),

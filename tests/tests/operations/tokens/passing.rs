@@ -4,7 +4,9 @@ use waypost_client::v1::token::Role;
 use waypost_client::{Code, Error, FrameOutcome, v1};
 
 use super::{Guarded, run};
-use crate::harness::{ServerProcess, answers, assert_status, frame, in_time, refused, session_options};
+use crate::harness::{
+    ServerProcess, answers, as_words, assert_status, frame, in_time, refused, session_options,
+};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_token_expires_and_ends_its_streams() {
@@ -52,7 +54,7 @@ async fn a_token_expires_and_ends_its_streams() {
     let rotation = v1::RotateTokenRequest { overlap_s: Some(0), lifetime_s: Some(3600), ..rotation };
     let (renewed, secret) = admin.rotate_token(rotation).await.unwrap();
     assert!(renewed.expire_time_ns > token.expire_time_ns);
-    answers(&guarded.client(&secret).await, "drive", "guest", (2..=3).map(frame)).await;
+    answers(&guarded.client(&secret).await, "drive", "guest", (2..=3).map(as_words)).await;
     guarded.server.stop().await;
 }
 
@@ -79,7 +81,7 @@ async fn a_token_is_rotated_without_a_break() {
     assert_status("stream", (code, &message), Code::Unauthenticated, "the token robot has a new secret");
     let (code, message) = refused(old.maps().await);
     assert_status("later", (code, &message), Code::Unauthenticated, "use the new one");
-    answers(&new, "drive", "tour", (2..=3).map(frame)).await;
+    answers(&new, "drive", "tour", (2..=3).map(as_words)).await;
     guarded.server.stop().await;
 }
 

@@ -11,8 +11,8 @@ use waypost_proto::v1::stream_response::Content as Response;
 
 use super::{Guarded, run};
 use crate::harness::{
-    Answer, RawStream, ServerProcess, answers, assert_status, followed, frame, http, import_model, in_time,
-    map_request, open, refused, session_options, wire,
+    Answer, RawStream, ServerProcess, answers, as_words, assert_status, followed, frame, http, import_model,
+    in_time, map_request, open, refused, session_options, wire,
 };
 
 /// A robot's token with quotas.
@@ -53,8 +53,8 @@ async fn sessions_count_for_the_token_that_opened_them() {
     let guarded = Guarded::start().await;
     let admin = guarded.client(&guarded.admin).await;
     let robot = robot(&guarded, v1::Quotas { max_sessions: Some(2), ..Default::default() }).await;
-    answers(&robot, "drive", "one", (1..=2).map(frame)).await;
-    answers(&robot, "drive", "two", (1..=2).map(frame)).await;
+    answers(&robot, "drive", "one", (1..=2).map(as_words)).await;
+    answers(&robot, "drive", "two", (1..=2).map(as_words)).await;
     let third =
         async || refused(in_time(robot.open_session(session_options("drive", "three"))).await.map(drop));
     let says = "the token robot-7 has 2 of the 2 sessions that it may (max_sessions); go on with one of them by its name";
@@ -62,10 +62,10 @@ async fn sessions_count_for_the_token_that_opened_them() {
     assert_status("third", (code, &message), Code::FailedPrecondition, says);
     assert!(message.contains("waypost token limit robot-7 --max-sessions 3"), "{message}");
     // It goes on with what it has, looks as it likes, and others are not concerned.
-    answers(&robot, "drive", "two", (3..=4).map(frame)).await;
+    answers(&robot, "drive", "two", (3..=4).map(as_words)).await;
     let looking = SessionOptions { mode: v1::SessionMode::Localize, ..session_options("drive", "three") };
     drop(in_time(robot.open_session(looking)).await.unwrap());
-    answers(&guarded.client(&guarded.robot).await, "drive", "others", (1..=2).map(frame)).await;
+    answers(&guarded.client(&guarded.robot).await, "drive", "others", (1..=2).map(as_words)).await;
     let session = admin.session("maps/drive/sessions/one").await.unwrap();
     assert_eq!(session.owner, "tokens/robot-7");
     assert_eq!(used(&admin, "tokens/robot-7").await.sessions, 2);
@@ -73,7 +73,7 @@ async fn sessions_count_for_the_token_that_opened_them() {
     let deletion = admin.delete_session("maps/drive/sessions/one").await.unwrap();
     followed(&admin, &deletion).await;
     assert_eq!(used(&admin, "tokens/robot-7").await.sessions, 1);
-    answers(&robot, "drive", "three", (1..=2).map(frame)).await;
+    answers(&robot, "drive", "three", (1..=2).map(as_words)).await;
     assert_eq!(third_again(&robot).await, Code::FailedPrecondition);
     admin.delete_map("drive").await.unwrap();
     assert_eq!(used(&admin, "tokens/robot-7").await, v1::QuotaUse::default());
@@ -233,8 +233,8 @@ async fn quotas_and_what_there_is_outlive_the_server_and_are_on_both_command_lin
     let model = import_model(&operator).await;
     for map in ["drive", "hall"] {
         operator.create_map(map_request(map, &model.name)).await.unwrap();
-        answers(&client(&server, robot.trim()).await, map, "tour", (1..=24).map(frame)).await;
-        answers(&operator, map, "own", (1..=3).map(frame)).await;
+        answers(&client(&server, robot.trim()).await, map, "tour", (1..=24).map(as_words)).await;
+        answers(&operator, map, "own", (1..=3).map(as_words)).await;
     }
     // Copies, deletions, and a map that is brought back.
     let mut snapshot = Vec::new();
@@ -276,7 +276,7 @@ async fn quotas_and_what_there_is_outlive_the_server_and_are_on_both_command_lin
     let limit = ["token", "limit", "robot-7", "--max-sessions", "5", "--lift", "kept,frames_per_second"];
     let (code, told, stderr) = online(&limit);
     assert!(code == 0 && told.contains("quotas  sessions 4/5\n"), "{told}{stderr}");
-    answers(&robots, "hall", "more", (1..=2).map(frame)).await;
+    answers(&robots, "hall", "more", (1..=2).map(as_words)).await;
     let (_, listed, _) = online(&["token", "ls"]);
     assert!(
         listed.lines().any(|line| line.starts_with("robot-7") && line.ends_with("sessions 5/5")),
@@ -303,8 +303,8 @@ async fn a_server_has_quotas_of_its_own_and_names_their_settings() {
     let says = "the server has 2 of the 2 maps that it may, whosever they are (max_maps); delete one";
     assert_status("maps", (code, &message), Code::FailedPrecondition, says);
     assert!(message.contains("waypost-server --max-maps 3"), "{message}");
-    answers(&client, "drive", "one", (1..=5).map(frame)).await;
-    answers(&client, "hall", "two", (1..=2).map(frame)).await;
+    answers(&client, "drive", "one", (1..=5).map(as_words)).await;
+    answers(&client, "hall", "two", (1..=2).map(as_words)).await;
     let (code, message) =
         refused(in_time(client.open_session(session_options("hall", "three"))).await.map(drop));
     assert_status("sessions", (code, &message), Code::FailedPrecondition, "2 of the 2 sessions that it may");
@@ -335,6 +335,6 @@ async fn a_server_has_quotas_of_its_own_and_names_their_settings() {
     // What is deleted makes room.
     let deletion = client.delete_session("maps/drive/sessions/one").await.unwrap();
     followed(&client, &deletion).await;
-    answers(&client, "drive", "again", (1..=3).map(frame)).await;
+    answers(&client, "drive", "again", (1..=3).map(as_words)).await;
     server.stop();
 }

@@ -11,8 +11,8 @@ use waypost_proto::v1::stream_response::Content as Response;
 use super::Guarded;
 use super::quotas::{limited, robot, told, used};
 use crate::harness::{
-    Answer, RawStream, answers, assert_status, frame, http, images, in_time, open, reference, refused,
-    session_options, state_hash, wire,
+    Answer, RawStream, answers, as_words, assert_status, frame, http, images, in_time, open, reference,
+    refused, session_options, state_hash, wire,
 };
 
 async fn lift(admin: &Client, kind: Kind) -> v1::Token {
@@ -41,7 +41,7 @@ async fn two_streams_of_one_token_share_its_frames_a_second() {
     let robot = robot(&guarded, quotas).await;
     let begun = Instant::now();
     let drive = async |session: &str| {
-        let answered = answers(&robot, "drive", session, (1..=FRAMES).map(frame)).await;
+        let answered = answers(&robot, "drive", session, (1..=FRAMES).map(as_words)).await;
         (answered.iter().map(|answer| answer.sequence).collect::<Vec<_>>(), begun.elapsed())
     };
     let ((one, one_took), (two, two_took)) = tokio::join!(drive("one"), drive("two"));
