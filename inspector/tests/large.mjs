@@ -5,8 +5,8 @@ import { accessible, cursor, open, PATIENCE_MS, PHONE, rest } from "./browser.mj
 import { colours, panned } from "./looking.mjs";
 import { grown, until } from "./server.mjs";
 
-/** More than twice as many as are drawn at once; LARGE_PLACES for figures, as of PERFORMANCE.md. */
-const PLACES = Number(process.env.LARGE_PLACES ?? 12_000);
+/** More than are drawn at once; LARGE_PLACES for figures, as of PERFORMANCE.md. */
+const PLACES = Number(process.env.LARGE_PLACES ?? 10_400);
 
 test("a large map is thinned, is drawn closer where one zooms in, and is stepped through in windows", async (context) => {
     const large = await grown(PLACES);
