@@ -1,6 +1,8 @@
 # `make demo` and `make test` need nothing but Rust on a Debian machine: `setup` installs the rest.
 
 CARGO ?= cargo
+# What cargo is told besides: CI's says how to compile (.ci/cargo.toml).
+CARGO_FLAGS ?=
 # A demo's map is served with DATA_DIR=demo-data.
 DATA_DIR ?= waypost-data
 TARGET := $(or $(CARGO_TARGET_DIR),target)/release
@@ -36,11 +38,11 @@ test: setup
 		test-postgres test-python test-inspector test-cpp
 
 build-tests: setup
-	$(CARGO) test --release --locked --workspace --no-run
+	$(CARGO) test $(CARGO_FLAGS) --release --locked --workspace --no-run
 
 test-rust: build
 	WAYPOST_BINARIES=$(abspath $(TARGET)) RUST_TEST_THREADS=$(TEST_THREADS) nice -n 5 \
-		$(CARGO) test --release --locked --workspace --no-fail-fast
+		$(CARGO) test $(CARGO_FLAGS) --release --locked --workspace --no-fail-fast
 
 # Servers over a database of PostgreSQL that is made for the tests; and a part of the other end-to-end tests, each on such a
 # database. More of them: make test-postgres ON_POSTGRES="fleet:: maps:: merging:: rest::parity operations::tokens"
@@ -54,9 +56,9 @@ OF_SQLITE = maps::restore maps::snapshots::a_stalled maps::snapshots::stalled ma
 	operations::tokens::older
 test-postgres: build
 	WAYPOST_BINARIES=$(abspath $(TARGET)) scripts/with-postgres \
-		$(CARGO) test --release --locked --workspace --test end_to_end -- $(ON_POSTGRES) $(foreach test,$(OF_SQLITE),--skip $(test))
+		$(CARGO) test $(CARGO_FLAGS) --release --locked --workspace --test end_to_end -- $(ON_POSTGRES) $(foreach test,$(OF_SQLITE),--skip $(test))
 	WAYPOST_BINARIES=$(abspath $(TARGET)) WAYPOST_TEST_ASKED_IN_RESERVE=1 scripts/with-postgres \
-		$(CARGO) test --release --locked --workspace --test end_to_end -- $(IN_RESERVE)
+		$(CARGO) test $(CARGO_FLAGS) --release --locked --workspace --test end_to_end -- $(IN_RESERVE)
 
 # What the client's messages, arrays and calls go through, with the oldest and the newest packages that it works with.
 RANGE_TESTS = test_values.py test_decisions.py test_words.py test_calls.py
@@ -106,7 +108,7 @@ serve: build
 	$(TARGET)/waypost-server --data-dir $(DATA_DIR)
 
 build: setup
-	$(CARGO) build --release --locked --workspace --bins
+	$(CARGO) build $(CARGO_FLAGS) --release --locked --workspace --bins
 	scripts/split-symbols $(TARGET) waypost-server waypost waypost-ros
 
 setup:
@@ -129,9 +131,9 @@ WITHOUT_FEATURES = -p waypost-client -p waypost-cli -p waypost-server
 # What must be clean before a change lands, besides the tests.
 check: setup
 	$(CARGO) fmt --all -- --check
-	$(CARGO) clippy --release --locked --workspace --all-targets -- -D warnings
-	$(CARGO) clippy --release --locked $(WITHOUT_FEATURES) --no-default-features -- -D warnings
-	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --locked --workspace --no-deps
+	$(CARGO) clippy $(CARGO_FLAGS) --release --locked --workspace --all-targets -- -D warnings
+	$(CARGO) clippy $(CARGO_FLAGS) --release --locked $(WITHOUT_FEATURES) --no-default-features -- -D warnings
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc $(CARGO_FLAGS) --release --locked --workspace --no-deps
 	scripts/check-inspector
 
 # Licences, sources and advisories of what is built in, where cargo-deny is installed.
@@ -140,4 +142,4 @@ deny:
 	else echo "cargo-deny is not installed: cargo install --locked cargo-deny" >&2; fi
 
 bench: setup
-	$(CARGO) bench --locked --workspace
+	$(CARGO) bench $(CARGO_FLAGS) --locked --workspace
