@@ -13,8 +13,8 @@ use waypost_client::{Client, launch};
 
 use super::workspace;
 
-/// Far more than a start or a stop takes.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// Far more than a command takes that is to end: some stream whole drives, on machines that do much else.
+const PATIENCE: Duration = Duration::from_secs(300);
 
 /// The binaries of this very source, built with the profile that the tests were built with; those of the folder that
 /// `WAYPOST_BINARIES` names, if it is set.

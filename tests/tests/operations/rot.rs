@@ -11,8 +11,8 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 use waypost_client::{Client, Code, FrameInput, FrameOutcome, v1};
 
 use crate::harness::{
-    Server, answers, as_words, assert_status, database_options, first_return, frame, get, import_model,
-    in_time, map_request, model_file, refused, session_options,
+    Server, answers, assert_status, database_options, first_return, frame, get, import_model, in_time,
+    map_request, model_file, refused, session_options,
 };
 
 /// What the robot calls frames of the session `first`.
@@ -35,8 +35,8 @@ async fn two_maps() -> tempfile::TempDir {
     }
     answers(&client, "drive", "first", (1..=20).map(noted)).await;
     let again = first_return();
-    answers(&client, "drive", "second", (again..again + 12).map(as_words)).await;
-    answers(&client, "spare", "only", (1..=5).map(as_words)).await;
+    answers(&client, "drive", "second", (again..again + 12).map(frame)).await;
+    answers(&client, "spare", "only", (1..=5).map(frame)).await;
     server.stop().await;
     directory
 }
@@ -92,7 +92,7 @@ async fn a_rotten_frame_is_named_and_its_map_takes_nothing_more() {
 
     watches_end(&server, &client).await;
     takes_nothing_more(&client).await;
-    assert_eq!(answers(&client, "spare", "later", (1..=3).map(as_words)).await.len(), 3);
+    assert_eq!(answers(&client, "spare", "later", (1..=3).map(frame)).await.len(), 3);
     let (code, message) = refused(export(&client, "drive").await);
     assert_status("export", (code, &message), Code::DataLoss, "session first, frame 7");
     assert!(export(&client, "spare").await.unwrap() > 0);
@@ -216,7 +216,7 @@ async fn a_map_whose_log_has_lost_an_event_takes_nothing_more() {
         let (code, message) = refused(found.await);
         assert!(matches!(code, Code::DataLoss | Code::FailedPrecondition), "{position}: {code:?} {message}");
         assert!(message.contains("of the log is gone"), "{position}: {message}");
-        answers(&client, "spare", "only", (6..=8).map(as_words)).await;
+        answers(&client, "spare", "only", (6..=8).map(frame)).await;
         server.stop().await;
     }
 }

@@ -8,7 +8,7 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 use waypost_client::v1;
 
 use super::{deep, note, two_maps};
-use crate::harness::{Server, answers, as_words, database_options, workspace};
+use crate::harness::{Server, answers, database_options, frame, workspace};
 
 /// The last migrations of servers that knew no checksums, and whether they kept notes of frames.
 const LAST_WITHOUT: [(i64, bool); 2] = [(9, false), (10, true)];
@@ -84,7 +84,7 @@ async fn is_the_same(old: &Path, before: &v1::Map, start: &str, notes: bool) {
     assert_eq!((&after.state_hash, after.frames), (&before.state_hash, before.frames), "{start}");
     let frame_7 = client.frame("maps/drive/sessions/first/frames/7").await.unwrap();
     assert_eq!(frame_7.note, if notes { note(7) } else { String::new() });
-    assert_eq!(answers(&client, "spare", start, (1..=2).map(as_words)).await.len(), 2);
+    assert_eq!(answers(&client, "spare", start, (1..=2).map(frame)).await.len(), 2);
     server.stop().await;
     assert_eq!(deep(old).await, [""; 0], "{start}");
 }
