@@ -6,8 +6,7 @@ use std::process::Output;
 use waypost_client::{FrameOutcome, v1};
 
 use crate::harness::{
-    Built, ServerProcess, answers, as_words, frame, import_model, in_time, map_request, run_to_its_end,
-    session_options,
+    Built, ServerProcess, answers, frame, import_model, in_time, map_request, run_to_its_end, session_options,
 };
 
 /// Runs `waypost-server` on a data directory; its exit code and all that it says.
@@ -69,7 +68,7 @@ async fn a_backup_made_while_a_robot_streams_is_whole_and_restored_by_one_comman
     let kept = client.map("drive", v1::MapView::Basic).await.unwrap().frames;
     assert!((10..=FRAMES).contains(&kept), "{kept} frames were kept");
     // What was answered by then is answered alike, and the rest comes to what it came to before.
-    let again = answers(&client, "drive", "robot", (1..=FRAMES).map(as_words)).await;
+    let again = answers(&client, "drive", "robot", (1..=FRAMES).map(frame)).await;
     for (before, after) in answered.iter().zip(&again) {
         assert_eq!(after.resent, after.sequence <= kept);
         let decided = |answer: &v1::FrameAnswer| (answer.sequence, answer.reason, answer.place_number);

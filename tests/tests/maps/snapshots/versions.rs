@@ -51,8 +51,8 @@ async fn write_fixture() {
     let job = in_time(client.train_model(settings, training)).await.unwrap();
     let model = followed(&client, &job).await.pop().unwrap().result.unwrap();
     client.create_map(map_request("fixture", &model)).await.unwrap();
-    answers(&client, "fixture", "first", (1..=10).map(as_words)).await;
-    answers(&client, "fixture", "second", (3..=6).map(as_words)).await;
+    answers(&client, "fixture", "first", (1..=10).map(frame)).await;
+    answers(&client, "fixture", "second", (3..=6).map(frame)).await;
     for (kind, content) in [("features", ONE_FEATURE), ("thumbnail", "randomblob(40)")] {
         let insert = format!(
             "INSERT OR REPLACE INTO frame_media SELECT map_id, position, '{kind}', {content} FROM log WHERE sequence IS NOT NULL"
